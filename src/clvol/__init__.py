@@ -1,0 +1,1 @@
+"""Volume rendering and reconstruction with B-splines, on OpenCL."""
