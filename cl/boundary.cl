@@ -1,0 +1,35 @@
+// What lies past the edge: the index rule of the current boundary (boundary.py), on a grid of
+// GRID_SCALE coefficients a sample.
+//
+// Set by the host: BOUNDARY_PERIODIC, BOUNDARY_FOLDED and BOUNDARY_FOLD (index i equals -FOLD - i).
+
+// Where the coefficient i is stored on an axis that stores those from -halo up to end - 1, or MISSING
+// if it is zero; period: see Boundary.length.
+#define MISSING INT_MIN
+
+inline int boundary_index(int i, int halo, int end, int period)
+{
+#if BOUNDARY_PERIODIC
+    const int p = period * GRID_SCALE;
+    i -= p * (int)floor((float)i / (float)p);
+    i = i < 0 ? i + p : (i >= p ? i - p : i);   // the float quotient may be off by one
+#if BOUNDARY_FOLDED
+    const int folded = p - BOUNDARY_FOLD * GRID_SCALE - i;
+    i = folded < i ? folded : i;
+#endif
+    return i;
+#else
+    return (i >= -halo && i < end) ? i : MISSING;
+#endif
+}
+
+// Brings a position (in samples) within one period of the axis, exactly where the rule repeats and
+// to where nothing is left where it does not; keeps it finite.
+inline coord boundary_position(coord x, int n, int period)
+{
+#if BOUNDARY_PERIODIC
+    return (x >= (coord)(-n) && x <= (coord)(2 * n)) ? x : x - period * floor(x / period);
+#else
+    return clamp(x, (coord)(-2 * TAPS - 2), (coord)(n + 2 * TAPS + 2));
+#endif
+}

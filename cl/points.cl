@@ -1,0 +1,164 @@
+// Kernels: the function and its derivatives at given points, or on a lattice of points.
+//
+// Set by the host: DERIVATIVE (0, 1 or 2), LATTICE (points are computed, not read), POINT (their type), FILL.
+
+#include "common.cl"
+#include "filter.cl"
+#include "boundary.cl"
+#include "fetch.cl"
+#include "sample.cl"
+#include "locate.cl"
+
+#if DERIVATIVE == 0
+#define COMPONENTS 1
+#elif DERIVATIVE == 1
+#define COMPONENTS DIMENSIONS
+#else
+#define COMPONENTS (DIMENSIONS * DIMENSIONS)
+#endif
+
+// Outside the domain every tap asks the boundary rule for its place: slow, right everywhere.
+inline float outer_blend(VOLUME_PARAMS, cell_t cell, int4 period,
+                         const float *wx, const float *wy, const float *wz)
+{
+    const int halo = extent.w;
+    float sum = 0.0f;
+    for (int k = 0; k < SLICES; ++k) {
+#if DIMENSIONS == 3
+        const int z = boundary_index(cell.z + k - halo, halo, extent.z - halo, period.z);
+#else
+        const int z = -halo;   // the only slice
+#endif
+        for (int j = 0; j < TAPS; ++j) {
+            const int y = boundary_index(cell.y + j - halo, halo, extent.y - halo, period.y);
+            float line = 0.0f;
+            for (int i = 0; i < TAPS; ++i) {
+                const int x = boundary_index(cell.x + i - halo, halo, extent.x - halo, period.x);
+                if (x != MISSING && y != MISSING && z != MISSING)
+                    line = madd(wx[i], fetch_one(VOLUME, x + halo, y + halo, z + halo), line);
+            }
+            sum = madd(wz[k] * wy[j], line, sum);
+        }
+    }
+    return sum;
+}
+
+inline void axis_weights(float t, float w[3][WEIGHTS])
+{
+    unpack_weights(t, w[0]);
+    unpack_slopes(t, w[1]);
+    unpack_bends(t, w[2]);
+}
+
+// One blend for each component, with the weights, slopes or second derivatives that it takes.
+inline void outer_sample(VOLUME_PARAMS, cell_t c, int4 period, float *value, gradient_t *g, hessian_t *h)
+{
+    float x[3][WEIGHTS], y[3][WEIGHTS], z[3][WEIGHTS];
+    axis_weights(c.tx, x);
+    axis_weights(c.ty, y);
+#if DIMENSIONS == 3
+    axis_weights(c.tz, z);
+#else
+    z[0][0] = 1.0f; z[1][0] = 0.0f; z[2][0] = 0.0f;
+#endif
+#define OUTER(i, j, k) outer_blend(VOLUME, c, period, x[i], y[j], z[k])
+#if DERIVATIVE == 0
+    *value = OUTER(0, 0, 0);
+#elif DERIVATIVE == 1
+    g->x = OUTER(1, 0, 0); g->y = OUTER(0, 1, 0); g->z = OUTER(0, 0, 1);
+#else
+    h->xx = OUTER(2, 0, 0); h->yy = OUTER(0, 2, 0); h->zz = OUTER(0, 0, 2);
+    h->xy = OUTER(1, 1, 0); h->xz = OUTER(1, 0, 1); h->yz = OUTER(0, 1, 1);
+#endif
+}
+
+// One result, in world units. w: the rows of world_to_index, so index_j = sum_i w[3 j + i] world_i.
+// Outside the domain the boundary rule holds, or, if FILL is set, the result is `fill`.
+inline void sample_into(VOLUME_PARAMS, coord x, coord y, coord z, int4 size, int4 period, constant coord *w,
+                        const float fill, global float *result)
+{
+    float value = 0.0f;
+    gradient_t g = { 0.0f, 0.0f, 0.0f };
+    hessian_t h = { 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f };
+    if (isfinite(x) && isfinite(y) && isfinite(z)) {
+        const int inside = x >= -0.5f && x <= size.x - 0.5f && y >= -0.5f && y <= size.y - 0.5f
+            && (DIMENSIONS == 2 || (z >= -0.5f && z <= size.z - 0.5f));
+        if (inside) {
+            const cell_t c = locate(x, y, z, extent.w);
+#if DERIVATIVE == 0
+            value = sample_value(VOLUME, c);
+#elif DERIVATIVE == 1
+            g = sample_gradient(VOLUME, c, &value);
+#else
+            h = taps_hessian(VOLUME, c);
+#endif
+        } else if (FILL) {
+            for (int i = 0; i < COMPONENTS; ++i)
+                result[i] = fill;
+            return;
+        } else {
+            x = boundary_position(x, size.x, period.x);
+            y = boundary_position(y, size.y, period.y);
+            z = boundary_position(z, size.z, period.z);
+            outer_sample(VOLUME, locate(x, y, z, extent.w), period, &value, &g, &h);
+        }
+    } else {
+        for (int i = 0; i < COMPONENTS; ++i)
+            result[i] = NAN;
+        return;
+    }
+    const float s = GRID_SCALE;
+#if DERIVATIVE == 0
+    result[0] = value;
+#elif DERIVATIVE == 1
+    for (int i = 0; i < DIMENSIONS; ++i)
+        result[i] = s * ((float)w[i] * g.x + (float)w[3 + i] * g.y + (float)w[6 + i] * g.z);
+#else
+    for (int i = 0; i < DIMENSIONS; ++i) {
+        const float a = w[i], b = w[3 + i], c = w[6 + i];
+        const float rx = a * h.xx + b * h.xy + c * h.xz, ry = a * h.xy + b * h.yy + c * h.yz,
+                    rz = a * h.xz + b * h.yz + c * h.zz;
+        for (int j = 0; j < DIMENSIONS; ++j)
+            result[i * DIMENSIONS + j] = s * s * (rx * (float)w[j] + ry * (float)w[3 + j] + rz * (float)w[6 + j]);
+    }
+#endif
+}
+
+// transform: 9 entries of a matrix, row by row, then 3 of an offset: index = matrix position + offset,
+// from world positions, or from the lattice's own indices; then 9 of world_to_index.
+#if !LATTICE
+
+kernel void sample_points(VOLUME_PARAMS, const int4 size, const int4 period, constant coord *transform,
+                          global const POINT *points, const ulong count, const float fill, global float *results)
+{
+    const size_t i = get_global_id(0);
+    if (i >= count)
+        return;
+    const coord a = points[DIMENSIONS * i], b = points[DIMENSIONS * i + 1];
+#if DIMENSIONS == 3
+    const coord c = points[DIMENSIONS * i + 2];
+#else
+    const coord c = 0;
+#endif
+    constant coord *m = transform;
+    sample_into(VOLUME, m[0] * a + m[1] * b + m[2] * c + m[9], m[3] * a + m[4] * b + m[5] * c + m[10],
+                m[6] * a + m[7] * b + m[8] * c + m[11], size, period, transform + 12, fill, results + COMPONENTS * i);
+}
+
+#else
+
+// lattice: the number of points along x, y, z, and the first slice of this launch.
+kernel void sample_lattice(VOLUME_PARAMS, const int4 size, const int4 period, constant coord *transform,
+                           const int4 lattice, const float fill, global float *results)
+{
+    const int i = get_global_id(0), j = get_global_id(1), k = (int)get_global_id(2) + lattice.w;
+    if (i >= lattice.x || j >= lattice.y)
+        return;
+    const coord a = i, b = j, c = k;
+    constant coord *m = transform;
+    sample_into(VOLUME, m[0] * a + m[1] * b + m[2] * c + m[9], m[3] * a + m[4] * b + m[5] * c + m[10],
+                m[6] * a + m[7] * b + m[8] * c + m[11], size, period, transform + 12, fill,
+                results + COMPONENTS * (((size_t)k * lattice.y + j) * lattice.x + i));
+}
+
+#endif

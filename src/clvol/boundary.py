@@ -1,0 +1,90 @@
+"""What lies past the edge: an index rule, and the prefilter that goes with it, as one thing.
+
+The rule extends the *coefficients*: ``c[i]`` for an index outside ``0 .. n - 1`` is ``c[rule(i)]``,
+or nothing. Everything else follows from it: the matrix of eq. (11) has row ``i`` and column
+``rule(i + k)``, and the prefilter starts and ends its recursions such that it solves that matrix.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clvol.errors import one_of
+
+__all__ = ["DEFAULT_BOUNDARY", "Boundary", "as_boundary", "boundaries"]
+
+DEFAULT_BOUNDARY = "mirror"
+
+
+@dataclass(frozen=True)
+class Boundary:
+    """One rule: indices repeat with a period, and the second part of a period may be folded back.
+
+    Parameters
+    ----------
+    name : str
+        The name by which it is asked for.
+    period : tuple of int, optional
+        ``(a, b)``: the period on an axis of ``n`` samples is ``a n + b``. None: nothing lies outside.
+    fold : int, optional
+        ``s``: index ``i`` equals index ``-s - i``, a reflection about ``-s/2``. None: no reflection.
+    description : str
+        What it means, for listings.
+    """
+
+    name: str
+    period: tuple[int, int] | None
+    fold: int | None
+    description: str
+
+    def length(self, n: int) -> int:
+        """The period in samples on an axis of `n`; at least 1, and 0 if the rule has none."""
+        return max(1, self.period[0] * n + self.period[1]) if self.period else 0
+
+    def index(self, i: ArrayLike, n: int) -> NDArray[np.int64]:
+        """The index within ``0 .. n - 1`` that stands for `i`; -1 where nothing does."""
+        i = np.asarray(i, dtype=np.int64)
+        if not self.period:
+            return np.where((i >= 0) & (i < n), i, -1)
+        period = self.length(n)
+        i = i % period
+        return i if self.fold is None else np.minimum(i, (-self.fold - i) % period)
+
+    def matrix(self, samples: ArrayLike, n: int) -> NDArray[np.float64]:
+        """The matrix of eq. (11) on an axis of `n`, for a kernel with these samples at 0, 1, 2, ...; (n, n)."""
+        b = np.asarray(samples, dtype=np.float64)
+        result = np.zeros((n, n))
+        rows = np.arange(n)
+        for k in range(-b.size + 1, b.size):
+            columns = self.index(rows + k, n)
+            known = columns >= 0
+            np.add.at(result, (rows[known], columns[known]), b[abs(k)])
+        return result
+
+
+_TABLE = {
+    row.name: row
+    for row in (
+        Boundary("mirror", (2, -2), 0, "reflected about the outer samples: d c b | a b c d | c b a"),
+        Boundary("reflect", (2, 0), 1, "reflected about the volume's faces: c b a | a b c d | d c b"),
+        Boundary("wrap", (1, 0), None, "repeated, the paper's closed curve (eq. 11): b c d | a b c d | a b c"),
+        Boundary("zero", None, None, "coefficients are zero outside: 0 0 0 | a b c d | 0 0 0"),
+    )
+}
+
+
+def boundaries() -> dict[str, Boundary]:
+    """Every rule by name."""
+    return dict(_TABLE)
+
+
+def as_boundary(choice: str | Boundary) -> Boundary:
+    """The rule for a name."""
+    if isinstance(choice, Boundary):
+        return choice
+    if not isinstance(choice, str) or choice not in _TABLE:
+        raise one_of("boundary", choice, _TABLE)
+    return _TABLE[choice]

@@ -1,0 +1,328 @@
+"""Choosing an OpenCL device; every quirk of a device or its runtime is a named predicate here."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clvol.errors import DeviceError, OutOfMemoryError, one_of
+
+__all__ = ["Device", "as_device", "devices"]
+
+_KINDS = ("cpu", "gpu", "accelerator")
+_INSTALL = (
+    "On Linux without a GPU, 'pip install clvol[pocl]' brings one that runs on the processor; "
+    "with a GPU, install its vendor's OpenCL driver. 'clvol doctor' tells more"
+)
+_MEMORY_SHARE = 0.9  # of the device's memory: PoCL allocates lazily, and the process aborts if there is none left
+
+
+def _opencl() -> Any:
+    """pyopencl, with caches that can be written; imported only when a device is asked for."""
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path(os.environ.get("HOME") or "/nonexistent") / ".cache")
+    if not _writable(home):
+        # PoCL shows no device, or fails without a reason, when it cannot write its cache
+        if not os.environ.get("POCL_CACHE_DIR"):
+            os.environ["POCL_CACHE_DIR"] = tempfile.mkdtemp(prefix="clvol-pocl-")
+        os.environ.setdefault("PYOPENCL_NO_CACHE", "1")
+    try:
+        import pyopencl
+    except ImportError as error:
+        raise DeviceError(f"pyopencl cannot be imported: {error}. {_INSTALL}") from error
+    return pyopencl
+
+
+def _writable(folder: Path) -> bool:
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    return os.access(folder, os.W_OK | os.X_OK)
+
+
+class Device:
+    """One OpenCL device with its context and queue, made once for each process.
+
+    Use `as_device` to get one. Buffers, programs and renderers hold the device they were made on.
+    """
+
+    def __init__(self, handle: Any) -> None:
+        self.handle = handle
+        self._process = os.getpid()
+        self._lock = threading.RLock()
+        self._programs: dict[Any, Any] = {}
+        self._allocated = 0
+
+    def __repr__(self) -> str:
+        return f"<Device {self.name!r} on {self.platform!r}>"
+
+    @cached_property
+    def name(self) -> str:
+        return str(self.handle.name).strip()
+
+    @cached_property
+    def platform(self) -> str:
+        return str(self.handle.platform.name).strip()
+
+    @cached_property
+    def kind(self) -> str:
+        """"cpu", "gpu" or "accelerator"."""
+        kinds = _opencl().device_type
+        return "cpu" if self.handle.type & kinds.CPU else "gpu" if self.handle.type & kinds.GPU else "accelerator"
+
+    @cached_property
+    def context(self) -> Any:
+        self.require_usable()
+        with _errors(self):
+            return _opencl().Context([self.handle])
+
+    @cached_property
+    def queue(self) -> Any:
+        context = self.context
+        with _errors(self):
+            return _opencl().CommandQueue(context)
+
+    # -- quirks --------------------------------------------------------------------------------
+
+    @property
+    def is_pocl(self) -> bool:
+        return "portable computing language" in self.platform.lower()
+
+    @cached_property
+    def has_double(self) -> bool:
+        return "cl_khr_fp64" in str(self.handle.extensions)
+
+    @cached_property
+    def has_images(self) -> bool:
+        """Whether volumes can be held as images and read with the linear sampler.
+
+        PoCL on CUDA and some AMD devices have no images; a few drivers lack the float format.
+        """
+        if not self.handle.image_support:
+            return False
+        cl = _opencl()
+        with _errors(self):
+            formats = cl.get_supported_image_formats(self.context, cl.mem_flags.READ_ONLY, cl.mem_object_type.IMAGE3D)
+        wanted = (cl.channel_order.R, cl.channel_type.FLOAT)
+        return any((f.channel_order, f.channel_data_type) == wanted for f in formats)
+
+    @cached_property
+    def image_limit(self) -> int:
+        """Greatest extent of an image along any axis."""
+        h = self.handle
+        return int(min(h.image3d_max_width, h.image3d_max_height, h.image3d_max_depth))
+
+    @cached_property
+    def sampler_bits(self) -> float:
+        """Bits of the linear sampler's fraction, measured once; 0 if it does not interpolate.
+
+        Texture units of GPUs have 8; samplers in software have 20 or more.
+        """
+        if not self.has_images:
+            return 0.0
+        from clvol.spline import measure_sampler
+
+        error = measure_sampler(self)
+        return 0.0 if error > 0.1 else float(-np.log2(2 * max(error, 2.0**-25)))
+
+    @property
+    def shares_memory(self) -> bool:
+        """Whether mapped buffers are the host's own memory."""
+        return bool(self.handle.host_unified_memory)
+
+    def require_usable(self) -> None:
+        """Raise `DeviceError` where using the device would hang or abort the process.
+
+        A PoCL context used after a fork hangs; PoCL shells out to the linker for every kernel
+        and aborts the process when there is none, or no libgcc and libc for it to link.
+        """
+        if os.getpid() != self._process:
+            raise DeviceError("OpenCL devices cannot be used after a fork; start processes with 'spawn' or 'forkserver'")
+        if self.is_pocl and self.kind == "cpu":
+            _require_linker()
+
+    # -- memory --------------------------------------------------------------------------------
+
+    def allocate(self, size: int) -> Any:
+        """A read-write buffer of `size` bytes."""
+        cl = _opencl()
+        size = max(int(size), 4)
+        self.require_room(size)
+        with _errors(self):
+            return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size)
+
+    def require_room(self, size: int) -> None:
+        """Raise `OutOfMemoryError` before a runtime would abort: PoCL finds out only when memory is touched."""
+        largest, everything = int(self.handle.max_mem_alloc_size), int(self.handle.global_mem_size)
+        if size > largest or size > _MEMORY_SHARE * everything:
+            raise OutOfMemoryError(
+                f"{self.name} allows one allocation of up to {largest / 2**20:.0f} MiB and holds "
+                f"{everything / 2**20:.0f} MiB; got {size / 2**20:.0f} MiB"
+            )
+
+    def upload(self, array: np.ndarray[Any, Any]) -> Any:
+        """A read-only buffer with a copy of `array`."""
+        cl = _opencl()
+        array = np.ascontiguousarray(array)
+        self.require_room(array.nbytes)
+        with _errors(self):
+            return cl.Buffer(self.context, cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR, hostbuf=array)
+
+    def download(self, buffer: Any, array: np.ndarray[Any, Any]) -> None:
+        """Copy the start of `buffer` into a contiguous `array`."""
+        with _errors(self):
+            _opencl().enqueue_copy(self.queue, array, buffer)
+
+    @contextlib.contextmanager
+    def mapped(self, buffer: Any, shape: tuple[int, ...], *, write: bool) -> Iterator[np.ndarray[Any, Any]]:
+        """A float32 buffer as an array: no copy where the device shares the host's memory."""
+        cl = _opencl()
+        flags = cl.map_flags.WRITE if write else cl.map_flags.READ
+        with _errors(self):
+            array, _ = cl.enqueue_map_buffer(self.queue, buffer, flags, 0, shape, np.float32, is_blocking=True)
+        try:
+            yield array
+        finally:
+            array.base.release(self.queue)
+
+    def finish(self) -> None:
+        with _errors(self):
+            self.queue.finish()
+
+    @property
+    def errors(self) -> contextlib.AbstractContextManager[None]:
+        """OpenCL's errors, raised inside, come out as ours."""
+        return _errors(self)
+
+
+@contextlib.contextmanager
+def _errors(device: Device) -> Iterator[None]:
+    cl = _opencl()
+    try:
+        yield
+    except cl.MemoryError as error:
+        raise OutOfMemoryError(f"{device.name} is out of memory: {error}") from error
+    except cl.Error as error:
+        raise DeviceError(f"{device.name} failed: {error}") from error
+
+
+# -- choosing ------------------------------------------------------------------------------------------
+
+_lock = threading.Lock()
+_devices: dict[tuple[int, int], Device] = {}
+
+
+def devices() -> list[Device]:
+    """Every OpenCL device found, the one used by default first: GPUs, then the processor."""
+    cl = _opencl()
+    try:
+        platforms = cl.get_platforms()
+    except cl.Error:  # the loader reports an error where it finds no platform
+        platforms = []
+    found = []
+    for platform in platforms:
+        try:
+            handles = platform.get_devices()
+        except cl.Error:
+            continue
+        for handle in handles:
+            if handle.available and handle.compiler_available:
+                with _lock:
+                    found.append(_devices.setdefault((os.getpid(), handle.int_ptr), Device(handle)))
+    return sorted(found, key=lambda d: ("gpu", "cpu", "accelerator").index(d.kind))
+
+
+def as_device(choice: Device | str | int | None = None) -> Device:
+    """The device to compute on.
+
+    Parameters
+    ----------
+    choice : Device, str, int or None
+        A device; its number in ``clvol devices``; "cpu" or "gpu"; or a part of its name or its
+        platform's. None takes the environment variable ``CLVOL_DEVICE``, else the first.
+
+    Raises
+    ------
+    DeviceError
+        No OpenCL platform or device, or it cannot be used; the message says what to install.
+    OptionError
+        No device is called so.
+    """
+    if isinstance(choice, Device):
+        return choice
+    if choice is None:
+        choice = os.environ.get("CLVOL_DEVICE") or 0
+    found = devices()
+    if not found:
+        raise DeviceError(f"no OpenCL device was found. {_INSTALL}")
+    text = str(choice).strip().lower()
+    if text.isdigit():
+        if int(text) < len(found):
+            return found[int(text)]
+    else:
+        for device in found:
+            if text == device.kind or (text not in _KINDS and text in f"{device.platform} {device.name}".lower()):
+                return device
+    names = [f"{i} ({d.kind}: {d.name}, {d.platform})" for i, d in enumerate(found)]
+    raise one_of("device", choice, ["'cpu', 'gpu', or a part of a name", *names])
+
+
+# -- PoCL and the linker ---------------------------------------------------------------------------------
+
+_PROBE = """
+import pyopencl as cl
+for p in cl.get_platforms():
+    if "portable computing language" in p.name.lower():
+        d = p.get_devices()[0]
+        c = cl.Context([d]); q = cl.CommandQueue(c)
+        k = cl.Program(c, "kernel void probe_%s(global int *a) { a[0] = 1; }").build()
+        cl.Kernel(k, "probe_%s")(q, (1,), None, cl.Buffer(c, cl.mem_flags.READ_WRITE, 4)); q.finish()
+"""
+
+
+@lru_cache(maxsize=1)
+def _require_linker() -> None:
+    """PoCL links each kernel with ``ld`` against libc and libgcc; without them the process aborts.
+
+    So another process tries first; that it worked is noted in PoCL's cache for the next time.
+    """
+    linker = shutil.which("ld")
+    advice = "install 'binutils' and 'gcc' (Debian, Ubuntu: apt install binutils gcc), or another OpenCL runtime"
+    if linker is None:
+        raise DeviceError(f"PoCL needs the linker 'ld' to finish a kernel, and there is none on PATH; {advice}")
+    import pyopencl
+
+    stamp = f"{linker} {Path(linker).stat().st_mtime_ns} {os.environ.get('POCL_CACHE_DIR', '')} {pyopencl.VERSION_TEXT}"
+    mark = _cache_folder() / "pocl-links"
+    with contextlib.suppress(OSError, UnicodeDecodeError):
+        if mark.read_text(encoding="utf-8") == stamp:
+            return
+    name = os.urandom(4).hex()  # a kernel that no cache knows
+    environment = {**os.environ, "PYOPENCL_NO_CACHE": "1"}
+    try:
+        trial = subprocess.run(
+            [sys.executable, "-c", _PROBE % (name, name)], capture_output=True, env=environment, timeout=120, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise DeviceError(f"PoCL could not be tried: {error}") from error
+    if trial.returncode != 0:
+        last = trial.stderr.decode(errors="replace").strip().splitlines()[-1:] or ["no message"]
+        raise DeviceError(f"PoCL cannot build kernels here ({last[0]}); {advice}")
+    with contextlib.suppress(OSError):
+        mark.parent.mkdir(parents=True, exist_ok=True)
+        temporary = mark.with_name(f"{mark.name}.{os.getpid()}")
+        temporary.write_text(stamp, encoding="utf-8")
+        temporary.replace(mark)
+
+
+def _cache_folder() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "clvol"

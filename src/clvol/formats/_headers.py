@@ -1,0 +1,56 @@
+"""Reading the text headers of MetaImage and NRRD, with limits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import IO
+
+from clvol.errors import FormatError
+from clvol.formats._files import MAX_HEADER
+
+__all__ = ["data_path", "line", "numbers", "whole"]
+
+_MAX_LINE = 1 << 16
+
+
+def line(stream: IO[bytes], name: str) -> str | None:
+    """The next line without its end, None at the end of the file."""
+    raw = stream.readline(_MAX_LINE + 1)
+    if len(raw) > _MAX_LINE or stream.tell() > MAX_HEADER:
+        raise FormatError(f"{name} must have a header of lines up to {_MAX_LINE} bytes, {MAX_HEADER} in all")
+    if b"\0" in raw:
+        raise FormatError(f"{name} must have a text header; a line holds the byte 0")
+    return raw.decode("utf-8", "surrogateescape").rstrip("\r\n") if raw else None
+
+
+def numbers(name: str, key: str, text: str, count: int) -> tuple[float, ...]:
+    """`count` numbers in `text`; NaN and infinite ones too."""
+    try:
+        values = tuple(float(word) for word in text.split())
+    except ValueError:
+        values = ()
+    if len(values) != count:
+        raise FormatError(f"{name} must give {count} numbers for {key!r}; got {text[:80]!r}")
+    return values
+
+
+def whole(name: str, key: str, text: str, low: int, count: int = 1) -> tuple[int, ...]:
+    """`count` whole numbers of at least `low` in `text`; written with digits only, as every reader takes them."""
+    words = text.split()
+    if len(words) != count or not all(word.removeprefix("-").isdecimal() and word.isascii() for word in words):
+        raise FormatError(f"{name} must give {count} whole numbers for {key!r}; got {text[:80]!r}")
+    values = tuple(int(word) for word in words) if all(len(word) < 19 for word in words) else (-1,)
+    if min(values) < low:
+        raise FormatError(f"{name} must give numbers of at least {low} for {key!r}; got {text[:80]!r}")
+    return values
+
+
+def data_path(header: Path, text: str) -> Path:
+    """The one file with the samples of a detached header, which may lie anywhere but must be there."""
+    # ITK passes a pattern to sprintf, and reads "-" from the terminal.
+    if not text or text == "-" or "%" in text or text.split()[0].upper() == "LIST":
+        raise FormatError(f"{header.name} must name one file with all samples; got {text[:80]!r}")
+    path = header.parent / text
+    if not path.is_file():  # a pipe or a device would never end
+        raise FormatError(f"{header.name} names the file {text[:80]!r} for its samples, which is not there")
+    return path

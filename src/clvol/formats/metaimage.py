@@ -1,0 +1,118 @@
+"""MetaImage (``.mha``; ``.mhd`` with its samples in a file of their own), by way of SimpleITK."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+from clvol.errors import FormatError
+from clvol.formats import _itk
+from clvol.formats._files import Content, inflated_size, require_bytes
+from clvol.formats._headers import data_path, line, numbers, whole
+from clvol.volume import Volume
+
+__all__ = ["check", "read", "write"]
+
+_IO = "MetaImageIO"
+_DTYPES = {
+    "MET_CHAR": "int8", "MET_UCHAR": "uint8", "MET_SHORT": "int16", "MET_USHORT": "uint16",
+    "MET_INT": "int32", "MET_UINT": "uint32", "MET_LONG": "int32", "MET_ULONG": "uint32",
+    "MET_LONG_LONG": "int64", "MET_ULONG_LONG": "uint64", "MET_FLOAT": "float32", "MET_DOUBLE": "float64",
+}  # fmt: skip
+# How many numbers a field has, as a power of the number of axes: ITK reads past what is not there.
+_NUMBERS = {
+    "TransformMatrix": 2, "Rotation": 2, "Orientation": 2,
+    "Offset": 1, "Position": 1, "Origin": 1, "CenterOfRotation": 1, "ElementSpacing": 1, "ElementSize": 1,
+}  # fmt: skip
+
+
+def read(path: Path) -> Content:
+    """Samples and geometry, which is in ITK's LPS frame already."""
+    return _itk.read_image(path, _IO, check(path))
+
+
+def write(volume: Volume, path: Path) -> None:
+    """Write samples and geometry exactly; ``.mhd`` puts the samples into a ``.raw`` file beside it."""
+    _itk.write_image(volume, path, _IO, check)
+
+
+def check(path: Path) -> _itk.Header:
+    """Read the header and count the samples."""
+    with path.open("rb") as stream:
+        fields = _fields(stream, path.name)
+        size, dtype = _layout(fields, path.name)
+        file = fields["ElementDataFile"]
+        if file.upper() == "LOCAL":
+            found = _samples(stream, fields, path, math.prod(size) * np.dtype(dtype).itemsize)
+        else:
+            with data_path(path, file).open("rb") as samples:
+                found = _samples(samples, fields, path, math.prod(size) * np.dtype(dtype).itemsize)
+    require_bytes(path.name, found, size[::-1], dtype, exact=_flag(fields, "CompressedData"))
+    return _itk.Header(size[:3])
+
+
+def _fields(stream: IO[bytes], name: str) -> dict[str, str]:
+    """``key = value`` lines up to ``ElementDataFile``, which ends the header."""
+    fields: dict[str, str] = {}
+    while "ElementDataFile" not in fields:
+        text = line(stream, name)
+        match = re.fullmatch(r"\s*(\w+)\s*[=:]\s*(.*?)\s*", text) if text is not None else None
+        if match is None:
+            raise FormatError(
+                f"{name} must have a MetaImage header of lines 'key = value' up to 'ElementDataFile = ...'; "
+                f"found {'the end of the file' if text is None else repr(text[:80])}"
+            )
+        key, value = match.groups()
+        if key in fields:
+            raise FormatError(f"{name} must give each field once; {key!r} is there twice")
+        fields[key] = value
+    return fields
+
+
+def _layout(fields: dict[str, str], name: str) -> tuple[tuple[int, ...], str]:
+    """Samples along x, y(, z), their dtype; and every number that ITK will look for is there."""
+    for key in ("NDims", "DimSize", "ElementType"):
+        if key not in fields:
+            raise FormatError(f"{name} must have a MetaImage header with the field {key!r}; it has {list(fields)}")
+    (rank,) = whole(name, "NDims", fields["NDims"], -1)
+    if rank not in (2, 3, 4):
+        raise FormatError(f"{name} must have 2 or 3 axes; its header says NDims = {rank}")
+    size = whole(name, "DimSize", fields["DimSize"], 1, rank)
+    if size[3:] not in ((), (1,)):
+        raise FormatError(f"{name} must hold one volume; its header says {size} samples: write them apart")
+    if fields["ElementType"] not in _DTYPES:
+        raise FormatError(f"{name} must have an ElementType of {', '.join(_DTYPES)}; got {fields['ElementType']!r}")
+    if (channels := fields.get("ElementNumberOfChannels", "1")) != "1":
+        raise FormatError(f"{name} must have one value a voxel; its header says {channels}: write its channels apart")
+    if not _flag(fields, "BinaryData", "True"):
+        raise FormatError(f"{name} must hold its samples in binary; its header says BinaryData = False")
+    for key, power in _NUMBERS.items():
+        if key in fields and not all(map(math.isfinite, numbers(name, key, fields[key], rank**power))):
+            raise FormatError(f"{name} must give finite numbers for {key!r}; got {fields[key][:80]!r}")
+    return size, _DTYPES[fields["ElementType"]]
+
+
+def _samples(stream: IO[bytes], fields: dict[str, str], path: Path, expected: int) -> int:
+    """How many bytes of samples follow in `stream`, unpacked."""
+    (skip,) = whole(path.name, "HeaderSize", fields.get("HeaderSize", "0"), -1)
+    start = stream.tell()
+    end = stream.seek(0, 2)
+    if not _flag(fields, "CompressedData"):
+        # -1: the samples end with the file, and whatever stands before them is skipped
+        return end if skip == -1 else end - max(start, skip)
+    if skip:
+        raise FormatError(f"{path.name} must not skip bytes before compressed samples; HeaderSize = {skip}")
+    if "CompressedDataSize" in fields:
+        (packed,) = whole(path.name, "CompressedDataSize", fields["CompressedDataSize"], 1)
+        if packed > end - start:
+            raise FormatError(f"{path.name} must hold {packed} compressed bytes; found {end - start}")
+    stream.seek(start)
+    return inflated_size(stream, expected)
+
+
+def _flag(fields: dict[str, str], key: str, default: str = "False") -> bool:
+    return fields.get(key, default)[:1] in ("T", "t", "1")  # MetaIO looks at the first letter

@@ -1,0 +1,121 @@
+"""NRRD (``.nrrd``; ``.nhdr`` with its samples in a file of their own), by way of SimpleITK."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+from clvol.errors import FormatError
+from clvol.formats import _itk
+from clvol.formats._files import Content, gunzipped_size, require_bytes
+from clvol.formats._headers import data_path, line, whole
+from clvol.formats._units import one_unit
+from clvol.volume import Volume
+
+__all__ = ["check", "read", "write"]
+
+_IO = "NrrdImageIO"
+_NAMES = {  # every name that the format has for a type
+    "int8": "signed char, int8, int8_t",
+    "uint8": "uchar, unsigned char, uint8, uint8_t",
+    "int16": "short, short int, signed short, signed short int, int16, int16_t",
+    "uint16": "ushort, unsigned short, unsigned short int, uint16, uint16_t",
+    "int32": "int, signed int, int32, int32_t",
+    "uint32": "uint, unsigned int, uint32, uint32_t",
+    "int64": "longlong, long long, long long int, signed long long, signed long long int, int64, int64_t",
+    "uint64": "ulonglong, unsigned long long, unsigned long long int, uint64, uint64_t",
+    "float32": "float",
+    "float64": "double",
+}
+_DTYPES = {alias: dtype for dtype, aliases in _NAMES.items() for alias in aliases.split(", ")}
+_ENCODINGS = ("raw", "gzip", "gz")
+_MAX_FIELD = 500  # the reader inside ITK writes a field that it rejects into a buffer of 1024 bytes
+
+
+def read(path: Path) -> Content:
+    """Samples and geometry, turned to ITK's LPS frame from the one that the header names."""
+    return _itk.read_image(path, _IO, check(path))
+
+
+def write(volume: Volume, path: Path) -> None:
+    """Write samples and geometry exactly; ``.nhdr`` puts the samples into a ``.raw`` file beside it."""
+    _itk.write_image(volume, path, _IO, check)
+
+
+def check(path: Path) -> _itk.Header:
+    """Read the header and count the samples."""
+    if len(os.fsencode(path)) > _MAX_FIELD:
+        raise FormatError(f"the path of a NRRD file must have up to {_MAX_FIELD} bytes; got {path}")
+    with path.open("rb") as stream:
+        fields = _fields(stream, path.name)
+        size, dtype = _layout(fields, path.name)
+        expected = math.prod(size) * np.dtype(dtype).itemsize
+        if "data file" in fields:
+            with data_path(path, fields["data file"]).open("rb") as samples:
+                found = _samples(samples, fields, path.name, expected)
+        else:
+            found = _samples(stream, fields, path.name, expected)
+    require_bytes(path.name, found, size[::-1], dtype)
+    units = re.findall(r'"([^"]*)"', fields.get("space units", fields.get("units", "")))
+    known = "nan" not in fields.get("spacings", "").lower()
+    return _itk.Header(size[:3], one_unit(path.name, units) or "mm", known)
+
+
+def _fields(stream: IO[bytes], name: str) -> dict[str, str]:
+    """``field: value`` lines up to the empty line or the end of the file; ``key:=value`` lines are free text."""
+    magic = line(stream, name)
+    if magic is None or not re.fullmatch(r"NRRD000[1-5]", magic):
+        raise FormatError(f"{name} must begin with NRRD0001 to NRRD0005; found {(magic or '')[:80]!r}")
+    fields: dict[str, str] = {}
+    while text := line(stream, name):
+        if text.startswith("#") or re.match(r"[^:]*:=", text):
+            continue
+        key, colon, value = text.partition(": ")
+        key = {"datafile": "data file", "lineskip": "line skip", "byteskip": "byte skip"}.get(key.lower(), key.lower())
+        if not colon or key in fields:
+            raise FormatError(f"{name} must have lines 'field: value', each field once; found {text[:80]!r}")
+        if (length := len(os.fsencode(text))) > _MAX_FIELD and key != "content":
+            raise FormatError(f"{name} must have fields of up to {_MAX_FIELD} bytes; {key[:80]!r} has {length}")
+        fields[key] = value.strip()
+    return fields
+
+
+def _layout(fields: dict[str, str], name: str) -> tuple[tuple[int, ...], str]:
+    """Samples along x, y(, z), and their dtype."""
+    for key in ("dimension", "sizes", "type", "encoding"):
+        if key not in fields:
+            raise FormatError(f"{name} must have a NRRD header with the field {key!r}; it has {list(fields)}")
+    (rank,) = whole(name, "dimension", fields["dimension"], 0)
+    if rank not in (2, 3, 4):
+        raise FormatError(f"{name} must have 2 or 3 axes; its header says dimension: {rank}")
+    size = whole(name, "sizes", fields["sizes"], 1, rank)
+    if size[3:] not in ((), (1,)):
+        raise FormatError(f"{name} must hold one volume, one value a voxel; its header says {size}: write them apart")
+    dtype = _DTYPES.get(fields["type"].lower())
+    if dtype is None:
+        raise FormatError(f"{name} must have samples of type {', '.join(_DTYPES)}; got {fields['type']!r}")
+    if fields["encoding"].lower() not in _ENCODINGS:
+        raise FormatError(f"{name} must have an encoding of {', '.join(_ENCODINGS)}; got {fields['encoding']!r}")
+    return size, dtype
+
+
+def _samples(stream: IO[bytes], fields: dict[str, str], name: str, expected: int) -> int:
+    """How many bytes of samples follow in `stream`, unpacked."""
+    (lines,) = whole(name, "line skip", fields.get("line skip", "0"), 0)
+    (skip,) = whole(name, "byte skip", fields.get("byte skip", "0"), -1)
+    if fields["encoding"].lower() != "raw":
+        if lines or skip:
+            raise FormatError(f"{name} must not skip lines or bytes before compressed samples")
+        return gunzipped_size(stream, expected)
+    for done in range(lines):
+        while not (part := stream.readline(1 << 20)).endswith(b"\n"):
+            if not part:
+                raise FormatError(f"{name} must have {lines} lines to skip before its samples; found {done}")
+    start = stream.tell()
+    end = stream.seek(0, 2)
+    return end - start if skip == -1 else end - start - skip

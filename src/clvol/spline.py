@@ -1,0 +1,592 @@
+"""From samples to coefficients on a device, and from coefficients to values and derivatives anywhere.
+
+The host side of prefilter.cl, halo.cl, fetch.cl, sample.cl and points.cl.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from types import TracebackType
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clvol import program
+from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.device import Device, _opencl, as_device
+from clvol.errors import DataError, DeviceError, OptionError, OutOfMemoryError, one_of
+from clvol.filters import DEFAULT_FILTER, Filter, as_filter
+from clvol.volume import Volume, as_volume
+
+__all__ = ["Coefficients", "Path", "choose_path", "magnify", "measure_sampler", "prefilter", "resample", "sample"]
+
+Floats = NDArray[np.float32]
+Progress = Callable[[float], None]
+Evaluator = Literal["auto", "taps", "eight-fetch"]
+Fetch = Literal["auto", "buffer", "image"]
+
+LANES = 8  # lines of a work-item of prefilter.cl, and what rows of coefficients are padded to
+_START_ERROR = 1e-9  # what the starting values of the prefilter may leave out, relative to the data
+_POINTS_A_LAUNCH = 1 << 19
+_SAMPLE_BITS = 20.0  # of a sampler's fraction, before `sample` and `resample` trust it of themselves
+
+
+# -- the prefilter ---------------------------------------------------------------------------------------
+
+
+@lru_cache(maxsize=256)
+def _starts(filter: Filter, boundary: Boundary, n: int) -> tuple[Floats, int, int]:
+    """First values of the recursions of prefilter.cl on an axis of `n`, as sums over samples near the ends.
+
+    Returns weights of shape (poles, 2, 2 * ends) and how many samples count from the first and from the last.
+
+    The coefficients solve the matrix of eq. (11) that the boundary rule makes. Undoing the later poles'
+    stages on them gives what each stage must produce, hence what it must start with; all of it is
+    linear in the samples, and only samples near the ends matter, since the inverse falls off like the
+    greatest pole's powers.
+    """
+    poles = filter.poles
+    reach = math.ceil(math.log(_START_ERROR) / math.log(float(np.abs(poles).max()))) + 2 * poles.size
+    m = min(n, 4 * reach)  # a longer axis has the same ends
+    inverse = np.linalg.inv(boundary.matrix(filter.samples, m))  # rows: coefficients as sums over samples
+    margin = 2 * poles.size
+    index = boundary.index(np.arange(-margin, m + margin), m)
+    stage = np.where(index[:, None] >= 0, inverse[index], 0.0)  # the coefficients and what lies past the edge
+    weights = np.zeros((poles.size, 2, m))
+    for p in range(poles.size - 1, -1, -1):
+        first = margin - (poles.size - 1 - p)  # where index 0 lies in `stage`, which loses one end a step
+        weights[p, 0] = stage[first + 1] - stage[first] / poles[p]
+        weights[p, 1] = stage[first + m - 1]
+        stage = stage[2:] + stage[:-2] - (poles[p] + 1 / poles[p]) * stage[1:-1]
+    head = min(n, reach)
+    tail = min(n - head, reach)
+    ends = np.zeros((poles.size, 2, 2 * reach), dtype=np.float32)
+    ends[:, :, :head] = weights[:, :, :head]
+    ends[:, :, reach : reach + tail] = weights[:, :, ::-1][:, :, :tail]
+    return ends, head, tail
+
+
+def _prefilter_axis(
+    device: Device, buffer: Any, filter: Filter, boundary: Boundary, extent: tuple[int, ...], size: tuple[int, ...], axis: int
+) -> None:
+    """Filter the stored coefficients along axis 0 (x), 1 (y) or 2 (z), in place."""
+    starts, head, tail = _starts(filter, boundary, size[axis])
+    reach = starts.shape[2] // 2
+    built = program.build(
+        device,
+        "prefilter.cl",
+        {
+            "POLES": filter.poles.size,
+            "POLE_VALUES": "{" + ",".join(f"{p:.9e}f" for p in filter.poles) + "}",
+            "GAIN": float(1 / filter.samples[-1]),
+            "ENDS": reach,
+            "LANE_STRIDE_ONE": int(axis > 0),
+            "COORD_DOUBLE": 0,
+        },
+    )
+    strides = (1, extent[0], extent[0] * extent[1])
+    halo = extent[3]
+    inner = (halo, halo, halo if extent[2] > 1 else 0)
+    # along x, eight rows at once; along y and z, sixteen neighbours in a row, from the row's very start
+    lane = 1 if axis == 0 else 0
+    outer = 3 - axis - lane
+    lines = size[1] if axis == 0 else extent[0]
+    origin = sum(i * s for k, (i, s) in enumerate(zip(inner, strides, strict=True)) if k or axis == 0)
+    kernel = built.kernel("prefilter")
+    with device.errors:
+        kernel(
+            device.queue, (-(-lines // LANES), size[outer]), (1, 1), buffer, np.uint64(origin), np.int32(size[axis]),
+            np.uint64(strides[axis]), np.uint64(strides[lane]), np.int32(lines), np.uint64(strides[outer]),
+            device.upload(starts), np.int32(head), np.int32(tail),
+        )  # fmt: skip
+
+
+class Coefficients:
+    """A volume's coefficients on a device: prefiltered, surrounded by a halo, ready to be sampled.
+
+    Parameters
+    ----------
+    volume : Volume
+        2-D or 3-D samples.
+    filter, boundary : str, Filter or Boundary
+        Decide the prefilter and what the halo holds.
+    device : Device
+        Where they are held.
+
+    Raises
+    ------
+    DataError
+        A sample is NaN or infinite.
+    OutOfMemoryError
+        They do not fit on the device.
+    """
+
+    def __init__(self, volume: Volume, filter: Filter, boundary: Boundary, device: Device) -> None:
+        self.volume = volume
+        self.filter = filter
+        self.boundary = boundary
+        self.device = device
+        volume.require_finite()
+        sizes = (*volume.size, 1)[:3]
+        # samples along (x, y, z), and the period of the boundary rule there, as int4 arguments
+        self.size = np.array([*sizes, 0], np.int32)
+        self.period = np.array([*(boundary.length(n) for n in sizes), 0], np.int32)
+        if filter.magnified_by is None:
+            self.extent = _extent(filter, volume.ndim, sizes)
+            self.buffer = device.allocate(self._bytes)
+            self._fill(sizes)
+        else:
+            self.extent = _extent(filter, volume.ndim, tuple(filter.scale * n for n in sizes))
+            self.buffer = device.allocate(self._bytes)
+            self._magnify(filter.magnified_by)
+        self._image: Any = None
+
+    @property
+    def _bytes(self) -> int:
+        # a last group of lines of the prefilter reads, and does not use, up to LANES rows past the end
+        return 4 * int(self.extent[0]) * (int(self.extent[1]) * int(self.extent[2]) + LANES)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Stored coefficients along z, y, x, the halo included."""
+        return int(self.extent[2]), int(self.extent[1]), int(self.extent[0])
+
+    @property
+    def inner(self) -> tuple[slice, ...]:
+        """Where the coefficients proper lie among those stored: [z, y, x]."""
+        halo = int(self.extent[3])
+        flat = self.volume.ndim < 3
+        return tuple(
+            slice(0, 1) if axis == 2 and flat else slice(halo, halo + self.filter.scale * int(self.size[axis]))
+            for axis in (2, 1, 0)
+        )
+
+    def _fill(self, sizes: tuple[int, ...]) -> None:
+        device = self.device
+        with device.mapped(self.buffer, self.shape, write=True) as stored:
+            stored[...] = 0
+            np.copyto(stored[self.inner], self.volume.data.reshape(sizes[::-1]), casting="unsafe")
+        extent = tuple(int(v) for v in self.extent)
+        if self.filter.poles.size:
+            for axis in range(self.volume.ndim):
+                _prefilter_axis(device, self.buffer, self.filter, self.boundary, extent, sizes, axis)
+        built = program.build(
+            device, "halo.cl", {"COORD_DOUBLE": 0, "GRID_SCALE": 1, "TAPS": 1, **program.boundary_defines(self.boundary)}
+        )
+        with device.errors:
+            built.kernel("fill_halo")(device.queue, self.shape[::-1], None, self.buffer, self.extent, self.size, self.period)
+        device.finish()
+
+    def _magnify(self, by: Filter) -> None:
+        """Samples of the spline on a grid of twice the density, halo included (section 4.3)."""
+        scale, halo = self.filter.scale, int(self.extent[3])
+        with Coefficients(self.volume, by, self.boundary, self.device) as coarse:
+            matrix = np.diag([1 / scale, 1 / scale, 1 / scale if self.volume.ndim == 3 else 0.0])
+            offset = np.array([-halo / scale, -halo / scale, -halo / scale if self.volume.ndim == 3 else 0.0])
+            _run_lattice(coarse, Path(False, False), matrix, offset, self.shape, self.buffer)
+
+    @property
+    def image(self) -> Any:
+        """The same as an OpenCL image, made when first asked for."""
+        if self._image is None:
+            device, cl = self.device, _opencl()
+            if max(self.shape) > device.image_limit:
+                raise OutOfMemoryError(f"{device.name} holds images up to {device.image_limit} wide; got {self.shape}")
+            device.require_room(self._bytes)
+            with device.errors:
+                form = cl.ImageFormat(cl.channel_order.R, cl.channel_type.FLOAT)
+                self._image = cl.Image(device.context, cl.mem_flags.READ_ONLY, form, shape=self.shape[::-1])
+                cl.enqueue_copy(
+                    device.queue, self._image, self.buffer, offset=0, origin=(0, 0, 0), region=self.shape[::-1]
+                ).wait()
+        return self._image
+
+    def release(self) -> None:
+        """Free the device's memory; what was computed stays valid."""
+        for memory in (self.buffer, self._image):
+            if memory is not None:
+                memory.release()
+        self.buffer = self._image = None
+
+    def __enter__(self) -> Coefficients:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.release()
+
+    def argument(self, path: Path) -> Any:
+        """The buffer or image that the kernels of this path read."""
+        if self.buffer is None:
+            raise OptionError("the coefficients were released; make new ones")
+        return self.image if path.image else self.buffer
+
+    def defines(self, path: Path) -> dict[str, str | int | float]:
+        """What fetch.cl and sample.cl need to know."""
+        eight = path.eight_fetch and self.filter.pairable(0)
+        return {
+            **program.filter_defines(self.filter),
+            **program.boundary_defines(self.boundary),
+            "DIMENSIONS": self.volume.ndim,
+            "FETCH_IMAGE": int(path.image),
+            "EIGHT_FETCH_VALUE": int(eight),
+            "EIGHT_FETCH_GRADIENT": int(eight and self.filter.pairable(1)),
+            "COORD_DOUBLE": int(self.device.has_double),
+        }
+
+
+def _extent(filter: Filter, dimensions: int, sizes: tuple[int, ...]) -> NDArray[np.int32]:
+    """(row pitch, rows, slices, halo) of the stored coefficients.
+
+    The halo covers the taps of every point of the domain and of points a sample beyond it, for central
+    differences; rows are longer by what a vector load reads past the last tap.
+    """
+    halo = filter.support // 2 + 1 + filter.scale
+    x, y, z = sizes
+    pitch = -(-(x + 2 * halo + program.row_reach(filter) - filter.support) // LANES) * LANES
+    return np.array([pitch, y + 2 * halo, z + 2 * halo if dimensions == 3 else 1, halo], np.int32)
+
+
+def prefilter(
+    data: ArrayLike, filter: str | Filter = DEFAULT_FILTER, boundary: str | Boundary = DEFAULT_BOUNDARY,
+    device: Device | str | int | None = None,
+) -> Floats:  # fmt: skip
+    """Spline coefficients of samples (section 4.2 of the paper).
+
+    Parameters
+    ----------
+    data : array-like, shape (nx,), (ny, nx) or (nz, ny, nx)
+        Samples of any integer or floating dtype.
+    filter : str or Filter
+        A row of the table; one that needs no prefilter gives the samples back.
+    boundary : str or Boundary
+        "mirror", "reflect", "wrap" or "zero".
+    device : Device, str or int, optional
+        See `as_device`.
+
+    Returns
+    -------
+    ndarray of float32, the shape of `data`
+        The control points r of eq. (11), for every axis.
+
+    Raises
+    ------
+    DataError, OptionError, DeviceError
+    """
+    array = np.asarray(data)
+    volume = Volume(array[None] if array.ndim == 1 else array)
+    row, rule, on = as_filter(filter), as_boundary(boundary), as_device(device)
+    if row.magnified_by is not None:
+        row = row.magnified_by
+    if array.ndim == 1:  # a single row of an image, filtered along x alone
+        return _prefilter_line(volume, row, rule, on)
+    with Coefficients(volume, row, rule, on) as held, on.mapped(held.buffer, held.shape, write=False) as stored:
+        return np.array(stored[held.inner]).reshape(array.shape)
+
+
+def _prefilter_line(volume: Volume, filter: Filter, boundary: Boundary, device: Device) -> Floats:
+    volume.require_finite()
+    n = volume.size[0]
+    pitch = -(-n // LANES) * LANES
+    buffer = device.allocate(4 * pitch * (1 + LANES))
+    with device.mapped(buffer, (1 + LANES, pitch), write=True) as stored:
+        stored[...] = 0
+        np.copyto(stored[:1, :n], volume.data, casting="unsafe")
+    if filter.poles.size:
+        _prefilter_axis(device, buffer, filter, boundary, (pitch, 1, 1, 0), (n, 1, 1), 0)
+    with device.mapped(buffer, (1, pitch), write=False) as stored:
+        result = np.array(stored[0, :n])
+    buffer.release()
+    return result
+
+
+# -- which way a device reads coefficients -----------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Path:
+    """How a kernel gets at the function: pairs of taps by linear fetches or not, an image or a buffer."""
+
+    eight_fetch: bool
+    image: bool
+
+    def __str__(self) -> str:
+        return f"{'eight-fetch' if self.eight_fetch else 'taps'} from {'an image' if self.image else 'a buffer'}"
+
+
+def choose_path(
+    device: Device, filter: Filter, evaluator: str = "auto", fetch: str = "auto", *, bits: float = _SAMPLE_BITS
+) -> Path:
+    """The path to use on a device: as asked, else the one that suits it.
+
+    Processors read buffers by direct taps: they sample images in software. On other devices pairs of
+    taps come from the texture unit, if it was measured to interpolate with at least `bits` bits.
+
+    Raises
+    ------
+    OptionError
+        An unknown name.
+    DeviceError
+        ``fetch="image"`` on a device that has no float images, or whose sampler does not interpolate.
+    """
+    if evaluator not in ("auto", "taps", "eight-fetch"):
+        raise one_of("evaluator", evaluator, ("auto", "taps", "eight-fetch"))
+    if fetch not in ("auto", "buffer", "image"):
+        raise one_of("fetch", fetch, ("auto", "buffer", "image"))
+    if fetch == "image" and not device.has_images:
+        raise DeviceError(f"fetch='image' needs 3-D float images; {device.name} has none: use fetch='buffer'")
+    image = fetch == "image"
+    textures = device.kind != "cpu" and fetch != "buffer" and evaluator != "taps"
+    if fetch == "auto" and textures:
+        image = filter.pairable(0) and device.has_images and device.sampler_bits >= bits
+    eight = evaluator == "eight-fetch" or (evaluator == "auto" and image and device.kind != "cpu")
+    eight = eight and filter.pairable(0)
+    if eight and image and device.sampler_bits == 0:
+        raise DeviceError(f"{device.name} does not interpolate float images; use evaluator='taps' or fetch='buffer'")
+    return Path(eight, image)
+
+
+def measure_sampler(device: Device) -> float:
+    """Greatest error of the device's linear sampler between two texels of value 0 and 1.
+
+    Some drivers offer linear filtering of float images and give the nearest texel: an error of 1/2.
+    """
+    ramp = Volume(np.broadcast_to(np.array([0.0, 1.0], np.float32), (2, 2, 2)))
+    points = np.stack(np.broadcast_arrays(np.linspace(0, 1, 4097), 0.0, 0.0), -1)
+    with Coefficients(ramp, as_filter("linear"), as_boundary("mirror"), device) as held:
+        values = _run_points(held, Path(True, True), points, 0, None)
+    return float(np.abs(values - points[:, 0]).max())
+
+
+# -- sampling --------------------------------------------------------------------------------------------
+
+
+def _affine(device: Device, matrix: NDArray[np.float64], offset: NDArray[np.float64], slopes: NDArray[np.float64]) -> Any:
+    """The transform of points.cl: from positions to indices, and from index to world derivatives."""
+    def square(m: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.pad(m, ((0, 3 - m.shape[0]), (0, 3 - m.shape[1])))
+
+    whole = np.concatenate([square(matrix).ravel(), np.pad(offset, (0, 3 - offset.size)), square(slopes).T.ravel()])
+    return device.upload(whole.astype(np.float64 if device.has_double else np.float32))
+
+
+def _points_program(held: Coefficients, path: Path, derivative: int, fill: float | None, **more: str | int) -> program.Program:
+    defines = {**held.defines(path), "DERIVATIVE": derivative, "FILL": int(fill is not None), **more}
+    return program.build(held.device, "points.cl", defines)
+
+
+def _run_points(
+    held: Coefficients, path: Path, points: NDArray[Any], derivative: int, fill: float | None, progress: Progress | None = None
+) -> Floats:
+    """Results at world positions of shape (N, d); (N, 1), (N, d) or (N, d * d), squeezed by the caller."""
+    device, volume, d = held.device, held.volume, held.volume.ndim
+    kind = np.float64 if device.has_double and points.dtype != np.float32 else np.float32
+    built = _points_program(held, path, derivative, fill, LATTICE=0, POINT="double" if kind == np.float64 else "float")
+    inverse = volume.world_to_index_matrix
+    transform = _affine(device, inverse, -inverse @ np.asarray(volume.origin), inverse)
+    results = np.empty((points.shape[0], d**derivative), np.float32)
+    kernel = built.kernel("sample_points")
+    source = held.argument(path)
+    for first in range(0, points.shape[0], _POINTS_A_LAUNCH):
+        part = device.upload(points[first : first + _POINTS_A_LAUNCH].astype(kind, copy=False))
+        target = results[first : first + _POINTS_A_LAUNCH]
+        buffer = device.allocate(target.nbytes)
+        count = target.shape[0]
+        with device.errors:
+            kernel(
+                device.queue, (-(-count // 64) * 64,), (64,), source, held.extent, held.size, held.period, transform, part,
+                np.uint64(count), np.float32(0 if fill is None else fill), buffer,
+            )  # fmt: skip
+        device.download(buffer, target)
+        if progress:
+            progress((first + count) / points.shape[0])
+    return results[:, 0] if derivative == 0 else results
+
+
+def _run_lattice(
+    held: Coefficients, path: Path, matrix: NDArray[np.float64], offset: NDArray[np.float64], shape: tuple[int, ...],
+    buffer: Any, fill: float | None = None, progress: Progress | None = None,
+) -> None:  # fmt: skip
+    """Values at index positions ``matrix @ (i, j, k) + offset`` into a float32 buffer of shape (z, y, x)."""
+    device = held.device
+    built = _points_program(held, path, 0, fill, LATTICE=1, POINT="float")
+    transform = _affine(device, matrix, offset, held.volume.world_to_index_matrix)
+    kernel = built.kernel("sample_lattice")
+    nz, ny, nx = shape
+    slices = max(1, _POINTS_A_LAUNCH * 4 // (ny * nx))
+    for first in range(0, nz, slices):
+        count = min(slices, nz - first)
+        with device.errors:
+            kernel(
+                device.queue, (-(-nx // 8) * 8, ny, count), (8, 1, 1), held.argument(path), held.extent, held.size,
+                held.period, transform, np.array([nx, ny, nz, first], np.int32), np.float32(0 if fill is None else fill), buffer,
+            )  # fmt: skip
+        device.finish()
+        if progress:
+            progress((first + count) / nz)
+
+
+def sample(
+    volume: Volume | ArrayLike, points: ArrayLike, filter: str | Filter = DEFAULT_FILTER,
+    boundary: str | Boundary = DEFAULT_BOUNDARY, derivative: int = 0, *, evaluator: Evaluator = "auto",
+    fetch: Fetch = "auto", fill: float | None = None, device: Device | str | int | None = None,
+    progress: Progress | None = None,
+) -> Floats:  # fmt: skip
+    """The reconstructed function, its gradient or its Hessian at points of the world.
+
+    Parameters
+    ----------
+    volume : Volume or array-like
+        2-D or 3-D samples; an array has spacing 1 and origin 0.
+    points : array-like, shape (..., 2) or (..., 3)
+        World positions (x, y, z). A position that is not finite gives NaN.
+    filter, boundary : str, Filter, Boundary
+        Rows of their tables.
+    derivative : {0, 1, 2}
+        0 for values, 1 for gradients, 2 for Hessians: the exact derivatives of the function that
+        derivative 0 gives, per world unit (almost everywhere, where it has kinks or jumps).
+    evaluator : {"auto", "taps", "eight-fetch"}
+        Direct taps, or linear fetches that serve two taps an axis. Filters whose weights change sign
+        within a pair take direct taps; second derivatives always do.
+    fetch : {"auto", "buffer", "image"}
+        Where coefficients are read from.
+    fill : float, optional
+        The result outside the volume's domain; by default the boundary rule goes on there.
+    device : Device, str or int, optional
+        See `as_device`.
+    progress : callable, optional
+        Called with the fraction done.
+
+    Returns
+    -------
+    ndarray of float32, shape (...), (..., d) or (..., d, d)
+
+    Raises
+    ------
+    OptionError, DataError, DeviceError
+    """
+    volume = as_volume(volume)
+    d = volume.ndim
+    array = np.asarray(points)
+    if array.dtype.kind not in "biuf" or array.ndim == 0 or array.shape[-1] != d:
+        raise OptionError(f"points must be numbers of shape (..., {d}); got {array.dtype} of shape {array.shape}")
+    if derivative not in (0, 1, 2):
+        raise OptionError(f"derivative must be 0, 1 or 2; got {derivative!r}")
+    on, row, rule = as_device(device), as_filter(filter), as_boundary(boundary)
+    path = choose_path(on, row, evaluator, fetch)
+    with Coefficients(volume, row, rule, on) as held:
+        flat = _run_points(held, path, array.reshape(-1, d), derivative, fill, progress)
+    return flat.reshape(array.shape[:-1] + (d,) * derivative)
+
+
+def resample(
+    volume: Volume | ArrayLike, shape: Sequence[int] | None = None, spacing: Sequence[float] | float | None = None,
+    like: Volume | None = None, filter: str | Filter = DEFAULT_FILTER, boundary: str | Boundary = DEFAULT_BOUNDARY, *,
+    evaluator: Evaluator = "auto", fetch: Fetch = "auto", fill: float | None = None,
+    device: Device | str | int | None = None, progress: Progress | None = None,
+) -> Volume:  # fmt: skip
+    """The volume on another grid; give exactly one of `shape`, `spacing` and `like`.
+
+    Parameters
+    ----------
+    volume : Volume or array-like
+        2-D or 3-D samples.
+    shape : sequence of int, optional
+        Samples along (z, y, x) or (y, x); the domain stays, its voxels become larger or smaller.
+    spacing : float or sequence of float, optional
+        New spacing along (x, y, z); the domain's centre stays, and its size to within half a voxel.
+    like : Volume, optional
+        Take the grid of this volume, wherever it lies.
+    fill : float, optional
+        Value outside the domain of `volume`; by default its boundary rule goes on.
+    filter, boundary, evaluator, fetch, device, progress
+        As for `sample`. No low-pass is applied: see `Volume.gaussian` before making voxels larger.
+
+    Returns
+    -------
+    Volume of float32
+    """
+    volume = as_volume(volume)
+    d = volume.ndim
+    if sum(v is not None for v in (shape, spacing, like)) != 1:
+        raise OptionError("resample takes exactly one of shape, spacing and like")
+    extent = np.asarray(volume.size) * np.asarray(volume.spacing)
+    if like is not None:
+        if like.ndim != d:
+            raise OptionError(f"like must have {d} axes as the volume; got {like.ndim}")
+        grid = like
+    else:
+        if shape is not None:
+            size = np.asarray(_sizes(shape, d)[::-1])
+            step = extent / size
+        else:
+            step = np.broadcast_to(np.asarray(spacing, dtype=np.float64), (d,))
+            if not np.isfinite(step).all() or (step <= 0).any():
+                raise OptionError(f"spacing must be positive and finite; got {spacing!r}")
+            wanted = np.maximum(1, np.round(extent / step))
+            if wanted.max() > np.iinfo(np.int32).max:
+                raise OptionError(f"spacing {spacing!r} would need {wanted.max():.3g} samples along an axis")
+            size = wanted.astype(np.int64)
+        origin = volume.center - volume.direction @ (step * (size - 1) / 2)
+        grid = _grid(volume, tuple(int(n) for n in size), tuple(step), tuple(origin))
+    inverse = volume.world_to_index_matrix
+    matrix = inverse @ grid.index_to_world_matrix
+    offset = inverse @ (np.asarray(grid.origin) - np.asarray(volume.origin))
+    data = _resampled(volume, matrix, offset, grid.shape, filter, boundary, evaluator, fetch, fill, device, progress)
+    return Volume(data, grid.spacing, grid.origin, grid.direction, grid.units or volume.units)
+
+
+def magnify(
+    volume: Volume | ArrayLike, factor: int = 2, filter: str | Filter = DEFAULT_FILTER,
+    boundary: str | Boundary = DEFAULT_BOUNDARY, *, evaluator: Evaluator = "auto", fetch: Fetch = "auto",
+    device: Device | str | int | None = None, progress: Progress | None = None,
+) -> Volume:  # fmt: skip
+    """The volume with `factor` times the samples along each axis, the given ones among them (section 4.3).
+
+    Sample ``j`` of the result lies at ``j / factor`` of the given ones, so every `factor`-th is one of
+    them; the last ones lie past the last given one, within its voxel or under the boundary rule.
+    """
+    volume = as_volume(volume)
+    if isinstance(factor, bool) or not isinstance(factor, (int, np.integer)) or factor < 1:
+        raise OptionError(f"factor must be a whole number of at least 1; got {factor!r}")
+    d = volume.ndim
+    shape = tuple(int(factor) * n for n in volume.shape)
+    data = _resampled(
+        volume, np.eye(d) / factor, np.zeros(d), shape, filter, boundary, evaluator, fetch, None, device, progress
+    )
+    return Volume(data, tuple(s / factor for s in volume.spacing), volume.origin, volume.direction, volume.units)
+
+
+def _resampled(
+    volume: Volume, matrix: NDArray[np.float64], offset: NDArray[np.float64], shape: tuple[int, ...], filter: str | Filter,
+    boundary: str | Boundary, evaluator: str, fetch: str, fill: float | None, device: Device | str | int | None,
+    progress: Progress | None,
+) -> Floats:  # fmt: skip
+    on, row, rule = as_device(device), as_filter(filter), as_boundary(boundary)
+    path = choose_path(on, row, evaluator, fetch)
+    full = (1, *shape)[-3:]
+    buffer = on.allocate(4 * math.prod(full))
+    with Coefficients(volume, row, rule, on) as held:
+        _run_lattice(held, path, matrix, offset, full, buffer, fill, progress)
+    with on.mapped(buffer, shape, write=False) as values:
+        result = np.array(values)
+    buffer.release()
+    return result
+
+
+def _grid(volume: Volume, size: tuple[int, ...], spacing: tuple[float, ...], origin: tuple[float, ...]) -> Volume:
+    """An empty grid: its samples take no memory."""
+    return Volume(np.broadcast_to(np.float32(0), size[::-1]), spacing, origin, volume.direction, volume.units)
+
+
+def _sizes(shape: Sequence[int], d: int) -> tuple[int, ...]:
+    try:
+        sizes = tuple(int(n) for n in shape)
+    except (TypeError, ValueError):
+        sizes = ()
+    if len(sizes) != d or min(sizes) < 1 or any(n != m for n, m in zip(sizes, shape, strict=True)):
+        raise OptionError(f"shape must be {d} whole numbers of at least 1; got {shape!r}")
+    return sizes
