@@ -109,6 +109,8 @@ def read(
         An argument is invalid, or is not for this format.
     MissingDependencyError
         The format needs ``clvol[medical]`` or ``clvol[microscopy]``.
+    MemoryError
+        The file is sound, and holds more than fits into memory.
 
     Examples
     --------

@@ -139,16 +139,17 @@ def gunzipped_size(stream: IO[bytes], limit: int) -> int:
         return _count(unpacked.read, limit)
 
 
-def inflated_size(stream: IO[bytes], limit: int) -> int:
-    """How many bytes the zlib or gzip `stream` holds, counted up to just past `limit`."""
+def inflated_size(stream: IO[bytes], packed: int, limit: int) -> int:
+    """How many bytes the next `packed` bytes of `stream` (zlib or gzip) hold, counted up to just past `limit`."""
     inflater = zlib.decompressobj(47)  # 47: either kind of header
+    end = stream.tell() + packed
 
     def read(size: int) -> bytes:
         while not inflater.eof:
-            packed = inflater.unconsumed_tail or stream.read(_CHUNK)
-            if chunk := inflater.decompress(packed, size):
+            part = inflater.unconsumed_tail or stream.read(min(_CHUNK, end - stream.tell()))
+            if chunk := inflater.decompress(part, size):
                 return chunk
-            if not packed:
+            if not part:
                 raise EOFError("the compressed samples end too early")
         return b""
 

@@ -19,10 +19,9 @@ from clvol.errors import DataError, FormatError, GeometryError, MissingDependenc
 from clvol.formats._files import Content, foreign_errors, require_default, storable
 from clvol.volume import Volume
 
-__all__ = ["INTEGERS", "Header", "content", "quiet", "read_image", "reason", "simpleitk", "write_image"]
+__all__ = ["Header", "content", "quiet", "read_image", "reason", "simpleitk", "write_image"]
 
-INTEGERS = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64")
-_DTYPES = (*INTEGERS, "float32", "float64")
+_DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64")
 _TOLERANCE = 1e-4  # NIfTI keeps geometry in float32; anything worse was lost, not rounded
 
 
@@ -104,14 +103,12 @@ def content(image: Any) -> Content:
     }
 
 
-def write_image(
-    volume: Volume, path: Path, image_io: str, check: Callable[[Path], Header], dtypes: tuple[str, ...] = _DTYPES
-) -> None:
+def write_image(volume: Volume, path: Path, image_io: str, check: Callable[[Path], Header]) -> None:
     """Write `volume` and make sure that it arrived: ITK does not notice a full disk."""
     if volume.units != "mm":
         require_default(volume, ["units"], "the format measures in mm; .npz")
     sitk = simpleitk()
-    image = sitk.GetImageFromArray(storable(volume.data, dtypes))
+    image = sitk.GetImageFromArray(storable(volume.data, _DTYPES))
     image.SetSpacing(volume.spacing)
     image.SetOrigin(volume.origin)
     image.SetDirection(volume.direction.ravel().tolist())

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from clvol.errors import FormatError
 
-__all__ = ["METRES", "one_unit", "unit_name"]
+__all__ = ["METRES", "one_unit", "scale", "unit_name"]
 
 METRES = {"nm": 1e-9, "um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "inch": 0.0254}
 _SPELLINGS = {

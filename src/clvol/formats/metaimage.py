@@ -101,17 +101,19 @@ def _samples(stream: IO[bytes], fields: dict[str, str], path: Path, expected: in
     (skip,) = whole(path.name, "HeaderSize", fields.get("HeaderSize", "0"), -1)
     start = stream.tell()
     end = stream.seek(0, 2)
+    if 0 < skip < start:  # ITK would take the header's text for samples
+        raise FormatError(f"{path.name} must not have samples inside its header of {start} bytes; HeaderSize = {skip}")
     if not _flag(fields, "CompressedData"):
         # -1: the samples end with the file, and whatever stands before them is skipped
         return end if skip == -1 else end - max(start, skip)
     if skip:
         raise FormatError(f"{path.name} must not skip bytes before compressed samples; HeaderSize = {skip}")
-    if "CompressedDataSize" in fields:
-        (packed,) = whole(path.name, "CompressedDataSize", fields["CompressedDataSize"], 1)
-        if packed > end - start:
-            raise FormatError(f"{path.name} must hold {packed} compressed bytes; found {end - start}")
+    # Without this number ITK unpacks nothing, and gives what its memory held before.
+    (packed,) = whole(path.name, "CompressedDataSize", fields.get("CompressedDataSize", ""), 1)
+    if packed > end - start:
+        raise FormatError(f"{path.name} must hold {packed} compressed bytes; found {end - start}")
     stream.seek(start)
-    return inflated_size(stream, expected)
+    return inflated_size(stream, packed, expected)
 
 
 def _flag(fields: dict[str, str], key: str, default: str = "False") -> bool:
