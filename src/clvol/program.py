@@ -32,12 +32,12 @@ def _folder() -> Path:
     raise DeviceError(f"the kernels (cl/*.cl) are not installed beside {package}; reinstall clvol")
 
 
-def source(name: str, replacements: Mapping[str, str] | None = None) -> str:
+def source(name: str, replacements: Mapping[str, str] | None = None, generated: Mapping[str, str] | None = None) -> str:
     """The text of one kernel file with its includes spliced in, each once.
 
     Splicing is done here because PoCL takes no ``-I`` with a space in it; ``#line`` keeps the
     compiler's messages on the right file and line. `replacements` maps an included name to another,
-    which is how a render mode's file takes its place in the ray loop.
+    which is how a render mode's file takes its place in the ray loop; `generated` maps one to text.
     """
     seen: set[str] = set()
 
@@ -45,7 +45,7 @@ def source(name: str, replacements: Mapping[str, str] | None = None) -> str:
         if name in seen:
             return ""
         seen.add(name)
-        text = (_folder() / name).read_text(encoding="utf-8")
+        text = (generated or {}).get(name) or (_folder() / name).read_text(encoding="utf-8")
 
         def insert(match: re.Match[str]) -> str:
             line = text.count("\n", 0, match.end()) + 1
@@ -73,7 +73,10 @@ class Program:
         return mine[name]
 
 
-def build(device: Device, name: str, defines: Defines, replacements: Mapping[str, str] | None = None) -> Program:
+def build(
+    device: Device, name: str, defines: Defines, replacements: Mapping[str, str] | None = None,
+    generated: Mapping[str, str] | None = None,
+) -> Program:  # fmt: skip
     """The program of one kernel file, specialised; built at most once for each device and set of defines."""
     device.require_usable()
     key = (name, tuple(sorted(defines.items())), tuple(sorted((replacements or {}).items())))
@@ -82,7 +85,7 @@ def build(device: Device, name: str, defines: Defines, replacements: Mapping[str
             cl = _opencl()
             head = "".join(f"#define {k} {_literal(v)}\n" for k, v in sorted(defines.items()))
             with device.errors:
-                handle = cl.Program(device.context, head + source(name, replacements)).build(options=["-cl-std=CL1.2"])
+                handle = cl.Program(device.context, head + source(name, replacements, generated)).build(options=["-cl-std=CL1.2"])
             device._programs[key] = Program(device, handle)
         program: Program = device._programs[key]
         return program

@@ -369,7 +369,7 @@ def _affine(device: Device, matrix: NDArray[np.float64], offset: NDArray[np.floa
     def square(m: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.pad(m, ((0, 3 - m.shape[0]), (0, 3 - m.shape[1])))
 
-    whole = np.concatenate([square(matrix).ravel(), np.pad(offset, (0, 3 - offset.size)), square(slopes).T.ravel()])
+    whole = np.concatenate([square(matrix).ravel(), np.pad(offset, (0, 3 - offset.size)), square(slopes).ravel()])
     return device.upload(whole.astype(np.float64 if device.has_double else np.float32))
 
 

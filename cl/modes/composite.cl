@@ -1,0 +1,37 @@
+// Emission and absorption, front to back; opacity is that of the ray's own step.
+
+typedef struct { real red, green, blue, transmittance, depth; } state_t;
+
+inline void begin(state_t *s)
+{
+    s->red = s->green = s->blue = (real)(0.0f);
+    s->transmittance = (real)(1.0f);
+    s->depth = NOWHERE;
+}
+
+inline mask gather(state_t *s, SCENE_PARAMS, real t, real value, mask active)
+{
+    color_t color = classify(frame, table, value);
+    const mask seen = active & (color.opacity > 0.0f);
+    if (!any_lane(seen))
+        return NONE;
+#if SHADED
+    color = shade(frame, color, gradient_at(SCENE, t, seen), ray->world);
+#endif
+    const real opacity = choose(seen, opacity_of(color.opacity, ray->step * frame->per_unit_distance), (real)(0.0f));
+    const real share = s->transmittance * opacity;
+    s->red = choose(seen, madd(share, color.red, s->red), s->red);
+    s->green = choose(seen, madd(share, color.green, s->green), s->green);
+    s->blue = choose(seen, madd(share, color.blue, s->blue), s->blue);
+    s->transmittance -= share;
+    s->depth = choose((s->transmittance <= 0.5f) & (s->depth == NOWHERE), t, s->depth);   // half of the light is stopped
+    return s->transmittance <= frame->termination;
+}
+
+inline color_t finish(const state_t *s, SCENE_PARAMS, real *t)
+{
+    const real opacity = 1.0f - s->transmittance, per_opacity = 1.0f / fmax(opacity, (real)(1e-20f));
+    color_t color = { s->red * per_opacity, s->green * per_opacity, s->blue * per_opacity, opacity };
+    *t = s->depth;
+    return color;
+}

@@ -1,0 +1,26 @@
+// The greatest or the least value among a ray's samples, coloured by the transfer function.
+// Set by the including mode: BEYOND(a, b), whether a replaces b.
+
+typedef struct { real best, t; } state_t;
+
+inline void begin(state_t *s)
+{
+    s->best = (real)(0.0f);
+    s->t = NOWHERE;
+}
+
+inline mask gather(state_t *s, SCENE_PARAMS, real t, real value, mask active)
+{
+    const mask better = active & (BEYOND(value, s->best) | (s->t == NOWHERE));
+    s->best = choose(better, value, s->best);
+    s->t = choose(better, t, s->t);
+    return NONE;
+}
+
+inline color_t finish(const state_t *s, SCENE_PARAMS, real *t)
+{
+    color_t color = classify(frame, table, s->best);
+    color.opacity = choose(s->t < NOWHERE, (real)(1.0f), (real)(0.0f));
+    *t = s->t;
+    return color;
+}

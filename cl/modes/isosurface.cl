@@ -1,0 +1,61 @@
+// The first surface of one value: a crossing between two samples, refined on the continuous function.
+
+typedef struct { real before, before_t, hit; mask started; } state_t;
+
+inline void begin(state_t *s)
+{
+    s->before = s->before_t = (real)(0.0f);
+    s->hit = NOWHERE;
+    s->started = NONE;
+}
+
+// Regula falsi that halves the value of an end that stays (Illinois), and bisects every third time:
+// until the function is within the tolerance of the isovalue, or the interval can not be halved.
+inline real refine(SCENE_PARAMS, real near, real near_value, real far, real far_value, mask active)
+{
+    real t = far, best = far;
+    mask last_was_near = NONE, last_was_far = NONE;
+    for (int i = 1; i < 80 && any_lane(active); ++i) {
+        const real middle = 0.5f * (near + far);
+        const real cut = near - near_value * (far - near) / (far_value - near_value);
+        const mask between = (cut > near) & (cut < far);
+        t = i % 3 == 0 ? middle : choose(between, cut, middle);
+        const real value = value_at(SCENE, t, active) - frame->isovalue;
+        best = choose(active, t, best);
+        const mask is_near = (value < 0.0f) == (near_value < 0.0f);
+        far_value = choose(is_near & last_was_near, 0.5f * far_value, far_value);
+        near_value = choose(!is_near & last_was_far, 0.5f * near_value, near_value);
+        near = choose(is_near, t, near);
+        near_value = choose(is_near, value, near_value);
+        far = choose(is_near, far, t);
+        far_value = choose(is_near, far_value, value);
+        last_was_near = is_near;
+        last_was_far = !is_near;
+        active = active & (fabs(value) > frame->tolerance) & (0.5f * (near + far) > near) & (0.5f * (near + far) < far);
+    }
+    return best;
+}
+
+inline mask gather(state_t *s, SCENE_PARAMS, real t, real value, mask active)
+{
+    const real difference = value - frame->isovalue;
+    const mask crossed = active & s->started & ((difference < 0.0f) != (s->before < 0.0f));
+    if (any_lane(crossed))
+        s->hit = choose(crossed, refine(SCENE, s->before_t, s->before, t, difference, crossed), s->hit);
+    s->before = difference;
+    s->before_t = t;
+    s->started = s->started | active;
+    return crossed;
+}
+
+inline color_t finish(const state_t *s, SCENE_PARAMS, real *t)
+{
+    const mask hit = s->hit < NOWHERE;
+    color_t color = { (real)(frame->surface[0]), (real)(frame->surface[1]), (real)(frame->surface[2]), choose(hit, (real)(1.0f), (real)(0.0f)) };
+#if SHADED
+    if (any_lane(hit))
+        color = shade(frame, color, gradient_at(SCENE, choose(hit, s->hit, ray->enter), hit), ray->world);
+#endif
+    *t = s->hit;
+    return color;
+}

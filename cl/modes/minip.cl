@@ -1,0 +1,5 @@
+// The least value along the ray.
+
+#define BEYOND(a, b) ((a) < (b))
+
+#include "modes/extreme.cl"

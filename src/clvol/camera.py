@@ -1,0 +1,178 @@
+"""Where pictures are taken from: orthographic and perspective cameras in world space."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.errors import GeometryError, OptionError, one_of
+from clvol.volume import Volume
+
+__all__ = ["Camera", "View"]
+
+_PROJECTIONS = ("perspective", "orthographic")
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera made definite for one volume: what the rays are computed from.
+
+    Attributes
+    ----------
+    eye : ndarray, shape (3,)
+        World position of the camera.
+    right, up, forward : ndarray, shape (3,)
+        Orthonormal; `right` and `up` span the picture.
+    half_height : float
+        Orthographic: half the picture's height in world units. Perspective: the same at distance 1.
+    orthographic : bool
+    """
+
+    eye: Vector
+    right: Vector
+    up: Vector
+    forward: Vector
+    half_height: float
+    orthographic: bool
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera; what is None is fitted to the volume when a picture is made.
+
+    Parameters
+    ----------
+    position : sequence of float, optional
+        World position (x, y, z). None: far enough back along `direction` to see the whole volume.
+    target : sequence of float, optional
+        World point that it looks at; None: the volume's centre.
+    up : sequence of float
+        World direction that points up in the picture.
+    direction : sequence of float
+        World direction of view where `position` is None.
+    projection : {"perspective", "orthographic"}
+    fov : float
+        Vertical field of view of a perspective camera, degrees.
+    distance : float, optional
+        World distance from the target where `position` is None.
+    zoom : float
+        Magnification of the picture about its centre.
+    """
+
+    position: tuple[float, float, float] | None = None
+    target: tuple[float, float, float] | None = None
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    direction: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    projection: Literal["perspective", "orthographic"] = "perspective"
+    fov: float = 30.0
+    distance: float | None = None
+    zoom: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.projection not in _PROJECTIONS:
+            raise one_of("projection", self.projection, _PROJECTIONS)
+        for what in ("position", "target", "up", "direction"):
+            value = getattr(self, what)
+            if value is not None:
+                object.__setattr__(self, what, _vector(what, value))
+        for what, value, high in (("fov", self.fov, 180.0), ("distance", self.distance, math.inf), ("zoom", self.zoom, math.inf)):
+            if value is not None and not (isinstance(value, (int, float, np.number)) and 0 < value < high):
+                raise OptionError(f"{what} must be positive and less than {high:g}; got {value!r}")
+        for what in ("up", "direction"):
+            if not any(getattr(self, what)):
+                raise GeometryError(f"{what} must not have zero length")
+
+    @classmethod
+    def orbit(
+        cls, azimuth: float = 30.0, elevation: float = 20.0, distance: float | None = None, zoom: float = 1.0, *,
+        target: Sequence[float] | None = None, projection: Literal["perspective", "orthographic"] = "perspective",
+        fov: float = 30.0,
+    ) -> Camera:  # fmt: skip
+        """A camera on a sphere around the target.
+
+        Parameters
+        ----------
+        azimuth : float
+            Degrees about the z axis; 0 looks along +y, and 90 from +x along -x.
+        elevation : float
+            Degrees above the xy plane; 90 looks straight down.
+        distance, zoom, target, projection, fov
+            As for `Camera`.
+        """
+        for what, value in (("azimuth", azimuth), ("elevation", elevation)):
+            if not (isinstance(value, (int, float, np.number)) and math.isfinite(value)):
+                raise OptionError(f"{what} must be a finite number of degrees; got {value!r}")
+        a, e = math.radians(azimuth), math.radians(elevation)
+        return cls(
+            target=None if target is None else _vector("target", target),
+            up=(-math.sin(a) * math.sin(e), math.cos(a) * math.sin(e), math.cos(e)),
+            direction=(-math.sin(a) * math.cos(e), math.cos(a) * math.cos(e), -math.sin(e)),
+            projection=projection, fov=fov, distance=distance, zoom=zoom,
+        )  # fmt: skip
+
+    @classmethod
+    def look_at(
+        cls, position: Sequence[float], target: Sequence[float] | None = None, up: Sequence[float] = (0.0, 0.0, 1.0), *,
+        projection: Literal["perspective", "orthographic"] = "perspective", fov: float = 30.0, zoom: float = 1.0,
+    ) -> Camera:  # fmt: skip
+        """A camera at `position` that looks at `target`, by default the volume's centre."""
+        camera = cls(
+            position=_vector("position", position), target=None if target is None else _vector("target", target),
+            up=_vector("up", up), projection=projection, fov=fov, zoom=zoom,
+        )  # fmt: skip
+        if camera.position == camera.target:
+            raise GeometryError(f"position and target must differ, or there is no direction of view; got {position} twice")
+        return camera
+
+    def zoomed(self, factor: float) -> Camera:
+        """The same, magnified by a further factor."""
+        return replace(self, zoom=self.zoom * factor)
+
+    def view(self, volume: Volume, aspect: float = 1.0) -> View:
+        """The camera made definite for a volume and a picture of ``width / height = aspect``.
+
+        A fitted camera sees the volume's bounding sphere.
+
+        Raises
+        ------
+        GeometryError
+            The camera stands on its target.
+        """
+        target = volume.center if self.target is None else np.asarray(self.target)
+        radius = float(np.linalg.norm(volume.corners - volume.center, axis=1).max())
+        if self.position is None:
+            forward = np.asarray(self.direction) / np.linalg.norm(self.direction)
+        else:
+            forward = target - np.asarray(self.position)
+            length = float(np.linalg.norm(forward))
+            if not length:
+                raise GeometryError(f"position and target must differ, or there is no direction of view; got {self.position} twice")
+            forward = forward / length
+        right = np.cross(forward, self.up)
+        if np.linalg.norm(right) < 1e-9 * float(np.linalg.norm(self.up)):  # looking straight along `up`
+            right = np.cross(forward, np.eye(3)[int(np.argmin(np.abs(forward)))])
+        right = right / np.linalg.norm(right)
+        half_angle = math.radians(self.fov) / 2
+        narrow = min(1.0, aspect)  # the picture's shorter side must hold the sphere
+        fitted = radius / math.sin(math.atan(math.tan(half_angle) * narrow))
+        distance = self.distance if self.distance is not None else fitted
+        eye = target - distance * forward if self.position is None else np.asarray(self.position)
+        orthographic = self.projection == "orthographic"
+        half_height = radius / narrow if orthographic else math.tan(half_angle)
+        return View(eye, right, np.cross(right, forward), forward, half_height / self.zoom, orthographic)
+
+
+def _vector(what: str, value: Sequence[float]) -> tuple[float, float, float]:
+    try:
+        x, y, z = (float(v) for v in value)
+    except (TypeError, ValueError):
+        raise GeometryError(f"{what} must be three numbers (x, y, z); got {value!r}") from None
+    if not all(map(math.isfinite, (x, y, z))):
+        raise GeometryError(f"{what} must be finite; got {value!r}")
+    return x, y, z

@@ -1,0 +1,78 @@
+"""Lights, and how a surface answers them (Blinn-Phong)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from clvol.errors import GeometryError, OptionError
+
+__all__ = ["HEADLIGHT", "MAX_LIGHTS", "Light", "Material"]
+
+MAX_LIGHTS = 4
+
+
+@dataclass(frozen=True)
+class Light:
+    """A light so far away that it comes from one direction.
+
+    Parameters
+    ----------
+    direction : sequence of float, optional
+        World direction *towards* the light. None: a headlight, which shines along each ray.
+    color : sequence of float
+        Red, green, blue of the light; 1 is full.
+    """
+
+    direction: tuple[float, float, float] | None = None
+    color: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+    def __post_init__(self) -> None:
+        if self.direction is not None:
+            length = math.hypot(*self.direction) if len(self.direction) == 3 else 0.0
+            if not (math.isfinite(length) and length > 0):
+                raise GeometryError(f"a light's direction must be three finite numbers, not all zero; got {self.direction}")
+            object.__setattr__(self, "direction", tuple(float(v) / length for v in self.direction))
+        object.__setattr__(self, "color", color_of("a light's color", self.color))
+
+
+@dataclass(frozen=True)
+class Material:
+    """How a surface answers light: shares of ambient, diffuse and specular light, and shininess.
+
+    Surfaces are two-sided: the normal is the one that faces the viewer.
+    """
+
+    ambient: float = 0.25
+    diffuse: float = 0.75
+    specular: float = 0.2
+    shininess: float = 30.0
+
+    def __post_init__(self) -> None:
+        for what in ("ambient", "diffuse", "specular", "shininess"):
+            value = getattr(self, what)
+            if not (isinstance(value, (int, float)) and math.isfinite(value) and value >= 0):
+                raise OptionError(f"{what} must be finite and not negative; got {value!r}")
+
+
+def color_of(what: str, value: Sequence[float] | str) -> tuple[float, float, float]:
+    """Red, green and blue, from three numbers or from a name that the `cmap` package knows."""
+    if isinstance(value, str):
+        import cmap
+
+        try:
+            rgba = cmap.Color(value)
+        except ValueError:
+            raise OptionError(f"{what} must be three numbers, or the name or hex code of a colour; got {value!r}") from None
+        return float(rgba.rgba.r), float(rgba.rgba.g), float(rgba.rgba.b)
+    try:
+        r, g, b = (float(v) for v in value)
+    except (TypeError, ValueError):
+        raise OptionError(f"{what} must be three numbers, or the name of a colour; got {value!r}") from None
+    if not all(math.isfinite(v) and v >= 0 for v in (r, g, b)):
+        raise OptionError(f"{what} must be finite and not negative; got {value!r}")
+    return r, g, b
+
+
+HEADLIGHT = Light()

@@ -1,0 +1,239 @@
+"""Volumes whose true function is known, to measure reconstruction against."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clvol.errors import OptionError, one_of
+from clvol.volume import Volume
+
+__all__ = [
+    "box",
+    "by_name",
+    "checker",
+    "marschner_lobb",
+    "marschner_lobb_function",
+    "marschner_lobb_gradient",
+    "names",
+    "polynomial",
+    "polynomial_function",
+    "sphere",
+]
+
+Array: TypeAlias = NDArray[np.float64]
+Size: TypeAlias = int | Sequence[int]
+
+
+def marschner_lobb(size: Size = 41, alpha: float = 0.25, f_m: float = 6.0) -> Volume:
+    """The test signal of Marschner and Lobb (1994), reference [9] of the paper, on [-1, 1]³.
+
+    Parameters
+    ----------
+    size : int or (nz, ny, nx)
+        Samples along each axis, at least 2; the outer ones lie on the faces of the cube.
+    alpha, f_m : float
+        Amplitude and frequency of the waves; 0.25 and 6 are customary, and 41 samples are then just enough.
+    """
+    shape = _shape(size, 2)
+    volume = _on_cube(np.broadcast_to(np.float32(0), shape))
+    return _on_cube(marschner_lobb_function(_positions(volume), alpha, f_m).astype(np.float32))
+
+
+def marschner_lobb_function(points: ArrayLike, alpha: float = 0.25, f_m: float = 6.0) -> Array:
+    """The function that `marschner_lobb` samples, at points (..., 3) in the order x, y, z."""
+    x, y, z = _columns(points, alpha, f_m)
+    wave = np.cos(2 * np.pi * f_m * np.cos(np.pi * np.hypot(x, y) / 2))
+    return np.asarray((1 - np.sin(np.pi * z / 2) + alpha * (1 + wave)) / (2 * (1 + alpha)))
+
+
+def marschner_lobb_gradient(points: ArrayLike, alpha: float = 0.25, f_m: float = 6.0) -> Array:
+    """Its gradient at points (..., 3); shape (..., 3)."""
+    x, y, z = _columns(points, alpha, f_m)
+    r = np.hypot(x, y)
+    slope = np.pi**2 * f_m * np.sin(np.pi * r / 2) * np.sin(2 * np.pi * f_m * np.cos(np.pi * r / 2))
+    # slope / r is finite on the axis, where x and y vanish anyway
+    radial = alpha * np.divide(slope, r, out=np.zeros_like(r), where=r > 0)
+    return np.stack([radial * x, radial * y, -np.pi / 2 * np.cos(np.pi * z / 2)], -1) / (2 * (1 + alpha))
+
+
+def sphere(size: Size = 64, radius: float = 0.75) -> Volume:
+    """A smooth field on [-1, 1]³ that is 1/2 on a sphere, more within and less without.
+
+    ``1/2 + (radius² - |p|²) / (2 radius)``: near the sphere the signed distance to it, quadratic
+    everywhere, so that filters of order 3 and more draw the sphere exactly.
+
+    Parameters
+    ----------
+    size : int or (nz, ny, nx)
+        Samples along each axis, at least 2.
+    radius : float
+        In world units; the cube's faces lie at 1.
+    """
+    if not (math.isfinite(radius) and radius > 0):
+        raise OptionError(f"radius must be positive and finite; got {radius!r}")
+    grid = _on_cube(np.broadcast_to(np.float32(0), _shape(size, 2)))
+    square = (_positions(grid) ** 2).sum(-1)
+    return _on_cube((0.5 + (radius**2 - square) / (2 * radius)).astype(np.float32))
+
+
+def polynomial(
+    size: Size = 16, degree: int = 3, seed: int = 0, coefficients: ArrayLike | None = None
+) -> Volume:
+    """Samples of a polynomial on [-1, 1]³.
+
+    Parameters
+    ----------
+    size : int or (nz, ny, nx)
+        Samples along each axis, at least 2.
+    degree : int
+        Greatest degree along each axis, 0 to 9; not used if `coefficients` are given.
+    seed : int
+        Of the random coefficients, which lie in [-1, 1).
+    coefficients : array-like, shape (a, b, c), optional
+        ``coefficients[i, j, k]`` belongs to ``x**i y**j z**k``.
+
+    See Also
+    --------
+    polynomial_function : the same at any point.
+    """
+    chosen = _coefficients(degree, seed, coefficients)
+    grid = _on_cube(np.broadcast_to(np.float32(0), _shape(size, 2)))
+    return _on_cube(_polynomial_at(_positions(grid), chosen).astype(np.float32))
+
+
+def polynomial_function(
+    points: ArrayLike, degree: int = 3, seed: int = 0, coefficients: ArrayLike | None = None
+) -> Array:
+    """The function that `polynomial` samples, at points (..., 3) in the order x, y, z."""
+    return _polynomial_at(_points(points), _coefficients(degree, seed, coefficients))
+
+
+def checker(size: Size = 64, period: int = 16) -> Volume:
+    """Cubes of 0 and 1 in turn, `period` samples from one to the next of its kind; spacing 1.
+
+    Parameters
+    ----------
+    size : int or (nz, ny, nx)
+        Samples along each axis.
+    period : int
+        Even, at least 2; with 2 every sample differs from its neighbours, the Nyquist frequency.
+    """
+    shape = _shape(size, 1)
+    if isinstance(period, bool) or not isinstance(period, (int, np.integer)) or period < 2 or period % 2:
+        raise OptionError(f"period must be an even whole number of at least 2; got {period!r}")
+    cell = sum(np.ix_(*(np.arange(n) // (int(period) // 2) for n in shape)))
+    return Volume((np.asarray(cell) % 2).astype(np.float32))
+
+
+def box(size: Size = 64) -> Volume:
+    """A hard-edged object of 0 and 1 on [-1, 1]³: a box of half-width 0.6, less a ball about one corner.
+
+    Parameters
+    ----------
+    size : int or (nz, ny, nx)
+        Samples along each axis, at least 2.
+    """
+    grid = _on_cube(np.broadcast_to(np.float32(0), _shape(size, 2)))
+    p = _positions(grid)
+    inside = (np.abs(p) <= 0.6).all(-1) & (((p - 0.6) ** 2).sum(-1) > 0.5**2)
+    return _on_cube(inside.astype(np.float32))
+
+
+_TABLE: dict[str, Callable[..., Volume]] = {
+    "marschner-lobb": marschner_lobb,
+    "sphere": sphere,
+    "polynomial": polynomial,
+    "checker": checker,
+    "box": box,
+}
+
+
+def names() -> list[str]:
+    """The names that `by_name` knows."""
+    return list(_TABLE)
+
+
+def by_name(name: str) -> Volume:
+    """A phantom for a name, or a name and a size: ``"sphere"``, ``"sphere:64"``, ``"box:32,48,64"`` (nz, ny, nx).
+
+    Raises
+    ------
+    OptionError
+        An unknown name, or a size that is none.
+    """
+    if not isinstance(name, str):
+        raise one_of("phantom", name, _TABLE)
+    kind, colon, size = name.strip().partition(":")
+    if kind not in _TABLE:
+        raise one_of("phantom", kind, _TABLE)
+    if not colon:
+        return _TABLE[kind]()
+    try:
+        sizes = [int(part) for part in size.split(",")]
+    except ValueError:
+        raise OptionError(f"the size of a phantom must be one whole number or nz,ny,nx; got {size!r}") from None
+    return _TABLE[kind](sizes[0] if len(sizes) == 1 else sizes)
+
+
+# -- inner -------------------------------------------------------------------------------------------
+
+
+def _shape(size: Size, least: int) -> tuple[int, int, int]:
+    wanted = f"size must be a whole number of at least {least}, or three of them (nz, ny, nx); got {size!r}"
+    if isinstance(size, (bool, str)):
+        raise OptionError(wanted)
+    sizes = (size,) * 3 if isinstance(size, (int, np.integer)) else size
+    try:
+        nz, ny, nx = sizes  # type: ignore[misc]  # anything else is caught
+    except (TypeError, ValueError):
+        raise OptionError(wanted) from None
+    for n in (nz, ny, nx):
+        if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < least:
+            raise OptionError(wanted)
+    return int(nz), int(ny), int(nx)
+
+
+def _on_cube(data: NDArray[np.float32]) -> Volume:
+    """`data` on [-1, 1]³, the outer samples on its faces."""
+    return Volume(data, tuple(2 / (n - 1) for n in data.shape[::-1]), (-1.0,) * 3)
+
+
+def _positions(grid: Volume) -> Array:
+    """World positions of the samples, shape (nz, ny, nx, 3), to the last bit those of linspace(-1, 1)."""
+    axes = np.meshgrid(*(np.linspace(-1, 1, n) for n in grid.shape), indexing="ij")
+    return np.stack(axes[::-1], -1)
+
+
+def _points(points: ArrayLike) -> Array:
+    array = np.asarray(points, dtype=np.float64)
+    if array.ndim == 0 or array.shape[-1] != 3:
+        raise OptionError(f"points must have shape (..., 3); got {array.shape}")
+    return array
+
+
+def _columns(points: ArrayLike, alpha: float, f_m: float) -> tuple[Array, Array, Array]:
+    for name, value in (("alpha", alpha), ("f_m", f_m)):
+        if not (math.isfinite(value) and value >= 0):
+            raise OptionError(f"{name} must be finite and not negative; got {value!r}")
+    array = _points(points)
+    return array[..., 0], array[..., 1], array[..., 2]
+
+
+def _coefficients(degree: int, seed: int, coefficients: ArrayLike | None) -> Array:
+    if coefficients is not None:
+        chosen = np.asarray(coefficients, dtype=np.float64)
+        if chosen.ndim != 3 or 0 in chosen.shape or not np.isfinite(chosen).all():
+            raise OptionError(f"coefficients must be finite numbers of shape (a, b, c); got shape {chosen.shape}")
+        return chosen
+    if isinstance(degree, bool) or not isinstance(degree, (int, np.integer)) or not 0 <= degree <= 9:
+        raise OptionError(f"degree must be a whole number, 0 to 9; got {degree!r}")
+    return np.random.default_rng(seed).uniform(-1, 1, (degree + 1,) * 3)
+
+
+def _polynomial_at(points: Array, coefficients: Array) -> Array:
+    return np.asarray(np.polynomial.polynomial.polyval3d(points[..., 0], points[..., 1], points[..., 2], coefficients))

@@ -1,0 +1,15 @@
+"""The same mathematics in NumPy and float64, plain and slow: what the kernels are tested against.
+
+Nothing here uses the taps of a filter's row, the recursions of the prefilter or the index arithmetic
+of `clvol.boundary`: kernels come from closed forms, coefficients from solving eq. (11), edges from
+`numpy.pad`. So one mistake cannot sit on both sides of a comparison.
+"""
+
+from __future__ import annotations
+
+from clvol.reference.boundary import extend
+from clvol.reference.filter import kernel
+from clvol.reference.prefilter import prefilter, prefilter_fft
+from clvol.reference.sample import magnify, resample, sample
+
+__all__ = ["extend", "kernel", "magnify", "prefilter", "prefilter_fft", "resample", "sample"]

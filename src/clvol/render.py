@@ -1,0 +1,446 @@
+"""Pictures of volumes: the host side of march.cl.
+
+The samples of a ray are where it crosses equally spaced planes perpendicular to one axis of the volume,
+the axis most parallel to the view. In index space an axis of ``n`` samples spans ``[-1/2, n - 1/2]``;
+it holds ``K`` planes at ``-1/2 + (k + 1/2) n / K``, with ``K`` the least number such that no ray advances
+more than `step` voxels from one plane to the next. Rays that make an angle of more than 60° with the
+axis would need planes too close: they step `step` voxels along themselves, from half a step past where
+they enter. `reference/march.py` samples the same lattice.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Any, Literal, overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clvol import program
+from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.camera import Camera, View
+from clvol.device import Device, as_device
+from clvol.errors import GeometryError, OptionError, one_of
+from clvol.filters import DEFAULT_FILTER, Filter, as_filter
+from clvol.light import HEADLIGHT, MAX_LIGHTS, Light, Material, color_of
+from clvol.modes import DEFAULT_MODE, Mode, as_mode
+from clvol.spline import Coefficients, Evaluator, Fetch, Floats, Path, Progress, choose_path
+from clvol.transfer import TABLE_SIZE, TransferFunction, otsu_threshold
+from clvol.volume import Volume, as_volume
+
+__all__ = ["OBLIQUE", "OUTPUTS", "Lattice", "Renderer", "pixel_offsets", "render"]
+
+OUTPUTS = ("rgba", "depth", "normal", "position")
+OBLIQUE = 0.5  # cosine between ray and axis below which a ray steps along itself
+FLAT = 1e-5  # gradients below this share of the range per mean spacing are rounding: no shading, no normal
+TOLERANCE = 1e-4  # of the range: how near to the isovalue a surface is drawn
+DEFAULT_SURFACE = (0.93, 0.87, 0.76)
+_BITS = 8.0  # of the sampler's fraction, before pictures are made by it: what texture units have
+_LAUNCH_SECONDS = 0.25
+_MAX_PLANES = 1 << 20
+_MAX_SIZE = 1 << 15
+_ROW_SECONDS = 1.5e-9  # a generous guess of the time of one row of taps on one processor core; it is corrected as tiles finish
+
+# The parameter block of march.cl, declared once: the struct of the kernels is generated from it. All
+# fields are four bytes wide, so that it has the same layout everywhere.
+FRAME = np.dtype(
+    [(name, np.float32, 3) for name in ("origin", "origin_u", "origin_v", "direction", "direction_u", "direction_v")]
+    + [(name, np.float32, 3) for name in ("low", "high", "clip_low", "clip_high", "surface", "world_origin")]
+    + [(name, np.float32, 9) for name in ("index_to_world", "world_to_index")]
+    + [("light", np.float32, 8 * MAX_LIGHTS), ("offset", np.float32, 2)]
+    + [
+        (name, np.float32)
+        for name in (
+            "near", "oblique", "plane", "plane_back", "spacing", "planes", "stride", "table_low", "table_scale",
+            "per_unit_distance", "termination", "isovalue", "tolerance", "ambient", "diffuse", "specular", "shininess",
+            "flat", "weight", "depth_offset",
+        )
+    ]
+    + [(name, np.int32) for name in ("axis", "clipped", "lights", "width", "height", "pass")]
+)  # fmt: skip
+
+
+def _frame_declaration() -> str:
+    """frame.cl: the struct that `FRAME` is on the device."""
+    lines = []
+    for name, (kind, _) in FRAME.fields.items():  # type: ignore[union-attr]  # a structured dtype has fields
+        base, shape = (kind.subdtype[0], kind.subdtype[1]) if kind.subdtype else (kind, ())
+        lines.append(f"    {'int' if base == np.int32 else 'float'} {name}{''.join(f'[{n}]' for n in shape)};")
+    return "typedef struct {\n" + "\n".join(lines) + "\n} frame_t;\n"
+
+
+class Lattice:
+    """The planes on which a view is sampled; see the module's docstring.
+
+    Attributes
+    ----------
+    axis : int
+        0, 1 or 2 for x, y, z.
+    planes : int
+        How many.
+    spacing : float
+        Their distance in voxels.
+    """
+
+    def __init__(self, volume: Volume, view: View, aspect: float, step: float) -> None:
+        inverse = volume.world_to_index_matrix
+        forward = inverse @ view.forward
+        self.axis = int(np.argmax(np.abs(forward)))
+        corners = [forward]
+        if not view.orthographic:
+            sides = [(a, b) for a in (-1, 1) for b in (-1, 1)]
+            corners = [
+                inverse @ (view.forward + view.half_height * (a * aspect * view.right + b * view.up)) for a, b in sides
+            ]
+        cosine = min(abs(float(d[self.axis])) / float(np.linalg.norm(d)) for d in corners)
+        if any(d[self.axis] * forward[self.axis] < 0 for d in corners):
+            cosine = 0.0  # so wide that some rays run the other way
+        n = volume.size[self.axis]
+        self.planes = max(1, math.ceil(n / (step * max(cosine, OBLIQUE)) - 1e-9))
+        self.spacing = n / self.planes
+        self.step = step
+        if self.planes > _MAX_PLANES:
+            raise OptionError(f"step {step} would need {self.planes} planes; the most is {_MAX_PLANES}")
+
+
+def pixel_offsets(samples: int) -> NDArray[np.float64]:
+    """Where in a pixel its samples lie: the first in the middle, the others by the R2 sequence; (samples, 2)."""
+    golden = np.array([0.7548776662466927, 0.5698402909980532])  # 1/g, 1/g² with g³ = g + 1
+    return (0.5 + np.arange(samples)[:, None] * golden) % 1.0
+
+
+class Renderer:
+    """A volume held on a device, to be drawn many times.
+
+    Parameters
+    ----------
+    volume : Volume or array-like, 3-D
+        What to draw.
+    filter, boundary : str, Filter, Boundary
+        How it is reconstructed between its samples.
+    device : Device, str or int, optional
+        See `as_device`.
+
+    Raises
+    ------
+    DataError, OptionError, DeviceError
+
+    Notes
+    -----
+    A context manager: leaving it frees the device's memory.
+    """
+
+    def __init__(
+        self, volume: Volume | ArrayLike, filter: str | Filter = DEFAULT_FILTER,
+        boundary: str | Boundary = DEFAULT_BOUNDARY, device: Device | str | int | None = None,
+    ) -> None:  # fmt: skip
+        self.volume = as_volume(volume)
+        if self.volume.ndim != 3:
+            raise OptionError(f"rendering takes a volume with 3 axes; got shape {self.volume.shape}")
+        row, rule = as_filter(filter), as_boundary(boundary)
+        self.device = as_device(device)
+        self.coefficients = Coefficients(self.volume, row, rule, self.device)
+        self._automatic: dict[bool, TransferFunction] = {}
+
+    @property
+    def filter(self) -> Filter:
+        return self.coefficients.filter
+
+    def close(self) -> None:
+        """Free the device's memory."""
+        self.coefficients.release()
+
+    def __enter__(self) -> Renderer:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    @overload
+    def render(self, camera: Camera | None = ..., mode: str | Mode = ..., size: tuple[int, int] = ..., step: float = ..., *,
+               outputs: str = ..., **options: Any) -> Floats: ...  # fmt: skip
+    @overload
+    def render(self, camera: Camera | None = ..., mode: str | Mode = ..., size: tuple[int, int] = ..., step: float = ..., *,
+               outputs: Sequence[str], **options: Any) -> dict[str, Floats]: ...  # fmt: skip
+    def render(
+        self, camera: Camera | None = None, mode: str | Mode = DEFAULT_MODE, size: tuple[int, int] = (512, 512), step: float = 0.5,
+        *, transfer: TransferFunction | None = None, isovalue: float | None = None,
+        color: Sequence[float] | str = DEFAULT_SURFACE, shading: bool = True,
+        gradient: Literal["analytic", "central"] = "analytic", material: Material | None = None,
+        lights: Sequence[Light] = (HEADLIGHT,), background: Sequence[float] | str | None = (0.0, 0.0, 0.0),
+        clip: tuple[Sequence[float], Sequence[float]] | None = None, samples: int = 1, termination: float = 1e-3,
+        evaluator: Evaluator = "auto", fetch: Fetch = "auto", outputs: str | Sequence[str] = "rgba",
+        progress: Progress | None = None, _lanes: int = 1,
+    ) -> Floats | dict[str, Floats]:  # fmt: skip
+        """One picture.
+
+        Parameters
+        ----------
+        camera : Camera, optional
+            Default `Camera.orbit()`, fitted to the volume.
+        mode : str
+            "composite", "isosurface", "mip", "minip" or "mean".
+        size : (width, height)
+            In pixels.
+        step : float
+            The most that a ray advances between samples, in voxels.
+        transfer : TransferFunction, optional
+            Default: from the histogram for "composite", a grey ramp for the projections.
+        isovalue : float, optional
+            Of the surface; default: Otsu's threshold of the histogram.
+        color : three numbers or a name
+            Of the surface.
+        shading : bool
+            Light "composite" and "isosurface" by the gradient.
+        gradient : {"analytic", "central"}
+            "analytic" is the exact derivative of the function drawn. "central" takes differences of one voxel
+            to either side, as many others do. `nearest` has no derivative that tells anything and is always
+            shaded by central differences.
+        material : Material, optional
+            How light is answered.
+        lights : sequence of Light
+            Up to 4; default a headlight.
+        background : three numbers, a name, or None
+            None leaves the picture transparent; its colours are then not premultiplied.
+        clip : (low, high), optional
+            A box of world coordinates (x, y, z) outside which nothing is drawn.
+        samples : int
+            Rays a pixel.
+        termination : float
+            A ray ends when no more than this share of light would come through: colours err by at most this.
+        evaluator, fetch
+            As for `clvol.sample`.
+        outputs : str or sequence of str
+            Of "rgba", "depth", "normal", "position". Several give a dictionary. Depth is the world distance
+            from the eye along the ray (orthographic: from the camera's plane), inf where there is nothing;
+            normals face the viewer; NaN where there are none. In "composite" they are where half of the light
+            is stopped, in projections where the extreme lies; "mean" has none.
+        progress : callable, optional
+            Called with the fraction done.
+
+        Returns
+        -------
+        ndarray of float32, shape (height, width, 4), or a dictionary
+            Red, green, blue, opacity in 0..1; row 0 is the top. Depth has shape (height, width), normals and
+            positions (height, width, 3).
+
+        Raises
+        ------
+        OptionError, GeometryError, DeviceError
+        """
+        chosen = as_mode(mode)
+        wanted = (outputs,) if isinstance(outputs, str) else tuple(outputs)
+        for name in wanted:
+            if name not in OUTPUTS:
+                raise one_of("outputs", name, OUTPUTS)
+        if gradient not in ("analytic", "central"):
+            raise one_of("gradient", gradient, ("analytic", "central"))
+        width, height = _size(size)
+        path = choose_path(self.device, self.filter, evaluator, fetch, bits=_BITS)
+        table = transfer if transfer is not None else self._default_transfer(chosen.automatic)
+        frame = self._frame(
+            camera or Camera.orbit(), (width, height), step, table,
+            otsu_threshold(self.volume) if isovalue is None and chosen.name == "isosurface" else isovalue,
+            color_of("color", color), material or Material(), lights, clip, termination,
+        )  # fmt: skip
+        guides = wanted != ("rgba",)
+        central = gradient == "central" or not self.filter.has_gradient
+        arrays = self._march(frame, chosen, path, table, shading, central, guides, _samples(samples), progress, _lanes)
+        arrays["rgba"] = _over(arrays["rgba"], background)
+        return arrays[wanted[0]] if isinstance(outputs, str) else {name: arrays[name] for name in wanted}
+
+    def _default_transfer(self, automatic: bool) -> TransferFunction:
+        if automatic not in self._automatic:
+            volume = self.volume
+            self._automatic[automatic] = TransferFunction.automatic(volume) if automatic else TransferFunction.ramp(volume.value_range)
+        return self._automatic[automatic]
+
+    def _frame(
+        self, camera: Camera, size: tuple[int, int], step: float, transfer: TransferFunction, isovalue: float | None,
+        surface: tuple[float, float, float], material: Material, lights: Sequence[Light],
+        clip: tuple[Sequence[float], Sequence[float]] | None, termination: float,
+    ) -> NDArray[Any]:  # fmt: skip
+        """The parameter block of one picture, computed in float64."""
+        if not (isinstance(step, (int, float, np.number)) and math.isfinite(step) and step > 0):
+            raise OptionError(f"step must be positive and finite, in voxels; got {step!r}")
+        if not (isinstance(termination, (int, float)) and 0 <= termination < 1):
+            raise OptionError(f"termination must be at least 0 and less than 1; got {termination!r}")
+        if isovalue is not None and not (isinstance(isovalue, (int, float, np.number)) and math.isfinite(isovalue)):
+            raise OptionError(f"isovalue must be finite; got {isovalue!r}")
+        if len(lights) > MAX_LIGHTS:
+            raise OptionError(f"there may be up to {MAX_LIGHTS} lights; got {len(lights)}")
+        volume, (width, height) = self.volume, size
+        aspect = width / height
+        view = camera.view(volume, aspect)
+        lattice = Lattice(volume, view, aspect, float(step))
+        inverse, origin = volume.world_to_index_matrix, np.asarray(volume.origin)
+        frame = np.zeros((), FRAME)
+
+        # picture coordinates: a from -1 to 1 along `right`, b along `up`; pixel (0, 0) is top left
+        across, down = view.right * view.half_height * aspect, -view.up * view.half_height
+        corner, per_x, per_y = -across - down, 2 * across / width, 2 * down / height
+        if view.orthographic:
+            # rays start on the plane through the volume's centre, where float32 has its best precision
+            ahead = float((volume.center - view.eye) @ view.forward)
+            start = view.eye + ahead * view.forward
+            frame["origin"], frame["origin_u"], frame["origin_v"] = inverse @ (start + corner - origin), inverse @ per_x, inverse @ per_y
+            frame["direction"] = inverse @ view.forward
+            frame["near"], frame["depth_offset"] = -np.inf, ahead
+        else:
+            frame["origin"] = inverse @ (view.eye - origin)
+            frame["direction"], frame["direction_u"], frame["direction_v"] = inverse @ (view.forward + corner), inverse @ per_x, inverse @ per_y
+        frame["index_to_world"], frame["world_to_index"] = volume.index_to_world_matrix.ravel(), inverse.ravel()
+        frame["world_origin"] = origin
+        frame["low"], frame["high"] = -0.5, np.asarray(volume.size) - 0.5
+        if clip is not None:
+            low, high = _box(clip)
+            frame["clipped"], frame["clip_low"], frame["clip_high"] = 1, low - origin, high - origin
+
+        n = volume.size[lattice.axis]
+        frame["axis"], frame["planes"], frame["spacing"], frame["oblique"] = lattice.axis, lattice.planes, lattice.spacing, OBLIQUE
+        frame["plane"], frame["plane_back"], frame["stride"] = -0.5 + lattice.spacing / 2, n - 0.5 - lattice.spacing / 2, step
+
+        low, high = transfer.value_range
+        frame["table_low"], frame["table_scale"] = low, (TABLE_SIZE - 1) / (high - low) if high > low else 0.0
+        thickness = transfer.unit_distance or float(np.mean(volume.spacing))
+        frame["per_unit_distance"], frame["termination"] = 1 / thickness, termination
+        least, greatest = volume.value_range
+        frame["isovalue"] = least if isovalue is None else isovalue
+        frame["tolerance"] = TOLERANCE * (greatest - least)
+        frame["flat"] = (FLAT * (greatest - least) / float(np.mean(volume.spacing))) ** 2
+        frame["surface"] = surface
+        for name in ("ambient", "diffuse", "specular", "shininess"):
+            frame[name] = getattr(material, name)
+        frame["lights"] = len(lights)
+        rows = [[*(light.direction or (0, 0, 0)), float(light.direction is None), *light.color, 0] for light in lights]
+        frame["light"][: 8 * len(rows)] = np.ravel(rows) if rows else []
+        frame["width"], frame["height"] = width, height
+        return frame
+
+    def _march(
+        self, frame: NDArray[Any], mode: Mode, path: Path, transfer: TransferFunction, shading: bool, central: bool, guides: bool,
+        samples: int, progress: Progress | None, lanes: int,
+    ) -> dict[str, Floats]:  # fmt: skip
+        device, held = self.device, self.coefficients
+        built = program.build(
+            device, "march.cl",
+            {
+                **held.defines(path), "LANES": lanes, "ENDPOINTS": int(mode.endpoints), "SHADED": int(shading),
+                "GRADIENT_CENTRAL": int(central), "GUIDES": int(guides), "TABLE_SIZE": TABLE_SIZE, "COORD_DOUBLE": 0,
+            },
+            {"mode.cl": mode.file}, {"frame.cl": _frame_declaration()},
+        )  # fmt: skip
+        width, height = int(frame["width"]), int(frame["height"])
+        channels = {"rgba": 4, "depth": 1, "normal": 3, "position": 3}
+        pixels = width * height
+        buffers = {name: device.allocate(4 * pixels * (n if guides or name == "rgba" else 0)) for name, n in channels.items()}
+        table = device.upload(transfer.table())
+        kernel = built.kernel("march")
+        source = held.argument(path)
+        budget = _Budget(device, self.filter, int(frame["planes"]), central or shading)
+        offsets = pixel_offsets(samples)
+        for i, offset in enumerate(offsets):
+            frame["offset"], frame["weight"], frame["pass"] = offset, 1 / samples, i
+            block = device.upload(frame[None])
+            for x, y, w, h in budget.tiles(width, height):
+                columns = -(-w // lanes)
+                with device.errors:
+                    kernel(
+                        device.queue, (-(-columns // 8) * 8, -(-h // 8) * 8), (8, 8), source, held.extent, block, table,
+                        *buffers.values(), global_offset=(x // lanes, y),
+                    )  # fmt: skip
+                device.finish()
+                if progress:
+                    progress((i + min(1.0, ((y + h) * width) / pixels)) / samples)
+        result = {}
+        for name, n in channels.items() if guides else [("rgba", 4)]:
+            array = np.empty((height, width, n) if n > 1 else (height, width), np.float32)
+            device.download(buffers[name], array)
+            result[name] = array
+        for buffer in buffers.values():
+            buffer.release()
+        return result
+
+
+class _Budget:
+    """Cuts a frame into tiles, none of which should run longer than a quarter of a second.
+
+    The time of a ray is bounded by its number of planes; the guess of the time of one sample is raised
+    when a tile took longer than guessed, and never lowered: the next tile may hold what this one did not.
+    """
+
+    def __init__(self, device: Device, filter: Filter, planes: int, shaded: bool) -> None:
+        cores = int(device.handle.max_compute_units) * (1 if device.kind == "cpu" else 32)
+        rows = filter.support**2 * (program.row_reach(filter) // program.row_width(filter)) + 8
+        self._per_pixel = planes * rows * _ROW_SECONDS * (3 if shaded else 1) / max(1, cores)
+
+    def tiles(self, width: int, height: int) -> Any:
+        y = 0
+        while y < height:
+            area = _LAUNCH_SECONDS / self._per_pixel
+            h = min(height - y, max(8, int(area / width) // 8 * 8))
+            x = 0
+            while x < width:
+                w = min(width - x, max(8, int(_LAUNCH_SECONDS / self._per_pixel / h) // 8 * 8))
+                started = time.perf_counter()
+                yield x, y, w, h
+                self._per_pixel = max(self._per_pixel, (time.perf_counter() - started) / (w * h))
+                x += w
+            y += h
+
+
+def render(volume: Volume | ArrayLike, camera: Camera | None = None, mode: str | Mode = DEFAULT_MODE,
+           filter: str | Filter = DEFAULT_FILTER, boundary: str | Boundary = DEFAULT_BOUNDARY,
+           size: tuple[int, int] = (512, 512), step: float = 0.5, *, device: Device | str | int | None = None,
+           outputs: str | Sequence[str] = "rgba", **options: Any) -> Any:  # fmt: skip
+    """One picture of a volume; `Renderer` is the same for many pictures of one volume.
+
+    Parameters are those of `Renderer` and of `Renderer.render`.
+
+    Returns
+    -------
+    ndarray of float32, shape (height, width, 4)
+        Red, green, blue and opacity in 0..1, or a dictionary if several `outputs` are asked for.
+    """
+    with Renderer(volume, filter, boundary, device) as renderer:
+        return renderer.render(camera, mode, size, step, outputs=outputs, **options)
+
+
+def _over(premultiplied: Floats, background: Sequence[float] | str | None) -> Floats:
+    """The picture over its background; None: as it is, colours not premultiplied."""
+    color, opacity = premultiplied[..., :3], premultiplied[..., 3:]
+    if background is None:
+        color = np.divide(color, opacity, out=np.zeros_like(color), where=opacity > 0)
+    else:
+        color = color + (1 - opacity) * np.asarray(color_of("background", background), np.float32)
+        opacity = np.ones_like(opacity)
+    return np.clip(np.concatenate([color, opacity], -1), 0, 1, dtype=np.float32)
+
+
+def _size(size: tuple[int, int]) -> tuple[int, int]:
+    try:
+        width, height = (int(n) for n in size)
+    except (TypeError, ValueError):
+        raise OptionError(f"size must be (width, height) in pixels; got {size!r}") from None
+    if not (1 <= width <= _MAX_SIZE and 1 <= height <= _MAX_SIZE) or (width, height) != tuple(size):
+        raise OptionError(f"size must be (width, height), whole numbers from 1 to {_MAX_SIZE}; got {size!r}")
+    return width, height
+
+
+def _samples(samples: int) -> int:
+    if isinstance(samples, bool) or not isinstance(samples, (int, np.integer)) or not 1 <= samples <= 4096:
+        raise OptionError(f"samples must be a whole number from 1 to 4096; got {samples!r}")
+    return int(samples)
+
+
+def _box(clip: tuple[Sequence[float], Sequence[float]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    try:
+        low, high = (np.array([float(v) for v in corner]) for corner in clip)
+    except (TypeError, ValueError):
+        raise GeometryError(f"clip must be two corners (x, y, z); got {clip!r}") from None
+    if low.shape != (3,) or high.shape != (3,) or np.isnan(low).any() or np.isnan(high).any() or (low >= high).any():
+        raise GeometryError(f"clip must be two corners (x, y, z), each coordinate of the first less than of the second; got {clip!r}")
+    return low, high
