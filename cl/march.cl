@@ -30,17 +30,26 @@ inline float value_one(VOLUME_PARAMS, float x, float y, float z)
     return sample_value(VOLUME, locate(x, y, z, extent.w));
 }
 
+// The value some samples away: the same fraction of another cell. (Adding to the position would round, and
+// where the function jumps the neighbour would at times be the wrong one.)
+inline float value_beside(VOLUME_PARAMS, cell_t c, int x, int y, int z)
+{
+    c.x += x * GRID_SCALE; c.y += y * GRID_SCALE; c.z += z * GRID_SCALE;
+    return sample_value(VOLUME, c);
+}
+
 // Per sample, not per stored coefficient.
 inline gradient_t gradient_one(VOLUME_PARAMS, float x, float y, float z)
 {
     gradient_t g;
+    const cell_t c = locate(x, y, z, extent.w);
 #if GRADIENT_CENTRAL
-    g.x = 0.5f * (value_one(VOLUME, x + 1.0f, y, z) - value_one(VOLUME, x - 1.0f, y, z));
-    g.y = 0.5f * (value_one(VOLUME, x, y + 1.0f, z) - value_one(VOLUME, x, y - 1.0f, z));
-    g.z = 0.5f * (value_one(VOLUME, x, y, z + 1.0f) - value_one(VOLUME, x, y, z - 1.0f));
+    g.x = 0.5f * (value_beside(VOLUME, c, 1, 0, 0) - value_beside(VOLUME, c, -1, 0, 0));
+    g.y = 0.5f * (value_beside(VOLUME, c, 0, 1, 0) - value_beside(VOLUME, c, 0, -1, 0));
+    g.z = 0.5f * (value_beside(VOLUME, c, 0, 0, 1) - value_beside(VOLUME, c, 0, 0, -1));
 #else
     float value;
-    g = sample_gradient(VOLUME, locate(x, y, z, extent.w), &value);
+    g = sample_gradient(VOLUME, c, &value);
     g.x *= GRID_SCALE; g.y *= GRID_SCALE; g.z *= GRID_SCALE;
 #endif
     return g;
@@ -124,6 +133,8 @@ kernel void march(VOLUME_PARAMS, constant frame_t *frame, global const float4 *t
     begin(&state);
     mask going = ray->hits;
 #if ENDPOINTS
+    // a little inside: on the face itself rounding would decide whether it is read from past the edge
+    const real inset = 1e-3f * ray->step, enter = ray->enter + inset, leave = ray->leave - inset;
     const real margin = (real)(1.0f);
 #else
     const real margin = (real)(0.0f);
@@ -132,7 +143,7 @@ kernel void march(VOLUME_PARAMS, constant frame_t *frame, global const float4 *t
         const mask active = going & (n <= ray->end + margin);
         real t = madd(n, ray->step, ray->first);   // by multiplication: never accumulated
 #if ENDPOINTS
-        t = fmin(fmax(t, ray->enter), ray->leave);
+        t = fmin(fmax(t, enter), leave);
 #endif
         const mask done = gather(&state, SCENE, t, value_at(SCENE, t, active), active);
         going = going & !done;

@@ -21,7 +21,6 @@ inline real refine(SCENE_PARAMS, real near, real near_value, real far, real far_
         const mask between = (cut > near) & (cut < far);
         t = i % 3 == 0 ? middle : choose(between, cut, middle);
         const real value = value_at(SCENE, t, active) - frame->isovalue;
-        best = choose(active, t, best);
         const mask is_near = (value < 0.0f) == (near_value < 0.0f);
         far_value = choose(is_near & last_was_near, 0.5f * far_value, far_value);
         near_value = choose(!is_near & last_was_far, 0.5f * near_value, near_value);
@@ -31,7 +30,10 @@ inline real refine(SCENE_PARAMS, real near, real near_value, real far, real far_
         far_value = choose(is_near, far_value, value);
         last_was_near = is_near;
         last_was_far = !is_near;
-        active = active & (fabs(value) > frame->tolerance) & (0.5f * (near + far) > near) & (0.5f * (near + far) < far);
+        // where the function jumps, the far side of the jump: every pixel is shaded from the same side
+        const mask near_enough = fabs(value) <= frame->tolerance;
+        best = choose(active, choose(near_enough, t, far), best);
+        active = active & !near_enough & (0.5f * (near + far) > near) & (0.5f * (near + far) < far);
     }
     return best;
 }

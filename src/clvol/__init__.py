@@ -1,1 +1,82 @@
-"""Volume rendering and reconstruction with B-splines, on OpenCL."""
+"""Volume rendering and reconstruction with B-splines, on OpenCL.
+
+>>> import clvol
+>>> volume = clvol.read("scan.nii.gz")
+>>> picture = clvol.render(volume)                                    # (height, width, 4), float32
+>>> values = clvol.sample(volume, points)                             # at world positions (x, y, z)
+>>> gradients = clvol.sample(volume, points, derivative=1)            # exact, per world unit
+
+Importing it needs no OpenCL; a device is looked for when something is computed on one.
+"""
+
+from __future__ import annotations
+
+from clvol import phantoms
+from clvol.boundary import Boundary, boundaries
+from clvol.camera import Camera
+from clvol.device import Device, devices
+from clvol.errors import (
+    ClvolError,
+    DataError,
+    DeviceError,
+    FormatError,
+    GeometryError,
+    MissingDependencyError,
+    OptionError,
+    OutOfMemoryError,
+)
+from clvol.filters import Filter, bc, bspline, filters, from_callable, from_pieces, lanczos, register, sinc
+from clvol.formats import read, write
+from clvol.light import Light, Material
+from clvol.modes import Mode, modes
+from clvol.picture import save
+from clvol.render import Renderer, render
+from clvol.response import frequency_response, prefilter_response
+from clvol.spline import magnify, prefilter, resample, sample
+from clvol.transfer import TransferFunction
+from clvol.volume import Volume
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Boundary",
+    "Camera",
+    "ClvolError",
+    "DataError",
+    "Device",
+    "DeviceError",
+    "Filter",
+    "FormatError",
+    "GeometryError",
+    "Light",
+    "Material",
+    "MissingDependencyError",
+    "Mode",
+    "OptionError",
+    "OutOfMemoryError",
+    "Renderer",
+    "TransferFunction",
+    "Volume",
+    "bc",
+    "boundaries",
+    "bspline",
+    "devices",
+    "filters",
+    "frequency_response",
+    "from_callable",
+    "from_pieces",
+    "lanczos",
+    "magnify",
+    "modes",
+    "phantoms",
+    "prefilter",
+    "prefilter_response",
+    "read",
+    "register",
+    "render",
+    "resample",
+    "sample",
+    "save",
+    "sinc",
+    "write",
+]

@@ -145,8 +145,7 @@ class Device:
         A PoCL context used after a fork hangs; PoCL shells out to the linker for every kernel
         and aborts the process when there is none, or no libgcc and libc for it to link.
         """
-        if os.getpid() != self._process:
-            raise DeviceError("OpenCL devices cannot be used after a fork; start processes with 'spawn' or 'forkserver'")
+        _require_unforked(self._process)
         if self.is_pocl and self.kind == "cpu":
             _require_linker()
 
@@ -218,12 +217,22 @@ def _errors(device: Device) -> Iterator[None]:
 # -- choosing ------------------------------------------------------------------------------------------
 
 _lock = threading.Lock()
-_devices: dict[tuple[int, int], Device] = {}
+_devices: dict[int, Device] = {}
+_process: int | None = None  # the one in which OpenCL was first asked for its devices
+
+
+def _require_unforked(process: int | None) -> None:
+    """A runtime's threads do not live on in a forked child: even a context made there hangs."""
+    if process not in (None, os.getpid()):
+        raise DeviceError("OpenCL devices cannot be used after a fork; start processes with 'spawn' or 'forkserver'")
 
 
 def devices() -> list[Device]:
     """Every OpenCL device found, the one used by default first: GPUs, then the processor."""
+    global _process
+    _require_unforked(_process)
     cl = _opencl()
+    _process = os.getpid()
     try:
         platforms = cl.get_platforms()
     except cl.Error:  # the loader reports an error where it finds no platform
@@ -237,7 +246,7 @@ def devices() -> list[Device]:
         for handle in handles:
             if handle.available and handle.compiler_available:
                 with _lock:
-                    found.append(_devices.setdefault((os.getpid(), handle.int_ptr), Device(handle)))
+                    found.append(_devices.setdefault(handle.int_ptr, Device(handle)))
     return sorted(found, key=lambda d: ("gpu", "cpu", "accelerator").index(d.kind))
 
 

@@ -29,6 +29,7 @@ from clvol.errors import OptionError, one_of
 __all__ = [
     "DEFAULT_FILTER",
     "Filter",
+    "FilterTable",
     "as_filter",
     "bc",
     "bspline",
@@ -48,6 +49,7 @@ DEFAULT_FILTER = "bspline3"
 MAX_TAPS = 16  # the widest row that one vector load of the device code covers
 _MAX_DEGREE = 20
 _FIT_TOLERANCE = 1e-10  # of the kernel's peak: its second derivative then errs by about 1e-6
+_SINC_DEGREE = 12  # of the fits to sinc and its windowed forms: they err by less than that
 _ROUNDING = 1e-9  # floating rows are taken as zero, one or equal within this
 
 
@@ -207,7 +209,7 @@ class Filter:
     def __call__(self, x: ArrayLike, derivative: int = 0) -> Array:
         """The kernel, or its derivative, at signed distance `x` in (finer) samples; same shape as `x`."""
         x = np.asarray(x, dtype=np.float64)
-        tap = np.floor(self.support / 2 - x).astype(np.int64)  # t = x - TAPS/2 + 1 + tap lies in [0, 1)
+        tap = np.ceil(self.support / 2 - x).astype(np.int64) - 1  # t = x - TAPS/2 + 1 + tap lies in [0, 1)
         t = x - self.support / 2 + 1 + tap
         inside = (tap >= 0) & (tap < self.support)
         every = self.weights(np.where(inside, t, 0.0), derivative)
@@ -229,6 +231,9 @@ class Filter:
     def _require_invertible(self) -> None:
         roots = self._roots
         inside = roots[np.abs(roots) < 1]
+        at = np.arange(self.support)
+        if np.abs(self(at) - self(-at)).max() > _ROUNDING * max(1.0, float(np.abs(self.samples).max())):
+            raise OptionError(f"{self.name!r} cannot interpolate: its kernel is not even at the samples")
         if abs(self.samples[0]) < _ROUNDING and self.samples.size == 1:
             raise OptionError(f"{self.name!r} cannot interpolate: its kernel is zero at the samples")
         if 2 * inside.size != roots.size or np.any(np.abs(np.abs(roots) - 1) < 1e-3):
@@ -411,13 +416,13 @@ def sinc(radius: int = 4) -> Filter:
 
     They are not renormalised: what truncation does is to be seen.
     """
-    return from_callable("sinc" if radius == 4 else f"sinc({radius})", np.sinc, radius)
+    return from_callable("sinc" if radius == 4 else f"sinc({radius})", np.sinc, radius, degree=_SINC_DEGREE)
 
 
 @lru_cache
 def lanczos(radius: int) -> Filter:
     """sinc under the window sinc(x / radius), radius 1 to 8; its weights sum to one only nearly."""
-    return from_callable(f"lanczos{radius}", lambda x: np.sinc(x) * np.sinc(x / radius), radius)
+    return from_callable(f"lanczos{radius}", lambda x: np.sinc(x) * np.sinc(x / radius), radius, degree=_SINC_DEGREE)
 
 
 def _omoms3() -> Filter:
@@ -450,9 +455,32 @@ def register(new: Filter, *, replace_existing: bool = False) -> Filter:
     return new
 
 
-def filters() -> dict[str, Filter]:
-    """The table: every filter by name, in order."""
-    return dict(_TABLE)
+class FilterTable(dict[str, Filter]):
+    """Every filter by name; printed, it is a table."""
+
+    HEADER = ("filter", "support", "degree", "continuity", "order", "interpolates", "sums to one", "poles")
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """One tuple of texts a filter, in the order of `HEADER`."""
+        return [
+            (
+                name, str(f.support), str(f.degree), "jumps" if f.continuity < 0 else f"C{f.continuity}", str(f.order),
+                "no" if not f.interpolates else "yes" if f.interpolates_directly and not f.magnify else "prefiltered",
+                "yes" if f.sums_to_one else "nearly",
+                " ".join(f"{p:.4f}" for p in (f.magnified_by or f).poles) or "-",
+            )
+            for name, f in self.items()
+        ]  # fmt: skip
+
+    def __str__(self) -> str:
+        lines = [self.HEADER, *self.rows()]
+        widths = [max(len(line[i]) for line in lines) for i in range(len(self.HEADER))]
+        return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines)
+
+
+def filters() -> FilterTable:
+    """The table: every filter by name, in order; ``print(clvol.filters())`` shows what each has."""
+    return FilterTable(_TABLE)
 
 
 def as_filter(choice: str | Filter) -> Filter:

@@ -22,7 +22,8 @@ class Mode:
     description : str
         What it shows, for listings.
     endpoints : bool
-        Whether it also wants the function where the ray enters and leaves the volume.
+        Whether it also wants the function where the ray enters and leaves the volume, a thousandth
+        of a step inside.
     automatic : bool
         Whether the automatic transfer function is one of opacities; else a grey ramp.
     """

@@ -189,7 +189,7 @@ def _shape(size: Size, least: int) -> tuple[int, int, int]:
         raise OptionError(wanted)
     sizes = (size,) * 3 if isinstance(size, (int, np.integer)) else size
     try:
-        nz, ny, nx = sizes  # type: ignore[misc]  # anything else is caught
+        nz, ny, nx = sizes
     except (TypeError, ValueError):
         raise OptionError(wanted) from None
     for n in (nz, ny, nx):

@@ -36,7 +36,7 @@ def extend(
         one = [(0, 0)] * data.ndim
         one[axis] = (before, after)
         # reflecting a single sample about itself gives that sample again
-        mode = "edge" if name == "mirror" and data.shape[axis] == 1 else _MODES[name]
+        mode: Any = "edge" if name == "mirror" and data.shape[axis] == 1 else _MODES[name]
         data = np.pad(data, one, mode=mode)
     return data
 

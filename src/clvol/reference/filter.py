@@ -59,7 +59,7 @@ def _closed_form(row: Filter) -> Closed | None:
         b, c = {
             "mitchell": (Fraction(1, 3), Fraction(1, 3)),
             "catmull-rom": (Fraction(0), Fraction(1, 2)),
-        }.get(name) or map(Fraction, name[3:-1].split(","))
+        }.get(name) or (Fraction(v) if "/" in v else Fraction(float(v)) for v in name[3:-1].split(","))
         made, closed = bc(b, c), _bc(float(b), float(c))
     elif name == "omoms3":
         made, closed = _omoms3_row(), _omoms3

@@ -100,7 +100,7 @@ def _solve(lines: Array, b: Array, boundary: str | Boundary) -> Array:
         for i, j, v in entries:
             if j >= 0:
                 matrix[i, j] += v
-        return np.linalg.solve(matrix, lines)
+        return np.asarray(np.linalg.solve(matrix, lines), dtype=np.float64)
     band, corner = np.zeros((2 * k + 1, n)), np.zeros((n, n if k else 0))
     corner_rows = [*range(k), *range(n - k, n)]
     for i, j, v in entries:
@@ -110,9 +110,9 @@ def _solve(lines: Array, b: Array, boundary: str | Boundary) -> Array:
             band[k + i - j, j] += v
         else:
             corner[i, j] += v
-    solved = linalg.solve_banded((k, k), band, lines)
+    solved: Array = np.asarray(linalg.solve_banded((k, k), band, lines), dtype=np.float64)
     if not corner.any():
-        return np.asarray(solved)
+        return solved
     # Woodbury: (B + E C)^-1 p = B^-1 p - B^-1 E (1 + C B^-1 E)^-1 C B^-1 p, E: the corners' rows
     some = corner[corner_rows]
     spread = linalg.solve_banded((k, k), band, np.eye(n)[:, corner_rows])

@@ -105,7 +105,9 @@ def magnify(
     return resample(volume, like=fine, filter=filter, boundary=boundary)
 
 
-def _at_indices(data: NDArray[np.generic], index: Array, row: Filter, boundary: str | Boundary, derivative: int) -> Array:
+def _at_indices(
+    data: NDArray[np.generic], index: Array, row: Filter, boundary: str | Boundary, derivative: int
+) -> Array:
     """Derivatives per sample at finite index positions of shape (N, d), x first."""
     d, scale = data.ndim, row.scale
     by = row.magnified_by

@@ -1,0 +1,357 @@
+"""The ``clvol`` command: pictures, comparisons, resampling, and what is installed.
+
+Exit codes: 0 done, 1 the request failed (the reason is on standard error), 2 the command line is wrong,
+130 interrupted.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from cyclopts import App, CycloptsError, Parameter
+
+import clvol
+from clvol.errors import ClvolError, OptionError
+
+app = App(
+    name="clvol", help="Volume rendering and reconstruction with B-splines, on OpenCL.", version=lambda: version("clvol"),
+    default_parameter=Parameter(negative_iterable=()),
+)  # fmt: skip
+
+Projection = Literal["perspective", "orthographic"]
+
+
+@Parameter(name="*")
+@dataclass
+class Input:
+    """How INPUT is read."""
+
+    shape: Annotated[tuple[int, int, int] | None, Parameter(help="Samples along z, y, x of a raw file.")] = None
+    dtype: Annotated[str | None, Parameter(help="Sample type of a raw file, such as uint16 or '>f4'.")] = None
+    spacing: Annotated[tuple[float, float, float] | None, Parameter(help="Spacing along x, y, z, instead of the file's.")] = None
+    fill_nan: Annotated[float | None, Parameter(help="Value that replaces NaN and infinite samples.")] = None
+
+    def read(self, source: str) -> clvol.Volume:
+        if source.startswith("phantom:"):
+            return clvol.phantoms.by_name(source.removeprefix("phantom:"))
+        options = {"shape": self.shape, "dtype": self.dtype, "spacing": self.spacing}
+        volume = clvol.read(source, **{k: v for k, v in options.items() if v is not None})  # type: ignore[arg-type]  # by name
+        return volume if self.fill_nan is None else volume.filled(self.fill_nan)
+
+
+@Parameter(name="*")
+@dataclass
+class Look:
+    """How a picture is made."""
+
+    mode: Annotated[str, Parameter(help="composite, isosurface, mip, minip or mean.")] = "composite"
+    boundary: Annotated[str, Parameter(help="mirror, reflect, wrap or zero.")] = "mirror"
+    step: Annotated[float, Parameter(help="The most that a ray advances between samples, in voxels.")] = 0.5
+    samples: Annotated[int, Parameter(help="Rays a pixel.")] = 1
+    isovalue: Annotated[float | None, Parameter(help="Of the surface; default: parts the histogram in two.")] = None
+    cmap: Annotated[str | None, Parameter(help="Colour map by name, instead of the automatic colours.")] = None
+    value_range: Annotated[tuple[float, float] | None, Parameter(help="Values that the colour map spans.")] = None
+    opacity: Annotated[tuple[float, ...] | None, Parameter(help="value opacity value opacity ...", consume_multiple=True)] = None
+    color: Annotated[str, Parameter(help="Of an isosurface: a name or hex code.")] = "#eddec2"
+    background: Annotated[str, Parameter(help="A name, a hex code, or 'none'.")] = "black"
+    shading: Annotated[bool, Parameter(help="Light by the gradient.")] = True
+    gradient: Annotated[Literal["analytic", "central"], Parameter(help="What lighting uses.")] = "analytic"
+    azimuth: Annotated[float, Parameter(help="Degrees about the z axis.")] = 30.0
+    elevation: Annotated[float, Parameter(help="Degrees above the xy plane.")] = 20.0
+    zoom: float = 1.0
+    projection: Projection = "perspective"
+    evaluator: Annotated[Literal["auto", "taps", "eight-fetch"], Parameter(help="How the spline is evaluated.")] = "auto"
+    fetch: Annotated[Literal["auto", "buffer", "image"], Parameter(help="Where coefficients are read from.")] = "auto"
+
+    def options(self, volume: clvol.Volume) -> dict[str, Any]:
+        return {
+            "camera": clvol.Camera.orbit(self.azimuth, self.elevation, zoom=self.zoom, projection=self.projection),
+            "mode": self.mode, "step": self.step, "samples": self.samples, "isovalue": self.isovalue,
+            "transfer": self._transfer(volume), "color": self.color, "shading": self.shading, "gradient": self.gradient,
+            "background": None if self.background == "none" else self.background, "evaluator": self.evaluator, "fetch": self.fetch,
+        }  # fmt: skip
+
+    def _transfer(self, volume: clvol.Volume) -> clvol.TransferFunction | None:
+        if self.cmap is None and self.value_range is None and self.opacity is None:
+            return None
+        if self.opacity is not None and len(self.opacity) % 2:
+            raise OptionError(f"--opacity takes pairs of a value and an opacity; got {len(self.opacity)} numbers")
+        numbers = self.opacity or ()
+        points = tuple(zip(numbers[0::2], numbers[1::2], strict=True))
+        if not points:
+            automatic = clvol.TransferFunction.automatic(volume).opacities
+            points = tuple((v, a) for v, a in automatic) if self.mode == "composite" else ()
+        return clvol.TransferFunction.from_cmap(self.cmap or "gray", self.value_range or volume.value_range, points or 1.0)
+
+
+Json = Annotated[bool, Parameter(name="--json", negative="", help="Print what a program would read.")]
+Output = Annotated[Path, Parameter(name=["--output", "-o"], help="The file to write.")]
+Size = Annotated[tuple[int, int], Parameter(help="Width and height in pixels.")]
+DeviceName = Annotated[str | None, Parameter(help="Number, 'cpu', 'gpu' or part of a name; see 'clvol devices'.")]
+Filters = Annotated[tuple[str, ...], Parameter(help="Filters, one picture each.", consume_multiple=True)]
+
+
+@app.command
+def render(
+    source: str, *, output: Output, filter: str = "bspline3", size: Size = (512, 512), device: DeviceName = None,
+    input: Input | None = None, look: Look | None = None, json: Json = False,
+) -> None:  # fmt: skip
+    """Make a picture of a volume.
+
+    Parameters
+    ----------
+    source
+        A volume file, a DICOM folder, or phantom:NAME[:SIZE].
+    filter
+        How it is reconstructed between its samples; see 'clvol filters'.
+    """
+    look = look or Look()
+    volume = (input or Input()).read(source)
+    with _progress("rendering", json) as progress:
+        options = look.options(volume)
+        picture = clvol.render(volume, filter=filter, boundary=look.boundary, size=size, device=device, progress=progress, **options)
+    _say(json, {"output": str(clvol.save(picture, output)), "size": list(size), "filter": filter, "mode": look.mode})
+
+
+@app.command
+def compare(
+    source: str, *, output: Output, filters: Filters = (), pixels: int = 384, device: DeviceName = None,
+    input: Input | None = None, look: Look | None = None, json: Json = False,
+) -> None:  # fmt: skip
+    """Draw a volume by several filters side by side.
+
+    Parameters
+    ----------
+    source
+        A volume file, a DICOM folder, or phantom:NAME[:SIZE].
+    pixels
+        Width and height of each picture.
+    """
+    from clvol import figures
+
+    volume, look = (input or Input()).read(source), look or Look(mode="isosurface")
+    names = filters or figures.FIGURE_6
+    with _progress("comparing", json) as progress:
+        options = {"boundary": look.boundary, **look.options(volume)}
+        _, sheet = figures.compare(volume, names, pixels, device=device, progress=progress, **options)
+    _say(json, {"output": str(clvol.save(sheet, output)), "filters": list(names)})
+
+
+@app.command
+def figure6(
+    *, output: Output = Path("figure6.png"), samples: int = 40, pixels: int = 512, device: DeviceName = None, json: Json = False
+) -> None:
+    """Make Figure 6 of the paper: the Marschner-Lobb function by six filters, each with its errors.
+
+    Parameters
+    ----------
+    samples
+        Of the function along each axis.
+    pixels
+        Width and height of each panel.
+    """
+    from clvol import figures
+
+    with _progress("figure 6", json) as progress:
+        panels, sheet = figures.figure6(samples, pixels, device=device, progress=progress)
+    _say(json, {"output": str(clvol.save(sheet, output)), "panels": [p.numbers() for p in panels]}, [p.label.replace("\n", ": ") for p in panels if p.rms is not None])
+
+
+@app.command
+def info(source: str, *, input: Input | None = None, json: Json = False) -> None:
+    """Tell what a volume file holds."""
+    import numpy as np
+
+    volume = (input or Input()).read(source)
+    finite = volume.data.dtype.kind != "f" or bool(np.isfinite(volume.data).all())
+    _say(
+        json,
+        {
+            "shape": list(volume.shape), "dtype": str(volume.data.dtype), "spacing": list(volume.spacing),
+            "origin": list(volume.origin), "direction": volume.direction.tolist(), "units": volume.units,
+            "value_range": list(volume.value_range), "finite": finite, "bytes": volume.data.nbytes,
+        },
+    )  # fmt: skip
+
+
+@app.command
+def devices(*, json: Json = False) -> None:
+    """List the OpenCL devices, the one used by default first."""
+    rows = [
+        {
+            "number": i, "name": d.name, "kind": d.kind, "platform": d.platform, "memory_mib": d.handle.global_mem_size >> 20,
+            "images": bool(d.handle.image_support),
+        }
+        for i, d in enumerate(clvol.devices())
+    ]  # fmt: skip
+    if not rows:
+        from clvol.device import as_device
+
+        as_device()  # raises, and says what to install
+    if json:
+        _print_json(rows)
+    else:
+        _table(["", "name", "kind", "platform", "memory", "images"], [
+            [str(r["number"]), str(r["name"]), str(r["kind"]), str(r["platform"]), f"{r['memory_mib']} MiB", "yes" if r["images"] else "no"]
+            for r in rows
+        ])  # fmt: skip
+
+
+@app.command
+def filters(*, json: Json = False) -> None:
+    """List the reconstruction filters."""
+    table = clvol.filters()
+    if json:
+        _print_json([dict(zip(table.HEADER, row, strict=True)) for row in table.rows()])
+    else:
+        _table(list(table.HEADER), [list(row) for row in table.rows()])
+
+
+@app.command
+def resample(
+    source: str, *, output: Output, shape: Annotated[tuple[int, int, int] | None, Parameter(name="--to-shape")] = None,
+    spacing: Annotated[tuple[float, float, float] | None, Parameter(name="--to-spacing")] = None,
+    like: str | None = None, magnify: int | None = None, filter: str = "bspline3", boundary: str = "mirror",
+    fill: float | None = None, device: DeviceName = None, input: Input | None = None, json: Json = False,
+) -> None:  # fmt: skip
+    """Put a volume on another grid, as float32.
+
+    Parameters
+    ----------
+    shape
+        Samples along z, y, x.
+    spacing
+        Spacing along x, y, z.
+    like
+        A volume file whose grid is taken.
+    magnify
+        A whole factor.
+    fill
+        Value outside the volume; by default its boundary rule goes on.
+    """
+    given = [name for name, value in (("--to-shape", shape), ("--to-spacing", spacing), ("--like", like), ("--magnify", magnify)) if value is not None]
+    if len(given) != 1:
+        raise OptionError(f"give one of --to-shape, --to-spacing, --like, --magnify; got {', '.join(given) or 'none'}")
+    volume = (input or Input()).read(source)
+    with _progress("resampling", json) as progress:
+        if magnify is not None:
+            result = clvol.magnify(volume, magnify, filter, boundary, device=device, progress=progress)
+        else:
+            grid = None if like is None else Input().read(like)
+            result = clvol.resample(volume, shape, spacing, grid, filter, boundary, fill=fill, device=device, progress=progress)
+    clvol.write(result, output)
+    _say(json, {"output": str(output), "shape": list(result.shape), "spacing": list(result.spacing)})
+
+
+@app.command
+def doctor(*, json: Json = False) -> None:
+    """Find out whether OpenCL is usable here, and what to install if it is not."""
+    import numpy as np
+
+    from clvol.device import as_device
+
+    checks: list[dict[str, Any]] = []
+
+    def check(what: str, action: Callable[[], str]) -> bool:
+        try:
+            told, good = action(), True
+        except ClvolError as error:
+            told, good = str(error), False
+        checks.append({"check": what, "ok": good, "detail": told})
+        return good
+
+    def parity() -> str:
+        points = np.random.default_rng(0).uniform(0, 8, (1000, 3))
+        volume = clvol.Volume(np.random.default_rng(1).standard_normal((9, 9, 9)))
+        from clvol import reference
+
+        error = float(np.abs(clvol.sample(volume, points) - reference.sample(volume, points, "bspline3")).max())
+        if not error < 1e-4:
+            raise clvol.DeviceError(f"this device computes wrong values: off by {error:.2g}")
+        return f"greatest difference to the reference {error:.1e}"
+
+    ready = check("an OpenCL device", lambda: ", ".join(f"{d.name} ({d.platform})" for d in clvol.devices()) or str(as_device()))
+    ready = ready and check("it builds kernels", lambda: str(as_device().context and as_device().name))
+    ready = ready and check("it computes right values", parity)
+    for extra, module, what in (("medical", "SimpleITK", "NIfTI, NRRD, MetaImage, DICOM"), ("microscopy", "tifffile", "TIFF stacks")):
+        import importlib.util
+
+        there = importlib.util.find_spec(module) is not None
+        detail = what if there else f"for {what}: pip install clvol[{extra}]"
+        checks.append({"check": f"{module} (optional)", "ok": there, "detail": detail})
+    if json:
+        _print_json({"usable": ready, "checks": checks})
+    else:
+        _table(["", "check", ""], [["ok" if c["ok"] else "--", c["check"], c["detail"]] for c in checks])
+    if not ready:
+        raise SystemExit(1)
+
+
+# -- speaking ------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def _progress(what: str, quiet: bool) -> Iterator[Callable[[float], None] | None]:
+    """A bar on standard error where that is a terminal; nothing elsewhere."""
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=1.0)
+        yield lambda done: bar.update(task, completed=done)
+
+
+def _say(as_json: bool, what: dict[str, Any], lines: Sequence[str] | None = None) -> None:
+    if as_json:
+        _print_json(what)
+        return
+    for line in lines or []:
+        print(line)
+    for key, value in what.items():
+        if not (lines and isinstance(value, list)):
+            print(f"{key}: {value}")
+
+
+def _print_json(value: Any) -> None:
+    print(json.dumps(value, indent=2, default=str))
+
+
+def _table(header: list[str], rows: list[list[str]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for name in header:
+        table.add_column(name, overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    Console(width=None if sys.stdout.isatty() else 160).print(table)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command; errors that are the user's come out as one line, never as a traceback."""
+    try:
+        app(arguments, exit_on_error=False, print_error=False)
+    except CycloptsError as error:
+        print(f"clvol: {error}", file=sys.stderr)
+        raise SystemExit(2) from None
+    except ClvolError as error:
+        print(f"clvol: {error}", file=sys.stderr)
+        raise SystemExit(1) from None
+    except KeyboardInterrupt:
+        print("clvol: interrupted", file=sys.stderr)
+        raise SystemExit(130) from None
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,171 @@
+"""The paper's Figure 6, and the same comparison for any volume: filters side by side, measured where the truth is known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol import phantoms
+from clvol.camera import Camera
+from clvol.device import Device
+from clvol.filters import as_filter
+from clvol.light import Light, Material
+from clvol.picture import grid, labelled
+from clvol.reference.exact import draw_function
+from clvol.render import Renderer
+from clvol.spline import Progress, sample
+from clvol.volume import Volume
+
+__all__ = ["FIGURE_6", "Panel", "compare", "figure6"]
+
+# a) to f) of the paper's Figure 6
+FIGURE_6 = ("sinc", "nearest", "bspline3-approx", "linear", "mitchell", "bspline3")
+
+_TITLES = {
+    "sinc": "sinc, cut off at 4 samples", "nearest": "nearest neighbour", "bspline3-approx": "B-spline approximation", "linear": "trilinear",
+    "exact": "the function itself", "mitchell": "Mitchell B = C = 1/3", "bspline3": "B-spline interpolation",
+}  # fmt: skip
+_ISOVALUE = 0.5
+_BOX = ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
+_CAMERA = Camera.orbit(20, 52, zoom=1.27)
+_LIGHTS = (Light((-0.6, -0.35, 0.75)),)
+_MATERIAL = Material(ambient=0.18, diffuse=0.82, specular=0.12, shininess=25)
+_SURFACE = (0.86, 0.86, 0.84)
+_BACKGROUND = (0.06, 0.07, 0.10)
+_POINTS = 200_000
+_SEED = 1999
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One picture of a comparison, and what was measured of it.
+
+    Attributes
+    ----------
+    filter : str
+        The filter's name; "exact" for the function itself.
+    picture : ndarray
+        RGBA, float32.
+    rms : float or None
+        Root mean square error of the values at random points within 0.8 of the centre.
+    angle : float or None
+        Mean angle in degrees between the reconstruction's gradient and the true one, at the points of the
+        true surface that the picture shows.
+    """
+
+    filter: str
+    picture: NDArray[np.float32]
+    rms: float | None = None
+    angle: float | None = None
+
+    @property
+    def label(self) -> str:
+        title = _TITLES.get(self.filter, self.filter)
+        if self.rms is None or self.angle is None:
+            return f"{title}\n"  # as high as the others
+        return f"{title}\nRMS error {self.rms:.4f}   normals {self.angle:.1f}°"
+
+    def numbers(self) -> dict[str, Any]:
+        """What a program would read: everything but the picture."""
+        return {key: value for key, value in asdict(self).items() if key != "picture"}
+
+
+def figure6(
+    size: int = 40, pixels: int = 512, filters: Sequence[str] = FIGURE_6, *, samples: int = 2, step: float = 0.25,
+    device: Device | str | int | None = None, progress: Progress | None = None,
+) -> tuple[list[Panel], NDArray[np.uint8]]:  # fmt: skip
+    """Figure 6 of the paper: the Marschner-Lobb function sampled `size`³, reconstructed by each filter.
+
+    Parameters
+    ----------
+    size : int
+        Samples along each axis of [-1, 1]³.
+    pixels : int
+        Width and height of each panel.
+    filters : sequence of str
+        One panel each; the exact function is added at the end.
+    samples, step, device, progress
+        As for `Renderer.render`.
+
+    Returns
+    -------
+    panels : list of Panel
+    sheet : ndarray of uint8, shape (height, width, 3)
+        All panels, labelled with their errors.
+    """
+    volume = phantoms.marschner_lobb(size)
+    surface, picture = _exact(volume, pixels, samples)
+    points = np.random.default_rng(_SEED).uniform(-0.8, 0.8, (_POINTS, 3))
+    truth, normals = phantoms.marschner_lobb_function(points), phantoms.marschner_lobb_gradient(surface)
+    panels = []
+    for i, name in enumerate(filters):
+        report = _part(progress, i, len(filters))
+        with Renderer(volume, name, device=device) as renderer:
+            drawn = renderer.render(
+                _CAMERA, "isosurface", (pixels, pixels), step, isovalue=_ISOVALUE, color=_SURFACE, lights=_LIGHTS,
+                material=_MATERIAL, background=_BACKGROUND, clip=_BOX, samples=samples, progress=report,
+            )  # fmt: skip
+        values = sample(volume, points, name, device=device)
+        rms = float(np.sqrt(np.mean((values - truth) ** 2)))
+        panels.append(Panel(name, drawn, rms, _mean_angle(_gradients(volume, surface, name, device), normals)))
+    panels.append(Panel("exact", picture))
+    *tiles, truth_tile = [labelled(p.picture, p.label) for p in panels]
+    sheet = grid(tiles, columns=min(3, len(tiles)))
+    # the function itself stands beside them, half-way up
+    room = sheet.shape[0] - truth_tile.shape[0]
+    beside = np.pad(truth_tile, ((room // 2, room - room // 2), (12, 0), (0, 0)))
+    return panels, np.concatenate([sheet, beside], 1)
+
+
+def compare(
+    volume: Volume, filters: Sequence[str] = FIGURE_6, pixels: int = 384, *, device: Device | str | int | None = None,
+    progress: Progress | None = None, **options: Any,
+) -> tuple[list[Panel], NDArray[np.uint8]]:  # fmt: skip
+    """The same picture of a volume by each filter; `options` are those of `Renderer.render`."""
+    options.setdefault("mode", "isosurface")
+    panels = []
+    for i, name in enumerate(filters):
+        with Renderer(volume, name, device=device) as renderer:
+            drawn = renderer.render(size=(pixels, pixels), progress=_part(progress, i, len(filters)), **options)
+        panels.append(Panel(as_filter(name).name, drawn))
+    columns = min(len(panels), 3 if len(panels) % 3 == 0 else 4)
+    return panels, grid([labelled(p.picture, p.label) for p in panels], columns=columns)
+
+
+def _part(progress: Progress | None, i: int, n: int) -> Progress | None:
+    """Progress of part `i` of `n`, told as progress of the whole."""
+    return None if progress is None else lambda done: progress((i + done) / n)
+
+
+def _gradients(volume: Volume, points: NDArray[np.float64], name: str, device: Device | str | int | None) -> NDArray[np.float64]:
+    """What the picture is shaded by: the analytic gradient, or central differences where there is none."""
+    if as_filter(name).has_gradient:
+        return sample(volume, points, name, derivative=1, device=device).astype(np.float64)
+    columns = []
+    for axis in range(3):
+        shift = volume.direction[:, axis] * volume.spacing[axis]
+        ahead, behind = (sample(volume, points + sign * shift, name, device=device) for sign in (1, -1))
+        columns.append((ahead.astype(np.float64) - behind) / (2 * volume.spacing[axis]))
+    return np.stack(columns, -1) @ volume.direction.T
+
+
+def _mean_angle(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """Mean angle in degrees; a gradient of length zero has no direction and counts as 90°."""
+    lengths = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
+    cosine = np.divide((a * b).sum(-1), lengths, out=np.zeros(lengths.shape), where=lengths > 0)
+    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean())
+
+
+# -- the exact function, drawn without any samples --------------------------------------------------------
+
+
+def _exact(volume: Volume, pixels: int, samples: int) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    """Points of the true surface that the picture shows, (N, 3), and the picture."""
+    return draw_function(
+        phantoms.marschner_lobb_function, phantoms.marschner_lobb_gradient, volume, _CAMERA.view(volume), (pixels, pixels),
+        clip=_BOX, isovalue=_ISOVALUE, color=_SURFACE, lights=_LIGHTS, material=_MATERIAL, background=_BACKGROUND, samples=samples,
+    )  # fmt: skip

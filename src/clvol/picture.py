@@ -1,0 +1,91 @@
+"""Pictures as files, and pictures side by side with labels."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clvol.errors import FormatError, OptionError
+from clvol.formats._files import staged
+
+__all__ = ["grid", "labelled", "save", "to_bytes"]
+
+Picture = NDArray[np.float32]
+_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+_INK = (235, 235, 235)
+_BAND = (24, 24, 28)
+
+
+def to_bytes(picture: ArrayLike) -> NDArray[np.uint8]:
+    """A picture with values in 0..1 as eight-bit values, rounded to the nearest; one of eight bits as it is."""
+    array = np.asarray(picture)
+    if array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[2] not in (1, 3, 4)) or 0 in array.shape:
+        raise OptionError(f"a picture has shape (height, width) or (height, width, 1, 3 or 4); got {array.shape}")
+    if array.dtype == np.uint8:
+        return array
+    return np.rint(np.clip(np.nan_to_num(array), 0, 1) * 255).astype(np.uint8)
+
+
+def save(picture: ArrayLike, path: str | os.PathLike[str]) -> Path:
+    """Write a picture with values in 0..1, by suffix: .png, .tif, .bmp, or .jpg (which drops opacity).
+
+    It is written beside `path` and renamed, so that no half-written file is ever seen.
+
+    Raises
+    ------
+    FormatError
+        Unknown suffix, or it cannot be written there.
+    """
+    import imageio.v3 as iio
+
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in _SUFFIXES:
+        raise FormatError(f"pictures are written as {', '.join(_SUFFIXES)}; got {str(path)!r}")
+    data = to_bytes(picture)
+    if data.ndim == 3 and data.shape[2] == 4 and (suffix in (".jpg", ".jpeg", ".bmp") or data[..., 3].min() == 255):
+        data = data[..., :3]
+    try:
+        with staged(path, path.suffix) as temporary:
+            iio.imwrite(temporary, data)
+    except FormatError:
+        raise
+    except OSError as error:
+        raise FormatError(f"{str(path)!r} cannot be written: {error}") from error
+    return path
+
+
+def labelled(picture: ArrayLike, text: str) -> NDArray[np.uint8]:
+    """A picture with a line or lines of text in a band beneath it; (height + band, width, 3) uint8."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    data = to_bytes(picture)
+    data = np.repeat(data[..., None], 3, 2) if data.ndim == 2 else data[..., :3]
+    height, width = data.shape[:2]
+    size = max(9, round(width / 24))
+    font: Any = ImageFont.load_default(size)
+    lines = text.split("\n")
+    band = Image.new("RGB", (width, round(size * (1.4 * len(lines) + 0.6))), _BAND)
+    draw = ImageDraw.Draw(band)
+    for i, line in enumerate(lines):
+        draw.text((width / 2, size * (1.0 + 1.4 * i)), line, fill=_INK, font=font, anchor="mm")
+    return np.concatenate([data, np.asarray(band)], 0)
+
+
+def grid(pictures: Sequence[ArrayLike], columns: int, gap: int = 4) -> NDArray[np.uint8]:
+    """Pictures of one size in rows of `columns`, the last row filled with black."""
+    tiles = [np.asarray(p) for p in pictures]
+    if not tiles or len({t.shape for t in tiles}) != 1:
+        raise OptionError(f"a grid takes one or more pictures of one shape; got {[t.shape for t in tiles]}")
+    height, width, channels = tiles[0].shape
+    rows = -(-len(tiles) // columns)
+    sheet = np.zeros((rows * (height + gap) - gap, columns * (width + gap) - gap, channels), tiles[0].dtype)
+    for i, tile in enumerate(tiles):
+        y, x = i // columns * (height + gap), i % columns * (width + gap)
+        sheet[y : y + height, x : x + width] = tile
+    return sheet

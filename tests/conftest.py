@@ -1,0 +1,45 @@
+"""Fixtures that every test file may ask for."""
+
+from __future__ import annotations
+
+import importlib
+import os
+
+import pytest
+
+from clvol.device import Device, devices
+from clvol.errors import DeviceError
+
+
+def _found() -> list[Device]:
+    try:
+        return devices()
+    except DeviceError:
+        return []
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """A test that takes `device` runs on every OpenCL device found."""
+    if "device" in metafunc.fixturenames:
+        found = _found()
+        ids = [f"{d.platform} {d.name}".replace("::", ":") for d in found] or ["no device"]
+        metafunc.parametrize("device", found or [None], ids=ids, indirect=True, scope="session")
+
+
+@pytest.fixture(scope="session")
+def device(request: pytest.FixtureRequest) -> Device:
+    """An OpenCL device; a machine without one fails, so that a green run always means that kernels ran."""
+    if request.param is None:
+        if os.environ.get("CLVOL_ALLOW_NO_DEVICE") == "1":
+            pytest.skip("no OpenCL device, and CLVOL_ALLOW_NO_DEVICE=1")
+        pytest.fail("no OpenCL device was found: pip install clvol[pocl], or set CLVOL_ALLOW_NO_DEVICE=1 to skip")
+    found: Device = request.param
+    found.require_usable()
+    return found
+
+
+@pytest.fixture
+def own_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The table of filters may be changed; it is put back."""
+    table = importlib.import_module("clvol.filters")  # clvol.filters is the function of that name
+    monkeypatch.setattr(table, "_TABLE", dict(table._TABLE))
