@@ -7,7 +7,7 @@
 // if it is zero; period: see Boundary.length.
 #define MISSING INT_MIN
 
-inline int boundary_index(int i, int halo, int end, int period)
+INLINE int boundary_index(int i, int halo, int end, int period)
 {
 #if BOUNDARY_PERIODIC
     const int p = period * GRID_SCALE;
@@ -25,10 +25,12 @@ inline int boundary_index(int i, int halo, int end, int period)
 
 // Brings a position (in samples) within one period of the axis, exactly where the rule repeats and
 // to where nothing is left where it does not; keeps it finite.
-inline coord boundary_position(coord x, int n, int period)
+INLINE coord boundary_position(coord x, int n, int period)
 {
 #if BOUNDARY_PERIODIC
-    return (x >= (coord)(-n) && x <= (coord)(2 * n)) ? x : x - period * floor(x / period);
+    // clamped, since so far out that a period is less than the rounding the difference may be anything
+    return (x >= (coord)(-n) && x <= (coord)(2 * n)) ? x
+        : clamp(x - period * floor(x / period), (coord)0, (coord)period);
 #else
     return clamp(x, (coord)(-2 * TAPS - 2), (coord)(n + 2 * TAPS + 2));
 #endif

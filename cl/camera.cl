@@ -9,7 +9,7 @@ typedef struct {
     mask hits;
 } ray_t;
 
-inline void clip_axis(real origin, real direction, float low, float high, real *enter, real *leave)
+INLINE void clip_axis(real origin, real direction, float low, float high, real *enter, real *leave)
 {
     const real d = choose(fabs(direction) < 1e-12f, (real)(1e-12f), direction);
     const real a = (low - origin) / d, b = (high - origin) / d;
@@ -17,9 +17,9 @@ inline void clip_axis(real origin, real direction, float low, float high, real *
     *leave = fmin(*leave, fmax(a, b));
 }
 
-inline real axis_of(real3 v, int axis) { return axis == 0 ? v.x : axis == 1 ? v.y : v.z; }
+INLINE real axis_of(real3 v, int axis) { return axis == 0 ? v.x : axis == 1 ? v.y : v.z; }
 
-inline ray_t pixel_ray(constant frame_t *frame, real px, real py)
+INLINE ray_t pixel_ray(constant frame_t *frame, real px, real py)
 {
     ray_t ray;
 #define PIXEL(field, i) madd(px, frame->field##_u[i], madd(py, (real)(frame->field##_v[i]), (real)(frame->field[i])))

@@ -4,9 +4,23 @@
 #pragma OPENCL FP_CONTRACT ON
 #define madd(a, b, c) ((a) * (b) + (c))
 
+#define PASTE_(a, b) a##b
+#define PASTE(a, b) PASTE_(a, b)
+
+// What runs once a sample or once a tap is inlined, and calls no built-in function: where PoCL does not
+// know the processor (3.0 on AMD's Zen 4, say) it leaves every vload, floor and select a call.
+#define INLINE static inline __attribute__((always_inline))
+
 #if COORD_DOUBLE
 #pragma OPENCL EXTENSION cl_khr_fp64 : enable
 typedef double coord;
 #else
 typedef float coord;
 #endif
+
+// The greatest whole number below, for what fits an int.
+INLINE coord whole_below(coord x)
+{
+    const coord i = (coord)(int)x;
+    return x < i ? i - 1 : i;
+}

@@ -12,21 +12,24 @@
 constant sampler_t texel_sampler = CLK_NORMALIZED_COORDS_FALSE | CLK_ADDRESS_CLAMP_TO_EDGE | CLK_FILTER_NEAREST;
 constant sampler_t linear_sampler = CLK_NORMALIZED_COORDS_FALSE | CLK_ADDRESS_CLAMP_TO_EDGE | CLK_FILTER_LINEAR;
 
-inline float fetch_one(VOLUME_PARAMS, int x, int y, int z)
+INLINE float fetch_one(VOLUME_PARAMS, int x, int y, int z)
 {
     return read_imagef(coefficients, texel_sampler, (int4)(x, y, z, 0)).x;
 }
 
-inline row_t fetch_row(VOLUME_PARAMS, int x, int y, int z)
+typedef int4 cursor_t;
+INLINE cursor_t cursor_at(VOLUME_PARAMS, int x, int y, int z) { return (int4)(x, y, z, 0); }
+
+INLINE row_t fetch_row(VOLUME_PARAMS, cursor_t c, int i, int j, int k)
 {
-    float row[ROW];
+    row_u taps;
 #pragma unroll
-    for (int i = 0; i < ROW; ++i)
-        row[i] = fetch_one(VOLUME, x + i, y, z);
-    return LOAD_ROW(row);
+    for (int n = 0; n < ROW; ++n)
+        taps.each[n] = fetch_one(VOLUME, c.x + i + n, c.y + j, c.z + k);
+    return taps.row;
 }
 
-inline float fetch_linear(VOLUME_PARAMS, float x, float y, float z)
+INLINE float fetch_linear(VOLUME_PARAMS, float x, float y, float z)
 {
     return read_imagef(coefficients, linear_sampler, (float4)(x + 0.5f, y + 0.5f, z + 0.5f, 0.0f)).x;
 }
@@ -36,33 +39,43 @@ inline float fetch_linear(VOLUME_PARAMS, float x, float y, float z)
 #define VOLUME_PARAMS global const float *restrict coefficients, const int4 extent
 #define VOLUME coefficients, extent
 
-inline size_t offset_of(const int4 extent, int x, int y, int z)
+INLINE size_t offset_of(const int4 extent, int x, int y, int z)
 {
     return ((size_t)z * extent.y + y) * extent.x + x;
 }
 
-inline float fetch_one(VOLUME_PARAMS, int x, int y, int z)
+INLINE float fetch_one(VOLUME_PARAMS, int x, int y, int z)
 {
     return coefficients[offset_of(extent, x, y, z)];
 }
 
-inline row_t fetch_row(VOLUME_PARAMS, int x, int y, int z)
+// Where a block of taps begins, so that its rows are reached by additions.
+typedef global const float *cursor_t;
+INLINE cursor_t cursor_at(VOLUME_PARAMS, int x, int y, int z) { return coefficients + offset_of(extent, x, y, z); }
+
+INLINE row_t fetch_row(VOLUME_PARAMS, cursor_t c, int i, int j, int k)
 {
-    return LOAD_ROW(coefficients + offset_of(extent, x, y, z));
+    const size_t row = extent.x, slice = row * extent.y;
+    return *(global const row_at_t *)(c + (k * slice + j * row + i));
 }
 
-inline float fetch_linear(VOLUME_PARAMS, float x, float y, float z)
+INLINE float fetch_linear(VOLUME_PARAMS, float x, float y, float z)
 {
-    const float fx = floor(x), fy = floor(y), fz = floor(z);
+    const float fx = (float)(int)x, fy = (float)(int)y, fz = (float)(int)z;   // never negative
     const float tx = x - fx, ty = y - fy;
     global const float *p = coefficients + offset_of(extent, (int)fx, (int)fy, (int)fz);
     global const float *q = p + extent.x;
-    float plane = mix(mix(p[0], p[1], tx), mix(q[0], q[1], tx), ty);
+#define MIX(a, b, t) madd(t, (b) - (a), a)
+#define MIX_PLANE MIX(MIX(p[0], p[1], tx), MIX(q[0], q[1], tx), ty)
+    float plane = MIX_PLANE;
 #if DIMENSIONS == 3
     p += (size_t)extent.x * extent.y;
     q = p + extent.x;
-    plane = mix(plane, mix(mix(p[0], p[1], tx), mix(q[0], q[1], tx), ty), z - fz);
+    const float above = MIX_PLANE;
+    plane = MIX(plane, above, z - fz);
 #endif
+#undef MIX_PLANE
+#undef MIX
     return plane;
 }
 

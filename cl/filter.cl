@@ -4,41 +4,35 @@
 // coefficients of t^k of all taps, zero past TAPS; ROW, the vector width that covers them, or 8 if
 // they are more, and CHUNKS, how many such vectors do. (PoCL 3.0 aborts on float16 for some processors.)
 
-#define PASTE_(a, b) a##b
-#define PASTE(a, b) PASTE_(a, b)
-
 #if ROW == 1
 typedef float row_t;
-#define LOAD_ROW(p) (*(p))
-#define STORE_ROW(v, p) (*(p) = (v))
 #else
 typedef PASTE(float, ROW) row_t;
-#define LOAD_ROW(p) PASTE(vload, ROW)(0, p)
-#define STORE_ROW(v, p) PASTE(vstore, ROW)(v, 0, p)
 #endif
+// the same at any address that is a multiple of four
+typedef row_t row_at_t __attribute__((aligned(4)));
+typedef union { row_t row; float each[ROW]; } row_u;
 
-constant float filter_columns[DEGREE + 1][CHUNKS * ROW] = FILTER_COLUMNS;
-
-#define COLUMN(k, chunk) LOAD_ROW(filter_columns[k] + (chunk) * ROW)
+constant row_t filter_columns[DEGREE + 1][CHUNKS] = FILTER_COLUMNS;
 
 // One chunk of the taps, by Horner's rule in the fractional position t.
-inline row_t tap_weights(float t, int chunk)
+INLINE row_t tap_weights(float t, int chunk)
 {
-    row_t w = COLUMN(DEGREE, chunk);
+    row_t w = filter_columns[DEGREE][chunk];
 #pragma unroll
     for (int k = DEGREE - 1; k >= 0; --k)
-        w = madd(w, (row_t)(t), COLUMN(k, chunk));
+        w = madd(w, (row_t)(t), filter_columns[k][chunk]);
     return w;
 }
 
 // The same, differentiated once ...
-inline row_t tap_slopes(float t, int chunk)
+INLINE row_t tap_slopes(float t, int chunk)
 {
 #if DEGREE >= 1
-    row_t w = COLUMN(DEGREE, chunk) * (float)DEGREE;
+    row_t w = filter_columns[DEGREE][chunk] * (float)DEGREE;
 #pragma unroll
     for (int k = DEGREE - 1; k >= 1; --k)
-        w = madd(w, (row_t)(t), COLUMN(k, chunk) * (float)k);
+        w = madd(w, (row_t)(t), filter_columns[k][chunk] * (float)k);
     return w;
 #else
     return (row_t)(0.0f);
@@ -46,13 +40,13 @@ inline row_t tap_slopes(float t, int chunk)
 }
 
 // ... and twice.
-inline row_t tap_bends(float t, int chunk)
+INLINE row_t tap_bends(float t, int chunk)
 {
 #if DEGREE >= 2
-    row_t w = COLUMN(DEGREE, chunk) * (float)(DEGREE * (DEGREE - 1));
+    row_t w = filter_columns[DEGREE][chunk] * (float)(DEGREE * (DEGREE - 1));
 #pragma unroll
     for (int k = DEGREE - 1; k >= 2; --k)
-        w = madd(w, (row_t)(t), COLUMN(k, chunk) * (float)(k * (k - 1)));
+        w = madd(w, (row_t)(t), filter_columns[k][chunk] * (float)(k * (k - 1)));
     return w;
 #else
     return (row_t)(0.0f);
@@ -60,7 +54,7 @@ inline row_t tap_bends(float t, int chunk)
 }
 
 // The sum of a row, by halves: one order of additions on every device.
-inline float row_sum(row_t v)
+INLINE float row_sum(row_t v)
 {
 #if ROW == 1
     return v;
@@ -80,11 +74,15 @@ inline float row_sum(row_t v)
 #define WEIGHTS (CHUNKS * ROW)
 
 // All taps one by one, and their derivatives.
-#define UNPACK(name, of)                                   \
-    inline void name(float t, float w[WEIGHTS])            \
-    {                                                      \
-        _Pragma("unroll") for (int i = 0; i < CHUNKS; ++i) \
-            STORE_ROW(of(t, i), w + i * ROW);              \
+#define UNPACK(name, of)                                     \
+    INLINE void name(float t, float w[WEIGHTS])              \
+    {                                                        \
+        _Pragma("unroll") for (int i = 0; i < CHUNKS; ++i) { \
+            row_u taps;                                      \
+            taps.row = of(t, i);                             \
+            _Pragma("unroll") for (int k = 0; k < ROW; ++k)  \
+                w[i * ROW + k] = taps.each[k];               \
+        }                                                    \
     }
 UNPACK(unpack_weights, tap_weights)
 UNPACK(unpack_slopes, tap_slopes)

@@ -2,14 +2,14 @@
 
 // Set by the host: LEFT = TAPS/2 - 1, exactly, as a floating constant.
 
-inline int locate_axis(coord x, float *t)
+INLINE int locate_axis(coord x, float *t)
 {
-    const coord u = x * GRID_SCALE - (coord)LEFT, base = floor(u);
+    const coord u = x * GRID_SCALE - (coord)LEFT, base = whole_below(u);
     *t = (float)(u - base);
     return (int)base;
 }
 
-inline cell_t locate(coord x, coord y, coord z, int halo)
+INLINE cell_t locate(coord x, coord y, coord z, int halo)
 {
     cell_t c;
     c.x = locate_axis(x, &c.tx) + halo;

@@ -25,21 +25,21 @@
 #define SCENE_PARAMS VOLUME_PARAMS, constant frame_t *frame, global const float4 *table, const ray_t *ray
 #define SCENE VOLUME, frame, table, ray
 
-inline float value_one(VOLUME_PARAMS, float x, float y, float z)
+INLINE float value_one(VOLUME_PARAMS, float x, float y, float z)
 {
     return sample_value(VOLUME, locate(x, y, z, extent.w));
 }
 
 // The value some samples away: the same fraction of another cell. (Adding to the position would round, and
 // where the function jumps the neighbour would at times be the wrong one.)
-inline float value_beside(VOLUME_PARAMS, cell_t c, int x, int y, int z)
+INLINE float value_beside(VOLUME_PARAMS, cell_t c, int x, int y, int z)
 {
     c.x += x * GRID_SCALE; c.y += y * GRID_SCALE; c.z += z * GRID_SCALE;
     return sample_value(VOLUME, c);
 }
 
 // Per sample, not per stored coefficient.
-inline gradient_t gradient_one(VOLUME_PARAMS, float x, float y, float z)
+INLINE gradient_t gradient_one(VOLUME_PARAMS, float x, float y, float z)
 {
     gradient_t g;
     const cell_t c = locate(x, y, z, extent.w);
@@ -68,7 +68,7 @@ inline gradient_t gradient_one(VOLUME_PARAMS, float x, float y, float z)
             do_one(px[i], py[i], pz[i], i)
 #endif
 
-inline real value_at(SCENE_PARAMS, real t, mask active)
+INLINE real value_at(SCENE_PARAMS, real t, mask active)
 {
     const real3 p = at3(ray->origin, ray->direction, t);
     float value[LANES] = { 0.0f };
@@ -83,7 +83,7 @@ inline real value_at(SCENE_PARAMS, real t, mask active)
 }
 
 // The gradient per world unit, in world directions.
-inline real3 gradient_at(SCENE_PARAMS, real t, mask active)
+INLINE real3 gradient_at(SCENE_PARAMS, real t, mask active)
 {
     const real3 p = at3(ray->origin, ray->direction, t);
     float gx[LANES] = { 0.0f }, gy[LANES] = { 0.0f }, gz[LANES] = { 0.0f };
@@ -101,7 +101,7 @@ inline real3 gradient_at(SCENE_PARAMS, real t, mask active)
 
 // -- the loop ------------------------------------------------------------------------------------------------
 
-inline void store_lane(constant frame_t *frame, const int x, const int y, float4 color, float t, float3 normal, float3 place,
+INLINE void store_lane(constant frame_t *frame, const int x, const int y, float4 color, float t, float3 normal, float3 place,
                        global float4 *rgba, global float *depth, global float *normals, global float *positions)
 {
     const size_t pixel = (size_t)y * frame->width + x;
@@ -146,7 +146,7 @@ kernel void march(VOLUME_PARAMS, constant frame_t *frame, global const float4 *t
         t = fmin(fmax(t, enter), leave);
 #endif
         const mask done = gather(&state, SCENE, t, value_at(SCENE, t, active), active);
-        going = going & !done;
+        going = going & (!done);
     }
     real t;
     const color_t color = finish(&state, SCENE, &t);

@@ -18,7 +18,7 @@
 #endif
 
 // Outside the domain every tap asks the boundary rule for its place: slow, right everywhere.
-inline float outer_blend(VOLUME_PARAMS, cell_t cell, int4 period,
+INLINE float outer_blend(VOLUME_PARAMS, cell_t cell, int4 period,
                          const float *wx, const float *wy, const float *wz)
 {
     const int halo = extent.w;
@@ -43,7 +43,7 @@ inline float outer_blend(VOLUME_PARAMS, cell_t cell, int4 period,
     return sum;
 }
 
-inline void axis_weights(float t, float w[3][WEIGHTS])
+INLINE void axis_weights(float t, float w[3][WEIGHTS])
 {
     unpack_weights(t, w[0]);
     unpack_slopes(t, w[1]);
@@ -51,7 +51,7 @@ inline void axis_weights(float t, float w[3][WEIGHTS])
 }
 
 // One blend for each component, with the weights, slopes or second derivatives that it takes.
-inline void outer_sample(VOLUME_PARAMS, cell_t c, int4 period, float *value, gradient_t *g, hessian_t *h)
+INLINE void outer_sample(VOLUME_PARAMS, cell_t c, int4 period, float *value, gradient_t *g, hessian_t *h)
 {
     float x[3][WEIGHTS], y[3][WEIGHTS], z[3][WEIGHTS];
     axis_weights(c.tx, x);
@@ -74,13 +74,13 @@ inline void outer_sample(VOLUME_PARAMS, cell_t c, int4 period, float *value, gra
 
 // One result, in world units. w: the rows of world_to_index, so index_j = sum_i w[3 j + i] world_i.
 // Outside the domain the boundary rule holds, or, if FILL is set, the result is `fill`.
-inline void sample_into(VOLUME_PARAMS, coord x, coord y, coord z, int4 size, int4 period, constant coord *w,
+INLINE void sample_into(VOLUME_PARAMS, coord x, coord y, coord z, int4 size, int4 period, constant coord *w,
                         const float fill, global float *result)
 {
     float value = 0.0f;
     gradient_t g = { 0.0f, 0.0f, 0.0f };
     hessian_t h = { 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f };
-    if (isfinite(x) && isfinite(y) && isfinite(z)) {
+    if (x - x == 0 && y - y == 0 && z - z == 0) {   // finite
         const int inside = x >= -0.5f && x <= size.x - 0.5f && y >= -0.5f && y <= size.y - 0.5f
             && (DIMENSIONS == 2 || (z >= -0.5f && z <= size.z - 0.5f));
         if (inside) {

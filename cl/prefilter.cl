@@ -12,25 +12,33 @@
 
 constant float poles[POLES] = POLE_VALUES;
 
-inline float8 load_lanes(global const float *p, const ulong lane_stride)
+typedef float8 lanes_t __attribute__((aligned(4)));
+
+INLINE float8 load_lanes(global const float *p, const ulong lane_stride)
 {
 #if LANE_STRIDE_ONE
-    return vload8(0, p);
+    return *(global const lanes_t *)p;
 #else
     const size_t s = lane_stride;
     return (float8)(p[0], p[s], p[2 * s], p[3 * s], p[4 * s], p[5 * s], p[6 * s], p[7 * s]);
 #endif
 }
 
-inline void store_lanes(float8 v, global float *p, const ulong lane_stride, const int lanes)
+INLINE void store_lanes(float8 v, global float *p, const ulong lane_stride, const int lanes)
 {
 #if LANE_STRIDE_ONE
-    vstore8(v, 0, p);
+    *(global lanes_t *)p = v;
 #else
-    float each[8];
-    vstore8(v, 0, each);
-    for (int i = 0; i < lanes; ++i)
-        p[i * lane_stride] = each[i];
+    union { float8 v; float each[8]; } u;
+    u.v = v;
+    if (lanes == 8) {
+#pragma unroll
+        for (int i = 0; i < 8; ++i)
+            p[i * lane_stride] = u.each[i];
+    } else {
+        for (int i = 0; i < lanes; ++i)
+            p[i * lane_stride] = u.each[i];
+    }
 #endif
 }
 

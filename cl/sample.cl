@@ -25,8 +25,9 @@ typedef struct { float xx, yy, zz, xy, xz, yz; } hessian_t;
 
 // -- direct taps: rows of taps, blended along y and z, then dotted with the weights along x ----------------
 
-inline float taps_value(VOLUME_PARAMS, cell_t c)
+INLINE float taps_value(VOLUME_PARAMS, cell_t c)
 {
+    const cursor_t first = cursor_at(VOLUME, c.x, c.y, c.z);
     float wy[WEIGHTS], wz[WEIGHTS], value = 0.0f;
     unpack_weights(c.ty, wy);
     SLICE(unpack_weights, c.tz, wz, 1.0f);
@@ -38,7 +39,7 @@ inline float taps_value(VOLUME_PARAMS, cell_t c)
             row_t plane = (row_t)(0.0f);
 #pragma unroll
             for (int j = 0; j < TAPS; ++j)
-                plane = madd(wy[j], fetch_row(VOLUME, c.x + i * ROW, c.y + j, c.z + k), plane);
+                plane = madd(wy[j], fetch_row(VOLUME, first, i * ROW, j, k), plane);
             sum = madd(wz[k], plane, sum);
         }
         value += row_sum(sum * tap_weights(c.tx, i));
@@ -46,8 +47,9 @@ inline float taps_value(VOLUME_PARAMS, cell_t c)
     return value;
 }
 
-inline gradient_t taps_gradient(VOLUME_PARAMS, cell_t c, float *value)
+INLINE gradient_t taps_gradient(VOLUME_PARAMS, cell_t c, float *value)
 {
+    const cursor_t first = cursor_at(VOLUME, c.x, c.y, c.z);
     float wy[WEIGHTS], wz[WEIGHTS], sy[WEIGHTS], sz[WEIGHTS];
     gradient_t g = { 0.0f, 0.0f, 0.0f };
     unpack_weights(c.ty, wy);
@@ -63,7 +65,7 @@ inline gradient_t taps_gradient(VOLUME_PARAMS, cell_t c, float *value)
             row_t plane = (row_t)(0.0f), plane_y = plane;
 #pragma unroll
             for (int j = 0; j < TAPS; ++j) {
-                const row_t row = fetch_row(VOLUME, c.x + i * ROW, c.y + j, c.z + k);
+                const row_t row = fetch_row(VOLUME, first, i * ROW, j, k);
                 plane = madd(wy[j], row, plane);
                 plane_y = madd(sy[j], row, plane_y);
             }
@@ -80,8 +82,9 @@ inline gradient_t taps_gradient(VOLUME_PARAMS, cell_t c, float *value)
     return g;
 }
 
-inline hessian_t taps_hessian(VOLUME_PARAMS, cell_t c)
+INLINE hessian_t taps_hessian(VOLUME_PARAMS, cell_t c)
 {
+    const cursor_t first = cursor_at(VOLUME, c.x, c.y, c.z);
     float wy[WEIGHTS], wz[WEIGHTS], sy[WEIGHTS], sz[WEIGHTS], by[WEIGHTS], bz[WEIGHTS];
     hessian_t h = { 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f };
     unpack_weights(c.ty, wy);
@@ -98,7 +101,7 @@ inline hessian_t taps_hessian(VOLUME_PARAMS, cell_t c)
             row_t plane = (row_t)(0.0f), plane_y = plane, plane_yy = plane;
 #pragma unroll
             for (int j = 0; j < TAPS; ++j) {
-                const row_t row = fetch_row(VOLUME, c.x + i * ROW, c.y + j, c.z + k);
+                const row_t row = fetch_row(VOLUME, first, i * ROW, j, k);
                 plane = madd(wy[j], row, plane);
                 plane_y = madd(sy[j], row, plane_y);
                 plane_yy = madd(by[j], row, plane_yy);
@@ -126,7 +129,7 @@ inline hessian_t taps_hessian(VOLUME_PARAMS, cell_t c)
 #define PAIRS ((TAPS + 1) / 2)
 
 // w0 f(0) + w1 f(1) = (w0 + w1) times a linear fetch at w1 / (w0 + w1), if the two share their sign.
-inline void pair_up(const float w[WEIGHTS], float weight[PAIRS], float place[PAIRS])
+INLINE void pair_up(const float w[WEIGHTS], float weight[PAIRS], float place[PAIRS])
 {
 #pragma unroll
     for (int i = 0; i < PAIRS; ++i) {
@@ -136,21 +139,21 @@ inline void pair_up(const float w[WEIGHTS], float weight[PAIRS], float place[PAI
     }
 }
 
-inline void weight_pairs(float t, float weight[PAIRS], float place[PAIRS])
+INLINE void weight_pairs(float t, float weight[PAIRS], float place[PAIRS])
 {
     float w[WEIGHTS];
     unpack_weights(t, w);
     pair_up(w, weight, place);
 }
 
-inline void slope_pairs(float t, float weight[PAIRS], float place[PAIRS])
+INLINE void slope_pairs(float t, float weight[PAIRS], float place[PAIRS])
 {
     float w[WEIGHTS];
     unpack_slopes(t, w);
     pair_up(w, weight, place);
 }
 
-inline float pairs_blend(VOLUME_PARAMS, cell_t c, const float *ax, const float *ay, const float *az,
+INLINE float pairs_blend(VOLUME_PARAMS, cell_t c, const float *ax, const float *ay, const float *az,
                          const float *px, const float *py, const float *pz)
 {
     float sum = 0.0f;
@@ -170,7 +173,7 @@ inline float pairs_blend(VOLUME_PARAMS, cell_t c, const float *ax, const float *
     return sum;
 }
 
-inline float pairs_value(VOLUME_PARAMS, cell_t c)
+INLINE float pairs_value(VOLUME_PARAMS, cell_t c)
 {
     float ax[PAIRS], ay[PAIRS], az[PAIRS], px[PAIRS], py[PAIRS], pz[PAIRS];
     weight_pairs(c.tx, ax, px);
@@ -183,7 +186,7 @@ inline float pairs_value(VOLUME_PARAMS, cell_t c)
     return pairs_blend(VOLUME, c, ax, ay, az, px, py, pz);
 }
 
-inline gradient_t pairs_gradient(VOLUME_PARAMS, cell_t c, float *value)
+INLINE gradient_t pairs_gradient(VOLUME_PARAMS, cell_t c, float *value)
 {
     float ax[PAIRS], ay[PAIRS], az[PAIRS], px[PAIRS], py[PAIRS], pz[PAIRS], s[PAIRS], q[PAIRS];
     gradient_t g;
@@ -206,7 +209,7 @@ inline gradient_t pairs_gradient(VOLUME_PARAMS, cell_t c, float *value)
 
 // -- what the kernels call -----------------------------------------------------------------------------------
 
-inline float sample_value(VOLUME_PARAMS, cell_t c)
+INLINE float sample_value(VOLUME_PARAMS, cell_t c)
 {
 #if EIGHT_FETCH_VALUE
     return pairs_value(VOLUME, c);
@@ -216,7 +219,7 @@ inline float sample_value(VOLUME_PARAMS, cell_t c)
 }
 
 // The gradient per stored coefficient, and the value beside it.
-inline gradient_t sample_gradient(VOLUME_PARAMS, cell_t c, float *value)
+INLINE gradient_t sample_gradient(VOLUME_PARAMS, cell_t c, float *value)
 {
 #if EIGHT_FETCH_VALUE && EIGHT_FETCH_GRADIENT
     return pairs_gradient(VOLUME, c, value);

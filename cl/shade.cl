@@ -1,6 +1,6 @@
 // Blinn-Phong from the gradient, two-sided: the normal is the one that faces the viewer.
 
-inline color_t shade(constant frame_t *frame, color_t color, real3 gradient, real3 world)
+INLINE color_t shade(constant frame_t *frame, color_t color, real3 gradient, real3 world)
 {
     const real squared = dot3(gradient, gradient);
     const mask flat = squared <= frame->flat;   // rounding, not a direction

@@ -2,14 +2,17 @@
 
 typedef struct { real red, green, blue, opacity; } color_t;
 
-inline float4 classify_one(constant frame_t *frame, global const float4 *table, float value)
+INLINE float4 classify_one(constant frame_t *frame, global const float4 *table, float value)
 {
-    const float u = clamp((value - frame->table_low) * frame->table_scale, 0.0f, TABLE_SIZE - 1.0f);
-    const int i = min((int)u, TABLE_SIZE - 2);
-    return mix(table[i], table[i + 1], u - (float)i);
+    float u = (value - frame->table_low) * frame->table_scale;
+    u = u > 0.0f ? u : 0.0f;
+    u = u < TABLE_SIZE - 1.0f ? u : TABLE_SIZE - 1.0f;
+    int i = (int)u;
+    i = i < TABLE_SIZE - 2 ? i : TABLE_SIZE - 2;
+    return madd(u - (float)i, table[i + 1] - table[i], table[i]);
 }
 
-inline color_t classify(constant frame_t *frame, global const float4 *table, real value)
+INLINE color_t classify(constant frame_t *frame, global const float4 *table, real value)
 {
     color_t color;
 #if LANES == 1
@@ -29,7 +32,7 @@ inline color_t classify(constant frame_t *frame, global const float4 *table, rea
 }
 
 // Opacity of matter `thickness` unit distances thick, given that of one.
-inline real opacity_of(real opacity, real thickness)
+INLINE real opacity_of(real opacity, real thickness)
 {
     return 1.0f - exp2(thickness * log2(fmax(1.0f - opacity, (real)(1e-30f))));
 }

@@ -2,14 +2,14 @@
 
 typedef struct { real red, green, blue, transmittance, depth; } state_t;
 
-inline void begin(state_t *s)
+INLINE void begin(state_t *s)
 {
     s->red = s->green = s->blue = (real)(0.0f);
     s->transmittance = (real)(1.0f);
     s->depth = NOWHERE;
 }
 
-inline mask gather(state_t *s, SCENE_PARAMS, real t, real value, mask active)
+INLINE mask gather(state_t *s, SCENE_PARAMS, real t, real value, mask active)
 {
     color_t color = classify(frame, table, value);
     const mask seen = active & (color.opacity > 0.0f);
@@ -28,7 +28,7 @@ inline mask gather(state_t *s, SCENE_PARAMS, real t, real value, mask active)
     return s->transmittance <= frame->termination;
 }
 
-inline color_t finish(const state_t *s, SCENE_PARAMS, real *t)
+INLINE color_t finish(const state_t *s, SCENE_PARAMS, real *t)
 {
     const real opacity = 1.0f - s->transmittance, per_opacity = 1.0f / fmax(opacity, (real)(1e-20f));
     color_t color = { s->red * per_opacity, s->green * per_opacity, s->blue * per_opacity, opacity };

@@ -3,13 +3,13 @@
 
 typedef struct { real best, t; } state_t;
 
-inline void begin(state_t *s)
+INLINE void begin(state_t *s)
 {
     s->best = (real)(0.0f);
     s->t = NOWHERE;
 }
 
-inline mask gather(state_t *s, SCENE_PARAMS, real t, real value, mask active)
+INLINE mask gather(state_t *s, SCENE_PARAMS, real t, real value, mask active)
 {
     const mask better = active & (BEYOND(value, s->best) | (s->t == NOWHERE));
     s->best = choose(better, value, s->best);
@@ -17,7 +17,7 @@ inline mask gather(state_t *s, SCENE_PARAMS, real t, real value, mask active)
     return NONE;
 }
 
-inline color_t finish(const state_t *s, SCENE_PARAMS, real *t)
+INLINE color_t finish(const state_t *s, SCENE_PARAMS, real *t)
 {
     color_t color = classify(frame, table, s->best);
     color.opacity = choose(s->t < NOWHERE, (real)(1.0f), (real)(0.0f));

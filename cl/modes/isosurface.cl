@@ -2,7 +2,7 @@
 
 typedef struct { real before, before_t, hit; mask started; } state_t;
 
-inline void begin(state_t *s)
+INLINE void begin(state_t *s)
 {
     s->before = s->before_t = (real)(0.0f);
     s->hit = NOWHERE;
@@ -11,7 +11,7 @@ inline void begin(state_t *s)
 
 // Regula falsi that halves the value of an end that stays (Illinois), and bisects every third time:
 // until the function is within the tolerance of the isovalue, or the interval can not be halved.
-inline real refine(SCENE_PARAMS, real near, real near_value, real far, real far_value, mask active)
+INLINE real refine(SCENE_PARAMS, real near, real near_value, real far, real far_value, mask active)
 {
     real t = far, best = far;
     mask last_was_near = NONE, last_was_far = NONE;
@@ -23,7 +23,7 @@ inline real refine(SCENE_PARAMS, real near, real near_value, real far, real far_
         const real value = value_at(SCENE, t, active) - frame->isovalue;
         const mask is_near = (value < 0.0f) == (near_value < 0.0f);
         far_value = choose(is_near & last_was_near, 0.5f * far_value, far_value);
-        near_value = choose(!is_near & last_was_far, 0.5f * near_value, near_value);
+        near_value = choose((!is_near) & last_was_far, 0.5f * near_value, near_value);
         near = choose(is_near, t, near);
         near_value = choose(is_near, value, near_value);
         far = choose(is_near, far, t);
@@ -38,7 +38,7 @@ inline real refine(SCENE_PARAMS, real near, real near_value, real far, real far_
     return best;
 }
 
-inline mask gather(state_t *s, SCENE_PARAMS, real t, real value, mask active)
+INLINE mask gather(state_t *s, SCENE_PARAMS, real t, real value, mask active)
 {
     const real difference = value - frame->isovalue;
     const mask crossed = active & s->started & ((difference < 0.0f) != (s->before < 0.0f));
@@ -50,7 +50,7 @@ inline mask gather(state_t *s, SCENE_PARAMS, real t, real value, mask active)
     return crossed;
 }
 
-inline color_t finish(const state_t *s, SCENE_PARAMS, real *t)
+INLINE color_t finish(const state_t *s, SCENE_PARAMS, real *t)
 {
     const mask hit = s->hit < NOWHERE;
     color_t color = { (real)(frame->surface[0]), (real)(frame->surface[1]), (real)(frame->surface[2]), choose(hit, (real)(1.0f), (real)(0.0f)) };

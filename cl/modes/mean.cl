@@ -2,16 +2,16 @@
 
 typedef struct { real sum, count; } state_t;
 
-inline void begin(state_t *s) { s->sum = s->count = (real)(0.0f); }
+INLINE void begin(state_t *s) { s->sum = s->count = (real)(0.0f); }
 
-inline mask gather(state_t *s, SCENE_PARAMS, real t, real value, mask active)
+INLINE mask gather(state_t *s, SCENE_PARAMS, real t, real value, mask active)
 {
     s->sum += choose(active, value, (real)(0.0f));
     s->count += choose(active, (real)(1.0f), (real)(0.0f));
     return NONE;
 }
 
-inline color_t finish(const state_t *s, SCENE_PARAMS, real *t)
+INLINE color_t finish(const state_t *s, SCENE_PARAMS, real *t)
 {
     color_t color = classify(frame, table, s->sum / fmax(s->count, (real)(1.0f)));
     color.opacity = choose(s->count > 0.0f, (real)(1.0f), (real)(0.0f));

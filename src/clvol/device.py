@@ -176,6 +176,33 @@ class Device:
         with _errors(self):
             return cl.Buffer(self.context, cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR, hostbuf=array)
 
+    @contextlib.contextmanager
+    def lent(self, array: np.ndarray[Any, Any], *, write: bool) -> Iterator[Any]:
+        """A contiguous array as a buffer for the time of a block, read or written by kernels.
+
+        No copy where the device shares the host's memory.
+        """
+        cl = _opencl()
+        flags = cl.mem_flags.WRITE_ONLY if write else cl.mem_flags.READ_ONLY
+        self.require_room(array.nbytes)
+        with _errors(self):
+            if self.shares_memory:
+                buffer = cl.Buffer(self.context, flags | cl.mem_flags.USE_HOST_PTR, hostbuf=array)
+            elif write:
+                buffer = cl.Buffer(self.context, flags, array.nbytes)
+            else:
+                buffer = cl.Buffer(self.context, flags | cl.mem_flags.COPY_HOST_PTR, hostbuf=array)
+            try:
+                yield buffer
+                if write and self.shares_memory:  # mapping is what makes the host's view complete
+                    view, _ = cl.enqueue_map_buffer(self.queue, buffer, cl.map_flags.READ, 0, array.shape, array.dtype)
+                    view.base.release(self.queue)
+                elif write:
+                    cl.enqueue_copy(self.queue, array, buffer)
+                self.queue.finish()
+            finally:
+                buffer.release()
+
     def download(self, buffer: Any, array: np.ndarray[Any, Any]) -> None:
         """Copy the start of `buffer` into a contiguous `array`."""
         with _errors(self):

@@ -112,14 +112,20 @@ def row_reach(filter: Filter) -> int:
 
 def filter_defines(filter: Filter) -> dict[str, str | int | float]:
     """What filter.cl, sample.cl and locate.cl need to know of a filter."""
-    columns = np.zeros((filter.degree + 1, row_reach(filter)))
+    width, reach = row_width(filter), row_reach(filter)
+    columns = np.zeros((filter.degree + 1, reach))
     columns[:, : filter.support] = filter.matrix.T
+    vector = "float" if width == 1 else f"float{width}"
+    rows = [
+        "{" + ",".join(f"({vector})({','.join(map(_float, part))})" for part in np.split(column, reach // width)) + "}"
+        for column in columns
+    ]
     return {
         "TAPS": filter.support,
         "DEGREE": filter.degree,
-        "ROW": row_width(filter),
-        "CHUNKS": row_reach(filter) // row_width(filter),
-        "FILTER_COLUMNS": "{" + ",".join("{" + ",".join(map(_float, column)) + "}" for column in columns) + "}",
+        "ROW": width,
+        "CHUNKS": reach // width,
+        "FILTER_COLUMNS": "{" + ",".join(rows) + "}",
         "LEFT": filter.support / 2 - 1,
         "GRID_SCALE": filter.scale,
         "EIGHT_FETCH_VALUE": 0,

@@ -35,7 +35,7 @@ __all__ = ["OBLIQUE", "OUTPUTS", "Lattice", "Renderer", "pixel_offsets", "render
 
 OUTPUTS = ("rgba", "depth", "normal", "position")
 OBLIQUE = 0.5  # cosine between ray and axis below which a ray steps along itself
-FLAT = 1e-5  # gradients below this share of the range per mean spacing are rounding: no shading, no normal
+FLAT = 1e-5  # gradients below this share of the range, or of the greatest magnitude, per mean spacing are rounding: no normal
 TOLERANCE = 1e-4  # of the range: how near to the isovalue a surface is drawn
 DEFAULT_SURFACE = (0.93, 0.87, 0.76)
 _BITS = 8.0  # of the sampler's fraction, before pictures are made by it: what texture units have
@@ -310,7 +310,7 @@ class Renderer:
         least, greatest = volume.value_range
         frame["isovalue"] = least if isovalue is None else isovalue
         frame["tolerance"] = TOLERANCE * (greatest - least)
-        frame["flat"] = (FLAT * (greatest - least) / float(np.mean(volume.spacing))) ** 2
+        frame["flat"] = (FLAT * max(greatest - least, greatest, -least) / float(np.mean(volume.spacing))) ** 2
         frame["surface"] = surface
         for name in ("ambient", "diffuse", "specular", "shininess"):
             frame[name] = getattr(material, name)

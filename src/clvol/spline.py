@@ -199,7 +199,7 @@ class Coefficients:
             device.require_room(self._bytes)
             with device.errors:
                 form = cl.ImageFormat(cl.channel_order.R, cl.channel_type.FLOAT)
-                self._image = cl.Image(device.context, cl.mem_flags.READ_ONLY, form, shape=self.shape[::-1])
+                self._image = cl.create_image(device.context, cl.mem_flags.READ_ONLY, form, shape=self.shape[::-1])
                 cl.enqueue_copy(
                     device.queue, self._image, self.buffer, offset=0, origin=(0, 0, 0), region=self.shape[::-1]
                 ).wait()
@@ -276,7 +276,10 @@ def prefilter(
     ------
     DataError, OptionError, DeviceError
     """
-    array = np.asarray(data)
+    try:
+        array = np.asarray(data)
+    except ValueError as error:
+        raise DataError(f"data must be a regular array of numbers: {error}") from None
     volume = Volume(array[None] if array.ndim == 1 else array)
     row, rule, on = as_filter(filter), as_boundary(boundary), as_device(device)
     if row.magnified_by is not None:
@@ -391,16 +394,14 @@ def _run_points(
     kernel = built.kernel("sample_points")
     source = held.argument(path)
     for first in range(0, points.shape[0], _POINTS_A_LAUNCH):
-        part = device.upload(points[first : first + _POINTS_A_LAUNCH].astype(kind, copy=False))
+        part = np.ascontiguousarray(points[first : first + _POINTS_A_LAUNCH], dtype=kind)
         target = results[first : first + _POINTS_A_LAUNCH]
-        buffer = device.allocate(target.nbytes)
         count = target.shape[0]
-        with device.errors:
+        with device.lent(part, write=False) as given, device.lent(target, write=True) as wanted, device.errors:
             kernel(
-                device.queue, (-(-count // 64) * 64,), (64,), source, held.extent, held.size, held.period, transform, part,
-                np.uint64(count), np.float32(0 if fill is None else fill), buffer,
+                device.queue, (-(-count // 64) * 64,), (64,), source, held.extent, held.size, held.period, transform, given,
+                np.uint64(count), np.float32(0 if fill is None else fill), wanted,
             )  # fmt: skip
-        device.download(buffer, target)
         if progress:
             progress((first + count) / points.shape[0])
     return results[:, 0] if derivative == 0 else results

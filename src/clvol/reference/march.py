@@ -31,7 +31,7 @@ Array: TypeAlias = NDArray[np.float64]
 Bools: TypeAlias = NDArray[np.bool_]
 
 _STEEP = 0.5  # cosine of 60°: rays farther from the axis step along themselves
-_FLAT = 1e-5  # shares of the range per mean spacing: less is no gradient
+_FLAT = 1e-5  # share of the range, or of the greatest magnitude, per mean spacing: less is no gradient
 _BISECTIONS = 38  # to 1e-12 of a step; to the last bit, rounding would choose the side of a jump again
 
 
@@ -251,7 +251,7 @@ def render(
     if isovalue is None:
         isovalue = otsu_threshold(volume) if chosen.name == "isosurface" else low
     material = material or Material()
-    flat = _FLAT * (high - low) / float(np.mean(volume.spacing))
+    flat = _FLAT * max(high - low, abs(high), abs(low)) / float(np.mean(volume.spacing))
     central = gradient == "central" or not row.has_gradient
 
     def value(points: Array) -> Array:

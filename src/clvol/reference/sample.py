@@ -49,7 +49,8 @@ def sample(
     if derivative not in (0, 1, 2):
         raise OptionError(f"derivative must be 0, 1 or 2; got {derivative!r}")
     d = volume.ndim
-    index = volume.world_to_index(points)
+    with np.errstate(invalid="ignore"):  # an infinite position has no index
+        index = volume.world_to_index(points)
     flat = index.reshape(-1, d)
     finite = np.isfinite(flat).all(-1)
     result = np.full((flat.shape[0], d**derivative), np.nan)
