@@ -22,7 +22,7 @@ from clvol.errors import DataError, DeviceError, OptionError, OutOfMemoryError, 
 from clvol.filters import DEFAULT_FILTER, Filter, as_filter
 from clvol.volume import Volume, as_volume
 
-__all__ = ["Coefficients", "Path", "choose_path", "magnify", "measure_sampler", "prefilter", "resample", "sample"]
+__all__ = ["Coefficients", "Path", "choose_path", "magnify", "measure_sampler", "prefilter", "resample", "sample", "sample_coefficients"]
 
 Floats = NDArray[np.float32]
 Progress = Callable[[float], None]
@@ -360,7 +360,7 @@ def measure_sampler(device: Device) -> float:
     ramp = Volume(np.broadcast_to(np.array([0.0, 1.0], np.float32), (2, 2, 2)))
     points = np.stack(np.broadcast_arrays(np.linspace(0, 1, 4097), 0.0, 0.0), -1)
     with Coefficients(ramp, as_filter("linear"), as_boundary("mirror"), device) as held:
-        values = _run_points(held, Path(True, True), points, 0, None)
+        values = sample_coefficients(held, Path(True, True), points, 0, None)
     return float(np.abs(values - points[:, 0]).max())
 
 
@@ -381,10 +381,11 @@ def _points_program(held: Coefficients, path: Path, derivative: int, fill: float
     return program.build(held.device, "points.cl", defines)
 
 
-def _run_points(
-    held: Coefficients, path: Path, points: NDArray[Any], derivative: int, fill: float | None, progress: Progress | None = None
-) -> Floats:
-    """Results at world positions of shape (N, d); (N, 1), (N, d) or (N, d * d), squeezed by the caller."""
+def sample_coefficients(
+    held: Coefficients, path: Path, points: NDArray[Any], derivative: int = 0, fill: float | None = None,
+    progress: Progress | None = None,
+) -> Floats:  # fmt: skip
+    """Results at world positions of shape (N, d): (N,), (N, d) or (N, d * d); `sample` of a volume held on a device."""
     device, volume, d = held.device, held.volume, held.volume.ndim
     kind = np.float64 if device.has_double and points.dtype != np.float32 else np.float32
     built = _points_program(held, path, derivative, fill, LATTICE=0, POINT="double" if kind == np.float64 else "float")
@@ -479,7 +480,7 @@ def sample(
     on, row, rule = as_device(device), as_filter(filter), as_boundary(boundary)
     path = choose_path(on, row, evaluator, fetch)
     with Coefficients(volume, row, rule, on) as held:
-        flat = _run_points(held, path, array.reshape(-1, d), derivative, fill, progress)
+        flat = sample_coefficients(held, path, array.reshape(-1, d), derivative, fill, progress)
     return flat.reshape(array.shape[:-1] + (d,) * derivative)
 
 

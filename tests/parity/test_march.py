@@ -46,12 +46,13 @@ MEASURE=None
 class Allowance:
     """What may differ: greatest and RMS difference of the picture; greatest of the others, in world units.
 
-    `pixels` is the share of pixels left out of the maxima: a ray that grazes a surface or touches an edge may go
+    Colours of nearly transparent pixels are divided by their opacity here, which magnifies rounding. To depths and
+    positions 4e-7 of the distance from the eye is added: what float32 holds of it. `pixels` is the share of pixels left out of the maxima: a ray that grazes a surface or touches an edge may go
     either way; over the RMS they count, unless they are in one picture only.
     """
 
-    rgba: float = 2e-5
-    rms: float = 2e-6
+    rgba: float = 1e-4
+    rms: float = 5e-6
     depth: float = 4e-5
     position: float = 3e-5
     normal: float = 5e-4
@@ -78,6 +79,13 @@ def lobes() -> Volume:
     z, y, x = np.meshgrid(*[np.linspace(-1, 1, 16)] * 3, indexing="ij")
     data = 0.5 + 0.5 * np.sin(3 * x + 1) * np.cos(2.5 * y - 0.4) * np.cos(2 * z * x + 0.3)
     return Volume(data.astype(np.float32), (0.5, 0.5, 0.5))
+
+
+@lru_cache
+def slope() -> Volume:
+    """Rising along every ray, so that a surface is met once however far apart the samples lie."""
+    z, y, x = np.meshgrid(*(np.linspace(-1, 1, n) for n in (9, 7, 11)), indexing="ij")
+    return Volume((0.5 + 0.2 * x - 0.1 * y + 0.1 * z + 0.08 * x**3 - 0.03 * z * y).astype(np.float32), (1.0, 0.8, 1.3))
 
 
 @pytest.fixture(autouse=True)
@@ -125,6 +133,7 @@ def compare(got: dict[str, NDArray[Any]], want: dict[str, NDArray[Any]], allowed
     both = np.isfinite(got["depth"]) & np.isfinite(want["depth"])
     lengths = np.linalg.norm(got["normal"], axis=-1)
     np.testing.assert_allclose(lengths[np.isfinite(lengths)], 1, atol=1e-5)
+    far = 4e-7 * float(np.abs(want["depth"][both]).max(initial=0))
     for name in ("depth", "position", "normal"):
         a, b = (picture[name].reshape(*both.shape, -1)[both] for picture in (got, want))
         unknown = np.isnan(a) != np.isnan(b)
@@ -132,7 +141,8 @@ def compare(got: dict[str, NDArray[Any]], want: dict[str, NDArray[Any]], allowed
         off = np.nan_to_num(np.abs(a - b)).max(-1, initial=0)
         if MEASURE is not None:
             MEASURE.setdefault(name, []).append(off)
-        assert (off > getattr(allowed, name)).sum() <= budget, f"{name} differs by {off.max():.2g}"
+        most = getattr(allowed, name) + (0 if name == "normal" else far)
+        assert (off > most).sum() <= budget, f"{name} differs by {off.max():.2g}"
 
 
 def check(
@@ -236,8 +246,8 @@ VIEWS |= {
     "zoomed": (block(), CAMERA.zoomed(3.1), STEP, {}),
     "fine": (block(), CAMERA, 0.25, {}),
     "coarse": (block(), CAMERA, 2.0, {}),
-    "one plane": (block(), CAMERA, 1000.0, {}),
-    "one plane, wide": (block(), replace(CAMERA, fov=120), 1000.0, {}),
+    "one plane": (slope(), Camera(direction=(1, -0.4, 0.3)), 1000.0, {}),
+    "one plane, wide": (slope(), Camera(direction=(1, -0.4, 0.3), fov=120), 1000.0, {}),
     "larger": (lobes(), CAMERA, 0.5, {}),
     "three samples a pixel": (block(), CAMERA, STEP, {"samples": 3}),
     "background": (block(), CAMERA, STEP, {"background": (0.2, 0.5, 0.9)}),
@@ -298,10 +308,12 @@ def test_lights(device: Device, keep: dict[Any, Renderer], lights: str, mode: st
     )  # fmt: skip
 
 
-def test_lit_matter_without_a_gradient(device: Device) -> None:
+@pytest.mark.parametrize("value", [0.0, 0.3, -1234.5])
+def test_lit_matter_without_a_gradient(device: Device, value: float) -> None:
     """Full diffuse light, no highlight, no normal."""
-    with Renderer(Volume(np.full((6, 5, 7), 0.5, np.float32)), device=device) as renderer:
-        got = check(renderer, CAMERA, "composite", step=0.4, lights=LIGHTS["four colours"])
+    with Renderer(Volume(np.full((6, 5, 7), value, np.float32)), device=device) as renderer:
+        transfer = TransferFunction(((value, "red"),), ((value, 0.3),))
+        got = check(renderer, CAMERA, "composite", step=0.4, lights=LIGHTS["four colours"], transfer=transfer)
     assert np.isnan(got["normal"]).all()
     assert np.isfinite(got["depth"]).any()
 

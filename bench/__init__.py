@@ -1,0 +1,1 @@
+"""Measurements beside other programs doing the same work, in the same run."""
