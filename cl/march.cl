@@ -82,7 +82,7 @@ INLINE real value_at(SCENE_PARAMS, real t, mask active)
 #endif
 }
 
-// The gradient per world unit, in world directions.
+// The gradient in world directions, in units of the least that is no rounding: its square stays in float's range.
 INLINE real3 gradient_at(SCENE_PARAMS, real t, mask active)
 {
     const real3 p = at3(ray->origin, ray->direction, t);
@@ -91,9 +91,9 @@ INLINE real3 gradient_at(SCENE_PARAMS, real t, mask active)
     EACH_LANE(ONE);
 #undef ONE
 #if LANES == 1
-    return transpose3(frame->world_to_index, real3_of(gx[0], gy[0], gz[0]));
+    return transpose3(frame->gradient, real3_of(gx[0], gy[0], gz[0]));
 #else
-    return transpose3(frame->world_to_index, real3_of(PASTE(vload, LANES)(0, gx), PASTE(vload, LANES)(0, gy), PASTE(vload, LANES)(0, gz)));
+    return transpose3(frame->gradient, real3_of(PASTE(vload, LANES)(0, gx), PASTE(vload, LANES)(0, gy), PASTE(vload, LANES)(0, gz)));
 #endif
 }
 
@@ -158,7 +158,7 @@ kernel void march(VOLUME_PARAMS, constant frame_t *frame, global const float4 *t
         const real3 g = gradient_at(SCENE, choose(somewhere, t, ray->enter), somewhere);
         const real squared = dot3(g, g);
         const real unit = choose(dot3(g, ray->world) > 0.0f, (real)(-1.0f), (real)(1.0f)) / sqrt(squared);
-        const mask known = somewhere & (squared > frame->flat);
+        const mask known = somewhere & (squared > 1.0f);
         const real3 p = add3(matrix3(frame->index_to_world, at3(ray->origin, ray->direction, choose(somewhere, t, ray->enter))),
                              real3_of((real)(frame->world_origin[0]), (real)(frame->world_origin[1]), (real)(frame->world_origin[2])));
         normal = real3_of(choose(known, g.x * unit, normal.x), choose(known, g.y * unit, normal.y), choose(known, g.z * unit, normal.z));

@@ -3,7 +3,7 @@
 INLINE color_t shade(constant frame_t *frame, color_t color, real3 gradient, real3 world)
 {
     const real squared = dot3(gradient, gradient);
-    const mask flat = squared <= frame->flat;   // rounding, not a direction
+    const mask flat = squared <= 1.0f;   // rounding, not a direction
     const real facing = dot3(gradient, world);
     // towards the viewer: against the ray
     const real3 normal = scale3(gradient, choose(facing > 0.0f, (real)(-1.0f), (real)(1.0f)) / sqrt(choose(flat, (real)(1.0f), squared)));

@@ -252,21 +252,19 @@ def test_rays_of_a_pixel_lie_within_it() -> None:
 @pytest.mark.parametrize("step", [0.1, 0.5, 1.0, 7.0, 1e9])
 def test_no_ray_advances_farther_than_the_step(step: float) -> None:
     volume = Volume(np.zeros((30, 40, 50), np.float32), (0.5, 1.0, 2.0))
-    for camera in (CAMERA, replace(CAMERA, projection="orthographic"), replace(CAMERA, fov=60)):
+    for camera in (CAMERA, replace(CAMERA, projection="orthographic"), replace(CAMERA, fov=60.0)):
         view = camera.view(volume, 1.5)
         lattice = Lattice(volume, view, 1.5, step)
         assert lattice.planes * lattice.spacing == pytest.approx(volume.size[lattice.axis])
-        worst = 0.0
+        cosines = []
         for a in np.linspace(-1.5, 1.5, 7):
             for b in np.linspace(-1, 1, 7):
                 d = view.forward + (0 if view.orthographic else view.half_height) * (a * view.right + b * view.up)
                 d = volume.world_to_index_matrix @ d
-                cosine = abs(d[lattice.axis]) / np.linalg.norm(d)
-                if cosine >= 0.5:
-                    worst = max(worst, lattice.spacing / cosine)
-        assert worst <= step * (1 + 1e-6)
-        fewer = volume.size[lattice.axis] / max(1, lattice.planes - 1)
-        assert lattice.planes == 1 or fewer / max(lattice.spacing / worst, 0.5) > step
+                cosines.append(abs(d[lattice.axis]) / np.linalg.norm(d))
+        least = max(min(cosines), 0.5)  # more oblique rays use no planes
+        assert lattice.spacing / least <= step * (1 + 1e-6)
+        assert lattice.planes == 1 or volume.size[lattice.axis] / (lattice.planes - 1) / least > step  # nor more planes than that
 
 
 # -- something to see without options ----------------------------------------------------------------------------------
@@ -419,7 +417,7 @@ def test_a_single_voxel_fills_its_cube(device: Device) -> None:
     for filter in ("nearest", "linear", "bspline3", "bspline5", "hybrid", "sinc"):
         got = render(np.full((1, 1, 1), 7, np.int16), camera, "mip", filter, size=(64, 64), transfer=grey, device=device, background=None)
         assert (got[..., 3] > 0).mean() == pytest.approx(1 / 3, abs=0.02)  # a side of 1 in a picture of √3
-        np.testing.assert_allclose(got[got[..., 3] > 0], [0.5, 0.5, 0.5, 1])
+        np.testing.assert_allclose(got[got[..., 3] > 0], np.broadcast_to([0.5, 0.5, 0.5, 1], ((got[..., 3] > 0).sum(), 4)), atol=1e-6)
 
 
 def test_any_dtype_and_layout(device: Device) -> None:
@@ -444,6 +442,19 @@ def test_constant_data(device: Device, mode: str, value: float) -> None:
     got = render(np.full((5, 6, 7), value, np.float32), CAMERA, mode, size=(16, 16), device=device, outputs=("rgba", "normal"))
     assert np.isfinite(got["rgba"]).all()
     assert np.isnan(got["normal"]).all()  # there is no gradient
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1e-20, 1e20, 1e30])
+@pytest.mark.parametrize("mode", ["composite", "isosurface"])
+def test_units_of_the_values_do_not_show(device: Device, mode: str, scale: float) -> None:
+    pictures = []
+    for s in (1.0, scale):
+        transfer = TransferFunction.from_cmap("viridis", (0, s), ((0.2 * s, 0.0), (s, 0.6)))
+        data = (noise().data.astype(float) * s).astype(np.float32)
+        pictures.append(render(data, CAMERA, mode, size=SIZE, transfer=transfer, isovalue=0.5 * s, device=device))
+    difference = np.abs(pictures[0] - pictures[1]).max(-1)
+    assert (difference > 5e-3).mean() <= 0.005
+    assert np.sqrt((difference**2).mean()) < 1e-3
 
 
 def test_isovalues_outside_the_data_show_nothing(renderer: Renderer) -> None:

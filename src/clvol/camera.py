@@ -152,7 +152,9 @@ class Camera:
             forward = target - np.asarray(self.position)
             length = float(np.linalg.norm(forward))
             if not length:
-                raise GeometryError(f"position and target must differ, or there is no direction of view; got {self.position} twice")
+                raise GeometryError(
+                    f"position and target must differ, or there is no direction of view; got {self.position} twice"
+                )
             forward = forward / length
         right = np.cross(forward, self.up)
         if np.linalg.norm(right) < 1e-9 * float(np.linalg.norm(self.up)):  # looking straight along `up`

@@ -116,7 +116,9 @@ def render(
     volume = (input or Input()).read(source)
     with _progress("rendering", json) as progress:
         options = look.options(volume)
-        picture = clvol.render(volume, filter=filter, boundary=look.boundary, size=size, device=device, progress=progress, **options)
+        picture = clvol.render(
+            volume, filter=filter, boundary=look.boundary, size=size, device=device, progress=progress, **options
+        )
     _say(json, {"output": str(clvol.save(picture, output)), "size": list(size), "filter": filter, "mode": look.mode})
 
 
@@ -161,7 +163,11 @@ def figure6(
 
     with _progress("figure 6", json) as progress:
         panels, sheet = figures.figure6(samples, pixels, device=device, progress=progress)
-    _say(json, {"output": str(clvol.save(sheet, output)), "panels": [p.numbers() for p in panels]}, [p.label.replace("\n", ": ") for p in panels if p.rms is not None])
+    _say(
+        json,
+        {"output": str(clvol.save(sheet, output)), "panels": [p.numbers() for p in panels]},
+        [p.label.replace("\n", ": ") for p in panels if p.rms is not None],
+    )
 
 
 @app.command
@@ -198,10 +204,8 @@ def devices(*, json: Json = False) -> None:
     if json:
         _print_json(rows)
     else:
-        _table(["", "name", "kind", "platform", "memory", "images"], [
-            [str(r["number"]), str(r["name"]), str(r["kind"]), str(r["platform"]), f"{r['memory_mib']} MiB", "yes" if r["images"] else "no"]
-            for r in rows
-        ])  # fmt: skip
+        header = ["number", "name", "kind", "platform", "memory_mib", "images"]
+        _table(header, [[str(row[key]) for key in header] for row in rows])
 
 
 @app.command
@@ -236,7 +240,11 @@ def resample(
     fill
         Value outside the volume; by default its boundary rule goes on.
     """
-    given = [name for name, value in (("--to-shape", shape), ("--to-spacing", spacing), ("--like", like), ("--magnify", magnify)) if value is not None]
+    given = [
+        name
+        for name, value in (("--to-shape", shape), ("--to-spacing", spacing), ("--like", like), ("--magnify", magnify))
+        if value is not None
+    ]
     if len(given) != 1:
         raise OptionError(f"give one of --to-shape, --to-spacing, --like, --magnify; got {', '.join(given) or 'none'}")
     volume = (input or Input()).read(source)
@@ -280,7 +288,10 @@ def doctor(*, json: Json = False) -> None:
     ready = check("an OpenCL device", lambda: ", ".join(f"{d.name} ({d.platform})" for d in clvol.devices()) or str(as_device()))
     ready = ready and check("it builds kernels", lambda: str(as_device().context and as_device().name))
     ready = ready and check("it computes right values", parity)
-    for extra, module, what in (("medical", "SimpleITK", "NIfTI, NRRD, MetaImage, DICOM"), ("microscopy", "tifffile", "TIFF stacks")):
+    for extra, module, what in (
+        ("medical", "SimpleITK", "NIfTI, NRRD, MetaImage, DICOM"),
+        ("microscopy", "tifffile", "TIFF stacks"),
+    ):
         import importlib.util
 
         there = importlib.util.find_spec(module) is not None

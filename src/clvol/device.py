@@ -75,7 +75,7 @@ class Device:
 
     @cached_property
     def kind(self) -> str:
-        """"cpu", "gpu" or "accelerator"."""
+        """Which kind it is: "cpu", "gpu" or "accelerator"."""
         kinds = _opencl().device_type
         return "cpu" if self.handle.type & kinds.CPU else "gpu" if self.handle.type & kinds.GPU else "accelerator"
 

@@ -26,7 +26,8 @@ __all__ = ["FIGURE_6", "Panel", "compare", "figure6"]
 FIGURE_6 = ("sinc", "nearest", "bspline3-approx", "linear", "mitchell", "bspline3")
 
 _TITLES = {
-    "sinc": "sinc, cut off at 4 samples", "nearest": "nearest neighbour", "bspline3-approx": "B-spline approximation", "linear": "trilinear",
+    "sinc": "sinc, cut off at 4 samples", "nearest": "nearest neighbour", "bspline3-approx": "B-spline approximation",
+    "linear": "trilinear",
     "exact": "the function itself", "mitchell": "Mitchell B = C = 1/3", "bspline3": "B-spline interpolation",
 }  # fmt: skip
 _ISOVALUE = 0.5

@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -199,7 +199,7 @@ class Filter:
 
     def weights(self, t: ArrayLike, derivative: int = 0) -> Array:
         """Tap weights, or their derivatives, at fractional positions `t`; shape (TAPS, ...)."""
-        if not 0 <= derivative:
+        if not derivative >= 0:
             raise OptionError(f"derivative must be 0 or more; got {derivative}")
         rows = self.matrix
         for _ in range(derivative):
@@ -385,7 +385,7 @@ def from_callable(
     return Filter(name, tuple(tuple(map(float, row)) for row in fits), prefilter=prefilter, fit_error=error)
 
 
-def _shift(coefficients: Array) -> Array:
+def _shift(coefficients: NDArray[Any]) -> Array:
     """Coefficients in powers of t in [0, 1] of a polynomial given in powers of 2t - 1."""
     polynomial = np.polynomial.Polynomial(coefficients)(np.polynomial.Polynomial([-1.0, 2.0]))
     return np.pad(polynomial.coef, (0, coefficients.size - polynomial.coef.size))
@@ -421,7 +421,7 @@ def sinc(radius: int = 4) -> Filter:
 
 @lru_cache
 def lanczos(radius: int) -> Filter:
-    """sinc under the window sinc(x / radius), radius 1 to 8; its weights sum to one only nearly."""
+    """Sinc under the window sinc(x / radius), radius 1 to 8; its weights sum to one only nearly."""
     return from_callable(f"lanczos{radius}", lambda x: np.sinc(x) * np.sinc(x / radius), radius, degree=_SINC_DEGREE)
 
 
@@ -430,9 +430,7 @@ def _omoms3() -> Filter:
 
     The smallest error of any kernel of support 4 and order 4.
     """
-    taps = tuple(
-        (row[0] + 2 * row[2] / 42, row[1] + 6 * row[3] / 42, row[2], row[3]) for row in bspline(3).taps
-    )
+    taps = tuple((row[0] + 2 * row[2] / 42, row[1] + 6 * row[3] / 42, row[2], row[3]) for row in bspline(3).taps)
     return Filter("omoms3", taps, prefilter=True)
 
 
@@ -501,7 +499,9 @@ def as_filter(choice: str | Filter) -> Filter:
             family = match[1]
             return bc(*values) if family == "bc" else _FAMILIES[family](*map(_whole, values))
         except (ValueError, TypeError, ZeroDivisionError):
-            raise OptionError(f"filter {choice!r} has wrong parameters; write bc(B, C), sinc(radius) or lanczos(radius)") from None
+            raise OptionError(
+                f"filter {choice!r} has wrong parameters; write bc(B, C), sinc(radius) or lanczos(radius)"
+            ) from None
     raise one_of("filter", choice, [*_TABLE, "bc(B, C)", "sinc(radius)", "lanczos(radius)"])
 
 

@@ -81,9 +81,7 @@ def sphere(size: Size = 64, radius: float = 0.75) -> Volume:
     return _on_cube((0.5 + (radius**2 - square) / (2 * radius)).astype(np.float32))
 
 
-def polynomial(
-    size: Size = 16, degree: int = 3, seed: int = 0, coefficients: ArrayLike | None = None
-) -> Volume:
+def polynomial(size: Size = 16, degree: int = 3, seed: int = 0, coefficients: ArrayLike | None = None) -> Volume:
     """Samples of a polynomial on [-1, 1]³.
 
     Parameters
@@ -106,9 +104,7 @@ def polynomial(
     return _on_cube(_polynomial_at(_positions(grid), chosen).astype(np.float32))
 
 
-def polynomial_function(
-    points: ArrayLike, degree: int = 3, seed: int = 0, coefficients: ArrayLike | None = None
-) -> Array:
+def polynomial_function(points: ArrayLike, degree: int = 3, seed: int = 0, coefficients: ArrayLike | None = None) -> Array:
     """The function that `polynomial` samples, at points (..., 3) in the order x, y, z."""
     return _polynomial_at(_points(points), _coefficients(degree, seed, coefficients))
 

@@ -28,7 +28,7 @@ def to_bytes(picture: ArrayLike) -> NDArray[np.uint8]:
         raise OptionError(f"a picture has shape (height, width) or (height, width, 1, 3 or 4); got {array.shape}")
     if array.dtype == np.uint8:
         return array
-    return np.rint(np.clip(np.nan_to_num(array), 0, 1) * 255).astype(np.uint8)
+    return np.asarray(np.rint(np.clip(np.nan_to_num(array), 0, 1) * 255), np.uint8)
 
 
 def save(picture: ArrayLike, path: str | os.PathLike[str]) -> Path:
@@ -66,7 +66,7 @@ def labelled(picture: ArrayLike, text: str) -> NDArray[np.uint8]:
 
     data = to_bytes(picture)
     data = np.repeat(data[..., None], 3, 2) if data.ndim == 2 else data[..., :3]
-    height, width = data.shape[:2]
+    width = data.shape[1]
     size = max(9, round(width / 24))
     font: Any = ImageFont.load_default(size)
     lines = text.split("\n")

@@ -91,7 +91,7 @@ def build(
         return program
 
 
-def _literal(value: str | int | float) -> str:
+def _literal(value: str | float) -> str:
     return _float(value) if isinstance(value, float) else str(value)
 
 

@@ -14,7 +14,7 @@ import math
 import time
 from collections.abc import Sequence
 from types import TracebackType
-from typing import Any, Literal, overload
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -49,14 +49,14 @@ _ROW_SECONDS = 1.5e-9  # a generous guess of the time of one row of taps on one 
 FRAME = np.dtype(
     [(name, np.float32, 3) for name in ("origin", "origin_u", "origin_v", "direction", "direction_u", "direction_v")]
     + [(name, np.float32, 3) for name in ("low", "high", "clip_low", "clip_high", "surface", "world_origin")]
-    + [(name, np.float32, 9) for name in ("index_to_world", "world_to_index")]
+    + [(name, np.float32, 9) for name in ("index_to_world", "gradient")]
     + [("light", np.float32, 8 * MAX_LIGHTS), ("offset", np.float32, 2)]
     + [
         (name, np.float32)
         for name in (
             "near", "oblique", "plane", "plane_back", "spacing", "planes", "stride", "table_low", "table_scale",
             "per_unit_distance", "termination", "isovalue", "tolerance", "ambient", "diffuse", "specular", "shininess",
-            "flat", "weight", "depth_offset",
+            "weight", "depth_offset",
         )
     ]
     + [(name, np.int32) for name in ("axis", "clipped", "lights", "width", "height", "pass")]
@@ -66,7 +66,8 @@ FRAME = np.dtype(
 def _frame_declaration() -> str:
     """frame.cl: the struct that `FRAME` is on the device."""
     lines = []
-    for name, (kind, _) in FRAME.fields.items():  # type: ignore[union-attr]  # a structured dtype has fields
+    for name in FRAME.names or ():
+        kind = FRAME[name]
         base, shape = (kind.subdtype[0], kind.subdtype[1]) if kind.subdtype else (kind, ())
         lines.append(f"    {'int' if base == np.int32 else 'float'} {name}{''.join(f'[{n}]' for n in shape)};")
     return "typedef struct {\n" + "\n".join(lines) + "\n} frame_t;\n"
@@ -92,9 +93,7 @@ class Lattice:
         corners = [forward]
         if not view.orthographic:
             sides = [(a, b) for a in (-1, 1) for b in (-1, 1)]
-            corners = [
-                inverse @ (view.forward + view.half_height * (a * aspect * view.right + b * view.up)) for a, b in sides
-            ]
+            corners = [inverse @ (view.forward + view.half_height * (a * aspect * view.right + b * view.up)) for a, b in sides]
         cosine = min(abs(float(d[self.axis])) / float(np.linalg.norm(d)) for d in corners)
         if any(d[self.axis] * forward[self.axis] < 0 for d in corners):
             cosine = 0.0  # so wide that some rays run the other way
@@ -109,7 +108,7 @@ class Lattice:
 def pixel_offsets(samples: int) -> NDArray[np.float64]:
     """Where in a pixel its samples lie: the first in the middle, the others by the R2 sequence; (samples, 2)."""
     golden = np.array([0.7548776662466927, 0.5698402909980532])  # 1/g, 1/g² with g³ = g + 1
-    return (0.5 + np.arange(samples)[:, None] * golden) % 1.0
+    return np.asarray((0.5 + np.arange(samples)[:, None] * golden) % 1.0)
 
 
 class Renderer:
@@ -153,18 +152,12 @@ class Renderer:
         """Free the device's memory."""
         self.coefficients.release()
 
-    def __enter__(self) -> Renderer:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
 
-    @overload
-    def render(self, camera: Camera | None = ..., mode: str | Mode = ..., size: tuple[int, int] = ..., step: float = ..., *,
-               outputs: str = ..., **options: Any) -> Floats: ...  # fmt: skip
-    @overload
-    def render(self, camera: Camera | None = ..., mode: str | Mode = ..., size: tuple[int, int] = ..., step: float = ..., *,
-               outputs: Sequence[str], **options: Any) -> dict[str, Floats]: ...  # fmt: skip
     def render(
         self, camera: Camera | None = None, mode: str | Mode = DEFAULT_MODE, size: tuple[int, int] = (512, 512), step: float = 0.5,
         *, transfer: TransferFunction | None = None, isovalue: float | None = None,
@@ -174,7 +167,7 @@ class Renderer:
         clip: tuple[Sequence[float], Sequence[float]] | None = None, samples: int = 1, termination: float = 1e-3,
         evaluator: Evaluator = "auto", fetch: Fetch = "auto", outputs: str | Sequence[str] = "rgba",
         progress: Progress | None = None, _lanes: int = 1,
-    ) -> Floats | dict[str, Floats]:  # fmt: skip
+    ) -> Any:  # fmt: skip
         """One picture.
 
         Parameters
@@ -255,7 +248,9 @@ class Renderer:
     def _default_transfer(self, automatic: bool) -> TransferFunction:
         if automatic not in self._automatic:
             volume = self.volume
-            self._automatic[automatic] = TransferFunction.automatic(volume) if automatic else TransferFunction.ramp(volume.value_range)
+            self._automatic[automatic] = (
+                TransferFunction.automatic(volume) if automatic else TransferFunction.ramp(volume.value_range)
+            )
         return self._automatic[automatic]
 
     def _frame(
@@ -286,13 +281,21 @@ class Renderer:
             # rays start on the plane through the volume's centre, where float32 has its best precision
             ahead = float((volume.center - view.eye) @ view.forward)
             start = view.eye + ahead * view.forward
-            frame["origin"], frame["origin_u"], frame["origin_v"] = inverse @ (start + corner - origin), inverse @ per_x, inverse @ per_y
+            frame["origin"], frame["origin_u"], frame["origin_v"] = (
+                inverse @ (start + corner - origin),
+                inverse @ per_x,
+                inverse @ per_y,
+            )
             frame["direction"] = inverse @ view.forward
             frame["near"], frame["depth_offset"] = -np.inf, ahead
         else:
             frame["origin"] = inverse @ (view.eye - origin)
-            frame["direction"], frame["direction_u"], frame["direction_v"] = inverse @ (view.forward + corner), inverse @ per_x, inverse @ per_y
-        frame["index_to_world"], frame["world_to_index"] = volume.index_to_world_matrix.ravel(), inverse.ravel()
+            frame["direction"], frame["direction_u"], frame["direction_v"] = (
+                inverse @ (view.forward + corner),
+                inverse @ per_x,
+                inverse @ per_y,
+            )
+        frame["index_to_world"] = volume.index_to_world_matrix.ravel()
         frame["world_origin"] = origin
         frame["low"], frame["high"] = -0.5, np.asarray(volume.size) - 0.5
         if clip is not None:
@@ -300,17 +303,23 @@ class Renderer:
             frame["clipped"], frame["clip_low"], frame["clip_high"] = 1, low - origin, high - origin
 
         n = volume.size[lattice.axis]
-        frame["axis"], frame["planes"], frame["spacing"], frame["oblique"] = lattice.axis, lattice.planes, lattice.spacing, OBLIQUE
+        frame["axis"], frame["planes"], frame["spacing"], frame["oblique"] = (
+            lattice.axis,
+            lattice.planes,
+            lattice.spacing,
+            OBLIQUE,
+        )
         frame["plane"], frame["plane_back"], frame["stride"] = -0.5 + lattice.spacing / 2, n - 0.5 - lattice.spacing / 2, step
 
-        low, high = transfer.value_range
-        frame["table_low"], frame["table_scale"] = low, (TABLE_SIZE - 1) / (high - low) if high > low else 0.0
+        first, last = transfer.value_range
+        frame["table_low"], frame["table_scale"] = first, (TABLE_SIZE - 1) / (last - first) if last > first else 0.0
         thickness = transfer.unit_distance or float(np.mean(volume.spacing))
         frame["per_unit_distance"], frame["termination"] = 1 / thickness, termination
         least, greatest = volume.value_range
         frame["isovalue"] = least if isovalue is None else isovalue
         frame["tolerance"] = TOLERANCE * (greatest - least)
-        frame["flat"] = (FLAT * max(greatest - least, greatest, -least) / float(np.mean(volume.spacing))) ** 2
+        flat = FLAT * max(greatest - least, greatest, -least) / float(np.mean(volume.spacing))
+        frame["gradient"] = inverse.ravel() / max(flat, 1e-36 * float(np.abs(inverse).max()))  # finite in float32
         frame["surface"] = surface
         for name in ("ambient", "diffuse", "specular", "shininess"):
             frame[name] = getattr(material, name)
@@ -417,7 +426,7 @@ def _over(premultiplied: Floats, background: Sequence[float] | str | None) -> Fl
     else:
         color = color + (1 - opacity) * np.asarray(color_of("background", background), np.float32)
         opacity = np.ones_like(opacity)
-    return np.clip(np.concatenate([color, opacity], -1), 0, 1, dtype=np.float32)
+    return np.asarray(np.clip(np.concatenate([color, opacity], -1), 0, 1), np.float32)
 
 
 def _size(size: tuple[int, int]) -> tuple[int, int]:
@@ -442,5 +451,7 @@ def _box(clip: tuple[Sequence[float], Sequence[float]]) -> tuple[NDArray[np.floa
     except (TypeError, ValueError):
         raise GeometryError(f"clip must be two corners (x, y, z); got {clip!r}") from None
     if low.shape != (3,) or high.shape != (3,) or np.isnan(low).any() or np.isnan(high).any() or (low >= high).any():
-        raise GeometryError(f"clip must be two corners (x, y, z), each coordinate of the first less than of the second; got {clip!r}")
+        raise GeometryError(
+            f"clip must be two corners (x, y, z), each coordinate of the first less than of the second; got {clip!r}"
+        )
     return low, high

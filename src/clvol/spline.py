@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from types import TracebackType
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,7 +22,17 @@ from clvol.errors import DataError, DeviceError, OptionError, OutOfMemoryError, 
 from clvol.filters import DEFAULT_FILTER, Filter, as_filter
 from clvol.volume import Volume, as_volume
 
-__all__ = ["Coefficients", "Path", "choose_path", "magnify", "measure_sampler", "prefilter", "resample", "sample", "sample_coefficients"]
+__all__ = [
+    "Coefficients",
+    "Path",
+    "choose_path",
+    "magnify",
+    "measure_sampler",
+    "prefilter",
+    "resample",
+    "sample",
+    "sample_coefficients",
+]
 
 Floats = NDArray[np.float32]
 Progress = Callable[[float], None]
@@ -199,7 +209,8 @@ class Coefficients:
             device.require_room(self._bytes)
             with device.errors:
                 form = cl.ImageFormat(cl.channel_order.R, cl.channel_type.FLOAT)
-                self._image = cl.create_image(device.context, cl.mem_flags.READ_ONLY, form, shape=self.shape[::-1])
+                make = getattr(cl, "create_image", cl.Image)  # Image() itself is deprecated in favour of it
+                self._image = make(device.context, cl.mem_flags.READ_ONLY, form, shape=self.shape[::-1])
                 cl.enqueue_copy(
                     device.queue, self._image, self.buffer, offset=0, origin=(0, 0, 0), region=self.shape[::-1]
                 ).wait()
@@ -212,7 +223,7 @@ class Coefficients:
                 memory.release()
         self.buffer = self._image = None
 
-    def __enter__(self) -> Coefficients:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
@@ -369,6 +380,7 @@ def measure_sampler(device: Device) -> float:
 
 def _affine(device: Device, matrix: NDArray[np.float64], offset: NDArray[np.float64], slopes: NDArray[np.float64]) -> Any:
     """The transform of points.cl: from positions to indices, and from index to world derivatives."""
+
     def square(m: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.pad(m, ((0, 3 - m.shape[0]), (0, 3 - m.shape[1])))
 
@@ -517,15 +529,18 @@ def resample(
         raise OptionError("resample takes exactly one of shape, spacing and like")
     extent = np.asarray(volume.size) * np.asarray(volume.spacing)
     if like is not None:
-        if like.ndim != d:
-            raise OptionError(f"like must have {d} axes as the volume; got {like.ndim}")
+        if not isinstance(like, Volume) or like.ndim != d:
+            raise OptionError(f"like must be a Volume of {d} axes, as the volume has; got {like!r}")
         grid = like
     else:
         if shape is not None:
             size = np.asarray(_sizes(shape, d)[::-1])
             step = extent / size
         else:
-            step = np.broadcast_to(np.asarray(spacing, dtype=np.float64), (d,))
+            try:
+                step = np.broadcast_to(np.asarray(spacing, dtype=np.float64), (d,))
+            except (TypeError, ValueError):
+                raise OptionError(f"spacing must be a number, or {d} of them; got {spacing!r}") from None
             if not np.isfinite(step).all() or (step <= 0).any():
                 raise OptionError(f"spacing must be positive and finite; got {spacing!r}")
             wanted = np.maximum(1, np.round(extent / step))
@@ -556,9 +571,7 @@ def magnify(
         raise OptionError(f"factor must be a whole number of at least 1; got {factor!r}")
     d = volume.ndim
     shape = tuple(int(factor) * n for n in volume.shape)
-    data = _resampled(
-        volume, np.eye(d) / factor, np.zeros(d), shape, filter, boundary, evaluator, fetch, None, device, progress
-    )
+    data = _resampled(volume, np.eye(d) / factor, np.zeros(d), shape, filter, boundary, evaluator, fetch, None, device, progress)
     return Volume(data, tuple(s / factor for s in volume.spacing), volume.origin, volume.direction, volume.units)
 
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -73,7 +74,9 @@ class TransferFunction:
         try:
             chosen = cmap.Colormap(name)
         except (ValueError, TypeError, KeyError, FileNotFoundError):
-            raise OptionError(f"colour map {name!r} is not known to the cmap package; try 'gray', 'viridis', 'bone', 'magma'") from None
+            raise OptionError(
+                f"colour map {name!r} is not known to the cmap package; try 'gray', 'viridis', 'bone', 'magma'"
+            ) from None
         at = np.linspace(0, 1, _CMAP_NODES)
         colors = tuple((low + (high - low) * float(u), tuple(map(float, chosen(float(u)).rgba[:3]))) for u in at)
         points = ((low, float(opacity)),) if isinstance(opacity, (int, float)) else tuple(opacity)
@@ -106,7 +109,12 @@ class TransferFunction:
 
         soft = start - 0.35 * (start - low)
         return cls(
-            ((soft, (0.42, 0.16, 0.10)), (at(0.15), (0.78, 0.45, 0.30)), (at(0.5), (0.95, 0.84, 0.66)), (at(1.0), (1.0, 1.0, 0.97))),
+            (
+                (soft, (0.42, 0.16, 0.10)),
+                (at(0.15), (0.78, 0.45, 0.30)),
+                (at(0.5), (0.95, 0.84, 0.66)),
+                (at(1.0), (1.0, 1.0, 0.97)),
+            ),
             ((soft, 0.0), (start, 0.05), (at(0.4), 0.30), (at(1.0), 0.80)),
         )
 
@@ -153,12 +161,14 @@ def otsu_threshold(volume: Volume) -> float:
 
 
 def _some_values(volume: Volume) -> NDArray[np.float64]:
-    flat = volume.data[tuple(slice(None, None, max(1, round((volume.data.size / _BINS_SAMPLE) ** (1 / volume.ndim)))) for _ in volume.shape)]
+    flat = volume.data[
+        tuple(slice(None, None, max(1, round((volume.data.size / _BINS_SAMPLE) ** (1 / volume.ndim)))) for _ in volume.shape)
+    ]
     values = flat.astype(np.float64).ravel()
     return values[np.isfinite(values)]
 
 
-def _pairs(what: str, points: Sequence[tuple[float, object]]) -> list[tuple[float, object]]:
+def _pairs(what: str, points: Sequence[tuple[float, Any]]) -> list[tuple[float, Any]]:
     try:
         return [(v, c) for v, c in points]
     except (TypeError, ValueError):

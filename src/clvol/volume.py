@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -59,7 +59,7 @@ class Volume:
     data: NDArray[Any]
     spacing: tuple[float, ...] = ()
     origin: tuple[float, ...] = ()
-    direction: NDArray[np.float64] = field(default=None)  # type: ignore[assignment]  # filled in below
+    direction: NDArray[np.float64] = None  # type: ignore[assignment]  # None is replaced below
     units: str = ""
 
     def __post_init__(self) -> None:
@@ -154,20 +154,20 @@ class Volume:
     @cached_property
     def index_to_world_matrix(self) -> NDArray[np.float64]:
         """``world = M @ index + origin``; shape (d, d), index in (x, y, z)."""
-        return self.direction * np.asarray(self.spacing)
+        return np.asarray(self.direction * np.asarray(self.spacing))
 
     @cached_property
     def world_to_index_matrix(self) -> NDArray[np.float64]:
         """``index = M @ (world - origin)``; shape (d, d)."""
-        return np.linalg.inv(self.index_to_world_matrix)
+        return np.linalg.inv(self.index_to_world_matrix).astype(np.float64)
 
     def index_to_world(self, index: ArrayLike) -> NDArray[np.float64]:
         """World positions of index positions; shape (..., d), both in (x, y, z)."""
-        return self._points("index", index) @ self.index_to_world_matrix.T + np.asarray(self.origin)
+        return np.asarray(self._points("index", index) @ self.index_to_world_matrix.T + np.asarray(self.origin))
 
     def world_to_index(self, world: ArrayLike) -> NDArray[np.float64]:
         """Index positions of world positions; shape (..., d), both in (x, y, z)."""
-        return (self._points("world", world) - np.asarray(self.origin)) @ self.world_to_index_matrix.T
+        return np.asarray((self._points("world", world) - np.asarray(self.origin)) @ self.world_to_index_matrix.T)
 
     @cached_property
     def corners(self) -> NDArray[np.float64]:
@@ -279,7 +279,10 @@ def _read_array(source: Any) -> tuple[NDArray[Any], dict[str, Any]]:
         return _read_nibabel(source)
     if isinstance(source, Volume):
         return source.data, {
-            "spacing": source.spacing, "origin": source.origin, "direction": source.direction, "units": source.units,
+            "spacing": source.spacing,
+            "origin": source.origin,
+            "direction": source.direction,
+            "units": source.units,
         }
     try:
         return np.asarray(source), {}
@@ -298,7 +301,7 @@ def _read_itk(image: Any) -> tuple[NDArray[Any], dict[str, Any]]:
 
 
 def _read_nibabel(image: Any) -> tuple[NDArray[Any], dict[str, Any]]:
-    """nibabel arrays are (x, y, z) in a RAS world; ours are [z, y, x] in ITK's LPS."""
+    """Nibabel arrays are (x, y, z) in a RAS world; ours are [z, y, x] in ITK's LPS."""
     data = np.asanyarray(image.dataobj)
     if data.ndim != 3:
         raise DataError(f"data must have 3 axes; got a nibabel image of shape {data.shape}")

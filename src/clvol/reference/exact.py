@@ -51,7 +51,12 @@ def draw_function(
         drawn = np.broadcast_to(np.asarray(background, np.float64), picture.shape).copy()
         for part in np.array_split(crossing, -(-crossing.size // _RAYS)) if crossing.size else []:
             hit, t = _first_crossing(
-                lambda p: function(p) - isovalue, rays.origin[part], rays.direction[part], rays.enter[part], rays.leave[part], steps
+                lambda p: function(p) - isovalue,
+                rays.origin[part],
+                rays.direction[part],
+                rays.enter[part],
+                rays.leave[part],
+                steps,
             )
             at = rays.at(t, part[hit])
             colors = np.broadcast_to(np.asarray(color, np.float64), at.shape)

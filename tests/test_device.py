@@ -1,0 +1,198 @@
+"""Choosing a device, and what a machine may lack: an error that says what to do, never a hang or an abort."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clvol.device import Device, as_device, devices
+from clvol.errors import DeviceError, OptionError, OutOfMemoryError
+from clvol.spline import sample
+
+USE = """
+import sys
+from clvol.errors import ClvolError
+from clvol.spline import sample
+try:
+    value = sample([[1.0, 2.0], [3.0, 4.0]], [[0.5, 0.5]], "linear")
+    print("value", value[0])
+except ClvolError as error:
+    print(type(error).__name__, error)
+"""
+
+
+def python(code: str, timeout: float = 120, **changes: str | None) -> subprocess.CompletedProcess[str]:
+    """Run `code` in a process of its own, some environment variables set, or absent where None."""
+    environment = {**os.environ, **{k: v for k, v in changes.items() if v is not None}}
+    for name, value in changes.items():
+        if value is None:
+            environment.pop(name, None)
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=timeout, check=False, env=environment
+    )
+
+
+def uses_pocl(device: Device) -> bool:
+    return device.is_pocl and device.kind == "cpu" and as_device() is device
+
+
+def test_no_linker_is_an_error_not_an_abort(device: Device, tmp_path: Path) -> None:
+    """PoCL would abort the process; the error says what to install."""
+    if not uses_pocl(device):
+        pytest.skip("PoCL is not the default device")
+    done = python(USE, PATH=str(tmp_path), XDG_CACHE_HOME=str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("DeviceError PoCL needs the linker 'ld'"), done.stdout
+    assert "binutils" in done.stdout
+
+
+def test_linker_that_fails_is_an_error_not_an_abort(device: Device, tmp_path: Path) -> None:
+    if not uses_pocl(device):
+        pytest.skip("PoCL is not the default device")
+    linker = tmp_path / "ld"
+    linker.write_text("#!/bin/sh\nexit 1\n")
+    linker.chmod(0o755)
+    done = python(USE, PATH=f"{tmp_path}:{os.environ['PATH']}", XDG_CACHE_HOME=str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("DeviceError PoCL cannot build kernels here"), done.stdout
+
+
+@pytest.mark.parametrize("home", ["/dev/null", "/nonexistent/home", "read-only", None])
+def test_home_that_cannot_be_written_is_no_hindrance(device: Device, home: str | None, tmp_path: Path) -> None:
+    if home == "read-only":
+        tmp_path.chmod(0o500)  # the superuser may write there all the same
+        home = str(tmp_path)
+    done = python(USE, HOME=home, XDG_CACHE_HOME=None, POCL_CACHE_DIR=None, PYOPENCL_NO_CACHE=None)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("value 2.5"), done.stdout + done.stderr
+    assert device is not None
+
+
+FORK = """
+import os
+from clvol.device import as_device, devices
+from clvol.errors import DeviceError
+from clvol.spline import sample
+points = ([[1.0, 2.0], [3.0, 4.0]], [[0.5, 0.5]], "linear")
+device = as_device()
+sample(*points)
+child = os.fork()
+if child == 0:
+    refused = 0
+    for call in (lambda: sample(*points, device=device), lambda: sample(*points), devices, lambda: device.context):
+        try:
+            call()
+        except DeviceError as error:
+            refused += "fork" in str(error)
+    os._exit(refused)
+print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), sample(*points)[0])
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+def test_use_after_a_fork_is_an_error_not_a_hang(device: Device) -> None:
+    assert device is not None
+    done = python(FORK, timeout=60)
+    assert done.returncode == 0, done.stderr
+    # the context that exists can be had, but nothing done with it
+    assert done.stdout.split() in (["3", "2.5"], ["4", "2.5"]), done.stdout
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+def test_fork_before_the_first_use_is_allowed(device: Device) -> None:
+    assert device is not None
+    done = python(
+        "import os, clvol.spline as s\nchild = os.fork()\n"
+        "value = s.sample([[1.0, 2.0], [3.0, 4.0]], [[0.5, 0.5]], 'linear')[0]\n"
+        "if child == 0: os._exit(int(value * 2))\n"
+        "print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), value)", timeout=60,
+    )  # fmt: skip
+    assert done.stdout.split() == ["5", "2.5"], done.stdout + done.stderr
+
+
+def test_choosing(device: Device) -> None:
+    found = devices()
+    assert as_device(device) is device
+    assert device in found
+    assert devices()[0] is found[0]
+    assert as_device(found.index(device)) is device
+    assert as_device(str(found.index(device))) is device
+    assert as_device(device.kind).kind == device.kind
+    assert as_device(device.name).name == device.name
+    assert as_device(device.platform.upper()[:8]).platform[:8] == device.platform[:8]
+    assert device.name in repr(device)
+
+
+def test_unknown_devices_are_refused_and_those_found_listed(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    for bad in ("no such device", len(devices()), "99", -1):
+        with pytest.raises(OptionError, match="device must be one of 'cpu', 'gpu'") as caught:
+            as_device(bad)
+        assert device.name in str(caught.value)
+    monkeypatch.setenv("CLVOL_DEVICE", "no such device")
+    with pytest.raises(OptionError):
+        as_device()
+    monkeypatch.setenv("CLVOL_DEVICE", device.name)
+    assert as_device().name == device.name
+
+
+def test_quirks_are_answered(device: Device) -> None:
+    assert device.kind in ("cpu", "gpu", "accelerator")
+    for value in (device.has_double, device.has_images, device.is_pocl, device.shares_memory):
+        assert isinstance(value, bool)
+    assert device.image_limit > 0 or not device.has_images
+
+
+def test_memory_is_refused_before_it_is_touched(device: Device) -> None:
+    for size in (2**60, int(device.handle.global_mem_size)):
+        with pytest.raises(OutOfMemoryError, match="MiB"):
+            device.allocate(size)
+    with pytest.raises(MemoryError):
+        sample(np.broadcast_to(np.float32(1), (40_000,) * 3), [[0.0, 0, 0]], device=device)
+
+
+def test_buffers_hold_what_was_put_in(device: Device) -> None:
+    data = np.asfortranarray(np.random.default_rng(0).normal(size=(3, 5)).astype(np.float32))
+    back = np.empty((3, 5), np.float32)
+    device.download(device.upload(data), back)
+    np.testing.assert_array_equal(back, data)
+    buffer = device.allocate(60)
+    with device.mapped(buffer, (3, 5), write=True) as mapped:
+        mapped[...] = data
+    with device.mapped(buffer, (3, 5), write=False) as mapped:
+        np.testing.assert_array_equal(mapped, data)
+
+
+def test_errors_of_the_runtime_come_out_as_ours(device: Device) -> None:
+    import pyopencl
+
+    with pytest.raises(DeviceError, match="failed"), device.errors:
+        raise pyopencl.LogicError("clSomething failed: INVALID_VALUE")
+    with pytest.raises(OutOfMemoryError), device.errors:
+        raise pyopencl.MemoryError("clSomething failed: MEM_OBJECT_ALLOCATION_FAILURE")
+
+
+def test_kernels_that_do_not_build_name_file_and_line(device: Device) -> None:
+    from clvol import program
+
+    with pytest.raises(DeviceError, match=r"filter\.cl"):
+        program.build(device, "points.cl", {"COORD_DOUBLE": 0, "DERIVATIVE": 0})
+
+
+def test_no_device_at_all_says_what_to_install(tmp_path: Path) -> None:
+    done = python(USE, OCL_ICD_VENDORS=str(tmp_path), OPENCL_VENDOR_PATH=str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    if done.stdout.startswith("value"):
+        pytest.skip("the loader finds devices without OCL_ICD_VENDORS")
+    assert done.stdout.startswith("DeviceError no OpenCL device was found"), done.stdout
+    assert "clvol[pocl]" in done.stdout
+
+
+def test_linker_is_here_if_pocl_is(device: Device) -> None:
+    if device.is_pocl and device.kind == "cpu":
+        assert shutil.which("ld")

@@ -1,0 +1,172 @@
+"""A volume holds samples and says where they lie."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from clvol.errors import ClvolError, DataError, GeometryError, OptionError
+from clvol.volume import Volume, as_volume
+
+OBLIQUE = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+DATA = np.random.default_rng(1).integers(-50, 50, (4, 5, 6)).astype(np.int16)
+VOLUME = Volume(DATA, (0.5, 1.5, 2.0), (1.0, -2.0, 3.0), OBLIQUE, "mm")
+
+
+def test_defaults() -> None:
+    volume = Volume(DATA)
+    assert (volume.ndim, volume.shape, volume.size) == (3, (4, 5, 6), (6, 5, 4))
+    assert (volume.spacing, volume.origin, volume.units) == ((1, 1, 1), (0, 0, 0), "")
+    np.testing.assert_array_equal(volume.direction, np.eye(3))
+    assert Volume(DATA[0]).spacing == (1, 1)
+
+
+def test_data_are_viewed_not_copied() -> None:
+    for data in (DATA, DATA[::-1, ::2], np.asfortranarray(DATA), DATA.astype(">i2")):
+        volume = Volume(data)
+        assert np.shares_memory(volume.data, data)
+        assert volume.data.dtype == data.dtype
+
+
+@pytest.mark.parametrize("dtype", ["?", "u1", "i1", ">u2", "i4", "u8", "f2", ">f4", "f8"])
+def test_dtypes(dtype: str) -> None:
+    assert Volume(np.ones((2, 3), dtype)).value_range == (1, 1)
+
+
+def test_index_and_world() -> None:
+    index = np.random.default_rng(2).uniform(-9, 9, (7, 2, 3))
+    world = VOLUME.index_to_world(index)
+    by_hand = np.einsum("ij,...j->...i", OBLIQUE, index * VOLUME.spacing) + VOLUME.origin
+    np.testing.assert_allclose(world, by_hand)
+    np.testing.assert_allclose(VOLUME.world_to_index(world), index, atol=1e-12)
+    np.testing.assert_allclose(VOLUME.index_to_world([0, 0, 0]), VOLUME.origin)
+    # one step along x in the array is `spacing[0]` along the first column of the direction
+    np.testing.assert_allclose(VOLUME.index_to_world([1, 0, 0]) - VOLUME.origin, 0.5 * OBLIQUE[:, 0])
+
+
+def test_corners_and_center() -> None:
+    index = VOLUME.world_to_index(VOLUME.corners)
+    assert VOLUME.corners.shape == (8, 3)
+    np.testing.assert_allclose(np.unique(index.round(9), axis=0).min(0), [-0.5] * 3)
+    np.testing.assert_allclose(index.max(0), [5.5, 4.5, 3.5])
+    np.testing.assert_allclose(VOLUME.center, VOLUME.corners.mean(0))
+    assert Volume(DATA[0]).corners.shape == (4, 2)
+
+
+def test_crop_keeps_places() -> None:
+    part = VOLUME.crop((1, 0, 2), (4, 5, 3))
+    np.testing.assert_array_equal(part.data, DATA[2:3, 0:5, 1:4])
+    np.testing.assert_allclose(part.index_to_world([0, 0, 0]), VOLUME.index_to_world([1, 0, 2]))
+    assert (part.spacing, part.units) == (VOLUME.spacing, "mm")
+    for low, high in (((0, 0, 0), (7, 5, 4)), ((2, 0, 0), (2, 1, 1)), ((-1, 0, 0), (1, 1, 1)), ((0.5, 0, 0), (1, 1, 1))):
+        with pytest.raises(OptionError):
+            VOLUME.crop(low, high)  # type: ignore[arg-type]
+
+
+def test_downsample_keeps_places() -> None:
+    part = VOLUME.downsample(2)
+    np.testing.assert_array_equal(part.data, DATA[::2, ::2, ::2])
+    np.testing.assert_allclose(part.index_to_world([1, 1, 1]), VOLUME.index_to_world([2, 2, 2]))
+    for n in (0, -1, 1.5, "2", None):
+        with pytest.raises(OptionError, match="n must be"):
+            VOLUME.downsample(n)  # type: ignore[arg-type]
+
+
+def test_gaussian_is_in_world_units() -> None:
+    impulse = np.zeros((41, 41), np.float32)
+    impulse[20, 20] = 1
+    smooth = Volume(impulse, (0.5, 2.0)).gaussian(2.0).data
+    x = np.arange(41) - 20
+    assert smooth.dtype == np.float32
+    assert smooth.sum() == pytest.approx(1, abs=1e-4)
+    assert np.sqrt((smooth * x**2).sum()) == pytest.approx(4, rel=0.01)  # samples along x
+    assert np.sqrt((smooth * x[:, None] ** 2).sum()) == pytest.approx(1, rel=0.01)
+    assert Volume(np.ones((3, 3))).gaussian(1).data.dtype == np.float64
+    np.testing.assert_array_equal(Volume(impulse).gaussian(0).data, impulse)
+    for sigma in (-1, np.nan, (1, 2, 3), "a"):
+        with pytest.raises(ClvolError):
+            Volume(impulse).gaussian(sigma)  # type: ignore[arg-type]
+
+
+def test_values_that_are_not_finite() -> None:
+    data = np.array([[1.0, np.nan], [np.inf, -3.0]])
+    volume = Volume(data)
+    assert volume.value_range == (-3, 1)
+    with pytest.raises(DataError, match=r"1 NaN and 1 infinite, the first at index \[0, 1\]"):
+        volume.require_finite()
+    np.testing.assert_array_equal(volume.filled(7).data, [[1, 7], [7, -3]])
+    volume.filled(7).require_finite()
+    with pytest.raises(DataError, match="no sample of the volume is finite"):
+        _ = Volume([[np.nan]]).value_range  # type: ignore[arg-type]
+    with pytest.raises(OptionError):
+        volume.filled(np.nan)
+    with pytest.raises(DataError, match="the room that float32 leaves"):
+        Volume([[1e37]]).require_finite()  # type: ignore[arg-type]
+
+
+def test_as_volume() -> None:
+    assert as_volume(VOLUME) is VOLUME
+    assert as_volume([[1, 2]]).shape == (1, 2)
+    again = Volume(VOLUME)  # type: ignore[arg-type]
+    assert (again.spacing, again.origin, again.units) == (VOLUME.spacing, VOLUME.origin, "mm")
+    assert "spacing=(0.5, 1.5, 2.0)" in repr(VOLUME)
+
+
+def test_it_is_frozen() -> None:
+    with pytest.raises(AttributeError):
+        VOLUME.spacing = (1, 1, 1)  # type: ignore[misc]
+    with pytest.raises(ValueError, match="read-only"):
+        VOLUME.direction[0, 0] = 9
+
+
+def test_simpleitk_image_brings_its_geometry() -> None:
+    sitk = pytest.importorskip("SimpleITK")
+    image = sitk.GetImageFromArray(DATA)
+    image.SetSpacing((0.5, 1.5, 2.0))
+    image.SetOrigin((1, -2, 3))
+    image.SetDirection(OBLIQUE.ravel().tolist())
+    volume = Volume(image)
+    np.testing.assert_array_equal(volume.data, DATA)
+    for index in ((0, 0, 0), (5, 1, 3)):
+        np.testing.assert_allclose(volume.index_to_world(index), image.TransformIndexToPhysicalPoint(index))
+    with pytest.raises(DataError, match="one value a voxel"):
+        Volume(sitk.GetImageFromArray(np.zeros((2, 2, 2, 3)), isVector=True))
+
+
+def test_nibabel_image_is_brought_into_lps() -> None:
+    nibabel = pytest.importorskip("nibabel")
+    affine = np.eye(4)
+    affine[:3, :3] = OBLIQUE * [0.5, 1.5, 2.0]
+    affine[:3, 3] = (1, -2, 3)
+    image = nibabel.Nifti1Image(np.ascontiguousarray(DATA.T), affine)
+    volume = Volume(image)
+    np.testing.assert_array_equal(volume.data, DATA)
+    ras = affine @ [5, 1, 3, 1]
+    np.testing.assert_allclose(volume.index_to_world([5, 1, 3]), ras[:3] * [-1, -1, 1], rtol=1e-6)
+
+
+BAD: list[tuple[dict[str, Any], type[ClvolError]]] = [
+    ({"data": 3.0}, DataError), ({"data": [1.0]}, DataError), ({"data": np.ones((1, 1, 1, 1))}, DataError),
+    ({"data": np.ones((0, 3))}, DataError), ({"data": [["a"]]}, DataError), ({"data": [[1j]]}, DataError),
+    ({"data": [[1], [1, 2]]}, DataError), ({"data": None}, DataError), ({"data": np.zeros((2, 2), "V4")}, DataError),
+    ({"spacing": (1,)}, GeometryError), ({"spacing": (1, 1, 1)}, GeometryError), ({"spacing": (0, 1)}, GeometryError),
+    ({"spacing": (-1, 1)}, GeometryError), ({"spacing": (np.nan, 1)}, GeometryError), ({"spacing": "ab"}, GeometryError),
+    ({"origin": (np.inf, 0)}, GeometryError), ({"origin": (0, 0, 0)}, GeometryError), ({"origin": ("a", 0)}, GeometryError),
+    ({"direction": np.zeros((2, 2))}, GeometryError), ({"direction": np.eye(3)}, GeometryError),
+    ({"direction": 2 * np.eye(2)}, GeometryError), ({"direction": [[1, 1], [0, 0]]}, GeometryError),
+    ({"direction": [[np.nan, 0], [0, 1]]}, GeometryError), ({"direction": "ab"}, GeometryError), ({"units": 3}, OptionError),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "error"), BAD, ids=[str(c)[:50] for c, _ in BAD])
+def test_bad_input_is_refused(change: dict[str, Any], error: type[ClvolError]) -> None:
+    with pytest.raises(error):
+        Volume(**{"data": np.ones((2, 2)), **change})
+
+
+def test_bad_points_are_refused() -> None:
+    for points in (3.0, [1.0, 2.0], [[1.0] * 4]):
+        with pytest.raises(OptionError, match="must have shape"):
+            VOLUME.world_to_index(points)
