@@ -259,7 +259,7 @@ def _evaluate(row: Polynomial, t: int) -> Number:
 
 
 def _near(a: Number, b: Number, slack: float) -> bool:
-    return abs(a - b) <= slack
+    return abs(float(a - b)) <= slack
 
 
 def _moment(taps: Sequence[Polynomial], m: int) -> list[Number]:

@@ -18,7 +18,7 @@ from clvol.filters import Filter
 
 __all__ = ["Program", "boundary_defines", "build", "filter_defines", "row_reach", "source"]
 
-_INCLUDE = re.compile(r'^#include "([\w/.]+)"\s*$', re.MULTILINE)
+_INCLUDE = re.compile(r'^#include "([\w/.]+)"[ \t]*$', re.MULTILINE)
 Defines = Mapping[str, str | int | float]
 
 
@@ -48,7 +48,7 @@ def source(name: str, replacements: Mapping[str, str] | None = None, generated: 
         text = (generated or {}).get(name) or (_folder() / name).read_text(encoding="utf-8")
 
         def insert(match: re.Match[str]) -> str:
-            line = text.count("\n", 0, match.end()) + 1
+            line = text.count("\n", 0, match.end()) + 2  # of what follows the directive
             inner = splice((replacements or {}).get(match[1], match[1]))
             return f'{inner}\n#line {line} "{name}"' if inner else ""
 

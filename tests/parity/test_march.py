@@ -39,7 +39,6 @@ TRANSFER = TransferFunction(
 )
 OPTIONS: dict[str, Any] = {"transfer": TRANSFER, "isovalue": 0.5, "background": None, "termination": 0.0, "outputs": OUTPUTS}
 MODES = list(modes())
-MEASURE=None
 
 
 @dataclass(frozen=True)
@@ -127,8 +126,6 @@ def compare(got: dict[str, NDArray[Any]], want: dict[str, NDArray[Any]], allowed
     worst = np.unravel_index(int(np.argmax(difference)), difference.shape)
     assert (difference > allowed.rgba).sum() <= budget, f"rgba differs by {difference.max():.2g} at {worst}, rms {rms:.2g}"
     assert rms <= allowed.rms, f"rgba differs by {rms:.2g} rms, at most {difference.max():.2g}"
-    if MEASURE is not None:
-        MEASURE["rgba"] = [difference]
     assert want["rgba"][..., 3].max() > 0
     both = np.isfinite(got["depth"]) & np.isfinite(want["depth"])
     lengths = np.linalg.norm(got["normal"], axis=-1)
@@ -139,8 +136,6 @@ def compare(got: dict[str, NDArray[Any]], want: dict[str, NDArray[Any]], allowed
         unknown = np.isnan(a) != np.isnan(b)
         assert unknown.any(-1).sum() <= budget, f"{name} is in one picture only at {unknown.any(-1).sum()} pixels"
         off = np.nan_to_num(np.abs(a - b)).max(-1, initial=0)
-        if MEASURE is not None:
-            MEASURE.setdefault(name, []).append(off)
         most = getattr(allowed, name) + (0 if name == "normal" else far)
         assert (off > most).sum() <= budget, f"{name} differs by {off.max():.2g}"
 

@@ -1,0 +1,80 @@
+"""Lights, materials and colours."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from clvol import phantoms
+from clvol.camera import Camera
+from clvol.device import Device
+from clvol.errors import ClvolError, GeometryError, OptionError
+from clvol.light import HEADLIGHT, MAX_LIGHTS, Light, Material, color_of
+from clvol.render import render
+
+
+def test_directions_are_made_unit() -> None:
+    assert Light((0, 3, 4)).direction == pytest.approx((0, 0.6, 0.8))
+    assert HEADLIGHT.direction is None
+    assert Light(color="red").color == (1, 0, 0)  # type: ignore[arg-type]
+
+
+def test_colours() -> None:
+    assert color_of("c", "white") == (1, 1, 1)
+    assert color_of("c", "#ff8000") == pytest.approx((1, 128 / 255, 0))
+    assert color_of("c", (0.1, 2, 0)) == (0.1, 2, 0)
+    assert color_of("c", np.array([1, 0, 0])) == (1, 0, 0)  # type: ignore[arg-type]
+
+
+def test_each_share_of_light_on_a_sphere(device: Device) -> None:
+    """Ambient everywhere; diffuse towards the light; a highlight halfway between light and viewer."""
+    volume, camera = phantoms.sphere(32), Camera.orbit(0, 0, projection="orthographic")
+    options: dict[str, Any] = {"camera": camera, "mode": "isosurface", "isovalue": 0.5, "color": "white", "size": (65, 65), "device": device}
+
+    def picture(material: Material, light: Light) -> np.ndarray[Any, Any]:
+        return np.asarray(render(volume, material=material, lights=[light], outputs=("rgba", "normal"), **options)["rgba"][..., 0])
+
+    normals = render(volume, outputs="normal", **options)
+    hit = np.isfinite(normals[..., 0])
+    right = Light((1, 0, 0))
+    flat = picture(Material(0.5, 0, 0, 1), right)
+    np.testing.assert_allclose(flat[hit], 0.5, atol=1e-6)
+    diffuse = picture(Material(0, 1, 0, 1), right)
+    np.testing.assert_allclose(diffuse[hit], np.maximum(normals[hit][:, 0], 0), atol=1e-5)
+    head = picture(Material(0, 1, 0, 1), HEADLIGHT)
+    np.testing.assert_allclose(head[hit], -normals[hit][:, 1], atol=1e-5)  # the view runs along +y
+    shine = picture(Material(0, 0, 1, 20), right)
+    half = normals[hit] @ (np.array([1, -1, 0]) / np.sqrt(2))
+    np.testing.assert_allclose(shine[hit], np.where(normals[hit][:, 0] > 1e-4, np.maximum(half, 0) ** 20, shine[hit]), atol=1e-4)
+    assert picture(Material(0, 1, 1, 20), Light((0, 1, 0)))[hit].max() < 1e-5  # from behind
+
+
+def test_lights_add_up(device: Device) -> None:
+    volume = phantoms.sphere(16)
+    options: dict[str, Any] = {"mode": "isosurface", "isovalue": 0.5, "size": (16, 16), "device": device, "background": None}
+    lights = [Light((1, -1, 0), (0.2, 0, 0)), Light((-1, -1, 1), (0, 0.3, 0.1)), Light(None, (0.1, 0.1, 0.1)), Light((0, -1, 0), (0.1, 0, 0.2))]
+    assert len(lights) == MAX_LIGHTS
+    dark = Material(0, 0.5, 0.2, 10)
+    alone = sum(render(volume, lights=[light], material=dark, **options)[..., :3] for light in lights)
+    np.testing.assert_allclose(render(volume, lights=lights, material=dark, **options)[..., :3], alone, atol=1e-5)
+
+
+WRONG: dict[str, tuple[Any, type[ClvolError], str]] = {
+    "no direction": (lambda: Light((0, 0, 0)), GeometryError, "a light's direction must be three finite numbers, not all zero"),
+    "flat direction": (lambda: Light((1, 0)), GeometryError, "a light's direction"),  # type: ignore[arg-type]
+    "NaN direction": (lambda: Light((1, 0, float("nan"))), GeometryError, "a light's direction"),
+    "colour": (lambda: Light(color=(1, 2)), OptionError, "a light's color must be three numbers"),  # type: ignore[arg-type]
+    "negative colour": (lambda: Light(color=(1, 2, -1)), OptionError, "must be finite and not negative"),
+    "ambient": (lambda: Material(ambient=-0.1), OptionError, "ambient must be finite and not negative; got -0.1"),
+    "shininess": (lambda: Material(shininess=float("inf")), OptionError, "shininess must be finite"),
+    "diffuse": (lambda: Material(diffuse="lots"), OptionError, "diffuse must be finite"),  # type: ignore[arg-type]
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_errors(case: str) -> None:
+    make, kind, message = WRONG[case]
+    with pytest.raises(kind, match=message):
+        make()
