@@ -23,10 +23,14 @@ def main() -> None:
     options = arguments.parse_args()
 
     started = time.perf_counter()
-    panels, sheet = figure6(options.samples, options.pixels)
+    try:
+        panels, sheet = figure6(options.samples, options.pixels)
+        output = clvol.save(sheet, options.output)
+    except clvol.ClvolError as error:
+        raise SystemExit(f"{type(error).__name__}: {error}") from None
     for panel in panels[:-1]:
         print(panel.label.replace("\n", ": "))
-    print(f"{clvol.save(sheet, options.output)} in {time.perf_counter() - started:.1f} s")
+    print(f"{output} in {time.perf_counter() - started:.1f} s")
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import shutil
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -403,7 +404,7 @@ def _say(as_json: bool, what: dict[str, Any], lines: Sequence[str] = ()) -> None
 
 
 def _text(value: Any) -> str:
-    """A value as people write it: 1 x 2 x 3 would hide which axis is which, so lists are left as rows of numbers."""
+    """A value as people read it: numbers to six digits, lists with blanks between, rows with commas."""
     if value is None or isinstance(value, bool):
         return {None: "none", True: "yes", False: "no"}[value]
     if isinstance(value, float):
@@ -420,7 +421,7 @@ def _print_json(value: Any) -> None:
 def _table(header: list[str], rows: list[list[str]]) -> None:
     """A table; on a terminal too narrow for it, a paragraph for each row."""
     widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
-    room = os.get_terminal_size(sys.stdout.fileno()).columns if sys.stdout.isatty() else math.inf
+    room = shutil.get_terminal_size().columns if sys.stdout.isatty() else math.inf
     if sum(widths) + 2 * len(widths) - 2 <= room:
         for row in [header, *rows]:
             print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())

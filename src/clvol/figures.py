@@ -106,17 +106,17 @@ def figure6(
     points = np.random.default_rng(_SEED).uniform(-0.8, 0.8, (_POINTS, 3))
     truth, normals = phantoms.marschner_lobb_function(points), phantoms.marschner_lobb_gradient(surface)
     panels = []
-    for i, filter in enumerate(chosen):
+    for i, row in enumerate(chosen):
         report = _part(progress, i + 1, len(chosen) + 1)  # the exact picture was the first part
-        with Renderer(volume, filter, device=device) as renderer:
+        with Renderer(volume, row, device=device) as renderer:
             drawn = renderer.render(
                 _CAMERA, "isosurface", (pixels, pixels), step, isovalue=_ISOVALUE, color=_SURFACE, lights=_LIGHTS,
                 material=_MATERIAL, background=_BACKGROUND, clip=_BOX, samples=samples, progress=report,
             )  # fmt: skip
-        values = sample(volume, points, filter, device=device)
+        values = sample(volume, points, row, device=device)
         rms = float(np.sqrt(np.mean((values - truth) ** 2)))
-        angle = _mean_angle(_gradients(volume, surface, filter, device), normals) if surface.size else None
-        panels.append(Panel(filter.name, drawn, rms, angle))
+        angle = _mean_angle(_gradients(volume, surface, row, device), normals) if surface.size else None
+        panels.append(Panel(row.name, drawn, rms, angle))
     panels.append(Panel("exact", picture))
     *tiles, truth_tile = [labelled(p.picture, p.label) for p in panels]
     sheet = grid(tiles, columns=min(3, len(tiles)))
@@ -142,10 +142,10 @@ def compare(
     options.setdefault("mode", "isosurface")
     chosen = _chosen(filters, pixels)
     panels = []
-    for i, filter in enumerate(chosen):
-        with Renderer(volume, filter, boundary, device) as renderer:
+    for i, row in enumerate(chosen):
+        with Renderer(volume, row, boundary, device) as renderer:
             drawn = renderer.render(size=(pixels, pixels), progress=_part(progress, i, len(chosen)), **options)
-        panels.append(Panel(filter.name, drawn))
+        panels.append(Panel(row.name, drawn))
     columns = min(len(panels), 3 if len(panels) % 3 == 0 else 4)
     return panels, grid([labelled(p.picture, p.label) for p in panels], columns=columns)
 

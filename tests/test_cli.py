@@ -1,0 +1,633 @@
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+
+import clvol
+from clvol import cli
+from clvol.device import Device
+
+pytestmark = pytest.mark.usefixtures("device", "_in_folder")
+SPHERE = "phantom:sphere:8"
+SMALL = ("--size", "16", "12")
+Command = Callable[..., "Result"]
+
+
+@pytest.fixture
+def _in_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+class Result:
+    def __init__(self, code: int, out: str, err: str) -> None:
+        self.code, self.out, self.err = code, out, err
+
+    @property
+    def json(self) -> Any:
+        assert self.code == 0, self.err
+        return json.loads(self.out)
+
+    def fails(self, code: int, *words: str) -> None:
+        """One line on standard error that holds `words`, nothing on standard output, nothing written."""
+        assert self.code == code, self.err
+        assert self.out == ""
+        assert self.err.startswith("clvol: ")
+        assert self.err.count("\n") == 1
+        assert self.err.endswith("\n")
+        for word in words:
+            assert word in self.err
+
+
+@pytest.fixture
+def clvol_command(capsys: pytest.CaptureFixture[str]) -> Command:
+    def run(*arguments: object) -> Result:
+        code = 0
+        try:
+            cli.main([str(a) for a in arguments])
+        except SystemExit as end:
+            assert end.code is None or isinstance(end.code, int)
+            code = end.code or 0
+        out, err = capsys.readouterr()
+        return Result(code, out, err)
+
+    return run
+
+
+def subprocess_of(*arguments: object, code: str = "", **environment: str) -> subprocess.CompletedProcess[str]:
+    """The command in a process of its own, after the statements in `code`."""
+    script = f"{code}\nfrom clvol.cli import main\nmain()"
+    return subprocess.run(
+        [sys.executable, "-c", script, *map(str, arguments)], capture_output=True, text=True, timeout=60, check=False,
+        env={**os.environ, **environment},
+    )  # fmt: skip
+
+
+def files() -> list[str]:
+    return sorted(p.name for p in Path.cwd().iterdir())
+
+
+# -- render ---------------------------------------------------------------------------------------------------
+
+
+def test_render_writes_what_render_gives(clvol_command: Command) -> None:
+    done = clvol_command("render", SPHERE, "-o", "a.png", *SMALL)
+    assert (done.code, done.err) == (0, "")
+    assert done.out == "output: a.png\nsize: 16 12\nfilter: bspline3\nmode: composite\n"
+    expected = clvol.picture.to_bytes(clvol.render(clvol.phantoms.sphere(8), size=(16, 12)))
+    np.testing.assert_array_equal(iio.imread("a.png"), expected[..., :3])
+    assert files() == ["a.png"]
+
+
+def test_render_passes_every_option_on(clvol_command: Command) -> None:
+    options = (
+        "--mode isosurface --boundary wrap --step 0.3 --samples 2 --isovalue -0.25 --color red --background #102030 --gradient central "
+        "--azimuth -40 --elevation 10 --zoom 1.5 --projection orthographic --evaluator taps --fetch buffer --filter mitchell"
+    )
+    done = clvol_command("render", SPHERE, "--output", "a.png", *SMALL, *options.split(), "--json").json
+    assert done == {"output": "a.png", "size": [16, 12], "filter": "mitchell", "mode": "isosurface"}
+    camera = clvol.Camera.orbit(-40, 10, zoom=1.5, projection="orthographic")
+    picture = clvol.render(
+        clvol.phantoms.sphere(8), camera, "isosurface", "mitchell", "wrap", (16, 12), 0.3, samples=2, isovalue=-0.25, color="red",
+        background="#102030", gradient="central", evaluator="taps", fetch="buffer",
+    )  # fmt: skip
+    np.testing.assert_array_equal(iio.imread("a.png"), clvol.picture.to_bytes(picture)[..., :3])
+
+
+@pytest.mark.parametrize("mode", ["composite", "isosurface", "mip", "minip", "mean"])
+def test_render_knows_every_mode(clvol_command: Command, mode: str) -> None:
+    assert clvol_command("render", SPHERE, "-o", "a.png", *SMALL, "--mode", mode, "--json").json["mode"] == mode
+    assert iio.imread("a.png").shape == (12, 16, 3)
+
+
+def test_opacity_takes_pairs_and_negative_values(clvol_command: Command) -> None:
+    options = ("--opacity", "-1", "0", "0.5", "0.25", "--cmap", "viridis", "--value-range", "-1", "0.8", "--no-shading")
+    assert clvol_command("render", SPHERE, "-o", "a.png", *SMALL, *options).code == 0
+    transfer = clvol.TransferFunction.from_cmap("viridis", (-1, 0.8), ((-1, 0), (0.5, 0.25)))
+    picture = clvol.render(clvol.phantoms.sphere(8), size=(16, 12), transfer=transfer, shading=False)
+    np.testing.assert_array_equal(iio.imread("a.png"), clvol.picture.to_bytes(picture)[..., :3])
+    clvol_command("render", SPHERE, "-o", "b.png", "--opacity", "1", "0", "2").fails(1, "pairs", "got 3 numbers")
+    assert files() == ["a.png"]
+
+
+def test_a_colour_map_alone_keeps_the_automatic_opacity(clvol_command: Command) -> None:
+    for name, mode in (("a.png", "composite"), ("b.png", "mip")):
+        assert clvol_command("render", SPHERE, "-o", name, *SMALL, "--cmap", "magma", "--mode", mode).code == 0
+        assert np.ptp(iio.imread(name).astype(int), axis=2).max() > 20  # colours
+
+
+def test_background_none_is_transparent(clvol_command: Command) -> None:
+    assert clvol_command("render", SPHERE, "-o", "a.png", *SMALL, "--mode", "isosurface", "--background", "none").code == 0
+    opacity = iio.imread("a.png")[..., 3]
+    assert opacity[0, 0] == 0
+    assert opacity[6, 8] == 255
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "tif", "bmp", "PNG"])
+def test_render_writes_by_suffix(clvol_command: Command, suffix: str) -> None:
+    assert clvol_command("render", SPHERE, "-o", f"a.{suffix}", *SMALL).code == 0
+    assert iio.imread(f"a.{suffix}").shape == (12, 16, 3)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("phantom:bogus",), ("phantom must be one of", "sphere", "'bogus'")),
+        (("phantom:sphere:x",), ("size of a phantom", "'x'")),
+        ((SPHERE, "--shape", "1", "2", "3"), ("--shape and --dtype are for raw files",)),
+        (("missing.npy",), ("missing.npy", "no such file")),
+        (("folder",), ("folder",)),
+        ((SPHERE, "--filter", "bogus"), ("filter must be one of", "bspline3", "'bogus'")),
+        ((SPHERE, "--mode", "bogus"), ("mode must be one of", "minip", "'bogus'")),
+        ((SPHERE, "--boundary", "bogus"), ("boundary must be one of", "mirror", "'bogus'")),
+        ((SPHERE, "--cmap", "bogus"), ("'bogus'",)),
+        ((SPHERE, "--color", "bogus", "--mode", "isosurface"), ("color", "'bogus'")),
+        ((SPHERE, "--background", "bogus"), ("background", "'bogus'")),
+        ((SPHERE, "--device", "bogus"), ("device must be one of", "'bogus'")),
+        ((SPHERE, "--step", "0"), ("step must be positive", "0.0")),
+        ((SPHERE, "--step", "nan"), ("step must be positive",)),
+        ((SPHERE, "--samples", "0"), ("samples",)),
+        ((SPHERE, "--size", "0", "4"), ("size must be (width, height)", "(0, 4)")),
+        ((SPHERE, "--zoom", "-1"), ("zoom must be positive",)),
+        ((SPHERE, "--isovalue", "inf", "--mode", "isosurface"), ("isovalue must be finite",)),
+        ((SPHERE, "--spacing", "1", "0", "1"), ("spacing must be positive",)),
+        (("phantom:sphere:99999",), ("out of memory",)),
+        ((SPHERE, "-o", "a.gif"), (".png, .jpg", "'a.gif'")),
+        ((SPHERE, "-o", "a"), (".png, .jpg", "'a'")),
+        ((SPHERE, "-o", "missing/a.png"), ("the folder missing does not exist",)),
+    ],
+    ids=lambda x: " ".join(x[-2:]) if isinstance(x, tuple) else None,
+)
+def test_what_the_user_got_wrong_is_one_line(clvol_command: Command, options: tuple[str, ...], words: tuple[str, ...]) -> None:
+    Path("folder").mkdir()
+    output = () if "-o" in options else ("-o", "a.png")
+    clvol_command("render", *options, *output).fails(1, *words)
+    assert files() == ["folder"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("bogus",), ('"bogus"', "render", "'clvol --help'")),
+        (("render",), ("SOURCE", "'clvol render --help'")),
+        (("render", SPHERE), ("--output",)),
+        (("render", SPHERE, "-o", "a.png", "--bogus", "1"), ("--bogus",)),
+        (("render", SPHERE, "-o", "a.png", "--size", "16"), ("--size", "2")),
+        (("render", SPHERE, "-o", "a.png", "--size", "a", "b"), ("--size", '"a"')),
+        (("render", SPHERE, "-o", "a.png", "--projection", "bogus"), ("--projection", "orthographic")),
+        (("render", SPHERE, "-o", "a.png", "--evaluator", "bogus"), ("--evaluator", "eight-fetch")),
+        (("render", SPHERE, "-o", "a.png", "more"), ("more",)),
+        (("resample", SPHERE, "-o", "a.npz", "--magnify", "1.5"), ("--magnify",)),
+        (("info",), ("SOURCE",)),
+        (("figure6", "--pixels", "many"), ("--pixels",)),
+        (("devices", "more"), ("more",)),
+    ],
+    ids=lambda x: " ".join(x) if isinstance(x, tuple) else None,
+)
+def test_a_wrong_command_line_exits_with_2(clvol_command: Command, arguments: tuple[str, ...], words: tuple[str, ...]) -> None:
+    clvol_command(*arguments).fails(2, *words)
+    assert files() == []
+
+
+def test_nothing_is_drawn_for_an_output_that_cannot_be(clvol_command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("render", "resample", "magnify", "read"):
+        monkeypatch.setattr(clvol, name, None)
+    for command in (("render", SPHERE), ("compare", SPHERE), ("figure6",)):
+        clvol_command(*command, "-o", "a.npy").fails(1, ".png", "'a.npy'")
+        clvol_command(*command, "-o", "missing/a.png").fails(1, "missing")
+    clvol_command("resample", SPHERE, "-o", "a.png", "--magnify", "2").fails(1, ".npz", "'a.png'")
+    clvol_command("resample", SPHERE, "-o", "missing/a.npz", "--magnify", "2").fails(1, "missing")
+    assert files() == []
+
+
+def test_a_failed_picture_leaves_the_old_one(clvol_command: Command) -> None:
+    Path("a.png").write_bytes(b"old")
+    clvol_command("render", SPHERE, "-o", "a.png", "--step", "-1").fails(1, "step")
+    assert Path("a.png").read_bytes() == b"old"
+    assert files() == ["a.png"]
+
+
+# -- inputs ---------------------------------------------------------------------------------------------------
+
+
+def test_raw_files_need_a_shape_and_a_type(clvol_command: Command) -> None:
+    data = np.arange(4 * 5 * 6, dtype=">u2").reshape(4, 5, 6)
+    data.tofile("a.raw")
+    arguments = ("--shape", "4", "5", "6", "--dtype", ">u2", "--spacing", "1", "2", "3")
+    told = clvol_command("info", "a.raw", *arguments, "--json").json
+    assert (told["shape"], told["spacing"], told["value_range"]) == ([4, 5, 6], [1, 2, 3], [0, 119])
+    assert clvol_command("render", "a.raw", *arguments, "-o", "a.png", *SMALL).code == 0
+    expected = clvol.render(clvol.Volume(data, (1, 2, 3)), size=(16, 12))
+    np.testing.assert_array_equal(iio.imread("a.png"), clvol.picture.to_bytes(expected)[..., :3])
+    clvol_command("info", "a.raw").fails(1, "shape", "dtype")
+    clvol_command("info", "a.raw", "--shape", "4", "5", "7", "--dtype", "uint16").fails(1, "280 bytes", "240")
+    clvol_command("info", "a.raw", "--shape", "4", "5", "6", "--dtype", "bogus").fails(1, "'bogus'")
+
+
+def test_nan_is_refused_and_filled(clvol_command: Command) -> None:
+    data = np.array(clvol.phantoms.sphere(8).data)
+    data[1, 2, 3], data[0, 0, 0] = np.nan, np.inf
+    np.save("a.npy", data)
+    clvol_command("render", "a.npy", "-o", "a.png", *SMALL).fails(1, "1 NaN and 1 infinite", "[0, 0, 0]")
+    assert files() == ["a.npy"]
+    assert clvol_command("render", "a.npy", "-o", "a.png", *SMALL, "--fill-nan", "-0.5").code == 0
+    expected = clvol.render(clvol.Volume(data).filled(-0.5), size=(16, 12))
+    np.testing.assert_array_equal(iio.imread("a.png"), clvol.picture.to_bytes(expected)[..., :3])
+    clvol_command("render", "a.npy", "-o", "b.png", "--fill-nan", "nan").fails(1, "finite")
+
+
+@pytest.mark.parametrize("name", ["a.npy", "a.npz", "a.nii", "a.nii.gz", "a.nrrd", "a.nhdr", "a.mha", "a.mhd", "a.tif"])
+def test_info_tells_of_every_kind_of_file(clvol_command: Command, name: str) -> None:
+    if name.startswith(("a.n", "a.m")) and not name.startswith("a.np"):
+        pytest.importorskip("SimpleITK")
+    if name.endswith("tif"):
+        pytest.importorskip("tifffile")
+    spacing = (1.0, 1.0, 1.0) if name == "a.npy" else (0.5, 0.5, 2.0)
+    volume = clvol.Volume(np.arange(24, dtype=np.int16).reshape(2, 3, 4), spacing, units="" if name == "a.npy" else "mm")
+    clvol.write(volume, name)
+    told = clvol_command("info", name, "--json").json
+    assert told == {
+        "shape": [2, 3, 4], "dtype": "int16", "spacing": list(spacing), "origin": [0, 0, 0], "direction": np.eye(3).tolist(),
+        "units": volume.units, "value_range": [0, 23], "finite": True, "bytes": 48,
+    }  # fmt: skip
+    lines = clvol_command("info", name).out.splitlines()
+    assert lines[0] == "shape: 2 3 4"
+    assert "direction: 1 0 0, 0 1 0, 0 0 1" in lines
+    assert ("units: mm" in lines) == bool(volume.units)
+    assert "finite: yes" in lines
+
+
+def test_info_tells_of_a_dicom_folder(clvol_command: Command) -> None:
+    sitk = pytest.importorskip("SimpleITK")
+    Path("series").mkdir()
+    for z in range(3):
+        image = sitk.GetImageFromArray(np.full((1, 4, 5), z, np.int16))
+        image.SetSpacing((1, 1, 2))
+        for tag, value in (
+            ("0020|000e", "1.2.3.4"), ("0020|000d", "1.2.3"), ("0008|0018", f"1.2.3.4.{z + 1}"), ("0020|0013", str(z)),
+            ("0020|0032", f"0\\0\\{2 * z}"), ("0020|0037", "1\\0\\0\\0\\1\\0"), ("0008|0060", "MR"),
+        ):  # fmt: skip
+            image.SetMetaData(tag, value)
+        writer = sitk.ImageFileWriter()
+        writer.KeepOriginalImageUIDOn()
+        writer.SetFileName(f"series/{z}.dcm")
+        writer.Execute(image)
+    told = clvol_command("info", "series", "--json").json
+    assert (told["shape"], told["value_range"], told["spacing"]) == ([3, 4, 5], [0, 2], [1, 1, 2])
+
+
+def test_info_tells_of_images_phantoms_and_nan(clvol_command: Command) -> None:
+    np.save("image.npy", np.zeros((3, 4), np.uint8))
+    assert clvol_command("info", "image.npy", "--json").json["shape"] == [3, 4]
+    assert clvol_command("info", "phantom:box:3,4,5", "--spacing", "1", "2", "3", "--json").json["spacing"] == [1, 2, 3]
+    assert clvol_command("info", "phantom:marschner-lobb", "--json").json["shape"] == [41, 41, 41]
+    np.save("some.npy", np.array([[[1, np.nan, 3]]]))
+    told = clvol_command("info", "some.npy", "--json").json
+    assert (told["finite"], told["value_range"]) == (False, [1, 3])
+    np.save("none.npy", np.full((2, 2, 2), np.nan, np.float32))
+    told = clvol_command("info", "none.npy", "--json").json
+    assert (told["finite"], told["value_range"]) == (False, None)
+    assert "value range: none\nfinite: no\n" in clvol_command("info", "none.npy").out
+    assert clvol_command("info", "none.npy", "--fill-nan", "2", "--json").json["value_range"] == [2, 2]
+
+
+def test_info_of_what_is_no_volume_is_one_line(clvol_command: Command) -> None:
+    Path("a.npy").write_bytes(b"not an array")
+    clvol_command("info", "a.npy").fails(1, "a.npy")
+    Path("a.txt").write_text("text")
+    clvol_command("info", "a.txt").fails(1, ".nii.gz", "a.txt")
+    np.save("b.npy", np.zeros((2, 2, 2, 2)))
+    clvol_command("info", "b.npy").fails(1, "b.npy")
+
+
+# -- compare and figure 6 -------------------------------------------------------------------------------------
+
+
+def test_compare_draws_the_filters_asked_for(clvol_command: Command) -> None:
+    options = ("--pixels", "16", "--boundary", "wrap", "--filters", "linear", "bc(0, 1/2)", "--isovalue", "0.3")
+    done = clvol_command("compare", SPHERE, "-o", "a.png", *options, "--json").json
+    assert done == {"output": "a.png", "filters": ["linear", "bc(0, 1/2)"], "mode": "isosurface"}
+    camera = clvol.Camera.orbit(30, 20)
+    tile = clvol.render(clvol.phantoms.sphere(8), camera, "isosurface", "linear", "wrap", (16, 16), isovalue=0.3, color="#eddec2")
+    np.testing.assert_array_equal(iio.imread("a.png")[:16, :16], clvol.picture.to_bytes(tile)[..., :3])
+
+
+def test_compare_draws_surfaces_whatever_else_is_asked_for(clvol_command: Command) -> None:
+    few = ("compare", SPHERE, "-o", "a.png", "--pixels", "8", "--filters", "linear", "--json")
+    assert clvol_command(*few).json["mode"] == "isosurface"
+    assert clvol_command(*few, "--zoom", "2").json["mode"] == "isosurface"
+    assert clvol_command(*few, "--mode", "mip").json["mode"] == "mip"
+
+
+def test_compare_takes_the_six_of_the_figure(clvol_command: Command) -> None:
+    done = clvol_command("compare", "phantom:marschner-lobb:8", "-o", "a.png", "--pixels", "8", "--json").json
+    assert done["filters"] == list(clvol.figures.FIGURE_6)
+    assert iio.imread("a.png").shape[1] == 3 * 8 + 2 * 4
+    assert clvol_command("compare", SPHERE, "-o", "b.png", "--pixels", "8").out.splitlines()[1].startswith("filters: sinc nearest ")
+
+
+def test_compare_tells_what_filters_there_are(clvol_command: Command) -> None:
+    clvol_command("compare", SPHERE, "-o", "a.png", "--filters", "linear", "bogus").fails(1, "bspline3-approx", "'bogus'")
+    clvol_command("compare", SPHERE, "-o", "a.png", "--pixels", "0").fails(1, "pixels")
+    assert files() == []
+
+
+def test_figure6_prints_its_errors(clvol_command: Command) -> None:
+    done = clvol_command("figure6", "--samples", "12", "--pixels", "16")
+    assert done.code == 0
+    *lines, output = done.out.splitlines()
+    assert output == "output: figure6.png"
+    assert len(lines) == 6
+    assert lines[-1].startswith("B-spline interpolation: RMS error 0.")
+    assert lines[-1].endswith("°")
+    assert files() == ["figure6.png"]
+    told = clvol_command("figure6", "--samples", "12", "--pixels", "16", "-o", "b.png", "--json").json
+    assert told["output"] == "b.png"
+    assert [p["filter"] for p in told["panels"]] == [*clvol.figures.FIGURE_6, "exact"]
+    assert all(p["rms"] > 0 and p["angle"] > 0 for p in told["panels"][:-1])
+    assert told["panels"][-1] == {"filter": "exact", "rms": None, "angle": None}
+    for option in (("--pixels", "0"), ("--samples", "1")):
+        clvol_command("figure6", *option).fails(1, option[1])
+
+
+# -- resample -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (("--magnify", "2"), lambda v: clvol.magnify(v, 2)),
+        (("--to-shape", "5", "6", "7"), lambda v: clvol.resample(v, shape=(5, 6, 7))),
+        (("--to-spacing", "0.5", "0.4", "0.3"), lambda v: clvol.resample(v, spacing=(0.5, 0.4, 0.3))),
+        (("--like", "like.npz", "--fill", "9"), lambda v: clvol.resample(v, like=clvol.read("like.npz"), fill=9)),
+        (("--like", "phantom:box:6"), lambda v: clvol.resample(v, like=clvol.phantoms.box(6))),
+        (
+            ("--magnify", "2", "--filter", "linear", "--boundary", "wrap"),
+            lambda v: clvol.magnify(v, 2, "linear", "wrap"),
+        ),
+    ],
+    ids=lambda x: " ".join(x) if isinstance(x, tuple) else None,
+)
+def test_resample_writes_what_resample_gives(
+    clvol_command: Command, options: tuple[str, ...], expected: Callable[[clvol.Volume], clvol.Volume]
+) -> None:
+    clvol.write(clvol.Volume(np.zeros((3, 4, 5)), (0.3, 0.2, 0.1), (-1, -2, 0.5)), "like.npz")
+    done = clvol_command("resample", SPHERE, "-o", "a.npz", *options, "--json").json
+    result, wanted = clvol.read("a.npz"), expected(clvol.phantoms.sphere(8))
+    np.testing.assert_array_equal(result.data, wanted.data)
+    assert result.data.dtype == np.float32
+    assert (result.spacing, result.origin) == (wanted.spacing, wanted.origin)
+    assert done == {"output": "a.npz", "shape": list(wanted.shape), "spacing": list(wanted.spacing)}
+
+
+def test_resample_takes_exactly_one_grid(clvol_command: Command) -> None:
+    clvol_command("resample", SPHERE, "-o", "a.npz").fails(1, "--to-shape, --to-spacing, --like, --magnify", "got none")
+    both = ("--magnify", "2", "--to-shape", "3", "3", "3")
+    clvol_command("resample", SPHERE, "-o", "a.npz", *both).fails(1, "got --to-shape, --magnify")
+    assert files() == []
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (("--magnify", "0"), "factor"),
+        (("--to-shape", "0", "1", "1"), "shape"),
+        (("--to-spacing", "0", "1", "1"), "spacing"),
+        (("--like", "missing.npz"), "missing.npz"),
+        (("--magnify", "2", "--filter", "bogus"), "'bogus'"),
+        (("--magnify", "2", "--boundary", "bogus"), "'bogus'"),
+    ],
+    ids=lambda x: " ".join(x) if isinstance(x, tuple) else None,
+)
+def test_resample_tells_what_is_wrong(clvol_command: Command, options: tuple[str, ...], word: str) -> None:
+    clvol_command("resample", SPHERE, "-o", "a.npz", *options).fails(1, word)
+    assert files() == []
+
+
+def test_resample_loses_nothing_silently(clvol_command: Command) -> None:
+    clvol_command("resample", SPHERE, "-o", "a.npy", "--magnify", "2").fails(1, "spacing", ".npz")
+    clvol_command("resample", SPHERE, "-o", "a.raw", "--magnify", "2").fails(1, ".npz", "'a.raw'")
+    assert files() == []
+
+
+# -- what there is --------------------------------------------------------------------------------------------
+
+
+def test_filters_are_listed(clvol_command: Command) -> None:
+    lines = clvol_command("filters").out.splitlines()
+    assert lines[0].split()[:3] == ["filter", "support", "degree"]
+    assert [line.split()[0] for line in lines[1:]] == [row[0] for row in clvol.filters().rows()]
+    assert all(line == line.rstrip() for line in lines)
+    rows = {row["filter"]: row for row in clvol_command("filters", "--json").json}
+    assert rows["bspline3"]["poles"] == "-0.2679"
+    assert set(rows) >= {"nearest", "linear", "bspline5", "mitchell", "sinc", "hybrid"}
+
+
+def test_devices_are_listed(clvol_command: Command, device: Device) -> None:
+    rows = clvol_command("devices", "--json").json
+    assert device.name in [row["name"] for row in rows]
+    assert [row["number"] for row in rows] == list(range(len(rows)))
+    assert all(row["kind"] in ("cpu", "gpu", "accelerator") and row["memory_mib"] > 0 for row in rows)
+    assert device.name in clvol_command("devices").out
+    assert clvol_command("render", SPHERE, "-o", "a.png", *SMALL, "--device", rows[0]["number"]).code == 0
+
+
+def test_doctor_finds_this_machine_sound(clvol_command: Command, device: Device) -> None:
+    told = clvol_command("doctor", "--json").json
+    assert told["usable"] is True
+    assert [c["ok"] for c in told["checks"][:3]] == [True] * 3
+    assert device.name in told["checks"][0]["detail"]
+    done = clvol_command("doctor")
+    assert done.code == 0
+    assert "ok  it computes right values: " in done.out
+
+
+NO_PLATFORM = """
+import pyopencl
+def none(): raise pyopencl.LogicError("clGetPlatformIDs failed: PLATFORM_NOT_FOUND_KHR")
+pyopencl.get_platforms = none
+"""
+NO_PYOPENCL = (
+    "import sys; sys.modules['pyopencl'] = None"  # its wheel brings a loader that finds PoCL whatever the environment says
+)
+
+
+@pytest.mark.parametrize("code", [NO_PLATFORM, NO_PYOPENCL], ids=["no platform", "no pyopencl"])
+def test_without_opencl_the_doctor_says_what_to_install(code: str) -> None:
+    done = subprocess_of("doctor", code=code, OCL_ICD_VENDORS=os.devnull)
+    assert (done.returncode, done.stderr) == (1, "")
+    assert done.stdout.startswith("--  an OpenCL device: ")
+    assert "pip install clvol[pocl]" in done.stdout
+    assert "driver" in done.stdout
+    assert "it builds kernels" not in done.stdout
+    told = subprocess_of("doctor", "--json", code=code)
+    assert told.returncode == 1
+    assert json.loads(told.stdout)["usable"] is False
+    for command in (("devices",), ("devices", "--json"), ("render", SPHERE, "-o", "a.png")):
+        failed = subprocess_of(*command, code=code)
+        Result(failed.returncode, failed.stdout, failed.stderr).fails(1, "pip install clvol[pocl]")
+    assert subprocess_of("filters", code=code).returncode == 0
+    assert subprocess_of("info", SPHERE, code=code).returncode == 0
+    assert files() == []
+
+
+def test_the_doctor_notices_a_device_that_computes_wrong_values(clvol_command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(clvol, "sample", lambda _, points: np.zeros(len(points)))
+    done = clvol_command("doctor")
+    assert done.code == 1
+    assert "--  it computes right values: this device computes wrong values: off by" in done.out
+    monkeypatch.setattr(clvol, "sample", lambda *_: 1 / 0)  # whatever happens is told, not raised
+    assert "--  it computes right values: division by zero" in clvol_command("doctor").out
+
+
+def test_the_doctor_tells_of_extras(clvol_command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    done = clvol_command("doctor")
+    assert done.code == 0  # they are optional
+    assert "pip install clvol[medical]" in done.out
+    assert "pip install clvol[microscopy]" in done.out
+
+
+# -- manners --------------------------------------------------------------------------------------------------
+
+
+COMMANDS = ("render", "compare", "figure6", "info", "devices", "filters", "resample", "doctor")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_explains_itself(clvol_command: Command, command: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    done = clvol_command(command, "--help")
+    assert (done.code, done.err) == (0, "")
+    assert f"Usage: clvol {command}" in done.out
+    assert "--json" in done.out
+    assert "--no-json" not in done.out
+    assert "--empty" not in done.out
+    described = [line.strip("│ ").split("  ") for line in done.out.splitlines() if "--" in line and line.startswith("│")]
+    for row in described:
+        assert [cell for cell in row[1:] if cell.strip() and not cell.strip().startswith("[")], row  # each option has words
+    assert command in clvol_command("--help").out
+
+
+def test_the_version_is_told(clvol_command: Command) -> None:
+    assert clvol_command("--version").out.strip() == clvol.__version__
+
+
+def test_help_tells_the_defaults_of_each_command(clvol_command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    assert "[default: composite]" in clvol_command("render", "--help").out
+    assert "[default: isosurface]" in clvol_command("compare", "--help").out
+    assert "[default: the six of Figure 6]" in clvol_command("compare", "--help").out
+
+
+@pytest.mark.parametrize("width", [20, 40, 79, 200])
+def test_tables_fit_narrow_terminals(clvol_command: Command, monkeypatch: pytest.MonkeyPatch, width: int) -> None:
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", str(width))
+    out = clvol_command("filters").out
+    assert max(map(len, out.splitlines())) <= max(width, 24)
+    for row in clvol.filters().rows():
+        assert row[0] in out
+    assert out.startswith("filter nearest\n  support: 1\n" if width < 79 else "filter  ")
+
+
+def test_exit_codes_and_streams_of_a_process_of_its_own() -> None:
+    done = subprocess_of("render", SPHERE, "-o", "a.png", *SMALL, "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert json.loads(done.stdout)["output"] == "a.png"
+    for code, arguments in ((1, ("render", "missing.npy", "-o", "b.png")), (2, ("render", "--bogus")), (2, ("bogus",))):
+        failed = subprocess_of(*arguments)
+        Result(failed.returncode, failed.stdout, failed.stderr).fails(code)
+    assert files() == ["a.png"]
+
+
+def test_a_reader_that_has_seen_enough_is_no_error() -> None:
+    if os.name != "posix":
+        pytest.skip("pipes as POSIX has them")
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run(
+        [sys.executable, "-m", "clvol.cli", "filters"], stdout=write, stderr=subprocess.PIPE, text=True, timeout=60, check=False
+    )
+    os.close(write)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
+def test_a_full_disk_is_one_line() -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "clvol.cli", "filters"], stdout=full, stderr=subprocess.PIPE, text=True, timeout=60, check=False
+        )
+    assert done.returncode == 1
+    assert done.stderr.startswith("clvol: ")
+    assert "Traceback" not in done.stderr
+
+
+def test_a_progress_bar_is_drawn_on_a_terminal_only(clvol_command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert clvol_command("render", SPHERE, "-o", "a.png", *SMALL).err == ""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    told: list[float] = []
+
+    class Bar:
+        def __init__(self, **_: object) -> None: ...
+        def __enter__(self) -> Bar:
+            return self
+
+        def __exit__(self, *_: object) -> None: ...
+        def add_task(self, what: str, total: float) -> int:
+            assert (what, total) == ("rendering", 1.0)
+            return 7
+
+        def update(self, task: int, completed: float) -> None:
+            assert task == 7
+            told.append(completed)
+
+    monkeypatch.setattr("rich.progress.Progress", Bar)
+    assert clvol_command("render", SPHERE, "-o", "a.png", *SMALL).code == 0
+    assert told[-1] == pytest.approx(1)
+    told.clear()
+    assert clvol_command("render", SPHERE, "-o", "a.png", *SMALL, "--json").json["output"] == "a.png"
+    assert told == []
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
+def test_an_interrupt_ends_a_long_render_soon_and_leaves_nothing() -> None:
+    # tells when the first tile is done, for an interrupt before that would try another thing
+    code = """
+import clvol.render, functools
+march = clvol.render.Renderer._march
+def told(self, *args):
+    args = list(args); args[8] = lambda done: print("tile", flush=True)
+    return march(self, *args)
+clvol.render.Renderer._march = told
+from clvol.cli import main
+main(["render", "phantom:sphere:64", "-o", "a.png", "--size", "4000", "4000", "--samples", "4096", "--filter", "bspline5"])
+"""
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "tile\n"
+        started = time.perf_counter()
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=20)
+        waited = time.perf_counter() - started
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            process.kill()
+        process.wait()
+    assert process.returncode == 130
+    assert err == "clvol: interrupted\n"
+    assert waited < 3  # about a second on an idle machine
+    assert files() == []

@@ -1,0 +1,165 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from clvol import Camera, OptionError, bspline, phantoms, reference, render
+from clvol.device import Device
+from clvol.figures import _CAMERA, _ISOVALUE, _LIGHTS, _MATERIAL, _SURFACE, FIGURE_6, Panel, _chosen, _mean_angle, compare, figure6
+
+# of the Marschner-Lobb function at 40³, within 0.8 of the centre
+RMS = {"bspline3": 0.0148, "linear": 0.0328, "mitchell": 0.0296, "bspline3-approx": 0.0451, "nearest": 0.0475}
+PIXELS = 48
+
+
+@pytest.fixture(scope="module")
+def drawn(device: Device) -> tuple[list[Panel], np.ndarray]:
+    return figure6(pixels=PIXELS, samples=1, device=device)
+
+
+def panel(drawn: tuple[list[Panel], np.ndarray], name: str) -> Panel:
+    return next(p for p in drawn[0] if p.filter == name)
+
+
+def test_panels_are_those_of_the_paper_and_the_function_itself(drawn: tuple[list[Panel], np.ndarray]) -> None:
+    panels, _ = drawn
+    assert [p.filter for p in panels] == [*FIGURE_6, "exact"]
+    for p in panels:
+        assert p.picture.shape == (PIXELS, PIXELS, 4)
+        assert p.picture.dtype == np.float32
+        assert np.isfinite(p.picture).all()
+        assert p.picture[..., :3].std() > 0.05  # there is something to see
+    assert panels[-1].rms is None
+    assert panels[-1].angle is None
+
+
+@pytest.mark.parametrize("name", RMS)
+def test_errors_are_those_known(drawn: tuple[list[Panel], np.ndarray], name: str) -> None:
+    assert panel(drawn, name).rms == pytest.approx(RMS[name], rel=0.03)
+
+
+@pytest.mark.parametrize("name", FIGURE_6)
+def test_errors_are_those_of_the_reference(drawn: tuple[list[Panel], np.ndarray], name: str) -> None:
+    points = np.random.default_rng(5).uniform(-0.8, 0.8, (12_000, 3))
+    values = reference.sample(phantoms.marschner_lobb(40), points, name)
+    rms = float(np.sqrt(np.mean((values - phantoms.marschner_lobb_function(points)) ** 2)))
+    assert panel(drawn, name).rms == pytest.approx(rms, rel=0.05)  # other points, and not as many
+
+
+def test_interpolation_errs_least(drawn: tuple[list[Panel], np.ndarray]) -> None:
+    panels, _ = drawn
+    ours = panel(drawn, "bspline3")
+    for p in panels[:-1]:
+        if p is not ours:
+            assert p.rms is not None
+            assert p.angle is not None
+            assert (p.rms, p.angle) > (ours.rms, ours.angle)
+            assert p.angle > ours.angle
+    exact = panels[-1].picture[..., :3]
+    differences = {p.filter: float(np.abs(p.picture[..., :3] - exact).mean()) for p in panels[:-1]}
+    assert min(differences, key=lambda name: differences[name]) == "bspline3"
+
+
+def test_the_exact_panel_is_what_a_much_finer_sampled_volume_shows(drawn: tuple[list[Panel], np.ndarray], device: Device) -> None:
+    # the same box and camera; the domain of 161³ samples ends elsewhere, so the camera is told where it stood
+    coarse, fine = phantoms.marschner_lobb(40), phantoms.marschner_lobb(161)
+    view = _CAMERA.view(coarse)
+    camera = Camera(
+        tuple(view.eye), tuple(view.eye + view.forward), tuple(view.up), fov=2 * np.degrees(np.arctan(view.half_height))
+    )
+    picture = render(
+        fine, camera, "isosurface", "bspline5", size=(PIXELS, PIXELS), step=0.5, isovalue=_ISOVALUE, color=_SURFACE,
+        lights=_LIGHTS, material=_MATERIAL, background=(0.06, 0.07, 0.10), clip=((-1, -1, -1), (1, 1, 1)), device=device,
+    )  # fmt: skip
+    difference = np.abs(picture - drawn[0][-1].picture)[..., :3].max(-1)
+    # silhouettes fall to one side or the other: pixels where the picture is smooth are compared
+    shade = drawn[0][-1].picture[..., 0]
+    steep = np.maximum(np.abs(np.gradient(shade, axis=0)), np.abs(np.gradient(shade, axis=1))) > 0.15
+    assert steep.mean() < 0.5
+    assert np.quantile(difference[~steep], 0.98) < 0.02
+    assert np.median(difference) < 0.002
+
+
+def test_the_sheet_holds_every_panel_under_its_label(drawn: tuple[list[Panel], np.ndarray]) -> None:
+    panels, sheet = drawn
+    assert sheet.dtype == np.uint8
+    height = (sheet.shape[0] - 4) // 2  # of a tile: two rows, a gap of 4
+    assert height > PIXELS
+    assert sheet.shape == (2 * height + 4, 3 * PIXELS + 2 * 4 + 12 + PIXELS, 3)
+    for i, p in enumerate(panels[:-1]):
+        y, x = i // 3 * (height + 4), i % 3 * (PIXELS + 4)
+        tile = sheet[y : y + PIXELS, x : x + PIXELS]
+        assert np.abs(tile - p.picture[..., :3] * 255).max() <= 0.51
+    y = (sheet.shape[0] - height) // 2
+    assert np.abs(sheet[y : y + PIXELS, -PIXELS:] - panels[-1].picture[..., :3] * 255).max() <= 0.51
+
+
+def test_labels_tell_what_was_measured() -> None:
+    picture = np.zeros((2, 2, 4), np.float32)
+    assert Panel("linear", picture, 0.03281, 12.345).label == "trilinear\nRMS error 0.0328   normals 12.3°"
+    assert Panel("linear", picture, 0.03281).label == "trilinear\nRMS error 0.0328"
+    assert Panel("exact", picture).label == "the function itself\n"
+    assert Panel("omoms3", picture).label == "omoms3\n"
+    assert Panel("linear", picture, 0.5, 1.5).numbers() == {"filter": "linear", "rms": 0.5, "angle": 1.5}
+
+
+def test_progress_goes_up_to_one(device: Device) -> None:
+    told: list[float] = []
+    figure6(8, 8, ("linear", "nearest"), samples=1, device=device, progress=told.append)
+    assert told == sorted(told)
+    assert told[-1] == pytest.approx(1)
+    told.clear()
+    compare(phantoms.sphere(8), ("linear", "nearest"), 8, device=device, progress=told.append)
+    assert told == sorted(told)
+    assert told[-1] == pytest.approx(1)
+
+
+def test_a_figure_in_which_no_surface_shows_measures_no_normals(monkeypatch: pytest.MonkeyPatch, device: Device) -> None:
+    monkeypatch.setattr("clvol.figures._CAMERA", Camera.look_at((0, 0, 9), (0, 0, 20), (0, 1, 0)))
+    panels, _ = figure6(8, 8, ("linear",), samples=1, device=device)
+    assert panels[0].angle is None
+    assert panels[0].rms is not None
+
+
+@pytest.mark.parametrize(("count", "across", "down"), [(1, 1, 1), (2, 2, 1), (3, 3, 1), (4, 4, 1), (5, 4, 2), (6, 3, 2), (7, 4, 2)])
+def test_compare_puts_panels_in_rows(device: Device, count: int, across: int, down: int) -> None:
+    names = ("linear", "nearest", "bspline3", "mitchell", "bspline2", "catmull-rom", "bspline")[:count]
+    panels, sheet = compare(phantoms.sphere(8), names, 12, device=device, mode="mip")
+    assert [p.filter for p in panels] == [{"bspline": "bspline3"}.get(name, name) for name in names]
+    assert all(p.rms is None and p.angle is None for p in panels)
+    assert sheet.shape[1:] == (12 * across + 4 * (across - 1), 3)
+    assert 12 * down < sheet.shape[0] < 75 * down
+
+
+def test_compare_draws_what_render_draws(device: Device) -> None:
+    volume, camera = phantoms.marschner_lobb(12), Camera.orbit(10, 40)
+    for options in ({}, {"mode": "mean"}, {"mode": "composite", "background": "white"}):
+        panels, _ = compare(volume, ("mitchell", bspline(4)), 16, "wrap", camera=camera, device=device, **options)  # type: ignore[arg-type]
+        for p in panels:
+            alone = render(
+                volume, camera, filter=p.filter, boundary="wrap", size=(16, 16), device=device, **{"mode": "isosurface", **options}
+            )
+            np.testing.assert_array_equal(p.picture, alone)
+
+
+@pytest.mark.parametrize("pixels", [0, -4, 2.5, True, "8"])
+def test_pixels_are_checked_first(pixels: object) -> None:
+    for make in (lambda: figure6(8, pixels), lambda: compare(phantoms.sphere(8), ("linear",), pixels)):  # type: ignore[arg-type]
+        with pytest.raises(OptionError, match=r"pixels must be a whole number of at least 1"):
+            make()
+
+
+def test_filters_are_checked_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("clvol.figures.Renderer", None)  # nothing may be drawn
+    for filters in ((), "linear"):
+        with pytest.raises(OptionError, match=r"filters must be one or more names"):
+            _chosen(filters, 8)
+    for make in (lambda: figure6(8, 8, ("linear", "bogus")), lambda: compare(phantoms.sphere(8), ("linear", "bogus"), 8)):
+        with pytest.raises(OptionError, match=r"bspline3.*'bogus'"):
+            make()
+
+
+def test_the_mean_angle() -> None:
+    a = np.array([[1.0, 0, 0], [0, 2, 0], [0, 0, 0]])
+    b = np.array([[3.0, 0, 0], [2, 2, 0], [1, 0, 0]])
+    assert _mean_angle(a, b) == pytest.approx((0 + 45 + 90) / 3)
