@@ -6,7 +6,7 @@ typedef struct {
     real enter, leave;      // t where the ray is inside the domain and the clipping box
     real first, step;       // sample n lies at t = first + n * step
     real begin, end;        // the samples are those with begin <= n <= end
-    mask hits;
+    mask hits, planar;      // whether it meets the volume; whether its samples lie on the planes
 } ray_t;
 
 INLINE void clip_axis(real origin, real direction, float low, float high, real *enter, real *leave)
@@ -47,6 +47,7 @@ INLINE ray_t pixel_ray(constant frame_t *frame, real px, real py)
     // The lattice: where the ray crosses equally spaced planes perpendicular to one axis of the volume ...
     const real along_axis = axis_of(ray.direction, frame->axis), length = sqrt(dot3(ray.direction, ray.direction));
     const mask oblique = fabs(along_axis) < frame->oblique * length;
+    ray.planar = !oblique;
     const real d = choose(oblique, (real)(1.0f), along_axis);
     const real plane = choose(d > 0.0f, (real)(frame->plane), (real)(frame->plane_back));
     // ... or, for rays too oblique to them, equal steps along the ray from where it enters

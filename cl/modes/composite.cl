@@ -16,7 +16,7 @@ INLINE mask gather(state_t *s, SCENE_PARAMS, real t, real value, mask active)
     if (!any_lane(seen))
         return NONE;
 #if SHADED
-    color = shade(frame, color, gradient_at(SCENE, t, seen), ray->world);
+    color = shade(frame, color, gradient_here(SCENE, t, seen), ray->world);
 #endif
     const real opacity = choose(seen, opacity_of(color.opacity, ray->step * frame->per_unit_distance), (real)(0.0f));
     const real share = s->transmittance * opacity;
