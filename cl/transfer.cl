@@ -34,5 +34,6 @@ INLINE color_t classify(constant frame_t *frame, global const float4 *table, rea
 // Opacity of matter `thickness` unit distances thick, given that of one.
 INLINE real opacity_of(real opacity, real thickness)
 {
-    return 1.0f - exp2(thickness * log2(fmax(1.0f - opacity, (real)(1e-30f))));
+    const real share = 1.0f - exp2(thickness * log2(fmax(1.0f - opacity, (real)(1e-30f))));
+    return choose(opacity < 1.0f, share, (real)(1.0f));
 }

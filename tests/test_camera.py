@@ -76,8 +76,8 @@ def test_a_marked_corner_appears_where_it_should(
 
 
 def test_look_at_from_inside() -> None:
-    inside = BOX.center + [1.0, 2.0, -1.0]
-    camera = Camera.look_at(inside, BOX.center + [10.0, 2.0, -1.0])
+    inside = BOX.center + np.array([1.0, 2.0, -1.0])
+    camera = Camera.look_at(inside, inside + np.array([9.0, 0.0, 0.0]))
     view = camera.view(BOX)
     np.testing.assert_allclose(view.eye, inside)
     np.testing.assert_allclose(view.forward, [1, 0, 0], atol=1e-12)
@@ -126,7 +126,10 @@ def test_distance_and_target() -> None:
 
 
 WRONG: dict[str, tuple[Any, type[ClvolError], str]] = {
-    "projection": (lambda: Camera(projection="fisheye"), OptionError, "projection must be one of perspective, orthographic; got 'fisheye'"),  # type: ignore[arg-type]
+    "projection": (
+        lambda: Camera(projection="fisheye"), OptionError,  # type: ignore[arg-type]
+        "projection must be one of perspective, orthographic; got 'fisheye'",
+    ),
     "no direction": (lambda: Camera(direction=(0, 0, 0)), GeometryError, "direction must not have zero length"),
     "no up": (lambda: Camera(up=(0, 0, 0)), GeometryError, "up must not have zero length"),
     "flat position": (lambda: Camera(position=(1, 2)), GeometryError, r"position must be three numbers \(x, y, z\); got \(1, 2\)"),  # type: ignore[arg-type]
@@ -140,7 +143,7 @@ WRONG: dict[str, tuple[Any, type[ClvolError], str]] = {
     "elevation": (lambda: Camera.orbit(0, "up"), OptionError, "elevation must be a finite number"),  # type: ignore[arg-type]
     "eye on target": (lambda: Camera.look_at((1, 2, 3), (1, 2, 3)), GeometryError, "position and target must differ"),
     "eye on centre": (lambda: Camera.look_at(BOX.center).view(BOX), GeometryError, "position and target must differ"),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("case", WRONG)

@@ -147,7 +147,7 @@ class Camera:
         target = volume.center if self.target is None else np.asarray(self.target)
         radius = float(np.linalg.norm(volume.corners - volume.center, axis=1).max())
         if self.position is None:
-            forward = np.asarray(self.direction) / np.linalg.norm(self.direction)
+            forward = np.asarray(self.direction) / math.hypot(*self.direction)  # which does not underflow
         else:
             forward = target - np.asarray(self.position)
             length = float(np.linalg.norm(forward))
@@ -156,8 +156,8 @@ class Camera:
                     f"position and target must differ, or there is no direction of view; got {self.position} twice"
                 )
             forward = forward / length
-        right = np.cross(forward, self.up)
-        if np.linalg.norm(right) < 1e-9 * float(np.linalg.norm(self.up)):  # looking straight along `up`
+        right = np.cross(forward, np.asarray(self.up) / math.hypot(*self.up))
+        if np.linalg.norm(right) < 1e-9:  # looking straight along `up`
             right = np.cross(forward, np.eye(3)[int(np.argmin(np.abs(forward)))])
         right = right / np.linalg.norm(right)
         half_angle = math.radians(self.fov) / 2

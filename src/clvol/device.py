@@ -232,6 +232,7 @@ class Device:
 
 @contextlib.contextmanager
 def _errors(device: Device) -> Iterator[None]:
+    _require_unforked(device._process)
     cl = _opencl()
     try:
         yield

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -53,7 +53,7 @@ class Rays:
     enter: Array
     leave: Array
 
-    def at(self, t: Array, which: ArrayLike | slice = slice(None)) -> Array:
+    def at(self, t: Array, which: NDArray[Any] | slice = slice(None)) -> Array:
         """World positions at distances `t` of the rays `which`; (..., 3)."""
         return np.asarray(self.origin[which] + t[..., None] * self.direction[which])
 
@@ -356,7 +356,7 @@ def _isosurface(scene: _Scene, rays: Rays, t: Array, there: Bools, values: Array
 def _extreme(scene: _Scene, t: Array, there: Bools, values: Array, sign: float) -> _Gathered:
     ranked = np.where(there, sign * values, -math.inf)
     best = ranked.argmax(1)[:, None]
-    some = there.any(1)
+    some: Bools = np.asarray(there.any(1))
     color = scene.transfer(np.where(some, np.take_along_axis(values, best, 1)[:, 0], 0.0))[:, :3]
     depth = np.where(some, np.take_along_axis(t, best, 1)[:, 0], math.inf)
     return color * some[:, None], some.astype(float), depth
@@ -371,7 +371,7 @@ def _minip(scene: _Scene, rays: Rays, t: Array, there: Bools, values: Array, ste
 
 
 def _mean(scene: _Scene, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
-    some = there.any(1)
+    some: Bools = np.asarray(there.any(1))
     mean = np.where(there, values, 0.0).sum(1) / np.maximum(there.sum(1), 1)
     color = scene.transfer(mean)[:, :3]
     return color * some[:, None], some.astype(float), np.full(t.shape[0], math.inf)
