@@ -30,13 +30,13 @@
 #include "patch.cl"
 #else
 #define RARE INLINE
-typedef struct { int usable; } patch_t;
+typedef struct { int usable; } patch_t, here_t;
 #endif
 
 // -- the function along a ray: what modes may ask for ---------------------------------------------------
 
-#define SCENE_PARAMS VOLUME_PARAMS, constant frame_t *frame, global const float4 *table, const ray_t *ray, patch_t *patch
-#define SCENE VOLUME, frame, table, ray, patch
+#define SCENE_PARAMS VOLUME_PARAMS, constant frame_t *frame, global const float4 *table, const ray_t *ray, patch_t *patch, here_t *here
+#define SCENE VOLUME, frame, table, ray, patch, here
 
 RARE float value_one(VOLUME_PARAMS, float x, float y, float z)
 {
@@ -68,67 +68,46 @@ RARE gradient_t gradient_one(VOLUME_PARAMS, float x, float y, float z)
     return g;
 }
 
-#if LANES == 1
-#define EACH_LANE(do_one) do_one(p.x, p.y, p.z, 0)
-#else
-#define EACH_LANE(do_one)                                                                            \
-    float px[LANES], py[LANES], pz[LANES];                                                           \
-    PASTE(vstore, LANES)(p.x, 0, px); PASTE(vstore, LANES)(p.y, 0, py); PASTE(vstore, LANES)(p.z, 0, pz); \
-    int wanted[LANES];                                                                               \
-    PASTE(vstore, LANES)(active, 0, wanted);                                                         \
-    for (int i = 0; i < LANES; ++i)                                                                  \
-        if (wanted[i])                                                                               \
-            do_one(px[i], py[i], pz[i], i)
-#endif
-
+// Lane by lane: the lanes that are not active ask for nothing.
 INLINE real value_at(SCENE_PARAMS, real t, mask active)
 {
     const real3 p = at3(ray->origin, ray->direction, t);
-    float value[LANES] = { 0.0f };
-#define ONE(px_, py_, pz_, i) value[i] = value_one(VOLUME, px_, py_, pz_)
-    EACH_LANE(ONE);
-#undef ONE
-#if LANES == 1
-    return value[0];
-#else
-    return PASTE(vload, LANES)(0, value);
-#endif
+    const lanes_u x = { p.x }, y = { p.y }, z = { p.z };
+    const lane_masks_u wanted = { active };
+    lanes_u value = { (real)(0.0f) };
+    for (int i = 0; i < LANES; ++i)
+        if (wanted.each[i])
+            value.each[i] = value_one(VOLUME, x.each[i], y.each[i], z.each[i]);
+    return value.all;
 }
 
 // The gradient in world directions, in units of the least that is no rounding: its square stays in float's range.
 INLINE real3 gradient_at(SCENE_PARAMS, real t, mask active)
 {
     const real3 p = at3(ray->origin, ray->direction, t);
-    float gx[LANES] = { 0.0f }, gy[LANES] = { 0.0f }, gz[LANES] = { 0.0f };
-#define ONE(px_, py_, pz_, i) do { const gradient_t g = gradient_one(VOLUME, px_, py_, pz_); gx[i] = g.x; gy[i] = g.y; gz[i] = g.z; } while (0)
-    EACH_LANE(ONE);
-#undef ONE
-#if LANES == 1
-    return transpose3(frame->gradient, real3_of(gx[0], gy[0], gz[0]));
-#else
-    return transpose3(frame->gradient, real3_of(PASTE(vload, LANES)(0, gx), PASTE(vload, LANES)(0, gy), PASTE(vload, LANES)(0, gz)));
-#endif
+    const lanes_u x = { p.x }, y = { p.y }, z = { p.z };
+    const lane_masks_u wanted = { active };
+    lanes_u gx = { (real)(0.0f) }, gy = gx, gz = gx;
+    for (int i = 0; i < LANES; ++i)
+        if (wanted.each[i]) {
+            const gradient_t g = gradient_one(VOLUME, x.each[i], y.each[i], z.each[i]);
+            gx.each[i] = g.x; gy.each[i] = g.y; gz.each[i] = g.z;
+        }
+    return transpose3(frame->gradient, real3_of(gx.all, gy.all, gz.all));
 }
 
 // The same two at the sample that is being gathered, which lies on the patch's plane if that is usable.
 #if PATCHED
 
-#define LANES_OF(name, v)  \
-    float name[LANES];     \
-    *(lanes_t *)name = (v)
-
-typedef real lanes_t __attribute__((aligned(4)));
-
 INLINE real value_here(SCENE_PARAMS, real t, mask active)
 {
     const real3 p = at3(ray->origin, ray->direction, t);
     const int axis = frame->axis;
-    LANES_OF(u, axis == 0 ? p.y : p.x);
-    LANES_OF(v, axis == 2 ? p.y : p.z);
-    float value[LANES];
-    for (int i = 0; i < LANES; ++i)
-        value[i] = patch_value(patch->values, patch_locate(patch, u[i], v[i], extent.w));
-    return *(const lanes_t *)value;
+    here->cell = patch_locate(patch, axis == 0 ? p.y : p.x, axis == 2 ? p.y : p.z, extent.w);
+    lane_weights(here->cell.tu, here->wu);
+    lane_weights(here->cell.tv, here->wv);
+    patch_gather(patch->values, &here->cell, here->wv, &here->rows);
+    return patch_dot(&here->rows, here->wu);
 }
 
 INLINE real3 gradient_here(SCENE_PARAMS, real t, mask active)
@@ -139,18 +118,17 @@ INLINE real3 gradient_here(SCENE_PARAMS, real t, mask active)
         patch_blend(patch, coefficients, 1, patch->slopes);
         patch->sloped = 1;
     }
-    const real3 p = at3(ray->origin, ray->direction, t);
+    real slopes[TAPS];
+    patch_rows_t rows;
+    lane_slopes(here->cell.tu, slopes);
+    const real du = GRID_SCALE * patch_dot(&here->rows, slopes);
+    lane_slopes(here->cell.tv, slopes);
+    patch_gather(patch->values, &here->cell, slopes, &rows);
+    const real dv = GRID_SCALE * patch_dot(&rows, here->wu);
+    patch_gather(patch->slopes, &here->cell, here->wv, &rows);
+    const real da = GRID_SCALE * patch_dot(&rows, here->wu);
     const int axis = frame->axis;
-    LANES_OF(u, axis == 0 ? p.y : p.x);
-    LANES_OF(v, axis == 2 ? p.y : p.z);
-    float du[LANES], dv[LANES], across[LANES];
-    for (int i = 0; i < LANES; ++i) {
-        const patch_cell_t c = patch_locate(patch, u[i], v[i], extent.w);
-        patch_slopes(patch->values, c, du + i, dv + i);
-        across[i] = patch_value(patch->slopes, c);
-    }
-    const real gu = GRID_SCALE * *(const lanes_t *)du, gv = GRID_SCALE * *(const lanes_t *)dv, ga = GRID_SCALE * *(const lanes_t *)across;
-    return transpose3(frame->gradient, axis == 0 ? real3_of(ga, gu, gv) : axis == 1 ? real3_of(gu, ga, gv) : real3_of(gu, gv, ga));
+    return transpose3(frame->gradient, axis == 0 ? real3_of(da, du, dv) : axis == 1 ? real3_of(du, da, dv) : real3_of(du, dv, da));
 }
 
 #else
@@ -214,7 +192,7 @@ INLINE void finish_rays(SCENE_PARAMS, const state_t *state, const int x, const i
     if (any_lane(somewhere)) {
         const real3 g = gradient_at(SCENE, choose(somewhere, t, ray->enter), somewhere);
         const real squared = dot3(g, g);
-        const real unit = choose(dot3(g, ray->world) > 0.0f, (real)(-1.0f), (real)(1.0f)) / sqrt(squared);
+        const real unit = choose(dot3(g, ray->world) > 0.0f, (real)(-1.0f), (real)(1.0f)) / square_root(squared);
         const mask known = somewhere & (squared > 1.0f);
         const real3 p = add3(matrix3(frame->index_to_world, at3(ray->origin, ray->direction, choose(somewhere, t, ray->enter))),
                              real3_of((real)(frame->world_origin[0]), (real)(frame->world_origin[1]), (real)(frame->world_origin[2])));
@@ -222,19 +200,12 @@ INLINE void finish_rays(SCENE_PARAMS, const state_t *state, const int x, const i
         place = real3_of(choose(somewhere, p.x, place.x), choose(somewhere, p.y, place.y), choose(somewhere, p.z, place.z));
     }
 #endif
-#if LANES == 1
-    store_lane(frame, x, y, (float4)(color.red, color.green, color.blue, color.opacity), t, (float3)(normal.x, normal.y, normal.z),
-               (float3)(place.x, place.y, place.z), rgba, depth, normals, positions);
-#else
-    float lanes[11][LANES];
-#define KEEP(i, v) PASTE(vstore, LANES)(v, 0, lanes[i])
-    KEEP(0, color.red); KEEP(1, color.green); KEEP(2, color.blue); KEEP(3, color.opacity); KEEP(4, t);
-    KEEP(5, normal.x); KEEP(6, normal.y); KEEP(7, normal.z); KEEP(8, place.x); KEEP(9, place.y); KEEP(10, place.z);
+    const lanes_u red = { color.red }, green = { color.green }, blue = { color.blue }, opacity = { color.opacity }, depths = { t };
+    const lanes_u nx = { normal.x }, ny = { normal.y }, nz = { normal.z }, x_ = { place.x }, y_ = { place.y }, z_ = { place.z };
     for (int i = 0; i < LANES && x + i < frame->width; ++i)
-        store_lane(frame, x + i, y, (float4)(lanes[0][i], lanes[1][i], lanes[2][i], lanes[3][i]), lanes[4][i],
-                   (float3)(lanes[5][i], lanes[6][i], lanes[7][i]), (float3)(lanes[8][i], lanes[9][i], lanes[10][i]),
+        store_lane(frame, x + i, y, (float4)(red.each[i], green.each[i], blue.each[i], opacity.each[i]), depths.each[i],
+                   (float3)(nx.each[i], ny.each[i], nz.each[i]), (float3)(x_.each[i], y_.each[i], z_.each[i]),
                    rgba, depth, normals, positions);
-#endif
 }
 
 #define GROUPS_ACROSS (TILE_WIDTH / LANES)
@@ -243,16 +214,11 @@ INLINE void finish_rays(SCENE_PARAMS, const state_t *state, const int x, const i
 
 INLINE float least_lane(real v)
 {
-#if LANES == 1
-    return v;
-#else
-    float least = v.s0;
-    float each[LANES];
-    PASTE(vstore, LANES)(v, 0, each);
+    const lanes_u lanes = { v };
+    float low = lanes.each[0];
     for (int i = 1; i < LANES; ++i)
-        least = each[i] < least ? each[i] : least;
-    return least;
-#endif
+        low = lanes.each[i] < low ? lanes.each[i] : low;
+    return low;
 }
 
 kernel void march(VOLUME_PARAMS, constant frame_t *frame, global const float4 *table, global float4 *rgba,
@@ -304,8 +270,9 @@ kernel void march(VOLUME_PARAMS, constant frame_t *frame, global const float4 *t
             const ray_t *ray = rays + g;
             real t = madd(n, ray->step, ray->first);   // by multiplication: never accumulated
 #if ENDPOINTS
-            t = fmin(fmax(t, ray->enter), ray->leave);
+            t = least(greatest(t, ray->enter), ray->leave);
 #endif
+            here_t sample_here, *here = &sample_here;
             real value;
 #if PATCHED
             if (planar && !moved) {
@@ -330,6 +297,7 @@ kernel void march(VOLUME_PARAMS, constant frame_t *frame, global const float4 *t
     for (int g = 0; g < GROUPS; ++g) {
         const int x = left + g % GROUPS_ACROSS * LANES, y = top + g / GROUPS_ACROSS;
         const ray_t *ray = rays + g;
+        here_t *here = 0;   // no sample is being gathered
         if (x < frame->width && y < frame->height)
             finish_rays(SCENE, &states[g], x, y, rgba, depth, normals, positions);
     }

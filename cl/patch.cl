@@ -85,52 +85,115 @@ INLINE void patch_move(patch_t *patch, VOLUME_PARAMS, int axis, float across, fl
         patch_blend(patch, coefficients, 0, patch->values);
 }
 
-// A sample on the plane: the patch's taps, or the derivative along u or v. Positions outside are moved inside:
-// lanes that are not active may ask for anything.
-typedef struct { int at; float tu, tv; } patch_cell_t;
+// Weights of LANES samples at once: by Horner's rule, tap by tap.
+INLINE void lane_weights(real t, real w[TAPS])
+{
+#pragma unroll
+    for (int i = 0; i < TAPS; ++i) {
+        w[i] = (real)(filter_taps[i][DEGREE]);
+#pragma unroll
+        for (int k = DEGREE - 1; k >= 0; --k)
+            w[i] = madd(w[i], t, filter_taps[i][k]);
+    }
+}
 
-INLINE patch_cell_t patch_locate(const patch_t *patch, float u, float v, int halo)
+INLINE void lane_slopes(real t, real w[TAPS])
+{
+#pragma unroll
+    for (int i = 0; i < TAPS; ++i) {
+        w[i] = (real)(DEGREE * filter_taps[i][DEGREE]);
+#pragma unroll
+        for (int k = DEGREE - 1; k >= 1; --k)
+            w[i] = madd(w[i], t, k * filter_taps[i][k]);
+    }
+}
+
+// Where LANES samples lie in the patch. Positions outside are moved inside: lanes that are not active may ask
+// for anything.
+typedef struct { int at[LANES]; real tu, tv; } patch_cell_t;
+
+INLINE patch_cell_t patch_locate(const patch_t *patch, real u, real v, int halo)
 {
     patch_cell_t c;
-    int i = locate_axis(u, &c.tu) + halo - patch->u, j = locate_axis(v, &c.tv) + halo - patch->v;
-    i = i < 0 ? 0 : i > PATCH - WEIGHTS ? PATCH - WEIGHTS : i;
-    j = j < 0 ? 0 : j > PATCH - TAPS ? PATCH - TAPS : j;
-    c.at = j * PATCH + i;
+    // counted from the patch's corner, hence not negative where it matters: cutting off is rounding down
+    u = u * GRID_SCALE - (LEFT - (float)(halo - patch->u));
+    v = v * GRID_SCALE - (LEFT - (float)(halo - patch->v));
+    const lanes_u us = { least(greatest(u, (real)(0.0f)), (real)(PATCH - WEIGHTS)) }, vs = { least(greatest(v, (real)(0.0f)), (real)(PATCH - TAPS)) };
+    lanes_u iu, iv;
+#pragma unroll
+    for (int i = 0; i < LANES; ++i) {
+        const int column = (int)us.each[i], row = (int)vs.each[i];
+        iu.each[i] = (float)column;
+        iv.each[i] = (float)row;
+        c.at[i] = row * PATCH + column;
+    }
+    c.tu = us.all - iu.all;
+    c.tv = vs.all - iv.all;
     return c;
 }
 
-INLINE float patch_value(const float *blend, patch_cell_t c)
+// Sums over rows of taps, a row for each lane. Two rows of four share a vector: kept in registers, they need no
+// store that a wider load would have to wait for.
+#define PAIRED (ROW == 4 && CHUNKS == 1 && LANES == 8)
+#if PAIRED
+typedef struct { float8 pairs[4]; } patch_rows_t;
+#else
+typedef struct { float taps[LANES][CHUNKS * ROW]; } patch_rows_t;
+#endif
+
+// LANES samples of a plane: what their value leaves for the gradient.
+typedef struct { patch_cell_t cell; real wu[TAPS], wv[TAPS]; patch_rows_t rows; } here_t;
+
+INLINE real patch_dot(const patch_rows_t *rows, const real wu[TAPS])
 {
-    float wv[WEIGHTS], value = 0.0f;
-    unpack_weights(c.tv, wv);
+    real sum = (real)(0.0f);
+#if PAIRED
+    const float8 p = rows->pairs[0], q = rows->pairs[1], r = rows->pairs[2], s = rows->pairs[3];
+#define COLUMN(i, k) (float8)(p.i, p.k, q.i, q.k, r.i, r.k, s.i, s.k)
+    sum = wu[0] * COLUMN(s0, s4);
+    sum = madd(wu[1], COLUMN(s1, s5), sum);
+    sum = madd(wu[2], COLUMN(s2, s6), sum);
+#if TAPS == 4
+    sum = madd(wu[3], COLUMN(s3, s7), sum);
+#endif
+#undef COLUMN
+#else
 #pragma unroll
-    for (int i = 0; i < CHUNKS; ++i) {
-        row_t sum = (row_t)(0.0f);
+    for (int k = 0; k < TAPS; ++k) {
+        lanes_u column;
 #pragma unroll
-        for (int j = 0; j < TAPS; ++j)
-            sum = madd(wv[j], *(const row_at_t *)(blend + c.at + j * PATCH + i * ROW), sum);
-        value += row_sum(sum * tap_weights(c.tu, i));
+        for (int i = 0; i < LANES; ++i)
+            column.each[i] = rows->taps[i][k];
+        sum = madd(wu[k], column.all, sum);
     }
-    return value;
+#endif
+    return sum;
 }
 
-// Derivatives along u and v of the blend.
-INLINE void patch_slopes(const float *blend, patch_cell_t c, float *du, float *dv)
+// One row of the blend's taps, weighted by the lane's weights along v.
+INLINE row_t patch_row(const float *p, const lanes_u w[TAPS], int lane)
 {
-    float wv[WEIGHTS], sv[WEIGHTS];
-    unpack_weights(c.tv, wv);
-    unpack_slopes(c.tv, sv);
-    *du = *dv = 0.0f;
+    row_t sum = w[0].each[lane] * *(const row_at_t *)p;
 #pragma unroll
-    for (int i = 0; i < CHUNKS; ++i) {
-        row_t sum = (row_t)(0.0f), sum_v = sum;
+    for (int j = 1; j < TAPS; ++j)
+        sum = madd(w[j].each[lane], *(const row_at_t *)(p + j * PATCH), sum);
+    return sum;
+}
+
+INLINE void patch_gather(const float *blend, const patch_cell_t *c, const real wv[TAPS], patch_rows_t *rows)
+{
+    lanes_u w[TAPS];
 #pragma unroll
-        for (int j = 0; j < TAPS; ++j) {
-            const row_t row = *(const row_at_t *)(blend + c.at + j * PATCH + i * ROW);
-            sum = madd(wv[j], row, sum);
-            sum_v = madd(sv[j], row, sum_v);
-        }
-        *du += row_sum(sum * tap_slopes(c.tu, i));
-        *dv += row_sum(sum_v * tap_weights(c.tu, i));
-    }
+    for (int j = 0; j < TAPS; ++j)
+        w[j].all = wv[j];
+#if PAIRED
+#pragma unroll
+    for (int i = 0; i < 4; ++i)
+        rows->pairs[i] = (float8)(patch_row(blend + c->at[2 * i], w, 2 * i), patch_row(blend + c->at[2 * i + 1], w, 2 * i + 1));
+#else
+    for (int i = 0; i < LANES; ++i)
+#pragma unroll
+        for (int h = 0; h < CHUNKS; ++h)
+            *(row_at_t *)(rows->taps[i] + h * ROW) = patch_row(blend + c->at[i] + h * ROW, w, i);
+#endif
 }
