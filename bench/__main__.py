@@ -91,8 +91,7 @@ def cases(quick: bool) -> list[Case]:
         return sample_coefficients(held, path, at, derivative)
 
     frames = [
-        Case(f"frame {size[0]}² {mode}, {n}³", partial(renderer.render, mode=mode, size=size), repeats=3)
-        for mode in clvol.modes()
+        Case(f"frame {size[0]}² {mode}, {n}³", partial(renderer.render, mode=mode, size=size), repeats=3) for mode in clvol.modes()
     ]
     small = data[: n // 2, : n // 2, : n // 2]
     return [
@@ -102,7 +101,7 @@ def cases(quick: bool) -> list[Case]:
             n**3 / 1e6, "Mvoxel/s",
         ),
         Case("prefilter and upload", lambda: Coefficients(volume, row, rule, device).release(), {}, n**3 / 1e6, "Mvoxel/s"),
-        Case("cubic along rays, the same points", lambda: ours(0), {"scipy map_coordinates": theirs}, len(fewer) / 1e6, "Msample/s"),
+        Case("cubic along rays, beside scipy", lambda: ours(0), {"scipy map_coordinates": theirs}, len(fewer) / 1e6, "Msample/s"),
         Case("cubic along rays", lambda: ours(0, points), {}, len(points) / 1e6, "Msample/s"),
         Case("cubic along rays, gradient", lambda: ours(1, points), {}, len(points) / 1e6, "Msample/s"),
         Case("magnify ×2, prefilter included", lambda: clvol.magnify(small, 2),

@@ -82,7 +82,7 @@ INLINE void sample_into(VOLUME_PARAMS, coord x, coord y, coord z, int4 size, int
     hessian_t h = { 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f };
     if (x - x == 0 && y - y == 0 && z - z == 0) {   // finite
         const int inside = x >= -0.5f && x <= size.x - 0.5f && y >= -0.5f && y <= size.y - 0.5f
-            && (DIMENSIONS == 2 || (z >= -0.5f && z <= size.z - 0.5f));
+            && z >= -0.5f && z <= size.z - 0.5f;   // 0 of one slice in 2-D
         if (inside) {
             const cell_t c = locate(x, y, z, extent.w);
 #if DERIVATIVE == 0

@@ -7,25 +7,28 @@ Exit codes: 0 done, 1 the request failed (the reason is on standard error), 2 th
 from __future__ import annotations
 
 import json
+import math
+import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NoReturn
 
 from cyclopts import App, CycloptsError, Parameter
 
 import clvol
-from clvol.errors import ClvolError, OptionError
+from clvol.errors import ClvolError, DataError, DeviceError, FormatError, OptionError
 
 app = App(
     name="clvol", help="Volume rendering and reconstruction with B-splines, on OpenCL.", version=lambda: version("clvol"),
-    default_parameter=Parameter(negative_iterable=()),
+    default_parameter=Parameter(negative_iterable=()), suppress_keyboard_interrupt=False,
 )  # fmt: skip
 
 Projection = Literal["perspective", "orthographic"]
+_MODES = "composite, isosurface, mip, minip or mean."
 
 
 @Parameter(name="*")
@@ -40,7 +43,10 @@ class Input:
 
     def read(self, source: str) -> clvol.Volume:
         if source.startswith("phantom:"):
-            return clvol.phantoms.by_name(source.removeprefix("phantom:"))
+            if self.shape is not None or self.dtype is not None:
+                raise OptionError("--shape and --dtype are for raw files; a phantom's size is said as phantom:NAME:SIZE")
+            volume = clvol.phantoms.by_name(source.removeprefix("phantom:"))
+            return volume if self.spacing is None else replace(volume, spacing=self.spacing)
         options = {"shape": self.shape, "dtype": self.dtype, "spacing": self.spacing}
         volume = clvol.read(source, **{k: v for k, v in options.items() if v is not None})  # type: ignore[arg-type]  # by name
         return volume if self.fill_nan is None else volume.filled(self.fill_nan)
@@ -51,22 +57,24 @@ class Input:
 class Look:
     """How a picture is made."""
 
-    mode: Annotated[str, Parameter(help="composite, isosurface, mip, minip or mean.")] = "composite"
+    mode: Annotated[str, Parameter(help=_MODES)] = "composite"
     boundary: Annotated[str, Parameter(help="mirror, reflect, wrap or zero.")] = "mirror"
     step: Annotated[float, Parameter(help="The most that a ray advances between samples, in voxels.")] = 0.5
     samples: Annotated[int, Parameter(help="Rays a pixel.")] = 1
     isovalue: Annotated[float | None, Parameter(help="Of the surface; default: parts the histogram in two.")] = None
     cmap: Annotated[str | None, Parameter(help="Colour map by name, instead of the automatic colours.")] = None
     value_range: Annotated[tuple[float, float] | None, Parameter(help="Values that the colour map spans.")] = None
-    opacity: Annotated[tuple[float, ...] | None, Parameter(help="value opacity value opacity ...", consume_multiple=True)] = None
+    opacity: Annotated[
+        tuple[float, ...] | None, Parameter(help="Points of the opacity: value opacity value opacity ...", consume_multiple=True)
+    ] = None
     color: Annotated[str, Parameter(help="Of an isosurface: a name or hex code.")] = "#eddec2"
     background: Annotated[str, Parameter(help="A name, a hex code, or 'none'.")] = "black"
     shading: Annotated[bool, Parameter(help="Light by the gradient.")] = True
     gradient: Annotated[Literal["analytic", "central"], Parameter(help="What lighting uses.")] = "analytic"
     azimuth: Annotated[float, Parameter(help="Degrees about the z axis.")] = 30.0
     elevation: Annotated[float, Parameter(help="Degrees above the xy plane.")] = 20.0
-    zoom: float = 1.0
-    projection: Projection = "perspective"
+    zoom: Annotated[float, Parameter(help="1 shows the whole volume.")] = 1.0
+    projection: Annotated[Projection, Parameter(help="How rays leave the eye.")] = "perspective"
     evaluator: Annotated[Literal["auto", "taps", "eight-fetch"], Parameter(help="How the spline is evaluated.")] = "auto"
     fetch: Annotated[Literal["auto", "buffer", "image"], Parameter(help="Where coefficients are read from.")] = "auto"
 
@@ -91,27 +99,37 @@ class Look:
         return clvol.TransferFunction.from_cmap(self.cmap or "gray", self.value_range or volume.value_range, points or 1.0)
 
 
+@Parameter(name="*")
+@dataclass
+class SurfaceLook(Look):
+    """How pictures are made where surfaces are the rule."""
+
+    mode: Annotated[str, Parameter(help=_MODES)] = "isosurface"
+
+
+Source = Annotated[str, Parameter(help="A volume file, a DICOM folder, or phantom:NAME[:SIZE].")]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="Print what a program would read.")]
 Output = Annotated[Path, Parameter(name=["--output", "-o"], help="The file to write.")]
 Size = Annotated[tuple[int, int], Parameter(help="Width and height in pixels.")]
 DeviceName = Annotated[str | None, Parameter(help="Number, 'cpu', 'gpu' or part of a name; see 'clvol devices'.")]
-Filters = Annotated[tuple[str, ...], Parameter(help="Filters, one picture each.", consume_multiple=True)]
+Filters = Annotated[
+    tuple[str, ...], Parameter(help="One picture each. [default: the six of Figure 6]", show_default=False, consume_multiple=True)
+]
 
 
 @app.command
 def render(
-    source: str, *, output: Output, filter: str = "bspline3", size: Size = (512, 512), device: DeviceName = None,
+    source: Source, /, *, output: Output, filter: str = "bspline3", size: Size = (512, 512), device: DeviceName = None,
     input: Input | None = None, look: Look | None = None, json: Json = False,
 ) -> None:  # fmt: skip
     """Make a picture of a volume.
 
     Parameters
     ----------
-    source
-        A volume file, a DICOM folder, or phantom:NAME[:SIZE].
     filter
         How it is reconstructed between its samples; see 'clvol filters'.
     """
+    _require_picture(output)
     look = look or Look()
     volume = (input or Input()).read(source)
     with _progress("rendering", json) as progress:
@@ -124,26 +142,26 @@ def render(
 
 @app.command
 def compare(
-    source: str, *, output: Output, filters: Filters = (), pixels: int = 384, device: DeviceName = None,
-    input: Input | None = None, look: Look | None = None, json: Json = False,
+    source: Source, /, *, output: Output, filters: Filters = (), pixels: int = 384, device: DeviceName = None,
+    input: Input | None = None, look: SurfaceLook | None = None, json: Json = False,
 ) -> None:  # fmt: skip
     """Draw a volume by several filters side by side.
 
     Parameters
     ----------
-    source
-        A volume file, a DICOM folder, or phantom:NAME[:SIZE].
     pixels
         Width and height of each picture.
     """
     from clvol import figures
 
-    volume, look = (input or Input()).read(source), look or Look(mode="isosurface")
+    _require_picture(output)
+    volume, look = (input or Input()).read(source), look or SurfaceLook()
     names = filters or figures.FIGURE_6
     with _progress("comparing", json) as progress:
-        options = {"boundary": look.boundary, **look.options(volume)}
-        _, sheet = figures.compare(volume, names, pixels, device=device, progress=progress, **options)
-    _say(json, {"output": str(clvol.save(sheet, output)), "filters": list(names)})
+        _, sheet = figures.compare(
+            volume, names, pixels, look.boundary, device=device, progress=progress, **look.options(volume)
+        )  # fmt: skip
+    _say(json, {"output": str(clvol.save(sheet, output)), "filters": list(names), "mode": look.mode})
 
 
 @app.command
@@ -161,6 +179,7 @@ def figure6(
     """
     from clvol import figures
 
+    _require_picture(output)
     with _progress("figure 6", json) as progress:
         panels, sheet = figures.figure6(samples, pixels, device=device, progress=progress)
     _say(
@@ -171,18 +190,22 @@ def figure6(
 
 
 @app.command
-def info(source: str, *, input: Input | None = None, json: Json = False) -> None:
+def info(source: Source, /, *, input: Input | None = None, json: Json = False) -> None:
     """Tell what a volume file holds."""
     import numpy as np
 
     volume = (input or Input()).read(source)
     finite = volume.data.dtype.kind != "f" or bool(np.isfinite(volume.data).all())
+    try:
+        value_range = list(volume.value_range)
+    except DataError:  # nothing is finite
+        value_range = None
     _say(
         json,
         {
             "shape": list(volume.shape), "dtype": str(volume.data.dtype), "spacing": list(volume.spacing),
             "origin": list(volume.origin), "direction": volume.direction.tolist(), "units": volume.units,
-            "value_range": list(volume.value_range), "finite": finite, "bytes": volume.data.nbytes,
+            "value_range": value_range, "finite": finite, "bytes": volume.data.nbytes,
         },
     )  # fmt: skip
 
@@ -220,12 +243,13 @@ def filters(*, json: Json = False) -> None:
 
 @app.command
 def resample(
-    source: str, *, output: Output, shape: Annotated[tuple[int, int, int] | None, Parameter(name="--to-shape")] = None,
+    source: Source, /, *, output: Output, shape: Annotated[tuple[int, int, int] | None, Parameter(name="--to-shape")] = None,
     spacing: Annotated[tuple[float, float, float] | None, Parameter(name="--to-spacing")] = None,
-    like: str | None = None, magnify: int | None = None, filter: str = "bspline3", boundary: str = "mirror",
+    like: str | None = None, magnify: int | None = None, filter: str = "bspline3",
+    boundary: Annotated[str, Parameter(help="mirror, reflect, wrap or zero.")] = "mirror",
     fill: float | None = None, device: DeviceName = None, input: Input | None = None, json: Json = False,
 ) -> None:  # fmt: skip
-    """Put a volume on another grid, as float32.
+    """Put a volume on another grid, as float32; say which by one of --to-shape, --to-spacing, --like, --magnify.
 
     Parameters
     ----------
@@ -234,9 +258,11 @@ def resample(
     spacing
         Spacing along x, y, z.
     like
-        A volume file whose grid is taken.
+        A volume whose grid is taken.
     magnify
-        A whole factor.
+        As many times the samples along each axis, a whole number.
+    filter
+        How it is reconstructed between its samples; see 'clvol filters'.
     fill
         Value outside the volume; by default its boundary rule goes on.
     """
@@ -247,6 +273,7 @@ def resample(
     ]
     if len(given) != 1:
         raise OptionError(f"give one of --to-shape, --to-spacing, --like, --magnify; got {', '.join(given) or 'none'}")
+    _require_written(output)
     volume = (input or Input()).read(source)
     with _progress("resampling", json) as progress:
         if magnify is not None:
@@ -270,10 +297,24 @@ def doctor(*, json: Json = False) -> None:
     def check(what: str, action: Callable[[], str]) -> bool:
         try:
             told, good = action(), True
-        except ClvolError as error:
-            told, good = str(error), False
+        except Exception as error:  # whatever is wrong here is what the user asks for
+            told, good = _one_line(error), False
         checks.append({"check": what, "ok": good, "detail": told})
         return good
+
+    def found() -> str:
+        names = [f"{d.name} ({d.platform})" for d in clvol.devices()]
+        if not names:
+            raise DeviceError(
+                "none was found. Without a GPU, on Linux x86-64: pip install clvol[pocl]; "
+                "with one: install its vendor's OpenCL driver"
+            )
+        return ", ".join(names)
+
+    def builds() -> str:
+        device = as_device()
+        device.require_usable()
+        return device.name
 
     def parity() -> str:
         points = np.random.default_rng(0).uniform(0, 8, (1000, 3))
@@ -282,11 +323,11 @@ def doctor(*, json: Json = False) -> None:
 
         error = float(np.abs(clvol.sample(volume, points) - reference.sample(volume, points, "bspline3")).max())
         if not error < 1e-4:
-            raise clvol.DeviceError(f"this device computes wrong values: off by {error:.2g}")
+            raise DeviceError(f"this device computes wrong values: off by {error:.2g}")
         return f"greatest difference to the reference {error:.1e}"
 
-    ready = check("an OpenCL device", lambda: ", ".join(f"{d.name} ({d.platform})" for d in clvol.devices()) or str(as_device()))
-    ready = ready and check("it builds kernels", lambda: str(as_device().context and as_device().name))
+    ready = check("an OpenCL device", found)
+    ready = ready and check("it builds kernels", builds)
     ready = ready and check("it computes right values", parity)
     for extra, module, what in (
         ("medical", "SimpleITK", "NIfTI, NRRD, MetaImage, DICOM"),
@@ -300,9 +341,36 @@ def doctor(*, json: Json = False) -> None:
     if json:
         _print_json({"usable": ready, "checks": checks})
     else:
-        _table(["", "check", ""], [["ok" if c["ok"] else "--", c["check"], c["detail"]] for c in checks])
+        for c in checks:
+            print(f"{'ok' if c['ok'] else '--'}  {c['check']}: {c['detail']}")
     if not ready:
         raise SystemExit(1)
+
+
+# -- where results go ----------------------------------------------------------------------------------------
+
+
+def _require_picture(output: Path) -> None:
+    """Raise before hours of work if `output` cannot be a picture."""
+    from clvol.picture import require_suffix
+
+    require_suffix(output)
+    _require_folder(output)
+
+
+def _require_written(output: Path) -> None:
+    """Raise before hours of work if `output` cannot be a volume."""
+    from clvol.formats import FORMATS
+
+    suffixes = [suffix for row in FORMATS if row.write is not None for suffix in row.suffixes]
+    if not output.name.lower().endswith(tuple(suffixes)):
+        raise FormatError(f"volumes are written as {', '.join(suffixes)}; got {str(output)!r}")
+    _require_folder(output)
+
+
+def _require_folder(output: Path) -> None:
+    if not output.parent.is_dir():
+        raise FormatError(f"cannot write {output}: the folder {output.parent} does not exist")
 
 
 # -- speaking ------------------------------------------------------------------------------------------------
@@ -322,46 +390,75 @@ def _progress(what: str, quiet: bool) -> Iterator[Callable[[float], None] | None
         yield lambda done: bar.update(task, completed=done)
 
 
-def _say(as_json: bool, what: dict[str, Any], lines: Sequence[str] | None = None) -> None:
+def _say(as_json: bool, what: dict[str, Any], lines: Sequence[str] = ()) -> None:
+    """What was done, for programs or for people; `lines` stand for the values that are tables."""
     if as_json:
         _print_json(what)
         return
-    for line in lines or []:
+    for line in lines:
         print(line)
     for key, value in what.items():
-        if not (lines and isinstance(value, list)):
-            print(f"{key}: {value}")
+        if not (lines and isinstance(value, list)) and value != "":
+            print(f"{key.replace('_', ' ')}: {_text(value)}")
+
+
+def _text(value: Any) -> str:
+    """A value as people write it: 1 x 2 x 3 would hide which axis is which, so lists are left as rows of numbers."""
+    if value is None or isinstance(value, bool):
+        return {None: "none", True: "yes", False: "no"}[value]
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list):
+        return (", " if any(isinstance(v, list) for v in value) else " ").join(map(_text, value))
+    return str(value)
 
 
 def _print_json(value: Any) -> None:
-    print(json.dumps(value, indent=2, default=str))
+    print(json.dumps(value, indent=2, default=str, allow_nan=False))
 
 
 def _table(header: list[str], rows: list[list[str]]) -> None:
-    from rich.console import Console
-    from rich.table import Table
+    """A table; on a terminal too narrow for it, a paragraph for each row."""
+    widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
+    room = os.get_terminal_size(sys.stdout.fileno()).columns if sys.stdout.isatty() else math.inf
+    if sum(widths) + 2 * len(widths) - 2 <= room:
+        for row in [header, *rows]:
+            print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+        return
+    for first, *others in rows:
+        print(f"{header[0]} {first}")
+        for name, cell in zip(header[1:], others, strict=True):
+            print(f"  {name}: {cell}")
 
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for name in header:
-        table.add_column(name, overflow="fold")
-    for row in rows:
-        table.add_row(*row)
-    Console(width=None if sys.stdout.isatty() else 160).print(table)
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; errors that are the user's come out as one line, never as a traceback."""
     try:
         app(arguments, exit_on_error=False, print_error=False)
+        sys.stdout.flush()
     except CycloptsError as error:
-        print(f"clvol: {error}", file=sys.stderr)
-        raise SystemExit(2) from None
+        command = " ".join(("clvol", *(error.command_chain or ())))
+        _fail(f"{_one_line(error).rstrip('.')}; see '{command} --help'", 2)
     except ClvolError as error:
-        print(f"clvol: {error}", file=sys.stderr)
-        raise SystemExit(1) from None
+        _fail(_one_line(error), 1)
+    except MemoryError as error:
+        _fail(f"out of memory: {_one_line(error)}", 1)
+    except BrokenPipeError:  # whoever read our output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SystemExit(0) from None
+    except OSError as error:
+        _fail(_one_line(error), 1)
     except KeyboardInterrupt:
-        print("clvol: interrupted", file=sys.stderr)
-        raise SystemExit(130) from None
+        _fail("interrupted", 130)
+
+
+def _fail(reason: str, code: int) -> NoReturn:
+    print(f"clvol: {reason}", file=sys.stderr)
+    raise SystemExit(code) from None
 
 
 if __name__ == "__main__":

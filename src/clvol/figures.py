@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol import phantoms
+from clvol.boundary import DEFAULT_BOUNDARY, Boundary
 from clvol.camera import Camera
 from clvol.device import Device
-from clvol.filters import as_filter
+from clvol.errors import OptionError
+from clvol.filters import Filter, as_filter
 from clvol.light import Light, Material
 from clvol.picture import grid, labelled
 from clvol.reference.exact import draw_function
@@ -55,7 +57,7 @@ class Panel:
         Root mean square error of the values at random points within 0.8 of the centre.
     angle : float or None
         Mean angle in degrees between the reconstruction's gradient and the true one, at the points of the
-        true surface that the picture shows.
+        true surface that the picture shows; None if it shows none.
     """
 
     filter: str
@@ -66,9 +68,9 @@ class Panel:
     @property
     def label(self) -> str:
         title = _TITLES.get(self.filter, self.filter)
-        if self.rms is None or self.angle is None:
-            return f"{title}\n"  # as high as the others
-        return f"{title}\nRMS error {self.rms:.4f}   normals {self.angle:.1f}°"
+        measured = [] if self.rms is None else [f"RMS error {self.rms:.4f}"]
+        measured += [] if self.angle is None else [f"normals {self.angle:.1f}°"]
+        return f"{title}\n{'   '.join(measured)}"  # two lines always, so that all labels are as high
 
     def numbers(self) -> dict[str, Any]:
         """What a program would read: everything but the picture."""
@@ -76,7 +78,7 @@ class Panel:
 
 
 def figure6(
-    size: int = 40, pixels: int = 512, filters: Sequence[str] = FIGURE_6, *, samples: int = 2, step: float = 0.25,
+    size: int = 40, pixels: int = 512, filters: Sequence[str | Filter] = FIGURE_6, *, samples: int = 2, step: float = 0.25,
     device: Device | str | int | None = None, progress: Progress | None = None,
 ) -> tuple[list[Panel], NDArray[np.uint8]]:  # fmt: skip
     """Figure 6 of the paper: the Marschner-Lobb function sampled `size`³, reconstructed by each filter.
@@ -87,7 +89,7 @@ def figure6(
         Samples along each axis of [-1, 1]³.
     pixels : int
         Width and height of each panel.
-    filters : sequence of str
+    filters : sequence of str or Filter
         One panel each; the exact function is added at the end.
     samples, step, device, progress
         As for `Renderer.render`.
@@ -98,21 +100,23 @@ def figure6(
     sheet : ndarray of uint8, shape (height, width, 3)
         All panels, labelled with their errors.
     """
+    chosen = _chosen(filters, pixels)
     volume = phantoms.marschner_lobb(size)
     surface, picture = _exact(volume, pixels, samples)
     points = np.random.default_rng(_SEED).uniform(-0.8, 0.8, (_POINTS, 3))
     truth, normals = phantoms.marschner_lobb_function(points), phantoms.marschner_lobb_gradient(surface)
     panels = []
-    for i, name in enumerate(filters):
-        report = _part(progress, i, len(filters))
-        with Renderer(volume, name, device=device) as renderer:
+    for i, filter in enumerate(chosen):
+        report = _part(progress, i + 1, len(chosen) + 1)  # the exact picture was the first part
+        with Renderer(volume, filter, device=device) as renderer:
             drawn = renderer.render(
                 _CAMERA, "isosurface", (pixels, pixels), step, isovalue=_ISOVALUE, color=_SURFACE, lights=_LIGHTS,
                 material=_MATERIAL, background=_BACKGROUND, clip=_BOX, samples=samples, progress=report,
             )  # fmt: skip
-        values = sample(volume, points, name, device=device)
+        values = sample(volume, points, filter, device=device)
         rms = float(np.sqrt(np.mean((values - truth) ** 2)))
-        panels.append(Panel(name, drawn, rms, _mean_angle(_gradients(volume, surface, name, device), normals)))
+        angle = _mean_angle(_gradients(volume, surface, filter, device), normals) if surface.size else None
+        panels.append(Panel(filter.name, drawn, rms, angle))
     panels.append(Panel("exact", picture))
     *tiles, truth_tile = [labelled(p.picture, p.label) for p in panels]
     sheet = grid(tiles, columns=min(3, len(tiles)))
@@ -123,18 +127,36 @@ def figure6(
 
 
 def compare(
-    volume: Volume, filters: Sequence[str] = FIGURE_6, pixels: int = 384, *, device: Device | str | int | None = None,
-    progress: Progress | None = None, **options: Any,
+    volume: Volume, filters: Sequence[str | Filter] = FIGURE_6, pixels: int = 384, boundary: str | Boundary = DEFAULT_BOUNDARY, *,
+    device: Device | str | int | None = None, progress: Progress | None = None, **options: Any,
 ) -> tuple[list[Panel], NDArray[np.uint8]]:  # fmt: skip
-    """The same picture of a volume by each filter; `options` are those of `Renderer.render`."""
+    """The same picture of a volume by each filter; `options` are those of `Renderer.render`.
+
+    Returns
+    -------
+    panels : list of Panel
+        Nothing is measured of them: the truth is not known.
+    sheet : ndarray of uint8, shape (height, width, 3)
+        All panels, labelled, in rows of three or four.
+    """
     options.setdefault("mode", "isosurface")
+    chosen = _chosen(filters, pixels)
     panels = []
-    for i, name in enumerate(filters):
-        with Renderer(volume, name, device=device) as renderer:
-            drawn = renderer.render(size=(pixels, pixels), progress=_part(progress, i, len(filters)), **options)
-        panels.append(Panel(as_filter(name).name, drawn))
+    for i, filter in enumerate(chosen):
+        with Renderer(volume, filter, boundary, device) as renderer:
+            drawn = renderer.render(size=(pixels, pixels), progress=_part(progress, i, len(chosen)), **options)
+        panels.append(Panel(filter.name, drawn))
     columns = min(len(panels), 3 if len(panels) % 3 == 0 else 4)
     return panels, grid([labelled(p.picture, p.label) for p in panels], columns=columns)
+
+
+def _chosen(filters: Sequence[str | Filter], pixels: int) -> list[Filter]:
+    """The filters asked for; raises for whatever is wrong with the request before anything is drawn."""
+    if isinstance(pixels, bool) or not isinstance(pixels, (int, np.integer)) or pixels < 1:
+        raise OptionError(f"pixels must be a whole number of at least 1; got {pixels!r}")
+    if isinstance(filters, str) or not filters:
+        raise OptionError(f"filters must be one or more names; got {filters!r}")
+    return [as_filter(name) for name in filters]
 
 
 def _part(progress: Progress | None, i: int, n: int) -> Progress | None:
@@ -142,14 +164,16 @@ def _part(progress: Progress | None, i: int, n: int) -> Progress | None:
     return None if progress is None else lambda done: progress((i + done) / n)
 
 
-def _gradients(volume: Volume, points: NDArray[np.float64], name: str, device: Device | str | int | None) -> NDArray[np.float64]:
+def _gradients(
+    volume: Volume, points: NDArray[np.float64], filter: Filter, device: Device | str | int | None
+) -> NDArray[np.float64]:
     """What the picture is shaded by: the analytic gradient, or central differences where there is none."""
-    if as_filter(name).has_gradient:
-        return sample(volume, points, name, derivative=1, device=device).astype(np.float64)
+    if filter.has_gradient:
+        return sample(volume, points, filter, derivative=1, device=device).astype(np.float64)
     columns = []
     for axis in range(3):
         shift = volume.direction[:, axis] * volume.spacing[axis]
-        ahead, behind = (sample(volume, points + sign * shift, name, device=device) for sign in (1, -1))
+        ahead, behind = (sample(volume, points + sign * shift, filter, device=device) for sign in (1, -1))
         columns.append((ahead.astype(np.float64) - behind) / (2 * volume.spacing[axis]))
     return np.stack(columns, -1) @ volume.direction.T
 

@@ -13,17 +13,19 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.errors import FormatError, OptionError
 from clvol.formats._files import staged
 
-__all__ = ["grid", "labelled", "save", "to_bytes"]
+__all__ = ["grid", "labelled", "require_suffix", "save", "to_bytes"]
 
-Picture = NDArray[np.float32]
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+_OPAQUE = (".jpg", ".jpeg", ".bmp")  # these hold no opacity
 _INK = (235, 235, 235)
 _BAND = (24, 24, 28)
 
 
 def to_bytes(picture: ArrayLike) -> NDArray[np.uint8]:
-    """A picture with values in 0..1 as eight-bit values, rounded to the nearest; one of eight bits as it is."""
+    """A picture with values in 0..1 as eight-bit values, rounded to the nearest, NaN as 0; one of eight bits as it is."""
     array = np.asarray(picture)
+    if array.dtype.kind not in "bf" and array.dtype != np.uint8:
+        raise OptionError(f"a picture holds floating values in 0..1, or uint8; got dtype {array.dtype}")
     if array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[2] not in (1, 3, 4)) or 0 in array.shape:
         raise OptionError(f"a picture has shape (height, width) or (height, width, 1, 3 or 4); got {array.shape}")
     if array.dtype == np.uint8:
@@ -31,8 +33,16 @@ def to_bytes(picture: ArrayLike) -> NDArray[np.uint8]:
     return np.asarray(np.rint(np.clip(np.nan_to_num(array), 0, 1) * 255), np.uint8)
 
 
+def require_suffix(path: str | os.PathLike[str]) -> str:
+    """The suffix of a picture's file, in lower case; raises `FormatError` if pictures are not written so."""
+    suffix = Path(path).suffix.lower()
+    if suffix not in _SUFFIXES:
+        raise FormatError(f"pictures are written as {', '.join(_SUFFIXES)}; got {os.fspath(path)!r}")
+    return suffix
+
+
 def save(picture: ArrayLike, path: str | os.PathLike[str]) -> Path:
-    """Write a picture with values in 0..1, by suffix: .png, .tif, .bmp, or .jpg (which drops opacity).
+    """Write a picture with values in 0..1, by suffix: .png, .tif, or .jpg and .bmp, which show transparency as black.
 
     It is written beside `path` and renamed, so that no half-written file is ever seen.
 
@@ -43,30 +53,34 @@ def save(picture: ArrayLike, path: str | os.PathLike[str]) -> Path:
     """
     import imageio.v3 as iio
 
-    path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in _SUFFIXES:
-        raise FormatError(f"pictures are written as {', '.join(_SUFFIXES)}; got {str(path)!r}")
+    path, suffix = Path(path), require_suffix(path)
     data = to_bytes(picture)
-    if data.ndim == 3 and data.shape[2] == 4 and (suffix in (".jpg", ".jpeg", ".bmp") or data[..., 3].min() == 255):
-        data = data[..., :3]
+    if data.ndim == 3 and data.shape[2] == 1:
+        data = data[..., 0]
+    if data.ndim == 3 and data.shape[2] == 4 and (suffix in _OPAQUE or data[..., 3].min() == 255):
+        data = _opaque(data)
+    options: dict[str, Any] = {"quality": 95, "subsampling": 0} if suffix in (".jpg", ".jpeg") else {}
     try:
         with staged(path, path.suffix) as temporary:
-            iio.imwrite(temporary, data)
+            iio.imwrite(temporary, data, plugin="pillow", **options)
     except FormatError:
         raise
-    except OSError as error:
-        raise FormatError(f"{str(path)!r} cannot be written: {error}") from error
+    except (OSError, ValueError) as error:
+        raise FormatError(f"cannot write {path}: {error}") from error
     return path
 
 
 def labelled(picture: ArrayLike, text: str) -> NDArray[np.uint8]:
-    """A picture with a line or lines of text in a band beneath it; (height + band, width, 3) uint8."""
+    """A picture with a line or lines of text in a band beneath it; (height + band, width, 3) uint8.
+
+    What is transparent is shown as black.
+    """
     from PIL import Image, ImageDraw, ImageFont
 
     data = to_bytes(picture)
-    data = np.repeat(data[..., None], 3, 2) if data.ndim == 2 else data[..., :3]
-    width = data.shape[1]
+    data = _opaque(data if data.ndim == 3 else data[..., None])
+    height, width = data.shape[:2]
+    data = np.broadcast_to(data, (height, width, 3))
     size = max(9, round(width / 24))
     font: Any = ImageFont.load_default(size)
     lines = text.split("\n")
@@ -77,14 +91,23 @@ def labelled(picture: ArrayLike, text: str) -> NDArray[np.uint8]:
     return np.concatenate([data, np.asarray(band)], 0)
 
 
+def _opaque(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Eight-bit RGBA, not premultiplied, over black; anything else as it is."""
+    if data.shape[2] != 4:
+        return data
+    return np.asarray(np.rint(data[..., :3] * (data[..., 3:] / 255)), np.uint8)
+
+
 def grid(pictures: Sequence[ArrayLike], columns: int, gap: int = 4) -> NDArray[np.uint8]:
-    """Pictures of one size in rows of `columns`, the last row filled with black."""
-    tiles = [np.asarray(p) for p in pictures]
+    """Pictures of one size in rows of `columns`, the last row filled with black; as eight-bit values."""
+    tiles = [to_bytes(p) for p in pictures]
     if not tiles or len({t.shape for t in tiles}) != 1:
         raise OptionError(f"a grid takes one or more pictures of one shape; got {[t.shape for t in tiles]}")
-    height, width, channels = tiles[0].shape
+    if columns < 1 or gap < 0:
+        raise OptionError(f"a grid has at least one column and no gap below 0; got columns={columns!r}, gap={gap!r}")
+    height, width, *channels = tiles[0].shape
     rows = -(-len(tiles) // columns)
-    sheet = np.zeros((rows * (height + gap) - gap, columns * (width + gap) - gap, channels), tiles[0].dtype)
+    sheet = np.zeros((rows * (height + gap) - gap, columns * (width + gap) - gap, *channels), np.uint8)
     for i, tile in enumerate(tiles):
         y, x = i // columns * (height + gap), i % columns * (width + gap)
         sheet[y : y + height, x : x + width] = tile

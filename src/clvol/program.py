@@ -79,7 +79,12 @@ def build(
 ) -> Program:  # fmt: skip
     """The program of one kernel file, specialised; built at most once for each device and set of defines."""
     device.require_usable()
-    key = (name, tuple(sorted(defines.items())), tuple(sorted((replacements or {}).items())), tuple(sorted((generated or {}).items())))
+    key = (
+        name,
+        tuple(sorted(defines.items())),
+        tuple(sorted((replacements or {}).items())),
+        tuple(sorted((generated or {}).items())),
+    )
     with device._lock:
         if key not in device._programs:
             cl = _opencl()
