@@ -156,9 +156,10 @@ INLINE void store_lane(constant frame_t *frame, const int x, const int y, float4
 }
 
 #if PATCHED
-// Moves the patch to the plane at `across`, under the tile's corners: all its other rays cross between them.
-RARE void tile_patch(VOLUME_PARAMS, constant frame_t *frame, patch_t *patch, int left, int top, float across)
+// Moves the patch to plane number n in the rays' way, under the tile's corners: all other rays cross between them.
+RARE void tile_patch(VOLUME_PARAMS, constant frame_t *frame, patch_t *patch, int left, int top, float way, float n)
 {
+    const float across = way > 0.0f ? madd(n, frame->spacing, frame->plane) : madd(n, -frame->spacing, frame->plane_back);
     const int axis = frame->axis, u = axis == 0 ? 1 : 0, v = axis == 2 ? 1 : 2;
     float low_u = INFINITY, high_u = -INFINITY, low_v = INFINITY, high_v = -INFINITY;
     for (int i = 0; i < 4; ++i) {
@@ -167,7 +168,12 @@ RARE void tile_patch(VOLUME_PARAMS, constant frame_t *frame, patch_t *patch, int
         y = y < frame->height ? y : frame->height - 1;
         const float px = x + frame->offset[0], py = y + frame->offset[1];
 #define PIXEL(field, i) madd(px, frame->field##_u[i], madd(py, frame->field##_v[i], frame->field[i]))
-        const float t = (across - PIXEL(origin, axis)) / PIXEL(direction, axis);
+        const float along = PIXEL(direction, axis);
+        if (along * way <= 0.0f) {   // a corner whose ray, past the volume, never meets the plane
+            patch->usable = 0;
+            return;
+        }
+        const float t = (across - PIXEL(origin, axis)) / along;
         const float pu = madd(t, PIXEL(direction, u), PIXEL(origin, u)), pv = madd(t, PIXEL(direction, v), PIXEL(origin, v));
 #undef PIXEL
         low_u = pu < low_u ? pu : low_u;
@@ -270,14 +276,15 @@ kernel void march(VOLUME_PARAMS, constant frame_t *frame, global const float4 *t
             const ray_t *ray = rays + g;
             real t = madd(n, ray->step, ray->first);   // by multiplication: never accumulated
 #if ENDPOINTS
-            t = least(greatest(t, ray->enter), ray->leave);
+            // a little inside: on the face itself rounding would decide whether it is read from past the edge
+            const real inset = 1e-3f * ray->step;
+            t = least(greatest(t, ray->enter + inset), ray->leave - inset);
 #endif
             here_t sample_here, *here = &sample_here;
             real value;
 #if PATCHED
             if (planar && !moved) {
-                tile_patch(VOLUME, frame, patch, left, top, way > 0.0f ? madd(n, frame->spacing, frame->plane)
-                                                                       : madd(n, -frame->spacing, frame->plane_back));
+                tile_patch(VOLUME, frame, patch, left, top, way, n);
                 moved = 1;
             }
             if (patch->usable) {
