@@ -6,15 +6,15 @@ typedef struct {
     real enter, leave;      // t where the ray is inside the domain and the clipping box
     real first, step;       // sample n lies at t = first + n * step
     real begin, end;        // the samples are those with begin <= n <= end
-    mask hits;
+    mask hits, planar;      // whether it meets the volume; whether its samples lie on the planes
 } ray_t;
 
 INLINE void clip_axis(real origin, real direction, float low, float high, real *enter, real *leave)
 {
-    const real d = choose(fabs(direction) < 1e-12f, (real)(1e-12f), direction);
+    const real d = choose(magnitude(direction) < 1e-12f, (real)(1e-12f), direction);
     const real a = (low - origin) / d, b = (high - origin) / d;
-    *enter = fmax(*enter, fmin(a, b));
-    *leave = fmin(*leave, fmax(a, b));
+    *enter = greatest(*enter, least(a, b));
+    *leave = least(*leave, greatest(a, b));
 }
 
 INLINE real axis_of(real3 v, int axis) { return axis == 0 ? v.x : axis == 1 ? v.y : v.z; }
@@ -27,7 +27,7 @@ INLINE ray_t pixel_ray(constant frame_t *frame, real px, real py)
     const real3 along = real3_of(PIXEL(direction, 0), PIXEL(direction, 1), PIXEL(direction, 2));
 #undef PIXEL
     const real3 world = matrix3(frame->index_to_world, along);
-    const real per_unit = 1.0f / sqrt(dot3(world, world));
+    const real per_unit = 1.0f / square_root(dot3(world, world));
     ray.direction = scale3(along, per_unit);
     ray.world = scale3(world, per_unit);
 
@@ -45,16 +45,17 @@ INLINE ray_t pixel_ray(constant frame_t *frame, real px, real py)
     ray.hits = ray.enter <= ray.leave;
 
     // The lattice: where the ray crosses equally spaced planes perpendicular to one axis of the volume ...
-    const real along_axis = axis_of(ray.direction, frame->axis), length = sqrt(dot3(ray.direction, ray.direction));
-    const mask oblique = fabs(along_axis) < frame->oblique * length;
+    const real along_axis = axis_of(ray.direction, frame->axis), length = square_root(dot3(ray.direction, ray.direction));
+    const mask oblique = magnitude(along_axis) < frame->oblique * length;
+    ray.planar = !oblique;
     const real d = choose(oblique, (real)(1.0f), along_axis);
     const real plane = choose(d > 0.0f, (real)(frame->plane), (real)(frame->plane_back));
     // ... or, for rays too oblique to them, equal steps along the ray from where it enters
     const real own = frame->stride / length;
-    ray.step = choose(oblique, own, frame->spacing / fabs(d));
+    ray.step = choose(oblique, own, frame->spacing / magnitude(d));
     ray.first = choose(oblique, ray.enter + 0.5f * own, (plane - axis_of(ray.origin, frame->axis)) / d);
-    ray.begin = choose(oblique, (real)(0.0f), fmax((real)(0.0f), ceil((ray.enter - ray.first) / ray.step)));
+    ray.begin = choose(oblique, (real)(0.0f), greatest((real)(0.0f), ceil((ray.enter - ray.first) / ray.step)));
     ray.end = floor((ray.leave - ray.first) / ray.step);
-    ray.end = choose(oblique, ray.end, fmin(ray.end, (real)(frame->planes - 1.0f)));
+    ray.end = choose(oblique, ray.end, least(ray.end, (real)(frame->planes - 1.0f)));
     return ray;
 }

@@ -14,6 +14,7 @@ typedef row_t row_at_t __attribute__((aligned(4)));
 typedef union { row_t row; float each[ROW]; } row_u;
 
 constant row_t filter_columns[DEGREE + 1][CHUNKS] = FILTER_COLUMNS;
+constant float filter_taps[TAPS][DEGREE + 1] = FILTER_TAPS;   // the same, tap by tap
 
 // One chunk of the taps, by Horner's rule in the fractional position t.
 INLINE row_t tap_weights(float t, int chunk)

@@ -3,14 +3,80 @@
 #if LANES == 1
 typedef float real;
 typedef int mask;
-#define any_lane(m) (m)
-INLINE real choose(mask m, real yes, real no) { return m ? yes : no; }
+INLINE int any_lane(mask m) { return m; }
+INLINE real to_real(mask i) { return (float)i; }
+INLINE mask to_mask(real x) { return (int)x; }
+#define square_root sqrt
 #else
 typedef PASTE(float, LANES) real;
 typedef PASTE(int, LANES) mask;
-#define any_lane(m) any(m)
-INLINE real choose(mask m, real yes, real no) { return m ? yes : no; }
+INLINE int any_lane(mask m)
+{
+    int4 four = m.lo | m.hi;
+    int2 two = four.lo | four.hi;
+    return two.x | two.y;
+}
+#ifdef __clang__
+INLINE real to_real(mask i) { return __builtin_convertvector(i, real); }
+INLINE mask to_mask(real x) { return __builtin_convertvector(x, mask); }
+#else
+INLINE real to_real(mask i) { return PASTE(convert_float, LANES)(i); }
+INLINE mask to_mask(real x) { return PASTE(convert_int, LANES)(x); }
 #endif
+INLINE real square_root(real x)
+{
+#ifdef __clang__
+    union { real all; float each[LANES]; } u;
+    u.all = x;
+    for (int i = 0; i < LANES; ++i)
+        u.each[i] = __builtin_sqrtf(u.each[i]);
+    return u.all;
+#else
+    return sqrt(x);
+#endif
+}
+#endif
+
+INLINE real choose(mask m, real yes, real no) { return m ? yes : no; }
+INLINE real least(real a, real b) { return a < b ? a : b; }
+INLINE real greatest(real a, real b) { return a > b ? a : b; }
+INLINE real magnitude(real a) { return a < 0.0f ? -a : a; }
+
+// Logarithm and power to the base 2 within 3e-7, without a call: for x > 0, normal, and |y| small.
+INLINE real log_2(real x)
+{
+    union { real f; mask i; } bits, part;
+    bits.f = x;
+    mask exponent = (bits.i >> 23) - 127;
+    part.i = (bits.i & 0x7fffff) | 0x3f800000;   // 1 <= part < 2
+    const mask upper = part.f > 1.41421356f;
+    part.f = choose(upper, 0.5f * part.f, part.f);
+    const real whole = choose(upper, to_real(exponent + 1), to_real(exponent));
+    const real s = (part.f - 1.0f) / (part.f + 1.0f), q = s * s;   // ln x = 2 (s + s^3/3 + s^5/5 + ...)
+    const real series = madd(q, madd(q, madd(q, madd(q, (real)(0.32059889f), 0.41219858f), 0.57707802f), 0.96179669f), 2.88539008f);
+    return madd(s, series, whole);
+}
+
+INLINE real exp_2(real y)
+{
+    y = least(greatest(y, (real)(-126.0f)), (real)(126.0f));
+    const mask whole = to_mask(y + choose(y < 0.0f, (real)(-0.5f), (real)(0.5f)));   // the nearest: cut off is towards zero
+    const real f = y - to_real(whole);
+    real p = madd(f, (real)(1.5252734e-5f), 1.5403530e-4f);                          // exp(f ln 2), |f| <= 1/2
+    p = madd(f, p, 1.3333558e-3f);
+    p = madd(f, p, 9.6181291e-3f);
+    p = madd(f, p, 5.5504109e-2f);
+    p = madd(f, p, 0.24022651f);
+    p = madd(f, p, 0.69314718f);
+    p = madd(f, p, 1.0f);
+    union { real f; mask i; } scale;
+    scale.i = (whole + 127) << 23;
+    return p * scale.f;
+}
+
+// The rays of a row as an array, and back.
+typedef union { real all; float each[LANES]; } lanes_u;
+typedef union { mask all; int each[LANES]; } lane_masks_u;
 
 #define NONE ((mask)(0))
 #define NOWHERE ((real)(INFINITY))

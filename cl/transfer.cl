@@ -2,38 +2,29 @@
 
 typedef struct { real red, green, blue, opacity; } color_t;
 
-INLINE float4 classify_one(constant frame_t *frame, global const float4 *table, float value)
-{
-    float u = (value - frame->table_low) * frame->table_scale;
-    u = u > 0.0f ? u : 0.0f;
-    u = u < TABLE_SIZE - 1.0f ? u : TABLE_SIZE - 1.0f;
-    int i = (int)u;
-    i = i < TABLE_SIZE - 2 ? i : TABLE_SIZE - 2;
-    return madd(u - (float)i, table[i + 1] - table[i], table[i]);
-}
-
 INLINE color_t classify(constant frame_t *frame, global const float4 *table, real value)
 {
-    color_t color;
+    const real place = least(greatest((value - frame->table_low) * frame->table_scale, (real)(0.0f)), (real)(TABLE_SIZE - 1.0f));
+    const mask nodes = to_mask(least(place, (real)(TABLE_SIZE - 2.0f)));
+    const lane_masks_u node = { nodes };
+    const lanes_u past = { place - to_real(nodes) };
+#define COLOR(i) madd(past.each[i], table[node.each[i] + 1] - table[node.each[i]], table[node.each[i]])
 #if LANES == 1
-    const float4 c = classify_one(frame, table, value);
-    color.red = c.x; color.green = c.y; color.blue = c.z; color.opacity = c.w;
+    const float4 c = COLOR(0);
+    const color_t color = { c.x, c.y, c.z, c.w };
 #else
-    float v[LANES], r[LANES], g[LANES], b[LANES], a[LANES];
-    PASTE(vstore, LANES)(value, 0, v);
-    for (int i = 0; i < LANES; ++i) {
-        const float4 c = classify_one(frame, table, v[i]);
-        r[i] = c.x; g[i] = c.y; b[i] = c.z; a[i] = c.w;
-    }
-    color.red = PASTE(vload, LANES)(0, r); color.green = PASTE(vload, LANES)(0, g);
-    color.blue = PASTE(vload, LANES)(0, b); color.opacity = PASTE(vload, LANES)(0, a);
+    const float8 p = (float8)(COLOR(0), COLOR(1)), q = (float8)(COLOR(2), COLOR(3)), r = (float8)(COLOR(4), COLOR(5)), s = (float8)(COLOR(6), COLOR(7));
+#define CHANNEL(i, k) (float8)(p.i, p.k, q.i, q.k, r.i, r.k, s.i, s.k)
+    const color_t color = { CHANNEL(s0, s4), CHANNEL(s1, s5), CHANNEL(s2, s6), CHANNEL(s3, s7) };
+#undef CHANNEL
 #endif
+#undef COLOR
     return color;
 }
 
 // Opacity of matter `thickness` unit distances thick, given that of one.
 INLINE real opacity_of(real opacity, real thickness)
 {
-    const real share = 1.0f - exp2(thickness * log2(fmax(1.0f - opacity, (real)(1e-30f))));
+    const real share = 1.0f - exp_2(thickness * log_2(greatest(1.0f - opacity, (real)(1e-30f))));
     return choose(opacity < 1.0f, share, (real)(1.0f));
 }

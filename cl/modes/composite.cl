@@ -16,7 +16,7 @@ INLINE mask gather(state_t *s, SCENE_PARAMS, real t, real value, mask active)
     if (!any_lane(seen))
         return NONE;
 #if SHADED
-    color = shade(frame, color, gradient_at(SCENE, t, seen), ray->world);
+    color = shade(frame, color, gradient_here(SCENE, t, seen), ray->world);
 #endif
     const real opacity = choose(seen, opacity_of(color.opacity, ray->step * frame->per_unit_distance), (real)(0.0f));
     const real share = s->transmittance * opacity;
@@ -30,7 +30,7 @@ INLINE mask gather(state_t *s, SCENE_PARAMS, real t, real value, mask active)
 
 INLINE color_t finish(const state_t *s, SCENE_PARAMS, real *t)
 {
-    const real opacity = 1.0f - s->transmittance, per_opacity = 1.0f / fmax(opacity, (real)(1e-20f));
+    const real opacity = 1.0f - s->transmittance, per_opacity = 1.0f / greatest(opacity, (real)(1e-20f));
     color_t color = { s->red * per_opacity, s->green * per_opacity, s->blue * per_opacity, opacity };
     *t = s->depth;
     return color;

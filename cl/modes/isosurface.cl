@@ -31,7 +31,7 @@ INLINE real refine(SCENE_PARAMS, real near, real near_value, real far, real far_
         last_was_near = is_near;
         last_was_far = !is_near;
         // where the function jumps, the far side of the jump: every pixel is shaded from the same side
-        const mask near_enough = fabs(value) <= frame->tolerance;
+        const mask near_enough = magnitude(value) <= frame->tolerance;
         best = choose(active, choose(near_enough, t, far), best);
         active = active & !near_enough & (0.5f * (near + far) > near) & (0.5f * (near + far) < far);
     }

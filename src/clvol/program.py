@@ -131,6 +131,7 @@ def filter_defines(filter: Filter) -> dict[str, str | int | float]:
         "ROW": width,
         "CHUNKS": reach // width,
         "FILTER_COLUMNS": "{" + ",".join(rows) + "}",
+        "FILTER_TAPS": "{" + ",".join("{" + ",".join(map(_float, tap)) + "}" for tap in filter.matrix) + "}",
         "LEFT": filter.support / 2 - 1,
         "GRID_SCALE": filter.scale,
         "EIGHT_FETCH_VALUE": 0,

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Literal, Self
 
@@ -71,6 +72,20 @@ def _frame_declaration() -> str:
         base, shape = (kind.subdtype[0], kind.subdtype[1]) if kind.subdtype else (kind, ())
         lines.append(f"    {'int' if base == np.int32 else 'float'} {name}{''.join(f'[{n}]' for n in shape)};")
     return "typedef struct {\n" + "\n".join(lines) + "\n} frame_t;\n"
+
+
+@dataclass(frozen=True)
+class Tile:
+    """The rays of one work-item of march.cl: how many across and down, how many at a time, and whether they share planes."""
+
+    width: int = 1
+    height: int = 1
+    lanes: int = 1
+    patched: bool = False
+
+
+RAYS = Tile()  # one ray a work-item: for GPUs, and wherever coefficients are not read as rows of a buffer
+PLANES = Tile(16, 16, 8, patched=True)  # plane marching, for processors
 
 
 class Lattice:
@@ -166,7 +181,7 @@ class Renderer:
         lights: Sequence[Light] = (HEADLIGHT,), background: Sequence[float] | str | None = (0.0, 0.0, 0.0),
         clip: tuple[Sequence[float], Sequence[float]] | None = None, samples: int = 1, termination: float = 1e-3,
         evaluator: Evaluator = "auto", fetch: Fetch = "auto", outputs: str | Sequence[str] = "rgba",
-        progress: Progress | None = None, _lanes: int = 1,
+        progress: Progress | None = None, _tile: Tile | None = None,
     ) -> Any:  # fmt: skip
         """One picture.
 
@@ -241,7 +256,7 @@ class Renderer:
         )  # fmt: skip
         guides = wanted != ("rgba",)
         central = gradient == "central" or not self.filter.has_gradient
-        arrays = self._march(frame, chosen, path, table, shading, central, guides, _samples(samples), progress, _lanes)
+        arrays = self._march(frame, chosen, path, table, shading, central, guides, _samples(samples), progress, _tile)
         arrays["rgba"] = _over(arrays["rgba"], background)
         return arrays[wanted[0]] if isinstance(outputs, str) else {name: arrays[name] for name in wanted}
 
@@ -331,13 +346,16 @@ class Renderer:
 
     def _march(
         self, frame: NDArray[Any], mode: Mode, path: Path, transfer: TransferFunction, shading: bool, central: bool, guides: bool,
-        samples: int, progress: Progress | None, lanes: int,
+        samples: int, progress: Progress | None, tile: Tile | None,
     ) -> dict[str, Floats]:  # fmt: skip
         device, held = self.device, self.coefficients
+        if tile is None:
+            tile = PLANES if device.kind == "cpu" and not path.image and not path.eight_fetch else RAYS
         built = program.build(
             device, "march.cl",
             {
-                **held.defines(path), "LANES": lanes, "ENDPOINTS": int(mode.endpoints), "SHADED": int(shading),
+                **held.defines(path), "LANES": tile.lanes, "TILE_WIDTH": tile.width, "TILE_HEIGHT": tile.height,
+                "PATCHED": int(tile.patched), "ENDPOINTS": int(mode.endpoints), "SHADED": int(shading),
                 "GRADIENT_CENTRAL": int(central), "GUIDES": int(guides), "TABLE_SIZE": TABLE_SIZE, "COORD_DOUBLE": 0,
             },
             {"mode.cl": mode.file}, {"frame.cl": _frame_declaration()},
@@ -355,11 +373,13 @@ class Renderer:
             frame["offset"], frame["weight"], frame["pass"] = offset, 1 / samples, i
             block = device.upload(frame[None])
             for x, y, w, h in budget.tiles(width, height):
-                columns = -(-w // lanes)
+                across, down = -(-w // tile.width), -(-h // tile.height)
+                shape = (1, 1) if tile.patched else (8, 8)
+                whole = tuple(-(-n // m) * m for n, m in zip((across, down), shape, strict=True))
                 with device.errors:
                     kernel(
-                        device.queue, (-(-columns // 8) * 8, -(-h // 8) * 8), (8, 8), source, held.extent, block, table,
-                        *buffers.values(), global_offset=(x // lanes, y),
+                        device.queue, whole, shape, source, held.extent, block, table, *buffers.values(),
+                        global_offset=(x // tile.width, y // tile.height),
                     )  # fmt: skip
                 device.finish()
                 if progress:
@@ -390,10 +410,10 @@ class _Budget:
         y = 0
         while y < height:
             area = _LAUNCH_SECONDS / self._per_pixel
-            h = min(height - y, max(8, int(area / width) // 8 * 8))
+            h = min(height - y, max(16, int(area / width) // 16 * 16))
             x = 0
             while x < width:
-                w = min(width - x, max(8, int(_LAUNCH_SECONDS / self._per_pixel / h) // 8 * 8))
+                w = min(width - x, max(16, int(_LAUNCH_SECONDS / self._per_pixel / h) // 16 * 16))
                 started = time.perf_counter()
                 yield x, y, w, h
                 self._per_pixel = max(self._per_pixel, (time.perf_counter() - started) / (w * h))
