@@ -11,14 +11,16 @@ import math
 import os
 import shutil
 import sys
+import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.metadata import version
+from itertools import zip_longest
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn
 
-from cyclopts import App, CycloptsError, Parameter
+from cyclopts import App, CycloptsError, Parameter, Token
 
 import clvol
 from clvol.errors import ClvolError, DataError, DeviceError, FormatError, OptionError
@@ -27,6 +29,18 @@ app = App(
     name="clvol", help="Volume rendering and reconstruction with B-splines, on OpenCL.", version=lambda: version("clvol"),
     default_parameter=Parameter(negative_iterable=()), suppress_keyboard_interrupt=False,
 )  # fmt: skip
+
+
+def _whole(_: object, tokens: Sequence[Token]) -> int | tuple[int, ...]:
+    """Whole numbers as they are written: the parser's own rule would round 1.5 to 2."""
+    numbers = []
+    for token in tokens:
+        try:
+            numbers.append(int(token.value))
+        except ValueError:
+            raise ValueError(f"{token.value!r} is not a whole number") from None
+    return numbers[0] if len(numbers) == 1 else tuple(numbers)
+
 
 Projection = Literal["perspective", "orthographic"]
 _MODES = "composite, isosurface, mip, minip or mean."
@@ -37,7 +51,7 @@ _MODES = "composite, isosurface, mip, minip or mean."
 class Input:
     """How INPUT is read."""
 
-    shape: Annotated[tuple[int, int, int] | None, Parameter(help="Samples along z, y, x of a raw file.")] = None
+    shape: Annotated[tuple[int, int, int] | None, Parameter(help="Samples along z, y, x of a raw file.", converter=_whole)] = None
     dtype: Annotated[str | None, Parameter(help="Sample type of a raw file, such as uint16 or '>f4'.")] = None
     spacing: Annotated[tuple[float, float, float] | None, Parameter(help="Spacing along x, y, z, instead of the file's.")] = None
     fill_nan: Annotated[float | None, Parameter(help="Value that replaces NaN and infinite samples.")] = None
@@ -61,7 +75,7 @@ class Look:
     mode: Annotated[str, Parameter(help=_MODES)] = "composite"
     boundary: Annotated[str, Parameter(help="mirror, reflect, wrap or zero.")] = "mirror"
     step: Annotated[float, Parameter(help="The most that a ray advances between samples, in voxels.")] = 0.5
-    samples: Annotated[int, Parameter(help="Rays a pixel.")] = 1
+    samples: Annotated[int, Parameter(help="Rays a pixel.", converter=_whole)] = 1
     isovalue: Annotated[float | None, Parameter(help="Of the surface; default: parts the histogram in two.")] = None
     cmap: Annotated[str | None, Parameter(help="Colour map by name, instead of the automatic colours.")] = None
     value_range: Annotated[tuple[float, float] | None, Parameter(help="Values that the colour map spans.")] = None
@@ -111,7 +125,8 @@ class SurfaceLook(Look):
 Source = Annotated[str, Parameter(help="A volume file, a DICOM folder, or phantom:NAME[:SIZE].")]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="Print what a program would read.")]
 Output = Annotated[Path, Parameter(name=["--output", "-o"], help="The file to write.")]
-Size = Annotated[tuple[int, int], Parameter(help="Width and height in pixels.")]
+Whole = Annotated[int, Parameter(converter=_whole)]
+Size = Annotated[tuple[int, int], Parameter(help="Width and height in pixels.", converter=_whole)]
 DeviceName = Annotated[str | None, Parameter(help="Number, 'cpu', 'gpu' or part of a name; see 'clvol devices'.")]
 Filters = Annotated[
     tuple[str, ...], Parameter(help="One picture each. [default: the six of Figure 6]", show_default=False, consume_multiple=True)
@@ -143,7 +158,7 @@ def render(
 
 @app.command
 def compare(
-    source: Source, /, *, output: Output, filters: Filters = (), pixels: int = 384, device: DeviceName = None,
+    source: Source, /, *, output: Output, filters: Filters = (), pixels: Whole = 384, device: DeviceName = None,
     input: Input | None = None, look: SurfaceLook | None = None, json: Json = False,
 ) -> None:  # fmt: skip
     """Draw a volume by several filters side by side.
@@ -167,7 +182,7 @@ def compare(
 
 @app.command
 def figure6(
-    *, output: Output = Path("figure6.png"), samples: int = 40, pixels: int = 512, device: DeviceName = None, json: Json = False
+    *, output: Output = Path("figure6.png"), samples: Whole = 40, pixels: Whole = 512, device: DeviceName = None, json: Json = False
 ) -> None:
     """Make Figure 6 of the paper: the Marschner-Lobb function by six filters, each with its errors.
 
@@ -244,9 +259,9 @@ def filters(*, json: Json = False) -> None:
 
 @app.command
 def resample(
-    source: Source, /, *, output: Output, shape: Annotated[tuple[int, int, int] | None, Parameter(name="--to-shape")] = None,
+    source: Source, /, *, output: Output, shape: Annotated[tuple[int, int, int] | None, Parameter(name="--to-shape", converter=_whole)] = None,
     spacing: Annotated[tuple[float, float, float] | None, Parameter(name="--to-spacing")] = None,
-    like: str | None = None, magnify: int | None = None, filter: str = "bspline3",
+    like: str | None = None, magnify: Whole | None = None, filter: str = "bspline3",
     boundary: Annotated[str, Parameter(help="mirror, reflect, wrap or zero.")] = "mirror",
     fill: float | None = None, device: DeviceName = None, input: Input | None = None, json: Json = False,
 ) -> None:  # fmt: skip
@@ -419,17 +434,23 @@ def _print_json(value: Any) -> None:
 
 
 def _table(header: list[str], rows: list[list[str]]) -> None:
-    """A table; on a terminal too narrow for it, a paragraph for each row."""
-    widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
-    room = shutil.get_terminal_size().columns if sys.stdout.isatty() else math.inf
-    if sum(widths) + 2 * len(widths) - 2 <= room:
-        for row in [header, *rows]:
-            print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+    """A table; on a narrow terminal its words go below each other, or each row becomes a paragraph."""
+    cells = [header, *rows]
+    columns = list(zip(*cells, strict=True))
+    widths = [max(map(len, column)) for column in columns]
+    words = [max((len(word) for cell in column for word in cell.split()), default=0) for column in columns]
+    room = (shutil.get_terminal_size().columns if sys.stdout.isatty() else math.inf) - 2 * (len(widths) - 1)
+    while sum(widths) > room and widths != words:  # the column that has most to give
+        spare = [width - word for width, word in zip(widths, words, strict=True)]
+        widths[spare.index(max(spare))] -= 1
+    if sum(widths) > room:
+        for first, *others in rows:
+            print(f"{header[0]} {first}", *(f"  {name}: {cell}" for name, cell in zip(header[1:], others, strict=True)), sep="\n")
         return
-    for first, *others in rows:
-        print(f"{header[0]} {first}")
-        for name, cell in zip(header[1:], others, strict=True):
-            print(f"  {name}: {cell}")
+    for row in cells:
+        folded = [textwrap.wrap(cell, width, break_on_hyphens=False) for cell, width in zip(row, widths, strict=True)]
+        for line in zip_longest(*folded, fillvalue=""):
+            print("  ".join(part.ljust(width) for part, width in zip(line, widths, strict=True)).rstrip())
 
 
 def _one_line(error: BaseException) -> str:
