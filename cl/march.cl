@@ -38,9 +38,23 @@ typedef struct { int usable; } patch_t, here_t;
 #define SCENE_PARAMS VOLUME_PARAMS, constant frame_t *frame, global const float4 *table, const ray_t *ray, patch_t *patch, here_t *here
 #define SCENE VOLUME, frame, table, ray, patch, here
 
+INLINE int within(int i, int most) { return i < GRID_SCALE ? GRID_SCALE : i > most ? most : i; }
+
+// The cell of a position on a ray. However a ray was rounded, no tap of it, nor of the cells a sample away, lies
+// past what is stored.
+INLINE cell_t locate_stored(VOLUME_PARAMS, float x, float y, float z)
+{
+    const int reach = TAPS + GRID_SCALE + EIGHT_FETCH_VALUE;
+    cell_t c = locate(x, y, z, extent.w);
+    c.x = within(c.x, extent.x - (WEIGHTS > reach ? WEIGHTS : reach));
+    c.y = within(c.y, extent.y - reach);
+    c.z = within(c.z, extent.z - reach);
+    return c;
+}
+
 RARE float value_one(VOLUME_PARAMS, float x, float y, float z)
 {
-    return sample_value(VOLUME, locate(x, y, z, extent.w));
+    return sample_value(VOLUME, locate_stored(VOLUME, x, y, z));
 }
 
 // The value some samples away: the same fraction of another cell. (Adding to the position would round, and
@@ -55,7 +69,7 @@ RARE float value_beside(VOLUME_PARAMS, cell_t c, int x, int y, int z)
 RARE gradient_t gradient_one(VOLUME_PARAMS, float x, float y, float z)
 {
     gradient_t g;
-    const cell_t c = locate(x, y, z, extent.w);
+    const cell_t c = locate_stored(VOLUME, x, y, z);
 #if GRADIENT_CENTRAL
     g.x = 0.5f * (value_beside(VOLUME, c, 1, 0, 0) - value_beside(VOLUME, c, -1, 0, 0));
     g.y = 0.5f * (value_beside(VOLUME, c, 0, 1, 0) - value_beside(VOLUME, c, 0, -1, 0));
@@ -148,7 +162,7 @@ INLINE void store_lane(constant frame_t *frame, const int x, const int y, float4
     rgba[pixel] = frame->pass ? rgba[pixel] + color * frame->weight : color * frame->weight;
 #if GUIDES
     if (frame->pass == 0) {
-        depth[pixel] = t + frame->depth_offset;
+        depth[pixel] = t * frame->unit;
         vstore3(normal, pixel, normals);
         vstore3(place, pixel, positions);
     }
@@ -200,13 +214,13 @@ INLINE void finish_rays(SCENE_PARAMS, const state_t *state, const int x, const i
         const real squared = dot3(g, g);
         const real unit = choose(dot3(g, ray->world) > 0.0f, (real)(-1.0f), (real)(1.0f)) / square_root(squared);
         const mask known = somewhere & (squared > 1.0f);
-        const real3 p = add3(matrix3(frame->index_to_world, at3(ray->origin, ray->direction, choose(somewhere, t, ray->enter))),
+        const real3 p = add3(scale3(matrix3(frame->index_to_world, at3(ray->origin, ray->direction, choose(somewhere, t, ray->enter))), (real)(frame->unit)),
                              real3_of((real)(frame->world_origin[0]), (real)(frame->world_origin[1]), (real)(frame->world_origin[2])));
         normal = real3_of(choose(known, g.x * unit, normal.x), choose(known, g.y * unit, normal.y), choose(known, g.z * unit, normal.z));
         place = real3_of(choose(somewhere, p.x, place.x), choose(somewhere, p.y, place.y), choose(somewhere, p.z, place.z));
     }
 #endif
-    const lanes_u red = { color.red }, green = { color.green }, blue = { color.blue }, opacity = { color.opacity }, depths = { t };
+    const lanes_u red = { color.red }, green = { color.green }, blue = { color.blue }, opacity = { color.opacity }, depths = { t + ray->ahead };
     const lanes_u nx = { normal.x }, ny = { normal.y }, nz = { normal.z }, x_ = { place.x }, y_ = { place.y }, z_ = { place.z };
     for (int i = 0; i < LANES && x + i < frame->width; ++i)
         store_lane(frame, x + i, y, (float4)(red.each[i], green.each[i], blue.each[i], opacity.each[i]), depths.each[i],

@@ -147,11 +147,11 @@ kernel void sample_points(VOLUME_PARAMS, const int4 size, const int4 period, con
 
 #else
 
-// lattice: the number of points along x, y, z, and the first slice of this launch.
+// lattice: the number of points along x and y, and the first row and slice of this launch.
 kernel void sample_lattice(VOLUME_PARAMS, const int4 size, const int4 period, constant coord *transform,
                            const int4 lattice, const float fill, global float *results)
 {
-    const int i = get_global_id(0), j = get_global_id(1), k = (int)get_global_id(2) + lattice.w;
+    const int i = get_global_id(0), j = (int)get_global_id(1) + lattice.z, k = (int)get_global_id(2) + lattice.w;
     if (i >= lattice.x || j >= lattice.y)
         return;
     const coord a = i, b = j, c = k;

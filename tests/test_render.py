@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import replace
@@ -208,9 +209,8 @@ def test_the_mean_of_a_ramp(device: Device) -> None:
 def test_projections_are_in_order(device: Device, filter: str) -> None:
     volume = noise((20, 18, 16), 4)
     with Renderer(volume, filter, device=device) as renderer:
-        least, mean, most = (
-            renderer.render(CAMERA, mode, (32, 32), 0.3, outputs=("rgba", "depth")) for mode in ("minip", "mean", "mip")
-        )
+        options: dict[str, Any] = {"outputs": ("rgba", "depth"), "transfer": TransferFunction.ramp(volume.value_range)}
+        least, mean, most = (renderer.render(CAMERA, mode, (32, 32), 0.3, **options) for mode in ("minip", "mean", "mip"))
     assert (least["rgba"] <= mean["rgba"] + 1e-6).all()
     assert (mean["rgba"] <= most["rgba"] + 1e-6).all()
     assert most["rgba"].max() <= 1
@@ -307,14 +307,14 @@ def test_scans_show_something(device: Device, name: str) -> None:
 # -- errors ------------------------------------------------------------------------------------------------------------
 
 WRONG: dict[str, tuple[dict[str, Any], type[ClvolError], str]] = {
-    "step 0": ({"step": 0}, OptionError, "step must be positive and finite, in voxels; got 0"),
-    "step negative": ({"step": -1.0}, OptionError, "step must be positive"),
-    "step NaN": ({"step": float("nan")}, OptionError, "step must be positive and finite, in voxels; got nan"),
-    "step text": ({"step": "fine"}, OptionError, "step must be positive and finite, in voxels; got 'fine'"),
-    "step too small": ({"step": 1e-9}, OptionError, "planes; the most is"),
-    "size 0": ({"size": (0, 5)}, OptionError, r"size must be \(width, height\), whole numbers from 1 to 32768; got \(0, 5\)"),
+    "step 0": ({"step": 0}, OptionError, "step must be a finite number, greater than 0; got 0"),
+    "step negative": ({"step": -1.0}, OptionError, "step must be a finite number, greater than 0"),
+    "step NaN": ({"step": float("nan")}, OptionError, "step must be a finite number, greater than 0; got nan"),
+    "step text": ({"step": "fine"}, OptionError, "step must be a finite number, greater than 0; got 'fine'"),
+    "step too small": ({"step": 1e-9}, OptionError, "no more than 1048576 planes"),
+    "size 0": ({"size": (0, 5)}, OptionError, r"width must be a whole number, at least 1 and at most 32768; got 0"),
     "size of one number": ({"size": 64}, OptionError, r"size must be \(width, height\) in pixels; got 64"),
-    "size of fractions": ({"size": (6.5, 5)}, OptionError, "whole numbers"),
+    "size of fractions": ({"size": (6.5, 5)}, OptionError, "width must be a whole number"),
     "size too large": ({"size": (40000, 1)}, OptionError, "32768"),
     "mode": ({"mode": "xray"}, OptionError, "mode must be one of composite, isosurface, mip, minip, mean; got 'xray'"),
     "evaluator": ({"evaluator": "magic"}, OptionError, "evaluator must be one of auto, taps, eight-fetch; got 'magic'"),
@@ -326,12 +326,12 @@ WRONG: dict[str, tuple[dict[str, Any], type[ClvolError], str]] = {
     "clip flat": ({"clip": ((1, 1, 1), (2, 1, 2))}, GeometryError, "each coordinate of the first less than of the second"),
     "clip NaN": ({"clip": ((1, 1, 1), (2, float("nan"), 2))}, GeometryError, "clip must be"),
     "clip of numbers": ({"clip": (1, 2)}, GeometryError, "clip must be two corners"),
-    "isovalue NaN": ({"isovalue": float("nan"), "mode": "isosurface"}, OptionError, "isovalue must be finite; got nan"),
-    "isovalue infinite": ({"isovalue": float("inf")}, OptionError, "isovalue must be finite"),
+    "isovalue NaN": ({"isovalue": float("nan"), "mode": "isosurface"}, OptionError, "isovalue must be a finite number; got nan"),
+    "isovalue infinite": ({"isovalue": float("inf")}, OptionError, "isovalue must be a finite number"),
     "five lights": ({"lights": [Light()] * 5}, OptionError, "there may be up to 4 lights; got 5"),
-    "no samples": ({"samples": 0}, OptionError, "samples must be a whole number from 1 to 4096; got 0"),
+    "no samples": ({"samples": 0}, OptionError, "samples must be a whole number, at least 1 and at most 4096; got 0"),
     "half samples": ({"samples": 1.5}, OptionError, "samples must be a whole number"),
-    "termination 1": ({"termination": 1}, OptionError, "termination must be at least 0 and less than 1; got 1"),
+    "termination 1": ({"termination": 1}, OptionError, "termination must be a finite number, at least 0 and less than 1; got 1"),
     "termination NaN": ({"termination": float("nan")}, OptionError, "termination must be"),
     "background": ({"background": "nocolour"}, OptionError, "background must be three numbers, or the name"),
     "color": ({"color": (1, 2), "mode": "isosurface"}, OptionError, "color must be three numbers"),
@@ -500,3 +500,36 @@ def test_outputs_come_as_asked(renderer: Renderer) -> None:
     clear = renderer.render(CAMERA, size=SIZE, background=None)
     over = clear[..., :3] * clear[..., 3:] + (1 - clear[..., 3:]) * np.float32([0, 0, 1])
     np.testing.assert_allclose(renderer.render(CAMERA, size=SIZE, background="blue")[..., :3], over, atol=1e-6)
+
+
+# -- far away, very small, very large ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1e-12, 1e12, 1e30])
+def test_world_units_of_any_size(device: Device, scale: float) -> None:
+    """The picture is the same to the last bit but for the world's unit; so are depths, in that unit."""
+    data = phantoms.sphere(14).data
+    options: dict[str, Any] = {"mode": "isosurface", "size": (24, 20), "outputs": ("rgba", "depth"), "device": device}
+    want = render(Volume(data), CAMERA, **options)
+    got = render(Volume(data, (scale,) * 3), CAMERA, **options)
+    np.testing.assert_allclose(got["rgba"], want["rgba"], atol=1e-5)
+    np.testing.assert_allclose(got["depth"] / scale, want["depth"], rtol=1e-5)
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("distance", [1e3, 1e6, 1e9])
+def test_a_camera_far_away_sees_what_an_orthographic_one_does(device: Device, mode: str, distance: float) -> None:
+    volume = phantoms.sphere(14)
+    flat = replace(CAMERA, projection="orthographic", zoom=1.0)
+    half = flat.view(volume, 1.2).half_height
+    far = replace(CAMERA, distance=distance, zoom=distance * math.tan(math.radians(CAMERA.fov / 2)) / half)
+    want = render(volume, flat, mode, size=(24, 20), device=device)
+    got = render(volume, far, mode, size=(24, 20), device=device)
+    off = np.abs(got - want).max(-1) > 0.05 + 100 / distance  # silhouettes
+    assert off.mean() < 0.02
+
+
+def test_spacings_that_float32_cannot_carry_are_refused(device: Device) -> None:
+    for spacing in ((1e-7, 1, 1), (1e300, 1, 1), (1e-300,) * 3):
+        with pytest.raises(GeometryError, match="differ by a factor"):
+            render(Volume(np.ones((3, 4, 5)), spacing), size=(8, 8), device=device)

@@ -319,3 +319,49 @@ def test_everything_but_the_device_works_without_pyopencl() -> None:
 def test_prefilter_of_ones_is_ones(device: Device) -> None:
     for rule in ("mirror", "reflect", "wrap"):
         np.testing.assert_allclose(prefilter(np.ones((4, 5, 6)), boundary=rule, device=device), 1, atol=1e-6)
+
+
+# -- what a reviewer found -----------------------------------------------------------------------------------------
+
+
+def test_prefilter_of_volumes_and_images(device: Device) -> None:
+    data = random_volume().data
+    want = prefilter(data, device=device)
+    np.testing.assert_array_equal(prefilter(random_volume(), device=device), want)
+    sitk = pytest.importorskip("SimpleITK")
+    np.testing.assert_array_equal(prefilter(sitk.GetImageFromArray(data), device=device), want)
+    nibabel = pytest.importorskip("nibabel")
+    np.testing.assert_array_equal(prefilter(nibabel.Nifti1Image(data.T, np.eye(4)), device=device), want)
+
+
+@pytest.mark.parametrize("filter", ["bspline3", "sinc(8)", "hybrid"])
+def test_launches_are_short_and_do_not_show(device: Device, monkeypatch: pytest.MonkeyPatch, filter: str) -> None:
+    """However few points a launch takes, lattices and points come out the same."""
+    import importlib
+
+    image, volume = random_volume((9, 11)), random_volume()
+    points = np.random.default_rng(0).uniform(0, 4, (3000, 3))
+    want = (
+        resample(image, (40, 70), filter=filter, device=device).data,
+        resample(volume, (12, 13, 40), filter=filter, device=device).data,
+        sample(volume, points, filter, device=device),
+    )
+    monkeypatch.setattr(importlib.import_module("clvol.spline"), "_TAPS_A_LAUNCH", 1)
+    done: list[float] = []
+    np.testing.assert_array_equal(resample(image, (40, 70), filter=filter, device=device, progress=done.append).data, want[0])
+    assert len(done) >= 3
+    assert done[-1] == 1
+    np.testing.assert_array_equal(resample(volume, (12, 13, 40), filter=filter, device=device).data, want[1])
+    np.testing.assert_array_equal(sample(volume, points, filter, device=device), want[2])
+
+
+@pytest.mark.parametrize(
+    "bad", [{"derivative": 1.5}, {"derivative": None}, {"fill": "a"}, {"fill": [1, 2]}, {"points": [[1], [2, 3]]}]
+)
+def test_arguments_of_the_wrong_kind(device: Device, bad: dict[str, Any]) -> None:
+    with pytest.raises(OptionError):
+        sample(**{"volume": random_volume(), "points": [[0, 0, 0]], "device": device, **bad})
+
+
+def test_a_fill_of_nan(device: Device) -> None:
+    assert np.isnan(sample(random_volume(), [[1e3, 0, 0]], fill=np.nan, device=device)).all()

@@ -6,6 +6,7 @@ Exit codes: 0 done, 1 the request failed (the reason is on standard error), 2 th
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import os
@@ -20,7 +21,7 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn
 
-from cyclopts import App, CycloptsError, Parameter, Token
+from cyclopts import App, CoercionError, CycloptsError, Parameter, Token
 
 import clvol
 from clvol.errors import ClvolError, DataError, DeviceError, FormatError, OptionError
@@ -38,7 +39,7 @@ def _whole(_: object, tokens: Sequence[Token]) -> int | tuple[int, ...]:
         try:
             numbers.append(int(token.value))
         except ValueError:
-            raise ValueError(f"{token.value!r} is not a whole number") from None
+            raise CoercionError(token=token, target_type=int) from None
     return numbers[0] if len(numbers) == 1 else tuple(numbers)
 
 
@@ -259,7 +260,8 @@ def filters(*, json: Json = False) -> None:
 
 @app.command
 def resample(
-    source: Source, /, *, output: Output, shape: Annotated[tuple[int, int, int] | None, Parameter(name="--to-shape", converter=_whole)] = None,
+    source: Source, /, *, output: Output,
+    shape: Annotated[tuple[int, int, int] | None, Parameter(name="--to-shape", converter=_whole)] = None,
     spacing: Annotated[tuple[float, float, float] | None, Parameter(name="--to-spacing")] = None,
     like: str | None = None, magnify: Whole | None = None, filter: str = "bspline3",
     boundary: Annotated[str, Parameter(help="mirror, reflect, wrap or zero.")] = "mirror",
@@ -439,7 +441,9 @@ def _table(header: list[str], rows: list[list[str]]) -> None:
     columns = list(zip(*cells, strict=True))
     widths = [max(map(len, column)) for column in columns]
     words = [max((len(word) for cell in column for word in cell.split()), default=0) for column in columns]
-    room = (shutil.get_terminal_size().columns if sys.stdout.isatty() else math.inf) - 2 * (len(widths) - 1)
+    room = shutil.get_terminal_size().columns if sys.stdout.isatty() else math.inf
+    gap = 2 if sum(words) + 2 * (len(words) - 1) <= room else 1
+    room -= gap * (len(words) - 1)
     while sum(widths) > room and widths != words:  # the column that has most to give
         spare = [width - word for width, word in zip(widths, words, strict=True)]
         widths[spare.index(max(spare))] -= 1
@@ -450,7 +454,7 @@ def _table(header: list[str], rows: list[list[str]]) -> None:
     for row in cells:
         folded = [textwrap.wrap(cell, width, break_on_hyphens=False) for cell, width in zip(row, widths, strict=True)]
         for line in zip_longest(*folded, fillvalue=""):
-            print("  ".join(part.ljust(width) for part, width in zip(line, widths, strict=True)).rstrip())
+            print((" " * gap).join(part.ljust(width) for part, width in zip(line, widths, strict=True)).rstrip())
 
 
 def _one_line(error: BaseException) -> str:
@@ -459,6 +463,8 @@ def _one_line(error: BaseException) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; errors that are the user's come out as one line, never as a traceback."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # a terminal without a degree sign still gets the numbers
     try:
         app(arguments, exit_on_error=False, print_error=False)
         sys.stdout.flush()

@@ -25,13 +25,16 @@ class Mode:
         Whether it also wants the function where the ray enters and leaves the volume, a thousandth
         of a step inside.
     automatic : bool
-        Whether the automatic transfer function is one of opacities; else a grey ramp.
+        Whether the default transfer function is one of opacities; else it is a grey ramp.
+    ramp : float
+        The share of the volume's range of values over which that ramp runs from black to white.
     """
 
     name: str
     description: str
     endpoints: bool = False
     automatic: bool = False
+    ramp: float = 1.0
 
     @property
     def file(self) -> str:
@@ -45,7 +48,7 @@ _TABLE = {
         Mode("isosurface", "the first surface of one value, shaded", endpoints=True),
         Mode("mip", "the greatest value along the ray"),
         Mode("minip", "the least value along the ray"),
-        Mode("mean", "the mean value along the ray, as an x-ray"),
+        Mode("mean", "the mean value along the ray, as an x-ray", ramp=0.5),  # means seldom reach the greatest value
     )
 }
 

@@ -24,7 +24,7 @@ from clvol import program
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.camera import Camera, View
 from clvol.device import Device, as_device
-from clvol.errors import GeometryError, OptionError, one_of
+from clvol.errors import GeometryError, OptionError, number, one_of, whole
 from clvol.filters import DEFAULT_FILTER, Filter, as_filter
 from clvol.light import HEADLIGHT, MAX_LIGHTS, Light, Material, color_of
 from clvol.modes import DEFAULT_MODE, Mode, as_mode
@@ -43,6 +43,7 @@ _BITS = 8.0  # of the sampler's fraction, before pictures are made by it: what t
 _LAUNCH_SECONDS = 0.25
 _MAX_PLANES = 1 << 20
 _MAX_SIZE = 1 << 15
+_MAX_ANISOTROPY = 1e6  # of spacings: what float32 carries
 _ROW_SECONDS = 1.5e-9  # a generous guess of the time of one row of taps on one processor core; it is corrected as tiles finish
 
 # The parameter block of march.cl, declared once: the struct of the kernels is generated from it. All
@@ -55,12 +56,12 @@ FRAME = np.dtype(
     + [
         (name, np.float32)
         for name in (
-            "near", "oblique", "plane", "plane_back", "spacing", "planes", "stride", "table_low", "table_scale",
+            "ahead", "unit", "oblique", "plane", "plane_back", "spacing", "planes", "stride", "table_low", "table_scale",
             "per_unit_distance", "termination", "isovalue", "tolerance", "ambient", "diffuse", "specular", "shininess",
-            "weight", "depth_offset",
+            "weight",
         )
     ]
-    + [(name, np.int32) for name in ("axis", "clipped", "lights", "width", "height", "pass")]
+    + [(name, np.int32) for name in ("axis", "orthographic", "clipped", "lights", "width", "height", "pass")]
 )  # fmt: skip
 
 
@@ -113,11 +114,11 @@ class Lattice:
         if any(d[self.axis] * forward[self.axis] < 0 for d in corners):
             cosine = 0.0  # so wide that some rays run the other way
         n = volume.size[self.axis]
-        self.planes = max(1, math.ceil(n / (step * max(cosine, OBLIQUE)) - 1e-9))
+        wanted = n / (step * max(cosine, OBLIQUE))
+        if wanted > _MAX_PLANES:
+            raise OptionError(f"step must give no more than {_MAX_PLANES} planes; {step:g} would give {wanted:.3g}")
+        self.planes = max(1, math.ceil(wanted - 1e-9))
         self.spacing = n / self.planes
-        self.step = step
-        if self.planes > _MAX_PLANES:
-            raise OptionError(f"step {step} would need {self.planes} planes; the most is {_MAX_PLANES}")
 
 
 def pixel_offsets(samples: int) -> NDArray[np.float64]:
@@ -157,7 +158,7 @@ class Renderer:
         row, rule = as_filter(filter), as_boundary(boundary)
         self.device = as_device(device)
         self.coefficients = Coefficients(self.volume, row, rule, self.device)
-        self._automatic: dict[bool, TransferFunction] = {}
+        self._transfers: dict[Mode, TransferFunction] = {}
 
     @property
     def filter(self) -> Filter:
@@ -240,6 +241,20 @@ class Renderer:
         OptionError, GeometryError, DeviceError
         """
         chosen = as_mode(mode)
+        camera = Camera.orbit() if camera is None else camera
+        material = Material() if material is None else material
+        lights = (lights,) if isinstance(lights, Light) else lights
+        _instance("camera", camera, Camera)
+        _instance("material", material, Material)
+        _instance("shading", shading, bool, np.bool_)
+        if transfer is not None:
+            _instance("transfer", transfer, TransferFunction)
+        if not isinstance(lights, Sequence) or not all(isinstance(light, Light) for light in lights):
+            raise OptionError(f"lights must be a Light or a sequence of them; got {lights!r}")
+        if progress is not None and not callable(progress):
+            raise OptionError(f"progress must be callable; got {progress!r}")
+        if not isinstance(outputs, (str, Sequence)) or not outputs:
+            raise one_of("outputs", outputs, OUTPUTS)
         wanted = (outputs,) if isinstance(outputs, str) else tuple(outputs)
         for name in wanted:
             if name not in OUTPUTS:
@@ -248,25 +263,26 @@ class Renderer:
             raise one_of("gradient", gradient, ("analytic", "central"))
         width, height = _size(size)
         path = choose_path(self.device, self.filter, evaluator, fetch, bits=_BITS)
-        table = transfer if transfer is not None else self._default_transfer(chosen.automatic)
+        table = transfer if transfer is not None else self._default_transfer(chosen)
         frame = self._frame(
-            camera or Camera.orbit(), (width, height), step, table,
+            camera, (width, height), step, table,
             otsu_threshold(self.volume) if isovalue is None and chosen.name == "isosurface" else isovalue,
-            color_of("color", color), material or Material(), lights, clip, termination,
+            color_of("color", color), material, lights, clip, termination,
         )  # fmt: skip
         guides = wanted != ("rgba",)
         central = gradient == "central" or not self.filter.has_gradient
-        arrays = self._march(frame, chosen, path, table, shading, central, guides, _samples(samples), progress, _tile)
+        arrays = self._march(
+            frame, chosen, path, table, shading, central, guides, whole("samples", samples, least=1, most=4096), progress, _tile
+        )
         arrays["rgba"] = _over(arrays["rgba"], background)
         return arrays[wanted[0]] if isinstance(outputs, str) else {name: arrays[name] for name in wanted}
 
-    def _default_transfer(self, automatic: bool) -> TransferFunction:
-        if automatic not in self._automatic:
-            volume = self.volume
-            self._automatic[automatic] = (
-                TransferFunction.automatic(volume) if automatic else TransferFunction.ramp(volume.value_range)
-            )
-        return self._automatic[automatic]
+    def _default_transfer(self, mode: Mode) -> TransferFunction:
+        if mode not in self._transfers:
+            low, high = self.volume.value_range
+            ramp = TransferFunction.ramp((low, low + mode.ramp * (high - low)))
+            self._transfers[mode] = TransferFunction.automatic(self.volume) if mode.automatic else ramp
+        return self._transfers[mode]
 
     def _frame(
         self, camera: Camera, size: tuple[int, int], step: float, transfer: TransferFunction, isovalue: float | None,
@@ -274,16 +290,20 @@ class Renderer:
         clip: tuple[Sequence[float], Sequence[float]] | None, termination: float,
     ) -> NDArray[Any]:  # fmt: skip
         """The parameter block of one picture, computed in float64."""
-        if not (isinstance(step, (int, float, np.number)) and math.isfinite(step) and step > 0):
-            raise OptionError(f"step must be positive and finite, in voxels; got {step!r}")
-        if not (isinstance(termination, (int, float)) and 0 <= termination < 1):
-            raise OptionError(f"termination must be at least 0 and less than 1; got {termination!r}")
-        if isovalue is not None and not (isinstance(isovalue, (int, float, np.number)) and math.isfinite(isovalue)):
-            raise OptionError(f"isovalue must be finite; got {isovalue!r}")
+        step = number("step", step, above=0)
+        termination = number("termination", termination, least=0, below=1)
+        if isovalue is not None:
+            isovalue = number("isovalue", isovalue)
         if len(lights) > MAX_LIGHTS:
             raise OptionError(f"there may be up to {MAX_LIGHTS} lights; got {len(lights)}")
         volume, (width, height) = self.volume, size
         aspect = width / height
+        least_spacing, greatest_spacing = min(volume.spacing), max(volume.spacing)
+        if greatest_spacing > _MAX_ANISOTROPY * least_spacing or not 1e-30 <= least_spacing <= greatest_spacing <= 1e30:
+            raise GeometryError(
+                "rendering takes spacings from 1e-30 to 1e30 that differ by a factor of up to "
+                f"{_MAX_ANISOTROPY:g}; got {volume.spacing}"
+            )
         view = camera.view(volume, aspect)
         lattice = Lattice(volume, view, aspect, float(step))
         inverse, origin = volume.world_to_index_matrix, np.asarray(volume.origin)
@@ -292,30 +312,24 @@ class Renderer:
         # picture coordinates: a from -1 to 1 along `right`, b along `up`; pixel (0, 0) is top left
         across, down = view.right * view.half_height * aspect, -view.up * view.half_height
         corner, per_x, per_y = -across - down, 2 * across / width, 2 * down / height
-        if view.orthographic:
-            # rays start on the plane through the volume's centre, where float32 has its best precision
-            ahead = float((volume.center - view.eye) @ view.forward)
-            start = view.eye + ahead * view.forward
-            frame["origin"], frame["origin_u"], frame["origin_v"] = (
-                inverse @ (start + corner - origin),
-                inverse @ per_x,
-                inverse @ per_y,
-            )
-            frame["direction"] = inverse @ view.forward
-            frame["near"], frame["depth_offset"] = -np.inf, ahead
-        else:
-            frame["origin"] = inverse @ (view.eye - origin)
-            frame["direction"], frame["direction_u"], frame["direction_v"] = (
-                inverse @ (view.forward + corner),
-                inverse @ per_x,
-                inverse @ per_y,
-            )
-        frame["index_to_world"] = volume.index_to_world_matrix.ravel()
+        # rays start on the plane through the volume's centre; world units are mean spacings, so that none is too
+        # large or small for float32
+        unit = float(np.mean(volume.spacing))
+        ahead = float((volume.center - view.eye) @ view.forward)
+        start = inverse @ (view.eye + ahead * view.forward - origin)
+        spread = 1.0 if view.orthographic else ahead
+        frame["origin"] = start + spread * (inverse @ corner)
+        frame["origin_u"], frame["origin_v"] = spread * (inverse @ per_x), spread * (inverse @ per_y)
+        fan = 0.0 if view.orthographic else unit
+        frame["direction"] = unit * (inverse @ view.forward) + fan * (inverse @ corner)
+        frame["direction_u"], frame["direction_v"] = fan * (inverse @ per_x), fan * (inverse @ per_y)
+        frame["orthographic"], frame["ahead"], frame["unit"] = view.orthographic, ahead / unit, unit
+        frame["index_to_world"] = volume.index_to_world_matrix.ravel() / unit
         frame["world_origin"] = origin
         frame["low"], frame["high"] = -0.5, np.asarray(volume.size) - 0.5
         if clip is not None:
             low, high = _box(clip)
-            frame["clipped"], frame["clip_low"], frame["clip_high"] = 1, low - origin, high - origin
+            frame["clipped"], frame["clip_low"], frame["clip_high"] = 1, (low - origin) / unit, (high - origin) / unit
 
         n = volume.size[lattice.axis]
         frame["axis"], frame["planes"], frame["spacing"], frame["oblique"] = (
@@ -327,13 +341,12 @@ class Renderer:
         frame["plane"], frame["plane_back"], frame["stride"] = -0.5 + lattice.spacing / 2, n - 0.5 - lattice.spacing / 2, step
 
         first, last = transfer.value_range
-        frame["table_low"], frame["table_scale"] = first, (TABLE_SIZE - 1) / (last - first) if last > first else 0.0
-        thickness = transfer.unit_distance or float(np.mean(volume.spacing))
-        frame["per_unit_distance"], frame["termination"] = 1 / thickness, termination
+        frame["table_low"], frame["table_scale"] = first, min((TABLE_SIZE - 1) / (last - first), 1e38) if last > first else 0.0
+        frame["per_unit_distance"], frame["termination"] = unit / (transfer.unit_distance or unit), termination
         least, greatest = volume.value_range
         frame["isovalue"] = least if isovalue is None else isovalue
         frame["tolerance"] = TOLERANCE * (greatest - least)
-        flat = FLAT * max(greatest - least, greatest, -least) / float(np.mean(volume.spacing))
+        flat = FLAT * max(greatest - least, greatest, -least) / unit
         frame["gradient"] = inverse.ravel() / max(flat, 1e-36 * float(np.abs(inverse).max()))  # finite in float32
         frame["surface"] = surface
         for name in ("ambient", "diffuse", "specular", "shininess"):
@@ -451,18 +464,15 @@ def _over(premultiplied: Floats, background: Sequence[float] | str | None) -> Fl
 
 def _size(size: tuple[int, int]) -> tuple[int, int]:
     try:
-        width, height = (int(n) for n in size)
+        width, height = size
     except (TypeError, ValueError):
         raise OptionError(f"size must be (width, height) in pixels; got {size!r}") from None
-    if not (1 <= width <= _MAX_SIZE and 1 <= height <= _MAX_SIZE) or (width, height) != tuple(size):
-        raise OptionError(f"size must be (width, height), whole numbers from 1 to {_MAX_SIZE}; got {size!r}")
-    return width, height
+    return whole("width", width, least=1, most=_MAX_SIZE), whole("height", height, least=1, most=_MAX_SIZE)
 
 
-def _samples(samples: int) -> int:
-    if isinstance(samples, bool) or not isinstance(samples, (int, np.integer)) or not 1 <= samples <= 4096:
-        raise OptionError(f"samples must be a whole number from 1 to 4096; got {samples!r}")
-    return int(samples)
+def _instance(what: str, value: object, *kinds: type) -> None:
+    if not isinstance(value, kinds):
+        raise OptionError(f"{what} must be a {kinds[0].__name__}; got {value!r}")
 
 
 def _box(clip: tuple[Sequence[float], Sequence[float]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from clvol import program
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.device import Device, _opencl, as_device
-from clvol.errors import DataError, DeviceError, OptionError, OutOfMemoryError, one_of
+from clvol.errors import DataError, DeviceError, OptionError, OutOfMemoryError, one_of, whole
 from clvol.filters import DEFAULT_FILTER, Filter, as_filter
-from clvol.volume import Volume, as_volume
+from clvol.volume import Volume, _read_array, as_volume
 
 __all__ = [
     "Coefficients",
@@ -41,7 +41,7 @@ Fetch = Literal["auto", "buffer", "image"]
 
 LANES = 8  # lines of a work-item of prefilter.cl, and what rows of coefficients are padded to
 _START_ERROR = 1e-9  # what the starting values of the prefilter may leave out, relative to the data
-_POINTS_A_LAUNCH = 1 << 19
+_TAPS_A_LAUNCH = 1 << 25  # a launch should not run longer than a quarter of a second
 _SAMPLE_BITS = 20.0  # of a sampler's fraction, before `sample` and `resample` trust it of themselves
 
 
@@ -211,9 +211,7 @@ class Coefficients:
                 form = cl.ImageFormat(cl.channel_order.R, cl.channel_type.FLOAT)
                 make = getattr(cl, "create_image", cl.Image)  # Image() itself is deprecated in favour of it
                 self._image = make(device.context, cl.mem_flags.READ_ONLY, form, shape=self.shape[::-1])
-                cl.enqueue_copy(
-                    device.queue, self._image, self.buffer, offset=0, origin=(0, 0, 0), region=self.shape[::-1]
-                ).wait()
+                cl.enqueue_copy(device.queue, self._image, self.buffer, offset=0, origin=(0, 0, 0), region=self.shape[::-1]).wait()
         return self._image
 
     def release(self) -> None:
@@ -269,7 +267,7 @@ def prefilter(
 
     Parameters
     ----------
-    data : array-like, shape (nx,), (ny, nx) or (nz, ny, nx)
+    data : Volume or array-like, shape (nx,), (ny, nx) or (nz, ny, nx)
         Samples of any integer or floating dtype.
     filter : str or Filter
         A row of the table; one that needs no prefilter gives the samples back.
@@ -288,17 +286,18 @@ def prefilter(
     DataError, OptionError, DeviceError
     """
     try:
-        array = np.asarray(data)
+        array = _read_array(data)[0]
     except ValueError as error:
         raise DataError(f"data must be a regular array of numbers: {error}") from None
-    volume = Volume(array[None] if array.ndim == 1 else array)
+    line = array.ndim == 1
+    volume = Volume(array[None]) if line else as_volume(data)
     row, rule, on = as_filter(filter), as_boundary(boundary), as_device(device)
     if row.magnified_by is not None:
         row = row.magnified_by
-    if array.ndim == 1:  # a single row of an image, filtered along x alone
+    if line:  # a single row of an image, filtered along x alone
         return _prefilter_line(volume, row, rule, on)
     with Coefficients(volume, row, rule, on) as held, on.mapped(held.buffer, held.shape, write=False) as stored:
-        return np.array(stored[held.inner]).reshape(array.shape)
+        return np.array(stored[held.inner]).reshape(volume.shape)
 
 
 def _prefilter_line(volume: Volume, filter: Filter, boundary: Boundary, device: Device) -> Floats:
@@ -406,9 +405,10 @@ def sample_coefficients(
     results = np.empty((points.shape[0], d**derivative), np.float32)
     kernel = built.kernel("sample_points")
     source = held.argument(path)
-    for first in range(0, points.shape[0], _POINTS_A_LAUNCH):
-        part = np.ascontiguousarray(points[first : first + _POINTS_A_LAUNCH], dtype=kind)
-        target = results[first : first + _POINTS_A_LAUNCH]
+    step = _launch_points(held.filter, d)
+    for first in range(0, points.shape[0], step):
+        part = np.ascontiguousarray(points[first : first + step], dtype=kind)
+        target = results[first : first + step]
         count = target.shape[0]
         with device.lent(part, write=False) as given, device.lent(target, write=True) as wanted, device.errors:
             kernel(
@@ -418,6 +418,18 @@ def sample_coefficients(
         if progress:
             progress((first + count) / points.shape[0])
     return results[:, 0] if derivative == 0 else results
+
+
+def _fill_value(fill: float | None) -> float | None:
+    """A real number, NaN and infinite ones included, or None."""
+    if fill is not None and (isinstance(fill, (bool, str)) or not isinstance(fill, (int, float, np.number))):
+        raise OptionError(f"fill must be a number or None; got {fill!r}")
+    return None if fill is None else float(fill)
+
+
+def _launch_points(filter: Filter, dimensions: int) -> int:
+    """How many points a launch takes, so that it is short whatever the filter."""
+    return max(1 << 10, _TAPS_A_LAUNCH // int(filter.support**dimensions))
 
 
 def _run_lattice(
@@ -430,17 +442,19 @@ def _run_lattice(
     transform = _affine(device, matrix, offset, held.volume.world_to_index_matrix)
     kernel = built.kernel("sample_lattice")
     nz, ny, nx = shape
-    slices = max(1, _POINTS_A_LAUNCH * 4 // (ny * nx))
-    for first in range(0, nz, slices):
-        count = min(slices, nz - first)
+    points = _launch_points(held.filter, held.volume.ndim)
+    rows, slices = max(1, min(ny, points // nx)), max(1, points // (nx * ny))
+    parts = [(z, y) for z in range(0, nz, slices) for y in range(0, ny, rows)]
+    for done, (z, y) in enumerate(parts, 1):
         with device.errors:
             kernel(
-                device.queue, (-(-nx // 8) * 8, ny, count), (8, 1, 1), held.argument(path), held.extent, held.size,
-                held.period, transform, np.array([nx, ny, nz, first], np.int32), np.float32(0 if fill is None else fill), buffer,
+                device.queue, (-(-nx // 8) * 8, min(rows, ny - y), min(slices, nz - z)), (8, 1, 1), held.argument(path),
+                held.extent, held.size, held.period, transform, np.array([nx, ny, y, z], np.int32),
+                np.float32(0 if fill is None else fill), buffer,
             )  # fmt: skip
         device.finish()
         if progress:
-            progress((first + count) / nz)
+            progress(done / len(parts))
 
 
 def sample(
@@ -484,11 +498,14 @@ def sample(
     """
     volume = as_volume(volume)
     d = volume.ndim
-    array = np.asarray(points)
+    try:
+        array = np.asarray(points)
+    except ValueError as error:
+        raise OptionError(f"points must be numbers of shape (..., {d}): {error}") from None
     if array.dtype.kind not in "biuf" or array.ndim == 0 or array.shape[-1] != d:
         raise OptionError(f"points must be numbers of shape (..., {d}); got {array.dtype} of shape {array.shape}")
-    if derivative not in (0, 1, 2):
-        raise OptionError(f"derivative must be 0, 1 or 2; got {derivative!r}")
+    derivative = whole("derivative", derivative, least=0, most=2)
+    fill = _fill_value(fill)
     on, row, rule = as_device(device), as_filter(filter), as_boundary(boundary)
     path = choose_path(on, row, evaluator, fetch)
     with Coefficients(volume, row, rule, on) as held:
@@ -567,10 +584,9 @@ def magnify(
     them; the last ones lie past the last given one, within its voxel or under the boundary rule.
     """
     volume = as_volume(volume)
-    if isinstance(factor, bool) or not isinstance(factor, (int, np.integer)) or factor < 1:
-        raise OptionError(f"factor must be a whole number of at least 1; got {factor!r}")
+    factor = whole("factor", factor, least=1)
     d = volume.ndim
-    shape = tuple(int(factor) * n for n in volume.shape)
+    shape = tuple(factor * n for n in volume.shape)
     data = _resampled(volume, np.eye(d) / factor, np.zeros(d), shape, filter, boundary, evaluator, fetch, None, device, progress)
     return Volume(data, tuple(s / factor for s in volume.spacing), volume.origin, volume.direction, volume.units)
 
@@ -582,6 +598,7 @@ def _resampled(
 ) -> Floats:  # fmt: skip
     on, row, rule = as_device(device), as_filter(filter), as_boundary(boundary)
     path = choose_path(on, row, evaluator, fetch)
+    fill = _fill_value(fill)
     full = (1, *shape)[-3:]
     buffer = on.allocate(4 * math.prod(full))
     with Coefficients(volume, row, rule, on) as held:

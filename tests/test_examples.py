@@ -1,0 +1,72 @@
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+
+from clvol.device import Device
+
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES = ROOT / "examples"
+TOOTH = ROOT.parent / "shared" / "data" / "tooth.nhdr"
+
+pytestmark = pytest.mark.skipif(not EXAMPLES.is_dir(), reason="examples are not beside the tests")
+
+
+def run(name: str, *arguments: object, folder: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, str(EXAMPLES / name), *map(str, arguments)], capture_output=True, encoding="utf-8", timeout=120,
+        check=False, cwd=folder, env={**os.environ, "PYTHONIOENCODING": "utf-8"},
+    )  # fmt: skip
+
+
+def test_figure6_draws_the_figure_and_prints_its_errors(tmp_path: Path, device: Device) -> None:
+    done = run("figure6.py", "--pixels", 24, "--samples", 16, "--output", "sheet.png", folder=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    lines = done.stdout.splitlines()
+    assert len(lines) == 7
+    assert all("RMS error 0." in line and line.endswith("°") for line in lines[:6])
+    assert lines[6].startswith("sheet.png in ")
+    sheet = iio.imread(tmp_path / "sheet.png")
+    assert sheet.shape[1:] == (4 * 24 + 2 * 4 + 12, 3)
+    assert sheet.std() > 20
+    assert device is not None
+
+
+@pytest.mark.parametrize("arguments", [("--pixels", 0), ("--samples", 1), ("--output", "a.gif", "--pixels", 8, "--samples", 4)])
+def test_figure6_tells_what_is_wrong(tmp_path: Path, device: Device, arguments: tuple[object, ...]) -> None:
+    done = run("figure6.py", *arguments, folder=tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert "Error: " in done.stderr
+    assert list(tmp_path.iterdir()) == []
+    assert device is not None
+
+
+def test_real_scan_draws_any_volume(tmp_path: Path, device: Device) -> None:
+    ramp = np.linspace(-1, 1, 10)
+    np.save(tmp_path / "scan.npy", (ramp**2 + ramp[:, None] ** 2 + ramp[:, None, None] ** 2).astype(np.float32))
+    done = run("real_scan.py", "scan.npy", "--pixels", 12, "--isovalue", 0.7, "--output", "a.png", folder=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == "a.png\na-default.png\n"
+    assert iio.imread(tmp_path / "a.png").shape[1] == 3 * 12 + 2 * 4
+    assert iio.imread(tmp_path / "a-default.png").shape == (512, 512, 3)
+    failed = run("real_scan.py", "missing.npy", folder=tmp_path)
+    assert failed.returncode == 1
+    assert failed.stderr == "FormatError: cannot read missing.npy: there is no such file or folder\n"
+    assert device is not None
+
+
+@pytest.mark.skipif(not TOOTH.is_file(), reason="the scan of a tooth is not here")
+def test_real_scan_draws_a_tooth(tmp_path: Path, device: Device) -> None:
+    pytest.importorskip("SimpleITK")
+    done = run("real_scan.py", TOOTH, "--pixels", 24, "--output", "tooth.png", folder=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert iio.imread(tmp_path / "tooth.png").std() > 15
+    assert iio.imread(tmp_path / "tooth-default.png").std() > 5
+    assert device is not None

@@ -1,0 +1,144 @@
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import zipfile
+from importlib.metadata import entry_points, requires, version
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+import clvol
+
+ROOT = Path(__file__).resolve().parents[1]
+KERNELS = sorted(p.relative_to(ROOT / "cl").as_posix() for p in (ROOT / "cl").rglob("*.cl"))
+_SOURCE = {".py", ".cl", ".toml", ".md", ".yml", ".yaml", ".cfg", ".txt", ".json", ".sh", ""}
+_NOT_OURS = {".git", ".venv", ".hypothesis", ".mypy_cache", ".ruff_cache", ".pytest_cache", "__pycache__", "dist", "build", "out"}
+
+in_a_checkout = pytest.mark.skipif(not (ROOT / "pyproject.toml").is_file(), reason="not in a checkout")
+
+
+def test_the_version_is_that_of_the_metadata() -> None:
+    assert clvol.__version__ == version("clvol")
+
+
+def test_the_command_is_an_entry_point() -> None:
+    (command,) = entry_points(group="console_scripts", name="clvol")
+    assert command.value == "clvol.cli:main"
+    assert callable(command.load())
+
+
+def test_extras_are_declared() -> None:
+    wanted = requires("clvol") or []
+    for extra, package in (("pocl", "pocl-binary-distribution"), ("medical", "SimpleITK"), ("microscopy", "tifffile")):
+        line = next(
+            row for row in wanted if row.lower().startswith(package.lower()) and f"extra == '{extra}'" in row.replace('"', "'")
+        )
+        assert ("sys_platform" in line) == (extra == "pocl")  # PoCL's wheels exist for one platform
+
+
+def test_names_are_sorted_and_there() -> None:
+    assert list(clvol.__all__) == sorted(clvol.__all__)
+    assert all(hasattr(clvol, name) for name in clvol.__all__)
+
+
+@pytest.mark.parametrize("module", ["clvol", "clvol.cli"])
+def test_importing_is_cheap_and_needs_no_opencl(module: str) -> None:
+    heavy = ("pyopencl", "SimpleITK", "scipy.ndimage", "imageio", "PIL", "tifffile", "nibabel", "cmap")
+    code = f"import {module}, sys; print(*[m for m in {heavy!r} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", timeout=60, check=True)
+    assert done.stdout.split() == []
+
+
+@in_a_checkout
+def test_no_file_names_a_machine() -> None:
+    told = []
+    here = re.compile(r"""(?<![\w.}])/(?:work|root|home)/(?!runner/)\w""")
+    for folder, folders, names in os.walk(ROOT):
+        folders[:] = [f for f in folders if f not in _NOT_OURS and not f.endswith(".egg-info")]
+        for name in names:
+            path = Path(folder) / name
+            if path.suffix not in _SOURCE or path == Path(__file__).resolve():
+                continue
+            try:
+                text = path.read_text(encoding="utf-8")
+            except UnicodeDecodeError:
+                continue
+            told += [
+                f"{path.relative_to(ROOT)}:{i}: {line.strip()}" for i, line in enumerate(text.splitlines(), 1) if here.search(line)
+            ]
+    assert told == []
+
+
+# -- what is installed ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def archives(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """The source archive, and the wheel made from it, built without the network."""
+    if not (ROOT / "pyproject.toml").is_file() or any(find_spec(name) is None for name in ("build", "hatchling")):
+        pytest.skip("needs a checkout, build and hatchling")
+    folder = tmp_path_factory.mktemp("package")
+    # the build reads a copy: it must not see, or leave, anything in the checkout
+    tree = folder / "tree"
+    shutil.copytree(ROOT, tree, ignore=shutil.ignore_patterns(*_NOT_OURS, "clean"))
+    done = subprocess.run(
+        [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(folder / "dist"), str(tree)],
+        capture_output=True, encoding="utf-8", timeout=120, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    (source,), (wheel,) = (folder / "dist").glob("*.tar.gz"), (folder / "dist").glob("*.whl")
+    return source, wheel
+
+
+def test_the_wheel_holds_what_runs(archives: tuple[Path, Path]) -> None:
+    with zipfile.ZipFile(archives[1]) as wheel:
+        names = set(wheel.namelist())
+        info = f"clvol-{clvol.__version__}.dist-info"
+        assert "clvol = clvol.cli:main" in wheel.read(f"{info}/entry_points.txt").decode()
+        metadata = wheel.read(f"{info}/METADATA").decode()
+    modules = {f"clvol/{p.relative_to(ROOT / 'src' / 'clvol').as_posix()}" for p in (ROOT / "src" / "clvol").rglob("*.py")}
+    assert modules <= names
+    assert {f"clvol/cl/{kernel}" for kernel in KERNELS} <= names
+    assert KERNELS
+    assert "clvol/py.typed" in names
+    assert f"{info}/licenses/LICENSE" in names
+    assert all(name.startswith(("clvol/", info)) for name in names)
+    assert f"Version: {clvol.__version__}" in metadata
+    assert "Requires-Python: >=3.11" in metadata
+
+
+def test_the_wheel_runs_from_where_it_is_unpacked(archives: tuple[Path, Path], tmp_path: Path) -> None:
+    with zipfile.ZipFile(archives[1]) as wheel:
+        wheel.extractall(tmp_path)
+    code = "import clvol, clvol.program as p; print(clvol.__file__); print(p._folder()); print(len(p.source('points.cl')))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, encoding="utf-8", timeout=60, check=True, cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+    )  # fmt: skip
+    package, kernels, size = done.stdout.splitlines()
+    assert Path(package).resolve() == (tmp_path / "clvol" / "__init__.py").resolve()
+    assert Path(kernels).resolve() == (tmp_path / "clvol" / "cl").resolve()
+    assert int(size) > 1000
+
+
+def test_the_source_archive_holds_what_builds_and_tests(archives: tuple[Path, Path]) -> None:
+    with tarfile.open(archives[0]) as source:
+        names = {name.partition("/")[2] for name in source.getnames()}
+    assert {f"cl/{kernel}" for kernel in KERNELS} <= names
+    assert {
+        "pyproject.toml",
+        "README.md",
+        "LICENSE",
+        "CHANGELOG.md",
+        "Makefile",
+        "src/clvol/py.typed",
+        "tests/conftest.py",
+    } <= names
+    assert {"examples/figure6.py", "bench/__main__.py", "docs/figure6.png"} <= names
+    assert not [name for name in names if ".venv" in name or "__pycache__" in name or name.endswith(".pyc")]
