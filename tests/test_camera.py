@@ -134,12 +134,12 @@ WRONG: dict[str, tuple[Any, type[ClvolError], str]] = {
     "no up": (lambda: Camera(up=(0, 0, 0)), GeometryError, "up must not have zero length"),
     "flat position": (lambda: Camera(position=(1, 2)), GeometryError, r"position must be three numbers \(x, y, z\); got \(1, 2\)"),  # type: ignore[arg-type]
     "NaN target": (lambda: Camera(target=(1, float("nan"), 2)), GeometryError, "target must be finite"),
-    "fov 0": (lambda: Camera(fov=0), OptionError, "fov must be positive and less than 180; got 0"),
-    "fov 180": (lambda: Camera(fov=180), OptionError, "fov must be positive and less than 180; got 180"),
-    "zoom": (lambda: Camera(zoom=-1), OptionError, "zoom must be positive"),
-    "zoom NaN": (lambda: Camera(zoom=float("nan")), OptionError, "zoom must be positive"),
-    "distance": (lambda: Camera.orbit(distance=0), OptionError, "distance must be positive"),
-    "azimuth": (lambda: Camera.orbit(float("inf")), OptionError, "azimuth must be a finite number of degrees; got inf"),
+    "fov 0": (lambda: Camera(fov=0), OptionError, "fov must be a finite number, greater than 0 and less than 180; got 0"),
+    "fov 180": (lambda: Camera(fov=180), OptionError, "fov must be a finite number, greater than 0 and less than 180; got 180"),
+    "zoom": (lambda: Camera(zoom=-1), OptionError, "zoom must be a finite number, greater than 0"),
+    "zoom NaN": (lambda: Camera(zoom=float("nan")), OptionError, "zoom must be a finite number, greater than 0"),
+    "distance": (lambda: Camera.orbit(distance=0), OptionError, "distance must be a finite number, greater than 0"),
+    "azimuth": (lambda: Camera.orbit(float("inf")), OptionError, "azimuth must be a finite number; got inf"),
     "elevation": (lambda: Camera.orbit(0, "up"), OptionError, "elevation must be a finite number"),  # type: ignore[arg-type]
     "eye on target": (lambda: Camera.look_at((1, 2, 3), (1, 2, 3)), GeometryError, "position and target must differ"),
     "eye on centre": (lambda: Camera.look_at(BOX.center).view(BOX), GeometryError, "position and target must differ"),
@@ -151,3 +151,22 @@ def test_errors(case: str) -> None:
     make, kind, message = WRONG[case]
     with pytest.raises(kind, match=message):
         make()
+
+
+@pytest.mark.parametrize(("make", "kind"), [
+    (lambda: Camera(zoom=None), OptionError), (lambda: Camera(zoom=True), OptionError), (lambda: Camera(fov=None), OptionError),
+    (lambda: Camera(distance="far"), OptionError), (lambda: Camera().zoomed("a"), OptionError),
+    (lambda: Camera().zoomed(0), OptionError), (lambda: Camera.orbit(None), OptionError),
+    (lambda: Camera(up=None), GeometryError), (lambda: Camera(direction=None), GeometryError),
+    (lambda: Camera(position=3), GeometryError), (lambda: Camera(position="123"), GeometryError),
+    (lambda: Camera(target=(1, 2j, 3)), GeometryError), (lambda: Camera.look_at(None), GeometryError),
+    (lambda: Camera(projection=np.array(["a", "b"])), OptionError),
+])  # fmt: skip
+def test_wrong_types_are_refused(make: Any, kind: type[ClvolError]) -> None:
+    with pytest.raises(kind):
+        make()
+
+
+def test_numpy_scalars_are_taken() -> None:
+    camera = Camera(fov=np.float32(40), zoom=np.array(2), distance=np.int64(3), up=np.array([0, 1, 0]))
+    assert (camera.fov, camera.zoom, camera.distance, camera.up) == (40, 2, 3, (0, 1, 0))

@@ -341,11 +341,23 @@ def test_unknown_filter_lists_what_is_known() -> None:
     lambda: bc(math.inf, 0),
     lambda: bc("1", 0),
     lambda: register("bspline3"),
-    lambda: register(Filter("", bspline(1).taps)),
     lambda: register(Filter("a b", bspline(1).taps)),
     lambda: register(Filter("trilinear", bspline(1).taps)),
     lambda: bspline(3).weights(0.5, -1),
     lambda: reference.kernel("linear", 0.0, 3),
+    *(lambda bad=bad: sinc(bad) for bad in (1.5, True, "a", [], None, 0, 9)),
+    *(lambda bad=bad: lanczos(bad) for bad in (2.5, True, "a", [], None, 2.0)),
+    *(lambda bad=bad: bspline(bad) for bad in (3.0, 2.5, "a", None, True)),
+    *(lambda bad=bad: bc(bad, 1) for bad in ([], None, True, "a", 1j, 1e308)),
+    *(lambda bad=bad: from_pieces("x", bad) for bad in (3, "ab", [1], [("a",)], [(None,)], [(1j,)], None)),
+    *(lambda bad=bad: from_callable("x", np.sinc, bad) for bad in (1.5, "a", None, True)),
+    *(lambda bad=bad: from_callable("x", np.sinc, 2, degree=bad) for bad in (1.5, "a", True)),
+    *(lambda bad=bad: from_callable("x", bad, 2) for bad in (3, None, "sinc", lambda _: "text", lambda x: x + 1j, lambda _: 1 / 0)),
+    lambda: Filter("a", 3), lambda: Filter("a", ("b",)), lambda: Filter("a", ((True,),)), lambda: Filter(3, bspline(1).taps),
+    lambda: Filter("", bspline(1).taps), lambda: Filter("a", bspline(1).taps, magnify="x"),
+    lambda: Filter("a", bspline(1).taps, magnify=3), lambda: Filter("a", bspline(1).taps, fit_error="a"),
+    lambda: bspline(3).weights("a"), lambda: bspline(3).weights(0.5, "a"), lambda: bspline(3).weights(0.5, 1.0),
+    lambda: bspline(3)("a"), lambda: bspline(3).plot(0), lambda: bspline(3).plot("a"),
 ])  # fmt: skip
 def test_bad_rows_are_refused(make) -> None:  # type: ignore[no-untyped-def]
     before = dict(table._TABLE)
@@ -358,3 +370,19 @@ def test_nearest_takes_the_upper_sample_half_way() -> None:
     assert as_filter("nearest")([-0.5, 0.0, 0.5]).tolist() == [1, 1, 0]
     assert reference.kernel("nearest", [-0.5, 0.0, 0.5]).tolist() == [1, 1, 0]
     assert reference.sample(Volume([[1.0, 2.0, 3.0]]), [[0.5, 0.0], [1.5, 0.0]], "nearest").tolist() == [2, 3]
+
+
+@pytest.mark.filterwarnings("error")
+def test_numbers_of_any_kind() -> None:
+    assert bc(np.float32(0.25), 0.3).taps == bc(0.25, 0.3).taps
+    assert bc(np.int64(1), 0) == bc(1, 0.0) == bc(Fraction(1), np.array(0))
+    assert (sinc(np.int64(3)), bspline(np.uint8(3)), lanczos(np.array(3))) == (sinc(3), bspline(3), lanczos(3))
+    assert hash(Filter("x", [[1, 2], [3, 4]])) == hash(Filter("x", ((1, 2), (3, 4))))  # type: ignore[arg-type]
+    assert bspline(3)([np.inf, -np.inf, 99]).tolist() == [0, 0, 0]
+    assert not bspline(3).weights(0.5, 10**12).any()
+
+
+@pytest.mark.usefixtures("own_table")
+@pytest.mark.parametrize("row", [bc(0, 1), bc(Fraction(1, 5), 0.25), bc(-0.1, 1e-9), sinc(6)], ids=lambda row: row.name)
+def test_names_that_families_make_can_be_registered(row: Filter) -> None:
+    assert as_filter(register(row).name) is row

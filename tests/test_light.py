@@ -70,9 +70,9 @@ WRONG: dict[str, tuple[Any, type[ClvolError], str]] = {
     "NaN direction": (lambda: Light((1, 0, float("nan"))), GeometryError, "a light's direction"),
     "colour": (lambda: Light(color=(1, 2)), OptionError, "a light's color must be three numbers"),  # type: ignore[arg-type]
     "negative colour": (lambda: Light(color=(1, 2, -1)), OptionError, "must be finite and not negative"),
-    "ambient": (lambda: Material(ambient=-0.1), OptionError, "ambient must be finite and not negative; got -0.1"),
-    "shininess": (lambda: Material(shininess=float("inf")), OptionError, "shininess must be finite"),
-    "diffuse": (lambda: Material(diffuse="lots"), OptionError, "diffuse must be finite"),  # type: ignore[arg-type]
+    "ambient": (lambda: Material(ambient=-0.1), OptionError, "ambient must be a finite number, at least 0; got -0.1"),
+    "shininess": (lambda: Material(shininess=float("inf")), OptionError, "shininess must be a finite number"),
+    "diffuse": (lambda: Material(diffuse="lots"), OptionError, "diffuse must be a finite number"),  # type: ignore[arg-type]
 }
 
 
@@ -81,3 +81,18 @@ def test_errors(case: str) -> None:
     make, kind, message = WRONG[case]
     with pytest.raises(kind, match=message):
         make()
+
+
+@pytest.mark.parametrize(("make", "kind"), [
+    (lambda: Light("abc"), GeometryError), (lambda: Light(3), GeometryError), (lambda: Light((1, "a", 2)), GeometryError),
+    (lambda: Light(color=None), OptionError), (lambda: Light(color=3), OptionError), (lambda: Light(color=b"abc"), OptionError),
+    (lambda: Material(ambient=None), OptionError), (lambda: Material(diffuse=True), OptionError),
+])  # fmt: skip
+def test_wrong_types_are_refused(make: Any, kind: type[ClvolError]) -> None:
+    with pytest.raises(kind):
+        make()
+
+
+def test_numpy_scalars_are_taken() -> None:
+    assert Material(np.float32(0.5), np.int64(1), np.array(0.25), 2) == Material(0.5, 1.0, 0.25, 2.0)
+    assert Light(np.array([0, 0, 2])).direction == (0, 0, 1)

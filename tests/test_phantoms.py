@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clvol import phantoms
-from clvol.errors import OptionError
+from clvol.errors import OptionError, OutOfMemoryError
 from clvol.phantoms import by_name, marschner_lobb, marschner_lobb_function, marschner_lobb_gradient
 from clvol.volume import Volume
 
@@ -126,8 +126,27 @@ def test_bad_names_are_refused(bad: object) -> None:
     lambda: marschner_lobb_gradient(3.0), lambda: phantoms.sphere(4, 0), lambda: phantoms.sphere(4, np.inf),
     lambda: phantoms.polynomial(4, degree=10), lambda: phantoms.polynomial(4, degree=1.5),
     lambda: phantoms.polynomial(4, coefficients=[1, 2]), lambda: phantoms.polynomial(4, coefficients=[[[np.nan]]]),
+    lambda: marschner_lobb(5, alpha="a"), lambda: marschner_lobb(5, f_m=None), lambda: marschner_lobb_function("a"),
+    lambda: phantoms.sphere(4, "a"), lambda: phantoms.polynomial(4, seed="a"), lambda: phantoms.polynomial(4, seed=-1),
+    lambda: phantoms.polynomial(4, coefficients="a"), lambda: phantoms.checker(4, "a"),
     lambda: phantoms.checker(4, 3), lambda: phantoms.checker(4, 0), lambda: phantoms.checker(4, 2.0),
 ])  # fmt: skip
 def test_bad_parameters_are_refused(call) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(OptionError):
         call()
+
+
+@pytest.mark.parametrize("size", [10**5, 10**7, 10**30, (10**5, 10**5, 10**5)])
+@pytest.mark.parametrize("name", phantoms.names())
+def test_sizes_beyond_memory_are_said(name: str, size: object) -> None:
+    with pytest.raises(OutOfMemoryError, match="out of memory: size must give at most"):
+        getattr(phantoms, name.replace("-", "_"))(size)
+
+
+def test_what_does_not_fit_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise MemoryError("1 GiB")
+
+    monkeypatch.setattr(phantoms, "_positions", full)
+    with pytest.raises(OutOfMemoryError, match=r"out of memory: a phantom must fit .*1 GiB"):
+        marschner_lobb(4)

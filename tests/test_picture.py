@@ -141,5 +141,16 @@ def test_a_grid_of_nothing_or_of_different_pictures_is_refused() -> None:
         grid([], 3)
     with pytest.raises(OptionError, match=r"one shape"):
         grid([np.zeros((2, 2)), np.zeros((2, 3))], 3)
-    with pytest.raises(OptionError, match=r"at least one column"):
+    with pytest.raises(OptionError, match=r"columns of a grid must be a whole number, at least 1; got 0"):
         grid([np.zeros((2, 2))], 0)
+
+
+@pytest.mark.parametrize("call", [
+    lambda: save(np.zeros((2, 2)), 3), lambda: save(np.zeros((2, 2)), None), lambda: save(np.zeros((2, 2)), b"a.png"),
+    lambda: save("a", "a.png"), lambda: save([[1.0], [1.0, 2.0]], "a.png"), lambda: save(None, "a.png"),
+    lambda: labelled(np.zeros((2, 2)), 3), lambda: grid(3, 1), lambda: grid([np.zeros((2, 2))], 1.5),
+    lambda: grid([np.zeros((2, 2))], None), lambda: grid([np.zeros((2, 2))], 1, -1), lambda: grid([np.zeros((2, 2))], 1, "a"),
+])  # fmt: skip
+def test_wrong_types_are_refused(call) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(OptionError):
+        call()

@@ -90,3 +90,9 @@ def test_bad_omega_is_refused(bad: object) -> None:
             response("linear", bad)  # type: ignore[arg-type]
     with pytest.raises(OptionError):
         frequency_response("none", 1.0)
+
+
+@pytest.mark.parametrize("omega", [1e9, -2001.0, [0, 1e300]])
+def test_frequencies_beyond_the_integration_are_refused(omega: object) -> None:
+    with pytest.raises(OptionError, match="omega must lie within ±2000"):
+        frequency_response("linear", omega)  # type: ignore[arg-type]

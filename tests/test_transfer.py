@@ -107,8 +107,8 @@ WRONG: dict[str, tuple[Any, type[ClvolError], str]] = {
     "no pairs": (lambda: TransferFunction((1, 2, 3)), OptionError, "colors must be pairs"),  # type: ignore[arg-type]
     "a colour's name": (lambda: TransferFunction(((0, "rojo"),)), OptionError, "a color must be .*; got 'rojo'"),  # type: ignore[arg-type]
     "opacity": (lambda: SOME.with_opacity([(0, 1.2)]), OptionError, r"opacities must lie in 0..1; got \[1.2\]"),
-    "NaN": (lambda: SOME.with_opacity([(float("nan"), 1)]), OptionError, "must be finite numbers; got nan"),
-    "unit": (lambda: TransferFunction(((0, "red"),), unit_distance=0), OptionError, "unit_distance must be positive; got 0"),  # type: ignore[arg-type]
+    "NaN": (lambda: SOME.with_opacity([(float("nan"), 1)]), OptionError, "must be a finite number; got nan"),
+    "unit": (lambda: TransferFunction(((0, "red"),), unit_distance=0), OptionError, "unit_distance must be a finite number"),  # type: ignore[arg-type]
     "map": (lambda: TransferFunction.from_cmap("nomap", (0, 1)), OptionError, "colour map 'nomap' is not known"),
     "map's range": (lambda: TransferFunction.from_cmap("gray", (1, 0)), OptionError, "value_range must be"),
 }
@@ -119,3 +119,47 @@ def test_errors(case: str) -> None:
     make, kind, message = WRONG[case]
     with pytest.raises(kind, match=message):
         make()
+
+
+@pytest.mark.parametrize("make", [
+    lambda: TransferFunction(((0, "red"),), unit_distance="a"), lambda: TransferFunction(((True, "red"),)),
+    lambda: TransferFunction(None), lambda: SOME.with_opacity(3), lambda: SOME("a"), lambda: SOME([1j]),
+    *(lambda bad=bad: TransferFunction.from_cmap("gray", bad) for bad in (3, None, (0,), (0, 1, 2), "ab", (0, np.inf))),
+    *(lambda bad=bad: TransferFunction.from_cmap("gray", (0, 1), bad) for bad in (None, "a", 2, [1], {}, [(0, "a")])),
+    *(lambda bad=bad: TransferFunction.from_cmap(bad, (0, 1)) for bad in ([], {}, None, 3)),
+    *(lambda bad=bad: TransferFunction.ramp(bad) for bad in (3, None, (1, 0), "ab")),
+])  # fmt: skip
+def test_wrong_types_are_refused(make: Any) -> None:
+    with pytest.raises(OptionError):
+        make()
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("scale", [1e-320, 1e-300, 1e-40, 1.0, 1e200, 1.7e308])
+def test_ranges_of_any_size(scale: float) -> None:
+    data = np.linspace(-1, 1, 125).reshape(5, 5, 5) * scale
+    assert otsu_threshold(data) == pytest.approx(0, abs=0.1 * scale)
+    for chosen in (TransferFunction.automatic(data), TransferFunction.ramp((-scale, scale)), TransferFunction.ramp((0, scale))):
+        assert np.isfinite(chosen.value_range).all()
+        assert np.isfinite(chosen.table()).all()
+        assert np.isfinite(chosen([0, scale, -scale])).all()
+        assert chosen.table()[0, 0] < chosen.table()[-1, 0] == chosen(scale)[0]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("values", [
+    [0, 0], [7, 7], [-3, 4], [1, np.nextafter(1, 2)], [0, np.nan], [-1, 5, np.nan, np.inf], [0] * 9999 + [1], [0, 5e-324],
+], ids=str)  # fmt: skip
+def test_few_values(values: list[float]) -> None:
+    data = np.resize(np.array(values), (2, max(2, len(values))))
+    finite = data[np.isfinite(data)]
+    low, high = finite.min(), finite.max()
+    assert low <= otsu_threshold(data) <= high
+    for chosen in (TransferFunction.automatic(data), TransferFunction.ramp((low, high))):
+        assert np.isfinite(chosen.table()).all()
+
+
+def test_it_is_chosen_where_the_sparse_sample_holds_no_finite_value() -> None:
+    data = np.full((2, 4_000_000), np.nan)
+    data[1, 1::2] = [1, 2] * 1_000_000
+    assert 1 <= otsu_threshold(data) <= 2

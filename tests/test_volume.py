@@ -106,6 +106,29 @@ def test_values_that_are_not_finite() -> None:
         Volume([[1e37]]).require_finite()  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize("bad", ["a", None, True, np.inf, [1.0], 1e10])
+def test_filled_takes_a_number_that_the_samples_can_be(bad: object) -> None:
+    half = Volume(np.array([[np.nan, 1]], np.float16))
+    with pytest.raises(OptionError, match="value must be"):
+        half.filled(bad)  # type: ignore[arg-type]
+    assert half.filled(np.float32(2)).data.tolist() == [[2, 1]]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.skipif(np.finfo(np.longdouble).maxexp == np.finfo(np.float64).maxexp, reason="longdouble is float64 here")
+def test_longdouble_beyond_float64() -> None:
+    volume = Volume(np.array([[1, np.longdouble("1e4000")]]))
+    assert volume.value_range == (1, 1)
+    with pytest.raises(DataError, match=r"room that float32 leaves; got 1.0 to 1e\+4000"):
+        volume.require_finite()
+
+
+@pytest.mark.filterwarnings("error")
+def test_infinite_points_give_no_warning() -> None:
+    for place in ([np.inf, 0, 0], [np.nan, 1, -np.inf], [1e308, 1e308, 1e308]):
+        assert VOLUME.world_to_index(place).shape == VOLUME.index_to_world(place).shape == (3,)
+
+
 def test_as_volume() -> None:
     assert as_volume(VOLUME) is VOLUME
     assert as_volume([[1, 2]]).shape == (1, 2)
@@ -119,6 +142,19 @@ def test_it_is_frozen() -> None:
         VOLUME.spacing = (1, 1, 1)  # type: ignore[misc]
     with pytest.raises(ValueError, match="read-only"):
         VOLUME.direction[0, 0] = 9
+    with pytest.raises(ValueError, match="read-only"):
+        VOLUME.data[0] = 9
+    mine = np.zeros((2, 2))
+    Volume(mine)
+    mine[0, 0] = 1  # the caller's array stays his
+
+
+def test_masked_arrays_without_a_masked_element_are_taken() -> None:
+    assert Volume(np.ma.array([[1, 2]])).data.tolist() == [[1, 2]]
+    masked = np.ma.array([[1, 2]], mask=[[False, True]])
+    with pytest.raises(DataError, match=r"filled\(value\)"):
+        Volume(masked)
+    assert Volume(masked.filled(0)).data.tolist() == [[1, 0]]
 
 
 def test_simpleitk_image_brings_its_geometry() -> None:
@@ -150,6 +186,11 @@ def test_nibabel_image_is_brought_into_lps() -> None:
 BAD: list[tuple[dict[str, Any], type[ClvolError]]] = [
     ({"data": 3.0}, DataError), ({"data": [1.0]}, DataError), ({"data": np.ones((1, 1, 1, 1))}, DataError),
     ({"data": np.ones((0, 3))}, DataError), ({"data": [["a"]]}, DataError), ({"data": [[1j]]}, DataError),
+    ({"data": np.ma.array([[1, 2]], mask=[[0, 1]])}, DataError), ({"data": np.array([[1, None]])}, DataError),
+    ({"data": np.ones((2, 2), complex)}, DataError), ({"data": np.array([["1", "2"]])}, DataError),
+    ({"data": [[10**400, 1]]}, DataError), ({"data": "ab"}, DataError),
+    ({"spacing": np.array([1 + 1j, 1])}, GeometryError), ({"spacing": ("1", "1")}, GeometryError),
+    ({"spacing": np.ma.array([1, 2], mask=[0, 1])}, GeometryError), ({"direction": np.eye(2) * (1 + 0j)}, GeometryError),
     ({"data": [[1], [1, 2]]}, DataError), ({"data": None}, DataError), ({"data": np.zeros((2, 2), "V4")}, DataError),
     ({"spacing": (1,)}, GeometryError), ({"spacing": (1, 1, 1)}, GeometryError), ({"spacing": (0, 1)}, GeometryError),
     ({"spacing": (-1, 1)}, GeometryError), ({"spacing": (np.nan, 1)}, GeometryError), ({"spacing": "ab"}, GeometryError),
@@ -170,3 +211,6 @@ def test_bad_points_are_refused() -> None:
     for points in (3.0, [1.0, 2.0], [[1.0] * 4]):
         with pytest.raises(OptionError, match="must have shape"):
             VOLUME.world_to_index(points)
+    for bad in ("a", None, [1j, 2, 3], ["1", "2", "3"], [[1], [1, 2]]):
+        with pytest.raises(OptionError, match="world must be numbers of shape"):
+            VOLUME.world_to_index(bad)  # type: ignore[arg-type]

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import GeometryError, OptionError, one_of
+from clvol.errors import GeometryError, number, one_of, reals
 from clvol.volume import Volume
 
 __all__ = ["Camera", "View"]
@@ -75,15 +75,16 @@ class Camera:
     zoom: float = 1.0
 
     def __post_init__(self) -> None:
-        if self.projection not in _PROJECTIONS:
+        if not isinstance(self.projection, str) or self.projection not in _PROJECTIONS:
             raise one_of("projection", self.projection, _PROJECTIONS)
         for what in ("position", "target", "up", "direction"):
             value = getattr(self, what)
-            if value is not None:
+            if value is not None or what in ("up", "direction"):
                 object.__setattr__(self, what, _vector(what, value))
-        for what, value, high in (("fov", self.fov, 180.0), ("distance", self.distance, math.inf), ("zoom", self.zoom, math.inf)):
-            if value is not None and not (isinstance(value, (int, float, np.number)) and 0 < value < high):
-                raise OptionError(f"{what} must be positive and less than {high:g}; got {value!r}")
+        object.__setattr__(self, "fov", number("fov", self.fov, above=0, below=180))
+        object.__setattr__(self, "zoom", number("zoom", self.zoom, above=0))
+        if self.distance is not None:
+            object.__setattr__(self, "distance", number("distance", self.distance, above=0))
         for what in ("up", "direction"):
             if not any(getattr(self, what)):
                 raise GeometryError(f"{what} must not have zero length")
@@ -105,10 +106,7 @@ class Camera:
         distance, zoom, target, projection, fov
             As for `Camera`.
         """
-        for what, value in (("azimuth", azimuth), ("elevation", elevation)):
-            if not (isinstance(value, (int, float, np.number)) and math.isfinite(value)):
-                raise OptionError(f"{what} must be a finite number of degrees; got {value!r}")
-        a, e = math.radians(azimuth), math.radians(elevation)
+        a, e = math.radians(number("azimuth", azimuth)), math.radians(number("elevation", elevation))
         return cls(
             target=None if target is None else _vector("target", target),
             up=(-math.sin(a) * math.sin(e), math.cos(a) * math.sin(e), math.cos(e)),
@@ -132,7 +130,7 @@ class Camera:
 
     def zoomed(self, factor: float) -> Camera:
         """The same, magnified by a further factor."""
-        return replace(self, zoom=self.zoom * factor)
+        return replace(self, zoom=self.zoom * number("factor", factor, above=0))
 
     def view(self, volume: Volume, aspect: float = 1.0) -> View:
         """The camera made definite for a volume and a picture of ``width / height = aspect``.
@@ -170,11 +168,12 @@ class Camera:
         return View(eye, right, np.cross(right, forward), forward, half_height / self.zoom, orthographic)
 
 
-def _vector(what: str, value: Sequence[float]) -> tuple[float, float, float]:
-    try:
-        x, y, z = (float(v) for v in value)
-    except (TypeError, ValueError):
-        raise GeometryError(f"{what} must be three numbers (x, y, z); got {value!r}") from None
-    if not all(map(math.isfinite, (x, y, z))):
+def _vector(what: str, value: object) -> tuple[float, float, float]:
+    rule = "three numbers (x, y, z)"
+    vector = reals(what, value, rule, GeometryError)
+    if vector.shape != (3,):
+        raise GeometryError(f"{what} must be {rule}; got {value!r}")
+    if not np.isfinite(vector).all():
         raise GeometryError(f"{what} must be finite; got {value!r}")
+    x, y, z = (float(v) for v in vector)
     return x, y, z

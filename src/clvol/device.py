@@ -46,7 +46,11 @@ def _opencl() -> Any:
 def _writable(folder: Path) -> bool:
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent
-    return os.access(folder, os.W_OK | os.X_OK)
+    try:  # asking for permission is not enough: root may write anywhere, yet not in /proc
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
 
 
 class Device:

@@ -7,10 +7,14 @@ Each subclass is also the standard exception that a caller would expect, so both
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from numbers import Integral, Real
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 __all__ = [
     "ClvolError",
@@ -21,8 +25,11 @@ __all__ = [
     "MissingDependencyError",
     "OptionError",
     "OutOfMemoryError",
+    "as_path",
+    "enough_memory",
     "number",
     "one_of",
+    "reals",
     "whole",
 ]
 
@@ -82,7 +89,6 @@ def number(
         result = float(scalar) if isinstance(scalar, Real) else math.nan
     except OverflowError:  # a whole number or fraction beyond float64
         result = math.inf
-    bounds = {"greater than": above, "at least": least, "less than": below, "at most": most}
     within = (
         math.isfinite(result)
         and (above is None or result > above)
@@ -91,6 +97,7 @@ def number(
         and (most is None or result <= most)
     )
     if not within:
+        bounds = {"greater than": above, "at least": least, "less than": below, "at most": most}
         raise OptionError(f"{what} must be a finite number{_allowed(bounds)}; got {value!r}")
     return result
 
@@ -108,13 +115,46 @@ def whole(what: str, value: object, least: int | None = None, most: int | None =
     return result
 
 
+def reals(what: str, value: object, rule: str = "real numbers", error: type[ClvolError] = OptionError) -> NDArray[np.float64]:
+    """`value` as an array of float64, not copied where it is one; `error` for texts, complex and masked numbers."""
+    try:
+        array = np.asarray(value)
+        known = array.dtype.kind in "biuf" or (array.dtype.kind == "O" and all(isinstance(v, Real) for v in array.flat))
+        if known and not np.ma.is_masked(value):
+            with np.errstate(over="ignore"):
+                return array.astype(np.float64, copy=False)
+    except (TypeError, ValueError, OverflowError):  # ragged, or beyond float64
+        pass
+    raise error(f"{what} must be {rule}; got {value!r}")
+
+
+def as_path(value: object) -> Path:
+    """`value` as a path, if it is a string or a path; else `OptionError`."""
+    if isinstance(value, (str, os.PathLike)):
+        name = os.fspath(value)
+        if isinstance(name, str) and "\0" not in name:
+            return Path(name)
+    raise OptionError(f"path must be a string or a pathlib.Path; got {value!r}")
+
+
+@contextmanager
+def enough_memory(what: str) -> Iterator[None]:
+    """Turn a `MemoryError` into an `OutOfMemoryError` that says what did not fit."""
+    try:
+        yield
+    except ClvolError:
+        raise
+    except MemoryError as error:
+        raise OutOfMemoryError(f"out of memory: {what} must fit into it; got {error or 'no memory'}") from error
+
+
 def _scalar(value: object) -> object:
     """`value`, or the one element of an array without axes; None for truth values."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
-    return None if isinstance(value, bool) else value  # numpy.bool is no number to the numbers module
+    return None if isinstance(value, (bool, np.timedelta64)) else value  # numpy.bool is of no class of `numbers`
 
 
-def _allowed(bounds: dict[str, float | None]) -> str:
-    texts = [f"{rule} {bound:g}" for rule, bound in bounds.items() if bound is not None]
+def _allowed(bounds: Mapping[str, float | None]) -> str:
+    texts = [f"{rule} {bound:.15g}" for rule, bound in bounds.items() if bound is not None]
     return ", " + " and ".join(texts) if texts else ""

@@ -18,13 +18,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
+from numbers import Rational
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.errors import OptionError, one_of
+from clvol.errors import ClvolError, OptionError, number, one_of, reals, whole
 
 __all__ = [
     "DEFAULT_FILTER",
@@ -79,12 +80,18 @@ class Filter:
     fit_error: float = 0.0
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not self.name:
+            raise OptionError(f"a filter's name must be a string that is not empty; got {self.name!r}")
+        object.__setattr__(self, "taps", _rows(f"taps of {self.name!r}", self.taps))
         if not 1 <= len(self.taps) <= MAX_TAPS:
             raise OptionError(f"a filter must have 1 to {MAX_TAPS} taps; {self.name!r} has {len(self.taps)}")
         if len({len(row) for row in self.taps}) != 1 or not 1 <= len(self.taps[0]) <= _MAX_DEGREE + 1:
             raise OptionError(f"taps of {self.name!r} must be polynomials of one degree, 0 to {_MAX_DEGREE}")
-        if not all(math.isfinite(c) for row in self.taps for c in row):
-            raise OptionError(f"taps of {self.name!r} must be finite")
+        number("fit_error", self.fit_error, least=0)
+        if self.magnify is not None and not isinstance(self.magnify, str):
+            raise one_of("magnify", self.magnify, _TABLE)
+        if self.magnify is not None:
+            as_filter(self.magnify)
         if self.prefilter:
             self._require_invertible()
 
@@ -199,24 +206,24 @@ class Filter:
 
     def weights(self, t: ArrayLike, derivative: int = 0) -> Array:
         """Tap weights, or their derivatives, at fractional positions `t`; shape (TAPS, ...)."""
-        if not derivative >= 0:
-            raise OptionError(f"derivative must be 0 or more; got {derivative}")
         rows = self.matrix
-        for _ in range(derivative):
+        for _ in range(min(whole("derivative", derivative, 0), self.degree + 1)):
             rows = rows[:, 1:] * np.arange(1, rows.shape[1]) if rows.shape[1] > 1 else np.zeros((self.support, 1))
-        return np.asarray(np.polynomial.polynomial.polyval(np.asarray(t, dtype=np.float64), rows.T))
+        return np.asarray(np.polynomial.polynomial.polyval(reals("t", t), rows.T))
 
     def __call__(self, x: ArrayLike, derivative: int = 0) -> Array:
         """The kernel, or its derivative, at signed distance `x` in (finer) samples; same shape as `x`."""
-        x = np.asarray(x, dtype=np.float64)
-        tap = np.ceil(self.support / 2 - x).astype(np.int64) - 1  # t = x - TAPS/2 + 1 + tap lies in [0, 1)
-        t = x - self.support / 2 + 1 + tap
-        inside = (tap >= 0) & (tap < self.support)
+        x = reals("x", x)
+        place = np.ceil(self.support / 2 - x) - 1  # t = x - TAPS/2 + 1 + tap lies in [0, 1)
+        inside = (place >= 0) & (place < self.support)
+        tap = np.where(inside, place, 0).astype(np.int64)
+        t = np.where(inside, x, 0.0) - self.support / 2 + 1 + tap
         every = self.weights(np.where(inside, t, 0.0), derivative)
-        return np.where(inside, np.take_along_axis(every, np.where(inside, tap, 0)[None], 0)[0], 0.0)
+        return np.where(inside, np.take_along_axis(every, tap[None], 0)[0], 0.0)
 
     def plot(self, points: int = 129) -> tuple[Array, Array]:
         """Distance and kernel value for drawing the kernel: two arrays, `points` for each unit piece."""
+        points = whole("points", points, 2)
         half = self.support / 2
         x = np.linspace(-half, half, self.support * (points - 1) + 1)
         return x, self(x)
@@ -254,6 +261,17 @@ class Filter:
         return max(_ROUNDING, 10 * self.fit_error) * max(1.0, float(self.degree) ** (2 * derivative))
 
 
+def _rows(what: str, rows: object) -> tuple[Polynomial, ...]:
+    """`rows` as polynomials; `OptionError` unless they are sequences of finite numbers."""
+    try:
+        polynomials = tuple(tuple(row) for row in rows)  # type: ignore[attr-defined]  # what cannot be iterated is refused
+    except TypeError:
+        raise OptionError(f"{what} must be sequences of numbers; got {rows!r}") from None
+    for c in (c for row in polynomials for c in row):
+        number(f"each of the {what}", c)
+    return polynomials
+
+
 def _evaluate(row: Polynomial, t: int) -> Number:
     return sum((c * t**k for k, c in enumerate(row)), Fraction(0))
 
@@ -282,8 +300,7 @@ def bspline(degree: int, *, prefilter: bool = True) -> Filter:
 
     With `prefilter` it interpolates (section 4.2); without, it is the paper's approximation (4.1).
     """
-    if not 0 <= degree <= 9:
-        raise OptionError(f"degree must be 0 to 9; got {degree!r}")
+    degree = whole("degree", degree, 0, 9)
     # On the interval [0, 1), rows[m] is the spline that starts at knot -m.
     rows: list[list[Fraction]] = [[Fraction(1)]]
     for k in range(1, degree + 1):
@@ -324,6 +341,7 @@ def from_pieces(name: str, pieces: Sequence[Sequence[Number]], *, prefilter: boo
     OptionError
         More than eight pieces, or a prefilter that does not exist.
     """
+    pieces = _rows(f"pieces of {name!r}", pieces)
     if not pieces:
         raise OptionError("pieces must hold at least one polynomial; got none")
     size = max(len(piece) for piece in pieces)
@@ -364,25 +382,41 @@ def from_callable(
     Filter
         Its `fit_error` is the greatest error found between the nodes of the fit.
     """
-    if not 1 <= radius <= MAX_TAPS // 2:
-        raise OptionError(f"radius must be 1 to {MAX_TAPS // 2}; got {radius!r}")
-    if degree is not None and not 0 <= degree <= _MAX_DEGREE:
-        raise OptionError(f"degree must be 0 to {_MAX_DEGREE}; got {degree!r}")
+    radius = _radius(radius)
+    degree = None if degree is None else whole("degree", degree, 0, _MAX_DEGREE)
+    if not callable(kernel):
+        raise OptionError(f"kernel must be a function of distances; got {kernel!r}")
     t = np.linspace(0, 1, 1001)
     distance = t[None, :] - np.arange(2 * radius)[:, None] + radius - 1
     # the ends of a piece belong to two pieces; a kernel that jumps there must be asked just inside
-    wanted = np.asarray(kernel(np.clip(distance, distance[:, :1] + 1e-12, distance[:, -1:] - 1e-12)), dtype=np.float64)
-    if wanted.shape != distance.shape or not np.isfinite(wanted).all():
-        raise OptionError(f"the kernel of {name!r} must give one finite value for each distance")
+    wanted = _kernel_at(name, kernel, np.clip(distance, distance[:, :1] + 1e-12, distance[:, -1:] - 1e-12))
     peak = float(np.abs(wanted).max())
     for n in [degree] if degree is not None else range(_MAX_DEGREE + 1):
         nodes = chebyshev.chebpts1(n + 1)
         at = (nodes + 1) / 2 - np.arange(2 * radius)[:, None] + radius - 1
-        fits = [_shift(chebyshev.cheb2poly(chebyshev.chebfit(nodes, row, n))) for row in np.asarray(kernel(at))]
+        fits = [_shift(chebyshev.cheb2poly(chebyshev.chebfit(nodes, row, n))) for row in _kernel_at(name, kernel, at)]
         error = float(np.abs(np.polynomial.polynomial.polyval(t, np.array(fits).T) - wanted).max())
         if error <= _FIT_TOLERANCE * peak:
             break
     return Filter(name, tuple(tuple(map(float, row)) for row in fits), prefilter=prefilter, fit_error=error)
+
+
+def _kernel_at(name: str, kernel: Callable[[Array], ArrayLike], distance: Array) -> Array:
+    rule = "one finite value for each distance"
+    try:
+        values = kernel(distance)
+    except ClvolError:
+        raise
+    except Exception as error:
+        raise OptionError(f"the kernel of {name!r} must give {rule}; it failed: {error!r}") from error
+    array = reals(f"the values of the kernel of {name!r}", values, rule)
+    if array.shape != distance.shape or not np.isfinite(array).all():
+        raise OptionError(f"the kernel of {name!r} must give {rule}")
+    return array
+
+
+def _radius(radius: object) -> int:
+    return whole("radius", radius, 1, MAX_TAPS // 2)
 
 
 def _shift(coefficients: NDArray[Any]) -> Array:
@@ -391,18 +425,27 @@ def _shift(coefficients: NDArray[Any]) -> Array:
     return np.pad(polynomial.coef, (0, coefficients.size - polynomial.coef.size))
 
 
-@lru_cache
 def bc(B: Number, C: Number) -> Filter:
     """The cubic of Mitchell and Netravali with parameters B and C (reference [10] of the paper).
 
     (1, 0) is the cubic B-spline without prefilter, (1/3, 1/3) theirs, (0, 1/2) Catmull-Rom.
     """
-    for value in (B, C):
-        if not isinstance(value, (int, float, Fraction)) or not math.isfinite(value):
-            raise OptionError(f"B and C must be finite numbers; got {B!r}, {C!r}")
-    b, c = Fraction(B), Fraction(C)
+    b, c = _exact(B), _exact(C)
+    return _bc(f"bc({b},{c})", Fraction(b), Fraction(c))
+
+
+def _exact(value: object) -> Number:
+    """`value` as a fraction where it is one or a whole number, else as a float."""
+    real = number("B and C", value)
+    if isinstance(value, Rational):
+        return Fraction(int(value.numerator), int(value.denominator))
+    return Fraction(real) if real.is_integer() else real
+
+
+@lru_cache
+def _bc(name: str, b: Fraction, c: Fraction) -> Filter:
     return from_pieces(
-        f"bc({B},{C})",
+        name,
         [
             ((6 - 2 * b) / 6, 0, (-18 + 12 * b + 6 * c) / 6, (12 - 9 * b - 6 * c) / 6),
             ((8 * b + 24 * c) / 6, (-12 * b - 48 * c) / 6, (6 * b + 30 * c) / 6, (-b - 6 * c) / 6),
@@ -410,18 +453,26 @@ def bc(B: Number, C: Number) -> Filter:
     )
 
 
-@lru_cache
 def sinc(radius: int = 4) -> Filter:
     """The ideal filter cut off at `radius` samples, 1 to 8; its weights miss one by up to 0.08 at radius 4.
 
     They are not renormalised: what truncation does is to be seen.
     """
-    return from_callable("sinc" if radius == 4 else f"sinc({radius})", np.sinc, radius, degree=_SINC_DEGREE)
+    return _sinc(_radius(radius))
 
 
 @lru_cache
+def _sinc(radius: int) -> Filter:
+    return from_callable("sinc" if radius == 4 else f"sinc({radius})", np.sinc, radius, degree=_SINC_DEGREE)
+
+
 def lanczos(radius: int) -> Filter:
     """Sinc under the window sinc(x / radius), radius 1 to 8; its weights sum to one only nearly."""
+    return _lanczos(_radius(radius))
+
+
+@lru_cache
+def _lanczos(radius: int) -> Filter:
     return from_callable(f"lanczos{radius}", lambda x: np.sinc(x) * np.sinc(x / radius), radius, degree=_SINC_DEGREE)
 
 
@@ -445,8 +496,11 @@ def register(new: Filter, *, replace_existing: bool = False) -> Filter:
     """Add a row, so that it can be asked for by name wherever a filter is; returns it."""
     if not isinstance(new, Filter):
         raise OptionError(f"register takes a Filter; got {new!r}")
-    if not re.fullmatch(r"[a-zA-Z][\w.+-]*", new.name):
-        raise OptionError(f"a filter's name must be a letter, then letters, digits, '-', '+', '.' or '_'; got {new.name!r}")
+    if not re.fullmatch(r"[a-zA-Z][\w.+-]*(\([\w.+/,-]*\))?", new.name):
+        raise OptionError(
+            "a filter's name must be a letter, then letters, digits, '-', '+', '.' or '_', and perhaps "
+            f"parameters in parentheses; got {new.name!r}"
+        )
     if (new.name in _TABLE or new.name in _ALIASES) and not replace_existing:
         raise OptionError(f"a filter named {new.name!r} exists; pass replace_existing=True to replace it")
     _TABLE[new.name] = new
@@ -499,9 +553,7 @@ def as_filter(choice: str | Filter) -> Filter:
             family = match[1]
             return bc(*values) if family == "bc" else _FAMILIES[family](*map(_whole, values))
         except (ValueError, TypeError, ZeroDivisionError):
-            raise OptionError(
-                f"filter {choice!r} has wrong parameters; write bc(B, C), sinc(radius) or lanczos(radius)"
-            ) from None
+            raise OptionError(f"filter {choice!r} has wrong parameters; write bc(B, C), sinc(radius) or lanczos(radius)") from None
     raise one_of("filter", choice, [*_TABLE, "bc(B, C)", "sinc(radius)", "lanczos(radius)"])
 
 
@@ -521,6 +573,6 @@ for _row in (
     _omoms3(),
     *(lanczos(radius) for radius in (2, 3, 4, 5)),
     sinc(),
-    replace(bspline(1), name="hybrid", magnify="bspline3"),
 ):
     register(_row)
+register(replace(bspline(1), name="hybrid", magnify="bspline3"))

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from clvol.errors import GeometryError, OptionError
+from clvol.errors import GeometryError, OptionError, number, reals
 
 __all__ = ["HEADLIGHT", "MAX_LIGHTS", "Light", "Material"]
 
@@ -30,10 +30,12 @@ class Light:
 
     def __post_init__(self) -> None:
         if self.direction is not None:
-            length = math.hypot(*self.direction) if len(self.direction) == 3 else 0.0
+            what, rule = "a light's direction", "three finite numbers, not all zero"
+            vector = reals(what, self.direction, rule, GeometryError)
+            length = math.hypot(*map(float, vector)) if vector.shape == (3,) else 0.0
             if not (math.isfinite(length) and length > 0):
-                raise GeometryError(f"a light's direction must be three finite numbers, not all zero; got {self.direction}")
-            object.__setattr__(self, "direction", tuple(float(v) / length for v in self.direction))
+                raise GeometryError(f"{what} must be {rule}; got {self.direction!r}")
+            object.__setattr__(self, "direction", tuple(float(v) / length for v in vector))
         object.__setattr__(self, "color", color_of("a light's color", self.color))
 
 
@@ -51,9 +53,7 @@ class Material:
 
     def __post_init__(self) -> None:
         for what in ("ambient", "diffuse", "specular", "shininess"):
-            value = getattr(self, what)
-            if not (isinstance(value, (int, float)) and math.isfinite(value) and value >= 0):
-                raise OptionError(f"{what} must be finite and not negative; got {value!r}")
+            object.__setattr__(self, what, number(what, getattr(self, what), least=0))
 
 
 def color_of(what: str, value: Sequence[float] | str) -> tuple[float, float, float]:
@@ -66,10 +66,11 @@ def color_of(what: str, value: Sequence[float] | str) -> tuple[float, float, flo
         except ValueError:
             raise OptionError(f"{what} must be three numbers, or the name or hex code of a colour; got {value!r}") from None
         return float(rgba.rgba.r), float(rgba.rgba.g), float(rgba.rgba.b)
-    try:
-        r, g, b = (float(v) for v in value)
-    except (TypeError, ValueError):
-        raise OptionError(f"{what} must be three numbers, or the name of a colour; got {value!r}") from None
+    rule = "three numbers, or the name of a colour"
+    rgb = reals(what, value, rule)
+    if rgb.shape != (3,):
+        raise OptionError(f"{what} must be {rule}; got {value!r}")
+    r, g, b = (float(v) for v in rgb)
     if not all(math.isfinite(v) and v >= 0 for v in (r, g, b)):
         raise OptionError(f"{what} must be finite and not negative; got {value!r}")
     return r, g, b

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.errors import OptionError, one_of
+from clvol.errors import OptionError, OutOfMemoryError, enough_memory, number, one_of, reals, whole
 from clvol.volume import Volume
 
 __all__ = [
@@ -28,7 +27,10 @@ __all__ = [
 Array: TypeAlias = NDArray[np.float64]
 Size: TypeAlias = int | Sequence[int]
 
+_MAX_SAMPLES = 1 << 36  # no machine holds the float64 positions of more
 
+
+@enough_memory("a phantom")
 def marschner_lobb(size: Size = 41, alpha: float = 0.25, f_m: float = 6.0) -> Volume:
     """The test signal of Marschner and Lobb (1994), reference [9] of the paper, on [-1, 1]³.
 
@@ -61,6 +63,7 @@ def marschner_lobb_gradient(points: ArrayLike, alpha: float = 0.25, f_m: float =
     return np.stack([radial * x, radial * y, -np.pi / 2 * np.cos(np.pi * z / 2)], -1) / (2 * (1 + alpha))
 
 
+@enough_memory("a phantom")
 def sphere(size: Size = 64, radius: float = 0.75) -> Volume:
     """A smooth field on [-1, 1]³ that is 1/2 on a sphere, more within and less without.
 
@@ -74,13 +77,13 @@ def sphere(size: Size = 64, radius: float = 0.75) -> Volume:
     radius : float
         In world units; the cube's faces lie at 1.
     """
-    if not (math.isfinite(radius) and radius > 0):
-        raise OptionError(f"radius must be positive and finite; got {radius!r}")
+    radius = number("radius", radius, above=0)
     grid = _on_cube(np.broadcast_to(np.float32(0), _shape(size, 2)))
     square = (_positions(grid) ** 2).sum(-1)
     return _on_cube((0.5 + (radius**2 - square) / (2 * radius)).astype(np.float32))
 
 
+@enough_memory("a phantom")
 def polynomial(size: Size = 16, degree: int = 3, seed: int = 0, coefficients: ArrayLike | None = None) -> Volume:
     """Samples of a polynomial on [-1, 1]³.
 
@@ -109,6 +112,7 @@ def polynomial_function(points: ArrayLike, degree: int = 3, seed: int = 0, coeff
     return _polynomial_at(_points(points), _coefficients(degree, seed, coefficients))
 
 
+@enough_memory("a phantom")
 def checker(size: Size = 64, period: int = 16) -> Volume:
     """Cubes of 0 and 1 in turn, `period` samples from one to the next of its kind; spacing 1.
 
@@ -120,12 +124,13 @@ def checker(size: Size = 64, period: int = 16) -> Volume:
         Even, at least 2; with 2 every sample differs from its neighbours, the Nyquist frequency.
     """
     shape = _shape(size, 1)
-    if isinstance(period, bool) or not isinstance(period, (int, np.integer)) or period < 2 or period % 2:
+    if whole("period", period, 2) % 2:
         raise OptionError(f"period must be an even whole number of at least 2; got {period!r}")
     cell = sum(np.ix_(*(np.arange(n) // (int(period) // 2) for n in shape)))
     return Volume((np.asarray(cell) % 2).astype(np.float32))
 
 
+@enough_memory("a phantom")
 def box(size: Size = 64) -> Volume:
     """A hard-edged object of 0 and 1 on [-1, 1]³: a box of half-width 0.6, less a ball about one corner.
 
@@ -183,15 +188,17 @@ def _shape(size: Size, least: int) -> tuple[int, int, int]:
     wanted = f"size must be a whole number of at least {least}, or three of them (nz, ny, nx); got {size!r}"
     if isinstance(size, (bool, str)):
         raise OptionError(wanted)
-    sizes = (size,) * 3 if isinstance(size, (int, np.integer)) else size
     try:
-        nz, ny, nx = sizes
-    except (TypeError, ValueError):
+        sizes: tuple[object, ...] = tuple(size)  # type: ignore[arg-type]  # one number cannot be iterated
+    except TypeError:
+        sizes = (size,) * 3
+    try:
+        nz, ny, nx = (whole("size", n, least) for n in sizes)
+    except ValueError:
         raise OptionError(wanted) from None
-    for n in (nz, ny, nx):
-        if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < least:
-            raise OptionError(wanted)
-    return int(nz), int(ny), int(nx)
+    if nz * ny * nx > _MAX_SAMPLES:
+        raise OutOfMemoryError(f"out of memory: size must give at most {_MAX_SAMPLES} samples; got {size!r}")
+    return nz, ny, nx
 
 
 def _on_cube(data: NDArray[np.float32]) -> Volume:
@@ -206,29 +213,27 @@ def _positions(grid: Volume) -> Array:
 
 
 def _points(points: ArrayLike) -> Array:
-    array = np.asarray(points, dtype=np.float64)
+    array = reals("points", points)
     if array.ndim == 0 or array.shape[-1] != 3:
         raise OptionError(f"points must have shape (..., 3); got {array.shape}")
     return array
 
 
 def _columns(points: ArrayLike, alpha: float, f_m: float) -> tuple[Array, Array, Array]:
-    for name, value in (("alpha", alpha), ("f_m", f_m)):
-        if not (math.isfinite(value) and value >= 0):
-            raise OptionError(f"{name} must be finite and not negative; got {value!r}")
+    number("alpha", alpha, least=0)
+    number("f_m", f_m, least=0)
     array = _points(points)
     return array[..., 0], array[..., 1], array[..., 2]
 
 
 def _coefficients(degree: int, seed: int, coefficients: ArrayLike | None) -> Array:
     if coefficients is not None:
-        chosen = np.asarray(coefficients, dtype=np.float64)
+        chosen = reals("coefficients", coefficients)
         if chosen.ndim != 3 or 0 in chosen.shape or not np.isfinite(chosen).all():
             raise OptionError(f"coefficients must be finite numbers of shape (a, b, c); got shape {chosen.shape}")
         return chosen
-    if isinstance(degree, bool) or not isinstance(degree, (int, np.integer)) or not 0 <= degree <= 9:
-        raise OptionError(f"degree must be a whole number, 0 to 9; got {degree!r}")
-    return np.random.default_rng(seed).uniform(-1, 1, (degree + 1,) * 3)
+    degree = whole("degree", degree, 0, 9)
+    return np.random.default_rng(whole("seed", seed, 0)).uniform(-1, 1, (degree + 1,) * 3)
 
 
 def _polynomial_at(points: Array, coefficients: Array) -> Array:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.errors import FormatError, OptionError
+from clvol.errors import FormatError, OptionError, as_path, whole
 from clvol.formats._files import staged
 
 __all__ = ["grid", "labelled", "require_suffix", "save", "to_bytes"]
@@ -23,7 +23,10 @@ _BAND = (24, 24, 28)
 
 def to_bytes(picture: ArrayLike) -> NDArray[np.uint8]:
     """A picture with values in 0..1 as eight-bit values, rounded to the nearest, NaN as 0; one of eight bits as it is."""
-    array = np.asarray(picture)
+    try:
+        array = np.asarray(picture)
+    except (TypeError, ValueError) as error:
+        raise OptionError(f"a picture must be a regular array: {error}") from None
     if array.dtype.kind not in "bf" and array.dtype != np.uint8:
         raise OptionError(f"a picture holds floating values in 0..1, or uint8; got dtype {array.dtype}")
     if array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[2] not in (1, 3, 4)) or 0 in array.shape:
@@ -35,7 +38,7 @@ def to_bytes(picture: ArrayLike) -> NDArray[np.uint8]:
 
 def require_suffix(path: str | os.PathLike[str]) -> str:
     """The suffix of a picture's file, in lower case; raises `FormatError` if pictures are not written so."""
-    suffix = Path(path).suffix.lower()
+    suffix = as_path(path).suffix.lower()
     if suffix not in _SUFFIXES:
         raise FormatError(f"pictures are written as {', '.join(_SUFFIXES)}; got {os.fspath(path)!r}")
     return suffix
@@ -53,7 +56,7 @@ def save(picture: ArrayLike, path: str | os.PathLike[str]) -> Path:
     """
     import imageio.v3 as iio
 
-    path, suffix = Path(path), require_suffix(path)
+    path, suffix = as_path(path), require_suffix(path)
     data = to_bytes(picture)
     if data.ndim == 3 and data.shape[2] == 1:
         data = data[..., 0]
@@ -77,6 +80,8 @@ def labelled(picture: ArrayLike, text: str) -> NDArray[np.uint8]:
     """
     from PIL import Image, ImageDraw, ImageFont
 
+    if not isinstance(text, str):
+        raise OptionError(f"text must be a string; got {text!r}")
     data = to_bytes(picture)
     data = _opaque(data if data.ndim == 3 else data[..., None])
     height, width = data.shape[:2]
@@ -100,11 +105,12 @@ def _opaque(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 def grid(pictures: Sequence[ArrayLike], columns: int, gap: int = 4) -> NDArray[np.uint8]:
     """Pictures of one size in rows of `columns`, the last row filled with black; as eight-bit values."""
+    if not isinstance(pictures, Iterable):
+        raise OptionError(f"a grid takes one or more pictures of one shape; got {pictures!r}")
     tiles = [to_bytes(p) for p in pictures]
     if not tiles or len({t.shape for t in tiles}) != 1:
         raise OptionError(f"a grid takes one or more pictures of one shape; got {[t.shape for t in tiles]}")
-    if columns < 1 or gap < 0:
-        raise OptionError(f"a grid has at least one column and no gap below 0; got columns={columns!r}, gap={gap!r}")
+    columns, gap = whole("columns of a grid", columns, 1), whole("gap of a grid", gap, 0)
     height, width, *channels = tiles[0].shape
     rows = -(-len(tiles) // columns)
     sheet = np.zeros((rows * (height + gap) - gap, columns * (width + gap) - gap, *channels), np.uint8)

@@ -11,15 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.errors import OptionError
+from clvol.errors import OptionError, number, reals
 from clvol.light import color_of
-from clvol.volume import Volume
+from clvol.volume import Volume, as_volume
 
 __all__ = ["TABLE_SIZE", "TransferFunction", "otsu_threshold"]
 
 TABLE_SIZE = 1025  # nodes of the table that devices read, with linear interpolation between them
 _CMAP_NODES = 64
 _BINS = 512
+_LEAST_TOP = 1e-12  # of the range: what lies below is one value, and the histogram covers all
 _BINS_SAMPLE = 1 << 21  # voxels that a histogram is made of: enough for 512 bins, and fast
 
 
@@ -55,8 +56,8 @@ class TransferFunction:
                 raise OptionError(f"{what} must be one or more points in ascending order of value; got {values}")
         if not all(0 <= a <= 1 for _, a in opacities):
             raise OptionError(f"opacities must lie in 0..1; got {[a for _, a in opacities]}")
-        if self.unit_distance is not None and not (math.isfinite(self.unit_distance) and self.unit_distance > 0):
-            raise OptionError(f"unit_distance must be positive; got {self.unit_distance!r}")
+        if self.unit_distance is not None:
+            object.__setattr__(self, "unit_distance", number("unit_distance", self.unit_distance, above=0))
         object.__setattr__(self, "colors", colors)
         object.__setattr__(self, "opacities", opacities)
 
@@ -68,46 +69,48 @@ class TransferFunction:
         """Colours of a map of the `cmap` package ("viridis", "bone", ...) spread over a range of values."""
         import cmap
 
-        low, high = (_value(v) for v in value_range)
-        if not low <= high:
-            raise OptionError(f"value_range must be (least, greatest); got {value_range}")
+        low, high = _range(value_range)
+        at = np.linspace(0, 1, _CMAP_NODES)
         try:
             chosen = cmap.Colormap(name)
-        except (ValueError, TypeError, KeyError, FileNotFoundError):
+            shades = [tuple(map(float, chosen(float(u)).rgba[:3])) for u in at]
+        except Exception:  # of many kinds, for what is no name
             raise OptionError(
                 f"colour map {name!r} is not known to the cmap package; try 'gray', 'viridis', 'bone', 'magma'"
             ) from None
-        at = np.linspace(0, 1, _CMAP_NODES)
-        colors = tuple((low + (high - low) * float(u), tuple(map(float, chosen(float(u)).rgba[:3]))) for u in at)
-        points = ((low, float(opacity)),) if isinstance(opacity, (int, float)) else tuple(opacity)
+        colors = tuple((low + (high * float(u) - low * float(u)), shade) for u, shade in zip(at, shades, strict=True))
+        points: Any = opacity
+        if np.ndim(np.asarray(opacity, dtype=object)) == 0:  # one number, or nothing that is a sequence
+            points = ((low, number("opacity", opacity, least=0, most=1)),)
         return cls(colors, points, unit_distance)  # type: ignore[arg-type]  # three floats each
 
     @classmethod
     def ramp(cls, value_range: tuple[float, float]) -> TransferFunction:
         """Black at the least value, white at the greatest, opaque: for projections."""
-        low, high = value_range
+        low, high = _range(value_range)
         return cls(((low, (0.0, 0.0, 0.0)), (high, (1.0, 1.0, 1.0))), ((low, 1.0),))
 
     @classmethod
-    def automatic(cls, volume: Volume) -> TransferFunction:
+    def automatic(cls, volume: Volume | ArrayLike) -> TransferFunction:
         """One that shows the matter of most volumes, from the histogram.
 
         Nothing below Otsu's threshold between background and matter is seen; opacity then rises to
         the brightest values. Colours run from dark red over bone to white.
         """
+        volume = as_volume(volume)
         low, high = volume.value_range
         values = _some_values(volume)
         start = otsu_threshold(volume)
         inside = values[values > start]
         top = float(np.quantile(inside, 0.995)) if inside.size else high
-        top = max(top, start + 1e-3 * (high - low))
+        top = max(top, start + (1e-3 * high - 1e-3 * low))  # no difference here may overflow
         if not low < high:  # constant data: show it as fog
             return cls(((low, (0.9, 0.85, 0.75)),), ((low, 0.02),))
 
         def at(share: float) -> float:
-            return start + share * (top - start)
+            return start + (share * top - share * start)
 
-        soft = start - 0.35 * (start - low)
+        soft = start - (0.35 * start - 0.35 * low)
         return cls(
             (
                 (soft, (0.42, 0.16, 0.10)),
@@ -126,27 +129,34 @@ class TransferFunction:
 
     def __call__(self, values: ArrayLike) -> NDArray[np.float64]:
         """Red, green, blue and opacity at `values`; shape (..., 4), exact."""
-        v = np.asarray(values, dtype=np.float64)
-        at, rgb = [p[0] for p in self.colors], np.array([p[1] for p in self.colors])
-        columns = [np.interp(v, at, rgb[:, i]) for i in range(3)]
-        return np.stack([*columns, np.interp(v, *np.array(self.opacities).T)], -1)
+        exponent = _exponent(*self.value_range)
+        v = _scaled(reals("values", values), exponent)
+        rgb, at = np.array([p[1] for p in self.colors]), _scaled([p[0] for p in self.colors], exponent)
+        opacity, where = [p[1] for p in self.opacities], _scaled([p[0] for p in self.opacities], exponent)
+        return np.stack([*(np.interp(v, at, rgb[:, i]) for i in range(3)), np.interp(v, where, opacity)], -1)
 
     def table(self) -> NDArray[np.float32]:
         """The function at `TABLE_SIZE` equally spaced values of `value_range`; shape (TABLE_SIZE, 4)."""
-        return self(np.linspace(*self.value_range, TABLE_SIZE)).astype(np.float32)
+        exponent = _exponent(*self.value_range)
+        low, high = _scaled(self.value_range, exponent)
+        return self(np.ldexp(np.linspace(low, high, TABLE_SIZE), exponent)).astype(np.float32)
 
     def with_opacity(self, opacities: Sequence[tuple[float, float]]) -> TransferFunction:
         """The same colours under other opacities."""
-        return replace(self, opacities=tuple(opacities))
+        return replace(self, opacities=opacities)  # type: ignore[arg-type]  # __post_init__ converts
 
 
-def otsu_threshold(volume: Volume) -> float:
+def otsu_threshold(volume: Volume | ArrayLike) -> float:
     """The value that best parts the histogram in two (Otsu, 1979); the middle of the range for few values."""
+    volume = as_volume(volume)
     low, high = volume.value_range
     if not low < high:
         return low
-    values = _some_values(volume)
-    counts, edges = np.histogram(values, _BINS, (low, float(np.quantile(values, 0.9995)) or high))
+    exponent = _exponent(low, high)
+    least, greatest = _scaled((low, high), exponent)
+    values = (_scaled(_some_values(volume), exponent) - least) / (greatest - least)  # 0..1
+    top = float(np.quantile(values, 0.9995))
+    counts, edges = np.histogram(values, _BINS, (0, top if top > _LEAST_TOP else 1))
     middles = (edges[1:] + edges[:-1]) / 2
     below = np.cumsum(counts)
     above = below[-1] - below
@@ -155,17 +165,41 @@ def otsu_threshold(volume: Volume) -> float:
         between = below * above * (moment / below - (moment[-1] - moment) / above) ** 2
     between[~np.isfinite(between)] = -1
     if between.max() <= 0:
-        return (low + high) / 2
+        return low / 2 + high / 2
     best = np.flatnonzero(between >= between.max() * (1 - 1e-12))  # a gap makes a plateau: take its middle
-    return float(edges[1:][best].mean())
+    return math.ldexp(float(least + (greatest - least) * edges[1:][best].mean()), exponent)
 
 
 def _some_values(volume: Volume) -> NDArray[np.float64]:
     flat = volume.data[
         tuple(slice(None, None, max(1, round((volume.data.size / _BINS_SAMPLE) ** (1 / volume.ndim)))) for _ in volume.shape)
     ]
-    values = flat.astype(np.float64).ravel()
-    return values[np.isfinite(values)]
+    for some in (flat, volume.data):  # all, where no voxel of a sparse choice is finite
+        with np.errstate(over="ignore"):
+            values = some.astype(np.float64).ravel()
+        values = values[np.isfinite(values)]
+        if values.size:
+            break
+    return values
+
+
+def _exponent(low: float, high: float) -> int:
+    """A power of two that brings a range into -1..1, so that no difference or quotient over- or underflows."""
+    return math.frexp(max(abs(low), abs(high)))[1]
+
+
+def _scaled(values: ArrayLike, exponent: int) -> NDArray[np.float64]:
+    """``values / 2**exponent``, exact."""
+    with np.errstate(over="ignore"):
+        return np.asarray(np.ldexp(np.asarray(values, dtype=np.float64), -exponent))
+
+
+def _range(value_range: object) -> tuple[float, float]:
+    rule = "two finite numbers, (least, greatest)"
+    values = reals("value_range", value_range, rule)
+    if values.shape != (2,) or not np.isfinite(values).all() or values[0] > values[1]:
+        raise OptionError(f"value_range must be {rule}; got {value_range!r}")
+    return float(values[0]), float(values[1])
 
 
 def _pairs(what: str, points: Sequence[tuple[float, Any]]) -> list[tuple[float, Any]]:
@@ -176,6 +210,4 @@ def _pairs(what: str, points: Sequence[tuple[float, Any]]) -> list[tuple[float, 
 
 
 def _value(value: object) -> float:
-    if isinstance(value, (int, float, np.number)) and math.isfinite(float(value)):
-        return float(value)
-    raise OptionError(f"values and opacities must be finite numbers; got {value!r}")
+    return number("each value and opacity", value)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.errors import DataError, GeometryError, OptionError
+from clvol.errors import DataError, GeometryError, OptionError, number, reals, whole
 
 __all__ = ["Volume", "as_volume"]
 
@@ -30,7 +30,9 @@ class Volume:
     ----------
     data : array-like, shape (nz, ny, nx) or (ny, nx)
         Any integer, boolean or floating dtype, any byte order and memory layout; it is
-        viewed, not copied. Objects that carry geometry (SimpleITK images, nibabel images)
+        viewed, not copied, so the caller's array must not change afterwards: what has been computed
+        from it would no longer fit. `Volume.data` is read-only. A masked array may have no masked
+        element. Objects that carry geometry (SimpleITK images, nibabel images)
         give their spacing, origin and direction, in ITK's LPS frame.
     spacing : sequence of float, optional
         Distance of neighbouring samples along x, y(, z) in world units; default 1.
@@ -45,7 +47,7 @@ class Volume:
     Raises
     ------
     DataError
-        Rank other than 2 or 3, an empty axis, or a dtype that holds no real numbers.
+        Rank other than 2 or 3, an empty axis, masked elements, or a dtype that holds no real numbers.
     GeometryError
         Spacing not finite and positive, origin not finite, direction singular.
 
@@ -71,6 +73,8 @@ class Volume:
         if data.dtype.kind not in "biuf":
             raise DataError(f"data must be boolean, integer or floating; got dtype {data.dtype}")
         d = data.ndim
+        data = data.view()
+        data.flags.writeable = False
         spacing = self.spacing if _given(self.spacing) else geometry.get("spacing", (1.0,) * d)
         origin = self.origin if _given(self.origin) else geometry.get("origin", (0.0,) * d)
         direction = self.direction if self.direction is not None else geometry.get("direction", np.eye(d))
@@ -120,7 +124,8 @@ class Volume:
         low, high = float(self.data.min()), float(self.data.max())
         if math.isfinite(low) and math.isfinite(high):
             return low, high
-        finite = self.data[np.isfinite(self.data)]
+        with np.errstate(over="ignore"):  # longdouble reaches further than float64
+            finite = self.data[np.isfinite(self.data.astype(np.float64, copy=False))]
         if finite.size == 0:
             raise DataError("no sample of the volume is finite")
         return float(finite.min()), float(finite.max())
@@ -129,10 +134,10 @@ class Volume:
         """Raise `DataError` if a sample is NaN, infinite, or too large for float32."""
         if self.data.dtype.kind != "f":
             return
-        low, high = float(self.data.min()), float(self.data.max())  # NaN wins in both
-        if math.isfinite(low) and math.isfinite(high):
-            if max(abs(low), abs(high)) > float(np.finfo(np.float32).max) / 64:  # a prefilter gains up to 27
-                raise DataError(f"samples must lie within ±5e36, the room that float32 leaves; got {low:g} to {high:g}")
+        low, high = self.data.min(), self.data.max()  # NaN wins in both
+        if np.isfinite(low) and np.isfinite(high):
+            if max(abs(float(low)), abs(float(high))) > float(np.finfo(np.float32).max) / 64:  # a prefilter gains up to 27
+                raise DataError(f"samples must lie within ±5e36, the room that float32 leaves; got {low!s} to {high!s}")
             return
         bad = ~np.isfinite(self.data)
         first = tuple(int(i) for i in np.unravel_index(int(np.argmax(bad)), self.shape))
@@ -143,11 +148,14 @@ class Volume:
 
     def filled(self, value: float) -> Volume:
         """A copy whose NaN and infinite samples are `value`."""
-        if not math.isfinite(value):
-            raise OptionError(f"value must be finite; got {value!r}")
+        new = number("value", value)
         if self.data.dtype.kind != "f":
             return self
-        return self._with(np.where(np.isfinite(self.data), self.data, self.data.dtype.type(value)))
+        with np.errstate(over="ignore"):
+            stored = self.data.dtype.type(new)
+        if not np.isfinite(stored):
+            raise OptionError(f"value must be one that {self.data.dtype} holds, ±{np.finfo(self.data.dtype).max!s}; got {value!r}")
+        return self._with(np.where(np.isfinite(self.data), self.data, stored))
 
     # -- geometry: the one place where index space and world space meet --------------------
 
@@ -163,11 +171,13 @@ class Volume:
 
     def index_to_world(self, index: ArrayLike) -> NDArray[np.float64]:
         """World positions of index positions; shape (..., d), both in (x, y, z)."""
-        return np.asarray(self._points("index", index) @ self.index_to_world_matrix.T + np.asarray(self.origin))
+        with np.errstate(over="ignore", invalid="ignore"):  # infinite positions
+            return np.asarray(self._points("index", index) @ self.index_to_world_matrix.T + np.asarray(self.origin))
 
     def world_to_index(self, world: ArrayLike) -> NDArray[np.float64]:
         """Index positions of world positions; shape (..., d), both in (x, y, z)."""
-        return np.asarray((self._points("world", world) - np.asarray(self.origin)) @ self.world_to_index_matrix.T)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.asarray((self._points("world", world) - np.asarray(self.origin)) @ self.world_to_index_matrix.T)
 
     @cached_property
     def corners(self) -> NDArray[np.float64]:
@@ -200,7 +210,8 @@ class Volume:
         """
         from scipy import ndimage
 
-        values = [sigma] * self.ndim if np.isscalar(sigma) else sigma
+        one = np.isscalar(sigma) or (isinstance(sigma, np.ndarray) and sigma.ndim == 0)
+        values = [sigma] * self.ndim if one else sigma
         widths = _vector("sigma", values, self.ndim)
         if min(widths) < 0:
             raise OptionError(f"sigma must not be negative; got {sigma!r}")
@@ -211,15 +222,14 @@ class Volume:
 
     def downsample(self, n: int) -> Volume:
         """Every `n`-th sample along each axis, from the first; low-pass with `gaussian` before."""
-        if not isinstance(n, (int, np.integer)) or n < 1:
-            raise OptionError(f"n must be a whole number of at least 1; got {n!r}")
-        return self._with(self.data[(slice(None, None, int(n)),) * self.ndim], spacing=tuple(s * n for s in self.spacing))
+        n = whole("n", n, 1)
+        return self._with(self.data[(slice(None, None, n),) * self.ndim], spacing=tuple(s * n for s in self.spacing))
 
     def _with(self, data: NDArray[Any], **changes: Any) -> Volume:
         return replace(self, data=data, **changes)
 
     def _points(self, what: str, points: ArrayLike) -> NDArray[np.float64]:
-        array = np.asarray(points, dtype=np.float64)
+        array = reals(what, points, f"numbers of shape (..., {self.ndim})")
         if array.ndim == 0 or array.shape[-1] != self.ndim:
             raise OptionError(f"{what} must have shape (..., {self.ndim}); got {array.shape}")
         return array
@@ -235,10 +245,7 @@ def _given(value: object) -> bool:
 
 
 def _vector(what: str, value: Any, d: int) -> tuple[float, ...]:
-    try:
-        vector = tuple(float(v) for v in np.asarray(value, dtype=np.float64).reshape(-1))
-    except (TypeError, ValueError):
-        raise GeometryError(f"{what} must be {d} numbers; got {value!r}") from None
+    vector = tuple(float(v) for v in reals(what, value, f"{d} numbers", GeometryError).reshape(-1))
     if len(vector) != d:
         raise GeometryError(f"{what} must be {d} numbers, one per axis in the order x, y(, z); got {value!r}")
     if not all(math.isfinite(v) for v in vector):
@@ -254,12 +261,9 @@ def _whole(what: str, value: Sequence[int], d: int) -> tuple[int, ...]:
 
 
 def _direction(value: Any, d: int) -> NDArray[np.float64]:
-    try:
-        matrix = np.array(value, dtype=np.float64)
-        if matrix.size == d * d:
-            matrix = matrix.reshape(d, d)  # ITK gives it flat
-    except (TypeError, ValueError):
-        raise GeometryError(f"direction must be a {d}×{d} matrix of numbers; got {value!r}") from None
+    matrix = reals("direction", value, f"a {d}×{d} matrix of numbers", GeometryError).copy()
+    if matrix.size == d * d:
+        matrix = matrix.reshape(d, d)  # ITK gives it flat
     if matrix.shape != (d, d):
         raise GeometryError(f"direction must be a {d}×{d} matrix; got shape {matrix.shape}")
     if not np.isfinite(matrix).all():
@@ -284,9 +288,11 @@ def _read_array(source: Any) -> tuple[NDArray[Any], dict[str, Any]]:
             "direction": source.direction,
             "units": source.units,
         }
+    if np.ma.is_masked(source):
+        raise DataError("data must have no masked element; replace them with .filled(value) of the masked array")
     try:
         return np.asarray(source), {}
-    except ValueError as error:
+    except (TypeError, ValueError) as error:
         raise DataError(f"data must be a regular array of numbers: {error}") from None
 
 

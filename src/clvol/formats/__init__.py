@@ -13,7 +13,7 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike, DTypeLike
 
-from clvol.errors import DataError, FormatError, GeometryError, OptionError
+from clvol.errors import DataError, FormatError, GeometryError, OptionError, as_path
 from clvol.formats import dicom, metaimage, nifti, npy, nrrd, raw, tiff
 from clvol.formats._files import Reader, Writer, foreign_errors, staged
 from clvol.volume import Volume, as_volume
@@ -117,11 +117,12 @@ def read(
     >>> volume = clvol.read("head.nii.gz")
     >>> volume = clvol.read("engine.raw", shape=(128, 256, 256), dtype="uint8", spacing=(1, 1, 2))
     """
-    path = Path(path)
-    if not path.exists():
-        raise FormatError(f"cannot read {path}: there is no such file or folder")
-    if not path.is_dir() and not path.is_file():
-        raise FormatError(f"cannot read {path}: it is neither a file nor a folder")
+    path = as_path(path)
+    with foreign_errors(f"read {path}"):
+        if not path.exists():
+            raise FormatError(f"cannot read {path}: there is no such file or folder")
+        if not path.is_dir() and not path.is_file():
+            raise FormatError(f"cannot read {path}: it is neither a file nor a folder")
     chosen = next(f for f in FORMATS if not f.suffixes) if path.is_dir() else _by_suffix(path)[0]
     asked = {"shape": shape, "dtype": dtype, "byte_order": byte_order, "offset": offset or None, "series": series}
     options = {name: value for name, value in asked.items() if value is not None}
@@ -166,7 +167,7 @@ def write(volume: Volume | ArrayLike, path: str | os.PathLike[str]) -> None:
     MissingDependencyError
         The format needs ``clvol[medical]`` or ``clvol[microscopy]``.
     """
-    volume, path = as_volume(volume), Path(path)
+    volume, path = as_volume(volume), as_path(path)
     chosen, suffix = _by_suffix(path)
     if chosen.write is None:
         raise FormatError(
