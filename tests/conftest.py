@@ -6,9 +6,15 @@ import importlib
 import os
 
 import pytest
+from hypothesis import settings
 
 from clvol.device import Device, devices
 from clvol.errors import DeviceError
+
+# the same examples in every run of the continuous integration; new ones on a developer's machine
+settings.register_profile("ci", derandomize=True, deadline=None)
+if os.environ.get("CI"):
+    settings.load_profile("ci")
 
 
 def _found() -> list[Device]:
