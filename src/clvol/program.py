@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import threading
+import warnings
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -89,8 +90,11 @@ def build(
         if key not in device._programs:
             cl = _opencl()
             head = "".join(f"#define {k} {_literal(v)}\n" for k, v in sorted(defines.items()))
-            with device.errors:
-                handle = cl.Program(device.context, head + source(name, replacements, generated)).build(options=["-cl-std=CL1.2"])
+            text = head + source(name, replacements, generated)
+            with device.errors, warnings.catch_warnings():
+                # Intel's runtime always has something to say; what is wrong comes as an error
+                warnings.simplefilter("ignore", cl.CompilerWarning)
+                handle = cl.Program(device.context, text).build(options=["-cl-std=CL1.2"])
             device._programs[key] = Program(device, handle)
         program: Program = device._programs[key]
         return program
