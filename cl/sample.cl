@@ -4,6 +4,13 @@
 // Set by the host: DIMENSIONS (2 or 3), EIGHT_FETCH_VALUE and EIGHT_FETCH_GRADIENT (whether pairs of
 // weights, and of their derivatives, share their sign: Filter.pairable), besides what is included.
 
+// Unrolled, a thousand taps take some compilers minutes.
+#if TAPS > 6
+#define UNROLL_SLICES _Pragma("unroll 1")
+#else
+#define UNROLL_SLICES _Pragma("unroll")
+#endif
+
 #if DIMENSIONS == 3
 #define SLICES TAPS
 #else
@@ -34,7 +41,7 @@ INLINE float taps_value(VOLUME_PARAMS, cell_t c)
 #pragma unroll
     for (int i = 0; i < CHUNKS; ++i) {
         row_t sum = (row_t)(0.0f);
-#pragma unroll
+        UNROLL_SLICES
         for (int k = 0; k < SLICES; ++k) {
             row_t plane = (row_t)(0.0f);
 #pragma unroll
@@ -60,7 +67,7 @@ INLINE gradient_t taps_gradient(VOLUME_PARAMS, cell_t c, float *value)
 #pragma unroll
     for (int i = 0; i < CHUNKS; ++i) {
         row_t sum = (row_t)(0.0f), sum_y = sum, sum_z = sum;
-#pragma unroll
+        UNROLL_SLICES
         for (int k = 0; k < SLICES; ++k) {
             row_t plane = (row_t)(0.0f), plane_y = plane;
 #pragma unroll
@@ -96,7 +103,7 @@ INLINE hessian_t taps_hessian(VOLUME_PARAMS, cell_t c)
 #pragma unroll
     for (int i = 0; i < CHUNKS; ++i) {
         row_t sum = (row_t)(0.0f), sum_y = sum, sum_z = sum, sum_yy = sum, sum_yz = sum, sum_zz = sum;
-#pragma unroll
+        UNROLL_SLICES
         for (int k = 0; k < SLICES; ++k) {
             row_t plane = (row_t)(0.0f), plane_y = plane, plane_yy = plane;
 #pragma unroll
