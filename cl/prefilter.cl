@@ -43,13 +43,13 @@ INLINE void store_lanes(float8 v, global float *p, const ulong lane_stride, cons
 }
 
 // count samples a line, stride apart; groups of eight lines along id 0, then lines along id 1.
-// starts[pole][causal or anticausal][ENDS from the first, ENDS from the last]; used: how many ENDS count.
+// starts[pole][causal or anticausal][ENDS from the first, ENDS from the last]; of these, head and tail count.
 kernel void prefilter(global float *data, const ulong origin, const int count, const ulong stride,
                       const ulong lane_stride, const int lines, const ulong outer_stride,
                       constant float *starts, const int head, const int tail)
 {
     const int group = get_global_id(0);
-    // the last group overlaps the one before only where a line may be read twice, never written twice
+    // the last group reads past its lines, into what the host keeps behind them, and does not write there
     const int first = group * 8, lanes = min(8, lines - first);
     global float *line = data + origin + first * lane_stride + get_global_id(1) * outer_stride;
 

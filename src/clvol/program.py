@@ -120,7 +120,7 @@ def row_reach(filter: Filter) -> int:
 
 
 def filter_defines(filter: Filter) -> dict[str, str | int | float]:
-    """What filter.cl, sample.cl and locate.cl need to know of a filter."""
+    """What filter.cl, patch.cl and locate.cl need to know of a filter."""
     width, reach = row_width(filter), row_reach(filter)
     columns = np.zeros((filter.degree + 1, reach))
     columns[:, : filter.support] = filter.matrix.T
@@ -138,8 +138,6 @@ def filter_defines(filter: Filter) -> dict[str, str | int | float]:
         "FILTER_TAPS": "{" + ",".join("{" + ",".join(map(_float, tap)) + "}" for tap in filter.matrix) + "}",
         "LEFT": filter.support / 2 - 1,
         "GRID_SCALE": filter.scale,
-        "EIGHT_FETCH_VALUE": 0,
-        "EIGHT_FETCH_GRADIENT": 0,
     }
 
 

@@ -20,7 +20,7 @@ from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.device import Device, _opencl, as_device
 from clvol.errors import DataError, DeviceError, OptionError, OutOfMemoryError, one_of, whole
 from clvol.filters import DEFAULT_FILTER, Filter, as_filter
-from clvol.volume import Volume, _read_array, as_volume
+from clvol.volume import Volume, as_volume, read_array
 
 __all__ = [
     "Coefficients",
@@ -286,11 +286,11 @@ def prefilter(
     DataError, OptionError, DeviceError
     """
     try:
-        array = _read_array(data)[0]
+        array, _ = read_array(data)  # coefficients have no geometry
     except ValueError as error:
         raise DataError(f"data must be a regular array of numbers: {error}") from None
     line = array.ndim == 1
-    volume = Volume(array[None]) if line else as_volume(data)
+    volume = Volume(array[None] if line else array)
     row, rule, on = as_filter(filter), as_boundary(boundary), as_device(device)
     if row.magnified_by is not None:
         row = row.magnified_by

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.errors import DataError, GeometryError, OptionError, number, reals, whole
 
-__all__ = ["Volume", "as_volume"]
+__all__ = ["Volume", "as_volume", "read_array"]
 
 _TINY_DETERMINANT = 1e-12
 
@@ -65,7 +65,7 @@ class Volume:
     units: str = ""
 
     def __post_init__(self) -> None:
-        data, geometry = _read_array(self.data)
+        data, geometry = read_array(self.data)
         if data.ndim not in (2, 3):
             raise DataError(f"data must have 2 axes [y, x] or 3 axes [z, y, x]; got shape {data.shape}")
         if 0 in data.shape:
@@ -275,7 +275,7 @@ def _direction(value: Any, d: int) -> NDArray[np.float64]:
     return matrix
 
 
-def _read_array(source: Any) -> tuple[NDArray[Any], dict[str, Any]]:
+def read_array(source: Any) -> tuple[NDArray[Any], dict[str, Any]]:
     """The samples of `source`, and the geometry that its kind of object carries."""
     if hasattr(source, "GetSpacing") and hasattr(source, "GetDirection"):
         return _read_itk(source)
