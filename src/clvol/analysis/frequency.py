@@ -5,11 +5,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+from scipy import optimize
+
+from clvol.analysis.cardinal import even_filter
+from clvol.analysis.extremum import greatest
 from clvol.analysis.table import column
+from clvol.errors import number
 from clvol.filters import Filter
 from clvol.response import frequency_response, prefilter_response
 
 __all__ = ["Bands", "bands", "frequency_response", "prefilter_response"]
+
+_FARTHEST = 16 * math.pi  # up to which the stopband is looked at: further out every response is less
 
 
 @dataclass(frozen=True)
@@ -56,5 +64,17 @@ def bands(filter: str | Filter, edge: float = math.pi / 2) -> Bands:
     Raises
     ------
     OptionError
+        Unknown filter, one whose kernel is not even, or an edge outside its bounds.
     """
-    raise NotImplementedError
+    row, edge = even_filter(filter), number("edge", edge, above=0, below=math.pi)
+    omega = np.linspace(0, 2 * math.pi, 1025)
+    below = np.flatnonzero(np.abs(frequency_response(row, omega)) < math.sqrt(0.5))
+    cutoff = None
+    if below.size and below[0] > 0:
+        bracket = omega[below[0] - 1], omega[below[0]]
+        cutoff = float(optimize.brentq(lambda w: abs(float(frequency_response(row, w))) - math.sqrt(0.5), *bracket))
+    peak = greatest(lambda w: np.abs(frequency_response(row, w)), 2 * math.pi - edge, _FARTHEST, 4097)
+    return Bands(
+        row.name, edge, cutoff, float(frequency_response(row, math.pi)),
+        greatest(lambda w: np.abs(frequency_response(row, w) - 1), 0.0, edge, 513), peak, -20 * math.log10(peak),
+    )  # fmt: skip

@@ -6,26 +6,24 @@ import csv
 import io
 import json
 from dataclasses import Field, field, fields
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from clvol.errors import OptionError
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
-__all__ = ["Table", "column"]
+__all__ = ["UNLISTED", "Table", "column"]
 
 Row = TypeVar("Row")
+
+UNLISTED: Final = {"listed": False}
+"""Metadata of a field that tables leave out, such as an array."""
 
 
 def column(heading: str, form: str = "") -> Any:
     """A field of a row: its heading, and the format specification of its numbers where people read them."""
     return field(metadata={"heading": heading, "form": form})
-
-
-def unlisted() -> Any:
-    """A field that tables leave out, such as an array."""
-    return field(repr=False, compare=False, metadata={"listed": False})
 
 
 class Table(list[Row]):
