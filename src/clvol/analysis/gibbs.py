@@ -102,7 +102,7 @@ def lowpass_step(
     wave = np.where((np.arange(_PERIOD) - _PERIOD // 4) % _PERIOD < _PERIOD // 2, 1.0, 0.0)
     values: Array = np.fft.irfft(np.fft.rfft(wave) * response, _PERIOD).astype(np.float64)
     # the middle of the wave's first step, with half of each of its levels; it lies between two samples
-    x = np.arange(_PERIOD // 2) - _PERIOD // 4 + 0.5
+    x: Array = np.arange(_PERIOD // 2, dtype=np.float64) - (_PERIOD // 4 - 0.5)
     return _measured(kind, x, values[: _PERIOD // 2])
 
 

@@ -180,9 +180,8 @@ def _taylor(row: Filter, n: int, derivative: int) -> list[Polynomial]:
     """
     moments = _moments(row, n)
     if derivative:
-        slopes: list[list[Number]] = [[row.scale * k * c for k, c in enumerate(m)][1:] for m in moments]
-        below = _moments(row, n - 1) if n else [[Fraction(0)]] * row.scale
-        moments = [_plus(a, _times(b, [n])) for a, b in zip(slopes, below, strict=True)]
+        below: list[list[Number]] = _moments(row, n - 1) if n else [[Fraction(0)]] * row.scale
+        moments = [_plus(_slope(a, row.scale), _times(b, [n])) for a, b in zip(moments, below, strict=True)]
     return [tuple(c / math.factorial(n) for c in m) for m in moments]
 
 
@@ -249,6 +248,10 @@ def _times(a: Sequence[Number], b: Sequence[Number]) -> list[Number]:
         for j, y in enumerate(b):
             result[i + j] += x * y
     return result
+
+
+def _slope(a: Sequence[Number], scale: int) -> Sequence[Number]:
+    return [scale * k * c for k, c in enumerate(a)][1:]
 
 
 def _power(a: list[Fraction], n: int) -> list[Number]:
