@@ -8,7 +8,12 @@
 //   state_t                       what it carries along the ray
 //   begin(state)                  before the first sample
 //   gather(..., t, value, active) one sample for the active lanes; gives the lanes that need no more
+//   matters(..., low, high, active) whether a value from low to high could change what any active lane shows
+//   REACH                         how many samples away others may depend on a sample: isosurfaces look at the next
 //   finish(...)                   the colour, not premultiplied, and at which t it lies, or NOWHERE
+//
+// Samples are gathered slab by slab of SLAB numbers. What lies where no value matters is never looked at (skip.cl); the
+// picture is the same to the last bit, since every sample that is gathered is evaluated as it would be without.
 //
 // Set by the host: LANES, TILE_WIDTH, TILE_HEIGHT, PATCHED, ENDPOINTS, SHADED, GRADIENT_CENTRAL, GUIDES,
 // TABLE_SIZE, and what is included.
@@ -24,6 +29,7 @@
 #include "camera.cl"
 #include "transfer.cl"
 #include "shade.cl"
+#include "skip.cl"
 
 #if PATCHED
 #define RARE static __attribute__((noinline))   // rarely called: kept out of the loop
@@ -231,18 +237,16 @@ INLINE void finish_rays(SCENE_PARAMS, const state_t *state, const int x, const i
 #define GROUPS_ACROSS (TILE_WIDTH / LANES)
 #define GROUPS (GROUPS_ACROSS * TILE_HEIGHT)
 #define MARGIN ((real)(ENDPOINTS ? 1.0f : 0.0f))   // sample numbers before and after the lattice, for the two ends
+#define COARSEST 4                                 // 1 << 4 slabs are skipped at once at most
 
-INLINE float least_lane(real v)
+// The lanes that have samples among the numbers from first to last.
+INLINE mask lanes_within(const ray_t *ray, mask going, float first, float last)
 {
-    const lanes_u lanes = { v };
-    float low = lanes.each[0];
-    for (int i = 1; i < LANES; ++i)
-        low = lanes.each[i] < low ? lanes.each[i] : low;
-    return low;
+    return going & (ray->begin - MARGIN <= last) & (ray->end + MARGIN >= first);
 }
 
-kernel void march(VOLUME_PARAMS, constant frame_t *frame, global const float4 *table, global float4 *rgba,
-                  global float *depth, global float *normals, global float *positions)
+kernel void march(VOLUME_PARAMS, global const float2 *bounds, constant frame_t *frame, global const float4 *table,
+                  global float4 *rgba, global float *depth, global float *normals, global float *positions, global float *visited)
 {
     const int left = (int)get_global_id(0) * TILE_WIDTH, top = (int)get_global_id(1) * TILE_HEIGHT;
     if (left >= frame->width || top >= frame->height)
@@ -250,6 +254,7 @@ kernel void march(VOLUME_PARAMS, constant frame_t *frame, global const float4 *t
     ray_t rays[GROUPS];
     state_t states[GROUPS];
     mask going[GROUPS];
+    real gathered[GROUPS];   // samples
     float first = INFINITY, last = -INFINITY;
     mask forward = ~NONE, backward = ~NONE;
     for (int g = 0; g < GROUPS; ++g) {
@@ -261,8 +266,9 @@ kernel void march(VOLUME_PARAMS, constant frame_t *frame, global const float4 *t
         const int y = top + g / GROUPS_ACROSS;
         rays[g] = pixel_ray(frame, px, (real)(y + frame->offset[1]));
         begin(&states[g]);
+        gathered[g] = (real)(0.0f);
         going[g] = rays[g].hits & (px < (real)(frame->width)) & (y < frame->height ? ~NONE : NONE);
-        const float low = least_lane(choose(going[g], rays[g].begin, NOWHERE)), high = -least_lane(choose(going[g], -rays[g].end, NOWHERE));
+        const float low = least_lane(choose(going[g], rays[g].begin - MARGIN, NOWHERE)), high = -least_lane(choose(going[g], -MARGIN - rays[g].end, NOWHERE));
         first = low < first ? low : first;
         last = high > last ? high : last;
 #if PATCHED
@@ -280,46 +286,97 @@ kernel void march(VOLUME_PARAMS, constant frame_t *frame, global const float4 *t
     const float way = any_lane(!forward) ? -1.0f : 1.0f;
     patch_begin(patch, extent, frame->axis);
 #endif
-    for (float n = first - (ENDPOINTS ? 1.0f : 0.0f); n <= last + (ENDPOINTS ? 1.0f : 0.0f); n += 1.0f) {
-        int some = 0, moved = 0;
+    const int slabs = last >= first ? (int)((last - first) / frame->slab) + 1 : 0;
+    for (int slab = 0, level = COARSEST; slab < slabs;) {
+        const float start = madd(slab, frame->slab, first), ahead = madd(1 << level, frame->slab, start - 1.0f);
+        const float stop = ahead < last ? ahead : last;
+        boxes_t tile;
+        int some = 0, wanted = !frame->skipping;
+        box_nothing(&tile);
         for (int g = 0; g < GROUPS; ++g) {
-            some |= any_lane(going[g] & (rays[g].end + MARGIN >= n));
-            const mask active = going[g] & (rays[g].begin - MARGIN <= n) & (rays[g].end + MARGIN >= n);
-            if (!any_lane(active))
-                continue;
-            const ray_t *ray = rays + g;
-            real t = madd(n, ray->step, ray->first);   // by multiplication: never accumulated
-#if ENDPOINTS
-            // a little inside: on the face itself rounding would decide whether it is read from past the edge
-            const real inset = 1e-3f * ray->step;
-            t = least(greatest(t, ray->enter + inset), ray->leave - inset);
-#endif
-            here_t sample_here, *here = &sample_here;
-            real value;
-#if PATCHED
-            if (planar && !moved) {
-                tile_patch(VOLUME, frame, patch, left, top, way, n);
-                moved = 1;
-            }
-            if (patch->usable) {
-                const mask ends = active & ((ray->begin > n) | (ray->end < n));
-                value = value_here(SCENE, t, active);
-                if (any_lane(ends))
-                    value = choose(ends, value_at(SCENE, t, ends), value);
-            } else
-#endif
-                value = value_at(SCENE, t, active);
-            const mask done = gather(&states[g], SCENE, t, value, active);
-            going[g] = going[g] & (!done);
+            const mask active = lanes_within(rays + g, going[g], start, stop);
+            some |= any_lane(going[g] & (rays[g].end + MARGIN >= start));
+            if (frame->skipping)
+                box_samples(rays + g, start - REACH, stop + REACH, active, &tile);
         }
         if (!some)
             break;
+        if (frame->skipping) {
+            const float2 values = values_within(bounds, extent, frame, &tile);
+            for (int g = 0; g < GROUPS && !wanted; ++g)
+                wanted = matters(&states[g], frame, table, values.x, values.y, lanes_within(rays + g, going[g], start, stop));
+        }
+        if (!wanted) {
+            slab += 1 << level;
+            while (level < COARSEST && (slab & (1 << level)) == 0)
+                ++level;
+            continue;
+        }
+        if (level > 0) {
+            --level;
+            continue;
+        }
+        int live[GROUPS];
+        for (int g = 0; g < GROUPS; ++g) {
+            const mask active = lanes_within(rays + g, going[g], start, stop);
+            live[g] = any_lane(active);
+            if (live[g] && frame->skipping && GROUPS > 1) {
+                boxes_t row;
+                box_nothing(&row);
+                box_samples(rays + g, start - REACH, stop + REACH, active, &row);
+                const float2 values = values_within(bounds, extent, frame, &row);
+                live[g] = matters(&states[g], frame, table, values.x, values.y, active);
+            }
+        }
+        for (float n = start; n <= stop; n += 1.0f) {
+            int moved = 0;
+            for (int g = 0; g < GROUPS; ++g) {
+                if (!live[g])
+                    continue;
+                const mask active = lanes_within(rays + g, going[g], n, n);
+                if (!any_lane(active))
+                    continue;
+                const ray_t *ray = rays + g;
+                real t = madd(n, ray->step, ray->first);   // by multiplication: never accumulated
+#if ENDPOINTS
+                // a little inside: on the face itself rounding would decide whether it is read from past the edge
+                const real inset = 1e-3f * ray->step;
+                t = least(greatest(t, ray->enter + inset), ray->leave - inset);
+#endif
+                here_t sample_here, *here = &sample_here;
+                real value;
+#if PATCHED
+                if (planar && !moved) {
+                    tile_patch(VOLUME, frame, patch, left, top, way, n);
+                    moved = 1;
+                }
+                if (patch->usable) {
+                    const mask ends = active & ((ray->begin > n) | (ray->end < n));
+                    value = value_here(SCENE, t, active);
+                    if (any_lane(ends))
+                        value = choose(ends, value_at(SCENE, t, ends), value);
+                } else
+#endif
+                    value = value_at(SCENE, t, active);
+                const mask done = gather(&states[g], SCENE, t, value, active);
+                going[g] = going[g] & (!done);
+                gathered[g] += choose(active, (real)(1.0f), (real)(0.0f));
+            }
+        }
+        ++slab;
     }
     for (int g = 0; g < GROUPS; ++g) {
         const int x = left + g % GROUPS_ACROSS * LANES, y = top + g / GROUPS_ACROSS;
         const ray_t *ray = rays + g;
         here_t *here = 0;   // no sample is being gathered
-        if (x < frame->width && y < frame->height)
+        if (x < frame->width && y < frame->height) {
             finish_rays(SCENE, &states[g], x, y, rgba, depth, normals, positions);
+#if GUIDES
+            const real samples = ray->end - ray->begin + 1.0f + 2.0f * MARGIN;
+            const lanes_u share = { choose(ray->hits & (samples > 0.0f), gathered[g] / samples, (real)(0.0f)) };
+            for (int i = 0; i < LANES && x + i < frame->width && frame->pass == 0; ++i)
+                visited[(size_t)y * frame->width + x + i] = share.each[i];
+#endif
+        }
     }
 }

@@ -22,6 +22,19 @@ INLINE color_t classify(constant frame_t *frame, global const float4 *table, rea
     return color;
 }
 
+// Whether no value from low to high has any opacity. Behind the table's nodes lie TABLE_SIZE numbers: for each node,
+// the next that has some, itself included.
+INLINE int transparent(constant frame_t *frame, global const float4 *table, float low, float high)
+{
+    global const float *visible = (global const float *)(table + TABLE_SIZE);
+    const float bottom = (low - frame->table_low) * frame->table_scale, top = (high - frame->table_low) * frame->table_scale;
+    const float most = TABLE_SIZE - 1.0f;
+    if (!(bottom - bottom == 0.0f && top - top == 0.0f))
+        return 0;
+    const int first = (int)(bottom > 0.0f ? bottom < most ? bottom : most : 0.0f), last = (int)(top > 0.0f ? top < most ? top : most : 0.0f);
+    return visible[first] > last + 1;
+}
+
 // Opacity of matter `thickness` unit distances thick, given that of one.
 INLINE real opacity_of(real opacity, real thickness)
 {

@@ -9,6 +9,13 @@ INLINE void begin(state_t *s)
     s->depth = NOWHERE;
 }
 
+#define REACH 0.0f
+
+INLINE int matters(const state_t *s, constant frame_t *frame, global const float4 *table, float low, float high, mask active)
+{
+    return !transparent(frame, table, low, high);
+}
+
 INLINE mask gather(state_t *s, SCENE_PARAMS, real t, real value, mask active)
 {
     color_t color = classify(frame, table, value);

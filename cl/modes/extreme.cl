@@ -1,5 +1,5 @@
 // The greatest or the least value among a ray's samples, coloured by the transfer function.
-// Set by the including mode: BEYOND(a, b), whether a replaces b.
+// Set by the including mode: BEYOND(a, b), whether a replaces b; EXTREME(low, high), which of the two matters.
 
 typedef struct { real best, t; } state_t;
 
@@ -7,6 +7,13 @@ INLINE void begin(state_t *s)
 {
     s->best = (real)(0.0f);
     s->t = NOWHERE;
+}
+
+#define REACH 0.0f
+
+INLINE int matters(const state_t *s, constant frame_t *frame, global const float4 *table, float low, float high, mask active)
+{
+    return any_lane(active & (BEYOND((real)(EXTREME(low, high)), s->best) | (s->t == NOWHERE)));
 }
 
 INLINE mask gather(state_t *s, SCENE_PARAMS, real t, real value, mask active)

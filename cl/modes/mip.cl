@@ -1,5 +1,6 @@
 // The greatest value along the ray.
 
 #define BEYOND(a, b) ((a) > (b))
+#define EXTREME(low, high) (high)
 
 #include "modes/extreme.cl"

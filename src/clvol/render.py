@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol import program
+from clvol.bounds import BLOCK, MAX_LEVELS, Bounds
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.camera import Camera, View
 from clvol.device import Device, as_device
@@ -34,7 +35,7 @@ from clvol.volume import Volume, as_volume
 
 __all__ = ["OBLIQUE", "OUTPUTS", "Lattice", "Renderer", "pixel_offsets", "render"]
 
-OUTPUTS = ("rgba", "depth", "normal", "position")
+OUTPUTS = ("rgba", "depth", "normal", "position", "visited")
 OBLIQUE = 0.5  # cosine between ray and axis below which a ray steps along itself
 FLAT = 1e-5  # gradients below this share of the range, or of the greatest magnitude, per mean spacing are rounding: no normal
 TOLERANCE = 1e-4  # of the range: how near to the isovalue a surface is drawn
@@ -58,10 +59,11 @@ FRAME = np.dtype(
         for name in (
             "ahead", "unit", "oblique", "plane", "plane_back", "spacing", "planes", "stride", "table_low", "table_scale",
             "per_unit_distance", "termination", "isovalue", "tolerance", "ambient", "diffuse", "specular", "shininess",
-            "weight",
+            "weight", "slab", "margin",
         )
     ]
-    + [(name, np.int32) for name in ("axis", "orthographic", "clipped", "lights", "width", "height", "pass")]
+    + [(name, np.int32) for name in ("axis", "orthographic", "clipped", "lights", "width", "height", "pass", "skipping", "levels")]
+    + [("blocks", np.int32, 3), ("level_at", np.int32, MAX_LEVELS)]
 )  # fmt: skip
 
 
@@ -159,6 +161,7 @@ class Renderer:
         self.device = as_device(device)
         self.coefficients = Coefficients(self.volume, row, rule, self.device)
         self._transfers: dict[Mode, TransferFunction] = {}
+        self._bounds: dict[Path, Bounds] = {}
 
     @property
     def filter(self) -> Filter:
@@ -167,6 +170,8 @@ class Renderer:
     def close(self) -> None:
         """Free the device's memory."""
         self.coefficients.release()
+        while self._bounds:
+            self._bounds.popitem()[1].release()
 
     def __enter__(self) -> Self:
         return self
@@ -181,7 +186,7 @@ class Renderer:
         gradient: Literal["analytic", "central"] = "analytic", material: Material | None = None,
         lights: Sequence[Light] = (HEADLIGHT,), background: Sequence[float] | str | None = (0.0, 0.0, 0.0),
         clip: tuple[Sequence[float], Sequence[float]] | None = None, samples: int = 1, termination: float = 1e-3,
-        evaluator: Evaluator = "auto", fetch: Fetch = "auto", outputs: str | Sequence[str] = "rgba",
+        skipping: bool = True, evaluator: Evaluator = "auto", fetch: Fetch = "auto", outputs: str | Sequence[str] = "rgba",
         progress: Progress | None = None, _tile: Tile | None = None,
     ) -> Any:  # fmt: skip
         """One picture.
@@ -220,21 +225,25 @@ class Renderer:
             Rays a pixel.
         termination : float
             A ray ends when no more than this share of light would come through: colours err by at most this.
+        skipping : bool
+            Do not look where the function's bounds say that nothing can be seen. The picture is the same to the
+            last bit.
         evaluator, fetch
             As for `clvol.sample`.
         outputs : str or sequence of str
-            Of "rgba", "depth", "normal", "position". Several give a dictionary. Depth is the world distance
+            Of "rgba", "depth", "normal", "position", "visited". Several give a dictionary. Depth is the world distance
             from the eye along the ray (orthographic: from the camera's plane), inf where there is nothing;
             normals face the viewer; NaN where there are none. In "composite" they are where half of the light
-            is stopped, in projections where the extreme lies; "mean" has none.
+            is stopped, in projections where the extreme lies; "mean" has none. "visited" is the share of a ray's
+            samples that was looked at.
         progress : callable, optional
             Called with the fraction done.
 
         Returns
         -------
         ndarray of float32, shape (height, width, 4), or a dictionary
-            Red, green, blue, opacity in 0..1; row 0 is the top. Depth has shape (height, width), normals and
-            positions (height, width, 3).
+            Red, green, blue, opacity in 0..1; row 0 is the top. Depth and visited have shape (height, width),
+            normals and positions (height, width, 3).
 
         Raises
         ------
@@ -247,6 +256,7 @@ class Renderer:
         _instance("camera", camera, Camera)
         _instance("material", material, Material)
         _instance("shading", shading, bool, np.bool_)
+        _instance("skipping", skipping, bool, np.bool_)
         if transfer is not None:
             _instance("transfer", transfer, TransferFunction)
         if not isinstance(lights, Sequence) or not all(isinstance(light, Light) for light in lights):
@@ -269,6 +279,8 @@ class Renderer:
             otsu_threshold(self.volume) if isovalue is None and chosen.name == "isosurface" else isovalue,
             color_of("color", color), material, lights, clip, termination,
         )  # fmt: skip
+        if skipping and chosen.skips:
+            self._skip(frame, path)
         guides = wanted != ("rgba",)
         central = gradient == "central" or not self.filter.has_gradient
         arrays = self._march(
@@ -338,6 +350,7 @@ class Renderer:
             lattice.spacing,
             OBLIQUE,
         )
+        frame["slab"] = max(1, int(BLOCK / max(lattice.spacing, step)))  # samples that cross about one block
         frame["plane"], frame["plane_back"], frame["stride"] = -0.5 + lattice.spacing / 2, n - 0.5 - lattice.spacing / 2, step
 
         first, last = transfer.value_range
@@ -357,6 +370,16 @@ class Renderer:
         frame["width"], frame["height"] = width, height
         return frame
 
+    def _skip(self, frame: NDArray[Any], path: Path) -> None:
+        """Tell the ray loop where the bounds are, which are computed for the first picture."""
+        if path not in self._bounds:
+            self._bounds[path] = Bounds(self.coefficients, path)
+        bounds = self._bounds[path]
+        frame["skipping"], frame["levels"] = 1, len(bounds.offsets)
+        frame["blocks"], frame["level_at"][: len(bounds.offsets)] = bounds.blocks, bounds.offsets
+        # what positions are rounded by on a ray and in a patch
+        frame["margin"] = 0.01 + 1e-6 * max(self.volume.size)
+
     def _march(
         self, frame: NDArray[Any], mode: Mode, path: Path, transfer: TransferFunction, shading: bool, central: bool, guides: bool,
         samples: int, progress: Progress | None, tile: Tile | None,
@@ -369,15 +392,17 @@ class Renderer:
             {
                 **held.defines(path), "LANES": tile.lanes, "TILE_WIDTH": tile.width, "TILE_HEIGHT": tile.height,
                 "PATCHED": int(tile.patched), "ENDPOINTS": int(mode.endpoints), "SHADED": int(shading),
-                "GRADIENT_CENTRAL": int(central), "GUIDES": int(guides), "TABLE_SIZE": TABLE_SIZE, "COORD_DOUBLE": 0,
+                "GRADIENT_CENTRAL": int(central), "GUIDES": int(guides), "TABLE_SIZE": TABLE_SIZE,
+                "BLOCK": BLOCK * self.filter.scale, "COORD_DOUBLE": 0,
             },
             {"mode.cl": mode.file}, {"frame.cl": _frame_declaration()},
         )  # fmt: skip
         width, height = int(frame["width"]), int(frame["height"])
-        channels = {"rgba": 4, "depth": 1, "normal": 3, "position": 3}
+        channels = {"rgba": 4, "depth": 1, "normal": 3, "position": 3, "visited": 1}
         pixels = width * height
         buffers = {name: device.allocate(4 * pixels * (n if guides or name == "rgba" else 0)) for name, n in channels.items()}
-        table = device.upload(transfer.table())
+        table = device.upload(_searchable(transfer.table()))
+        bounds = self._bounds[path].buffer if frame["skipping"] else table  # any: it is not read
         kernel = built.kernel("march")
         source = held.argument(path)
         budget = _Budget(device, self.filter, int(frame["planes"]), central or shading)
@@ -391,7 +416,7 @@ class Renderer:
                 whole = tuple(-(-n // m) * m for n, m in zip((across, down), shape, strict=True))
                 with device.errors:
                     kernel(
-                        device.queue, whole, shape, source, held.extent, block, table, *buffers.values(),
+                        device.queue, whole, shape, source, held.extent, bounds, block, table, *buffers.values(),
                         global_offset=(x // tile.width, y // tile.height),
                     )  # fmt: skip
                 device.finish()
@@ -449,6 +474,13 @@ def render(volume: Volume | ArrayLike, camera: Camera | None = None, mode: str |
     """
     with Renderer(volume, filter, boundary, device) as renderer:
         return renderer.render(camera, mode, size, step, outputs=outputs, **options)
+
+
+def _searchable(table: Floats) -> Floats:
+    """The nodes of a transfer function, and behind them for each the next one that has some opacity; flat."""
+    seen = np.where(table[:, 3] > 0, np.arange(len(table), dtype=np.float32), np.float32(np.inf))
+    following = np.minimum.accumulate(seen[::-1])[::-1]
+    return np.concatenate([table.ravel(), following])
 
 
 def _over(premultiplied: Floats, background: Sequence[float] | str | None) -> Floats:
