@@ -10,8 +10,9 @@ INLINE void begin(state_t *s)
 }
 
 #define REACH 0.0f
+#define ANY_ORDER 0
 
-INLINE int matters(const state_t *s, constant frame_t *frame, global const float4 *table, float low, float high, mask active)
+INLINE int matters(const state_t *s, constant frame_t *frame, global const float4 *table, float low, float high, real t, mask active)
 {
     return !transparent(frame, table, low, high);
 }

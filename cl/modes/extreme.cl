@@ -10,15 +10,18 @@ INLINE void begin(state_t *s)
 }
 
 #define REACH 0.0f
+#define ANY_ORDER 1
 
-INLINE int matters(const state_t *s, constant frame_t *frame, global const float4 *table, float low, float high, mask active)
+INLINE int matters(const state_t *s, constant frame_t *frame, global const float4 *table, float low, float high, real t, mask active)
 {
-    return any_lane(active & (BEYOND((real)(EXTREME(low, high)), s->best) | (s->t == NOWHERE)));
+    const real extreme = (real)(EXTREME(low, high));
+    return any_lane(active & (BEYOND(extreme, s->best) | ((extreme == s->best) & (t < s->t)) | (s->t == NOWHERE)));
 }
 
 INLINE mask gather(state_t *s, SCENE_PARAMS, real t, real value, mask active)
 {
-    const mask better = active & (BEYOND(value, s->best) | (s->t == NOWHERE));
+    // of equal ones the first, in whichever order they come
+    const mask better = active & (BEYOND(value, s->best) | ((value == s->best) & (t < s->t)) | (s->t == NOWHERE));
     s->best = choose(better, value, s->best);
     s->t = choose(better, t, s->t);
     return NONE;

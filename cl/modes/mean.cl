@@ -5,8 +5,9 @@ typedef struct { real sum, count; } state_t;
 INLINE void begin(state_t *s) { s->sum = s->count = (real)(0.0f); }
 
 #define REACH 0.0f
+#define ANY_ORDER 0
 
-INLINE int matters(const state_t *s, constant frame_t *frame, global const float4 *table, float low, float high, mask active)
+INLINE int matters(const state_t *s, constant frame_t *frame, global const float4 *table, float low, float high, real t, mask active)
 {
     return 1;   // every sample counts
 }

@@ -36,7 +36,8 @@ def bernstein(filter: Filter) -> NDArray[np.float64]:
     A polynomial ``sum a[k] t**k`` on 0..1 has the Bernstein coefficients ``sum over k <= j of a[k] C(j, k) / C(n, k)``.
     """
     n = filter.degree
-    rows = [[sum(a * Fraction(math.comb(j, k), math.comb(n, k)) for k, a in enumerate(tap)) for tap in filter.taps] for j in range(n + 1)]
+    shares = [[Fraction(math.comb(j, k), math.comb(n, k)) for k in range(n + 1)] for j in range(n + 1)]
+    rows = [[sum(s * a for s, a in zip(row, tap, strict=True)) for tap in filter.taps] for row in shares]
     return np.array(rows, dtype=np.float64)
 
 
@@ -93,7 +94,9 @@ class Bounds:
     """
 
     def __init__(self, held: Coefficients, path: Path) -> None:
+        self.held = held
         device = held.device
+        coefficients = held.argument(Path(eight_fetch=False, image=False))
         blur = 0.0
         if path.eight_fetch:
             # pairs of taps are read at a position that is rounded, in a texture unit to some bits of a texel
@@ -116,7 +119,7 @@ class Bounds:
             bound = built.kernel("bound_cells")
             for first in range(0, z, deep):
                 bound(
-                    device.queue, (across, y, min(deep, z - first)), (1, 1, 1), held.buffer, held.extent, levels[0], self.buffer,
+                    device.queue, (across, y, min(deep, z - first)), (1, 1, 1), coefficients, held.extent, levels[0], self.buffer,
                     global_offset=(0, 0, first),
                 )  # fmt: skip
                 device.finish()
