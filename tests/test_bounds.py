@@ -41,15 +41,15 @@ def test_bernstein_coefficients_of_a_cell_are_those_of_the_filter() -> None:
     want = np.array([[1, 4, 1, 0], [0, 4, 2, 0], [0, 2, 4, 0], [0, 1, 4, 1]]) / 6
     np.testing.assert_allclose(bernstein(as_filter("bspline3")), want, atol=1e-15)
     t = np.linspace(0, 1, 33)
-    for filter in filters().values():
-        n = filter.degree
+    for row in filters().values():
+        n = row.degree
         if n > 5:
             continue  # power coefficients of high degree cancel
-        rows = bernstein(filter)
+        rows = bernstein(row)
         basis = [polynomial.polyfromroots([0] * j + [1] * (n - j)) * (-1) ** (n - j) for j in range(n + 1)]
         choose = [np.prod([(n - i) / (i + 1) for i in range(j)]) for j in range(n + 1)]
         values = sum(c * polynomial.polyval(t, b)[None] * r[:, None] for c, b, r in zip(choose, basis, rows, strict=True))
-        np.testing.assert_allclose(values, filter.weights(t), atol=1e-12)
+        np.testing.assert_allclose(values, row.weights(t), atol=1e-12)
 
 
 @pytest.mark.parametrize("boundary", ["mirror", "zero"])
@@ -100,8 +100,8 @@ def test_bounds_are_near_the_truth(device: Device) -> None:
 
 def test_constant_data_have_tight_bounds_and_little_memory(device: Device) -> None:
     volume = Volume(np.full((64, 64, 64), 7.0, np.float32))
-    for filter, within in (("bspline3", 1e-3), ("sinc", 4.0)):  # a sinc that is cut off does not keep constants
-        with Coefficients(volume, as_filter(filter), as_boundary("mirror"), device) as held:
+    for name, within in (("bspline3", 1e-3), ("sinc", 4.0)):  # a sinc that is cut off does not keep constants
+        with Coefficients(volume, as_filter(name), as_boundary("mirror"), device) as held:
             bounds = Bounds(held, TAPS)
             assert bounds.buffer.size <= 0.1 * volume.data.nbytes
             inner = levels(bounds)[0][1:-1, 1:-1, 1:-1]

@@ -60,7 +60,9 @@ def views(draw: st.DrawFn) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def same(device: Device, volume: Volume, filter: str, mode: str, view: dict[str, Any], boundary: str = "mirror", **options: Any) -> None:
+def same(
+    device: Device, volume: Volume, filter: str, mode: str, view: dict[str, Any], boundary: str = "mirror", **options: Any
+) -> None:
     with Renderer(volume, filter, boundary, device) as renderer:
         with_, without = (
             renderer.render(mode=mode, size=(23, 19), outputs=OUTPUTS, skipping=skipping, **view, **options)
