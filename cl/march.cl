@@ -8,9 +8,17 @@
 //   state_t                       what it carries along the ray
 //   begin(state)                  before the first sample
 //   gather(..., t, value, active) one sample for the active lanes; gives the lanes that need no more
+//   matters(..., low, high, t, active) whether a value from low to high, at t or past it, could change what any
+//                                 active lane shows
+//   ANY_ORDER                     whether samples may be gathered in any order: then where PROMISE(low, high) is
+//                                 greatest comes first
+//   REACH                         how many samples away others may depend on a sample: isosurfaces look at the next
 //   finish(...)                   the colour, not premultiplied, and at which t it lies, or NOWHERE
 //
-// Set by the host: LANES, TILE_WIDTH, TILE_HEIGHT, PATCHED, ENDPOINTS, SHADED, GRADIENT_CENTRAL, GUIDES,
+// Samples are gathered slab by slab. What lies where no value matters is never looked at (skip.cl); the
+// picture is the same to the last bit, since every sample that is gathered is evaluated as it would be without.
+//
+// Set by the host: SLAB, LANES, TILE_WIDTH, TILE_HEIGHT, PATCHED, ENDPOINTS, SHADED, GRADIENT_CENTRAL, GUIDES,
 // TABLE_SIZE, and what is included.
 
 #include "common.cl"
@@ -24,13 +32,14 @@
 #include "camera.cl"
 #include "transfer.cl"
 #include "shade.cl"
+#include "skip.cl"
 
 #if PATCHED
 #define RARE static __attribute__((noinline))   // rarely called: kept out of the loop
 #include "patch.cl"
 #else
 #define RARE INLINE
-typedef struct { int usable; } patch_t, here_t;
+typedef struct { int made, usable; } patch_t, here_t;
 #endif
 
 // -- the function along a ray: what modes may ask for ---------------------------------------------------
@@ -117,11 +126,11 @@ INLINE real value_here(SCENE_PARAMS, real t, mask active)
 {
     const real3 p = at3(ray->origin, ray->direction, t);
     const int axis = frame->axis;
-    here->cell = patch_locate(patch, axis == 0 ? p.y : p.x, axis == 2 ? p.y : p.z, extent.w);
+    here->cell = patch_locate(patch, axis == 0 ? p.y : p.x, axis == 2 ? p.y : p.z);
     lane_weights(here->cell.tu, here->wu);
     lane_weights(here->cell.tv, here->wv);
-    patch_gather(patch->values, &here->cell, here->wv, &here->rows);
-    return patch_dot(&here->rows, here->wu);
+    patch_gather(patch->values, &here->cell, here->wv, here->columns);
+    return patch_dot(here->columns, here->wu);
 }
 
 INLINE real3 gradient_here(SCENE_PARAMS, real t, mask active)
@@ -132,15 +141,14 @@ INLINE real3 gradient_here(SCENE_PARAMS, real t, mask active)
         patch_blend(patch, coefficients, 1, patch->slopes);
         patch->sloped = 1;
     }
-    real slopes[TAPS];
-    patch_rows_t rows;
+    real slopes[TAPS], columns[TAPS];
     lane_slopes(here->cell.tu, slopes);
-    const real du = GRID_SCALE * patch_dot(&here->rows, slopes);
+    const real du = GRID_SCALE * patch_dot(here->columns, slopes);
     lane_slopes(here->cell.tv, slopes);
-    patch_gather(patch->values, &here->cell, slopes, &rows);
-    const real dv = GRID_SCALE * patch_dot(&rows, here->wu);
-    patch_gather(patch->slopes, &here->cell, here->wv, &rows);
-    const real da = GRID_SCALE * patch_dot(&rows, here->wu);
+    patch_gather(patch->values, &here->cell, slopes, columns);
+    const real dv = GRID_SCALE * patch_dot(columns, here->wu);
+    patch_gather(patch->slopes, &here->cell, here->wv, columns);
+    const real da = GRID_SCALE * patch_dot(columns, here->wu);
     const int axis = frame->axis;
     return transpose3(frame->gradient, axis == 0 ? real3_of(da, du, dv) : axis == 1 ? real3_of(du, da, dv) : real3_of(du, dv, da));
 }
@@ -159,7 +167,14 @@ INLINE void store_lane(constant frame_t *frame, const int x, const int y, float4
 {
     const size_t pixel = (size_t)y * frame->width + x;
     color.xyz *= color.w;
-    rgba[pixel] = frame->pass ? rgba[pixel] + color * frame->weight : color * frame->weight;
+    color = frame->pass ? rgba[pixel] + color * frame->weight : color * frame->weight;
+    if (frame->pass == frame->last_pass) {
+        const float3 below = (float3)(frame->background[0], frame->background[1], frame->background[2]);
+        color.xyz = frame->opaque ? color.xyz + (1.0f - color.w) * below : color.w > 0.0f ? color.xyz / color.w : (float3)(0.0f);
+        color.w = frame->opaque ? 1.0f : color.w;
+        color = color > 0.0f ? color < 1.0f ? color : (float4)(1.0f) : (float4)(0.0f);
+    }
+    rgba[pixel] = color;
 #if GUIDES
     if (frame->pass == 0) {
         depth[pixel] = t * frame->unit;
@@ -175,6 +190,7 @@ RARE void tile_patch(VOLUME_PARAMS, constant frame_t *frame, patch_t *patch, int
 {
     const float across = way > 0.0f ? madd(n, frame->spacing, frame->plane) : madd(n, -frame->spacing, frame->plane_back);
     const int axis = frame->axis, u = axis == 0 ? 1 : 0, v = axis == 2 ? 1 : 2;
+    patch->made = 1;
     float low_u = INFINITY, high_u = -INFINITY, low_v = INFINITY, high_v = -INFINITY;
     for (int i = 0; i < 4; ++i) {
         int x = left + (i & 1 ? TILE_WIDTH - 1 : 0), y = top + (i & 2 ? TILE_HEIGHT - 1 : 0);
@@ -184,7 +200,6 @@ RARE void tile_patch(VOLUME_PARAMS, constant frame_t *frame, patch_t *patch, int
 #define PIXEL(field, i) madd(px, frame->field##_u[i], madd(py, frame->field##_v[i], frame->field[i]))
         const float along = PIXEL(direction, axis);
         if (along * way <= 0.0f) {   // a corner whose ray, past the volume, never meets the plane
-            patch->usable = 0;
             return;
         }
         const float t = (across - PIXEL(origin, axis)) / along;
@@ -231,18 +246,28 @@ INLINE void finish_rays(SCENE_PARAMS, const state_t *state, const int x, const i
 #define GROUPS_ACROSS (TILE_WIDTH / LANES)
 #define GROUPS (GROUPS_ACROSS * TILE_HEIGHT)
 #define MARGIN ((real)(ENDPOINTS ? 1.0f : 0.0f))   // sample numbers before and after the lattice, for the two ends
+#define COARSEST 4                                 // 1 << 4 slabs are skipped at once at most
+#define PARTS 32                                   // of a ray, at most, where the order is free
 
-INLINE float least_lane(real v)
+// The lanes that have samples among the numbers from first to last.
+INLINE mask lanes_within(const ray_t *ray, mask going, float first, float last)
 {
-    const lanes_u lanes = { v };
-    float low = lanes.each[0];
-    for (int i = 1; i < LANES; ++i)
-        low = lanes.each[i] < low ? lanes.each[i] : low;
-    return low;
+    return going & (ray->begin - MARGIN <= last) & (ray->end + MARGIN >= first);
 }
 
-kernel void march(VOLUME_PARAMS, constant frame_t *frame, global const float4 *table, global float4 *rgba,
-                  global float *depth, global float *normals, global float *positions)
+// The least and greatest value among samples first to last of the tile.
+INLINE float2 values_of_tile(global const float2 *bounds, const int4 extent, constant frame_t *frame, const ray_t *rays,
+                             const mask *going, float first, float last)
+{
+    boxes_t tile;
+    box_nothing(&tile);
+    for (int g = 0; g < GROUPS; ++g)
+        box_samples(rays + g, first - REACH, last + REACH, lanes_within(rays + g, going[g], first, last), &tile);
+    return values_within(bounds, extent, frame, &tile);
+}
+
+kernel void march(VOLUME_PARAMS, global const float2 *bounds, constant frame_t *frame, global const float4 *table,
+                  global float4 *rgba, global float *depth, global float *normals, global float *positions, global float *visited)
 {
     const int left = (int)get_global_id(0) * TILE_WIDTH, top = (int)get_global_id(1) * TILE_HEIGHT;
     if (left >= frame->width || top >= frame->height)
@@ -250,19 +275,17 @@ kernel void march(VOLUME_PARAMS, constant frame_t *frame, global const float4 *t
     ray_t rays[GROUPS];
     state_t states[GROUPS];
     mask going[GROUPS];
+    real gathered[GROUPS];   // samples
     float first = INFINITY, last = -INFINITY;
     mask forward = ~NONE, backward = ~NONE;
     for (int g = 0; g < GROUPS; ++g) {
-#if LANES == 1
-        const real px = left + g % GROUPS_ACROSS + frame->offset[0];
-#else
-        const real px = left + g % GROUPS_ACROSS * LANES + frame->offset[0] + (real)(0, 1, 2, 3, 4, 5, 6, 7);
-#endif
+        const real px = left + g % GROUPS_ACROSS * LANES + frame->offset[0] + LANE_NUMBERS;
         const int y = top + g / GROUPS_ACROSS;
         rays[g] = pixel_ray(frame, px, (real)(y + frame->offset[1]));
         begin(&states[g]);
+        gathered[g] = (real)(0.0f);
         going[g] = rays[g].hits & (px < (real)(frame->width)) & (y < frame->height ? ~NONE : NONE);
-        const float low = least_lane(choose(going[g], rays[g].begin, NOWHERE)), high = -least_lane(choose(going[g], -rays[g].end, NOWHERE));
+        const float low = least_lane(choose(going[g], rays[g].begin - MARGIN, NOWHERE)), high = -least_lane(choose(going[g], -MARGIN - rays[g].end, NOWHERE));
         first = low < first ? low : first;
         last = high > last ? high : last;
 #if PATCHED
@@ -271,55 +294,129 @@ kernel void march(VOLUME_PARAMS, constant frame_t *frame, global const float4 *t
         backward &= (rays[g].planar & (along < 0.0f)) | !going[g];
 #endif
     }
-    patch_t patch_here;
-    patch_t *patch = &patch_here;
-    patch->usable = 0;
+    patch_t patches[SLAB];   // one for each plane of a slab, made when the first row of rays asks for it
 #if PATCHED
     // whether all rays of the tile cross the planes, and in one direction
     const int planar = !any_lane(!forward) || !any_lane(!backward);
     const float way = any_lane(!forward) ? -1.0f : 1.0f;
-    patch_begin(patch, extent, frame->axis);
 #endif
-    for (float n = first - (ENDPOINTS ? 1.0f : 0.0f); n <= last + (ENDPOINTS ? 1.0f : 0.0f); n += 1.0f) {
-        int some = 0, moved = 0;
-        for (int g = 0; g < GROUPS; ++g) {
-            some |= any_lane(going[g] & (rays[g].end + MARGIN >= n));
-            const mask active = going[g] & (rays[g].begin - MARGIN <= n) & (rays[g].end + MARGIN >= n);
-            if (!any_lane(active))
-                continue;
-            const ray_t *ray = rays + g;
-            real t = madd(n, ray->step, ray->first);   // by multiplication: never accumulated
-#if ENDPOINTS
-            // a little inside: on the face itself rounding would decide whether it is read from past the edge
-            const real inset = 1e-3f * ray->step;
-            t = least(greatest(t, ray->enter + inset), ray->leave - inset);
+    const int slabs = last >= first ? (int)((last - first) / frame->slab) + 1 : 0;
+#if ANY_ORDER
+    // parts of 1 << deep slabs, and what they promise at most
+    int deep = 0, parts = 0;
+    while (slabs >> deep >= PARTS)
+        ++deep;
+    float promise[PARTS];
+    for (; parts << deep < slabs && frame->skipping; ++parts) {
+        const float start = madd(parts << deep, frame->slab, first);
+        const float2 values = values_of_tile(bounds, extent, frame, rays, going, start, madd(1 << deep, frame->slab, start - 1.0f));
+        promise[parts] = PROMISE(values.x, values.y);
+    }
+#else
+    const int deep = 30, parts = 0;
 #endif
-            here_t sample_here, *here = &sample_here;
-            real value;
-#if PATCHED
-            if (planar && !moved) {
-                tile_patch(VOLUME, frame, patch, left, top, way, n);
-                moved = 1;
+    for (int turn = 0; turn == 0 || turn < parts; ++turn) {
+        int part = 0;
+#if ANY_ORDER
+        for (int i = 1; i < parts; ++i)
+            part = promise[i] > promise[part] ? i : part;
+        if (parts > 0 && promise[part] == -INFINITY)
+            break;                       // no ray has samples in those that are left
+        if (parts > 0)
+            promise[part] = -INFINITY;   // its turn comes once
+#endif
+        const int until = parts > 0 && part + 1 < parts ? (part + 1) << deep : slabs;
+        for (int slab = parts > 0 ? part << deep : 0, level = deep < COARSEST ? deep : COARSEST; slab < until;) {
+            const float start = madd(slab, frame->slab, first), ahead = madd(1 << level, frame->slab, start - 1.0f);
+            const float stop = ahead < last ? ahead : last;
+            int some = 0, wanted = !frame->skipping;
+            for (int g = 0; g < GROUPS; ++g)
+                some |= any_lane(going[g] & (rays[g].end + MARGIN >= start));
+            if (!some)
+                break;
+            if (frame->skipping) {
+                const float2 values = values_of_tile(bounds, extent, frame, rays, going, start, stop);
+                for (int g = 0; g < GROUPS && !wanted; ++g)
+                    wanted = matters(&states[g], frame, table, values.x, values.y, madd(start, rays[g].step, rays[g].first),
+                                     lanes_within(rays + g, going[g], start, stop));
             }
-            if (patch->usable) {
-                const mask ends = active & ((ray->begin > n) | (ray->end < n));
-                value = value_here(SCENE, t, active);
-                if (any_lane(ends))
-                    value = choose(ends, value_at(SCENE, t, ends), value);
-            } else
+            if (!wanted) {
+                slab += 1 << level;
+                while (level < COARSEST && level < deep && (slab & (1 << level)) == 0)
+                    ++level;
+                continue;
+            }
+            if (level > 0) {
+                --level;
+                continue;
+            }
+            for (int i = 0; i < SLAB; ++i)
+                patches[i].made = patches[i].usable = 0;
+            for (int g = 0; g < GROUPS; ++g) {
+                const ray_t *ray = rays + g;
+                mask run = lanes_within(ray, going[g], start, stop);
+                if (!any_lane(run))
+                    continue;
+                if (frame->skipping && GROUPS > 1) {
+                    boxes_t row;
+                    box_nothing(&row);
+                    box_samples(ray, start - REACH, stop + REACH, run, &row);
+                    const float2 values = values_within(bounds, extent, frame, &row);
+                    if (!matters(&states[g], frame, table, values.x, values.y, madd(start, ray->step, ray->first), run))
+                        continue;
+                }
+                state_t state = states[g];
+                real count = gathered[g];
+                run = going[g];
+                patch_t *patch = patches;
+                for (float n = start; n <= stop; n += 1.0f, ++patch) {
+                    const mask active = lanes_within(ray, run, n, n);
+                    if (!any_lane(active))
+                        continue;
+                    real t = madd(n, ray->step, ray->first);   // by multiplication: never accumulated
+#if ENDPOINTS
+                    // a little inside: on the face itself rounding would decide whether it is read from past the edge
+                    const real inset = 1e-3f * ray->step;
+                    t = least(greatest(t, ray->enter + inset), ray->leave - inset);
 #endif
-                value = value_at(SCENE, t, active);
-            const mask done = gather(&states[g], SCENE, t, value, active);
-            going[g] = going[g] & (!done);
+                    here_t sample_here, *here = &sample_here;
+                    real value;
+#if PATCHED
+                    if (planar && !patch->made)
+                        tile_patch(VOLUME, frame, patch, left, top, way, n);
+                    if (patch->usable) {
+                        value = value_here(SCENE, t, active);
+#if ENDPOINTS
+                        const mask ends = active & ((ray->begin > n) | (ray->end < n));
+                        if (any_lane(ends))
+                            value = choose(ends, value_at(SCENE, t, ends), value);
+#endif
+                    } else
+#endif
+                        value = value_at(SCENE, t, active);
+                    run = run & !gather(&state, SCENE, t, value, active);
+                    count += choose(active, (real)(1.0f), (real)(0.0f));
+                }
+                states[g] = state;
+                gathered[g] = count;
+                going[g] = run;
+            }
+            ++slab;
         }
-        if (!some)
-            break;
     }
     for (int g = 0; g < GROUPS; ++g) {
         const int x = left + g % GROUPS_ACROSS * LANES, y = top + g / GROUPS_ACROSS;
         const ray_t *ray = rays + g;
         here_t *here = 0;   // no sample is being gathered
-        if (x < frame->width && y < frame->height)
+        patch_t *patch = patches;
+        if (x < frame->width && y < frame->height) {
             finish_rays(SCENE, &states[g], x, y, rgba, depth, normals, positions);
+#if GUIDES
+            const real samples = ray->end - ray->begin + 1.0f + 2.0f * MARGIN;
+            const lanes_u share = { choose(ray->hits & (samples > 0.0f), gathered[g] / samples, (real)(NAN)) };
+            for (int i = 0; i < LANES && x + i < frame->width && frame->pass == 0; ++i)
+                visited[(size_t)y * frame->width + x + i] = share.each[i];
+#endif
+        }
     }
 }

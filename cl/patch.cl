@@ -9,24 +9,15 @@
 
 typedef struct {
     long along_u, along_v, across;   // strides of the stored coefficients
-    int u, v;                        // the first stored coefficient under the patch
+    int u, v;                        // the first stored coefficient under the patch ...
+    float from_u, from_v;            // ... and where its cell begins
     int columns, rows;               // how many it holds
     int slice;                       // the first slice that takes part, and the fraction past it
     float t;
-    int usable;                      // whether the plane's footprint fits in
+    int made, usable;                // whether it was asked for, and whether the plane's footprint fits in
     int sloped;                      // whether `slopes` is filled for this plane
     float values[PATCH_ROOM], slopes[PATCH_ROOM];
 } patch_t;
-
-INLINE void patch_begin(patch_t *patch, const int4 extent, int axis)
-{
-    const long row = extent.x, slice = row * extent.y;
-    patch->along_u = axis == 0 ? row : 1;
-    patch->along_v = axis == 2 ? row : slice;
-    patch->across = axis == 0 ? 1 : axis == 1 ? row : slice;
-    for (int i = 0; i < PATCH_ROOM; ++i)
-        patch->values[i] = patch->slopes[i] = 0.0f;   // what no tap reaches is multiplied by zero
-}
 
 // Blends the slices that take part, with these weights.
 RARE void patch_blend(const patch_t *patch, global const float *coefficients, int slopes, float *blend)
@@ -70,6 +61,10 @@ RARE void patch_blend(const patch_t *patch, global const float *coefficients, in
 // Takes the plane at `across`, under positions from (low_u, low_v) to (high_u, high_v), all in samples.
 INLINE void patch_move(patch_t *patch, VOLUME_PARAMS, int axis, float across, float low_u, float high_u, float low_v, float high_v)
 {
+    const long row = extent.x, slice = row * extent.y;
+    patch->along_u = axis == 0 ? row : 1;
+    patch->along_v = axis == 2 ? row : slice;
+    patch->across = axis == 0 ? 1 : axis == 1 ? row : slice;
     const int halo = extent.w, limit_u = axis == 0 ? extent.y : extent.x, limit_v = axis == 2 ? extent.y : extent.z;
     float t;
     patch->slice = locate_axis(across, &patch->t) + halo;
@@ -81,6 +76,8 @@ INLINE void patch_move(patch_t *patch, VOLUME_PARAMS, int axis, float across, fl
     patch->rows = (v1 < limit_v ? v1 : limit_v) - patch->v;
     patch->usable = patch->columns <= PATCH && patch->rows <= PATCH && patch->columns > 0 && patch->rows > 0;
     patch->sloped = 0;
+    patch->from_u = LEFT - (float)(halo - patch->u);
+    patch->from_v = LEFT - (float)(halo - patch->v);
     if (patch->usable)
         patch_blend(patch, coefficients, 0, patch->values);
 }
@@ -110,90 +107,77 @@ INLINE void lane_slopes(real t, real w[TAPS])
 
 // Where LANES samples lie in the patch. Positions outside are moved inside: lanes that are not active may ask
 // for anything.
-typedef struct { int at[LANES]; real tu, tv; } patch_cell_t;
+typedef struct { lane_masks_u at; real tu, tv; } patch_cell_t;
 
-INLINE patch_cell_t patch_locate(const patch_t *patch, real u, real v, int halo)
+INLINE patch_cell_t patch_locate(const patch_t *patch, real u, real v)
 {
     patch_cell_t c;
     // counted from the patch's corner, hence not negative where it matters: cutting off is rounding down
-    u = u * GRID_SCALE - (LEFT - (float)(halo - patch->u));
-    v = v * GRID_SCALE - (LEFT - (float)(halo - patch->v));
-    const lanes_u us = { least(greatest(u, (real)(0.0f)), (real)(PATCH - WEIGHTS)) }, vs = { least(greatest(v, (real)(0.0f)), (real)(PATCH - TAPS)) };
-    lanes_u iu, iv;
-#pragma unroll
-    for (int i = 0; i < LANES; ++i) {
-        const int column = (int)us.each[i], row = (int)vs.each[i];
-        iu.each[i] = (float)column;
-        iv.each[i] = (float)row;
-        c.at[i] = row * PATCH + column;
-    }
-    c.tu = us.all - iu.all;
-    c.tv = vs.all - iv.all;
+    u = u * GRID_SCALE - patch->from_u;
+    v = v * GRID_SCALE - patch->from_v;
+    u = least(greatest(u, (real)(0.0f)), (real)(PATCH - WEIGHTS));
+    v = least(greatest(v, (real)(0.0f)), (real)(PATCH - TAPS));
+    const mask column = to_mask(u), row = to_mask(v);
+    c.at.all = row * PATCH + column;
+    c.tu = u - to_real(column);
+    c.tv = v - to_real(row);
     return c;
 }
 
-// Sums over rows of taps, a row for each lane. Two rows of four share a vector: kept in registers, they need no
-// store that a wider load would have to wait for.
-#define PAIRED (ROW == 4 && CHUNKS == 1 && LANES == 8)
-#if PAIRED
-typedef struct { float8 pairs[4]; } patch_rows_t;
-#else
-typedef struct { float taps[LANES][CHUNKS * ROW]; } patch_rows_t;
-#endif
-
 // LANES samples of a plane: what their value leaves for the gradient.
-typedef struct { patch_cell_t cell; real wu[TAPS], wv[TAPS]; patch_rows_t rows; } here_t;
+typedef struct { patch_cell_t cell; real wu[TAPS], wv[TAPS], columns[TAPS]; } here_t;
 
-INLINE real patch_dot(const patch_rows_t *rows, const real wu[TAPS])
+// Sums over rows of the blend's taps, weighted along v: column k holds the sum at tap k along u, for all lanes.
+INLINE void patch_gather(const float *blend, const patch_cell_t *c, const real wv[TAPS], real columns[TAPS])
 {
-    real sum = (real)(0.0f);
-#if PAIRED
-    const float8 p = rows->pairs[0], q = rows->pairs[1], r = rows->pairs[2], s = rows->pairs[3];
-#define COLUMN(i, k) (float8)(p.i, p.k, q.i, q.k, r.i, r.k, s.i, s.k)
-    sum = wu[0] * COLUMN(s0, s4);
-    sum = madd(wu[1], COLUMN(s1, s5), sum);
-    sum = madd(wu[2], COLUMN(s2, s6), sum);
-#if TAPS == 4
-    sum = madd(wu[3], COLUMN(s3, s7), sum);
-#endif
-#undef COLUMN
-#else
-#pragma unroll
-    for (int k = 0; k < TAPS; ++k) {
-        lanes_u column;
-#pragma unroll
-        for (int i = 0; i < LANES; ++i)
-            column.each[i] = rows->taps[i][k];
-        sum = madd(wu[k], column.all, sum);
+#if ROW == 4 && CHUNKS == 1 && LANES > 1
+    real rows[4], transposed[4];
+#define TAP_ROW(i) *(const row_at_t *)(p + c->at.each[i])
+#define GATHER(i, a, b)                                                              \
+    for (int j = 0; j < TAPS; ++j) {                                                 \
+        const float *p = blend + j * PATCH;                                          \
+        const real taps = FOURTHS(TAP_ROW, i), w = SPREAD(wv[j], a, b);              \
+        rows[i] = j == 0 ? w * taps : madd(w, taps, rows[i]);                        \
     }
-#endif
-    return sum;
-}
-
-// One row of the blend's taps, weighted by the lane's weights along v.
-INLINE row_t patch_row(const float *p, const lanes_u w[TAPS], int lane)
-{
-    row_t sum = w[0].each[lane] * *(const row_at_t *)p;
+    _Pragma("unroll") GATHER(0, s0, s4)
+    _Pragma("unroll") GATHER(1, s1, s5)
+    _Pragma("unroll") GATHER(2, s2, s6)
+    _Pragma("unroll") GATHER(3, s3, s7)
+#undef GATHER
+#undef TAP_ROW
+    transpose_fourths(rows, transposed);
 #pragma unroll
-    for (int j = 1; j < TAPS; ++j)
-        sum = madd(w[j].each[lane], *(const row_at_t *)(p + j * PATCH), sum);
-    return sum;
-}
-
-INLINE void patch_gather(const float *blend, const patch_cell_t *c, const real wv[TAPS], patch_rows_t *rows)
-{
-    lanes_u w[TAPS];
+    for (int k = 0; k < TAPS; ++k)
+        columns[k] = transposed[k];
+#else
+    lanes_u w[TAPS], column[CHUNKS * ROW];
 #pragma unroll
     for (int j = 0; j < TAPS; ++j)
         w[j].all = wv[j];
-#if PAIRED
-#pragma unroll
-    for (int i = 0; i < 4; ++i)
-        rows->pairs[i] = (float8)(patch_row(blend + c->at[2 * i], w, 2 * i), patch_row(blend + c->at[2 * i + 1], w, 2 * i + 1));
-#else
     for (int i = 0; i < LANES; ++i)
 #pragma unroll
-        for (int h = 0; h < CHUNKS; ++h)
-            *(row_at_t *)(rows->taps[i] + h * ROW) = patch_row(blend + c->at[i] + h * ROW, w, i);
+        for (int h = 0; h < CHUNKS; ++h) {
+            const float *p = blend + c->at.each[i] + h * ROW;
+            row_u sum;
+            sum.row = w[0].each[i] * *(const row_at_t *)p;
+#pragma unroll
+            for (int j = 1; j < TAPS; ++j)
+                sum.row = madd(w[j].each[i], *(const row_at_t *)(p + j * PATCH), sum.row);
+#pragma unroll
+            for (int k = 0; k < ROW; ++k)
+                column[h * ROW + k].each[i] = sum.each[k];
+        }
+#pragma unroll
+    for (int k = 0; k < TAPS; ++k)
+        columns[k] = column[k].all;
 #endif
+}
+
+INLINE real patch_dot(const real columns[TAPS], const real wu[TAPS])
+{
+    real sum = wu[0] * columns[0];
+#pragma unroll
+    for (int k = 1; k < TAPS; ++k)
+        sum = madd(wu[k], columns[k], sum);
+    return sum;
 }

@@ -42,7 +42,8 @@ INLINE real least(real a, real b) { return a < b ? a : b; }
 INLINE real greatest(real a, real b) { return a > b ? a : b; }
 INLINE real magnitude(real a) { return a < 0.0f ? -a : a; }
 
-// Logarithm and power to the base 2 within 3e-7, without a call: for x > 0, normal, and |y| small.
+// Logarithm and power to the base 2 within 3e-7, without a call: for x > 0, normal, and |y| small. Polynomials by
+// Estrin's scheme: what a sample costs is how long its operations wait for each other.
 INLINE real log_2(real x)
 {
     union { real f; mask i; } bits, part;
@@ -52,31 +53,66 @@ INLINE real log_2(real x)
     const mask upper = part.f > 1.41421356f;
     part.f = choose(upper, 0.5f * part.f, part.f);
     const real whole = choose(upper, to_real(exponent + 1), to_real(exponent));
-    const real s = (part.f - 1.0f) / (part.f + 1.0f), q = s * s;   // ln x = 2 (s + s^3/3 + s^5/5 + ...)
-    const real series = madd(q, madd(q, madd(q, madd(q, (real)(0.32059889f), 0.41219858f), 0.57707802f), 0.96179669f), 2.88539008f);
-    return madd(s, series, whole);
+    const real y = part.f - 1.0f, y2 = y * y, y4 = y2 * y2;
+    const real low = madd(y2, madd(y, (real)(-0.36024198f), 0.48092404f), madd(y, (real)(-0.72135276f), 1.4426949f));
+    const real high = madd(y2, madd(y, (real)(-0.14620353f), 0.23420985f), madd(y, (real)(-0.24882181f), 0.28707561f));
+    return madd(y, madd(y4, high, low), whole);
 }
 
 INLINE real exp_2(real y)
 {
-    y = least(greatest(y, (real)(-126.0f)), (real)(126.0f));
+    y = least(greatest(y, (real)(-60.0f)), (real)(60.0f));   // no result is so small that processors slow down
     const mask whole = to_mask(y + choose(y < 0.0f, (real)(-0.5f), (real)(0.5f)));   // the nearest: cut off is towards zero
     const real f = y - to_real(whole);
-    real p = madd(f, (real)(1.5252734e-5f), 1.5403530e-4f);                          // exp(f ln 2), |f| <= 1/2
-    p = madd(f, p, 1.3333558e-3f);
-    p = madd(f, p, 9.6181291e-3f);
-    p = madd(f, p, 5.5504109e-2f);
-    p = madd(f, p, 0.24022651f);
-    p = madd(f, p, 0.69314718f);
-    p = madd(f, p, 1.0f);
+    const real f2 = f * f, f4 = f2 * f2;             // exp(f ln 2), |f| <= 1/2
+    const real low = madd(f2, madd(f, (real)(5.5504109e-2f), 0.24022651f), madd(f, (real)(0.69314718f), 1.0f));
+    const real high = madd(f2, madd(f, (real)(1.5252734e-5f), 1.5403530e-4f), madd(f, (real)(1.3333558e-3f), 9.6181291e-3f));
+    const real p = madd(f4, high, low);
     union { real f; mask i; } scale;
     scale.i = (whole + 127) << 23;
     return p * scale.f;
 }
 
+// x > 0 to a power, given whether that is a whole number. `floor` is x whose power is nothing that anyone sees.
+INLINE real power(real x, float exponent, int whole, float floor)
+{
+    x = greatest(x, (real)(floor));
+    if (!whole)
+        return exp_2(exponent * log_2(x));
+    real result = (real)(1.0f);
+    for (int e = whole; e > 0; e >>= 1, x *= x)
+        result = e & 1 ? result * x : result;
+    return result;
+}
+
 // The rays of a row as an array, and back.
 typedef union { real all; float each[LANES]; } lanes_u;
 typedef union { mask all; int each[LANES]; } lane_masks_u;
+
+#if LANES > 1
+// Lanes i and i + 4 share a vector of two rows of four, so that nothing leaves its half of a register on the way.
+#define FOURTHS(row, i) (real)(row(i), row(i + 4))
+#define SPREAD(v, a, b) (real)((float4)((v).a), (float4)((v).b))
+
+// From rows[i], those of lanes i and i + 4, to four vectors of all lanes.
+INLINE void transpose_fourths(const real rows[4], real lanes[4])
+{
+#define WEAVE(a, b, i, j, k, l) (real)((a).i, (b).i, (a).j, (b).j, (a).k, (b).k, (a).l, (b).l)
+    const real a = WEAVE(rows[0], rows[1], s0, s1, s4, s5), b = WEAVE(rows[2], rows[3], s0, s1, s4, s5);
+    const real c = WEAVE(rows[0], rows[1], s2, s3, s6, s7), d = WEAVE(rows[2], rows[3], s2, s3, s6, s7);
+#undef WEAVE
+    lanes[0] = (real)(a.s01, b.s01, a.s45, b.s45);
+    lanes[1] = (real)(a.s23, b.s23, a.s67, b.s67);
+    lanes[2] = (real)(c.s01, d.s01, c.s45, d.s45);
+    lanes[3] = (real)(c.s23, d.s23, c.s67, d.s67);
+}
+#endif
+
+#if LANES == 1
+#define LANE_NUMBERS 0.0f
+#else
+#define LANE_NUMBERS (real)(0, 1, 2, 3, 4, 5, 6, 7)
+#endif
 
 #define NONE ((mask)(0))
 #define NOWHERE ((real)(INFINITY))

@@ -20,7 +20,7 @@ INLINE color_t shade(constant frame_t *frame, color_t color, real3 gradient, rea
         }
         half_angle = choose(flat, (real)(0.0f), half_angle);
         const real diffuse = frame->diffuse * lambert;
-        const real shine = choose(lambert > 0.0f, frame->specular * exp_2(frame->shininess * log_2(greatest(half_angle, (real)(1e-30f)))), (real)(0.0f));
+        const real shine = choose(lambert > 0.0f, frame->specular * power(half_angle, frame->shininess, frame->whole_shininess, frame->least_shine), (real)(0.0f));
         red += diffuse * light[4]; green += diffuse * light[5]; blue += diffuse * light[6];
         shine_red += shine * light[4]; shine_green += shine * light[5]; shine_blue += shine * light[6];
     }

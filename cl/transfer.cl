@@ -7,19 +7,39 @@ INLINE color_t classify(constant frame_t *frame, global const float4 *table, rea
     const real place = least(greatest((value - frame->table_low) * frame->table_scale, (real)(0.0f)), (real)(TABLE_SIZE - 1.0f));
     const mask nodes = to_mask(least(place, (real)(TABLE_SIZE - 2.0f)));
     const lane_masks_u node = { nodes };
-    const lanes_u past = { place - to_real(nodes) };
-#define COLOR(i) madd(past.each[i], table[node.each[i] + 1] - table[node.each[i]], table[node.each[i]])
+    const real past = place - to_real(nodes);
 #if LANES == 1
-    const float4 c = COLOR(0);
+    const float4 c = madd(past, table[node.all + 1] - table[node.all], table[node.all]);
     const color_t color = { c.x, c.y, c.z, c.w };
 #else
-    const float8 p = (float8)(COLOR(0), COLOR(1)), q = (float8)(COLOR(2), COLOR(3)), r = (float8)(COLOR(4), COLOR(5)), s = (float8)(COLOR(6), COLOR(7));
-#define CHANNEL(i, k) (float8)(p.i, p.k, q.i, q.k, r.i, r.k, s.i, s.k)
-    const color_t color = { CHANNEL(s0, s4), CHANNEL(s1, s5), CHANNEL(s2, s6), CHANNEL(s3, s7) };
-#undef CHANNEL
+    real rows[4], channels[4];
+#define LOW(i) table[node.each[i]]
+#define HIGH(i) table[node.each[i] + 1]
+#define COLORS(i, a, b) rows[i] = madd(SPREAD(past, a, b), FOURTHS(HIGH, i) - FOURTHS(LOW, i), FOURTHS(LOW, i));
+    COLORS(0, s0, s4)
+    COLORS(1, s1, s5)
+    COLORS(2, s2, s6)
+    COLORS(3, s3, s7)
+#undef COLORS
+#undef LOW
+#undef HIGH
+    transpose_fourths(rows, channels);
+    const color_t color = { channels[0], channels[1], channels[2], channels[3] };
 #endif
-#undef COLOR
     return color;
+}
+
+// Whether no value from low to high has any opacity. Behind the table's nodes lie TABLE_SIZE numbers: for each node,
+// the next that has some, itself included.
+INLINE int transparent(constant frame_t *frame, global const float4 *table, float low, float high)
+{
+    global const float *visible = (global const float *)(table + TABLE_SIZE);
+    const float bottom = (low - frame->table_low) * frame->table_scale, top = (high - frame->table_low) * frame->table_scale;
+    const float most = TABLE_SIZE - 1.0f;
+    if (!(bottom - bottom == 0.0f && top - top == 0.0f))
+        return 0;
+    const float from = bottom > 0.0f ? bottom < most ? bottom : most : 0.0f, to = top > 0.0f ? top < most ? top : most : 0.0f;
+    return visible[(int)from] >= to + 1.0f;   // the first node that is seen colours what lies past the one before it
 }
 
 // Opacity of matter `thickness` unit distances thick, given that of one.

@@ -9,6 +9,14 @@ INLINE void begin(state_t *s)
     s->depth = NOWHERE;
 }
 
+#define REACH 0.0f
+#define ANY_ORDER 0
+
+INLINE int matters(const state_t *s, constant frame_t *frame, global const float4 *table, float low, float high, real t, mask active)
+{
+    return !transparent(frame, table, low, high);
+}
+
 INLINE mask gather(state_t *s, SCENE_PARAMS, real t, real value, mask active)
 {
     color_t color = classify(frame, table, value);

@@ -38,6 +38,14 @@ INLINE real refine(SCENE_PARAMS, real near, real near_value, real far, real far_
     return best;
 }
 
+#define REACH 1.0f   // a crossing lies between two samples
+#define ANY_ORDER 0
+
+INLINE int matters(const state_t *s, constant frame_t *frame, global const float4 *table, float low, float high, real t, mask active)
+{
+    return !(low > frame->isovalue || high < frame->isovalue);
+}
+
 INLINE mask gather(state_t *s, SCENE_PARAMS, real t, real value, mask active)
 {
     const real difference = value - frame->isovalue;

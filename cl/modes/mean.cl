@@ -4,6 +4,14 @@ typedef struct { real sum, count; } state_t;
 
 INLINE void begin(state_t *s) { s->sum = s->count = (real)(0.0f); }
 
+#define REACH 0.0f
+#define ANY_ORDER 0
+
+INLINE int matters(const state_t *s, constant frame_t *frame, global const float4 *table, float low, float high, real t, mask active)
+{
+    return 1;   // every sample counts
+}
+
 INLINE mask gather(state_t *s, SCENE_PARAMS, real t, real value, mask active)
 {
     s->sum += choose(active, value, (real)(0.0f));

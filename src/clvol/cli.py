@@ -13,6 +13,7 @@ import os
 import shutil
 import sys
 import textwrap
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -25,6 +26,7 @@ from cyclopts import App, CoercionError, CycloptsError, Parameter, Token
 
 import clvol
 from clvol.errors import ClvolError, DataError, DeviceError, FormatError, OptionError
+from clvol.picture import heat
 
 app = App(
     name="clvol", help="Volume rendering and reconstruction with B-splines, on OpenCL.", version=lambda: version("clvol"),
@@ -137,7 +139,8 @@ Filters = Annotated[
 @app.command
 def render(
     source: Source, /, *, output: Output, filter: str = "bspline3", size: Size = (512, 512), device: DeviceName = None,
-    input: Input | None = None, look: Look | None = None, json: Json = False,
+    input: Input | None = None, look: Look | None = None, heat_map: Path | None = None,
+    verbose: Annotated[bool, Parameter(negative="")] = False, json: Json = False,
 ) -> None:  # fmt: skip
     """Make a picture of a volume.
 
@@ -145,16 +148,37 @@ def render(
     ----------
     filter
         How it is reconstructed between its samples; see 'clvol filters'.
+    heat_map
+        A second picture: the share of each ray's samples that was looked at, from black to white.
+    verbose
+        Tell what share of the samples was looked at, and how long the parts took.
     """
+    import numpy as np
+
     _require_picture(output)
+    if heat_map is not None:
+        _require_picture(heat_map)
     look = look or Look()
     volume = (input or Input()).read(source)
+    told: dict[str, Any] = {"output": str(output), "size": list(size), "filter": filter, "mode": look.mode}
     with _progress("rendering", json) as progress:
         options = look.options(volume)
-        picture = clvol.render(
-            volume, filter=filter, boundary=look.boundary, size=size, device=device, progress=progress, **options
-        )
-    _say(json, {"output": str(clvol.save(picture, output)), "size": list(size), "filter": filter, "mode": look.mode})
+        begun = time.perf_counter()
+        with clvol.Renderer(volume, filter, look.boundary, device) as renderer:
+            held = time.perf_counter()
+            outputs = ("rgba", "visited") if verbose or heat_map is not None else ("rgba",)
+            pictures = renderer.render(size=size, progress=progress, outputs=outputs, **options)
+            done = time.perf_counter()
+    clvol.save(pictures["rgba"], output)
+    if heat_map is not None:
+        told["heat_map"] = str(clvol.save(heat(pictures["visited"]), heat_map))
+    if verbose:
+        met = np.isfinite(pictures["visited"])
+        told |= {
+            "samples_visited": round(float(pictures["visited"][met].mean()), 4) if met.any() else 0.0,
+            "seconds_to_hold": round(held - begun, 4), "seconds_to_draw": round(done - held, 4),
+        }  # fmt: skip
+    _say(json, told)
 
 
 @app.command

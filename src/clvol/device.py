@@ -30,17 +30,22 @@ _MEMORY_SHARE = 0.9  # of the device's memory: PoCL allocates lazily, and the pr
 
 def _opencl() -> Any:
     """pyopencl, with caches that can be written; imported only when a device is asked for."""
+    _require_caches()
+    try:
+        import pyopencl
+    except ImportError as error:
+        raise DeviceError(f"pyopencl cannot be imported: {error}. {_INSTALL}") from error
+    return pyopencl
+
+
+@lru_cache(maxsize=1)
+def _require_caches() -> None:
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path(os.environ.get("HOME") or "/nonexistent") / ".cache")
     if not _writable(home):
         # PoCL shows no device, or fails without a reason, when it cannot write its cache
         if not os.environ.get("POCL_CACHE_DIR"):
             os.environ["POCL_CACHE_DIR"] = tempfile.mkdtemp(prefix="clvol-pocl-")
         os.environ.setdefault("PYOPENCL_NO_CACHE", "1")
-    try:
-        import pyopencl
-    except ImportError as error:
-        raise DeviceError(f"pyopencl cannot be imported: {error}. {_INSTALL}") from error
-    return pyopencl
 
 
 def _writable(folder: Path) -> bool:
@@ -187,7 +192,7 @@ class Device:
         No copy where the device shares the host's memory.
         """
         cl = _opencl()
-        flags = cl.mem_flags.WRITE_ONLY if write else cl.mem_flags.READ_ONLY
+        flags = cl.mem_flags.READ_WRITE if write else cl.mem_flags.READ_ONLY
         self.require_room(array.nbytes)
         with _errors(self):
             if self.shares_memory:

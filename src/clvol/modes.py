@@ -26,6 +26,8 @@ class Mode:
         of a step inside.
     automatic : bool
         Whether the default transfer function is one of opacities; else it is a grey ramp.
+    skips : bool
+        Whether values can be of no matter to it, so that space is skipped.
     ramp : float
         The share of the volume's range of values over which that ramp runs from black to white.
     """
@@ -34,6 +36,7 @@ class Mode:
     description: str
     endpoints: bool = False
     automatic: bool = False
+    skips: bool = True
     ramp: float = 1.0
 
     @property
@@ -48,7 +51,7 @@ _TABLE = {
         Mode("isosurface", "the first surface of one value, shaded", endpoints=True),
         Mode("mip", "the greatest value along the ray"),
         Mode("minip", "the least value along the ray"),
-        Mode("mean", "the mean value along the ray, as an x-ray", ramp=0.5),  # means seldom reach the greatest value
+        Mode("mean", "the mean value along the ray, as an x-ray", skips=False, ramp=0.5),  # means seldom reach the greatest value
     )
 }
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.errors import FormatError, OptionError, as_path, whole
 from clvol.formats._files import staged
 
-__all__ = ["grid", "labelled", "require_suffix", "save", "to_bytes"]
+__all__ = ["grid", "heat", "labelled", "require_suffix", "save", "to_bytes"]
 
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 _OPAQUE = (".jpg", ".jpeg", ".bmp")  # these hold no opacity
@@ -71,6 +71,16 @@ def save(picture: ArrayLike, path: str | os.PathLike[str]) -> Path:
     except (OSError, ValueError) as error:
         raise FormatError(f"cannot write {path}: {error}") from error
     return path
+
+
+def heat(share: ArrayLike) -> NDArray[np.float32]:
+    """Shares in 0..1, of shape (height, width), as colours from black over red to white; NaN is a dark blue."""
+    import cmap
+
+    array = np.asarray(share, np.float32)
+    colors = np.asarray(cmap.Colormap("inferno")(np.clip(np.nan_to_num(array), 0, 1)), np.float32)[..., :3]
+    colors[np.isnan(array)] = (0.05, 0.07, 0.12)
+    return colors
 
 
 def labelled(picture: ArrayLike, text: str) -> NDArray[np.uint8]:

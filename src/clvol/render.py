@@ -10,10 +10,12 @@ they enter. `reference/march.py` samples the same lattice.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from types import TracebackType
 from typing import Any, Literal, Self
 
@@ -22,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol import program
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.bounds import BLOCK, MAX_LEVELS, Bounds
 from clvol.camera import Camera, View
 from clvol.device import Device, as_device
 from clvol.errors import GeometryError, OptionError, number, one_of, whole
@@ -34,11 +37,12 @@ from clvol.volume import Volume, as_volume
 
 __all__ = ["OBLIQUE", "OUTPUTS", "Lattice", "Renderer", "pixel_offsets", "render"]
 
-OUTPUTS = ("rgba", "depth", "normal", "position")
+OUTPUTS = ("rgba", "depth", "normal", "position", "visited")
 OBLIQUE = 0.5  # cosine between ray and axis below which a ray steps along itself
 FLAT = 1e-5  # gradients below this share of the range, or of the greatest magnitude, per mean spacing are rounding: no normal
 TOLERANCE = 1e-4  # of the range: how near to the isovalue a surface is drawn
 DEFAULT_SURFACE = (0.93, 0.87, 0.76)
+SLAB = 8  # samples of a slab at most: a work-item holds a patch for each
 _BITS = 8.0  # of the sampler's fraction, before pictures are made by it: what texture units have
 _LAUNCH_SECONDS = 0.25
 _MAX_PLANES = 1 << 20
@@ -50,7 +54,7 @@ _ROW_SECONDS = 1.5e-9  # a generous guess of the time of one row of taps on one 
 # fields are four bytes wide, so that it has the same layout everywhere.
 FRAME = np.dtype(
     [(name, np.float32, 3) for name in ("origin", "origin_u", "origin_v", "direction", "direction_u", "direction_v")]
-    + [(name, np.float32, 3) for name in ("low", "high", "clip_low", "clip_high", "surface", "world_origin")]
+    + [(name, np.float32, 3) for name in ("low", "high", "clip_low", "clip_high", "surface", "background", "world_origin")]
     + [(name, np.float32, 9) for name in ("index_to_world", "gradient")]
     + [("light", np.float32, 8 * MAX_LIGHTS), ("offset", np.float32, 2)]
     + [
@@ -58,10 +62,12 @@ FRAME = np.dtype(
         for name in (
             "ahead", "unit", "oblique", "plane", "plane_back", "spacing", "planes", "stride", "table_low", "table_scale",
             "per_unit_distance", "termination", "isovalue", "tolerance", "ambient", "diffuse", "specular", "shininess",
-            "weight",
+            "weight", "slab", "margin", "least_shine",
         )
     ]
-    + [(name, np.int32) for name in ("axis", "orthographic", "clipped", "lights", "width", "height", "pass")]
+    + [(name, np.int32) for name in ("axis", "orthographic", "clipped", "lights", "whole_shininess", "width", "height")]
+    + [(name, np.int32) for name in ("pass", "last_pass", "opaque", "skipping", "levels")]
+    + [("blocks", np.int32, 3), ("level_at", np.int32, MAX_LEVELS)]
 )  # fmt: skip
 
 
@@ -100,6 +106,8 @@ class Lattice:
         How many.
     spacing : float
         Their distance in voxels.
+    oblique : bool
+        Whether some rays are too oblique to them and step along themselves.
     """
 
     def __init__(self, volume: Volume, view: View, aspect: float, step: float) -> None:
@@ -114,6 +122,7 @@ class Lattice:
         if any(d[self.axis] * forward[self.axis] < 0 for d in corners):
             cosine = 0.0  # so wide that some rays run the other way
         n = volume.size[self.axis]
+        self.oblique = cosine < OBLIQUE
         wanted = n / (step * max(cosine, OBLIQUE))
         if wanted > _MAX_PLANES:
             raise OptionError(f"step must give no more than {_MAX_PLANES} planes; {step:g} would give {wanted:.3g}")
@@ -159,6 +168,7 @@ class Renderer:
         self.device = as_device(device)
         self.coefficients = Coefficients(self.volume, row, rule, self.device)
         self._transfers: dict[Mode, TransferFunction] = {}
+        self._bounds: dict[Path, Bounds] = {}
 
     @property
     def filter(self) -> Filter:
@@ -167,6 +177,8 @@ class Renderer:
     def close(self) -> None:
         """Free the device's memory."""
         self.coefficients.release()
+        while self._bounds:
+            self._bounds.popitem()[1].release()
 
     def __enter__(self) -> Self:
         return self
@@ -181,7 +193,7 @@ class Renderer:
         gradient: Literal["analytic", "central"] = "analytic", material: Material | None = None,
         lights: Sequence[Light] = (HEADLIGHT,), background: Sequence[float] | str | None = (0.0, 0.0, 0.0),
         clip: tuple[Sequence[float], Sequence[float]] | None = None, samples: int = 1, termination: float = 1e-3,
-        evaluator: Evaluator = "auto", fetch: Fetch = "auto", outputs: str | Sequence[str] = "rgba",
+        skipping: bool = True, evaluator: Evaluator = "auto", fetch: Fetch = "auto", outputs: str | Sequence[str] = "rgba",
         progress: Progress | None = None, _tile: Tile | None = None,
     ) -> Any:  # fmt: skip
         """One picture.
@@ -220,21 +232,25 @@ class Renderer:
             Rays a pixel.
         termination : float
             A ray ends when no more than this share of light would come through: colours err by at most this.
+        skipping : bool
+            Do not look where the function's bounds say that nothing can be seen. The picture is the same to the
+            last bit.
         evaluator, fetch
             As for `clvol.sample`.
         outputs : str or sequence of str
-            Of "rgba", "depth", "normal", "position". Several give a dictionary. Depth is the world distance
+            Of "rgba", "depth", "normal", "position", "visited". Several give a dictionary. Depth is the world distance
             from the eye along the ray (orthographic: from the camera's plane), inf where there is nothing;
             normals face the viewer; NaN where there are none. In "composite" they are where half of the light
-            is stopped, in projections where the extreme lies; "mean" has none.
+            is stopped, in projections where the extreme lies; "mean" has none. "visited" is the share of a ray's
+            samples that was looked at, NaN where it has none.
         progress : callable, optional
             Called with the fraction done.
 
         Returns
         -------
         ndarray of float32, shape (height, width, 4), or a dictionary
-            Red, green, blue, opacity in 0..1; row 0 is the top. Depth has shape (height, width), normals and
-            positions (height, width, 3).
+            Red, green, blue, opacity in 0..1; row 0 is the top. Depth and visited have shape (height, width),
+            normals and positions (height, width, 3).
 
         Raises
         ------
@@ -247,6 +263,7 @@ class Renderer:
         _instance("camera", camera, Camera)
         _instance("material", material, Material)
         _instance("shading", shading, bool, np.bool_)
+        _instance("skipping", skipping, bool, np.bool_)
         if transfer is not None:
             _instance("transfer", transfer, TransferFunction)
         if not isinstance(lights, Sequence) or not all(isinstance(light, Light) for light in lights):
@@ -264,18 +281,26 @@ class Renderer:
         width, height = _size(size)
         path = choose_path(self.device, self.filter, evaluator, fetch, bits=_BITS)
         table = transfer if transfer is not None else self._default_transfer(chosen)
-        frame = self._frame(
+        frame, lattice = self._frame(
             camera, (width, height), step, table,
-            otsu_threshold(self.volume) if isovalue is None and chosen.name == "isosurface" else isovalue,
+            self._threshold if isovalue is None and chosen.name == "isosurface" else isovalue,
             color_of("color", color), material, lights, clip, termination,
         )  # fmt: skip
+        if background is not None:
+            frame["background"], frame["opaque"] = color_of("background", background), 1
+        if skipping and chosen.skips:
+            self._skip(frame, path)
         guides = wanted != ("rgba",)
         central = gradient == "central" or not self.filter.has_gradient
         arrays = self._march(
-            frame, chosen, path, table, shading, central, guides, whole("samples", samples, least=1, most=4096), progress, _tile
+            frame, lattice, chosen, path, table, shading, central, guides,
+            whole("samples", samples, least=1, most=4096), progress, _tile,
         )
-        arrays["rgba"] = _over(arrays["rgba"], background)
         return arrays[wanted[0]] if isinstance(outputs, str) else {name: arrays[name] for name in wanted}
+
+    @cached_property
+    def _threshold(self) -> float:
+        return otsu_threshold(self.volume)
 
     def _default_transfer(self, mode: Mode) -> TransferFunction:
         if mode not in self._transfers:
@@ -288,8 +313,8 @@ class Renderer:
         self, camera: Camera, size: tuple[int, int], step: float, transfer: TransferFunction, isovalue: float | None,
         surface: tuple[float, float, float], material: Material, lights: Sequence[Light],
         clip: tuple[Sequence[float], Sequence[float]] | None, termination: float,
-    ) -> NDArray[Any]:  # fmt: skip
-        """The parameter block of one picture, computed in float64."""
+    ) -> tuple[NDArray[Any], Lattice]:  # fmt: skip
+        """The parameter block of one picture, computed in float64, and where it is sampled."""
         step = number("step", step, above=0)
         termination = number("termination", termination, least=0, below=1)
         if isovalue is not None:
@@ -338,6 +363,7 @@ class Renderer:
             lattice.spacing,
             OBLIQUE,
         )
+        frame["slab"] = min(SLAB, max(1, int(BLOCK / max(lattice.spacing, step))))  # samples that cross about one block
         frame["plane"], frame["plane_back"], frame["stride"] = -0.5 + lattice.spacing / 2, n - 0.5 - lattice.spacing / 2, step
 
         first, last = transfer.value_range
@@ -351,15 +377,28 @@ class Renderer:
         frame["surface"] = surface
         for name in ("ambient", "diffuse", "specular", "shininess"):
             frame[name] = getattr(material, name)
+        exponent = material.shininess  # cosines whose power is below 2**-60 are as good as nought
+        frame["least_shine"] = 2.0 ** (-60 / max(exponent, 1e-3))
+        frame["whole_shininess"] = int(exponent) if float(exponent).is_integer() and exponent < 1 << 20 else 0
         frame["lights"] = len(lights)
         rows = [[*(light.direction or (0, 0, 0)), float(light.direction is None), *light.color, 0] for light in lights]
         frame["light"][: 8 * len(rows)] = np.ravel(rows) if rows else []
         frame["width"], frame["height"] = width, height
-        return frame
+        return frame, lattice
+
+    def _skip(self, frame: NDArray[Any], path: Path) -> None:
+        """Tell the ray loop where the bounds are, which are computed for the first picture."""
+        if path not in self._bounds:
+            self._bounds[path] = Bounds(self.coefficients, path)
+        bounds = self._bounds[path]
+        frame["skipping"], frame["levels"] = 1, len(bounds.offsets)
+        frame["blocks"], frame["level_at"][: len(bounds.offsets)] = bounds.blocks, bounds.offsets
+        # what positions are rounded by on a ray and in a patch
+        frame["margin"] = 0.01 + 1e-6 * max(self.volume.size)
 
     def _march(
-        self, frame: NDArray[Any], mode: Mode, path: Path, transfer: TransferFunction, shading: bool, central: bool, guides: bool,
-        samples: int, progress: Progress | None, tile: Tile | None,
+        self, frame: NDArray[Any], lattice: Lattice, mode: Mode, path: Path, transfer: TransferFunction, shading: bool,
+        central: bool, guides: bool, samples: int, progress: Progress | None, tile: Tile | None,
     ) -> dict[str, Floats]:  # fmt: skip
         device, held = self.device, self.coefficients
         if tile is None:
@@ -369,42 +408,41 @@ class Renderer:
             {
                 **held.defines(path), "LANES": tile.lanes, "TILE_WIDTH": tile.width, "TILE_HEIGHT": tile.height,
                 "PATCHED": int(tile.patched), "ENDPOINTS": int(mode.endpoints), "SHADED": int(shading),
-                "GRADIENT_CENTRAL": int(central), "GUIDES": int(guides), "TABLE_SIZE": TABLE_SIZE, "COORD_DOUBLE": 0,
+                "GRADIENT_CENTRAL": int(central), "GUIDES": int(guides), "TABLE_SIZE": TABLE_SIZE,
+                "BLOCK": BLOCK * self.filter.scale, "SLAB": SLAB, "COORD_DOUBLE": 0,
             },
             {"mode.cl": mode.file}, {"frame.cl": _frame_declaration()},
         )  # fmt: skip
         width, height = int(frame["width"]), int(frame["height"])
-        channels = {"rgba": 4, "depth": 1, "normal": 3, "position": 3}
-        pixels = width * height
-        buffers = {name: device.allocate(4 * pixels * (n if guides or name == "rgba" else 0)) for name, n in channels.items()}
-        table = device.upload(transfer.table())
+        channels = {"rgba": (4,), "depth": (), "normal": (3,), "position": (3,), "visited": ()}
+        wanted = {name: np.empty((height, width, *n), np.float32) for name, n in channels.items() if guides or name == "rgba"}
+        unused = [device.allocate(4) for name in channels if name not in wanted]  # nobody asked: not computed
+        table = device.upload(_searchable(transfer.table()))
+        bounds = self._bounds[path].buffer if frame["skipping"] else table  # any: it is not read
         kernel = built.kernel("march")
         source = held.argument(path)
-        budget = _Budget(device, self.filter, int(frame["planes"]), central or shading)
         offsets = pixel_offsets(samples)
-        for i, offset in enumerate(offsets):
-            frame["offset"], frame["weight"], frame["pass"] = offset, 1 / samples, i
-            block = device.upload(frame[None])
-            for x, y, w, h in budget.tiles(width, height):
-                across, down = -(-w // tile.width), -(-h // tile.height)
-                shape = (1, 1) if tile.patched else (8, 8)
-                whole = tuple(-(-n // m) * m for n, m in zip((across, down), shape, strict=True))
-                with device.errors:
-                    kernel(
-                        device.queue, whole, shape, source, held.extent, block, table, *buffers.values(),
-                        global_offset=(x // tile.width, y // tile.height),
-                    )  # fmt: skip
-                device.finish()
-                if progress:
-                    progress((i + min(1.0, ((y + h) * width) / pixels)) / samples)
-        result = {}
-        for name, n in channels.items() if guides else [("rgba", 4)]:
-            array = np.empty((height, width, n) if n > 1 else (height, width), np.float32)
-            device.download(buffers[name], array)
-            result[name] = array
-        for buffer in buffers.values():
-            buffer.release()
-        return result
+        frame["last_pass"] = samples - 1
+        together = tile.patched and not lattice.oblique
+        budget = _Budget(device, self.filter, lattice.planes, together, central or shading)
+        with contextlib.ExitStack() as lent:
+            buffers = [lent.enter_context(device.lent(array, write=True)) for array in wanted.values()] + unused
+            for i, offset in enumerate(offsets):
+                frame["offset"], frame["weight"], frame["pass"] = offset, 1 / samples, i
+                block = device.upload(frame[None])
+                for x, y, w, h in budget.tiles(width, height):
+                    across, down = -(-w // tile.width), -(-h // tile.height)
+                    shape = (1, 1) if tile.patched else (8, 8)
+                    whole = tuple(-(-n // m) * m for n, m in zip((across, down), shape, strict=True))
+                    with device.errors:
+                        kernel(
+                            device.queue, whole, shape, source, held.extent, bounds, block, table, *buffers,
+                            global_offset=(x // tile.width, y // tile.height),
+                        )  # fmt: skip
+                    device.finish()
+                    if progress:
+                        progress((i + min(1.0, ((y + h) * width) / (width * height))) / samples)
+        return wanted
 
 
 class _Budget:
@@ -414,9 +452,10 @@ class _Budget:
     when a tile took longer than guessed, and never lowered: the next tile may hold what this one did not.
     """
 
-    def __init__(self, device: Device, filter: Filter, planes: int, shaded: bool) -> None:
+    def __init__(self, device: Device, filter: Filter, planes: int, together: bool, shaded: bool) -> None:
         cores = int(device.handle.max_compute_units) * (1 if device.kind == "cpu" else 32)
-        rows = filter.support**2 * (program.row_reach(filter) // program.row_width(filter)) + 8
+        chunks = program.row_reach(filter) // program.row_width(filter)
+        rows = filter.support * chunks / 2 + 2 if together else filter.support**2 * chunks + 8
         self._per_pixel = planes * rows * _ROW_SECONDS * (3 if shaded else 1) / max(1, cores)
 
     def tiles(self, width: int, height: int) -> Any:
@@ -451,15 +490,11 @@ def render(volume: Volume | ArrayLike, camera: Camera | None = None, mode: str |
         return renderer.render(camera, mode, size, step, outputs=outputs, **options)
 
 
-def _over(premultiplied: Floats, background: Sequence[float] | str | None) -> Floats:
-    """The picture over its background; None: as it is, colours not premultiplied."""
-    color, opacity = premultiplied[..., :3], premultiplied[..., 3:]
-    if background is None:
-        color = np.divide(color, opacity, out=np.zeros_like(color), where=opacity > 0)
-    else:
-        color = color + (1 - opacity) * np.asarray(color_of("background", background), np.float32)
-        opacity = np.ones_like(opacity)
-    return np.asarray(np.clip(np.concatenate([color, opacity], -1), 0, 1), np.float32)
+def _searchable(table: Floats) -> Floats:
+    """The nodes of a transfer function, and behind them for each the next one that has some opacity; flat."""
+    seen = np.where(table[:, 3] > 0, np.arange(len(table), dtype=np.float32), np.float32(np.inf))
+    following = np.minimum.accumulate(seen[::-1])[::-1]
+    return np.concatenate([table.ravel(), following])
 
 
 def _size(size: tuple[int, int]) -> tuple[int, int]:
