@@ -1,0 +1,119 @@
+"""Error against time a sample, all filters on one plot: the picture that answers "which filter should I use"."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from clvol import analysis, phantoms
+from clvol.device import Device
+from clvol.errors import DeviceError
+from clvol.filters import filters as all_filters
+from clvol.figures.style import FAINT, GREY, Drawing, colour, new_figure, styled
+
+__all__ = ["draw", "frontier"]
+
+_PLACES = ((1, 0), (1, 1), (1, -1), (-1, 0), (-1, 1), (-1, -1), (0, 1.4), (0, -1.4), (1, 2.2), (1, -2.2), (-1, 2.2), (-1, -2.2))
+
+
+def draw(
+    filters: Sequence[str] = (), samples: int = 41, points: int = 20_000, device: Device | str | int | None = None,
+    progress: Callable[[float], Any] | None = None,
+) -> Drawing:  # fmt: skip
+    """Each filter's error on the Marschner-Lobb function against its time on a device: values left, gradients right.
+
+    Parameters
+    ----------
+    filters : sequence of str
+        Default: the whole table.
+    samples : int
+        Of the function along each axis.
+    points : int
+        Random positions that are compared.
+    device, progress
+        As for `clvol.sample`.
+
+    Raises
+    ------
+    DeviceError
+        Without a device there are no times.
+    """
+    names = list(filters) or list(all_filters())
+    table = analysis.compare(
+        phantoms.marschner_lobb_function, names, gradient=phantoms.marschner_lobb_gradient, size=samples, points=points,
+        device=device, progress=progress,
+    )  # fmt: skip
+    if not table.timed_on:
+        raise DeviceError("no OpenCL device was found, so there are no times: pip install clvol[pocl]")
+    numbers = [
+        {"filter": row.filter, "nanoseconds": 1000 * (row.seconds or 0.0), "rms": row.rms, "angle_mean": row.angle_mean}
+        for row in table
+    ]
+    with styled():
+        figure = new_figure(12, 5.6)
+        left, right = figure.subplots(1, 2)
+        _scatter(figure, left, numbers, "rms", "RMS error of the values")
+        _scatter(figure, right, numbers, "angle_mean", "mean angle of the gradient, degrees")
+        figure.suptitle(
+            f"Marschner–Lobb, {samples}³ samples; times on {table.timed_on}. Line: nothing is both faster and better.",
+            fontsize=9.5, color=GREY,
+        )  # fmt: skip
+    best = {name for name, _, _ in frontier([(n["filter"], n["nanoseconds"], n["rms"]) for n in numbers])}
+    lines = [
+        f"{n['filter']}: RMS error {n['rms']:.4f}, {n['nanoseconds']:.0f} ns a sample" + (" *" if n["filter"] in best else "")
+        for n in numbers
+    ]
+    return Drawing(figure, numbers, [*lines, "* nothing is both faster and better"])
+
+
+def frontier(rows: Sequence[tuple[str, float, float]]) -> list[tuple[str, float, float]]:
+    """Of (name, time, error) those that no other beats in both, fastest first."""
+    kept: list[tuple[str, float, float]] = []
+    for row in sorted(rows, key=lambda r: (r[1], r[2])):
+        if not kept or row[2] < kept[-1][2]:
+            kept.append(row)
+    return kept
+
+
+def _scatter(figure: Any, axes: Any, numbers: list[dict[str, Any]], key: str, heading: str) -> None:
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    shown = [(n["filter"], n["nanoseconds"], n[key]) for n in numbers if n[key] is not None]
+    axes.loglog()
+    line = frontier(shown)
+    axes.step([r[1] for r in line], [r[2] for r in line], where="post", color=FAINT, linewidth=5, solid_joinstyle="round", zorder=1)
+    for name, nanoseconds, error in shown:
+        axes.plot(nanoseconds, error, "o", color=colour(name), markersize=7, zorder=3)
+    axes.set(xlabel="time a sample, nanoseconds", title=heading)
+    axes.margins(0.16, 0.08)
+    for axis in (axes.xaxis, axes.yaxis):  # 1, 2, 5, 10, ... in plain digits
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_locator(NullLocator())
+    _label(figure, axes, shown)
+
+
+def _label(figure: Any, axes: Any, shown: Sequence[tuple[str, float, float]]) -> None:
+    """A name beside each point, where it covers no other name and no point."""
+    figure.draw_without_rendering()
+    at = {name: axes.transData.transform((x, y)) for name, x, y in shown}
+    em = figure.dpi * 8.5 / 72
+    taken = [(p[0] - 0.5 * em, p[1] - 0.5 * em, p[0] + 0.5 * em, p[1] + 0.5 * em) for p in at.values()]
+    for name, x, y in shown:
+        width, height = 0.56 * em * len(name), 1.05 * em
+        boxes = []
+        for dx, dy in _PLACES:
+            centre = at[name] + np.array([dx * (width / 2 + 0.9 * em), dy * 1.05 * em])
+            boxes.append((centre[0] - width / 2, centre[1] - height / 2, centre[0] + width / 2, centre[1] + height / 2))
+        box = min(boxes, key=lambda b: sum(_overlap(b, other) for other in taken))
+        taken.append(box)
+        offset = (np.array([(box[0] + box[2]) / 2, (box[1] + box[3]) / 2]) - at[name]) * 72 / figure.dpi
+        axes.annotate(
+            name, (x, y), tuple(offset), textcoords="offset points", ha="center", va="center", fontsize=8.5, color=colour(name)
+        )
+
+
+def _overlap(a: Sequence[float], b: Sequence[float]) -> float:
+    return float(max(0.0, min(a[2], b[2]) - max(a[0], b[0])) * max(0.0, min(a[3], b[3]) - max(a[1], b[1])))
