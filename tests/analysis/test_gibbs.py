@@ -14,7 +14,7 @@ from clvol.filters import filters
 
 
 def test_a_sharp_low_pass_overshoots_by_8_949_percent_whatever_its_cutoff() -> None:
-    assert WILBRAHAM_GIBBS == pytest.approx(0.08949, abs=5e-6)
+    assert abs(WILBRAHAM_GIBBS - 0.08949) < 5e-6
     for cutoff in (math.pi / 64, math.pi / 128, math.pi / 256):
         got = lowpass_step("ideal", cutoff)
         assert got.overshoot == pytest.approx(WILBRAHAM_GIBBS, abs=5e-5)
