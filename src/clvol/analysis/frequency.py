@@ -38,8 +38,8 @@ class Bands:
         Greatest ``|H - 1|`` for frequencies up to `edge`.
     stopband_peak : float
         Greatest ``|H|`` from ``2 pi - edge`` on.
-    attenuation : float
-        The same in decibels, positive: ``-20 log10(stopband_peak)``.
+    attenuation : float or None
+        The same in decibels, positive: ``-20 log10(stopband_peak)``; None if nothing gets through.
     """
 
     filter: str = column("filter")
@@ -48,7 +48,7 @@ class Bands:
     at_nyquist: float = column("H(π)", ".3f")
     passband_error: float = column("passband error", ".4f")
     stopband_peak: float = column("stopband peak", ".4f")
-    attenuation: float = column("attenuation (dB)", ".1f")
+    attenuation: float | None = column("attenuation (dB)", ".1f")
 
 
 def bands(filter: str | Filter, edge: float = math.pi / 2) -> Bands:
@@ -76,5 +76,6 @@ def bands(filter: str | Filter, edge: float = math.pi / 2) -> Bands:
     peak = greatest(lambda w: np.abs(frequency_response(row, w)), 2 * math.pi - edge, _FARTHEST, 4097)
     return Bands(
         row.name, edge, cutoff, float(frequency_response(row, math.pi)),
-        greatest(lambda w: np.abs(frequency_response(row, w) - 1), 0.0, edge, 513), peak, -20 * math.log10(peak),
+        greatest(lambda w: np.abs(frequency_response(row, w) - 1), 0.0, edge, 513), peak,
+        -20 * math.log10(peak) if peak > 0 else None,
     )  # fmt: skip

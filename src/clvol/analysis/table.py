@@ -50,7 +50,8 @@ class Table(list[Row]):
         """A pipe table with headings, numbers rounded for reading, what does not exist a dash."""
         head, *rows = [[f.metadata.get("heading", f.name) for f in self._columns()], *self._texts()]
         rule = ["---", *("--:" for _ in head[1:])]
-        return "\n".join(f"| {' | '.join(line)} |" for line in [head, rule, *rows])
+        cells = [[cell.replace("|", "\\|") for cell in line] for line in (head, rule, *rows)]
+        return "\n".join(f"| {' | '.join(line)} |" for line in cells)
 
     def to_rich(self, title: str | None = None) -> RichTable:
         """The same as a `rich.table.Table`."""

@@ -79,7 +79,7 @@ def _matrix(n: int, x: Array, row: Filter, boundary: str | Boundary, order: int)
 def _weights(x: Array, row: Filter, order: int, n: int, margin: int) -> sparse.csr_array:
     """Kernels at all distances within reach, over indices ``-margin`` to ``n + margin - 1``."""
     reach = math.ceil(row.support / 2)
-    index = np.floor(x).astype(np.int64)[:, None] + np.arange(-reach, reach + 2)
+    index = np.floor(x).astype(np.int64)[:, None] + np.arange(1 - reach, reach + 1)
     values = kernel(row, x[:, None] - index, order)
     at = np.broadcast_to(np.arange(x.size)[:, None], values.shape)
     used = values != 0
