@@ -13,7 +13,7 @@ from clvol.errors import DeviceError
 from clvol.filters import filters as all_filters
 from clvol.figures.style import FAINT, GREY, Drawing, colour, new_figure, styled
 
-__all__ = ["draw", "frontier"]
+__all__ = ["draw", "frontier", "plot"]
 
 _PLACES = ((1, 0), (1, 1), (1, -1), (-1, 0), (-1, 1), (-1, -1), (0, 1.4), (0, -1.4), (1, 2.2), (1, -2.2), (-1, 2.2), (-1, -2.2))
 
@@ -51,21 +51,30 @@ def draw(
         {"filter": row.filter, "nanoseconds": 1000 * (row.seconds or 0.0), "rms": row.rms, "angle_mean": row.angle_mean}
         for row in table
     ]
-    with styled():
-        figure = new_figure(12, 5.6)
-        left, right = figure.subplots(1, 2)
-        _scatter(figure, left, numbers, "rms", "RMS error of the values")
-        _scatter(figure, right, numbers, "angle_mean", "mean angle of the gradient, degrees")
-        figure.suptitle(
-            f"Marschner–Lobb, {samples}³ samples; times on {table.timed_on}. Line: nothing is both faster and better.",
-            fontsize=9.5, color=GREY,
-        )  # fmt: skip
+    figure = plot(
+        numbers, "RMS error of the values",
+        f"Marschner–Lobb, {samples}³ samples; times on {table.timed_on}. Line: nothing is both faster and better.",
+    )  # fmt: skip
     best = {name for name, _, _ in frontier([(n["filter"], n["nanoseconds"], n["rms"]) for n in numbers])}
     lines = [
         f"{n['filter']}: RMS error {n['rms']:.4f}, {n['nanoseconds']:.0f} ns a sample" + (" *" if n["filter"] in best else "")
         for n in numbers
     ]
     return Drawing(figure, numbers, [*lines, "* nothing is both faster and better"])
+
+
+def plot(numbers: Sequence[dict[str, Any]], heading: str, note: str) -> Any:
+    """A figure of errors ("rms") and angles ("angle_mean") against time ("nanoseconds"), each filter a point."""
+    with styled():
+        figure = new_figure(12, 5.6)
+        left, right = figure.subplots(1, 2)
+        figure.suptitle(note, fontsize=9.5, color=GREY)
+        both = [(left, "rms", heading), (right, "angle_mean", "mean angle of the gradient, degrees")]
+        shown = [_scatter(axes, numbers, key, text) for axes, key, text in both]
+        figure.draw_without_rendering()  # whereupon the axes stay where they are
+        for (axes, *_), points in zip(both, shown, strict=True):
+            _label(axes, points)
+    return figure
 
 
 def frontier(rows: Sequence[tuple[str, float, float]]) -> list[tuple[str, float, float]]:
@@ -77,7 +86,7 @@ def frontier(rows: Sequence[tuple[str, float, float]]) -> list[tuple[str, float,
     return kept
 
 
-def _scatter(figure: Any, axes: Any, numbers: list[dict[str, Any]], key: str, heading: str) -> None:
+def _scatter(axes: Any, numbers: Sequence[dict[str, Any]], key: str, heading: str) -> list[tuple[str, float, float]]:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     shown = [(n["filter"], n["nanoseconds"], n[key]) for n in numbers if n[key] is not None]
@@ -92,14 +101,13 @@ def _scatter(figure: Any, axes: Any, numbers: list[dict[str, Any]], key: str, he
         axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_locator(NullLocator())
-    _label(figure, axes, shown)
+    return shown
 
 
-def _label(figure: Any, axes: Any, shown: Sequence[tuple[str, float, float]]) -> None:
+def _label(axes: Any, shown: Sequence[tuple[str, float, float]]) -> None:
     """A name beside each point, where it covers no other name and no point."""
-    figure.draw_without_rendering()
     at = {name: axes.transData.transform((x, y)) for name, x, y in shown}
-    em = figure.dpi * 8.5 / 72
+    em = axes.figure.dpi * 8.5 / 72
     taken = [(p[0] - 0.5 * em, p[1] - 0.5 * em, p[0] + 0.5 * em, p[1] + 0.5 * em) for p in at.values()]
     for name, x, y in shown:
         width, height = 0.56 * em * len(name), 1.05 * em
@@ -109,10 +117,10 @@ def _label(figure: Any, axes: Any, shown: Sequence[tuple[str, float, float]]) ->
             boxes.append((centre[0] - width / 2, centre[1] - height / 2, centre[0] + width / 2, centre[1] + height / 2))
         box = min(boxes, key=lambda b: sum(_overlap(b, other) for other in taken))
         taken.append(box)
-        offset = (np.array([(box[0] + box[2]) / 2, (box[1] + box[3]) / 2]) - at[name]) * 72 / figure.dpi
+        offset = (np.array([(box[0] + box[2]) / 2, (box[1] + box[3]) / 2]) - at[name]) * 72 / axes.figure.dpi
         axes.annotate(
             name, (x, y), tuple(offset), textcoords="offset points", ha="center", va="center", fontsize=8.5, color=colour(name)
-        )
+        ).set_in_layout(False)
 
 
 def _overlap(a: Sequence[float], b: Sequence[float]) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -25,7 +24,7 @@ from clvol.render import Renderer
 from clvol.spline import Progress, sample
 from clvol.volume import Volume
 
-__all__ = ["BOX", "CAMERA", "FIGURE_6", "ISOVALUE", "LIGHTS", "MATERIAL", "SIX", "SURFACE", "Panel", "compare", "draw", "figure6"]
+__all__ = ["BOX", "CAMERA", "FIGURE_6", "ISOVALUE", "LIGHTS", "MATERIAL", "SIX", "SURFACE", "Panel", "compare", "draw", "figure6", "fixed"]
 
 SIX = ("sinc", "nearest", "bspline3-approx", "linear", "mitchell", "bspline3")
 """The six reconstructions of the paper as rows of the table: the sinc is cut off."""
@@ -109,7 +108,6 @@ def figure6(
     """
     chosen = _chosen(filters, pixels, exact_sinc=True)
     volume = phantoms.marschner_lobb(size)
-    camera = _definite(CAMERA, volume)  # a magnified volume ends elsewhere
     surface, picture = _exact(volume, pixels, samples)
     points = np.random.default_rng(_SEED).uniform(-0.8, 0.8, (_POINTS, 3))
     truth, normals = phantoms.marschner_lobb_function(points), phantoms.marschner_lobb_gradient(surface)
@@ -122,7 +120,7 @@ def figure6(
             held, filter, finer, residual = exact.volume, as_filter(exact.filter), _FINER, exact.maximum
         with Renderer(held, filter, device=device) as renderer:
             drawn = renderer.render(
-                camera, "isosurface", (pixels, pixels), step * finer, isovalue=ISOVALUE, color=SURFACE, lights=LIGHTS,
+                fixed(CAMERA, volume, held), "isosurface", (pixels, pixels), step * finer, isovalue=ISOVALUE, color=SURFACE, lights=LIGHTS,
                 material=MATERIAL, background=BACKGROUND, clip=BOX, samples=samples, progress=report,
             )  # fmt: skip
         values = sample(held, points, filter, device=device)
@@ -180,11 +178,14 @@ def _chosen(filters: Sequence[str | Filter], pixels: int, *, exact_sinc: bool = 
     return [EXACT_SINC if exact_sinc and name == EXACT_SINC else as_filter(name) for name in filters]
 
 
-def _definite(camera: Camera, volume: Volume) -> Camera:
-    """The same camera, with what it would fit to a volume put in."""
+def fixed(camera: Camera, volume: Volume, other: Volume) -> Camera:
+    """A camera that sees of another volume what `camera`, fitted to `volume`, sees of this one."""
     view = camera.view(volume)
-    eye, up = tuple(map(float, view.eye)), tuple(map(float, view.up))
-    return Camera.look_at(eye, tuple(view.eye + view.forward), up, fov=2 * math.degrees(math.atan(view.half_height)))
+    eye = tuple(map(float, view.eye))
+    here = Camera.look_at(
+        eye, tuple(view.eye + view.forward), tuple(map(float, view.up)), projection=camera.projection, fov=camera.fov
+    )  # fmt: skip
+    return here.zoomed(here.view(other).half_height / view.half_height)
 
 
 def _part(progress: Progress | None, i: int, n: int) -> Progress | None:
