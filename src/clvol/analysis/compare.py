@@ -28,14 +28,18 @@ Array: TypeAlias = NDArray[np.float64]
 Function: TypeAlias = Callable[[Array], ArrayLike]
 _Angles: TypeAlias = tuple[float | None, float | None, float | None]
 
-_LATTICE = 1 << 22  # positions that similarity to a function is judged at, at most
+_LATTICE = 1 << 22  # positions at which similarity is judged, at most: of more the middle slices
 _WHOLE = 1 << 25  # samples of a volume that are held back, at most: of a larger one the middle slices
 _CHUNK = 1 << 20  # positions taken at a time
+_SINC_PRODUCTS = 1 << 34  # of the exact sinc at scattered points, where each takes all samples
 _TIMED = 1 << 18  # positions on a device whose time is measured
 _NUMPY = "NumPy, float64"
 
 EXACT_SINC: Final = "exact-sinc"
-"""Where filters are compared, this name stands for the exact sinc of `clvol.analysis.dirichlet_sample`."""
+"""Where filters are compared, this name stands for the exact sinc of `clvol.analysis.dirichlet_sample`.
+
+At random points of more than 85 000 samples it is measured at fewer of them, since each takes all samples.
+"""
 
 COMPARED: Final = (
     EXACT_SINC, "nearest", "bspline3-approx", "linear", "mitchell", "catmull-rom", "bspline2", "bspline3", "omoms3", "bspline4",
@@ -57,7 +61,8 @@ class ErrorRow:
     psnr : float or None
         ``20 log10(range / rms)`` in decibels, with the range of the samples; None for constant data or no error.
     ssim : float or None
-        Structural similarity (`ssim`) on a lattice; None for constant data.
+        Structural similarity (`ssim`) on a lattice, of half the spacing where the truth is a function and that of the
+        original where it was held back, of which the middle slices count, 4 million positions; None for constant data.
     gradient_rms : float or None
         Root mean square length of the gradient's error, per world unit; None if the filter has no gradient.
     angle_mean, angle_median, angle_95 : float or None
@@ -248,6 +253,11 @@ class _Trial:
     axes: list[Array]  # of the lattice, in samples, z first
     lattice: Array  # true values there
 
+    def first(self, count: int) -> _Trial:
+        """The same with no more than so many of the points, which are in random order."""
+        values = None if self.values is None else self.values[:count]
+        return replace(self, points=self.points[:count], values=values, gradients=self.gradients[:count])
+
 
 def _known(
     volume: Volume, truth: Function, gradient: Function | None, margin: float, points: int, rng: np.random.Generator
@@ -276,7 +286,7 @@ def _held_back(
     ]
     kept[0] = _middle(kept[0], math.prod(k.size for k in kept[1:]), _WHOLE)
     count = math.prod(k.size for k in kept)
-    some = rng.choice(count, points, replace=False) if points < count else np.arange(count)
+    some = rng.choice(count, min(points, count), replace=False)
     index = np.stack([k[i] for k, i in zip(kept, np.unravel_index(some, [k.size for k in kept]), strict=True)][::-1], -1)
     world = original.index_to_world(index)
     slopes = reference.sample(original, world, "bspline5", rule, derivative=1)
@@ -349,6 +359,11 @@ def _middle(positions: NDArray[Any], others: int, most: int) -> NDArray[Any]:
     return positions[first : first + count]
 
 
+def _middle_of(lattice: Array) -> Array:
+    """As many of the slices about the middle as similarity is judged on."""
+    return np.asarray(lattice[_middle(np.arange(lattice.shape[0]), lattice[0].size, _LATTICE)])
+
+
 def _lattice_points(axes: Sequence[Array]) -> Array:
     """All combinations, x first; shape (N, d)."""
     return np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")][::-1], -1)
@@ -358,6 +373,8 @@ def _lattice_points(axes: Sequence[Array]) -> Array:
 
 
 def _measure(trial: _Trial, row: str | Filter, rule: Boundary, on: Device | None, timer: _Timer | None) -> ErrorRow:
+    if row == EXACT_SINC:
+        trial = trial.first(max(1, _SINC_PRODUCTS // trial.samples.data.size))
     fine = _on_lattice(trial, row, rule, on)
     low, high = trial.samples.value_range
     if trial.values is None:
@@ -374,7 +391,7 @@ def _measure(trial: _Trial, row: str | Filter, rule: Boundary, on: Device | None
     return ErrorRow(
         row.name if isinstance(row, Filter) else row, rms, float(np.abs(error).max()),
         20 * math.log10(span / rms) if span > 0 and rms > 0 else None,
-        ssim(fine, trial.lattice, span) if span > 0 else None,
+        ssim(_middle_of(fine), _middle_of(trial.lattice), span) if span > 0 else None,
         slope_rms, *angles,
         max(0.0, float(got.max()) - high, low - float(got.min())),
         timer(row) if timer is not None and isinstance(row, Filter) else None,
