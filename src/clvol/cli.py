@@ -135,6 +135,7 @@ Filters = Annotated[
     tuple[str, ...], Parameter(help="One picture each. [default: the six of Figure 6]", show_default=False, consume_multiple=True)
 ]
 
+PageOutput = Annotated[Path, Parameter(name=["--output", "-o"], help="A folder, or a file that ends in .html.")]
 Compared = Annotated[
     tuple[str, ...], Parameter(help="What is compared; see 'clvol filters'.", show_default=False, consume_multiple=True)
 ]
@@ -257,7 +258,7 @@ def figure(
 
 @app.command
 def report(
-    source: Source, /, *, output: Annotated[Path, Parameter(name=["--output", "-o"], help="A folder, or a file that ends in .html.")],
+    source: Source, /, *, output: PageOutput,
     filters: Compared = (), pixels: Whole = 280, device: DeviceName = None, input: Input | None = None,
     look: SurfaceLook | None = None, json: Json = False,
 ) -> None:  # fmt: skip
@@ -274,7 +275,8 @@ def report(
     volume, look = (input or Input()).read(source), look or SurfaceLook()
     with _progress("measuring and drawing", json) as progress:
         done = reports.report(
-            volume, output, source, filters or reports.REPORTED, pixels, look.boundary, device=device, progress=progress,
+            volume, output, Path(source).name, filters or reports.REPORTED, pixels, look.boundary, device=device,
+            progress=progress,
             **look.options(volume),
         )  # fmt: skip
     _say(json, {"output": str(done.path), "filter": done.advice.filter, "advice": " ".join(done.advice.sentences)})

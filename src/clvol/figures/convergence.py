@@ -10,13 +10,15 @@ from numpy.typing import NDArray
 
 from clvol import analysis
 from clvol.errors import OptionError, whole
-from clvol.filters import as_filter
 from clvol.figures.style import GREY, Drawing, colour, label_ends, new_figure, styled
+from clvol.filters import as_filter
 
 __all__ = ["draw"]
 
 Array: TypeAlias = NDArray[np.float64]
-_SHOWN = ("nearest", "linear", "bspline3-approx", "mitchell", "catmull-rom", "bspline2", "bspline3", "omoms3", "bspline4", "bspline5")
+_SHOWN = (
+    "nearest", "linear", "bspline3-approx", "mitchell", "catmull-rom", "bspline2", "bspline3", "omoms3", "bspline4", "bspline5",
+)  # fmt: skip
 _SIZES = (25, 37, 55, 81, 121, 181, 271)
 _WAVES = 2.0  # periods of the test function along each axis; whole, so that the function is even about the faces
 _FITTED = 3  # finest grids that a slope is measured on
@@ -55,16 +57,14 @@ def draw(
     rows = [as_filter(name) for name in filters]
     tables = []
     for i, n in enumerate(counts):
-        tables.append(
-            analysis.compare(_waves, rows, gradient=_slopes, size=n, dimensions=2, points=points, timing=False)
-        )
+        tables.append(analysis.compare(_waves, rows, gradient=_slopes, size=n, dimensions=2, points=points, timing=False))
         if progress is not None:
             progress((i + 1) / len(counts))
     spacing = 2 / (np.array(counts) - 1)
-    numbers = []
+    numbers: list[dict[str, Any]] = []
     for i, row in enumerate(rows):
         values = [t[i].rms for t in tables]
-        gradients = [t[i].gradient_rms for t in tables] if row.has_gradient else None
+        gradients = [t[i].gradient_rms or 0.0 for t in tables] if row.has_gradient else None
         numbers.append(
             {
                 "filter": row.name, "order": row.order, "sizes": counts, "rms": values, "gradient_rms": gradients,

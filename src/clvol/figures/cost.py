@@ -10,8 +10,8 @@ import numpy as np
 from clvol import analysis, phantoms
 from clvol.device import Device
 from clvol.errors import DeviceError
-from clvol.filters import filters as all_filters
 from clvol.figures.style import FAINT, GREY, Drawing, colour, new_figure, styled
+from clvol.filters import filters as all_filters
 
 __all__ = ["draw", "frontier", "plot"]
 
@@ -47,7 +47,7 @@ def draw(
     )  # fmt: skip
     if not table.timed_on:
         raise DeviceError("no OpenCL device was found, so there are no times: pip install clvol[pocl]")
-    numbers = [
+    numbers: list[dict[str, Any]] = [
         {"filter": row.filter, "nanoseconds": 1000 * (row.seconds or 0.0), "rms": row.rms, "angle_mean": row.angle_mean}
         for row in table
     ]

@@ -41,7 +41,7 @@ def draw(
     """
     pixels = whole("pixels", pixels, 1)
     volume = phantoms.marschner_lobb(samples)
-    numbers = []
+    numbers: list[dict[str, Any]] = []
     with styled():
         figure = new_figure(2.1 * len(filters) + 0.9, 3.9)
         panels = figure.subplots(2, len(filters), squeeze=False)

@@ -51,7 +51,8 @@ def draw(
         look = {
             "camera": CAMERA, "isovalue": ISOVALUE, "color": SURFACE, "lights": LIGHTS, "material": MATERIAL, "clip": BOX,
         }  # fmt: skip
-    pictures, numbers = [], []
+    pictures: list[Any] = []
+    numbers: list[dict[str, Any]] = []
     for i, name in enumerate(_FILTERS):
         with Renderer(volume, name, device=device) as renderer:
             seconds = []
@@ -87,9 +88,7 @@ def _drawn(pictures: list[Any], numbers: list[dict[str, Any]]) -> Any:
     differences = [np.abs(p - pictures[0]).mean(-1) for p in pictures[1:]]
     most = max(float(np.quantile(d, 0.995)) for d in differences) or 1.0
     for axes, difference, n, name in zip(panels[1, 1:], differences, numbers[1:], ("hybrid", "trilinear"), strict=True):
-        image = show(
-            axes, difference, f"|{name} − direct|", f"RMS {n['rms_difference']:.4f}", cmap="Reds", vmin=0, vmax=most
-        )
+        image = show(axes, difference, f"|{name} − direct|", f"RMS {n['rms_difference']:.4f}", cmap="Reds", vmin=0, vmax=most)
     figure.colorbar(image, ax=list(panels[1, 1:]), shrink=0.75, pad=0.02, label="difference of shade")
     times, memory = panels[1, 0].inset_axes((0.3, 0.62, 0.66, 0.3)), panels[1, 0].inset_axes((0.3, 0.12, 0.66, 0.3))
     plain(panels[1, 0])

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from clvol import analysis
-from clvol.filters import as_filter
 from clvol.figures.style import GREY, Drawing, colour, new_figure, styled, title
+from clvol.filters import as_filter
 
 __all__ = ["draw"]
 
@@ -26,7 +27,7 @@ def draw(filters: Sequence[str] = _SHOWN) -> Drawing:
         Rows of the table.
     """
     x = np.linspace(-_REACH, _REACH, 2001)
-    numbers = []
+    numbers: list[dict[str, Any]] = []
     across = min(4, len(filters))
     down = -(-len(filters) // across)
     with styled():

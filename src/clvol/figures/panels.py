@@ -24,7 +24,9 @@ from clvol.render import Renderer
 from clvol.spline import Progress, sample
 from clvol.volume import Volume
 
-__all__ = ["BOX", "CAMERA", "FIGURE_6", "ISOVALUE", "LIGHTS", "MATERIAL", "SIX", "SURFACE", "Panel", "compare", "draw", "figure6", "fixed"]
+__all__ = [
+    "BOX", "CAMERA", "FIGURE_6", "ISOVALUE", "LIGHTS", "MATERIAL", "SIX", "SURFACE", "Panel", "compare", "draw", "figure6", "fixed",
+]  # fmt: skip
 
 SIX = ("sinc", "nearest", "bspline3-approx", "linear", "mitchell", "bspline3")
 """The six reconstructions of the paper as rows of the table: the sinc is cut off."""
@@ -114,18 +116,18 @@ def figure6(
     panels = []
     for i, row in enumerate(chosen):
         report = _part(progress, i + 1, len(chosen) + 1)  # the exact picture was the first part
-        held, filter, finer, residual = volume, row, 1, None
+        held, through, finer, residual = volume, row, 1, None
         if isinstance(row, str):
             exact = sinc_volume(volume, _FINER)
-            held, filter, finer, residual = exact.volume, as_filter(exact.filter), _FINER, exact.maximum
-        with Renderer(held, filter, device=device) as renderer:
+            held, through, finer, residual = exact.volume, as_filter(exact.filter), _FINER, exact.maximum
+        with Renderer(held, through, device=device) as renderer:
             drawn = renderer.render(
-                fixed(CAMERA, volume, held), "isosurface", (pixels, pixels), step * finer, isovalue=ISOVALUE, color=SURFACE, lights=LIGHTS,
-                material=MATERIAL, background=BACKGROUND, clip=BOX, samples=samples, progress=report,
+                fixed(CAMERA, volume, held), "isosurface", (pixels, pixels), step * finer, isovalue=ISOVALUE, color=SURFACE,
+                lights=LIGHTS, material=MATERIAL, background=BACKGROUND, clip=BOX, samples=samples, progress=report,
             )  # fmt: skip
-        values = sample(held, points, filter, device=device)
+        values = sample(held, points, through, device=device)
         rms = float(np.sqrt(np.mean((values - truth) ** 2)))
-        angle = _mean_angle(_gradients(held, surface, filter, device), normals) if surface.size else None
+        angle = _mean_angle(_gradients(held, surface, through, device), normals) if surface.size else None
         panels.append(Panel(row if isinstance(row, str) else row.name, drawn, rms, angle, residual))
     panels.append(Panel("exact", picture))
     *tiles, truth_tile = [labelled(p.picture, p.label) for p in panels]

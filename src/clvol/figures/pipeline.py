@@ -25,7 +25,8 @@ Array: TypeAlias = NDArray[np.float64]
 _WAVES = 2.5  # of the Marschner-Lobb function: few enough that its samples can be seen
 _CAMERA = Camera.orbit(18, 0, projection="orthographic", zoom=1.2)
 _TRANSFER = TransferFunction(
-    ((0.30, "#2b6cb0"), (0.48, "#dd8a3c"), (0.62, "#f7ecd5")), ((0.0, 0.0), (0.42, 0.0), (0.50, 0.16), (0.62, 0.30)),
+    ((0.30, (0.17, 0.42, 0.69)), (0.48, (0.87, 0.54, 0.24)), (0.62, (0.97, 0.93, 0.84))),
+    ((0.0, 0.0), (0.42, 0.0), (0.50, 0.16), (0.62, 0.30)),
 )  # fmt: skip
 _STEP = 0.5
 _PROFILE = 1201
@@ -118,7 +119,7 @@ def draw(samples: int = 21, pixels: int = 240, filter: str = "bspline3", device:
     ray = follow(volume, filter, size, pixel)
     with styled():
         figure = new_figure(11.5, 7.2)
-        left, right = figure.subfigures(1, 2, width_ratios=(1, 1.7))
+        left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(1, 1.7))[0]
         cut, shown = left.subplots(2, 1, height_ratios=(1.15, 1))
         profile, classified, gathered = right.subplots(3, 1, sharex=True, height_ratios=(2.1, 1, 1))
         _cut(cut, volume, ray, filter)

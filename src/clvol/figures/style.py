@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
-    "GREY", "INK", "Drawing", "colour", "label_ends", "new_figure", "plain", "require_matplotlib", "require_suffix", "show", "spread",
-    "styled", "title",
+    "FAINT", "GREY", "INK", "Drawing", "colour", "label_ends", "new_figure", "plain", "require_matplotlib", "require_suffix",
+    "show", "spread", "styled", "title",
 ]  # fmt: skip
 
 Array: TypeAlias = NDArray[np.float64]
@@ -114,19 +114,19 @@ def require_suffix(path: str | os.PathLike[str]) -> str:
 def require_matplotlib() -> Any:
     """The module; raises `MissingDependencyError` if it is not there."""
     try:
-        import matplotlib
+        import matplotlib as mpl
     except ImportError:
-        raise MissingDependencyError("figures are drawn by matplotlib, which is not installed: pip install clvol[figures]") from None
-    return matplotlib
+        raise MissingDependencyError("figures need matplotlib, which is not installed: pip install clvol[figures]") from None
+    return mpl
 
 
 @contextmanager
 def styled() -> Iterator[None]:
     """Within it, matplotlib draws in our style, whatever the user's own settings are."""
-    matplotlib = require_matplotlib()
-    with matplotlib.rc_context():
-        matplotlib.rcdefaults()
-        matplotlib.rcParams.update(_RC)
+    mpl = require_matplotlib()
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(_RC)
         yield
 
 

@@ -176,9 +176,9 @@ def _page(
     timed = [row for row in rows if row.seconds and row.rms > 0]
     if timed:
         numbers = [
-            {"filter": r.filter, "nanoseconds": 1000 * (r.seconds or 0), "rms": r.rms, "angle_mean": r.angle_mean or None} for r in timed
+            {"filter": r.filter, "nanoseconds": 1000 * (r.seconds or 0), "rms": r.rms, "angle_mean": r.angle_mean or None}
+            for r in timed
         ]
         drawing = cost.plot(numbers, "RMS error of the values", "to the left is faster, below is better; line: nothing is both")
         plots.append(("Error and time", html.inline(drawing)))
     return html.page(name, facts, advice, table, drawn, plots)
-

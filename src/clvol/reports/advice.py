@@ -6,15 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from clvol.analysis import EXACT_SINC, ErrorRow, ErrorTable
-from clvol.filters import as_filter
 from clvol.figures.style import title
+from clvol.filters import as_filter
 
 __all__ = ["Advice", "advise"]
 
 _AS_GOOD = 1.05  # times the least error: what nobody would tell from the best
 _LITTLE = 0.05  # share of the error: less is not worth the time
 _LEAVES = 0.01  # of the range
-_LOST = 45.0  # degrees: gradients so far off are mostly noise
+_RICH, _SMOOTH = 0.1, 0.01  # shares of the variance above half of Nyquist
 _BASE = "linear"  # what most programs do
 
 
@@ -47,29 +47,28 @@ def advise(table: ErrorTable, high: float | None = None) -> Advice:
     rows = [row for row in table if row.filter != EXACT_SINC]
     sinc = next((row for row in table if row.filter == EXACT_SINC), None)
     low, top = table.value_range
-    if low == top or not rows:
-        name = _BASE if any(row.filter == _BASE for row in rows) or not rows else rows[0].filter
-        return Advice(name, [f"The data are constant, or too few to measure: every filter draws them alike, so use {name}, which is fast."])
+    if low == top:
+        name = _BASE if any(row.filter == _BASE for row in rows) else rows[0].filter
+        return Advice(name, [f"The data are constant: every filter draws them alike, so use {name}, which is fast."])
     least = min(row.rms for row in rows)
     near = [row for row in rows if row.rms <= _AS_GOOD * least]
-    angles = [row.angle_mean for row in near if row.angle_mean is not None]
-    straight = [row for row in near if row.angle_mean is not None and row.angle_mean <= _AS_GOOD * min(angles)] or near
-    chosen = min(straight, key=_cost)
+    slopes = [row.gradient_rms for row in near if row.gradient_rms is not None]
+    steady = [row for row in near if row.gradient_rms is not None and row.gradient_rms <= _AS_GOOD * min(slopes)]
+    chosen = min(steady or near, key=_cost)
     sentences = [f"For these data use {chosen.filter} ({title(chosen.filter)})."]
     sentences += _against_base(rows, chosen)
     best = min(rows, key=lambda row: row.rms)
     if best is not chosen and chosen.rms > best.rms:
         gain = 1 - best.rms / chosen.rms
         sentences.append(f"The least error of all has {best.filter}, {_percent(gain)} less{_slower(best, chosen)}.")
-    if chosen.angle_mean is not None:
-        sentences.append(_gradients(rows, chosen))
+    sentences += _gradients(rows, chosen)
     sentences.append(_overshoot(rows, chosen, top - low))
     if sinc is not None:
         ratio = sinc.rms / chosen.rms - 1
         word = "more" if ratio > 0 else "less"
         sentences.append(f"The exact sinc, ideal in theory, errs {_percent(abs(ratio))} {word} than {chosen.filter} on these data.")
     if high is not None:
-        kind = "rich in detail as fine as the samples" if high > 0.1 else "smooth for their sampling" if high < 0.01 else "well sampled"
+        kind = "rich in detail as fine as the samples" if high > _RICH else "well sampled" if high > _SMOOTH else "very smooth"
         sentences.append(f"{_percent(high)} of their variance lies above half of the Nyquist frequency: they are {kind}.")
     return Advice(chosen.filter, sentences)
 
@@ -98,14 +97,13 @@ def _slower(row: ErrorRow, than: ErrorRow) -> str:
     return f", in {row.seconds / than.seconds:.1f} times the time a sample"
 
 
-def _gradients(rows: Sequence[ErrorRow], chosen: ErrorRow) -> str:
-    base = next((row for row in rows if row.filter == _BASE and row.angle_mean is not None), None)
-    text = f"Its gradients, which light surfaces, lie {chosen.angle_mean:.1f}° from the true ones in the mean"
-    if base is not None and base is not chosen:
-        text += f"; those of {_BASE} interpolation {base.angle_mean:.1f}°"
-    if chosen.angle_mean is not None and chosen.angle_mean > _LOST:
-        text += ". Most of them are noise or flat background: low-pass the data before you light them"
-    return text + "."
+def _gradients(rows: Sequence[ErrorRow], chosen: ErrorRow) -> list[str]:
+    base = next((row for row in rows if row.filter == _BASE), None)
+    if base is None or base is chosen or not base.gradient_rms or chosen.gradient_rms is None:
+        return []
+    gain = 1 - chosen.gradient_rms / base.gradient_rms
+    word = "less" if gain >= 0 else "more"
+    return [f"Its gradients, which light surfaces, err {_percent(abs(gain))} {word} than those of {_BASE} interpolation."]
 
 
 def _overshoot(rows: Sequence[ErrorRow], chosen: ErrorRow, span: float) -> str:

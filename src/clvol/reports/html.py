@@ -20,7 +20,8 @@ from clvol.reports.pictures import Cards
 __all__ = ["inline", "page"]
 
 _STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; color: #222; background: #fff; max-width: 1500px; margin: 2rem auto; padding: 0 1.5rem }
+body { font: 16px/1.5 system-ui, sans-serif; color: #222; background: #fff; max-width: 1500px; margin: 2rem auto }
+body { padding: 0 1.5rem }
 h1 { font-size: 1.7rem; margin-bottom: .3rem } h2 { font-size: 1.25rem; margin-top: 2.4rem; border-bottom: 1px solid #ddd }
 .advice { background: #eef4fb; border-left: 5px solid #1769c2; padding: .8rem 1.2rem; margin: 1.2rem 0 }
 .advice p:first-child { font-size: 1.2rem; font-weight: 600; margin-top: 0 } .advice p { margin: .35rem 0 }
@@ -28,8 +29,9 @@ table { border-collapse: collapse; font-variant-numeric: tabular-nums } th, td {
 th { border-bottom: 2px solid #bbb; font-weight: 600 } td { border-bottom: 1px solid #eee } td.least { font-weight: 700 }
 th:first-child, td:first-child { text-align: left } tr.chosen { background: #eef4fb } .scroll { overflow-x: auto }
 .facts td { text-align: left; padding: .1rem .8rem .1rem 0; border: 0 } .facts td:first-child { color: #6f6f6f }
+.cards { table-layout: fixed; width: 100%; min-width: 900px } .cards th:first-child { width: 9rem }
 .cards th { text-align: center; border: 0; font-size: .9rem; vertical-align: bottom } .cards td { padding: .25rem; border: 0 }
-.cards td:first-child { padding-right: 1rem; max-width: 12rem } .cards img { width: 100%; min-width: 130px; display: block }
+.cards img { width: 100%; display: block }
 .dot { display: inline-block; width: .8em; height: .8em; border-radius: 50%; margin-right: .5em }
 .note { color: #6f6f6f; font-size: .9rem } img.plot { max-width: 100% }
 """.strip()

@@ -1,4 +1,4 @@
-"""The pictures of a report: the same view by each filter, a close-up where filters differ, and what half of the samples make of it."""
+"""The pictures of a report: one view by each filter, a close-up where filters differ, and the same from every second sample."""
 
 from __future__ import annotations
 
@@ -76,20 +76,20 @@ def cards(
         ramp = TransferFunction.ramp((low, low + mode.ramp * (high - low)))
         look["transfer"] = TransferFunction.automatic(volume) if mode.automatic else ramp
     few = volume.gaussian([factor / 2 * s for s in volume.spacing]).downsample(factor)
+    step = look.pop("step", 0.5)
     done, total = 0, 2 * len(filters) + 2
 
     def draw(data: Volume, filter: Filter, views: Sequence[Camera], step: float) -> list[Any]:
         nonlocal done
         with Renderer(data, filter, boundary, device) as renderer:
             drawn = [
-                renderer.render(fixed(view, volume, data), size=(pixels, pixels), outputs=("rgba", "position"), **{**look, "step": step})
+                renderer.render(fixed(view, volume, data), size=(pixels, pixels), outputs=("rgba", "position"), step=step, **look)
                 for view in views
             ]
         done += 1
         progress(min(1.0, done / total))
         return drawn
 
-    step = look.get("step", 0.5)
     (first,) = draw(volume, best, [camera], step)
     (other,) = draw(volume, as_filter("linear"), [camera], step)
     views = [camera, _closer(camera, first, other)]
@@ -110,7 +110,7 @@ def _closer(camera: Camera, a: Any, b: Any) -> Camera:
     """Four times as near, at what lies where two filters' pictures differ most."""
     from scipy import ndimage
 
-    apart = ndimage.uniform_filter(_difference(_rgb(a), _rgb(b)), max(1, apart_size(a)))
+    apart = ndimage.uniform_filter(_difference(_rgb(a), _rgb(b)), max(1, a["rgba"].shape[1] // _BLUR))
     position = a["position"]
     seen = np.isfinite(position).all(-1)
     if not seen.any():
@@ -118,11 +118,6 @@ def _closer(camera: Camera, a: Any, b: Any) -> Camera:
     place = np.unravel_index(int(np.where(seen, apart, -1).argmax()), seen.shape)
     x, y, z = (float(v) for v in position[place])
     return replace(camera, target=(x, y, z)).zoomed(_CLOSER)
-
-
-def apart_size(picture: Any) -> int:
-    """Width in pixels of the places that are compared."""
-    return int(picture["rgba"].shape[1]) // _BLUR
 
 
 def _rgb(drawn: Any) -> Picture:

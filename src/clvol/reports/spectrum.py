@@ -26,7 +26,7 @@ _FLOOR = -80.0  # decibels
 
 def spectra(volume: Volume) -> Spectra:
     """Power spectra along each axis of three samples or more, means and ends tapered away."""
-    result = []
+    result: Spectra = []
     for axis, name in zip(range(volume.ndim), "zyx"[-volume.ndim :], strict=True):
         n = volume.shape[axis]
         if n < 3:
@@ -35,7 +35,7 @@ def spectra(volume: Volume) -> Spectra:
         lines = (lines - lines.mean(-1, keepdims=True)) * np.hanning(n + 2)[1:-1]
         power = (np.abs(np.fft.rfft(lines)) ** 2).reshape(-1, n // 2 + 1).mean(0)
         total = float(power[1:].sum())
-        result.append((name, 2 * np.pi * np.fft.rfftfreq(n)[1:], power[1:] / total if total > 0 else np.zeros(n // 2)))
+        result.append((name, np.asarray(2 * np.pi * np.fft.rfftfreq(n)[1:], np.float64), np.asarray(power[1:] / (total or 1.0))))
     return result
 
 
@@ -63,7 +63,9 @@ def plot(found: Spectra, filters: Sequence[str]) -> Figure:
             level = 10 * np.log10(np.maximum(power / max(power.max(initial=0), 1e-300), 1e-12))
             right.plot(w / np.pi, np.maximum(level, _FLOOR), style, color=INK, linewidth=1.3, label=f"along {name}")
         right.axvspan(0.5, 1, color="#f4f4f4", zorder=0)
-        right.annotate("above half of Nyquist", (0.75, 0.97), xycoords="axes fraction", ha="center", va="top", fontsize=8.5, color=GREY)
+        right.annotate(
+            "above half of Nyquist", (0.75, 0.97), xycoords="axes fraction", ha="center", va="top", fontsize=8.5, color=GREY
+        )
         right.set(
             xlim=(0, 1), ylim=(_FLOOR, 3), xlabel="frequency ω / π", ylabel="power, decibels of the greatest",
             title="what the data hold",
