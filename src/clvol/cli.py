@@ -442,6 +442,7 @@ def doctor(*, json: Json = False) -> None:
     for extra, module, what in (
         ("medical", "SimpleITK", "NIfTI, NRRD, MetaImage, DICOM"),
         ("microscopy", "tifffile", "TIFF stacks"),
+        ("figures", "matplotlib", "figures and reports"),
     ):
         import importlib.util
 

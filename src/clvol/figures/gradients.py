@@ -63,7 +63,7 @@ def draw(
             drawn = show(panels[1, column], angles[rows], "", note, cmap="turbo", vmin=0, vmax=_MOST)
             if progress is not None:
                 progress((column + 1) / len(filters))
-        figure.colorbar(drawn, ax=list(panels[1]), shrink=0.85, pad=0.01, extend="max", label="angle to the true normal, degrees")
+        figure.colorbar(drawn, ax=list(panels[1]), shrink=0.85, pad=0.01, extend="max", label="degrees to the true normal")
     lines = [f"{title(n['filter'])}: normals err by {n['angle_mean']:.1f}° in the mean" for n in numbers if n["shown"]]
     return Drawing(figure, numbers, lines)
 
