@@ -67,7 +67,7 @@ def test_the_hybrid_lies_between_direct_and_the_cubics() -> None:
 
 
 def test_whether_the_sinc_errs_least_depends_on_the_data(errors: dict[tuple[str, int], dict[str, float]]) -> None:
-    least = {case: min(made, key=lambda name: made[name]) for case, made in errors.items()}  # noqa: B023  # used at once
+    least = {case: min(made, key=lambda name: made[name]) for case, made in errors.items()}
     assert least[("Marschner–Lobb", 3)] == least[("Marschner–Lobb, z = 0", 2)] == analysis.EXACT_SINC
     assert least[("zone plate", 3)] == least[("zone plate", 2)] == "bspline3"
     hard = errors[("box, hard edges", 3)]

@@ -178,7 +178,8 @@ def test_what_cannot_be_reported_is_said_first(tmp_path: Path, device: Device, m
         (phantoms.sphere(5), {"filters": "linear"}, OptionError, "one or more names"),
         (phantoms.sphere(5), {"filters": ()}, OptionError, "one or more names"),
         (phantoms.sphere(5), {"filters": ("bogus",)}, OptionError, "bogus"),
-        (phantoms.sphere(5), {"pixels": 4}, OptionError, "pixels"), (phantoms.sphere(5), {"boundary": "none"}, OptionError, "boundary"),
+        (phantoms.sphere(5), {"pixels": 4}, OptionError, "pixels"),
+        (phantoms.sphere(5), {"boundary": "none"}, OptionError, "boundary"),
     ]  # fmt: skip
     for volume, options, error, words in cases:
         with pytest.raises(error, match=words):

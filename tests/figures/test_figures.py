@@ -361,7 +361,7 @@ def test_figures_are_not_written_where_they_cannot_be(tmp_path: Path) -> None:
     drawing = figures.draw("impulse", filters=("linear",))
     with pytest.raises(FormatError, match=r"figures are written as \.png, .*; got 'a.gif'"):
         drawing.save("a.gif")
-    with pytest.raises(FormatError, match="the folder .* does not exist"):
+    with pytest.raises(FormatError, match=r"the folder .* does not exist"):
         drawing.save(tmp_path / "none" / "a.png")
     (tmp_path / "a.png").mkdir()
     with pytest.raises(FormatError, match="it is a folder"):
@@ -371,10 +371,11 @@ def test_figures_are_not_written_where_they_cannot_be(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "options"),
     [
-        ("1", {"samples": 1}), ("1", {"pixels": 2}), ("1", {"filter": "bogus"}), ("2", {"filters": ("bogus",)}), ("3", {"pixels": 0}),
-        ("4", {"samples": 2}), ("4", {"filters": ("bogus",)}), ("5", {"samples": 3}), ("6", {"pixels": 0}),
+        ("1", {"samples": 1}), ("1", {"pixels": 2}), ("1", {"filter": "bogus"}), ("2", {"filters": ("bogus",)}),
+        ("3", {"pixels": 0}), ("4", {"samples": 2}), ("4", {"filters": ("bogus",)}), ("5", {"samples": 3}), ("6", {"pixels": 0}),
         ("impulse", {"filters": ("bogus",)}), ("gradients", {"pixels": 0.5}), ("gradients", {"filters": ("bogus",)}),
-        ("convergence", {"filters": ("bogus",)}), ("cost", {"filters": ("bogus",)}), ("cost", {"points": 0, "filters": ("linear",)}),
+        ("convergence", {"filters": ("bogus",)}), ("cost", {"filters": ("bogus",)}),
+        ("cost", {"points": 0, "filters": ("linear",)}),
     ],
 )  # fmt: skip
 def test_bad_options_are_refused(name: str, options: dict[str, Any]) -> None:
