@@ -25,8 +25,9 @@ from clvol.boundary import as_boundary
 from clvol.device import Device, as_device
 from clvol.errors import OutOfMemoryError
 from clvol.filters import as_filter
-from clvol.render import Lattice
-from clvol.spline import Coefficients, Path as ReadPath, choose_path, sample_coefficients
+from clvol.render import OBLIQUE, Lattice
+from clvol.spline import Coefficients, choose_path, sample_coefficients
+from clvol.spline import Path as ReadPath
 
 __all__ = ["Case", "Measurement", "Skip", "Work", "all_cases", "shots"]
 
@@ -115,6 +116,8 @@ def measure(work: Work) -> Measurement:
 _WEIGHTS, _SLOPES = 3 * 4 * 3, 3 * 4 * 2
 PREFILTER = Cost(bytes=8, multiply_adds=9)  # every sample read and every coefficient written once; two recursions an axis, gain
 VALUE = Cost(bytes=16, loads=16, multiply_adds=_WEIGHTS + 64 + 16 + 4)  # a point in, a value out
+# the same where nothing of the last sample's is still in a cache: lines of 64 bytes, two for three rows in sixteen
+SCATTERED = Cost(bytes=16 + 64 * 16 * (1 + 3 / 16), loads=16, multiply_adds=VALUE.multiply_adds)
 # rows by weights and slopes; columns by weights, slopes, weights; slices likewise, for (x, y, z, value)
 GRADIENT = Cost(bytes=24, loads=16, multiply_adds=_WEIGHTS + _SLOPES + 2 * 64 + 3 * 16 + 3 * 4)
 MAGNIFY = Cost(bytes=4.5, multiply_adds=3.5 * (1 + 1 / 2 + 1 / 4) + 9 / 8)  # three or four taps an axis, axis by axis
@@ -179,8 +182,11 @@ class Bench:
 
     def upload(self, n: int) -> Work:
         volume = clvol.Volume(self.head(n))
-        action = lambda: Coefficients(volume, self.row, self.rule, self.device).release()  # noqa: E731
-        return Work(action, {}, float(n**3), "Mvoxel/s", PREFILTER, self.repeats)
+
+        def ours() -> None:
+            Coefficients(volume, self.row, self.rule, self.device).release()
+
+        return Work(ours, {}, float(n**3), "Mvoxel/s", PREFILTER, self.repeats)
 
     # -- samples at points --
 
@@ -204,10 +210,11 @@ class Bench:
 
     def samples(self, *, random: bool, derivative: int = 0) -> Work:
         work, held = self.points(random=random), self.held(self.n)
+        cost = GRADIENT if derivative else SCATTERED if random else VALUE
         theirs = peers.of("gradient" if derivative else "sample", work)
         return Work(
             lambda: sample_coefficients(held, self.path, work.at, derivative), theirs, float(len(work.at)), "Msample/s",
-            GRADIENT if derivative else VALUE, self.repeats, _difference,
+            cost, self.repeats, _difference,
         )  # fmt: skip
 
     # -- samples inside frames --
@@ -222,14 +229,14 @@ class Bench:
         fog = clvol.TransferFunction(((0.0, (0.3, 0.2, 0.1)), (2000.0, (1.0, 1.0, 1.0))), ((0.0, 1e-4),), 1.0)
         mode = "composite" if shaded else "mean"
 
-        def ours(**more: Any) -> None:
-            for camera in cameras:
-                _render(renderer, camera, mode, size, 0.5, transfer=fog, skipping=False, **more)
+        def ours(**more: Any) -> Array:
+            frames = [_render(renderer, camera, mode, size, 0.5, transfer=fog, skipping=False, **more) for camera in cameras]
+            return np.stack(frames)
 
         rays = importlib.import_module("clvol.render").RAYS  # clvol.render is the function of that name
-        theirs = {"clvol, ray by ray": Peer(lambda: ours(_tile=rays))}  # type: ignore[arg-type, return-value]  # no result
+        theirs = {"clvol, ray by ray": Peer(partial(ours, _tile=rays))}
         amount = sum(samples_on_lattice(renderer.volume, camera, size, 0.5) for camera in cameras)
-        return Work(ours, theirs, amount, "Msample/s", plane_cost(spacing, shaded), min(3, self.repeats))
+        return Work(ours, theirs, amount, "Msample/s", plane_cost(spacing, shaded), min(3, self.repeats), _difference)
 
     # -- frames --
 
@@ -349,8 +356,6 @@ def draw(renderer: clvol.Renderer, shot: Shot) -> Array:
 
 def samples_on_lattice(volume: clvol.Volume, camera: clvol.Camera, size: tuple[int, int], step: float) -> float:
     """How many samples a frame has if none is skipped: lengths of the rays in the volume by their distance (see `Lattice`)."""
-    from clvol.render import OBLIQUE
-
     aspect = size[0] / size[1]
     view = camera.view(volume, aspect)
     lattice = Lattice(volume, view, aspect, step)
@@ -375,10 +380,13 @@ def samples_on_lattice(volume: clvol.Volume, camera: clvol.Camera, size: tuple[i
 
 def _prefilter_in_place(held: Coefficients) -> None:
     """What `Coefficients` does between upload and halo; here alone the benchmarks reach into the prefilter."""
-    spline = importlib.import_module("clvol.spline")
-    extent, sizes = tuple(int(v) for v in held.extent), tuple(int(v) for v in held.size[:3])
-    for axis in range(held.volume.ndim):
-        spline._prefilter_axis(held.device, held.buffer, held.filter, held.boundary, extent, sizes, axis)
+    spline: Any = importlib.import_module("clvol.spline")
+    extent, sizes = tuple(held.extent.tolist()), tuple(held.size[:3].tolist())
+    if hasattr(spline, "_prefilter"):
+        spline._prefilter(held.device, held.buffer, held.filter, held.boundary, extent, sizes, held.volume.ndim)
+    else:  # versions that went through the volume axis by axis
+        for axis in range(held.volume.ndim):
+            spline._prefilter_axis(held.device, held.buffer, held.filter, held.boundary, extent, sizes, axis)
     held.device.finish()
 
 
