@@ -15,6 +15,7 @@ import argparse
 import datetime as dt
 import json
 import os
+import sys
 import time
 from dataclasses import asdict
 from pathlib import Path
@@ -27,10 +28,11 @@ from rich.table import Table
 import clvol
 from bench import peers
 from bench.cases import Bench, Case, Skip, Work, all_cases, draw, measure, shots
-from bench.machine import Limits, describe, measure_limits
+from bench.machine import Cost, Limits, describe, measure_limits
 
 RESULTS = Path(__file__).parent / "results"
 FORMAT = 2
+BUSY = 0.5  # load at the start above which times are not to be trusted
 
 
 def main() -> None:
@@ -54,15 +56,24 @@ def main() -> None:
         return
     started, load = time.perf_counter(), [os.getloadavg()[0]]
     limits = measure_limits(bench.device)
-    rows = []
+    if load[0] > BUSY:
+        console.print(f"[yellow]the machine is busy (load {load[0]:.1f}): times will be too long, ratios less so[/yellow]")
+    rows: list[dict[str, Any]] = []
+    broken: list[str] = []
     for case in all_cases(bench):
         if options.only in case.name:
             console.print(f"[dim]{case.name}[/dim]")
             try:
-                rows.append(row_of(case, limits))
+                rows.append(row_of(case))
             except Skip as reason:
                 console.print(f"[yellow]without {case.name}: {reason}[/yellow]")
                 rows.append({"name": case.name, "skipped": str(reason)})
+            except Exception:  # the other cases took minutes
+                console.print_exception(max_frames=4)
+                rows.append({"name": case.name, "skipped": "it failed"})
+                broken.append(case.name)
+    limits = limits.best(measure_limits(bench.device))  # the machine may have been busy with something else the first time
+    add_rooflines(rows, limits)
     console.print(table_of(rows))
     for line in footnotes(rows, limits):
         console.print(line)
@@ -78,9 +89,11 @@ def main() -> None:
         output.parent.mkdir(parents=True, exist_ok=True)
         output.write_text(json.dumps(report, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
         console.print(f"written: {output}")
+    if broken:
+        sys.exit(f"failed: {'; '.join(broken)}")
 
 
-def row_of(case: Case, limits: Limits) -> dict[str, Any]:
+def row_of(case: Case) -> dict[str, Any]:
     """One case measured, as it is written to the results."""
     load = os.getloadavg()[0]
     work = case.prepare()
@@ -93,9 +106,15 @@ def row_of(case: Case, limits: Limits) -> dict[str, Any]:
     if work.amount:
         row.update(amount=work.amount, rate=work.amount / ours / 1e6, unit=work.unit)
     if work.cost is not None:
-        share, limit = limits.share(work.cost, work.amount / ours)
-        row.update(cost=asdict(work.cost), roofline={"share": share, "of": limit})
+        row.update(cost=asdict(work.cost))
     return row
+
+
+def add_rooflines(rows: list[dict[str, Any]], limits: Limits) -> None:
+    for row in rows:
+        if "cost" in row:
+            share, limit = limits.share(Cost(**row["cost"]), 1e6 * row["rate"])
+            row["roofline"] = {"share": share, "of": limit}
 
 
 def table_of(rows: list[dict[str, Any]]) -> Table:

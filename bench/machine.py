@@ -6,7 +6,7 @@ import os
 import platform
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -48,6 +48,10 @@ class Limits:
     update: float  # the same in place: the old content of what is written needs no separate reading
     loads: float  # vectors of four floats from the nearest cache
     multiply_adds: float  # single floats
+
+    def best(self, other: Limits) -> Limits:
+        """The greater of each."""
+        return Limits(*(max(a, b) for a, b in zip(astuple(self), astuple(other), strict=True)))
 
     def share(self, cost: Cost, items_per_second: float) -> tuple[float, str]:
         """How much of the binding limit a rate is, and which one that is: the roofline."""
