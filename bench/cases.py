@@ -29,7 +29,7 @@ from clvol.render import OBLIQUE, Lattice
 from clvol.spline import Coefficients, choose_path, sample_coefficients
 from clvol.spline import Path as ReadPath
 
-__all__ = ["Case", "Measurement", "Skip", "Work", "all_cases", "shots"]
+__all__ = ["Bench", "Case", "Measurement", "Skip", "Work", "all_cases", "draw", "measure", "samples_on_lattice", "shots"]
 
 Array = NDArray[Any]
 _EDGE = 16  # samples from the faces within which boundary rules differ from program to program

@@ -21,7 +21,7 @@ from scipy import ndimage
 
 import clvol
 
-__all__ = ["TASKS", "Peer", "Points", "Shot", "missing", "of"]
+__all__ = ["TASKS", "Peer", "Points", "Shot", "missing", "of", "renderer_of_opengl"]
 
 Array = NDArray[Any]
 
