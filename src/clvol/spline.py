@@ -40,8 +40,10 @@ Evaluator = Literal["auto", "taps", "eight-fetch"]
 Fetch = Literal["auto", "buffer", "image"]
 
 LANES = 8  # lines of a work-item of prefilter.cl, and what rows of coefficients are padded to
+CHAINS = 4  # ... of eight lines that it filters at once where they lie side by side
 _START_ERROR = 1e-9  # what the starting values of the prefilter may leave out, relative to the data
-_TAPS_A_LAUNCH = 1 << 25  # a launch should not run longer than a quarter of a second
+_VOXELS_A_LAUNCH = 1 << 26  # of the prefilter, and ...
+_TAPS_A_LAUNCH = 1 << 25  # ... of sampling: a launch should not run longer than a quarter of a second
 _SAMPLE_BITS = 20.0  # of a sampler's fraction, before `sample` and `resample` trust it of themselves
 
 
@@ -80,12 +82,13 @@ def _starts(filter: Filter, boundary: Boundary, n: int) -> tuple[Floats, int, in
     return ends, head, tail
 
 
-def _prefilter_axis(
-    device: Device, buffer: Any, filter: Filter, boundary: Boundary, extent: tuple[int, ...], size: tuple[int, ...], axis: int
-) -> None:
-    """Filter the stored coefficients along axis 0 (x), 1 (y) or 2 (z), in place."""
-    starts, head, tail = _starts(filter, boundary, size[axis])
-    reach = starts.shape[2] // 2
+def _prefilter(
+    device: Device, buffer: Any, filter: Filter, boundary: Boundary, extent: Sequence[int], size: Sequence[int], dimensions: int
+) -> None:  # fmt: skip
+    """Filter the stored coefficients along the first `dimensions` of x, y and z, in place."""
+    pitch, area, halo = extent[0], extent[0] * extent[1], extent[3]
+    nx, ny, nz = size
+    starts = [_starts(filter, boundary, n) for n in size]
     built = program.build(
         device,
         "prefilter.cl",
@@ -93,26 +96,37 @@ def _prefilter_axis(
             "POLES": filter.poles.size,
             "POLE_VALUES": "{" + ",".join(f"{p:.9e}f" for p in filter.poles) + "}",
             "GAIN": float(1 / filter.samples[-1]),
-            "ENDS": reach,
-            "LANE_STRIDE_ONE": int(axis > 0),
+            "ENDS": starts[0][0].shape[2] // 2,
+            "LANES": LANES,
+            "CHAINS": CHAINS,
             "COORD_DOUBLE": 0,
         },
     )
-    strides = (1, extent[0], extent[0] * extent[1])
-    halo = extent[3]
-    inner = (halo, halo, halo if extent[2] > 1 else 0)
-    # along x, eight rows at once; along y and z, sixteen neighbours in a row, from the row's very start
-    lane = 1 if axis == 0 else 0
-    outer = 3 - axis - lane
-    lines = size[1] if axis == 0 else extent[0]
-    origin = sum(i * s for k, (i, s) in enumerate(zip(inner, strides, strict=True)) if k or axis == 0)
-    kernel = built.kernel("prefilter")
+    along_x, along_y, along_z = ((device.upload(weights), np.int32(head), np.int32(tail)) for weights, head, tail in starts)
+
+    def launch(name: str, groups: int, lines: int, origin: int, stride: int, voxels: int, *arguments: Any) -> None:
+        """One launch or more over lines or slices of so many voxels, `stride` apart."""
+        step = max(1, _VOXELS_A_LAUNCH // voxels)
+        for first in range(0, lines, step):
+            built.kernel(name)(
+                device.queue, (groups, min(step, lines - first)), (1, 1) if device.kind == "cpu" else None, buffer,
+                np.uint64(origin + first * stride), *arguments,
+            )  # fmt: skip
+
+    first_row = (halo * area if extent[2] > 1 else 0) + halo * pitch  # the halo's columns in it are filtered too, in vain
+    rows = np.int32(nx), np.uint64(pitch), np.int32(ny), np.uint64(area)
+    wide = -(-pitch // (LANES * CHAINS))
     with device.errors:
-        kernel(
-            device.queue, (-(-lines // LANES), size[outer]), (1, 1), buffer, np.uint64(origin), np.int32(size[axis]),
-            np.uint64(strides[axis]), np.uint64(strides[lane]), np.int32(lines), np.uint64(strides[outer]),
-            device.upload(starts), np.int32(head), np.int32(tail),
-        )  # fmt: skip
+        if device.kind == "cpu" and dimensions > 1 and nz >= 4 * device.units:
+            launch("prefilter_slices", 1, nz, first_row + halo, area, area, *rows, np.int32(halo), *along_x, *along_y)
+        else:
+            launch("prefilter_rows", -(-ny // (2 * LANES)), nz, first_row + halo, area, area, *rows, *along_x)
+            if dimensions > 1:
+                columns = np.int32(ny), np.uint64(pitch), np.int32(pitch), np.uint64(area)
+                launch("prefilter_columns", wide, nz, first_row, area, area, *columns, *along_y)
+        if dimensions > 2:
+            columns = np.int32(nz), np.uint64(area), np.int32(pitch), np.uint64(pitch)
+            launch("prefilter_columns", wide, ny, first_row, pitch, nz * pitch, *columns, *along_z)
 
 
 class Coefficients:
@@ -182,8 +196,7 @@ class Coefficients:
             np.copyto(stored[self.inner], self.volume.data.reshape(sizes[::-1]), casting="unsafe")
         extent = tuple(int(v) for v in self.extent)
         if self.filter.poles.size:
-            for axis in range(self.volume.ndim):
-                _prefilter_axis(device, self.buffer, self.filter, self.boundary, extent, sizes, axis)
+            _prefilter(device, self.buffer, self.filter, self.boundary, extent, sizes, self.volume.ndim)
         built = program.build(
             device, "halo.cl", {"COORD_DOUBLE": 0, "GRID_SCALE": 1, "TAPS": 1, **program.boundary_defines(self.boundary)}
         )
@@ -309,7 +322,7 @@ def _prefilter_line(volume: Volume, filter: Filter, boundary: Boundary, device: 
         stored[...] = 0
         np.copyto(stored[:1, :n], volume.data, casting="unsafe")
     if filter.poles.size:
-        _prefilter_axis(device, buffer, filter, boundary, (pitch, 1, 1, 0), (n, 1, 1), 0)
+        _prefilter(device, buffer, filter, boundary, (pitch, 1, 1, 0), (n, 1, 1), 1)
     with device.mapped(buffer, (1, pitch), write=False) as stored:
         result = np.array(stored[0, :n])
     buffer.release()
