@@ -3,17 +3,14 @@
 // For each pole z a causal recursion y[i] = x[i] + z y[i-1] and an anticausal one
 // c[i] = z (c[i+1] - y[i]) (Unser, Aldroubi and Eden, 1991). Both need a first value. The host gives
 // it as a weighted sum of samples near the two ends, worked out from the matrix of eq. (11) that
-// belongs to the boundary rule (spline.py, prefilter_starts): one way for every rule and length.
+// belongs to the boundary rule (spline.py, _starts): one way for every rule and length.
 //
-// Set by the host: POLES (how many), POLE_VALUES, GAIN, ENDS (samples in each sum), and what spline.py has as
-// LANES (8, the rows or columns that one vector filters) and CHAINS (vectors side by side).
+// Set by the host: POLES (how many), POLE_VALUES, GAIN, ENDS (samples in each sum), CHAINS (vectors side by side).
 
 #include "common.cl"
+#include "columns.cl"
 
 constant float poles[POLES] = POLE_VALUES;
-
-typedef float4 half_at_t __attribute__((aligned(4)));
-typedef float8 lanes_at_t __attribute__((aligned(4)));
 
 // First values of the recursions: starts[pole][causal or anticausal][ENDS from the first, ENDS from the last];
 // of these, head and tail count.
@@ -80,49 +77,6 @@ kernel void prefilter_columns(global float *data, const ulong origin, const int 
 }
 
 // -- along x: eight rows at once, in blocks of eight columns ----------------------------------------------------
-
-// Four columns of rows 0 to 3 and of rows 4 to 7 become four rows of eight, or the other way.
-INLINE void transpose_halves(float8 v[4])
-{
-    const float8 a = (float8)(v[0].s0, v[1].s0, v[0].s1, v[1].s1, v[0].s4, v[1].s4, v[0].s5, v[1].s5);
-    const float8 b = (float8)(v[0].s2, v[1].s2, v[0].s3, v[1].s3, v[0].s6, v[1].s6, v[0].s7, v[1].s7);
-    const float8 c = (float8)(v[2].s0, v[3].s0, v[2].s1, v[3].s1, v[2].s4, v[3].s4, v[2].s5, v[3].s5);
-    const float8 d = (float8)(v[2].s2, v[3].s2, v[2].s3, v[3].s3, v[2].s6, v[3].s6, v[2].s7, v[3].s7);
-    v[0] = (float8)(a.s01, c.s01, a.s45, c.s45);
-    v[1] = (float8)(a.s23, c.s23, a.s67, c.s67);
-    v[2] = (float8)(b.s01, d.s01, b.s45, d.s45);
-    v[3] = (float8)(b.s23, d.s23, b.s67, d.s67);
-}
-
-// v[i] becomes column i of the block. Rows past the last of `rows` repeat that.
-INLINE void load_columns(float8 v[LANES], global const float *block, const size_t pitch, const int rows)
-{
-#define HALF_AT(row, column) (*(global const half_at_t *)(block + min(row, rows - 1) * pitch + (column)))
-#pragma unroll
-    for (int i = 0; i < 4; ++i) {
-        v[i] = (float8)(HALF_AT(i, 0), HALF_AT(i + 4, 0));
-        v[i + 4] = (float8)(HALF_AT(i, 4), HALF_AT(i + 4, 4));
-    }
-    transpose_halves(v);
-    transpose_halves(v + 4);
-}
-
-INLINE void store_columns(float8 v[LANES], global float *block, const size_t pitch, const int rows)
-{
-    transpose_halves(v);
-    transpose_halves(v + 4);
-#pragma unroll
-    for (int i = 0; i < 4; ++i) {
-        if (i < rows) {
-            *(global half_at_t *)(block + i * pitch) = v[i].lo;
-            *(global half_at_t *)(block + i * pitch + 4) = v[i + 4].lo;
-        }
-        if (i + 4 < rows) {
-            *(global half_at_t *)(block + (i + 4) * pitch) = v[i].hi;
-            *(global half_at_t *)(block + (i + 4) * pitch + 4) = v[i + 4].hi;
-        }
-    }
-}
 
 // Between the two recursions a block of eight rows stays as it is, column i in the place of row i.
 INLINE void keep_columns(float8 v[LANES], global float *block, const size_t pitch, const int rows)

@@ -44,6 +44,9 @@ CHAINS = 4  # ... of eight lines that it filters at once where they lie side by 
 _START_ERROR = 1e-9  # what the starting values of the prefilter may leave out, relative to the data
 _VOXELS_A_LAUNCH = 1 << 26  # of the prefilter, and ...
 _TAPS_A_LAUNCH = 1 << 25  # ... of sampling: a launch should not run longer than a quarter of a second
+_BLOCK = 16  # rows that separable.cl makes at once
+_ITEMS_A_CORE = 16  # ... and among how many work-items it shares them out on each core, so that none waits long for another
+_NO_SHEAR = 1e-9  # samples
 _SAMPLE_BITS = 20.0  # of a sampler's fraction, before `sample` and `resample` trust it of themselves
 
 
@@ -97,7 +100,6 @@ def _prefilter(
             "POLE_VALUES": "{" + ",".join(f"{p:.9e}f" for p in filter.poles) + "}",
             "GAIN": float(1 / filter.samples[-1]),
             "ENDS": starts[0][0].shape[2] // 2,
-            "LANES": LANES,
             "CHAINS": CHAINS,
             "COORD_DOUBLE": 0,
         },
@@ -451,6 +453,9 @@ def _run_lattice(
 ) -> None:  # fmt: skip
     """Values at index positions ``matrix @ (i, j, k) + offset`` into a float32 buffer of shape (z, y, x)."""
     device = held.device
+    if device.kind == "cpu" and path == Path(False, False) and _along_axes(matrix, shape):
+        _run_axes(held, np.diag(matrix), offset, shape, buffer, fill, progress)
+        return
     built = _points_program(held, path, 0, fill, LATTICE=1, POINT="float")
     transform = _affine(device, matrix, offset, held.volume.world_to_index_matrix)
     kernel = built.kernel("sample_lattice")
@@ -468,6 +473,79 @@ def _run_lattice(
         device.finish()
         if progress:
             progress(done / len(parts))
+
+
+def _along_axes(matrix: NDArray[np.float64], shape: tuple[int, ...]) -> bool:
+    """Whether the axes of a lattice of shape (z, y, x) are the volume's, but for rounding."""
+    across = matrix - np.diag(np.diag(matrix))
+    return bool((np.abs(across) * np.array(shape[::-1])[: len(matrix)]).max() < _NO_SHEAR)
+
+
+def _axis_taps(held: Coefficients, axis: int, positions: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The stored coefficients along an axis that make the function at `positions` (in samples), and their weights; (N, taps)."""
+    filter, rule, n = held.filter, held.boundary, int(held.size[axis])
+    period, margin, halo = rule.length(n), 2 * filter.support + 2, int(held.extent[3])
+    if period:  # far out, within one period, where the rule repeats; not near, so that nothing is rounded there
+        far = (positions < -n) | (positions > 2 * n)
+        x = np.where(far, np.clip(positions - period * np.floor(positions / period), 0, period), positions)
+    else:  # to where nothing is left
+        x = np.clip(positions, -margin, n + margin)
+    u = x * filter.scale - (filter.support / 2 - 1)
+    base = np.floor(u)
+    weights = np.polynomial.polynomial.polyval(u - base, filter.matrix.T).T
+    place = base.astype(np.int64)[:, None] + np.arange(filter.support)
+    stored = (place >= -halo) & (place < int(held.extent[axis]) - halo)
+    place = np.where(stored, place, rule.index(place, n, filter.scale))
+    missing = ~stored & (place < 0)
+    return np.where(missing, 0, place + halo), np.where(missing, 0.0, weights)
+
+
+def _run_axes(
+    held: Coefficients, step: NDArray[np.float64], start: NDArray[np.float64], shape: tuple[int, ...], buffer: Any,
+    fill: float | None, progress: Progress | None,
+) -> None:  # fmt: skip
+    """`_run_lattice` one axis after the other, for a lattice along the volume's axes."""
+    device, taps, d = held.device, held.filter.support, held.volume.ndim
+    nz, ny, nx = shape
+    positions = [start[axis] + step[axis] * np.arange(n) for axis, n in enumerate((nx, ny, nz)[:d])]
+    places, weights = zip(*(_axis_taps(held, axis, x) for axis, x in enumerate(positions)), strict=True)
+    # what is used of a row, in whole vectors: rows are a whole number of them
+    left = places[0].min() // LANES * LANES
+    width = int(places[0].max() // LANES * LANES + LANES - left)
+    places[0][...] -= left
+    blocks, used = np.zeros((-(-ny // _BLOCK), 2), np.int32), []
+    if d == 3:
+        for block, rows in enumerate(np.split(places[1], range(_BLOCK, ny, _BLOCK))):
+            distinct, among = np.unique(rows, return_inverse=True)
+            rows[...] = among.reshape(rows.shape)
+            blocks[block] = sum(map(len, used)), len(distinct)
+            used.append(distinct)
+    tables = [
+        device.upload(np.concatenate([part.ravel() for part in parts]).astype(kind))
+        for parts, kind in ((places, np.int32), (weights, np.float32), ([blocks], np.int32), (used or [blocks], np.int32))
+    ]
+    units, pitch, area = nz * len(blocks), int(held.extent[0]), int(held.extent[0]) * int(held.extent[1])
+    items, room = min(units, _ITEMS_A_CORE * device.units), width * (2 * LANES + int(blocks[:, 1].max()))
+    scratch = device.allocate(4 * items * room)
+    built = program.build(device, "separable.cl", {"TAPS": taps, "DIMENSIONS": d, "BLOCK": _BLOCK, "COORD_DOUBLE": 0})
+    some = max(1, LANES * _TAPS_A_LAUNCH // (_BLOCK * nx * taps * d))
+    for first in range(0, units, some):
+        count = min(some, units - first)
+        with device.errors:
+            built.kernel("resample_axes")(
+                device.queue, (min(items, count),), (1,), held.buffer, np.int32(left), np.uint64(pitch), np.uint64(area),
+                np.int32(width), *tables, np.array([nx, ny, nz, 0], np.int32), np.int32(first), np.int32(count), scratch,
+                np.uint64(room), buffer,
+            )  # fmt: skip
+        device.finish()
+        if progress:
+            progress((first + count) / units)
+    scratch.release()
+    if fill is not None:
+        with device.mapped(buffer, shape, write=True) as values:
+            for axis, (x, n) in enumerate(zip(positions, held.volume.size, strict=True)):
+                outside = (x < -0.5) | (x > n - 0.5)
+                np.moveaxis(values, 2 - axis, 0)[outside] = fill
 
 
 def sample(
@@ -612,13 +690,10 @@ def _resampled(
     on, row, rule = as_device(device), as_filter(filter), as_boundary(boundary)
     path = choose_path(on, row, evaluator, fetch)
     fill = _fill_value(fill)
-    full = (1, *shape)[-3:]
-    buffer = on.allocate(4 * math.prod(full))
-    with Coefficients(volume, row, rule, on) as held:
-        _run_lattice(held, path, matrix, offset, full, buffer, fill, progress)
-    with on.mapped(buffer, shape, write=False) as values:
-        result = np.array(values)
-    buffer.release()
+    on.require_room(4 * math.prod(shape))
+    result = np.empty(shape, np.float32)
+    with Coefficients(volume, row, rule, on) as held, on.lent(result, write=True) as buffer:
+        _run_lattice(held, path, matrix, offset, (1, *shape)[-3:], buffer, fill, progress)
     return result
 
 
