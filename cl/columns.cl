@@ -22,7 +22,7 @@ INLINE void transpose_halves(float8 v[4])
 // v[i] becomes column i of the block. Rows past the last of `rows` repeat that.
 INLINE void load_columns(float8 v[LANES], global const float *block, const size_t pitch, const int rows)
 {
-#define HALF_AT(row, column) (*(global const half_at_t *)(block + min(row, rows - 1) * pitch + (column)))
+#define HALF_AT(row, column) (*(global const half_at_t *)(block + ((row) < rows ? (row) : rows - 1) * pitch + (column)))
 #pragma unroll
     for (int i = 0; i < 4; ++i) {
         v[i] = (float8)(HALF_AT(i, 0), HALF_AT(i + 4, 0));
@@ -36,15 +36,20 @@ INLINE void store_columns(float8 v[LANES], global float *block, const size_t pit
 {
     transpose_halves(v);
     transpose_halves(v + 4);
-#pragma unroll
-    for (int i = 0; i < 4; ++i) {
-        if (i < rows) {
-            *(global half_at_t *)(block + i * pitch) = v[i].lo;
-            *(global half_at_t *)(block + i * pitch + 4) = v[i + 4].lo;
-        }
-        if (i + 4 < rows) {
-            *(global half_at_t *)(block + (i + 4) * pitch) = v[i].hi;
-            *(global half_at_t *)(block + (i + 4) * pitch + 4) = v[i + 4].hi;
-        }
+#define STORE_ROW(row, half)                                               \
+    {                                                                      \
+        *(global half_at_t *)(block + (row) * pitch) = v[i].half;          \
+        *(global half_at_t *)(block + (row) * pitch + 4) = v[i + 4].half;  \
     }
+#pragma unroll
+    for (int i = 0; i < 4; ++i)
+        if (rows == LANES) {
+            STORE_ROW(i, lo)
+            STORE_ROW(i + 4, hi)
+        } else {
+            if (i < rows)
+                STORE_ROW(i, lo)
+            if (i + 4 < rows)
+                STORE_ROW(i + 4, hi)
+        }
 }

@@ -35,7 +35,7 @@ INLINE void resample_rows(global float *restrict result, global const float *res
     global float *lines = scratch, *columns = scratch + LANES * width;
     float8 v[LANES];
     for (int r = 0; r < LANES; ++r) {
-        const size_t row = min(r, count - 1) * TAPS;
+        const size_t row = least(r, count - 1) * TAPS;
         blend_row(lines + r * width, rows, apart, y_place + row, y_weight + row, width);
     }
     for (int i = 0; i < width; i += LANES) {
@@ -47,11 +47,12 @@ INLINE void resample_rows(global float *restrict result, global const float *res
     for (int i = 0; i < points; i += LANES) {
 #pragma unroll
         for (int n = 0; n < LANES; ++n) {
-            const size_t point = min(i + n, points - 1) * TAPS;
             v[n] = (float8)(0.0f);
             UNROLL_TAPS
-            for (int t = 0; t < TAPS; ++t)
-                v[n] = madd((float8)(x_weight[point + t]), *(global const lanes_at_t *)(columns + x_place[point + t] * LANES), v[n]);
+            for (int t = 0; t < TAPS; ++t) {
+                const int tap = (i + n) * TAPS + t;
+                v[n] = madd((float8)(x_weight[tap]), *(global const lanes_at_t *)(columns + x_place[tap]), v[n]);
+            }
         }
         if (i + LANES <= points)
             store_columns(v, result + i, points, count);
@@ -67,7 +68,8 @@ INLINE void resample_rows(global float *restrict result, global const float *res
 // A work-item makes some of `units` in turn, each BLOCK rows of one slice of the lattice; those of a block of rows
 // follow each other, for neighbouring slices come from much the same coefficients, which then are still in the cache.
 //
-// lattice: points along x, y and z. places, weights: TAPS for each column, row and slice. blocks: which of `used` rows of
+// lattice: points along x, y and z, and where those along y begin in places and weights: TAPS for each column (of whole
+// vectors; places times LANES), row and slice. blocks: which of `used` rows of
 // coefficients a block is made from, the first and how many; in 3-D places of rows count among these. scratch: `room` for
 // each work-item.
 kernel void resample_axes(global const float *restrict coefficients, const int left, const ulong pitch,
@@ -77,7 +79,7 @@ kernel void resample_axes(global const float *restrict coefficients, const int l
                           global float *restrict results)
 {
     const size_t item = get_global_id(0), items = get_global_size(0);
-    const size_t along_y = (size_t)lattice.x * TAPS, along_z = along_y + (size_t)lattice.y * TAPS;
+    const size_t along_y = lattice.w, along_z = along_y + (size_t)lattice.y * TAPS;
     global float *mine = scratch + item * room;
     coefficients += left;
     const int end = first + units * (item + 1) / items;
@@ -93,9 +95,9 @@ kernel void resample_axes(global const float *restrict coefficients, const int l
         const size_t apart = pitch;
         global const float *rows = coefficients;
 #endif
-        for (int j = block * BLOCK; j < min((block + 1) * BLOCK, lattice.y); j += LANES)
+        for (int j = block * BLOCK; j < least((block + 1) * BLOCK, lattice.y); j += LANES)
             resample_rows(results + ((size_t)k * lattice.y + j) * lattice.x, rows, apart,
                           places + along_y + j * TAPS, weights + along_y + j * TAPS, places, weights,
-                          min(LANES, lattice.y - j), lattice.x, width, mine);
+                          least(LANES, lattice.y - j), lattice.x, width, mine);
     }
 }

@@ -44,14 +44,14 @@ class Boundary:
         """The period in samples on an axis of `n`; at least 1, and 0 if the rule has none."""
         return max(1, self.period[0] * n + self.period[1]) if self.period else 0
 
-    def index(self, i: ArrayLike, n: int, scale: int = 1) -> NDArray[np.int64]:
-        """The index within ``0 .. scale n - 1`` that stands for `i` on a grid of `scale` times the samples; -1 where nothing does."""
+    def index(self, i: ArrayLike, n: int) -> NDArray[np.int64]:
+        """The index within ``0 .. n - 1`` that stands for `i`; -1 where nothing does."""
         i = np.asarray(i, dtype=np.int64)
         if not self.period:
-            return np.where((i >= 0) & (i < scale * n), i, -1)
-        period = scale * self.length(n)
+            return np.where((i >= 0) & (i < n), i, -1)
+        period = self.length(n)
         i = i % period
-        return i if self.fold is None else np.minimum(i, (-scale * self.fold - i) % period)
+        return i if self.fold is None else np.minimum(i, (-self.fold - i) % period)
 
     def matrix(self, samples: ArrayLike, n: int) -> NDArray[np.float64]:
         """The matrix of eq. (11) on an axis of `n`, for a kernel with these samples at 0, 1, 2, ...; (n, n)."""

@@ -31,6 +31,7 @@ _HUGE_PAGE = 1 << 21
 _MEMORY_SHARE = 0.9  # of the device's memory: PoCL allocates lazily, and the process aborts if there is none left
 
 
+@lru_cache(maxsize=1)
 def _opencl() -> Any:
     """pyopencl, with caches that can be written; imported only when a device is asked for."""
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path(os.environ.get("HOME") or "/nonexistent") / ".cache")

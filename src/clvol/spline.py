@@ -39,11 +39,15 @@ Progress = Callable[[float], None]
 Evaluator = Literal["auto", "taps", "eight-fetch"]
 Fetch = Literal["auto", "buffer", "image"]
 
-LANES = 8  # lines of a work-item of prefilter.cl, and what rows of coefficients are padded to
+LANES = 8  # lines that one vector holds in columns.cl, and what rows of coefficients are padded to
 CHAINS = 4  # ... of eight lines that it filters at once where they lie side by side
 _START_ERROR = 1e-9  # what the starting values of the prefilter may leave out, relative to the data
 _VOXELS_A_LAUNCH = 1 << 26  # of the prefilter, and ...
 _TAPS_A_LAUNCH = 1 << 25  # ... of sampling: a launch should not run longer than a quarter of a second
+_SAMPLES = {  # OpenCL's names of NumPy's types
+    "b1": "uchar", "u1": "uchar", "i1": "char", "u2": "ushort", "i2": "short", "u4": "uint", "i4": "int", "u8": "ulong",
+    "i8": "long", "f4": "float", "f8": "double",
+}  # fmt: skip
 _BLOCK = 16  # rows that separable.cl makes at once
 _ITEMS_A_CORE = 16  # ... and among how many work-items it shares them out on each core, so that none waits long for another
 _NO_SHEAR = 1e-9  # samples
@@ -173,8 +177,7 @@ class Coefficients:
 
     @property
     def _bytes(self) -> int:
-        # a last group of lines of the prefilter reads, and does not use, up to LANES rows past the end
-        return 4 * int(self.extent[0]) * (int(self.extent[1]) * int(self.extent[2]) + LANES)
+        return 4 * math.prod(self.shape)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -193,18 +196,39 @@ class Coefficients:
 
     def _fill(self, sizes: tuple[int, ...]) -> None:
         device = self.device
-        with device.mapped(self.buffer, self.shape, write=True) as stored:
-            stored[...] = 0
-            np.copyto(stored[self.inner], self.volume.data.reshape(sizes[::-1]), casting="unsafe")
-        extent = tuple(int(v) for v in self.extent)
+        self._copy_samples(sizes)
         if self.filter.poles.size:
-            _prefilter(device, self.buffer, self.filter, self.boundary, extent, sizes, self.volume.ndim)
-        built = program.build(
-            device, "halo.cl", {"COORD_DOUBLE": 0, "GRID_SCALE": 1, "TAPS": 1, **program.boundary_defines(self.boundary)}
-        )
+            _prefilter(device, self.buffer, self.filter, self.boundary, self.extent.tolist(), sizes, self.volume.ndim)
+        halos = [inside.start for inside in self.inner[::-1]]
+        places = [
+            np.where((i := self.boundary.index(np.arange(stored) - halo, n)) < 0, -1, i + halo)
+            for stored, n, halo in zip(self.shape[::-1], sizes, halos, strict=True)
+        ]
+        built = program.build(device, "halo.cl", {"COORD_DOUBLE": 0})
         with device.errors:
-            built.kernel("fill_halo")(device.queue, self.shape[::-1], None, self.buffer, self.extent, self.size, self.period)
+            built.kernel("fill_halo")(
+                device.queue, self.shape[1::-1], None, self.buffer, self.extent, np.int32(sizes[0]),
+                device.upload(np.concatenate(places).astype(np.int32)),
+            )  # fmt: skip
         device.finish()
+
+    def _copy_samples(self, sizes: tuple[int, ...]) -> None:
+        """The samples to where their coefficients will be; by all cores where they can read them as they are."""
+        device, data = self.device, self.volume.data
+        named = _SAMPLES.get(data.dtype.str[1:])
+        plain = data.flags.c_contiguous and data.dtype.isnative and data.flags.aligned
+        if device.kind != "cpu" or not plain or named is None or (named == "double" and not device.has_double):
+            with device.mapped(self.buffer, self.shape, write=True) as stored:
+                np.copyto(stored[self.inner], data.reshape(sizes[::-1]), casting="unsafe")
+            return
+        defines: dict[str, str | int | float] = {"SAMPLE": named, "SAMPLE_DOUBLE": int(named == "double"), "COORD_DOUBLE": 0}
+        pitch, area = int(self.extent[0]), int(self.extent[0]) * int(self.extent[1])
+        origin = sum(inside.start * step for inside, step in zip(self.inner, (area, pitch, 1), strict=True))
+        with device.lent(data, write=False) as given, device.errors:
+            program.build(device, "samples.cl", defines).kernel("copy_samples")(
+                device.queue, sizes[1:], (1, 1), given, self.buffer, np.uint64(origin), np.int32(sizes[0]), np.uint64(pitch),
+                np.uint64(area),
+            )  # fmt: skip
 
     def _magnify(self, by: Filter) -> None:
         """Samples of the spline on a grid of twice the density, halo included (section 4.3)."""
@@ -319,10 +343,9 @@ def _prefilter_line(volume: Volume, filter: Filter, boundary: Boundary, device: 
     volume.require_finite()
     n = volume.size[0]
     pitch = -(-n // LANES) * LANES
-    buffer = device.allocate(4 * pitch * (1 + LANES))
-    with device.mapped(buffer, (1 + LANES, pitch), write=True) as stored:
-        stored[...] = 0
-        np.copyto(stored[:1, :n], volume.data, casting="unsafe")
+    buffer = device.allocate(4 * pitch)
+    with device.mapped(buffer, (1, pitch), write=True) as stored:
+        np.copyto(stored[:, :n], volume.data, casting="unsafe")
     if filter.poles.size:
         _prefilter(device, buffer, filter, boundary, (pitch, 1, 1, 0), (n, 1, 1), 1)
     with device.mapped(buffer, (1, pitch), write=False) as stored:
@@ -483,21 +506,23 @@ def _along_axes(matrix: NDArray[np.float64], shape: tuple[int, ...]) -> bool:
 
 def _axis_taps(held: Coefficients, axis: int, positions: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """The stored coefficients along an axis that make the function at `positions` (in samples), and their weights; (N, taps)."""
-    filter, rule, n = held.filter, held.boundary, int(held.size[axis])
-    period, margin, halo = rule.length(n), 2 * filter.support + 2, int(held.extent[3])
+    row, rule, n = held.filter, held.boundary, int(held.size[axis])
+    period, margin, halo = rule.length(n), 2 * row.support + 2, int(held.extent[3])
     if period:  # far out, within one period, where the rule repeats; not near, so that nothing is rounded there
         far = (positions < -n) | (positions > 2 * n)
         x = np.where(far, np.clip(positions - period * np.floor(positions / period), 0, period), positions)
     else:  # to where nothing is left
         x = np.clip(positions, -margin, n + margin)
-    u = x * filter.scale - (filter.support / 2 - 1)
+    u = x * row.scale - (row.support / 2 - 1)
     base = np.floor(u)
-    weights = np.polynomial.polynomial.polyval(u - base, filter.matrix.T).T
-    place = base.astype(np.int64)[:, None] + np.arange(filter.support)
+    weights = np.polynomial.polynomial.polyval(u - base, row.matrix.T).T
+    place = base.astype(np.int64)[:, None] + np.arange(row.support)
     stored = (place >= -halo) & (place < int(held.extent[axis]) - halo)
-    place = np.where(stored, place, rule.index(place, n, filter.scale))
-    missing = ~stored & (place < 0)
-    return np.where(missing, 0, place + halo), np.where(missing, 0.0, weights)
+    if period:  # as boundary_index, which keeps the middle of a fold that lies between samples: it is in the halo
+        again = place % (row.scale * period)
+        inner = again if rule.fold is None else np.minimum(again, row.scale * (period - rule.fold) - again)
+        return np.where(stored, place, inner) + halo, weights
+    return np.where(stored, place + halo, 0), np.where(stored, weights, 0.0)
 
 
 def _run_axes(
@@ -508,25 +533,27 @@ def _run_axes(
     device, taps, d = held.device, held.filter.support, held.volume.ndim
     nz, ny, nx = shape
     positions = [start[axis] + step[axis] * np.arange(n) for axis, n in enumerate((nx, ny, nz)[:d])]
-    places, weights = zip(*(_axis_taps(held, axis, x) for axis, x in enumerate(positions)), strict=True)
+    whole_vectors = np.pad(positions[0], (0, -nx % LANES), mode="edge")
+    places, weights = zip(*(_axis_taps(held, axis, x) for axis, x in enumerate([whole_vectors, *positions[1:]])), strict=True)
     # what is used of a row, in whole vectors: rows are a whole number of them
     left = places[0].min() // LANES * LANES
     width = int(places[0].max() // LANES * LANES + LANES - left)
-    places[0][...] -= left
-    blocks, used = np.zeros((-(-ny // _BLOCK), 2), np.int32), []
+    places[0][...] = LANES * (places[0] - left)
+    blocks, used = np.zeros((-(-ny // _BLOCK), 2), np.int64), [np.zeros(1, np.int64)]
     if d == 3:
         for block, rows in enumerate(np.split(places[1], range(_BLOCK, ny, _BLOCK))):
             distinct, among = np.unique(rows, return_inverse=True)
             rows[...] = among.reshape(rows.shape)
-            blocks[block] = sum(map(len, used)), len(distinct)
+            blocks[block] = sum(map(np.size, used)), len(distinct)
             used.append(distinct)
     tables = [
         device.upload(np.concatenate([part.ravel() for part in parts]).astype(kind))
-        for parts, kind in ((places, np.int32), (weights, np.float32), ([blocks], np.int32), (used or [blocks], np.int32))
+        for parts, kind in ((places, np.int32), (weights, np.float32), ([blocks], np.int32), (used, np.int32))
     ]
     units, pitch, area = nz * len(blocks), int(held.extent[0]), int(held.extent[0]) * int(held.extent[1])
     items, room = min(units, _ITEMS_A_CORE * device.units), width * (2 * LANES + int(blocks[:, 1].max()))
     scratch = device.allocate(4 * items * room)
+    lattice = np.array([nx, ny, nz, places[0].size], np.int32)
     built = program.build(device, "separable.cl", {"TAPS": taps, "DIMENSIONS": d, "BLOCK": _BLOCK, "COORD_DOUBLE": 0})
     some = max(1, LANES * _TAPS_A_LAUNCH // (_BLOCK * nx * taps * d))
     for first in range(0, units, some):
@@ -534,8 +561,7 @@ def _run_axes(
         with device.errors:
             built.kernel("resample_axes")(
                 device.queue, (min(items, count),), (1,), held.buffer, np.int32(left), np.uint64(pitch), np.uint64(area),
-                np.int32(width), *tables, np.array([nx, ny, nz, 0], np.int32), np.int32(first), np.int32(count), scratch,
-                np.uint64(room), buffer,
+                np.int32(width), *tables, lattice, np.int32(first), np.int32(count), scratch, np.uint64(room), buffer,
             )  # fmt: skip
         device.finish()
         if progress:
