@@ -27,8 +27,6 @@ INLINE void widen(float *low, float *high, float least, float greatest)
     }
 }
 
-INLINE int at_most(int i, int most) { return i < most ? i : most; }
-
 #if HULL
 
 // LANES cells along x at a time

@@ -18,9 +18,9 @@ typedef double coord;
 typedef float coord;
 #endif
 
-INLINE int least(int a, int b)
+INLINE int at_most(int i, int most)
 {
-    return a < b ? a : b;
+    return i < most ? i : most;
 }
 
 // The greatest whole number below, for what fits an int.
