@@ -515,7 +515,7 @@ def _axis_taps(held: Coefficients, axis: int, positions: NDArray[np.float64]) ->
         x = np.clip(positions, -margin, n + margin)
     u = x * row.scale - (row.support / 2 - 1)
     base = np.floor(u)
-    weights = np.polynomial.polynomial.polyval(u - base, row.matrix.T).T
+    weights = np.asarray(np.polynomial.polynomial.polyval(u - base, row.matrix.T).T, np.float64)
     place = base.astype(np.int64)[:, None] + np.arange(row.support)
     stored = (place >= -halo) & (place < int(held.extent[axis]) - halo)
     if period:  # as boundary_index, which keeps the middle of a fold that lies between samples: it is in the halo
