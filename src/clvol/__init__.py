@@ -11,7 +11,7 @@ Importing it needs no OpenCL; a device is looked for when something is computed 
 
 from __future__ import annotations
 
-from clvol import phantoms
+from clvol import images, phantoms
 from clvol.boundary import Boundary, boundaries
 from clvol.camera import Camera
 from clvol.device import Device, devices
@@ -65,6 +65,7 @@ __all__ = [
     "frequency_response",
     "from_callable",
     "from_pieces",
+    "images",
     "lanczos",
     "magnify",
     "modes",

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from clvol.reference.boundary import extend
 from clvol.reference.filter import kernel
+from clvol.reference.lattice import lattice
 from clvol.reference.prefilter import prefilter, prefilter_fft
 from clvol.reference.sample import magnify, resample, sample
 
-__all__ = ["extend", "kernel", "magnify", "prefilter", "prefilter_fft", "resample", "sample"]
+__all__ = ["extend", "kernel", "lattice", "magnify", "prefilter", "prefilter_fft", "resample", "sample"]

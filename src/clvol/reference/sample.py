@@ -150,7 +150,7 @@ def _blend(stored: Array, first: NDArray[np.int64], at: Array, row: Filter, deri
     """
     d = stored.ndim
     reach = math.ceil(row.support / 2)
-    window = np.arange(-reach, reach + 2)  # more than the support: outside it the kernel is zero
+    window = np.arange(1 - reach, reach + 1)  # all within reach of a position above 0 and below 1, or at 0
     axes = "zyx"[-d:]
     orders = {
         0: [(0,) * d],

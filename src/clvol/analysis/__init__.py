@@ -1,0 +1,50 @@
+"""What a reconstruction filter does to data: frequency responses, published metrics, approximation theory, measured errors.
+
+NumPy and SciPy in float64; a device is used only where one is asked for, and to measure times.
+
+>>> from clvol import analysis, phantoms
+>>> table = analysis.compare(phantoms.marschner_lobb_function, gradient=phantoms.marschner_lobb_gradient)
+>>> print(table.to_markdown())
+"""
+
+from __future__ import annotations
+
+from clvol.analysis.cardinal import impulse_response
+from clvol.analysis.compare import COMPARED, EXACT_SINC, ErrorRow, ErrorTable, compare
+from clvol.analysis.dirichlet import SincVolume, dirichlet_kernel, dirichlet_magnify, dirichlet_sample, sinc_volume
+from clvol.analysis.frequency import Bands, bands, frequency_response, prefilter_response
+from clvol.analysis.gibbs import WILBRAHAM_GIBBS, StepResponse, lowpass_step, step_response
+from clvol.analysis.metrics import Metrics, metrics
+from clvol.analysis.ssim import ssim
+from clvol.analysis.table import Table
+from clvol.analysis.theory import Approximation, approximation, error_kernel, taylor_coefficients
+
+__all__ = [
+    "COMPARED",
+    "EXACT_SINC",
+    "WILBRAHAM_GIBBS",
+    "Approximation",
+    "Bands",
+    "ErrorRow",
+    "ErrorTable",
+    "Metrics",
+    "SincVolume",
+    "StepResponse",
+    "Table",
+    "approximation",
+    "bands",
+    "compare",
+    "dirichlet_kernel",
+    "dirichlet_magnify",
+    "dirichlet_sample",
+    "error_kernel",
+    "frequency_response",
+    "impulse_response",
+    "lowpass_step",
+    "metrics",
+    "prefilter_response",
+    "sinc_volume",
+    "ssim",
+    "step_response",
+    "taylor_coefficients",
+]

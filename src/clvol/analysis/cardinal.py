@@ -1,0 +1,137 @@
+"""The impulse response of a whole reconstruction, prefilter and magnification included, as polynomials piece by piece."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TypeAlias
+
+import numpy as np
+from numpy.polynomial import legendre, polynomial
+from numpy.typing import ArrayLike, NDArray
+
+from clvol.errors import OptionError, reals, whole
+from clvol.filters import Filter, as_filter
+
+__all__ = ["Pieces", "even_filter", "impulse_response", "pieces"]
+
+Array: TypeAlias = NDArray[np.float64]
+_TAIL = 1e-18  # of the prefilter's impulse response, which falls like the powers of its greatest pole
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """A function made of polynomials, zero outside them.
+
+    Attributes
+    ----------
+    start, step : float
+        Piece j covers ``[start + j step, start + (j + 1) step)``.
+    rows : ndarray of float64, shape (pieces, degree + 1)
+        ``rows[j, k]`` belongs to ``t**k``, with t from 0 to 1 along the piece.
+    """
+
+    start: float
+    step: float
+    rows: Array
+
+    def __call__(self, x: Array, derivative: int = 0) -> Array:
+        rows = self.rows
+        for _ in range(derivative):
+            rows = rows[:, 1:] * np.arange(1, rows.shape[1]) / self.step if rows.shape[1] > 1 else np.zeros_like(rows)
+        u = (x - self.start) / self.step
+        place = np.floor(u)
+        inside = (place >= 0) & (place < rows.shape[0])
+        j = np.where(inside, place, 0).astype(np.int64)
+        t = np.where(inside, u - place, 0.0)
+        return np.where(inside, polynomial.polyval(t, np.moveaxis(rows[j], -1, 0), tensor=False), 0.0)
+
+    def energy(self) -> float:
+        """The integral of the square."""
+        nodes, lengths = legendre.leggauss(self.rows.shape[1])  # exact for the square of each piece
+        values = polynomial.polyval((nodes + 1) / 2, self.rows.T)
+        return float((values**2 @ lengths).sum() / 2 * self.step)
+
+    def greatest_integral(self) -> float:
+        """The greatest value of the integral from the left."""
+        integrals = np.pad(self.rows / np.arange(1, self.rows.shape[1] + 1), ((0, 0), (1, 0))) * self.step
+        before, most = 0.0, 0.0
+        for row, integral in zip(self.rows, integrals, strict=True):
+            roots = polynomial.polyroots(np.trim_zeros(row, "b")) if row.any() else np.empty(0)
+            t = np.clip(np.concatenate([[0.0, 1.0], roots.real]), 0, 1)
+            values = before + polynomial.polyval(t, integral)
+            most = max(most, float(values.max()))
+            before = float(values[1])
+        return most
+
+
+def impulse_response(filter: str | Filter, x: ArrayLike, derivative: int = 0) -> Array:
+    """What the filter makes, along one axis, of a sample of 1 at 0 among zeros.
+
+    For a filter without a prefilter this is its kernel, eq. (10) for the cubic; with one, the cardinal
+    spline ``sum of s_k beta(x - k)``, where s is the impulse response of eq. (16); for a hybrid, the
+    cardinal spline at multiples of half a sample, drawn through the second kernel (section 4.3).
+
+    Parameters
+    ----------
+    filter : str or Filter
+        Any row of the table.
+    x : array-like
+        Signed distance in samples of the given data.
+    derivative : {0, 1, 2}
+        Order of the derivative, per sample.
+
+    Returns
+    -------
+    ndarray of float64, the shape of `x`
+
+    Raises
+    ------
+    OptionError
+        Unknown filter, `x` not real, or another derivative.
+    """
+    return pieces(as_filter(filter))(reals("x", x), whole("derivative", derivative, 0, 2))
+
+
+def even_filter(filter: str | Filter) -> Filter:
+    """The row, if what it makes of an impulse is even, so that its frequency response is real."""
+    row = as_filter(filter)
+    drawn = pieces(row)
+    x = np.random.default_rng(0).uniform(0, -drawn.start, 1000)
+    if np.abs(drawn(x) - drawn(-x)).max() > 1e-9 + 2 * row.fit_error:
+        raise OptionError(f"filter must have an even kernel, so that its response is real; got {row.name!r}")
+    return row
+
+
+@lru_cache(maxsize=64)
+def pieces(row: Filter) -> Pieces:
+    """The impulse response of a row along one axis."""
+    kernel = row.matrix[::-1]  # tap i lies at t + TAPS/2 - 1 - i: the last tap is the leftmost piece
+    if row.magnified_by is not None:
+        coarse = pieces(row.magnified_by)
+        s = row.scale
+        first = math.ceil(coarse.start * s)
+        places = np.arange(first, -first + 1) / s
+        return Pieces((first - row.support / 2) / s, 1 / s, _blend(coarse(places), kernel))
+    if not row.prefilter or not row.poles.size:
+        return Pieces(-row.support / 2, 1.0, kernel / (row.samples[0] if row.prefilter else 1.0))
+    s_k = _prefilter_impulse(row)
+    return Pieces(-row.support / 2 - s_k.size // 2, 1.0, _blend(s_k, kernel))
+
+
+def _blend(values: Array, kernel: Array) -> Array:
+    """Pieces of the sum of the kernel's copies, each a piece further, times the values."""
+    return np.stack([np.convolve(values, column) for column in kernel.T], -1)
+
+
+def _prefilter_impulse(row: Filter) -> Array:
+    """The inverse transform of eq. (16) at -K, ..., K: residues at the poles within the unit circle."""
+    reach = math.ceil(math.log(_TAIL) / math.log(float(np.abs(row.poles).max())))
+    k = np.abs(np.arange(-reach, reach + 1))
+    total = np.zeros(k.size)
+    every = np.concatenate([row.poles, 1 / row.poles])
+    for i, z in enumerate(row.poles):
+        others = np.delete(every, i)
+        total += z ** (k + row.poles.size - 1) / (row.samples[-1] * np.prod(z - others))
+    return total

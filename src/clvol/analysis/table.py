@@ -1,0 +1,77 @@
+"""Lists of plain dataclasses that can be written out: CSV, JSON, Markdown, a rich table."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from dataclasses import Field, field, fields
+from typing import TYPE_CHECKING, Any, Final, TypeVar
+
+from clvol.errors import OptionError
+
+if TYPE_CHECKING:
+    from rich.table import Table as RichTable
+
+__all__ = ["UNLISTED", "Table", "column"]
+
+Row = TypeVar("Row")
+
+UNLISTED: Final = {"listed": False}
+"""Metadata of a field that tables leave out, such as an array."""
+
+
+def column(heading: str, form: str = "") -> Any:
+    """A field of a row: its heading, and the format specification of its numbers where people read them."""
+    return field(metadata={"heading": heading, "form": form})
+
+
+class Table(list[Row]):
+    """Rows of one dataclass each; a value that does not exist is None, never NaN.
+
+    >>> Table([metrics(name) for name in ("linear", "mitchell")]).to_markdown()
+    """
+
+    def to_csv(self) -> str:
+        """Comma-separated, a line of field names first; numbers in full, what does not exist empty."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow([f.name for f in self._columns()])
+        writer.writerows([["" if v is None else v for v in self._values(row)] for row in self])
+        return text.getvalue()
+
+    def to_json(self) -> str:
+        """A list of objects by field name; numbers in full, what does not exist null."""
+        names = [f.name for f in self._columns()]
+        records = [dict(zip(names, self._values(row), strict=True)) for row in self]
+        return json.dumps(records, indent=2, allow_nan=False, ensure_ascii=False)
+
+    def to_markdown(self) -> str:
+        """A pipe table with headings, numbers rounded for reading, what does not exist a dash."""
+        head, *rows = [[f.metadata.get("heading", f.name) for f in self._columns()], *self._texts()]
+        rule = ["---", *("--:" for _ in head[1:])]
+        cells = [[cell.replace("|", "\\|") for cell in line] for line in (head, rule, *rows)]
+        return "\n".join(f"| {' | '.join(line)} |" for line in cells)
+
+    def to_rich(self, title: str | None = None) -> RichTable:
+        """The same as a `rich.table.Table`."""
+        from rich.table import Table as RichTable
+
+        table = RichTable(title=title)
+        for i, f in enumerate(self._columns()):
+            table.add_column(f.metadata.get("heading", f.name), justify="right" if i else "left")
+        for texts in self._texts():
+            table.add_row(*texts)
+        return table
+
+    def _columns(self) -> list[Field[Any]]:
+        if not self:
+            raise OptionError("a table must hold at least one row to be written; got none")
+        return [f for f in fields(self[0]) if f.metadata.get("listed", True)]  # type: ignore[arg-type]  # rows are dataclasses
+
+    def _values(self, row: Row) -> list[Any]:
+        return [getattr(row, f.name) for f in self._columns()]
+
+    def _texts(self) -> list[list[str]]:
+        forms = [f.metadata.get("form", "") for f in self._columns()]
+        return [["–" if v is None else format(v, form) for v, form in zip(self._values(row), forms, strict=True)] for row in self]

@@ -1,0 +1,279 @@
+"""How fast the error falls as the sampling gets finer, and how large it is: approximation theory of the filters.
+
+T. Blu and M. Unser, *Quantitative Fourier analysis of approximation techniques: Part I*, IEEE Trans. Signal
+Processing 47 (1999); T. Möller, R. Machiraju, K. Mueller and R. Yagel, *Evaluation and design of filters using a
+Taylor series expansion*, IEEE TVCG 3 (1997), reference [12] of the paper. The sample spacing is T = 1 throughout.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TypeAlias
+
+import numpy as np
+from numpy.polynomial import legendre, polynomial
+from numpy.typing import ArrayLike, NDArray
+
+from clvol.analysis.table import column
+from clvol.errors import OptionError, reals, whole
+from clvol.filters import Filter, Number, Polynomial, as_filter
+from clvol.response import prefilter_response
+
+__all__ = ["Approximation", "approximation", "error_kernel", "taylor_coefficients"]
+
+Array: TypeAlias = NDArray[np.float64]
+_MOST = 12  # Taylor coefficients: more than the order of any B-spline of the table's maker
+_MAX_OMEGA = 2000
+_CHUNK = 1 << 20  # complex numbers held at a time
+
+
+@dataclass(frozen=True)
+class Approximation:
+    """The leading error of a filter: ``||error|| -> constant T**order ||f^(derivative + order)||`` as T -> 0.
+
+    Attributes
+    ----------
+    filter : str
+        Name of the filter.
+    derivative : int
+        0 for values, 1 for the derivative along an axis (gradients).
+    order : int
+        Power of the sample spacing with which the root mean square error falls; 0 where it does not fall, -1 for
+        gradients of filters whose weights do not sum to one: they get worse.
+    constant : float
+        Root mean square over all positions between the samples.
+    """
+
+    filter: str = column("filter")
+    derivative: int = column("derivative")
+    order: int = column("order")
+    constant: float = column("constant", ".3e")
+
+
+def approximation(filter: str | Filter, derivative: int = 0) -> Approximation:
+    """Order of approximation and leading error constant, for values or for first derivatives.
+
+    Exact rows are treated in exact fractions, so that linear's constant is ``sqrt(1/120)`` to the last bit.
+
+    Parameters
+    ----------
+    filter : str or Filter
+        Any row of the table.
+    derivative : {0, 1}
+        0: of the values; 1: of the gradient that the filter's own derivative gives.
+
+    Raises
+    ------
+    OptionError
+        Unknown filter, or another derivative.
+    """
+    row, derivative = as_filter(filter), whole("derivative", derivative, 0, 1)
+    slack = 0.0 if _exact(row) else max(1e-9, 10 * row.fit_error) * float(row.degree) ** (2 * derivative)
+    for n in range(_MOST):
+        wanted = int(n == derivative)
+        square: Number = Fraction(0)
+        for piece in _taylor(row, n, derivative):
+            miss = _plus(piece, [-wanted])
+            square += sum((c / (k + 1) for k, c in enumerate(_times(miss, miss))), Fraction(0))
+        constant = math.sqrt(square / row.scale)
+        if constant > slack:
+            return Approximation(row.name, derivative, n - derivative, constant)
+    raise OptionError(f"filter must have an order below {_MOST}; got {row.name!r}")
+
+
+def error_kernel(filter: str | Filter, omega: ArrayLike, derivative: int = 0) -> Array:
+    """The Fourier error kernel E(ω) of Blu and Unser.
+
+    ``E(w) = (1 - H(w))² + sum over k != 0 of H(w + 2 pi k)²``, the mean over all positions of the squared error with
+    which ``exp(i w x)`` is reconstructed; computed in that form, so that it keeps its digits for small ω. The mean
+    squared error of any f, averaged over the phase of the sampling, is ``1/(2 pi) integral |f^(w)|² E(w T) dw``.
+
+    Parameters
+    ----------
+    filter : str or Filter
+        Any row of the table.
+    omega : array-like
+        Angular frequency in radians a sample, within ±2000.
+    derivative : {0, 1}
+        1: the mean squared error of the derivative of ``exp(i w x)``, per sample; divide by ω² for the relative one.
+
+    Returns
+    -------
+    ndarray of float64, the shape of `omega`
+        Near 0 it is ``constant² w**(2 order)`` (times w² for the derivative), see `approximation`.
+
+    Raises
+    ------
+    OptionError
+        Unknown filter, frequencies beyond ±2000, or another derivative.
+    """
+    row, derivative = as_filter(filter), whole("derivative", derivative, 0, 1)
+    w = reals("omega", omega)
+    if not np.isfinite(w).all() or np.abs(w).max(initial=0.0) > _MAX_OMEGA:
+        raise OptionError(f"omega must lie within ±{_MAX_OMEGA}; got {omega!r}")
+    flat = w.ravel()
+    nodes, lengths = legendre.leggauss(2 * row.degree + 16 + int(np.abs(flat).max(initial=0.0)))
+    t = (nodes + 1) / 2
+    result = np.empty_like(flat)
+    step = max(1, _CHUNK // (t.size * row.support))
+    for first in range(0, flat.size, step):
+        part = flat[first : first + step]
+        ideal = (1j * part[:, None]) ** derivative
+        errors = [np.abs(_of_exponential(row, part, t, phase, derivative) - ideal) ** 2 @ lengths for phase in range(row.scale)]
+        result[first : first + step] = sum(errors) / (2 * row.scale)
+    return result.reshape(w.shape)
+
+
+def taylor_coefficients(filter: str | Filter, t: ArrayLike, count: int = 6, derivative: int = 0) -> Array:
+    """Möller's Taylor coefficients a_n(t): what is reconstructed is ``sum of a_n(t) f^(n)(x) T**n``, x = t between samples 0 and 1.
+
+    An interpolating value filter should have a_0 = 1 and the others 0, a derivative filter a_1 = 1 and the others 0.
+
+    Parameters
+    ----------
+    filter : str or Filter
+        Any row of the table.
+    t : array-like
+        Positions within a sample, in [0, 1).
+    count : int
+        How many coefficients, 1 to 12: n = 0, ..., count - 1.
+    derivative : {0, 1}
+        1: of the filter's derivative, which reconstructs f'.
+
+    Returns
+    -------
+    ndarray of float64, shape (count, *t.shape)
+
+    Raises
+    ------
+    OptionError
+        Unknown filter, or a number outside its bounds.
+    """
+    row, count, derivative = as_filter(filter), whole("count", count, 1, _MOST), whole("derivative", derivative, 0, 1)
+    x = reals("t", t)
+    if not ((x >= 0) & (x < 1)).all():
+        raise OptionError(f"t must lie in [0, 1); got {t!r}")
+    u = row.scale * x - row.support / 2 + 1
+    base = np.floor(u)
+    result = np.empty((count, *x.shape))
+    for n in range(count):
+        every = np.array([polynomial.polyval(u - base, [float(c) for c in piece]) for piece in _taylor(row, n, derivative)])
+        result[n] = np.take_along_axis(every, (base.astype(np.int64) % row.scale)[None], 0)[0]
+    return result
+
+
+# -- moments, in exact fractions where the row has them ----------------------------------------------------
+
+
+def _exact(row: Filter) -> bool:
+    return row.exact and (row.magnified_by is None or row.magnified_by.exact)
+
+
+def _taylor(row: Filter, n: int, derivative: int) -> list[Polynomial]:
+    """a_n as a polynomial in the tap position t, for each phase of the finer grid (one without a hybrid).
+
+    With ``m_n(x) = sum over k of (k - x)**n eta(x - k)`` it is ``m_n / n!``, and for the derivative, since the
+    derivative of ``(k - x)**n eta`` has two parts, ``(m_n' + n m_(n-1)) / n!``.
+    """
+    moments = _moments(row, n)
+    if derivative:
+        below: list[list[Number]] = _moments(row, n - 1) if n else [[Fraction(0)]] * row.scale
+        moments = [_plus(_slope(a, row.scale), _times(b, [n])) for a, b in zip(moments, below, strict=True)]
+    return [tuple(c / math.factorial(n) for c in m) for m in moments]
+
+
+def _moments(row: Filter, n: int) -> list[list[Number]]:
+    """m_n of the whole reconstruction, for each phase of the finer grid."""
+    if row.magnified_by is None:
+        return [_mixed(_inverse_moments(row, n) if row.prefilter else [int(i == 0) for i in range(n + 1)], row, n)]
+    by, s = row.magnified_by, row.scale
+    result = []
+    for phase in range(s):
+        total: list[Number] = [Fraction(0)]
+        for i in range(row.support):
+            # (k - x)**n, with the coarse spline's moments about the finer sample j / s that tap i takes
+            at = Fraction((phase + i) % s, s)
+            distance = [-(Fraction(row.support, 2) - 1 - i) / s, Fraction(-1, s)]
+            for m in range(n + 1):
+                known = math.comb(n, m) * _moment_at(by, m, at)
+                total = _plus(total, _times(row.taps[i], _times(_power(distance, n - m), [known])))
+        result.append(total)
+    return result
+
+
+def _moment_at(row: Filter, n: int, x: Fraction) -> Number:
+    t = (x - Fraction(row.support, 2) + 1) % 1
+    return _value(_moments(row, n)[0], t)
+
+
+def _mixed(inverse: list[Number], row: Filter, n: int) -> list[Number]:
+    """The kernel's moments mixed with those of the prefilter: (k - x)**n by the binomial theorem."""
+    total: list[Number] = [Fraction(0)]
+    for m in range(n + 1):
+        if not inverse[n - m]:
+            continue
+        for i, weights in enumerate(row.taps):
+            distance = [-(Fraction(row.support, 2) - 1 - i), Fraction(-1)]
+            total = _plus(total, _times(weights, _times(_power(distance, m), [math.comb(n, m) * inverse[n - m]])))
+    return total
+
+
+def _inverse_moments(row: Filter, n: int) -> list[Number]:
+    """Moments ``sum of s_k k**m`` of the prefilter: with those of the kernel's samples they make 1, 0, 0, ..."""
+    half = Fraction(row.support, 2)
+    samples = {int(half - 1 - i + half % 1): _value(w, half % 1) for i, w in enumerate(row.taps)}
+    own = [sum((b * k**m for k, b in samples.items()), Fraction(0)) for m in range(n + 1)]
+    result: list[Number] = []
+    for m in range(n + 1):
+        rest = sum((math.comb(m, j) * own[j] * result[m - j] for j in range(1, m + 1)), Fraction(0))
+        result.append((int(m == 0) - rest) / own[0])
+    return result
+
+
+def _value(row: Sequence[Number], t: Number) -> Number:
+    return sum((c * t**k for k, c in enumerate(row)), Fraction(0))
+
+
+def _plus(a: Sequence[Number], b: Sequence[Number]) -> list[Number]:
+    size = max(len(a), len(b))
+    return [(a[k] if k < len(a) else 0) + (b[k] if k < len(b) else 0) for k in range(size)]
+
+
+def _times(a: Sequence[Number], b: Sequence[Number]) -> list[Number]:
+    result: list[Number] = [Fraction(0)] * (len(a) + len(b) - 1)
+    for i, x in enumerate(a):
+        for j, y in enumerate(b):
+            result[i + j] += x * y
+    return result
+
+
+def _slope(a: Sequence[Number], scale: int) -> Sequence[Number]:
+    return [scale * k * c for k, c in enumerate(a)][1:]
+
+
+def _power(a: list[Fraction], n: int) -> list[Number]:
+    result: list[Number] = [Fraction(1)]
+    for _ in range(n):
+        result = _times(result, list(a))
+    return result
+
+
+# -- the reconstruction of a wave --------------------------------------------------------------------------
+
+
+def _of_exponential(row: Filter, omega: Array, t: Array, phase: int, derivative: int) -> NDArray[np.complex128]:
+    """What samples of ``exp(i w x)`` become at tap position t, or the derivative, over ``exp(i w x)``; shape (omega, t)."""
+    s = row.scale
+    weights = row.weights(t, derivative) * float(s) ** derivative
+    distance = t + row.support / 2 - 1 - np.arange(row.support)[:, None]
+    terms = np.exp(-1j * omega[:, None, None] * distance / s) * weights
+    if row.magnified_by is not None:
+        by = row.magnified_by
+        k = np.arange(-by.support, by.support + 1)
+        for i in range(row.support):
+            place = (phase + i) % s / s
+            terms[:, i] *= (np.exp(1j * omega[:, None] * (k - place)) @ by(place - k))[:, None]
+    return np.asarray(terms.sum(1) * prefilter_response(row, omega)[:, None])

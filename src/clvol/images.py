@@ -1,0 +1,155 @@
+"""Images, grey or in colour, through the same filters as volumes: the paper's Figure 5."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clvol import spline
+from clvol.boundary import DEFAULT_BOUNDARY, Boundary
+from clvol.device import Device
+from clvol.errors import DataError, OptionError, number, whole
+from clvol.filters import DEFAULT_FILTER, Filter
+from clvol.volume import Volume, read_array
+
+__all__ = ["resample", "rotate", "zoom"]
+
+
+def resample(
+    image: ArrayLike, shape: Sequence[int], filter: str | Filter = DEFAULT_FILTER, boundary: str | Boundary = DEFAULT_BOUNDARY, *,
+    device: Device | str | int | None = None,
+) -> NDArray[Any]:  # fmt: skip
+    """The image with other numbers of rows and columns; its domain, from edge to edge, stays.
+
+    Parameters
+    ----------
+    image : array-like, shape (height, width) or (height, width, channels)
+        Up to 4 channels, each of which is reconstructed on its own. Volumes are for `clvol.resample`, which would take
+        three axes for [z, y, x].
+    shape : (int, int)
+        Height and width of the result.
+    filter, boundary, device
+        As for `clvol.sample`. No low-pass is applied.
+
+    Returns
+    -------
+    ndarray of the image's dtype
+        Integers are rounded and cut to the range of their type, since filters may leave that of the image; floats are
+        computed in float32.
+
+    Raises
+    ------
+    DataError, OptionError, DeviceError
+    """
+    pixels = _pixels(image)
+    height, width = _size(shape)
+    spacing = (pixels.shape[1] / width, pixels.shape[0] / height)
+    grid = _grid((height, width), spacing, tuple((s - 1) / 2 for s in spacing))
+    return _drawn(pixels, grid, filter, boundary, None, device)
+
+
+def zoom(
+    image: ArrayLike, factor: float | tuple[float, float], filter: str | Filter = DEFAULT_FILTER,
+    boundary: str | Boundary = DEFAULT_BOUNDARY, *, device: Device | str | int | None = None,
+) -> NDArray[Any]:  # fmt: skip
+    """The image `factor` times as high and wide, or (rows, columns) times, rounded to whole pixels; else as `resample`."""
+    pixels = _pixels(image)
+    factors = factor if isinstance(factor, (tuple, list)) else (factor, factor)
+    if len(factors) != 2:
+        raise OptionError(f"factor must be a number, or two of them, of rows and of columns; got {factor!r}")
+    shape = [max(1, round(number("factor", f, above=0) * n)) for f, n in zip(factors, pixels.shape[:2], strict=True)]
+    return resample(pixels, shape, filter, boundary, device=device)
+
+
+def rotate(
+    image: ArrayLike, degrees: float, filter: str | Filter = DEFAULT_FILTER, boundary: str | Boundary = DEFAULT_BOUNDARY, *,
+    zoom: float = 1.0, shape: Sequence[int] | None = None, fill: float | None = 0.0, device: Device | str | int | None = None,
+) -> NDArray[Any]:  # fmt: skip
+    """The image turned about its middle, counter-clockwise as it is shown (row 0 on top), and magnified by `zoom`.
+
+    Parameters
+    ----------
+    image : array-like, shape (height, width) or (height, width, channels)
+        As for `resample`.
+    degrees : float
+        The angle.
+    filter, boundary, device
+        As for `resample`.
+    zoom : float
+        How many pixels of the result a pixel of the image becomes; more than 0.
+    shape : (int, int), optional
+        Height and width of the result, whose middle shows the image's middle; default: those of the image.
+    fill : float or None
+        Value of pixels outside the image, which cannot be NaN for integers; None: the boundary rule goes on.
+
+    Returns
+    -------
+    ndarray of the image's dtype, as `resample` gives it
+
+    Raises
+    ------
+    DataError, OptionError, DeviceError
+    """
+    pixels, angle, step = _pixels(image), number("degrees", degrees), 1 / number("zoom", zoom, above=0)
+    height, width = pixels.shape[:2] if shape is None else _size(shape)
+    if fill is not None and pixels.dtype.kind != "f":
+        number("fill", fill)
+    # what is seen turns one way if the grid that looks turns the other; rows go down
+    cos, sin = _cos_sin(angle)
+    direction = np.array([[cos, -sin], [sin, cos]])
+    middle = (np.array(pixels.shape[1::-1]) - 1) / 2
+    origin = middle - direction @ (np.array([width - 1, height - 1]) / 2 * step)
+    return _drawn(pixels, _grid((height, width), (step, step), tuple(origin), direction), filter, boundary, fill, device)
+
+
+# -- inner -------------------------------------------------------------------------------------------------
+
+
+def _pixels(image: ArrayLike) -> NDArray[Any]:
+    pixels, _ = read_array(image)
+    if pixels.ndim not in (2, 3) or 0 in pixels.shape or (pixels.ndim == 3 and pixels.shape[2] > 4):
+        raise DataError(
+            f"image must have shape (height, width), or (height, width, channels) with up to 4 channels; got {pixels.shape}"
+        )
+    return pixels
+
+
+def _size(shape: Sequence[int]) -> tuple[int, int]:
+    if not isinstance(shape, (tuple, list)) or len(shape) != 2:
+        raise OptionError(f"shape must be two whole numbers, height and width; got {shape!r}")
+    return whole("height", shape[0], 1), whole("width", shape[1], 1)
+
+
+def _cos_sin(degrees: float) -> tuple[float, float]:
+    """Exact at quarter turns, so that pixels lie upon pixels there."""
+    turns, rest = divmod(degrees, 90)
+    cos, sin = (math.cos(math.radians(rest)), math.sin(math.radians(rest))) if rest else (1.0, 0.0)
+    for _ in range(int(turns % 4)):
+        cos, sin = -sin, cos
+    return cos, sin
+
+
+def _grid(
+    shape: tuple[int, int], spacing: tuple[float, ...], origin: tuple[float, ...], direction: NDArray[np.float64] | None = None
+) -> Volume:
+    """Where pixels lie, in pixels of the image; they take no memory."""
+    return Volume(np.broadcast_to(np.float32(0), shape), spacing, origin, direction)  # type: ignore[arg-type]  # None: not turned
+
+
+def _drawn(
+    pixels: NDArray[Any], grid: Volume, filter: str | Filter, boundary: str | Boundary, fill: float | None,
+    device: Device | str | int | None,
+) -> NDArray[Any]:  # fmt: skip
+    """Each channel on another grid, in the image's dtype."""
+    planes = [pixels] if pixels.ndim == 2 else list(np.moveaxis(pixels, 2, 0))
+    drawn = [spline.resample(p, like=grid, filter=filter, boundary=boundary, fill=fill, device=device).data for p in planes]
+    result = drawn[0] if pixels.ndim == 2 else np.stack(drawn, -1)
+    if pixels.dtype.kind == "f":
+        return result.astype(pixels.dtype)
+    low, high = (0, 1) if pixels.dtype.kind == "b" else (np.iinfo(pixels.dtype).min, np.iinfo(pixels.dtype).max)
+    with np.errstate(invalid="ignore"):
+        return np.clip(np.rint(result.astype(np.float64)), low, high).astype(pixels.dtype)

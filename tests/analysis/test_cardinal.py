@@ -1,0 +1,46 @@
+"""The impulse response, in polynomials, against what the reference draws of an impulse."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from clvol import reference
+from clvol.analysis import impulse_response
+from clvol.analysis.cardinal import pieces
+from clvol.errors import OptionError
+from clvol.filters import as_filter, bspline, filters
+from clvol.volume import Volume
+
+ROWS = {row.name: row for row in (*filters().values(), bspline(7), bspline(9))}
+
+
+@pytest.mark.parametrize("derivative", [0, 1, 2])
+@pytest.mark.parametrize("name", ROWS)
+def test_it_is_what_the_reference_draws_of_an_impulse(name: str, derivative: int) -> None:
+    n = 161
+    impulse = np.zeros((1, n))
+    impulse[0, n // 2] = 1
+    x = np.random.default_rng(0).uniform(-12, 12, 400)
+    drawn = reference.sample(impulse, np.stack([x + n // 2, np.zeros_like(x)], -1), ROWS[name], "wrap", derivative)
+    along = drawn if derivative == 0 else drawn[:, 0] if derivative == 1 else drawn[:, 0, 0]
+    along = along / reference.sample(Volume([[1.0]]), [[0.0, 0.0]], name if name in filters() else ROWS[name], "wrap")
+    np.testing.assert_allclose(impulse_response(ROWS[name], x, derivative), along, rtol=0, atol=1e-10 * 400**derivative)
+
+
+def test_the_kernel_alone_without_a_prefilter() -> None:
+    x = np.linspace(-3, 3, 601)
+    np.testing.assert_allclose(impulse_response("bspline3-approx", x), as_filter("bspline3")(x), atol=1e-15)
+
+
+def test_energy_and_integral_by_hand() -> None:
+    linear = pieces(as_filter("linear"))
+    assert linear.energy() == pytest.approx(2 / 3, rel=1e-15)
+    assert linear.greatest_integral() == pytest.approx(1, rel=1e-15)
+    assert pieces(as_filter("nearest")).energy() == 1
+
+
+@pytest.mark.parametrize("bad", [{"filter": "none"}, {"x": "a"}, {"derivative": 3}, {"derivative": 0.5}])
+def test_bad_input_is_refused(bad: dict[str, object]) -> None:
+    with pytest.raises(OptionError):
+        impulse_response(**{"filter": "linear", "x": 0.0, **bad})  # type: ignore[arg-type]

@@ -1,0 +1,63 @@
+"""Tables as text that people and programs read."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from clvol.analysis import ErrorTable, Metrics, Table, metrics
+from clvol.analysis.table import UNLISTED, column
+from clvol.errors import OptionError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    name: str = column("Name")
+    value: float | None = column("Value (°)", ".2f")
+    plain: int
+    hidden: np.ndarray = field(metadata=UNLISTED)
+
+
+ROWS = Table([Row(name="a, b", value=1 / 3, plain=3, hidden=np.ones(3)), Row(name="c|d", value=None, plain=4, hidden=np.ones(3))])
+
+
+def test_csv_holds_numbers_in_full() -> None:
+    assert list(csv.reader(io.StringIO(ROWS.to_csv()))) == [
+        ["name", "value", "plain"], ["a, b", repr(1 / 3), "3"], ["c|d", "", "4"],
+    ]  # fmt: skip
+
+
+def test_json_holds_numbers_in_full() -> None:
+    assert json.loads(ROWS.to_json()) == [{"name": "a, b", "value": 1 / 3, "plain": 3}, {"name": "c|d", "value": None, "plain": 4}]
+
+
+def test_markdown_is_for_reading() -> None:
+    assert ROWS.to_markdown() == (
+        "| Name | Value (°) | plain |\n| --- | --: | --: |\n| a, b | 0.33 | 3 |\n| c\\|d | – | 4 |"
+    )  # fmt: skip
+
+
+def test_rich_shows_the_same() -> None:
+    console = Console(file=io.StringIO(), width=80)
+    console.print(ROWS.to_rich("title"))
+    shown = console.file.getvalue()  # type: ignore[attr-defined]  # a StringIO
+    assert all(text in shown for text in ("title", "Value (°)", "0.33", "–", "c|d"))
+
+
+def test_rows_of_the_analysis_can_be_put_together() -> None:
+    table = Table([metrics(name) for name in ("linear", "mitchell")])
+    assert isinstance(table[0], Metrics)
+    assert table.to_markdown().count("\n") == 3
+    assert issubclass(ErrorTable, Table)
+
+
+def test_an_empty_table_is_not_written() -> None:
+    for write in (Table().to_csv, Table().to_json, Table().to_markdown, Table().to_rich):
+        with pytest.raises(OptionError, match="at least one row"):
+            write()

@@ -1,0 +1,146 @@
+"""Orders, error constants, Fourier error kernel and Taylor coefficients, against closed forms and brute force."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy import special
+
+from clvol import reference
+from clvol.analysis import approximation, error_kernel, frequency_response, impulse_response, taylor_coefficients
+from clvol.errors import OptionError
+from clvol.filters import as_filter, bspline, filters, from_callable, from_pieces
+
+
+def zeta_constant(degree: int) -> float:
+    """Of interpolating B-splines (Blu and Unser 1999): ``((sum)² + sum of squares) of 1/(2 pi k)**L`` over k != 0."""
+    order = degree + 1
+    cross = 2 * special.zeta(order) if order % 2 == 0 else 0.0
+    return math.sqrt(cross**2 + 2 * special.zeta(2 * order)) / (2 * math.pi) ** order
+
+
+@pytest.mark.parametrize("degree", range(1, 10))
+def test_constants_of_interpolating_splines(degree: int) -> None:
+    got = approximation(bspline(degree))
+    assert (got.order, got.derivative) == (degree + 1, 0)
+    assert got.constant == pytest.approx(zeta_constant(degree), rel=1e-12)
+
+
+@pytest.mark.parametrize(("name", "derivative", "order", "constant"), [
+    ("nearest", 0, 1, math.sqrt(1 / 12)),  # the mean square of t within ±1/2
+    ("linear", 0, 2, math.sqrt(1 / 120)),  # of t (1 - t) / 2
+    ("bspline3-approx", 0, 2, 1 / 6),  # half the variance of the kernel, 1/3
+    ("bspline5-approx", 0, 2, 1 / 4),
+    ("mitchell", 0, 2, 1 / 18),  # B / 6
+    ("bspline3-approx", 1, 2, 1 / 6),
+    ("nearest", 1, 0, 1),  # no slope at all
+    ("linear", 1, 1, math.sqrt(1 / 12)),
+    ("catmull-rom", 1, 2, math.sqrt(1 / 180)),
+])  # fmt: skip
+def test_constants_by_hand(name: str, derivative: int, order: int, constant: float) -> None:
+    got = approximation(name, derivative)
+    assert (got.filter, got.order) == (name, order)
+    assert got.constant == pytest.approx(constant, rel=1e-14)
+
+
+@pytest.mark.parametrize("name", filters())
+def test_order_is_that_of_the_row(name: str) -> None:
+    assert approximation(name).order == as_filter(name).order
+
+
+@pytest.mark.parametrize("name", ["bspline2", "bspline3", "bspline4", "bspline5"])
+def test_the_gradient_of_an_interpolating_spline_has_the_constant_of_the_spline_below(name: str) -> None:
+    """For odd degrees exactly: its leading term is that spline's Bernoulli polynomial."""
+    degree = int(name[-1])
+    got = approximation(name, 1)
+    assert got.order == degree
+    if degree % 2:
+        assert got.constant == pytest.approx(zeta_constant(degree - 1), rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ["sinc", "lanczos3"])
+def test_weights_that_miss_one_leave_an_error_that_stays(name: str) -> None:
+    miss = as_filter(name).weights((np.arange(20_000) + 0.5) / 20_000).sum(0) - 1
+    assert approximation(name).order == 0
+    assert approximation(name).constant == pytest.approx(np.sqrt(np.mean(miss**2)), rel=1e-6)
+    assert approximation(name, 1).order == -1
+
+
+@pytest.mark.parametrize("name", [*filters(), "bc(0.2,0.4)"])
+def test_error_kernel_is_the_sum_over_the_images(name: str) -> None:
+    omega = np.array([0.0, 0.3, 1.0, 2.5, np.pi, 4.0, -1.0, 9.0])
+    images = 2 * np.pi * np.concatenate([np.arange(-40, 0), np.arange(1, 41)])
+    wanted = (1 - frequency_response(name, omega)) ** 2 + (frequency_response(name, omega[:, None] + images) ** 2).sum(-1)
+    # what lies beyond the images summed falls like 1/omega² where a kernel jumps, faster elsewhere
+    tolerance = 6e-3 if as_filter(name).continuity < 0 else 1e-5
+    np.testing.assert_allclose(error_kernel(name, omega), wanted, rtol=0, atol=tolerance)
+    assert error_kernel(name, 1.0).shape == ()
+    assert error_kernel(name, [[1.0, 2.0]]).shape == (1, 2)
+
+
+@pytest.mark.parametrize("derivative", [0, 1])
+@pytest.mark.parametrize("name", [n for n in filters() if as_filter(n).order])
+def test_error_kernel_near_0_is_the_leading_error(name: str, derivative: int) -> None:
+    leading = approximation(name, derivative)
+    got = error_kernel(name, 0.05, derivative) / 0.05 ** (2 * derivative)
+    assert got == pytest.approx(leading.constant**2 * 0.05 ** (2 * leading.order), rel=0.01)
+
+
+@pytest.mark.parametrize("derivative", [0, 1])
+@pytest.mark.parametrize("name", ["nearest", "linear", "mitchell", "bspline2", "bspline3", "omoms3", "sinc", "hybrid"])
+def test_error_kernel_is_the_error_measured_on_a_wave(name: str, derivative: int) -> None:
+    n, turns = 40, 7
+    omega = 2 * np.pi * turns / n
+    x = (np.arange(n * 200) + 0.5) / 200
+    points = np.stack([x, np.zeros_like(x)], -1)
+    got = reference.sample(np.cos(omega * np.arange(n))[None], points, name, "wrap", derivative)
+    across = reference.sample([[1.0]], [[0.0, 0.0]], name, "wrap")  # the single row, where weights miss one
+    got = (got[:, 0] if derivative else got) / across
+    true = -omega * np.sin(omega * x) if derivative else np.cos(omega * x)
+    assert np.mean((got - true) ** 2) == pytest.approx(error_kernel(name, omega, derivative) / 2, rel=1e-3)
+
+
+@pytest.mark.parametrize("derivative", [0, 1])
+@pytest.mark.parametrize("name", filters())
+def test_taylor_coefficients_are_moments_of_the_impulse_response(name: str, derivative: int) -> None:
+    t = np.array([0.013, 0.2, 0.4999, 0.51, 0.77])
+    k = np.arange(-70, 72)
+    response = impulse_response(name, t[:, None] - k, derivative)
+    got = taylor_coefficients(name, t, 7, derivative)
+    for n in range(7):
+        wanted = ((k - t[:, None]) ** n * response).sum(-1) / math.factorial(n)
+        np.testing.assert_allclose(got[n], wanted, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", filters())
+def test_taylor_coefficients_below_the_order_are_those_of_no_error(name: str) -> None:
+    order = as_filter(name).order
+    got = taylor_coefficients(name, np.linspace(0, 0.99, 34), order + 1)
+    np.testing.assert_allclose(got[:order], np.eye(order, 1)[:, 0, None] * np.ones(34), atol=1e-13)
+    assert np.abs(got[order] - (order == 0)).max() > 1e-5
+    assert taylor_coefficients(name, 0.5).shape == (6,)
+
+
+def test_rows_in_floating_point() -> None:
+    row = from_pieces("mine", [(2 / 3, 0.0, -1.0, 0.5), (4 / 3, -2.0, 1.0, -1 / 6)], prefilter=True)
+    for derivative in (0, 1):
+        mine, theirs = approximation(row, derivative), approximation("bspline3", derivative)
+        assert mine.order == theirs.order
+        assert mine.constant == pytest.approx(theirs.constant, rel=1e-9)
+    bump = from_callable("bump", lambda x: np.cos(np.pi * x / 4) ** 2 / 2, 2)
+    assert approximation(bump).order == bump.order == 1
+
+
+@pytest.mark.parametrize("call", [
+    lambda: approximation("none"), lambda: approximation("linear", 2), lambda: approximation("linear", True),
+    lambda: error_kernel("none", 1.0), lambda: error_kernel("linear", np.nan), lambda: error_kernel("linear", 2001),
+    lambda: error_kernel("linear", "a"), lambda: error_kernel("linear", 1.0, 2), lambda: taylor_coefficients("none", 0.5),
+    lambda: taylor_coefficients("linear", 1.0), lambda: taylor_coefficients("linear", -0.1),
+    lambda: taylor_coefficients("linear", np.nan), lambda: taylor_coefficients("linear", 0.5, 0),
+    lambda: taylor_coefficients("linear", 0.5, 13), lambda: taylor_coefficients("linear", 0.5, 3, 2),
+])  # fmt: skip
+def test_bad_input_is_refused(call) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(OptionError):
+        call()
