@@ -361,7 +361,7 @@ def _middle(positions: NDArray[Any], others: int, most: int) -> NDArray[Any]:
 
 def _middle_of(lattice: Array) -> Array:
     """As many of the slices about the middle as similarity is judged on."""
-    return lattice[_middle(np.arange(lattice.shape[0]), lattice[0].size, _LATTICE)]
+    return np.asarray(lattice[_middle(np.arange(lattice.shape[0]), lattice[0].size, _LATTICE)])
 
 
 def _lattice_points(axes: Sequence[Array]) -> Array:
