@@ -80,6 +80,9 @@ def test_integers_are_rounded_and_do_not_wrap(device: Device) -> None:
             assert np.abs(np.diff(got[0].astype(int))).max() < 100  # what rings past 0 or 255 stays there
     least = np.array([[-128, -128, 127, 127]], np.int8)
     assert images.zoom(least, 8, device=device).min() == -128
+    for wide in (np.int64, np.uint64):
+        most = np.full((3, 3), np.iinfo(wide).max, wide)
+        assert images.zoom(most, 2, device=device).min() > 2**62
 
 
 def test_small_images(device: Device) -> None:

@@ -151,5 +151,6 @@ def _drawn(
     if pixels.dtype.kind == "f":
         return result.astype(pixels.dtype)
     low, high = (0, 1) if pixels.dtype.kind == "b" else (np.iinfo(pixels.dtype).min, np.iinfo(pixels.dtype).max)
-    with np.errstate(invalid="ignore"):
-        return np.clip(np.rint(result.astype(np.float64)), low, high).astype(pixels.dtype)
+    # the greatest float64 that is no greater than the greatest integer
+    top = float(high) if int(float(high)) <= high else np.nextafter(float(high), 0)
+    return np.clip(np.rint(result.astype(np.float64)), low, top).astype(pixels.dtype)

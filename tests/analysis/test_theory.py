@@ -71,10 +71,10 @@ def test_weights_that_miss_one_leave_an_error_that_stays(name: str) -> None:
 @pytest.mark.parametrize("name", [*filters(), "bc(0.2,0.4)"])
 def test_error_kernel_is_the_sum_over_the_images(name: str) -> None:
     omega = np.array([0.0, 0.3, 1.0, 2.5, np.pi, 4.0, -1.0, 9.0])
-    images = 2 * np.pi * np.concatenate([np.arange(-40, 0), np.arange(1, 41)])
+    images = 2 * np.pi * np.concatenate([np.arange(-12, 0), np.arange(1, 13)])
     wanted = (1 - frequency_response(name, omega)) ** 2 + (frequency_response(name, omega[:, None] + images) ** 2).sum(-1)
     # what lies beyond the images summed falls like 1/omega² where a kernel jumps, faster elsewhere
-    tolerance = 6e-3 if as_filter(name).continuity < 0 else 1e-5
+    tolerance = 2e-2 if as_filter(name).continuity < 0 else 1e-5
     np.testing.assert_allclose(error_kernel(name, omega), wanted, rtol=0, atol=tolerance)
     assert error_kernel(name, 1.0).shape == ()
     assert error_kernel(name, [[1.0, 2.0]]).shape == (1, 2)
