@@ -443,7 +443,7 @@ def sample_coefficients(
     results = np.empty((points.shape[0], d**derivative), np.float32)
     kernel = built.kernel("sample_points")
     source = held.argument(path)
-    step = _launch_points(held.filter, d)
+    step = _launch_points(held.filter, d, path)
     for first in range(0, points.shape[0], step):
         part = np.ascontiguousarray(points[first : first + step], dtype=kind)
         target = results[first : first + step]
@@ -465,9 +465,10 @@ def _fill_value(fill: float | None) -> float | None:
     return None if fill is None else float(fill)
 
 
-def _launch_points(filter: Filter, dimensions: int) -> int:
-    """How many points a launch takes, so that it is short whatever the filter."""
-    return max(1 << 10, _TAPS_A_LAUNCH // int(filter.support**dimensions))
+def _launch_points(filter: Filter, dimensions: int, path: Path) -> int:
+    """How many points a launch takes, so that it is short whatever the filter; images may be sampled in software."""
+    taps = _TAPS_A_LAUNCH if path.image else 4 * _TAPS_A_LAUNCH
+    return max(1 << 10, taps // int(filter.support**dimensions))
 
 
 def _run_lattice(
@@ -483,7 +484,7 @@ def _run_lattice(
     transform = _affine(device, matrix, offset, held.volume.world_to_index_matrix)
     kernel = built.kernel("sample_lattice")
     nz, ny, nx = shape
-    points = _launch_points(held.filter, held.volume.ndim)
+    points = _launch_points(held.filter, held.volume.ndim, path)
     rows, slices = max(1, min(ny, points // nx)), max(1, points // (nx * ny))
     parts = [(z, y) for z in range(0, nz, slices) for y in range(0, ny, rows)]
     for done, (z, y) in enumerate(parts, 1):
