@@ -175,7 +175,7 @@ class Device:
         size = max(int(size), 4)
         self.require_room(size)
         with _errors(self):
-            if self.kind == "cpu" and size >= 2 * _HUGE_PAGE:
+            if self.kind == "cpu" and size >= 2 * _HUGE_PAGE and hasattr(mmap, "MADV_HUGEPAGE"):
                 return cl.Buffer(self.context, cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR, hostbuf=_huge_pages(size))
             return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size)
 
@@ -251,15 +251,17 @@ class Device:
 
 
 def _huge_pages(size: int) -> NDArray[np.uint8]:
-    """Fresh memory in pages of 2 MiB where the system has them.
+    """Fresh memory, zero, in pages of 2 MiB where the system has them; Linux only.
 
     Rows of a volume lie in pages of their own if these have 4 KiB: most of a sample's time then goes to finding
     pages, and most of an upload's to getting them.
     """
-    area = mmap.mmap(-1, size + _HUGE_PAGE, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
-    if hasattr(mmap, "MADV_HUGEPAGE"):
-        with contextlib.suppress(OSError):  # a kernel built without them
-            area.madvise(mmap.MADV_HUGEPAGE)
+    try:
+        area = mmap.mmap(-1, size + _HUGE_PAGE, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    except OSError as error:
+        raise OutOfMemoryError(f"there is no room for {size / 2**20:.0f} MiB: {error}") from error
+    with contextlib.suppress(OSError):  # a kernel built without them
+        area.madvise(mmap.MADV_HUGEPAGE)
     memory = np.frombuffer(area, np.uint8)
     skip = -memory.ctypes.data % _HUGE_PAGE
     return memory[skip : skip + size]

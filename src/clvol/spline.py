@@ -42,7 +42,7 @@ Fetch = Literal["auto", "buffer", "image"]
 LANES = 8  # lines that one vector holds in columns.cl, and what rows of coefficients are padded to
 CHAINS = 4  # ... of eight lines that it filters at once where they lie side by side
 _START_ERROR = 1e-9  # what the starting values of the prefilter may leave out, relative to the data
-_VOXELS_A_LAUNCH = 1 << 26  # of the prefilter, and ...
+_VOXELS_A_LAUNCH = 1 << 26  # of copies and the prefilter, and ...
 _TAPS_A_LAUNCH = 1 << 25  # ... of sampling: a launch should not run longer than a quarter of a second
 _SAMPLES = {  # OpenCL's names of NumPy's types
     "b1": "uchar", "u1": "uchar", "i1": "char", "u2": "ushort", "i2": "short", "u4": "uint", "i4": "int", "u8": "ulong",
@@ -95,6 +95,7 @@ def _prefilter(
     """Filter the stored coefficients along the first `dimensions` of x, y and z, in place."""
     pitch, area, halo = extent[0], extent[0] * extent[1], extent[3]
     nx, ny, nz = size
+    chains = CHAINS if device.kind == "cpu" else 1  # others have enough work-items to wait for
     starts = [_starts(filter, boundary, n) for n in size]
     built = program.build(
         device,
@@ -104,7 +105,7 @@ def _prefilter(
             "POLE_VALUES": "{" + ",".join(f"{p:.9e}f" for p in filter.poles) + "}",
             "GAIN": float(1 / filter.samples[-1]),
             "ENDS": starts[0][0].shape[2] // 2,
-            "CHAINS": CHAINS,
+            "CHAINS": chains,
             "COORD_DOUBLE": 0,
         },
     )
@@ -121,7 +122,7 @@ def _prefilter(
 
     first_row = (halo * area if extent[2] > 1 else 0) + halo * pitch  # the halo's columns in it are filtered too, in vain
     rows = np.int32(nx), np.uint64(pitch), np.int32(ny), np.uint64(area)
-    wide = -(-pitch // (LANES * CHAINS))
+    wide = -(-pitch // (LANES * chains))
     with device.errors:
         if device.kind == "cpu" and dimensions > 1 and nz >= 4 * device.units:
             launch("prefilter_slices", 1, nz, first_row + halo, area, area, *rows, np.int32(halo), *along_x, *along_y)
@@ -224,11 +225,14 @@ class Coefficients:
         defines: dict[str, str | int | float] = {"SAMPLE": named, "SAMPLE_DOUBLE": int(named == "double"), "COORD_DOUBLE": 0}
         pitch, area = int(self.extent[0]), int(self.extent[0]) * int(self.extent[1])
         origin = sum(inside.start * step for inside, step in zip(self.inner, (area, pitch, 1), strict=True))
+        nx, ny, nz = sizes
+        some = max(1, _VOXELS_A_LAUNCH // (nx * ny))
         with device.lent(data, write=False) as given, device.errors:
-            program.build(device, "samples.cl", defines).kernel("copy_samples")(
-                device.queue, sizes[1:], (1, 1), given, self.buffer, np.uint64(origin), np.int32(sizes[0]), np.uint64(pitch),
-                np.uint64(area),
-            )  # fmt: skip
+            for first in range(0, nz, some):
+                program.build(device, "samples.cl", defines).kernel("copy_samples")(
+                    device.queue, (ny, min(some, nz - first)), (1, 1), given, self.buffer, np.int32(first), np.uint64(origin),
+                    np.int32(nx), np.uint64(pitch), np.uint64(area),
+                )  # fmt: skip
 
     def _magnify(self, by: Filter) -> None:
         """Samples of the spline on a grid of twice the density, halo included (section 4.3)."""
@@ -443,7 +447,7 @@ def sample_coefficients(
     results = np.empty((points.shape[0], d**derivative), np.float32)
     kernel = built.kernel("sample_points")
     source = held.argument(path)
-    step = _launch_points(held.filter, d)
+    step = _launch_points(held.filter, d, path)
     for first in range(0, points.shape[0], step):
         part = np.ascontiguousarray(points[first : first + step], dtype=kind)
         target = results[first : first + step]
@@ -465,9 +469,10 @@ def _fill_value(fill: float | None) -> float | None:
     return None if fill is None else float(fill)
 
 
-def _launch_points(filter: Filter, dimensions: int) -> int:
-    """How many points a launch takes, so that it is short whatever the filter."""
-    return max(1 << 10, _TAPS_A_LAUNCH // int(filter.support**dimensions))
+def _launch_points(filter: Filter, dimensions: int, path: Path) -> int:
+    """How many points a launch takes, so that it is short whatever the filter; images may be sampled in software."""
+    taps = _TAPS_A_LAUNCH if path.image else 4 * _TAPS_A_LAUNCH
+    return max(1 << 10, taps // int(filter.support**dimensions))
 
 
 def _run_lattice(
@@ -483,7 +488,7 @@ def _run_lattice(
     transform = _affine(device, matrix, offset, held.volume.world_to_index_matrix)
     kernel = built.kernel("sample_lattice")
     nz, ny, nx = shape
-    points = _launch_points(held.filter, held.volume.ndim)
+    points = _launch_points(held.filter, held.volume.ndim, path)
     rows, slices = max(1, min(ny, points // nx)), max(1, points // (nx * ny))
     parts = [(z, y) for z in range(0, nz, slices) for y in range(0, ny, rows)]
     for done, (z, y) in enumerate(parts, 1):
