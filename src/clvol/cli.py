@@ -135,6 +135,11 @@ Filters = Annotated[
     tuple[str, ...], Parameter(help="One picture each. [default: the six of Figure 6]", show_default=False, consume_multiple=True)
 ]
 
+PageOutput = Annotated[Path, Parameter(name=["--output", "-o"], help="A folder, or a file that ends in .html.")]
+Compared = Annotated[
+    tuple[str, ...], Parameter(help="What is compared; see 'clvol filters'.", show_default=False, consume_multiple=True)
+]
+
 
 @app.command
 def render(
@@ -197,12 +202,84 @@ def compare(
 
     _require_picture(output)
     volume, look = (input or Input()).read(source), look or SurfaceLook()
-    names = filters or figures.FIGURE_6
+    names = filters or figures.SIX
     with _progress("comparing", json) as progress:
         _, sheet = figures.compare(
             volume, names, pixels, look.boundary, device=device, progress=progress, **look.options(volume)
         )  # fmt: skip
     _say(json, {"output": str(clvol.save(sheet, output)), "filters": list(names), "mode": look.mode})
+
+
+@app.command
+def figure(
+    name: Annotated[str, Parameter(help="1 to 6 as in the paper, impulse, gradients, convergence or cost.")], /, *,
+    output: Annotated[
+        Path | None, Parameter(name=["--output", "-o"], help="The file to write: .png, .svg, .pdf, ... [default: figureNAME.png]")
+    ] = None,
+    samples: Whole | None = None, pixels: Whole | None = None,
+    filters: Compared = (),
+    scan: Annotated[str | None, Parameter(help="A volume to measure (4) or draw (3) too.")] = None,
+    device: DeviceName = None, json: Json = False,
+) -> None:  # fmt: skip
+    """Make a figure of the paper, or one beyond: impulse, gradients, convergence, cost. Each has defaults for its options.
+
+    Parameters
+    ----------
+    samples
+        Of the function along each axis.
+    pixels
+        Width of each picture.
+    """
+    from clvol import figures
+    from clvol.figures import style
+
+    output = Path(f"figure{name}.png") if output is None else output
+    options: dict[str, Any] = {
+        "samples": samples, "pixels": pixels, "filters": filters or None, "scan": scan, "device": device
+    }  # fmt: skip
+    options = {key: value for key, value in options.items() if value is not None}
+    known = figures.options_of(name)
+    if not set(options) <= set(known):
+        flags = [f"--{key}" for key in known if key in ("samples", "pixels", "filters", "scan", "device")]
+        wrong = next(key for key in options if key not in known)
+        raise OptionError(f"figure {name} takes {', '.join(flags) or 'no option'}; got --{wrong}")
+    if figures.FIGURES[name].plotted:
+        style.require_matplotlib()
+        style.require_suffix(output)
+        _require_folder(output)
+    else:
+        _require_picture(output)
+    if scan is not None:
+        options["scan"] = Input().read(scan)
+    with _progress(f"figure {name}", json) as progress:
+        drawing = figures.draw(name, **options, **({"progress": progress} if "progress" in known else {}))
+    _say(json, {"output": str(drawing.save(output)), "panels": drawing.numbers}, drawing.lines)
+
+
+@app.command
+def report(
+    source: Source, /, *, output: PageOutput,
+    filters: Compared = (), pixels: Whole = 280, device: DeviceName = None, input: Input | None = None,
+    look: SurfaceLook | None = None, json: Json = False,
+) -> None:  # fmt: skip
+    """Tell by pictures, errors and words which filter to use for a volume: one HTML page that needs nothing else.
+
+    Parameters
+    ----------
+    pixels
+        Width and height of each picture.
+    """
+    from clvol import reports
+
+    reports.page(output)  # raises before minutes of work if it cannot be written
+    volume, look = (input or Input()).read(source), look or SurfaceLook()
+    with _progress("measuring and drawing", json) as progress:
+        done = reports.report(
+            volume, output, Path(source).name, filters or reports.REPORTED, pixels, look.boundary, device=device,
+            progress=progress,
+            **look.options(volume),
+        )  # fmt: skip
+    _say(json, {"output": str(done.path), "filter": done.advice.filter, "advice": " ".join(done.advice.sentences)})
 
 
 @app.command
@@ -218,16 +295,7 @@ def figure6(
     pixels
         Width and height of each panel.
     """
-    from clvol import figures
-
-    _require_picture(output)
-    with _progress("figure 6", json) as progress:
-        panels, sheet = figures.figure6(samples, pixels, device=device, progress=progress)
-    _say(
-        json,
-        {"output": str(clvol.save(sheet, output)), "panels": [p.numbers() for p in panels]},
-        [p.label.replace("\n", ": ") for p in panels if p.rms is not None],
-    )
+    figure("6", output=output, samples=samples, pixels=pixels, device=device, json=json)
 
 
 @app.command
@@ -374,6 +442,7 @@ def doctor(*, json: Json = False) -> None:
     for extra, module, what in (
         ("medical", "SimpleITK", "NIfTI, NRRD, MetaImage, DICOM"),
         ("microscopy", "tifffile", "TIFF stacks"),
+        ("figures", "matplotlib", "figures and reports"),
     ):
         import importlib.util
 

@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol import phantoms
+from clvol.analysis import EXACT_SINC, sinc_volume
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary
 from clvol.camera import Camera
 from clvol.device import Device
-from clvol.errors import OptionError
+from clvol.errors import OptionError, whole
+from clvol.figures.style import Drawing, title
 from clvol.filters import Filter, as_filter
 from clvol.light import Light, Material
 from clvol.picture import grid, labelled
@@ -22,23 +24,25 @@ from clvol.render import Renderer
 from clvol.spline import Progress, sample
 from clvol.volume import Volume
 
-__all__ = ["FIGURE_6", "Panel", "compare", "figure6"]
+__all__ = [
+    "BOX", "CAMERA", "FIGURE_6", "ISOVALUE", "LIGHTS", "MATERIAL", "SIX", "SURFACE", "Panel", "compare", "draw", "figure6", "fixed",
+]  # fmt: skip
 
-# a) to f) of the paper's Figure 6
-FIGURE_6 = ("sinc", "nearest", "bspline3-approx", "linear", "mitchell", "bspline3")
+SIX = ("sinc", "nearest", "bspline3-approx", "linear", "mitchell", "bspline3")
+"""The six reconstructions of the paper as rows of the table: the sinc is cut off."""
 
-_TITLES = {
-    "sinc": "sinc, cut off at 4 samples", "nearest": "nearest neighbour", "bspline3-approx": "B-spline approximation",
-    "linear": "trilinear",
-    "exact": "the function itself", "mitchell": "Mitchell B = C = 1/3", "bspline3": "B-spline interpolation",
-}  # fmt: skip
-_ISOVALUE = 0.5
-_BOX = ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
-_CAMERA = Camera.orbit(20, 52, zoom=1.27)
-_LIGHTS = (Light((-0.6, -0.35, 0.75)),)
-_MATERIAL = Material(ambient=0.18, diffuse=0.82, specular=0.12, shininess=25)
-_SURFACE = (0.86, 0.86, 0.84)
-_BACKGROUND = (0.06, 0.07, 0.10)
+FIGURE_6 = (EXACT_SINC, *SIX[1:])
+"""a) to f) of the paper's Figures 4 to 6: the sinc is exact."""
+
+_FINER = 4  # as many times the samples stand for the exact sinc
+# what shows the Marschner-Lobb function well, in every figure
+ISOVALUE = 0.5
+BOX = ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
+CAMERA = Camera.orbit(20, 52, zoom=1.27)
+LIGHTS = (Light((-0.6, -0.35, 0.75)),)
+MATERIAL = Material(ambient=0.18, diffuse=0.82, specular=0.12, shininess=25)
+SURFACE = (0.86, 0.86, 0.84)
+BACKGROUND = (0.06, 0.07, 0.10)
 _POINTS = 200_000
 _SEED = 1999
 
@@ -58,19 +62,22 @@ class Panel:
     angle : float or None
         Mean angle in degrees between the reconstruction's gradient and the true one, at the points of the
         true surface that the picture shows; None if it shows none.
+    residual : float or None
+        Greatest difference between what is drawn and the exact sinc, where that is what is meant.
     """
 
     filter: str
     picture: NDArray[np.float32]
     rms: float | None = None
     angle: float | None = None
+    residual: float | None = None
 
     @property
     def label(self) -> str:
-        title = _TITLES.get(self.filter, self.filter)
+        heading = title(self.filter) + ("" if self.residual is None else f" to within {self.residual:.0e}")
         measured = [] if self.rms is None else [f"RMS error {self.rms:.4f}"]
         measured += [] if self.angle is None else [f"normals {self.angle:.1f}°"]
-        return f"{title}\n{'   '.join(measured)}"  # two lines always, so that all labels are as high
+        return f"{heading}\n{'   '.join(measured)}"  # two lines always, so that all labels are as high
 
     def numbers(self) -> dict[str, Any]:
         """What a program would read: everything but the picture."""
@@ -90,7 +97,8 @@ def figure6(
     pixels : int
         Width and height of each panel.
     filters : sequence of str or Filter
-        One panel each; the exact function is added at the end.
+        One panel each; the exact function is added at the end. "exact-sinc" is the exact sinc: the samples are
+        magnified by the FFT and drawn through `bspline3`, and the panel says how far that is from exact.
     samples, step, device, progress
         As for `Renderer.render`.
 
@@ -100,7 +108,7 @@ def figure6(
     sheet : ndarray of uint8, shape (height, width, 3)
         All panels, labelled with their errors.
     """
-    chosen = _chosen(filters, pixels)
+    chosen = _chosen(filters, pixels, exact_sinc=True)
     volume = phantoms.marschner_lobb(size)
     surface, picture = _exact(volume, pixels, samples)
     points = np.random.default_rng(_SEED).uniform(-0.8, 0.8, (_POINTS, 3))
@@ -108,15 +116,19 @@ def figure6(
     panels = []
     for i, row in enumerate(chosen):
         report = _part(progress, i + 1, len(chosen) + 1)  # the exact picture was the first part
-        with Renderer(volume, row, device=device) as renderer:
+        held, through, finer, residual = volume, row, 1, None
+        if isinstance(row, str):
+            exact = sinc_volume(volume, _FINER)
+            held, through, finer, residual = exact.volume, as_filter(exact.filter), _FINER, exact.maximum
+        with Renderer(held, through, device=device) as renderer:
             drawn = renderer.render(
-                _CAMERA, "isosurface", (pixels, pixels), step, isovalue=_ISOVALUE, color=_SURFACE, lights=_LIGHTS,
-                material=_MATERIAL, background=_BACKGROUND, clip=_BOX, samples=samples, progress=report,
+                fixed(CAMERA, volume, held), "isosurface", (pixels, pixels), step * finer, isovalue=ISOVALUE, color=SURFACE,
+                lights=LIGHTS, material=MATERIAL, background=BACKGROUND, clip=BOX, samples=samples, progress=report,
             )  # fmt: skip
-        values = sample(volume, points, row, device=device)
+        values = sample(held, points, through, device=device)
         rms = float(np.sqrt(np.mean((values - truth) ** 2)))
-        angle = _mean_angle(_gradients(volume, surface, row, device), normals) if surface.size else None
-        panels.append(Panel(row.name, drawn, rms, angle))
+        angle = _mean_angle(_gradients(held, surface, through, device), normals) if surface.size else None
+        panels.append(Panel(row if isinstance(row, str) else row.name, drawn, rms, angle, residual))
     panels.append(Panel("exact", picture))
     *tiles, truth_tile = [labelled(p.picture, p.label) for p in panels]
     sheet = grid(tiles, columns=min(3, len(tiles)))
@@ -127,7 +139,7 @@ def figure6(
 
 
 def compare(
-    volume: Volume, filters: Sequence[str | Filter] = FIGURE_6, pixels: int = 384, boundary: str | Boundary = DEFAULT_BOUNDARY, *,
+    volume: Volume, filters: Sequence[str | Filter] = SIX, pixels: int = 384, boundary: str | Boundary = DEFAULT_BOUNDARY, *,
     device: Device | str | int | None = None, progress: Progress | None = None, **options: Any,
 ) -> tuple[list[Panel], NDArray[np.uint8]]:  # fmt: skip
     """The same picture of a volume by each filter; `options` are those of `Renderer.render`.
@@ -150,13 +162,32 @@ def compare(
     return panels, grid([labelled(p.picture, p.label) for p in panels], columns=columns)
 
 
-def _chosen(filters: Sequence[str | Filter], pixels: int) -> list[Filter]:
-    """The filters asked for; raises for whatever is wrong with the request before anything is drawn."""
-    if isinstance(pixels, bool) or not isinstance(pixels, (int, np.integer)) or pixels < 1:
-        raise OptionError(f"pixels must be a whole number of at least 1; got {pixels!r}")
-    if isinstance(filters, str) or not filters:
+def draw(
+    samples: int = 40, pixels: int = 512, filters: Sequence[str | Filter] = FIGURE_6, device: Device | str | int | None = None,
+    progress: Progress | None = None,
+) -> Drawing:  # fmt: skip
+    """Figure 6 of the paper as a drawing: `figure6` with `samples`³ of the function."""
+    panels, sheet = figure6(samples, pixels, filters, device=device, progress=progress)
+    lines = [p.label.replace("\n", ": ") for p in panels if p.rms is not None]
+    return Drawing(sheet, [p.numbers() for p in panels], lines)
+
+
+def _chosen(filters: Sequence[str | Filter], pixels: int, *, exact_sinc: bool = False) -> list[Any]:
+    """The filters asked for, and the exact sinc's name; raises for whatever is wrong before anything is drawn."""
+    whole("pixels", pixels, 1)
+    if isinstance(filters, (str, Filter)) or not filters:
         raise OptionError(f"filters must be one or more names; got {filters!r}")
-    return [as_filter(name) for name in filters]
+    return [EXACT_SINC if exact_sinc and name == EXACT_SINC else as_filter(name) for name in filters]
+
+
+def fixed(camera: Camera, volume: Volume, other: Volume) -> Camera:
+    """A camera that sees of another volume what `camera`, fitted to `volume`, sees of this one."""
+    view = camera.view(volume)
+    eye = tuple(map(float, view.eye))
+    here = Camera.look_at(
+        eye, tuple(view.eye + view.forward), tuple(map(float, view.up)), projection=camera.projection, fov=camera.fov
+    )  # fmt: skip
+    return here.zoomed(here.view(other).half_height / view.half_height)
 
 
 def _part(progress: Progress | None, i: int, n: int) -> Progress | None:
@@ -191,6 +222,6 @@ def _mean_angle(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 def _exact(volume: Volume, pixels: int, samples: int) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
     """Points of the true surface that the picture shows, (N, 3), and the picture."""
     return draw_function(
-        phantoms.marschner_lobb_function, phantoms.marschner_lobb_gradient, volume, _CAMERA.view(volume), (pixels, pixels),
-        clip=_BOX, isovalue=_ISOVALUE, color=_SURFACE, lights=_LIGHTS, material=_MATERIAL, background=_BACKGROUND, samples=samples,
+        phantoms.marschner_lobb_function, phantoms.marschner_lobb_gradient, volume, CAMERA.view(volume), (pixels, pixels),
+        clip=BOX, isovalue=ISOVALUE, color=SURFACE, lights=LIGHTS, material=MATERIAL, background=BACKGROUND, samples=samples,
     )  # fmt: skip

@@ -1,0 +1,100 @@
+"""Error against sampling rate: on doubly logarithmic axes a line, whose slope is the order of approximation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol import analysis
+from clvol.errors import OptionError, whole
+from clvol.figures.style import GREY, Drawing, colour, label_ends, new_figure, styled
+from clvol.filters import as_filter
+
+__all__ = ["draw"]
+
+Array: TypeAlias = NDArray[np.float64]
+_SHOWN = (
+    "nearest", "linear", "bspline3-approx", "mitchell", "catmull-rom", "bspline2", "bspline3", "omoms3", "bspline4", "bspline5",
+)  # fmt: skip
+_SIZES = (25, 37, 55, 81, 121, 181, 271)
+_WAVES = 2.0  # periods of the test function along each axis; whole, so that the function is even about the faces
+_FITTED = 3  # finest grids that a slope is measured on
+
+
+def _waves(points: Array) -> Array:
+    """A function that the boundary rule continues: it is even about the faces."""
+    return np.asarray(np.prod(np.cos(np.pi * _WAVES * points), -1))
+
+
+def _slopes(points: Array) -> Array:
+    a, b = np.moveaxis(np.pi * _WAVES * points, -1, 0)
+    return np.asarray(-np.pi * _WAVES * np.stack([np.sin(a) * np.cos(b), np.cos(a) * np.sin(b)], -1))
+
+
+def draw(
+    filters: Sequence[str] = _SHOWN, sizes: Sequence[int] = _SIZES, points: int = 20_000,
+    progress: Callable[[float], Any] | None = None,
+) -> Drawing:  # fmt: skip
+    """RMS error of values (left) and of gradients (right) of a smooth function on ever finer grids.
+
+    Parameters
+    ----------
+    filters : sequence of str
+        Rows of the table.
+    sizes : sequence of int
+        Samples along each axis of [-1, 1]², ascending, at least two grids of at least 17.
+    points : int
+        Random positions that are compared.
+    progress : callable, optional
+        Called with the fraction done.
+    """
+    counts = [whole("each of sizes", n, 17) for n in sizes]
+    if len(counts) < 2 or counts != sorted(set(counts)):
+        raise OptionError(f"sizes must be two or more whole numbers in ascending order; got {sizes!r}")
+    rows = [as_filter(name) for name in filters]
+    tables = []
+    for i, n in enumerate(counts):
+        tables.append(analysis.compare(_waves, rows, gradient=_slopes, size=n, dimensions=2, points=points, timing=False))
+        if progress is not None:
+            progress((i + 1) / len(counts))
+    spacing = 2 / (np.array(counts) - 1)
+    numbers: list[dict[str, Any]] = []
+    for i, row in enumerate(rows):
+        values = [t[i].rms for t in tables]
+        gradients = [t[i].gradient_rms or 0.0 for t in tables] if row.has_gradient else None
+        numbers.append(
+            {
+                "filter": row.name, "order": row.order, "sizes": counts, "rms": values, "gradient_rms": gradients,
+                "slope": _slope(spacing, values), "gradient_slope": None if gradients is None else _slope(spacing, gradients),
+            }
+        )  # fmt: skip
+    with styled():
+        figure = new_figure(12, 5.2)
+        left, right = figure.subplots(1, 2)
+        rate = 2 / spacing / (2 * _WAVES)
+        _curves(left, rate, numbers, "rms", "slope", "RMS error of the values")
+        _curves(right, rate, numbers, "gradient_rms", "gradient_slope", "RMS error of the gradient")
+    lines = [f"{n['filter']}: the error falls with power {n['slope']:.2f} of the spacing; order {n['order']}" for n in numbers]
+    return Drawing(figure, numbers, lines)
+
+
+def _curves(axes: Any, rate: Array, numbers: list[dict[str, Any]], key: str, slope: str, heading: str) -> None:
+    shown = [n for n in numbers if n[key] is not None]
+    for n in shown:
+        axes.loglog(rate, n[key], "o-", color=colour(n["filter"]), markersize=3.2, linewidth=1.4)
+    axes.set(xlabel="samples a period", title=heading)
+    axes.set_xlim(rate[0] * 0.92, rate[-1] * 1.04)
+    ticks = [float(r) for r in rate]
+    axes.set_xticks(ticks, [f"{r:.3g}" for r in ticks])
+    axes.set_xticks([], minor=True)
+    axes.annotate("number at each label: measured slope", (0.02, 0.02), xycoords="axes fraction", fontsize=8.5, color=GREY)
+    label_ends(axes, [(f"{n['filter']}  {n[slope]:.1f}", rate[-1], n[key][-1], colour(n["filter"])) for n in shown], 0.05)
+
+
+def _slope(spacing: Array, errors: Sequence[float]) -> float:
+    """The power of the spacing with which the error falls on the finest grids."""
+    x, y = np.log(spacing[-_FITTED:]), np.log(np.maximum(errors[-_FITTED:], 1e-300))
+    return float(np.polyfit(x, y, 1)[0])

@@ -1,0 +1,154 @@
+"""Error against time a sample, all filters on one plot: the picture that answers "which filter should I use"."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from typing import Any
+
+import numpy as np
+
+from clvol import analysis, phantoms
+from clvol.boundary import DEFAULT_BOUNDARY, as_boundary
+from clvol.device import Device, as_device
+from clvol.figures.style import FAINT, GREY, Drawing, colour, new_figure, styled
+from clvol.filters import Filter, as_filter
+from clvol.filters import filters as all_filters
+from clvol.spline import Coefficients, choose_path, sample_coefficients
+from clvol.volume import Volume
+
+__all__ = ["draw", "frontier", "plot"]
+
+_TIMED = 1 << 17  # positions
+_ROUNDS = 12
+_SHARE = 0.8  # of the time that errors take
+_PLACES = ((1, 0), (1, 1), (1, -1), (-1, 0), (-1, 1), (-1, -1), (0, 1.4), (0, -1.4), (1, 2.2), (1, -2.2), (-1, 2.2), (-1, -2.2))
+
+
+def draw(
+    filters: Sequence[str] = (), samples: int = 41, points: int = 20_000, device: Device | str | int | None = None,
+    progress: Callable[[float], Any] | None = None,
+) -> Drawing:  # fmt: skip
+    """Each filter's error on the Marschner-Lobb function against its time on a device: values left, gradients right.
+
+    Parameters
+    ----------
+    filters : sequence of str
+        Default: the whole table.
+    samples : int
+        Of the function along each axis.
+    points : int
+        Random positions that are compared.
+    device, progress
+        As for `clvol.sample`.
+
+    Raises
+    ------
+    DeviceError
+        Without a device there are no times.
+    """
+    rows, on = [as_filter(name) for name in filters or all_filters()], as_device(device)
+    on.require_usable()
+    told = progress or (lambda _: None)
+    table = analysis.compare(
+        phantoms.marschner_lobb_function, rows, gradient=phantoms.marschner_lobb_gradient, size=samples, points=points,
+        timing=False, progress=lambda done: told(_SHARE * done),
+    )  # fmt: skip
+    seconds = _seconds(table.samples, rows, on, lambda done: told(_SHARE + (1 - _SHARE) * done))
+    numbers: list[dict[str, Any]] = [
+        {"filter": row.filter, "nanoseconds": 1e9 * took, "rms": row.rms, "angle_mean": row.angle_mean}
+        for row, took in zip(table, seconds, strict=True)
+    ]
+    figure = plot(
+        numbers, "RMS error of the values",
+        f"Marschner–Lobb, {samples}³ samples; times on {on.name}. Line: nothing is both faster and better.",
+    )  # fmt: skip
+    best = {name for name, _, _ in frontier([(n["filter"], n["nanoseconds"], n["rms"]) for n in numbers])}
+    lines = [
+        f"{n['filter']}: RMS error {n['rms']:.4f}, {n['nanoseconds']:.0f} ns a sample" + (" *" if n["filter"] in best else "")
+        for n in numbers
+    ]
+    return Drawing(figure, numbers, [*lines, "* nothing is both faster and better"])
+
+
+def _seconds(volume: Volume, rows: Sequence[Filter], on: Device, progress: Callable[[float], Any]) -> list[float]:
+    """The least time a sample of each filter, in rounds, so that what else the machine does falls on all alike."""
+    points = volume.index_to_world(np.random.default_rng(0).uniform(0, 1, (_TIMED, volume.ndim)) * (np.array(volume.size) - 1))
+    least = [np.inf] * len(rows)
+    with ExitStack() as stack:
+        held = [stack.enter_context(Coefficients(volume, row, as_boundary(DEFAULT_BOUNDARY), on)) for row in rows]
+        paths = [choose_path(on, row) for row in rows]
+        for coefficients, path in zip(held, paths, strict=True):
+            sample_coefficients(coefficients, path, points[:64])  # builds the kernel
+        for done in range(_ROUNDS):
+            for i, (coefficients, path) in enumerate(zip(held, paths, strict=True)):
+                started = time.perf_counter()
+                sample_coefficients(coefficients, path, points)
+                least[i] = min(least[i], (time.perf_counter() - started) / _TIMED)
+            progress((done + 1) / _ROUNDS)
+    return least
+
+
+def plot(numbers: Sequence[dict[str, Any]], heading: str, note: str) -> Any:
+    """A figure of errors ("rms") and angles ("angle_mean") against time ("nanoseconds"), each filter a point."""
+    with styled():
+        figure = new_figure(12, 5.6)
+        left, right = figure.subplots(1, 2)
+        figure.suptitle(note, fontsize=9.5, color=GREY)
+        both = [(left, "rms", heading), (right, "angle_mean", "mean angle of the gradient, degrees")]
+        shown = [_scatter(axes, numbers, key, text) for axes, key, text in both]
+        figure.draw_without_rendering()  # whereupon the axes stay where they are
+        for (axes, *_), points in zip(both, shown, strict=True):
+            _label(axes, points)
+    return figure
+
+
+def frontier(rows: Sequence[tuple[str, float, float]]) -> list[tuple[str, float, float]]:
+    """Of (name, time, error) those that no other beats in both, fastest first."""
+    kept: list[tuple[str, float, float]] = []
+    for row in sorted(rows, key=lambda r: (r[1], r[2])):
+        if not kept or row[2] < kept[-1][2]:
+            kept.append(row)
+    return kept
+
+
+def _scatter(axes: Any, numbers: Sequence[dict[str, Any]], key: str, heading: str) -> list[tuple[str, float, float]]:
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    shown = [(n["filter"], n["nanoseconds"], n[key]) for n in numbers if n[key] is not None]
+    axes.loglog()
+    line = frontier(shown)
+    axes.step([r[1] for r in line], [r[2] for r in line], where="post", color=FAINT, linewidth=5, solid_joinstyle="round", zorder=1)
+    for name, nanoseconds, error in shown:
+        axes.plot(nanoseconds, error, "o", color=colour(name), markersize=7, zorder=3)
+    axes.set(xlabel="time a sample, nanoseconds", title=heading)
+    axes.margins(0.16, 0.08)
+    for axis in (axes.xaxis, axes.yaxis):  # 1, 2, 5, 10, ... in plain digits
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_locator(NullLocator())
+    return shown
+
+
+def _label(axes: Any, shown: Sequence[tuple[str, float, float]]) -> None:
+    """A name beside each point, where it covers no other name and no point."""
+    at = {name: axes.transData.transform((x, y)) for name, x, y in shown}
+    em = axes.figure.dpi * 8.5 / 72
+    taken = [(p[0] - 0.5 * em, p[1] - 0.5 * em, p[0] + 0.5 * em, p[1] + 0.5 * em) for p in at.values()]
+    for name, x, y in shown:
+        width, height = 0.56 * em * len(name), 1.05 * em
+        boxes = []
+        for dx, dy in _PLACES:
+            centre = at[name] + np.array([dx * (width / 2 + 0.9 * em), dy * 1.05 * em])
+            boxes.append((centre[0] - width / 2, centre[1] - height / 2, centre[0] + width / 2, centre[1] + height / 2))
+        box = min(boxes, key=lambda b: sum(_overlap(b, other) for other in taken))
+        taken.append(box)
+        offset = (np.array([(box[0] + box[2]) / 2, (box[1] + box[3]) / 2]) - at[name]) * 72 / axes.figure.dpi
+        axes.annotate(
+            name, (x, y), tuple(offset), textcoords="offset points", ha="center", va="center", fontsize=8.5, color=colour(name)
+        ).set_in_layout(False)
+
+
+def _overlap(a: Sequence[float], b: Sequence[float]) -> float:
+    return float(max(0.0, min(a[2], b[2]) - max(a[0], b[0])) * max(0.0, min(a[3], b[3]) - max(a[1], b[1])))

@@ -1,0 +1,133 @@
+"""Figure 4 of the paper: mean square errors of the six reconstructions, in 2-D and in 3-D."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from clvol import phantoms
+from clvol.analysis import ErrorTable, compare
+from clvol.boundary import DEFAULT_BOUNDARY
+from clvol.errors import OptionError, whole
+from clvol.figures.inputs import photograph, rings, zone_plate
+from clvol.figures.panels import FIGURE_6
+from clvol.figures.style import GREY, INK, Drawing, colour, new_figure, styled, title
+from clvol.volume import Volume
+
+__all__ = ["Case", "draw", "measure"]
+
+_GRADIENTS = 64  # positions of a gradient nobody looks at: as few as may be
+
+
+@dataclass(frozen=True)
+class Case:
+    """One input, and the mean square error of each filter on it, of data scaled to 0..1.
+
+    Attributes
+    ----------
+    name, how : str
+        What it is, and what the truth was.
+    dimensions : int
+    errors : dict of str to float
+        By filter.
+    """
+
+    name: str
+    how: str
+    dimensions: int
+    errors: dict[str, float]
+
+    def numbers(self) -> dict[str, Any]:
+        """What a program would read."""
+        return {"input": self.name, "dimensions": self.dimensions, "against": self.how, "mean_square_error": self.errors}
+
+
+def measure(
+    filters: Sequence[str] = FIGURE_6, samples: int = 41, points: int = 20_000, scan: Volume | None = None,
+    progress: Callable[[float], Any] | None = None,
+) -> list[Case]:  # fmt: skip
+    """Errors on inputs with a known truth, 2-D first; parameters as for `draw`."""
+    samples = whole("samples", samples, 4)
+    table = partial(compare, filters=filters, boundary=DEFAULT_BOUNDARY, timing=False)
+    held, what = photograph(max(16, 12 * samples))
+    known: list[tuple[str, int, Callable[[], ErrorTable]]] = [
+        ("Marschner–Lobb, z = 0", 2, lambda: table(rings, size=samples, dimensions=2, points=points)),
+        ("zone plate", 2, lambda: table(partial(zone_plate, size=samples), size=samples, dimensions=2, points=points)),
+        (what, 2, lambda: table(held, points=_GRADIENTS)),
+        ("Marschner–Lobb", 3, lambda: table(phantoms.marschner_lobb_function, size=samples, points=points)),
+        ("zone plate", 3, lambda: table(partial(zone_plate, size=samples), size=samples, points=points)),
+        ("box, hard edges", 3, lambda: table(phantoms.box(2 * samples), points=_GRADIENTS, lowpass="none")),
+    ]
+    if scan is not None:
+        if scan.ndim != 3:
+            raise OptionError(f"scan must have 3 axes; got shape {scan.shape}")
+        middle = Volume(scan.data[scan.shape[0] // 2], scan.spacing[:2])
+        known.insert(3, ("slice of the scan", 2, lambda: table(middle, points=_GRADIENTS)))
+        known.append(("scan", 3, lambda: table(scan, points=_GRADIENTS)))
+    cases = []
+    for done, (name, dimensions, make) in enumerate(known, 1):
+        rows = make()
+        span = rows.value_range[1] - rows.value_range[0] or 1.0
+        how = "function" if rows.against.startswith("the function") else "held-back samples"
+        cases.append(Case(name, how, dimensions, {row.filter: (row.rms / span) ** 2 for row in rows}))
+        if progress is not None:
+            progress(done / len(known))
+    return cases
+
+
+def draw(
+    filters: Sequence[str] = FIGURE_6, samples: int = 41, points: int = 20_000, scan: Volume | None = None,
+    progress: Callable[[float], Any] | None = None,
+) -> Drawing:  # fmt: skip
+    """Figure 4: a bar for each filter, a panel for each input.
+
+    Parameters
+    ----------
+    filters : sequence of str
+        Rows of the table, and "exact-sinc".
+    samples : int
+        Of the functions along each axis; the photograph and the box have more, and are decimated.
+    points : int
+        Random positions at which functions are compared.
+    scan : Volume, optional
+        One more input, decimated by two, and its middle slice.
+    progress : callable, optional
+        Called with the fraction done.
+    """
+    cases = measure(filters, samples, points, scan, progress)
+    with styled():
+        across = len(cases) // 2
+        figure = new_figure(3.1 * across + 1.2, 0.34 * 2 * len(filters) + 2.3)
+        panels = figure.subplots(2, across, sharey=True)
+        for axes, case in zip(panels.flat, cases, strict=True):
+            _bars(axes, case)
+        figure.suptitle("mean square error of the reconstruction, data scaled to 0…1; the least in bold", fontsize=10, color=GREY)
+    lines = []
+    for case in cases:
+        best = min(case.errors, key=lambda name: case.errors[name])
+        lines.append(f"{case.name}, {case.dimensions}-D: least by {title(best)}, {case.errors[best]:.3g}")
+    return Drawing(figure, [case.numbers() for case in cases], lines)
+
+
+def _bars(axes: Any, case: Case) -> None:
+    names, errors = list(case.errors), np.array(list(case.errors.values()))
+    top = float(errors.max()) or 1.0
+    power = int(np.floor(np.log10(top)))
+    places = np.arange(len(names))[::-1]
+    axes.barh(places, errors / 10.0**power, color=[colour(n) for n in names], height=0.72)
+    for place, error in zip(places, errors, strict=True):
+        text = f"{error / 10.0**power:.3g}"
+        axes.text(
+            error / 10.0**power + 0.02 * top / 10.0**power, place, text, va="center", fontsize=9,
+            color=INK, fontweight="bold" if error == errors.min() else "normal",
+        )  # fmt: skip
+    axes.set(xlim=(0, 1.2 * top / 10.0**power), xlabel=f"× $10^{{{power}}}$, against the {case.how}")
+    axes.set_yticks(places, [title(n) for n in names])
+    axes.tick_params(axis="y", length=0)
+    axes.grid(visible=False, axis="y")
+    axes.spines["left"].set_visible(False)
+    axes.set_title(f"{case.dimensions}-D  {case.name}")

@@ -1,0 +1,77 @@
+"""Gradient errors: the angle between the normals that are drawn and the true ones, in colour beside each picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from clvol import phantoms
+from clvol.device import Device
+from clvol.errors import whole
+from clvol.figures.panels import BOX, CAMERA, ISOVALUE, LIGHTS, MATERIAL, SURFACE
+from clvol.figures.style import Drawing, new_figure, show, styled, title
+from clvol.render import Renderer
+
+__all__ = ["draw"]
+
+_SHOWN = ("linear", "bspline3-approx", "mitchell", "catmull-rom", "bspline3", "bspline5")
+_MOST = 45.0  # degrees that the colours span
+_CUT = 0.12  # of the height
+_WHITE = (1.0, 1.0, 1.0)
+
+
+def draw(
+    filters: Sequence[str] = _SHOWN, samples: int = 41, pixels: int = 320, device: Device | str | int | None = None,
+    progress: Callable[[float], Any] | None = None,
+) -> Drawing:  # fmt: skip
+    """Pictures of the Marschner-Lobb function above, angles of their normals to the true ones below.
+
+    Parameters
+    ----------
+    filters : sequence of str
+        A column each.
+    samples : int
+        Of the function along each axis.
+    pixels : int
+        Width and height of each picture.
+    device, progress
+        As for `clvol.render`.
+    """
+    pixels = whole("pixels", pixels, 1)
+    volume = phantoms.marschner_lobb(samples)
+    numbers: list[dict[str, Any]] = []
+    with styled():
+        figure = new_figure(2.1 * len(filters) + 0.9, 3.9)
+        panels = figure.subplots(2, len(filters), squeeze=False)
+        for column, name in enumerate(filters):
+            with Renderer(volume, name, device=device) as renderer:
+                seen = renderer.render(
+                    CAMERA, "isosurface", (pixels, pixels), 0.25, isovalue=ISOVALUE, color=SURFACE, lights=LIGHTS,
+                    material=MATERIAL, background=_WHITE, clip=BOX, outputs=("rgba", "normal", "position"),
+                )  # fmt: skip
+                own = renderer.filter.has_gradient
+                name = renderer.filter.name
+            angles = _angles(seen["normal"], seen["position"])
+            there = angles[np.isfinite(angles)]
+            mean = float(there.mean()) if there.size else None
+            numbers.append({"filter": name, "analytic": own, "angle_mean": mean, "shown": int(there.size)})
+            rows = slice(round(_CUT * pixels), round((1 - _CUT) * pixels))  # above and below there is nothing
+            show(panels[0, column], seen["rgba"][rows, :, :3], title(name))
+            note = "nothing shows" if mean is None else f"mean {mean:.1f}°"
+            drawn = show(panels[1, column], angles[rows], "", note, cmap="turbo", vmin=0, vmax=_MOST)
+            if progress is not None:
+                progress((column + 1) / len(filters))
+        figure.colorbar(drawn, ax=list(panels[1]), shrink=0.85, pad=0.01, extend="max", label="degrees to the true normal")
+    lines = [f"{title(n['filter'])}: normals err by {n['angle_mean']:.1f}° in the mean" for n in numbers if n["shown"]]
+    return Drawing(figure, numbers, lines)
+
+
+def _angles(normals: Any, positions: Any) -> Any:
+    """Degrees between the normals drawn and the true gradient where they are drawn; NaN where nothing is."""
+    there = np.isfinite(normals).all(-1) & np.isfinite(positions).all(-1)
+    true = phantoms.marschner_lobb_gradient(np.where(there[..., None], positions, 0.5).astype(np.float64))
+    # both faces of a surface are lit alike: a normal and its opposite are the same
+    cosine = np.abs((true * np.where(there[..., None], normals, 0)).sum(-1)) / np.linalg.norm(true, axis=-1)
+    return np.where(there, np.degrees(np.arccos(np.clip(cosine, 0, 1))), np.nan)

@@ -1,0 +1,201 @@
+"""Figure 1 of the paper: where reconstruction happens in volume rendering, as one real ray sees it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol import phantoms, reference
+from clvol.camera import Camera
+from clvol.device import Device
+from clvol.errors import whole
+from clvol.figures.style import GREY, INK, Drawing, colour, label_ends, new_figure, show, styled, title
+from clvol.light import HEADLIGHT, Material
+from clvol.reference.march import camera_rays, shade
+from clvol.render import FLAT, Lattice, render
+from clvol.transfer import TransferFunction
+from clvol.volume import Volume
+
+__all__ = ["Ray", "draw", "follow"]
+
+Array: TypeAlias = NDArray[np.float64]
+_WAVES = 2.5  # of the Marschner-Lobb function: few enough that its samples can be seen
+_CAMERA = Camera.orbit(18, 0, projection="orthographic", zoom=1.2)
+_TRANSFER = TransferFunction(
+    ((0.30, (0.17, 0.42, 0.69)), (0.48, (0.87, 0.54, 0.24)), (0.62, (0.97, 0.93, 0.84))),
+    ((0.0, 0.0), (0.42, 0.0), (0.50, 0.16), (0.62, 0.30)),
+)  # fmt: skip
+_STEP = 0.5
+_PROFILE = 1201
+
+
+@dataclass(frozen=True)
+class Ray:
+    """What one ray meets, sample by sample.
+
+    Attributes
+    ----------
+    t : ndarray, shape (N,)
+        World distances from where it enters the volume.
+    points : ndarray, shape (N, 3)
+    values : ndarray, shape (N,)
+        Reconstructed.
+    colors : ndarray, shape (N, 3)
+        Classified and lit.
+    opacities : ndarray, shape (N,)
+        Of one step.
+    colour, opacity : ndarray, shape (N, 3) and (N,)
+        Accumulated up to and with each sample.
+    start, direction, length
+        Where it enters, its unit direction, and how far it runs inside.
+    """
+
+    t: Array
+    points: Array
+    values: Array
+    colors: Array
+    opacities: Array
+    colour: Array
+    opacity: Array
+    start: Array
+    direction: Array
+    length: float
+
+
+def follow(volume: Volume, filter: str, size: tuple[int, int], pixel: tuple[int, int]) -> Ray:
+    """The ray of a pixel (x, y) of the figure's picture, as `clvol.render` says a picture is made."""
+    view, (width, height) = _CAMERA.view(volume, size[0] / size[1]), size
+    rays = camera_rays(volume, view, (width, height))
+    i = pixel[1] * width + pixel[0]
+    origin, direction, enter, leave = rays.origin[i], rays.direction[i], rays.enter[i], rays.leave[i]
+    planes = Lattice(volume, view, width / height, _STEP)
+    slope = volume.world_to_index_matrix @ direction
+    along, first = slope[planes.axis], volume.world_to_index(origin)[planes.axis]
+    t = np.sort((-0.5 + (np.arange(planes.planes) + 0.5) * planes.spacing - first) / along)
+    t = t[(t >= enter) & (t <= leave)]
+    points = origin + t[:, None] * direction
+    values = reference.sample(volume, points, filter)
+    gradient = reference.sample(volume, points, filter, derivative=1)
+    classified = _TRANSFER(values)
+    low, high = volume.value_range
+    unit = float(np.mean(volume.spacing))
+    lit = shade(
+        gradient, classified[:, :3], np.broadcast_to(direction, points.shape), Material(), (HEADLIGHT,), FLAT * (high - low) / unit
+    )
+    opacities = 1 - (1 - classified[:, 3]) ** (planes.spacing / abs(along) / unit)
+    after = np.cumprod(1 - opacities)
+    before = np.concatenate([[1.0], after[:-1]])
+    gathered = np.cumsum((before * opacities)[:, None] * lit, axis=0)
+    return Ray(
+        t - enter, points, values, np.clip(lit, 0, 1), opacities, gathered, 1 - after, origin + enter * direction, direction,
+        float(leave - enter),
+    )  # fmt: skip
+
+
+def draw(samples: int = 21, pixels: int = 240, filter: str = "bspline3", device: Device | str | int | None = None) -> Drawing:
+    """Figure 1: a ray through a volume, what is reconstructed along it, and how that becomes a pixel.
+
+    Parameters
+    ----------
+    samples : int
+        Of the function along each axis.
+    pixels : int
+        Width of the picture.
+    filter : str
+        By which the picture is made.
+    device
+        As for `clvol.render`.
+    """
+    pixels = whole("pixels", pixels, 8)
+    volume = phantoms.marschner_lobb(samples, f_m=_WAVES)
+    size = (pixels, round(0.8 * pixels))
+    pixel = (round(0.47 * size[0]), round(0.47 * size[1]))
+    picture = render(
+        volume, _CAMERA, "composite", filter, size=size, step=_STEP, transfer=_TRANSFER, background=(1.0, 1.0, 1.0), device=device
+    )
+    ray = follow(volume, filter, size, pixel)
+    with styled():
+        figure = new_figure(11.5, 7.2)
+        left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(1, 1.7))[0]
+        cut, shown = left.subplots(2, 1, height_ratios=(1.15, 1))
+        profile, classified, gathered = right.subplots(3, 1, sharex=True, height_ratios=(2.1, 1, 1))
+        _cut(cut, volume, ray, filter)
+        _profile(profile, volume, ray, filter)
+        _classified(classified, ray)
+        _gathered(gathered, ray)
+        show(shown, picture[..., :3], "5  the pixel: every ray gives one")
+        final = np.clip(ray.colour[-1] + 1 - ray.opacity[-1], 0, 1)
+        shown.plot(*pixel, "s", markersize=9, markerfacecolor=final, markeredgecolor=INK, markeredgewidth=1.2)
+        red, green, blue = final
+        shown.annotate(
+            f"red {red:.2f}\ngreen {green:.2f}\nblue {blue:.2f}", pixel, (0.02, 0.82), textcoords="axes fraction", color=INK,
+            fontsize=8.5, arrowprops={"arrowstyle": "-", "color": INK, "linewidth": 0.8},
+        )  # fmt: skip
+    made = [float(v) for v in picture[pixel[1], pixel[0], :3]]
+    numbers = [
+        {
+            "pixel": list(pixel), "samples": int(ray.t.size), "color": [float(v) for v in final], "rendered": made,
+            "opacity": float(ray.opacity[-1]),
+        }
+    ]  # fmt: skip
+    line = f"{ray.t.size} samples along the ray of pixel {pixel[0]}, {pixel[1]} gather {100 * ray.opacity[-1]:.0f} % opacity"
+    return Drawing(figure, numbers, [line])
+
+
+def _cut(axes: Any, volume: Volume, ray: Ray, filter: str) -> None:
+    """The plane of the ray: samples, the function between them, the ray."""
+    z = float(ray.start[2])
+    fine = np.linspace(-1, 1, 241)
+    x, y = np.meshgrid(fine, fine)
+    plane = reference.sample(volume, np.stack([x, y, np.full_like(x, z)], -1), filter)
+    low, high = float(plane.min()), float(plane.max())
+    axes.imshow(plane, extent=(-1, 1, -1, 1), origin="lower", cmap="Greys", vmin=low, vmax=high + 0.8 * (high - low))
+    slice_ = int(np.clip(np.rint(volume.world_to_index((0, 0, z))[2]), 0, volume.shape[0] - 1))
+    at = volume.index_to_world(np.stack(np.meshgrid(*(np.arange(n) for n in volume.size), indexing="ij"), -1)[:, :, slice_])
+    values = volume.data[slice_].T
+    axes.scatter(at[..., 0], at[..., 1], c=values, s=13, cmap="Greys", vmin=low, vmax=high, edgecolors=GREY, linewidths=0.5)
+    ends = ray.start + np.array([[-0.2], [ray.length + 0.2]]) * ray.direction
+    axes.annotate("", ends[1, :2], ends[0, :2], arrowprops={"arrowstyle": "-|>", "color": colour(filter), "linewidth": 1.4})
+    axes.plot(ray.points[:, 0], ray.points[:, 1], ".", color=colour(filter), markersize=4.5, zorder=5)
+    axes.set(xlim=(-1.2, 1.2), ylim=(-1.3, 1.3), aspect="equal")
+    axes.set_title("1  samples (circles), and a ray among them", fontsize=9.5)
+    axes.grid(visible=False)
+    axes.set_axis_off()
+
+
+def _profile(axes: Any, volume: Volume, ray: Ray, filter: str) -> None:
+    t = np.linspace(0, ray.length, _PROFILE)
+    points = ray.start + t[:, None] * ray.direction
+    truth = phantoms.marschner_lobb_function(points, f_m=_WAVES)
+    axes.plot(t, truth, color="#cfcfcf", linewidth=5, solid_capstyle="butt")
+    ends = [("the function", truth, GREY)]
+    for name in dict.fromkeys(("nearest", "linear", filter)):
+        values = reference.sample(volume, points, name)
+        bold = name == filter
+        axes.plot(t, values, color=colour(name), linewidth=1.8 if bold else 1.0, zorder=3 if bold else 2)
+        ends.append((title(name), values, colour(name)))
+    axes.plot(ray.t, ray.values, "o", color=colour(filter), markersize=3.6, zorder=4)
+    axes.set(xlim=(0, ray.length), ylabel="value")
+    axes.set_title("2  reconstruction: the value wherever the ray asks (dots)", fontsize=9.5)
+    label_ends(axes, [(text, ray.length, float(values[-1]), shade) for text, values, shade in ends], 0.075)
+
+
+def _classified(axes: Any, ray: Ray) -> None:
+    width = float(np.diff(ray.t).mean()) if ray.t.size > 1 else ray.length
+    axes.bar(ray.t, ray.opacities, width, color=ray.colors, edgecolor="#8a8a8a", linewidth=0.3)
+    axes.set(ylabel="opacity\nof a step", ylim=(0, 1.15 * max(float(ray.opacities.max()), 1e-3)))
+    axes.set_title("3  classification and shading: colour and opacity of each sample", fontsize=9.5)
+
+
+def _gathered(axes: Any, ray: Ray) -> None:
+    axes.plot(ray.t, ray.opacity, color=INK, linewidth=1.6)
+    cover = np.where(ray.opacity > 0, ray.opacity, 1)[:, None]
+    strip = np.clip(ray.colour / cover, 0, 1) * ray.opacity[:, None] + (1 - ray.opacity[:, None])
+    edges = np.concatenate([[0.0], (ray.t[1:] + ray.t[:-1]) / 2, [ray.length]])
+    axes.bar(edges[:-1], np.ones(ray.t.size), np.diff(edges), align="edge", color=strip, linewidth=0, zorder=0)
+    axes.set(ylim=(0, 1), ylabel="accumulated\nopacity", xlabel="distance along the ray, world units")
+    axes.set_title("4  accumulation, front to back: the colour so far, over white", fontsize=9.5)
+    axes.grid(visible=False)

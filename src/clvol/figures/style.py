@@ -1,0 +1,194 @@
+"""How figures look: one colour and one name for each filter, matplotlib asked for only when it is needed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clvol import picture
+from clvol.analysis import EXACT_SINC
+from clvol.errors import FormatError, MissingDependencyError, OptionError, as_path
+from clvol.formats._files import staged
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "FAINT", "GREY", "INK", "Drawing", "colour", "label_ends", "new_figure", "plain", "require_matplotlib", "require_suffix",
+    "show", "spread", "styled", "title",
+]  # fmt: skip
+
+Array: TypeAlias = NDArray[np.float64]
+
+INK, GREY, FAINT = "#222222", "#6f6f6f", "#d9d9d9"
+_SUFFIXES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".tif", ".tiff")
+_DPI = 150
+_RC: Mapping[str, Any] = {
+    "font.size": 9.5, "axes.titlesize": 10.5, "axes.titleweight": "bold", "axes.titlelocation": "left", "axes.labelcolor": INK,
+    "axes.edgecolor": "#9a9a9a", "axes.linewidth": 0.8, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
+    "axes.axisbelow": True, "grid.color": "#e8e8e8", "grid.linewidth": 0.7, "text.color": INK, "xtick.color": INK,
+    "ytick.color": INK, "xtick.major.size": 3, "ytick.major.size": 3, "lines.linewidth": 1.8, "figure.facecolor": "white",
+    "savefig.facecolor": "white", "svg.fonttype": "none", "legend.frameon": False,
+}  # fmt: skip
+
+_COLOURS = {
+    EXACT_SINC: "#5b5b5b", "sinc": "#8a8a8a", "nearest": "#b07d4f", "bspline3-approx": "#2a9d8f", "linear": "#e9a100",
+    "mitchell": "#c2549d", "catmull-rom": "#58a032", "hybrid": "#7a5cc2", "omoms3": "#d1495b",
+    "bspline2": "#7fb2e5", "bspline3": "#1769c2", "bspline4": "#12508f", "bspline5": "#0b2f57",
+    "bspline2-approx": "#7cc7bc", "bspline4-approx": "#1d7268", "bspline5-approx": "#124a43",
+    "lanczos2": "#e08a76", "lanczos3": "#cf6a52", "lanczos4": "#b04d36", "lanczos5": "#8c3521",
+}  # fmt: skip
+_TITLES = {
+    EXACT_SINC: "sinc, exact", "sinc": "sinc, cut off at 4 samples", "nearest": "nearest neighbour",
+    "bspline3-approx": "B-spline approximation", "linear": "linear", "mitchell": "Mitchell B = C = 1/3",
+    "catmull-rom": "Catmull–Rom", "bspline3": "B-spline interpolation", "hybrid": "hybrid, ×2 then linear",
+    "omoms3": "O-MOMS, cubic", "exact": "the function itself",
+}  # fmt: skip
+
+
+def colour(name: str) -> str:
+    """The colour of a filter in every figure; those without one of their own are dark grey."""
+    return _COLOURS.get(name, "#444444")
+
+
+def title(name: str) -> str:
+    """A filter's name as people read it."""
+    return _TITLES.get(name, name)
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A figure, and the numbers that it shows.
+
+    Attributes
+    ----------
+    figure : matplotlib Figure or ndarray
+        The picture: a matplotlib figure, or an RGB array.
+    numbers : list of dict
+        What a program would read.
+    lines : list of str
+        The same for people.
+    """
+
+    figure: Figure | NDArray[np.uint8]
+    numbers: list[dict[str, Any]]
+    lines: list[str] = field(default_factory=list)
+
+    def save(self, path: str | os.PathLike[str], dpi: int = _DPI) -> Path:
+        """Write it by suffix, beside `path` and then renamed.
+
+        Raises
+        ------
+        FormatError
+            Unknown suffix, or it cannot be written there.
+        """
+        if isinstance(self.figure, np.ndarray):
+            return picture.save(self.figure, path)
+        path, _ = as_path(path), require_suffix(path)
+        try:
+            with staged(path, path.suffix) as temporary, styled():
+                self.figure.savefig(temporary, dpi=dpi)
+        except FormatError:
+            raise
+        except (OSError, ValueError) as error:
+            raise FormatError(f"cannot write {path}: {error}") from error
+        return path
+
+
+def require_suffix(path: str | os.PathLike[str]) -> str:
+    """The suffix of a figure's file, in lower case; raises `FormatError` if figures are not written so."""
+    suffix = as_path(path).suffix.lower()
+    if suffix not in _SUFFIXES:
+        raise FormatError(f"figures are written as {', '.join(_SUFFIXES)}; got {os.fspath(path)!r}")
+    return suffix
+
+
+def require_matplotlib() -> Any:
+    """The module; raises `MissingDependencyError` if it is not there."""
+    try:
+        import matplotlib as mpl
+    except ImportError:
+        raise MissingDependencyError("figures need matplotlib, which is not installed: pip install clvol[figures]") from None
+    return mpl
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Within it, matplotlib draws in our style, whatever the user's own settings are."""
+    mpl = require_matplotlib()
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(_RC)
+        yield
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """A figure of that many inches, without a window."""
+    require_matplotlib()
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def show(axes: Axes, pixels: ArrayLike, heading: str, note: str = "", **options: Any) -> Any:
+    """A picture with its name above and what was measured below; arrays with two axes are shown in grey."""
+    array = np.asarray(pixels)
+    if array.ndim == 2:
+        options.setdefault("cmap", "gray")
+    drawn = axes.imshow(array, interpolation="nearest", **options)
+    plain(axes)
+    axes.set_title(heading, fontsize=9)
+    if note:
+        axes.set_xlabel(note, fontsize=9, color=GREY)
+    return drawn
+
+
+def plain(axes: Axes) -> None:
+    """No ticks, no lines about it."""
+    axes.set_xticks([])
+    axes.set_yticks([])
+    axes.grid(visible=False)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+
+
+def spread(places: Sequence[float], gap: float) -> list[float]:
+    """Places moved as little as makes neighbours at least `gap` apart, in the same order."""
+    if gap <= 0:
+        raise OptionError(f"gap must be greater than 0; got {gap!r}")
+    order = np.argsort(places, kind="stable")
+    groups: list[list[float]] = []  # each: sum of wanted starts, and how many
+    for rank, at in enumerate(np.asarray(places, float)[order]):
+        groups.append([float(at) - rank * gap, 1.0])
+        while len(groups) > 1 and groups[-2][0] / groups[-2][1] > groups[-1][0] / groups[-1][1]:
+            total, count = groups.pop()
+            groups[-1][0] += total
+            groups[-1][1] += count
+    result, rank = [0.0] * len(order), 0
+    for total, count in groups:
+        for _ in range(int(count)):
+            result[order[rank]] = total / count + rank * gap
+            rank += 1
+    return result
+
+
+def label_ends(axes: Axes, ends: Sequence[tuple[str, float, float, str]], gap: float = 0.055) -> None:
+    """A label to the right of each curve's end (text, x, y, colour), none upon another; set the axes' limits first."""
+    to_axes = axes.transData + axes.transAxes.inverted()
+    at = [to_axes.transform((x, y)) for _, x, y, _ in ends]
+    heights = spread([float(p[1]) for p in at], gap)
+    right = max(float(p[0]) for p in at)
+    for (text, _, _, shade), place, height in zip(ends, at, heights, strict=True):
+        axes.annotate(
+            text, (float(place[0]), float(place[1])), (right + 0.025, height), "axes fraction", "axes fraction", color=shade,
+            fontsize=9, va="center", annotation_clip=False,
+            arrowprops={"arrowstyle": "-", "color": shade, "linewidth": 0.6, "shrinkA": 1, "shrinkB": 0},
+        )  # fmt: skip

@@ -1,0 +1,184 @@
+"""One page that tells which filter to use for a volume: pictures, errors, frequencies, and a recommendation in words.
+
+>>> from clvol import reports
+>>> reports.report(clvol.read("scan.nii.gz"), "report/")
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from clvol import analysis
+from clvol.analysis import EXACT_SINC, ErrorTable
+from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.device import Device, as_device
+from clvol.errors import FormatError, OptionError, as_path, whole
+from clvol.figures import cost
+from clvol.figures.style import require_matplotlib
+from clvol.filters import Filter, as_filter
+from clvol.formats._files import staged
+from clvol.reports import html, spectrum
+from clvol.reports.advice import Advice, advise
+from clvol.reports.pictures import Cards, cards
+from clvol.volume import Volume, as_volume
+
+__all__ = ["REPORTED", "Advice", "Report", "advise", "page", "report"]
+
+REPORTED = ("nearest", "linear", "bspline3-approx", "mitchell", "catmull-rom", "bspline3", "omoms3", "bspline5", "hybrid")
+"""What a report compares unless told otherwise, beside the exact sinc."""
+
+_MEASURED = 1 << 22  # samples that are measured: of a larger volume the middle
+_POINTS = 20_000  # gradients that are compared
+_SINC_POINTS = 200  # of the exact sinc, each of which takes all samples
+_SHARE = 0.6  # of the time that measuring takes
+_FACTOR = 2
+
+
+@dataclass(frozen=True)
+class Report:
+    """A page that was written.
+
+    Attributes
+    ----------
+    path : Path
+        The HTML file.
+    table : ErrorTable
+        What was measured.
+    advice : Advice
+        What is recommended.
+    """
+
+    path: Path
+    table: ErrorTable
+    advice: Advice
+
+
+def page(output: str | os.PathLike[str]) -> Path:
+    """The file that a report is written to: `output` if it ends in .html, else index.html in the folder of that name.
+
+    Raises
+    ------
+    FormatError
+        It cannot be written there.
+    """
+    path = as_path(output)
+    if path.suffix.lower() in (".html", ".htm"):
+        folder, file = path.parent, path
+    else:
+        folder, file = path.parent, path / "index.html"
+        if path.exists() and not path.is_dir():
+            raise FormatError(f"a report is written to a folder, or to a file that ends in .html; got {str(path)!r}")
+    if not folder.is_dir():
+        raise FormatError(f"cannot write {output}: the folder {folder} does not exist")
+    return file
+
+
+def report(
+    volume: Volume, output: str | os.PathLike[str], name: str = "volume", filters: Sequence[str | Filter] = REPORTED,
+    pixels: int = 280, boundary: str | Boundary = DEFAULT_BOUNDARY, *, device: Device | str | int | None = None,
+    progress: Callable[[float], Any] | None = None, **options: Any,
+) -> Report:  # fmt: skip
+    """Measure, draw and recommend; the page holds all its pictures and is written when it is whole.
+
+    Parameters
+    ----------
+    volume : Volume or array-like, 3-D
+        Of one with more than four million samples the middle is measured; all of it is drawn.
+    output : str or Path
+        A folder, which then holds index.html, or a file that ends in .html.
+    name : str
+        What the data are called.
+    filters : sequence of str or Filter
+        What is compared.
+    pixels : int
+        Width and height of each picture.
+    boundary, device, progress
+        As for `clvol.render`.
+    **options
+        Those of `Renderer.render`, for the pictures.
+
+    Raises
+    ------
+    DataError
+        NaN or infinite samples.
+    OptionError, FormatError, DeviceError, MissingDependencyError
+    """
+    require_matplotlib()
+    volume, file = as_volume(volume), page(output)
+    if volume.ndim != 3:
+        raise OptionError(f"a report takes a volume with 3 axes; got shape {volume.shape}")
+    volume.require_finite()
+    pixels, rule, on = whole("pixels", pixels, 16), as_boundary(boundary), as_device(device)
+    if isinstance(filters, (str, Filter)) or not filters:
+        raise OptionError(f"filters must be one or more names; got {filters!r}")
+    chosen = [as_filter(f) for f in filters]
+    told = progress or (lambda _: None)
+    middle = _middle(volume)
+    table = _measure(middle, chosen, rule, lambda done: told(_SHARE * done))
+    found = spectrum.spectra(middle)
+    advice = advise(table, spectrum.high_share(found))
+    drawn = cards(
+        volume, chosen, as_filter(advice.filter), pixels, rule, _FACTOR, on,
+        lambda done: told(_SHARE + (0.97 - _SHARE) * done), options,
+    )  # fmt: skip
+    text = _page(name, volume, middle, table, advice, found, drawn)
+    try:
+        file.parent.mkdir(exist_ok=True)
+        with staged(file, file.suffix) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    except FormatError:
+        raise
+    except OSError as error:
+        raise FormatError(f"cannot write {file}: {error}") from error
+    told(1.0)
+    return Report(file, table, advice)
+
+
+def _middle(volume: Volume) -> Volume:
+    """As much about the middle as is measured, every axis cut alike."""
+    if volume.data.size <= _MEASURED:
+        return volume
+    share = (_MEASURED / volume.data.size) ** (1 / 3)
+    sizes = [max(1, int(n * share)) for n in volume.size]
+    low = [(n - m) // 2 for n, m in zip(volume.size, sizes, strict=True)]
+    return volume.crop(low, [a + m for a, m in zip(low, sizes, strict=True)])
+
+
+def _measure(volume: Volume, chosen: Sequence[Filter], rule: Boundary, progress: Callable[[float], Any]) -> ErrorTable:
+    """Errors of the filters, and of the exact sinc where the boundary rule has a period."""
+    table = analysis.compare(volume, chosen, boundary=rule, factor=_FACTOR, points=_POINTS, progress=lambda d: progress(0.85 * d))
+    if rule.period is not None:
+        sinc = analysis.compare(volume, [EXACT_SINC], boundary=rule, factor=_FACTOR, points=_SINC_POINTS, timing=False)
+        table.extend(sinc)
+    progress(1.0)
+    return table
+
+
+def _page(
+    name: str, volume: Volume, middle: Volume, table: ErrorTable, advice: Advice, found: spectrum.Spectra, drawn: Cards
+) -> str:  # fmt: skip
+    rows = [row for row in table if row.filter != EXACT_SINC]
+    low, high = volume.value_range
+    facts = [
+        ("samples", " × ".join(map(str, volume.size)) + f", {volume.data.dtype}"),
+        ("spacing", " × ".join(f"{s:.4g}" for s in volume.spacing) + f" {volume.units or ''}".rstrip()),
+        ("range", f"{low:.6g} to {high:.6g}"),
+        ("measured", f"{' × '.join(map(str, middle.size))} samples" + ("" if middle is volume else ", the middle of the volume")),
+        ("against", table.against),
+        ("boundary", table.boundary),
+        ("computed by", f"{table.evaluated_on}; times and pictures on {table.timed_on or 'no device'}"),
+    ]
+    plots = [("Frequencies", html.inline(spectrum.plot(found, [row.filter for row in rows])))]
+    timed = [row for row in rows if row.seconds and row.rms > 0]
+    if timed:
+        numbers = [
+            {"filter": r.filter, "nanoseconds": 1000 * (r.seconds or 0), "rms": r.rms, "angle_mean": r.angle_mean or None}
+            for r in timed
+        ]
+        drawing = cost.plot(numbers, "RMS error of the values", "to the left is faster, below is better; line: nothing is both")
+        plots.append(("Error and time", html.inline(drawing)))
+    return html.page(name, facts, advice, table, drawn, plots)
