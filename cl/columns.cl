@@ -6,6 +6,11 @@
 typedef float4 half_at_t __attribute__((aligned(4)));
 typedef float8 lanes_at_t __attribute__((aligned(4)));
 
+INLINE int least_int(int a, int b)
+{
+    return a < b ? a : b;
+}
+
 // Four columns of rows 0 to 3 and of rows 4 to 7 become four rows of eight, or the other way.
 INLINE void transpose_halves(float8 v[4])
 {

@@ -18,11 +18,6 @@ typedef double coord;
 typedef float coord;
 #endif
 
-INLINE int least(int a, int b)
-{
-    return a < b ? a : b;
-}
-
 // The greatest whole number below, for what fits an int.
 INLINE coord whole_below(coord x)
 {

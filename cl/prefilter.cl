@@ -182,7 +182,7 @@ INLINE void filter_some_rows(global float *line, const int rows, const int count
         filter_rows(line, 2, LANES, count, pitch, STARTS);
     else
         for (int j = 0; j < rows; j += LANES)
-            filter_rows(line + j * pitch, 1, least(LANES, rows - j), count, pitch, STARTS);
+            filter_rows(line + j * pitch, 1, least_int(LANES, rows - j), count, pitch, STARTS);
 }
 
 // Sixteen rows of `rows` along id 0, slices along id 1.

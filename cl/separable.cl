@@ -35,7 +35,7 @@ INLINE void resample_rows(global float *restrict result, global const float *res
     global float *lines = scratch, *columns = scratch + LANES * width;
     float8 v[LANES];
     for (int r = 0; r < LANES; ++r) {
-        const size_t row = least(r, count - 1) * TAPS;
+        const size_t row = least_int(r, count - 1) * TAPS;
         blend_row(lines + r * width, rows, apart, y_place + row, y_weight + row, width);
     }
     for (int i = 0; i < width; i += LANES) {
@@ -95,9 +95,9 @@ kernel void resample_axes(global const float *restrict coefficients, const int l
         const size_t apart = pitch;
         global const float *rows = coefficients;
 #endif
-        for (int j = block * BLOCK; j < least((block + 1) * BLOCK, lattice.y); j += LANES)
+        for (int j = block * BLOCK; j < least_int((block + 1) * BLOCK, lattice.y); j += LANES)
             resample_rows(results + ((size_t)k * lattice.y + j) * lattice.x, rows, apart,
                           places + along_y + j * TAPS, weights + along_y + j * TAPS, places, weights,
-                          least(LANES, lattice.y - j), lattice.x, width, mine);
+                          least_int(LANES, lattice.y - j), lattice.x, width, mine);
     }
 }
