@@ -1,9 +1,12 @@
-"""Runs every measurement, prints a table, and writes it down with the machine and the versions.
+"""Runs every measurement beside its peers, prints a table, and writes it down with the machine and the versions.
 
-    python -m bench [--quick] [--output FILE] [--only WORD]
+    python -m bench [--quick] [--only WORD] [--output FILE] [--no-huge]
+    python -m bench --pictures DIR
+    python -m bench.compare OLD.json [NEW.json]
 
-Each row is timed beside its peers in turn (ours, theirs, ours, ...), after one warm-up that also builds the
-kernels; medians are compared.
+Each row is timed beside its peers in turn (ours, theirs, ours, ...), after one run of each that is not counted; medians are
+compared. "roofline" is the share that our rate is of what the machine can do at most of what the work takes at the least
+(see machine.py and the costs in cases.py).
 """
 
 from __future__ import annotations
@@ -12,149 +15,160 @@ import argparse
 import datetime as dt
 import json
 import os
-import platform
-import statistics
+import sys
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import partial
-from importlib.metadata import version
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
-from scipy import ndimage
 
 import clvol
-from clvol.boundary import as_boundary
-from clvol.device import as_device
-from clvol.figures import figure6
-from clvol.filters import as_filter
-from clvol.spline import Coefficients, choose_path, sample_coefficients
+from bench import peers
+from bench.cases import Bench, Case, Skip, Work, all_cases, draw, measure, shots
+from bench.machine import Cost, Limits, describe, measure_limits
 
 RESULTS = Path(__file__).parent / "results"
-
-
-@dataclass
-class Case:
-    """One kind of work: ours, the same by others, and how much of it there is."""
-
-    name: str
-    ours: Callable[[], Any]
-    peers: dict[str, Callable[[], Any]] = field(default_factory=dict)
-    amount: float = 0.0  # of `unit`, for a rate
-    unit: str = ""
-    repeats: int = 5
-
-    def measure(self) -> dict[str, Any]:
-        work = {"clvol": self.ours, **self.peers}
-        times: dict[str, list[float]] = {name: [] for name in work}
-        self.ours()
-        for i in range(self.repeats):
-            for name, action in work.items():
-                if name != "clvol" and i >= 3:  # the peers are slow, and steady
-                    continue
-                started = time.perf_counter()
-                action()
-                times[name].append(time.perf_counter() - started)
-        seconds = {name: statistics.median(t) for name, t in times.items()}
-        ratios = {name: seconds[name] / seconds["clvol"] for name in self.peers}
-        rate = self.amount / seconds["clvol"] if self.amount else None
-        return {
-            "name": self.name, "seconds": seconds, "spread": [min(times["clvol"]), max(times["clvol"])],
-            "rate": rate, "unit": self.unit, "times_faster_than": ratios,
-        }  # fmt: skip
-
-
-def cases(quick: bool) -> list[Case]:
-    n = 128 if quick else 256
-    rng = np.random.default_rng(0)
-    data = rng.standard_normal((n, n, n)).astype(np.float32)
-    volume = clvol.Volume(data)
-    device, row, rule = as_device(), as_filter("bspline3"), as_boundary("mirror")
-    held = Coefficients(volume, row, rule, device)
-    path = choose_path(device, row)
-    coefficients = ndimage.spline_filter(data, 3, output=np.float32, mode="mirror")
-    points = _along_rays(n, 1 << (18 if quick else 22))
-    fewer = points[: 1 << 20]  # enough for scipy, which runs on one thread
-    turned = np.ascontiguousarray(fewer[:, ::-1].T)
-    smooth = clvol.Volume(ndimage.gaussian_filter(data, 4))
-    renderer = clvol.Renderer(smooth)
-    size = (256, 256) if quick else (512, 512)
-
-    def theirs() -> Any:
-        return ndimage.map_coordinates(coefficients, turned, order=3, mode="mirror", prefilter=False)
-
-    def ours(derivative: int, at: np.ndarray[Any, Any] = fewer) -> Any:
-        return sample_coefficients(held, path, at, derivative)
-
-    frames = [
-        Case(f"frame {size[0]}² {mode}, {n}³", partial(renderer.render, mode=mode, size=size), repeats=3) for mode in clvol.modes()
-    ]
-    small = data[: n // 2, : n // 2, : n // 2]
-    return [
-        Case(
-            f"prefilter {n}³, array to array", lambda: clvol.prefilter(data),
-            {"scipy spline_filter": lambda: ndimage.spline_filter(data, 3, output=np.float32, mode="mirror")},
-            n**3 / 1e6, "Mvoxel/s",
-        ),
-        Case("prefilter and upload", lambda: Coefficients(volume, row, rule, device).release(), {}, n**3 / 1e6, "Mvoxel/s"),
-        Case("cubic along rays, beside scipy", lambda: ours(0), {"scipy map_coordinates": theirs}, len(fewer) / 1e6, "Msample/s"),
-        Case("cubic along rays", lambda: ours(0, points), {}, len(points) / 1e6, "Msample/s"),
-        Case("cubic along rays, gradient", lambda: ours(1, points), {}, len(points) / 1e6, "Msample/s"),
-        Case("magnify ×2, prefilter included", lambda: clvol.magnify(small, 2),
-             {"scipy zoom": lambda: ndimage.zoom(small, 2, order=3, mode="mirror")}, n**3 / 1e6, "Mvoxel/s", 3),
-        *frames,
-        *([] if quick else [Case("figure 6, six panels 512²", lambda: figure6(), repeats=1)]),
-    ]  # fmt: skip
-
-
-def _along_rays(n: int, count: int) -> np.ndarray[Any, Any]:
-    """Points along oblique rays through a volume of side `n`, one ray after the other."""
-    per_ray = 256
-    side = int(np.sqrt(count // per_ray))
-    a, b = np.meshgrid(np.linspace(0.1, 0.8, side), np.linspace(0.1, 0.8, side))
-    t = np.linspace(0.05, 0.95, per_ray)
-    x = a.ravel()[:, None] + 0.1 * t
-    y = b.ravel()[:, None] + 0.07 * t
-    return np.stack([x, y, np.broadcast_to(t, x.shape)], -1).reshape(-1, 3) * (n - 1)
-
-
-def machine() -> dict[str, Any]:
-    device = as_device()
-    return {
-        "processor": device.name, "cores": os.cpu_count(), "opencl": str(device.handle.platform.version),
-        "python": platform.python_version(), "load": os.getloadavg()[0],
-        **{name: version(name) for name in ("clvol", "numpy", "scipy", "pyopencl")},
-    }  # fmt: skip
+FORMAT = 2
+BUSY = 0.5  # load at the start above which times are not to be trusted
 
 
 def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--quick", action="store_true", help="smaller work: a check that all of it runs")
-    arguments.add_argument("--only", default="", help="only measurements whose name holds this")
+    arguments.add_argument("--only", default="", metavar="WORD", help="only measurements whose name holds this")
+    arguments.add_argument("--no-huge", action="store_true", help="leave out 1024³")
+    arguments.add_argument("--alone", action="store_true", help="without peers")
     arguments.add_argument("--output", type=Path, help="default: bench/results/<date>.json; not written with --quick or --only")
+    arguments.add_argument("--pictures", type=Path, metavar="DIR", help="draw what is measured, ours beside theirs, and do no more")
     options = arguments.parse_args()
-    console = Console(width=130)
-    rows = []
-    for case in cases(options.quick):
+    console = Console(width=150)
+    bench = Bench(quick=options.quick, huge=not options.no_huge)
+    if options.alone:
+        peers.TASKS.update({task: {} for task in peers.TASKS})
+    else:
+        for name, reason in peers.missing().items():
+            console.print(f"[yellow]without {name}: {reason}[/yellow]")
+    if options.pictures:
+        pictures(bench, options.pictures, console)
+        return
+    started, load = time.perf_counter(), [os.getloadavg()[0]]
+    limits = measure_limits(bench.device)
+    if load[0] > BUSY:
+        console.print(f"[yellow]the machine is busy (load {load[0]:.1f}): times will be too long, ratios less so[/yellow]")
+    rows: list[dict[str, Any]] = []
+    broken: list[str] = []
+    for case in all_cases(bench):
         if options.only in case.name:
             console.print(f"[dim]{case.name}[/dim]")
-            rows.append(case.measure())
-    table = Table("work", "clvol, s", "rate", "times faster than", box=None)
-    for row in rows:
-        rate = f"{row['rate']:.1f} {row['unit']}" if row["rate"] else ""
-        ratios = ", ".join(f"{name} {ratio:.1f}×" for name, ratio in row["times_faster_than"].items())
-        table.add_row(row["name"], f"{row['seconds']['clvol']:.4f}", rate, ratios)
-    console.print(table)
+            try:
+                rows.append(row_of(case))
+            except Skip as reason:
+                console.print(f"[yellow]without {case.name}: {reason}[/yellow]")
+                rows.append({"name": case.name, "skipped": str(reason)})
+            except Exception:  # the other cases took minutes
+                console.print_exception(max_frames=4)
+                rows.append({"name": case.name, "skipped": "it failed"})
+                broken.append(case.name)
+    limits = limits.best(measure_limits(bench.device))  # the machine may have been busy with something else the first time
+    add_rooflines(rows, limits)
+    console.print(table_of(rows))
+    for line in footnotes(rows, limits):
+        console.print(line)
+    load.append(os.getloadavg()[0])
     today = dt.datetime.now(tz=dt.UTC).date().isoformat()
-    output = options.output or (None if options.quick or options.only else RESULTS / f"{today}.json")
+    console.print(f"[dim]{time.perf_counter() - started:.0f} s, load {load[0]:.1f} before and {load[1]:.1f} at the end[/dim]")
+    output = options.output or (None if options.quick or options.only or options.alone else RESULTS / f"{today}.json")
     if output:
+        machine = {**describe(bench.device), "load": load, "limits": asdict(limits)}
+        if not options.alone:
+            machine.update(opengl=peers.renderer_of_opengl(), missing=peers.missing())
+        report = {"format": FORMAT, "date": today, "quick": options.quick, "machine": machine, "results": rows}
         output.parent.mkdir(parents=True, exist_ok=True)
-        output.write_text(json.dumps({"date": today, "machine": machine(), "results": rows}, indent=1) + "\n", encoding="utf-8")
+        output.write_text(json.dumps(report, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
         console.print(f"written: {output}")
+    if broken:
+        sys.exit(f"failed: {'; '.join(broken)}")
+
+
+def row_of(case: Case) -> dict[str, Any]:
+    """One case measured, as it is written to the results."""
+    load = os.getloadavg()[0]
+    work = case.prepare()
+    row: dict[str, Any] = {"name": case.name, "load": load}
+    if not isinstance(work, Work):
+        return {**row, **work}
+    measured = measure(work)
+    ours = measured.seconds["clvol"]
+    row.update(asdict(measured), times_as_fast_as={k: s / ours for k, s in measured.seconds.items() if k != "clvol"})
+    if work.amount:
+        row.update(amount=work.amount, rate=work.amount / ours / 1e6, unit=work.unit)
+    if work.cost is not None:
+        row.update(cost=asdict(work.cost))
+    return row
+
+
+def add_rooflines(rows: list[dict[str, Any]], limits: Limits) -> None:
+    for row in rows:
+        if "cost" in row:
+            share, limit = limits.share(Cost(**row["cost"]), 1e6 * row["rate"])
+            row["roofline"] = {"share": share, "of": limit}
+
+
+def table_of(rows: list[dict[str, Any]]) -> Table:
+    table = Table("work", "clvol", "rate", "roofline", "times as fast as", box=None)
+    for row in rows:
+        if "skipped" in row:
+            continue
+        taken = f"{row['seconds']['clvol']:.4f} s" if "seconds" in row else f"{row['value']:.2f}"
+        rate = f"{row['rate']:.1f} {row['unit']}" if "rate" in row else row.get("unit", "")
+        roofline = f"{row['roofline']['share']:.0%} of {row['roofline']['of']}" if "roofline" in row else ""
+        if "kernel_build" in row:
+            rate = f"+ {row['kernel_build']:.1f} s for kernels"
+        ratios = (f"{name} {_colored(ratio)}" for name, ratio in row.get("times_as_fast_as", {}).items())
+        table.add_row(row["name"], taken, rate, roofline, "; ".join(ratios))
+    return table
+
+
+def _colored(ratio: float) -> str:
+    text = f"{ratio:.1f}×" if ratio >= 2 else f"{ratio:.2f}×"
+    return text if ratio >= 1 else f"[bold red]{text}[/bold red]"
+
+
+def footnotes(rows: list[dict[str, Any]], limits: Limits) -> list[str]:
+    """Growth with size, what failed, what is not the same work, and what the roofline refers to."""
+    seconds = {row["name"]: row["seconds"]["clvol"] for row in rows if "seconds" in row}
+    lines = []
+    for mode in ("isosurface", "mip"):
+        by_size = {int(k.split(", ")[2][:-1]): s for k, s in seconds.items() if k.startswith(f"frame against size, {mode}")}
+        steps = [f"{n}³/{n // 2}³ {s / by_size[n // 2]:.2f}×" for n, s in sorted(by_size.items()) if n // 2 in by_size]
+        if steps:
+            lines.append(f"{mode} against size: {', '.join(steps)}")
+    for row in rows:
+        lines += [f"[yellow]{row['name']}: {name} failed: {why}[/yellow]" for name, why in row.get("failed", {}).items()]
+        for name, difference in row.get("differs_by", {}).items():
+            if difference > 1e-4 and "trilinear" not in name and not row["name"].startswith("frame"):
+                lines.append(f"[yellow]{row['name']}: {name} differs by {difference:.1e} of the range[/yellow]")
+    lines.append(
+        f"[dim]limits: {limits.copy / 1e9:.0f} GB/s copied, {limits.update / 1e9:.0f} GB/s in place, "
+        f"{limits.loads / 1e9:.1f} G loads/s of 16 bytes, {limits.multiply_adds / 1e9:.0f} G multiply-adds/s[/dim]"
+    )
+    return lines
+
+
+def pictures(bench: Bench, folder: Path, console: Console) -> None:
+    """Every picture by us and by the peers, as files and side by side: is the comparison one of the same thing?"""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, make in shots(bench).items():
+        shot = make()
+        found = {"clvol": draw(bench.renderer(bench.n), shot), **{k: p.run() for k, p in peers.of("frame", shot).items()}}
+        stem = name.replace(", ", "-")
+        for who, picture in found.items():
+            clvol.save(picture, folder / f"{stem}-{who.replace(', ', '-').replace(' ', '-')}.png")
+        clvol.save(np.concatenate(list(found.values()), 1), folder / f"{stem}.png")
+        console.print(f"{folder / stem}.png: {', '.join(found)}")
 
 
 if __name__ == "__main__":

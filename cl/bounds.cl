@@ -27,8 +27,6 @@ INLINE void widen(float *low, float *high, float least, float greatest)
     }
 }
 
-INLINE int at_most(int i, int most) { return i < most ? i : most; }
-
 #if HULL
 
 // LANES cells along x at a time
@@ -55,7 +53,12 @@ INLINE float8 larger(float8 a, float8 b) { return a > b ? a : b; }
 kernel void bound_cells(global const float *restrict coefficients, const int4 extent, const int4 blocks, global float2 *bounds)
 {
     const int bx = (int)get_global_id(0) * (LANES / BLOCK), by = get_global_id(1), bz = get_global_id(2);
-    float8 least = (float8)(INFINITY), greatest = -least, low = least, high = greatest;
+    float8 least = (float8)(INFINITY), greatest = -least;
+    float8 low[CONTROLS], high[CONTROLS];     // apart, so that they need not wait for each other
+    for (int r = 0; r < CONTROLS; ++r) {
+        low[r] = least;
+        high[r] = greatest;
+    }
     float8 lines[EDGE][POINTS][CONTROLS];     // control points along x and y, for each slice of taps
     for (int k = 0; k < EDGE; ++k) {
         float8 rows[EDGE][CONTROLS];
@@ -90,10 +93,14 @@ kernel void bound_cells(global const float *restrict coefficients, const int4 ex
                     if (r < ROWS || cell == BLOCK - 1) {
                         float8 point;
                         CONTROL(point, r, lines[cell + i_][q][d])
-                        low = smaller(point, low);
-                        high = larger(point, high);
+                        low[r] = smaller(point, low[r]);
+                        high[r] = larger(point, high[r]);
                     }
-    union { float8 all; float each[LANES]; } lows = { low }, highs = { high }, leasts = { least }, greatests = { greatest };
+    for (int r = 1; r < CONTROLS; ++r) {
+        low[0] = smaller(low[r], low[0]);
+        high[0] = larger(high[r], high[0]);
+    }
+    union { float8 all; float each[LANES]; } lows = { low[0] }, highs = { high[0] }, leasts = { least }, greatests = { greatest };
     for (int b = 0; b < LANES / BLOCK && bx + b < blocks.x; ++b) {
         float l = INFINITY, h = -INFINITY, s = INFINITY, g = -INFINITY;
         for (int i = b * BLOCK; i < (b + 1) * BLOCK; ++i) {

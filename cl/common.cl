@@ -18,6 +18,11 @@ typedef double coord;
 typedef float coord;
 #endif
 
+INLINE int at_most(int i, int most)
+{
+    return i < most ? i : most;
+}
+
 // The greatest whole number below, for what fits an int.
 INLINE coord whole_below(coord x)
 {

@@ -2,19 +2,23 @@
 // volume's domain never asks it again.
 
 #include "common.cl"
-#include "boundary.cl"
 
-// One work-item for each stored coefficient; size and period count coefficients.
-kernel void fill_halo(global float *coefficients, const int4 extent, const int4 size, const int4 period)
+// One stored row for each work-item. places: where the coefficient is stored that stands for each stored column, then
+// row, then slice; -1 if it is zero. size: coefficients proper along x.
+kernel void fill_halo(global float *coefficients, const int4 extent, const int size, global const int *places)
 {
-    const int halo = extent.w, halo_z = size.z > 1 || extent.z > 1 ? halo : 0;
-    const int x = (int)get_global_id(0) - halo, y = (int)get_global_id(1) - halo, z = (int)get_global_id(2) - halo_z;
-    if (x >= 0 && x < size.x && y >= 0 && y < size.y && z >= 0 && z < size.z)
+    const int y = get_global_id(0), z = get_global_id(1);
+    const int j = places[extent.x + y], k = places[extent.x + extent.y + z];
+    global float *row = coefficients + ((size_t)z * extent.y + y) * extent.x;
+    if (j < 0 || k < 0) {
+        for (int x = 0; x < extent.x; ++x)
+            row[x] = 0.0f;
         return;
-    const int i = boundary_index(x, 0, size.x, period.x), j = boundary_index(y, 0, size.y, period.y),
-              k = halo_z ? boundary_index(z, 0, size.z, period.z) : 0;
-    const size_t row = extent.x, slice = row * extent.y;
-    coefficients[(z + halo_z) * slice + (y + halo) * row + x + halo] =
-        i == MISSING || j == MISSING || k == MISSING ? 0.0f
-            : coefficients[(k + halo_z) * slice + (j + halo) * row + i + halo];
+    }
+    global const float *source = coefficients + ((size_t)k * extent.y + j) * extent.x;
+    for (int x = 0; x < extent.x; ++x) {
+        if (x == extent.w && source == row)
+            x += size;
+        row[x] = places[x] < 0 ? 0.0f : source[places[x]];
+    }
 }

@@ -133,16 +133,16 @@ INLINE void patch_gather(const float *blend, const patch_cell_t *c, const real w
 #if ROW == 4 && CHUNKS == 1 && LANES > 1
     real rows[4], transposed[4];
 #define TAP_ROW(i) *(const row_at_t *)(p + c->at.each[i])
-#define GATHER(i, a, b)                                                              \
+#define GATHER(i, each)                                                              \
     for (int j = 0; j < TAPS; ++j) {                                                 \
         const float *p = blend + j * PATCH;                                          \
-        const real taps = FOURTHS(TAP_ROW, i), w = SPREAD(wv[j], a, b);              \
-        rows[i] = j == 0 ? w * taps : madd(w, taps, rows[i]);                        \
+        const real taps = FOURTHS(TAP_ROW, i);                                       \
+        rows[i] = j == 0 ? wv[j].each * taps : madd(wv[j].each, taps, rows[i]);      \
     }
-    _Pragma("unroll") GATHER(0, s0, s4)
-    _Pragma("unroll") GATHER(1, s1, s5)
-    _Pragma("unroll") GATHER(2, s2, s6)
-    _Pragma("unroll") GATHER(3, s3, s7)
+    _Pragma("unroll") GATHER(0, s00004444)
+    _Pragma("unroll") GATHER(1, s11115555)
+    _Pragma("unroll") GATHER(2, s22226666)
+    _Pragma("unroll") GATHER(3, s33337777)
 #undef GATHER
 #undef TAP_ROW
     transpose_fourths(rows, transposed);

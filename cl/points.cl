@@ -80,32 +80,28 @@ INLINE void sample_into(VOLUME_PARAMS, coord x, coord y, coord z, int4 size, int
     float value = 0.0f;
     gradient_t g = { 0.0f, 0.0f, 0.0f };
     hessian_t h = { 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f };
-    if (x - x == 0 && y - y == 0 && z - z == 0) {   // finite
-        const int inside = x >= -0.5f && x <= size.x - 0.5f && y >= -0.5f && y <= size.y - 0.5f
-            && z >= -0.5f && z <= size.z - 0.5f;   // 0 of one slice in 2-D
-        if (inside) {
-            const cell_t c = locate(x, y, z, extent.w);
+    const int inside = x >= -0.5f && x <= size.x - 0.5f && y >= -0.5f && y <= size.y - 0.5f
+        && z >= -0.5f && z <= size.z - 0.5f;   // 0 of one slice in 2-D; nothing that is not finite is inside
+    if (inside) {
+        const cell_t c = locate_inner(x, y, z, extent.w);
 #if DERIVATIVE == 0
-            value = sample_value(VOLUME, c);
+        value = sample_value(VOLUME, c);
 #elif DERIVATIVE == 1
-            g = sample_gradient(VOLUME, c, &value);
+        g = sample_gradient(VOLUME, c, &value);
 #else
-            h = taps_hessian(VOLUME, c);
+        h = taps_hessian(VOLUME, c);
 #endif
-        } else if (FILL) {
-            for (int i = 0; i < COMPONENTS; ++i)
-                result[i] = fill;
-            return;
-        } else {
-            x = boundary_position(x, size.x, period.x);
-            y = boundary_position(y, size.y, period.y);
-            z = boundary_position(z, size.z, period.z);
-            outer_sample(VOLUME, locate(x, y, z, extent.w), period, &value, &g, &h);
-        }
     } else {
-        for (int i = 0; i < COMPONENTS; ++i)
-            result[i] = NAN;
-        return;
+        const int finite = x - x == 0 && y - y == 0 && z - z == 0;
+        if (!finite || FILL) {
+            for (int i = 0; i < COMPONENTS; ++i)
+                result[i] = finite ? fill : NAN;
+            return;
+        }
+        x = boundary_position(x, size.x, period.x);
+        y = boundary_position(y, size.y, period.y);
+        z = boundary_position(z, size.z, period.z);
+        outer_sample(VOLUME, locate(x, y, z, extent.w), period, &value, &g, &h);
     }
     const float s = GRID_SCALE;
 #if DERIVATIVE == 0

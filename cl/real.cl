@@ -92,7 +92,6 @@ typedef union { mask all; int each[LANES]; } lane_masks_u;
 #if LANES > 1
 // Lanes i and i + 4 share a vector of two rows of four, so that nothing leaves its half of a register on the way.
 #define FOURTHS(row, i) (real)(row(i), row(i + 4))
-#define SPREAD(v, a, b) (real)((float4)((v).a), (float4)((v).b))
 
 // From rows[i], those of lanes i and i + 4, to four vectors of all lanes.
 INLINE void transpose_fourths(const real rows[4], real lanes[4])

@@ -42,6 +42,8 @@ INLINE int block_of(float x, int halo, int blocks)
     return (int)(cell > 0.0f ? cell < most ? cell : most : 0.0f) / BLOCK;   // infinite where no lane is active
 }
 
+#define LOOKS 32   // blocks that are looked at for a box, at most
+
 // The least and greatest value in the lanes' boxes. `margin` covers what positions are rounded by.
 INLINE float2 values_within(global const float2 *bounds, const int4 extent, constant frame_t *frame, const boxes_t *box)
 {
@@ -52,7 +54,7 @@ INLINE float2 values_within(global const float2 *bounds, const int4 extent, cons
     int y0 = block_of(least_lane(box->low.y) - m, halo, ny), y1 = block_of(-least_lane(-box->high.y) + m, halo, ny);
     int z0 = block_of(least_lane(box->low.z) - m, halo, nz), z1 = block_of(-least_lane(-box->high.z) + m, halo, nz);
     int level = 0;
-    while (level < frame->levels - 1 && (x1 - x0 > 2 || y1 - y0 > 2 || z1 - z0 > 2)) {
+    while (level < frame->levels - 1 && (x1 - x0 + 1) * (y1 - y0 + 1) * (z1 - z0 + 1) > LOOKS) {
         x0 >>= 1; x1 >>= 1; y0 >>= 1; y1 >>= 1; z0 >>= 1; z1 >>= 1;
         nx = (nx + 1) >> 1; ny = (ny + 1) >> 1;
         ++level;

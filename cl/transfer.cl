@@ -15,11 +15,11 @@ INLINE color_t classify(constant frame_t *frame, global const float4 *table, rea
     real rows[4], channels[4];
 #define LOW(i) table[node.each[i]]
 #define HIGH(i) table[node.each[i] + 1]
-#define COLORS(i, a, b) rows[i] = madd(SPREAD(past, a, b), FOURTHS(HIGH, i) - FOURTHS(LOW, i), FOURTHS(LOW, i));
-    COLORS(0, s0, s4)
-    COLORS(1, s1, s5)
-    COLORS(2, s2, s6)
-    COLORS(3, s3, s7)
+#define COLORS(i, each) rows[i] = madd(past.each, FOURTHS(HIGH, i) - FOURTHS(LOW, i), FOURTHS(LOW, i));
+    COLORS(0, s00004444)
+    COLORS(1, s11115555)
+    COLORS(2, s22226666)
+    COLORS(3, s33337777)
 #undef COLORS
 #undef LOW
 #undef HIGH

@@ -105,6 +105,20 @@ def test_render_passes_every_option_on(clvol_command: Command) -> None:
     np.testing.assert_array_equal(iio.imread("a.png"), clvol.picture.to_bytes(picture)[..., :3])
 
 
+def test_render_tells_and_shows_what_was_looked_at(clvol_command: Command) -> None:
+    options = (*SMALL, "--mode", "isosurface", "--isovalue", "-0.25")
+    told = clvol_command("render", SPHERE, "-o", "a.png", *options, "--heat-map", "heat.png", "--verbose", "--json").json
+    assert told["heat_map"] == "heat.png"
+    assert told["seconds_to_hold"] > 0
+    assert told["seconds_to_draw"] > 0
+    visited = clvol.render(clvol.phantoms.sphere(8), mode="isosurface", isovalue=-0.25, size=(16, 12), outputs="visited")
+    assert told["samples_visited"] == pytest.approx(np.nanmean(visited), abs=1e-4)
+    np.testing.assert_array_equal(iio.imread("heat.png"), clvol.picture.to_bytes(clvol.picture.heat(visited)))
+    assert files() == ["a.png", "heat.png"]
+    clvol_command("render", SPHERE, "-o", "b.png", *options, "--heat-map", "heat.gif").fails(1, "heat.gif")
+    assert "b.png" not in files()
+
+
 @pytest.mark.parametrize("mode", ["composite", "isosurface", "mip", "minip", "mean"])
 def test_render_knows_every_mode(clvol_command: Command, mode: str) -> None:
     assert clvol_command("render", SPHERE, "-o", "a.png", *SMALL, "--mode", mode, "--json").json["mode"] == mode
@@ -714,11 +728,10 @@ def test_an_interrupt_ends_a_long_render_soon_and_leaves_nothing() -> None:
     # tells when the first tile is done, for an interrupt before that would try another thing
     code = """
 from clvol.render import Renderer
-march = Renderer._march
-def told(self, *args):
-    args = list(args); args[8] = lambda done: print("tile", flush=True)
-    return march(self, *args)
-Renderer._march = told
+render = Renderer.render
+def told(self, *args, progress, **options):
+    return render(self, *args, progress=lambda done: print("tile", flush=True), **options)
+Renderer.render = told
 from clvol.cli import main
 main(["render", "phantom:sphere:64", "-o", "a.png", "--size", "4000", "4000", "--samples", "4096", "--filter", "bspline5"])
 """

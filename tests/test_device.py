@@ -168,6 +168,17 @@ def test_buffers_hold_what_was_put_in(device: Device) -> None:
         np.testing.assert_array_equal(mapped, data)
 
 
+def test_large_buffers_begin_a_huge_page_and_hold_what_was_put_in(device: Device) -> None:
+    buffer = device.allocate(4 * (1 << 21) + 4)
+    with device.mapped(buffer, ((1 << 21) + 1,), write=True) as values:
+        if device.kind == "cpu" and sys.platform == "linux":
+            assert values.ctypes.data % (1 << 21) == 0
+        values[:] = np.arange(values.size)
+    with device.mapped(buffer, ((1 << 21) + 1,), write=False) as values:
+        np.testing.assert_array_equal(values, np.arange(values.size))
+    buffer.release()
+
+
 def test_errors_of_the_runtime_come_out_as_ours(device: Device) -> None:
     import pyopencl
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from clvol import FormatError, OptionError
-from clvol.picture import grid, labelled, save, to_bytes
+from clvol.picture import grid, heat, labelled, save, to_bytes
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".PNG", ".Tif")
 SHAPES = ((5, 7), (5, 7, 1), (5, 7, 3), (5, 7, 4), (3, 4), (1, 1, 4), (3, 5, 3))
@@ -154,3 +154,13 @@ def test_a_grid_of_nothing_or_of_different_pictures_is_refused() -> None:
 def test_wrong_types_are_refused(call) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(OptionError):
         call()
+
+
+def test_heat_rises_from_black_to_white_and_shows_where_there_is_none() -> None:
+    colors = heat([[0.0, 0.25, 0.5, 0.75, 1.0, 7.0, np.nan]])
+    assert colors.shape == (1, 7, 3)
+    brightness = colors[0, :5].sum(-1)
+    assert (np.diff(brightness) > 0.2).all()
+    assert brightness[0] < 0.05
+    np.testing.assert_array_equal(colors[0, 4], colors[0, 5])
+    assert colors[0, 6].argmax() == 2

@@ -39,9 +39,18 @@ Progress = Callable[[float], None]
 Evaluator = Literal["auto", "taps", "eight-fetch"]
 Fetch = Literal["auto", "buffer", "image"]
 
-LANES = 8  # lines of a work-item of prefilter.cl, and what rows of coefficients are padded to
+LANES = 8  # lines that one vector holds in columns.cl, and what rows of coefficients are padded to
+CHAINS = 4  # ... of eight lines that it filters at once where they lie side by side
 _START_ERROR = 1e-9  # what the starting values of the prefilter may leave out, relative to the data
-_TAPS_A_LAUNCH = 1 << 25  # a launch should not run longer than a quarter of a second
+_VOXELS_A_LAUNCH = 1 << 26  # of copies and the prefilter, and ...
+_TAPS_A_LAUNCH = 1 << 25  # ... of sampling: a launch should not run longer than a quarter of a second
+_SAMPLES = {  # OpenCL's names of NumPy's types
+    "b1": "uchar", "u1": "uchar", "i1": "char", "u2": "ushort", "i2": "short", "u4": "uint", "i4": "int", "u8": "ulong",
+    "i8": "long", "f4": "float", "f8": "double",
+}  # fmt: skip
+_BLOCK = 16  # rows that separable.cl makes at once
+_ITEMS_A_CORE = 16  # ... and among how many work-items it shares them out on each core, so that none waits long for another
+_NO_SHEAR = 1e-9  # samples
 _SAMPLE_BITS = 20.0  # of a sampler's fraction, before `sample` and `resample` trust it of themselves
 
 
@@ -80,12 +89,14 @@ def _starts(filter: Filter, boundary: Boundary, n: int) -> tuple[Floats, int, in
     return ends, head, tail
 
 
-def _prefilter_axis(
-    device: Device, buffer: Any, filter: Filter, boundary: Boundary, extent: tuple[int, ...], size: tuple[int, ...], axis: int
-) -> None:
-    """Filter the stored coefficients along axis 0 (x), 1 (y) or 2 (z), in place."""
-    starts, head, tail = _starts(filter, boundary, size[axis])
-    reach = starts.shape[2] // 2
+def _prefilter(
+    device: Device, buffer: Any, filter: Filter, boundary: Boundary, extent: Sequence[int], size: Sequence[int], dimensions: int
+) -> None:  # fmt: skip
+    """Filter the stored coefficients along the first `dimensions` of x, y and z, in place."""
+    pitch, area, halo = extent[0], extent[0] * extent[1], extent[3]
+    nx, ny, nz = size
+    chains = CHAINS if device.kind == "cpu" else 1  # others have enough work-items to wait for
+    starts = [_starts(filter, boundary, n) for n in size]
     built = program.build(
         device,
         "prefilter.cl",
@@ -93,26 +104,36 @@ def _prefilter_axis(
             "POLES": filter.poles.size,
             "POLE_VALUES": "{" + ",".join(f"{p:.9e}f" for p in filter.poles) + "}",
             "GAIN": float(1 / filter.samples[-1]),
-            "ENDS": reach,
-            "LANE_STRIDE_ONE": int(axis > 0),
+            "ENDS": starts[0][0].shape[2] // 2,
+            "CHAINS": chains,
             "COORD_DOUBLE": 0,
         },
     )
-    strides = (1, extent[0], extent[0] * extent[1])
-    halo = extent[3]
-    inner = (halo, halo, halo if extent[2] > 1 else 0)
-    # along x, eight rows at once; along y and z, sixteen neighbours in a row, from the row's very start
-    lane = 1 if axis == 0 else 0
-    outer = 3 - axis - lane
-    lines = size[1] if axis == 0 else extent[0]
-    origin = sum(i * s for k, (i, s) in enumerate(zip(inner, strides, strict=True)) if k or axis == 0)
-    kernel = built.kernel("prefilter")
+    along_x, along_y, along_z = ((device.upload(weights), np.int32(head), np.int32(tail)) for weights, head, tail in starts)
+
+    def launch(name: str, groups: int, lines: int, origin: int, stride: int, voxels: int, *arguments: Any) -> None:
+        """One launch or more over lines or slices of so many voxels, `stride` apart."""
+        step = max(1, _VOXELS_A_LAUNCH // voxels)
+        for first in range(0, lines, step):
+            built.kernel(name)(
+                device.queue, (groups, min(step, lines - first)), (1, 1) if device.kind == "cpu" else None, buffer,
+                np.uint64(origin + first * stride), *arguments,
+            )  # fmt: skip
+
+    first_row = (halo * area if extent[2] > 1 else 0) + halo * pitch  # the halo's columns in it are filtered too, in vain
+    rows = np.int32(nx), np.uint64(pitch), np.int32(ny), np.uint64(area)
+    wide = -(-pitch // (LANES * chains))
     with device.errors:
-        kernel(
-            device.queue, (-(-lines // LANES), size[outer]), (1, 1), buffer, np.uint64(origin), np.int32(size[axis]),
-            np.uint64(strides[axis]), np.uint64(strides[lane]), np.int32(lines), np.uint64(strides[outer]),
-            device.upload(starts), np.int32(head), np.int32(tail),
-        )  # fmt: skip
+        if device.kind == "cpu" and dimensions > 1 and nz >= 4 * device.units:
+            launch("prefilter_slices", 1, nz, first_row + halo, area, area, *rows, np.int32(halo), *along_x, *along_y)
+        else:
+            launch("prefilter_rows", -(-ny // (2 * LANES)), nz, first_row + halo, area, area, *rows, *along_x)
+            if dimensions > 1:
+                columns = np.int32(ny), np.uint64(pitch), np.int32(pitch), np.uint64(area)
+                launch("prefilter_columns", wide, nz, first_row, area, area, *columns, *along_y)
+        if dimensions > 2:
+            columns = np.int32(nz), np.uint64(area), np.int32(pitch), np.uint64(pitch)
+            launch("prefilter_columns", wide, ny, first_row, pitch, nz * pitch, *columns, *along_z)
 
 
 class Coefficients:
@@ -157,8 +178,7 @@ class Coefficients:
 
     @property
     def _bytes(self) -> int:
-        # a last group of lines of the prefilter reads, and does not use, up to LANES rows past the end
-        return 4 * int(self.extent[0]) * (int(self.extent[1]) * int(self.extent[2]) + LANES)
+        return 4 * math.prod(self.shape)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -177,19 +197,42 @@ class Coefficients:
 
     def _fill(self, sizes: tuple[int, ...]) -> None:
         device = self.device
-        with device.mapped(self.buffer, self.shape, write=True) as stored:
-            stored[...] = 0
-            np.copyto(stored[self.inner], self.volume.data.reshape(sizes[::-1]), casting="unsafe")
-        extent = tuple(int(v) for v in self.extent)
+        self._copy_samples(sizes)
         if self.filter.poles.size:
-            for axis in range(self.volume.ndim):
-                _prefilter_axis(device, self.buffer, self.filter, self.boundary, extent, sizes, axis)
-        built = program.build(
-            device, "halo.cl", {"COORD_DOUBLE": 0, "GRID_SCALE": 1, "TAPS": 1, **program.boundary_defines(self.boundary)}
-        )
+            _prefilter(device, self.buffer, self.filter, self.boundary, self.extent.tolist(), sizes, self.volume.ndim)
+        halos = [inside.start for inside in self.inner[::-1]]
+        places = [
+            np.where((i := self.boundary.index(np.arange(stored) - halo, n)) < 0, -1, i + halo)
+            for stored, n, halo in zip(self.shape[::-1], sizes, halos, strict=True)
+        ]
+        built = program.build(device, "halo.cl", {"COORD_DOUBLE": 0})
         with device.errors:
-            built.kernel("fill_halo")(device.queue, self.shape[::-1], None, self.buffer, self.extent, self.size, self.period)
+            built.kernel("fill_halo")(
+                device.queue, self.shape[1::-1], None, self.buffer, self.extent, np.int32(sizes[0]),
+                device.upload(np.concatenate(places).astype(np.int32)),
+            )  # fmt: skip
         device.finish()
+
+    def _copy_samples(self, sizes: tuple[int, ...]) -> None:
+        """The samples to where their coefficients will be; by all cores where they can read them as they are."""
+        device, data = self.device, self.volume.data
+        named = _SAMPLES.get(data.dtype.str[1:])
+        plain = data.flags.c_contiguous and data.dtype.isnative and data.flags.aligned
+        if device.kind != "cpu" or not plain or named is None or (named == "double" and not device.has_double):
+            with device.mapped(self.buffer, self.shape, write=True) as stored:
+                np.copyto(stored[self.inner], data.reshape(sizes[::-1]), casting="unsafe")
+            return
+        defines: dict[str, str | int | float] = {"SAMPLE": named, "SAMPLE_DOUBLE": int(named == "double"), "COORD_DOUBLE": 0}
+        pitch, area = int(self.extent[0]), int(self.extent[0]) * int(self.extent[1])
+        origin = sum(inside.start * step for inside, step in zip(self.inner, (area, pitch, 1), strict=True))
+        nx, ny, nz = sizes
+        some = max(1, _VOXELS_A_LAUNCH // (nx * ny))
+        with device.lent(data, write=False) as given, device.errors:
+            for first in range(0, nz, some):
+                program.build(device, "samples.cl", defines).kernel("copy_samples")(
+                    device.queue, (ny, min(some, nz - first)), (1, 1), given, self.buffer, np.int32(first), np.uint64(origin),
+                    np.int32(nx), np.uint64(pitch), np.uint64(area),
+                )  # fmt: skip
 
     def _magnify(self, by: Filter) -> None:
         """Samples of the spline on a grid of twice the density, halo included (section 4.3)."""
@@ -304,12 +347,11 @@ def _prefilter_line(volume: Volume, filter: Filter, boundary: Boundary, device: 
     volume.require_finite()
     n = volume.size[0]
     pitch = -(-n // LANES) * LANES
-    buffer = device.allocate(4 * pitch * (1 + LANES))
-    with device.mapped(buffer, (1 + LANES, pitch), write=True) as stored:
-        stored[...] = 0
-        np.copyto(stored[:1, :n], volume.data, casting="unsafe")
+    buffer = device.allocate(4 * pitch)
+    with device.mapped(buffer, (1, pitch), write=True) as stored:
+        np.copyto(stored[:, :n], volume.data, casting="unsafe")
     if filter.poles.size:
-        _prefilter_axis(device, buffer, filter, boundary, (pitch, 1, 1, 0), (n, 1, 1), 0)
+        _prefilter(device, buffer, filter, boundary, (pitch, 1, 1, 0), (n, 1, 1), 1)
     with device.mapped(buffer, (1, pitch), write=False) as stored:
         result = np.array(stored[0, :n])
     buffer.release()
@@ -405,7 +447,7 @@ def sample_coefficients(
     results = np.empty((points.shape[0], d**derivative), np.float32)
     kernel = built.kernel("sample_points")
     source = held.argument(path)
-    step = _launch_points(held.filter, d)
+    step = _launch_points(held.filter, d, path)
     for first in range(0, points.shape[0], step):
         part = np.ascontiguousarray(points[first : first + step], dtype=kind)
         target = results[first : first + step]
@@ -427,9 +469,10 @@ def _fill_value(fill: float | None) -> float | None:
     return None if fill is None else float(fill)
 
 
-def _launch_points(filter: Filter, dimensions: int) -> int:
-    """How many points a launch takes, so that it is short whatever the filter."""
-    return max(1 << 10, _TAPS_A_LAUNCH // int(filter.support**dimensions))
+def _launch_points(filter: Filter, dimensions: int, path: Path) -> int:
+    """How many points a launch takes, so that it is short whatever the filter; images may be sampled in software."""
+    taps = _TAPS_A_LAUNCH if path.image else 4 * _TAPS_A_LAUNCH
+    return max(1 << 10, taps // int(filter.support**dimensions))
 
 
 def _run_lattice(
@@ -438,11 +481,14 @@ def _run_lattice(
 ) -> None:  # fmt: skip
     """Values at index positions ``matrix @ (i, j, k) + offset`` into a float32 buffer of shape (z, y, x)."""
     device = held.device
+    if device.kind == "cpu" and path == Path(False, False) and _along_axes(matrix, shape):
+        _run_axes(held, np.diag(matrix), offset, shape, buffer, fill, progress)
+        return
     built = _points_program(held, path, 0, fill, LATTICE=1, POINT="float")
     transform = _affine(device, matrix, offset, held.volume.world_to_index_matrix)
     kernel = built.kernel("sample_lattice")
     nz, ny, nx = shape
-    points = _launch_points(held.filter, held.volume.ndim)
+    points = _launch_points(held.filter, held.volume.ndim, path)
     rows, slices = max(1, min(ny, points // nx)), max(1, points // (nx * ny))
     parts = [(z, y) for z in range(0, nz, slices) for y in range(0, ny, rows)]
     for done, (z, y) in enumerate(parts, 1):
@@ -455,6 +501,82 @@ def _run_lattice(
         device.finish()
         if progress:
             progress(done / len(parts))
+
+
+def _along_axes(matrix: NDArray[np.float64], shape: tuple[int, ...]) -> bool:
+    """Whether the axes of a lattice of shape (z, y, x) are the volume's, but for rounding."""
+    across = matrix - np.diag(np.diag(matrix))
+    return bool((np.abs(across) * np.array(shape[::-1])[: len(matrix)]).max() < _NO_SHEAR)
+
+
+def _axis_taps(held: Coefficients, axis: int, positions: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The stored coefficients along an axis that make the function at `positions` (in samples), and their weights; (N, taps)."""
+    row, rule, n = held.filter, held.boundary, int(held.size[axis])
+    period, margin, halo = rule.length(n), 2 * row.support + 2, int(held.extent[3])
+    if period:  # far out, within one period, where the rule repeats; not near, so that nothing is rounded there
+        far = (positions < -n) | (positions > 2 * n)
+        x = np.where(far, np.clip(positions - period * np.floor(positions / period), 0, period), positions)
+    else:  # to where nothing is left
+        x = np.clip(positions, -margin, n + margin)
+    u = x * row.scale - (row.support / 2 - 1)
+    base = np.floor(u)
+    weights = np.asarray(np.polynomial.polynomial.polyval(u - base, row.matrix.T).T, np.float64)
+    place = base.astype(np.int64)[:, None] + np.arange(row.support)
+    stored = (place >= -halo) & (place < int(held.extent[axis]) - halo)
+    if period:  # as boundary_index, which keeps the middle of a fold that lies between samples: it is in the halo
+        again = place % (row.scale * period)
+        inner = again if rule.fold is None else np.minimum(again, row.scale * (period - rule.fold) - again)
+        return np.where(stored, place, inner) + halo, weights
+    return np.where(stored, place + halo, 0), np.where(stored, weights, 0.0)
+
+
+def _run_axes(
+    held: Coefficients, step: NDArray[np.float64], start: NDArray[np.float64], shape: tuple[int, ...], buffer: Any,
+    fill: float | None, progress: Progress | None,
+) -> None:  # fmt: skip
+    """`_run_lattice` one axis after the other, for a lattice along the volume's axes."""
+    device, taps, d = held.device, held.filter.support, held.volume.ndim
+    nz, ny, nx = shape
+    positions = [start[axis] + step[axis] * np.arange(n) for axis, n in enumerate((nx, ny, nz)[:d])]
+    whole_vectors = np.pad(positions[0], (0, -nx % LANES), mode="edge")
+    places, weights = zip(*(_axis_taps(held, axis, x) for axis, x in enumerate([whole_vectors, *positions[1:]])), strict=True)
+    # what is used of a row, in whole vectors: rows are a whole number of them
+    left = places[0].min() // LANES * LANES
+    width = int(places[0].max() // LANES * LANES + LANES - left)
+    places[0][...] = LANES * (places[0] - left)
+    blocks, used = np.zeros((-(-ny // _BLOCK), 2), np.int64), [np.zeros(1, np.int64)]
+    if d == 3:
+        for block, rows in enumerate(np.split(places[1], range(_BLOCK, ny, _BLOCK))):
+            distinct, among = np.unique(rows, return_inverse=True)
+            rows[...] = among.reshape(rows.shape)
+            blocks[block] = sum(map(np.size, used)), len(distinct)
+            used.append(distinct)
+    tables = [
+        device.upload(np.concatenate([part.ravel() for part in parts]).astype(kind))
+        for parts, kind in ((places, np.int32), (weights, np.float32), ([blocks], np.int32), (used, np.int32))
+    ]
+    units, pitch, area = nz * len(blocks), int(held.extent[0]), int(held.extent[0]) * int(held.extent[1])
+    items, room = min(units, _ITEMS_A_CORE * device.units), width * (2 * LANES + int(blocks[:, 1].max()))
+    scratch = device.allocate(4 * items * room)
+    lattice = np.array([nx, ny, nz, places[0].size], np.int32)
+    built = program.build(device, "separable.cl", {"TAPS": taps, "DIMENSIONS": d, "BLOCK": _BLOCK, "COORD_DOUBLE": 0})
+    some = max(1, LANES * _TAPS_A_LAUNCH // (_BLOCK * nx * taps * d))
+    for first in range(0, units, some):
+        count = min(some, units - first)
+        with device.errors:
+            built.kernel("resample_axes")(
+                device.queue, (min(items, count),), (1,), held.buffer, np.int32(left), np.uint64(pitch), np.uint64(area),
+                np.int32(width), *tables, lattice, np.int32(first), np.int32(count), scratch, np.uint64(room), buffer,
+            )  # fmt: skip
+        device.finish()
+        if progress:
+            progress((first + count) / units)
+    scratch.release()
+    if fill is not None:
+        with device.mapped(buffer, shape, write=True) as values:
+            for axis, (x, n) in enumerate(zip(positions, held.volume.size, strict=True)):
+                outside = (x < -0.5) | (x > n - 0.5)
+                np.moveaxis(values, 2 - axis, 0)[outside] = fill
 
 
 def sample(
@@ -599,13 +721,10 @@ def _resampled(
     on, row, rule = as_device(device), as_filter(filter), as_boundary(boundary)
     path = choose_path(on, row, evaluator, fetch)
     fill = _fill_value(fill)
-    full = (1, *shape)[-3:]
-    buffer = on.allocate(4 * math.prod(full))
-    with Coefficients(volume, row, rule, on) as held:
-        _run_lattice(held, path, matrix, offset, full, buffer, fill, progress)
-    with on.mapped(buffer, shape, write=False) as values:
-        result = np.array(values)
-    buffer.release()
+    on.require_room(4 * math.prod(shape))
+    result = np.empty(shape, np.float32)
+    with Coefficients(volume, row, rule, on) as held, on.lent(result, write=True) as buffer:
+        _run_lattice(held, path, matrix, offset, (1, *shape)[-3:], buffer, fill, progress)
     return result
 
 

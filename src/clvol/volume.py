@@ -15,6 +15,7 @@ from clvol.errors import DataError, GeometryError, OptionError, number, reals, w
 
 __all__ = ["Volume", "as_volume", "read_array"]
 
+_CACHED = 1 << 18  # samples
 _TINY_DETERMINANT = 1e-12
 
 
@@ -111,6 +112,13 @@ class Volume:
         return self.shape[::-1]
 
     @cached_property
+    def _limits(self) -> tuple[Any, Any]:
+        """Least and greatest sample, NaN if there is one; each part is read while it is in the cache for both."""
+        step = max(1, _CACHED // self.data[0].size)
+        parts = [self.data[i : i + step] for i in range(0, len(self.data), step)]
+        return np.min([part.min() for part in parts]), np.max([part.max() for part in parts])
+
+    @cached_property
     def value_range(self) -> tuple[float, float]:
         """Least and greatest finite sample.
 
@@ -119,9 +127,7 @@ class Volume:
         DataError
             No sample is finite.
         """
-        if self.data.dtype.kind != "f":
-            return float(self.data.min()), float(self.data.max())
-        low, high = float(self.data.min()), float(self.data.max())
+        low, high = (float(v) for v in self._limits)
         if math.isfinite(low) and math.isfinite(high):
             return low, high
         with np.errstate(over="ignore"):  # longdouble reaches further than float64
@@ -134,7 +140,7 @@ class Volume:
         """Raise `DataError` if a sample is NaN, infinite, or too large for float32."""
         if self.data.dtype.kind != "f":
             return
-        low, high = self.data.min(), self.data.max()  # NaN wins in both
+        low, high = self._limits
         if np.isfinite(low) and np.isfinite(high):
             if max(abs(float(low)), abs(float(high))) > float(np.finfo(np.float32).max) / 64:  # a prefilter gains up to 27
                 raise DataError(f"samples must lie within ±5e36, the room that float32 leaves; got {low!s} to {high!s}")

@@ -99,6 +99,21 @@ def test_numbers_are_their_definitions() -> None:
     assert row.ssim == pytest.approx(shown, rel=1e-12)
 
 
+def test_where_the_true_gradient_is_next_to_none_there_is_no_angle() -> None:
+    """Ahead of the step the true gradient is 0 or a millionth of the greatest, and what the filter rings is no direction."""
+
+    def ramp(points: np.ndarray) -> np.ndarray:
+        return np.maximum(points[:, 0], 0) + 1e-6 * points[:, 1]
+
+    [row] = compare(ramp, ["bspline3"], dimensions=2, size=33, points=4000, timing=False)
+    assert row.angle_95 is not None
+    assert row.angle_95 < 1
+    grid = Volume(np.zeros((33, 33)), (1 / 16,) * 2, (-1.0,) * 2)
+    sampled = ramp(grid.index_to_world(np.stack(np.meshgrid(np.arange(33), np.arange(33)), -1)).reshape(-1, 2)).reshape(33, 33)
+    ahead = reference.sample(Volume(sampled, grid.spacing, grid.origin), [[-0.05, 0.3]], derivative=1)[0]
+    assert np.abs(ahead[0]) > 0.05  # across the true one, which points along y there
+
+
 def test_the_gradient_of_a_function_is_found_by_differences() -> None:
     options: dict[str, Any] = {"size": 15, "points": 2000, "timing": False}
     [given] = compare(wave, ["bspline3"], gradient=wave_gradient, **options)

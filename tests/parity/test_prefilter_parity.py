@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -28,6 +30,7 @@ SHAPES = (
     *[(n,) for n in (1, 2, 3, 4, 5, 17, 64, 301)],
     (1, 1), (2, 3), (5, 4), (33, 17), (1, 40), (40, 1),
     (1, 1, 1), (2, 1, 3), (5, 4, 3), (9, 17, 12), (1, 1, 9), (9, 1, 1), (31, 3, 2),
+    (3, 25, 41), (12, 24, 30), (70, 9),
 )  # fmt: skip
 
 
@@ -77,6 +80,21 @@ def test_a_long_axis_starts_as_a_short_one(device: Device) -> None:
     data[[0, 1, -1]] = (1, -3, 2)
     for name in ("bspline3", "bspline5"):
         check(device, data, name)
+
+
+@pytest.mark.parametrize("name", ["bspline3", "bspline5"])
+def test_order_of_the_work_does_not_show(device: Device, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """Slice by slice or axis by axis, in long launches or short ones."""
+    data = np.random.default_rng(6).normal(size=(6, 21, 75)).astype(np.float32)
+    module = importlib.import_module("clvol.spline")
+    results = []
+    for units, voxels in itertools.product((1, 1000), (1, 1 << 26)):
+        monkeypatch.setitem(vars(device), "units", units)
+        monkeypatch.setattr(module, "_VOXELS_A_LAUNCH", voxels)
+        results.append(prefilter(data, name, device=device))
+        check(device, data, name)
+    for result in results[1:]:
+        np.testing.assert_array_equal(result, results[0])
 
 
 DTYPES = ("?", "u1", "i1", "<u2", ">u2", "<i2", ">i2", "<u4", ">i4", "u8", "i8", "f2", "<f4", ">f4", "<f8", ">f8")

@@ -33,6 +33,7 @@ _WHOLE = 1 << 25  # samples of a volume that are held back, at most: of a larger
 _CHUNK = 1 << 20  # positions taken at a time
 _SINC_PRODUCTS = 1 << 34  # of the exact sinc at scattered points, where each takes all samples
 _TIMED = 1 << 18  # positions on a device whose time is measured
+_DIRECTED = 0.01  # of the greatest gradient: what is less has no direction that is seen
 _NUMPY = "NumPy, float64"
 
 EXACT_SINC: Final = "exact-sinc"
@@ -67,7 +68,7 @@ class ErrorRow:
         Root mean square length of the gradient's error, per world unit; None if the filter has no gradient.
     angle_mean, angle_median, angle_95 : float or None
         Of the angle between the gradient and the true one in degrees: mean, median, 95th percentile, where the true
-        one is not zero; a gradient of length zero counts as 90°.
+        one is at least a hundredth of the greatest; a gradient of length zero counts as 90°.
     overshoot : float
         How far the values leave the range of the samples, in the data's units; 0 if they do not.
     seconds : float or None
@@ -152,7 +153,8 @@ def compare(
     A function, or a volume with its `truth`, is compared at uniform random points of the world. Of a volume alone the
     truth is held back: it is low-passed, every `factor`-th sample is kept, and what is reconstructed from these is
     compared with the original samples, as in Figure 4 of the paper; the true gradient is then that of the
-    quintic spline through the original.
+    quintic spline through the original. Decimation by 2 asks for values half-way between samples only, where the
+    hybrid is the spline that it magnifies with; by 3 it asks for thirds.
 
     Parameters
     ----------
@@ -433,7 +435,7 @@ def _gradient_errors(trial: _Trial, got: Array) -> tuple[float, _Angles]:
     rms = float(np.sqrt(((got - true) ** 2).sum(-1).mean()))
     low, high = trial.samples.value_range
     lengths = np.linalg.norm(true, axis=-1)
-    directed = lengths > 1e-9 * (high - low) / min(trial.samples.spacing)
+    directed = lengths >= max(_DIRECTED * lengths.max(), 1e-9 * (high - low) / min(trial.samples.spacing))
     if high == low or not directed.any():
         return rms, (None, None, None)
     got, true, lengths = got[directed], true[directed], lengths[directed]

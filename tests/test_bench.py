@@ -1,0 +1,123 @@
+"""The benchmarks: that the commands run, and that what they compute from times is right. No speed is tested."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clvol
+from bench import cases, machine, scene
+from clvol.device import as_device
+from clvol.render import Lattice
+
+ROOT = Path(__file__).parents[1]
+
+OLD = {
+    "date": "2026-01-01",
+    "machine": {"processor": "one", "cores": 2},
+    "results": [
+        {"name": "prefilter and upload", "seconds": {"clvol": 0.4}},
+        {"name": "prefilter 256³, array to array", "seconds": {"clvol": 0.2, "scipy spline_filter": 0.6}},
+        {"name": "frame of old", "seconds": {"clvol": 1.0}},
+    ],
+}
+NEW = {
+    "format": 2,
+    "date": "2026-01-02",
+    "machine": {"processor": "one", "cores": 2},
+    "results": [
+        {"name": "prefilter 256³ and upload", "seconds": {"clvol": 0.1}},
+        {"name": "prefilter 256³, array to array", "seconds": {"clvol": 0.1, "scipy": 1.2, "numba": 0.3}},
+        {"name": "peak memory", "value": 3.0, "unit": "× the volume"},
+        {"name": "too large", "skipped": "no room"},
+    ],
+}
+
+
+def command(*arguments: str) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PYTHONIOENCODING": "utf-8"}
+    return subprocess.run(
+        [sys.executable, "-m", *arguments], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120, encoding="utf-8"
+    )
+
+
+def written(folder: Path, name: str, report: Any) -> str:
+    file = folder / name
+    file.write_text(json.dumps(report), encoding="utf-8")
+    return str(file)
+
+
+def test_compare_reads_both_formats(tmp_path: Path) -> None:
+    done = command("bench.compare", written(tmp_path, "old.json", OLD), written(tmp_path, "new.json", NEW))
+    assert done.returncode == 0, done.stderr
+    lines = {line.split("  ")[0].strip(): line for line in done.stdout.splitlines()}
+    assert "4.00×" in lines["prefilter 256³ and upload"]
+    # twice as fast, on a machine that is half as fast by scipy's time
+    assert "2.00×" in lines["prefilter 256³, array to array"]
+    assert "scipy 4.00×" in lines["prefilter 256³, array to array"]
+    assert "only in old: frame of old" in done.stdout
+    assert "only in new: peak memory; too large" in done.stdout
+
+
+def test_compare_reads_the_results_of_the_repository() -> None:
+    results = sorted(str(file) for file in (ROOT / "bench/results").glob("*.json"))
+    done = command("bench.compare", results[0], results[-1])
+    assert done.returncode == 0, done.stderr
+    assert "geometric mean" in done.stdout
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{}", '{"format": 99, "results": []}'])
+def test_compare_refuses_what_is_no_report(tmp_path: Path, content: str) -> None:
+    file = tmp_path / "report.json"
+    file.write_text(content)
+    done = command("bench.compare", str(file), str(file))
+    assert done.returncode == 2
+    assert "report.json" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_quick_run_writes_a_report(tmp_path: Path) -> None:
+    output = tmp_path / "report.json"
+    done = command("bench", "--quick", "--alone", "--only", "isosurface", "--output", str(output))
+    assert done.returncode == 0, done.stderr
+    report = json.loads(output.read_text(encoding="utf-8"))
+    assert {"processor", "cores", "load", "limits", "versions"} <= set(report["machine"])
+    names = [row["name"] for row in report["results"]]
+    assert names
+    assert all("isosurface" in name for name in names)
+    assert all(row["seconds"]["clvol"] > 0 for row in report["results"])
+    assert "128³/64³" in done.stdout
+
+
+def test_samples_on_a_lattice_are_counted() -> None:
+    volume = clvol.Volume(np.zeros((32, 32, 32), np.float32))
+    straight = clvol.Camera.orbit(0, 0, projection="orthographic", zoom=4)  # all rays hit, 64 samples each at a step of 1/2
+    assert cases.samples_on_lattice(volume, straight, (16, 16), 0.5) == pytest.approx(16 * 16 * 64)
+    # of as many as the volume holds: parallel rays, one a unit square
+    oblique = clvol.Camera.orbit(20, 10, projection="orthographic")
+    radius = np.linalg.norm(volume.corners[0] - volume.center)
+    pixels = 256
+    planes = Lattice(volume, oblique.view(volume), 1.0, 1.0)
+    along = abs(oblique.view(volume).forward[planes.axis])
+    per_voxel = (pixels / (2 * radius)) ** 2 * along / planes.spacing
+    assert cases.samples_on_lattice(volume, oblique, (pixels, pixels), 1.0) == pytest.approx(32**3 * per_voxel, rel=1e-2)
+
+
+def test_scene_is_the_same_object_at_every_size() -> None:
+    small, large = scene.head(32, as_device()), scene.head(64, as_device())
+    halved = large.reshape(32, 2, 32, 2, 32, 2).mean((1, 3, 5))
+    assert np.corrcoef(small.ravel(), halved.ravel())[0, 1] > 0.98
+    assert scene.head(32, as_device(), "uint8").dtype == np.uint8
+
+
+def test_roofline_names_the_limit_that_binds() -> None:
+    limits = machine.Limits(copy=10.0, update=20.0, loads=100.0, multiply_adds=1000.0)
+    assert limits.share(machine.Cost(bytes=2, loads=1, multiply_adds=10), 5.0) == (0.5, "bandwidth")
+    assert limits.share(machine.Cost(bytes=1, loads=50), 1.0) == (0.5, "loads")
