@@ -219,7 +219,7 @@ def test_a_wrong_command_line_exits_with_2(clvol_command: Command, arguments: tu
 def test_nothing_is_drawn_for_an_output_that_cannot_be(clvol_command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("render", "resample", "magnify", "read"):
         monkeypatch.setattr(clvol, name, None)
-    for command in (("render", SPHERE), ("compare", SPHERE), ("figure6",)):
+    for command in (("render", SPHERE), ("compare", SPHERE), ("figure6",), ("figure", "6")):
         clvol_command(*command, "-o", "a.npy").fails(1, ".png", "'a.npy'")
         clvol_command(*command, "-o", "missing/a.png").fails(1, "missing")
     clvol_command("resample", SPHERE, "-o", "a.png", "--magnify", "2").fails(1, ".npz", "'a.png'")
@@ -348,7 +348,7 @@ def test_compare_draws_surfaces_whatever_else_is_asked_for(clvol_command: Comman
 
 def test_compare_takes_the_six_of_the_figure(clvol_command: Command) -> None:
     done = clvol_command("compare", "phantom:marschner-lobb:8", "-o", "a.png", "--pixels", "8", "--json").json
-    assert done["filters"] == list(clvol.figures.FIGURE_6)
+    assert done["filters"] == list(clvol.figures.SIX)
     assert iio.imread("a.png").shape[1] == 3 * 8 + 2 * 4
     assert clvol_command("compare", SPHERE, "-o", "b.png", "--pixels", "8").out.splitlines()[1].startswith("filters: sinc nearest ")
 
@@ -372,9 +372,96 @@ def test_figure6_prints_its_errors(clvol_command: Command) -> None:
     assert told["output"] == "b.png"
     assert [p["filter"] for p in told["panels"]] == [*clvol.figures.FIGURE_6, "exact"]
     assert all(p["rms"] > 0 and p["angle"] > 0 for p in told["panels"][:-1])
-    assert told["panels"][-1] == {"filter": "exact", "rms": None, "angle": None}
+    assert told["panels"][-1] == {"filter": "exact", "rms": None, "angle": None, "residual": None}
+    assert told["panels"][0]["residual"] > 0
     for option in (("--pixels", "0"), ("--samples", "1")):
         clvol_command("figure6", *option).fails(1, option[1])
+
+
+def test_figure_6_is_the_same_by_either_name(clvol_command: Command) -> None:
+    small = ("--samples", "8", "--pixels", "12", "--json")
+    one, other = clvol_command("figure6", *small), clvol_command("figure", "6", *small, "-o", "b.png")
+    assert one.json["panels"] == other.json["panels"]
+    np.testing.assert_array_equal(iio.imread("figure6.png"), iio.imread("b.png"))
+
+
+def test_figure_draws_prints_and_names_its_file(clvol_command: Command) -> None:
+    done = clvol_command("figure", "2")
+    assert (done.code, done.err) == (0, "")
+    assert done.out.splitlines()[-1] == "output: figure2.png"
+    assert "B-spline interpolation: errs by up to 0.014 below π/2" in done.out
+    told = clvol_command("figure", "impulse", "-o", "a.svg", "--filters", "linear", "mitchell", "--json").json
+    assert [p["filter"] for p in told["panels"]] == ["linear", "mitchell"]
+    clvol.write(clvol.phantoms.sphere(9), "scan.npz")
+    told = clvol_command(
+        "figure", "4", "-o", "a.pdf", "--filters", "linear", "--samples", "9", "--scan", "scan.npz", "--json"
+    ).json  # fmt: skip
+    assert told["panels"][-1]["input"] == "scan"
+    assert files() == ["a.pdf", "a.svg", "figure2.png", "scan.npz"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("7",), ("figure must be one of 1, 2, 3", "'7'")),
+        (("2", "--pixels", "9"), ("figure 2 takes --filters; got --pixels",)),
+        (("6", "--scan", "a.npz"), ("figure 6 takes --samples, --pixels, --filters, --device; got --scan",)),
+        (("2", "-o", "a.gif"), ("figures are written as", ".svg")),
+        (("6", "-o", "a.svg"), ("pictures are written as", ".png")),
+        (("2", "-o", "none/a.png"), ("does not exist",)),
+        (("2", "--filters", "bogus"), ("'bogus'",)),
+        (("3", "--scan", "missing.npz"), ("missing.npz",)),
+        (("5", "--samples", "2"), ("samples",)),
+    ],
+    ids=" ".join,
+)
+def test_figure_tells_what_is_wrong(clvol_command: Command, arguments: tuple[str, ...], words: tuple[str, ...]) -> None:
+    clvol_command("figure", *arguments).fails(1, *words)
+    assert files() == []
+
+
+def test_without_matplotlib_figures_and_reports_say_what_to_install() -> None:
+    code = "import sys; sys.modules['matplotlib'] = None"
+    for arguments in (("figure", "2"), ("report", SPHERE, "-o", "report")):
+        done = subprocess_of(*arguments, code=code)
+        assert (done.returncode, done.stdout) == (1, "")
+        assert done.stderr == "clvol: figures need matplotlib, which is not installed: pip install clvol[figures]\n"
+    done = subprocess_of("figure", "6", "--samples", "6", "--pixels", "8", "--filters", "linear", code=code)
+    assert done.returncode == 0, done.stderr
+    assert files() == ["figure6.png"]
+
+
+# -- report ---------------------------------------------------------------------------------------------------
+
+
+def test_report_writes_a_page_and_says_its_advice(clvol_command: Command) -> None:
+    small = ("--filters", "linear", "bspline3", "--pixels", "16")
+    done = clvol_command("report", "phantom:box:12", "-o", "out", *small, "--mode", "mip", "--azimuth", "10")
+    assert (done.code, done.err) == (0, "")
+    output, chosen, said = done.out.splitlines()
+    assert output == f"output: {Path('out', 'index.html')}"
+    assert chosen.removeprefix("filter: ") in ("linear", "bspline3")
+    assert said.startswith("advice: For these data use ")
+    page = Path("out/index.html").read_text(encoding="utf-8")
+    assert "Which filter for phantom:box:12?" in page
+    assert "Mode mip" in page
+    clvol.write(clvol.phantoms.sphere(8), "scan.npz")
+    told = clvol_command("report", Path.cwd() / "scan.npz", "-o", "a.html", *small, "--json").json
+    assert told["output"] == "a.html"
+    assert "Which filter for scan.npz?" in Path("a.html").read_text(encoding="utf-8")  # not where it lay
+    assert files() == ["a.html", "out", "scan.npz"]
+
+
+def test_report_tells_what_is_wrong(clvol_command: Command) -> None:
+    clvol_command("report", SPHERE, "-o", "none/out").fails(1, "none does not exist")
+    clvol_command("report", SPHERE, "-o", "out", "--filters", "bogus").fails(1, "'bogus'")
+    clvol_command("report", SPHERE, "-o", "out", "--pixels", "2").fails(1, "pixels")
+    clvol_command("report", "missing.npz", "-o", "out").fails(1, "missing.npz")
+    data = np.zeros((6, 6, 6))
+    data[0, 0, 0] = np.nan
+    np.save("nan.npy", data)
+    clvol_command("report", "nan.npy", "-o", "out").fails(1, "finite")
+    assert files() == ["nan.npy"]
 
 
 # -- resample -------------------------------------------------------------------------------------------------
@@ -513,12 +600,13 @@ def test_the_doctor_tells_of_extras(clvol_command: Command, monkeypatch: pytest.
     assert done.code == 0  # they are optional
     assert "pip install clvol[medical]" in done.out
     assert "pip install clvol[microscopy]" in done.out
+    assert "pip install clvol[figures]" in done.out
 
 
 # -- manners --------------------------------------------------------------------------------------------------
 
 
-COMMANDS = ("render", "compare", "figure6", "info", "devices", "filters", "resample", "doctor")
+COMMANDS = ("render", "compare", "figure", "figure6", "report", "info", "devices", "filters", "resample", "doctor")
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -48,6 +48,28 @@ def test_figure6_tells_what_is_wrong(tmp_path: Path, device: Device, arguments: 
     assert device is not None
 
 
+@pytest.mark.parametrize(
+    ("number", "arguments", "told"),
+    [
+        (1, ("--samples", 9, "--pixels", 30), "samples along the ray of pixel"),
+        (2, (), "hybrid, ×2 then linear: errs by up to 0.064"),
+        (3, ("--samples", 9, "--pixels", 24), "ms a frame"),
+        (4, ("--samples", 9), "Marschner–Lobb, 3-D: least by"),
+        (5, ("--samples", 17), "zone plate, B-spline interpolation: RMS error 0."),
+    ],
+)
+def test_every_figure_has_an_example(tmp_path: Path, device: Device, number: int, arguments: tuple[object, ...], told: str) -> None:
+    pytest.importorskip("matplotlib")
+    done = run(f"figure{number}.py", *arguments, "--output", "a.png", folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert told in done.stdout
+    assert done.stdout.endswith("\na.png\n")
+    assert iio.imread(tmp_path / "a.png").std() > 5
+    failed = run(f"figure{number}.py", *arguments, "--output", "none/a.png", folder=tmp_path) if number == 2 else done
+    assert failed.returncode == (number == 2)
+    assert device is not None
+
+
 def test_real_scan_draws_any_volume(tmp_path: Path, device: Device) -> None:
     ramp = np.linspace(-1, 1, 10)
     np.save(tmp_path / "scan.npy", (ramp**2 + ramp[:, None] ** 2 + ramp[:, None, None] ** 2).astype(np.float32))

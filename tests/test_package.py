@@ -35,7 +35,12 @@ def test_the_command_is_an_entry_point() -> None:
 
 def test_extras_are_declared() -> None:
     wanted = requires("clvol") or []
-    for extra, package in (("pocl", "pocl-binary-distribution"), ("medical", "SimpleITK"), ("microscopy", "tifffile")):
+    for extra, package in (
+        ("pocl", "pocl-binary-distribution"),
+        ("medical", "SimpleITK"),
+        ("microscopy", "tifffile"),
+        ("figures", "matplotlib"),
+    ):
         line = next(
             row for row in wanted if row.lower().startswith(package.lower()) and f"extra == '{extra}'" in row.replace('"', "'")
         )
@@ -49,7 +54,7 @@ def test_names_are_sorted_and_there() -> None:
 
 @pytest.mark.parametrize("module", ["clvol", "clvol.cli"])
 def test_importing_is_cheap_and_needs_no_opencl(module: str) -> None:
-    heavy = ("pyopencl", "SimpleITK", "scipy.ndimage", "imageio", "PIL", "tifffile", "nibabel", "cmap")
+    heavy = ("pyopencl", "SimpleITK", "scipy.ndimage", "imageio", "PIL", "tifffile", "nibabel", "cmap", "matplotlib")
     code = f"import {module}, sys; print(*[m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", timeout=60, check=True)
     assert done.stdout.split() == []
@@ -140,5 +145,5 @@ def test_the_source_archive_holds_what_builds_and_tests(archives: tuple[Path, Pa
         "src/clvol/py.typed",
         "tests/conftest.py",
     } <= names
-    assert {"examples/figure6.py", "bench/__main__.py", "docs/figure6.png"} <= names
+    assert {"examples/figure6.py", "bench/__main__.py", "docs/figure6.png", "docs/paper.md"} <= names
     assert not [name for name in names if ".venv" in name or "__pycache__" in name or name.endswith(".pyc")]

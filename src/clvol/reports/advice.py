@@ -63,7 +63,7 @@ def advise(table: ErrorTable, high: float | None = None) -> Advice:
         sentences.append(f"The least error of all has {best.filter}, {_percent(gain)} less{_slower(best, chosen)}.")
     sentences += _gradients(rows, chosen)
     sentences.append(_overshoot(rows, chosen, top - low))
-    if sinc is not None:
+    if sinc is not None and chosen.rms > 0:
         ratio = sinc.rms / chosen.rms - 1
         word = "more" if ratio > 0 else "less"
         sentences.append(f"The exact sinc, ideal in theory, errs {_percent(abs(ratio))} {word} than {chosen.filter} on these data.")

@@ -1,0 +1,409 @@
+"""Figures: what they draw is asserted by the numbers they draw and the words beside them."""
+
+from __future__ import annotations
+
+import builtins
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+
+import clvol
+from clvol import FormatError, MissingDependencyError, OptionError, analysis, figures, phantoms
+from clvol.analysis import EXACT_SINC
+from clvol.device import Device
+from clvol.figures import convergence, cost, errors, gradients, hybrid, images, impulse, inputs, pipeline, responses, style
+
+pytest.importorskip("matplotlib")
+
+
+def titles(drawing: figures.Drawing) -> list[str]:
+    return [axes.get_title(loc="left") for axes in axes_of(drawing) if axes.get_title(loc="left")]
+
+
+def axes_of(drawing: figures.Drawing) -> list[Any]:
+    return list(drawing.figure.get_axes())  # type: ignore[union-attr]
+
+
+def texts(drawing: figures.Drawing) -> str:
+    """Every word in a figure."""
+    from matplotlib.text import Text
+
+    return "\n".join(artist.get_text() for artist in drawing.figure.findobj(Text))  # type: ignore[union-attr]
+
+
+def image_of(axes: Any) -> np.ndarray:
+    (image,) = axes.get_images()
+    return np.asarray(image.get_array())
+
+
+# -- 1 ---------------------------------------------------------------------------------------------------------
+
+
+def test_figure_1_gathers_the_pixel_that_render_draws(device: Device) -> None:
+    drawing = pipeline.draw(samples=13, pixels=60, device=device)
+    (numbers,) = drawing.numbers
+    np.testing.assert_allclose(numbers["color"], numbers["rendered"], atol=3e-3)  # the table of colours, and early termination
+    assert 0.3 < numbers["opacity"] < 1
+    told = titles(drawing)
+    assert [t[0] for t in sorted(told)] == ["1", "2", "3", "4", "5"]
+    assert "B-spline interpolation" in texts(drawing)
+    assert "nearest neighbour" in texts(drawing)
+
+
+def test_the_ray_of_figure_1_is_sampled_as_said() -> None:
+    volume = phantoms.marschner_lobb(13, f_m=2.5)
+    ray = pipeline.follow(volume, "bspline3", (40, 32), (20, 16))
+    steps = np.diff(ray.t)
+    np.testing.assert_allclose(steps, steps[0])
+    assert steps[0] / volume.spacing[0] <= 0.5 + 1e-9
+    np.testing.assert_allclose(ray.start + ray.t[:, None] * ray.direction, ray.points)
+    np.testing.assert_allclose(ray.opacity, 1 - np.cumprod(1 - ray.opacities))
+    np.testing.assert_allclose(ray.values, clvol.reference.sample(volume, ray.points, "bspline3"))
+    assert (np.diff(ray.opacity) >= 0).all()
+
+
+# -- 2 ---------------------------------------------------------------------------------------------------------
+
+
+def test_figure_2_draws_eqs_17_and_18() -> None:
+    drawing = responses.draw()
+    near = axes_of(drawing)[0]
+    curves = {line.get_label(): line.get_data() for line in near.get_lines()}
+    for name, label in (("bspline3", "B-spline interpolation"), ("hybrid", "hybrid, ×2 then linear")):
+        x, y = curves[label]
+        np.testing.assert_allclose(y, analysis.frequency_response(name, np.asarray(x) * np.pi), atol=1e-12)
+    x, y = curves["B-spline interpolation"]
+    w = np.asarray(x) * np.pi
+    np.testing.assert_allclose(y, 3 * np.sinc(w / (2 * np.pi)) ** 4 / (2 + np.cos(w)), atol=1e-12)
+    direct, magnified = drawing.numbers[-2:]
+    assert (direct["filter"], magnified["filter"]) == ("bspline3", "hybrid")
+    assert direct["passband_error"] < magnified["passband_error"]
+    assert direct["stopband_peak"] < magnified["stopband_peak"]
+
+
+# -- 3 ---------------------------------------------------------------------------------------------------------
+
+
+def test_figure_3_shows_what_the_hybrid_costs_and_loses(device: Device) -> None:
+    drawing = hybrid.draw(samples=21, pixels=48, device=device)
+    direct, magnified, linear = drawing.numbers
+    assert [n["filter"] for n in drawing.numbers] == ["bspline3", "hybrid", "linear"]
+    assert direct["rms_difference"] == 0
+    assert 0 < magnified["rms_difference"] < linear["rms_difference"]
+    assert magnified["coefficients_bytes"] == 8 * direct["coefficients_bytes"] == 8 * linear["coefficients_bytes"]
+    assert all(n["seconds"] > 0 for n in drawing.numbers)
+    axes = axes_of(drawing)
+    shade = [image_of(a) for a in axes[:3]]
+    np.testing.assert_allclose(image_of(axes[4]), np.abs(shade[1] - shade[0]).mean(-1))
+    np.testing.assert_allclose(image_of(axes[5]), np.abs(shade[2] - shade[0]).mean(-1))
+    assert {"time of a frame, ms", "coefficients, MiB"} <= set(texts(drawing).split("\n"))
+
+
+def test_figure_3_draws_a_scan(device: Device) -> None:
+    drawing = hybrid.draw(pixels=24, scan=phantoms.sphere(9), device=device)
+    assert image_of(axes_of(drawing)[0]).std() > 0.05
+    with pytest.raises(OptionError, match=r"scan must have 3 axes; got shape \(4, 5\)"):
+        hybrid.draw(scan=clvol.Volume(np.zeros((4, 5))))
+
+
+# -- 4 ---------------------------------------------------------------------------------------------------------
+
+
+def test_figure_4_is_a_bar_for_each_filter_and_a_panel_for_each_input() -> None:
+    done: list[float] = []
+    drawing = errors.draw(("linear", "bspline3"), samples=15, points=500, scan=phantoms.sphere(18), progress=done.append)
+    assert [(n["input"], n["dimensions"]) for n in drawing.numbers] == [
+        ("Marschner–Lobb, z = 0", 2), ("zone plate", 2), ("photograph", 2), ("slice of the scan", 2),
+        ("Marschner–Lobb", 3), ("zone plate", 3), ("box, hard edges", 3), ("scan", 3),
+    ]  # fmt: skip
+    assert done == sorted(done)
+    assert done[-1] == 1
+    for axes, numbers in zip(axes_of(drawing), drawing.numbers, strict=True):
+        made = numbers["mean_square_error"]
+        power = float(axes.get_xlabel().split("^{")[1].split("}")[0])
+        assert [bar.get_width() * 10**power for bar in axes.patches] == [
+            pytest.approx(made["linear"]),
+            pytest.approx(made["bspline3"]),
+        ]
+        assert [bar.get_facecolor() for bar in axes.patches] == [rgba(style.colour("linear")), rgba(style.colour("bspline3"))]
+        bold = [t.get_text() for t in axes.texts if t.get_fontweight() == "bold"]
+        assert bold == [f"{min(made.values()) / 10**power:.3g}"]
+
+
+def rgba(name: str) -> tuple[float, ...]:
+    from matplotlib.colors import to_rgba
+
+    return to_rgba(name)
+
+
+def test_errors_of_figure_4_are_those_known() -> None:
+    cases = errors.measure(("linear", "bspline3"), points=5000)
+    (case,) = (c for c in cases if c.name == "Marschner–Lobb" and c.dimensions == 3)
+    span = np.ptp(phantoms.marschner_lobb(41).data)
+    assert np.sqrt(case.errors["linear"]) * span == pytest.approx(0.0315, rel=0.04)
+    assert np.sqrt(case.errors["bspline3"]) * span == pytest.approx(0.0131, rel=0.04)
+
+
+def test_figure_4_of_constant_data_has_values() -> None:
+    drawing = errors.draw(("linear",), samples=9, points=50, scan=clvol.Volume(np.full((12, 12, 12), 3.0)))
+    assert drawing.numbers[-1]["mean_square_error"] == {"linear": pytest.approx(0, abs=1e-20)}
+
+
+# -- 5 ---------------------------------------------------------------------------------------------------------
+
+
+def test_figure_5_shows_the_six_on_two_inputs(device: Device) -> None:
+    drawing = images.draw(samples=33, device=device)
+    assert len(drawing.numbers) == 12
+    rms = {(n["input"], n["filter"]): n["rms"] for n in drawing.numbers}
+    assert {name for _, name in rms} == set(figures.FIGURE_6)
+    assert min((v, k) for k, v in rms.items() if k[0] == "zone plate")[1][1] in ("bspline3", EXACT_SINC)
+    assert (
+        rms["zone plate", "bspline3"] < rms["zone plate", "mitchell"] < rms["zone plate", "linear"] < rms["zone plate", "nearest"]
+    )
+    heads = [t for t in titles(drawing) if t[1] == ")"]
+    assert heads == [f"{letter})  {style.title(name)}" for letter, name in zip("abcdef", figures.FIGURE_6, strict=True)]
+    for axes in axes_of(drawing):
+        assert image_of(axes).shape == (129, 129)
+
+
+def test_images_are_finer_where_their_samples_are(device: Device) -> None:
+    image = clvol.Volume(np.random.default_rng(0).uniform(0, 1, (7, 9)))
+    for name in (EXACT_SINC, "bspline3", "linear"):
+        finer = images.finer(image, 3, name, device)
+        assert finer.shape == (19, 25)
+        np.testing.assert_allclose(finer[::3, ::3], image.data, atol=1e-5)
+
+
+# -- beyond ----------------------------------------------------------------------------------------------------
+
+
+def test_impulse_responses_are_drawn() -> None:
+    drawing = impulse.draw(("linear", "bspline3", "hybrid", "lanczos3", "mitchell"))
+    axes = axes_of(drawing)
+    assert len(axes) == 8  # two rows of four, three of them empty
+    for one, name in zip(axes, ("linear", "bspline3", "hybrid", "lanczos3", "mitchell"), strict=False):
+        x, y = one.get_lines()[1].get_data()
+        np.testing.assert_allclose(y, analysis.impulse_response(name, x))
+    assert drawing.numbers[1]["peak"] == pytest.approx(1)
+    assert drawing.numbers[1]["least"] < -0.13
+    assert "4 taps\nC²\norder 4\nprefilter" in texts(drawing)
+
+
+def test_gradient_errors_are_those_of_the_normals_drawn(device: Device) -> None:
+    drawing = gradients.draw(("linear", "nearest", "bspline5"), samples=41, pixels=32, device=device)
+    rough, own, fine = drawing.numbers
+    assert fine["angle_mean"] < rough["angle_mean"]
+    assert (rough["analytic"], own["analytic"]) == (True, False)
+    assert all(n["shown"] > 100 for n in drawing.numbers)
+    axes = axes_of(drawing)
+    shown = image_of(axes[5])
+    assert np.nanmax(shown) <= 90
+    assert f"mean {fine['angle_mean']:.1f}°" in texts(drawing)
+
+
+def test_angles_take_a_normal_and_its_opposite_for_the_same() -> None:
+    points = np.array([[[0.3, 0.2, 0.1], [0.3, 0.2, 0.1], [0.3, 0.2, 0.1]]])
+    true = phantoms.marschner_lobb_gradient(points[0, 0])
+    true /= np.linalg.norm(true)
+    aside = np.cross(true, (0, 0, 1))
+    aside /= np.linalg.norm(aside)
+    normals = np.array([[-true, (true + aside) / np.sqrt(2), np.full(3, np.nan)]])
+    np.testing.assert_allclose(gradients._angles(normals, points), [[0, 45, np.nan]], atol=1e-5)
+
+
+def test_slopes_are_the_orders() -> None:
+    drawing = convergence.draw(("linear", "bspline3", "catmull-rom"), sizes=(49, 73, 109), points=4000)
+    for n in drawing.numbers:
+        assert n["slope"] == pytest.approx(n["order"], abs=0.15)
+        assert n["gradient_slope"] == pytest.approx(n["order"] - 1, abs=0.15)
+    left, right = axes_of(drawing)
+    for axes, key in ((left, "rms"), (right, "gradient_rms")):
+        assert [list(line.get_ydata()) for line in axes.get_lines()] == [n[key] for n in drawing.numbers]
+    assert f"catmull-rom  {drawing.numbers[-1]['slope']:.1f}" in texts(drawing)
+
+
+@pytest.mark.parametrize("sizes", [(33,), (49, 33), (33, 33), (8, 33), (33.5, 49)])
+def test_sizes_of_grids_are_checked(sizes: tuple[int, ...]) -> None:
+    with pytest.raises(OptionError, match="sizes"):
+        convergence.draw(("linear",), sizes)
+
+
+def test_cost_puts_every_filter_on_the_plot(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cost, "_TIMED", 1000)
+    monkeypatch.setattr(cost, "_ROUNDS", 2)
+    done: list[float] = []
+    drawing = cost.draw(("nearest", "linear", "bspline3"), samples=15, points=500, device=device, progress=done.append)
+    assert [n["filter"] for n in drawing.numbers] == ["nearest", "linear", "bspline3"]
+    assert all(n["nanoseconds"] > 0 and n["rms"] > 0 for n in drawing.numbers)
+    assert drawing.numbers[0]["angle_mean"] is None
+    assert done == sorted(done)
+    assert done[-1] == pytest.approx(1)
+    left, right = axes_of(drawing)
+    assert [t.get_text() for t in left.texts] == ["nearest", "linear", "bspline3"]
+    assert [t.get_text() for t in right.texts] == ["linear", "bspline3"]
+    assert device.name in texts(drawing)
+
+
+def test_the_frontier_is_what_nothing_beats() -> None:
+    rows = [("a", 3.0, 1.0), ("b", 1.0, 5.0), ("c", 2.0, 6.0), ("d", 4.0, 1.0), ("e", 2.0, 2.0)]
+    assert [name for name, _, _ in cost.frontier(rows)] == ["b", "e", "a"]
+    assert cost.frontier([]) == []
+
+
+def test_labels_of_points_do_not_cover_each_other() -> None:
+    numbers = [
+        {"filter": f"bspline{i}", "nanoseconds": 30 + 0.5 * i, "rms": 0.01 + 1e-4 * i, "angle_mean": 5 + i / 9} for i in range(6)
+    ]
+    figure = cost.plot(numbers, "RMS", "note")
+    figure.draw_without_rendering()
+    for axes in figure.get_axes():
+        boxes = [t.get_window_extent() for t in axes.texts]
+        assert len(boxes) == 6
+        for i, a in enumerate(boxes):
+            assert not any(a.overlaps(b) for b in boxes[:i])
+
+
+# -- what they are drawn from, and how they look ---------------------------------------------------------------
+
+
+def test_the_zone_plate_reaches_three_quarters_of_nyquist() -> None:
+    r, h = 0.95, 1e-6
+    phase = [np.arccos(2 * inputs.zone_plate(np.array([[r + s * h, 0.0]]), 65)[0] - 1) for s in (-1, 1)]
+    assert abs(phase[1] - phase[0]) / (2 * h) * 2 / 64 == pytest.approx(0.75 * np.pi * r, rel=1e-4)  # radians a sample
+    assert inputs.zone_plate(np.zeros((1, 3)), 9)[0] == 1
+
+
+def test_rings_are_the_function_on_a_plane() -> None:
+    points = np.array([[0.1, 0.2], [-0.5, 0.7]])
+    np.testing.assert_array_equal(inputs.rings(points), phantoms.marschner_lobb_function([[0.1, 0.2, 0], [-0.5, 0.7, 0]]))
+
+
+def test_a_photograph_is_there_or_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    photo, what = inputs.photograph(100)
+    assert (photo.shape, what) == ((100, 100), "photograph")
+    assert photo.data.min() >= 0
+    assert photo.data.max() <= 1
+
+    def missing(*_: object, **__: object) -> None:
+        raise FileNotFoundError("no sample data")
+
+    monkeypatch.setattr("matplotlib.cbook.get_sample_data", missing)
+    drawn, what = inputs.photograph(64)
+    assert (drawn.shape, what) == ((64, 64), "generated picture")
+    assert drawn.data.std() > 0.1
+    for bad in (8, 20.5):
+        with pytest.raises(OptionError, match="size of a photograph"):
+            inputs.photograph(bad)  # type: ignore[arg-type]
+
+
+def test_places_are_spread_no_farther_than_need_be() -> None:
+    assert style.spread([0.0, 1.0, 3.0], 0.5) == [0.0, 1.0, 3.0]
+    assert style.spread([1.0, 1.0], 0.5) == pytest.approx([0.75, 1.25])
+    spread = style.spread([0.5, 0.1, 0.52, 0.48, 0.9], 0.1)
+    assert np.diff(sorted(spread)).min() >= 0.1 - 1e-12
+    assert [int(i) for i in np.argsort(spread)] == [1, 3, 0, 2, 4]
+    assert spread[4] == 0.9
+    assert style.spread([], 1.0) == []
+    with pytest.raises(OptionError, match="gap must be greater than 0"):
+        style.spread([1.0], 0)
+
+
+def test_every_filter_of_the_table_has_a_colour_of_its_own() -> None:
+    names = [*clvol.filters(), EXACT_SINC]
+    assert len({style.colour(name) for name in names}) == len(names)
+    assert style.colour("of my own").startswith("#")
+    assert style.title("of my own") == "of my own"
+
+
+def test_styles_of_the_user_do_not_show(tmp_path: Path) -> None:
+    import matplotlib as mpl
+
+    with mpl.rc_context({"axes.facecolor": "black", "font.size": 40}):
+        drawing = responses.draw(("linear",))
+        assert mpl.rcParams["font.size"] == 40
+        drawing.save(tmp_path / "a.png", dpi=40)
+    assert iio.imread(tmp_path / "a.png")[..., :3].mean() > 200
+    assert axes_of(drawing)[0].get_facecolor() == (1, 1, 1, 1)
+
+
+# -- asking for them -------------------------------------------------------------------------------------------
+
+
+def test_every_figure_of_the_table_can_be_asked_for() -> None:
+    for name, kind in figures.FIGURES.items():
+        options = figures.options_of(name)
+        assert options
+        assert kind.what
+        with pytest.raises(OptionError, match=rf"options of figure {name} must be among {options[0]}.*; got 'colour'"):
+            figures.draw(name, colour="red")
+    for bad in ("7", 6, ""):
+        with pytest.raises(OptionError, match=r"figure must be one of 1, 2, 3, 4, 5, 6, impulse"):
+            figures.draw(bad)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf", ".jpg", ".tif"])
+def test_figures_are_written_by_suffix(tmp_path: Path, suffix: str) -> None:
+    drawing = figures.draw("2", filters=("linear",))
+    path = drawing.save(tmp_path / f"a{suffix}", dpi=30)
+    start = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF", ".jpg": b"\xff\xd8", ".tif": b"II"}[suffix]
+    assert path.read_bytes().startswith(start)
+    assert list(tmp_path.iterdir()) == [path]  # nothing beside it
+    json.dumps(drawing.numbers, allow_nan=False)
+
+
+def test_figures_are_not_written_where_they_cannot_be(tmp_path: Path) -> None:
+    drawing = figures.draw("impulse", filters=("linear",))
+    with pytest.raises(FormatError, match=r"figures are written as \.png, .*; got 'a.gif'"):
+        drawing.save("a.gif")
+    with pytest.raises(FormatError, match=r"the folder .* does not exist"):
+        drawing.save(tmp_path / "none" / "a.png")
+    (tmp_path / "a.png").mkdir()
+    with pytest.raises(FormatError, match="it is a folder"):
+        drawing.save(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("1", {"samples": 1}), ("1", {"pixels": 2}), ("1", {"filter": "bogus"}), ("2", {"filters": ("bogus",)}),
+        ("3", {"pixels": 0}), ("4", {"samples": 2}), ("4", {"filters": ("bogus",)}), ("5", {"samples": 3}), ("6", {"pixels": 0}),
+        ("impulse", {"filters": ("bogus",)}), ("gradients", {"pixels": 0.5}), ("gradients", {"filters": ("bogus",)}),
+        ("convergence", {"filters": ("bogus",)}), ("cost", {"filters": ("bogus",)}),
+        ("cost", {"points": 0, "filters": ("linear",)}),
+    ],
+)  # fmt: skip
+def test_bad_options_are_refused(name: str, options: dict[str, Any]) -> None:
+    with pytest.raises(OptionError, match="must "):
+        figures.draw(name, **options)
+
+
+def test_a_scan_with_nan_is_refused() -> None:
+    data = np.zeros((12, 12, 12))
+    data[3, 4, 5] = np.nan
+    with pytest.raises(clvol.DataError, match="finite"):
+        figures.draw("4", filters=("linear",), samples=9, points=50, scan=clvol.Volume(data))
+
+
+def test_without_matplotlib_only_figure_6_is_drawn(monkeypatch: pytest.MonkeyPatch, device: Device) -> None:
+    real = builtins.__import__
+
+    def without(name: str, *arguments: Any, **options: Any) -> Any:
+        if name.split(".")[0] == "matplotlib":
+            raise ModuleNotFoundError("No module named 'matplotlib'")
+        return real(name, *arguments, **options)
+
+    for module in [m for m in sys.modules if m.split(".")[0] == "matplotlib"]:
+        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setattr(builtins, "__import__", without)
+    for name, kind in figures.FIGURES.items():
+        if kind.plotted:
+            with pytest.raises(MissingDependencyError, match=r"figures need matplotlib.*pip install clvol\[figures\]"):
+                figures.draw(name)
+    drawing = figures.draw("6", samples=8, pixels=8, filters=("linear",), device=device)
+    assert isinstance(drawing.figure, np.ndarray)

@@ -1,0 +1,128 @@
+"""What the paper claims, measured: where it holds, and where it does not. docs/paper.md tells the numbers."""
+
+from __future__ import annotations
+
+import re
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clvol import Volume, analysis, filters, phantoms, reference
+from clvol.figures.errors import measure
+
+ROOT = Path(__file__).resolve().parents[1]
+CRESTS, TROUGHS = (0.3730, 0.5355, 0.6665), (0.4600, 0.6035)  # radii at which the Marschner-Lobb function is extreme
+
+
+@pytest.fixture(scope="module")
+def errors() -> dict[tuple[str, int], dict[str, float]]:
+    """Mean square errors by input and dimensions, as Figure 4 draws them."""
+    return {(case.name, case.dimensions): case.errors for case in measure(points=4000)}
+
+
+def rings(name: str, radii: tuple[float, ...]) -> np.ndarray:
+    """Heights along a quarter of each ring of the Marschner-Lobb function, 41³ samples; (rings, places)."""
+    angle = np.linspace(0, np.pi / 2, 361)
+    points = np.stack([np.stack([r * np.cos(angle), r * np.sin(angle), 0 * angle], -1) for r in radii])
+    return reference.sample(phantoms.marschner_lobb(41), points, name)
+
+
+def test_interpolation_leaves_the_convex_hull_of_the_samples() -> None:
+    samples = np.random.default_rng(0).uniform(0, 1, (24, 24, 24))
+    points = np.random.default_rng(1).uniform(0, 23, (100_000, 3))
+    coefficients = reference.prefilter(samples, "bspline3")
+    assert (coefficients.min(), coefficients.max()) == (pytest.approx(-6.06, abs=0.05), pytest.approx(6.69, abs=0.05))
+    values = reference.sample(Volume(samples), points, "bspline3")
+    assert (values.min(), values.max()) == (pytest.approx(-0.24, abs=0.01), pytest.approx(1.26, abs=0.01))
+    assert coefficients.min() <= values.min() <= values.max() <= coefficients.max()  # the hull that does hold
+    values = reference.sample(Volume(samples), points, "bspline3-approx")
+    assert samples.min() <= values.min() <= values.max() <= samples.max()
+
+
+def test_interpolation_does_not_diminish_the_variation_of_the_samples() -> None:
+    step = analysis.step_response("bspline3")
+    assert (step.overshoot, step.ringing) == (pytest.approx(0.108, abs=0.001), pytest.approx(0.589, abs=0.001))
+    step = analysis.step_response("bspline3-approx")
+    assert (step.overshoot, step.ringing) == (0, pytest.approx(0, abs=1e-12))
+
+
+def test_a_sample_of_the_interpolation_acts_less_by_the_pole_with_every_sample() -> None:
+    halfway = analysis.impulse_response("bspline3", np.arange(1.5, 9))
+    np.testing.assert_allclose(halfway[1:] / halfway[:-1], np.sqrt(3) - 2, rtol=1e-6)
+    assert abs(analysis.impulse_response("bspline3", 6.5)) < 1e-3
+
+
+def test_the_hybrid_lies_between_direct_and_the_cubics() -> None:
+    names = ["bspline3", "hybrid", "catmull-rom", "mitchell", "linear"]
+    table = analysis.compare(
+        phantoms.marschner_lobb_function, names, gradient=phantoms.marschner_lobb_gradient, points=20_000, timing=False
+    )
+    rms = [row.rms for row in table]
+    assert rms == sorted(rms)
+    assert rms[1] == pytest.approx(0.0178, rel=0.02)
+    angles = {row.filter: row.angle_mean for row in table}
+    assert (angles["bspline3"], angles["hybrid"]) == (pytest.approx(9.9, abs=0.5), pytest.approx(18.0, abs=0.5))
+
+
+def test_whether_the_sinc_errs_least_depends_on_the_data(errors: dict[tuple[str, int], dict[str, float]]) -> None:
+    least = {case: min(made, key=lambda name: made[name]) for case, made in errors.items()}
+    assert least[("Marschner–Lobb", 3)] == least[("Marschner–Lobb, z = 0", 2)] == analysis.EXACT_SINC
+    assert least[("zone plate", 3)] == least[("zone plate", 2)] == "bspline3"
+    hard = errors[("box, hard edges", 3)]
+    assert max(hard, key=lambda name: hard[name]) == analysis.EXACT_SINC
+    assert min(hard, key=lambda name: hard[name]) == "nearest"
+
+
+def test_the_sinc_rings_at_the_peak_of_figure_6() -> None:
+    """Along a ring about the axis, where the function is constant; 40³ samples, none of them on the axis."""
+    volume, angle = phantoms.marschner_lobb(40), np.linspace(0, 2 * np.pi, 181)
+    points = np.stack([0.15 * np.cos(angle), 0.15 * np.sin(angle), 0 * angle], -1)
+    scatter = {"bspline3": float(reference.sample(volume, points, "bspline3").std())}
+    scatter["sinc"] = float(analysis.dirichlet_sample(volume, points).std())
+    assert scatter["sinc"] > 5 * scatter["bspline3"]
+
+
+def test_the_approximation_makes_waves_shallow() -> None:
+    depth = {
+        n: float(rings(n, CRESTS).mean() - rings(n, TROUGHS).mean()) for n in ("bspline3-approx", "linear", "mitchell", "bspline3")
+    }
+    assert list(depth.values()) == sorted(depth.values())
+    assert depth["bspline3-approx"] == pytest.approx(0.095, abs=0.005)  # of 0.2
+    assert depth["bspline3"] == pytest.approx(0.186, abs=0.005)
+
+
+def test_trilinear_crests_are_uneven() -> None:
+    scatter = {n: float(rings(n, CRESTS).std(1).mean()) for n in ("bspline3", "mitchell", "linear", "nearest")}
+    assert list(scatter.values()) == sorted(scatter.values())
+    assert scatter["linear"] == pytest.approx(0.0126, abs=0.0005)
+    assert scatter["linear"] > 2 * scatter["bspline3"]
+
+
+def test_interpolation_is_sharper_than_mitchell_of_the_same_size() -> None:
+    mitchell, ours = (filters()[name] for name in ("mitchell", "bspline3"))
+    assert mitchell.support == ours.support == 4
+    kept = partial(analysis.frequency_response, omega=np.pi / 2)
+    assert (kept("mitchell"), kept("bspline3")) == (pytest.approx(0.845, abs=0.001), pytest.approx(0.986, abs=0.001))
+    rise = [analysis.step_response(name).rise for name in ("mitchell", "bspline3")]
+    assert rise == [pytest.approx(0.85, abs=0.01), pytest.approx(0.74, abs=0.01)]
+    assert analysis.step_response("mitchell").overshoot == pytest.approx(0.036, abs=0.001)
+
+
+@pytest.mark.skipif(not (ROOT / "docs" / "paper.md").is_file(), reason="not in a checkout")
+def test_the_page_of_claims_names_what_is_there() -> None:
+    page = (ROOT / "docs" / "paper.md").read_text(encoding="utf-8")
+    sources = {p: p.read_text(encoding="utf-8") for p in (ROOT / "tests").rglob("test_*.py")}
+    every = "\n".join(sources.values())
+    named = re.findall(r"(tests/[\w/]+\.py)::(test_\w+)", page)
+    assert len(named) > 20
+    for file, test in named:
+        assert f"def {test}(" in sources[ROOT / file], (file, test)
+    for test in re.findall(r"`(test_\w+)`", page):
+        assert f"def {test}(" in every, test
+    pictures = re.findall(r"!\[[^]]+\]\(([^)]+)\)", page)
+    assert len(pictures) == 10
+    assert all(0 < (ROOT / "docs" / name).stat().st_size < 250_000 for name in pictures)
+    rows = re.findall(r"^\| (\d+(?:, \d+)*) \|", page, re.MULTILINE)
+    assert [int(n) for row in rows for n in row.split(", ")] == list(range(1, 19))

@@ -1,0 +1,295 @@
+from __future__ import annotations
+
+import base64
+import io
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+
+import clvol
+from clvol import DataError, FormatError, OptionError, Volume, phantoms, reports
+from clvol.analysis import EXACT_SINC, ErrorRow, ErrorTable
+from clvol.device import Device
+from clvol.reports import advice, html, pictures, spectrum
+
+pytest.importorskip("matplotlib")
+FEW = ("nearest", "linear", "bspline3")
+
+
+class Page(HTMLParser):
+    """What a page holds: tags, attributes, words."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.open: list[str] = []
+        self.links: list[str] = []
+        self.words: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        if tag not in ("img", "meta", "br"):
+            self.open.append(tag)
+        self.links += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "data", "action")]
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag  # what is opened is closed, in order
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).split())
+
+
+def blob(n: int = 24) -> Volume:
+    rng = np.random.default_rng(0)
+    noise = Volume(rng.normal(0, 1, (n, n + 2, n - 2)).astype(np.float32), (1.0, 1.0, 1.5)).gaussian(1.5)
+    return Volume(noise.data + 0.2 * phantoms.sphere((n, n + 2, n - 2)).data, noise.spacing)
+
+
+@pytest.fixture(scope="module")
+def made(device: Device, tmp_path_factory: pytest.TempPathFactory) -> tuple[reports.Report, Page, list[float]]:
+    told: list[float] = []
+    done = reports.report(
+        blob(), tmp_path_factory.mktemp("out") / "report", "a <b> & c", FEW, 32, device=device, progress=told.append,
+        camera=clvol.Camera.orbit(20, 30), mode="isosurface",
+    )  # fmt: skip
+    return done, Page(done.path.read_text(encoding="utf-8")), told
+
+
+def test_a_report_is_one_page_that_needs_nothing_else(made: tuple[reports.Report, Page, list[float]]) -> None:
+    done, page, _ = made
+    assert done.path.name == "index.html"
+    assert list(done.path.parent.iterdir()) == [done.path]
+    text = done.path.read_text(encoding="utf-8")
+    outside = re.sub(r"data:image/png;base64,[A-Za-z0-9+/=]+", "", text)
+    assert not re.search(r"(?:https?:)?//\w|@import|url\(", outside)
+    assert not {"script", "link", "iframe", "object", "embed"} & set(page.tags)
+    assert page.open == []
+    assert page.links
+    assert all(link.startswith("data:image/png;base64,") for link in page.links)
+
+
+def test_a_report_holds_all_sections(made: tuple[reports.Report, Page, list[float]]) -> None:
+    done, page, _ = made
+    assert page.text.startswith("Which filter for a <b> & c?")
+    for heading in ("Errors", "Pictures", "Frequencies", "Error and time"):
+        assert heading in page.words
+    for sentence in done.advice.sentences:
+        assert sentence in page.text
+    for row in done.table:
+        for number in (f"{row.rms:.3g}", f"{row.maximum:.3g}"):
+            assert number in page.words
+    for word in ("22 × 26 × 24, float32", "1 × 1 × 1.5", "mirror", "whole", "close-up from every second sample"):
+        assert word in page.text
+    assert page.tags.count("img") == 5 * len(FEW) + 2
+
+
+def test_pictures_of_a_report_are_pictures(made: tuple[reports.Report, Page, list[float]]) -> None:
+    _, page, _ = made
+    arrays = [iio.imread(io.BytesIO(base64.b64decode(link.partition(",")[2]))) for link in page.links]
+    for cells in (arrays[i : i + 5] for i in (0, 5, 10)):
+        for picture in cells:
+            assert picture.shape == (32, 32, 3)
+        assert all(picture.std() > 5 for picture in cells[:2])
+    chosen = FEW.index(made[0].advice.filter)
+    assert (arrays[5 * chosen + 2] == 255).all()  # the recommended one does not differ from itself
+    assert not (arrays[2] == 255).all()
+
+
+def test_progress_of_a_report_rises_to_one(made: tuple[reports.Report, Page, list[float]]) -> None:
+    told = made[2]
+    assert told == sorted(told)
+    assert told[-1] == 1
+    assert len(told) > 8
+
+
+def test_the_table_of_a_report_is_that_of_compare(made: tuple[reports.Report, Page, list[float]]) -> None:
+    table = made[0].table
+    assert [row.filter for row in table] == [*FEW, EXACT_SINC]
+    wanted = clvol.analysis.compare(blob(), FEW, timing=False, points=500)
+    assert [row.rms for row in table][:3] == [pytest.approx(row.rms) for row in wanted]
+
+
+# -- where it goes -----------------------------------------------------------------------------------------------
+
+
+def test_a_report_goes_to_a_folder_or_a_file(tmp_path: Path) -> None:
+    assert reports.page(tmp_path / "report") == tmp_path / "report" / "index.html"
+    assert reports.page(f"{tmp_path}/report/") == tmp_path / "report" / "index.html"
+    assert reports.page(tmp_path / "a.HTML") == tmp_path / "a.HTML"
+    (tmp_path / "taken").write_text("x")
+    with pytest.raises(FormatError, match=r"to a folder, or to a file that ends in \.html"):
+        reports.page(tmp_path / "taken")
+    for bad in (tmp_path / "none" / "report", tmp_path / "none" / "a.html"):
+        with pytest.raises(FormatError, match="does not exist"):
+            reports.page(bad)
+
+
+def test_an_interrupted_report_leaves_nothing(tmp_path: Path, device: Device) -> None:
+    def interrupt(done: float) -> None:
+        if done > 0.7:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        reports.report(phantoms.sphere(8), tmp_path / "report", filters=("linear",), pixels=16, device=device, progress=interrupt)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_report_replaces_an_old_one(tmp_path: Path, device: Device) -> None:
+    (tmp_path / "a.html").write_text("old")
+    done = reports.report(phantoms.sphere(8), tmp_path / "a.html", filters=("linear",), pixels=16, device=device)
+    assert done.path.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    assert list(tmp_path.iterdir()) == [tmp_path / "a.html"]
+
+
+# -- data of any kind ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "data",
+    [np.full((9, 9, 9), 4.0), np.zeros((1, 1, 1)), np.arange(8.0).reshape(2, 2, 2), np.eye(6)[:, :, None] * np.ones(3)],
+    ids=["constant", "one sample", "2³", "thin"],
+)
+def test_odd_data_give_a_report(tmp_path: Path, device: Device, data: np.ndarray) -> None:
+    done = reports.report(Volume(data), tmp_path / "a.html", filters=FEW, pixels=16, device=device)
+    page = Page(done.path.read_text(encoding="utf-8"))
+    assert not re.search(r"\b(nan|inf)\b", page.text, re.IGNORECASE)
+    assert done.advice.filter in FEW
+    if np.ptp(data) == 0:
+        assert done.advice.filter == "linear"
+        assert "constant" in page.text
+
+
+def test_what_cannot_be_reported_is_said_first(tmp_path: Path, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("clvol.analysis.compare", None)  # nothing may be measured
+    bad = np.zeros((5, 5, 5))
+    bad[1, 2, 3] = np.nan
+    cases: list[tuple[Any, dict[str, Any], type[Exception], str]] = [
+        (Volume(bad), {}, DataError, "finite"), (Volume(np.zeros((5, 5))), {}, OptionError, r"3 axes; got shape \(5, 5\)"),
+        (phantoms.sphere(5), {"filters": "linear"}, OptionError, "one or more names"),
+        (phantoms.sphere(5), {"filters": ()}, OptionError, "one or more names"),
+        (phantoms.sphere(5), {"filters": ("bogus",)}, OptionError, "bogus"),
+        (phantoms.sphere(5), {"pixels": 4}, OptionError, "pixels"),
+        (phantoms.sphere(5), {"boundary": "none"}, OptionError, "boundary"),
+    ]  # fmt: skip
+    for volume, options, error, words in cases:
+        with pytest.raises(error, match=words):
+            reports.report(volume, tmp_path / "a.html", device=device, **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_a_period_there_is_no_exact_sinc(tmp_path: Path, device: Device) -> None:
+    done = reports.report(
+        phantoms.sphere(10), tmp_path / "a.html", filters=("linear",), pixels=16, boundary="zero", device=device, mode="mip"
+    )  # fmt: skip
+    assert [row.filter for row in done.table] == ["linear"]
+
+
+def test_of_a_large_volume_the_middle_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reports, "_MEASURED", 1000)
+    volume = Volume(np.arange(20 * 30 * 40, dtype=np.float32).reshape(20, 30, 40), (1, 2, 3))
+    middle = reports._middle(volume)
+    assert 700 < middle.data.size <= 1000
+    np.testing.assert_allclose(middle.center, volume.center, atol=2)
+    assert reports._middle(middle) is middle
+
+
+# -- advice ------------------------------------------------------------------------------------------------------
+
+
+def table(*rows: tuple[str, float, float | None, float | None, float]) -> ErrorTable:
+    """Rows of (filter, rms, gradient rms, seconds, overshoot), of data in 0..1."""
+    return ErrorTable(
+        [ErrorRow(name, rms, rms, 20.0, 0.9, slope, 10.0, 10.0, 10.0, over, took) for name, rms, slope, took, over in rows],
+        samples=Volume(np.array([[0.0, 1.0]])), against="", points=1, boundary="mirror", evaluated_on="", timed_on="",
+    )  # fmt: skip
+
+
+def test_the_fastest_of_the_best_is_recommended() -> None:
+    told = advice.advise(
+        table(
+            ("linear", 0.2, 2.0, 0.01, 0), ("bspline3", 0.104, 1.0, 0.02, 0.05), ("bspline5", 0.1, 1.0, 0.06, 0.05),
+            ("hybrid", 0.104, 1.5, 0.015, 0.05), (EXACT_SINC, 0.09, 0.9, None, 0.1),
+        ),
+        high=0.2,
+    )  # fmt: skip
+    assert told.filter == "bspline3"
+    text = " ".join(told.sentences)
+    assert "errs 48 % less than linear interpolation (RMS 0.104 against 0.2), in 2.0 times the time" in text
+    assert "The least error of all has bspline5, 3.8 % less, in 3.0 times the time" in text
+    assert "gradients, which light surfaces, err 50 % less than those of linear" in text
+    assert "leaves the range of the samples by up to 5 % of it; where that may not be, use linear" in text
+    assert "exact sinc, ideal in theory, errs 13 % less than bspline3" in text
+    assert "20 % of their variance lies above half of the Nyquist frequency: they are rich in detail" in text
+
+
+def test_where_little_is_gained_it_is_said() -> None:
+    told = advice.advise(table(("linear", 0.104, 1.0, 0.01, 0), ("bspline3", 0.1, 0.99, 0.02, 0.0)), high=0.001)
+    assert told.filter == "linear"
+    text = " ".join(told.sentences)
+    assert "The least error of all has bspline3, 3.8 % less" in text
+    assert "stays within the range of the samples" in text
+    assert "very smooth" in text
+    told = advice.advise(table(("linear", 0.104, 1.2, 0.01, 0), ("bspline3", 0.1, 0.99, 0.02, 0.0)))
+    assert told.filter == "bspline3"  # by its gradients
+    assert "The choice matters little here: it errs 3.8 % less" in " ".join(told.sentences)
+
+
+def test_without_times_the_narrowest_is_recommended() -> None:
+    told = advice.advise(
+        table(("bspline5", 0.1, 1.0, None, 0), ("bspline3", 0.101, 1.0, None, 0), ("nearest", 0.102, None, None, 0))
+    )
+    assert told.filter == "bspline3"  # nearest has no gradient
+    assert "time" not in " ".join(told.sentences)
+    assert advice.advise(table(("nearest", 0.1, None, None, 0))).filter == "nearest"
+
+
+def test_a_perfect_filter_is_recommended_without_dividing_by_nothing() -> None:
+    told = advice.advise(table(("linear", 0.0, 0.0, 0.01, 0), ("nearest", 0.1, None, 0.01, 0), (EXACT_SINC, 0.1, 1.0, None, 0)))
+    assert told.filter == "linear"
+    assert "inf" not in " ".join(told.sentences)
+
+
+# -- spectra and pictures ------------------------------------------------------------------------------------------
+
+
+def test_spectra_find_a_wave_where_it_is() -> None:
+    x = np.arange(64)
+    data = np.broadcast_to(np.cos(np.pi * 0.75 * x), (5, 2, 64))
+    found = spectrum.spectra(Volume(data.copy()))
+    assert [name for name, _, _ in found] == ["z", "x"]  # y has two samples
+    omega, power = found[1][1:]
+    assert omega[-1] == pytest.approx(np.pi)
+    assert omega[power.argmax()] == pytest.approx(0.75 * np.pi, abs=2 * np.pi / 64)
+    assert power.sum() == pytest.approx(1)
+    assert spectrum.high_share(found[1:]) > 0.95
+    assert spectrum.high_share(spectrum.spectra(Volume(np.ones((4, 4, 4))))) is None
+
+
+def test_close_ups_look_at_what_differs() -> None:
+    rgba, position = np.zeros((24, 24, 4), np.float32), np.full((24, 24, 3), np.nan, np.float32)
+    other = rgba.copy()
+    other[5:8, 15:18] = 1
+    position[2:22, 2:22] = np.stack(np.meshgrid(np.arange(20), np.arange(20), [0.0]), -1)[:, :, 0]
+    camera = clvol.Camera.orbit(10, 20)
+    closer = pictures._closer(camera, {"rgba": rgba, "position": position}, {"rgba": other, "position": position})
+    assert closer.target == pytest.approx((14.0, 4.0, 0.0), abs=1.01)
+    assert closer.zoom == 4
+    nothing = {"rgba": rgba, "position": np.full_like(position, np.nan)}
+    assert pictures._closer(camera, nothing, {**nothing, "rgba": other}) == camera.zoomed(4)
+
+
+def test_differences_are_heat() -> None:
+    colours = html._heat([[0.0, 0.5, 1.0, 2.0]], 1.0)
+    np.testing.assert_allclose(colours[0, 0], 1)
+    np.testing.assert_allclose(colours[0, 2], colours[0, 3])
+    assert colours[0, 1].tolist() == list(html._WHITE_TO_RED[1])
