@@ -279,12 +279,12 @@ kernel void march(VOLUME_PARAMS, global const float2 *bounds, constant frame_t *
     float first = INFINITY, last = -INFINITY;
     mask forward = ~NONE, backward = ~NONE;
     for (int g = 0; g < GROUPS; ++g) {
-        const real px = left + g % GROUPS_ACROSS * LANES + frame->offset[0] + LANE_NUMBERS;
+        const real pixel = left + g % GROUPS_ACROSS * LANES + LANE_NUMBERS, px = pixel + frame->offset[0];
         const int y = top + g / GROUPS_ACROSS;
         rays[g] = pixel_ray(frame, px, (real)(y + frame->offset[1]));
         begin(&states[g]);
         gathered[g] = (real)(0.0f);
-        going[g] = rays[g].hits & (px < (real)(frame->width)) & (y < frame->height ? ~NONE : NONE);
+        going[g] = rays[g].hits & (pixel < (real)(frame->width)) & (y < frame->height ? ~NONE : NONE);
         const float low = least_lane(choose(going[g], rays[g].begin - MARGIN, NOWHERE)), high = -least_lane(choose(going[g], -MARGIN - rays[g].end, NOWHERE));
         first = low < first ? low : first;
         last = high > last ? high : last;
@@ -301,32 +301,31 @@ kernel void march(VOLUME_PARAMS, global const float2 *bounds, constant frame_t *
     const float way = any_lane(!forward) ? -1.0f : 1.0f;
 #endif
     const int slabs = last >= first ? (int)((last - first) / frame->slab) + 1 : 0;
+    int deep = 30, parts = 1;   // parts of 1 << deep slabs
 #if ANY_ORDER
-    // parts of 1 << deep slabs, and what they promise at most
-    int deep = 0, parts = 0;
-    while (slabs >> deep >= PARTS)
-        ++deep;
-    float promise[PARTS];
-    for (; parts << deep < slabs && frame->skipping; ++parts) {
-        const float start = madd(parts << deep, frame->slab, first);
-        const float2 values = values_of_tile(bounds, extent, frame, rays, going, start, madd(1 << deep, frame->slab, start - 1.0f));
-        promise[parts] = PROMISE(values.x, values.y);
+    float promise[PARTS];       // of each part, at most
+    promise[0] = 0.0f;
+    if (frame->skipping) {
+        for (deep = 0; slabs >> deep >= PARTS; ++deep)
+            ;
+        for (parts = 0; parts << deep < slabs; ++parts) {
+            const float start = madd(parts << deep, frame->slab, first), stop = madd(1 << deep, frame->slab, start - 1.0f);
+            const float2 values = values_of_tile(bounds, extent, frame, rays, going, start, stop);
+            promise[parts] = PROMISE(values.x, values.y);
+        }
     }
-#else
-    const int deep = 30, parts = 0;
 #endif
-    for (int turn = 0; turn == 0 || turn < parts; ++turn) {
+    for (int turn = 0; turn < parts; ++turn) {
         int part = 0;
 #if ANY_ORDER
         for (int i = 1; i < parts; ++i)
             part = promise[i] > promise[part] ? i : part;
-        if (parts > 0 && promise[part] == -INFINITY)
+        if (promise[part] == -INFINITY)
             break;                       // no ray has samples in those that are left
-        if (parts > 0)
-            promise[part] = -INFINITY;   // its turn comes once
+        promise[part] = -INFINITY;       // its turn comes once
 #endif
-        const int until = parts > 0 && part + 1 < parts ? (part + 1) << deep : slabs;
-        for (int slab = parts > 0 ? part << deep : 0, level = deep < COARSEST ? deep : COARSEST; slab < until;) {
+        const int until = part + 1 < parts ? (part + 1) << deep : slabs;
+        for (int slab = part << deep, level = deep < COARSEST ? deep : COARSEST; slab < until;) {
             const float start = madd(slab, frame->slab, first), ahead = madd(1 << level, frame->slab, start - 1.0f);
             const float stop = ahead < last ? ahead : last;
             int some = 0, wanted = !frame->skipping;
@@ -368,8 +367,8 @@ kernel void march(VOLUME_PARAMS, global const float2 *bounds, constant frame_t *
                 state_t state = states[g];
                 real count = gathered[g];
                 run = going[g];
-                patch_t *patch = patches;
-                for (float n = start; n <= stop; n += 1.0f, ++patch) {
+                float n = start;
+                for (patch_t *patch = patches; patch < patches + SLAB && n <= stop; ++patch, n += 1.0f) {
                     const mask active = lanes_within(ray, run, n, n);
                     if (!any_lane(active))
                         continue;

@@ -33,6 +33,8 @@ INLINE color_t classify(constant frame_t *frame, global const float4 *table, rea
 // the next that has some, itself included.
 INLINE int transparent(constant frame_t *frame, global const float4 *table, float low, float high)
 {
+    if (low > high)
+        return 1;   // no values
     global const float *visible = (global const float *)(table + TABLE_SIZE);
     const float bottom = (low - frame->table_low) * frame->table_scale, top = (high - frame->table_low) * frame->table_scale;
     const float most = TABLE_SIZE - 1.0f;

@@ -26,6 +26,7 @@ BLOCK = 4  # samples along an edge of the finest blocks
 MAX_LEVELS = 12
 _HULL_TAPS, _HULL_DEGREE = 6, 5  # of wider filters there would be thousands of control points a cell
 _EPSILON = 2.0**-23
+_PAD_LIMIT = 0.01
 _BLOCKS_A_LAUNCH = 1 << 15  # a launch should not run longer than a quarter of a second
 
 
@@ -47,27 +48,32 @@ def _defines(filter: Filter, blur: float) -> dict[str, str | int | float]:
     taps, degree = filter.support, filter.degree
     weights = filter.weights(np.linspace(0, 1, 4097))
     sums = weights.sum(0)
-    # between 4097 points no sum of weights changes by more than this
-    lebesgue, slack = float(np.abs(weights).sum(0).max()) * 1.001, 1.001
-    low, high = float(sums.min()), float(sums.max())
-    if filter.sums_to_one:
-        low = high = slack = 1.0
+    lebesgue, least, greatest = float(np.abs(weights).sum(0).max()), float(sums.min()), float(sums.max())
+    if not (filter.exact and filter.sums_to_one):
+        # a thousandth covers what lies between 4097 points
+        lebesgue, least, greatest = 1.001 * lebesgue, least - 0.001 * abs(least), greatest + 0.001 * abs(greatest)
+    products = [a * b * c for a, b, c in itertools.combinations_with_replacement((least, greatest), 3)]
     rows = bernstein(filter)
-    # float32: a weight is a sum of degree + 1 products, a point three nested sums of taps; so is a control point
+    # Rounding, relative to the greatest tap. A weight is a sum of degree + 1 products, which errs by their sizes and
+    # by degree + 2 roundings; a value sums taps times weights along three axes, with a rounding a tap: along each the
+    # error of the weights is multiplied by what the weights of the other two may sum to. A control point likewise.
     size = float(np.abs(filter.matrix).sum())
     hull = float(np.abs(rows).sum(-1).max())
-    pad = 3 * ((degree + 2) * size + taps + 2) * lebesgue**2 + 3 * (taps + 2) * hull**3
+    pad = _EPSILON * (3 * ((degree + 2) * size + taps + 2) * lebesgue**2 + 3 * (taps + 2) * hull**3)
+    if pad > _PAD_LIMIT:
+        pad = 1e38  # weights that are mostly rounding: bounds without end
+    shared = degree > 0 and np.allclose(np.append(rows[-1], 0), np.insert(rows[0], 0, 0), rtol=0, atol=1e-12)
     return {
         "BLOCK": BLOCK * filter.scale,
         "TAPS": taps,
         "HULL": int(taps <= _HULL_TAPS and degree <= _HULL_DEGREE),
         "CONTROLS": degree + 1,
-        "SHARED": int(filter.continuity >= 0),
+        "SHARED": int(shared),
         "BERNSTEIN": "{" + ",".join("{" + ",".join(f"{w:.9e}f" for w in row) + "}" for row in rows) + "}",
-        "SUM_LOW": (low / slack) ** 3,
-        "SUM_HIGH": (high * slack) ** 3,
+        "SUM_LOW": min(products),
+        "SUM_HIGH": max(products),
         "LEBESGUE": lebesgue**3,
-        "PAD_SIZE": pad * _EPSILON,
+        "PAD_SIZE": pad,
         "PAD_SPREAD": 3 * blur * lebesgue**2,
         "COORD_DOUBLE": 0,
     }

@@ -154,9 +154,10 @@ def render(
     filter
         How it is reconstructed between its samples; see 'clvol filters'.
     heat_map
-        A second picture: the share of each ray's samples that was looked at, from black to white.
+        A second picture: the share of each ray's samples that was looked at, from black to pale yellow.
     verbose
-        Tell what share of the samples was looked at, and how long the parts took.
+        Tell what share of the samples was looked at, and how long the parts took, kernels that are built first
+        included.
     """
     import numpy as np
 

@@ -221,6 +221,8 @@ class Device:
                     cl.enqueue_copy(self.queue, array, buffer)
                 self.queue.finish()
             finally:
+                with contextlib.suppress(cl.Error):
+                    self.queue.finish()  # after an error too: a kernel may still be writing to the array
                 buffer.release()
 
     def download(self, buffer: Any, array: np.ndarray[Any, Any]) -> None:

@@ -74,12 +74,12 @@ def save(picture: ArrayLike, path: str | os.PathLike[str]) -> Path:
 
 
 def heat(share: ArrayLike) -> NDArray[np.float32]:
-    """Shares in 0..1, of shape (height, width), as colours from black over red to white; NaN is a dark blue."""
+    """Shares in 0..1, of shape (height, width), as colours from black over red to pale yellow; NaN is a grey blue."""
     import cmap
 
     array = np.asarray(share, np.float32)
     colors = np.asarray(cmap.Colormap("inferno")(np.clip(np.nan_to_num(array), 0, 1)), np.float32)[..., :3]
-    colors[np.isnan(array)] = (0.05, 0.07, 0.12)
+    colors[np.isnan(array)] = (0.28, 0.33, 0.42)
     return colors
 
 

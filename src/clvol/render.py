@@ -126,6 +126,8 @@ class Lattice:
         wanted = n / (step * max(cosine, OBLIQUE))
         if wanted > _MAX_PLANES:
             raise OptionError(f"step must give no more than {_MAX_PLANES} planes; {step:g} would give {wanted:.3g}")
+        if self.oblique and math.hypot(*volume.size) > _MAX_PLANES * step:
+            raise OptionError(f"step must give no more than {_MAX_PLANES} samples a ray; got {step:g} for oblique rays")
         self.planes = max(1, math.ceil(wanted - 1e-9))
         self.spacing = n / self.planes
 
@@ -231,7 +233,8 @@ class Renderer:
         samples : int
             Rays a pixel.
         termination : float
-            A ray ends when no more than this share of light would come through: colours err by at most this.
+            A ray ends when no more than this share of light would come through: colours err by at most this, times
+            the brightest colour behind.
         skipping : bool
             Do not look where the function's bounds say that nothing can be seen. The picture is the same to the
             last bit.
@@ -315,10 +318,10 @@ class Renderer:
         clip: tuple[Sequence[float], Sequence[float]] | None, termination: float,
     ) -> tuple[NDArray[Any], Lattice]:  # fmt: skip
         """The parameter block of one picture, computed in float64, and where it is sampled."""
-        step = number("step", step, above=0)
+        step = min(number("step", step, above=0), 1e30)
         termination = number("termination", termination, least=0, below=1)
         if isovalue is not None:
-            isovalue = number("isovalue", isovalue)
+            isovalue = min(max(number("isovalue", isovalue), -3e38), 3e38)  # as good as any beyond float32
         if len(lights) > MAX_LIGHTS:
             raise OptionError(f"there may be up to {MAX_LIGHTS} lights; got {len(lights)}")
         volume, (width, height) = self.volume, size
@@ -393,7 +396,7 @@ class Renderer:
         bounds = self._bounds[path]
         frame["skipping"], frame["levels"] = 1, len(bounds.offsets)
         frame["blocks"], frame["level_at"][: len(bounds.offsets)] = bounds.blocks, bounds.offsets
-        # what positions are rounded by on a ray and in a patch
+        # positions are rounded by up to a few millionths of the volume's size; the rest is reserve
         frame["margin"] = 0.01 + 1e-6 * max(self.volume.size)
 
     def _march(

@@ -178,7 +178,7 @@ class Coefficients:
 
     @property
     def _bytes(self) -> int:
-        return 4 * math.prod(self.shape)
+        return 4 * (math.prod(self.shape) + LANES)  # vectors may read past the last row
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -226,11 +226,14 @@ class Coefficients:
         pitch, area = int(self.extent[0]), int(self.extent[0]) * int(self.extent[1])
         origin = sum(inside.start * step for inside, step in zip(self.inner, (area, pitch, 1), strict=True))
         nx, ny, nz = sizes
+        kernel = program.build(device, "samples.cl", defines).kernel("copy_samples")
+        slices = data.reshape(nz, ny, nx)
         some = max(1, _VOXELS_A_LAUNCH // (nx * ny))
-        with device.lent(data, write=False) as given, device.errors:
-            for first in range(0, nz, some):
-                program.build(device, "samples.cl", defines).kernel("copy_samples")(
-                    device.queue, (ny, min(some, nz - first)), (1, 1), given, self.buffer, np.int32(first), np.uint64(origin),
+        for first in range(0, nz, some):  # part by part: a wide type may be larger than what a device allows at once
+            part = slices[first : first + some]
+            with device.lent(part, write=False) as given, device.errors:
+                kernel(
+                    device.queue, (ny, len(part)), (1, 1), given, self.buffer, np.uint64(origin + first * area),
                     np.int32(nx), np.uint64(pitch), np.uint64(area),
                 )  # fmt: skip
 
