@@ -12,7 +12,7 @@ from clvol.filters import as_filter
 __all__ = ["Advice", "advise"]
 
 _AS_GOOD = 1.05  # times the least error: what nobody would tell from the best
-_AS_FAST = 1.3  # times the least time: less is chance
+_AS_FAST = 1.5  # times the least time: less is chance
 _LITTLE = 0.05  # share of the error: less is not worth the time
 _LEAVES = 0.01  # of the range
 _RICH, _SMOOTH = 0.1, 0.01  # shares of the variance above half of Nyquist
@@ -78,7 +78,7 @@ def _affordable(rows: Sequence[ErrorRow]) -> list[ErrorRow]:
     """Those about as fast as the fastest: by time where all were timed, else by the width of the kernel."""
     timed = all(row.seconds for row in rows)
     costs = [row.seconds or 0.0 if timed else float(as_filter(row.filter).support) for row in rows]
-    return [row for row, cost in zip(rows, costs, strict=True) if cost <= _AS_FAST * min(costs)]
+    return [row for row, cost in zip(rows, costs, strict=True) if cost <= (_AS_FAST if timed else 1) * min(costs)]
 
 
 def _against_base(rows: Sequence[ErrorRow], chosen: ErrorRow) -> list[str]:
