@@ -12,7 +12,6 @@ from clvol.filters import as_filter
 __all__ = ["Advice", "advise"]
 
 _AS_GOOD = 1.05  # times the least error: what nobody would tell from the best
-_AS_FAST = 1.5  # times the least time: less is chance
 _LITTLE = 0.05  # share of the error: less is not worth the time
 _LEAVES = 0.01  # of the range
 _RICH, _SMOOTH = 0.1, 0.01  # shares of the variance above half of Nyquist
@@ -36,7 +35,7 @@ class Advice:
 
 
 def advise(table: ErrorTable, high: float | None = None) -> Advice:
-    """Of the filters that err least, and of these the fastest, the smoothest; and what its choice gains and costs.
+    """Of the filters that err least the narrowest, of these the smoothest; and what its choice gains and costs.
 
     Parameters
     ----------
@@ -55,7 +54,7 @@ def advise(table: ErrorTable, high: float | None = None) -> Advice:
     near = [row for row in rows if row.rms <= _AS_GOOD * least]
     slopes = [row.gradient_rms for row in near if row.gradient_rms is not None]
     steady = [row for row in near if row.gradient_rms is not None and row.gradient_rms <= _AS_GOOD * min(slopes)]
-    chosen = max(_affordable(steady or near), key=lambda row: (as_filter(row.filter).continuity, -row.rms))
+    chosen = min(steady or near, key=lambda row: (_taps(row), -as_filter(row.filter).continuity, row.rms))
     sentences = [f"For these data use {chosen.filter} ({title(chosen.filter)})."]
     sentences += _against_base(rows, chosen)
     best = min(rows, key=lambda row: row.rms)
@@ -74,11 +73,10 @@ def advise(table: ErrorTable, high: float | None = None) -> Advice:
     return Advice(chosen.filter, sentences)
 
 
-def _affordable(rows: Sequence[ErrorRow]) -> list[ErrorRow]:
-    """Those about as fast as the fastest: by time where all were timed, else by the width of the kernel."""
-    timed = all(row.seconds for row in rows)
-    costs = [row.seconds or 0.0 if timed else float(as_filter(row.filter).support) for row in rows]
-    return [row for row, cost in zip(rows, costs, strict=True) if cost <= (_AS_FAST if timed else 1) * min(costs)]
+def _taps(row: ErrorRow) -> int:
+    """Taps a sample along each axis, of the given data: what a filter costs wherever it runs, and no chance in it."""
+    chosen = as_filter(row.filter)
+    return chosen.support * chosen.scale
 
 
 def _against_base(rows: Sequence[ErrorRow], chosen: ErrorRow) -> list[str]:
