@@ -356,7 +356,7 @@ kernel void march(VOLUME_PARAMS, global const float2 *bounds, constant frame_t *
                 mask run = lanes_within(ray, going[g], start, stop);
                 if (!any_lane(run))
                     continue;
-                if (frame->skipping && GROUPS > 1) {
+                if (GROUPS > 1 && frame->skipping) {
                     boxes_t row;
                     box_nothing(&row);
                     box_samples(ray, start - REACH, stop + REACH, run, &row);
