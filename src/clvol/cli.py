@@ -560,8 +560,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a terminal without a degree sign still gets the numbers
     try:
-        app(arguments, exit_on_error=False, print_error=False)
-        sys.stdout.flush()
+        try:
+            app(arguments, exit_on_error=False, print_error=False)
+        finally:
+            sys.stdout.flush()  # here, where its errors are ours: the command may end by an exit
     except CycloptsError as error:
         command = " ".join(("clvol", *(error.command_chain or ())))
         _fail(f"{_one_line(error).rstrip('.')}; see '{command} --help'", 2)
@@ -570,7 +572,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except MemoryError as error:
         _fail(f"out of memory: {_one_line(error)}", 1)
     except BrokenPipeError:  # whoever read our output has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _discard_output()
         raise SystemExit(0) from None
     except OSError as error:
         _fail(_one_line(error), 1)
@@ -578,7 +580,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _fail("interrupted", 130)
 
 
+def _discard_output() -> None:
+    """Let what standard output still holds go nowhere, if it cannot be written: Python would try again at its end."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def _fail(reason: str, code: int) -> NoReturn:
+    _discard_output()
     print(f"clvol: {reason}", file=sys.stderr)
     raise SystemExit(code) from None
 
