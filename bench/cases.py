@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import inspect
 import math
 import statistics
 import tempfile
@@ -25,8 +23,8 @@ from clvol.boundary import as_boundary
 from clvol.device import Device, as_device
 from clvol.errors import OutOfMemoryError
 from clvol.filters import as_filter
-from clvol.render import OBLIQUE, Lattice
-from clvol.spline import Coefficients, choose_path, sample_coefficients
+from clvol.render import OBLIQUE, RAYS, Lattice
+from clvol.spline import Coefficients, _prefilter, choose_path, sample_coefficients
 from clvol.spline import Path as ReadPath
 
 __all__ = ["Bench", "Case", "Measurement", "Skip", "Work", "all_cases", "draw", "measure", "samples_on_lattice", "shots"]
@@ -230,11 +228,10 @@ class Bench:
         mode = "composite" if shaded else "mean"
 
         def ours(**more: Any) -> Array:
-            frames = [_render(renderer, camera, mode, size, 0.5, transfer=fog, skipping=False, **more) for camera in cameras]
+            frames = [renderer.render(camera, mode, size, 0.5, transfer=fog, skipping=False, **more) for camera in cameras]
             return np.stack(frames)
 
-        rays = importlib.import_module("clvol.render").RAYS  # clvol.render is the function of that name
-        theirs = {"clvol, ray by ray": Peer(partial(ours, _tile=rays))}
+        theirs = {"clvol, ray by ray": Peer(partial(ours, _tile=RAYS))}
         amount = sum(samples_on_lattice(renderer.volume, camera, size, 0.5) for camera in cameras)
         return Work(ours, theirs, amount, "Msample/s", plane_cost(spacing, shaded), min(3, self.repeats), _difference)
 
@@ -349,9 +346,10 @@ def _frame_by_name(bench: Bench, name: str) -> Work:
 def draw(renderer: clvol.Renderer, shot: Shot) -> Array:
     """Our side of a `Shot`."""
     isovalue = shot.isovalue if shot.mode == "isosurface" else None
-    return _render(
-        renderer, shot.camera, shot.mode, shot.size, shot.step, transfer=shot.transfer, isovalue=isovalue, color=shot.color
+    picture = renderer.render(
+        shot.camera, shot.mode, shot.size, shot.step, transfer=shot.transfer, isovalue=isovalue, color=shot.color
     )
+    return np.asarray(picture)
 
 
 def samples_on_lattice(volume: clvol.Volume, camera: clvol.Camera, size: tuple[int, int], step: float) -> float:
@@ -380,21 +378,9 @@ def samples_on_lattice(volume: clvol.Volume, camera: clvol.Camera, size: tuple[i
 
 def _prefilter_in_place(held: Coefficients) -> None:
     """What `Coefficients` does between upload and halo; here alone the benchmarks reach into the prefilter."""
-    spline: Any = importlib.import_module("clvol.spline")
     extent, sizes = tuple(held.extent.tolist()), tuple(held.size[:3].tolist())
-    if hasattr(spline, "_prefilter"):
-        spline._prefilter(held.device, held.buffer, held.filter, held.boundary, extent, sizes, held.volume.ndim)
-    else:  # versions that went through the volume axis by axis
-        for axis in range(held.volume.ndim):
-            spline._prefilter_axis(held.device, held.buffer, held.filter, held.boundary, extent, sizes, axis)
+    _prefilter(held.device, held.buffer, held.filter, held.boundary, extent, sizes, held.volume.ndim)
     held.device.finish()
-
-
-def _render(renderer: clvol.Renderer, *arguments: Any, skipping: bool = True, **options: Any) -> Array:
-    """`Renderer.render`; versions that cannot skip empty space have no such option."""
-    if "skipping" in inspect.signature(renderer.render).parameters:
-        options["skipping"] = skipping
-    return np.asarray(renderer.render(*arguments, **options))
 
 
 def _difference(ours: Array, theirs: Array) -> float:

@@ -255,15 +255,15 @@ INLINE mask lanes_within(const ray_t *ray, mask going, float first, float last)
     return going & (ray->begin - MARGIN <= last) & (ray->end + MARGIN >= first);
 }
 
-// The least and greatest value among samples first to last of the tile.
-INLINE float2 values_of_tile(global const float2 *bounds, const int4 extent, constant frame_t *frame, const ray_t *rays,
-                             const mask *going, float first, float last)
+// The least and greatest value among samples first to last of some rows of rays.
+INLINE float2 values_of(global const float2 *bounds, const int4 extent, constant frame_t *frame, const ray_t *rays,
+                        const mask *going, const int rows, float first, float last)
 {
-    boxes_t tile;
-    box_nothing(&tile);
-    for (int g = 0; g < GROUPS; ++g)
-        box_samples(rays + g, first - REACH, last + REACH, lanes_within(rays + g, going[g], first, last), &tile);
-    return values_within(bounds, extent, frame, &tile);
+    boxes_t box;
+    box_nothing(&box);
+    for (int g = 0; g < rows; ++g)
+        box_samples(rays + g, first - REACH, last + REACH, lanes_within(rays + g, going[g], first, last), &box);
+    return values_within(bounds, extent, frame, &box);
 }
 
 kernel void march(VOLUME_PARAMS, global const float2 *bounds, constant frame_t *frame, global const float4 *table,
@@ -310,7 +310,7 @@ kernel void march(VOLUME_PARAMS, global const float2 *bounds, constant frame_t *
             ;
         for (parts = 0; parts << deep < slabs; ++parts) {
             const float start = madd(parts << deep, frame->slab, first), stop = madd(1 << deep, frame->slab, start - 1.0f);
-            const float2 values = values_of_tile(bounds, extent, frame, rays, going, start, stop);
+            const float2 values = values_of(bounds, extent, frame, rays, going, GROUPS, start, stop);
             promise[parts] = PROMISE(values.x, values.y);
         }
     }
@@ -334,7 +334,7 @@ kernel void march(VOLUME_PARAMS, global const float2 *bounds, constant frame_t *
             if (!some)
                 break;
             if (frame->skipping) {
-                const float2 values = values_of_tile(bounds, extent, frame, rays, going, start, stop);
+                const float2 values = values_of(bounds, extent, frame, rays, going, GROUPS, start, stop);
                 for (int g = 0; g < GROUPS && !wanted; ++g)
                     wanted = matters(&states[g], frame, table, values.x, values.y, madd(start, rays[g].step, rays[g].first),
                                      lanes_within(rays + g, going[g], start, stop));
@@ -357,10 +357,7 @@ kernel void march(VOLUME_PARAMS, global const float2 *bounds, constant frame_t *
                 if (!any_lane(run))
                     continue;
                 if (GROUPS > 1 && frame->skipping) {
-                    boxes_t row;
-                    box_nothing(&row);
-                    box_samples(ray, start - REACH, stop + REACH, run, &row);
-                    const float2 values = values_within(bounds, extent, frame, &row);
+                    const float2 values = values_of(bounds, extent, frame, ray, going + g, 1, start, stop);
                     if (!matters(&states[g], frame, table, values.x, values.y, madd(start, ray->step, ray->first), run))
                         continue;
                 }
