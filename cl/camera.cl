@@ -57,8 +57,8 @@ INLINE ray_t pixel_ray(constant frame_t *frame, real px, real py)
     const real own = frame->stride / length;
     ray.step = choose(oblique, own, frame->spacing / magnitude(d));
     ray.first = choose(oblique, ray.enter + 0.5f * own, (plane - axis_of(ray.origin, frame->axis)) / d);
-    ray.begin = choose(oblique, (real)(0.0f), greatest((real)(0.0f), ceil((ray.enter - ray.first) / ray.step)));
-    ray.end = floor((ray.leave - ray.first) / ray.step);
+    ray.begin = choose(oblique, (real)(0.0f), greatest((real)(0.0f), -round_down((ray.first - ray.enter) / ray.step)));
+    ray.end = round_down((ray.leave - ray.first) / ray.step);
     ray.end = choose(oblique, ray.end, least(ray.end, (real)(frame->planes - 1.0f)));
     return ray;
 }

@@ -162,6 +162,11 @@ INLINE real3 gradient_here(SCENE_PARAMS, real t, mask active)
 
 // -- the loop ------------------------------------------------------------------------------------------------
 
+// The lanes of the group at pixel (x, y) that lie in the picture.
+#define EACH_PIXEL(x, y)             \
+    for (int i = 0; i < LANES; ++i)  \
+        if ((x) + i % LANES_ACROSS < frame->width && (y) + i / LANES_ACROSS < frame->height)
+
 INLINE void store_lane(constant frame_t *frame, const int x, const int y, float4 color, float t, float3 normal, float3 place,
                        global float4 *rgba, global float *depth, global float *normals, global float *positions)
 {
@@ -237,14 +242,14 @@ INLINE void finish_rays(SCENE_PARAMS, const state_t *state, const int x, const i
 #endif
     const lanes_u red = { color.red }, green = { color.green }, blue = { color.blue }, opacity = { color.opacity }, depths = { t + ray->ahead };
     const lanes_u nx = { normal.x }, ny = { normal.y }, nz = { normal.z }, x_ = { place.x }, y_ = { place.y }, z_ = { place.z };
-    for (int i = 0; i < LANES && x + i < frame->width; ++i)
-        store_lane(frame, x + i, y, (float4)(red.each[i], green.each[i], blue.each[i], opacity.each[i]), depths.each[i],
+    EACH_PIXEL(x, y)
+        store_lane(frame, x + i % LANES_ACROSS, y + i / LANES_ACROSS, (float4)(red.each[i], green.each[i], blue.each[i], opacity.each[i]), depths.each[i],
                    (float3)(nx.each[i], ny.each[i], nz.each[i]), (float3)(x_.each[i], y_.each[i], z_.each[i]),
                    rgba, depth, normals, positions);
 }
 
-#define GROUPS_ACROSS (TILE_WIDTH / LANES)
-#define GROUPS (GROUPS_ACROSS * TILE_HEIGHT)
+#define GROUPS_ACROSS (TILE_WIDTH / LANES_ACROSS)
+#define GROUPS (TILE_WIDTH * TILE_HEIGHT / LANES)
 #define MARGIN ((real)(ENDPOINTS ? 1.0f : 0.0f))   // sample numbers before and after the lattice, for the two ends
 #define COARSEST 4                                 // 1 << 4 slabs are skipped at once at most
 #define PARTS 32                                   // of a ray, at most, where the order is free
@@ -279,12 +284,11 @@ kernel void march(VOLUME_PARAMS, global const float2 *bounds, constant frame_t *
     float first = INFINITY, last = -INFINITY;
     mask forward = ~NONE, backward = ~NONE;
     for (int g = 0; g < GROUPS; ++g) {
-        const real pixel = left + g % GROUPS_ACROSS * LANES + LANE_NUMBERS, px = pixel + frame->offset[0];
-        const int y = top + g / GROUPS_ACROSS;
-        rays[g] = pixel_ray(frame, px, (real)(y + frame->offset[1]));
+        const real x = left + g % GROUPS_ACROSS * LANES_ACROSS + LANE_X, y = top + g / GROUPS_ACROSS * LANES_DOWN + LANE_Y;
+        rays[g] = pixel_ray(frame, x + frame->offset[0], y + frame->offset[1]);
         begin(&states[g]);
         gathered[g] = (real)(0.0f);
-        going[g] = rays[g].hits & (pixel < (real)(frame->width)) & (y < frame->height ? ~NONE : NONE);
+        going[g] = rays[g].hits & (x < (real)(frame->width)) & (y < (real)(frame->height));
         const float low = least_lane(choose(going[g], rays[g].begin - MARGIN, NOWHERE)), high = -least_lane(choose(going[g], -MARGIN - rays[g].end, NOWHERE));
         first = low < first ? low : first;
         last = high > last ? high : last;
@@ -401,7 +405,7 @@ kernel void march(VOLUME_PARAMS, global const float2 *bounds, constant frame_t *
         }
     }
     for (int g = 0; g < GROUPS; ++g) {
-        const int x = left + g % GROUPS_ACROSS * LANES, y = top + g / GROUPS_ACROSS;
+        const int x = left + g % GROUPS_ACROSS * LANES_ACROSS, y = top + g / GROUPS_ACROSS * LANES_DOWN;
         const ray_t *ray = rays + g;
         here_t *here = 0;   // no sample is being gathered
         patch_t *patch = patches;
@@ -410,8 +414,9 @@ kernel void march(VOLUME_PARAMS, global const float2 *bounds, constant frame_t *
 #if GUIDES
             const real samples = ray->end - ray->begin + 1.0f + 2.0f * MARGIN;
             const lanes_u share = { choose(ray->hits & (samples > 0.0f), gathered[g] / samples, (real)(NAN)) };
-            for (int i = 0; i < LANES && x + i < frame->width && frame->pass == 0; ++i)
-                visited[(size_t)y * frame->width + x + i] = share.each[i];
+            if (frame->pass == 0)
+                EACH_PIXEL(x, y)
+                    visited[(size_t)(y + i / LANES_ACROSS) * frame->width + x + i % LANES_ACROSS] = share.each[i];
 #endif
         }
     }

@@ -137,12 +137,12 @@ INLINE void patch_gather(const float *blend, const patch_cell_t *c, const real w
     for (int j = 0; j < TAPS; ++j) {                                                 \
         const float *p = blend + j * PATCH;                                          \
         const real taps = FOURTHS(TAP_ROW, i);                                       \
-        rows[i] = j == 0 ? wv[j].each * taps : madd(wv[j].each, taps, rows[i]);      \
+        rows[i] = j == 0 ? each(wv[j]) * taps : madd(each(wv[j]), taps, rows[i]);    \
     }
-    _Pragma("unroll") GATHER(0, s00004444)
-    _Pragma("unroll") GATHER(1, s11115555)
-    _Pragma("unroll") GATHER(2, s22226666)
-    _Pragma("unroll") GATHER(3, s33337777)
+    _Pragma("unroll") GATHER(0, EACH_0)
+    _Pragma("unroll") GATHER(1, EACH_1)
+    _Pragma("unroll") GATHER(2, EACH_2)
+    _Pragma("unroll") GATHER(3, EACH_3)
 #undef GATHER
 #undef TAP_ROW
     transpose_fourths(rows, transposed);

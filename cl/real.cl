@@ -1,4 +1,10 @@
-// Modes are written once, for one ray or for a row of LANES rays: `real` is float or a vector of them.
+// Modes are written once, for one ray or for LANES rays at a time: `real` is float or a vector of them.
+
+// Where registers hold sixteen numbers, twice as many rays. (Elsewhere PoCL 3.0 aborts on float16 on some processors.)
+#if LANES == 8 && TILE_HEIGHT % 2 == 0 && defined(__clang__) && defined(__AVX512F__)
+#undef LANES
+#define LANES 16
+#endif
 
 #if LANES == 1
 typedef float real;
@@ -12,7 +18,12 @@ typedef PASTE(float, LANES) real;
 typedef PASTE(int, LANES) mask;
 INLINE int any_lane(mask m)
 {
-    int4 four = m.lo | m.hi;
+#if LANES == 16
+    const int8 eight = m.lo | m.hi;
+#else
+    const int8 eight = m;
+#endif
+    int4 four = eight.lo | eight.hi;
     int2 two = four.lo | four.hi;
     return two.x | two.y;
 }
@@ -23,18 +34,30 @@ INLINE mask to_mask(real x) { return __builtin_convertvector(x, mask); }
 INLINE real to_real(mask i) { return PASTE(convert_float, LANES)(i); }
 INLINE mask to_mask(real x) { return PASTE(convert_int, LANES)(x); }
 #endif
-INLINE real square_root(real x)
+INLINE float8 square_root_8(float8 x)
 {
 #ifdef __clang__
-    union { real all; float each[LANES]; } u;
+    union { float8 all; float each[8]; } u;
     u.all = x;
-    for (int i = 0; i < LANES; ++i)
+    for (int i = 0; i < 8; ++i)
         u.each[i] = __builtin_sqrtf(u.each[i]);
     return u.all;
 #else
     return sqrt(x);
 #endif
 }
+#if LANES == 16
+INLINE real square_root(real x) { return (real)(square_root_8(x.lo), square_root_8(x.hi)); }
+#else
+#define square_root square_root_8
+#endif
+#endif
+
+// Of what is built in, by eights at most.
+#if LANES == 16
+INLINE real round_down(real x) { return (real)(floor(x.lo), floor(x.hi)); }
+#else
+INLINE real round_down(real x) { return floor(x); }
 #endif
 
 INLINE real choose(mask m, real yes, real no) { return m ? yes : no; }
@@ -90,28 +113,56 @@ typedef union { real all; float each[LANES]; } lanes_u;
 typedef union { mask all; int each[LANES]; } lane_masks_u;
 
 #if LANES > 1
-// Lanes i and i + 4 share a vector of two rows of four, so that nothing leaves its half of a register on the way.
+// Lanes i, i + 4, ... share a vector of rows of four, so that nothing leaves its part of a register on the way.
+#if LANES == 16
+#define FOURTHS(row, i) (real)(row(i), row(i + 4), row(i + 8), row(i + 12))
+#define EACH_0(v) (v).s000044448888cccc
+#define EACH_1(v) (v).s111155559999dddd
+#define EACH_2(v) (v).s22226666aaaaeeee
+#define EACH_3(v) (v).s33337777bbbbffff
+#define WEAVE_LOW(a, b) __builtin_shufflevector(a, b, 0, 16, 1, 17, 4, 20, 5, 21, 8, 24, 9, 25, 12, 28, 13, 29)
+#define WEAVE_HIGH(a, b) __builtin_shufflevector(a, b, 2, 18, 3, 19, 6, 22, 7, 23, 10, 26, 11, 27, 14, 30, 15, 31)
+#define PAIR_LOW(a, b) __builtin_shufflevector(a, b, 0, 1, 16, 17, 4, 5, 20, 21, 8, 9, 24, 25, 12, 13, 28, 29)
+#define PAIR_HIGH(a, b) __builtin_shufflevector(a, b, 2, 3, 18, 19, 6, 7, 22, 23, 10, 11, 26, 27, 14, 15, 30, 31)
+#else
 #define FOURTHS(row, i) (real)(row(i), row(i + 4))
+#define EACH_0(v) (v).s00004444
+#define EACH_1(v) (v).s11115555
+#define EACH_2(v) (v).s22226666
+#define EACH_3(v) (v).s33337777
+#define WEAVE_LOW(a, b) (real)((a).s0, (b).s0, (a).s1, (b).s1, (a).s4, (b).s4, (a).s5, (b).s5)
+#define WEAVE_HIGH(a, b) (real)((a).s2, (b).s2, (a).s3, (b).s3, (a).s6, (b).s6, (a).s7, (b).s7)
+#define PAIR_LOW(a, b) (real)((a).s01, (b).s01, (a).s45, (b).s45)
+#define PAIR_HIGH(a, b) (real)((a).s23, (b).s23, (a).s67, (b).s67)
+#endif
 
-// From rows[i], those of lanes i and i + 4, to four vectors of all lanes.
+// From rows[i], those of lanes i, i + 4, ..., to four vectors of all lanes.
 INLINE void transpose_fourths(const real rows[4], real lanes[4])
 {
-#define WEAVE(a, b, i, j, k, l) (real)((a).i, (b).i, (a).j, (b).j, (a).k, (b).k, (a).l, (b).l)
-    const real a = WEAVE(rows[0], rows[1], s0, s1, s4, s5), b = WEAVE(rows[2], rows[3], s0, s1, s4, s5);
-    const real c = WEAVE(rows[0], rows[1], s2, s3, s6, s7), d = WEAVE(rows[2], rows[3], s2, s3, s6, s7);
-#undef WEAVE
-    lanes[0] = (real)(a.s01, b.s01, a.s45, b.s45);
-    lanes[1] = (real)(a.s23, b.s23, a.s67, b.s67);
-    lanes[2] = (real)(c.s01, d.s01, c.s45, d.s45);
-    lanes[3] = (real)(c.s23, d.s23, c.s67, d.s67);
+    const real a = WEAVE_LOW(rows[0], rows[1]), b = WEAVE_LOW(rows[2], rows[3]);
+    const real c = WEAVE_HIGH(rows[0], rows[1]), d = WEAVE_HIGH(rows[2], rows[3]);
+    lanes[0] = PAIR_LOW(a, b);
+    lanes[1] = PAIR_HIGH(a, b);
+    lanes[2] = PAIR_LOW(c, d);
+    lanes[3] = PAIR_HIGH(c, d);
 }
 #endif
 
+// The rays of a group lie side by side, sixteen in two rows of eight.
 #if LANES == 1
-#define LANE_NUMBERS 0.0f
+#define LANES_ACROSS 1
+#define LANE_X 0.0f
+#define LANE_Y 0.0f
+#elif LANES == 8
+#define LANES_ACROSS 8
+#define LANE_X (real)(0, 1, 2, 3, 4, 5, 6, 7)
+#define LANE_Y (real)(0.0f)
 #else
-#define LANE_NUMBERS (real)(0, 1, 2, 3, 4, 5, 6, 7)
+#define LANES_ACROSS 8
+#define LANE_X (real)(0, 1, 2, 3, 4, 5, 6, 7, 0, 1, 2, 3, 4, 5, 6, 7)
+#define LANE_Y (real)(0, 0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1)
 #endif
+#define LANES_DOWN (LANES / LANES_ACROSS)
 
 #define NONE ((mask)(0))
 #define NOWHERE ((real)(INFINITY))

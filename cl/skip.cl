@@ -29,7 +29,12 @@ INLINE float least_lane(real v)
 #if LANES == 1
     return v;
 #else
-    const float4 four = v.lo < v.hi ? v.lo : v.hi;
+#if LANES == 16
+    const float8 eight = v.lo < v.hi ? v.lo : v.hi;
+#else
+    const float8 eight = v;
+#endif
+    const float4 four = eight.lo < eight.hi ? eight.lo : eight.hi;
     const float2 two = four.lo < four.hi ? four.lo : four.hi;
     return two.x < two.y ? two.x : two.y;
 #endif

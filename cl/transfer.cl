@@ -15,11 +15,11 @@ INLINE color_t classify(constant frame_t *frame, global const float4 *table, rea
     real rows[4], channels[4];
 #define LOW(i) table[node.each[i]]
 #define HIGH(i) table[node.each[i] + 1]
-#define COLORS(i, each) rows[i] = madd(past.each, FOURTHS(HIGH, i) - FOURTHS(LOW, i), FOURTHS(LOW, i));
-    COLORS(0, s00004444)
-    COLORS(1, s11115555)
-    COLORS(2, s22226666)
-    COLORS(3, s33337777)
+#define COLORS(i, each) rows[i] = madd(each(past), FOURTHS(HIGH, i) - FOURTHS(LOW, i), FOURTHS(LOW, i));
+    COLORS(0, EACH_0)
+    COLORS(1, EACH_1)
+    COLORS(2, EACH_2)
+    COLORS(3, EACH_3)
 #undef COLORS
 #undef LOW
 #undef HIGH
