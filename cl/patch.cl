@@ -107,7 +107,7 @@ INLINE void lane_slopes(real t, real w[TAPS])
 
 // Where LANES samples lie in the patch. Positions outside are moved inside: lanes that are not active may ask
 // for anything.
-typedef struct { lane_masks_u at; real tu, tv; } patch_cell_t;
+typedef struct { lane_indices_u at; real tu, tv; } patch_cell_t;
 
 INLINE patch_cell_t patch_locate(const patch_t *patch, real u, real v)
 {

@@ -111,6 +111,8 @@ INLINE real power(real x, float exponent, int whole, float floor)
 // The rays of a row as an array, and back.
 typedef union { real all; float each[LANES]; } lanes_u;
 typedef union { mask all; int each[LANES]; } lane_masks_u;
+// Indices, never negative: as unsigned ones they take no instruction to become addresses.
+typedef union { mask all; uint each[LANES]; } lane_indices_u;
 
 #if LANES > 1
 // Lanes i, i + 4, ... share a vector of rows of four, so that nothing leaves its part of a register on the way.

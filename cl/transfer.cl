@@ -6,15 +6,16 @@ INLINE color_t classify(constant frame_t *frame, global const float4 *table, rea
 {
     const real place = least(greatest((value - frame->table_low) * frame->table_scale, (real)(0.0f)), (real)(TABLE_SIZE - 1.0f));
     const mask nodes = to_mask(least(place, (real)(TABLE_SIZE - 2.0f)));
-    const lane_masks_u node = { nodes };
+    const lane_indices_u node = { 4 * nodes };
     const real past = place - to_real(nodes);
 #if LANES == 1
-    const float4 c = madd(past, table[node.all + 1] - table[node.all], table[node.all]);
+    const float4 c = madd(past, table[nodes + 1] - table[nodes], table[nodes]);
     const color_t color = { c.x, c.y, c.z, c.w };
 #else
+    global const float *channel = (global const float *)table;
     real rows[4], channels[4];
-#define LOW(i) table[node.each[i]]
-#define HIGH(i) table[node.each[i] + 1]
+#define LOW(i) *(global const float4 *)(channel + node.each[i])
+#define HIGH(i) *(global const float4 *)(channel + node.each[i] + 4)
 #define COLORS(i, each) rows[i] = madd(each(past), FOURTHS(HIGH, i) - FOURTHS(LOW, i), FOURTHS(LOW, i));
     COLORS(0, EACH_0)
     COLORS(1, EACH_1)
