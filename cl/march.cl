@@ -190,32 +190,29 @@ INLINE void store_lane(constant frame_t *frame, const int x, const int y, float4
 }
 
 #if PATCHED
+INLINE float greatest_of(float4 v)
+{
+    const float2 two = v.lo > v.hi ? v.lo : v.hi;
+    return two.x > two.y ? two.x : two.y;
+}
+
 // Moves the patch to plane number n in the rays' way, under the tile's corners: all other rays cross between them.
 RARE void tile_patch(VOLUME_PARAMS, constant frame_t *frame, patch_t *patch, int left, int top, float way, float n)
 {
     const float across = way > 0.0f ? madd(n, frame->spacing, frame->plane) : madd(n, -frame->spacing, frame->plane_back);
     const int axis = frame->axis, u = axis == 0 ? 1 : 0, v = axis == 2 ? 1 : 2;
     patch->made = 1;
-    float low_u = INFINITY, high_u = -INFINITY, low_v = INFINITY, high_v = -INFINITY;
-    for (int i = 0; i < 4; ++i) {
-        int x = left + (i & 1 ? TILE_WIDTH - 1 : 0), y = top + (i & 2 ? TILE_HEIGHT - 1 : 0);
-        x = x < frame->width ? x : frame->width - 1;
-        y = y < frame->height ? y : frame->height - 1;
-        const float px = x + frame->offset[0], py = y + frame->offset[1];
+    const int right = at_most(left + TILE_WIDTH, frame->width) - 1, bottom = at_most(top + TILE_HEIGHT, frame->height) - 1;
+    const float4 px = (float4)(left, right, left, right) + frame->offset[0], py = (float4)(top, top, bottom, bottom) + frame->offset[1];
 #define PIXEL(field, i) madd(px, frame->field##_u[i], madd(py, frame->field##_v[i], frame->field[i]))
-        const float along = PIXEL(direction, axis);
-        if (along * way <= 0.0f) {   // a corner whose ray, past the volume, never meets the plane
-            return;
-        }
-        const float t = (across - PIXEL(origin, axis)) / along;
-        const float pu = madd(t, PIXEL(direction, u), PIXEL(origin, u)), pv = madd(t, PIXEL(direction, v), PIXEL(origin, v));
+    const float4 along = PIXEL(direction, axis);
+    const int4 away = along * way <= 0.0f;
+    if (away.x | away.y | away.z | away.w)   // a corner whose ray, past the volume, never meets the plane
+        return;
+    const float4 t = (across - PIXEL(origin, axis)) / along;
+    const float4 pu = madd(t, PIXEL(direction, u), PIXEL(origin, u)), pv = madd(t, PIXEL(direction, v), PIXEL(origin, v));
 #undef PIXEL
-        low_u = pu < low_u ? pu : low_u;
-        high_u = pu > high_u ? pu : high_u;
-        low_v = pv < low_v ? pv : low_v;
-        high_v = pv > high_v ? pv : high_v;
-    }
-    patch_move(patch, VOLUME, axis, across, low_u, high_u, low_v, high_v);
+    patch_move(patch, VOLUME, axis, way, across, -greatest_of(-pu), greatest_of(pu), -greatest_of(-pv), greatest_of(pv));
 }
 #endif
 
