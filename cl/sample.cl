@@ -32,6 +32,44 @@ typedef struct { float xx, yy, zz, xy, xz, yz; } hessian_t;
 
 // -- direct taps: rows of taps, blended along y and z, then dotted with the weights along x ----------------
 
+// One vector of taps, blended along y and z. Weights lie `apart`.
+INLINE row_t blend_rows(VOLUME_PARAMS, cursor_t first, int chunk, const float *wy, const float *wz, int apart)
+{
+    row_t sum = (row_t)(0.0f);
+    UNROLL_SLICES
+    for (int k = 0; k < SLICES; ++k) {
+        row_t plane = (row_t)(0.0f);
+#pragma unroll
+        for (int j = 0; j < TAPS; ++j)
+            plane = madd(wy[j * apart], fetch_row(VOLUME, first, chunk * ROW, j, k), plane);
+        sum = madd(wz[k * apart], plane, sum);
+    }
+    return sum;
+}
+
+// The same, and with slopes instead of weights along y, and along z.
+typedef struct { row_t sum, sum_y, sum_z; } slopes_t;
+
+INLINE slopes_t blend_slopes(VOLUME_PARAMS, cursor_t first, int chunk, const float *wy, const float *sy, const float *wz,
+                             const float *sz, int apart)
+{
+    slopes_t s = { (row_t)(0.0f), (row_t)(0.0f), (row_t)(0.0f) };
+    UNROLL_SLICES
+    for (int k = 0; k < SLICES; ++k) {
+        row_t plane = (row_t)(0.0f), plane_y = plane;
+#pragma unroll
+        for (int j = 0; j < TAPS; ++j) {
+            const row_t row = fetch_row(VOLUME, first, chunk * ROW, j, k);
+            plane = madd(wy[j * apart], row, plane);
+            plane_y = madd(sy[j * apart], row, plane_y);
+        }
+        s.sum = madd(wz[k * apart], plane, s.sum);
+        s.sum_y = madd(wz[k * apart], plane_y, s.sum_y);
+        s.sum_z = madd(sz[k * apart], plane, s.sum_z);
+    }
+    return s;
+}
+
 INLINE float taps_value(VOLUME_PARAMS, cell_t c)
 {
     const cursor_t first = cursor_at(VOLUME, c.x, c.y, c.z);
@@ -39,18 +77,8 @@ INLINE float taps_value(VOLUME_PARAMS, cell_t c)
     unpack_weights(c.ty, wy);
     SLICE(unpack_weights, c.tz, wz, 1.0f);
 #pragma unroll
-    for (int i = 0; i < CHUNKS; ++i) {
-        row_t sum = (row_t)(0.0f);
-        UNROLL_SLICES
-        for (int k = 0; k < SLICES; ++k) {
-            row_t plane = (row_t)(0.0f);
-#pragma unroll
-            for (int j = 0; j < TAPS; ++j)
-                plane = madd(wy[j], fetch_row(VOLUME, first, i * ROW, j, k), plane);
-            sum = madd(wz[k], plane, sum);
-        }
-        value += row_sum(sum * tap_weights(c.tx, i));
-    }
+    for (int i = 0; i < CHUNKS; ++i)
+        value += row_sum(blend_rows(VOLUME, first, i, wy, wz, 1) * tap_weights(c.tx, i));
     return value;
 }
 
@@ -66,25 +94,12 @@ INLINE gradient_t taps_gradient(VOLUME_PARAMS, cell_t c, float *value)
     *value = 0.0f;
 #pragma unroll
     for (int i = 0; i < CHUNKS; ++i) {
-        row_t sum = (row_t)(0.0f), sum_y = sum, sum_z = sum;
-        UNROLL_SLICES
-        for (int k = 0; k < SLICES; ++k) {
-            row_t plane = (row_t)(0.0f), plane_y = plane;
-#pragma unroll
-            for (int j = 0; j < TAPS; ++j) {
-                const row_t row = fetch_row(VOLUME, first, i * ROW, j, k);
-                plane = madd(wy[j], row, plane);
-                plane_y = madd(sy[j], row, plane_y);
-            }
-            sum = madd(wz[k], plane, sum);
-            sum_y = madd(wz[k], plane_y, sum_y);
-            sum_z = madd(sz[k], plane, sum_z);
-        }
+        const slopes_t s = blend_slopes(VOLUME, first, i, wy, sy, wz, sz, 1);
         const row_t wx = tap_weights(c.tx, i);
-        *value += row_sum(sum * wx);
-        g.x += row_sum(sum * tap_slopes(c.tx, i));
-        g.y += row_sum(sum_y * wx);
-        g.z += row_sum(sum_z * wx);
+        *value += row_sum(s.sum * wx);
+        g.x += row_sum(s.sum * tap_slopes(c.tx, i));
+        g.y += row_sum(s.sum_y * wx);
+        g.z += row_sum(s.sum_z * wx);
     }
     return g;
 }

@@ -48,6 +48,7 @@ _SAMPLES = {  # OpenCL's names of NumPy's types
     "b1": "uchar", "u1": "uchar", "i1": "char", "u2": "ushort", "i2": "short", "u4": "uint", "i4": "int", "u8": "ulong",
     "i8": "long", "f4": "float", "f8": "double",
 }  # fmt: skip
+_RUN = 512  # points that a work-item takes on a processor, a multiple of LANES
 _BLOCK = 16  # rows that separable.cl makes at once
 _ITEMS_A_CORE = 16  # ... and among how many work-items it shares them out on each core, so that none waits long for another
 _NO_SHEAR = 1e-9  # samples
@@ -433,8 +434,16 @@ def _affine(device: Device, matrix: NDArray[np.float64], offset: NDArray[np.floa
 
 
 def _points_program(held: Coefficients, path: Path, derivative: int, fill: float | None, **more: str | int) -> program.Program:
-    defines = {**held.defines(path), "DERIVATIVE": derivative, "FILL": int(fill is not None), **more}
+    lanes, run = (LANES, _RUN) if _in_groups(held.device, path, derivative) else (1, 1)
+    defines = {
+        **held.defines(path), "DERIVATIVE": derivative, "FILL": int(fill is not None), "LANES": lanes, "RUN": run, **more
+    }  # fmt: skip
     return program.build(held.device, "points.cl", defines)
+
+
+def _in_groups(device: Device, path: Path, derivative: int) -> bool:
+    """Whether a work-item takes a run of points, eight at a time: on processors, from buffers by direct taps."""
+    return device.kind == "cpu" and path == Path(False, False) and derivative < 2
 
 
 def sample_coefficients(
@@ -451,14 +460,16 @@ def sample_coefficients(
     kernel = built.kernel("sample_points")
     source = held.argument(path)
     step = _launch_points(held.filter, d, path)
+    groups = _in_groups(device, path, derivative)
     for first in range(0, points.shape[0], step):
         part = np.ascontiguousarray(points[first : first + step], dtype=kind)
         target = results[first : first + step]
         count = target.shape[0]
         with device.lent(part, write=False) as given, device.lent(target, write=True) as wanted, device.errors:
             kernel(
-                device.queue, (-(-count // 64) * 64,), (64,), source, held.extent, held.size, held.period, transform, given,
-                np.uint64(count), np.float32(0 if fill is None else fill), wanted,
+                device.queue, (-(-count // _RUN),) if groups else (-(-count // 64) * 64,), (1,) if groups else (64,), source,
+                held.extent, held.size, held.period, transform, given, np.uint64(count),
+                np.float32(0 if fill is None else fill), wanted,
             )  # fmt: skip
         if progress:
             progress((first + count) / points.shape[0])
@@ -493,12 +504,13 @@ def _run_lattice(
     nz, ny, nx = shape
     points = _launch_points(held.filter, held.volume.ndim, path)
     rows, slices = max(1, min(ny, points // nx)), max(1, points // (nx * ny))
+    items, together = (-(-nx // _RUN), 1) if _in_groups(device, path, 0) else (-(-nx // 8) * 8, 8)
     parts = [(z, y) for z in range(0, nz, slices) for y in range(0, ny, rows)]
     for done, (z, y) in enumerate(parts, 1):
         with device.errors:
             kernel(
-                device.queue, (-(-nx // 8) * 8, min(rows, ny - y), min(slices, nz - z)), (8, 1, 1), held.argument(path),
-                held.extent, held.size, held.period, transform, np.array([nx, ny, y, z], np.int32),
+                device.queue, (items, min(rows, ny - y), min(slices, nz - z)), (together, 1, 1), held.argument(path), held.extent,
+                held.size, held.period, transform, np.array([nx, ny, y, z], np.int32),
                 np.float32(0 if fill is None else fill), buffer,
             )  # fmt: skip
         device.finish()
