@@ -38,14 +38,24 @@ INLINE coords_t to_coords(mask i)
 }
 
 typedef struct { coords_t x, y, z; } group_t;
-typedef struct { lane_masks_u x, y, z; real tx, ty, tz; } group_cell_t;
+typedef struct { union { long4 halves[2]; long each[LANES]; } first; real tx, ty, tz; } group_cell_t;
 
 // Points as they lie in memory, `count` of them and the last one again.
 INLINE group_t group_at(global const POINT *points, int count)
 {
     typedef PASTE(POINT, 4) point4;
-#define LANE(i, axis) points[DIMENSIONS * at_most(i, count - 1) + axis]
-#define ALONG(axis, i) COORDS(((point4)(LANE(i, axis), LANE(i + 1, axis), LANE(i + 2, axis), LANE(i + 3, axis))))
+    typedef point4 point4_at __attribute__((aligned(4)));
+    union { point4 four[2 * DIMENSIONS]; POINT each[LANES * DIMENSIONS]; } u;
+    if (count == LANES) {
+#pragma unroll
+        for (int i = 0; i < 2 * DIMENSIONS; ++i)
+            u.four[i] = *(global const point4_at *)(points + 4 * i);
+    } else {
+#pragma unroll
+        for (int i = 0; i < LANES * DIMENSIONS; ++i)
+            u.each[i] = points[at_most(i / DIMENSIONS, count - 1) * DIMENSIONS + i % DIMENSIONS];
+    }
+#define ALONG(axis, i) COORDS(((point4)(u.each[DIMENSIONS * i + axis], u.each[DIMENSIONS * (i + 1) + axis], u.each[DIMENSIONS * (i + 2) + axis], u.each[DIMENSIONS * (i + 3) + axis])))
     group_t p;
     p.x.low = ALONG(0, 0); p.x.high = ALONG(0, 4);
     p.y.low = ALONG(1, 0); p.y.high = ALONG(1, 4);
@@ -55,7 +65,6 @@ INLINE group_t group_at(global const POINT *points, int count)
     p.z = to_coords(NONE);
 #endif
 #undef ALONG
-#undef LANE
     return p;
 }
 
@@ -93,41 +102,85 @@ INLINE mask group_axis(coords_t x, int halo, real *t)
     return base;
 }
 
-INLINE group_cell_t group_cells(group_t p, int halo)
+// As locate_inner and offset_of. The host sees to it that rows can be counted in an int.
+INLINE group_cell_t group_cells(group_t p, const int4 extent)
 {
     group_cell_t c;
-    c.x.all = group_axis(p.x, halo, &c.tx);
-    c.y.all = group_axis(p.y, halo, &c.ty);
+    const mask x = group_axis(p.x, extent.w, &c.tx);
+    mask row = group_axis(p.y, extent.w, &c.ty);
 #if DIMENSIONS == 3
-    c.z.all = group_axis(p.z, halo, &c.tz);
+    row += group_axis(p.z, extent.w, &c.tz) * extent.y;
 #else
-    c.z.all = NONE;
     c.tz = (real)(0.0f);
 #endif
+    c.first.halves[0] = CONVERT(row.lo, long) * (long)extent.x + CONVERT(x.lo, long);
+    c.first.halves[1] = CONVERT(row.hi, long) * (long)extent.x + CONVERT(x.hi, long);
     return c;
 }
 
-#define LANE_WEIGHTS(w, i) ((const float *)(w) + (i))   // of sample i; they lie LANES apart
+// Rows of samples i and, if there are two side by side, i + 4: where they begin, and their weights.
+#if SIDE == 2
+#define UNROLL_LANES _Pragma("unroll")
+INLINE weight_t spread(real w, int i)
+{
+    return i == 0 ? w.s00004444 : i == 1 ? w.s11115555 : i == 2 ? w.s22226666 : w.s33337777;
+}
+INLINE cursors_t cursors_at(VOLUME_PARAMS, const group_cell_t *c, int i)
+{
+    const cursors_t at = { coefficients + c->first.each[i], coefficients + c->first.each[i + 4] };
+    return at;
+}
+#else
+#define UNROLL_LANES _Pragma("unroll 1")
+INLINE weight_t spread(real w, int i)
+{
+    lanes_u lanes;
+    lanes.all = w;
+    return lanes.each[i];
+}
+INLINE cursors_t cursors_at(VOLUME_PARAMS, const group_cell_t *c, int i)
+{
+    return coefficients + c->first.each[i];
+}
+#endif
+
+#define SPREAD(count, to, from, i)                         \
+    _Pragma("unroll") for (int tap = 0; tap < count; ++tap) \
+        to[tap] = spread(from[tap], i);
+
+// Sums of rows to a vector for each tap.
+INLINE void group_taps(const rows_t rows[CHUNKS][LANES / SIDE], real taps[WEIGHTS])
+{
+#pragma unroll
+    for (int h = 0; h < CHUNKS; ++h) {
+#if SIDE == 2
+        transpose_fourths(rows[h], taps + h * ROW);
+#else
+        lane_taps(rows[h], taps + h * ROW);
+#endif
+    }
+}
 
 #if DERIVATIVE == 0
 
 INLINE real group_value(VOLUME_PARAMS, const group_cell_t *c)
 {
     real wx[TAPS], wy[TAPS], wz[TAPS], taps[WEIGHTS];
-    row_u rows[CHUNKS][LANES];
+    rows_t rows[CHUNKS][LANES / SIDE];
     lane_weights(c->tx, wx);
     lane_weights(c->ty, wy);
     SLICE(lane_weights, c->tz, wz, (real)(1.0f));
-#pragma unroll 1
-    for (int i = 0; i < LANES; ++i) {
-        const cursor_t first = cursor_at(VOLUME, c->x.each[i], c->y.each[i], c->z.each[i]);
+    UNROLL_LANES
+    for (int i = 0; i < LANES / SIDE; ++i) {
+        const cursors_t first = cursors_at(VOLUME, c, i);
+        weight_t y[TAPS], z[SLICES];
+        SPREAD(TAPS, y, wy, i)
+        SPREAD(SLICES, z, wz, i)
 #pragma unroll
         for (int h = 0; h < CHUNKS; ++h)
-            rows[h][i].row = blend_rows(VOLUME, first, h, LANE_WEIGHTS(wy, i), LANE_WEIGHTS(wz, i), LANES);
+            rows[h][i] = blend_rows(VOLUME, first, h * ROW, y, z);
     }
-#pragma unroll
-    for (int h = 0; h < CHUNKS; ++h)
-        lane_taps(rows[h], taps + h * ROW);
+    group_taps(rows, taps);
     return lane_dot(taps, wx);
 }
 
@@ -137,34 +190,37 @@ INLINE real group_value(VOLUME_PARAMS, const group_cell_t *c)
 INLINE real3 group_gradient(VOLUME_PARAMS, const group_cell_t *c)
 {
     real wx[TAPS], sx[TAPS], wy[TAPS], sy[TAPS], wz[TAPS], sz[TAPS], taps[WEIGHTS];
-    row_u rows[3][CHUNKS][LANES];
+    rows_t rows[3][CHUNKS][LANES / SIDE];
     lane_weights(c->tx, wx);
     lane_slopes(c->tx, sx);
     lane_weights(c->ty, wy);
     lane_slopes(c->ty, sy);
     SLICE(lane_weights, c->tz, wz, (real)(1.0f));
     SLICE(lane_slopes, c->tz, sz, (real)(0.0f));
-#pragma unroll 1
-    for (int i = 0; i < LANES; ++i) {
-        const cursor_t first = cursor_at(VOLUME, c->x.each[i], c->y.each[i], c->z.each[i]);
+    UNROLL_LANES
+    for (int i = 0; i < LANES / SIDE; ++i) {
+        const cursors_t first = cursors_at(VOLUME, c, i);
+        weight_t y[TAPS], by[TAPS], z[SLICES], bz[SLICES];
+        SPREAD(TAPS, y, wy, i)
+        SPREAD(TAPS, by, sy, i)
+        SPREAD(SLICES, z, wz, i)
+        SPREAD(SLICES, bz, sz, i)
 #pragma unroll
         for (int h = 0; h < CHUNKS; ++h) {
-            const slopes_t s = blend_slopes(VOLUME, first, h, LANE_WEIGHTS(wy, i), LANE_WEIGHTS(sy, i),
-                                            LANE_WEIGHTS(wz, i), LANE_WEIGHTS(sz, i), LANES);
-            rows[0][h][i].row = s.sum;
-            rows[1][h][i].row = s.sum_y;
-            rows[2][h][i].row = s.sum_z;
+            const slopes_t s = blend_slopes(VOLUME, first, h * ROW, y, by, z, bz);
+            rows[0][h][i] = s.sum;
+            rows[1][h][i] = s.sum_y;
+            rows[2][h][i] = s.sum_z;
         }
     }
-    real g[3];
-#pragma unroll
-    for (int axis = 0; axis < 3; ++axis) {
-#pragma unroll
-        for (int h = 0; h < CHUNKS; ++h)
-            lane_taps(rows[axis][h], taps + h * ROW);
-        g[axis] = lane_dot(taps, axis == 0 ? sx : wx);
-    }
-    return real3_of(g[0], g[1], g[2]);
+    real3 g;
+    group_taps(rows[0], taps);
+    g.x = lane_dot(taps, sx);
+    group_taps(rows[1], taps);
+    g.y = lane_dot(taps, wx);
+    group_taps(rows[2], taps);
+    g.z = lane_dot(taps, wx);
+    return g;
 }
 
 #endif
@@ -195,7 +251,7 @@ INLINE void group_into(VOLUME_PARAMS, group_t p, int count, int4 size, int4 peri
         BRING(z);
 #undef BRING
     }
-    const group_cell_t cells = group_cells(inner, extent.w);
+    const group_cell_t cells = group_cells(inner, extent);
 #if DERIVATIVE == 0
     lanes_u value;
     value.all = group_value(VOLUME, &cells);

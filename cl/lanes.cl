@@ -34,27 +34,29 @@ INLINE real lane_dot(const real taps[TAPS], const real w[TAPS])
 }
 
 // From a row of taps for each sample to vectors of all samples, one for each tap.
-INLINE void lane_taps(const row_u rows[LANES], real taps[ROW])
+INLINE void lane_taps(const row_t rows[LANES], real taps[ROW])
 {
-#if ROW >= 4
-    real halves[4];
-#pragma unroll
-    for (int h = 0; h < ROW; h += 4) {
-#define PART(i) *(const float4 *)(rows[i].each + h)
-#pragma unroll
-        for (int i = 0; i < 4; ++i)
-            halves[i] = FOURTHS(PART, i);
-#undef PART
-        transpose_fourths(halves, taps + h);
-    }
+#if ROW == 8
+#define LOW(i) rows[i].lo
+#define HIGH(i) rows[i].hi
+    const real low[4] = { FOURTHS(LOW, 0), FOURTHS(LOW, 1), FOURTHS(LOW, 2), FOURTHS(LOW, 3) };
+    const real high[4] = { FOURTHS(HIGH, 0), FOURTHS(HIGH, 1), FOURTHS(HIGH, 2), FOURTHS(HIGH, 3) };
+    transpose_fourths(low, taps);
+    transpose_fourths(high, taps + 4);
+#undef LOW
+#undef HIGH
 #else
+    row_u row;
+    lanes_u tap[ROW];
 #pragma unroll
-    for (int k = 0; k < ROW; ++k) {
-        lanes_u tap;
+    for (int i = 0; i < LANES; ++i) {
+        row.row = rows[i];
 #pragma unroll
-        for (int i = 0; i < LANES; ++i)
-            tap.each[i] = rows[i].each[k];
-        taps[k] = tap.all;
+        for (int k = 0; k < ROW; ++k)
+            tap[k].each[i] = row.each[k];
     }
+#pragma unroll
+    for (int k = 0; k < ROW; ++k)
+        taps[k] = tap[k].all;
 #endif
 }

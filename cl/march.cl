@@ -24,7 +24,7 @@
 #include "common.cl"
 #include "filter.cl"
 #include "boundary.cl"
-#include "fetch.cl"
+#include "blend.cl"
 #include "sample.cl"
 #include "locate.cl"
 #include "real.cl"

@@ -6,7 +6,10 @@
 #include "common.cl"
 #include "filter.cl"
 #include "boundary.cl"
-#include "fetch.cl"
+#if LANES > 1 && ROW == 4
+#define SIDE 2
+#endif
+#include "blend.cl"
 #include "sample.cl"
 #include "locate.cl"
 #include "real.cl"
