@@ -1,8 +1,11 @@
 // LANES points at once: transforms, cells and weights are worked out for all of them in vectors, sums over rows of
 // taps point by point, and what is left along x in vectors again.
 //
-// A point in the domain is always one of a group, alone too, and a point outside never: what a point gives does not
-// depend on its neighbours.
+// A point in the domain is always one of a group, be it alone, and a point outside always comes after, alone: what a
+// point gives does not depend on its neighbours. Where some groups lie is worked out before any of them is sampled, so
+// that the one does not wait for the other.
+
+#define GROUPS 4   // whose cells are worked out together
 
 #include "lanes.cl"
 
@@ -38,15 +41,24 @@ INLINE coords_t to_coords(mask i)
 }
 
 typedef struct { coords_t x, y, z; } group_t;
-typedef struct { union { long4 halves[2]; long each[LANES]; } first; real tx, ty, tz; } group_cell_t;
+// The first of each point's taps among the coefficients, and the fractions past it. Bit i of `outer` is set if
+// point i is outside the domain: then its cell is any.
+typedef struct { union { long4 halves[2]; long each[LANES]; } first; real tx, ty, tz; int outer; } group_cell_t;
 
-// Points as they lie in memory, `count` of them and the last one again.
-INLINE group_t group_at(global const POINT *points, int count)
+// Up to LANES points from the n-th, and the last one again.
+INLINE group_t group_of(source_t source, int n, int count)
 {
+    group_t p;
+#if LATTICE
+    p.x = to_coords(source.i + n + (mask)(0, 1, 2, 3, 4, 5, 6, 7));
+    p.y = to_coords((mask)(source.j));
+    p.z = to_coords((mask)(source.k));
+#else
+    global const POINT *points = source + DIMENSIONS * n;
     typedef PASTE(POINT, 4) point4;
     typedef point4 point4_at __attribute__((aligned(4)));
     union { point4 four[2 * DIMENSIONS]; POINT each[LANES * DIMENSIONS]; } u;
-    if (count == LANES) {
+    if (count >= LANES) {
 #pragma unroll
         for (int i = 0; i < 2 * DIMENSIONS; ++i)
             u.four[i] = *(global const point4_at *)(points + 4 * i);
@@ -55,8 +67,9 @@ INLINE group_t group_at(global const POINT *points, int count)
         for (int i = 0; i < LANES * DIMENSIONS; ++i)
             u.each[i] = points[at_most(i / DIMENSIONS, count - 1) * DIMENSIONS + i % DIMENSIONS];
     }
-#define ALONG(axis, i) COORDS(((point4)(u.each[DIMENSIONS * i + axis], u.each[DIMENSIONS * (i + 1) + axis], u.each[DIMENSIONS * (i + 2) + axis], u.each[DIMENSIONS * (i + 3) + axis])))
-    group_t p;
+#define COMPONENT(i, axis) u.each[DIMENSIONS * (i) + axis]
+#define ALONG(axis, i) \
+    COORDS(((point4)(COMPONENT(i, axis), COMPONENT(i + 1, axis), COMPONENT(i + 2, axis), COMPONENT(i + 3, axis))))
     p.x.low = ALONG(0, 0); p.x.high = ALONG(0, 4);
     p.y.low = ALONG(1, 0); p.y.high = ALONG(1, 4);
 #if DIMENSIONS == 3
@@ -65,6 +78,8 @@ INLINE group_t group_at(global const POINT *points, int count)
     p.z = to_coords(NONE);
 #endif
 #undef ALONG
+#undef COMPONENT
+#endif
     return p;
 }
 
@@ -87,11 +102,6 @@ INLINE mask4 within_axis(coord4 x, int size)
     return x >= (coord)-0.5f & x <= size - (coord)0.5f;   // nothing that is not finite is inside
 }
 
-INLINE int any_of(mask4 m)
-{
-    return (m.x | m.y | m.z | m.w) != 0;
-}
-
 // As locate_inner_axis.
 INLINE mask group_axis(coords_t x, int halo, real *t)
 {
@@ -103,13 +113,37 @@ INLINE mask group_axis(coords_t x, int halo, real *t)
 }
 
 // As locate_inner and offset_of. The host sees to it that rows can be counted in an int.
-INLINE group_cell_t group_cells(group_t p, const int4 extent)
+INLINE group_cell_t group_cells(group_t p, constant coord *m, int4 size, int4 extent)
 {
     group_cell_t c;
-    const mask x = group_axis(p.x, extent.w, &c.tx);
-    mask row = group_axis(p.y, extent.w, &c.ty);
+    group_t at;
+    at.x = group_index(p, m, m[9]);
+    at.y = group_index(p, m + 3, m[10]);
+    mask4 low = within_axis(at.x.low, size.x) & within_axis(at.y.low, size.y);
+    mask4 high = within_axis(at.x.high, size.x) & within_axis(at.y.high, size.y);
 #if DIMENSIONS == 3
-    row += group_axis(p.z, extent.w, &c.tz) * extent.y;
+    at.z = group_index(p, m + 6, m[11]);
+    low &= within_axis(at.z.low, size.z);
+    high &= within_axis(at.z.high, size.z);
+#endif
+    const mask4 both = low & high;
+    c.outer = 0;
+    if (!(both.x & both.y & both.z & both.w)) {
+        const inside_u inside = { { low, high } };
+        for (int i = 0; i < LANES; ++i)
+            c.outer |= !inside.each[i] << i;
+#define BRING(axis) axis.low = low ? axis.low : 0, axis.high = high ? axis.high : 0
+        BRING(at.x);
+        BRING(at.y);
+#if DIMENSIONS == 3
+        BRING(at.z);
+#endif
+#undef BRING
+    }
+    const mask x = group_axis(at.x, extent.w, &c.tx);
+    mask row = group_axis(at.y, extent.w, &c.ty);
+#if DIMENSIONS == 3
+    row += group_axis(at.z, extent.w, &c.tz) * extent.y;
 #else
     c.tz = (real)(0.0f);
 #endif
@@ -225,59 +259,52 @@ INLINE real3 group_gradient(VOLUME_PARAMS, const group_cell_t *c)
 
 #endif
 
-// Results of the first `count` of a group of points: transform, w and fill as in outer_into.
-INLINE void group_into(VOLUME_PARAMS, group_t p, int count, int4 size, int4 period, constant coord *m, const float fill,
-                       global float *restrict results)
+// Results of up to LANES points.
+INLINE void group_into(VOLUME_PARAMS, const group_cell_t *cells, int count, constant coord *w, global float *restrict results)
 {
     typedef real real_at_t __attribute__((aligned(4)));
-    group_t at;
-    at.x = group_index(p, m, m[9]);
-    at.y = group_index(p, m + 3, m[10]);
-    mask4 low = within_axis(at.x.low, size.x) & within_axis(at.y.low, size.y);
-    mask4 high = within_axis(at.x.high, size.x) & within_axis(at.y.high, size.y);
-#if DIMENSIONS == 3
-    at.z = group_index(p, m + 6, m[11]);
-    low &= within_axis(at.z.low, size.z);
-    high &= within_axis(at.z.high, size.z);
-#else
-    at.z = to_coords(NONE);
-#endif
-    const int outer = any_of(~(low & high));
-    group_t inner = at;
-    if (outer) {   // those points lie anywhere, and come after
-#define BRING(axis) inner.axis.low = low ? at.axis.low : 0; inner.axis.high = high ? at.axis.high : 0
-        BRING(x);
-        BRING(y);
-        BRING(z);
-#undef BRING
-    }
-    const group_cell_t cells = group_cells(inner, extent);
+    union { real all[COMPONENTS]; float each[COMPONENTS * LANES]; } u;
 #if DERIVATIVE == 0
-    lanes_u value;
-    value.all = group_value(VOLUME, &cells);
-    if (count == LANES)
-        *(global real_at_t *)results = value.all;
-    else
-        for (int i = 0; i < count; ++i)
-            results[i] = value.each[i];
+    u.all[0] = group_value(VOLUME, cells);
 #else
-    const real3 g = group_gradient(VOLUME, &cells);
-    lanes_u along[DIMENSIONS];
+    const real3 g = group_gradient(VOLUME, cells);
 #pragma unroll
-    for (int i = 0; i < DIMENSIONS; ++i)
-        along[i].all = GRID_SCALE * ((float)m[12 + i] * g.x + (float)m[15 + i] * g.y + (float)m[18 + i] * g.z);
-    for (int i = 0; i < count; ++i)
+    for (int k = 0; k < DIMENSIONS; ++k) {
+        lanes_u along;
+        along.all = GRID_SCALE * ((float)w[k] * g.x + (float)w[3 + k] * g.y + (float)w[6 + k] * g.z);
 #pragma unroll
-        for (int k = 0; k < DIMENSIONS; ++k)
-            results[DIMENSIONS * i + k] = along[k].each[i];
+        for (int i = 0; i < LANES; ++i)
+            u.each[DIMENSIONS * i + k] = along.each[i];
+    }
 #endif
-    if (outer) {
-        inside_u inside;
-        coords_u x, y, z;
-        inside.halves[0] = low; inside.halves[1] = high;
-        x.all = at.x; y.all = at.y; z.all = at.z;
-        for (int i = 0; i < count; ++i)
-            if (!inside.each[i])
-                outer_into(VOLUME, x.each[i], y.each[i], z.each[i], size, period, m + 12, fill, results + COMPONENTS * i);
+    if (count >= LANES) {
+#pragma unroll
+        for (int i = 0; i < COMPONENTS; ++i)
+            *(global real_at_t *)(results + i * LANES) = u.all[i];
+    } else
+        for (int i = 0; i < count * COMPONENTS; ++i)
+            results[i] = u.each[i];
+}
+
+INLINE void run_into(VOLUME_PARAMS, source_t source, int count, const int4 size, const int4 period,
+                     constant coord *transform, const float fill, global float *results)
+{
+    group_cell_t cells[GROUPS];
+    for (int first = 0; first < count; first += GROUPS * LANES) {
+        const int end = at_most(first + GROUPS * LANES, count);
+        int outer = 0;
+#pragma unroll 1
+        for (int i = first, g = 0; i < end; i += LANES, ++g) {
+            cells[g] = group_cells(group_of(source, i, end - i), transform, size, extent);
+            outer |= cells[g].outer;
+        }
+#pragma unroll 1
+        for (int i = first, g = 0; i < end; i += LANES, ++g)
+            group_into(VOLUME, &cells[g], end - i, transform + 12, results + COMPONENTS * i);
+        if (outer)
+            for (int i = first; i < end; ++i)
+                if (cells[(i - first) / LANES].outer >> (i - first) % LANES & 1)
+                    outer_into(VOLUME, index_of(point_of(source, i), transform), size, period, transform + 12, fill,
+                               results + COMPONENTS * i);
     }
 }

@@ -24,6 +24,40 @@
 #define COMPONENTS (DIMENSIONS * DIMENSIONS)
 #endif
 
+// -- where points come from --------------------------------------------------------------------------------
+
+#if LATTICE
+// (i, j, k), and those that follow along i
+typedef struct { int i, j, k; } source_t;
+#else
+typedef global const POINT *source_t;
+#endif
+typedef struct { coord x, y, z; } position_t;
+
+INLINE position_t point_of(source_t source, size_t n)
+{
+#if LATTICE
+    const position_t p = { source.i + (int)n, source.j, source.k };
+#elif DIMENSIONS == 3
+    const position_t p = { source[3 * n], source[3 * n + 1], source[3 * n + 2] };
+#else
+    const position_t p = { source[2 * n], source[2 * n + 1], 0 };
+#endif
+    return p;
+}
+
+// transform: 9 entries of a matrix, row by row, then 3 of an offset: index = matrix position + offset,
+// from world positions, or from the lattice's own indices; then 9 of world_to_index.
+INLINE position_t index_of(position_t p, constant coord *m)
+{
+    const position_t at = { madd(m[0], p.x, madd(m[1], p.y, madd(m[2], p.z, m[9]))),
+                            madd(m[3], p.x, madd(m[4], p.y, madd(m[5], p.z, m[10]))),
+                            madd(m[6], p.x, madd(m[7], p.y, madd(m[8], p.z, m[11]))) };
+    return at;
+}
+
+// -- outside the domain ------------------------------------------------------------------------------------
+
 // Outside the domain every tap asks the boundary rule for its place: slow, right everywhere.
 INLINE float outer_blend(VOLUME_PARAMS, cell_t cell, int4 period,
                          const float *wx, const float *wy, const float *wz)
@@ -101,40 +135,42 @@ INLINE void to_world(float value, gradient_t g, hessian_t h, constant coord *w, 
 
 // Outside the domain the boundary rule holds, or, if FILL is set, the result is `fill`.
 // w: the rows of world_to_index, so index_j = sum_i w[3 j + i] world_i. Results are in world units.
-RARE void outer_into(VOLUME_PARAMS, coord x, coord y, coord z, int4 size, int4 period, constant coord *w,
-                     const float fill, global float *result)
+RARE void outer_into(VOLUME_PARAMS, position_t at, int4 size, int4 period, constant coord *w, const float fill,
+                     global float *result)
 {
     float value = 0.0f;
     gradient_t g = { 0.0f, 0.0f, 0.0f };
     hessian_t h = { 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f };
-    const int finite = x - x == 0 && y - y == 0 && z - z == 0;
+    const int finite = at.x - at.x == 0 && at.y - at.y == 0 && at.z - at.z == 0;
     if (!finite || FILL) {
         for (int i = 0; i < COMPONENTS; ++i)
             result[i] = finite ? fill : NAN;
         return;
     }
-    x = boundary_position(x, size.x, period.x);
-    y = boundary_position(y, size.y, period.y);
-    z = boundary_position(z, size.z, period.z);
-    outer_sample(VOLUME, locate(x, y, z, extent.w), period, &value, &g, &h);
+    at.x = boundary_position(at.x, size.x, period.x);
+    at.y = boundary_position(at.y, size.y, period.y);
+    at.z = boundary_position(at.z, size.z, period.z);
+    outer_sample(VOLUME, locate(at.x, at.y, at.z, extent.w), period, &value, &g, &h);
     to_world(value, g, h, w, result);
 }
 
+// -- results of `count` points ----------------------------------------------------------------------------
+
 #if LANES == 1
 
-INLINE void sample_into(VOLUME_PARAMS, coord x, coord y, coord z, int4 size, int4 period, constant coord *w,
-                        const float fill, global float *result)
+INLINE void sample_into(VOLUME_PARAMS, position_t at, const int4 size, const int4 period, constant coord *w, const float fill,
+                        global float *result)
 {
     float value = 0.0f;
     gradient_t g = { 0.0f, 0.0f, 0.0f };
     hessian_t h = { 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f };
-    const int inside = x >= -0.5f && x <= size.x - 0.5f && y >= -0.5f && y <= size.y - 0.5f
-        && z >= -0.5f && z <= size.z - 0.5f;   // 0 of one slice in 2-D; nothing that is not finite is inside
+    const int inside = at.x >= -0.5f && at.x <= size.x - 0.5f && at.y >= -0.5f && at.y <= size.y - 0.5f
+        && at.z >= -0.5f && at.z <= size.z - 0.5f;   // 0 of one slice in 2-D; nothing that is not finite is inside
     if (!inside) {
-        outer_into(VOLUME, x, y, z, size, period, w, fill, result);
+        outer_into(VOLUME, at, size, period, w, fill, result);
         return;
     }
-    const cell_t c = locate_inner(x, y, z, extent.w);
+    const cell_t c = locate_inner(at.x, at.y, at.z, extent.w);
 #if DERIVATIVE == 0
     value = sample_value(VOLUME, c);
 #elif DERIVATIVE == 1
@@ -145,43 +181,31 @@ INLINE void sample_into(VOLUME_PARAMS, coord x, coord y, coord z, int4 size, int
     to_world(value, g, h, w, result);
 }
 
+INLINE void run_into(VOLUME_PARAMS, source_t source, int count, const int4 size, const int4 period,
+                     constant coord *transform, const float fill, global float *results)
+{
+    for (int i = 0; i < count; ++i)
+        sample_into(VOLUME, index_of(point_of(source, i), transform), size, period, transform + 12, fill,
+                    results + COMPONENTS * i);
+}
+
 #else
 
 #include "group.cl"
 
 #endif
 
-// transform: 9 entries of a matrix, row by row, then 3 of an offset: index = matrix position + offset,
-// from world positions, or from the lattice's own indices; then 9 of world_to_index.
+// -- kernels: a work-item takes RUN points ----------------------------------------------------------------
+
 #if !LATTICE
 
 kernel void sample_points(VOLUME_PARAMS, const int4 size, const int4 period, constant coord *transform,
                           global const POINT *points, const ulong count, const float fill, global float *results)
 {
-    const size_t first = get_global_id(0) * RUN, end = first + RUN < count ? first + RUN : count;
-#if LANES == 1
-    for (size_t i = first; i < end; ++i) {
-        const coord a = points[DIMENSIONS * i], b = points[DIMENSIONS * i + 1];
-#if DIMENSIONS == 3
-        const coord c = points[DIMENSIONS * i + 2];
-#else
-        const coord c = 0;
-#endif
-        constant coord *m = transform;
-        sample_into(VOLUME, m[0] * a + m[1] * b + m[2] * c + m[9], m[3] * a + m[4] * b + m[5] * c + m[10],
-                    m[6] * a + m[7] * b + m[8] * c + m[11], size, period, transform + 12, fill, results + COMPONENTS * i);
-    }
-#else
-    for (size_t i = first; i < end; i += LANES) {
-        const int some = end - i < LANES ? end - i : LANES;
-        group_t p;
-        if (some == LANES)
-            p = group_at(points + DIMENSIONS * i, LANES);
-        else
-            p = group_at(points + DIMENSIONS * i, some);
-        group_into(VOLUME, p, some, size, period, transform, fill, results + COMPONENTS * i);
-    }
-#endif
+    const size_t first = get_global_id(0) * RUN;
+    if (first < count)
+        run_into(VOLUME, points + DIMENSIONS * first, count - first < RUN ? count - first : RUN, size, period, transform,
+                 fill, results + COMPONENTS * first);
 }
 
 #else
@@ -190,24 +214,10 @@ kernel void sample_points(VOLUME_PARAMS, const int4 size, const int4 period, con
 kernel void sample_lattice(VOLUME_PARAMS, const int4 size, const int4 period, constant coord *transform,
                            const int4 lattice, const float fill, global float *results)
 {
-    const int first = get_global_id(0) * RUN, j = (int)get_global_id(1) + lattice.z, k = (int)get_global_id(2) + lattice.w;
-    const int end = at_most(first + RUN, lattice.x);
-    if (j >= lattice.y)
-        return;
-    results += ((size_t)k * lattice.y + j) * lattice.x;
-#if LANES == 1
-    for (int i = first; i < end; ++i) {
-        const coord a = i, b = j, c = k;
-        constant coord *m = transform;
-        sample_into(VOLUME, m[0] * a + m[1] * b + m[2] * c + m[9], m[3] * a + m[4] * b + m[5] * c + m[10],
-                    m[6] * a + m[7] * b + m[8] * c + m[11], size, period, transform + 12, fill, results + COMPONENTS * i);
-    }
-#else
-    for (int i = first; i < end; i += LANES) {
-        const group_t p = { to_coords(i + (mask)(0, 1, 2, 3, 4, 5, 6, 7)), to_coords((mask)(j)), to_coords((mask)(k)) };
-        group_into(VOLUME, p, at_most(end - i, LANES), size, period, transform, fill, results + COMPONENTS * i);
-    }
-#endif
+    const source_t first = { get_global_id(0) * RUN, (int)get_global_id(1) + lattice.z, (int)get_global_id(2) + lattice.w };
+    if (first.i < lattice.x && first.j < lattice.y)
+        run_into(VOLUME, first, at_most(RUN, lattice.x - first.i), size, period, transform, fill,
+                 results + COMPONENTS * (((size_t)first.k * lattice.y + first.j) * lattice.x + first.i));
 }
 
 #endif

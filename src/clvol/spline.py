@@ -434,16 +434,17 @@ def _affine(device: Device, matrix: NDArray[np.float64], offset: NDArray[np.floa
 
 
 def _points_program(held: Coefficients, path: Path, derivative: int, fill: float | None, **more: str | int) -> program.Program:
-    lanes, run = (LANES, _RUN) if _in_groups(held.device, path, derivative) else (1, 1)
+    lanes, run = (LANES, _RUN) if _in_groups(held, path, derivative) else (1, 1)
     defines = {
         **held.defines(path), "DERIVATIVE": derivative, "FILL": int(fill is not None), "LANES": lanes, "RUN": run, **more
     }  # fmt: skip
     return program.build(held.device, "points.cl", defines)
 
 
-def _in_groups(device: Device, path: Path, derivative: int) -> bool:
+def _in_groups(held: Coefficients, path: Path, derivative: int) -> bool:
     """Whether a work-item takes a run of points, eight at a time: on processors, from buffers by direct taps."""
-    return device.kind == "cpu" and path == Path(False, False) and derivative < 2
+    rows = int(held.extent[1]) * int(held.extent[2])
+    return held.device.kind == "cpu" and path == Path(False, False) and derivative < 2 and rows <= np.iinfo(np.int32).max
 
 
 def sample_coefficients(
@@ -460,7 +461,7 @@ def sample_coefficients(
     kernel = built.kernel("sample_points")
     source = held.argument(path)
     step = _launch_points(held.filter, d, path)
-    groups = _in_groups(device, path, derivative)
+    groups = _in_groups(held, path, derivative)
     for first in range(0, points.shape[0], step):
         part = np.ascontiguousarray(points[first : first + step], dtype=kind)
         target = results[first : first + step]
@@ -504,7 +505,7 @@ def _run_lattice(
     nz, ny, nx = shape
     points = _launch_points(held.filter, held.volume.ndim, path)
     rows, slices = max(1, min(ny, points // nx)), max(1, points // (nx * ny))
-    items, together = (-(-nx // _RUN), 1) if _in_groups(device, path, 0) else (-(-nx // 8) * 8, 8)
+    items, together = (-(-nx // _RUN), 1) if _in_groups(held, path, 0) else (-(-nx // 8) * 8, 8)
     parts = [(z, y) for z in range(0, nz, slices) for y in range(0, ny, rows)]
     for done, (z, y) in enumerate(parts, 1):
         with device.errors:
