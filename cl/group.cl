@@ -8,94 +8,11 @@
 #define GROUPS 4   // whose cells are worked out together
 
 #include "lanes.cl"
+#include "positions.cl"
 
-// Positions along an axis: of lanes 0 to 3, and of lanes 4 to 7. (Of doubles, eight are wider than most registers.)
-#if COORD_DOUBLE
-typedef double4 coord4;
-typedef long4 mask4;
-typedef union { mask4 halves[2]; long each[LANES]; } inside_u;
-#else
-typedef float4 coord4;
-typedef int4 mask4;
-typedef union { mask4 halves[2]; int each[LANES]; } inside_u;
-#endif
-typedef struct { coord4 low, high; } coords_t;
-typedef union { coords_t all; coord each[LANES]; } coords_u;
-
-#ifdef __clang__
-#define CONVERT(v, kind) __builtin_convertvector(v, kind##4)
-#else
-#define CONVERT(v, kind) convert_##kind##4(v)
-#endif
-
-#if COORD_DOUBLE
-#define COORDS(v) CONVERT(v, double)
-#else
-#define COORDS(v) CONVERT(v, float)
-#endif
-
-INLINE coords_t to_coords(mask i)
-{
-    const coords_t c = { COORDS(i.lo), COORDS(i.hi) };
-    return c;
-}
-
-typedef struct { coords_t x, y, z; } group_t;
 // The first of each point's taps among the coefficients, and the fractions past it. Bit i of `outer` is set if
 // point i is outside the domain: then its cell is any.
 typedef struct { union { long4 halves[2]; long each[LANES]; } first; real tx, ty, tz; int outer; } group_cell_t;
-
-// Up to LANES points from the n-th, and the last one again.
-INLINE group_t group_of(source_t source, int n, int count)
-{
-    group_t p;
-#if LATTICE
-    p.x = to_coords(source.i + n + (mask)(0, 1, 2, 3, 4, 5, 6, 7));
-    p.y = to_coords((mask)(source.j));
-    p.z = to_coords((mask)(source.k));
-#else
-    global const POINT *points = source + DIMENSIONS * n;
-    typedef PASTE(POINT, 4) point4;
-    typedef point4 point4_at __attribute__((aligned(4)));
-    union { point4 four[2 * DIMENSIONS]; POINT each[LANES * DIMENSIONS]; } u;
-    if (count >= LANES) {
-#pragma unroll
-        for (int i = 0; i < 2 * DIMENSIONS; ++i)
-            u.four[i] = *(global const point4_at *)(points + 4 * i);
-    } else {
-#pragma unroll
-        for (int i = 0; i < LANES * DIMENSIONS; ++i)
-            u.each[i] = points[at_most(i / DIMENSIONS, count - 1) * DIMENSIONS + i % DIMENSIONS];
-    }
-#define COMPONENT(i, axis) u.each[DIMENSIONS * (i) + axis]
-#define ALONG(axis, i) \
-    COORDS(((point4)(COMPONENT(i, axis), COMPONENT(i + 1, axis), COMPONENT(i + 2, axis), COMPONENT(i + 3, axis))))
-    p.x.low = ALONG(0, 0); p.x.high = ALONG(0, 4);
-    p.y.low = ALONG(1, 0); p.y.high = ALONG(1, 4);
-#if DIMENSIONS == 3
-    p.z.low = ALONG(2, 0); p.z.high = ALONG(2, 4);
-#else
-    p.z = to_coords(NONE);
-#endif
-#undef ALONG
-#undef COMPONENT
-#endif
-    return p;
-}
-
-// One row of the transform.
-INLINE coords_t group_index(group_t p, constant coord *m, coord offset)
-{
-    coords_t c;
-#if DIMENSIONS == 3
-    c.low = madd(m[0], p.x.low, madd(m[1], p.y.low, madd(m[2], p.z.low, offset)));
-    c.high = madd(m[0], p.x.high, madd(m[1], p.y.high, madd(m[2], p.z.high, offset)));
-#else
-    c.low = madd(m[0], p.x.low, madd(m[1], p.y.low, offset));
-    c.high = madd(m[0], p.x.high, madd(m[1], p.y.high, offset));
-#endif
-    return c;
-}
 
 INLINE mask4 within_axis(coord4 x, int size)
 {
@@ -116,20 +33,17 @@ INLINE mask group_axis(coords_t x, int halo, real *t)
 INLINE group_cell_t group_cells(group_t p, constant coord *m, int4 size, int4 extent)
 {
     group_cell_t c;
-    group_t at;
-    at.x = group_index(p, m, m[9]);
-    at.y = group_index(p, m + 3, m[10]);
+    group_t at = group_index(p, m);
     mask4 low = within_axis(at.x.low, size.x) & within_axis(at.y.low, size.y);
     mask4 high = within_axis(at.x.high, size.x) & within_axis(at.y.high, size.y);
 #if DIMENSIONS == 3
-    at.z = group_index(p, m + 6, m[11]);
     low &= within_axis(at.z.low, size.z);
     high &= within_axis(at.z.high, size.z);
 #endif
     const mask4 both = low & high;
     c.outer = 0;
     if (!(both.x & both.y & both.z & both.w)) {
-        const inside_u inside = { { low, high } };
+        const union { mask4 halves[2]; mask_each each[LANES]; } inside = { { low, high } };
         for (int i = 0; i < LANES; ++i)
             c.outer |= !inside.each[i] << i;
 #define BRING(axis) axis.low = low ? axis.low : 0, axis.high = high ? axis.high : 0
@@ -259,8 +173,9 @@ INLINE real3 group_gradient(VOLUME_PARAMS, const group_cell_t *c)
 
 #endif
 
-// Results of up to LANES points.
-INLINE void group_into(VOLUME_PARAMS, const group_cell_t *cells, int count, constant coord *w, global float *restrict results)
+// Results of up to LANES points from the n-th.
+INLINE void group_into(VOLUME_PARAMS, const group_cell_t *cells, source_t source, int n, int count, constant coord *w,
+                       global float *results)
 {
     typedef real real_at_t __attribute__((aligned(4)));
     union { real all[COMPONENTS]; float each[COMPONENTS * LANES]; } u;
@@ -277,13 +192,18 @@ INLINE void group_into(VOLUME_PARAMS, const group_cell_t *cells, int count, cons
             u.each[DIMENSIONS * i + k] = along.each[i];
     }
 #endif
+#if !SORTED
     if (count >= LANES) {
 #pragma unroll
         for (int i = 0; i < COMPONENTS; ++i)
-            *(global real_at_t *)(results + i * LANES) = u.all[i];
-    } else
-        for (int i = 0; i < count * COMPONENTS; ++i)
-            results[i] = u.each[i];
+            *(global real_at_t *)(results + COMPONENTS * place_of(source, n) + i * LANES) = u.all[i];
+        return;
+    }
+#endif
+    for (int i = 0; i < at_most(LANES, count); ++i)
+#pragma unroll
+        for (int k = 0; k < COMPONENTS; ++k)
+            results[COMPONENTS * place_of(source, n + i) + k] = u.each[COMPONENTS * i + k];
 }
 
 INLINE void run_into(VOLUME_PARAMS, source_t source, int count, const int4 size, const int4 period,
@@ -300,11 +220,11 @@ INLINE void run_into(VOLUME_PARAMS, source_t source, int count, const int4 size,
         }
 #pragma unroll 1
         for (int i = first, g = 0; i < end; i += LANES, ++g)
-            group_into(VOLUME, &cells[g], end - i, transform + 12, results + COMPONENTS * i);
+            group_into(VOLUME, &cells[g], source, i, end - i, transform + 12, results);
         if (outer)
             for (int i = first; i < end; ++i)
                 if (cells[(i - first) / LANES].outer >> (i - first) % LANES & 1)
                     outer_into(VOLUME, index_of(point_of(source, i), transform), size, period, transform + 12, fill,
-                               results + COMPONENTS * i);
+                               results + COMPONENTS * place_of(source, i));
     }
 }

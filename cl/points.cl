@@ -1,7 +1,7 @@
 // Kernels: the function and its derivatives at given points, or on a lattice of points.
 //
-// Set by the host: DERIVATIVE (0, 1 or 2), LATTICE (points are computed, not read), POINT (their type), FILL, LANES
-// (points that are computed at once, 1 or 8) and RUN (how many points a work-item takes).
+// Set by the host: DERIVATIVE (0, 1 or 2), FILL, LANES (points that are computed at once, 1 or 8), RUN (how many points
+// a work-item takes), and what is included.
 
 #include "common.cl"
 #include "filter.cl"
@@ -12,6 +12,7 @@
 #include "blend.cl"
 #include "sample.cl"
 #include "locate.cl"
+#include "position.cl"
 #include "real.cl"
 
 #define RARE static __attribute__((noinline))   // kept out of the loop
@@ -23,38 +24,6 @@
 #else
 #define COMPONENTS (DIMENSIONS * DIMENSIONS)
 #endif
-
-// -- where points come from --------------------------------------------------------------------------------
-
-#if LATTICE
-// (i, j, k), and those that follow along i
-typedef struct { int i, j, k; } source_t;
-#else
-typedef global const POINT *source_t;
-#endif
-typedef struct { coord x, y, z; } position_t;
-
-INLINE position_t point_of(source_t source, size_t n)
-{
-#if LATTICE
-    const position_t p = { source.i + (int)n, source.j, source.k };
-#elif DIMENSIONS == 3
-    const position_t p = { source[3 * n], source[3 * n + 1], source[3 * n + 2] };
-#else
-    const position_t p = { source[2 * n], source[2 * n + 1], 0 };
-#endif
-    return p;
-}
-
-// transform: 9 entries of a matrix, row by row, then 3 of an offset: index = matrix position + offset,
-// from world positions, or from the lattice's own indices; then 9 of world_to_index.
-INLINE position_t index_of(position_t p, constant coord *m)
-{
-    const position_t at = { madd(m[0], p.x, madd(m[1], p.y, madd(m[2], p.z, m[9]))),
-                            madd(m[3], p.x, madd(m[4], p.y, madd(m[5], p.z, m[10]))),
-                            madd(m[6], p.x, madd(m[7], p.y, madd(m[8], p.z, m[11]))) };
-    return at;
-}
 
 // -- outside the domain ------------------------------------------------------------------------------------
 
@@ -186,7 +155,7 @@ INLINE void run_into(VOLUME_PARAMS, source_t source, int count, const int4 size,
 {
     for (int i = 0; i < count; ++i)
         sample_into(VOLUME, index_of(point_of(source, i), transform), size, period, transform + 12, fill,
-                    results + COMPONENTS * i);
+                    results + COMPONENTS * place_of(source, i));
 }
 
 #else
@@ -202,10 +171,9 @@ INLINE void run_into(VOLUME_PARAMS, source_t source, int count, const int4 size,
 kernel void sample_points(VOLUME_PARAMS, const int4 size, const int4 period, constant coord *transform,
                           global const POINT *points, const ulong count, const float fill, global float *results)
 {
-    const size_t first = get_global_id(0) * RUN;
-    if (first < count)
-        run_into(VOLUME, points + DIMENSIONS * first, count - first < RUN ? count - first : RUN, size, period, transform,
-                 fill, results + COMPONENTS * first);
+    const source_t source = { points, get_global_id(0) * RUN };
+    if (source.first < count)
+        run_into(VOLUME, source, count - source.first < RUN ? count - source.first : RUN, size, period, transform, fill, results);
 }
 
 #else
@@ -214,10 +182,10 @@ kernel void sample_points(VOLUME_PARAMS, const int4 size, const int4 period, con
 kernel void sample_lattice(VOLUME_PARAMS, const int4 size, const int4 period, constant coord *transform,
                            const int4 lattice, const float fill, global float *results)
 {
-    const source_t first = { get_global_id(0) * RUN, (int)get_global_id(1) + lattice.z, (int)get_global_id(2) + lattice.w };
-    if (first.i < lattice.x && first.j < lattice.y)
-        run_into(VOLUME, first, at_most(RUN, lattice.x - first.i), size, period, transform, fill,
-                 results + COMPONENTS * (((size_t)first.k * lattice.y + first.j) * lattice.x + first.i));
+    source_t source = { get_global_id(0) * RUN, (int)get_global_id(1) + lattice.z, (int)get_global_id(2) + lattice.w, 0 };
+    source.first = ((size_t)source.k * lattice.y + source.j) * lattice.x + source.i;
+    if (source.i < lattice.x && source.j < lattice.y)
+        run_into(VOLUME, source, at_most(RUN, lattice.x - source.i), size, period, transform, fill, results);
 }
 
 #endif
