@@ -1,4 +1,6 @@
-// Rows of taps blended along y and z, for one point or for SIDE of them whose rows lie side by side in a vector.
+// Rows of taps blended along y and z, for one point or for two whose rows lie side by side in a vector.
+//
+// Set before: SIDE, 1 or 2; 1 if not, and 2 for rows of four alone.
 
 #include "fetch.cl"
 
@@ -26,7 +28,7 @@ typedef cursor_t cursors_t;
 #define FETCH_ROWS(c, i, j) fetch_row(VOLUME, c, i, j)
 #define NEXT_SLICES(c) c = next_slice(VOLUME, c)
 #else
-typedef PASTE(float, 8) rows_t, weight_t;
+typedef float8 rows_t, weight_t;
 typedef struct { cursor_t low, high; } cursors_t;
 #define FETCH_ROWS(c, i, j) (rows_t)(fetch_row(VOLUME, (c).low, i, j), fetch_row(VOLUME, (c).high, i, j))
 #define NEXT_SLICES(c) (c).low = next_slice(VOLUME, (c).low), (c).high = next_slice(VOLUME, (c).high)

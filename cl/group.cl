@@ -7,6 +7,7 @@
 
 #define GROUPS 4   // whose cells are worked out together
 
+#include "real.cl"
 #include "lanes.cl"
 #include "positions.cl"
 

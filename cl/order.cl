@@ -1,10 +1,9 @@
 // Kernels: points sorted by the brick of the volume that they lie in, by counting. What is read for one of them is then
 // in a cache for the next.
 //
-// Set by the host: DIMENSIONS, BRICKS (how many at most), and what is included. A work-item takes a stretch of the points.
+// Set by the host: DIMENSIONS, BRICKS (how many at most), LANES (8), and what is included. A work-item takes a stretch of the points.
 
 #include "common.cl"
-#define LANES 8
 #include "real.cl"
 #include "position.cl"
 #include "positions.cl"

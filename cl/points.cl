@@ -13,7 +13,6 @@
 #include "sample.cl"
 #include "locate.cl"
 #include "position.cl"
-#include "real.cl"
 
 #define RARE static __attribute__((noinline))   // kept out of the loop
 

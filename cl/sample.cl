@@ -17,7 +17,7 @@ typedef struct { float xx, yy, zz, xy, xz, yz; } hessian_t;
 #define SLICE(unpack, t, w, flat) ((w)[0] = (flat))
 #endif
 
-#if SIDE == 1
+#if SIDE == 1   // sums of two points at once: group.cl
 
 // -- direct taps: rows of taps, blended along y and z, then dotted with the weights along x ----------------
 

@@ -49,8 +49,9 @@ _SAMPLES = {  # OpenCL's names of NumPy's types
     "i8": "long", "f4": "float", "f8": "double",
 }  # fmt: skip
 _RUN = 512  # points that a work-item takes on a processor, a multiple of LANES
-_CACHED = 8 << 20  # bytes of coefficients that caches hold: points in no order need not be sorted
-_LEAST_SORTED = 1 / 256  # points for each byte of coefficients; for fewer sorting costs more than it gains
+_CACHED = 4 << 20  # bytes of coefficients that caches hold: points in no order need not be sorted
+_LEAST_ROWS = 9  # of taps, a point: ... nor for fewer; and not unless ...
+_LEAST_VISITS = 2  # ... this many rows are read for each line of the cache that the coefficients would fill
 _SORTED_BYTES = 64 << 20  # of points that are sorted at a time
 _BRICKS = 1024  # that the volume is divided into, at most
 _PAIRS, _FAR = 1024, 16  # of points that follow each other; samples that lie between them if these are in no order
@@ -460,7 +461,7 @@ def sample_coefficients(
     device, volume, d = held.device, held.volume, held.volume.ndim
     kind = np.float64 if device.has_double and points.dtype != np.float32 else np.float32
     groups = _in_groups(held, path, derivative)
-    sorter = _Sorter(held, kind) if groups and _scattered(held, points) else None
+    sorter = _Sorter(held, kind, points.shape[0]) if groups and _scattered(held, points) else None
     built = _points_program(held, path, derivative, fill, LATTICE=0, SORTED=int(sorter is not None), **_point(kind))
     inverse = volume.world_to_index_matrix
     transform = _affine(device, inverse, -inverse @ np.asarray(volume.origin), inverse)
@@ -482,8 +483,9 @@ def sample_coefficients(
                     coefficients, held.extent, held.size, held.period, transform, source, np.uint64(begin + some),
                     np.float32(0 if fill is None else fill), wanted, global_offset=(begin // _RUN if groups else begin,),
                 )  # fmt: skip
-        if progress:
-            progress((first + count) / points.shape[0])
+                device.finish()
+                if progress:
+                    progress((first + begin + some) / points.shape[0])
     return results[:, 0] if derivative == 0 else results
 
 
@@ -494,8 +496,8 @@ def _point(kind: type[np.generic]) -> dict[str, str | int]:
 
 def _scattered(held: Coefficients, points: NDArray[Any]) -> bool:
     """Whether points that follow each other mostly lie too far apart to share what a cache holds, and are worth sorting."""
-    count = points.shape[0]
-    if held._bytes < _CACHED or count < _LEAST_SORTED * held._bytes:
+    count, rows = points.shape[0], held.filter.support ** (held.volume.ndim - 1)
+    if held._bytes < _CACHED or rows < _LEAST_ROWS or 64 * count * rows < _LEAST_VISITS * held._bytes:
         return False
     at = np.linspace(0, count - 2, _PAIRS).astype(np.int64)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -506,7 +508,7 @@ def _scattered(held: Coefficients, points: NDArray[Any]) -> bool:
 class _Sorter:
     """The host side of order.cl: sorts points by the brick of the volume they lie in."""
 
-    def __init__(self, held: Coefficients, kind: type[np.generic]) -> None:
+    def __init__(self, held: Coefficients, kind: type[np.generic], count: int) -> None:
         self._held = held
         device, last = held.device, held.size[:3].astype(np.int64) - 1
         bits = next(b for b in range(32) if math.prod(((last >> b) + 1).tolist()) <= _BRICKS)
@@ -514,11 +516,11 @@ class _Sorter:
         self._grid = np.array([across, down, bits, 0], np.int32)
         self._items = 8 * device.units
         self._program = program.build(device, "order.cl", {
-            "DIMENSIONS": held.volume.ndim, "BRICKS": _BRICKS, "LATTICE": 0, "SORTED": 0,
+            "DIMENSIONS": held.volume.ndim, "LANES": LANES, "BRICKS": _BRICKS, "LATTICE": 0, "SORTED": 0,
             "COORD_DOUBLE": int(device.has_double), **_point(kind),
         })  # fmt: skip
         record = 4 * np.dtype(kind).itemsize
-        self.room = _SORTED_BYTES // record
+        self.room = min(count, _SORTED_BYTES // record)
         self._sorted = device.allocate(record * self.room)
         self._bricks = device.allocate(2 * self.room)
         self._counts = device.allocate(4 * self._items * _BRICKS)
