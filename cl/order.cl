@@ -1,7 +1,8 @@
 // Kernels: points sorted by the brick of the volume that they lie in, by counting. What is read for one of them is then
 // in a cache for the next.
 //
-// Set by the host: DIMENSIONS, BRICKS (how many at most), LANES (8), and what is included. A work-item takes a stretch of the points.
+// Set by the host: DIMENSIONS, BRICKS (how many at most), LANES (8), and what is included. A work-item takes a stretch
+// of the points.
 
 #include "common.cl"
 #include "real.cl"
