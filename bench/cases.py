@@ -114,8 +114,8 @@ def measure(work: Work) -> Measurement:
 _WEIGHTS, _SLOPES = 3 * 4 * 3, 3 * 4 * 2
 PREFILTER = Cost(bytes=8, multiply_adds=9)  # every sample read and every coefficient written once; two recursions an axis, gain
 VALUE = Cost(bytes=16, loads=16, multiply_adds=_WEIGHTS + 64 + 16 + 4)  # a point in, a value out
-# the same where nothing of the last sample's is still in a cache: lines of 64 bytes, two for three rows in sixteen
-SCATTERED = Cost(bytes=16 + 64 * 16 * (1 + 3 / 16), loads=16, multiply_adds=VALUE.multiply_adds)
+# the same for points that are sorted first: read twice, written with their places and read again
+SCATTERED = Cost(bytes=2 * 12 + 2 * 16 + 4, loads=16, multiply_adds=VALUE.multiply_adds)
 # rows by weights and slopes; columns by weights, slopes, weights; slices likewise, for (x, y, z, value)
 GRADIENT = Cost(bytes=24, loads=16, multiply_adds=_WEIGHTS + _SLOPES + 2 * 64 + 3 * 16 + 3 * 4)
 MAGNIFY = Cost(bytes=4.5, multiply_adds=3.5 * (1 + 1 / 2 + 1 / 4) + 9 / 8)  # three or four taps an axis, axis by axis

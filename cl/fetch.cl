@@ -20,12 +20,14 @@ INLINE float fetch_one(VOLUME_PARAMS, int x, int y, int z)
 typedef int4 cursor_t;
 INLINE cursor_t cursor_at(VOLUME_PARAMS, int x, int y, int z) { return (int4)(x, y, z, 0); }
 
-INLINE row_t fetch_row(VOLUME_PARAMS, cursor_t c, int i, int j, int k)
+INLINE cursor_t next_slice(VOLUME_PARAMS, cursor_t c) { return c + (int4)(0, 0, 1, 0); }
+
+INLINE row_t fetch_row(VOLUME_PARAMS, cursor_t c, int i, int j)
 {
     row_u taps;
 #pragma unroll
     for (int n = 0; n < ROW; ++n)
-        taps.each[n] = fetch_one(VOLUME, c.x + i + n, c.y + j, c.z + k);
+        taps.each[n] = fetch_one(VOLUME, c.x + i + n, c.y + j, c.z);
     return taps.row;
 }
 
@@ -53,10 +55,11 @@ INLINE float fetch_one(VOLUME_PARAMS, int x, int y, int z)
 typedef global const float *cursor_t;
 INLINE cursor_t cursor_at(VOLUME_PARAMS, int x, int y, int z) { return coefficients + offset_of(extent, x, y, z); }
 
-INLINE row_t fetch_row(VOLUME_PARAMS, cursor_t c, int i, int j, int k)
+INLINE cursor_t next_slice(VOLUME_PARAMS, cursor_t c) { return c + (size_t)extent.x * extent.y; }
+
+INLINE row_t fetch_row(VOLUME_PARAMS, cursor_t c, int i, int j)
 {
-    const size_t row = extent.x, slice = row * extent.y;
-    return *(global const row_at_t *)(c + (k * slice + j * row + i));
+    return *(global const row_at_t *)(c + (j * (size_t)extent.x + i));
 }
 
 INLINE float fetch_linear(VOLUME_PARAMS, float x, float y, float z)

@@ -21,10 +21,16 @@
 // Set by the host: SLAB, LANES, TILE_WIDTH, TILE_HEIGHT, PATCHED, ENDPOINTS, SHADED, GRADIENT_CENTRAL, GUIDES,
 // TABLE_SIZE, and what is included.
 
+// Where registers hold sixteen numbers, twice as many rays. (Elsewhere PoCL 3.0 aborts on float16 on some processors.)
+#if LANES == 8 && TILE_HEIGHT % 2 == 0 && defined(__clang__) && defined(__AVX512F__)
+#undef LANES
+#define LANES 16
+#endif
+
 #include "common.cl"
 #include "filter.cl"
 #include "boundary.cl"
-#include "fetch.cl"
+#include "blend.cl"
 #include "sample.cl"
 #include "locate.cl"
 #include "real.cl"
@@ -130,7 +136,7 @@ INLINE real value_here(SCENE_PARAMS, real t, mask active)
     lane_weights(here->cell.tu, here->wu);
     lane_weights(here->cell.tv, here->wv);
     patch_gather(patch->values, &here->cell, here->wv, here->columns);
-    return patch_dot(here->columns, here->wu);
+    return lane_dot(here->columns, here->wu);
 }
 
 INLINE real3 gradient_here(SCENE_PARAMS, real t, mask active)
@@ -143,12 +149,12 @@ INLINE real3 gradient_here(SCENE_PARAMS, real t, mask active)
     }
     real slopes[TAPS], columns[TAPS];
     lane_slopes(here->cell.tu, slopes);
-    const real du = GRID_SCALE * patch_dot(here->columns, slopes);
+    const real du = GRID_SCALE * lane_dot(here->columns, slopes);
     lane_slopes(here->cell.tv, slopes);
     patch_gather(patch->values, &here->cell, slopes, columns);
-    const real dv = GRID_SCALE * patch_dot(columns, here->wu);
+    const real dv = GRID_SCALE * lane_dot(columns, here->wu);
     patch_gather(patch->slopes, &here->cell, here->wv, columns);
-    const real da = GRID_SCALE * patch_dot(columns, here->wu);
+    const real da = GRID_SCALE * lane_dot(columns, here->wu);
     const int axis = frame->axis;
     return transpose3(frame->gradient, axis == 0 ? real3_of(da, du, dv) : axis == 1 ? real3_of(du, da, dv) : real3_of(du, dv, da));
 }

@@ -4,6 +4,8 @@
 //
 // u and v are the two axes of a plane: x before y before z.
 
+#include "lanes.cl"
+
 #define PATCH 48      // coefficients along an edge of a patch, at most
 #define PATCH_ROOM (PATCH * PATCH + 8)
 
@@ -99,29 +101,6 @@ INLINE void patch_move(patch_t *patch, VOLUME_PARAMS, int axis, float way, float
     }
 }
 
-// Weights of LANES samples at once: by Horner's rule, tap by tap.
-INLINE void lane_weights(real t, real w[TAPS])
-{
-#pragma unroll
-    for (int i = 0; i < TAPS; ++i) {
-        w[i] = (real)(filter_taps[i][DEGREE]);
-#pragma unroll
-        for (int k = DEGREE - 1; k >= 0; --k)
-            w[i] = madd(w[i], t, filter_taps[i][k]);
-    }
-}
-
-INLINE void lane_slopes(real t, real w[TAPS])
-{
-#pragma unroll
-    for (int i = 0; i < TAPS; ++i) {
-        w[i] = (real)(DEGREE * filter_taps[i][DEGREE]);
-#pragma unroll
-        for (int k = DEGREE - 1; k >= 1; --k)
-            w[i] = madd(w[i], t, k * filter_taps[i][k]);
-    }
-}
-
 // Where LANES samples lie in the patch. Positions outside are moved inside: lanes that are not active may ask
 // for anything.
 typedef struct { lane_indices_u at; real tu, tv; } patch_cell_t;
@@ -188,13 +167,4 @@ INLINE void patch_gather(const float *blend, const patch_cell_t *c, const real w
     for (int k = 0; k < TAPS; ++k)
         columns[k] = column[k].all;
 #endif
-}
-
-INLINE real patch_dot(const real columns[TAPS], const real wu[TAPS])
-{
-    real sum = wu[0] * columns[0];
-#pragma unroll
-    for (int k = 1; k < TAPS; ++k)
-        sum = madd(wu[k], columns[k], sum);
-    return sum;
 }

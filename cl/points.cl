@@ -1,13 +1,20 @@
 // Kernels: the function and its derivatives at given points, or on a lattice of points.
 //
-// Set by the host: DERIVATIVE (0, 1 or 2), LATTICE (points are computed, not read), POINT (their type), FILL.
+// Set by the host: DERIVATIVE (0, 1 or 2), FILL, LANES (points that are computed at once, 1 or 8), RUN (how many points
+// a work-item takes), and what is included.
 
 #include "common.cl"
 #include "filter.cl"
 #include "boundary.cl"
-#include "fetch.cl"
+#if LANES > 1 && ROW == 4
+#define SIDE 2
+#endif
+#include "blend.cl"
 #include "sample.cl"
 #include "locate.cl"
+#include "position.cl"
+
+#define RARE static __attribute__((noinline))   // kept out of the loop
 
 #if DERIVATIVE == 0
 #define COMPONENTS 1
@@ -16,6 +23,8 @@
 #else
 #define COMPONENTS (DIMENSIONS * DIMENSIONS)
 #endif
+
+// -- outside the domain ------------------------------------------------------------------------------------
 
 // Outside the domain every tap asks the boundary rule for its place: slow, right everywhere.
 INLINE float outer_blend(VOLUME_PARAMS, cell_t cell, int4 period,
@@ -72,37 +81,9 @@ INLINE void outer_sample(VOLUME_PARAMS, cell_t c, int4 period, float *value, gra
 #endif
 }
 
-// One result, in world units. w: the rows of world_to_index, so index_j = sum_i w[3 j + i] world_i.
-// Outside the domain the boundary rule holds, or, if FILL is set, the result is `fill`.
-INLINE void sample_into(VOLUME_PARAMS, coord x, coord y, coord z, int4 size, int4 period, constant coord *w,
-                        const float fill, global float *result)
+// One result, in world units. w: see outer_into.
+INLINE void to_world(float value, gradient_t g, hessian_t h, constant coord *w, global float *result)
 {
-    float value = 0.0f;
-    gradient_t g = { 0.0f, 0.0f, 0.0f };
-    hessian_t h = { 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f };
-    const int inside = x >= -0.5f && x <= size.x - 0.5f && y >= -0.5f && y <= size.y - 0.5f
-        && z >= -0.5f && z <= size.z - 0.5f;   // 0 of one slice in 2-D; nothing that is not finite is inside
-    if (inside) {
-        const cell_t c = locate_inner(x, y, z, extent.w);
-#if DERIVATIVE == 0
-        value = sample_value(VOLUME, c);
-#elif DERIVATIVE == 1
-        g = sample_gradient(VOLUME, c, &value);
-#else
-        h = taps_hessian(VOLUME, c);
-#endif
-    } else {
-        const int finite = x - x == 0 && y - y == 0 && z - z == 0;
-        if (!finite || FILL) {
-            for (int i = 0; i < COMPONENTS; ++i)
-                result[i] = finite ? fill : NAN;
-            return;
-        }
-        x = boundary_position(x, size.x, period.x);
-        y = boundary_position(y, size.y, period.y);
-        z = boundary_position(z, size.z, period.z);
-        outer_sample(VOLUME, locate(x, y, z, extent.w), period, &value, &g, &h);
-    }
     const float s = GRID_SCALE;
 #if DERIVATIVE == 0
     result[0] = value;
@@ -120,25 +101,78 @@ INLINE void sample_into(VOLUME_PARAMS, coord x, coord y, coord z, int4 size, int
 #endif
 }
 
-// transform: 9 entries of a matrix, row by row, then 3 of an offset: index = matrix position + offset,
-// from world positions, or from the lattice's own indices; then 9 of world_to_index.
+// Outside the domain the boundary rule holds, or, if FILL is set, the result is `fill`.
+// w: the rows of world_to_index, so index_j = sum_i w[3 j + i] world_i. Results are in world units.
+RARE void outer_into(VOLUME_PARAMS, position_t at, int4 size, int4 period, constant coord *w, const float fill,
+                     global float *result)
+{
+    float value = 0.0f;
+    gradient_t g = { 0.0f, 0.0f, 0.0f };
+    hessian_t h = { 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f };
+    const int finite = at.x - at.x == 0 && at.y - at.y == 0 && at.z - at.z == 0;
+    if (!finite || FILL) {
+        for (int i = 0; i < COMPONENTS; ++i)
+            result[i] = finite ? fill : NAN;
+        return;
+    }
+    at.x = boundary_position(at.x, size.x, period.x);
+    at.y = boundary_position(at.y, size.y, period.y);
+    at.z = boundary_position(at.z, size.z, period.z);
+    outer_sample(VOLUME, locate(at.x, at.y, at.z, extent.w), period, &value, &g, &h);
+    to_world(value, g, h, w, result);
+}
+
+// -- results of `count` points ----------------------------------------------------------------------------
+
+#if LANES == 1
+
+INLINE void sample_into(VOLUME_PARAMS, position_t at, const int4 size, const int4 period, constant coord *w, const float fill,
+                        global float *result)
+{
+    float value = 0.0f;
+    gradient_t g = { 0.0f, 0.0f, 0.0f };
+    hessian_t h = { 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f };
+    const int inside = at.x >= -0.5f && at.x <= size.x - 0.5f && at.y >= -0.5f && at.y <= size.y - 0.5f
+        && at.z >= -0.5f && at.z <= size.z - 0.5f;   // 0 of one slice in 2-D; nothing that is not finite is inside
+    if (!inside) {
+        outer_into(VOLUME, at, size, period, w, fill, result);
+        return;
+    }
+    const cell_t c = locate_inner(at.x, at.y, at.z, extent.w);
+#if DERIVATIVE == 0
+    value = sample_value(VOLUME, c);
+#elif DERIVATIVE == 1
+    g = sample_gradient(VOLUME, c, &value);
+#else
+    h = taps_hessian(VOLUME, c);
+#endif
+    to_world(value, g, h, w, result);
+}
+
+INLINE void run_into(VOLUME_PARAMS, source_t source, int count, const int4 size, const int4 period,
+                     constant coord *transform, const float fill, global float *results)
+{
+    for (int i = 0; i < count; ++i)
+        sample_into(VOLUME, index_of(point_of(source, i), transform), size, period, transform + 12, fill,
+                    results + COMPONENTS * place_of(source, i));
+}
+
+#else
+
+#include "group.cl"
+
+#endif
+
+// -- kernels: a work-item takes RUN points ----------------------------------------------------------------
+
 #if !LATTICE
 
 kernel void sample_points(VOLUME_PARAMS, const int4 size, const int4 period, constant coord *transform,
                           global const POINT *points, const ulong count, const float fill, global float *results)
 {
-    const size_t i = get_global_id(0);
-    if (i >= count)
-        return;
-    const coord a = points[DIMENSIONS * i], b = points[DIMENSIONS * i + 1];
-#if DIMENSIONS == 3
-    const coord c = points[DIMENSIONS * i + 2];
-#else
-    const coord c = 0;
-#endif
-    constant coord *m = transform;
-    sample_into(VOLUME, m[0] * a + m[1] * b + m[2] * c + m[9], m[3] * a + m[4] * b + m[5] * c + m[10],
-                m[6] * a + m[7] * b + m[8] * c + m[11], size, period, transform + 12, fill, results + COMPONENTS * i);
+    const source_t source = { points, get_global_id(0) * RUN };
+    if (source.first < count)
+        run_into(VOLUME, source, count - source.first < RUN ? count - source.first : RUN, size, period, transform, fill, results);
 }
 
 #else
@@ -147,14 +181,10 @@ kernel void sample_points(VOLUME_PARAMS, const int4 size, const int4 period, con
 kernel void sample_lattice(VOLUME_PARAMS, const int4 size, const int4 period, constant coord *transform,
                            const int4 lattice, const float fill, global float *results)
 {
-    const int i = get_global_id(0), j = (int)get_global_id(1) + lattice.z, k = (int)get_global_id(2) + lattice.w;
-    if (i >= lattice.x || j >= lattice.y)
-        return;
-    const coord a = i, b = j, c = k;
-    constant coord *m = transform;
-    sample_into(VOLUME, m[0] * a + m[1] * b + m[2] * c + m[9], m[3] * a + m[4] * b + m[5] * c + m[10],
-                m[6] * a + m[7] * b + m[8] * c + m[11], size, period, transform + 12, fill,
-                results + COMPONENTS * (((size_t)k * lattice.y + j) * lattice.x + i));
+    source_t source = { get_global_id(0) * RUN, (int)get_global_id(1) + lattice.z, (int)get_global_id(2) + lattice.w, 0 };
+    source.first = ((size_t)source.k * lattice.y + source.j) * lattice.x + source.i;
+    if (source.i < lattice.x && source.j < lattice.y)
+        run_into(VOLUME, source, at_most(RUN, lattice.x - source.i), size, period, transform, fill, results);
 }
 
 #endif

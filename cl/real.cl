@@ -1,11 +1,5 @@
 // Modes are written once, for one ray or for LANES rays at a time: `real` is float or a vector of them.
 
-// Where registers hold sixteen numbers, twice as many rays. (Elsewhere PoCL 3.0 aborts on float16 on some processors.)
-#if LANES == 8 && TILE_HEIGHT % 2 == 0 && defined(__clang__) && defined(__AVX512F__)
-#undef LANES
-#define LANES 16
-#endif
-
 #if LANES == 1
 typedef float real;
 typedef int mask;

@@ -4,19 +4,6 @@
 // Set by the host: DIMENSIONS (2 or 3), EIGHT_FETCH_VALUE and EIGHT_FETCH_GRADIENT (whether pairs of
 // weights, and of their derivatives, share their sign: Filter.pairable), besides what is included.
 
-// Unrolled, a thousand taps take some compilers minutes.
-#if TAPS > 6
-#define UNROLL_SLICES _Pragma("unroll 1")
-#else
-#define UNROLL_SLICES _Pragma("unroll")
-#endif
-
-#if DIMENSIONS == 3
-#define SLICES TAPS
-#else
-#define SLICES 1
-#endif
-
 // Where a point lies among the stored coefficients: the first tap, and the fraction past it.
 typedef struct { int x, y, z; float tx, ty, tz; } cell_t;
 
@@ -30,6 +17,8 @@ typedef struct { float xx, yy, zz, xy, xz, yz; } hessian_t;
 #define SLICE(unpack, t, w, flat) ((w)[0] = (flat))
 #endif
 
+#if SIDE == 1   // sums of two points at once: group.cl
+
 // -- direct taps: rows of taps, blended along y and z, then dotted with the weights along x ----------------
 
 INLINE float taps_value(VOLUME_PARAMS, cell_t c)
@@ -39,18 +28,8 @@ INLINE float taps_value(VOLUME_PARAMS, cell_t c)
     unpack_weights(c.ty, wy);
     SLICE(unpack_weights, c.tz, wz, 1.0f);
 #pragma unroll
-    for (int i = 0; i < CHUNKS; ++i) {
-        row_t sum = (row_t)(0.0f);
-        UNROLL_SLICES
-        for (int k = 0; k < SLICES; ++k) {
-            row_t plane = (row_t)(0.0f);
-#pragma unroll
-            for (int j = 0; j < TAPS; ++j)
-                plane = madd(wy[j], fetch_row(VOLUME, first, i * ROW, j, k), plane);
-            sum = madd(wz[k], plane, sum);
-        }
-        value += row_sum(sum * tap_weights(c.tx, i));
-    }
+    for (int i = 0; i < CHUNKS; ++i)
+        value += row_sum(blend_rows(VOLUME, first, i * ROW, wy, wz) * tap_weights(c.tx, i));
     return value;
 }
 
@@ -66,25 +45,12 @@ INLINE gradient_t taps_gradient(VOLUME_PARAMS, cell_t c, float *value)
     *value = 0.0f;
 #pragma unroll
     for (int i = 0; i < CHUNKS; ++i) {
-        row_t sum = (row_t)(0.0f), sum_y = sum, sum_z = sum;
-        UNROLL_SLICES
-        for (int k = 0; k < SLICES; ++k) {
-            row_t plane = (row_t)(0.0f), plane_y = plane;
-#pragma unroll
-            for (int j = 0; j < TAPS; ++j) {
-                const row_t row = fetch_row(VOLUME, first, i * ROW, j, k);
-                plane = madd(wy[j], row, plane);
-                plane_y = madd(sy[j], row, plane_y);
-            }
-            sum = madd(wz[k], plane, sum);
-            sum_y = madd(wz[k], plane_y, sum_y);
-            sum_z = madd(sz[k], plane, sum_z);
-        }
+        const slopes_t s = blend_slopes(VOLUME, first, i * ROW, wy, sy, wz, sz);
         const row_t wx = tap_weights(c.tx, i);
-        *value += row_sum(sum * wx);
-        g.x += row_sum(sum * tap_slopes(c.tx, i));
-        g.y += row_sum(sum_y * wx);
-        g.z += row_sum(sum_z * wx);
+        *value += row_sum(s.sum * wx);
+        g.x += row_sum(s.sum * tap_slopes(c.tx, i));
+        g.y += row_sum(s.sum_y * wx);
+        g.z += row_sum(s.sum_z * wx);
     }
     return g;
 }
@@ -102,13 +68,14 @@ INLINE hessian_t taps_hessian(VOLUME_PARAMS, cell_t c)
     SLICE(unpack_bends, c.tz, bz, 0.0f);
 #pragma unroll
     for (int i = 0; i < CHUNKS; ++i) {
+        cursor_t slice = first;
         row_t sum = (row_t)(0.0f), sum_y = sum, sum_z = sum, sum_yy = sum, sum_yz = sum, sum_zz = sum;
         UNROLL_SLICES
-        for (int k = 0; k < SLICES; ++k) {
+        for (int k = 0; k < SLICES; ++k, slice = next_slice(VOLUME, slice)) {
             row_t plane = (row_t)(0.0f), plane_y = plane, plane_yy = plane;
 #pragma unroll
             for (int j = 0; j < TAPS; ++j) {
-                const row_t row = fetch_row(VOLUME, first, i * ROW, j, k);
+                const row_t row = fetch_row(VOLUME, slice, i * ROW, j);
                 plane = madd(wy[j], row, plane);
                 plane_y = madd(sy[j], row, plane_y);
                 plane_yy = madd(by[j], row, plane_yy);
@@ -234,3 +201,5 @@ INLINE gradient_t sample_gradient(VOLUME_PARAMS, cell_t c, float *value)
     return taps_gradient(VOLUME, c, value);
 #endif
 }
+
+#endif

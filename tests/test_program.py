@@ -17,7 +17,7 @@ from clvol.filters import as_filter, filters
 from clvol.modes import modes
 from clvol.render import FRAME, _frame_declaration
 
-KERNELS = ["march.cl", "points.cl", "prefilter.cl", "halo.cl"]
+KERNELS = ["march.cl", "points.cl", "order.cl", "prefilter.cl", "halo.cl"]
 FOLDER = program._folder()
 EVERY = sorted(str(p.relative_to(FOLDER)) for p in FOLDER.rglob("*.cl"))
 GENERATED = {"frame.cl": _frame_declaration()}

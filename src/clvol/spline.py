@@ -48,6 +48,13 @@ _SAMPLES = {  # OpenCL's names of NumPy's types
     "b1": "uchar", "u1": "uchar", "i1": "char", "u2": "ushort", "i2": "short", "u4": "uint", "i4": "int", "u8": "ulong",
     "i8": "long", "f4": "float", "f8": "double",
 }  # fmt: skip
+_RUN = 512  # points that a work-item takes on a processor, a multiple of LANES
+_CACHED = 4 << 20  # bytes of coefficients that caches hold: points in no order need not be sorted
+_LEAST_ROWS = 9  # of taps, a point: ... nor for fewer; and not unless ...
+_LEAST_VISITS = 2  # ... this many rows are read for each line of the cache that the coefficients would fill
+_SORTED_BYTES = 32 << 20  # of points that are sorted at a time
+_BRICKS = 1024  # that the volume is divided into, at most
+_PAIRS, _FAR = 1024, 16  # of points that follow each other; samples that lie between them if these are in no order
 _BLOCK = 16  # rows that separable.cl makes at once
 _ITEMS_A_CORE = 16  # ... and among how many work-items it shares them out on each core, so that none waits long for another
 _NO_SHEAR = 1e-9  # samples
@@ -433,8 +440,17 @@ def _affine(device: Device, matrix: NDArray[np.float64], offset: NDArray[np.floa
 
 
 def _points_program(held: Coefficients, path: Path, derivative: int, fill: float | None, **more: str | int) -> program.Program:
-    defines = {**held.defines(path), "DERIVATIVE": derivative, "FILL": int(fill is not None), **more}
+    lanes, run = (LANES, _RUN) if _in_groups(held, path, derivative) else (1, 1)
+    defines = {
+        **held.defines(path), "DERIVATIVE": derivative, "FILL": int(fill is not None), "LANES": lanes, "RUN": run, **more
+    }  # fmt: skip
     return program.build(held.device, "points.cl", defines)
+
+
+def _in_groups(held: Coefficients, path: Path, derivative: int) -> bool:
+    """Whether a work-item takes a run of points, eight at a time: on processors, from buffers by direct taps."""
+    rows = int(held.extent[1]) * int(held.extent[2])
+    return held.device.kind == "cpu" and path == Path(False, False) and derivative < 2 and rows <= np.iinfo(np.int32).max
 
 
 def sample_coefficients(
@@ -444,25 +460,84 @@ def sample_coefficients(
     """Results at world positions of shape (N, d): (N,), (N, d) or (N, d * d); `sample` of a volume held on a device."""
     device, volume, d = held.device, held.volume, held.volume.ndim
     kind = np.float64 if device.has_double and points.dtype != np.float32 else np.float32
-    built = _points_program(held, path, derivative, fill, LATTICE=0, POINT="double" if kind == np.float64 else "float")
+    groups = _in_groups(held, path, derivative)
+    sorter = _Sorter(held, kind, points.shape[0]) if groups and _scattered(held, points) else None
+    built = _points_program(held, path, derivative, fill, LATTICE=0, SORTED=int(sorter is not None), **_point(kind))
     inverse = volume.world_to_index_matrix
     transform = _affine(device, inverse, -inverse @ np.asarray(volume.origin), inverse)
     results = np.empty((points.shape[0], d**derivative), np.float32)
     kernel = built.kernel("sample_points")
-    source = held.argument(path)
-    step = _launch_points(held.filter, d, path)
+    coefficients = held.argument(path)
+    launch = _launch_points(held.filter, d, path)
+    step = launch if sorter is None else sorter.room
     for first in range(0, points.shape[0], step):
         part = np.ascontiguousarray(points[first : first + step], dtype=kind)
         target = results[first : first + step]
         count = target.shape[0]
         with device.lent(part, write=False) as given, device.lent(target, write=True) as wanted, device.errors:
-            kernel(
-                device.queue, (-(-count // 64) * 64,), (64,), source, held.extent, held.size, held.period, transform, given,
-                np.uint64(count), np.float32(0 if fill is None else fill), wanted,
-            )  # fmt: skip
-        if progress:
-            progress((first + count) / points.shape[0])
+            source = given if sorter is None else sorter.sort(given, count, transform)
+            for begin in range(0, count, launch):
+                some = min(launch, count - begin)
+                kernel(
+                    device.queue, (-(-some // _RUN),) if groups else (-(-some // 64) * 64,), (1,) if groups else (64,),
+                    coefficients, held.extent, held.size, held.period, transform, source, np.uint64(begin + some),
+                    np.float32(0 if fill is None else fill), wanted, global_offset=(begin // _RUN if groups else begin,),
+                )  # fmt: skip
+                device.finish()
+                if progress:
+                    progress((first + begin + some) / points.shape[0])
     return results[:, 0] if derivative == 0 else results
+
+
+def _point(kind: type[np.generic]) -> dict[str, str | int]:
+    """What position.cl needs to know of points of this type."""
+    return {"POINT": "double" if kind == np.float64 else "float", "POINT_BITS": 8 * np.dtype(kind).itemsize}
+
+
+def _scattered(held: Coefficients, points: NDArray[Any]) -> bool:
+    """Whether points that follow each other mostly lie too far apart to share what a cache holds, and are worth sorting."""
+    count, rows = points.shape[0], held.filter.support ** (held.volume.ndim - 1)
+    if held._bytes < _CACHED or rows < _LEAST_ROWS or 64 * count * rows < _LEAST_VISITS * held._bytes:
+        return False
+    at = np.linspace(0, count - 2, _PAIRS).astype(np.int64)
+    with np.errstate(over="ignore", invalid="ignore"):
+        apart = (points[at + 1].astype(np.float64) - points[at]) @ held.volume.world_to_index_matrix.T
+        return bool((np.abs(apart).max(axis=1) > _FAR).mean() > 0.5)
+
+
+class _Sorter:
+    """The host side of order.cl: sorts points by the brick of the volume they lie in."""
+
+    def __init__(self, held: Coefficients, kind: type[np.generic], count: int) -> None:
+        self._held = held
+        device, last = held.device, held.size[:3].astype(np.int64) - 1
+        bits = next(b for b in range(32) if math.prod(((last >> b) + 1).tolist()) <= _BRICKS)
+        across, down, _ = (last >> bits) + 1
+        self._grid = np.array([across, down, bits, 0], np.int32)
+        self._items = 8 * device.units
+        self._program = program.build(device, "order.cl", {
+            "DIMENSIONS": held.volume.ndim, "LANES": LANES, "BRICKS": _BRICKS, "LATTICE": 0, "SORTED": 0,
+            "COORD_DOUBLE": int(device.has_double), **_point(kind),
+        })  # fmt: skip
+        record = 4 * np.dtype(kind).itemsize
+        self.room = min(count, _SORTED_BYTES // record)
+        self._sorted = device.allocate(record * self.room)
+        self._bricks = device.allocate(2 * self.room)
+        self._counts = device.allocate(4 * self._items * _BRICKS)
+
+    def sort(self, points: Any, count: int, transform: Any) -> Any:
+        """A buffer of `count` points, `room` at most, as another that each call overwrites."""
+        device, number = self._held.device, np.uint64(count)
+        launch = device.queue, (self._items,), (1,)
+        self._program.kernel("count_bricks")(
+            *launch, transform, self._held.size, self._grid, points, number, self._bricks, self._counts
+        )
+        counts = np.empty((self._items, _BRICKS), np.uint32)
+        device.download(self._counts, counts)
+        starts = np.cumsum(counts.T).reshape(counts.T.shape) - counts.T
+        begins = device.upload(np.ascontiguousarray(starts.T, dtype=np.uint32))
+        self._program.kernel("sort_points")(*launch, points, number, self._bricks, begins, self._sorted)
+        return self._sorted
 
 
 def _fill_value(fill: float | None) -> float | None:
@@ -475,7 +550,7 @@ def _fill_value(fill: float | None) -> float | None:
 def _launch_points(filter: Filter, dimensions: int, path: Path) -> int:
     """How many points a launch takes, so that it is short whatever the filter; images may be sampled in software."""
     taps = _TAPS_A_LAUNCH if path.image else 4 * _TAPS_A_LAUNCH
-    return max(1 << 10, taps // int(filter.support**dimensions))
+    return max(1 << 10, taps // int(filter.support**dimensions) // _RUN * _RUN)
 
 
 def _run_lattice(
@@ -487,18 +562,19 @@ def _run_lattice(
     if device.kind == "cpu" and path == Path(False, False) and _along_axes(matrix, shape):
         _run_axes(held, np.diag(matrix), offset, shape, buffer, fill, progress)
         return
-    built = _points_program(held, path, 0, fill, LATTICE=1, POINT="float")
+    built = _points_program(held, path, 0, fill, LATTICE=1, SORTED=0, **_point(np.float32))
     transform = _affine(device, matrix, offset, held.volume.world_to_index_matrix)
     kernel = built.kernel("sample_lattice")
     nz, ny, nx = shape
     points = _launch_points(held.filter, held.volume.ndim, path)
     rows, slices = max(1, min(ny, points // nx)), max(1, points // (nx * ny))
+    items, together = (-(-nx // _RUN), 1) if _in_groups(held, path, 0) else (-(-nx // 8) * 8, 8)
     parts = [(z, y) for z in range(0, nz, slices) for y in range(0, ny, rows)]
     for done, (z, y) in enumerate(parts, 1):
         with device.errors:
             kernel(
-                device.queue, (-(-nx // 8) * 8, min(rows, ny - y), min(slices, nz - z)), (8, 1, 1), held.argument(path),
-                held.extent, held.size, held.period, transform, np.array([nx, ny, y, z], np.int32),
+                device.queue, (items, min(rows, ny - y), min(slices, nz - z)), (together, 1, 1), held.argument(path), held.extent,
+                held.size, held.period, transform, np.array([nx, ny, y, z], np.int32),
                 np.float32(0 if fill is None else fill), buffer,
             )  # fmt: skip
         device.finish()

@@ -1,0 +1,62 @@
+// Where points come from, where their results belong, and where in the volume they lie.
+//
+// Set by the host: LATTICE (points are computed, not read), POINT (the type of those that are read), POINT_BITS (its
+// size), SORTED (each is followed by its place in the list that it was in: order.cl).
+
+#if LATTICE
+// (i, j, k), and those that follow along i
+typedef struct { int i, j, k; size_t first; } source_t;
+INLINE size_t place_of(source_t source, int n) { return source.first + n; }
+#else
+typedef struct { global const POINT *points; size_t first; } source_t;
+#if SORTED
+#define STRIDE 4
+#else
+#define STRIDE DIMENSIONS
+#endif
+
+// A number in the place of a coordinate.
+#if POINT_BITS == 64
+#define PLACE_IN(w) as_ulong(w)
+#define AS_PLACE(i) as_double((ulong)(i))
+#else
+#define PLACE_IN(w) as_uint(w)
+#define AS_PLACE(i) as_float((uint)(i))
+#endif
+
+INLINE size_t place_of(source_t source, int n)
+{
+#if SORTED
+    return PLACE_IN(source.points[STRIDE * (source.first + n) + 3]);
+#else
+    return source.first + n;
+#endif
+}
+#endif
+
+typedef struct { coord x, y, z; } position_t;
+
+INLINE position_t point_of(source_t source, int n)
+{
+#if LATTICE
+    const position_t p = { source.i + n, source.j, source.k };
+#else
+    global const POINT *point = source.points + STRIDE * (source.first + n);
+#if DIMENSIONS == 3
+    const position_t p = { point[0], point[1], point[2] };
+#else
+    const position_t p = { point[0], point[1], 0 };
+#endif
+#endif
+    return p;
+}
+
+// transform: 9 entries of a matrix, row by row, then 3 of an offset: index = matrix position + offset,
+// from world positions, or from the lattice's own indices; then 9 of world_to_index.
+INLINE position_t index_of(position_t p, constant coord *m)
+{
+    const position_t at = { madd(m[0], p.x, madd(m[1], p.y, madd(m[2], p.z, m[9]))),
+                            madd(m[3], p.x, madd(m[4], p.y, madd(m[5], p.z, m[10]))),
+                            madd(m[6], p.x, madd(m[7], p.y, madd(m[8], p.z, m[11]))) };
+    return at;
+}
