@@ -10,16 +10,26 @@ import numpy as np
 import pytest
 
 from clvol import Volume, analysis, filters, phantoms, reference
-from clvol.figures.errors import measure
+from clvol.figures import FIGURE_6
+from clvol.figures.errors import every_shift, mean_square, measure
 
 ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "docs" / "paper.md"
 CRESTS, TROUGHS = (0.3730, 0.5355, 0.6665), (0.4600, 0.6035)  # radii at which the Marschner-Lobb function is extreme
 
 
 @pytest.fixture(scope="module")
 def errors() -> dict[tuple[str, int], dict[str, float]]:
     """Mean square errors by input and dimensions, as Figure 4 draws them."""
-    return {(case.name, case.dimensions): case.errors for case in measure(points=4000)}
+    return {(case.name, case.dimensions): case.errors for case in measure()}
+
+
+@pytest.fixture(scope="module")
+def page() -> str:
+    """The page of claims."""
+    if not PAGE.is_file():
+        pytest.skip("not in a checkout")
+    return PAGE.read_text(encoding="utf-8")
 
 
 def rings(name: str, radii: tuple[float, ...]) -> np.ndarray:
@@ -70,9 +80,36 @@ def test_whether_the_sinc_errs_least_depends_on_the_data(errors: dict[tuple[str,
     least = {case: min(made, key=lambda name: made[name]) for case, made in errors.items()}
     assert least[("Marschner–Lobb", 3)] == least[("Marschner–Lobb, z = 0", 2)] == analysis.EXACT_SINC
     assert least[("zone plate", 3)] == least[("zone plate", 2)] == "bspline3"
-    hard = errors[("box, hard edges", 3)]
-    assert max(hard, key=lambda name: hard[name]) == analysis.EXACT_SINC
-    assert min(hard, key=lambda name: hard[name]) == "nearest"
+
+
+@pytest.mark.parametrize("size", [48, 49, 50, 51, 53])
+def test_at_hard_edges_linear_errs_least_and_the_sinc_more_than_the_spline(size: int) -> None:
+    """For any size: where the edges lie among the samples kept is averaged over."""
+    hard = mean_square(every_shift(phantoms.box(size), FIGURE_6, "none"))
+    assert list(hard) == list(FIGURE_6)
+    assert min(hard, key=lambda name: hard[name]) == "linear"
+    assert max(hard, key=lambda name: hard[name]) == "nearest"
+    assert hard["mitchell"] < hard["bspline3"] < 0.95 * hard[analysis.EXACT_SINC]
+
+
+def test_the_table_of_errors_on_the_page_is_what_is_measured(page: str, errors: dict[tuple[str, int], dict[str, float]]) -> None:
+    head, _, *lines = re.findall(r"^\|.*\|$", page[page.index("| input |") :], re.MULTILINE)[: len(errors) + 2]
+    assert len(head.split("|")) - 3 == len(FIGURE_6)
+    for line, ((name, dimensions), made) in zip(lines, errors.items(), strict=True):
+        label, *cells = (cell.strip() for cell in line.strip("|").split("|"))
+        assert label.startswith(name.split(",")[0])
+        assert ("²" in label, "³" in label) in ((dimensions == 2, dimensions == 3), (False, False))
+        told = [float(cell.strip("*")) for cell in cells]
+        assert told == [pytest.approx(made[row], rel=0.006) for row in FIGURE_6], label  # three digits
+        assert [cell.startswith("**") for cell in cells] == [value == min(told) for value in told], label
+
+
+def test_every_shift_keeps_each_sample_once() -> None:
+    data = np.arange(35.0).reshape(5, 7)
+    tables = every_shift(Volume(data), ("linear",), "none")
+    kept = np.concatenate([t.samples.data.ravel() for t in tables])
+    np.testing.assert_array_equal(np.sort(kept), data.ravel())
+    assert len(every_shift(Volume(data[:1]), ("linear",))) == 2
 
 
 def test_the_sinc_rings_at_the_peak_of_figure_6() -> None:
@@ -110,9 +147,7 @@ def test_interpolation_is_sharper_than_mitchell_of_the_same_size() -> None:
     assert analysis.step_response("mitchell").overshoot == pytest.approx(0.036, abs=0.001)
 
 
-@pytest.mark.skipif(not (ROOT / "docs" / "paper.md").is_file(), reason="not in a checkout")
-def test_the_page_of_claims_names_what_is_there() -> None:
-    page = (ROOT / "docs" / "paper.md").read_text(encoding="utf-8")
+def test_the_page_of_claims_names_what_is_there(page: str) -> None:
     sources = {p: p.read_text(encoding="utf-8") for p in (ROOT / "tests").rglob("test_*.py")}
     every = "\n".join(sources.values())
     named = re.findall(r"(tests/[\w/]+\.py)::(test_\w+)", page)

@@ -153,8 +153,10 @@ def compare(
     A function, or a volume with its `truth`, is compared at uniform random points of the world. Of a volume alone the
     truth is held back: it is low-passed, every `factor`-th sample is kept, and what is reconstructed from these is
     compared with the original samples, as in Figure 4 of the paper; the true gradient is then that of the
-    quintic spline through the original. Decimation by 2 asks for values half-way between samples only, where the
-    hybrid is the spline that it magnifies with; by 3 it asks for thirds.
+    quintic spline through the original. Decimation by 2 asks for values at the samples and half-way between them only,
+    where the hybrid is the spline that it magnifies with, and where "nearest" has two samples as near: of these it
+    takes the upper one, at every even factor, so that its error at hard edges depends on where they happen to lie. By
+    3 it asks for thirds, and nothing is as near to two.
 
     Parameters
     ----------
