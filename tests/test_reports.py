@@ -169,6 +169,17 @@ def test_odd_data_give_a_report(tmp_path: Path, device: Device, data: np.ndarray
         assert "constant" in page.text
 
 
+@pytest.mark.parametrize("value", [0.1, 3.7, -1234.567, 0.0])
+def test_of_constant_data_nothing_is_drawn(tmp_path: Path, device: Device, value: float) -> None:
+    """What a picture would show is the noise of float32 about the only value there is."""
+    done = reports.report(Volume(np.full((13, 12, 11), value)), tmp_path / "a.html", filters=FEW, pixels=16, device=device)
+    page = Page(done.path.read_text(encoding="utf-8"))
+    assert page.tags.count("img") == 1  # the filters' responses
+    assert "The data hold one value throughout: there is nothing to draw." in page.text
+    assert "What was measured is constant" in page.text
+    assert spectrum.high_share(spectrum.spectra(Volume(np.full((13, 12, 11), value)))) is None
+
+
 def test_what_cannot_be_reported_is_said_first(tmp_path: Path, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("clvol.analysis.compare", None)  # nothing may be measured
     bad = np.zeros((5, 5, 5))

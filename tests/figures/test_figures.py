@@ -111,6 +111,11 @@ def test_figure_3_draws_a_scan(device: Device) -> None:
         hybrid.draw(scan=clvol.Volume(np.zeros((4, 5))))
 
 
+def test_figure_3_of_constant_data_is_refused(device: Device) -> None:
+    with pytest.raises(OptionError, match=r"scan must hold more than one value, since a surface is drawn; got 3\.7 throughout"):
+        hybrid.draw(pixels=24, scan=clvol.Volume(np.full((9, 9, 9), 3.7)), device=device)
+
+
 # -- 4 ---------------------------------------------------------------------------------------------------------
 
 

@@ -41,11 +41,19 @@ def draw(
         An object in place of that function.
     device, progress
         As for `clvol.render`.
+
+    Raises
+    ------
+    OptionError
+        A scan without 3 axes, or with one value throughout: it has no surface.
     """
     pixels = whole("pixels", pixels, 1)
     if scan is not None and scan.ndim != 3:
         raise OptionError(f"scan must have 3 axes; got shape {scan.shape}")
     volume = phantoms.marschner_lobb(samples) if scan is None else scan
+    low, high = volume.value_range
+    if low == high:
+        raise OptionError(f"scan must hold more than one value, since a surface is drawn; got {low:g} throughout")
     look: dict[str, Any] = {"camera": Camera.orbit(30, 20, zoom=1.3)}
     if scan is None:
         look = {

@@ -121,10 +121,13 @@ def report(
     table = _measure(middle, chosen, rule, lambda done: told(_SHARE * done))
     found = spectrum.spectra(middle)
     advice = advise(table, spectrum.high_share(found))
-    drawn = cards(
-        volume, chosen, as_filter(advice.filter), pixels, rule, _FACTOR, on,
-        lambda done: told(_SHARE + (0.97 - _SHARE) * done), options,
-    )  # fmt: skip
+    low, high = volume.value_range
+    drawn = None
+    if low < high:
+        drawn = cards(
+            volume, chosen, as_filter(advice.filter), pixels, rule, _FACTOR, on,
+            lambda done: told(_SHARE + (0.97 - _SHARE) * done), options,
+        )  # fmt: skip
     text = _page(name, volume, middle, table, advice, found, drawn)
     try:
         file.parent.mkdir(exist_ok=True)
@@ -159,8 +162,10 @@ def _measure(volume: Volume, chosen: Sequence[Filter], rule: Boundary, progress:
 
 
 def _page(
-    name: str, volume: Volume, middle: Volume, table: ErrorTable, advice: Advice, found: spectrum.Spectra, drawn: Cards
+    name: str, volume: Volume, middle: Volume, table: ErrorTable, advice: Advice, found: spectrum.Spectra,
+    drawn: Cards | None,
 ) -> str:  # fmt: skip
+    """The page; `drawn` is None where the data are constant."""
     rows = [row for row in table if row.filter != EXACT_SINC]
     low, high = volume.value_range
     facts = [
@@ -173,7 +178,7 @@ def _page(
         ("computed by", f"{table.evaluated_on}; times and pictures on {table.timed_on or 'no device'}"),
     ]
     plots = [("Frequencies", html.inline(spectrum.plot(found, [row.filter for row in rows])))]
-    timed = [row for row in rows if row.seconds and row.rms > 0]
+    timed = [row for row in rows if row.seconds and row.rms > 0 and table.value_range[0] < table.value_range[1]]
     if timed:
         numbers = [
             {"filter": r.filter, "nanoseconds": 1000 * (r.seconds or 0), "rms": r.rms, "angle_mean": r.angle_mean or None}

@@ -49,7 +49,8 @@ def advise(table: ErrorTable, high: float | None = None) -> Advice:
     low, top = table.value_range
     if low == top:
         name = _BASE if any(row.filter == _BASE for row in rows) else rows[0].filter
-        return Advice(name, [f"The data are constant: every filter draws them alike, so use {name}, which is fast."])
+        told = f"What was measured is constant: every filter whose weights sum to one gives it back, so use {name}, which is fast."
+        return Advice(name, [told])
     least = min(row.rms for row in rows)
     near = [row for row in rows if row.rms <= _AS_GOOD * least]
     slopes = [row.gradient_rms for row in near if row.gradient_rms is not None]

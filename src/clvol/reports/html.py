@@ -35,6 +35,7 @@ th:first-child, td:first-child { text-align: left } tr.chosen { background: #eef
 .dot { display: inline-block; width: .8em; height: .8em; border-radius: 50%; margin-right: .5em }
 .note { color: #6f6f6f; font-size: .9rem } img.plot { max-width: 100% }
 """.strip()
+_CONSTANT = "The data hold one value throughout: there is nothing to draw."
 _DPI = 110
 _WHITE_TO_RED = ((1.0, 1.0, 1.0), (0.95, 0.55, 0.4), (0.6, 0.05, 0.1))
 _SHOWN = 0.995  # quantile of the differences that the strongest colour stands for
@@ -62,9 +63,10 @@ def inline(picture: Any) -> str:
 
 
 def page(
-    name: str, facts: Sequence[tuple[str, str]], advice: Advice, table: ErrorTable, drawn: Cards, plots: Sequence[tuple[str, str]]
+    name: str, facts: Sequence[tuple[str, str]], advice: Advice, table: ErrorTable, drawn: Cards | None,
+    plots: Sequence[tuple[str, str]],
 ) -> str:  # fmt: skip
-    """The whole page; `plots` are headings and data URIs."""
+    """The whole page; `plots` are headings and data URIs, `drawn` is None for constant data."""
     heading = f"Which filter for {escape(name)}?"
     parts = [
         "<!DOCTYPE html>", '<html lang="en"><head><meta charset="utf-8">',
@@ -72,7 +74,7 @@ def page(
         f"<title>{heading}</title><style>{_STYLE}</style></head><body>", f"<h1>{heading}</h1>",
         _advice(advice), _facts(facts),
         "<h2>Errors</h2>", _table(table, advice.filter), *(f'<p class="note">{escape(note)}</p>' for note in _NOTES),
-        "<h2>Pictures</h2>", _cards(drawn),
+        "<h2>Pictures</h2>", f'<p class="note">{_CONSTANT}</p>' if drawn is None else _cards(drawn),
     ]  # fmt: skip
     for text, source in plots:
         parts.append(f'<h2>{escape(text)}</h2><img class="plot" alt="{escape(text)}" src="{source}">')
