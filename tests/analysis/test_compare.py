@@ -251,6 +251,20 @@ def test_constant_data_give_values(source: Any) -> None:
     assert "nan" not in table.to_csv() + table.to_json() + table.to_markdown()
 
 
+@pytest.mark.parametrize("unit", [1e-300, 1e-200, 1e-81, 1e-20, 1e34])
+def test_units_of_the_data_change_nothing(unit: float) -> None:
+    data = np.random.default_rng(0).normal(size=(14, 15)).cumsum(0)
+    for scaled, plain in zip(*(compare(data * u, COMPARED, margin=1, timing=False) for u in (unit, 1.0)), strict=True):
+        for key in ("rms", "maximum", "gradient_rms", "overshoot"):
+            one = getattr(plain, key)
+            assert getattr(scaled, key) == (None if one is None else pytest.approx(unit * one, rel=1e-6, abs=1e-12 * unit))
+        for key in ("psnr", "ssim", "angle_mean", "angle_95"):
+            one = getattr(plain, key)
+            assert getattr(scaled, key) == (None if one is None else pytest.approx(one, rel=1e-6))
+    with pytest.raises(DataError, match=r"samples must lie within ±5e36"):
+        compare(data * 1e200, COMPARED, timing=False)
+
+
 @pytest.mark.parametrize("shape", [(1, 1), (1, 2), (2, 2), (3, 5), (1, 1, 1), (1, 7, 2), (2, 3, 4)])
 def test_data_smaller_than_the_filter_give_values(shape: tuple[int, ...]) -> None:
     data = np.random.default_rng(0).normal(size=shape)
@@ -270,6 +284,7 @@ BAD: list[tuple[dict[str, Any], type[ClvolError], str]] = [
     ({**GOOD, "source": lambda _: 1 / 0}, OptionError, "function must give one finite value for each position; it failed: Z"),
     ({**GOOD, "source": lambda p: p}, OptionError, r"got shape \(125, 3\) for positions \(125, 3\)"),
     ({**GOOD, "source": lambda p: p[:, 0] * np.nan}, OptionError, "with values that are not finite"),
+    ({**GOOD, "source": lambda p: np.sign(p[:, 0]) * 1e308}, DataError, r"must span a finite range; got -1e\+308 to 1e\+308"),
     ({**GOOD, "source": lambda _: "text"}, OptionError, "what the function gives must be one finite value"),
     ({**GOOD, "source": lambda _: None}, OptionError, "what the function gives must be one finite value"),
     ({**GOOD, "gradient": lambda p: p[:, :2]}, OptionError, "the gradient must give a finite vector for each position"),

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from clvol.analysis import ErrorTable, Metrics, Table, metrics
 from clvol.analysis.table import UNLISTED, column
-from clvol.errors import OptionError
+from clvol.errors import DataError, OptionError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +55,12 @@ def test_rows_of_the_analysis_can_be_put_together() -> None:
     assert isinstance(table[0], Metrics)
     assert table.to_markdown().count("\n") == 3
     assert issubclass(ErrorTable, Table)
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("-inf")])
+def test_json_of_what_is_not_finite_is_refused(bad: float) -> None:
+    with pytest.raises(DataError, match="numbers of a table must be finite to be written as JSON; got value = "):
+        Table([Row(name="a", value=bad, plain=1, hidden=np.ones(1))]).to_json()
 
 
 def test_an_empty_table_is_not_written() -> None:

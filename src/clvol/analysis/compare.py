@@ -18,7 +18,7 @@ from clvol.analysis.ssim import ssim
 from clvol.analysis.table import Table, column
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.device import Device, as_device
-from clvol.errors import ClvolError, DeviceError, OptionError, number, one_of, reals, whole
+from clvol.errors import ClvolError, DataError, DeviceError, OptionError, number, one_of, reals, whole
 from clvol.filters import Filter, as_filter
 from clvol.volume import Volume, as_volume
 
@@ -217,6 +217,9 @@ def compare(
         volume = as_volume(source)
         volume.require_finite()
         volume = replace(volume, data=volume.data.astype(np.float64))
+    low, high = volume.value_range
+    if not math.isfinite(high - low):
+        raise DataError(f"samples must span a finite range; got {low:g} to {high:g}")
     if truth is None:
         if gradient is not None:
             raise OptionError("gradient must be that of a function; got it with a volume without its truth")
@@ -386,7 +389,7 @@ def _measure(trial: _Trial, row: str | Filter, rule: Boundary, on: Device | None
     else:
         got, true = _at_points(trial, row, rule, on, 0), trial.values
     error = got - true
-    rms = float(np.sqrt(np.mean(error**2)))
+    rms = _root_mean_square(error)
     span = high - low
     slope_rms: float | None = None
     angles: _Angles = (None, None, None)
@@ -394,7 +397,7 @@ def _measure(trial: _Trial, row: str | Filter, rule: Boundary, on: Device | None
         slope_rms, angles = _gradient_errors(trial, _at_points(trial, row, rule, on, 1))
     return ErrorRow(
         row.name if isinstance(row, Filter) else row, rms, float(np.abs(error).max()),
-        20 * math.log10(span / rms) if span > 0 and rms > 0 else None,
+        20 * (math.log10(span) - math.log10(rms)) if span > 0 and rms > 0 else None,
         ssim(_middle_of(fine), _middle_of(trial.lattice), span) if span > 0 else None,
         slope_rms, *angles,
         max(0.0, float(got.max()) - high, low - float(got.min())),
@@ -434,8 +437,10 @@ def _on_lattice(trial: _Trial, row: str | Filter, rule: Boundary, on: Device | N
 def _gradient_errors(trial: _Trial, got: Array) -> tuple[float, _Angles]:
     """RMS length of the error; mean, median and 95th percentile of the angle in degrees."""
     true = trial.gradients
-    rms = float(np.sqrt(((got - true) ** 2).sum(-1).mean()))
+    rms = _root_mean_square(got - true) * math.sqrt(true.shape[-1])
     low, high = trial.samples.value_range
+    unit = max(float(np.abs(true).max()), float(np.abs(got).max())) or 1.0  # no square of what is left over- or underflows
+    true, got, low, high = true / unit, got / unit, low / unit, high / unit
     lengths = np.linalg.norm(true, axis=-1)
     directed = lengths >= max(_DIRECTED * lengths.max(), 1e-9 * (high - low) / min(trial.samples.spacing))
     if high == low or not directed.any():
@@ -445,6 +450,12 @@ def _gradient_errors(trial: _Trial, got: Array) -> tuple[float, _Angles]:
     cosine = np.divide((got * true).sum(-1), product, out=np.zeros_like(product), where=product > 0)
     angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
     return rms, (float(angle.mean()), float(np.median(angle)), float(np.percentile(angle, 95)))
+
+
+def _root_mean_square(values: Array) -> float:
+    """Of numbers whose squares may not be floats any more."""
+    unit = float(np.abs(values).max()) or 1.0
+    return unit * math.sqrt(float(np.mean((values / unit) ** 2)))
 
 
 class _Timer:

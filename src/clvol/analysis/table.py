@@ -5,10 +5,11 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 from dataclasses import Field, field, fields
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
-from clvol.errors import OptionError
+from clvol.errors import DataError, OptionError
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
@@ -41,9 +42,18 @@ class Table(list[Row]):
         return text.getvalue()
 
     def to_json(self) -> str:
-        """A list of objects by field name; numbers in full, what does not exist null."""
+        """A list of objects by field name; numbers in full, what does not exist null.
+
+        Raises
+        ------
+        DataError
+            A number is NaN or infinite, which JSON has not.
+        """
         names = [f.name for f in self._columns()]
         records = [dict(zip(names, self._values(row), strict=True)) for row in self]
+        for record, (key, value) in ((r, item) for r in records for item in r.items()):
+            if isinstance(value, float) and not math.isfinite(value):
+                raise DataError(f"numbers of a table must be finite to be written as JSON; got {key} = {value} in {record!r}")
         return json.dumps(records, indent=2, allow_nan=False, ensure_ascii=False)
 
     def to_markdown(self) -> str:
