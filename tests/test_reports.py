@@ -198,6 +198,18 @@ def test_what_cannot_be_reported_is_said_first(tmp_path: Path, device: Device, m
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_report_takes_filters_that_no_table_knows(tmp_path: Path, device: Device) -> None:
+    wide = clvol.from_callable("wide tent", lambda x: np.maximum(1 - np.abs(x) / 2, 0) / 2, 2)
+    for filters in ((clvol.bspline(7), wide), (wide,)):
+        done = reports.report(phantoms.marschner_lobb(16), tmp_path / "a.html", filters=filters, pixels=16, device=device)
+        assert [row.filter for row in done.table] == [*(f.name for f in filters), EXACT_SINC]
+        assert done.table.filters == list(filters)
+        assert done.advice.filter in [f.name for f in filters]
+        page = Page(done.path.read_text(encoding="utf-8"))
+        assert "wide tent" in page.text
+        assert page.tags.count("img") == 5 * len(filters) + 2
+
+
 def test_without_a_period_there_is_no_exact_sinc(tmp_path: Path, device: Device) -> None:
     done = reports.report(
         phantoms.sphere(10), tmp_path / "a.html", filters=("linear",), pixels=16, boundary="zero", device=device, mode="mip"

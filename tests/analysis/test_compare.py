@@ -14,7 +14,7 @@ import pytest
 from clvol import reference
 from clvol.analysis import COMPARED, EXACT_SINC, ErrorTable, compare, ssim
 from clvol.device import Device
-from clvol.errors import ClvolError, DataError, OptionError
+from clvol.errors import ClvolError, DataError, OptionError, OutOfMemoryError
 from clvol.filters import as_filter, filters, from_callable
 from clvol.phantoms import marschner_lobb, marschner_lobb_function, marschner_lobb_gradient
 from clvol.volume import Volume
@@ -273,6 +273,21 @@ def test_data_smaller_than_the_filter_give_values(shape: tuple[int, ...]) -> Non
     assert finite(compare(data, COMPARED, truth=plane, points=50, timing=False))
 
 
+def test_memory_that_is_not_there_is_an_error_of_ours(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise MemoryError("Unable to allocate 29.8 GiB")
+
+    monkeypatch.setattr(sys.modules["clvol.analysis.compare"], "_measure", full)
+    with pytest.raises(OutOfMemoryError, match=r"what is compared must fit into it; got Unable to allocate 29\.8 GiB"):
+        compare(wave, ["linear"], size=5, points=5, timing=False)
+
+
+def test_names_may_come_in_any_sequence() -> None:
+    for names in (np.array(["linear", "Exact-Sinc "]), ("linear", EXACT_SINC), iter(["linear", EXACT_SINC])):
+        table = compare(wave, names, size=5, points=5, timing=False)  # type: ignore[arg-type]
+        assert [row.filter for row in table] == ["linear", EXACT_SINC]
+
+
 def test_filters_of_ones_own_are_compared() -> None:
     bump = from_callable("bump", lambda x: np.cos(np.pi * x / 4) ** 2 / 2, 2)
     assert compare(wave, [bump], size=9, points=100, timing=False)[0].filter == "bump"
@@ -292,6 +307,13 @@ BAD: list[tuple[dict[str, Any], type[ClvolError], str]] = [
     ({**GOOD, "truth": wave}, OptionError, "truth must be given with a volume only"),
     ({**VOLUME, "gradient": wave}, OptionError, "gradient must be that of a function"),
     ({**GOOD, "filters": "linear"}, OptionError, "filters must be one or more names; got 'linear'"),
+    ({**GOOD, "filters": 5}, OptionError, "filters must be one or more names; got 5"),
+    ({**GOOD, "filters": as_filter("linear")}, OptionError, "filters must be one or more names; got Filter"),
+    ({**GOOD, "points": 10**12}, OutOfMemoryError, "points must give at most 68719476736 samples; got 1000000000000"),
+    ({**GOOD, "size": 10**6}, OutOfMemoryError, "size must give at most 68719476736 samples; got 1000000"),
+    ({**GOOD, "size": 10**30}, OutOfMemoryError, "size must give at most 68719476736 samples"),
+    ({**VOLUME, "factor": 10**9}, OptionError, "factor must be a whole number, at least 2 and at most 1024; got 1000000000"),
+    ({**VOLUME, "factor": 10**30}, OptionError, "factor must be a whole number, at least 2 and at most 1024"),
     ({**GOOD, "filters": []}, OptionError, "filters must be one or more names"),
     ({**GOOD, "filters": ["none"]}, OptionError, "filter must be one of"),
     ({**GOOD, "filters": [EXACT_SINC], "boundary": "zero"}, OptionError, "must be mirror, reflect or wrap for 'exact-sinc'"),

@@ -388,6 +388,57 @@ def test_bad_options_are_refused(name: str, options: dict[str, Any]) -> None:
         figures.draw(name, **options)
 
 
+@pytest.mark.parametrize("name", [name for name in figures.FIGURES if "filters" in figures.options_of(name)])
+@pytest.mark.parametrize("filters", [(), [], 5, "linear", clvol.bspline(3), {}], ids=repr)
+def test_filters_are_one_or_more_names(name: str, filters: Any) -> None:
+    with pytest.raises(OptionError, match=r"filters must be one or more names; got "):
+        figures.draw(name, filters=filters)
+
+
+@pytest.mark.parametrize("name", ["5", "6", "impulse", "gradients"])
+def test_a_figure_holds_as_many_panels_as_there_are_letters(name: str) -> None:
+    with pytest.raises(OptionError, match="filters must be one or more names, at most 26; got 27"):
+        figures.draw(name, filters=("linear",) * 27)
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("2", {}), ("4", {"samples": 9, "points": 50}), ("5", {"samples": 9}), ("6", {"samples": 8, "pixels": 8}), ("impulse", {}),
+        ("gradients", {"samples": 9, "pixels": 16}), ("convergence", {"sizes": (17, 25), "points": 50}),
+        ("cost", {"samples": 9, "points": 50}),
+    ],
+)  # fmt: skip
+def test_figures_take_filters_of_ones_own(name: str, options: dict[str, Any], device: Device) -> None:
+    """Rows that no table knows, in any sequence."""
+    own = clvol.from_callable("my own", lambda x: np.maximum(1 - np.abs(x) / 2, 0) / 2, 2)
+    more = {"device": device} if "device" in figures.options_of(name) else {}
+    drawing = figures.draw(name, filters=np.array([own, "mitchell"], object), **options, **more)
+    assert "my own" in json.dumps(drawing.numbers)
+
+
+def test_a_filter_that_lets_nothing_through_has_a_response() -> None:
+    drawing = responses.draw((clvol.from_pieces("nothing", [(0.0,)]),))
+    assert drawing.lines[-1] == "nothing: errs by up to 1.000 below π/2, lets none of its aliases through"
+
+
+@pytest.mark.parametrize(("name", "options"), [("3", {"pixels": 16}), ("4", {"filters": ("linear",), "samples": 9, "points": 50})])
+def test_a_scan_may_be_an_array(name: str, options: dict[str, Any]) -> None:
+    data = phantoms.sphere(9).data
+    assert figures.draw(name, scan=data, **options).numbers
+    with pytest.raises(clvol.DataError, match="data must have 2 axes"):
+        figures.draw(name, scan="scan.npy", **options)
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [("1", {"samples": 10**7}), ("4", {"samples": 10**7}), ("5", {"samples": 10**7}), ("convergence", {"sizes": (17, 10**8)})],
+)
+def test_what_no_machine_holds_is_refused(name: str, options: dict[str, Any]) -> None:
+    with pytest.raises(clvol.OutOfMemoryError, match=r"out of memory: .* must give at most 68719476736 samples; got 1000"):
+        figures.draw(name, **options)
+
+
 def test_a_scan_with_nan_is_refused() -> None:
     data = np.zeros((12, 12, 12))
     data[3, 4, 5] = np.nan

@@ -7,7 +7,7 @@ from clvol import Camera, OptionError, analysis, bspline, phantoms, reference, r
 from clvol.analysis import EXACT_SINC
 from clvol.device import Device
 from clvol.figures import FIGURE_6, SIX, Panel, compare, figure6
-from clvol.figures.panels import CAMERA, ISOVALUE, LIGHTS, MATERIAL, SURFACE, _chosen, _mean_angle, fixed
+from clvol.figures.panels import CAMERA, ISOVALUE, LIGHTS, MATERIAL, SURFACE, _mean_angle, fixed
 
 # of the Marschner-Lobb function at 40³, within 0.8 of the centre
 RMS = {"bspline3": 0.0148, "linear": 0.0328, "mitchell": 0.0296, "bspline3-approx": 0.0451, "nearest": 0.0475}
@@ -174,7 +174,11 @@ def test_filters_are_checked_first(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("clvol.figures.panels.Renderer", None)  # nothing may be drawn
     for filters in ((), "linear"):
         with pytest.raises(OptionError, match=r"filters must be one or more names"):
-            _chosen(filters, 8)
+            figure6(8, 8, filters)
+        with pytest.raises(OptionError, match=r"filters must be one or more names"):
+            compare(phantoms.sphere(8), filters, 8)
+    with pytest.raises(OptionError, match=r"filters must be one or more names, at most 26; got 27"):
+        figure6(8, 8, ("linear",) * 27)
     with pytest.raises(OptionError, match=r"'exact-sinc'"):
         compare(phantoms.sphere(8), (EXACT_SINC,), 8)  # it would take 64 times the memory
     assert SIX[1:] == FIGURE_6[1:]

@@ -18,11 +18,22 @@ from clvol.analysis.ssim import ssim
 from clvol.analysis.table import Table, column
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.device import Device, as_device
-from clvol.errors import ClvolError, DataError, DeviceError, OptionError, number, one_of, reals, whole
-from clvol.filters import Filter, as_filter
+from clvol.errors import (
+    ClvolError,
+    DataError,
+    DeviceError,
+    OptionError,
+    enough_memory,
+    number,
+    one_of,
+    reals,
+    require_room,
+    whole,
+)
+from clvol.filters import Filter, as_filter, several_names
 from clvol.volume import Volume, as_volume
 
-__all__ = ["COMPARED", "EXACT_SINC", "ErrorRow", "ErrorTable", "compare"]
+__all__ = ["COMPARED", "EXACT_SINC", "ErrorRow", "ErrorTable", "as_compared", "compare"]
 
 Array: TypeAlias = NDArray[np.float64]
 Function: TypeAlias = Callable[[Array], ArrayLike]
@@ -30,6 +41,7 @@ _Angles: TypeAlias = tuple[float | None, float | None, float | None]
 
 _LATTICE = 1 << 22  # positions at which similarity is judged, at most: of more the middle slices
 _WHOLE = 1 << 25  # samples of a volume that are held back, at most: of a larger one the middle slices
+_FARTHEST = 1024  # samples between those kept
 _CHUNK = 1 << 20  # positions taken at a time
 _SINC_PRODUCTS = 1 << 34  # of the exact sinc at scattered points, where each takes all samples
 _TIMED = 1 << 18  # positions on a device whose time is measured
@@ -108,11 +120,13 @@ class ErrorTable(Table[ErrorRow]):
         "NumPy, float64", or the name of the device.
     timed_on : str
         The name of the device; empty if nothing was timed.
+    filters : list of Filter
+        The rows of the table of filters that were compared: some may be of one's own.
     """
 
     def __init__(
         self, rows: Iterable[ErrorRow], *, samples: Volume, against: str, points: int, boundary: str, evaluated_on: str,
-        timed_on: str,
+        timed_on: str, filters: Iterable[Filter] = (),
     ) -> None:  # fmt: skip
         super().__init__(rows)
         self.samples = samples
@@ -122,6 +136,11 @@ class ErrorTable(Table[ErrorRow]):
         self.boundary = boundary
         self.evaluated_on = evaluated_on
         self.timed_on = timed_on
+        self.filters = list(filters)
+
+    def filter(self, name: str) -> Filter:
+        """The filter that a row of this table names."""
+        return next((row for row in self.filters if row.name == name), None) or as_filter(name)
 
     def best(self, key: str = "rms") -> ErrorRow:
         """The row with the least `key` (the greatest for "psnr" and "ssim"), of those that have it.
@@ -141,6 +160,7 @@ class ErrorTable(Table[ErrorRow]):
         return min(having, key=lambda row: sign * getattr(row, key))
 
 
+@enough_memory("what is compared")
 def compare(
     source: Volume | ArrayLike | Function, filters: Sequence[str | Filter] = COMPARED, *, truth: Function | None = None,
     gradient: Function | None = None, size: int | Sequence[int] = 41, domain: tuple[float, float] = (-1.0, 1.0),
@@ -174,7 +194,7 @@ def compare(
     boundary : str or Boundary
         As for `clvol.sample`.
     factor : int
-        Of the decimation, at least 2.
+        Of the decimation, 2 to 1024.
     lowpass : {"gaussian", "none"}
         Before the decimation: a Gaussian of standard deviation ``factor / 2`` samples, or nothing.
     margin : float
@@ -201,9 +221,11 @@ def compare(
         An unknown name, a number outside its bounds, a function that fails or gives other than finite numbers.
     DataError
         NaN or infinite samples.
+    OutOfMemoryError
+        More samples or points than fit.
     """
-    chosen, rule = _chosen(filters), as_boundary(boundary)
-    whole("points", points, 1)
+    chosen, rule = as_compared(filters), as_boundary(boundary)
+    points, factor = whole("points", points, 1), whole("factor", factor, 2, _FARTHEST)
     rng = np.random.default_rng(whole("seed", seed, 0))
     margin = number("margin", margin, least=0)
     on = None if device is None else as_device(device)
@@ -223,7 +245,7 @@ def compare(
     if truth is None:
         if gradient is not None:
             raise OptionError("gradient must be that of a function; got it with a volume without its truth")
-        trial = _held_back(volume, whole("factor", factor, 2), lowpass, margin, points, rule, rng)
+        trial = _held_back(volume, factor, lowpass, margin, points, rule, rng)
     else:
         trial = _known(volume, truth, gradient, margin, points, rng)
     timer = _Timer(trial, rule, on) if timing else None
@@ -235,14 +257,14 @@ def compare(
     return ErrorTable(
         rows, samples=trial.samples, against=trial.against, points=trial.points.shape[0], boundary=rule.name,
         evaluated_on=_NUMPY if on is None else on.name, timed_on="" if timer is None or timer.on is None else timer.on.name,
+        filters=(row for row in chosen if isinstance(row, Filter)),
     )  # fmt: skip
 
 
-def _chosen(filters: Sequence[str | Filter]) -> list[str | Filter]:
-    """Rows of the table, and the name of the exact sinc."""
-    if isinstance(filters, (str, Filter)) or not filters:
-        raise OptionError(f"filters must be one or more names; got {filters!r}")
-    return [EXACT_SINC if name == EXACT_SINC else as_filter(name) for name in filters]
+def as_compared(filters: Sequence[str | Filter], most: int | None = None) -> list[str | Filter]:
+    """Rows of the table, and the name of the exact sinc, for one or more names or rows, at most `most`."""
+    chosen = several_names(filters, most)
+    return [EXACT_SINC if isinstance(f, str) and f.strip().lower() == EXACT_SINC else as_filter(f) for f in chosen]
 
 
 # -- what is known -------------------------------------------------------------------------------------------
@@ -269,6 +291,7 @@ class _Trial:
 def _known(
     volume: Volume, truth: Function, gradient: Function | None, margin: float, points: int, rng: np.random.Generator
 ) -> _Trial:
+    require_room("points", points, points)
     low, high = _inside(volume, margin)
     world = volume.index_to_world(rng.uniform(low, high, (points, volume.ndim)))
     values = _ask(truth, world, "the function", 1)
@@ -310,6 +333,7 @@ def _sampled(function: Function, size: int | Sequence[int], domain: tuple[float,
     if not isinstance(sizes, (list, tuple)) or len(sizes) != d:
         raise OptionError(f"size must be a whole number of at least 2, or {d} of them; got {size!r}")
     shape = tuple(whole("size", n, 2) for n in sizes)
+    require_room("size", math.prod(shape), size)
     ends = reals("domain", domain)
     if ends.shape != (2,) or not np.isfinite(ends).all() or not ends[0] < ends[1]:
         raise OptionError(f"domain must be two numbers, the lower first; got {domain!r}")

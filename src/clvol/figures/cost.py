@@ -13,7 +13,7 @@ from clvol import analysis, phantoms
 from clvol.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.device import Device, as_device
 from clvol.figures.style import FAINT, GREY, Drawing, colour, new_figure, styled
-from clvol.filters import Filter, as_filter
+from clvol.filters import Filter, as_filters
 from clvol.filters import filters as all_filters
 from clvol.spline import Coefficients, choose_path, sample_coefficients
 from clvol.volume import Volume
@@ -27,14 +27,14 @@ _PLACES = ((1, 0), (1, 1), (1, -1), (-1, 0), (-1, 1), (-1, -1), (0, 1.4), (0, -1
 
 
 def draw(
-    filters: Sequence[str] = (), samples: int = 41, points: int = 20_000, device: Device | str | int | None = None,
-    progress: Callable[[float], Any] | None = None,
+    filters: Sequence[str | Filter] | None = None, samples: int = 41, points: int = 20_000,
+    device: Device | str | int | None = None, progress: Callable[[float], Any] | None = None,
 ) -> Drawing:  # fmt: skip
     """Each filter's error on the Marschner-Lobb function against its time on a device: values left, gradients right.
 
     Parameters
     ----------
-    filters : sequence of str
+    filters : sequence of str or Filter, optional
         Default: the whole table.
     samples : int
         Of the function along each axis.
@@ -48,7 +48,7 @@ def draw(
     DeviceError
         Without a device there are no times.
     """
-    rows, on = [as_filter(name) for name in filters or all_filters()], as_device(device)
+    rows, on = as_filters(list(all_filters()) if filters is None else filters), as_device(device)
     on.require_usable()
     told = progress or (lambda _: None)
     table = analysis.compare(

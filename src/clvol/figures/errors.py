@@ -9,15 +9,18 @@ from functools import partial
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from clvol import phantoms
 from clvol.analysis import ErrorTable, compare
+from clvol.analysis.compare import as_compared
 from clvol.boundary import DEFAULT_BOUNDARY
-from clvol.errors import OptionError, whole
+from clvol.errors import OptionError, require_room, whole
 from clvol.figures.inputs import photograph, rings, zone_plate
 from clvol.figures.panels import FIGURE_6
 from clvol.figures.style import GREY, INK, Drawing, colour, new_figure, styled, title
-from clvol.volume import Volume
+from clvol.filters import Filter
+from clvol.volume import Volume, as_volume
 
 __all__ = ["Case", "draw", "every_shift", "mean_square", "measure"]
 
@@ -48,11 +51,12 @@ class Case:
 
 
 def measure(
-    filters: Sequence[str] = FIGURE_6, samples: int = 41, points: int = 20_000, scan: Volume | None = None,
+    filters: Sequence[str | Filter] = FIGURE_6, samples: int = 41, points: int = 20_000, scan: Volume | ArrayLike | None = None,
     progress: Callable[[float], Any] | None = None,
 ) -> list[Case]:  # fmt: skip
     """Errors on inputs with a known truth, 2-D first; parameters as for `draw`."""
-    samples = whole("samples", samples, 4)
+    samples, filters = whole("samples", samples, 4), as_compared(filters)
+    require_room("samples", (12 * samples) ** 3, samples)
     table = partial(compare, filters=filters, boundary=DEFAULT_BOUNDARY, timing=False)
     held, what = photograph(max(16, 12 * samples))
     known: list[tuple[str, int, Callable[[], list[ErrorTable]]]] = [
@@ -64,6 +68,7 @@ def measure(
         ("box, hard edges", 3, lambda: every_shift(phantoms.box(2 * samples), filters, "none")),
     ]
     if scan is not None:
+        scan = as_volume(scan)
         if scan.ndim != 3:
             raise OptionError(f"scan must have 3 axes; got shape {scan.shape}")
         middle = Volume(scan.data[scan.shape[0] // 2], scan.spacing[:2])
@@ -79,7 +84,9 @@ def measure(
     return cases
 
 
-def every_shift(volume: Volume, filters: Sequence[str], lowpass: Literal["gaussian", "none"] = "gaussian") -> list[ErrorTable]:
+def every_shift(
+    volume: Volume, filters: Sequence[str | Filter], lowpass: Literal["gaussian", "none"] = "gaussian"
+) -> list[ErrorTable]:
     """Errors of what is left of a volume when every second sample is kept, for each of the first samples to keep, 2ᵈ of them.
 
     Half of the positions along an axis lie half-way between the samples kept, where `nearest` takes the upper one always: at
@@ -100,25 +107,26 @@ def mean_square(tables: Sequence[ErrorTable]) -> dict[str, float]:
 
 
 def draw(
-    filters: Sequence[str] = FIGURE_6, samples: int = 41, points: int = 20_000, scan: Volume | None = None,
+    filters: Sequence[str | Filter] = FIGURE_6, samples: int = 41, points: int = 20_000, scan: Volume | ArrayLike | None = None,
     progress: Callable[[float], Any] | None = None,
 ) -> Drawing:  # fmt: skip
     """Figure 4: a bar for each filter, a panel for each input.
 
     Parameters
     ----------
-    filters : sequence of str
+    filters : sequence of str or Filter
         Rows of the table, and "exact-sinc".
     samples : int
         Of the functions along each axis; the photograph and the box have more, and are decimated.
     points : int
         Random positions at which functions are compared.
-    scan : Volume, optional
+    scan : Volume or array-like, optional
         One more input, decimated by two from its first sample, and its middle slice. The slice, the photograph and the box are
         decimated from each of the samples that can be the first, `every_shift`.
     progress : callable, optional
         Called with the fraction done.
     """
+    filters = as_compared(filters)
     cases = measure(filters, samples, points, scan, progress)
     with styled():
         across = len(cases) // 2

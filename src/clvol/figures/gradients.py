@@ -11,7 +11,8 @@ from clvol import phantoms
 from clvol.device import Device
 from clvol.errors import whole
 from clvol.figures.panels import BOX, CAMERA, ISOVALUE, LIGHTS, MATERIAL, SURFACE
-from clvol.figures.style import Drawing, new_figure, show, styled, title
+from clvol.figures.style import LETTERS, Drawing, new_figure, show, styled, title
+from clvol.filters import Filter, as_filters
 from clvol.render import Renderer
 
 __all__ = ["draw"]
@@ -23,14 +24,14 @@ _WHITE = (1.0, 1.0, 1.0)
 
 
 def draw(
-    filters: Sequence[str] = _SHOWN, samples: int = 41, pixels: int = 320, device: Device | str | int | None = None,
+    filters: Sequence[str | Filter] = _SHOWN, samples: int = 41, pixels: int = 320, device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
 ) -> Drawing:  # fmt: skip
     """Pictures of the Marschner-Lobb function above, angles of their normals to the true ones below.
 
     Parameters
     ----------
-    filters : sequence of str
+    filters : sequence of str or Filter
         A column each.
     samples : int
         Of the function along each axis.
@@ -39,30 +40,28 @@ def draw(
     device, progress
         As for `clvol.render`.
     """
-    pixels = whole("pixels", pixels, 1)
+    pixels, rows = whole("pixels", pixels, 1), as_filters(filters, len(LETTERS))
     volume = phantoms.marschner_lobb(samples)
     numbers: list[dict[str, Any]] = []
     with styled():
-        figure = new_figure(2.1 * len(filters) + 0.9, 3.9)
-        panels = figure.subplots(2, len(filters), squeeze=False)
-        for column, name in enumerate(filters):
-            with Renderer(volume, name, device=device) as renderer:
+        figure = new_figure(2.1 * len(rows) + 0.9, 3.9)
+        panels = figure.subplots(2, len(rows), squeeze=False)
+        for column, row in enumerate(rows):
+            with Renderer(volume, row, device=device) as renderer:
                 seen = renderer.render(
                     CAMERA, "isosurface", (pixels, pixels), 0.25, isovalue=ISOVALUE, color=SURFACE, lights=LIGHTS,
                     material=MATERIAL, background=_WHITE, clip=BOX, outputs=("rgba", "normal", "position"),
                 )  # fmt: skip
-                own = renderer.filter.has_gradient
-                name = renderer.filter.name
             angles = _angles(seen["normal"], seen["position"])
             there = angles[np.isfinite(angles)]
             mean = float(there.mean()) if there.size else None
-            numbers.append({"filter": name, "analytic": own, "angle_mean": mean, "shown": int(there.size)})
-            rows = slice(round(_CUT * pixels), round((1 - _CUT) * pixels))  # above and below there is nothing
-            show(panels[0, column], seen["rgba"][rows, :, :3], title(name))
+            numbers.append({"filter": row.name, "analytic": row.has_gradient, "angle_mean": mean, "shown": int(there.size)})
+            shown = slice(round(_CUT * pixels), round((1 - _CUT) * pixels))  # above and below there is nothing
+            show(panels[0, column], seen["rgba"][shown, :, :3], title(row.name))
             note = "nothing shows" if mean is None else f"mean {mean:.1f}°"
-            drawn = show(panels[1, column], angles[rows], "", note, cmap="turbo", vmin=0, vmax=_MOST)
+            drawn = show(panels[1, column], angles[shown], "", note, cmap="turbo", vmin=0, vmax=_MOST)
             if progress is not None:
-                progress((column + 1) / len(filters))
+                progress((column + 1) / len(rows))
         figure.colorbar(drawn, ax=list(panels[1]), shrink=0.85, pad=0.01, extend="max", label="degrees to the true normal")
     lines = [f"{title(n['filter'])}: normals err by {n['angle_mean']:.1f}° in the mean" for n in numbers if n["shown"]]
     return Drawing(figure, numbers, lines)

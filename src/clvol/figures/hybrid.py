@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from clvol import phantoms
 from clvol.camera import Camera
@@ -16,7 +17,7 @@ from clvol.errors import OptionError, whole
 from clvol.figures.panels import BOX, CAMERA, ISOVALUE, LIGHTS, MATERIAL, SURFACE
 from clvol.figures.style import GREY, Drawing, colour, new_figure, plain, show, styled, title
 from clvol.render import Renderer
-from clvol.volume import Volume
+from clvol.volume import Volume, as_volume
 
 __all__ = ["draw"]
 
@@ -26,7 +27,7 @@ _WHITE = (1.0, 1.0, 1.0)
 
 
 def draw(
-    samples: int = 41, pixels: int = 400, scan: Volume | None = None, device: Device | str | int | None = None,
+    samples: int = 41, pixels: int = 400, scan: Volume | ArrayLike | None = None, device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
 ) -> Drawing:  # fmt: skip
     """Figure 3: the same surface direct, by the hybrid, and by trilinear interpolation alone; differences; frame times.
@@ -37,7 +38,7 @@ def draw(
         Of the Marschner-Lobb function along each axis.
     pixels : int
         Width and height of each picture.
-    scan : Volume, optional
+    scan : Volume or array-like, optional
         An object in place of that function.
     device, progress
         As for `clvol.render`.
@@ -48,9 +49,9 @@ def draw(
         A scan without 3 axes, or with one value throughout: it has no surface.
     """
     pixels = whole("pixels", pixels, 1)
-    if scan is not None and scan.ndim != 3:
-        raise OptionError(f"scan must have 3 axes; got shape {scan.shape}")
-    volume = phantoms.marschner_lobb(samples) if scan is None else scan
+    volume = phantoms.marschner_lobb(samples) if scan is None else as_volume(scan)
+    if volume.ndim != 3:
+        raise OptionError(f"scan must have 3 axes; got shape {volume.shape}")
     low, high = volume.value_range
     if low == high:
         raise OptionError(f"scan must hold more than one value, since a surface is drawn; got {low:g} throughout")

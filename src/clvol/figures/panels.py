@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from clvol import phantoms
 from clvol.analysis import EXACT_SINC, sinc_volume
+from clvol.analysis.compare import as_compared
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary
 from clvol.camera import Camera
 from clvol.device import Device
-from clvol.errors import OptionError, whole
-from clvol.figures.style import Drawing, title
-from clvol.filters import Filter, as_filter
+from clvol.errors import whole
+from clvol.figures.style import LETTERS, Drawing, title
+from clvol.filters import Filter, as_filter, as_filters
 from clvol.light import Light, Material
 from clvol.picture import grid, labelled
 from clvol.reference.exact import draw_function
@@ -108,7 +109,8 @@ def figure6(
     sheet : ndarray of uint8, shape (height, width, 3)
         All panels, labelled with their errors.
     """
-    chosen = _chosen(filters, pixels, exact_sinc=True)
+    whole("pixels", pixels, 1)
+    chosen = as_compared(filters, len(LETTERS))
     volume = phantoms.marschner_lobb(size)
     surface, picture = _exact(volume, pixels, samples)
     points = np.random.default_rng(_SEED).uniform(-0.8, 0.8, (_POINTS, 3))
@@ -116,8 +118,9 @@ def figure6(
     panels = []
     for i, row in enumerate(chosen):
         report = _part(progress, i + 1, len(chosen) + 1)  # the exact picture was the first part
-        held, through, finer, residual = volume, row, 1, None
-        if isinstance(row, str):
+        if isinstance(row, Filter):
+            held, through, finer, residual = volume, row, 1, None
+        else:
             exact = sinc_volume(volume, _FINER)
             held, through, finer, residual = exact.volume, as_filter(exact.filter), _FINER, exact.maximum
         with Renderer(held, through, device=device) as renderer:
@@ -152,7 +155,8 @@ def compare(
         All panels, labelled, in rows of three or four.
     """
     options.setdefault("mode", "isosurface")
-    chosen = _chosen(filters, pixels)
+    whole("pixels", pixels, 1)
+    chosen = as_filters(filters)
     panels = []
     for i, row in enumerate(chosen):
         with Renderer(volume, row, boundary, device) as renderer:
@@ -170,14 +174,6 @@ def draw(
     panels, sheet = figure6(samples, pixels, filters, device=device, progress=progress)
     lines = [p.label.replace("\n", ": ") for p in panels if p.rms is not None]
     return Drawing(sheet, [p.numbers() for p in panels], lines)
-
-
-def _chosen(filters: Sequence[str | Filter], pixels: int, *, exact_sinc: bool = False) -> list[Any]:
-    """The filters asked for, and the exact sinc's name; raises for whatever is wrong before anything is drawn."""
-    whole("pixels", pixels, 1)
-    if isinstance(filters, (str, Filter)) or not filters:
-        raise OptionError(f"filters must be one or more names; got {filters!r}")
-    return [EXACT_SINC if exact_sinc and name == EXACT_SINC else as_filter(name) for name in filters]
 
 
 def fixed(camera: Camera, volume: Volume, other: Volume) -> Camera:

@@ -22,13 +22,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
-    "FAINT", "GREY", "INK", "Drawing", "colour", "label_ends", "new_figure", "plain", "require_matplotlib", "require_suffix",
-    "show", "spread", "styled", "title",
+    "FAINT", "GREY", "INK", "LETTERS", "Drawing", "colour", "label_ends", "new_figure", "plain", "require_matplotlib",
+    "require_suffix", "show", "spread", "styled", "title",
 ]  # fmt: skip
 
 Array: TypeAlias = NDArray[np.float64]
 
 INK, GREY, FAINT = "#222222", "#6f6f6f", "#d9d9d9"
+LETTERS = "abcdefghijklmnopqrstuvwxyz"
+"""What panels are called, a filter each: a figure holds no more of them."""
+
 _SUFFIXES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".tif", ".tiff")
 _DPI = 150
 _RC: Mapping[str, Any] = {

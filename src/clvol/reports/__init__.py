@@ -19,7 +19,7 @@ from clvol.device import Device, as_device
 from clvol.errors import FormatError, OptionError, as_path, whole
 from clvol.figures import cost
 from clvol.figures.style import require_matplotlib
-from clvol.filters import Filter, as_filter
+from clvol.filters import Filter, as_filters
 from clvol.formats._files import staged
 from clvol.reports import html, spectrum
 from clvol.reports.advice import Advice, advise
@@ -93,7 +93,7 @@ def report(
     name : str
         What the data are called.
     filters : sequence of str or Filter
-        What is compared.
+        What is compared; rows of one's own need not be registered.
     pixels : int
         Width and height of each picture.
     boundary, device, progress
@@ -113,9 +113,7 @@ def report(
         raise OptionError(f"a report takes a volume with 3 axes; got shape {volume.shape}")
     volume.require_finite()
     pixels, rule, on = whole("pixels", pixels, 16), as_boundary(boundary), as_device(device)
-    if isinstance(filters, (str, Filter)) or not filters:
-        raise OptionError(f"filters must be one or more names; got {filters!r}")
-    chosen = [as_filter(f) for f in filters]
+    chosen = as_filters(filters)
     told = progress or (lambda _: None)
     middle = _middle(volume)
     table = _measure(middle, chosen, rule, lambda done: told(_SHARE * done))
@@ -125,7 +123,7 @@ def report(
     drawn = None
     if low < high:
         drawn = cards(
-            volume, chosen, as_filter(advice.filter), pixels, rule, _FACTOR, on,
+            volume, chosen, table.filter(advice.filter), pixels, rule, _FACTOR, on,
             lambda done: told(_SHARE + (0.97 - _SHARE) * done), options,
         )  # fmt: skip
     text = _page(name, volume, middle, table, advice, found, drawn)
@@ -177,7 +175,7 @@ def _page(
         ("boundary", table.boundary),
         ("computed by", f"{table.evaluated_on}; times and pictures on {table.timed_on or 'no device'}"),
     ]
-    plots = [("Frequencies", html.inline(spectrum.plot(found, [row.filter for row in rows])))]
+    plots = [("Frequencies", html.inline(spectrum.plot(found, table.filters)))]
     timed = [row for row in rows if row.seconds and row.rms > 0 and table.value_range[0] < table.value_range[1]]
     if timed:
         numbers = [

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from clvol.analysis import EXACT_SINC, ErrorRow, ErrorTable
 from clvol.figures.style import title
-from clvol.filters import as_filter
+from clvol.filters import Filter
 
 __all__ = ["Advice", "advise"]
 
@@ -55,7 +55,7 @@ def advise(table: ErrorTable, high: float | None = None) -> Advice:
     near = [row for row in rows if row.rms <= _AS_GOOD * least]
     slopes = [row.gradient_rms for row in near if row.gradient_rms is not None]
     steady = [row for row in near if row.gradient_rms is not None and row.gradient_rms <= _AS_GOOD * min(slopes)]
-    chosen = min(steady or near, key=lambda row: (_taps(row), -as_filter(row.filter).continuity, row.rms))
+    chosen = min(steady or near, key=lambda row: (_taps(table.filter(row.filter)), -table.filter(row.filter).continuity, row.rms))
     sentences = [f"For these data use {chosen.filter} ({title(chosen.filter)})."]
     sentences += _against_base(rows, chosen)
     best = min(rows, key=lambda row: row.rms)
@@ -74,10 +74,9 @@ def advise(table: ErrorTable, high: float | None = None) -> Advice:
     return Advice(chosen.filter, sentences)
 
 
-def _taps(row: ErrorRow) -> int:
+def _taps(row: Filter) -> int:
     """Taps a sample along each axis, of the given data: what a filter costs wherever it runs, and no chance in it."""
-    chosen = as_filter(row.filter)
-    return chosen.support * chosen.scale
+    return row.support * row.scale
 
 
 def _against_base(rows: Sequence[ErrorRow], chosen: ErrorRow) -> list[str]:

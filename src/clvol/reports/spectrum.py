@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from clvol.analysis import frequency_response
 from clvol.figures.style import FAINT, GREY, INK, colour, new_figure, styled, title
+from clvol.filters import Filter
 from clvol.volume import Volume
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ def high_share(found: Spectra) -> float | None:
     return float(np.mean(shares)) if shares else None
 
 
-def plot(found: Spectra, filters: Sequence[str]) -> Figure:
+def plot(found: Spectra, filters: Sequence[Filter]) -> Figure:
     """The filters' responses (left), and what the data hold at each frequency (right)."""
     omega = np.linspace(0, 2 * np.pi, 601)
     shown = [one for one in found if one[2].any()]
@@ -56,8 +57,9 @@ def plot(found: Spectra, filters: Sequence[str]) -> Figure:
         figure = new_figure(11, 4.0)
         left, right = figure.subplots(1, 2)
         left.plot([0, 1, 1, 2], [1, 1, 0, 0], color=FAINT, linewidth=1.2)
-        for name in filters:
-            left.plot(omega / np.pi, frequency_response(name, omega), color=colour(name), label=title(name), linewidth=1.5)
+        for row in filters:
+            response = frequency_response(row, omega)
+            left.plot(omega / np.pi, response, color=colour(row.name), label=title(row.name), linewidth=1.5)
         left.set(
             xlim=(0, 2), ylim=(-0.15, 1.2), xlabel="frequency ω / π, where 1 is Nyquist", ylabel="response",
             title="what the filters keep (below 1) and let through (above)",
