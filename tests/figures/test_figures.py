@@ -14,7 +14,7 @@ import pytest
 
 import clvol
 from clvol import FormatError, MissingDependencyError, OptionError, analysis, figures, phantoms
-from clvol.analysis import EXACT_SINC
+from clvol.analysis import EXACT_SINC, timing
 from clvol.device import Device
 from clvol.figures import convergence, cost, errors, gradients, hybrid, images, impulse, inputs, pipeline, responses, style
 
@@ -240,8 +240,8 @@ def test_sizes_of_grids_are_checked(sizes: tuple[int, ...]) -> None:
 
 
 def test_cost_puts_every_filter_on_the_plot(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cost, "_TIMED", 1000)
-    monkeypatch.setattr(cost, "_ROUNDS", 2)
+    monkeypatch.setattr(timing, "_TIMED", 1000)
+    monkeypatch.setattr(timing, "_ROUNDS", 2)
     done: list[float] = []
     drawing = cost.draw(("nearest", "linear", "bspline3"), samples=15, points=500, device=device, progress=done.append)
     assert [n["filter"] for n in drawing.numbers] == ["nearest", "linear", "bspline3"]

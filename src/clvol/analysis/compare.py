@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, TypeAlias
@@ -16,6 +15,7 @@ from clvol import reference, spline
 from clvol.analysis.dirichlet import dirichlet_sample, dirichlet_weights
 from clvol.analysis.ssim import ssim
 from clvol.analysis.table import Table, column
+from clvol.analysis.timing import seconds_a_sample
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.device import Device, as_device
 from clvol.errors import (
@@ -44,7 +44,7 @@ _WHOLE = 1 << 25  # samples of a volume that are held back, at most: of a larger
 _FARTHEST = 1024  # samples between those kept
 _CHUNK = 1 << 20  # positions taken at a time
 _SINC_PRODUCTS = 1 << 34  # of the exact sinc at scattered points, where each takes all samples
-_TIMED = 1 << 18  # positions on a device whose time is measured
+_SHARE = 0.9  # of the time that errors take, where times are measured too
 _DIRECTED = 0.01  # of the greatest gradient: what is less has no direction that is seen
 _NUMPY = "NumPy, float64"
 
@@ -166,7 +166,8 @@ def compare(
     gradient: Function | None = None, size: int | Sequence[int] = 41, domain: tuple[float, float] = (-1.0, 1.0),
     dimensions: int = 3, boundary: str | Boundary = DEFAULT_BOUNDARY, factor: int = 2,
     lowpass: Literal["gaussian", "none"] = "gaussian", margin: float = 4.0, points: int = 200_000, seed: int = 0,
-    timing: bool = True, device: Device | str | int | None = None, progress: Callable[[float], Any] | None = None,
+    timing: bool = True, device: Device | str | int | None = None, timing_device: Device | str | int | None = None,
+    progress: Callable[[float], Any] | None = None,
 ) -> ErrorTable:  # fmt: skip
     """Measure what each filter makes of data whose truth is known.
 
@@ -205,9 +206,11 @@ def compare(
     seed : int
         Of the random positions.
     timing : bool
-        Measure the time per million samples, on the default device if none is named; without any there are no times.
+        Measure the time per million samples at random positions; without any device there are no times.
     device : Device, str or int, optional
         Take the values from this device, in float32; by default they are float64 by `clvol.reference`.
+    timing_device : Device, str or int, optional
+        Where times are measured: `device` unless named, or the default one.
     progress : callable, optional
         Called with the fraction done.
 
@@ -229,6 +232,7 @@ def compare(
     rng = np.random.default_rng(whole("seed", seed, 0))
     margin = number("margin", margin, least=0)
     on = None if device is None else as_device(device)
+    clock = _clock(timing_device, on) if timing else None
     if EXACT_SINC in chosen and rule.period is None:
         raise OptionError(f"boundary must be mirror, reflect or wrap for {EXACT_SINC!r}; got {rule.name!r}")
     if callable(source):
@@ -248,17 +252,34 @@ def compare(
         trial = _held_back(volume, factor, lowpass, margin, points, rule, rng)
     else:
         trial = _known(volume, truth, gradient, margin, points, rng)
-    timer = _Timer(trial, rule, on) if timing else None
+    told, share = progress or (lambda _: None), 1.0 if clock is None else _SHARE
     rows = []
     for done, row in enumerate(chosen, 1):
-        rows.append(_measure(trial, row, rule, on, timer))
-        if progress is not None:
-            progress(done / len(chosen))
+        rows.append(_measure(trial, row, rule, on))
+        told(share * done / len(chosen))
+    ours = [row for row in chosen if isinstance(row, Filter)]
+    if clock is not None:
+        seconds = iter(seconds_a_sample(trial.samples, ours, rule, clock, lambda done: told(share + (1 - share) * done)))
+        for i, row in enumerate(chosen):
+            if isinstance(row, Filter):
+                rows[i] = replace(rows[i], seconds=1e6 * next(seconds))
+        told(1.0)
     return ErrorTable(
         rows, samples=trial.samples, against=trial.against, points=trial.points.shape[0], boundary=rule.name,
-        evaluated_on=_NUMPY if on is None else on.name, timed_on="" if timer is None or timer.on is None else timer.on.name,
-        filters=(row for row in chosen if isinstance(row, Filter)),
+        evaluated_on=_NUMPY if on is None else on.name, timed_on="" if clock is None else clock.name, filters=ours,
     )  # fmt: skip
+
+
+def _clock(named: Device | str | int | None, on: Device | None) -> Device | None:
+    """The device whose time is measured, or None if there is none and none was named."""
+    try:
+        device = on if named is None and on is not None else as_device(named)
+        device.require_usable()
+    except DeviceError:
+        if named is not None:
+            raise
+        return None
+    return device
 
 
 def as_compared(filters: Sequence[str | Filter], most: int | None = None) -> list[str | Filter]:
@@ -403,7 +424,7 @@ def _lattice_points(axes: Sequence[Array]) -> Array:
 # -- what each filter makes of it ----------------------------------------------------------------------------
 
 
-def _measure(trial: _Trial, row: str | Filter, rule: Boundary, on: Device | None, timer: _Timer | None) -> ErrorRow:
+def _measure(trial: _Trial, row: str | Filter, rule: Boundary, on: Device | None) -> ErrorRow:
     if row == EXACT_SINC:
         trial = trial.first(max(1, _SINC_PRODUCTS // trial.samples.data.size))
     fine = _on_lattice(trial, row, rule, on)
@@ -425,7 +446,7 @@ def _measure(trial: _Trial, row: str | Filter, rule: Boundary, on: Device | None
         ssim(_middle_of(fine), _middle_of(trial.lattice), span) if span > 0 else None,
         slope_rms, *angles,
         max(0.0, float(got.max()) - high, low - float(got.min())),
-        timer(row) if timer is not None and isinstance(row, Filter) else None,
+        None,
     )  # fmt: skip
 
 
@@ -480,30 +501,3 @@ def _root_mean_square(values: Array) -> float:
     """Of numbers whose squares may not be floats any more."""
     unit = float(np.abs(values).max()) or 1.0
     return unit * math.sqrt(float(np.mean((values / unit) ** 2)))
-
-
-class _Timer:
-    """Seconds per million samples of a filter at the trial's points, on a device; None without one."""
-
-    def __init__(self, trial: _Trial, rule: Boundary, on: Device | None) -> None:
-        if on is None:
-            try:
-                on = as_device()
-                on.require_usable()
-            except DeviceError:
-                on = None
-        self.trial, self.rule, self.on = trial, rule, on
-        self.points = np.resize(trial.points, (_TIMED, trial.samples.ndim))
-
-    def __call__(self, row: Filter) -> float | None:
-        if self.on is None:
-            return None
-        path = spline.choose_path(self.on, row)
-        times = []
-        with spline.Coefficients(self.trial.samples, row, self.rule, self.on) as held:
-            spline.sample_coefficients(held, path, self.points[:64])  # builds the kernel
-            for _ in range(3):
-                start = time.perf_counter()
-                spline.sample_coefficients(held, path, self.points)
-                times.append(time.perf_counter() - start)
-        return min(times) * 1e6 / _TIMED  # in the others the machine had something else to do

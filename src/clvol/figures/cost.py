@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
 
 from clvol import analysis, phantoms
+from clvol.analysis.timing import seconds_a_sample
 from clvol.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.device import Device, as_device
 from clvol.figures.style import FAINT, GREY, Drawing, colour, new_figure, styled
 from clvol.filters import Filter, as_filters
 from clvol.filters import filters as all_filters
-from clvol.spline import Coefficients, choose_path, sample_coefficients
-from clvol.volume import Volume
 
 __all__ = ["draw", "frontier", "plot"]
 
-_TIMED = 1 << 17  # positions
-_ROUNDS = 12
 _SHARE = 0.8  # of the time that errors take
 _PLACES = ((1, 0), (1, 1), (1, -1), (-1, 0), (-1, 1), (-1, -1), (0, 1.4), (0, -1.4), (1, 2.2), (1, -2.2), (-1, 2.2), (-1, -2.2))
 
@@ -55,7 +50,9 @@ def draw(
         phantoms.marschner_lobb_function, rows, gradient=phantoms.marschner_lobb_gradient, size=samples, points=points,
         timing=False, progress=lambda done: told(_SHARE * done),
     )  # fmt: skip
-    seconds = _seconds(table.samples, rows, on, lambda done: told(_SHARE + (1 - _SHARE) * done))
+    seconds = seconds_a_sample(
+        table.samples, rows, as_boundary(DEFAULT_BOUNDARY), on, lambda done: told(_SHARE + (1 - _SHARE) * done)
+    )
     numbers: list[dict[str, Any]] = [
         {"filter": row.filter, "nanoseconds": 1e9 * took, "rms": row.rms, "angle_mean": row.angle_mean}
         for row, took in zip(table, seconds, strict=True)
@@ -70,24 +67,6 @@ def draw(
         for n in numbers
     ]
     return Drawing(figure, numbers, [*lines, "* nothing is both faster and better"])
-
-
-def _seconds(volume: Volume, rows: Sequence[Filter], on: Device, progress: Callable[[float], Any]) -> list[float]:
-    """The least time a sample of each filter, in rounds, so that what else the machine does falls on all alike."""
-    points = volume.index_to_world(np.random.default_rng(0).uniform(0, 1, (_TIMED, volume.ndim)) * (np.array(volume.size) - 1))
-    least = [np.inf] * len(rows)
-    with ExitStack() as stack:
-        held = [stack.enter_context(Coefficients(volume, row, as_boundary(DEFAULT_BOUNDARY), on)) for row in rows]
-        paths = [choose_path(on, row) for row in rows]
-        for coefficients, path in zip(held, paths, strict=True):
-            sample_coefficients(coefficients, path, points[:64])  # builds the kernel
-        for done in range(_ROUNDS):
-            for i, (coefficients, path) in enumerate(zip(held, paths, strict=True)):
-                started = time.perf_counter()
-                sample_coefficients(coefficients, path, points)
-                least[i] = min(least[i], (time.perf_counter() - started) / _TIMED)
-            progress((done + 1) / _ROUNDS)
-    return least
 
 
 def plot(numbers: Sequence[dict[str, Any]], heading: str, note: str) -> Any:

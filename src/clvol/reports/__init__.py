@@ -116,7 +116,7 @@ def report(
     chosen = as_filters(filters)
     told = progress or (lambda _: None)
     middle = _middle(volume)
-    table = _measure(middle, chosen, rule, lambda done: told(_SHARE * done))
+    table = _measure(middle, chosen, rule, on, lambda done: told(_SHARE * done))
     found = spectrum.spectra(middle)
     advice = advise(table, spectrum.high_share(found))
     low, high = volume.value_range
@@ -149,9 +149,13 @@ def _middle(volume: Volume) -> Volume:
     return volume.crop(low, [a + m for a, m in zip(low, sizes, strict=True)])
 
 
-def _measure(volume: Volume, chosen: Sequence[Filter], rule: Boundary, progress: Callable[[float], Any]) -> ErrorTable:
-    """Errors of the filters, and of the exact sinc where the boundary rule has a period."""
-    table = analysis.compare(volume, chosen, boundary=rule, factor=_FACTOR, points=_POINTS, progress=lambda d: progress(0.85 * d))
+def _measure(
+    volume: Volume, chosen: Sequence[Filter], rule: Boundary, device: Device, progress: Callable[[float], Any]
+) -> ErrorTable:
+    """Errors of the filters, their times on the device, and errors of the exact sinc where the boundary rule has a period."""
+    table = analysis.compare(
+        volume, chosen, boundary=rule, factor=_FACTOR, points=_POINTS, timing_device=device, progress=lambda d: progress(0.85 * d)
+    )
     if rule.period is not None:
         sinc = analysis.compare(volume, [EXACT_SINC], boundary=rule, factor=_FACTOR, points=_SINC_POINTS, timing=False)
         table.extend(sinc)
