@@ -365,7 +365,7 @@ def test_figure6_prints_its_errors(clvol_command: Command) -> None:
     *lines, output = done.out.splitlines()
     assert output == "output: figure6.png"
     assert len(lines) == 6
-    assert lines[-1].startswith("B-spline interpolation: RMS error 0.")
+    assert lines[-1].startswith("f)  B-spline interpolation: RMS error 0.")
     assert lines[-1].endswith("°")
     assert files() == ["figure6.png"]
     told = clvol_command("figure6", "--samples", "12", "--pixels", "16", "-o", "b.png", "--json").json

@@ -67,7 +67,8 @@ def test_interpolation_errs_least_but_for_the_sinc(drawn: tuple[list[Panel], np.
 def test_the_exact_sinc_says_how_exact_it_is(drawn: tuple[list[Panel], np.ndarray]) -> None:
     sinc = panel(drawn, EXACT_SINC)
     assert sinc.residual == pytest.approx(9e-5, rel=0.2)
-    assert sinc.label.startswith("sinc, exact to within 9e-05\nRMS error 0.0145")
+    assert sinc.label.startswith("a)  sinc, exact to about 9e-05\nRMS error 0.0145")
+    assert [p.letter for p in drawn[0]] == [*"abcdef", ""]
     assert all(p.residual is None for p in drawn[0][1:])
 
 
@@ -118,6 +119,7 @@ def test_the_sheet_holds_every_panel_under_its_label(drawn: tuple[list[Panel], n
 def test_labels_tell_what_was_measured() -> None:
     picture = np.zeros((2, 2, 4), np.float32)
     assert Panel("linear", picture, 0.03281, 12.345).label == "linear\nRMS error 0.0328   normals 12.3°"
+    assert Panel("linear", picture, 0.03281, letter="d").label == "d)  linear\nRMS error 0.0328"
     assert Panel("linear", picture, 0.03281).label == "linear\nRMS error 0.0328"
     assert Panel("exact", picture).label == "the function itself\n"
     assert Panel("bspline2", picture).label == "bspline2\n"
@@ -149,7 +151,7 @@ def test_compare_puts_panels_in_rows(device: Device, count: int, across: int, do
     assert [p.filter for p in panels] == [{"bspline": "bspline3"}.get(name, name) for name in names]
     assert all(p.rms is None and p.angle is None for p in panels)
     assert sheet.shape[1:] == (12 * across + 4 * (across - 1), 3)
-    assert 12 * down < sheet.shape[0] < 75 * down
+    assert sheet.shape[0] == (12 + 18) * down + 4 * (down - 1)  # a line of 9 pixels beneath each
 
 
 def test_compare_draws_what_render_draws(device: Device) -> None:

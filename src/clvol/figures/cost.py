@@ -17,6 +17,8 @@ from clvol.filters import filters as all_filters
 
 __all__ = ["draw", "frontier", "plot"]
 
+_LETTER = 8.5  # points
+_GAP = 0.85  # of an em, from a dot's centre to the label beside it
 _SHARE = 0.8  # of the time that errors take
 _PLACES = ((1, 0), (1, 1), (1, -1), (-1, 0), (-1, 1), (-1, -1), (0, 1.4), (0, -1.4), (1, 2.2), (1, -2.2), (-1, 2.2), (-1, -2.2))
 
@@ -113,20 +115,23 @@ def _scatter(axes: Any, numbers: Sequence[dict[str, Any]], key: str, heading: st
 def _label(axes: Any, shown: Sequence[tuple[str, float, float]]) -> None:
     """A name beside each point, where it covers no other name and no point."""
     at = {name: axes.transData.transform((x, y)) for name, x, y in shown}
-    em = axes.figure.dpi * 8.5 / 72
+    em = axes.figure.dpi * _LETTER / 72
+    # a dot is not quite an em wide
     taken = [(p[0] - 0.5 * em, p[1] - 0.5 * em, p[0] + 0.5 * em, p[1] + 0.5 * em) for p in at.values()]
     for name, x, y in shown:
-        width, height = 0.56 * em * len(name), 1.05 * em
+        label = axes.annotate(
+            name, (x, y), (0, 0), textcoords="offset points", ha="center", va="center", fontsize=_LETTER, color=colour(name)
+        )
+        label.set_in_layout(False)
+        extent = label.get_window_extent()
+        width, height = extent.width, extent.height
         boxes = []
         for dx, dy in _PLACES:
-            centre = at[name] + np.array([dx * (width / 2 + 0.9 * em), dy * 1.05 * em])
+            centre = at[name] + np.array([dx * (width / 2 + _GAP * em), dy * height])
             boxes.append((centre[0] - width / 2, centre[1] - height / 2, centre[0] + width / 2, centre[1] + height / 2))
         box = min(boxes, key=lambda b: sum(_overlap(b, other) for other in taken))
         taken.append(box)
-        offset = (np.array([(box[0] + box[2]) / 2, (box[1] + box[3]) / 2]) - at[name]) * 72 / axes.figure.dpi
-        axes.annotate(
-            name, (x, y), tuple(offset), textcoords="offset points", ha="center", va="center", fontsize=8.5, color=colour(name)
-        ).set_in_layout(False)
+        label.set_position(tuple((np.array([(box[0] + box[2]) / 2, (box[1] + box[3]) / 2]) - at[name]) * 72 / axes.figure.dpi))
 
 
 def _overlap(a: Sequence[float], b: Sequence[float]) -> float:

@@ -91,16 +91,18 @@ def draw(
 def _drawn(pictures: list[Any], numbers: list[dict[str, Any]]) -> Any:
     figure = new_figure(10.2, 7.1)
     panels = figure.subplots(2, 3)
-    headings = ("a)  direct: 64 taps a sample", "b)  hybrid: 8 taps, ×8 the memory", "trilinear alone: 8 taps")
-    for axes, picture, heading in zip(panels[0], pictures, headings, strict=True):
+    direct, hybrid, linear = pictures  # shown in the order of the paper, each difference below its picture
+    headings = ("a)  hybrid: 8 taps, ×8 the memory", "b)  direct: 64 taps a sample", "trilinear alone: 8 taps")
+    for axes, picture, heading in zip(panels[0], (hybrid, direct, linear), headings, strict=True):
         show(axes, picture, heading)
-    differences = [np.abs(p - pictures[0]).mean(-1) for p in pictures[1:]]
+    differences = [np.abs(p - direct).mean(-1) for p in (hybrid, linear)]
     most = max(float(np.quantile(d, 0.995)) for d in differences) or 1.0
-    for axes, difference, n, name in zip(panels[1, 1:], differences, numbers[1:], ("hybrid", "trilinear"), strict=True):
+    for axes, difference, n, name in zip(panels[1, ::2], differences, numbers[1:], ("hybrid", "trilinear"), strict=True):
         image = show(axes, difference, f"|{name} − direct|", f"RMS {n['rms_difference']:.4f}", cmap="Reds", vmin=0, vmax=most)
-    figure.colorbar(image, ax=list(panels[1, 1:]), shrink=0.75, pad=0.02, label="difference of shade")
-    times, memory = panels[1, 0].inset_axes((0.3, 0.62, 0.66, 0.3)), panels[1, 0].inset_axes((0.3, 0.12, 0.66, 0.3))
-    plain(panels[1, 0])
+    figure.colorbar(image, cax=panels[1, 2].inset_axes((1.04, 0.1, 0.05, 0.8)), label="difference of shade")
+    middle = panels[1, 1]
+    times, memory = middle.inset_axes((0.3, 0.62, 0.6, 0.3)), middle.inset_axes((0.3, 0.12, 0.6, 0.3))
+    plain(middle)
     for axes, key, unit, heading in (
         (times, "seconds", 1e-3, "time of a frame, ms"), (memory, "coefficients_bytes", 2**20, "coefficients, MiB"),
     ):  # fmt: skip

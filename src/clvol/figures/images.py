@@ -14,7 +14,7 @@ from clvol.device import Device
 from clvol.errors import require_room, whole
 from clvol.figures.inputs import photograph, zone_plate
 from clvol.figures.panels import FIGURE_6
-from clvol.figures.style import LETTERS, Drawing, new_figure, show, styled, title
+from clvol.figures.style import LETTERS, Drawing, folded, new_figure, show, styled, title
 from clvol.filters import Filter
 from clvol.spline import sample
 from clvol.volume import Volume
@@ -67,7 +67,7 @@ def draw(
                 drawn = finer(few, _FACTOR, drawer, device)
                 rms = float(np.sqrt(np.mean((drawn[inner] - truth.data[inner]) ** 2)))
                 numbers.append({"input": kind, "filter": name, "rms": rms})
-                heading = f"{LETTERS[column]})  {title(name)}" if row == 0 else ""
+                heading = folded(f"{LETTERS[column]})  {title(name)}") if row == 0 else ""
                 show(panels[row, column], drawn, heading, f"RMS {rms:.4f}", vmin=0, vmax=1)
             if progress is not None:
                 progress((column + 1) / len(chosen))

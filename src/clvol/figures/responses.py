@@ -15,6 +15,7 @@ __all__ = ["draw"]
 
 _BESIDE = ("linear", "mitchell")  # what the hybrid is to be judged against
 _REACH = 4  # multiples of pi
+_ACROSS = 4  # names in a row of the legend
 _FLOOR = -80.0  # decibels
 
 
@@ -31,7 +32,8 @@ def draw(filters: Sequence[str | Filter] = ("bspline3", "hybrid")) -> Drawing:
     omega = np.linspace(0, _REACH * np.pi, 1601)
     numbers = []
     with styled():
-        figure = new_figure(11, 4.2)
+        across = min(_ACROSS, len(rows))
+        figure = new_figure(11, 4.0 + 0.2 * -(-len(rows) // across))
         near, far = figure.subplots(1, 2, width_ratios=(1, 1.15))
         near.fill_between([0, 1], 0, 1, color="#f1f1f1", linewidth=0)
         near.plot([0, 1, 1, 2], [1, 1, 0, 0], color=FAINT, linewidth=1.2)
@@ -48,12 +50,12 @@ def draw(filters: Sequence[str | Filter] = ("bspline3", "hybrid")) -> Drawing:
             xlim=(0, 2), ylim=(-0.15, 1.12), xlabel="frequency ω / π, where 1 is Nyquist", ylabel="response",
             title="passband and the first band of aliases",
         )  # fmt: skip
-        near.annotate("ideal", (0.5, 1.03), color=GREY, fontsize=9, ha="center")
+        near.annotate("ideal", (1.03, 0.97), color=GREY, fontsize=9)  # beside its edge, where no curve is
         far.set(
             xlim=(0, _REACH), ylim=(_FLOOR, 6), xlabel="frequency ω / π", ylabel="|response|, decibels",
             title="stopband: what is left of the aliases",
         )  # fmt: skip
-        figure.legend(*near.get_legend_handles_labels(), loc="outside upper center", ncols=len(rows))
+        figure.legend(*near.get_legend_handles_labels(), loc="outside upper center", ncols=across)
     lines = [
         f"{title(n['filter'])}: errs by up to {n['passband_error']:.3f} below π/2, lets "
         + (f"up to {n['stopband_peak']:.3f} ({-n['attenuation']:.0f} dB)" if n["attenuation"] is not None else "none")
