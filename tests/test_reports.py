@@ -3,6 +3,7 @@ from __future__ import annotations
 import base64
 import io
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -134,6 +135,16 @@ def test_a_report_goes_to_a_folder_or_a_file(tmp_path: Path) -> None:
             reports.page(bad)
 
 
+def test_a_report_that_cannot_be_written_is_refused_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(**_: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("tempfile.mkdtemp", refuse)
+    for output in (tmp_path / "report", tmp_path / "a.html", tmp_path):
+        with pytest.raises(FormatError, match=r"cannot write .*: nothing can be made in .*: Permission denied"):
+            reports.page(output)
+
+
 def test_an_interrupted_report_leaves_nothing(tmp_path: Path, device: Device) -> None:
     def interrupt(done: float) -> None:
         if done > 0.7:
@@ -189,6 +200,7 @@ def test_what_cannot_be_reported_is_said_first(tmp_path: Path, device: Device, m
         (phantoms.sphere(5), {"filters": "linear"}, OptionError, "one or more names"),
         (phantoms.sphere(5), {"filters": ()}, OptionError, "one or more names"),
         (phantoms.sphere(5), {"filters": ("bogus",)}, OptionError, "bogus"),
+        (phantoms.sphere(5), {"filters": (EXACT_SINC,)}, OptionError, "must name one to be drawn beside 'exact-sinc'"),
         (phantoms.sphere(5), {"pixels": 4}, OptionError, "pixels"),
         (phantoms.sphere(5), {"boundary": "none"}, OptionError, "boundary"),
     ]  # fmt: skip
@@ -215,6 +227,10 @@ def test_without_a_period_there_is_no_exact_sinc(tmp_path: Path, device: Device)
         phantoms.sphere(10), tmp_path / "a.html", filters=("linear",), pixels=16, boundary="zero", device=device, mode="mip"
     )  # fmt: skip
     assert [row.filter for row in done.table] == ["linear"]
+    with pytest.raises(OptionError, match="boundary must be mirror, reflect or wrap for 'exact-sinc'; got 'zero'"):
+        reports.report(phantoms.sphere(5), tmp_path / "b.html", filters=("linear", EXACT_SINC), boundary="zero", device=device)
+    done = reports.report(phantoms.sphere(5), tmp_path / "b.html", filters=(EXACT_SINC, "linear"), pixels=16, device=device)
+    assert [row.filter for row in done.table] == ["linear", EXACT_SINC]
 
 
 def test_of_a_large_volume_the_middle_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -255,12 +271,35 @@ def test_the_narrowest_of_the_best_is_recommended() -> None:
     assert "20 % of their variance lies above half of the Nyquist frequency: they are rich in detail" in text
 
 
+def test_a_recommendation_is_a_sentence() -> None:
+    told = advice.advise(table(("linear", 0.2, 2.0, None, 0), ("mitchell", 0.1, 1.0, None, 0.004)))
+    assert told.sentences[0] == "For these data use mitchell (Mitchell B = C = 1/3)."
+    assert told.sentences[-1] == "It leaves the range of the samples by no more than 0.4 % of it."
+    told = advice.advise(table(("lanczos3", 0.1, 1.0, None, 1e-9)))
+    assert told.sentences == ["For these data use lanczos3.", "It stays within the range of the samples."]
+
+
+def test_the_best_of_each_column_is_bold() -> None:
+    made = table(("linear", 0.2, 2.0, 0.01, 0.0), ("mitchell", 0.1, None, 0.02, 0.0))
+    made[1] = replace(made[1], psnr=30.0, ssim=0.5)
+    assert html._best(made) == {1: {1}, 2: {1}, 3: {1}, 4: {0}, 5: {0}, 6: {0, 1}, 7: {0, 1}, 8: {0, 1}, 9: {0, 1}, 10: {0}}
+    assert "The best of each column is bold: the greatest of PSNR and SSIM, the least of the others." in html._NOTES[-1]
+
+
+def test_the_exact_sinc_is_measured_where_the_others_are(made: tuple[reports.Report, Page, list[float]]) -> None:
+    table = made[0].table
+    wanted = clvol.analysis.compare(blob(), [EXACT_SINC], timing=False, points=20_000)
+    assert table[-1] == wanted[0]
+    assert table.points == wanted.points > 1000
+
+
 def test_where_little_is_gained_it_is_said() -> None:
     told = advice.advise(table(("linear", 0.104, 1.0, 0.01, 0), ("bspline3", 0.1, 0.99, 0.02, 0.0)), high=0.001)
     assert told.filter == "linear"
     text = " ".join(told.sentences)
     assert "The least error of all has bspline3, 3.8 % less" in text
-    assert "stays within the range of the samples" in text
+    assert text.startswith("For these data use linear. The least")
+    assert "It stays within the range of the samples. " in text
     assert "very smooth" in text
     told = advice.advise(table(("linear", 0.104, 1.2, 0.01, 0), ("bspline3", 0.1, 0.99, 0.02, 0.0)))
     assert told.filter == "bspline3"  # by its gradients

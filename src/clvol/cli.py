@@ -481,8 +481,9 @@ def _require_written(output: Path) -> None:
 
 
 def _require_folder(output: Path) -> None:
-    if not output.parent.is_dir():
-        raise FormatError(f"cannot write {output}: the folder {output.parent} does not exist")
+    from clvol.formats._files import require_folder
+
+    require_folder(output)
 
 
 # -- speaking ------------------------------------------------------------------------------------------------

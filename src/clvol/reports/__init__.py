@@ -14,13 +14,14 @@ from typing import Any
 
 from clvol import analysis
 from clvol.analysis import EXACT_SINC, ErrorTable
+from clvol.analysis.compare import as_compared
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.device import Device, as_device
 from clvol.errors import FormatError, OptionError, as_path, whole
 from clvol.figures import cost
 from clvol.figures.style import require_matplotlib
-from clvol.filters import Filter, as_filters
-from clvol.formats._files import staged
+from clvol.filters import Filter
+from clvol.formats._files import require_folder, staged
 from clvol.reports import html, spectrum
 from clvol.reports.advice import Advice, advise
 from clvol.reports.pictures import Cards, cards
@@ -33,7 +34,6 @@ REPORTED = ("nearest", "linear", "bspline3-approx", "mitchell", "catmull-rom", "
 
 _MEASURED = 1 << 22  # samples that are measured: of a larger volume the middle
 _POINTS = 20_000  # gradients that are compared
-_SINC_POINTS = 200  # of the exact sinc, each of which takes all samples
 _SHARE = 0.6  # of the time that measuring takes
 _FACTOR = 2
 
@@ -66,14 +66,10 @@ def page(output: str | os.PathLike[str]) -> Path:
         It cannot be written there.
     """
     path = as_path(output)
-    if path.suffix.lower() in (".html", ".htm"):
-        folder, file = path.parent, path
-    else:
-        folder, file = path.parent, path / "index.html"
-        if path.exists() and not path.is_dir():
-            raise FormatError(f"a report is written to a folder, or to a file that ends in .html; got {str(path)!r}")
-    if not folder.is_dir():
-        raise FormatError(f"cannot write {output}: the folder {folder} does not exist")
+    file = path if path.suffix.lower() in (".html", ".htm") else path / "index.html"
+    if file != path and path.exists() and not path.is_dir():
+        raise FormatError(f"a report is written to a folder, or to a file that ends in .html; got {str(path)!r}")
+    require_folder(file if path.is_dir() else path)
     return file
 
 
@@ -93,7 +89,8 @@ def report(
     name : str
         What the data are called.
     filters : sequence of str or Filter
-        What is compared; rows of one's own need not be registered.
+        What is compared and drawn; rows of one's own need not be registered. The exact sinc is compared too, named or
+        not, where the boundary rule has a period.
     pixels : int
         Width and height of each picture.
     boundary, device, progress
@@ -113,10 +110,19 @@ def report(
         raise OptionError(f"a report takes a volume with 3 axes; got shape {volume.shape}")
     volume.require_finite()
     pixels, rule, on = whole("pixels", pixels, 16), as_boundary(boundary), as_device(device)
-    chosen = as_filters(filters)
+    named = as_compared(filters)
+    chosen = [row for row in named if isinstance(row, Filter)]
+    if not chosen:
+        raise OptionError(f"filters must name one to be drawn beside {EXACT_SINC!r}; got {filters!r}")
+    measured: list[str | Filter] = [*chosen]
+    if rule.period is not None or EXACT_SINC in named:
+        measured.append(EXACT_SINC)
     told = progress or (lambda _: None)
     middle = _middle(volume)
-    table = _measure(middle, chosen, rule, on, lambda done: told(_SHARE * done))
+    table = analysis.compare(
+        middle, measured, boundary=rule, factor=_FACTOR, points=_POINTS, timing_device=on,
+        progress=lambda done: told(_SHARE * done),
+    )  # fmt: skip
     found = spectrum.spectra(middle)
     advice = advise(table, spectrum.high_share(found))
     low, high = volume.value_range
@@ -147,20 +153,6 @@ def _middle(volume: Volume) -> Volume:
     sizes = [max(1, int(n * share)) for n in volume.size]
     low = [(n - m) // 2 for n, m in zip(volume.size, sizes, strict=True)]
     return volume.crop(low, [a + m for a, m in zip(low, sizes, strict=True)])
-
-
-def _measure(
-    volume: Volume, chosen: Sequence[Filter], rule: Boundary, device: Device, progress: Callable[[float], Any]
-) -> ErrorTable:
-    """Errors of the filters, their times on the device, and errors of the exact sinc where the boundary rule has a period."""
-    table = analysis.compare(
-        volume, chosen, boundary=rule, factor=_FACTOR, points=_POINTS, timing_device=device, progress=lambda d: progress(0.85 * d)
-    )
-    if rule.period is not None:
-        sinc = analysis.compare(volume, [EXACT_SINC], boundary=rule, factor=_FACTOR, points=_SINC_POINTS, timing=False)
-        table.extend(sinc)
-    progress(1.0)
-    return table
 
 
 def _page(
