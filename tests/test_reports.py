@@ -15,7 +15,9 @@ import pytest
 import clvol
 from clvol import DataError, FormatError, OptionError, Volume, phantoms, reports
 from clvol.analysis import EXACT_SINC, ErrorRow, ErrorTable
+from clvol.boundary import as_boundary
 from clvol.device import Device
+from clvol.filters import as_filters
 from clvol.reports import advice, html, pictures, spectrum
 
 pytest.importorskip("matplotlib")
@@ -340,6 +342,20 @@ def test_spectra_find_a_wave_where_it_is() -> None:
     assert power.sum() == pytest.approx(1)
     assert spectrum.high_share(found[1:]) > 0.95
     assert spectrum.high_share(spectrum.spectra(Volume(np.ones((4, 4, 4))))) is None
+
+
+def test_pictures_of_fewer_samples_are_as_opaque(device: Device) -> None:
+    """Opacity is that of a length in the world, not of a sample, of which the decimated volume has fewer."""
+    x = np.linspace(-1, 1, 41)
+    volume = Volume((2 - x**2 - x[:, None] ** 2 - x[:, None, None] ** 2).astype(np.float32))
+    fog = clvol.TransferFunction(((0.0, "white"),), ((0.0, 0.0), (2.0, 0.05)))
+    (row,) = as_filters(["bspline3"])
+    drawn = pictures.cards(
+        volume, [row], row, 32, as_boundary("mirror"), 2, device, lambda _: None, {"mode": "composite", "transfer": fog}
+    )
+    (card,) = drawn.cards
+    assert card.closer.std() > 0.01
+    assert np.median(card.error) < 0.01
 
 
 def test_close_ups_look_at_what_differs() -> None:

@@ -18,7 +18,9 @@ from clvol.errors import DataError, OptionError, enough_memory, reals, require_r
 from clvol.filters import DEFAULT_FILTER, Filter, as_filter
 from clvol.volume import Volume, as_volume
 
-__all__ = ["SincVolume", "dirichlet_kernel", "dirichlet_magnify", "dirichlet_sample", "dirichlet_weights", "sinc_volume"]
+__all__ = [
+    "SincVolume", "dirichlet_kernel", "dirichlet_magnify", "dirichlet_sample", "dirichlet_weights", "periodic", "sinc_volume",
+]  # fmt: skip
 
 Array: TypeAlias = NDArray[np.float64]
 _CHUNK = 1 << 22  # numbers held at a time
@@ -95,7 +97,7 @@ def dirichlet_weights(positions: ArrayLike, n: int, boundary: str | Boundary = D
 
     The sum over one period of the boundary rule, in which a sample may occur twice.
     """
-    rule = _periodic(boundary)
+    rule = periodic(boundary)
     period = rule.length(n)
     every = dirichlet_kernel(np.asarray(positions, dtype=np.float64)[:, None] - np.arange(period), period, derivative)
     weights = every[:, :n].copy()
@@ -127,7 +129,7 @@ def dirichlet_magnify(data: ArrayLike, factor: int = 2, boundary: str | Boundary
     DataError, OptionError
         "zero" has no period.
     """
-    array, factor, rule = _samples(data), whole("factor", factor, 1, _LONGEST), _periodic(boundary)
+    array, factor, rule = _samples(data), whole("factor", factor, 1, _LONGEST), periodic(boundary)
     require_room("factor", array.size * factor**array.ndim, factor)
     for axis in range(array.ndim):
         lines = np.moveaxis(array, axis, -1)
@@ -169,7 +171,7 @@ def dirichlet_sample(
     ------
     DataError, OptionError
     """
-    rule, derivative = _periodic(boundary), whole("derivative", derivative, 0, 1)
+    rule, derivative = periodic(boundary), whole("derivative", derivative, 0, 1)
     if isinstance(volume, Volume) or np.ndim(volume) > 1:
         volume = as_volume(volume)
         data, index, slopes = _samples(volume.data), volume.world_to_index(points), volume.world_to_index_matrix
@@ -224,7 +226,7 @@ def sinc_volume(
     ------
     DataError, OptionError
     """
-    volume, row, rule = as_volume(volume), as_filter(filter), _periodic(boundary)
+    volume, row, rule = as_volume(volume), as_filter(filter), periodic(boundary)
     factor, points = whole("factor", factor, 1), whole("points", points, 1)
     require_room("points", points, points)
     data = dirichlet_magnify(volume.data, factor, rule)
@@ -240,7 +242,8 @@ def sinc_volume(
     )  # fmt: skip
 
 
-def _periodic(boundary: str | Boundary) -> Boundary:
+def periodic(boundary: str | Boundary) -> Boundary:
+    """The boundary rule, if it has a period: without one there is no exact sinc."""
     rule = as_boundary(boundary)
     if rule.period is None:
         raise OptionError(f"boundary must be mirror, reflect or wrap, which have a period; got {rule.name!r}")
