@@ -8,14 +8,13 @@ from dataclasses import asdict
 import numpy as np
 
 from clvol import analysis
-from clvol.figures.style import FAINT, GREY, Drawing, colour, new_figure, styled, title
+from clvol.figures.style import FAINT, GREY, Drawing, colour, legend_above, new_figure, styled, title
 from clvol.filters import Filter, as_filters
 
 __all__ = ["draw"]
 
 _BESIDE = ("linear", "mitchell")  # what the hybrid is to be judged against
 _REACH = 4  # multiples of pi
-_ACROSS = 4  # names in a row of the legend
 _FLOOR = -80.0  # decibels
 
 
@@ -32,8 +31,7 @@ def draw(filters: Sequence[str | Filter] = ("bspline3", "hybrid")) -> Drawing:
     omega = np.linspace(0, _REACH * np.pi, 1601)
     numbers = []
     with styled():
-        across = min(_ACROSS, len(rows))
-        figure = new_figure(11, 4.0 + 0.2 * -(-len(rows) // across))
+        figure = new_figure(11, 4.0)
         near, far = figure.subplots(1, 2, width_ratios=(1, 1.15))
         near.fill_between([0, 1], 0, 1, color="#f1f1f1", linewidth=0)
         near.plot([0, 1, 1, 2], [1, 1, 0, 0], color=FAINT, linewidth=1.2)
@@ -55,7 +53,7 @@ def draw(filters: Sequence[str | Filter] = ("bspline3", "hybrid")) -> Drawing:
             xlim=(0, _REACH), ylim=(_FLOOR, 6), xlabel="frequency ω / π", ylabel="|response|, decibels",
             title="stopband: what is left of the aliases",
         )  # fmt: skip
-        figure.legend(*near.get_legend_handles_labels(), loc="outside upper center", ncols=across)
+        legend_above(figure, near)
     lines = [
         f"{title(n['filter'])}: errs by up to {n['passband_error']:.3f} below π/2, lets "
         + (f"up to {n['stopband_peak']:.3f} ({-n['attenuation']:.0f} dB)" if n["attenuation"] is not None else "none")

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
-    "FAINT", "GREY", "INK", "LETTERS", "Drawing", "colour", "folded", "label_ends", "new_figure", "plain", "require_matplotlib",
-    "require_suffix", "show", "spread", "styled", "title",
+    "FAINT", "GREY", "INK", "LETTERS", "Drawing", "colour", "folded", "label_ends", "legend_above", "new_figure", "plain",
+    "require_matplotlib", "require_suffix", "show", "spread", "styled", "title",
 ]  # fmt: skip
 
 Array: TypeAlias = NDArray[np.float64]
@@ -53,6 +53,7 @@ _COLOURS = {
     "bspline2-approx": "#7cc7bc", "bspline4-approx": "#1d7268", "bspline5-approx": "#124a43",
     "lanczos2": "#e08a76", "lanczos3": "#cf6a52", "lanczos4": "#b04d36", "lanczos5": "#8c3521",
 }  # fmt: skip
+_ACROSS = 4  # names in a row of a legend
 _GIVEN: dict[str, str] = {}  # colours of other filters
 _GOLDEN, _TRIED, _APART = 0.6180339887, 150, 0.22
 
@@ -185,6 +186,15 @@ def new_figure(width: float, height: float) -> Figure:
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
+
+
+def legend_above(figure: Figure, axes: Axes) -> None:
+    """The names of the curves in `axes` above the figure, in as many rows as they need, for which the figure grows."""
+    handles, labels = axes.get_legend_handles_labels()
+    across = min(_ACROSS, len(labels))
+    width, height = figure.get_size_inches()
+    figure.set_size_inches(width, height + 0.2 * -(-len(labels) // across))
+    figure.legend(handles, labels, loc="outside upper center", ncols=across)
 
 
 def show(axes: Axes, pixels: ArrayLike, heading: str, note: str = "", **options: Any) -> Any:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.analysis import frequency_response
-from clvol.figures.style import FAINT, GREY, INK, colour, new_figure, styled, title
+from clvol.figures.style import FAINT, GREY, INK, colour, legend_above, new_figure, styled, title
 from clvol.filters import Filter
 from clvol.volume import Volume
 
@@ -64,7 +64,7 @@ def plot(found: Spectra, filters: Sequence[Filter]) -> Figure:
             xlim=(0, 2), ylim=(-0.15, 1.2), xlabel="frequency ω / π, where 1 is Nyquist", ylabel="response",
             title="what the filters keep (below 1) and let through (above)",
         )  # fmt: skip
-        left.legend(fontsize=8, loc="upper right")
+        legend_above(figure, left)
         for (name, w, power), style in zip(shown, ("-", "--", ":"), strict=False):
             level = 10 * np.log10(np.maximum(power / max(power.max(initial=0), 1e-300), 1e-12))
             right.plot(w / np.pi, np.maximum(level, _FLOOR), style, color=INK, linewidth=1.3, label=f"along {name}")
