@@ -196,7 +196,7 @@ def compare(
     filters: Filters = (), pixels: Whole = 384, device: DeviceName = None,
     input: Input | None = None, look: SurfaceLook | None = None, json: Json = False,
 ) -> None:  # fmt: skip
-    """Draw a volume by several filters side by side, measure their errors by holding samples back, or both.
+    """Draw a volume by several filters side by side, measure their errors from every second sample, or both.
 
     Parameters
     ----------

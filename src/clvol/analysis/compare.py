@@ -1,4 +1,4 @@
-"""The error of what one is looking at: reconstruction filters measured against a known function, or against held-back samples."""
+"""The error of what one is looking at: reconstruction filters measured against a known function, or from every n-th sample."""
 
 from __future__ import annotations
 
@@ -172,7 +172,7 @@ def compare(
     """Measure what each filter makes of data whose truth is known.
 
     A function, or a volume with its `truth`, is compared at uniform random points of the world. Of a volume alone the
-    truth is held back: it is low-passed, every `factor`-th sample is kept, and what is reconstructed from these is
+    truth are its own samples: they are low-passed, every `factor`-th is kept, and what is reconstructed from these is
     compared with the original samples, as in Figure 4 of the paper; the true gradient is then that of the
     quintic spline through the original. Decimation by 2 asks for values at the samples and half-way between them only,
     where the hybrid is the spline that it magnifies with, and where "nearest" has two samples as near: of these it
