@@ -359,13 +359,44 @@ def test_compare_tells_what_filters_there_are(clvol_command: Command) -> None:
     assert files() == []
 
 
+def test_compare_writes_a_table_of_errors(clvol_command: Command) -> None:
+    clvol.write(clvol.phantoms.sphere(20), "scan.npz")
+    names = ("linear", "bspline3", "exact-sinc")
+    few = ("compare", "scan.npz", "--filters", *names, "--boundary", "reflect")
+    told = clvol_command(*few, "--table", "a.json", "--json").json
+    wanted = clvol.analysis.compare(clvol.read("scan.npz"), names, boundary="reflect", timing=False)
+    assert told["filters"] == list(names)
+    assert (told["table"], told["against"]) == ("a.json", wanted.against)
+    assert json.loads(Path("a.json").read_text(encoding="utf-8")) == told["errors"]
+    for row, known in zip(told["errors"], wanted, strict=True):
+        assert (row["filter"], row["rms"]) == (known.filter, pytest.approx(known.rms))
+        assert (row["seconds"] is None) == (row["filter"] == "exact-sinc")
+    done = clvol_command(*few, "--table", "a.md", "-o", "a.png", "--pixels", "8")
+    assert done.code == 0
+    assert done.out.startswith("filter ")
+    assert "\nexact-sinc " in done.out
+    assert "\ntable: a.md\n" in done.out
+    assert Path("a.md").read_text(encoding="utf-8").startswith("| filter | RMS error |")
+    assert files() == ["a.json", "a.md", "a.png", "scan.npz"]
+
+
+def test_compare_tells_what_is_wrong_with_a_table(clvol_command: Command) -> None:
+    clvol_command("compare", SPHERE).fails(1, "give --output, a picture, --table, a table of errors, or both; got neither")
+    clvol_command("compare", SPHERE, "--table", "a.xls").fails(1, "tables are written as .csv, .json, .md", "'a.xls'")
+    clvol_command("compare", SPHERE, "--table", "none/a.csv").fails(1, "none does not exist")
+    clvol_command("compare", SPHERE, "--table", "a.csv", "--filters", "bogus").fails(1, "'bogus'")
+    sinc = ("--filters", "exact-sinc", "--boundary", "zero")
+    clvol_command("compare", SPHERE, "--table", "a.csv", *sinc).fails(1, "boundary must be mirror, reflect or wrap")
+    assert files() == []
+
+
 def test_figure6_prints_its_errors(clvol_command: Command) -> None:
     done = clvol_command("figure6", "--samples", "12", "--pixels", "16")
     assert done.code == 0
     *lines, output = done.out.splitlines()
     assert output == "output: figure6.png"
     assert len(lines) == 6
-    assert lines[-1].startswith("B-spline interpolation: RMS error 0.")
+    assert lines[-1].startswith("f)  B-spline interpolation: RMS error 0.")
     assert lines[-1].endswith("°")
     assert files() == ["figure6.png"]
     told = clvol_command("figure6", "--samples", "12", "--pixels", "16", "-o", "b.png", "--json").json
@@ -448,12 +479,17 @@ def test_report_writes_a_page_and_says_its_advice(clvol_command: Command) -> Non
     clvol.write(clvol.phantoms.sphere(8), "scan.npz")
     told = clvol_command("report", Path.cwd() / "scan.npz", "-o", "a.html", *small, "--json").json
     assert told["output"] == "a.html"
+    assert [row["filter"] for row in told["errors"]] == ["linear", "bspline3", "exact-sinc"]
+    assert all(row["rms"] > 0 for row in told["errors"])
+    assert told["against"].startswith("27 samples of the original, decimated by 2")
     assert "Which filter for scan.npz?" in Path("a.html").read_text(encoding="utf-8")  # not where it lay
     assert files() == ["a.html", "out", "scan.npz"]
 
 
 def test_report_tells_what_is_wrong(clvol_command: Command) -> None:
     clvol_command("report", SPHERE, "-o", "none/out").fails(1, "none does not exist")
+    if Path("/proc/self").is_dir():
+        clvol_command("report", "missing.npz", "-o", "/proc/report").fails(1, "cannot write /proc/report")  # before it is read
     clvol_command("report", SPHERE, "-o", "out", "--filters", "bogus").fails(1, "'bogus'")
     clvol_command("report", SPHERE, "-o", "out", "--pixels", "2").fails(1, "pixels")
     clvol_command("report", "missing.npz", "-o", "out").fails(1, "missing.npz")

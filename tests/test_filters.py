@@ -266,6 +266,22 @@ def test_from_callable_takes_a_kernel_that_jumps_at_integers() -> None:
     assert row.continuity == -1
 
 
+def test_from_callable_takes_a_kernel_narrower_than_its_radius() -> None:
+    row = from_callable("box", lambda x: (np.abs(x) < 1) * 0.5, 3)
+    assert (row.support, row.degree, row.fit_error) == (6, 0, 0)
+    np.testing.assert_array_equal(row([-2.5, -1.5, -0.5, 0.5, 1.5, 2.5]), [0, 0, 0.5, 0.5, 0, 0])
+
+
+@pytest.mark.parametrize("half", [0.5, 0.8, 1.2])
+def test_from_callable_wants_a_kernel_that_is_smooth_between_the_integers(half: float) -> None:
+    with pytest.raises(OptionError, match=r"kernel of 'box' must be smooth between the integers; .* of degree 20 miss by 0\.\d"):
+        from_callable("box", lambda x: (np.abs(x) < half) * 0.5, 3)
+    row = from_callable("box", lambda x: (np.abs(x) < half) * 0.5, 3, degree=9)  # its outer pieces are of degree 0
+    assert (row.support, row.degree) == (6, 9)
+    assert row.fit_error > 0.1
+    np.testing.assert_array_equal(row([-2.5, 2.5]), 0)
+
+
 @pytest.mark.usefixtures("own_table")
 def test_registered_row_is_known_everywhere() -> None:
     mine = register(from_pieces("my-Filter.2", [(1, -1)]))

@@ -3,6 +3,7 @@ from __future__ import annotations
 import base64
 import io
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,9 @@ import pytest
 import clvol
 from clvol import DataError, FormatError, OptionError, Volume, phantoms, reports
 from clvol.analysis import EXACT_SINC, ErrorRow, ErrorTable
+from clvol.boundary import as_boundary
 from clvol.device import Device
+from clvol.filters import as_filters
 from clvol.reports import advice, html, pictures, spectrum
 
 pytest.importorskip("matplotlib")
@@ -134,6 +137,16 @@ def test_a_report_goes_to_a_folder_or_a_file(tmp_path: Path) -> None:
             reports.page(bad)
 
 
+def test_a_report_that_cannot_be_written_is_refused_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(**_: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("tempfile.mkdtemp", refuse)
+    for output in (tmp_path / "report", tmp_path / "a.html", tmp_path):
+        with pytest.raises(FormatError, match=r"cannot write .*: nothing can be made in .*: Permission denied"):
+            reports.page(output)
+
+
 def test_an_interrupted_report_leaves_nothing(tmp_path: Path, device: Device) -> None:
     def interrupt(done: float) -> None:
         if done > 0.7:
@@ -169,6 +182,17 @@ def test_odd_data_give_a_report(tmp_path: Path, device: Device, data: np.ndarray
         assert "constant" in page.text
 
 
+@pytest.mark.parametrize("value", [0.1, 3.7, -1234.567, 0.0])
+def test_of_constant_data_nothing_is_drawn(tmp_path: Path, device: Device, value: float) -> None:
+    """What a picture would show is the noise of float32 about the only value there is."""
+    done = reports.report(Volume(np.full((13, 12, 11), value)), tmp_path / "a.html", filters=FEW, pixels=16, device=device)
+    page = Page(done.path.read_text(encoding="utf-8"))
+    assert page.tags.count("img") == 1  # the filters' responses
+    assert "The data hold one value throughout: there is nothing to draw." in page.text
+    assert "What was measured is constant" in page.text
+    assert spectrum.high_share(spectrum.spectra(Volume(np.full((13, 12, 11), value)))) is None
+
+
 def test_what_cannot_be_reported_is_said_first(tmp_path: Path, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("clvol.analysis.compare", None)  # nothing may be measured
     bad = np.zeros((5, 5, 5))
@@ -178,6 +202,7 @@ def test_what_cannot_be_reported_is_said_first(tmp_path: Path, device: Device, m
         (phantoms.sphere(5), {"filters": "linear"}, OptionError, "one or more names"),
         (phantoms.sphere(5), {"filters": ()}, OptionError, "one or more names"),
         (phantoms.sphere(5), {"filters": ("bogus",)}, OptionError, "bogus"),
+        (phantoms.sphere(5), {"filters": (EXACT_SINC,)}, OptionError, "must name one to be drawn beside 'exact-sinc'"),
         (phantoms.sphere(5), {"pixels": 4}, OptionError, "pixels"),
         (phantoms.sphere(5), {"boundary": "none"}, OptionError, "boundary"),
     ]  # fmt: skip
@@ -187,11 +212,27 @@ def test_what_cannot_be_reported_is_said_first(tmp_path: Path, device: Device, m
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_report_takes_filters_that_no_table_knows(tmp_path: Path, device: Device) -> None:
+    wide = clvol.from_callable("wide tent", lambda x: np.maximum(1 - np.abs(x) / 2, 0) / 2, 2)
+    for filters in ((clvol.bspline(7), wide), (wide,)):
+        done = reports.report(phantoms.marschner_lobb(16), tmp_path / "a.html", filters=filters, pixels=16, device=device)
+        assert [row.filter for row in done.table] == [*(f.name for f in filters), EXACT_SINC]
+        assert done.table.filters == list(filters)
+        assert done.advice.filter in [f.name for f in filters]
+        page = Page(done.path.read_text(encoding="utf-8"))
+        assert "wide tent" in page.text
+        assert page.tags.count("img") == 5 * len(filters) + 2
+
+
 def test_without_a_period_there_is_no_exact_sinc(tmp_path: Path, device: Device) -> None:
     done = reports.report(
         phantoms.sphere(10), tmp_path / "a.html", filters=("linear",), pixels=16, boundary="zero", device=device, mode="mip"
     )  # fmt: skip
     assert [row.filter for row in done.table] == ["linear"]
+    with pytest.raises(OptionError, match="boundary must be mirror, reflect or wrap for 'exact-sinc'; got 'zero'"):
+        reports.report(phantoms.sphere(5), tmp_path / "b.html", filters=("linear", EXACT_SINC), boundary="zero", device=device)
+    done = reports.report(phantoms.sphere(5), tmp_path / "b.html", filters=(EXACT_SINC, "linear"), pixels=16, device=device)
+    assert [row.filter for row in done.table] == ["linear", EXACT_SINC]
 
 
 def test_of_a_large_volume_the_middle_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -232,12 +273,35 @@ def test_the_narrowest_of_the_best_is_recommended() -> None:
     assert "20 % of their variance lies above half of the Nyquist frequency: they are rich in detail" in text
 
 
+def test_a_recommendation_is_a_sentence() -> None:
+    told = advice.advise(table(("linear", 0.2, 2.0, None, 0), ("mitchell", 0.1, 1.0, None, 0.004)))
+    assert told.sentences[0] == "For these data use mitchell (Mitchell B = C = 1/3)."
+    assert told.sentences[-1] == "It leaves the range of the samples by no more than 0.4 % of it."
+    told = advice.advise(table(("lanczos3", 0.1, 1.0, None, 1e-9)))
+    assert told.sentences == ["For these data use lanczos3.", "It stays within the range of the samples."]
+
+
+def test_the_best_of_each_column_is_bold() -> None:
+    made = table(("linear", 0.2, 2.0, 0.01, 0.0), ("mitchell", 0.1, None, 0.02, 0.0))
+    made[1] = replace(made[1], psnr=30.0, ssim=0.5)
+    assert html._best(made) == {1: {1}, 2: {1}, 3: {1}, 4: {0}, 5: {0}, 6: {0, 1}, 7: {0, 1}, 8: {0, 1}, 9: {0, 1}, 10: {0}}
+    assert "The best of each column is bold: the greatest of PSNR and SSIM, the least of the others." in html._NOTES[-1]
+
+
+def test_the_exact_sinc_is_measured_where_the_others_are(made: tuple[reports.Report, Page, list[float]]) -> None:
+    table = made[0].table
+    wanted = clvol.analysis.compare(blob(), [EXACT_SINC], timing=False, points=20_000)
+    assert table[-1] == wanted[0]
+    assert table.points == wanted.points > 1000
+
+
 def test_where_little_is_gained_it_is_said() -> None:
     told = advice.advise(table(("linear", 0.104, 1.0, 0.01, 0), ("bspline3", 0.1, 0.99, 0.02, 0.0)), high=0.001)
     assert told.filter == "linear"
     text = " ".join(told.sentences)
     assert "The least error of all has bspline3, 3.8 % less" in text
-    assert "stays within the range of the samples" in text
+    assert text.startswith("For these data use linear. The least")
+    assert "It stays within the range of the samples. " in text
     assert "very smooth" in text
     told = advice.advise(table(("linear", 0.104, 1.2, 0.01, 0), ("bspline3", 0.1, 0.99, 0.02, 0.0)))
     assert told.filter == "bspline3"  # by its gradients
@@ -278,6 +342,20 @@ def test_spectra_find_a_wave_where_it_is() -> None:
     assert power.sum() == pytest.approx(1)
     assert spectrum.high_share(found[1:]) > 0.95
     assert spectrum.high_share(spectrum.spectra(Volume(np.ones((4, 4, 4))))) is None
+
+
+def test_pictures_of_fewer_samples_are_as_opaque(device: Device) -> None:
+    """Opacity is that of a length in the world, not of a sample, of which the decimated volume has fewer."""
+    x = np.linspace(-1, 1, 41)
+    volume = Volume((2 - x**2 - x[:, None] ** 2 - x[:, None, None] ** 2).astype(np.float32))
+    fog = clvol.TransferFunction(((0.0, "white"),), ((0.0, 0.0), (2.0, 0.05)))
+    (row,) = as_filters(["bspline3"])
+    drawn = pictures.cards(
+        volume, [row], row, 32, as_boundary("mirror"), 2, device, lambda _: None, {"mode": "composite", "transfer": fog}
+    )
+    (card,) = drawn.cards
+    assert card.closer.std() > 0.01
+    assert np.median(card.error) < 0.01
 
 
 def test_close_ups_look_at_what_differs() -> None:

@@ -365,3 +365,11 @@ def test_arguments_of_the_wrong_kind(device: Device, bad: dict[str, Any]) -> Non
 
 def test_a_fill_of_nan(device: Device) -> None:
     assert np.isnan(sample(random_volume(), [[1e3, 0, 0]], fill=np.nan, device=device)).all()
+
+
+def test_resample_of_an_image_in_colour_says_where_to_go() -> None:
+    for channels in (3, 4):
+        with pytest.raises(OptionError, match=r"3 whole numbers.*got \(16, 16\): .* there is clvol\.images\.resample"):
+            resample(np.zeros((8, 8, channels)), shape=(16, 16))
+    with pytest.raises(OptionError, match=r"shape must be 3 whole numbers of at least 1; got \(16, 16\)$"):
+        resample(np.zeros((8, 8, 8)), shape=(16, 16))

@@ -45,6 +45,7 @@ def _whole(_: object, tokens: Sequence[Token]) -> int | tuple[int, ...]:
     return numbers[0] if len(numbers) == 1 else tuple(numbers)
 
 
+_COMPARED = 20_000  # gradients that a table of errors compares
 Projection = Literal["perspective", "orthographic"]
 _MODES = "composite, isosurface, mip, minip or mean."
 
@@ -189,26 +190,51 @@ def render(
 
 @app.command
 def compare(
-    source: Source, /, *, output: Output, filters: Filters = (), pixels: Whole = 384, device: DeviceName = None,
+    source: Source, /, *,
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="The picture to write.")] = None,
+    table: Annotated[Path | None, Parameter(help="The errors to write: .csv, .json or .md.")] = None,
+    filters: Filters = (), pixels: Whole = 384, device: DeviceName = None,
     input: Input | None = None, look: SurfaceLook | None = None, json: Json = False,
 ) -> None:  # fmt: skip
-    """Draw a volume by several filters side by side.
+    """Draw a volume by several filters side by side, measure their errors from every second sample, or both.
 
     Parameters
     ----------
     pixels
         Width and height of each picture.
     """
-    from clvol import figures
+    from clvol import analysis, figures
+    from clvol.analysis.table import require_suffix
 
-    _require_picture(output)
+    if output is None and table is None:
+        raise OptionError("give --output, a picture, --table, a table of errors, or both; got neither")
+    if output is not None:
+        _require_picture(output)
+    if table is not None:
+        require_suffix(table)
+        _require_folder(table)
     volume, look = (input or Input()).read(source), look or SurfaceLook()
     names = filters or figures.SIX
-    with _progress("comparing", json) as progress:
-        _, sheet = figures.compare(
-            volume, names, pixels, look.boundary, device=device, progress=progress, **look.options(volume)
-        )  # fmt: skip
-    _say(json, {"output": str(clvol.save(sheet, output)), "filters": list(names), "mode": look.mode})
+    told: dict[str, Any] = {}
+    if output is not None:
+        with _progress("drawing", json) as progress:
+            _, sheet = figures.compare(
+                volume, names, pixels, look.boundary, device=device, progress=progress, **look.options(volume)
+            )  # fmt: skip
+        told["output"] = str(clvol.save(sheet, output))
+    told |= {"filters": list(names)} | ({"mode": look.mode} if output is not None else {})
+    if table is not None:
+        with _progress("measuring", json) as progress:
+            errors = analysis.compare(
+                volume, names, boundary=look.boundary, points=_COMPARED, timing_device=device, progress=progress
+            )  # fmt: skip
+        told |= {"table": str(errors.write(table)), "against": errors.against}
+        if json:
+            told["errors"] = errors.records()
+        else:
+            header, *rows = errors.texts()
+            _table(header, rows)
+    _say(json, told)
 
 
 @app.command
@@ -280,7 +306,8 @@ def report(
             progress=progress,
             **look.options(volume),
         )  # fmt: skip
-    _say(json, {"output": str(done.path), "filter": done.advice.filter, "advice": " ".join(done.advice.sentences)})
+    told = {"output": str(done.path), "filter": done.advice.filter, "advice": " ".join(done.advice.sentences)}
+    _say(json, told | ({"against": done.table.against, "errors": done.table.records()} if json else {}))
 
 
 @app.command
@@ -481,8 +508,9 @@ def _require_written(output: Path) -> None:
 
 
 def _require_folder(output: Path) -> None:
-    if not output.parent.is_dir():
-        raise FormatError(f"cannot write {output}: the folder {output.parent} does not exist")
+    from clvol.formats._files import require_folder
+
+    require_folder(output)
 
 
 # -- speaking ------------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from numbers import Integral, Real
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +31,12 @@ __all__ = [
     "number",
     "one_of",
     "reals",
+    "require_room",
+    "several",
     "whole",
 ]
+
+_MOST_SAMPLES = 1 << 36  # no machine holds the float64 positions of more
 
 
 class ClvolError(Exception):
@@ -126,6 +131,25 @@ def reals(what: str, value: object, rule: str = "real numbers", error: type[Clvo
     except (TypeError, ValueError, OverflowError):  # ragged, or beyond float64
         pass
     raise error(f"{what} must be {rule}; got {value!r}")
+
+
+def several(what: str, value: object, rule: str, most: int | None = None) -> list[Any]:
+    """`value` as a list, if it is a sequence of one thing or more, at most `most`; else `OptionError`. A text is one thing."""
+    try:
+        result = [] if isinstance(value, (str, bytes)) else list(value)  # type: ignore[call-overload]  # or it cannot be iterated
+    except TypeError:
+        result = []
+    if not result:
+        raise OptionError(f"{what} must be {rule}; got {value!r}")
+    if most is not None and len(result) > most:
+        raise OptionError(f"{what} must be {rule}, at most {most}; got {len(result)}")
+    return result
+
+
+def require_room(what: str, samples: int, value: object) -> None:
+    """Raise `OutOfMemoryError` if `what`, whose value asks for so many samples, asks for more than any machine holds."""
+    if samples > _MOST_SAMPLES:
+        raise OutOfMemoryError(f"out of memory: {what} must give at most {_MOST_SAMPLES} samples; got {value!r}")
 
 
 def as_path(value: object) -> Path:

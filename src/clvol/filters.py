@@ -25,13 +25,14 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.errors import ClvolError, OptionError, number, one_of, reals, whole
+from clvol.errors import ClvolError, OptionError, number, one_of, reals, several, whole
 
 __all__ = [
     "DEFAULT_FILTER",
     "Filter",
     "FilterTable",
     "as_filter",
+    "as_filters",
     "bc",
     "bspline",
     "filters",
@@ -39,6 +40,7 @@ __all__ = [
     "from_pieces",
     "lanczos",
     "register",
+    "several_names",
     "sinc",
 ]
 
@@ -50,6 +52,7 @@ DEFAULT_FILTER = "bspline3"
 MAX_TAPS = 16  # the widest row that one vector load of the device code covers
 _MAX_DEGREE = 20
 _FIT_TOLERANCE = 1e-10  # of the kernel's peak: its second derivative then errs by about 1e-6
+_MISFIT = 0.1  # of the kernel's peak: a fit that errs by more is another kernel
 _SINC_DEGREE = 12  # of the fits to sinc and its windowed forms: they err by less than that
 _ROUNDING = 1e-9  # floating rows are taken as zero, one or equal within this
 
@@ -381,6 +384,12 @@ def from_callable(
     -------
     Filter
         Its `fit_error` is the greatest error found between the nodes of the fit.
+
+    Raises
+    ------
+    OptionError
+        A kernel that fails or gives other than finite numbers, or that jumps between the integers, unless `degree` is
+        given.
     """
     radius = _radius(radius)
     degree = None if degree is None else whole("degree", degree, 0, _MAX_DEGREE)
@@ -394,10 +403,15 @@ def from_callable(
     for n in [degree] if degree is not None else range(_MAX_DEGREE + 1):
         nodes = chebyshev.chebpts1(n + 1)
         at = (nodes + 1) / 2 - np.arange(2 * radius)[:, None] + radius - 1
-        fits = [_shift(chebyshev.cheb2poly(chebyshev.chebfit(nodes, row, n))) for row in _kernel_at(name, kernel, at)]
+        fits = [_shift(chebyshev.cheb2poly(chebyshev.chebfit(nodes, row, n)), n) for row in _kernel_at(name, kernel, at)]
         error = float(np.abs(np.polynomial.polynomial.polyval(t, np.array(fits).T) - wanted).max())
         if error <= _FIT_TOLERANCE * peak:
             break
+    if degree is None and error > _MISFIT * peak:
+        raise OptionError(
+            f"the kernel of {name!r} must be smooth between the integers; "
+            f"got one that polynomials of degree {n} miss by {error:.2g}"
+        )
     return Filter(name, tuple(tuple(map(float, row)) for row in fits), prefilter=prefilter, fit_error=error)
 
 
@@ -419,10 +433,10 @@ def _radius(radius: object) -> int:
     return whole("radius", radius, 1, MAX_TAPS // 2)
 
 
-def _shift(coefficients: NDArray[Any]) -> Array:
-    """Coefficients in powers of t in [0, 1] of a polynomial given in powers of 2t - 1."""
+def _shift(coefficients: NDArray[Any], degree: int) -> Array:
+    """Coefficients in powers of t in [0, 1], `degree` + 1 of them, of a polynomial given in powers of 2t - 1."""
     polynomial = np.polynomial.Polynomial(coefficients)(np.polynomial.Polynomial([-1.0, 2.0]))
-    return np.pad(polynomial.coef, (0, coefficients.size - polynomial.coef.size))
+    return np.pad(polynomial.coef, (0, degree + 1 - polynomial.coef.size))
 
 
 def bc(B: Number, C: Number) -> Filter:
@@ -555,6 +569,18 @@ def as_filter(choice: str | Filter) -> Filter:
         except (ValueError, TypeError, ZeroDivisionError):
             raise OptionError(f"filter {choice!r} has wrong parameters; write bc(B, C), sinc(radius) or lanczos(radius)") from None
     raise one_of("filter", choice, [*_TABLE, "bc(B, C)", "sinc(radius)", "lanczos(radius)"])
+
+
+def as_filters(choices: Sequence[str | Filter], most: int | None = None) -> list[Filter]:
+    """The rows for one or more names or rows, at most `most`."""
+    return [as_filter(choice) for choice in several_names(choices, most)]
+
+
+def several_names(choices: object, most: int | None = None) -> list[Any]:
+    """The one or more names or rows that `filters` says, not yet looked up."""
+    if isinstance(choices, Filter):
+        raise OptionError(f"filters must be one or more names; got {choices!r}")
+    return several("filters", choices, "one or more names", most)
 
 
 def _whole(value: Fraction) -> int:

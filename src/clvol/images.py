@@ -18,6 +18,8 @@ from clvol.volume import Volume, read_array
 
 __all__ = ["resample", "rotate", "zoom"]
 
+_LONGEST = (1 << 31) - 1  # pixels along an axis: OpenCL's int
+
 
 def resample(
     image: ArrayLike, shape: Sequence[int], filter: str | Filter = DEFAULT_FILTER, boundary: str | Boundary = DEFAULT_BOUNDARY, *,
@@ -61,7 +63,9 @@ def zoom(
     factors = factor if isinstance(factor, (tuple, list)) else (factor, factor)
     if len(factors) != 2:
         raise OptionError(f"factor must be a number, or two of them, of rows and of columns; got {factor!r}")
-    shape = [max(1, round(number("factor", f, above=0) * n)) for f, n in zip(factors, pixels.shape[:2], strict=True)]
+    shape = [
+        max(1, round(number("factor", f, above=0, most=_LONGEST / n) * n)) for f, n in zip(factors, pixels.shape[:2], strict=True)
+    ]
     return resample(pixels, shape, filter, boundary, device=device)
 
 
@@ -121,7 +125,7 @@ def _pixels(image: ArrayLike) -> NDArray[Any]:
 def _size(shape: Sequence[int]) -> tuple[int, int]:
     if not isinstance(shape, (tuple, list)) or len(shape) != 2:
         raise OptionError(f"shape must be two whole numbers, height and width; got {shape!r}")
-    return whole("height", shape[0], 1), whole("width", shape[1], 1)
+    return whole("height", shape[0], 1, _LONGEST), whole("width", shape[1], 1, _LONGEST)
 
 
 def _cos_sin(degrees: float) -> tuple[float, float]:

@@ -8,7 +8,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.errors import OptionError, OutOfMemoryError, enough_memory, number, one_of, reals, whole
+from clvol.errors import OptionError, enough_memory, number, one_of, reals, require_room, whole
 from clvol.volume import Volume
 
 __all__ = [
@@ -26,8 +26,6 @@ __all__ = [
 
 Array: TypeAlias = NDArray[np.float64]
 Size: TypeAlias = int | Sequence[int]
-
-_MAX_SAMPLES = 1 << 36  # no machine holds the float64 positions of more
 
 
 @enough_memory("a phantom")
@@ -196,8 +194,7 @@ def _shape(size: Size, least: int) -> tuple[int, int, int]:
         nz, ny, nx = (whole("size", n, least) for n in sizes)
     except ValueError:
         raise OptionError(wanted) from None
-    if nz * ny * nx > _MAX_SAMPLES:
-        raise OutOfMemoryError(f"out of memory: size must give at most {_MAX_SAMPLES} samples; got {size!r}")
+    require_room("size", nz * ny * nx, size)
     return nz, ny, nx
 
 

@@ -58,6 +58,7 @@ _PAIRS, _FAR = 1024, 16  # of points that follow each other; samples that lie be
 _BLOCK = 16  # rows that separable.cl makes at once
 _ITEMS_A_CORE = 16  # ... and among how many work-items it shares them out on each core, so that none waits long for another
 _NO_SHEAR = 1e-9  # samples
+_CHANNELS = 4  # of an image in colour, at most
 _SAMPLE_BITS = 20.0  # of a sampler's fraction, before `sample` and `resample` trust it of themselves
 
 
@@ -752,6 +753,11 @@ def resample(
         grid = like
     else:
         if shape is not None:
+            if d == 3 and volume.shape[2] <= _CHANNELS and np.shape(shape) == (2,):
+                raise OptionError(
+                    f"shape must be 3 whole numbers, as the volume has {d} axes; got {shape!r}: "
+                    "for images in colour there is clvol.images.resample"
+                )
             size = np.asarray(_sizes(shape, d)[::-1])
             step = extent / size
         else:

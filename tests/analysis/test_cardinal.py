@@ -40,7 +40,9 @@ def test_energy_and_integral_by_hand() -> None:
     assert pieces(as_filter("nearest")).energy() == 1
 
 
-@pytest.mark.parametrize("bad", [{"filter": "none"}, {"x": "a"}, {"derivative": 3}, {"derivative": 0.5}])
+@pytest.mark.parametrize(
+    "bad", [{"filter": "none"}, {"x": "a"}, {"x": np.nan}, {"x": [0, np.inf]}, {"derivative": 3}, {"derivative": 0.5}]
+)
 def test_bad_input_is_refused(bad: dict[str, object]) -> None:
     with pytest.raises(OptionError):
         impulse_response(**{"filter": "linear", "x": 0.0, **bad})  # type: ignore[arg-type]

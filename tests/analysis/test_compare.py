@@ -14,7 +14,7 @@ import pytest
 from clvol import reference
 from clvol.analysis import COMPARED, EXACT_SINC, ErrorTable, compare, ssim
 from clvol.device import Device
-from clvol.errors import ClvolError, DataError, OptionError
+from clvol.errors import ClvolError, DataError, OptionError, OutOfMemoryError
 from clvol.filters import as_filter, filters, from_callable
 from clvol.phantoms import marschner_lobb, marschner_lobb_function, marschner_lobb_gradient
 from clvol.volume import Volume
@@ -207,7 +207,9 @@ def test_values_from_a_device_and_times(device: Device) -> None:
         exact = compare(source, names, size=17, points=3000, timing=False)
         got = compare(source, names, size=17, points=3000, device=device, progress=seen.append)
         assert (got.evaluated_on, got.timed_on) == (device.name, device.name)
-        assert seen == pytest.approx([1 / 3, 2 / 3, 1])
+        assert seen == sorted(seen)
+        assert seen[-1] == 1
+        assert len(seen) > 5
         for a, b in zip(exact, got, strict=True):
             assert b.rms == pytest.approx(a.rms, abs=2e-5)
             assert b.ssim == pytest.approx(a.ssim, abs=1e-4)
@@ -215,6 +217,16 @@ def test_values_from_a_device_and_times(device: Device) -> None:
             assert a.seconds is None
             assert (b.seconds is None) == (b.filter == EXACT_SINC)
             assert b.seconds is None or 0 < b.seconds < 60
+
+
+def test_times_alone_are_taken_from_a_device(device: Device) -> None:
+    table = compare(wave, ["linear", EXACT_SINC], size=9, points=30, timing_device=device)
+    assert (table.evaluated_on, table.timed_on) == ("NumPy, float64", device.name)
+    assert table[0].seconds is not None
+    with pytest.raises(OptionError, match="device must be one of"):
+        compare(wave, ["linear"], size=9, points=30, timing_device="none")
+    with pytest.raises(OptionError, match="device must be one of"):
+        compare(wave, ["linear"], size=9, points=30, device="none", timing=False)
 
 
 WITHOUT_OPENCL = """
@@ -251,12 +263,41 @@ def test_constant_data_give_values(source: Any) -> None:
     assert "nan" not in table.to_csv() + table.to_json() + table.to_markdown()
 
 
+@pytest.mark.parametrize("unit", [1e-300, 1e-200, 1e-81, 1e-20, 1e34])
+def test_units_of_the_data_change_nothing(unit: float) -> None:
+    data = np.random.default_rng(0).normal(size=(14, 15)).cumsum(0)
+    for scaled, plain in zip(*(compare(data * u, COMPARED, margin=1, timing=False) for u in (unit, 1.0)), strict=True):
+        for key in ("rms", "maximum", "gradient_rms", "overshoot"):
+            one = getattr(plain, key)
+            assert getattr(scaled, key) == (None if one is None else pytest.approx(unit * one, rel=1e-6, abs=1e-12 * unit))
+        for key in ("psnr", "ssim", "angle_mean", "angle_95"):
+            one = getattr(plain, key)
+            assert getattr(scaled, key) == (None if one is None else pytest.approx(one, rel=1e-6))
+    with pytest.raises(DataError, match=r"samples must lie within ±5e36"):
+        compare(data * 1e200, COMPARED, timing=False)
+
+
 @pytest.mark.parametrize("shape", [(1, 1), (1, 2), (2, 2), (3, 5), (1, 1, 1), (1, 7, 2), (2, 3, 4)])
 def test_data_smaller_than_the_filter_give_values(shape: tuple[int, ...]) -> None:
     data = np.random.default_rng(0).normal(size=shape)
     for factor in (2, 3, 50):
         assert finite(compare(data, COMPARED, factor=factor, timing=False))
     assert finite(compare(data, COMPARED, truth=plane, points=50, timing=False))
+
+
+def test_memory_that_is_not_there_is_an_error_of_ours(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise MemoryError("Unable to allocate 29.8 GiB")
+
+    monkeypatch.setattr(sys.modules["clvol.analysis.compare"], "_measure", full)
+    with pytest.raises(OutOfMemoryError, match=r"what is compared must fit into it; got Unable to allocate 29\.8 GiB"):
+        compare(wave, ["linear"], size=5, points=5, timing=False)
+
+
+def test_names_may_come_in_any_sequence() -> None:
+    for names in (np.array(["linear", "Exact-Sinc "]), ("linear", EXACT_SINC), iter(["linear", EXACT_SINC])):
+        table = compare(wave, names, size=5, points=5, timing=False)  # type: ignore[arg-type]
+        assert [row.filter for row in table] == ["linear", EXACT_SINC]
 
 
 def test_filters_of_ones_own_are_compared() -> None:
@@ -270,6 +311,7 @@ BAD: list[tuple[dict[str, Any], type[ClvolError], str]] = [
     ({**GOOD, "source": lambda _: 1 / 0}, OptionError, "function must give one finite value for each position; it failed: Z"),
     ({**GOOD, "source": lambda p: p}, OptionError, r"got shape \(125, 3\) for positions \(125, 3\)"),
     ({**GOOD, "source": lambda p: p[:, 0] * np.nan}, OptionError, "with values that are not finite"),
+    ({**GOOD, "source": lambda p: np.sign(p[:, 0]) * 1e308}, DataError, r"must span a finite range; got -1e\+308 to 1e\+308"),
     ({**GOOD, "source": lambda _: "text"}, OptionError, "what the function gives must be one finite value"),
     ({**GOOD, "source": lambda _: None}, OptionError, "what the function gives must be one finite value"),
     ({**GOOD, "gradient": lambda p: p[:, :2]}, OptionError, "the gradient must give a finite vector for each position"),
@@ -277,6 +319,13 @@ BAD: list[tuple[dict[str, Any], type[ClvolError], str]] = [
     ({**GOOD, "truth": wave}, OptionError, "truth must be given with a volume only"),
     ({**VOLUME, "gradient": wave}, OptionError, "gradient must be that of a function"),
     ({**GOOD, "filters": "linear"}, OptionError, "filters must be one or more names; got 'linear'"),
+    ({**GOOD, "filters": 5}, OptionError, "filters must be one or more names; got 5"),
+    ({**GOOD, "filters": as_filter("linear")}, OptionError, "filters must be one or more names; got Filter"),
+    ({**GOOD, "points": 10**12}, OutOfMemoryError, "points must give at most 68719476736 samples; got 1000000000000"),
+    ({**GOOD, "size": 10**6}, OutOfMemoryError, "size must give at most 68719476736 samples; got 1000000"),
+    ({**GOOD, "size": 10**30}, OutOfMemoryError, "size must give at most 68719476736 samples"),
+    ({**VOLUME, "factor": 10**9}, OptionError, "factor must be a whole number, at least 2 and at most 1024; got 1000000000"),
+    ({**VOLUME, "factor": 10**30}, OptionError, "factor must be a whole number, at least 2 and at most 1024"),
     ({**GOOD, "filters": []}, OptionError, "filters must be one or more names"),
     ({**GOOD, "filters": ["none"]}, OptionError, "filter must be one of"),
     ({**GOOD, "filters": [EXACT_SINC], "boundary": "zero"}, OptionError, "must be mirror, reflect or wrap for 'exact-sinc'"),

@@ -7,7 +7,7 @@ import pytest
 
 from clvol import reference
 from clvol.analysis import dirichlet_kernel, dirichlet_magnify, dirichlet_sample, sinc_volume
-from clvol.errors import DataError, OptionError
+from clvol.errors import DataError, OptionError, OutOfMemoryError
 from clvol.phantoms import marschner_lobb
 from clvol.volume import Volume
 
@@ -97,6 +97,9 @@ def test_the_volume_lies_where_its_samples_are(rule: str) -> None:
 
 @pytest.mark.parametrize(("call", "error"), [
     (lambda: dirichlet_kernel(0.0, 0), OptionError), (lambda: dirichlet_kernel("a", 3), OptionError),
+    (lambda: dirichlet_kernel(np.nan, 3), OptionError), (lambda: dirichlet_kernel(0.5, 10**12), OptionError),
+    (lambda: dirichlet_magnify(np.ones((9, 9)), 10**9), OutOfMemoryError),
+    (lambda: sinc_volume([[1.0]], 2, points=10**13), OutOfMemoryError),
     (lambda: dirichlet_kernel(0.0, 3, 2), OptionError), (lambda: dirichlet_magnify([1.0], 0), OptionError),
     (lambda: dirichlet_magnify([1.0], 1.5), OptionError), (lambda: dirichlet_magnify([1.0], 2, "zero"), OptionError),
     (lambda: dirichlet_magnify([np.nan], 2), DataError), (lambda: dirichlet_magnify(["a"], 2), DataError),

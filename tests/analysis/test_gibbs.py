@@ -15,10 +15,10 @@ from clvol.filters import filters
 
 def test_a_sharp_low_pass_overshoots_by_8_949_percent_whatever_its_cutoff() -> None:
     assert abs(WILBRAHAM_GIBBS - 0.08949) < 5e-6
-    for cutoff in (math.pi / 64, math.pi / 128, math.pi / 256):
+    for cutoff in (math.pi / 32, math.pi / 64, math.pi / 128, math.pi / 256, math.pi / 512):  # all that is allowed
         got = lowpass_step("ideal", cutoff)
-        assert got.overshoot == pytest.approx(WILBRAHAM_GIBBS, abs=5e-5)
-        assert got.undershoot == pytest.approx(WILBRAHAM_GIBBS, abs=5e-5)
+        assert got.overshoot == pytest.approx(WILBRAHAM_GIBBS, abs=1e-4)
+        assert got.undershoot == pytest.approx(WILBRAHAM_GIBBS, abs=1e-4)
         assert got.ringing > 1
 
 

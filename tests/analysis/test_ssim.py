@@ -52,6 +52,14 @@ def test_constants_by_hand() -> None:
     assert got == pytest.approx((30 + 0.01) / (34 + 0.01), abs=1e-12)
 
 
+@pytest.mark.parametrize("unit", [1e-320, 1e-200, 1e-81, 1e100, 1e200, 1e305])
+def test_units_change_nothing(unit: float) -> None:
+    scaled = ssim(NOISY * unit, IMAGE * unit)
+    assert scaled == pytest.approx(ssim(NOISY, IMAGE), abs=1e-9 if unit > 1e-300 else 0.1)  # few digits are left of the least
+    assert -1 <= ssim(NOISY * unit, IMAGE * unit, 1.0) <= 1
+    assert ssim(IMAGE * unit, IMAGE * unit, 1e-300) == pytest.approx(1)
+
+
 def test_data_smaller_than_the_window() -> None:
     assert ssim([[3.0]], [[3.0]], 1.0) == pytest.approx(1)
     small = ssim(NOISY[:3, :2], IMAGE[:3, :2])
@@ -63,7 +71,7 @@ def test_data_smaller_than_the_window() -> None:
     (IMAGE * np.nan, IMAGE, {}, DataError), (IMAGE, IMAGE * np.inf, {}, DataError), ("a", "b", {}, DataError),
     (np.empty((0, 3)),) * 2 + ({}, DataError), (IMAGE, np.ones_like(IMAGE), {}, OptionError),
     (IMAGE, IMAGE, {"data_range": 0}, OptionError), (IMAGE, IMAGE, {"data_range": "a"}, OptionError),
-    (IMAGE, IMAGE, {"sigma": -1}, OptionError),
+    (IMAGE, IMAGE, {"sigma": -1}, OptionError), (IMAGE, IMAGE, {"sigma": 1e12}, OptionError),
 ])  # fmt: skip
 def test_bad_input_is_refused(a, b, options, error) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(error):

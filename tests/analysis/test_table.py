@@ -6,6 +6,7 @@ import csv
 import io
 import json
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from rich.console import Console
 
 from clvol.analysis import ErrorTable, Metrics, Table, metrics
 from clvol.analysis.table import UNLISTED, column
-from clvol.errors import OptionError
+from clvol.errors import DataError, FormatError, OptionError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +56,27 @@ def test_rows_of_the_analysis_can_be_put_together() -> None:
     assert isinstance(table[0], Metrics)
     assert table.to_markdown().count("\n") == 3
     assert issubclass(ErrorTable, Table)
+
+
+@pytest.mark.parametrize(("name", "make"), [("a.csv", "to_csv"), ("a.JSON", "to_json"), ("a.md", "to_markdown")])
+def test_tables_are_written_by_suffix(tmp_path: Path, name: str, make: str) -> None:
+    assert ROWS.write(tmp_path / name) == tmp_path / name
+    assert (tmp_path / name).read_text(encoding="utf-8") == getattr(ROWS, make)().rstrip("\n") + "\n"
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_tables_are_not_written_where_they_cannot_be(tmp_path: Path) -> None:
+    for bad in ("a.txt", "a", "csv"):
+        with pytest.raises(FormatError, match=rf"tables are written as \.csv, \.json, \.md; got '{bad}'"):
+            ROWS.write(bad)
+    with pytest.raises(FormatError, match="does not exist"):
+        ROWS.write(tmp_path / "none" / "a.csv")
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("-inf")])
+def test_json_of_what_is_not_finite_is_refused(bad: float) -> None:
+    with pytest.raises(DataError, match="numbers of a table must be finite to be written as JSON; got value = "):
+        Table([Row(name="a", value=bad, plain=1, hidden=np.ones(1))]).to_json()
 
 
 def test_an_empty_table_is_not_written() -> None:

@@ -14,7 +14,7 @@ import pytest
 
 import clvol
 from clvol import FormatError, MissingDependencyError, OptionError, analysis, figures, phantoms
-from clvol.analysis import EXACT_SINC
+from clvol.analysis import EXACT_SINC, timing
 from clvol.device import Device
 from clvol.figures import convergence, cost, errors, gradients, hybrid, images, impulse, inputs, pipeline, responses, style
 
@@ -98,9 +98,12 @@ def test_figure_3_shows_what_the_hybrid_costs_and_loses(device: Device) -> None:
     assert magnified["coefficients_bytes"] == 8 * direct["coefficients_bytes"] == 8 * linear["coefficients_bytes"]
     assert all(n["seconds"] > 0 for n in drawing.numbers)
     axes = axes_of(drawing)
-    shade = [image_of(a) for a in axes[:3]]
-    np.testing.assert_allclose(image_of(axes[4]), np.abs(shade[1] - shade[0]).mean(-1))
-    np.testing.assert_allclose(image_of(axes[5]), np.abs(shade[2] - shade[0]).mean(-1))
+    assert [a.get_title(loc="left").split(":")[0] for a in axes[:3]] == ["a)  hybrid", "b)  direct", "trilinear alone"]
+    mixed, exact, coarse = (image_of(a) for a in axes[:3])
+    assert np.sqrt(np.mean((mixed - exact) ** 2)) == pytest.approx(magnified["rms_difference"])
+    np.testing.assert_allclose(image_of(axes[3]), np.abs(mixed - exact).mean(-1))
+    np.testing.assert_allclose(image_of(axes[5]), np.abs(coarse - exact).mean(-1))
+    assert axes[3].get_title(loc="left") == "|hybrid − direct|"
     assert {"time of a frame, ms", "coefficients, MiB"} <= set(texts(drawing).split("\n"))
 
 
@@ -109,6 +112,11 @@ def test_figure_3_draws_a_scan(device: Device) -> None:
     assert image_of(axes_of(drawing)[0]).std() > 0.05
     with pytest.raises(OptionError, match=r"scan must have 3 axes; got shape \(4, 5\)"):
         hybrid.draw(scan=clvol.Volume(np.zeros((4, 5))))
+
+
+def test_figure_3_of_constant_data_is_refused(device: Device) -> None:
+    with pytest.raises(OptionError, match=r"scan must hold more than one value, since a surface is drawn; got 3\.7 throughout"):
+        hybrid.draw(pixels=24, scan=clvol.Volume(np.full((9, 9, 9), 3.7)), device=device)
 
 
 # -- 4 ---------------------------------------------------------------------------------------------------------
@@ -166,10 +174,20 @@ def test_figure_5_shows_the_six_on_two_inputs(device: Device) -> None:
     assert (
         rms["zone plate", "bspline3"] < rms["zone plate", "mitchell"] < rms["zone plate", "linear"] < rms["zone plate", "nearest"]
     )
-    heads = [t for t in titles(drawing) if t[1] == ")"]
+    heads = [t.replace("\n", " ") for t in titles(drawing) if t[1] == ")"]
     assert heads == [f"{letter})  {style.title(name)}" for letter, name in zip("abcdef", figures.FIGURE_6, strict=True)]
     for axes in axes_of(drawing):
         assert image_of(axes).shape == (129, 129)
+
+
+def test_headings_of_figure_5_do_not_run_into_each_other(device: Device) -> None:
+    drawing = images.draw(("sinc", "bspline5-approx", "sinc"), samples=9, device=device)
+    drawing.figure.draw_without_rendering()  # type: ignore[union-attr]
+    boxes = [axes.title for axes in axes_of(drawing)] + [axes._left_title for axes in axes_of(drawing)]
+    boxes = [text.get_window_extent() for text in boxes if text.get_text()]
+    assert len(boxes) == 4
+    for i, a in enumerate(boxes):
+        assert not any(a.overlaps(b) for b in boxes[:i])
 
 
 def test_images_are_finer_where_their_samples_are(device: Device) -> None:
@@ -205,6 +223,18 @@ def test_gradient_errors_are_those_of_the_normals_drawn(device: Device) -> None:
     shown = image_of(axes[5])
     assert np.nanmax(shown) <= 90
     assert f"mean {fine['angle_mean']:.1f}°" in texts(drawing)
+    for n, axes_below in zip(drawing.numbers, axes[3:6], strict=True):
+        assert np.isfinite(image_of(axes_below)).sum() == n["shown"]  # nothing is cut
+
+
+def test_rows_in_which_nothing_shows_are_left_out() -> None:
+    empty = np.full((100, 4), np.nan)
+    one, other = empty.copy(), empty.copy()
+    one[30, 2] = other[60, 1] = 5.0
+    assert gradients._filled([one, other]) == slice(28, 63)
+    one[0] = other[99] = 1.0
+    assert gradients._filled([one, other]) == slice(0, 100)
+    assert gradients._filled([empty]) == slice(0, 100)
 
 
 def test_angles_take_a_normal_and_its_opposite_for_the_same() -> None:
@@ -235,8 +265,8 @@ def test_sizes_of_grids_are_checked(sizes: tuple[int, ...]) -> None:
 
 
 def test_cost_puts_every_filter_on_the_plot(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cost, "_TIMED", 1000)
-    monkeypatch.setattr(cost, "_ROUNDS", 2)
+    monkeypatch.setattr(timing, "_TIMED", 1000)
+    monkeypatch.setattr(timing, "_ROUNDS", 2)
     done: list[float] = []
     drawing = cost.draw(("nearest", "linear", "bspline3"), samples=15, points=500, device=device, progress=done.append)
     assert [n["filter"] for n in drawing.numbers] == ["nearest", "linear", "bspline3"]
@@ -265,8 +295,32 @@ def test_labels_of_points_do_not_cover_each_other() -> None:
     for axes in figure.get_axes():
         boxes = [t.get_window_extent() for t in axes.texts]
         assert len(boxes) == 6
+        dots = [axes.transData.transform((line.get_xdata()[0], line.get_ydata()[0])) for line in axes.get_lines()[1:]]
+        assert len(dots) == 6
+        radius = 3.5 * figure.dpi / 72  # of a dot
         for i, a in enumerate(boxes):
             assert not any(a.overlaps(b) for b in boxes[:i])
+            for x, y in dots:
+                away = np.hypot(max(a.x0 - x, 0, x - a.x1), max(a.y0 - y, 0, y - a.y1))
+                assert away > 0.9 * radius
+
+
+def test_many_filters_of_figure_2_have_a_legend_within_it() -> None:
+    drawing = responses.draw(tuple(clvol.filters()))
+    figure = drawing.figure
+    figure.draw_without_rendering()  # type: ignore[union-attr]
+    (legend,) = figure.legends  # type: ignore[union-attr]
+    box, page = legend.get_window_extent(), figure.bbox  # type: ignore[union-attr]
+    assert page.x0 <= box.x0 < box.x1 <= page.x1
+    assert page.y0 <= box.y0 < box.y1 <= page.y1
+    near = axes_of(drawing)[0]
+    assert box.y0 >= near.get_window_extent().y1
+    (ideal,) = (t for t in near.texts if t.get_text() == "ideal")
+    place = ideal.get_window_extent()
+    for line in near.get_lines():
+        path = near.transData.transform(np.column_stack(line.get_data()))
+        inside = (path[:, 0] > place.x0) & (path[:, 0] < place.x1) & (path[:, 1] > place.y0) & (path[:, 1] < place.y1)
+        assert not inside.any(), line.get_label()
 
 
 # -- what they are drawn from, and how they look ---------------------------------------------------------------
@@ -318,6 +372,27 @@ def test_every_filter_of_the_table_has_a_colour_of_its_own() -> None:
     names = [*clvol.filters(), EXACT_SINC]
     assert len({style.colour(name) for name in names}) == len(names)
     assert style.colour("of my own").startswith("#")
+    others = ["of my own", "of mine", "sinc(3)", *(f"lanczos({r})" for r in (6, 7, 8)), *(f"bc({b}, 0)" for b in (0.2, 0.4, 0.6))]
+    codes = [style._rgb(style.colour(name)) for name in [*names, *others]]
+    nearest = [min(np.linalg.norm(np.subtract(a, b)) for b in codes if b is not a) for a in codes[len(names) :]]
+    assert min(nearest) > 0.15
+    assert [style.colour(name) for name in others] == [style.colour(name) for name in others]
+
+
+def test_a_filter_has_one_colour_by_all_its_names() -> None:
+    for one, other in (
+        ("lanczos(2)", "lanczos2"), ("sinc(4)", "sinc"), ("bc(1/3, 1/3)", "mitchell"), ("trilinear", "linear"),
+        ("bc(0,1/2)", "catmull-rom"), ("bc(1, 0)", "bspline3-approx"), ("BSPLINE3", "bspline3"),
+    ):  # fmt: skip
+        assert style.colour(one) == style.colour(other)
+    assert style.colour("bspline3") != style.colour("bspline3-approx")  # they differ in the prefilter alone
+
+
+def test_headings_are_folded() -> None:
+    assert style.folded("b)  sinc, cut off at 4 samples") == "b)  sinc, cut off at 4\nsamples"
+    assert style.folded("short") == "short"
+    assert style.folded("x" * 60, 26).count("\n") == 2
+    assert style.folded("") == ""
     assert style.title("of my own") == "of my own"
 
 
@@ -380,6 +455,57 @@ def test_figures_are_not_written_where_they_cannot_be(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_bad_options_are_refused(name: str, options: dict[str, Any]) -> None:
     with pytest.raises(OptionError, match="must "):
+        figures.draw(name, **options)
+
+
+@pytest.mark.parametrize("name", [name for name in figures.FIGURES if "filters" in figures.options_of(name)])
+@pytest.mark.parametrize("filters", [(), [], 5, "linear", clvol.bspline(3), {}], ids=repr)
+def test_filters_are_one_or_more_names(name: str, filters: Any) -> None:
+    with pytest.raises(OptionError, match=r"filters must be one or more names; got "):
+        figures.draw(name, filters=filters)
+
+
+@pytest.mark.parametrize("name", ["5", "6", "impulse", "gradients"])
+def test_a_figure_holds_as_many_panels_as_there_are_letters(name: str) -> None:
+    with pytest.raises(OptionError, match="filters must be one or more names, at most 26; got 27"):
+        figures.draw(name, filters=("linear",) * 27)
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("2", {}), ("4", {"samples": 9, "points": 50}), ("5", {"samples": 9}), ("6", {"samples": 8, "pixels": 8}), ("impulse", {}),
+        ("gradients", {"samples": 9, "pixels": 16}), ("convergence", {"sizes": (17, 25), "points": 50}),
+        ("cost", {"samples": 9, "points": 50}),
+    ],
+)  # fmt: skip
+def test_figures_take_filters_of_ones_own(name: str, options: dict[str, Any], device: Device) -> None:
+    """Rows that no table knows, in any sequence."""
+    own = clvol.from_callable("my own", lambda x: np.maximum(1 - np.abs(x) / 2, 0) / 2, 2)
+    more = {"device": device} if "device" in figures.options_of(name) else {}
+    drawing = figures.draw(name, filters=np.array([own, "mitchell"], object), **options, **more)
+    assert "my own" in json.dumps(drawing.numbers)
+
+
+def test_a_filter_that_lets_nothing_through_has_a_response() -> None:
+    drawing = responses.draw((clvol.from_pieces("nothing", [(0.0,)]),))
+    assert drawing.lines[-1] == "nothing: errs by up to 1.000 below π/2, lets none of its aliases through"
+
+
+@pytest.mark.parametrize(("name", "options"), [("3", {"pixels": 16}), ("4", {"filters": ("linear",), "samples": 9, "points": 50})])
+def test_a_scan_may_be_an_array(name: str, options: dict[str, Any]) -> None:
+    data = phantoms.sphere(9).data
+    assert figures.draw(name, scan=data, **options).numbers
+    with pytest.raises(clvol.DataError, match="data must have 2 axes"):
+        figures.draw(name, scan="scan.npy", **options)
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [("1", {"samples": 10**7}), ("4", {"samples": 10**7}), ("5", {"samples": 10**7}), ("convergence", {"sizes": (17, 10**8)})],
+)
+def test_what_no_machine_holds_is_refused(name: str, options: dict[str, Any]) -> None:
+    with pytest.raises(clvol.OutOfMemoryError, match=r"out of memory: .* must give at most 68719476736 samples; got 1000"):
         figures.draw(name, **options)
 
 

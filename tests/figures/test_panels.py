@@ -7,7 +7,7 @@ from clvol import Camera, OptionError, analysis, bspline, phantoms, reference, r
 from clvol.analysis import EXACT_SINC
 from clvol.device import Device
 from clvol.figures import FIGURE_6, SIX, Panel, compare, figure6
-from clvol.figures.panels import CAMERA, ISOVALUE, LIGHTS, MATERIAL, SURFACE, _chosen, _mean_angle, fixed
+from clvol.figures.panels import CAMERA, ISOVALUE, LIGHTS, MATERIAL, SURFACE, _mean_angle, fixed
 
 # of the Marschner-Lobb function at 40³, within 0.8 of the centre
 RMS = {"bspline3": 0.0148, "linear": 0.0328, "mitchell": 0.0296, "bspline3-approx": 0.0451, "nearest": 0.0475}
@@ -67,7 +67,8 @@ def test_interpolation_errs_least_but_for_the_sinc(drawn: tuple[list[Panel], np.
 def test_the_exact_sinc_says_how_exact_it_is(drawn: tuple[list[Panel], np.ndarray]) -> None:
     sinc = panel(drawn, EXACT_SINC)
     assert sinc.residual == pytest.approx(9e-5, rel=0.2)
-    assert sinc.label.startswith("sinc, exact to within 9e-05\nRMS error 0.0145")
+    assert sinc.label.startswith("a)  sinc, exact to about 9e-05\nRMS error 0.0145")
+    assert [p.letter for p in drawn[0]] == [*"abcdef", ""]
     assert all(p.residual is None for p in drawn[0][1:])
 
 
@@ -118,6 +119,7 @@ def test_the_sheet_holds_every_panel_under_its_label(drawn: tuple[list[Panel], n
 def test_labels_tell_what_was_measured() -> None:
     picture = np.zeros((2, 2, 4), np.float32)
     assert Panel("linear", picture, 0.03281, 12.345).label == "linear\nRMS error 0.0328   normals 12.3°"
+    assert Panel("linear", picture, 0.03281, letter="d").label == "d)  linear\nRMS error 0.0328"
     assert Panel("linear", picture, 0.03281).label == "linear\nRMS error 0.0328"
     assert Panel("exact", picture).label == "the function itself\n"
     assert Panel("bspline2", picture).label == "bspline2\n"
@@ -149,7 +151,7 @@ def test_compare_puts_panels_in_rows(device: Device, count: int, across: int, do
     assert [p.filter for p in panels] == [{"bspline": "bspline3"}.get(name, name) for name in names]
     assert all(p.rms is None and p.angle is None for p in panels)
     assert sheet.shape[1:] == (12 * across + 4 * (across - 1), 3)
-    assert 12 * down < sheet.shape[0] < 75 * down
+    assert sheet.shape[0] == (12 + 18) * down + 4 * (down - 1)  # a line of 9 pixels beneath each
 
 
 def test_compare_draws_what_render_draws(device: Device) -> None:
@@ -163,6 +165,26 @@ def test_compare_draws_what_render_draws(device: Device) -> None:
             np.testing.assert_array_equal(p.picture, alone)
 
 
+@pytest.mark.parametrize("rule", ["mirror", "reflect", "wrap"])
+@pytest.mark.parametrize("mode", ["isosurface", "composite"])
+def test_compare_draws_the_exact_sinc(device: Device, rule: str, mode: str) -> None:
+    """Of a ball that a spline of degree five draws nearly as well, so that one stands for the other."""
+    n = 24
+    x = (np.arange(n) + (0.5 if rule == "reflect" else 0)) / (n - 1 if rule == "mirror" else n)
+    wave = 0.5 - 0.5 * np.cos(2 * np.pi * x)  # nothing is at the faces, where the magnified volume ends sooner
+    data = wave * wave[:, None] * wave[:, None, None]
+    panels, sheet = compare(data, (EXACT_SINC, "bspline5", "nearest"), 40, rule, device=device, mode=mode)
+    assert [p.filter for p in panels] == [EXACT_SINC, "bspline5", "nearest"]
+    assert panels[0].residual is not None
+    assert panels[0].residual < 1e-3
+    assert panels[0].label.startswith("sinc, exact to about ")
+    assert sheet.shape[1] == 3 * 40 + 2 * 4
+    sinc, spline, nearest = (p.picture[..., :3] for p in panels)
+    assert sinc.std() > 0.05
+    assert np.median(np.abs(sinc - spline)) < 1e-3
+    assert np.abs(sinc - spline).mean() < 0.3 * np.abs(nearest - spline).mean()
+
+
 @pytest.mark.parametrize("pixels", [0, -4, 2.5, True, "8"])
 def test_pixels_are_checked_first(pixels: object) -> None:
     for make in (lambda: figure6(8, pixels), lambda: compare(phantoms.sphere(8), ("linear",), pixels)):  # type: ignore[arg-type]
@@ -174,9 +196,16 @@ def test_filters_are_checked_first(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("clvol.figures.panels.Renderer", None)  # nothing may be drawn
     for filters in ((), "linear"):
         with pytest.raises(OptionError, match=r"filters must be one or more names"):
-            _chosen(filters, 8)
-    with pytest.raises(OptionError, match=r"'exact-sinc'"):
-        compare(phantoms.sphere(8), (EXACT_SINC,), 8)  # it would take 64 times the memory
+            figure6(8, 8, filters)
+        with pytest.raises(OptionError, match=r"filters must be one or more names"):
+            compare(phantoms.sphere(8), filters, 8)
+    with pytest.raises(OptionError, match=r"filters must be one or more names, at most 26; got 27"):
+        figure6(8, 8, ("linear",) * 27)
+    monkeypatch.setattr("clvol.figures.panels._DRAWN", 511)
+    with pytest.raises(OptionError, match=r"'exact-sinc' is drawn of at most 511 samples; got 512"):
+        compare(phantoms.sphere(8), ("linear", EXACT_SINC), 8)
+    with pytest.raises(OptionError, match=r"boundary must be mirror, reflect or wrap, which have a period; got 'zero'"):
+        compare(phantoms.sphere(7), ("linear", EXACT_SINC), 8, "zero")
     assert SIX[1:] == FIGURE_6[1:]
     for make in (lambda: figure6(8, 8, ("linear", "bogus")), lambda: compare(phantoms.sphere(8), ("linear", "bogus"), 8)):
         with pytest.raises(OptionError, match=r"bspline3.*'bogus'"):

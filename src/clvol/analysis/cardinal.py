@@ -89,9 +89,12 @@ def impulse_response(filter: str | Filter, x: ArrayLike, derivative: int = 0) ->
     Raises
     ------
     OptionError
-        Unknown filter, `x` not real, or another derivative.
+        Unknown filter, `x` not real or not finite, or another derivative.
     """
-    return pieces(as_filter(filter))(reals("x", x), whole("derivative", derivative, 0, 2))
+    places = reals("x", x)
+    if not np.isfinite(places).all():
+        raise OptionError("x must be finite")
+    return pieces(as_filter(filter))(places, whole("derivative", derivative, 0, 2))
 
 
 def even_filter(filter: str | Filter) -> Filter:

@@ -1,10 +1,9 @@
-"""The error of what one is looking at: reconstruction filters measured against a known function, or against held-back samples."""
+"""The error of what one is looking at: reconstruction filters measured against a known function, or from every n-th sample."""
 
 from __future__ import annotations
 
 import itertools
 import math
-import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, TypeAlias
@@ -16,13 +15,25 @@ from clvol import reference, spline
 from clvol.analysis.dirichlet import dirichlet_sample, dirichlet_weights
 from clvol.analysis.ssim import ssim
 from clvol.analysis.table import Table, column
+from clvol.analysis.timing import seconds_a_sample
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.device import Device, as_device
-from clvol.errors import ClvolError, DeviceError, OptionError, number, one_of, reals, whole
-from clvol.filters import Filter, as_filter
+from clvol.errors import (
+    ClvolError,
+    DataError,
+    DeviceError,
+    OptionError,
+    enough_memory,
+    number,
+    one_of,
+    reals,
+    require_room,
+    whole,
+)
+from clvol.filters import Filter, as_filter, several_names
 from clvol.volume import Volume, as_volume
 
-__all__ = ["COMPARED", "EXACT_SINC", "ErrorRow", "ErrorTable", "compare"]
+__all__ = ["COMPARED", "EXACT_SINC", "ErrorRow", "ErrorTable", "as_compared", "compare"]
 
 Array: TypeAlias = NDArray[np.float64]
 Function: TypeAlias = Callable[[Array], ArrayLike]
@@ -30,9 +41,10 @@ _Angles: TypeAlias = tuple[float | None, float | None, float | None]
 
 _LATTICE = 1 << 22  # positions at which similarity is judged, at most: of more the middle slices
 _WHOLE = 1 << 25  # samples of a volume that are held back, at most: of a larger one the middle slices
+_FARTHEST = 1024  # samples between those kept
 _CHUNK = 1 << 20  # positions taken at a time
 _SINC_PRODUCTS = 1 << 34  # of the exact sinc at scattered points, where each takes all samples
-_TIMED = 1 << 18  # positions on a device whose time is measured
+_SHARE = 0.9  # of the time that errors take, where times are measured too
 _DIRECTED = 0.01  # of the greatest gradient: what is less has no direction that is seen
 _NUMPY = "NumPy, float64"
 
@@ -108,11 +120,13 @@ class ErrorTable(Table[ErrorRow]):
         "NumPy, float64", or the name of the device.
     timed_on : str
         The name of the device; empty if nothing was timed.
+    filters : list of Filter
+        The rows of the table of filters that were compared: some may be of one's own.
     """
 
     def __init__(
         self, rows: Iterable[ErrorRow], *, samples: Volume, against: str, points: int, boundary: str, evaluated_on: str,
-        timed_on: str,
+        timed_on: str, filters: Iterable[Filter] = (),
     ) -> None:  # fmt: skip
         super().__init__(rows)
         self.samples = samples
@@ -122,6 +136,11 @@ class ErrorTable(Table[ErrorRow]):
         self.boundary = boundary
         self.evaluated_on = evaluated_on
         self.timed_on = timed_on
+        self.filters = list(filters)
+
+    def filter(self, name: str) -> Filter:
+        """The filter that a row of this table names."""
+        return next((row for row in self.filters if row.name == name), None) or as_filter(name)
 
     def best(self, key: str = "rms") -> ErrorRow:
         """The row with the least `key` (the greatest for "psnr" and "ssim"), of those that have it.
@@ -141,20 +160,24 @@ class ErrorTable(Table[ErrorRow]):
         return min(having, key=lambda row: sign * getattr(row, key))
 
 
+@enough_memory("what is compared")
 def compare(
     source: Volume | ArrayLike | Function, filters: Sequence[str | Filter] = COMPARED, *, truth: Function | None = None,
     gradient: Function | None = None, size: int | Sequence[int] = 41, domain: tuple[float, float] = (-1.0, 1.0),
     dimensions: int = 3, boundary: str | Boundary = DEFAULT_BOUNDARY, factor: int = 2,
     lowpass: Literal["gaussian", "none"] = "gaussian", margin: float = 4.0, points: int = 200_000, seed: int = 0,
-    timing: bool = True, device: Device | str | int | None = None, progress: Callable[[float], Any] | None = None,
+    timing: bool = True, device: Device | str | int | None = None, timing_device: Device | str | int | None = None,
+    progress: Callable[[float], Any] | None = None,
 ) -> ErrorTable:  # fmt: skip
     """Measure what each filter makes of data whose truth is known.
 
     A function, or a volume with its `truth`, is compared at uniform random points of the world. Of a volume alone the
-    truth is held back: it is low-passed, every `factor`-th sample is kept, and what is reconstructed from these is
+    truth are its own samples: they are low-passed, every `factor`-th is kept, and what is reconstructed from these is
     compared with the original samples, as in Figure 4 of the paper; the true gradient is then that of the
-    quintic spline through the original. Decimation by 2 asks for values half-way between samples only, where the
-    hybrid is the spline that it magnifies with; by 3 it asks for thirds.
+    quintic spline through the original. Decimation by 2 asks for values at the samples and half-way between them only,
+    where the hybrid is the spline that it magnifies with, and where "nearest" has two samples as near: of these it
+    takes the upper one, at every even factor, so that its error at hard edges depends on where they happen to lie. By
+    3 it asks for thirds, and nothing is as near to two.
 
     Parameters
     ----------
@@ -172,7 +195,7 @@ def compare(
     boundary : str or Boundary
         As for `clvol.sample`.
     factor : int
-        Of the decimation, at least 2.
+        Of the decimation, 2 to 1024.
     lowpass : {"gaussian", "none"}
         Before the decimation: a Gaussian of standard deviation ``factor / 2`` samples, or nothing.
     margin : float
@@ -183,9 +206,11 @@ def compare(
     seed : int
         Of the random positions.
     timing : bool
-        Measure the time per million samples, on the default device if none is named; without any there are no times.
+        Measure the time per million samples at random positions; without any device there are no times.
     device : Device, str or int, optional
         Take the values from this device, in float32; by default they are float64 by `clvol.reference`.
+    timing_device : Device, str or int, optional
+        Where times are measured: `device` unless named, or the default one.
     progress : callable, optional
         Called with the fraction done.
 
@@ -199,12 +224,15 @@ def compare(
         An unknown name, a number outside its bounds, a function that fails or gives other than finite numbers.
     DataError
         NaN or infinite samples.
+    OutOfMemoryError
+        More samples or points than fit.
     """
-    chosen, rule = _chosen(filters), as_boundary(boundary)
-    whole("points", points, 1)
+    chosen, rule = as_compared(filters), as_boundary(boundary)
+    points, factor = whole("points", points, 1), whole("factor", factor, 2, _FARTHEST)
     rng = np.random.default_rng(whole("seed", seed, 0))
     margin = number("margin", margin, least=0)
     on = None if device is None else as_device(device)
+    clock = _clock(timing_device, on) if timing else None
     if EXACT_SINC in chosen and rule.period is None:
         raise OptionError(f"boundary must be mirror, reflect or wrap for {EXACT_SINC!r}; got {rule.name!r}")
     if callable(source):
@@ -215,29 +243,49 @@ def compare(
         volume = as_volume(source)
         volume.require_finite()
         volume = replace(volume, data=volume.data.astype(np.float64))
+    low, high = volume.value_range
+    if not math.isfinite(high - low):
+        raise DataError(f"samples must span a finite range; got {low:g} to {high:g}")
     if truth is None:
         if gradient is not None:
             raise OptionError("gradient must be that of a function; got it with a volume without its truth")
-        trial = _held_back(volume, whole("factor", factor, 2), lowpass, margin, points, rule, rng)
+        trial = _held_back(volume, factor, lowpass, margin, points, rule, rng)
     else:
         trial = _known(volume, truth, gradient, margin, points, rng)
-    timer = _Timer(trial, rule, on) if timing else None
+    told, share = progress or (lambda _: None), 1.0 if clock is None else _SHARE
     rows = []
     for done, row in enumerate(chosen, 1):
-        rows.append(_measure(trial, row, rule, on, timer))
-        if progress is not None:
-            progress(done / len(chosen))
+        rows.append(_measure(trial, row, rule, on))
+        told(share * done / len(chosen))
+    ours = [row for row in chosen if isinstance(row, Filter)]
+    if clock is not None:
+        seconds = iter(seconds_a_sample(trial.samples, ours, rule, clock, lambda done: told(share + (1 - share) * done)))
+        for i, row in enumerate(chosen):
+            if isinstance(row, Filter):
+                rows[i] = replace(rows[i], seconds=1e6 * next(seconds))
+        told(1.0)
     return ErrorTable(
         rows, samples=trial.samples, against=trial.against, points=trial.points.shape[0], boundary=rule.name,
-        evaluated_on=_NUMPY if on is None else on.name, timed_on="" if timer is None or timer.on is None else timer.on.name,
+        evaluated_on=_NUMPY if on is None else on.name, timed_on="" if clock is None else clock.name, filters=ours,
     )  # fmt: skip
 
 
-def _chosen(filters: Sequence[str | Filter]) -> list[str | Filter]:
-    """Rows of the table, and the name of the exact sinc."""
-    if isinstance(filters, (str, Filter)) or not filters:
-        raise OptionError(f"filters must be one or more names; got {filters!r}")
-    return [EXACT_SINC if name == EXACT_SINC else as_filter(name) for name in filters]
+def _clock(named: Device | str | int | None, on: Device | None) -> Device | None:
+    """The device whose time is measured, or None if there is none and none was named."""
+    try:
+        device = on if named is None and on is not None else as_device(named)
+        device.require_usable()
+    except DeviceError:
+        if named is not None:
+            raise
+        return None
+    return device
+
+
+def as_compared(filters: Sequence[str | Filter], most: int | None = None) -> list[str | Filter]:
+    """Rows of the table, and the name of the exact sinc, for one or more names or rows, at most `most`."""
+    chosen = several_names(filters, most)
+    return [EXACT_SINC if isinstance(f, str) and f.strip().lower() == EXACT_SINC else as_filter(f) for f in chosen]
 
 
 # -- what is known -------------------------------------------------------------------------------------------
@@ -264,6 +312,7 @@ class _Trial:
 def _known(
     volume: Volume, truth: Function, gradient: Function | None, margin: float, points: int, rng: np.random.Generator
 ) -> _Trial:
+    require_room("points", points, points)
     low, high = _inside(volume, margin)
     world = volume.index_to_world(rng.uniform(low, high, (points, volume.ndim)))
     values = _ask(truth, world, "the function", 1)
@@ -305,6 +354,7 @@ def _sampled(function: Function, size: int | Sequence[int], domain: tuple[float,
     if not isinstance(sizes, (list, tuple)) or len(sizes) != d:
         raise OptionError(f"size must be a whole number of at least 2, or {d} of them; got {size!r}")
     shape = tuple(whole("size", n, 2) for n in sizes)
+    require_room("size", math.prod(shape), size)
     ends = reals("domain", domain)
     if ends.shape != (2,) or not np.isfinite(ends).all() or not ends[0] < ends[1]:
         raise OptionError(f"domain must be two numbers, the lower first; got {domain!r}")
@@ -374,7 +424,7 @@ def _lattice_points(axes: Sequence[Array]) -> Array:
 # -- what each filter makes of it ----------------------------------------------------------------------------
 
 
-def _measure(trial: _Trial, row: str | Filter, rule: Boundary, on: Device | None, timer: _Timer | None) -> ErrorRow:
+def _measure(trial: _Trial, row: str | Filter, rule: Boundary, on: Device | None) -> ErrorRow:
     if row == EXACT_SINC:
         trial = trial.first(max(1, _SINC_PRODUCTS // trial.samples.data.size))
     fine = _on_lattice(trial, row, rule, on)
@@ -384,7 +434,7 @@ def _measure(trial: _Trial, row: str | Filter, rule: Boundary, on: Device | None
     else:
         got, true = _at_points(trial, row, rule, on, 0), trial.values
     error = got - true
-    rms = float(np.sqrt(np.mean(error**2)))
+    rms = _root_mean_square(error)
     span = high - low
     slope_rms: float | None = None
     angles: _Angles = (None, None, None)
@@ -392,11 +442,11 @@ def _measure(trial: _Trial, row: str | Filter, rule: Boundary, on: Device | None
         slope_rms, angles = _gradient_errors(trial, _at_points(trial, row, rule, on, 1))
     return ErrorRow(
         row.name if isinstance(row, Filter) else row, rms, float(np.abs(error).max()),
-        20 * math.log10(span / rms) if span > 0 and rms > 0 else None,
+        20 * (math.log10(span) - math.log10(rms)) if span > 0 and rms > 0 else None,
         ssim(_middle_of(fine), _middle_of(trial.lattice), span) if span > 0 else None,
         slope_rms, *angles,
         max(0.0, float(got.max()) - high, low - float(got.min())),
-        timer(row) if timer is not None and isinstance(row, Filter) else None,
+        None,
     )  # fmt: skip
 
 
@@ -432,8 +482,10 @@ def _on_lattice(trial: _Trial, row: str | Filter, rule: Boundary, on: Device | N
 def _gradient_errors(trial: _Trial, got: Array) -> tuple[float, _Angles]:
     """RMS length of the error; mean, median and 95th percentile of the angle in degrees."""
     true = trial.gradients
-    rms = float(np.sqrt(((got - true) ** 2).sum(-1).mean()))
+    rms = _root_mean_square(got - true) * math.sqrt(true.shape[-1])
     low, high = trial.samples.value_range
+    unit = max(float(np.abs(true).max()), float(np.abs(got).max())) or 1.0  # no square of what is left over- or underflows
+    true, got, low, high = true / unit, got / unit, low / unit, high / unit
     lengths = np.linalg.norm(true, axis=-1)
     directed = lengths >= max(_DIRECTED * lengths.max(), 1e-9 * (high - low) / min(trial.samples.spacing))
     if high == low or not directed.any():
@@ -445,28 +497,7 @@ def _gradient_errors(trial: _Trial, got: Array) -> tuple[float, _Angles]:
     return rms, (float(angle.mean()), float(np.median(angle)), float(np.percentile(angle, 95)))
 
 
-class _Timer:
-    """Seconds per million samples of a filter at the trial's points, on a device; None without one."""
-
-    def __init__(self, trial: _Trial, rule: Boundary, on: Device | None) -> None:
-        if on is None:
-            try:
-                on = as_device()
-                on.require_usable()
-            except DeviceError:
-                on = None
-        self.trial, self.rule, self.on = trial, rule, on
-        self.points = np.resize(trial.points, (_TIMED, trial.samples.ndim))
-
-    def __call__(self, row: Filter) -> float | None:
-        if self.on is None:
-            return None
-        path = spline.choose_path(self.on, row)
-        times = []
-        with spline.Coefficients(self.trial.samples, row, self.rule, self.on) as held:
-            spline.sample_coefficients(held, path, self.points[:64])  # builds the kernel
-            for _ in range(3):
-                start = time.perf_counter()
-                spline.sample_coefficients(held, path, self.points)
-                times.append(time.perf_counter() - start)
-        return min(times) * 1e6 / _TIMED  # in the others the machine had something else to do
+def _root_mean_square(values: Array) -> float:
+    """Of numbers whose squares may not be floats any more."""
+    unit = float(np.abs(values).max()) or 1.0
+    return unit * math.sqrt(float(np.mean((values / unit) ** 2)))

@@ -14,15 +14,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol import reference
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.errors import DataError, OptionError, reals, whole
+from clvol.errors import DataError, OptionError, enough_memory, reals, require_room, whole
 from clvol.filters import DEFAULT_FILTER, Filter, as_filter
 from clvol.volume import Volume, as_volume
 
-__all__ = ["SincVolume", "dirichlet_kernel", "dirichlet_magnify", "dirichlet_sample", "dirichlet_weights", "sinc_volume"]
+__all__ = [
+    "SincVolume", "dirichlet_kernel", "dirichlet_magnify", "dirichlet_sample", "dirichlet_weights", "periodic", "sinc_volume",
+]  # fmt: skip
 
 Array: TypeAlias = NDArray[np.float64]
 _CHUNK = 1 << 22  # numbers held at a time
 _NEAR = 0.1  # of a sample
+_LONGEST = 1 << 31  # period
 _SEED = 1999
 
 
@@ -47,6 +50,7 @@ class SincVolume:
     maximum: float
 
 
+@enough_memory("the Dirichlet kernel")
 def dirichlet_kernel(x: ArrayLike, n: int, derivative: int = 0) -> Array:
     """The periodic sinc of period `n`: ``sin(pi x) / (n sin(pi x / n))`` for odd n, ``/ (n tan(pi x / n))`` for even.
 
@@ -55,14 +59,16 @@ def dirichlet_kernel(x: ArrayLike, n: int, derivative: int = 0) -> Array:
     x : array-like
         Distance in samples.
     n : int
-        Period in samples, at least 1.
+        Period in samples, 1 to 2³¹.
     derivative : {0, 1}
 
     Returns
     -------
     ndarray of float64, the shape of `x`
     """
-    d, n, derivative = reals("x", x), whole("n", n, 1), whole("derivative", derivative, 0, 1)
+    d, n, derivative = reals("x", x), whole("n", n, 1, _LONGEST), whole("derivative", derivative, 0, 1)
+    if not np.isfinite(d).all():
+        raise OptionError("x must be finite")
     flat = np.mod(d.ravel() + n / 2, n) - n / 2
     near = np.abs(flat) < _NEAR
     safe = np.where(near, 0.5, flat) if n > 1 else np.full(flat.size, 0.5)
@@ -91,7 +97,7 @@ def dirichlet_weights(positions: ArrayLike, n: int, boundary: str | Boundary = D
 
     The sum over one period of the boundary rule, in which a sample may occur twice.
     """
-    rule = _periodic(boundary)
+    rule = periodic(boundary)
     period = rule.length(n)
     every = dirichlet_kernel(np.asarray(positions, dtype=np.float64)[:, None] - np.arange(period), period, derivative)
     weights = every[:, :n].copy()
@@ -99,6 +105,7 @@ def dirichlet_weights(positions: ArrayLike, n: int, boundary: str | Boundary = D
     return weights
 
 
+@enough_memory("a magnified volume")
 def dirichlet_magnify(data: ArrayLike, factor: int = 2, boundary: str | Boundary = DEFAULT_BOUNDARY) -> Array:
     """Samples of the exact sinc on a finer grid, by the FFT.
 
@@ -122,7 +129,8 @@ def dirichlet_magnify(data: ArrayLike, factor: int = 2, boundary: str | Boundary
     DataError, OptionError
         "zero" has no period.
     """
-    array, factor, rule = _samples(data), whole("factor", factor, 1), _periodic(boundary)
+    array, factor, rule = _samples(data), whole("factor", factor, 1, _LONGEST), periodic(boundary)
+    require_room("factor", array.size * factor**array.ndim, factor)
     for axis in range(array.ndim):
         lines = np.moveaxis(array, axis, -1)
         n = lines.shape[-1]
@@ -139,6 +147,7 @@ def dirichlet_magnify(data: ArrayLike, factor: int = 2, boundary: str | Boundary
     return np.ascontiguousarray(array)
 
 
+@enough_memory("what is sampled")
 def dirichlet_sample(
     volume: Volume | ArrayLike, points: ArrayLike, boundary: str | Boundary = DEFAULT_BOUNDARY, derivative: int = 0
 ) -> Array:
@@ -162,7 +171,7 @@ def dirichlet_sample(
     ------
     DataError, OptionError
     """
-    rule, derivative = _periodic(boundary), whole("derivative", derivative, 0, 1)
+    rule, derivative = periodic(boundary), whole("derivative", derivative, 0, 1)
     if isinstance(volume, Volume) or np.ndim(volume) > 1:
         volume = as_volume(volume)
         data, index, slopes = _samples(volume.data), volume.world_to_index(points), volume.world_to_index_matrix
@@ -193,6 +202,7 @@ def dirichlet_sample(
     return result[:, 0].reshape(index.shape[:-1])
 
 
+@enough_memory("a magnified volume")
 def sinc_volume(
     volume: Volume | ArrayLike, factor: int = 4, filter: str | Filter = DEFAULT_FILTER, boundary: str | Boundary = DEFAULT_BOUNDARY,
     points: int = 2000,
@@ -216,8 +226,9 @@ def sinc_volume(
     ------
     DataError, OptionError
     """
-    volume, row, rule = as_volume(volume), as_filter(filter), _periodic(boundary)
+    volume, row, rule = as_volume(volume), as_filter(filter), periodic(boundary)
     factor, points = whole("factor", factor, 1), whole("points", points, 1)
+    require_room("points", points, points)
     data = dirichlet_magnify(volume.data, factor, rule)
     shift = np.full(volume.ndim, 0.5 / factor - 0.5 if rule.name == "reflect" else 0.0)
     fine = Volume(
@@ -231,7 +242,8 @@ def sinc_volume(
     )  # fmt: skip
 
 
-def _periodic(boundary: str | Boundary) -> Boundary:
+def periodic(boundary: str | Boundary) -> Boundary:
+    """The boundary rule, if it has a period: without one there is no exact sinc."""
     rule = as_boundary(boundary)
     if rule.period is None:
         raise OptionError(f"boundary must be mirror, reflect or wrap, which have a period; got {rule.name!r}")

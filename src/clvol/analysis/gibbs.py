@@ -80,11 +80,11 @@ def lowpass_step(
     Parameters
     ----------
     kind : {"ideal", "gaussian"}
-        A box in the frequency domain: it overshoots by 8.949 % of the step whatever its cutoff. Or a Gaussian, which
-        never leaves [0, 1].
+        A box in the frequency domain: it overshoots by 8.949 % of the step whatever its cutoff, within its bounds to 0.01 %.
+        Or a Gaussian, which never leaves [0, 1].
     cutoff : float
         Of the ideal filter, in radians a sample: at most pi / 32, so that the step is sampled
-        finely, and at least pi / 2048, so that the next step is far.
+        finely, and at least pi / 512, so that the next step is far.
     sigma : float, optional
         Standard deviation of the Gaussian in samples; by default its response is 1/2 at `cutoff`.
 
@@ -95,7 +95,7 @@ def lowpass_step(
     """
     if kind not in ("ideal", "gaussian"):
         raise one_of("kind", kind, ("ideal", "gaussian"))
-    cutoff = number("cutoff", cutoff, least=np.pi / 2048, most=np.pi / 32)
+    cutoff = number("cutoff", cutoff, least=np.pi / 512, most=np.pi / 32)
     width = np.sqrt(2 * np.log(2)) / cutoff if sigma is None else number("sigma", sigma, least=1, most=_PERIOD / 64)
     omega = 2 * np.pi * np.fft.rfftfreq(_PERIOD)
     response = (omega <= cutoff) * 1.0 if kind == "ideal" else np.exp(-((omega * width) ** 2) / 2)

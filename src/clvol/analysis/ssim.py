@@ -13,6 +13,7 @@ __all__ = ["ssim"]
 
 Array: TypeAlias = NDArray[np.float64]
 _K1, _K2 = 0.01, 0.03
+_WIDEST = 1000  # samples
 _CUT = 3.5  # standard deviations: 5 samples on either side for the usual 1.5
 
 
@@ -31,7 +32,7 @@ def ssim(a: ArrayLike, b: ArrayLike, data_range: float | None = None, sigma: flo
     data_range : float, optional
         Of the values, positive; by default that of `b`, the reference.
     sigma : float
-        Of the window, in samples.
+        Of the window, in samples; at most 1000.
 
     Returns
     -------
@@ -42,7 +43,7 @@ def ssim(a: ArrayLike, b: ArrayLike, data_range: float | None = None, sigma: flo
     DataError
         Shapes differ, or a value is not finite.
     OptionError
-        `data_range` or `sigma` is not positive, or `b` is constant and no range was given.
+        `data_range` or `sigma` lies outside its bounds, or `b` is constant and no range was given.
     """
     from scipy import ndimage
 
@@ -51,8 +52,10 @@ def ssim(a: ArrayLike, b: ArrayLike, data_range: float | None = None, sigma: flo
         raise DataError(f"a and b must have one shape of 1 to 3 axes; got {x.shape} and {y.shape}")
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise DataError("a and b must be finite")
-    sigma = number("sigma", sigma, above=0)
+    sigma = number("sigma", sigma, above=0, most=_WIDEST)
     span = number("data_range", float(np.ptp(y)) if data_range is None else data_range, above=0)
+    unit = max(span, float(np.abs(x).max()), float(np.abs(y).max()))  # so that no square over- or underflows that counts
+    x, y, span = x / unit, y / unit, span / unit
     c1, c2 = (_K1 * span) ** 2, (_K2 * span) ** 2
     reach = int(_CUT * sigma + 0.5)
     inner = tuple(slice(reach, n - reach) if n > 2 * reach else slice(None) for n in x.shape)
@@ -65,5 +68,6 @@ def ssim(a: ArrayLike, b: ArrayLike, data_range: float | None = None, sigma: flo
     mx, my = mean(x), mean(y)
     vx, vy, covariance = mean(x * x) - mx * mx, mean(y * y) - my * my, mean(x * y) - mx * my
     mx, my = mx + level, my + level
-    similar = (2 * mx * my + c1) * (2 * covariance + c2) / ((mx * mx + my * my + c1) * (vx + vy + c2))
+    most = (mx * mx + my * my + c1) * (vx + vy + c2)
+    similar = np.divide((2 * mx * my + c1) * (2 * covariance + c2), most, out=np.ones_like(most), where=most != 0)
     return float(similar.mean())

@@ -5,17 +5,22 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
+import os
 from dataclasses import Field, field, fields
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
-from clvol.errors import OptionError
+from clvol.errors import DataError, FormatError, OptionError, as_path
+from clvol.formats._files import staged
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
-__all__ = ["UNLISTED", "Table", "column"]
+__all__ = ["UNLISTED", "Table", "column", "require_suffix"]
 
 Row = TypeVar("Row")
+_SUFFIXES = (".csv", ".json", ".md")
 
 UNLISTED: Final = {"listed": False}
 """Metadata of a field that tables leave out, such as an array."""
@@ -26,11 +31,47 @@ def column(heading: str, form: str = "") -> Any:
     return field(metadata={"heading": heading, "form": form})
 
 
+def require_suffix(path: str | os.PathLike[str]) -> str:
+    """The suffix of a table's file, in lower case; raises `FormatError` if tables are not written so."""
+    suffix = as_path(path).suffix.lower()
+    if suffix not in _SUFFIXES:
+        raise FormatError(f"tables are written as {', '.join(_SUFFIXES)}; got {os.fspath(path)!r}")
+    return suffix
+
+
 class Table(list[Row]):
     """Rows of one dataclass each; a value that does not exist is None, never NaN.
 
     >>> Table([metrics(name) for name in ("linear", "mitchell")]).to_markdown()
     """
+
+    def records(self) -> list[dict[str, Any]]:
+        """Each row by field name."""
+        names = [f.name for f in self._columns()]
+        return [dict(zip(names, self._values(row), strict=True)) for row in self]
+
+    def texts(self) -> list[list[str]]:
+        """Headings, then each row as people read it."""
+        return [[f.metadata.get("heading", f.name) for f in self._columns()], *self._texts()]
+
+    def write(self, path: str | os.PathLike[str]) -> Path:
+        """Write it by suffix: .csv, .json or .md, beside `path` and then renamed.
+
+        Raises
+        ------
+        FormatError
+            Unknown suffix, or it cannot be written there.
+        """
+        path, suffix = as_path(path), require_suffix(path)
+        text = {".csv": self.to_csv, ".json": self.to_json, ".md": self.to_markdown}[suffix]()
+        try:
+            with staged(path, path.suffix) as temporary:
+                temporary.write_text(text.rstrip("\n") + "\n", encoding="utf-8")
+        except FormatError:
+            raise
+        except OSError as error:
+            raise FormatError(f"cannot write {path}: {error}") from error
+        return path
 
     def to_csv(self) -> str:
         """Comma-separated, a line of field names first; numbers in full, what does not exist empty."""
@@ -41,14 +82,22 @@ class Table(list[Row]):
         return text.getvalue()
 
     def to_json(self) -> str:
-        """A list of objects by field name; numbers in full, what does not exist null."""
-        names = [f.name for f in self._columns()]
-        records = [dict(zip(names, self._values(row), strict=True)) for row in self]
+        """A list of objects by field name; numbers in full, what does not exist null.
+
+        Raises
+        ------
+        DataError
+            A number is NaN or infinite, which JSON has not.
+        """
+        records = self.records()
+        for record, (key, value) in ((r, item) for r in records for item in r.items()):
+            if isinstance(value, float) and not math.isfinite(value):
+                raise DataError(f"numbers of a table must be finite to be written as JSON; got {key} = {value} in {record!r}")
         return json.dumps(records, indent=2, allow_nan=False, ensure_ascii=False)
 
     def to_markdown(self) -> str:
         """A pipe table with headings, numbers rounded for reading, what does not exist a dash."""
-        head, *rows = [[f.metadata.get("heading", f.name) for f in self._columns()], *self._texts()]
+        head, *rows = self.texts()
         rule = ["---", *("--:" for _ in head[1:])]
         cells = [[cell.replace("|", "\\|") for cell in line] for line in (head, rule, *rows)]
         return "\n".join(f"| {' | '.join(line)} |" for line in cells)

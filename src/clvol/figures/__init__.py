@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
-from clvol.errors import OptionError, one_of
+from clvol.errors import OptionError, enough_memory, one_of
 from clvol.figures.panels import FIGURE_6, SIX, Panel, compare, figure6
 from clvol.figures.style import Drawing, require_matplotlib
 
@@ -63,6 +63,8 @@ def draw(name: str, **options: Any) -> Drawing:
         An unknown figure, or an option that it does not take.
     MissingDependencyError
         matplotlib is not installed; Figure 6 does without.
+    OutOfMemoryError
+        More samples or pixels than fit.
     """
     known = options_of(name)
     for option in options:
@@ -70,7 +72,8 @@ def draw(name: str, **options: Any) -> Drawing:
             raise OptionError(f"options of figure {name} must be among {', '.join(known)}; got {option!r}")
     if FIGURES[name].plotted:
         require_matplotlib()
-    drawing: Drawing = _module(name).draw(**options)
+    with enough_memory(f"figure {name}"):
+        drawing: Drawing = _module(name).draw(**options)
     return drawing
 
 

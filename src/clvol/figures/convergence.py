@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol import analysis
-from clvol.errors import OptionError, whole
+from clvol.errors import OptionError, several, whole
 from clvol.figures.style import GREY, Drawing, colour, label_ends, new_figure, styled
-from clvol.filters import as_filter
+from clvol.filters import Filter, as_filters
 
 __all__ = ["draw"]
 
@@ -35,14 +35,14 @@ def _slopes(points: Array) -> Array:
 
 
 def draw(
-    filters: Sequence[str] = _SHOWN, sizes: Sequence[int] = _SIZES, points: int = 20_000,
+    filters: Sequence[str | Filter] = _SHOWN, sizes: Sequence[int] = _SIZES, points: int = 20_000,
     progress: Callable[[float], Any] | None = None,
 ) -> Drawing:  # fmt: skip
     """RMS error of values (left) and of gradients (right) of a smooth function on ever finer grids.
 
     Parameters
     ----------
-    filters : sequence of str
+    filters : sequence of str or Filter
         Rows of the table.
     sizes : sequence of int
         Samples along each axis of [-1, 1]², ascending, at least two grids of at least 17.
@@ -51,10 +51,11 @@ def draw(
     progress : callable, optional
         Called with the fraction done.
     """
-    counts = [whole("each of sizes", n, 17) for n in sizes]
+    rule = "two or more whole numbers in ascending order"
+    counts = [whole("each of sizes", n, 17) for n in several("sizes", sizes, rule)]
     if len(counts) < 2 or counts != sorted(set(counts)):
-        raise OptionError(f"sizes must be two or more whole numbers in ascending order; got {sizes!r}")
-    rows = [as_filter(name) for name in filters]
+        raise OptionError(f"sizes must be {rule}; got {sizes!r}")
+    rows = as_filters(filters)
     tables = []
     for i, n in enumerate(counts):
         tables.append(analysis.compare(_waves, rows, gradient=_slopes, size=n, dimensions=2, points=points, timing=False))

@@ -2,39 +2,36 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
 
 from clvol import analysis, phantoms
+from clvol.analysis.timing import seconds_a_sample
 from clvol.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.device import Device, as_device
 from clvol.figures.style import FAINT, GREY, Drawing, colour, new_figure, styled
-from clvol.filters import Filter, as_filter
+from clvol.filters import Filter, as_filters
 from clvol.filters import filters as all_filters
-from clvol.spline import Coefficients, choose_path, sample_coefficients
-from clvol.volume import Volume
 
 __all__ = ["draw", "frontier", "plot"]
 
-_TIMED = 1 << 17  # positions
-_ROUNDS = 12
+_LETTER = 8.5  # points
+_GAP = 0.85  # of an em, from a dot's centre to the label beside it
 _SHARE = 0.8  # of the time that errors take
 _PLACES = ((1, 0), (1, 1), (1, -1), (-1, 0), (-1, 1), (-1, -1), (0, 1.4), (0, -1.4), (1, 2.2), (1, -2.2), (-1, 2.2), (-1, -2.2))
 
 
 def draw(
-    filters: Sequence[str] = (), samples: int = 41, points: int = 20_000, device: Device | str | int | None = None,
-    progress: Callable[[float], Any] | None = None,
+    filters: Sequence[str | Filter] | None = None, samples: int = 41, points: int = 20_000,
+    device: Device | str | int | None = None, progress: Callable[[float], Any] | None = None,
 ) -> Drawing:  # fmt: skip
     """Each filter's error on the Marschner-Lobb function against its time on a device: values left, gradients right.
 
     Parameters
     ----------
-    filters : sequence of str
+    filters : sequence of str or Filter, optional
         Default: the whole table.
     samples : int
         Of the function along each axis.
@@ -48,14 +45,16 @@ def draw(
     DeviceError
         Without a device there are no times.
     """
-    rows, on = [as_filter(name) for name in filters or all_filters()], as_device(device)
+    rows, on = as_filters(list(all_filters()) if filters is None else filters), as_device(device)
     on.require_usable()
     told = progress or (lambda _: None)
     table = analysis.compare(
         phantoms.marschner_lobb_function, rows, gradient=phantoms.marschner_lobb_gradient, size=samples, points=points,
         timing=False, progress=lambda done: told(_SHARE * done),
     )  # fmt: skip
-    seconds = _seconds(table.samples, rows, on, lambda done: told(_SHARE + (1 - _SHARE) * done))
+    seconds = seconds_a_sample(
+        table.samples, rows, as_boundary(DEFAULT_BOUNDARY), on, lambda done: told(_SHARE + (1 - _SHARE) * done)
+    )
     numbers: list[dict[str, Any]] = [
         {"filter": row.filter, "nanoseconds": 1e9 * took, "rms": row.rms, "angle_mean": row.angle_mean}
         for row, took in zip(table, seconds, strict=True)
@@ -70,24 +69,6 @@ def draw(
         for n in numbers
     ]
     return Drawing(figure, numbers, [*lines, "* nothing is both faster and better"])
-
-
-def _seconds(volume: Volume, rows: Sequence[Filter], on: Device, progress: Callable[[float], Any]) -> list[float]:
-    """The least time a sample of each filter, in rounds, so that what else the machine does falls on all alike."""
-    points = volume.index_to_world(np.random.default_rng(0).uniform(0, 1, (_TIMED, volume.ndim)) * (np.array(volume.size) - 1))
-    least = [np.inf] * len(rows)
-    with ExitStack() as stack:
-        held = [stack.enter_context(Coefficients(volume, row, as_boundary(DEFAULT_BOUNDARY), on)) for row in rows]
-        paths = [choose_path(on, row) for row in rows]
-        for coefficients, path in zip(held, paths, strict=True):
-            sample_coefficients(coefficients, path, points[:64])  # builds the kernel
-        for done in range(_ROUNDS):
-            for i, (coefficients, path) in enumerate(zip(held, paths, strict=True)):
-                started = time.perf_counter()
-                sample_coefficients(coefficients, path, points)
-                least[i] = min(least[i], (time.perf_counter() - started) / _TIMED)
-            progress((done + 1) / _ROUNDS)
-    return least
 
 
 def plot(numbers: Sequence[dict[str, Any]], heading: str, note: str) -> Any:
@@ -134,20 +115,23 @@ def _scatter(axes: Any, numbers: Sequence[dict[str, Any]], key: str, heading: st
 def _label(axes: Any, shown: Sequence[tuple[str, float, float]]) -> None:
     """A name beside each point, where it covers no other name and no point."""
     at = {name: axes.transData.transform((x, y)) for name, x, y in shown}
-    em = axes.figure.dpi * 8.5 / 72
+    em = axes.figure.dpi * _LETTER / 72
+    # a dot is not quite an em wide
     taken = [(p[0] - 0.5 * em, p[1] - 0.5 * em, p[0] + 0.5 * em, p[1] + 0.5 * em) for p in at.values()]
     for name, x, y in shown:
-        width, height = 0.56 * em * len(name), 1.05 * em
+        label = axes.annotate(
+            name, (x, y), (0, 0), textcoords="offset points", ha="center", va="center", fontsize=_LETTER, color=colour(name)
+        )
+        label.set_in_layout(False)
+        extent = label.get_window_extent()
+        width, height = extent.width, extent.height
         boxes = []
         for dx, dy in _PLACES:
-            centre = at[name] + np.array([dx * (width / 2 + 0.9 * em), dy * 1.05 * em])
+            centre = at[name] + np.array([dx * (width / 2 + _GAP * em), dy * height])
             boxes.append((centre[0] - width / 2, centre[1] - height / 2, centre[0] + width / 2, centre[1] + height / 2))
         box = min(boxes, key=lambda b: sum(_overlap(b, other) for other in taken))
         taken.append(box)
-        offset = (np.array([(box[0] + box[2]) / 2, (box[1] + box[3]) / 2]) - at[name]) * 72 / axes.figure.dpi
-        axes.annotate(
-            name, (x, y), tuple(offset), textcoords="offset points", ha="center", va="center", fontsize=8.5, color=colour(name)
-        ).set_in_layout(False)
+        label.set_position(tuple((np.array([(box[0] + box[2]) / 2, (box[1] + box[3]) / 2]) - at[name]) * 72 / axes.figure.dpi))
 
 
 def _overlap(a: Sequence[float], b: Sequence[float]) -> float:

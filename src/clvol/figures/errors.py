@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from clvol import phantoms
 from clvol.analysis import ErrorTable, compare
+from clvol.analysis.compare import as_compared
 from clvol.boundary import DEFAULT_BOUNDARY
-from clvol.errors import OptionError, whole
+from clvol.errors import OptionError, require_room, whole
 from clvol.figures.inputs import photograph, rings, zone_plate
 from clvol.figures.panels import FIGURE_6
 from clvol.figures.style import GREY, INK, Drawing, colour, new_figure, styled, title
-from clvol.volume import Volume
+from clvol.filters import Filter
+from clvol.volume import Volume, as_volume
 
-__all__ = ["Case", "draw", "measure"]
+__all__ = ["Case", "draw", "every_shift", "mean_square", "measure"]
 
 _GRADIENTS = 64  # positions of a gradient nobody looks at: as few as may be
 
@@ -47,57 +51,82 @@ class Case:
 
 
 def measure(
-    filters: Sequence[str] = FIGURE_6, samples: int = 41, points: int = 20_000, scan: Volume | None = None,
+    filters: Sequence[str | Filter] = FIGURE_6, samples: int = 41, points: int = 20_000, scan: Volume | ArrayLike | None = None,
     progress: Callable[[float], Any] | None = None,
 ) -> list[Case]:  # fmt: skip
     """Errors on inputs with a known truth, 2-D first; parameters as for `draw`."""
-    samples = whole("samples", samples, 4)
+    samples, filters = whole("samples", samples, 4), as_compared(filters)
+    require_room("samples", (12 * samples) ** 3, samples)
     table = partial(compare, filters=filters, boundary=DEFAULT_BOUNDARY, timing=False)
     held, what = photograph(max(16, 12 * samples))
-    known: list[tuple[str, int, Callable[[], ErrorTable]]] = [
-        ("Marschner–Lobb, z = 0", 2, lambda: table(rings, size=samples, dimensions=2, points=points)),
-        ("zone plate", 2, lambda: table(partial(zone_plate, size=samples), size=samples, dimensions=2, points=points)),
-        (what, 2, lambda: table(held, points=_GRADIENTS)),
-        ("Marschner–Lobb", 3, lambda: table(phantoms.marschner_lobb_function, size=samples, points=points)),
-        ("zone plate", 3, lambda: table(partial(zone_plate, size=samples), size=samples, points=points)),
-        ("box, hard edges", 3, lambda: table(phantoms.box(2 * samples), points=_GRADIENTS, lowpass="none")),
+    known: list[tuple[str, int, Callable[[], list[ErrorTable]]]] = [
+        ("Marschner–Lobb, z = 0", 2, lambda: [table(rings, size=samples, dimensions=2, points=points)]),
+        ("zone plate", 2, lambda: [table(partial(zone_plate, size=samples), size=samples, dimensions=2, points=points)]),
+        (what, 2, lambda: every_shift(held, filters)),
+        ("Marschner–Lobb", 3, lambda: [table(phantoms.marschner_lobb_function, size=samples, points=points)]),
+        ("zone plate", 3, lambda: [table(partial(zone_plate, size=samples), size=samples, points=points)]),
+        ("box, hard edges", 3, lambda: every_shift(phantoms.box(2 * samples), filters, "none")),
     ]
     if scan is not None:
+        scan = as_volume(scan)
         if scan.ndim != 3:
             raise OptionError(f"scan must have 3 axes; got shape {scan.shape}")
         middle = Volume(scan.data[scan.shape[0] // 2], scan.spacing[:2])
-        known.insert(3, ("slice of the scan", 2, lambda: table(middle, points=_GRADIENTS)))
-        known.append(("scan", 3, lambda: table(scan, points=_GRADIENTS)))
+        known.insert(3, ("slice of the scan", 2, lambda: every_shift(middle, filters)))
+        known.append(("scan", 3, lambda: [table(scan, points=_GRADIENTS)]))
     cases = []
     for done, (name, dimensions, make) in enumerate(known, 1):
-        rows = make()
-        span = rows.value_range[1] - rows.value_range[0] or 1.0
-        how = "function" if rows.against.startswith("the function") else "held-back samples"
-        cases.append(Case(name, how, dimensions, {row.filter: (row.rms / span) ** 2 for row in rows}))
+        tables = make()
+        how = "function" if tables[0].against.startswith("the function") else "original samples"
+        cases.append(Case(name, how, dimensions, mean_square(tables)))
         if progress is not None:
             progress(done / len(known))
     return cases
 
 
+def every_shift(
+    volume: Volume, filters: Sequence[str | Filter], lowpass: Literal["gaussian", "none"] = "gaussian"
+) -> list[ErrorTable]:
+    """Errors of what is left of a volume when every second sample is kept, for each of the first samples to keep, 2ᵈ of them.
+
+    Half of the positions along an axis lie half-way between the samples kept, where `nearest` takes the upper one always: at
+    hard edges its error is that of where the edges lie, and only the mean over all shifts is that of the filter.
+    """
+    firsts = itertools.product(*(range(min(2, n)) for n in volume.size))
+    cropped = [volume.crop(first, volume.size) for first in firsts]
+    return [compare(part, filters, lowpass=lowpass, points=_GRADIENTS, boundary=DEFAULT_BOUNDARY, timing=False) for part in cropped]
+
+
+def mean_square(tables: Sequence[ErrorTable]) -> dict[str, float]:
+    """Mean square errors by filter, of data scaled to 0..1, over all tables."""
+    spans = [t.value_range[1] - t.value_range[0] or 1.0 for t in tables]
+    return {
+        rows[0].filter: float(np.mean([(row.rms / span) ** 2 for row, span in zip(rows, spans, strict=True)]))
+        for rows in zip(*tables, strict=True)
+    }
+
+
 def draw(
-    filters: Sequence[str] = FIGURE_6, samples: int = 41, points: int = 20_000, scan: Volume | None = None,
+    filters: Sequence[str | Filter] = FIGURE_6, samples: int = 41, points: int = 20_000, scan: Volume | ArrayLike | None = None,
     progress: Callable[[float], Any] | None = None,
 ) -> Drawing:  # fmt: skip
     """Figure 4: a bar for each filter, a panel for each input.
 
     Parameters
     ----------
-    filters : sequence of str
+    filters : sequence of str or Filter
         Rows of the table, and "exact-sinc".
     samples : int
         Of the functions along each axis; the photograph and the box have more, and are decimated.
     points : int
         Random positions at which functions are compared.
-    scan : Volume, optional
-        One more input, decimated by two, and its middle slice.
+    scan : Volume or array-like, optional
+        One more input, decimated by two from its first sample, and its middle slice. The slice, the photograph and the box are
+        decimated from each of the samples that can be the first, `every_shift`.
     progress : callable, optional
         Called with the fraction done.
     """
+    filters = as_compared(filters)
     cases = measure(filters, samples, points, scan, progress)
     with styled():
         across = len(cases) // 2

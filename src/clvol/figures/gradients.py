@@ -11,26 +11,27 @@ from clvol import phantoms
 from clvol.device import Device
 from clvol.errors import whole
 from clvol.figures.panels import BOX, CAMERA, ISOVALUE, LIGHTS, MATERIAL, SURFACE
-from clvol.figures.style import Drawing, new_figure, show, styled, title
+from clvol.figures.style import LETTERS, Drawing, folded, new_figure, show, styled, title
+from clvol.filters import Filter, as_filters
 from clvol.render import Renderer
 
 __all__ = ["draw"]
 
 _SHOWN = ("linear", "bspline3-approx", "mitchell", "catmull-rom", "bspline3", "bspline5")
 _MOST = 45.0  # degrees that the colours span
-_CUT = 0.12  # of the height
+_ROOM = 50  # of the height, about what shows
 _WHITE = (1.0, 1.0, 1.0)
 
 
 def draw(
-    filters: Sequence[str] = _SHOWN, samples: int = 41, pixels: int = 320, device: Device | str | int | None = None,
+    filters: Sequence[str | Filter] = _SHOWN, samples: int = 41, pixels: int = 320, device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
 ) -> Drawing:  # fmt: skip
     """Pictures of the Marschner-Lobb function above, angles of their normals to the true ones below.
 
     Parameters
     ----------
-    filters : sequence of str
+    filters : sequence of str or Filter
         A column each.
     samples : int
         Of the function along each axis.
@@ -39,33 +40,44 @@ def draw(
     device, progress
         As for `clvol.render`.
     """
-    pixels = whole("pixels", pixels, 1)
+    pixels, rows = whole("pixels", pixels, 1), as_filters(filters, len(LETTERS))
     volume = phantoms.marschner_lobb(samples)
     numbers: list[dict[str, Any]] = []
+    pictures, errors = [], []
+    for done, row in enumerate(rows, 1):
+        with Renderer(volume, row, device=device) as renderer:
+            seen = renderer.render(
+                CAMERA, "isosurface", (pixels, pixels), 0.25, isovalue=ISOVALUE, color=SURFACE, lights=LIGHTS,
+                material=MATERIAL, background=_WHITE, clip=BOX, outputs=("rgba", "normal", "position"),
+            )  # fmt: skip
+        pictures.append(seen["rgba"][..., :3])
+        errors.append(_angles(seen["normal"], seen["position"]))
+        there = errors[-1][np.isfinite(errors[-1])]
+        mean = float(there.mean()) if there.size else None
+        numbers.append({"filter": row.name, "analytic": row.has_gradient, "angle_mean": mean, "shown": int(there.size)})
+        if progress is not None:
+            progress(done / len(rows))
+    shown = _filled(errors)
     with styled():
-        figure = new_figure(2.1 * len(filters) + 0.9, 3.9)
-        panels = figure.subplots(2, len(filters), squeeze=False)
-        for column, name in enumerate(filters):
-            with Renderer(volume, name, device=device) as renderer:
-                seen = renderer.render(
-                    CAMERA, "isosurface", (pixels, pixels), 0.25, isovalue=ISOVALUE, color=SURFACE, lights=LIGHTS,
-                    material=MATERIAL, background=_WHITE, clip=BOX, outputs=("rgba", "normal", "position"),
-                )  # fmt: skip
-                own = renderer.filter.has_gradient
-                name = renderer.filter.name
-            angles = _angles(seen["normal"], seen["position"])
-            there = angles[np.isfinite(angles)]
-            mean = float(there.mean()) if there.size else None
-            numbers.append({"filter": name, "analytic": own, "angle_mean": mean, "shown": int(there.size)})
-            rows = slice(round(_CUT * pixels), round((1 - _CUT) * pixels))  # above and below there is nothing
-            show(panels[0, column], seen["rgba"][rows, :, :3], title(name))
-            note = "nothing shows" if mean is None else f"mean {mean:.1f}°"
-            drawn = show(panels[1, column], angles[rows], "", note, cmap="turbo", vmin=0, vmax=_MOST)
-            if progress is not None:
-                progress((column + 1) / len(filters))
+        share = (shown.stop - shown.start) / pixels
+        figure = new_figure(2.1 * len(rows) + 0.9, 4.0 * share + 0.8)
+        panels = figure.subplots(2, len(rows), squeeze=False)
+        for column, (picture, angles, n) in enumerate(zip(pictures, errors, numbers, strict=True)):
+            show(panels[0, column], picture[shown], folded(title(n["filter"])))
+            note = "nothing shows" if n["angle_mean"] is None else f"mean {n['angle_mean']:.1f}°"
+            drawn = show(panels[1, column], angles[shown], "", note, cmap="turbo", vmin=0, vmax=_MOST)
         figure.colorbar(drawn, ax=list(panels[1]), shrink=0.85, pad=0.01, extend="max", label="degrees to the true normal")
     lines = [f"{title(n['filter'])}: normals err by {n['angle_mean']:.1f}° in the mean" for n in numbers if n["shown"]]
     return Drawing(figure, numbers, lines)
+
+
+def _filled(errors: Sequence[Any]) -> slice:
+    """The rows of the pictures in which any of them shows anything, and a few about them; all, where nothing shows."""
+    size = errors[0].shape[0]
+    rows = np.flatnonzero(np.isfinite(errors).any((0, 2)))
+    if not rows.size:
+        return slice(0, size)
+    return slice(max(0, int(rows[0]) - size // _ROOM), min(size, int(rows[-1]) + 1 + size // _ROOM))
 
 
 def _angles(normals: Any, positions: Any) -> Any:

@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.analysis import EXACT_SINC, dirichlet_magnify
+from clvol.analysis.compare import as_compared
 from clvol.device import Device
-from clvol.errors import whole
+from clvol.errors import require_room, whole
 from clvol.figures.inputs import photograph, zone_plate
 from clvol.figures.panels import FIGURE_6
-from clvol.figures.style import Drawing, new_figure, show, styled, title
+from clvol.figures.style import LETTERS, Drawing, folded, new_figure, show, styled, title
+from clvol.filters import Filter
 from clvol.spline import sample
 from clvol.volume import Volume
 
@@ -21,34 +23,34 @@ __all__ = ["draw", "finer"]
 
 Array: TypeAlias = NDArray[np.float64]
 _FACTOR = 4
-_LETTERS = "abcdefghijklmnopqrstuvwxyz"
 
 
-def finer(image: Volume, factor: int, name: str, device: Device | str | int | None = None) -> Array:
+def finer(image: Volume, factor: int, filter: str | Filter, device: Device | str | int | None = None) -> Array:
     """An image at every 1 / `factor` of a sample, from the first to the last; "exact-sinc" is the exact sinc."""
-    if name == EXACT_SINC:
+    if filter == EXACT_SINC:
         return dirichlet_magnify(image.data, factor)
     axes = [np.arange(factor * (n - 1) + 1) / factor for n in image.shape]
     index = np.stack(np.meshgrid(*axes, indexing="ij")[::-1], -1)
-    return sample(image, image.index_to_world(index), name, device=device).astype(np.float64)
+    return sample(image, image.index_to_world(index), filter, device=device).astype(np.float64)
 
 
 def draw(
-    filters: Sequence[str] = FIGURE_6, samples: int = 65, device: Device | str | int | None = None,
+    filters: Sequence[str | Filter] = FIGURE_6, samples: int = 65, device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
 ) -> Drawing:  # fmt: skip
     """Figure 5: a photograph and a zone plate of few samples, four times as fine by each filter.
 
     Parameters
     ----------
-    filters : sequence of str
+    filters : sequence of str or Filter
         A column each.
     samples : int
         Of each image along each axis.
     device, progress
         As for `clvol.sample`.
     """
-    samples = whole("samples", samples, 8)
+    samples, chosen = whole("samples", samples, 8), as_compared(filters, len(LETTERS))
+    require_room("samples", (_FACTOR * samples) ** 2, samples)
     size = _FACTOR * (samples - 1) + 1
     original, what = photograph(size)
     plate = Volume(zone_plate(_square(size), samples))
@@ -57,17 +59,18 @@ def draw(
     inner = (slice(2 * _FACTOR, -2 * _FACTOR),) * 2
     numbers: list[dict[str, Any]] = []
     with styled():
-        figure = new_figure(2.05 * (len(filters) + 1), 4.9)
-        panels = figure.subplots(2, len(filters) + 1)
-        for column, name in enumerate(filters):
+        figure = new_figure(2.05 * (len(chosen) + 1), 4.9)
+        panels = figure.subplots(2, len(chosen) + 1)
+        for column, drawer in enumerate(chosen):
+            name = drawer.name if isinstance(drawer, Filter) else drawer
             for row, (kind, truth, few) in enumerate(((what, original, coarse[0]), ("zone plate", plate, coarse[1]))):
-                drawn = finer(few, _FACTOR, name, device)
+                drawn = finer(few, _FACTOR, drawer, device)
                 rms = float(np.sqrt(np.mean((drawn[inner] - truth.data[inner]) ** 2)))
                 numbers.append({"input": kind, "filter": name, "rms": rms})
-                heading = f"{_LETTERS[column]})  {title(name)}" if row == 0 else ""
+                heading = folded(f"{LETTERS[column]})  {title(name)}") if row == 0 else ""
                 show(panels[row, column], drawn, heading, f"RMS {rms:.4f}", vmin=0, vmax=1)
             if progress is not None:
-                progress((column + 1) / len(filters))
+                progress((column + 1) / len(chosen))
         show(panels[0, -1], original.data, f"the {what}", f"{size}², given as {samples}²", vmin=0, vmax=1)
         show(panels[1, -1], plate.data, "", "the zone plate itself", vmin=0, vmax=1)
     lines = [f"{n['input']}, {title(n['filter'])}: RMS error {n['rms']:.4f}" for n in numbers]

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from clvol import analysis
-from clvol.figures.style import GREY, Drawing, colour, new_figure, styled, title
-from clvol.filters import as_filter
+from clvol.figures.style import GREY, LETTERS, Drawing, colour, new_figure, styled, title
+from clvol.filters import Filter, as_filters
 
 __all__ = ["draw"]
 
@@ -18,25 +18,25 @@ _REACH = 5.0
 _SUPERSCRIPTS = "⁰¹²³⁴⁵⁶⁷⁸⁹"
 
 
-def draw(filters: Sequence[str] = _SHOWN) -> Drawing:
+def draw(filters: Sequence[str | Filter] = _SHOWN) -> Drawing:
     """A panel for each filter, over the sinc.
 
     Parameters
     ----------
-    filters : sequence of str
+    filters : sequence of str or Filter
         Rows of the table.
     """
+    rows = as_filters(filters, len(LETTERS))
     x = np.linspace(-_REACH, _REACH, 2001)
     numbers: list[dict[str, Any]] = []
-    across = min(4, len(filters))
-    down = -(-len(filters) // across)
+    across = min(4, len(rows))
+    down = -(-len(rows) // across)
     with styled():
         figure = new_figure(2.75 * across, 2.15 * down + 0.4)
         panels = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False)
-        for axes in panels.flat[len(filters) :]:
+        for axes in panels.flat[len(rows) :]:
             axes.set_axis_off()
-        for axes, name in zip(panels.flat, filters, strict=False):
-            row = as_filter(name)
+        for axes, row in zip(panels.flat, rows, strict=False):
             response = analysis.impulse_response(row, x)
             axes.plot(x, np.sinc(x), color="#c4c4c4", linewidth=1.1)
             axes.plot(x, response, color=colour(row.name))

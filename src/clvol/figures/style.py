@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import colorsys
+import math
 import os
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -15,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from clvol import picture
 from clvol.analysis import EXACT_SINC
 from clvol.errors import FormatError, MissingDependencyError, OptionError, as_path
+from clvol.filters import Filter, as_filter, filters
 from clvol.formats._files import staged
 
 if TYPE_CHECKING:
@@ -22,13 +26,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
-    "FAINT", "GREY", "INK", "Drawing", "colour", "label_ends", "new_figure", "plain", "require_matplotlib", "require_suffix",
-    "show", "spread", "styled", "title",
+    "FAINT", "GREY", "INK", "LETTERS", "Drawing", "colour", "folded", "label_ends", "legend_above", "new_figure", "plain",
+    "require_matplotlib", "require_suffix", "show", "spread", "styled", "title",
 ]  # fmt: skip
 
 Array: TypeAlias = NDArray[np.float64]
 
 INK, GREY, FAINT = "#222222", "#6f6f6f", "#d9d9d9"
+LETTERS = "abcdefghijklmnopqrstuvwxyz"
+"""What panels are called, a filter each: a figure holds no more of them."""
+
 _SUFFIXES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".tif", ".tiff")
 _DPI = 150
 _RC: Mapping[str, Any] = {
@@ -46,6 +53,10 @@ _COLOURS = {
     "bspline2-approx": "#7cc7bc", "bspline4-approx": "#1d7268", "bspline5-approx": "#124a43",
     "lanczos2": "#e08a76", "lanczos3": "#cf6a52", "lanczos4": "#b04d36", "lanczos5": "#8c3521",
 }  # fmt: skip
+_ACROSS = 4  # names in a row of a legend
+_GIVEN: dict[str, str] = {}  # colours of other filters
+_GOLDEN, _TRIED, _APART = 0.6180339887, 150, 0.22
+
 _TITLES = {
     EXACT_SINC: "sinc, exact", "sinc": "sinc, cut off at 4 samples", "nearest": "nearest neighbour",
     "bspline3-approx": "B-spline approximation", "linear": "linear", "mitchell": "Mitchell B = C = 1/3",
@@ -55,8 +66,47 @@ _TITLES = {
 
 
 def colour(name: str) -> str:
-    """The colour of a filter in every figure; those without one of their own are dark grey."""
-    return _COLOURS.get(name, "#444444")
+    """The colour of a filter in every figure, by whatever name: `lanczos(2)` has that of `lanczos2`.
+
+    Filters without a colour here are given one when they are first asked for, unlike all that were given before.
+    """
+    if name in _COLOURS:
+        return _COLOURS[name]
+    try:
+        row = as_filter(name)
+    except OptionError:  # one that no table knows
+        return _given(name)
+    table = filters()
+    for other in _COLOURS:
+        if other in table and _same(table[other], row):
+            return _COLOURS[other]
+    return _given(row.name)
+
+
+def _same(a: Filter, b: Filter) -> bool:
+    return (a.taps, a.prefilter, a.magnify) == (b.taps, b.prefilter, b.magnify)
+
+
+def _given(name: str) -> str:
+    """A colour far from all others, if there is one: hues a golden section of the circle apart, in three depths."""
+    if name not in _GIVEN:
+        taken = [_rgb(c) for c in (*_COLOURS.values(), *_GIVEN.values())]
+        tried = []
+        for k in range(_TRIED):
+            rgb = colorsys.hls_to_rgb((0.1 + k * _GOLDEN) % 1, (0.42, 0.6, 0.3)[k % 3], 0.55)
+            tried.append((min(math.dist(rgb, other) for other in taken), rgb))
+        _, rgb = next((t for t in tried if t[0] > _APART), max(tried))
+        _GIVEN[name] = "#" + "".join(f"{round(255 * c):02x}" for c in rgb)
+    return _GIVEN[name]
+
+
+def _rgb(code: str) -> tuple[float, ...]:
+    return tuple(int(code[i : i + 2], 16) / 255 for i in (1, 3, 5))
+
+
+def folded(text: str, width: int = 26) -> str:
+    """A heading in as many lines as it needs to be no wider than so many letters."""
+    return "\n".join(textwrap.wrap(text, width, break_on_hyphens=False)) or text
 
 
 def title(name: str) -> str:
@@ -136,6 +186,15 @@ def new_figure(width: float, height: float) -> Figure:
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
+
+
+def legend_above(figure: Figure, axes: Axes) -> None:
+    """The names of the curves in `axes` above the figure, in as many rows as they need, for which the figure grows."""
+    handles, labels = axes.get_legend_handles_labels()
+    across = min(_ACROSS, len(labels))
+    width, height = figure.get_size_inches()
+    figure.set_size_inches(width, height + 0.2 * -(-len(labels) // across))
+    figure.legend(handles, labels, loc="outside upper center", ncols=across)
 
 
 def show(axes: Axes, pixels: ArrayLike, heading: str, note: str = "", **options: Any) -> Any:

@@ -29,6 +29,7 @@ __all__ = [
     "inflated_size",
     "require_bytes",
     "require_default",
+    "require_folder",
     "sample_count",
     "staged",
     "storable",
@@ -66,11 +67,9 @@ def staged(target: Path, suffix: str) -> Iterator[Path]:
     not a temporary name: libraries choose formats by suffix, and headers name their data file.
     """
     target = target.resolve()  # what a link points to is replaced, the link stays
-    if not target.parent.is_dir():
-        raise FormatError(f"cannot write {target}: the folder {target.parent} does not exist")
     if target.is_dir():
         raise FormatError(f"cannot write {target}: it is a folder")
-    folder = Path(tempfile.mkdtemp(dir=target.parent, prefix=".clvol-"))
+    folder = _hidden_folder(target)
     try:
         written = folder / (target.name[: -len(suffix)] + suffix)  # libraries do not know ".NRRD"
         yield written
@@ -84,6 +83,21 @@ def staged(target: Path, suffix: str) -> Iterator[Path]:
         written.replace(target)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def require_folder(target: Path) -> None:
+    """Raise before hours of work if the folder of `target` does not exist or cannot be written to."""
+    _hidden_folder(target).rmdir()
+
+
+def _hidden_folder(target: Path) -> Path:
+    """A new one beside `target`."""
+    if not target.parent.is_dir():
+        raise FormatError(f"cannot write {target}: the folder {target.parent} does not exist")
+    try:
+        return Path(tempfile.mkdtemp(dir=target.parent, prefix=".clvol-"))
+    except OSError as error:
+        raise FormatError(f"cannot write {target}: nothing can be made in {target.parent}: {error.strerror}") from error
 
 
 def _refuse_to_overwrite_anothers(data_file: Path, header: Path) -> None:

@@ -14,13 +14,14 @@ from typing import Any
 
 from clvol import analysis
 from clvol.analysis import EXACT_SINC, ErrorTable
+from clvol.analysis.compare import as_compared
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.device import Device, as_device
 from clvol.errors import FormatError, OptionError, as_path, whole
 from clvol.figures import cost
 from clvol.figures.style import require_matplotlib
-from clvol.filters import Filter, as_filter
-from clvol.formats._files import staged
+from clvol.filters import Filter
+from clvol.formats._files import require_folder, staged
 from clvol.reports import html, spectrum
 from clvol.reports.advice import Advice, advise
 from clvol.reports.pictures import Cards, cards
@@ -33,7 +34,6 @@ REPORTED = ("nearest", "linear", "bspline3-approx", "mitchell", "catmull-rom", "
 
 _MEASURED = 1 << 22  # samples that are measured: of a larger volume the middle
 _POINTS = 20_000  # gradients that are compared
-_SINC_POINTS = 200  # of the exact sinc, each of which takes all samples
 _SHARE = 0.6  # of the time that measuring takes
 _FACTOR = 2
 
@@ -66,14 +66,10 @@ def page(output: str | os.PathLike[str]) -> Path:
         It cannot be written there.
     """
     path = as_path(output)
-    if path.suffix.lower() in (".html", ".htm"):
-        folder, file = path.parent, path
-    else:
-        folder, file = path.parent, path / "index.html"
-        if path.exists() and not path.is_dir():
-            raise FormatError(f"a report is written to a folder, or to a file that ends in .html; got {str(path)!r}")
-    if not folder.is_dir():
-        raise FormatError(f"cannot write {output}: the folder {folder} does not exist")
+    file = path if path.suffix.lower() in (".html", ".htm") else path / "index.html"
+    if file != path and path.exists() and not path.is_dir():
+        raise FormatError(f"a report is written to a folder, or to a file that ends in .html; got {str(path)!r}")
+    require_folder(file if path.is_dir() else path)
     return file
 
 
@@ -93,7 +89,8 @@ def report(
     name : str
         What the data are called.
     filters : sequence of str or Filter
-        What is compared.
+        What is compared and drawn; rows of one's own need not be registered. The exact sinc is compared too, named or
+        not, where the boundary rule has a period.
     pixels : int
         Width and height of each picture.
     boundary, device, progress
@@ -113,18 +110,28 @@ def report(
         raise OptionError(f"a report takes a volume with 3 axes; got shape {volume.shape}")
     volume.require_finite()
     pixels, rule, on = whole("pixels", pixels, 16), as_boundary(boundary), as_device(device)
-    if isinstance(filters, (str, Filter)) or not filters:
-        raise OptionError(f"filters must be one or more names; got {filters!r}")
-    chosen = [as_filter(f) for f in filters]
+    named = as_compared(filters)
+    chosen = [row for row in named if isinstance(row, Filter)]
+    if not chosen:
+        raise OptionError(f"filters must name one to be drawn beside {EXACT_SINC!r}; got {filters!r}")
+    measured: list[str | Filter] = [*chosen]
+    if rule.period is not None or EXACT_SINC in named:
+        measured.append(EXACT_SINC)
     told = progress or (lambda _: None)
     middle = _middle(volume)
-    table = _measure(middle, chosen, rule, lambda done: told(_SHARE * done))
+    table = analysis.compare(
+        middle, measured, boundary=rule, factor=_FACTOR, points=_POINTS, timing_device=on,
+        progress=lambda done: told(_SHARE * done),
+    )  # fmt: skip
     found = spectrum.spectra(middle)
     advice = advise(table, spectrum.high_share(found))
-    drawn = cards(
-        volume, chosen, as_filter(advice.filter), pixels, rule, _FACTOR, on,
-        lambda done: told(_SHARE + (0.97 - _SHARE) * done), options,
-    )  # fmt: skip
+    low, high = volume.value_range
+    drawn = None
+    if low < high:
+        drawn = cards(
+            volume, chosen, table.filter(advice.filter), pixels, rule, _FACTOR, on,
+            lambda done: told(_SHARE + (0.97 - _SHARE) * done), options,
+        )  # fmt: skip
     text = _page(name, volume, middle, table, advice, found, drawn)
     try:
         file.parent.mkdir(exist_ok=True)
@@ -148,19 +155,11 @@ def _middle(volume: Volume) -> Volume:
     return volume.crop(low, [a + m for a, m in zip(low, sizes, strict=True)])
 
 
-def _measure(volume: Volume, chosen: Sequence[Filter], rule: Boundary, progress: Callable[[float], Any]) -> ErrorTable:
-    """Errors of the filters, and of the exact sinc where the boundary rule has a period."""
-    table = analysis.compare(volume, chosen, boundary=rule, factor=_FACTOR, points=_POINTS, progress=lambda d: progress(0.85 * d))
-    if rule.period is not None:
-        sinc = analysis.compare(volume, [EXACT_SINC], boundary=rule, factor=_FACTOR, points=_SINC_POINTS, timing=False)
-        table.extend(sinc)
-    progress(1.0)
-    return table
-
-
 def _page(
-    name: str, volume: Volume, middle: Volume, table: ErrorTable, advice: Advice, found: spectrum.Spectra, drawn: Cards
+    name: str, volume: Volume, middle: Volume, table: ErrorTable, advice: Advice, found: spectrum.Spectra,
+    drawn: Cards | None,
 ) -> str:  # fmt: skip
+    """The page; `drawn` is None where the data are constant."""
     rows = [row for row in table if row.filter != EXACT_SINC]
     low, high = volume.value_range
     facts = [
@@ -172,8 +171,8 @@ def _page(
         ("boundary", table.boundary),
         ("computed by", f"{table.evaluated_on}; times and pictures on {table.timed_on or 'no device'}"),
     ]
-    plots = [("Frequencies", html.inline(spectrum.plot(found, [row.filter for row in rows])))]
-    timed = [row for row in rows if row.seconds and row.rms > 0]
+    plots = [("Frequencies", html.inline(spectrum.plot(found, table.filters)))]
+    timed = [row for row in rows if row.seconds and row.rms > 0 and table.value_range[0] < table.value_range[1]]
     if timed:
         numbers = [
             {"filter": r.filter, "nanoseconds": 1000 * (r.seconds or 0), "rms": r.rms, "angle_mean": r.angle_mean or None}

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 from clvol.analysis import EXACT_SINC, ErrorRow, ErrorTable
 from clvol.figures.style import title
-from clvol.filters import as_filter
+from clvol.filters import Filter
 
 __all__ = ["Advice", "advise"]
 
 _AS_GOOD = 1.05  # times the least error: what nobody would tell from the best
 _LITTLE = 0.05  # share of the error: less is not worth the time
 _LEAVES = 0.01  # of the range
+_NONE = 1e-6  # of the range: rounding
 _RICH, _SMOOTH = 0.1, 0.01  # shares of the variance above half of Nyquist
 _BASE = "linear"  # what most programs do
 
@@ -49,13 +50,15 @@ def advise(table: ErrorTable, high: float | None = None) -> Advice:
     low, top = table.value_range
     if low == top:
         name = _BASE if any(row.filter == _BASE for row in rows) else rows[0].filter
-        return Advice(name, [f"The data are constant: every filter draws them alike, so use {name}, which is fast."])
+        told = f"What was measured is constant: every filter whose weights sum to one gives it back, so use {name}, which is fast."
+        return Advice(name, [told])
     least = min(row.rms for row in rows)
     near = [row for row in rows if row.rms <= _AS_GOOD * least]
     slopes = [row.gradient_rms for row in near if row.gradient_rms is not None]
     steady = [row for row in near if row.gradient_rms is not None and row.gradient_rms <= _AS_GOOD * min(slopes)]
-    chosen = min(steady or near, key=lambda row: (_taps(row), -as_filter(row.filter).continuity, row.rms))
-    sentences = [f"For these data use {chosen.filter} ({title(chosen.filter)})."]
+    chosen = min(steady or near, key=lambda row: (_taps(table.filter(row.filter)), -table.filter(row.filter).continuity, row.rms))
+    spoken = "" if title(chosen.filter) == chosen.filter else f" ({title(chosen.filter)})"
+    sentences = [f"For these data use {chosen.filter}{spoken}."]
     sentences += _against_base(rows, chosen)
     best = min(rows, key=lambda row: row.rms)
     if best is not chosen and chosen.rms > best.rms:
@@ -73,10 +76,9 @@ def advise(table: ErrorTable, high: float | None = None) -> Advice:
     return Advice(chosen.filter, sentences)
 
 
-def _taps(row: ErrorRow) -> int:
+def _taps(row: Filter) -> int:
     """Taps a sample along each axis, of the given data: what a filter costs wherever it runs, and no chance in it."""
-    chosen = as_filter(row.filter)
-    return chosen.support * chosen.scale
+    return row.support * row.scale
 
 
 def _against_base(rows: Sequence[ErrorRow], chosen: ErrorRow) -> list[str]:
@@ -109,7 +111,10 @@ def _gradients(rows: Sequence[ErrorRow], chosen: ErrorRow) -> list[str]:
 
 def _overshoot(rows: Sequence[ErrorRow], chosen: ErrorRow, span: float) -> str:
     if chosen.overshoot <= _LEAVES * span:
-        return f"It stays within the range of the samples to {_percent(chosen.overshoot / span)} of it."
+        most = chosen.overshoot / span
+        if most < _NONE:
+            return "It stays within the range of the samples."
+        return f"It leaves the range of the samples by no more than {_percent(most)} of it."
     within = [row.filter for row in rows if row.overshoot <= _LEAVES * span]
     instead = f"; where that may not be, use {' or '.join(within)}" if within else ""
     return f"At edges it leaves the range of the samples by up to {_percent(chosen.overshoot / span)} of it{instead}."

@@ -26,7 +26,7 @@ h1 { font-size: 1.7rem; margin-bottom: .3rem } h2 { font-size: 1.25rem; margin-t
 .advice { background: #eef4fb; border-left: 5px solid #1769c2; padding: .8rem 1.2rem; margin: 1.2rem 0 }
 .advice p:first-child { font-size: 1.2rem; font-weight: 600; margin-top: 0 } .advice p { margin: .35rem 0 }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums } th, td { padding: .3rem .7rem; text-align: right }
-th { border-bottom: 2px solid #bbb; font-weight: 600 } td { border-bottom: 1px solid #eee } td.least { font-weight: 700 }
+th { border-bottom: 2px solid #bbb; font-weight: 600 } td { border-bottom: 1px solid #eee } td.best { font-weight: 700 }
 th:first-child, td:first-child { text-align: left } tr.chosen { background: #eef4fb } .scroll { overflow-x: auto }
 .facts td { text-align: left; padding: .1rem .8rem .1rem 0; border: 0 } .facts td:first-child { color: #6f6f6f }
 .cards { table-layout: fixed; width: 100%; min-width: 900px } .cards th:first-child { width: 9rem }
@@ -35,16 +35,19 @@ th:first-child, td:first-child { text-align: left } tr.chosen { background: #eef
 .dot { display: inline-block; width: .8em; height: .8em; border-radius: 50%; margin-right: .5em }
 .note { color: #6f6f6f; font-size: .9rem } img.plot { max-width: 100% }
 """.strip()
+_CONSTANT = "The data hold one value throughout: there is nothing to draw."
 _DPI = 110
 _WHITE_TO_RED = ((1.0, 1.0, 1.0), (0.95, 0.55, 0.4), (0.6, 0.05, 0.1))
 _SHOWN = 0.995  # quantile of the differences that the strongest colour stands for
 _LOWER = {"rms", "maximum", "gradient_rms", "angle_mean", "angle_median", "angle_95", "overshoot", "seconds"}
 _NOTES = (
-    "The truth is held back: the data are low-passed, every second sample along each axis is kept, and what each filter "
-    "reconstructs from these is compared with the samples left out. At twice the samples the hybrid's values are those of "
-    "bspline3: the held-back samples lie where it magnifies to; its gradients tell them apart.",
+    "The data are low-passed, every second sample along each axis is kept, and what each filter reconstructs from these is "
+    "compared with all samples of the data but those near the faces. So values are asked for at the samples kept and half-way "
+    "between them only. There the hybrid's are those of bspline3, which it magnifies with; its gradients tell them apart. And "
+    "half-way, nearest has two samples as near and takes the upper one, so that its error at hard edges is a matter of chance.",
     "Overshoot is how far values leave the range of the samples. Angles are those between a gradient and that of a quintic "
-    "spline through all samples. A dash stands for what does not exist. The least of each column is bold.",
+    "spline through all samples. A dash stands for what does not exist. The best of each column is bold: the greatest of PSNR "
+    "and SSIM, the least of the others.",
 )
 
 
@@ -62,9 +65,10 @@ def inline(picture: Any) -> str:
 
 
 def page(
-    name: str, facts: Sequence[tuple[str, str]], advice: Advice, table: ErrorTable, drawn: Cards, plots: Sequence[tuple[str, str]]
+    name: str, facts: Sequence[tuple[str, str]], advice: Advice, table: ErrorTable, drawn: Cards | None,
+    plots: Sequence[tuple[str, str]],
 ) -> str:  # fmt: skip
-    """The whole page; `plots` are headings and data URIs."""
+    """The whole page; `plots` are headings and data URIs, `drawn` is None for constant data."""
     heading = f"Which filter for {escape(name)}?"
     parts = [
         "<!DOCTYPE html>", '<html lang="en"><head><meta charset="utf-8">',
@@ -72,7 +76,7 @@ def page(
         f"<title>{heading}</title><style>{_STYLE}</style></head><body>", f"<h1>{heading}</h1>",
         _advice(advice), _facts(facts),
         "<h2>Errors</h2>", _table(table, advice.filter), *(f'<p class="note">{escape(note)}</p>' for note in _NOTES),
-        "<h2>Pictures</h2>", _cards(drawn),
+        "<h2>Pictures</h2>", f'<p class="note">{_CONSTANT}</p>' if drawn is None else _cards(drawn),
     ]  # fmt: skip
     for text, source in plots:
         parts.append(f'<h2>{escape(text)}</h2><img class="plot" alt="{escape(text)}" src="{source}">')
@@ -89,19 +93,19 @@ def _facts(facts: Sequence[tuple[str, str]]) -> str:
 
 def _table(table: ErrorTable, chosen: str) -> str:
     header, _, *lines = [[cell.strip() for cell in line.strip("| ").split("|")] for line in table.to_markdown().splitlines()]
-    least = _least(table)
+    best = _best(table)
     rows = []
     for i, cells in enumerate(lines):
         style = ' class="chosen"' if cells[0] == chosen else ""
         texts = [f"<td>{_named(cells[0])}</td>"]
         for column, cell in enumerate(cells[1:], 1):
-            texts.append(f"<td{' class=least' if i in least.get(column, ()) else ''}>{escape(cell)}</td>")
+            texts.append(f"<td{' class=best' if i in best.get(column, ()) else ''}>{escape(cell)}</td>")
         rows.append(f"<tr{style}>{''.join(texts)}</tr>")
     head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
     return f'<div class="scroll"><table><tr>{head}</tr>{"".join(rows)}</table></div>'
 
 
-def _least(table: ErrorTable) -> dict[int, set[int]]:
+def _best(table: ErrorTable) -> dict[int, set[int]]:
     """Rows that are best in each column."""
     best: dict[int, set[int]] = {}
     for column, key in enumerate(vars(table[0])):

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from clvol.boundary import Boundary
 from clvol.camera import Camera
 from clvol.device import Device
-from clvol.figures.panels import fixed
+from clvol.figures.panels import fixed, settled
 from clvol.filters import Filter, as_filter
-from clvol.modes import DEFAULT_MODE, as_mode
+from clvol.modes import as_mode
 from clvol.render import Renderer
-from clvol.transfer import TransferFunction, otsu_threshold
 from clvol.volume import Volume
 
 __all__ = ["Card", "Cards", "cards"]
@@ -65,16 +64,9 @@ def cards(
     progress: Callable[[float], Any], options: dict[str, Any],
 ) -> Cards:  # fmt: skip
     """Draw everything; `options` are those of `Renderer.render`."""
-    look = {"background": (1.0, 1.0, 1.0), "mode": DEFAULT_MODE, **options}
-    look["background"] = look["background"] or (1.0, 1.0, 1.0)
-    camera: Camera = look.pop("camera", None) or Camera.orbit()
-    mode = as_mode(look["mode"])
-    if look.get("isovalue") is None:
-        look["isovalue"] = otsu_threshold(volume)
-    if look.get("transfer") is None:  # the decimated volume's histogram is another
-        low, high = volume.value_range
-        ramp = TransferFunction.ramp((low, low + mode.ramp * (high - low)))
-        look["transfer"] = TransferFunction.automatic(volume) if mode.automatic else ramp
+    look = settled(volume, options)  # the decimated volume's histogram is another
+    look["background"] = look.get("background") or (1.0, 1.0, 1.0)
+    camera: Camera = look.pop("camera")
     few = volume.gaussian([factor / 2 * s for s in volume.spacing]).downsample(factor)
     step = look.pop("step", 0.5)
     done, total = 0, 2 * len(filters) + 2
@@ -103,7 +95,7 @@ def cards(
                 row.name, _rgb(whole), _rgb(closer), _difference(_rgb(closer), truth), _rgb(fewer), _difference(_rgb(fewer), truth)
             )
         )
-    return Cards(made, best.name, mode.name)
+    return Cards(made, best.name, as_mode(look["mode"]).name)
 
 
 def _closer(camera: Camera, a: Any, b: Any) -> Camera:

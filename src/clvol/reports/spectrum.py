@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -9,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.analysis import frequency_response
-from clvol.figures.style import FAINT, GREY, INK, colour, new_figure, styled, title
+from clvol.figures.style import FAINT, GREY, INK, colour, legend_above, new_figure, styled, title
+from clvol.filters import Filter
 from clvol.volume import Volume
 
 if TYPE_CHECKING:
@@ -27,12 +29,14 @@ _FLOOR = -80.0  # decibels
 def spectra(volume: Volume) -> Spectra:
     """Power spectra along each axis of three samples or more, means and ends tapered away."""
     result: Spectra = []
+    low, high = volume.value_range
+    span = high - low or math.inf  # of constant data nothing is left, not even what rounding makes of their mean
     for axis, name in zip(range(volume.ndim), "zyx"[-volume.ndim :], strict=True):
         n = volume.shape[axis]
         if n < 3:
             continue
         lines = np.moveaxis(volume.data.astype(np.float64), axis, -1)
-        lines = (lines - lines.mean(-1, keepdims=True)) * np.hanning(n + 2)[1:-1]
+        lines = (lines - lines.mean(-1, keepdims=True)) / span * np.hanning(n + 2)[1:-1]
         power = (np.abs(np.fft.rfft(lines)) ** 2).reshape(-1, n // 2 + 1).mean(0)
         total = float(power[1:].sum())
         result.append((name, np.asarray(2 * np.pi * np.fft.rfftfreq(n)[1:], np.float64), np.asarray(power[1:] / (total or 1.0))))
@@ -45,23 +49,27 @@ def high_share(found: Spectra) -> float | None:
     return float(np.mean(shares)) if shares else None
 
 
-def plot(found: Spectra, filters: Sequence[str]) -> Figure:
+def plot(found: Spectra, filters: Sequence[Filter]) -> Figure:
     """The filters' responses (left), and what the data hold at each frequency (right)."""
     omega = np.linspace(0, 2 * np.pi, 601)
+    shown = [one for one in found if one[2].any()]
     with styled():
         figure = new_figure(11, 4.0)
         left, right = figure.subplots(1, 2)
         left.plot([0, 1, 1, 2], [1, 1, 0, 0], color=FAINT, linewidth=1.2)
-        for name in filters:
-            left.plot(omega / np.pi, frequency_response(name, omega), color=colour(name), label=title(name), linewidth=1.5)
+        for row in filters:
+            response = frequency_response(row, omega)
+            left.plot(omega / np.pi, response, color=colour(row.name), label=title(row.name), linewidth=1.5)
         left.set(
             xlim=(0, 2), ylim=(-0.15, 1.2), xlabel="frequency ω / π, where 1 is Nyquist", ylabel="response",
             title="what the filters keep (below 1) and let through (above)",
         )  # fmt: skip
-        left.legend(fontsize=8, loc="upper right")
-        for (name, w, power), style in zip(found, ("-", "--", ":"), strict=False):
+        legend_above(figure, left)
+        for (name, w, power), style in zip(shown, ("-", "--", ":"), strict=False):
             level = 10 * np.log10(np.maximum(power / max(power.max(initial=0), 1e-300), 1e-12))
             right.plot(w / np.pi, np.maximum(level, _FLOOR), style, color=INK, linewidth=1.3, label=f"along {name}")
+        if not shown:
+            right.annotate("nothing: they are constant", (0.25, 0.5), xycoords="axes fraction", ha="center", fontsize=9, color=GREY)
         right.axvspan(0.5, 1, color="#f4f4f4", zorder=0)
         right.annotate(
             "above half of Nyquist", (0.75, 0.97), xycoords="axes fraction", ha="center", va="top", fontsize=8.5, color=GREY
@@ -70,6 +78,6 @@ def plot(found: Spectra, filters: Sequence[str]) -> Figure:
             xlim=(0, 1), ylim=(_FLOOR, 3), xlabel="frequency ω / π", ylabel="power, decibels of the greatest",
             title="what the data hold",
         )  # fmt: skip
-        if found:
+        if shown:
             right.legend(fontsize=8, loc="lower left")
     return figure
