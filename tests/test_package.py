@@ -33,6 +33,11 @@ def test_the_command_is_an_entry_point() -> None:
     assert callable(command.load())
 
 
+def test_the_package_runs_as_the_command() -> None:
+    done = subprocess.run([sys.executable, "-m", "clvol", "--version"], capture_output=True, encoding="utf-8", timeout=60, check=True)
+    assert done.stdout.strip() == clvol.__version__
+
+
 def test_extras_are_declared() -> None:
     wanted = requires("clvol") or []
     for extra, package in (
@@ -68,7 +73,7 @@ def test_no_file_names_a_machine() -> None:
         folders[:] = [f for f in folders if f not in _NOT_OURS and not f.endswith(".egg-info")]
         for name in names:
             path = Path(folder) / name
-            if path.suffix not in _SOURCE or path == Path(__file__).resolve():
+            if name in _NOT_OURS or path.suffix not in _SOURCE or path == Path(__file__).resolve():
                 continue
             try:
                 text = path.read_text(encoding="utf-8")

@@ -620,7 +620,3 @@ def _fail(reason: str, code: int) -> NoReturn:
     _discard_output()
     print(f"clvol: {reason}", file=sys.stderr)
     raise SystemExit(code) from None
-
-
-if __name__ == "__main__":
-    main()
