@@ -709,7 +709,7 @@ def test_a_reader_that_has_seen_enough_is_no_error() -> None:
     read, write = os.pipe()
     os.close(read)
     done = subprocess.run(
-        [sys.executable, "-m", "clvol.cli", "filters"],
+        [sys.executable, "-m", "clvol", "filters"],
         stdout=write,
         env=BUFFERED,
         stderr=subprocess.PIPE,
@@ -725,7 +725,7 @@ def test_a_reader_that_has_seen_enough_is_no_error() -> None:
 def test_a_full_disk_is_one_line() -> None:
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
-            [sys.executable, "-m", "clvol.cli", "filters"],
+            [sys.executable, "-m", "clvol", "filters"],
             stdout=full,
             env=BUFFERED,
             stderr=subprocess.PIPE,

@@ -34,7 +34,8 @@ def test_the_command_is_an_entry_point() -> None:
 
 
 def test_the_package_runs_as_the_command() -> None:
-    done = subprocess.run([sys.executable, "-m", "clvol", "--version"], capture_output=True, encoding="utf-8", timeout=60, check=True)
+    command = [sys.executable, "-m", "clvol", "--version"]
+    done = subprocess.run(command, capture_output=True, encoding="utf-8", timeout=60, check=True)
     assert done.stdout.strip() == clvol.__version__
 
 
