@@ -7,6 +7,13 @@
 #define PASTE_(a, b) a##b
 #define PASTE(a, b) PASTE_(a, b)
 
+// From one type of vector to another, without a call.
+#ifdef __clang__
+#define CONVERT(v, type) __builtin_convertvector(v, type)
+#else
+#define CONVERT(v, type) PASTE(convert_, type)(v)
+#endif
+
 // What runs once a sample or once a tap is inlined, and calls no built-in function: where PoCL does not
 // know the processor (3.0 on AMD's Zen 4, say) it leaves every vload, floor and select a call.
 #define INLINE static inline __attribute__((always_inline))

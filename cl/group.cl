@@ -5,7 +5,7 @@
 // point gives does not depend on its neighbours. Where some groups lie is worked out before any of them is sampled, so
 // that the one does not wait for the other.
 
-#define GROUPS 4   // whose cells are worked out together
+#define AHEAD 4   // groups whose cells are worked out before any is sampled
 
 #include "real.cl"
 #include "lanes.cl"
@@ -24,9 +24,9 @@ INLINE mask4 within_axis(coord4 x, int size)
 INLINE mask group_axis(coords_t x, int halo, real *t)
 {
     const coord4 low = x.low * GRID_SCALE + ((coord)halo - (coord)LEFT), high = x.high * GRID_SCALE + ((coord)halo - (coord)LEFT);
-    const mask base = (mask)(CONVERT(low, int), CONVERT(high, int));
+    const mask base = (mask)(CONVERT(low, int4), CONVERT(high, int4));
     const coords_t whole = to_coords(base);
-    *t = (real)(CONVERT(low - whole.low, float), CONVERT(high - whole.high, float));
+    *t = (real)(CONVERT(low - whole.low, float4), CONVERT(high - whole.high, float4));
     return base;
 }
 
@@ -62,8 +62,8 @@ INLINE group_cell_t group_cells(group_t p, constant coord *m, int4 size, int4 ex
 #else
     c.tz = (real)(0.0f);
 #endif
-    c.first.halves[0] = CONVERT(row.lo, long) * (long)extent.x + CONVERT(x.lo, long);
-    c.first.halves[1] = CONVERT(row.hi, long) * (long)extent.x + CONVERT(x.hi, long);
+    c.first.halves[0] = CONVERT(row.lo, long4) * (long)extent.x + CONVERT(x.lo, long4);
+    c.first.halves[1] = CONVERT(row.hi, long4) * (long)extent.x + CONVERT(x.hi, long4);
     return c;
 }
 
@@ -210,9 +210,9 @@ INLINE void group_into(VOLUME_PARAMS, const group_cell_t *cells, source_t source
 INLINE void run_into(VOLUME_PARAMS, source_t source, int count, const int4 size, const int4 period,
                      constant coord *transform, const float fill, global float *results)
 {
-    group_cell_t cells[GROUPS];
-    for (int first = 0; first < count; first += GROUPS * LANES) {
-        const int end = at_most(first + GROUPS * LANES, count);
+    group_cell_t cells[AHEAD];
+    for (int first = 0; first < count; first += AHEAD * LANES) {
+        const int end = at_most(first + AHEAD * LANES, count);
         int outer = 0;
 #pragma unroll 1
         for (int i = first, g = 0; i < end; i += LANES, ++g) {

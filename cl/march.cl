@@ -1,4 +1,4 @@
-// Kernel: THE ray loop. A work-item marches a tile of TILE_HEIGHT rows of TILE_WIDTH rays, LANES at a time.
+// Kernel: THE ray loop. A work-item marches a tile of TILE_HEIGHT rows of TILE_WIDTH rays, in groups of LANES.
 //
 // All rays of a tile take sample number n before any takes the next. With PATCHED they then share a plane of the
 // lattice, and its blend (patch.cl); rays that run along themselves, and planes whose footprint is too large, are
@@ -263,13 +263,13 @@ INLINE mask lanes_within(const ray_t *ray, mask going, float first, float last)
     return going & (ray->begin - MARGIN <= last) & (ray->end + MARGIN >= first);
 }
 
-// The least and greatest value among samples first to last of some rows of rays.
+// The least and greatest value among samples first to last of some groups of rays.
 INLINE float2 values_of(global const float2 *bounds, const int4 extent, constant frame_t *frame, const ray_t *rays,
-                        const mask *going, const int rows, float first, float last)
+                        const mask *going, const int groups, float first, float last)
 {
     boxes_t box;
     box_nothing(&box);
-    for (int g = 0; g < rows; ++g)
+    for (int g = 0; g < groups; ++g)
         box_samples(rays + g, first - REACH, last + REACH, lanes_within(rays + g, going[g], first, last), &box);
     return values_within(bounds, extent, frame, &box);
 }
@@ -301,7 +301,7 @@ kernel void march(VOLUME_PARAMS, global const float2 *bounds, constant frame_t *
         backward &= (rays[g].planar & (along < 0.0f)) | !going[g];
 #endif
     }
-    patch_t patches[SLAB];   // one for each plane of a slab, made when the first row of rays asks for it
+    patch_t patches[SLAB];   // one for each plane of a slab, made when the first group of rays asks for it
 #if PATCHED
     // whether all rays of the tile cross the planes, and in one direction
     const int planar = !any_lane(!forward) || !any_lane(!backward);
@@ -385,7 +385,8 @@ kernel void march(VOLUME_PARAMS, global const float2 *bounds, constant frame_t *
                     here_t sample_here, *here = &sample_here;
                     real value;
 #if PATCHED
-                    if (planar && !patch->made)
+                    // before and after the lattice, where rays have their ends alone, a plane may lie past what is stored
+                    if (planar && !patch->made && n >= 0.0f && n < frame->planes)
                         tile_patch(VOLUME, frame, patch, left, top, way, n);
                     if (patch->usable) {
                         value = value_here(SCENE, t, active);

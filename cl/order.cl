@@ -16,7 +16,7 @@ INLINE mask bricks_along(coords_t x, int size, int bits)
     const coord4 last = (coord4)(size - 1), none = (coord4)(0);
     x.low = x.low > none ? x.low < last ? x.low : last : none;   // what is not a number is in the first
     x.high = x.high > none ? x.high < last ? x.high : last : none;
-    return (mask)(CONVERT(x.low, int), CONVERT(x.high, int)) >> bits;
+    return (mask)(CONVERT(x.low, int4), CONVERT(x.high, int4)) >> bits;
 }
 
 // grid: bricks along x and y, and the logarithm of their edge. counts: points of each stretch in each brick.

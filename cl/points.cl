@@ -6,7 +6,7 @@
 #include "common.cl"
 #include "filter.cl"
 #include "boundary.cl"
-#if LANES > 1 && ROW == 4
+#if LANES > 1 && ROW == 4   // rows of two points side by side in a vector
 #define SIDE 2
 #endif
 #include "blend.cl"

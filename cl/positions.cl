@@ -12,16 +12,10 @@ typedef int mask_each;
 #endif
 typedef struct { coord4 low, high; } coords_t;
 
-#ifdef __clang__
-#define CONVERT(v, kind) __builtin_convertvector(v, kind##4)
-#else
-#define CONVERT(v, kind) convert_##kind##4(v)
-#endif
-
 #if COORD_DOUBLE
-#define COORDS(v) CONVERT(v, double)
+#define COORDS(v) CONVERT(v, double4)
 #else
-#define COORDS(v) CONVERT(v, float)
+#define COORDS(v) CONVERT(v, float4)
 #endif
 
 INLINE coords_t to_coords(mask i)

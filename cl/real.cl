@@ -1,4 +1,4 @@
-// Modes are written once, for one ray or for LANES rays at a time: `real` is float or a vector of them.
+// Written once, for one ray or point, or for LANES of them at a time: `real` is float or a vector of them.
 
 #if LANES == 1
 typedef float real;
@@ -21,13 +21,8 @@ INLINE int any_lane(mask m)
     int2 two = four.lo | four.hi;
     return two.x | two.y;
 }
-#ifdef __clang__
-INLINE real to_real(mask i) { return __builtin_convertvector(i, real); }
-INLINE mask to_mask(real x) { return __builtin_convertvector(x, mask); }
-#else
-INLINE real to_real(mask i) { return PASTE(convert_float, LANES)(i); }
-INLINE mask to_mask(real x) { return PASTE(convert_int, LANES)(x); }
-#endif
+INLINE real to_real(mask i) { return CONVERT(i, PASTE(float, LANES)); }
+INLINE mask to_mask(real x) { return CONVERT(x, PASTE(int, LANES)); }
 INLINE float8 square_root_8(float8 x)
 {
 #ifdef __clang__
@@ -102,7 +97,7 @@ INLINE real power(real x, float exponent, int whole, float floor)
     return result;
 }
 
-// The rays of a row as an array, and back.
+// The rays of a group as an array, and back.
 typedef union { real all; float each[LANES]; } lanes_u;
 typedef union { mask all; int each[LANES]; } lane_masks_u;
 // Indices, never negative: as unsigned ones they take no instruction to become addresses.

@@ -73,7 +73,6 @@ class Device:
         self._process = os.getpid()
         self._lock = threading.RLock()
         self._programs: dict[Any, Any] = {}
-        self._allocated = 0
 
     def __repr__(self) -> str:
         return f"<Device {self.name!r} on {self.platform!r}>"

@@ -22,7 +22,7 @@ from clvol.transfer import TransferFunction
 from clvol.volume import Volume
 
 MODES = [name for name, mode in modes().items() if mode.skips]
-TILES = {"planes": PLANES, "rays": RAYS}
+TILES = {"planes": PLANES, "eights": Tile(16, 15, 8, patched=True), "rays": RAYS}  # odd: never sixteen at a time
 
 
 @st.composite
