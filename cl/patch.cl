@@ -60,19 +60,16 @@ RARE void patch_blend(const patch_t *patch, global const float *coefficients, in
     }
 }
 
-// Asks memory for the coefficients that the planes after this one will need. (Clang takes private pointers only; on
-// these processors all are alike.)
+// Asks for the coefficients that the planes after this one will need.
 INLINE void patch_ahead(const patch_t *patch, VOLUME_PARAMS, int axis, float way)
 {
-#if defined(__clang__) && defined(__x86_64__)
     const int slice = patch->slice + (way > 0.0f ? TAPS + 1 : -2), slices = axis == 1 ? extent.y : extent.z;
     if (axis == 0 || slice < 0 || slice >= slices)   // along x they lie in the lines at hand
         return;
     global const float *row = coefficients + patch->u + patch->v * patch->along_v + slice * patch->across;
     for (int j = 0; j < patch->rows; ++j, row += patch->along_v)
         for (int i = 0; i < patch->columns + 15; i += 16)
-            __builtin_prefetch((const void *)(size_t)(row + i));
-#endif
+            ASK_FOR(row + i);
 }
 
 // Takes the plane at `across`, on the way of rays up or down its axis, under positions from (low_u, low_v) to (high_u, high_v), all in samples.

@@ -26,6 +26,8 @@ INLINE void add_to_starts(float8 start[2 * POLES], constant float *weight, float
 
 // -- along y or z: lines lie side by side ---------------------------------------------------------------------
 
+#define AHEAD 8   // samples of a line that are asked for before they are needed: they lie in pages of their own
+
 // 8 * chains lines of `count` samples, stride apart. A recursion waits for its last product: several at once do not.
 INLINE void filter_columns(global float *line, const int chains, const int count, const size_t stride, STARTS_PARAMS)
 {
@@ -47,6 +49,8 @@ INLINE void filter_columns(global float *line, const int chains, const int count
         EACH_CHAIN LANES_AT(line) = v[c] = start[c][2 * p];
         for (int i = 1; i < count; ++i) {
             global float *at = line + i * stride;
+            for (int k = 0; k < chains; k += 2)
+                ASK_FOR(at + AHEAD * stride + k * LANES);
             EACH_CHAIN LANES_AT(at) = v[c] = madd(z, v[c], gain * LANES_AT(at));
         }
         EACH_CHAIN LANES_AT(line + (count - 1) * stride) = v[c] = start[c][2 * p + 1];
