@@ -7,26 +7,14 @@ Nothing is both faster and better than what lies on the line.
 
 from __future__ import annotations
 
-import argparse
-
-import clvol
-from clvol.figures import draw
+from _script import make, options_for
 
 
 def main() -> None:
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--output", default="cost.png", help="the figure to write: .png, .svg, .pdf")
-    arguments.add_argument("--samples", type=int, default=41, help="of the function along each axis")
-    arguments.add_argument("--points", type=int, default=20000, help="random positions that are compared")
-    options = arguments.parse_args()
-
-    try:
-        drawing = draw("cost", samples=options.samples, points=options.points)
-        output = drawing.save(options.output)
-    except clvol.ClvolError as error:
-        raise SystemExit(f"{type(error).__name__}: {error}") from None
-    print(*drawing.lines, sep="\n")
-    print(output)
+    options = options_for(__doc__, "cost.png")
+    options.add_argument("--samples", type=int, default=41, help="of the function along each axis")
+    options.add_argument("--points", type=int, default=20000, help="random positions that are compared")
+    make("cost", options)
 
 
 if __name__ == "__main__":

@@ -7,26 +7,14 @@ A ray runs among the samples; values are reconstructed wherever it asks, classif
 
 from __future__ import annotations
 
-import argparse
-
-import clvol
-from clvol.figures import draw
+from _script import make, options_for
 
 
 def main() -> None:
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--output", default="figure1.png", help="the figure to write: .png, .svg, .pdf")
-    arguments.add_argument("--samples", type=int, default=21, help="of the function along each axis")
-    arguments.add_argument("--pixels", type=int, default=240, help="width of the picture")
-    options = arguments.parse_args()
-
-    try:
-        drawing = draw("1", samples=options.samples, pixels=options.pixels)
-        output = drawing.save(options.output)
-    except clvol.ClvolError as error:
-        raise SystemExit(f"{type(error).__name__}: {error}") from None
-    print(*drawing.lines, sep="\n")
-    print(output)
+    options = options_for(__doc__, "figure1.png")
+    options.add_argument("--samples", type=int, default=21, help="of the function along each axis")
+    options.add_argument("--pixels", type=int, default=240, help="width of the picture")
+    make("1", options)
 
 
 if __name__ == "__main__":

@@ -7,24 +7,12 @@ Beside them those of trilinear interpolation and of Mitchell's filter, against w
 
 from __future__ import annotations
 
-import argparse
-
-import clvol
-from clvol.figures import draw
+from _script import make, options_for
 
 
 def main() -> None:
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--output", default="figure2.png", help="the figure to write: .png, .svg, .pdf")
-    options = arguments.parse_args()
-
-    try:
-        drawing = draw("2")
-        output = drawing.save(options.output)
-    except clvol.ClvolError as error:
-        raise SystemExit(f"{type(error).__name__}: {error}") from None
-    print(*drawing.lines, sep="\n")
-    print(output)
+    options = options_for(__doc__, "figure2.png")
+    make("2", options)
 
 
 if __name__ == "__main__":
