@@ -45,6 +45,11 @@ INLINE void lane_taps(const row_t rows[LANES], real taps[ROW])
     transpose_fourths(high, taps + 4);
 #undef LOW
 #undef HIGH
+#elif ROW == 2 && LANES > 1
+    typedef real real_at_t __attribute__((aligned(4)));
+    const real low = *(const real_at_t *)rows, high = *(const real_at_t *)(rows + LANES / 2);
+    taps[0] = (real)(low.even, high.even);
+    taps[1] = (real)(low.odd, high.odd);
 #else
     row_u row;
     lanes_u tap[ROW];

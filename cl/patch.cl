@@ -143,25 +143,25 @@ INLINE void patch_gather(const float *blend, const patch_cell_t *c, const real w
     for (int k = 0; k < TAPS; ++k)
         columns[k] = transposed[k];
 #else
-    lanes_u w[TAPS], column[CHUNKS * ROW];
+    lanes_u w[TAPS];
+    real taps[CHUNKS * ROW];
 #pragma unroll
     for (int j = 0; j < TAPS; ++j)
         w[j].all = wv[j];
-    for (int i = 0; i < LANES; ++i)
 #pragma unroll
-        for (int h = 0; h < CHUNKS; ++h) {
+    for (int h = 0; h < CHUNKS; ++h) {
+        row_t rows[LANES];
+        for (int i = 0; i < LANES; ++i) {
             const float *p = blend + c->at.each[i] + h * ROW;
-            row_u sum;
-            sum.row = w[0].each[i] * *(const row_at_t *)p;
+            rows[i] = w[0].each[i] * *(const row_at_t *)p;
 #pragma unroll
             for (int j = 1; j < TAPS; ++j)
-                sum.row = madd(w[j].each[i], *(const row_at_t *)(p + j * PATCH), sum.row);
-#pragma unroll
-            for (int k = 0; k < ROW; ++k)
-                column[h * ROW + k].each[i] = sum.each[k];
+                rows[i] = madd(w[j].each[i], *(const row_at_t *)(p + j * PATCH), rows[i]);
         }
+        lane_taps(rows, taps + h * ROW);
+    }
 #pragma unroll
     for (int k = 0; k < TAPS; ++k)
-        columns[k] = column[k].all;
+        columns[k] = taps[k];
 #endif
 }
