@@ -17,7 +17,10 @@ from clvol.device import Device, _opencl
 from clvol.errors import DeviceError
 from clvol.filters import Filter
 
-__all__ = ["Program", "boundary_defines", "build", "filter_defines", "row_reach", "source"]
+__all__ = ["LANES", "Program", "boundary_defines", "build", "filter_defines", "row_reach", "source"]
+
+LANES = 8
+"""Numbers that one vector of the kernels holds, and what rows of coefficients are padded to."""
 
 _INCLUDE = re.compile(r'^#include "([\w/.]+)"[ \t]*$', re.MULTILINE)
 Defines = Mapping[str, str | int | float]

@@ -20,6 +20,8 @@ from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.device import Device, _opencl, as_device
 from clvol.errors import DataError, DeviceError, OptionError, OutOfMemoryError, one_of, whole
 from clvol.filters import DEFAULT_FILTER, Filter, as_filter
+from clvol.order import Sorter, point_defines, scattered
+from clvol.program import LANES
 from clvol.volume import Volume, as_volume, read_array
 
 __all__ = [
@@ -39,8 +41,7 @@ Progress = Callable[[float], None]
 Evaluator = Literal["auto", "taps", "eight-fetch"]
 Fetch = Literal["auto", "buffer", "image"]
 
-LANES = 8  # lines that one vector holds in columns.cl, and what rows of coefficients are padded to
-CHAINS = 4  # ... of eight lines that it filters at once where they lie side by side
+CHAINS = 4  # vectors of lines that are filtered at once where they lie side by side
 _START_ERROR = 1e-9  # what the starting values of the prefilter may leave out, relative to the data
 _VOXELS_A_LAUNCH = 1 << 26  # of copies and the prefilter, and ...
 _TAPS_A_LAUNCH = 1 << 25  # ... of sampling: a launch should not run longer than a quarter of a second
@@ -49,12 +50,6 @@ _SAMPLES = {  # OpenCL's names of NumPy's types
     "i8": "long", "f4": "float", "f8": "double",
 }  # fmt: skip
 _RUN = 512  # points that a work-item takes on a processor, a multiple of LANES
-_CACHED = 4 << 20  # bytes of coefficients that caches hold: points in no order need not be sorted
-_LEAST_ROWS = 9  # of taps, a point: ... nor for fewer; and not unless ...
-_LEAST_VISITS = 2  # ... this many rows are read for each line of the cache that the coefficients would fill
-_SORTED_BYTES = 32 << 20  # of points that are sorted at a time
-_BRICKS = 1024  # that the volume is divided into, at most
-_PAIRS, _FAR = 1024, 16  # of points that follow each other; samples that lie between them if these are in no order
 _BLOCK = 16  # rows that separable.cl makes at once
 _ITEMS_A_CORE = 16  # ... and among how many work-items it shares them out on each core, so that none waits long for another
 _NO_SHEAR = 1e-9  # samples
@@ -176,16 +171,17 @@ class Coefficients:
         self.period = np.array([*(boundary.length(n) for n in sizes), 0], np.int32)
         if filter.magnified_by is None:
             self.extent = _extent(filter, volume.ndim, sizes)
-            self.buffer = device.allocate(self._bytes)
+            self.buffer = device.allocate(self.nbytes)
             self._fill(sizes)
         else:
             self.extent = _extent(filter, volume.ndim, tuple(filter.scale * n for n in sizes))
-            self.buffer = device.allocate(self._bytes)
+            self.buffer = device.allocate(self.nbytes)
             self._magnify(filter.magnified_by)
         self._image: Any = None
 
     @property
-    def _bytes(self) -> int:
+    def nbytes(self) -> int:
+        """Of the buffer."""
         return 4 * (math.prod(self.shape) + LANES)  # vectors may read past the last row
 
     @property
@@ -260,7 +256,7 @@ class Coefficients:
             device, cl = self.device, _opencl()
             if max(self.shape) > device.image_limit:
                 raise OutOfMemoryError(f"{device.name} holds images up to {device.image_limit} wide; got {self.shape}")
-            device.require_room(self._bytes)
+            device.require_room(self.nbytes)
             with device.errors:
                 form = cl.ImageFormat(cl.channel_order.R, cl.channel_type.FLOAT)
                 make = getattr(cl, "create_image", cl.Image)  # Image() itself is deprecated in favour of it
@@ -462,8 +458,8 @@ def sample_coefficients(
     device, volume, d = held.device, held.volume, held.volume.ndim
     kind = np.float64 if device.has_double and points.dtype != np.float32 else np.float32
     groups = _in_groups(held, path, derivative)
-    sorter = _Sorter(held, kind, points.shape[0]) if groups and _scattered(held, points) else None
-    built = _points_program(held, path, derivative, fill, LATTICE=0, SORTED=int(sorter is not None), **_point(kind))
+    sorter = Sorter(held, kind, points.shape[0]) if groups and scattered(held, points) else None
+    built = _points_program(held, path, derivative, fill, LATTICE=0, SORTED=int(sorter is not None), **point_defines(kind))
     inverse = volume.world_to_index_matrix
     transform = _affine(device, inverse, -inverse @ np.asarray(volume.origin), inverse)
     results = np.empty((points.shape[0], d**derivative), np.float32)
@@ -490,57 +486,6 @@ def sample_coefficients(
     return results[:, 0] if derivative == 0 else results
 
 
-def _point(kind: type[np.generic]) -> dict[str, str | int]:
-    """What position.cl needs to know of points of this type."""
-    return {"POINT": "double" if kind == np.float64 else "float", "POINT_BITS": 8 * np.dtype(kind).itemsize}
-
-
-def _scattered(held: Coefficients, points: NDArray[Any]) -> bool:
-    """Whether points that follow each other mostly lie too far apart to share what a cache holds, and are worth sorting."""
-    count, rows = points.shape[0], held.filter.support ** (held.volume.ndim - 1)
-    if held._bytes < _CACHED or rows < _LEAST_ROWS or 64 * count * rows < _LEAST_VISITS * held._bytes:
-        return False
-    at = np.linspace(0, count - 2, _PAIRS).astype(np.int64)
-    with np.errstate(over="ignore", invalid="ignore"):
-        apart = (points[at + 1].astype(np.float64) - points[at]) @ held.volume.world_to_index_matrix.T
-        return bool((np.abs(apart).max(axis=1) > _FAR).mean() > 0.5)
-
-
-class _Sorter:
-    """The host side of order.cl: sorts points by the brick of the volume they lie in."""
-
-    def __init__(self, held: Coefficients, kind: type[np.generic], count: int) -> None:
-        self._held = held
-        device, last = held.device, held.size[:3].astype(np.int64) - 1
-        bits = next(b for b in range(32) if math.prod(((last >> b) + 1).tolist()) <= _BRICKS)
-        across, down, _ = (last >> bits) + 1
-        self._grid = np.array([across, down, bits, 0], np.int32)
-        self._items = 8 * device.units
-        self._program = program.build(device, "order.cl", {
-            "DIMENSIONS": held.volume.ndim, "LANES": LANES, "BRICKS": _BRICKS, "LATTICE": 0, "SORTED": 0,
-            "COORD_DOUBLE": int(device.has_double), **_point(kind),
-        })  # fmt: skip
-        record = 4 * np.dtype(kind).itemsize
-        self.room = min(count, _SORTED_BYTES // record)
-        self._sorted = device.allocate(record * self.room)
-        self._bricks = device.allocate(2 * self.room)
-        self._counts = device.allocate(4 * self._items * _BRICKS)
-
-    def sort(self, points: Any, count: int, transform: Any) -> Any:
-        """A buffer of `count` points, `room` at most, as another that each call overwrites."""
-        device, number = self._held.device, np.uint64(count)
-        launch = device.queue, (self._items,), (1,)
-        self._program.kernel("count_bricks")(
-            *launch, transform, self._held.size, self._grid, points, number, self._bricks, self._counts
-        )
-        counts = np.empty((self._items, _BRICKS), np.uint32)
-        device.download(self._counts, counts)
-        starts = np.cumsum(counts.T).reshape(counts.T.shape) - counts.T
-        begins = device.upload(np.ascontiguousarray(starts.T, dtype=np.uint32))
-        self._program.kernel("sort_points")(*launch, points, number, self._bricks, begins, self._sorted)
-        return self._sorted
-
-
 def _fill_value(fill: float | None) -> float | None:
     """A real number, NaN and infinite ones included, or None."""
     if fill is not None and (isinstance(fill, (bool, str)) or not isinstance(fill, (int, float, np.number))):
@@ -563,7 +508,7 @@ def _run_lattice(
     if device.kind == "cpu" and path == Path(False, False) and _along_axes(matrix, shape):
         _run_axes(held, np.diag(matrix), offset, shape, buffer, fill, progress)
         return
-    built = _points_program(held, path, 0, fill, LATTICE=1, SORTED=0, **_point(np.float32))
+    built = _points_program(held, path, 0, fill, LATTICE=1, SORTED=0, **point_defines(np.float32))
     transform = _affine(device, matrix, offset, held.volume.world_to_index_matrix)
     kernel = built.kernel("sample_lattice")
     nz, ny, nx = shape

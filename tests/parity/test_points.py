@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clvol import reference, spline
+from clvol import order, reference, spline
 from clvol.boundary import as_boundary
 from clvol.device import Device
 from clvol.filters import as_filter, filters
+from clvol.order import scattered
 from clvol.spline import Coefficients, choose_path, resample, sample, sample_coefficients
 from clvol.volume import Volume
 
@@ -102,7 +103,7 @@ def test_a_turned_lattice_is_its_points(device: Device, shape: tuple[int, ...]) 
 
 
 def sort(monkeypatch: pytest.MonkeyPatch, whether: bool) -> None:
-    monkeypatch.setattr(spline, "_scattered", lambda *_: whether)
+    monkeypatch.setattr(spline, "scattered", lambda *_: whether)
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -124,7 +125,7 @@ def test_sorting_changes_nothing(
     with monkeypatch.context() as few:
         few.setattr(spline, "_TAPS_A_LAUNCH", 1)  # several launches, of 1024 points
         np.testing.assert_array_equal(sample(volume, points, derivative=derivative, device=device), wanted)
-    monkeypatch.setattr(spline, "_SORTED_BYTES", 32 * 700)  # in several parts
+    monkeypatch.setattr(order, "_SORTED_BYTES", 32 * 700)  # in several parts
     done: list[float] = []
     got = sample(volume, points, derivative=derivative, device=device, progress=done.append)
     np.testing.assert_array_equal(got, wanted)
@@ -140,7 +141,7 @@ def test_an_interrupt_while_points_are_sorted_does_no_harm(device: Device, monke
     points = points_of(volume, 3000)
     wanted = sample(volume, points, device=device)
     sort(monkeypatch, True)
-    monkeypatch.setattr(spline, "_SORTED_BYTES", 32 * 700)
+    monkeypatch.setattr(order, "_SORTED_BYTES", 32 * 700)
 
     def stop(done: float) -> None:
         raise KeyboardInterrupt(done)
@@ -169,15 +170,15 @@ def test_which_points_are_sorted(device: Device) -> None:
     ordered[:, :2] = 64.0
     data = np.broadcast_to(np.float32(0), (128, 128, 128))
     with Coefficients(Volume(data), as_filter("bspline3"), as_boundary("mirror"), device) as held:
-        assert spline._scattered(held, points)
-        assert spline._scattered(held, points.astype(">f4"))
-        assert not spline._scattered(held, ordered)
-        assert not spline._scattered(held, points[:100])
-        assert not spline._scattered(held, np.full_like(points, np.nan))
-        assert not spline._scattered(held, points[:0])
+        assert scattered(held, points)
+        assert scattered(held, points.astype(">f4"))
+        assert not scattered(held, ordered)
+        assert not scattered(held, points[:100])
+        assert not scattered(held, np.full_like(points, np.nan))
+        assert not scattered(held, points[:0])
     with Coefficients(Volume(data, (50.0, 50.0, 50.0)), as_filter("bspline3"), as_boundary("mirror"), device) as held:
-        assert not spline._scattered(held, points)  # in samples these are near
+        assert not scattered(held, points)  # in samples these are near
     with Coefficients(Volume(data), as_filter("linear"), as_boundary("mirror"), device) as held:
-        assert not spline._scattered(held, points)
+        assert not scattered(held, points)
     with Coefficients(Volume(data[:32]), as_filter("bspline3"), as_boundary("mirror"), device) as held:
-        assert not spline._scattered(held, points)
+        assert not scattered(held, points)

@@ -126,11 +126,10 @@ def draw(
     progress : callable, optional
         Called with the fraction done.
     """
-    filters = as_compared(filters)
     cases = measure(filters, samples, points, scan, progress)
     with styled():
         across = len(cases) // 2
-        figure = new_figure(3.1 * across + 1.2, 0.34 * 2 * len(filters) + 2.3)
+        figure = new_figure(3.1 * across + 1.2, 0.34 * 2 * len(cases[0].errors) + 2.3)
         panels = figure.subplots(2, across, sharey=True)
         for axes, case in zip(panels.flat, cases, strict=True):
             _bars(axes, case)
