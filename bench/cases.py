@@ -103,8 +103,10 @@ def measure(work: Work) -> Measurement:
     return Measurement(
         {name: statistics.median(t) for name, t in scaled.items()},
         {name: (min(t), max(t)) for name, t in scaled.items()},
-        {name: len(t) for name, t in scaled.items()}, differs, failed,
-    )  # fmt: skip
+        {name: len(t) for name, t in scaled.items()},
+        differs,
+        failed,
+    )
 
 
 # -- what one item takes ------------------------------------------------------------------------------------
@@ -201,7 +203,7 @@ class Bench:
         last = n - 1
         matrix = last * np.array(
             [[0.10 / along, 0.7 / side, 0, 0.1], [0.07 / along, 0, 0.7 / side, 0.1], [0.9 / along, 0, 0, 0.05]]
-        )  # fmt: skip
+        )
         k, j, i = np.meshgrid(np.arange(side), np.arange(side), np.arange(along), indexing="ij")
         at = (np.stack([i, j, k, np.ones_like(i)], -1).reshape(-1, 4) @ matrix.T).astype(np.float32)
         return Points(data, coefficients, at, ((along, side, side), matrix))
@@ -211,9 +213,14 @@ class Bench:
         cost = GRADIENT if derivative else SCATTERED if random else VALUE
         theirs = peers.of("gradient" if derivative else "sample", work)
         return Work(
-            lambda: sample_coefficients(held, self.path, work.at, derivative), theirs, float(len(work.at)), "Msample/s",
-            cost, self.repeats, _difference,
-        )  # fmt: skip
+            lambda: sample_coefficients(held, self.path, work.at, derivative),
+            theirs,
+            float(len(work.at)),
+            "Msample/s",
+            cost,
+            self.repeats,
+            _difference,
+        )
 
     # -- samples inside frames --
 

@@ -28,8 +28,11 @@ __all__ = ["run"]
 def run(volume: Path, cache: Path) -> dict[str, float]:
     """Measure in a new process, with all kernel caches in the folder `cache`."""
     environment = {
-        **os.environ, "XDG_CACHE_HOME": str(cache), "POCL_CACHE_DIR": str(cache / "pocl"), "CUDA_CACHE_PATH": str(cache / "cuda")
-    }  # fmt: skip
+        **os.environ,
+        "XDG_CACHE_HOME": str(cache),
+        "POCL_CACHE_DIR": str(cache / "pocl"),
+        "CUDA_CACHE_PATH": str(cache / "cuda"),
+    }
     (cache / "pocl").mkdir(parents=True, exist_ok=True)
     command = [sys.executable, "-m", "bench.fresh", str(volume)]
     here = Path(__file__).parents[1]

@@ -106,11 +106,16 @@ def measure_limits(device: Device) -> Limits:
 def describe(device: Device) -> dict[str, Any]:
     """Processor, cores and versions, for the results."""
     return {
-        "processor": device.name, "platform": device.platform, "kind": device.kind, "cores": os.cpu_count(),
-        "compute_units": int(device.handle.max_compute_units), "memory": available_memory(),
-        "opencl": str(device.handle.platform.version), "python": platform.python_version(),
+        "processor": device.name,
+        "platform": device.platform,
+        "kind": device.kind,
+        "cores": os.cpu_count(),
+        "compute_units": int(device.handle.max_compute_units),
+        "memory": available_memory(),
+        "opencl": str(device.handle.platform.version),
+        "python": platform.python_version(),
         "versions": {name: _version(name) for name in _PACKAGES},
-    }  # fmt: skip
+    }
 
 
 def available_memory() -> int:

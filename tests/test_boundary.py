@@ -91,9 +91,11 @@ def test_prefilter_is_the_division_of_eq_13(name: str, rule: str) -> None:
     for shape in ((1,), (2,), (3,), (17,), (6, 7), (1, 5), (4, 5, 3)):
         data = rng.normal(size=shape)
         np.testing.assert_allclose(
-            reference.prefilter_fft(data, PREFILTERED[name], rule), reference.prefilter(data, PREFILTERED[name], rule),
-            atol=1e-10, err_msg=str(shape),
-        )  # fmt: skip
+            reference.prefilter_fft(data, PREFILTERED[name], rule),
+            reference.prefilter(data, PREFILTERED[name], rule),
+            atol=1e-10,
+            err_msg=str(shape),
+        )
 
 
 def test_wrap_is_the_matrix_printed_in_eq_11() -> None:

@@ -127,7 +127,8 @@ def test_distance_and_target() -> None:
 
 WRONG: dict[str, tuple[Any, type[ClvolError], str]] = {
     "projection": (
-        lambda: Camera(projection="fisheye"), OptionError,  # type: ignore[arg-type]
+        lambda: Camera(projection="fisheye"),
+        OptionError,  # type: ignore[arg-type]
         "projection must be one of perspective, orthographic; got 'fisheye'",
     ),
     "no direction": (lambda: Camera(direction=(0, 0, 0)), GeometryError, "direction must not have zero length"),
@@ -143,7 +144,7 @@ WRONG: dict[str, tuple[Any, type[ClvolError], str]] = {
     "elevation": (lambda: Camera.orbit(0, "up"), OptionError, "elevation must be a finite number"),  # type: ignore[arg-type]
     "eye on target": (lambda: Camera.look_at((1, 2, 3), (1, 2, 3)), GeometryError, "position and target must differ"),
     "eye on centre": (lambda: Camera.look_at(BOX.center).view(BOX), GeometryError, "position and target must differ"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", WRONG)
@@ -153,15 +154,25 @@ def test_errors(case: str) -> None:
         make()
 
 
-@pytest.mark.parametrize(("make", "kind"), [
-    (lambda: Camera(zoom=None), OptionError), (lambda: Camera(zoom=True), OptionError), (lambda: Camera(fov=None), OptionError),
-    (lambda: Camera(distance="far"), OptionError), (lambda: Camera().zoomed("a"), OptionError),
-    (lambda: Camera().zoomed(0), OptionError), (lambda: Camera.orbit(None), OptionError),
-    (lambda: Camera(up=None), GeometryError), (lambda: Camera(direction=None), GeometryError),
-    (lambda: Camera(position=3), GeometryError), (lambda: Camera(position="123"), GeometryError),
-    (lambda: Camera(target=(1, 2j, 3)), GeometryError), (lambda: Camera.look_at(None), GeometryError),
-    (lambda: Camera(projection=np.array(["a", "b"])), OptionError),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("make", "kind"),
+    [
+        (lambda: Camera(zoom=None), OptionError),
+        (lambda: Camera(zoom=True), OptionError),
+        (lambda: Camera(fov=None), OptionError),
+        (lambda: Camera(distance="far"), OptionError),
+        (lambda: Camera().zoomed("a"), OptionError),
+        (lambda: Camera().zoomed(0), OptionError),
+        (lambda: Camera.orbit(None), OptionError),
+        (lambda: Camera(up=None), GeometryError),
+        (lambda: Camera(direction=None), GeometryError),
+        (lambda: Camera(position=3), GeometryError),
+        (lambda: Camera(position="123"), GeometryError),
+        (lambda: Camera(target=(1, 2j, 3)), GeometryError),
+        (lambda: Camera.look_at(None), GeometryError),
+        (lambda: Camera(projection=np.array(["a", "b"])), OptionError),
+    ],
+)
 def test_wrong_types_are_refused(make: Any, kind: type[ClvolError]) -> None:
     with pytest.raises(kind):
         make()

@@ -68,9 +68,13 @@ def subprocess_of(*arguments: object, code: str = "", **environment: str) -> sub
     """The command in a process of its own, after the statements in `code`."""
     script = f"{code}\nfrom clvol.cli import main\nmain()"
     return subprocess.run(
-        [sys.executable, "-c", script, *map(str, arguments)], capture_output=True, encoding="utf-8", timeout=60, check=False,
+        [sys.executable, "-c", script, *map(str, arguments)],
+        capture_output=True,
+        encoding="utf-8",
+        timeout=60,
+        check=False,
         env={**os.environ, **environment},
-    )  # fmt: skip
+    )
 
 
 def files() -> list[str]:
@@ -99,9 +103,21 @@ def test_render_passes_every_option_on(clvol_command: Command) -> None:
     assert done == {"output": "a.png", "size": [16, 12], "filter": "mitchell", "mode": "isosurface"}
     camera = clvol.Camera.orbit(-40, 10, zoom=1.5, projection="orthographic")
     picture = clvol.render(
-        clvol.phantoms.sphere(8), camera, "isosurface", "mitchell", "wrap", (16, 12), 0.3, samples=2, isovalue=-0.25, color="red",
-        background="#102030", gradient="central", evaluator="taps", fetch="buffer",
-    )  # fmt: skip
+        clvol.phantoms.sphere(8),
+        camera,
+        "isosurface",
+        "mitchell",
+        "wrap",
+        (16, 12),
+        0.3,
+        samples=2,
+        isovalue=-0.25,
+        color="red",
+        background="#102030",
+        gradient="central",
+        evaluator="taps",
+        fetch="buffer",
+    )
     np.testing.assert_array_equal(iio.imread("a.png"), clvol.picture.to_bytes(picture)[..., :3])
 
 
@@ -274,9 +290,16 @@ def test_info_tells_of_every_kind_of_file(clvol_command: Command, name: str) -> 
     clvol.write(volume, name)
     told = clvol_command("info", name, "--json").json
     assert told == {
-        "shape": [2, 3, 4], "dtype": "int16", "spacing": list(spacing), "origin": [0, 0, 0], "direction": np.eye(3).tolist(),
-        "units": volume.units, "value_range": [0, 23], "finite": True, "bytes": 48,
-    }  # fmt: skip
+        "shape": [2, 3, 4],
+        "dtype": "int16",
+        "spacing": list(spacing),
+        "origin": [0, 0, 0],
+        "direction": np.eye(3).tolist(),
+        "units": volume.units,
+        "value_range": [0, 23],
+        "finite": True,
+        "bytes": 48,
+    }
     lines = clvol_command("info", name).out.splitlines()
     assert lines[0] == "shape: 2 3 4"
     assert "direction: 1 0 0, 0 1 0, 0 0 1" in lines
@@ -291,9 +314,14 @@ def test_info_tells_of_a_dicom_folder(clvol_command: Command) -> None:
         image = sitk.GetImageFromArray(np.full((1, 4, 5), z, np.int16))
         image.SetSpacing((1, 1, 2))
         for tag, value in (
-            ("0020|000e", "1.2.3.4"), ("0020|000d", "1.2.3"), ("0008|0018", f"1.2.3.4.{z + 1}"), ("0020|0013", str(z)),
-            ("0020|0032", f"0\\0\\{2 * z}"), ("0020|0037", "1\\0\\0\\0\\1\\0"), ("0008|0060", "MR"),
-        ):  # fmt: skip
+            ("0020|000e", "1.2.3.4"),
+            ("0020|000d", "1.2.3"),
+            ("0008|0018", f"1.2.3.4.{z + 1}"),
+            ("0020|0013", str(z)),
+            ("0020|0032", f"0\\0\\{2 * z}"),
+            ("0020|0037", "1\\0\\0\\0\\1\\0"),
+            ("0008|0060", "MR"),
+        ):
             image.SetMetaData(tag, value)
         writer = sitk.ImageFileWriter()
         writer.KeepOriginalImageUIDOn()
@@ -424,9 +452,7 @@ def test_figure_draws_prints_and_names_its_file(clvol_command: Command) -> None:
     told = clvol_command("figure", "impulse", "-o", "a.svg", "--filters", "linear", "mitchell", "--json").json
     assert [p["filter"] for p in told["panels"]] == ["linear", "mitchell"]
     clvol.write(clvol.phantoms.sphere(9), "scan.npz")
-    told = clvol_command(
-        "figure", "4", "-o", "a.pdf", "--filters", "linear", "--samples", "9", "--scan", "scan.npz", "--json"
-    ).json  # fmt: skip
+    told = clvol_command("figure", "4", "-o", "a.pdf", "--filters", "linear", "--samples", "9", "--scan", "scan.npz", "--json").json
     assert told["panels"][-1]["input"] == "scan"
     assert files() == ["a.pdf", "a.svg", "figure2.png", "scan.npz"]
 
@@ -511,10 +537,7 @@ def test_report_tells_what_is_wrong(clvol_command: Command) -> None:
         (("--to-spacing", "0.5", "0.4", "0.3"), lambda v: clvol.resample(v, spacing=(0.5, 0.4, 0.3))),
         (("--like", "like.npz", "--fill", "9"), lambda v: clvol.resample(v, like=clvol.read("like.npz"), fill=9)),
         (("--like", "phantom:box:6"), lambda v: clvol.resample(v, like=clvol.phantoms.box(6))),
-        (
-            ("--magnify", "2", "--filter", "linear", "--boundary", "wrap"),
-            lambda v: clvol.magnify(v, 2, "linear", "wrap"),
-        ),
+        (("--magnify", "2", "--filter", "linear", "--boundary", "wrap"), lambda v: clvol.magnify(v, 2, "linear", "wrap")),
     ],
     ids=lambda x: " ".join(x) if isinstance(x, tuple) else None,
 )

@@ -111,8 +111,9 @@ def test_fork_before_the_first_use_is_allowed(device: Device) -> None:
         "import os, clvol.spline as s\nchild = os.fork()\n"
         "value = s.sample([[1.0, 2.0], [3.0, 4.0]], [[0.5, 0.5]], 'linear')[0]\n"
         "if child == 0: os._exit(int(value * 2))\n"
-        "print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), value)", timeout=60,
-    )  # fmt: skip
+        "print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), value)",
+        timeout=60,
+    )
     assert done.stdout.split() == ["5", "2.5"], done.stdout + done.stderr
 
 

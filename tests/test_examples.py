@@ -21,9 +21,14 @@ pytestmark = pytest.mark.skipif(not EXAMPLES.is_dir(), reason="examples are not 
 
 def run(name: str, *arguments: object, folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, str(EXAMPLES / name), *map(str, arguments)], capture_output=True, encoding="utf-8", timeout=120,
-        check=False, cwd=folder, env={**os.environ, "PYTHONIOENCODING": "utf-8"},
-    )  # fmt: skip
+        [sys.executable, str(EXAMPLES / name), *map(str, arguments)],
+        capture_output=True,
+        encoding="utf-8",
+        timeout=120,
+        check=False,
+        cwd=folder,
+        env={**os.environ, "PYTHONIOENCODING": "utf-8"},
+    )
 
 
 def test_figure6_draws_the_figure_and_prints_its_errors(tmp_path: Path, device: Device) -> None:

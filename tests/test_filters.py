@@ -17,10 +17,20 @@ from clvol.reference.prefilter import kernel_samples
 from clvol.volume import Volume
 
 table = importlib.import_module("clvol.filters")  # clvol.filters is the function of that name
-ROWS = {row.name: row for row in (
-    *filters().values(), bspline(7), bspline(9, prefilter=False), bc(1, 0), bc(0, 0), bc(0.2, 0.3), sinc(2), sinc(8),
-    lanczos(8),
-)}  # fmt: skip
+ROWS = {
+    row.name: row
+    for row in (
+        *filters().values(),
+        bspline(7),
+        bspline(9, prefilter=False),
+        bc(1, 0),
+        bc(0, 0),
+        bc(0.2, 0.3),
+        sinc(2),
+        sinc(8),
+        lanczos(8),
+    )
+}
 SPLINES = range(10)
 
 
@@ -307,10 +317,18 @@ def test_filters_gives_a_copy() -> None:
     assert "bspline3" in filters()
 
 
-@pytest.mark.parametrize(("name", "wanted"), [
-    ("BSpline3 ", "bspline3"), ("bspline", "bspline3"), ("trilinear", "linear"), ("cubic", "bspline3"),
-    ("Catmull-Rom", "catmull-rom"), ("sinc(4)", "sinc"), ("lanczos(3)", "lanczos3"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "wanted"),
+    [
+        ("BSpline3 ", "bspline3"),
+        ("bspline", "bspline3"),
+        ("trilinear", "linear"),
+        ("cubic", "bspline3"),
+        ("Catmull-Rom", "catmull-rom"),
+        ("sinc(4)", "sinc"),
+        ("lanczos(3)", "lanczos3"),
+    ],
+)
 def test_names_and_aliases(name: str, wanted: str) -> None:
     assert as_filter(name).taps == filters()[wanted].taps
 
@@ -323,10 +341,25 @@ def test_families() -> None:
     assert as_filter(bspline(7)).support == 8
 
 
-@pytest.mark.parametrize("bad", [
-    "bspline10", "", "bc(1)", "bc(1,2,3)", "bc(a,b)", "bc(1/0,1)", "sinc(2.5)", "sinc(0)", "sinc(9)", "lanczos(-1)",
-    "lanczos()", 3, None, b"linear",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "bad",
+    [
+        "bspline10",
+        "",
+        "bc(1)",
+        "bc(1,2,3)",
+        "bc(a,b)",
+        "bc(1/0,1)",
+        "sinc(2.5)",
+        "sinc(0)",
+        "sinc(9)",
+        "lanczos(-1)",
+        "lanczos()",
+        3,
+        None,
+        b"linear",
+    ],
+)
 def test_unknown_filter_is_refused(bad: object) -> None:
     with pytest.raises(OptionError):
         as_filter(bad)  # type: ignore[arg-type]
@@ -337,44 +370,59 @@ def test_unknown_filter_lists_what_is_known() -> None:
         as_filter("bicubic")
 
 
-@pytest.mark.parametrize("make", [
-    lambda: Filter("x", ()),
-    lambda: Filter("x", ((1.0,),) * 17),
-    lambda: Filter("x", ((1.0,), (1.0, 2.0))),
-    lambda: Filter("x", ((math.nan,),)),
-    lambda: Filter("x", ((1.0,) * 22,)),
-    lambda: Filter("x", bspline(3).taps[:3], prefilter=True),
-    lambda: from_pieces("x", [(0, 1), (1, -1)], prefilter=True),
-    lambda: from_pieces("x", [(1, 0), (1, 0)], prefilter=True),
-    lambda: from_pieces("x", []),
-    lambda: from_callable("x", np.sinc, 0),
-    lambda: from_callable("x", np.sinc, 9),
-    lambda: from_callable("x", np.sinc, 2, degree=21),
-    lambda: from_callable("x", lambda x: x * np.nan, 2),
-    lambda: from_callable("x", lambda _: 1.0, 2),
-    lambda: bspline(10),
-    lambda: bspline(-1),
-    lambda: bc(math.inf, 0),
-    lambda: bc("1", 0),
-    lambda: register("bspline3"),
-    lambda: register(Filter("a b", bspline(1).taps)),
-    lambda: register(Filter("trilinear", bspline(1).taps)),
-    lambda: bspline(3).weights(0.5, -1),
-    lambda: reference.kernel("linear", 0.0, 3),
-    *(lambda bad=bad: sinc(bad) for bad in (1.5, True, "a", [], None, 0, 9)),
-    *(lambda bad=bad: lanczos(bad) for bad in (2.5, True, "a", [], None, 2.0)),
-    *(lambda bad=bad: bspline(bad) for bad in (3.0, 2.5, "a", None, True)),
-    *(lambda bad=bad: bc(bad, 1) for bad in ([], None, True, "a", 1j, 1e308)),
-    *(lambda bad=bad: from_pieces("x", bad) for bad in (3, "ab", [1], [("a",)], [(None,)], [(1j,)], None)),
-    *(lambda bad=bad: from_callable("x", np.sinc, bad) for bad in (1.5, "a", None, True)),
-    *(lambda bad=bad: from_callable("x", np.sinc, 2, degree=bad) for bad in (1.5, "a", True)),
-    *(lambda bad=bad: from_callable("x", bad, 2) for bad in (3, None, "sinc", lambda _: "text", lambda x: x + 1j, lambda _: 1 / 0)),
-    lambda: Filter("a", 3), lambda: Filter("a", ("b",)), lambda: Filter("a", ((True,),)), lambda: Filter(3, bspline(1).taps),
-    lambda: Filter("", bspline(1).taps), lambda: Filter("a", bspline(1).taps, magnify="x"),
-    lambda: Filter("a", bspline(1).taps, magnify=3), lambda: Filter("a", bspline(1).taps, fit_error="a"),
-    lambda: bspline(3).weights("a"), lambda: bspline(3).weights(0.5, "a"), lambda: bspline(3).weights(0.5, 1.0),
-    lambda: bspline(3)("a"), lambda: bspline(3).plot(0), lambda: bspline(3).plot("a"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: Filter("x", ()),
+        lambda: Filter("x", ((1.0,),) * 17),
+        lambda: Filter("x", ((1.0,), (1.0, 2.0))),
+        lambda: Filter("x", ((math.nan,),)),
+        lambda: Filter("x", ((1.0,) * 22,)),
+        lambda: Filter("x", bspline(3).taps[:3], prefilter=True),
+        lambda: from_pieces("x", [(0, 1), (1, -1)], prefilter=True),
+        lambda: from_pieces("x", [(1, 0), (1, 0)], prefilter=True),
+        lambda: from_pieces("x", []),
+        lambda: from_callable("x", np.sinc, 0),
+        lambda: from_callable("x", np.sinc, 9),
+        lambda: from_callable("x", np.sinc, 2, degree=21),
+        lambda: from_callable("x", lambda x: x * np.nan, 2),
+        lambda: from_callable("x", lambda _: 1.0, 2),
+        lambda: bspline(10),
+        lambda: bspline(-1),
+        lambda: bc(math.inf, 0),
+        lambda: bc("1", 0),
+        lambda: register("bspline3"),
+        lambda: register(Filter("a b", bspline(1).taps)),
+        lambda: register(Filter("trilinear", bspline(1).taps)),
+        lambda: bspline(3).weights(0.5, -1),
+        lambda: reference.kernel("linear", 0.0, 3),
+        *(lambda bad=bad: sinc(bad) for bad in (1.5, True, "a", [], None, 0, 9)),
+        *(lambda bad=bad: lanczos(bad) for bad in (2.5, True, "a", [], None, 2.0)),
+        *(lambda bad=bad: bspline(bad) for bad in (3.0, 2.5, "a", None, True)),
+        *(lambda bad=bad: bc(bad, 1) for bad in ([], None, True, "a", 1j, 1e308)),
+        *(lambda bad=bad: from_pieces("x", bad) for bad in (3, "ab", [1], [("a",)], [(None,)], [(1j,)], None)),
+        *(lambda bad=bad: from_callable("x", np.sinc, bad) for bad in (1.5, "a", None, True)),
+        *(lambda bad=bad: from_callable("x", np.sinc, 2, degree=bad) for bad in (1.5, "a", True)),
+        *(
+            lambda bad=bad: from_callable("x", bad, 2)
+            for bad in (3, None, "sinc", lambda _: "text", lambda x: x + 1j, lambda _: 1 / 0)
+        ),
+        lambda: Filter("a", 3),
+        lambda: Filter("a", ("b",)),
+        lambda: Filter("a", ((True,),)),
+        lambda: Filter(3, bspline(1).taps),
+        lambda: Filter("", bspline(1).taps),
+        lambda: Filter("a", bspline(1).taps, magnify="x"),
+        lambda: Filter("a", bspline(1).taps, magnify=3),
+        lambda: Filter("a", bspline(1).taps, fit_error="a"),
+        lambda: bspline(3).weights("a"),
+        lambda: bspline(3).weights(0.5, "a"),
+        lambda: bspline(3).weights(0.5, 1.0),
+        lambda: bspline(3)("a"),
+        lambda: bspline(3).plot(0),
+        lambda: bspline(3).plot("a"),
+    ],
+)
 def test_bad_rows_are_refused(make) -> None:  # type: ignore[no-untyped-def]
     before = dict(table._TABLE)
     with pytest.raises(OptionError):

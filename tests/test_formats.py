@@ -27,21 +27,29 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from clvol import formats
-from clvol.errors import (
-    DataError,
-    FormatError,
-    GeometryError,
-    MissingDependencyError,
-    OptionError,
-)
+from clvol.errors import DataError, FormatError, GeometryError, MissingDependencyError, OptionError
 from clvol.volume import Volume
 
 DATA = Path(os.environ.get("CLVOL_DATA", Path(__file__).parents[2] / "shared" / "data"))
 
 ITK = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd")
 WRITTEN = (".npy", ".npz", *ITK, ".tif", ".tiff")
-DTYPES = ("bool", "uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float16", "float32",
-          "float64", ">u2", ">f4")  # fmt: skip
+DTYPES = (
+    "bool",
+    "uint8",
+    "int8",
+    "uint16",
+    "int16",
+    "uint32",
+    "int32",
+    "uint64",
+    "int64",
+    "float16",
+    "float32",
+    "float64",
+    ">u2",
+    ">f4",
+)
 WIDENED = {"bool": "uint8", "float16": "float32"}
 SPACING, ORIGIN = (1 / 3, 0.7, 2.123456789012), (-1 / 7, 123.456789, 1e4 / 3)
 OBLIQUE = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
@@ -231,14 +239,14 @@ def test_nibabel_sees_the_mark_where_we_do(tmp_path: Path, suffix: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("space", "signs"),
-    [("left-posterior-superior", (1, 1, 1)), ("RAS", (-1, -1, 1)), ("left-anterior-superior", (1, -1, 1))],
+    ("space", "signs"), [("left-posterior-superior", (1, 1, 1)), ("RAS", (-1, -1, 1)), ("left-anterior-superior", (1, -1, 1))]
 )
 def test_nrrd_spaces(tmp_path: Path, space: str, signs: tuple[int, ...]) -> None:
     need(".nrrd")
     (tmp_path / "v.nrrd").write_bytes(
         f"NRRD0004\ntype: short\ndimension: 3\nspace: {space}\nsizes: 4 3 2\nendian: little\nencoding: raw\n"
-        "space directions: (0,2,0) (3,0,0) (0,0,4)\nspace origin: (10,20,30)\n\n".encode() + marked().tobytes()
+        "space directions: (0,2,0) (3,0,0) (0,0,4)\nspace origin: (10,20,30)\n\n".encode()
+        + marked().tobytes()
     )
     there = np.array([10 + 0, 20 + 2 * 3, 30 + 4 * 1]) * signs
     np.testing.assert_allclose(world_of_mark(formats.read(tmp_path / "v.nrrd")), there)
@@ -494,9 +502,7 @@ def test_plain_tiff(tmp_path: Path, compression: str | None, metadata: dict[str,
     if compression:
         pytest.importorskip("imagecodecs")
     data = samples("uint16", (3, 20, 30))
-    tifffile.imwrite(
-        tmp_path / "v.tif", data, photometric="minisblack", metadata=metadata, compression=compression, byteorder=">"
-    )
+    tifffile.imwrite(tmp_path / "v.tif", data, photometric="minisblack", metadata=metadata, compression=compression, byteorder=">")
     read = formats.read(tmp_path / "v.tif")
     np.testing.assert_array_equal(read.data, data)
     assert (read.spacing, read.units) == ((1, 1, 1), "")
@@ -511,9 +517,7 @@ def test_plain_tiff(tmp_path: Path, compression: str | None, metadata: dict[str,
         ("TYX", (2, 5, 4), {"ome": True, "photometric": "minisblack"}),
     ],
 )
-def test_tiff_with_channels_or_times(
-    tmp_path: Path, axes: str, shape: tuple[int, ...], options: dict[str, Any]
-) -> None:
+def test_tiff_with_channels_or_times(tmp_path: Path, axes: str, shape: tuple[int, ...], options: dict[str, Any]) -> None:
     tifffile = pytest.importorskip("tifffile")
     tifffile.imwrite(tmp_path / "v.tif", np.zeros(shape, np.uint8), metadata={"axes": axes}, **options)
     with pytest.raises(DataError, match=f"its axes are {axes}"):
@@ -739,9 +743,7 @@ Outcomes = dict[str, tuple[str, Any]]
 
 def read_elsewhere(folder: Path, timeout: float = 60) -> Outcomes:
     """What reading each file of `folder` leads to; "died" for the one that ended the process."""
-    run = subprocess.run(
-        [sys.executable, "-c", CHILD, str(folder)], capture_output=True, text=True, timeout=timeout, check=False
-    )
+    run = subprocess.run([sys.executable, "-c", CHILD, str(folder)], capture_output=True, text=True, timeout=timeout, check=False)
     outcomes: Outcomes = {}
     for text in run.stdout.splitlines():
         name, kind, detail = json.loads(text)
@@ -768,9 +770,13 @@ def nifti(**fields: tuple[int, str, Any]) -> bytes:
     """A NIfTI file of 4×3×2 int16, with fields put at byte offsets."""
     head = bytearray(352)
     sound: dict[str, tuple[int, str, Any]] = {
-        "length": (0, "i", (348,)), "dim": (40, "8h", (3, 4, 3, 2, 1, 1, 1, 1)), "type": (70, "2h", (4, 16)),
-        "pixdim": (76, "8f", (1,) * 8), "start": (108, "f", (352,)), "magic": (344, "4s", (b"n+1\0",)),
-    }  # fmt: skip
+        "length": (0, "i", (348,)),
+        "dim": (40, "8h", (3, 4, 3, 2, 1, 1, 1, 1)),
+        "type": (70, "2h", (4, 16)),
+        "pixdim": (76, "8f", (1,) * 8),
+        "start": (108, "f", (352,)),
+        "magic": (344, "4s", (b"n+1\0",)),
+    }
     for offset, kind, values in (sound | fields).values():
         struct.pack_into("<" + kind, head, offset, *values)
     return bytes(head) + np.arange(24, dtype="<i2").tobytes()
@@ -809,10 +815,7 @@ DAMAGED: dict[str, tuple[bytes, str]] = {
     # truncated or beyond any memory
     "truncated.mha": (mha(data=BYTES[:10]), "24 bytes.*found 10"),
     "truncated.nrrd": (f"{NRRD}\n".encode() + BYTES[:10], "24 bytes.*found 10"),
-    "truncated-gzip.nrrd": (
-        f"{NRRD}\n".replace("raw", "gzip").encode() + gzip.compress(BYTES[:20]),
-        "24 bytes.*found 20",
-    ),
+    "truncated-gzip.nrrd": (f"{NRRD}\n".replace("raw", "gzip").encode() + gzip.compress(BYTES[:20]), "24 bytes.*found 20"),
     "truncated-zlib.mha": (packed_mha(zlib.compress(BYTES)[:-8]), "too early"),
     "short-zlib.mha": (packed_mha(zlib.compress(BYTES[:9])), "24 bytes.*found 9"),
     "long-zlib.mha": (packed_mha(zlib.compress(BYTES * 9)), "24 bytes.*found 216"),
@@ -867,7 +870,7 @@ DAMAGED: dict[str, tuple[bytes, str]] = {
         b"II*\0\x08\0\0\0" + struct.pack("<H", 1) + struct.pack("<HHIHH", 256, 3, 1, 4, 0) + struct.pack("<I", 8),
         "damaged|cannot read|hold",
     ),
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module")
@@ -1125,12 +1128,9 @@ def test_no_place_to_write(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("module", "suffix", "extra"),
-    [("SimpleITK", suffix, "medical") for suffix in ITK] + [("tifffile", ".tif", "microscopy")],
+    ("module", "suffix", "extra"), [("SimpleITK", suffix, "medical") for suffix in ITK] + [("tifffile", ".tif", "microscopy")]
 )
-def test_missing_extras(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, suffix: str, extra: str
-) -> None:
+def test_missing_extras(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, suffix: str, extra: str) -> None:
     monkeypatch.setitem(sys.modules, module, None)
     contents = {".nii": nifti(), ".nii.gz": gzip.compress(nifti()), ".tif": b""}
     text = {".mha": mha(), ".nrrd": f"{NRRD}\n".encode() + BYTES}

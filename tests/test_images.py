@@ -90,18 +90,36 @@ def test_small_images(device: Device) -> None:
     assert images.resample([[1, 1]], (3, 3), "bspline5", device=device).tolist() == [[1] * 3] * 3
 
 
-@pytest.mark.parametrize("call", [
-    lambda: images.resample(np.ones(3), (2, 2)), lambda: images.resample(np.ones((3, 3, 5)), (2, 2)),
-    lambda: images.resample(np.ones((0, 3)), (2, 2)), lambda: images.resample([["a"]], (2, 2)),
-    lambda: images.resample([[np.nan]], (2, 2)), lambda: images.resample(GREY, (2, 2, 2)), lambda: images.resample(GREY, 2),
-    lambda: images.resample(GREY, (0, 2)), lambda: images.resample(GREY, (2.5, 2)), lambda: images.resample(GREY, (2, 2), "none"),
-    lambda: images.zoom(GREY, 1e9), lambda: images.zoom(GREY, 1e308), lambda: images.zoom(GREY, (1e9, 1.0)),
-    lambda: images.resample(GREY, (10**9, 10**9)), lambda: images.resample(GREY, (10**30, 1)),
-    lambda: images.zoom(GREY, 0), lambda: images.zoom(GREY, (1, 2, 3)), lambda: images.zoom(GREY, "a"),
-    lambda: images.rotate(GREY, np.nan), lambda: images.rotate(GREY, "a"), lambda: images.rotate(GREY, 1, zoom=0),
-    lambda: images.rotate(COLOUR, 1, fill=np.nan), lambda: images.rotate(GREY, 1, fill="a"),
-    lambda: images.rotate(GREY, 1, shape=3), lambda: images.resample(Volume(np.ones((5, 5, 5))), (2, 2)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: images.resample(np.ones(3), (2, 2)),
+        lambda: images.resample(np.ones((3, 3, 5)), (2, 2)),
+        lambda: images.resample(np.ones((0, 3)), (2, 2)),
+        lambda: images.resample([["a"]], (2, 2)),
+        lambda: images.resample([[np.nan]], (2, 2)),
+        lambda: images.resample(GREY, (2, 2, 2)),
+        lambda: images.resample(GREY, 2),
+        lambda: images.resample(GREY, (0, 2)),
+        lambda: images.resample(GREY, (2.5, 2)),
+        lambda: images.resample(GREY, (2, 2), "none"),
+        lambda: images.zoom(GREY, 1e9),
+        lambda: images.zoom(GREY, 1e308),
+        lambda: images.zoom(GREY, (1e9, 1.0)),
+        lambda: images.resample(GREY, (10**9, 10**9)),
+        lambda: images.resample(GREY, (10**30, 1)),
+        lambda: images.zoom(GREY, 0),
+        lambda: images.zoom(GREY, (1, 2, 3)),
+        lambda: images.zoom(GREY, "a"),
+        lambda: images.rotate(GREY, np.nan),
+        lambda: images.rotate(GREY, "a"),
+        lambda: images.rotate(GREY, 1, zoom=0),
+        lambda: images.rotate(COLOUR, 1, fill=np.nan),
+        lambda: images.rotate(GREY, 1, fill="a"),
+        lambda: images.rotate(GREY, 1, shape=3),
+        lambda: images.resample(Volume(np.ones((5, 5, 5))), (2, 2)),
+    ],
+)
 def test_bad_input_is_refused(call: Any) -> None:
     with pytest.raises(ClvolError):
         call()

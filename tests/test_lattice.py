@@ -33,12 +33,18 @@ def test_any_number_of_axes(shape: tuple[int, ...]) -> None:
     np.testing.assert_allclose(reference.lattice(data, samples), data, atol=1e-12)
 
 
-@pytest.mark.parametrize("call", [
-    lambda: reference.lattice(DATA, [Y]), lambda: reference.lattice(DATA, [Y, X], orders=[0]),
-    lambda: reference.lattice(DATA, [Y, [8.0]]), lambda: reference.lattice(DATA, [Y, [[0.0]]]),
-    lambda: reference.lattice(DATA, [Y, [np.nan]]), lambda: reference.lattice(DATA, [Y, X], orders=[0, 3]),
-    lambda: reference.lattice([np.nan], [[0.0]]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: reference.lattice(DATA, [Y]),
+        lambda: reference.lattice(DATA, [Y, X], orders=[0]),
+        lambda: reference.lattice(DATA, [Y, [8.0]]),
+        lambda: reference.lattice(DATA, [Y, [[0.0]]]),
+        lambda: reference.lattice(DATA, [Y, [np.nan]]),
+        lambda: reference.lattice(DATA, [Y, X], orders=[0, 3]),
+        lambda: reference.lattice([np.nan], [[0.0]]),
+    ],
+)
 def test_bad_input_is_refused(call) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(ClvolError):
         call()

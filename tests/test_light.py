@@ -83,11 +83,19 @@ def test_errors(case: str) -> None:
         make()
 
 
-@pytest.mark.parametrize(("make", "kind"), [
-    (lambda: Light("abc"), GeometryError), (lambda: Light(3), GeometryError), (lambda: Light((1, "a", 2)), GeometryError),
-    (lambda: Light(color=None), OptionError), (lambda: Light(color=3), OptionError), (lambda: Light(color=b"abc"), OptionError),
-    (lambda: Material(ambient=None), OptionError), (lambda: Material(diffuse=True), OptionError),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("make", "kind"),
+    [
+        (lambda: Light("abc"), GeometryError),
+        (lambda: Light(3), GeometryError),
+        (lambda: Light((1, "a", 2)), GeometryError),
+        (lambda: Light(color=None), OptionError),
+        (lambda: Light(color=3), OptionError),
+        (lambda: Light(color=b"abc"), OptionError),
+        (lambda: Material(ambient=None), OptionError),
+        (lambda: Material(diffuse=True), OptionError),
+    ],
+)
 def test_wrong_types_are_refused(make: Any, kind: type[ClvolError]) -> None:
     with pytest.raises(kind):
         make()

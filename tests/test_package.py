@@ -100,8 +100,11 @@ def archives(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     shutil.copytree(ROOT, tree, ignore=shutil.ignore_patterns(*_NOT_OURS, "clean"))
     done = subprocess.run(
         [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(folder / "dist"), str(tree)],
-        capture_output=True, encoding="utf-8", timeout=120, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        encoding="utf-8",
+        timeout=120,
+        check=False,
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     (source,), (wheel,) = (folder / "dist").glob("*.tar.gz"), (folder / "dist").glob("*.whl")
     return source, wheel
@@ -129,9 +132,14 @@ def test_the_wheel_runs_from_where_it_is_unpacked(archives: tuple[Path, Path], t
         wheel.extractall(tmp_path)
     code = "import clvol, clvol.program as p; print(clvol.__file__); print(p._folder()); print(len(p.source('points.cl')))"
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, encoding="utf-8", timeout=60, check=True, cwd=tmp_path,
+        [sys.executable, "-c", code],
+        capture_output=True,
+        encoding="utf-8",
+        timeout=60,
+        check=True,
+        cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": str(tmp_path)},
-    )  # fmt: skip
+    )
     package, kernels, size = done.stdout.splitlines()
     assert Path(package).resolve() == (tmp_path / "clvol" / "__init__.py").resolve()
     assert Path(kernels).resolve() == (tmp_path / "clvol" / "cl").resolve()

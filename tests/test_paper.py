@@ -143,14 +143,15 @@ def test_the_page_tells_what_the_hybrid_was_measured_to_do(page: str) -> None:
     pattern = rf"direct errs by at most {NUMBER} and lets at most {NUMBER} \(−{NUMBER} dB\)"
     told(page, pattern, direct.passband_error, direct.stopband_peak, direct.attenuation or 0)
     told(
-        page, rf"through; the hybrid {NUMBER} and {NUMBER} \(−{NUMBER} dB\)", hybrid.passband_error, hybrid.stopband_peak,
+        page,
+        rf"through; the hybrid {NUMBER} and {NUMBER} \(−{NUMBER} dB\)",
+        hybrid.passband_error,
+        hybrid.stopband_peak,
         hybrid.attenuation or 0,
-    )  # fmt: skip
+    )
     told(page, f"linear errs by {NUMBER} there and lets {NUMBER} through", linear.passband_error, linear.stopband_peak)
     names = ["hybrid", "linear", "mitchell", "catmull-rom", "bspline3"]
-    rows = analysis.compare(
-        phantoms.marschner_lobb_function, names, gradient=phantoms.marschner_lobb_gradient, timing=False
-    )  # fmt: skip
+    rows = analysis.compare(phantoms.marschner_lobb_function, names, gradient=phantoms.marschner_lobb_gradient, timing=False)
     pattern = f"of the hybrid is {NUMBER}, that of linear interpolation {NUMBER}, Mitchell {NUMBER}, Catmull–Rom {NUMBER}, direct"
     told(page, f"{pattern} {NUMBER} ", *(row.rms for row in rows))
     angles = [rows[i].angle_mean or 0 for i in (0, 4)]

@@ -42,9 +42,7 @@ def test_marschner_lobb_by_hand() -> None:
 
 def test_marschner_lobb_gradient_is_the_numeric_one() -> None:
     p, h = np.random.default_rng(1).uniform(-0.99, 0.99, (500, 3)), 1e-6
-    numeric = np.stack(
-        [(marschner_lobb_function(p + h * e) - marschner_lobb_function(p - h * e)) / (2 * h) for e in np.eye(3)], -1
-    )
+    numeric = np.stack([(marschner_lobb_function(p + h * e) - marschner_lobb_function(p - h * e)) / (2 * h) for e in np.eye(3)], -1)
     np.testing.assert_allclose(marschner_lobb_gradient(p), numeric, atol=1e-7)
     on_axis = marschner_lobb_gradient([[0.0, 0.0, 0.3]])
     assert np.isfinite(on_axis).all()
@@ -102,9 +100,7 @@ def test_names_are_complete() -> None:
     assert phantoms.names() == ["marschner-lobb", "sphere", "polynomial", "checker", "box"]
 
 
-@pytest.mark.parametrize("size", [
-    0, -1, 1, 2.5, "8", True, None, (4, 4), (4, 4, 4, 4), (4, 4, 0), (4, 4, 2.5), (4, True, 4),
-])  # fmt: skip
+@pytest.mark.parametrize("size", [0, -1, 1, 2.5, "8", True, None, (4, 4), (4, 4, 4, 4), (4, 4, 0), (4, 4, 2.5), (4, True, 4)])
 @pytest.mark.parametrize("name", phantoms.names())
 def test_bad_sizes_are_refused(name: str, size: object) -> None:
     make = getattr(phantoms, name.replace("-", "_"))
@@ -121,16 +117,32 @@ def test_bad_names_are_refused(bad: object) -> None:
         by_name(bad)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("call", [
-    lambda: marschner_lobb(4, alpha=-1), lambda: marschner_lobb(4, f_m=np.nan), lambda: marschner_lobb_function([1, 2]),
-    lambda: marschner_lobb_gradient(3.0), lambda: phantoms.sphere(4, 0), lambda: phantoms.sphere(4, np.inf),
-    lambda: phantoms.polynomial(4, degree=10), lambda: phantoms.polynomial(4, degree=1.5),
-    lambda: phantoms.polynomial(4, coefficients=[1, 2]), lambda: phantoms.polynomial(4, coefficients=[[[np.nan]]]),
-    lambda: marschner_lobb(5, alpha="a"), lambda: marschner_lobb(5, f_m=None), lambda: marschner_lobb_function("a"),
-    lambda: phantoms.sphere(4, "a"), lambda: phantoms.polynomial(4, seed="a"), lambda: phantoms.polynomial(4, seed=-1),
-    lambda: phantoms.polynomial(4, coefficients="a"), lambda: phantoms.checker(4, "a"),
-    lambda: phantoms.checker(4, 3), lambda: phantoms.checker(4, 0), lambda: phantoms.checker(4, 2.0),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: marschner_lobb(4, alpha=-1),
+        lambda: marschner_lobb(4, f_m=np.nan),
+        lambda: marschner_lobb_function([1, 2]),
+        lambda: marschner_lobb_gradient(3.0),
+        lambda: phantoms.sphere(4, 0),
+        lambda: phantoms.sphere(4, np.inf),
+        lambda: phantoms.polynomial(4, degree=10),
+        lambda: phantoms.polynomial(4, degree=1.5),
+        lambda: phantoms.polynomial(4, coefficients=[1, 2]),
+        lambda: phantoms.polynomial(4, coefficients=[[[np.nan]]]),
+        lambda: marschner_lobb(5, alpha="a"),
+        lambda: marschner_lobb(5, f_m=None),
+        lambda: marschner_lobb_function("a"),
+        lambda: phantoms.sphere(4, "a"),
+        lambda: phantoms.polynomial(4, seed="a"),
+        lambda: phantoms.polynomial(4, seed=-1),
+        lambda: phantoms.polynomial(4, coefficients="a"),
+        lambda: phantoms.checker(4, "a"),
+        lambda: phantoms.checker(4, 3),
+        lambda: phantoms.checker(4, 0),
+        lambda: phantoms.checker(4, 2.0),
+    ],
+)
 def test_bad_parameters_are_refused(call) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(OptionError):
         call()

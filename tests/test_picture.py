@@ -145,12 +145,23 @@ def test_a_grid_of_nothing_or_of_different_pictures_is_refused() -> None:
         grid([np.zeros((2, 2))], 0)
 
 
-@pytest.mark.parametrize("call", [
-    lambda: save(np.zeros((2, 2)), 3), lambda: save(np.zeros((2, 2)), None), lambda: save(np.zeros((2, 2)), b"a.png"),
-    lambda: save("a", "a.png"), lambda: save([[1.0], [1.0, 2.0]], "a.png"), lambda: save(None, "a.png"),
-    lambda: labelled(np.zeros((2, 2)), 3), lambda: grid(3, 1), lambda: grid([np.zeros((2, 2))], 1.5),
-    lambda: grid([np.zeros((2, 2))], None), lambda: grid([np.zeros((2, 2))], 1, -1), lambda: grid([np.zeros((2, 2))], 1, "a"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: save(np.zeros((2, 2)), 3),
+        lambda: save(np.zeros((2, 2)), None),
+        lambda: save(np.zeros((2, 2)), b"a.png"),
+        lambda: save("a", "a.png"),
+        lambda: save([[1.0], [1.0, 2.0]], "a.png"),
+        lambda: save(None, "a.png"),
+        lambda: labelled(np.zeros((2, 2)), 3),
+        lambda: grid(3, 1),
+        lambda: grid([np.zeros((2, 2))], 1.5),
+        lambda: grid([np.zeros((2, 2))], None),
+        lambda: grid([np.zeros((2, 2))], 1, -1),
+        lambda: grid([np.zeros((2, 2))], 1, "a"),
+    ],
+)
 def test_wrong_types_are_refused(call) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(OptionError):
         call()

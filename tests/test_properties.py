@@ -141,8 +141,13 @@ def test_a_cubic_curve_is_the_same_by_eqs_4_6_7_9_and_10(control: np.ndarray, u:
 
 
 @settings(max_examples=MOST, deadline=None)
-@given(array_shapes(min_dims=2, max_dims=3, min_side=1, max_side=6), names, st.sampled_from(["mirror", "reflect", "wrap"]), levels,
-       st.integers(0, 2**32 - 1))  # fmt: skip
+@given(
+    array_shapes(min_dims=2, max_dims=3, min_side=1, max_side=6),
+    names,
+    st.sampled_from(["mirror", "reflect", "wrap"]),
+    levels,
+    st.integers(0, 2**32 - 1),
+)
 def test_partition_of_unity(shape: tuple[int, ...], name: str, rule: str, level: float, seed: int) -> None:
     """Constants stay constant, inside and out, for every filter whose weights sum to one."""
     values = reference.sample(np.full(shape, level), somewhere(shape, seed, 20), name, rule)
@@ -208,8 +213,6 @@ def test_turned_samples_give_the_turned_function(samples: np.ndarray, name: str,
 def test_linearity(samples: np.ndarray, name: str, rule: str, a: float, b: float, derivative: int, seed: int) -> None:
     others = np.random.default_rng(seed).normal(size=samples.shape)
     points = somewhere(samples.shape, seed, 3)
-    one, other, both = (
-        reference.sample(v, points, name, rule, derivative) for v in (samples, others, a * samples + b * others)
-    )  # fmt: skip
+    one, other, both = (reference.sample(v, points, name, rule, derivative) for v in (samples, others, a * samples + b * others))
     slack = 1e-11 * (abs(a) * largest(samples, name, rule) + abs(b) * largest(others, name, rule) + 1) * 100
     np.testing.assert_allclose(both, a * one + b * other, rtol=0, atol=slack)

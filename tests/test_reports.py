@@ -62,9 +62,16 @@ def blob(n: int = 24) -> Volume:
 def made(device: Device, tmp_path_factory: pytest.TempPathFactory) -> tuple[reports.Report, Page, list[float]]:
     told: list[float] = []
     done = reports.report(
-        blob(), tmp_path_factory.mktemp("out") / "report", "a <b> & c", FEW, 32, device=device, progress=told.append,
-        camera=clvol.Camera.orbit(20, 30), mode="isosurface",
-    )  # fmt: skip
+        blob(),
+        tmp_path_factory.mktemp("out") / "report",
+        "a <b> & c",
+        FEW,
+        32,
+        device=device,
+        progress=told.append,
+        camera=clvol.Camera.orbit(20, 30),
+        mode="isosurface",
+    )
     return done, Page(done.path.read_text(encoding="utf-8")), told
 
 
@@ -198,14 +205,15 @@ def test_what_cannot_be_reported_is_said_first(tmp_path: Path, device: Device, m
     bad = np.zeros((5, 5, 5))
     bad[1, 2, 3] = np.nan
     cases: list[tuple[Any, dict[str, Any], type[Exception], str]] = [
-        (Volume(bad), {}, DataError, "finite"), (Volume(np.zeros((5, 5))), {}, OptionError, r"3 axes; got shape \(5, 5\)"),
+        (Volume(bad), {}, DataError, "finite"),
+        (Volume(np.zeros((5, 5))), {}, OptionError, r"3 axes; got shape \(5, 5\)"),
         (phantoms.sphere(5), {"filters": "linear"}, OptionError, "one or more names"),
         (phantoms.sphere(5), {"filters": ()}, OptionError, "one or more names"),
         (phantoms.sphere(5), {"filters": ("bogus",)}, OptionError, "bogus"),
         (phantoms.sphere(5), {"filters": (EXACT_SINC,)}, OptionError, "must name one to be drawn beside 'exact-sinc'"),
         (phantoms.sphere(5), {"pixels": 4}, OptionError, "pixels"),
         (phantoms.sphere(5), {"boundary": "none"}, OptionError, "boundary"),
-    ]  # fmt: skip
+    ]
     for volume, options, error, words in cases:
         with pytest.raises(error, match=words):
             reports.report(volume, tmp_path / "a.html", device=device, **options)
@@ -227,7 +235,7 @@ def test_a_report_takes_filters_that_no_table_knows(tmp_path: Path, device: Devi
 def test_without_a_period_there_is_no_exact_sinc(tmp_path: Path, device: Device) -> None:
     done = reports.report(
         phantoms.sphere(10), tmp_path / "a.html", filters=("linear",), pixels=16, boundary="zero", device=device, mode="mip"
-    )  # fmt: skip
+    )
     assert [row.filter for row in done.table] == ["linear"]
     with pytest.raises(OptionError, match="boundary must be mirror, reflect or wrap for 'exact-sinc'; got 'zero'"):
         reports.report(phantoms.sphere(5), tmp_path / "b.html", filters=("linear", EXACT_SINC), boundary="zero", device=device)
@@ -251,18 +259,26 @@ def table(*rows: tuple[str, float, float | None, float | None, float]) -> ErrorT
     """Rows of (filter, rms, gradient rms, seconds, overshoot), of data in 0..1."""
     return ErrorTable(
         [ErrorRow(name, rms, rms, 20.0, 0.9, slope, 10.0, 10.0, 10.0, over, took) for name, rms, slope, took, over in rows],
-        samples=Volume(np.array([[0.0, 1.0]])), against="", points=1, boundary="mirror", evaluated_on="", timed_on="",
-    )  # fmt: skip
+        samples=Volume(np.array([[0.0, 1.0]])),
+        against="",
+        points=1,
+        boundary="mirror",
+        evaluated_on="",
+        timed_on="",
+    )
 
 
 def test_the_narrowest_of_the_best_is_recommended() -> None:
     told = advice.advise(
         table(
-            ("linear", 0.2, 2.0, 0.01, 0), ("bspline3", 0.104, 1.0, 0.02, 0.05), ("bspline5", 0.1, 1.0, 0.06, 0.05),
-            ("hybrid", 0.104, 1.5, 0.015, 0.05), (EXACT_SINC, 0.09, 0.9, None, 0.1),
+            ("linear", 0.2, 2.0, 0.01, 0),
+            ("bspline3", 0.104, 1.0, 0.02, 0.05),
+            ("bspline5", 0.1, 1.0, 0.06, 0.05),
+            ("hybrid", 0.104, 1.5, 0.015, 0.05),
+            (EXACT_SINC, 0.09, 0.9, None, 0.1),
         ),
         high=0.2,
-    )  # fmt: skip
+    )
     assert told.filter == "bspline3"
     text = " ".join(told.sentences)
     assert "errs 48 % less than linear interpolation (RMS 0.104 against 0.2), in 2.0 times the time" in text

@@ -31,9 +31,16 @@ def random_volume(shape: tuple[int, ...] = (5, 6, 7)) -> Volume:
 # -- the facts that the project was started from ---------------------------------------------------------------
 
 RMSE = {
-    "nearest": 0.0467, "bspline3-approx": 0.0439, "linear": 0.0315, "mitchell": 0.0282, "catmull-rom": 0.0218,
-    "bspline2": 0.0169, "bspline3": 0.0131, "bspline4": 0.0099, "bspline5": 0.0081,
-}  # fmt: skip
+    "nearest": 0.0467,
+    "bspline3-approx": 0.0439,
+    "linear": 0.0315,
+    "mitchell": 0.0282,
+    "catmull-rom": 0.0218,
+    "bspline2": 0.0169,
+    "bspline3": 0.0131,
+    "bspline4": 0.0099,
+    "bspline5": 0.0081,
+}
 DEGREES = {"bspline3": 9.9, "bspline3-approx": 18.0, "mitchell": 18.2, "catmull-rom": 19.7}
 POINTS = np.random.default_rng(0).uniform(-0.8, 0.8, (200_000, 3))
 
@@ -84,10 +91,17 @@ def test_hessian_is_symmetric_and_the_derivative_of_the_gradient(device: Device)
     points = volume.index_to_world(np.random.default_rng(1).uniform(0, 4, (50, 3)))
     hessian = sample(volume, points, "bspline5", derivative=2, device=device)
     np.testing.assert_allclose(hessian, hessian.swapaxes(1, 2), atol=1e-4)
-    numeric = np.stack([
-        (sample(volume, points + h * e, "bspline5", derivative=1, device=device)
-         - sample(volume, points - h * e, "bspline5", derivative=1, device=device)) / (2 * h) for e in np.eye(3)
-    ], -1)  # fmt: skip
+    numeric = np.stack(
+        [
+            (
+                sample(volume, points + h * e, "bspline5", derivative=1, device=device)
+                - sample(volume, points - h * e, "bspline5", derivative=1, device=device)
+            )
+            / (2 * h)
+            for e in np.eye(3)
+        ],
+        -1,
+    )
     np.testing.assert_allclose(hessian, numeric, atol=0.01 * np.abs(hessian).max())
 
 
@@ -111,6 +125,7 @@ def test_progress_reaches_one(device: Device) -> None:
 
 def test_a_rotated_polynomial_is_drawn_the_same(device: Device) -> None:
     """A cubic in world space, sampled on an oblique grid: the cubic spline gives it back away from the edges."""
+
     def cubic(p: np.ndarray) -> np.ndarray:
         x, y, z = (p / 20).T
         return np.asarray(1 + x - 2 * y**2 + x * y * z + z**3 - 0.5 * x**2 * z).T
@@ -131,9 +146,11 @@ def test_registered_filter_runs(device: Device) -> None:
     points = volume.index_to_world(np.random.default_rng(1).uniform(0, 4, (50, 3)))
     wanted = reference.sample(volume, points, "bspline7")
     np.testing.assert_allclose(
-        sample(volume, points, "bspline7", device=device), wanted, rtol=0,
+        sample(volume, points, "bspline7", device=device),
+        wanted,
+        rtol=0,
         atol=1e-6 * np.abs(reference.prefilter(volume.data, "bspline7")).max(),
-    )  # fmt: skip
+    )
 
 
 def test_threads_get_the_same_answers(device: Device) -> None:
@@ -163,9 +180,13 @@ def test_resample_and_magnify_are_the_reference(device: Device, shape: tuple[int
     volume, d = random_volume(shape), len(shape)
     like = Volume(np.zeros((4, 3, 5)[:d]), (1.1, 0.9, 1.7)[:d], (2.0, -4.0, 8.0)[:d], None, "cm")
     cases: list[dict[str, Any]] = [
-        {"shape": (9, 4, 8)[:d]}, {"shape": (1,) * d}, {"spacing": (1.0, 0.8, 3.0)[:d]}, {"spacing": 1.7},
-        {"spacing": 100.0}, {"like": like},
-    ]  # fmt: skip
+        {"shape": (9, 4, 8)[:d]},
+        {"shape": (1,) * d},
+        {"spacing": (1.0, 0.8, 3.0)[:d]},
+        {"spacing": 1.7},
+        {"spacing": 100.0},
+        {"like": like},
+    ]
     largest = np.abs(reference.prefilter(volume.data, name)).max()
     for case in cases:
         got, wanted = (f(volume, filter=name, boundary="reflect", **case) for f in (resample, reference.resample))
@@ -233,15 +254,30 @@ def test_sampler_is_measured(device: Device) -> None:
 
 GOOD = np.ones((3, 4))
 BAD_SAMPLE: list[tuple[dict[str, Any], type[ClvolError]]] = [
-    ({"points": [[1.0, 2.0, 3.0]]}, OptionError), ({"points": 3.0}, OptionError), ({"points": []}, OptionError),
-    ({"points": [["a", "b"]]}, OptionError), ({"points": [[1j, 1]]}, OptionError),
-    ({"derivative": 3}, OptionError), ({"derivative": -1}, OptionError), ({"derivative": None}, OptionError),
-    ({"filter": "none"}, OptionError), ({"filter": None}, OptionError), ({"boundary": "none"}, OptionError),
-    ({"evaluator": "none"}, OptionError), ({"fetch": "none"}, OptionError), ({"device": "none"}, OptionError),
-    ({"volume": np.ones(3)}, DataError), ({"volume": np.ones((1, 1, 1, 1))}, DataError), ({"volume": []}, DataError),
-    ({"volume": np.ones((0, 3))}, DataError), ({"volume": [["a"]]}, DataError), ({"volume": [[np.nan]]}, DataError),
-    ({"volume": [[np.inf]]}, DataError), ({"volume": [[1e38]]}, DataError), ({"volume": [[1j]]}, DataError),
-]  # fmt: skip
+    ({"points": [[1.0, 2.0, 3.0]]}, OptionError),
+    ({"points": 3.0}, OptionError),
+    ({"points": []}, OptionError),
+    ({"points": [["a", "b"]]}, OptionError),
+    ({"points": [[1j, 1]]}, OptionError),
+    ({"derivative": 3}, OptionError),
+    ({"derivative": -1}, OptionError),
+    ({"derivative": None}, OptionError),
+    ({"filter": "none"}, OptionError),
+    ({"filter": None}, OptionError),
+    ({"boundary": "none"}, OptionError),
+    ({"evaluator": "none"}, OptionError),
+    ({"fetch": "none"}, OptionError),
+    ({"device": "none"}, OptionError),
+    ({"volume": np.ones(3)}, DataError),
+    ({"volume": np.ones((1, 1, 1, 1))}, DataError),
+    ({"volume": []}, DataError),
+    ({"volume": np.ones((0, 3))}, DataError),
+    ({"volume": [["a"]]}, DataError),
+    ({"volume": [[np.nan]]}, DataError),
+    ({"volume": [[np.inf]]}, DataError),
+    ({"volume": [[1e38]]}, DataError),
+    ({"volume": [[1j]]}, DataError),
+]
 
 
 @pytest.mark.parametrize(("change", "error"), BAD_SAMPLE, ids=[str(c)[:40] for c, _ in BAD_SAMPLE])
@@ -251,11 +287,26 @@ def test_bad_input_of_sample(device: Device, change: dict[str, Any], error: type
 
 
 BAD_RESAMPLE: list[dict[str, Any]] = [
-    {}, {"shape": (2, 2), "spacing": 1}, {"shape": (2,)}, {"shape": (2, 2, 2)}, {"shape": (0, 2)}, {"shape": (2, -1)},
-    {"shape": (2.5, 2)}, {"shape": 3}, {"shape": "ab"}, {"spacing": 0}, {"spacing": -1.0}, {"spacing": np.nan},
-    {"spacing": (1, 1, 1)}, {"spacing": "a"}, {"spacing": 1e-12}, {"like": Volume(np.ones((2, 2, 2)))},
-    {"like": np.ones((2, 2))}, {"shape": (2, 2), "filter": "none"}, {"shape": (2, 2), "boundary": 3},
-]  # fmt: skip
+    {},
+    {"shape": (2, 2), "spacing": 1},
+    {"shape": (2,)},
+    {"shape": (2, 2, 2)},
+    {"shape": (0, 2)},
+    {"shape": (2, -1)},
+    {"shape": (2.5, 2)},
+    {"shape": 3},
+    {"shape": "ab"},
+    {"spacing": 0},
+    {"spacing": -1.0},
+    {"spacing": np.nan},
+    {"spacing": (1, 1, 1)},
+    {"spacing": "a"},
+    {"spacing": 1e-12},
+    {"like": Volume(np.ones((2, 2, 2)))},
+    {"like": np.ones((2, 2))},
+    {"shape": (2, 2), "filter": "none"},
+    {"shape": (2, 2), "boundary": 3},
+]
 
 
 @pytest.mark.parametrize("case", BAD_RESAMPLE, ids=[str(c)[:40] for c in BAD_RESAMPLE])

@@ -121,14 +121,21 @@ def test_errors(case: str) -> None:
         make()
 
 
-@pytest.mark.parametrize("make", [
-    lambda: TransferFunction(((0, "red"),), unit_distance="a"), lambda: TransferFunction(((True, "red"),)),
-    lambda: TransferFunction(None), lambda: SOME.with_opacity(3), lambda: SOME("a"), lambda: SOME([1j]),
-    *(lambda bad=bad: TransferFunction.from_cmap("gray", bad) for bad in (3, None, (0,), (0, 1, 2), "ab", (0, np.inf))),
-    *(lambda bad=bad: TransferFunction.from_cmap("gray", (0, 1), bad) for bad in (None, "a", 2, [1], {}, [(0, "a")])),
-    *(lambda bad=bad: TransferFunction.from_cmap(bad, (0, 1)) for bad in ([], {}, None, 3)),
-    *(lambda bad=bad: TransferFunction.ramp(bad) for bad in (3, None, (1, 0), "ab")),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: TransferFunction(((0, "red"),), unit_distance="a"),
+        lambda: TransferFunction(((True, "red"),)),
+        lambda: TransferFunction(None),
+        lambda: SOME.with_opacity(3),
+        lambda: SOME("a"),
+        lambda: SOME([1j]),
+        *(lambda bad=bad: TransferFunction.from_cmap("gray", bad) for bad in (3, None, (0,), (0, 1, 2), "ab", (0, np.inf))),
+        *(lambda bad=bad: TransferFunction.from_cmap("gray", (0, 1), bad) for bad in (None, "a", 2, [1], {}, [(0, "a")])),
+        *(lambda bad=bad: TransferFunction.from_cmap(bad, (0, 1)) for bad in ([], {}, None, 3)),
+        *(lambda bad=bad: TransferFunction.ramp(bad) for bad in (3, None, (1, 0), "ab")),
+    ],
+)
 def test_wrong_types_are_refused(make: Any) -> None:
     with pytest.raises(OptionError):
         make()
@@ -147,9 +154,11 @@ def test_ranges_of_any_size(scale: float) -> None:
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("values", [
-    [0, 0], [7, 7], [-3, 4], [1, np.nextafter(1, 2)], [0, np.nan], [-1, 5, np.nan, np.inf], [0] * 9999 + [1], [0, 5e-324],
-], ids=str)  # fmt: skip
+@pytest.mark.parametrize(
+    "values",
+    [[0, 0], [7, 7], [-3, 4], [1, np.nextafter(1, 2)], [0, np.nan], [-1, 5, np.nan, np.inf], [0] * 9999 + [1], [0, 5e-324]],
+    ids=str,
+)
 def test_few_values(values: list[float]) -> None:
     data = np.resize(np.array(values), (2, max(2, len(values))))
     finite = data[np.isfinite(data)]

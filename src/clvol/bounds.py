@@ -125,9 +125,15 @@ class Bounds:
             bound = built.kernel("bound_cells")
             for first in range(0, z, deep):
                 bound(
-                    device.queue, (across, y, min(deep, z - first)), (1, 1, 1), coefficients, held.extent, levels[0], self.buffer,
+                    device.queue,
+                    (across, y, min(deep, z - first)),
+                    (1, 1, 1),
+                    coefficients,
+                    held.extent,
+                    levels[0],
+                    self.buffer,
                     global_offset=(0, 0, first),
-                )  # fmt: skip
+                )
                 device.finish()
             merge = built.kernel("bound_blocks")
             for finer, coarser in itertools.pairwise(levels):

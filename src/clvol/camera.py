@@ -91,10 +91,16 @@ class Camera:
 
     @classmethod
     def orbit(
-        cls, azimuth: float = 30.0, elevation: float = 20.0, distance: float | None = None, zoom: float = 1.0, *,
-        target: Sequence[float] | None = None, projection: Literal["perspective", "orthographic"] = "perspective",
+        cls,
+        azimuth: float = 30.0,
+        elevation: float = 20.0,
+        distance: float | None = None,
+        zoom: float = 1.0,
+        *,
+        target: Sequence[float] | None = None,
+        projection: Literal["perspective", "orthographic"] = "perspective",
         fov: float = 30.0,
-    ) -> Camera:  # fmt: skip
+    ) -> Camera:
         """A camera on a sphere around the target.
 
         Parameters
@@ -111,19 +117,32 @@ class Camera:
             target=None if target is None else _vector("target", target),
             up=(-math.sin(a) * math.sin(e), math.cos(a) * math.sin(e), math.cos(e)),
             direction=(-math.sin(a) * math.cos(e), math.cos(a) * math.cos(e), -math.sin(e)),
-            projection=projection, fov=fov, distance=distance, zoom=zoom,
-        )  # fmt: skip
+            projection=projection,
+            fov=fov,
+            distance=distance,
+            zoom=zoom,
+        )
 
     @classmethod
     def look_at(
-        cls, position: Sequence[float], target: Sequence[float] | None = None, up: Sequence[float] = (0.0, 0.0, 1.0), *,
-        projection: Literal["perspective", "orthographic"] = "perspective", fov: float = 30.0, zoom: float = 1.0,
-    ) -> Camera:  # fmt: skip
+        cls,
+        position: Sequence[float],
+        target: Sequence[float] | None = None,
+        up: Sequence[float] = (0.0, 0.0, 1.0),
+        *,
+        projection: Literal["perspective", "orthographic"] = "perspective",
+        fov: float = 30.0,
+        zoom: float = 1.0,
+    ) -> Camera:
         """A camera at `position` that looks at `target`, by default the volume's centre."""
         camera = cls(
-            position=_vector("position", position), target=None if target is None else _vector("target", target),
-            up=_vector("up", up), projection=projection, fov=fov, zoom=zoom,
-        )  # fmt: skip
+            position=_vector("position", position),
+            target=None if target is None else _vector("target", target),
+            up=_vector("up", up),
+            projection=projection,
+            fov=fov,
+            zoom=zoom,
+        )
         if camera.position == camera.target:
             raise GeometryError(f"position and target must differ, or there is no direction of view; got {position} twice")
         return camera
@@ -150,9 +169,7 @@ class Camera:
             forward = target - np.asarray(self.position)
             length = float(np.linalg.norm(forward))
             if not length:
-                raise GeometryError(
-                    f"position and target must differ, or there is no direction of view; got {self.position} twice"
-                )
+                raise GeometryError(f"position and target must differ, or there is no direction of view; got {self.position} twice")
             forward = forward / length
         right = np.cross(forward, np.asarray(self.up) / math.hypot(*self.up))
         if np.linalg.norm(right) < 1e-9:  # looking straight along `up`

@@ -29,9 +29,12 @@ from clvol.errors import ClvolError, DataError, DeviceError, FormatError, Option
 from clvol.picture import heat
 
 app = App(
-    name="clvol", help="Volume rendering and reconstruction with B-splines, on OpenCL.", version=lambda: version("clvol"),
-    default_parameter=Parameter(negative_iterable=()), suppress_keyboard_interrupt=False,
-)  # fmt: skip
+    name="clvol",
+    help="Volume rendering and reconstruction with B-splines, on OpenCL.",
+    version=lambda: version("clvol"),
+    default_parameter=Parameter(negative_iterable=()),
+    suppress_keyboard_interrupt=False,
+)
 
 
 def _whole(_: object, tokens: Sequence[Token]) -> int | tuple[int, ...]:
@@ -100,10 +103,18 @@ class Look:
     def options(self, volume: clvol.Volume) -> dict[str, Any]:
         return {
             "camera": clvol.Camera.orbit(self.azimuth, self.elevation, zoom=self.zoom, projection=self.projection),
-            "mode": self.mode, "step": self.step, "samples": self.samples, "isovalue": self.isovalue,
-            "transfer": self._transfer(volume), "color": self.color, "shading": self.shading, "gradient": self.gradient,
-            "background": None if self.background == "none" else self.background, "evaluator": self.evaluator, "fetch": self.fetch,
-        }  # fmt: skip
+            "mode": self.mode,
+            "step": self.step,
+            "samples": self.samples,
+            "isovalue": self.isovalue,
+            "transfer": self._transfer(volume),
+            "color": self.color,
+            "shading": self.shading,
+            "gradient": self.gradient,
+            "background": None if self.background == "none" else self.background,
+            "evaluator": self.evaluator,
+            "fetch": self.fetch,
+        }
 
     def _transfer(self, volume: clvol.Volume) -> clvol.TransferFunction | None:
         if self.cmap is None and self.value_range is None and self.opacity is None:
@@ -144,10 +155,19 @@ Compared = Annotated[
 
 @app.command
 def render(
-    source: Source, /, *, output: Output, filter: str = "bspline3", size: Size = (512, 512), device: DeviceName = None,
-    input: Input | None = None, look: Look | None = None, heat_map: Path | None = None,
-    verbose: Annotated[bool, Parameter(negative="")] = False, json: Json = False,
-) -> None:  # fmt: skip
+    source: Source,
+    /,
+    *,
+    output: Output,
+    filter: str = "bspline3",
+    size: Size = (512, 512),
+    device: DeviceName = None,
+    input: Input | None = None,
+    look: Look | None = None,
+    heat_map: Path | None = None,
+    verbose: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
+) -> None:
     """Make a picture of a volume.
 
     Parameters
@@ -183,19 +203,26 @@ def render(
         met = np.isfinite(pictures["visited"])
         told |= {
             "samples_visited": round(float(pictures["visited"][met].mean()), 4) if met.any() else 0.0,
-            "seconds_to_hold": round(held - begun, 4), "seconds_to_draw": round(done - held, 4),
-        }  # fmt: skip
+            "seconds_to_hold": round(held - begun, 4),
+            "seconds_to_draw": round(done - held, 4),
+        }
     _say(json, told)
 
 
 @app.command
 def compare(
-    source: Source, /, *,
+    source: Source,
+    /,
+    *,
     output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="The picture to write.")] = None,
     table: Annotated[Path | None, Parameter(help="The errors to write: .csv, .json or .md.")] = None,
-    filters: Filters = (), pixels: Whole = 384, device: DeviceName = None,
-    input: Input | None = None, look: SurfaceLook | None = None, json: Json = False,
-) -> None:  # fmt: skip
+    filters: Filters = (),
+    pixels: Whole = 384,
+    device: DeviceName = None,
+    input: Input | None = None,
+    look: SurfaceLook | None = None,
+    json: Json = False,
+) -> None:
     """Draw a volume by several filters side by side, measure their errors from every second sample, or both.
 
     Parameters
@@ -220,14 +247,14 @@ def compare(
         with _progress("drawing", json) as progress:
             _, sheet = figures.compare(
                 volume, names, pixels, look.boundary, device=device, progress=progress, **look.options(volume)
-            )  # fmt: skip
+            )
         told["output"] = str(clvol.save(sheet, output))
     told |= {"filters": list(names)} | ({"mode": look.mode} if output is not None else {})
     if table is not None:
         with _progress("measuring", json) as progress:
             errors = analysis.compare(
                 volume, names, boundary=look.boundary, points=_COMPARED, timing_device=device, progress=progress
-            )  # fmt: skip
+            )
         told |= {"table": str(errors.write(table)), "against": errors.against}
         if json:
             told["errors"] = errors.records()
@@ -239,15 +266,19 @@ def compare(
 
 @app.command
 def figure(
-    name: Annotated[str, Parameter(help="1 to 6 as in the paper, impulse, gradients, convergence or cost.")], /, *,
+    name: Annotated[str, Parameter(help="1 to 6 as in the paper, impulse, gradients, convergence or cost.")],
+    /,
+    *,
     output: Annotated[
         Path | None, Parameter(name=["--output", "-o"], help="The file to write: .png, .svg, .pdf, ... [default: figureNAME.png]")
     ] = None,
-    samples: Whole | None = None, pixels: Whole | None = None,
+    samples: Whole | None = None,
+    pixels: Whole | None = None,
     filters: Compared = (),
     scan: Annotated[str | None, Parameter(help="A volume to measure (4) or draw (3) too.")] = None,
-    device: DeviceName = None, json: Json = False,
-) -> None:  # fmt: skip
+    device: DeviceName = None,
+    json: Json = False,
+) -> None:
     """Make a figure of the paper, or one beyond: impulse, gradients, convergence, cost. Each has defaults for its options.
 
     Parameters
@@ -261,9 +292,7 @@ def figure(
     from clvol.figures import style
 
     output = Path(f"figure{name}.png") if output is None else output
-    options: dict[str, Any] = {
-        "samples": samples, "pixels": pixels, "filters": filters or None, "scan": scan, "device": device
-    }  # fmt: skip
+    options: dict[str, Any] = {"samples": samples, "pixels": pixels, "filters": filters or None, "scan": scan, "device": device}
     options = {key: value for key, value in options.items() if value is not None}
     known = figures.options_of(name)
     if not set(options) <= set(known):
@@ -285,10 +314,17 @@ def figure(
 
 @app.command
 def report(
-    source: Source, /, *, output: PageOutput,
-    filters: Compared = (), pixels: Whole = 280, device: DeviceName = None, input: Input | None = None,
-    look: SurfaceLook | None = None, json: Json = False,
-) -> None:  # fmt: skip
+    source: Source,
+    /,
+    *,
+    output: PageOutput,
+    filters: Compared = (),
+    pixels: Whole = 280,
+    device: DeviceName = None,
+    input: Input | None = None,
+    look: SurfaceLook | None = None,
+    json: Json = False,
+) -> None:
     """Tell by pictures, errors and words which filter to use for a volume: one HTML page that needs nothing else.
 
     Parameters
@@ -302,10 +338,16 @@ def report(
     volume, look = (input or Input()).read(source), look or SurfaceLook()
     with _progress("measuring and drawing", json) as progress:
         done = reports.report(
-            volume, output, Path(source).name, filters or reports.REPORTED, pixels, look.boundary, device=device,
+            volume,
+            output,
+            Path(source).name,
+            filters or reports.REPORTED,
+            pixels,
+            look.boundary,
+            device=device,
             progress=progress,
             **look.options(volume),
-        )  # fmt: skip
+        )
     told = {"output": str(done.path), "filter": done.advice.filter, "advice": " ".join(done.advice.sentences)}
     _say(json, told | ({"against": done.table.against, "errors": done.table.records()} if json else {}))
 
@@ -340,11 +382,17 @@ def info(source: Source, /, *, input: Input | None = None, json: Json = False) -
     _say(
         json,
         {
-            "shape": list(volume.shape), "dtype": str(volume.data.dtype), "spacing": list(volume.spacing),
-            "origin": list(volume.origin), "direction": volume.direction.tolist(), "units": volume.units,
-            "value_range": value_range, "finite": finite, "bytes": volume.data.nbytes,
+            "shape": list(volume.shape),
+            "dtype": str(volume.data.dtype),
+            "spacing": list(volume.spacing),
+            "origin": list(volume.origin),
+            "direction": volume.direction.tolist(),
+            "units": volume.units,
+            "value_range": value_range,
+            "finite": finite,
+            "bytes": volume.data.nbytes,
         },
-    )  # fmt: skip
+    )
 
 
 @app.command
@@ -352,11 +400,15 @@ def devices(*, json: Json = False) -> None:
     """List the OpenCL devices, the one used by default first."""
     rows = [
         {
-            "number": i, "name": d.name, "kind": d.kind, "platform": d.platform, "memory_mib": d.handle.global_mem_size >> 20,
+            "number": i,
+            "name": d.name,
+            "kind": d.kind,
+            "platform": d.platform,
+            "memory_mib": d.handle.global_mem_size >> 20,
             "images": bool(d.handle.image_support),
         }
         for i, d in enumerate(clvol.devices())
-    ]  # fmt: skip
+    ]
     if not rows:
         from clvol.device import as_device
 
@@ -380,13 +432,21 @@ def filters(*, json: Json = False) -> None:
 
 @app.command
 def resample(
-    source: Source, /, *, output: Output,
+    source: Source,
+    /,
+    *,
+    output: Output,
     shape: Annotated[tuple[int, int, int] | None, Parameter(name="--to-shape", converter=_whole)] = None,
     spacing: Annotated[tuple[float, float, float] | None, Parameter(name="--to-spacing")] = None,
-    like: str | None = None, magnify: Whole | None = None, filter: str = "bspline3",
+    like: str | None = None,
+    magnify: Whole | None = None,
+    filter: str = "bspline3",
     boundary: Annotated[str, Parameter(help="mirror, reflect, wrap or zero.")] = "mirror",
-    fill: float | None = None, device: DeviceName = None, input: Input | None = None, json: Json = False,
-) -> None:  # fmt: skip
+    fill: float | None = None,
+    device: DeviceName = None,
+    input: Input | None = None,
+    json: Json = False,
+) -> None:
     """Put a volume on another grid, as float32; say which by one of --to-shape, --to-spacing, --like, --magnify.
 
     Parameters

@@ -530,13 +530,17 @@ class FilterTable(dict[str, Filter]):
         """One tuple of texts a filter, in the order of `HEADER`."""
         return [
             (
-                name, str(f.support), str(f.degree), "jumps" if f.continuity < 0 else f"C{f.continuity}", str(f.order),
+                name,
+                str(f.support),
+                str(f.degree),
+                "jumps" if f.continuity < 0 else f"C{f.continuity}",
+                str(f.order),
                 "no" if not f.interpolates else "yes" if f.interpolates_directly and not f.magnify else "prefiltered",
                 "yes" if f.sums_to_one else "nearly",
                 " ".join(f"{p:.4f}" for p in (f.magnified_by or f).poles) or "-",
             )
             for name, f in self.items()
-        ]  # fmt: skip
+        ]
 
     def __str__(self) -> str:
         lines = [self.HEADER, *self.rows()]

@@ -22,9 +22,13 @@ _LONGEST = (1 << 31) - 1  # pixels along an axis: OpenCL's int
 
 
 def resample(
-    image: ArrayLike, shape: Sequence[int], filter: str | Filter = DEFAULT_FILTER, boundary: str | Boundary = DEFAULT_BOUNDARY, *,
+    image: ArrayLike,
+    shape: Sequence[int],
+    filter: str | Filter = DEFAULT_FILTER,
+    boundary: str | Boundary = DEFAULT_BOUNDARY,
+    *,
     device: Device | str | int | None = None,
-) -> NDArray[Any]:  # fmt: skip
+) -> NDArray[Any]:
     """The image with other numbers of rows and columns; its domain, from edge to edge, stays.
 
     Parameters
@@ -55,9 +59,13 @@ def resample(
 
 
 def zoom(
-    image: ArrayLike, factor: float | tuple[float, float], filter: str | Filter = DEFAULT_FILTER,
-    boundary: str | Boundary = DEFAULT_BOUNDARY, *, device: Device | str | int | None = None,
-) -> NDArray[Any]:  # fmt: skip
+    image: ArrayLike,
+    factor: float | tuple[float, float],
+    filter: str | Filter = DEFAULT_FILTER,
+    boundary: str | Boundary = DEFAULT_BOUNDARY,
+    *,
+    device: Device | str | int | None = None,
+) -> NDArray[Any]:
     """The image `factor` times as high and wide, or (rows, columns) times, rounded to whole pixels; else as `resample`."""
     pixels = _pixels(image)
     factors = factor if isinstance(factor, (tuple, list)) else (factor, factor)
@@ -70,9 +78,16 @@ def zoom(
 
 
 def rotate(
-    image: ArrayLike, degrees: float, filter: str | Filter = DEFAULT_FILTER, boundary: str | Boundary = DEFAULT_BOUNDARY, *,
-    zoom: float = 1.0, shape: Sequence[int] | None = None, fill: float | None = 0.0, device: Device | str | int | None = None,
-) -> NDArray[Any]:  # fmt: skip
+    image: ArrayLike,
+    degrees: float,
+    filter: str | Filter = DEFAULT_FILTER,
+    boundary: str | Boundary = DEFAULT_BOUNDARY,
+    *,
+    zoom: float = 1.0,
+    shape: Sequence[int] | None = None,
+    fill: float | None = 0.0,
+    device: Device | str | int | None = None,
+) -> NDArray[Any]:
     """The image turned about its middle, counter-clockwise as it is shown (row 0 on top), and magnified by `zoom`.
 
     Parameters
@@ -145,9 +160,13 @@ def _grid(
 
 
 def _drawn(
-    pixels: NDArray[Any], grid: Volume, filter: str | Filter, boundary: str | Boundary, fill: float | None,
+    pixels: NDArray[Any],
+    grid: Volume,
+    filter: str | Filter,
+    boundary: str | Boundary,
+    fill: float | None,
     device: Device | str | int | None,
-) -> NDArray[Any]:  # fmt: skip
+) -> NDArray[Any]:
     """Each channel on another grid, in the image's dtype."""
     planes = [pixels] if pixels.ndim == 2 else list(np.moveaxis(pixels, 2, 0))
     drawn = [spline.resample(p, like=grid, filter=filter, boundary=boundary, fill=fill, device=device).data for p in planes]

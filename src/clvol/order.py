@@ -50,10 +50,19 @@ class Sorter:
         across, down, _ = (last >> bits) + 1
         self._grid = np.array([across, down, bits, 0], np.int32)
         self._items = 8 * device.units
-        self._program = program.build(device, "order.cl", {
-            "DIMENSIONS": held.volume.ndim, "LANES": LANES, "BRICKS": _BRICKS, "LATTICE": 0, "SORTED": 0,
-            "COORD_DOUBLE": int(device.has_double), **point_defines(kind),
-        })  # fmt: skip
+        self._program = program.build(
+            device,
+            "order.cl",
+            {
+                "DIMENSIONS": held.volume.ndim,
+                "LANES": LANES,
+                "BRICKS": _BRICKS,
+                "LATTICE": 0,
+                "SORTED": 0,
+                "COORD_DOUBLE": int(device.has_double),
+                **point_defines(kind),
+            },
+        )
         record = 4 * np.dtype(kind).itemsize
         self.room = min(count, _SORTED_BYTES // record)
         self._sorted = device.allocate(record * self.room)

@@ -78,9 +78,12 @@ class Program:
 
 
 def build(
-    device: Device, name: str, defines: Defines, replacements: Mapping[str, str] | None = None,
+    device: Device,
+    name: str,
+    defines: Defines,
+    replacements: Mapping[str, str] | None = None,
     generated: Mapping[str, str] | None = None,
-) -> Program:  # fmt: skip
+) -> Program:
     """The program of one kernel file, specialised; built at most once for each device and set of defines."""
     device.require_usable()
     key = (

@@ -60,15 +60,34 @@ FRAME = np.dtype(
     + [
         (name, np.float32)
         for name in (
-            "ahead", "unit", "oblique", "plane", "plane_back", "spacing", "planes", "stride", "table_low", "table_scale",
-            "per_unit_distance", "termination", "isovalue", "tolerance", "ambient", "diffuse", "specular", "shininess",
-            "weight", "slab", "margin", "least_shine",
+            "ahead",
+            "unit",
+            "oblique",
+            "plane",
+            "plane_back",
+            "spacing",
+            "planes",
+            "stride",
+            "table_low",
+            "table_scale",
+            "per_unit_distance",
+            "termination",
+            "isovalue",
+            "tolerance",
+            "ambient",
+            "diffuse",
+            "specular",
+            "shininess",
+            "weight",
+            "slab",
+            "margin",
+            "least_shine",
         )
     ]
     + [(name, np.int32) for name in ("axis", "orthographic", "clipped", "lights", "whole_shininess", "width", "height")]
     + [(name, np.int32) for name in ("pass", "last_pass", "opaque", "skipping", "levels")]
     + [("blocks", np.int32, 3), ("level_at", np.int32, MAX_LEVELS)]
-)  # fmt: skip
+)
 
 
 def _frame_declaration() -> str:
@@ -160,9 +179,12 @@ class Renderer:
     """
 
     def __init__(
-        self, volume: Volume | ArrayLike, filter: str | Filter = DEFAULT_FILTER,
-        boundary: str | Boundary = DEFAULT_BOUNDARY, device: Device | str | int | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        volume: Volume | ArrayLike,
+        filter: str | Filter = DEFAULT_FILTER,
+        boundary: str | Boundary = DEFAULT_BOUNDARY,
+        device: Device | str | int | None = None,
+    ) -> None:
         self.volume = as_volume(volume)
         if self.volume.ndim != 3:
             raise OptionError(f"rendering takes a volume with 3 axes; got shape {self.volume.shape}")
@@ -189,15 +211,30 @@ class Renderer:
         self.close()
 
     def render(
-        self, camera: Camera | None = None, mode: str | Mode = DEFAULT_MODE, size: tuple[int, int] = (512, 512), step: float = 0.5,
-        *, transfer: TransferFunction | None = None, isovalue: float | None = None,
-        color: Sequence[float] | str = DEFAULT_SURFACE, shading: bool = True,
-        gradient: Literal["analytic", "central"] = "analytic", material: Material | None = None,
-        lights: Sequence[Light] = (HEADLIGHT,), background: Sequence[float] | str | None = (0.0, 0.0, 0.0),
-        clip: tuple[Sequence[float], Sequence[float]] | None = None, samples: int = 1, termination: float = 1e-3,
-        skipping: bool = True, evaluator: Evaluator = "auto", fetch: Fetch = "auto", outputs: str | Sequence[str] = "rgba",
-        progress: Progress | None = None, _tile: Tile | None = None,
-    ) -> Any:  # fmt: skip
+        self,
+        camera: Camera | None = None,
+        mode: str | Mode = DEFAULT_MODE,
+        size: tuple[int, int] = (512, 512),
+        step: float = 0.5,
+        *,
+        transfer: TransferFunction | None = None,
+        isovalue: float | None = None,
+        color: Sequence[float] | str = DEFAULT_SURFACE,
+        shading: bool = True,
+        gradient: Literal["analytic", "central"] = "analytic",
+        material: Material | None = None,
+        lights: Sequence[Light] = (HEADLIGHT,),
+        background: Sequence[float] | str | None = (0.0, 0.0, 0.0),
+        clip: tuple[Sequence[float], Sequence[float]] | None = None,
+        samples: int = 1,
+        termination: float = 1e-3,
+        skipping: bool = True,
+        evaluator: Evaluator = "auto",
+        fetch: Fetch = "auto",
+        outputs: str | Sequence[str] = "rgba",
+        progress: Progress | None = None,
+        _tile: Tile | None = None,
+    ) -> Any:
         """One picture.
 
         Parameters
@@ -285,10 +322,17 @@ class Renderer:
         path = choose_path(self.device, self.filter, evaluator, fetch, bits=_BITS)
         table = transfer if transfer is not None else self._default_transfer(chosen)
         frame, lattice = self._frame(
-            camera, (width, height), step, table,
+            camera,
+            (width, height),
+            step,
+            table,
             self._threshold if isovalue is None and chosen.name == "isosurface" else isovalue,
-            color_of("color", color), material, lights, clip, termination,
-        )  # fmt: skip
+            color_of("color", color),
+            material,
+            lights,
+            clip,
+            termination,
+        )
         if background is not None:
             frame["background"], frame["opaque"] = color_of("background", background), 1
         if skipping and chosen.skips:
@@ -296,8 +340,17 @@ class Renderer:
         guides = wanted != ("rgba",)
         central = gradient == "central" or not self.filter.has_gradient
         arrays = self._march(
-            frame, lattice, chosen, path, table, shading, central, guides,
-            whole("samples", samples, least=1, most=4096), progress, _tile,
+            frame,
+            lattice,
+            chosen,
+            path,
+            table,
+            shading,
+            central,
+            guides,
+            whole("samples", samples, least=1, most=4096),
+            progress,
+            _tile,
         )
         return arrays[wanted[0]] if isinstance(outputs, str) else {name: arrays[name] for name in wanted}
 
@@ -313,10 +366,18 @@ class Renderer:
         return self._transfers[mode]
 
     def _frame(
-        self, camera: Camera, size: tuple[int, int], step: float, transfer: TransferFunction, isovalue: float | None,
-        surface: tuple[float, float, float], material: Material, lights: Sequence[Light],
-        clip: tuple[Sequence[float], Sequence[float]] | None, termination: float,
-    ) -> tuple[NDArray[Any], Lattice]:  # fmt: skip
+        self,
+        camera: Camera,
+        size: tuple[int, int],
+        step: float,
+        transfer: TransferFunction,
+        isovalue: float | None,
+        surface: tuple[float, float, float],
+        material: Material,
+        lights: Sequence[Light],
+        clip: tuple[Sequence[float], Sequence[float]] | None,
+        termination: float,
+    ) -> tuple[NDArray[Any], Lattice]:
         """The parameter block of one picture, computed in float64, and where it is sampled."""
         step = min(number("step", step, above=0), 1e30)
         termination = number("termination", termination, least=0, below=1)
@@ -400,22 +461,43 @@ class Renderer:
         frame["margin"] = 0.01 + 1e-6 * max(self.volume.size)
 
     def _march(
-        self, frame: NDArray[Any], lattice: Lattice, mode: Mode, path: Path, transfer: TransferFunction, shading: bool,
-        central: bool, guides: bool, samples: int, progress: Progress | None, tile: Tile | None,
-    ) -> dict[str, Floats]:  # fmt: skip
+        self,
+        frame: NDArray[Any],
+        lattice: Lattice,
+        mode: Mode,
+        path: Path,
+        transfer: TransferFunction,
+        shading: bool,
+        central: bool,
+        guides: bool,
+        samples: int,
+        progress: Progress | None,
+        tile: Tile | None,
+    ) -> dict[str, Floats]:
         device, held = self.device, self.coefficients
         if tile is None:
             tile = PLANES if device.kind == "cpu" and not path.image and not path.eight_fetch else RAYS
         built = program.build(
-            device, "march.cl",
+            device,
+            "march.cl",
             {
-                **held.defines(path), "LANES": tile.lanes, "TILE_WIDTH": tile.width, "TILE_HEIGHT": tile.height,
-                "PATCHED": int(tile.patched), "ENDPOINTS": int(mode.endpoints), "SHADED": int(shading),
-                "GRADIENT_CENTRAL": int(central), "GUIDES": int(guides), "TABLE_SIZE": TABLE_SIZE,
-                "BLOCK": BLOCK * self.filter.scale, "SLAB": SLAB, "COORD_DOUBLE": 0,
+                **held.defines(path),
+                "LANES": tile.lanes,
+                "TILE_WIDTH": tile.width,
+                "TILE_HEIGHT": tile.height,
+                "PATCHED": int(tile.patched),
+                "ENDPOINTS": int(mode.endpoints),
+                "SHADED": int(shading),
+                "GRADIENT_CENTRAL": int(central),
+                "GUIDES": int(guides),
+                "TABLE_SIZE": TABLE_SIZE,
+                "BLOCK": BLOCK * self.filter.scale,
+                "SLAB": SLAB,
+                "COORD_DOUBLE": 0,
             },
-            {"mode.cl": mode.file}, {"frame.cl": _frame_declaration()},
-        )  # fmt: skip
+            {"mode.cl": mode.file},
+            {"frame.cl": _frame_declaration()},
+        )
         width, height = int(frame["width"]), int(frame["height"])
         channels = {"rgba": (4,), "depth": (), "normal": (3,), "position": (3,), "visited": ()}
         wanted = {name: np.empty((height, width, *n), np.float32) for name, n in channels.items() if guides or name == "rgba"}
@@ -439,9 +521,17 @@ class Renderer:
                     whole = tuple(-(-n // m) * m for n, m in zip((across, down), shape, strict=True))
                     with device.errors:
                         kernel(
-                            device.queue, whole, shape, source, held.extent, bounds, block, table, *buffers,
+                            device.queue,
+                            whole,
+                            shape,
+                            source,
+                            held.extent,
+                            bounds,
+                            block,
+                            table,
+                            *buffers,
                             global_offset=(x // tile.width, y // tile.height),
-                        )  # fmt: skip
+                        )
                     device.finish()
                     if progress:
                         progress((i + min(1.0, ((y + h) * width) / (width * height))) / samples)
@@ -476,10 +566,19 @@ class _Budget:
             y += h
 
 
-def render(volume: Volume | ArrayLike, camera: Camera | None = None, mode: str | Mode = DEFAULT_MODE,
-           filter: str | Filter = DEFAULT_FILTER, boundary: str | Boundary = DEFAULT_BOUNDARY,
-           size: tuple[int, int] = (512, 512), step: float = 0.5, *, device: Device | str | int | None = None,
-           outputs: str | Sequence[str] = "rgba", **options: Any) -> Any:  # fmt: skip
+def render(
+    volume: Volume | ArrayLike,
+    camera: Camera | None = None,
+    mode: str | Mode = DEFAULT_MODE,
+    filter: str | Filter = DEFAULT_FILTER,
+    boundary: str | Boundary = DEFAULT_BOUNDARY,
+    size: tuple[int, int] = (512, 512),
+    step: float = 0.5,
+    *,
+    device: Device | str | int | None = None,
+    outputs: str | Sequence[str] = "rgba",
+    **options: Any,
+) -> Any:
     """One picture of a volume; `Renderer` is the same for many pictures of one volume.
 
     Parameters are those of `Renderer` and of `Renderer.render`.

@@ -46,9 +46,18 @@ _START_ERROR = 1e-9  # what the starting values of the prefilter may leave out, 
 _VOXELS_A_LAUNCH = 1 << 26  # of copies and the prefilter, and ...
 _TAPS_A_LAUNCH = 1 << 25  # ... of sampling: a launch should not run longer than a quarter of a second
 _SAMPLES = {  # OpenCL's names of NumPy's types
-    "b1": "uchar", "u1": "uchar", "i1": "char", "u2": "ushort", "i2": "short", "u4": "uint", "i4": "int", "u8": "ulong",
-    "i8": "long", "f4": "float", "f8": "double",
-}  # fmt: skip
+    "b1": "uchar",
+    "u1": "uchar",
+    "i1": "char",
+    "u2": "ushort",
+    "i2": "short",
+    "u4": "uint",
+    "i4": "int",
+    "u8": "ulong",
+    "i8": "long",
+    "f4": "float",
+    "f8": "double",
+}
 _RUN = 512  # points that a work-item takes on a processor, a multiple of LANES
 _BLOCK = 16  # rows that separable.cl makes at once
 _ITEMS_A_CORE = 16  # ... and among how many work-items it shares them out on each core, so that none waits long for another
@@ -94,7 +103,7 @@ def _starts(filter: Filter, boundary: Boundary, n: int) -> tuple[Floats, int, in
 
 def _prefilter(
     device: Device, buffer: Any, filter: Filter, boundary: Boundary, extent: Sequence[int], size: Sequence[int], dimensions: int
-) -> None:  # fmt: skip
+) -> None:
     """Filter the stored coefficients along the first `dimensions` of x, y and z, in place."""
     pitch, area, halo = extent[0], extent[0] * extent[1], extent[3]
     nx, ny, nz = size
@@ -119,9 +128,13 @@ def _prefilter(
         step = max(1, _VOXELS_A_LAUNCH // voxels)
         for first in range(0, lines, step):
             built.kernel(name)(
-                device.queue, (groups, min(step, lines - first)), (1, 1) if device.kind == "cpu" else None, buffer,
-                np.uint64(origin + first * stride), *arguments,
-            )  # fmt: skip
+                device.queue,
+                (groups, min(step, lines - first)),
+                (1, 1) if device.kind == "cpu" else None,
+                buffer,
+                np.uint64(origin + first * stride),
+                *arguments,
+            )
 
     first_row = (halo * area if extent[2] > 1 else 0) + halo * pitch  # the halo's columns in it are filtered too, in vain
     rows = np.int32(nx), np.uint64(pitch), np.int32(ny), np.uint64(area)
@@ -212,9 +225,14 @@ class Coefficients:
         built = program.build(device, "halo.cl", {"COORD_DOUBLE": 0})
         with device.errors:
             built.kernel("fill_halo")(
-                device.queue, self.shape[1::-1], None, self.buffer, self.extent, np.int32(sizes[0]),
+                device.queue,
+                self.shape[1::-1],
+                None,
+                self.buffer,
+                self.extent,
+                np.int32(sizes[0]),
                 device.upload(np.concatenate(places).astype(np.int32)),
-            )  # fmt: skip
+            )
         device.finish()
 
     def _copy_samples(self, sizes: tuple[int, ...]) -> None:
@@ -237,9 +255,16 @@ class Coefficients:
             part = slices[first : first + some]
             with device.lent(part, write=False) as given, device.errors:
                 kernel(
-                    device.queue, (ny, len(part)), (1, 1), given, self.buffer, np.uint64(origin + first * area),
-                    np.int32(nx), np.uint64(pitch), np.uint64(area),
-                )  # fmt: skip
+                    device.queue,
+                    (ny, len(part)),
+                    (1, 1),
+                    given,
+                    self.buffer,
+                    np.uint64(origin + first * area),
+                    np.int32(nx),
+                    np.uint64(pitch),
+                    np.uint64(area),
+                )
 
     def _magnify(self, by: Filter) -> None:
         """Samples of the spline on a grid of twice the density, halo included (section 4.3)."""
@@ -310,9 +335,11 @@ def _extent(filter: Filter, dimensions: int, sizes: tuple[int, ...]) -> NDArray[
 
 
 def prefilter(
-    data: ArrayLike, filter: str | Filter = DEFAULT_FILTER, boundary: str | Boundary = DEFAULT_BOUNDARY,
+    data: ArrayLike,
+    filter: str | Filter = DEFAULT_FILTER,
+    boundary: str | Boundary = DEFAULT_BOUNDARY,
     device: Device | str | int | None = None,
-) -> Floats:  # fmt: skip
+) -> Floats:
     """Spline coefficients of samples (section 4.2 of the paper).
 
     Parameters
@@ -438,9 +465,7 @@ def _affine(device: Device, matrix: NDArray[np.float64], offset: NDArray[np.floa
 
 def _points_program(held: Coefficients, path: Path, derivative: int, fill: float | None, **more: str | int) -> program.Program:
     lanes, run = (LANES, _RUN) if _in_groups(held, path, derivative) else (1, 1)
-    defines = {
-        **held.defines(path), "DERIVATIVE": derivative, "FILL": int(fill is not None), "LANES": lanes, "RUN": run, **more
-    }  # fmt: skip
+    defines = {**held.defines(path), "DERIVATIVE": derivative, "FILL": int(fill is not None), "LANES": lanes, "RUN": run, **more}
     return program.build(held.device, "points.cl", defines)
 
 
@@ -451,9 +476,13 @@ def _in_groups(held: Coefficients, path: Path, derivative: int) -> bool:
 
 
 def sample_coefficients(
-    held: Coefficients, path: Path, points: NDArray[Any], derivative: int = 0, fill: float | None = None,
+    held: Coefficients,
+    path: Path,
+    points: NDArray[Any],
+    derivative: int = 0,
+    fill: float | None = None,
     progress: Progress | None = None,
-) -> Floats:  # fmt: skip
+) -> Floats:
     """Results at world positions of shape (N, d): (N,), (N, d) or (N, d * d); `sample` of a volume held on a device."""
     device, volume, d = held.device, held.volume, held.volume.ndim
     kind = np.float64 if device.has_double and points.dtype != np.float32 else np.float32
@@ -476,10 +505,20 @@ def sample_coefficients(
             for begin in range(0, count, launch):
                 some = min(launch, count - begin)
                 kernel(
-                    device.queue, (-(-some // _RUN),) if groups else (-(-some // 64) * 64,), (1,) if groups else (64,),
-                    coefficients, held.extent, held.size, held.period, transform, source, np.uint64(begin + some),
-                    np.float32(0 if fill is None else fill), wanted, global_offset=(begin // _RUN if groups else begin,),
-                )  # fmt: skip
+                    device.queue,
+                    (-(-some // _RUN),) if groups else (-(-some // 64) * 64,),
+                    (1,) if groups else (64,),
+                    coefficients,
+                    held.extent,
+                    held.size,
+                    held.period,
+                    transform,
+                    source,
+                    np.uint64(begin + some),
+                    np.float32(0 if fill is None else fill),
+                    wanted,
+                    global_offset=(begin // _RUN if groups else begin,),
+                )
                 device.finish()
                 if progress:
                     progress((first + begin + some) / points.shape[0])
@@ -500,9 +539,15 @@ def _launch_points(filter: Filter, dimensions: int, path: Path) -> int:
 
 
 def _run_lattice(
-    held: Coefficients, path: Path, matrix: NDArray[np.float64], offset: NDArray[np.float64], shape: tuple[int, ...],
-    buffer: Any, fill: float | None = None, progress: Progress | None = None,
-) -> None:  # fmt: skip
+    held: Coefficients,
+    path: Path,
+    matrix: NDArray[np.float64],
+    offset: NDArray[np.float64],
+    shape: tuple[int, ...],
+    buffer: Any,
+    fill: float | None = None,
+    progress: Progress | None = None,
+) -> None:
     """Values at index positions ``matrix @ (i, j, k) + offset`` into a float32 buffer of shape (z, y, x)."""
     device = held.device
     if device.kind == "cpu" and path == Path(False, False) and _along_axes(matrix, shape):
@@ -519,10 +564,18 @@ def _run_lattice(
     for done, (z, y) in enumerate(parts, 1):
         with device.errors:
             kernel(
-                device.queue, (items, min(rows, ny - y), min(slices, nz - z)), (together, 1, 1), held.argument(path), held.extent,
-                held.size, held.period, transform, np.array([nx, ny, y, z], np.int32),
-                np.float32(0 if fill is None else fill), buffer,
-            )  # fmt: skip
+                device.queue,
+                (items, min(rows, ny - y), min(slices, nz - z)),
+                (together, 1, 1),
+                held.argument(path),
+                held.extent,
+                held.size,
+                held.period,
+                transform,
+                np.array([nx, ny, y, z], np.int32),
+                np.float32(0 if fill is None else fill),
+                buffer,
+            )
         device.finish()
         if progress:
             progress(done / len(parts))
@@ -556,9 +609,14 @@ def _axis_taps(held: Coefficients, axis: int, positions: NDArray[np.float64]) ->
 
 
 def _run_axes(
-    held: Coefficients, step: NDArray[np.float64], start: NDArray[np.float64], shape: tuple[int, ...], buffer: Any,
-    fill: float | None, progress: Progress | None,
-) -> None:  # fmt: skip
+    held: Coefficients,
+    step: NDArray[np.float64],
+    start: NDArray[np.float64],
+    shape: tuple[int, ...],
+    buffer: Any,
+    fill: float | None,
+    progress: Progress | None,
+) -> None:
     """`_run_lattice` one axis after the other, for a lattice along the volume's axes."""
     device, taps, d = held.device, held.filter.support, held.volume.ndim
     nz, ny, nx = shape
@@ -590,9 +648,22 @@ def _run_axes(
         count = min(some, units - first)
         with device.errors:
             built.kernel("resample_axes")(
-                device.queue, (min(items, count),), (1,), held.buffer, np.int32(left), np.uint64(pitch), np.uint64(area),
-                np.int32(width), *tables, lattice, np.int32(first), np.int32(count), scratch, np.uint64(room), buffer,
-            )  # fmt: skip
+                device.queue,
+                (min(items, count),),
+                (1,),
+                held.buffer,
+                np.int32(left),
+                np.uint64(pitch),
+                np.uint64(area),
+                np.int32(width),
+                *tables,
+                lattice,
+                np.int32(first),
+                np.int32(count),
+                scratch,
+                np.uint64(room),
+                buffer,
+            )
         device.finish()
         if progress:
             progress((first + count) / units)
@@ -605,11 +676,18 @@ def _run_axes(
 
 
 def sample(
-    volume: Volume | ArrayLike, points: ArrayLike, filter: str | Filter = DEFAULT_FILTER,
-    boundary: str | Boundary = DEFAULT_BOUNDARY, derivative: int = 0, *, evaluator: Evaluator = "auto",
-    fetch: Fetch = "auto", fill: float | None = None, device: Device | str | int | None = None,
+    volume: Volume | ArrayLike,
+    points: ArrayLike,
+    filter: str | Filter = DEFAULT_FILTER,
+    boundary: str | Boundary = DEFAULT_BOUNDARY,
+    derivative: int = 0,
+    *,
+    evaluator: Evaluator = "auto",
+    fetch: Fetch = "auto",
+    fill: float | None = None,
+    device: Device | str | int | None = None,
     progress: Progress | None = None,
-) -> Floats:  # fmt: skip
+) -> Floats:
     """The reconstructed function, its gradient or its Hessian at points of the world.
 
     Parameters
@@ -661,11 +739,19 @@ def sample(
 
 
 def resample(
-    volume: Volume | ArrayLike, shape: Sequence[int] | None = None, spacing: Sequence[float] | float | None = None,
-    like: Volume | None = None, filter: str | Filter = DEFAULT_FILTER, boundary: str | Boundary = DEFAULT_BOUNDARY, *,
-    evaluator: Evaluator = "auto", fetch: Fetch = "auto", fill: float | None = None,
-    device: Device | str | int | None = None, progress: Progress | None = None,
-) -> Volume:  # fmt: skip
+    volume: Volume | ArrayLike,
+    shape: Sequence[int] | None = None,
+    spacing: Sequence[float] | float | None = None,
+    like: Volume | None = None,
+    filter: str | Filter = DEFAULT_FILTER,
+    boundary: str | Boundary = DEFAULT_BOUNDARY,
+    *,
+    evaluator: Evaluator = "auto",
+    fetch: Fetch = "auto",
+    fill: float | None = None,
+    device: Device | str | int | None = None,
+    progress: Progress | None = None,
+) -> Volume:
     """The volume on another grid; give exactly one of `shape`, `spacing` and `like`.
 
     Parameters
@@ -726,10 +812,16 @@ def resample(
 
 
 def magnify(
-    volume: Volume | ArrayLike, factor: int = 2, filter: str | Filter = DEFAULT_FILTER,
-    boundary: str | Boundary = DEFAULT_BOUNDARY, *, evaluator: Evaluator = "auto", fetch: Fetch = "auto",
-    device: Device | str | int | None = None, progress: Progress | None = None,
-) -> Volume:  # fmt: skip
+    volume: Volume | ArrayLike,
+    factor: int = 2,
+    filter: str | Filter = DEFAULT_FILTER,
+    boundary: str | Boundary = DEFAULT_BOUNDARY,
+    *,
+    evaluator: Evaluator = "auto",
+    fetch: Fetch = "auto",
+    device: Device | str | int | None = None,
+    progress: Progress | None = None,
+) -> Volume:
     """The volume with `factor` times the samples along each axis, the given ones among them (section 4.3).
 
     Sample ``j`` of the result lies at ``j / factor`` of the given ones, so every `factor`-th is one of
@@ -744,10 +836,18 @@ def magnify(
 
 
 def _resampled(
-    volume: Volume, matrix: NDArray[np.float64], offset: NDArray[np.float64], shape: tuple[int, ...], filter: str | Filter,
-    boundary: str | Boundary, evaluator: str, fetch: str, fill: float | None, device: Device | str | int | None,
+    volume: Volume,
+    matrix: NDArray[np.float64],
+    offset: NDArray[np.float64],
+    shape: tuple[int, ...],
+    filter: str | Filter,
+    boundary: str | Boundary,
+    evaluator: str,
+    fetch: str,
+    fill: float | None,
+    device: Device | str | int | None,
     progress: Progress | None,
-) -> Floats:  # fmt: skip
+) -> Floats:
     on, row, rule = as_device(device), as_filter(filter), as_boundary(boundary)
     path = choose_path(on, row, evaluator, fetch)
     fill = _fill_value(fill)

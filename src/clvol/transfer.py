@@ -63,9 +63,12 @@ class TransferFunction:
 
     @classmethod
     def from_cmap(
-        cls, name: str, value_range: tuple[float, float], opacity: float | Sequence[tuple[float, float]] = 1.0,
+        cls,
+        name: str,
+        value_range: tuple[float, float],
+        opacity: float | Sequence[tuple[float, float]] = 1.0,
         unit_distance: float | None = None,
-    ) -> TransferFunction:  # fmt: skip
+    ) -> TransferFunction:
         """Colours of a map of the `cmap` package ("viridis", "bone", ...) spread over a range of values."""
         import cmap
 

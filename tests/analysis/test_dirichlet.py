@@ -53,8 +53,9 @@ def test_what_is_band_limited_is_exact_with_its_slope(n: int) -> None:
     omega = 2 * np.pi * np.arange(1, 5) / n
     x = RNG.uniform(-n, 2 * n, 50)
     samples = sum(np.cos(w * np.arange(n) + k) for k, w in enumerate(omega))
-    np.testing.assert_allclose(dirichlet_sample(samples, x[:, None], "wrap"), sum(np.cos(w * x + k) for k, w in enumerate(omega)),
-                               atol=1e-12)  # fmt: skip
+    np.testing.assert_allclose(
+        dirichlet_sample(samples, x[:, None], "wrap"), sum(np.cos(w * x + k) for k, w in enumerate(omega)), atol=1e-12
+    )
     slope = sum(-w * np.sin(w * x + k) for k, w in enumerate(omega))
     np.testing.assert_allclose(dirichlet_sample(samples, x[:, None], "wrap", 1)[:, 0], slope, atol=1e-12)
 
@@ -67,7 +68,7 @@ def test_gradients_are_the_numeric_ones_in_the_world(rule: str) -> None:
     h = 1e-5
     ahead, behind = (
         np.stack([dirichlet_sample(volume, points + sign * step, rule) for step in h * np.eye(3)], -1) for sign in (1, -1)
-    )  # fmt: skip
+    )
     numeric = (ahead - behind) / (2 * h)
     np.testing.assert_allclose(dirichlet_sample(volume, points, rule, 1), numeric, atol=1e-7)
     assert dirichlet_sample(volume, points[0], rule).shape == ()
@@ -95,23 +96,37 @@ def test_the_volume_lies_where_its_samples_are(rule: str) -> None:
     np.testing.assert_allclose(got.volume.data, wanted, atol=1e-12)
 
 
-@pytest.mark.parametrize(("call", "error"), [
-    (lambda: dirichlet_kernel(0.0, 0), OptionError), (lambda: dirichlet_kernel("a", 3), OptionError),
-    (lambda: dirichlet_kernel(np.nan, 3), OptionError), (lambda: dirichlet_kernel(0.5, 10**12), OptionError),
-    (lambda: dirichlet_magnify(np.ones((9, 9)), 10**9), OutOfMemoryError),
-    (lambda: sinc_volume([[1.0]], 2, points=10**13), OutOfMemoryError),
-    (lambda: dirichlet_kernel(0.0, 3, 2), OptionError), (lambda: dirichlet_magnify([1.0], 0), OptionError),
-    (lambda: dirichlet_magnify([1.0], 1.5), OptionError), (lambda: dirichlet_magnify([1.0], 2, "zero"), OptionError),
-    (lambda: dirichlet_magnify([np.nan], 2), DataError), (lambda: dirichlet_magnify(["a"], 2), DataError),
-    (lambda: dirichlet_magnify([], 2), DataError), (lambda: dirichlet_magnify(np.ones((1,) * 4), 2), DataError),
-    (lambda: dirichlet_sample([1.0], [[0.0, 0.0]]), OptionError), (lambda: dirichlet_sample([1.0], 0.0), OptionError),
-    (lambda: dirichlet_sample([1.0], [[np.inf]]), OptionError), (lambda: dirichlet_sample([[1.0]], [[0.0]]), OptionError),
-    (lambda: dirichlet_sample([1.0], [[0.0]], "mirror", 2), OptionError),
-    (lambda: dirichlet_sample([[1.0]], [[0.0, 0.0]], "zero"), OptionError),
-    (lambda: sinc_volume([[1.0]], 2, boundary="zero"), OptionError), (lambda: sinc_volume([[1.0]], 2, "none"), OptionError),
-    (lambda: sinc_volume([[1.0]], 0), OptionError), (lambda: sinc_volume([1.0]), DataError),
-    (lambda: sinc_volume([[1.0]], points=0), OptionError), (lambda: sinc_volume([[np.inf]]), DataError),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("call", "error"),
+    [
+        (lambda: dirichlet_kernel(0.0, 0), OptionError),
+        (lambda: dirichlet_kernel("a", 3), OptionError),
+        (lambda: dirichlet_kernel(np.nan, 3), OptionError),
+        (lambda: dirichlet_kernel(0.5, 10**12), OptionError),
+        (lambda: dirichlet_magnify(np.ones((9, 9)), 10**9), OutOfMemoryError),
+        (lambda: sinc_volume([[1.0]], 2, points=10**13), OutOfMemoryError),
+        (lambda: dirichlet_kernel(0.0, 3, 2), OptionError),
+        (lambda: dirichlet_magnify([1.0], 0), OptionError),
+        (lambda: dirichlet_magnify([1.0], 1.5), OptionError),
+        (lambda: dirichlet_magnify([1.0], 2, "zero"), OptionError),
+        (lambda: dirichlet_magnify([np.nan], 2), DataError),
+        (lambda: dirichlet_magnify(["a"], 2), DataError),
+        (lambda: dirichlet_magnify([], 2), DataError),
+        (lambda: dirichlet_magnify(np.ones((1,) * 4), 2), DataError),
+        (lambda: dirichlet_sample([1.0], [[0.0, 0.0]]), OptionError),
+        (lambda: dirichlet_sample([1.0], 0.0), OptionError),
+        (lambda: dirichlet_sample([1.0], [[np.inf]]), OptionError),
+        (lambda: dirichlet_sample([[1.0]], [[0.0]]), OptionError),
+        (lambda: dirichlet_sample([1.0], [[0.0]], "mirror", 2), OptionError),
+        (lambda: dirichlet_sample([[1.0]], [[0.0, 0.0]], "zero"), OptionError),
+        (lambda: sinc_volume([[1.0]], 2, boundary="zero"), OptionError),
+        (lambda: sinc_volume([[1.0]], 2, "none"), OptionError),
+        (lambda: sinc_volume([[1.0]], 0), OptionError),
+        (lambda: sinc_volume([1.0]), DataError),
+        (lambda: sinc_volume([[1.0]], points=0), OptionError),
+        (lambda: sinc_volume([[np.inf]]), DataError),
+    ],
+)
 def test_bad_input_is_refused(call, error) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(error):
         call()

@@ -43,10 +43,15 @@ def test_a_step_is_what_the_reference_draws(name: str) -> None:
     np.testing.assert_allclose(got.values[5::97], drawn, atol=1e-10)
 
 
-@pytest.mark.parametrize(("name", "overshoot", "ringing"), [
-    ("nearest", 0, 0), ("linear", 0, 0), ("bspline3-approx", 0, 0),
-    ("catmull-rom", 2 / 27, 8 / 27),  # next to the step 1 + t (1 - t)² / 2, greatest at 1/3; up and down on both sides
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "overshoot", "ringing"),
+    [
+        ("nearest", 0, 0),
+        ("linear", 0, 0),
+        ("bspline3-approx", 0, 0),
+        ("catmull-rom", 2 / 27, 8 / 27),  # next to the step 1 + t (1 - t)² / 2, greatest at 1/3; up and down on both sides
+    ],
+)
 def test_overshoot_and_ringing_by_hand(name: str, overshoot: float, ringing: float) -> None:
     got = step_response(name)
     assert got.overshoot == pytest.approx(overshoot, abs=1e-4)
@@ -59,10 +64,18 @@ def test_rise_of_linear_is_eight_tenths() -> None:
     assert step_response("bspline3-approx").rise > step_response("mitchell").rise > step_response("bspline3").rise
 
 
-@pytest.mark.parametrize("call", [
-    lambda: step_response("none"), lambda: lowpass_step("box"), lambda: lowpass_step(None), lambda: lowpass_step("ideal", 1.0),
-    lambda: lowpass_step("ideal", 0.0), lambda: lowpass_step("gaussian", sigma=0), lambda: lowpass_step("gaussian", sigma="a"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: step_response("none"),
+        lambda: lowpass_step("box"),
+        lambda: lowpass_step(None),
+        lambda: lowpass_step("ideal", 1.0),
+        lambda: lowpass_step("ideal", 0.0),
+        lambda: lowpass_step("gaussian", sigma=0),
+        lambda: lowpass_step("gaussian", sigma="a"),
+    ],
+)
 def test_bad_input_is_refused(call) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(OptionError):
         call()

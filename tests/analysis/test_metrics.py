@@ -45,11 +45,16 @@ def test_postaliasing_by_parseval(name: str, energy: float) -> None:
     assert got.postaliasing_3d == pytest.approx(energy**3 - inside**3, abs=1e-12)
 
 
-@pytest.mark.parametrize(("name", "overshoot"), [
-    ("nearest", 0), ("linear", 0), ("bspline3-approx", 0),
-    ("catmull-rom", 1 / 24),  # the integral of (x - 1) (x - 2)² / 2 over [1, 2]
-    ("bspline3", (2 - math.sqrt(3)) / 4),  # what is left of the cardinal spline beyond 1: its pole is √3 - 2
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "overshoot"),
+    [
+        ("nearest", 0),
+        ("linear", 0),
+        ("bspline3-approx", 0),
+        ("catmull-rom", 1 / 24),  # the integral of (x - 1) (x - 2)² / 2 over [1, 2]
+        ("bspline3", (2 - math.sqrt(3)) / 4),  # what is left of the cardinal spline beyond 1: its pole is √3 - 2
+    ],
+)
 def test_overshoot_by_hand(name: str, overshoot: float) -> None:
     assert metrics(name).overshoot == pytest.approx(overshoot, abs=1e-12)
 
@@ -75,10 +80,19 @@ def test_a_filter_without_a_closed_form() -> None:
     assert metrics(bump).overshoot == pytest.approx(0, abs=1e-9)  # never negative, integral 1
 
 
-@pytest.mark.parametrize("bad", [
-    "none", 3, None, lambda w: w[:3], lambda _: "text", lambda w: w * np.nan, lambda _: 1 / 0,
-    Filter("skew", ((0.0, 1.0), (1.0, -0.5))),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "bad",
+    [
+        "none",
+        3,
+        None,
+        lambda w: w[:3],
+        lambda _: "text",
+        lambda w: w * np.nan,
+        lambda _: 1 / 0,
+        Filter("skew", ((0.0, 1.0), (1.0, -0.5))),
+    ],
+)
 def test_bad_input_is_refused(bad: object) -> None:
     with pytest.raises(OptionError):
         metrics(bad)  # type: ignore[arg-type]

@@ -66,13 +66,23 @@ def test_data_smaller_than_the_window() -> None:
     assert -1 < small < 1
 
 
-@pytest.mark.parametrize(("a", "b", "options", "error"), [
-    (IMAGE, IMAGE[1:], {}, DataError), (3.0, 3.0, {}, DataError), (np.ones((2, 2, 2, 2)),) * 2 + ({}, DataError),
-    (IMAGE * np.nan, IMAGE, {}, DataError), (IMAGE, IMAGE * np.inf, {}, DataError), ("a", "b", {}, DataError),
-    (np.empty((0, 3)),) * 2 + ({}, DataError), (IMAGE, np.ones_like(IMAGE), {}, OptionError),
-    (IMAGE, IMAGE, {"data_range": 0}, OptionError), (IMAGE, IMAGE, {"data_range": "a"}, OptionError),
-    (IMAGE, IMAGE, {"sigma": -1}, OptionError), (IMAGE, IMAGE, {"sigma": 1e12}, OptionError),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("a", "b", "options", "error"),
+    [
+        (IMAGE, IMAGE[1:], {}, DataError),
+        (3.0, 3.0, {}, DataError),
+        (np.ones((2, 2, 2, 2)),) * 2 + ({}, DataError),
+        (IMAGE * np.nan, IMAGE, {}, DataError),
+        (IMAGE, IMAGE * np.inf, {}, DataError),
+        ("a", "b", {}, DataError),
+        (np.empty((0, 3)),) * 2 + ({}, DataError),
+        (IMAGE, np.ones_like(IMAGE), {}, OptionError),
+        (IMAGE, IMAGE, {"data_range": 0}, OptionError),
+        (IMAGE, IMAGE, {"data_range": "a"}, OptionError),
+        (IMAGE, IMAGE, {"sigma": -1}, OptionError),
+        (IMAGE, IMAGE, {"sigma": 1e12}, OptionError),
+    ],
+)
 def test_bad_input_is_refused(a, b, options, error) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(error):
         ssim(a, b, **options)

@@ -30,8 +30,10 @@ ROWS = Table([Row(name="a, b", value=1 / 3, plain=3, hidden=np.ones(3)), Row(nam
 
 def test_csv_holds_numbers_in_full() -> None:
     assert list(csv.reader(io.StringIO(ROWS.to_csv()))) == [
-        ["name", "value", "plain"], ["a, b", repr(1 / 3), "3"], ["c|d", "", "4"],
-    ]  # fmt: skip
+        ["name", "value", "plain"],
+        ["a, b", repr(1 / 3), "3"],
+        ["c|d", "", "4"],
+    ]
 
 
 def test_json_holds_numbers_in_full() -> None:
@@ -39,9 +41,7 @@ def test_json_holds_numbers_in_full() -> None:
 
 
 def test_markdown_is_for_reading() -> None:
-    assert ROWS.to_markdown() == (
-        "| Name | Value (°) | plain |\n| --- | --: | --: |\n| a, b | 0.33 | 3 |\n| c\\|d | – | 4 |"
-    )  # fmt: skip
+    assert ROWS.to_markdown() == ("| Name | Value (°) | plain |\n| --- | --: | --: |\n| a, b | 0.33 | 3 |\n| c\\|d | – | 4 |")
 
 
 def test_rich_shows_the_same() -> None:

@@ -28,17 +28,20 @@ def test_constants_of_interpolating_splines(degree: int) -> None:
     assert got.constant == pytest.approx(zeta_constant(degree), rel=1e-12)
 
 
-@pytest.mark.parametrize(("name", "derivative", "order", "constant"), [
-    ("nearest", 0, 1, math.sqrt(1 / 12)),  # the mean square of t within ±1/2
-    ("linear", 0, 2, math.sqrt(1 / 120)),  # of t (1 - t) / 2
-    ("bspline3-approx", 0, 2, 1 / 6),  # half the variance of the kernel, 1/3
-    ("bspline5-approx", 0, 2, 1 / 4),
-    ("mitchell", 0, 2, 1 / 18),  # B / 6
-    ("bspline3-approx", 1, 2, 1 / 6),
-    ("nearest", 1, 0, 1),  # no slope at all
-    ("linear", 1, 1, math.sqrt(1 / 12)),
-    ("catmull-rom", 1, 2, math.sqrt(1 / 180)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "derivative", "order", "constant"),
+    [
+        ("nearest", 0, 1, math.sqrt(1 / 12)),  # the mean square of t within ±1/2
+        ("linear", 0, 2, math.sqrt(1 / 120)),  # of t (1 - t) / 2
+        ("bspline3-approx", 0, 2, 1 / 6),  # half the variance of the kernel, 1/3
+        ("bspline5-approx", 0, 2, 1 / 4),
+        ("mitchell", 0, 2, 1 / 18),  # B / 6
+        ("bspline3-approx", 1, 2, 1 / 6),
+        ("nearest", 1, 0, 1),  # no slope at all
+        ("linear", 1, 1, math.sqrt(1 / 12)),
+        ("catmull-rom", 1, 2, math.sqrt(1 / 180)),
+    ],
+)
 def test_constants_by_hand(name: str, derivative: int, order: int, constant: float) -> None:
     got = approximation(name, derivative)
     assert (got.filter, got.order) == (name, order)
@@ -133,14 +136,26 @@ def test_rows_in_floating_point() -> None:
     assert approximation(bump).order == bump.order == 1
 
 
-@pytest.mark.parametrize("call", [
-    lambda: approximation("none"), lambda: approximation("linear", 2), lambda: approximation("linear", True),
-    lambda: error_kernel("none", 1.0), lambda: error_kernel("linear", np.nan), lambda: error_kernel("linear", 2001),
-    lambda: error_kernel("linear", "a"), lambda: error_kernel("linear", 1.0, 2), lambda: taylor_coefficients("none", 0.5),
-    lambda: taylor_coefficients("linear", 1.0), lambda: taylor_coefficients("linear", -0.1),
-    lambda: taylor_coefficients("linear", np.nan), lambda: taylor_coefficients("linear", 0.5, 0),
-    lambda: taylor_coefficients("linear", 0.5, 13), lambda: taylor_coefficients("linear", 0.5, 3, 2),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: approximation("none"),
+        lambda: approximation("linear", 2),
+        lambda: approximation("linear", True),
+        lambda: error_kernel("none", 1.0),
+        lambda: error_kernel("linear", np.nan),
+        lambda: error_kernel("linear", 2001),
+        lambda: error_kernel("linear", "a"),
+        lambda: error_kernel("linear", 1.0, 2),
+        lambda: taylor_coefficients("none", 0.5),
+        lambda: taylor_coefficients("linear", 1.0),
+        lambda: taylor_coefficients("linear", -0.1),
+        lambda: taylor_coefficients("linear", np.nan),
+        lambda: taylor_coefficients("linear", 0.5, 0),
+        lambda: taylor_coefficients("linear", 0.5, 13),
+        lambda: taylor_coefficients("linear", 0.5, 3, 2),
+    ],
+)
 def test_bad_input_is_refused(call) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(OptionError):
         call()

@@ -126,9 +126,15 @@ def test_figure_4_is_a_bar_for_each_filter_and_a_panel_for_each_input() -> None:
     done: list[float] = []
     drawing = errors.draw(("linear", "bspline3"), samples=15, points=500, scan=phantoms.sphere(18), progress=done.append)
     assert [(n["input"], n["dimensions"]) for n in drawing.numbers] == [
-        ("Marschner–Lobb, z = 0", 2), ("zone plate", 2), ("photograph", 2), ("slice of the scan", 2),
-        ("Marschner–Lobb", 3), ("zone plate", 3), ("box, hard edges", 3), ("scan", 3),
-    ]  # fmt: skip
+        ("Marschner–Lobb, z = 0", 2),
+        ("zone plate", 2),
+        ("photograph", 2),
+        ("slice of the scan", 2),
+        ("Marschner–Lobb", 3),
+        ("zone plate", 3),
+        ("box, hard edges", 3),
+        ("scan", 3),
+    ]
     assert done == sorted(done)
     assert done[-1] == 1
     for axes, numbers in zip(axes_of(drawing), drawing.numbers, strict=True):
@@ -381,9 +387,14 @@ def test_every_filter_of_the_table_has_a_colour_of_its_own() -> None:
 
 def test_a_filter_has_one_colour_by_all_its_names() -> None:
     for one, other in (
-        ("lanczos(2)", "lanczos2"), ("sinc(4)", "sinc"), ("bc(1/3, 1/3)", "mitchell"), ("trilinear", "linear"),
-        ("bc(0,1/2)", "catmull-rom"), ("bc(1, 0)", "bspline3-approx"), ("BSPLINE3", "bspline3"),
-    ):  # fmt: skip
+        ("lanczos(2)", "lanczos2"),
+        ("sinc(4)", "sinc"),
+        ("bc(1/3, 1/3)", "mitchell"),
+        ("trilinear", "linear"),
+        ("bc(0,1/2)", "catmull-rom"),
+        ("bc(1, 0)", "bspline3-approx"),
+        ("BSPLINE3", "bspline3"),
+    ):
         assert style.colour(one) == style.colour(other)
     assert style.colour("bspline3") != style.colour("bspline3-approx")  # they differ in the prefilter alone
 
@@ -446,13 +457,23 @@ def test_figures_are_not_written_where_they_cannot_be(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "options"),
     [
-        ("1", {"samples": 1}), ("1", {"pixels": 2}), ("1", {"filter": "bogus"}), ("2", {"filters": ("bogus",)}),
-        ("3", {"pixels": 0}), ("4", {"samples": 2}), ("4", {"filters": ("bogus",)}), ("5", {"samples": 3}), ("6", {"pixels": 0}),
-        ("impulse", {"filters": ("bogus",)}), ("gradients", {"pixels": 0.5}), ("gradients", {"filters": ("bogus",)}),
-        ("convergence", {"filters": ("bogus",)}), ("cost", {"filters": ("bogus",)}),
+        ("1", {"samples": 1}),
+        ("1", {"pixels": 2}),
+        ("1", {"filter": "bogus"}),
+        ("2", {"filters": ("bogus",)}),
+        ("3", {"pixels": 0}),
+        ("4", {"samples": 2}),
+        ("4", {"filters": ("bogus",)}),
+        ("5", {"samples": 3}),
+        ("6", {"pixels": 0}),
+        ("impulse", {"filters": ("bogus",)}),
+        ("gradients", {"pixels": 0.5}),
+        ("gradients", {"filters": ("bogus",)}),
+        ("convergence", {"filters": ("bogus",)}),
+        ("cost", {"filters": ("bogus",)}),
         ("cost", {"points": 0, "filters": ("linear",)}),
     ],
-)  # fmt: skip
+)
 def test_bad_options_are_refused(name: str, options: dict[str, Any]) -> None:
     with pytest.raises(OptionError, match="must "):
         figures.draw(name, **options)
@@ -474,11 +495,16 @@ def test_a_figure_holds_as_many_panels_as_there_are_letters(name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "options"),
     [
-        ("2", {}), ("4", {"samples": 9, "points": 50}), ("5", {"samples": 9}), ("6", {"samples": 8, "pixels": 8}), ("impulse", {}),
-        ("gradients", {"samples": 9, "pixels": 16}), ("convergence", {"sizes": (17, 25), "points": 50}),
+        ("2", {}),
+        ("4", {"samples": 9, "points": 50}),
+        ("5", {"samples": 9}),
+        ("6", {"samples": 8, "pixels": 8}),
+        ("impulse", {}),
+        ("gradients", {"samples": 9, "pixels": 16}),
+        ("convergence", {"sizes": (17, 25), "points": 50}),
         ("cost", {"samples": 9, "points": 50}),
     ],
-)  # fmt: skip
+)
 def test_figures_take_filters_of_ones_own(name: str, options: dict[str, Any], device: Device) -> None:
     """Rows that no table knows, in any sequence."""
     own = clvol.from_callable("my own", lambda x: np.maximum(1 - np.abs(x) / 2, 0) / 2, 2)

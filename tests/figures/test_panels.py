@@ -90,9 +90,20 @@ def test_the_exact_panel_is_what_a_much_finer_sampled_volume_shows(drawn: tuple[
         tuple(view.eye), tuple(view.eye + view.forward), tuple(view.up), fov=2 * np.degrees(np.arctan(view.half_height))
     )
     picture = render(
-        fine, camera, "isosurface", "bspline5", size=(PIXELS, PIXELS), step=0.5, isovalue=ISOVALUE, color=SURFACE,
-        lights=LIGHTS, material=MATERIAL, background=(0.06, 0.07, 0.10), clip=((-1, -1, -1), (1, 1, 1)), device=device,
-    )  # fmt: skip
+        fine,
+        camera,
+        "isosurface",
+        "bspline5",
+        size=(PIXELS, PIXELS),
+        step=0.5,
+        isovalue=ISOVALUE,
+        color=SURFACE,
+        lights=LIGHTS,
+        material=MATERIAL,
+        background=(0.06, 0.07, 0.10),
+        clip=((-1, -1, -1), (1, 1, 1)),
+        device=device,
+    )
     difference = np.abs(picture - drawn[0][-1].picture)[..., :3].max(-1)
     # silhouettes fall to one side or the other: pixels where the picture is smooth are compared
     shade = drawn[0][-1].picture[..., 0]

@@ -143,15 +143,20 @@ def compare(got: dict[str, NDArray[Any]], want: dict[str, NDArray[Any]], allowed
 
 
 def check(
-    renderer: Renderer, camera: Camera, mode: str, allowed: Allowance = Allowance(), size: tuple[int, int] = SIZE,
-    step: float = STEP, *, ways: dict[str, Any] | None = None, **options: Any,
-) -> dict[str, NDArray[Any]]:  # fmt: skip
+    renderer: Renderer,
+    camera: Camera,
+    mode: str,
+    allowed: Allowance = Allowance(),
+    size: tuple[int, int] = SIZE,
+    step: float = STEP,
+    *,
+    ways: dict[str, Any] | None = None,
+    **options: Any,
+) -> dict[str, NDArray[Any]]:
     """Draw both ways and compare; `ways` are options of the kernels only."""
     options = {**OPTIONS, **options}
     got = renderer.render(camera, mode, size, step, **options, **(ways or {}))
-    want = reference.render(
-        renderer.volume, camera, mode, renderer.filter, renderer.coefficients.boundary, size, step, **options
-    )
+    want = reference.render(renderer.volume, camera, mode, renderer.filter, renderer.coefficients.boundary, size, step, **options)
     assert isinstance(want, dict)
     for name in want:
         assert got[name].shape == want[name].shape
@@ -262,8 +267,15 @@ def test_every_view(device: Device, keep: dict[Any, Renderer], view: str, mode: 
     allowed = replace(allowed, position=allowed.position + away * 1.2e-7)  # what float32 holds of a position
     if options.get("samples"):
         allowed = replace(allowed, pixels=2 * allowed.pixels)
-    check(held(keep, device, volume, "bspline3"), camera, mode, allowed, options.get("size", SIZE), step,
-          **{k: v for k, v in options.items() if k != "size"})  # fmt: skip
+    check(
+        held(keep, device, volume, "bspline3"),
+        camera,
+        mode,
+        allowed,
+        options.get("size", SIZE),
+        step,
+        **{k: v for k, v in options.items() if k != "size"},
+    )
 
 
 @pytest.mark.parametrize("mode", ["composite", "isosurface"])
@@ -289,10 +301,12 @@ LIGHTS = {
     "from the right": (Light((1, -0.3, 0.4)),),
     "from behind": (Light((0.5, 1, 0)),),
     "four colours": (
-        Light(None, (0.3, 0.3, 0.3)), Light((1, -1, 0.5), (0.9, 0.1, 0.1)), Light((-1, -1, 1), (0.1, 0.8, 0.1)),
+        Light(None, (0.3, 0.3, 0.3)),
+        Light((1, -1, 0.5), (0.9, 0.1, 0.1)),
+        Light((-1, -1, 1), (0.1, 0.8, 0.1)),
         Light((0, -1, -2), (0.1, 0.2, 0.9)),
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("mode", ["composite", "isosurface"])
@@ -300,9 +314,14 @@ LIGHTS = {
 def test_lights(device: Device, keep: dict[Any, Renderer], lights: str, mode: str) -> None:
     material = Material(ambient=0.1, diffuse=0.6, specular=0.4, shininess=12)
     check(
-        held(keep, device, block(), "bspline3"), CAMERA, mode, allowance("bspline3", mode, device),
-        lights=LIGHTS[lights], material=material, color=(0.3, 0.7, 0.5),
-    )  # fmt: skip
+        held(keep, device, block(), "bspline3"),
+        CAMERA,
+        mode,
+        allowance("bspline3", mode, device),
+        lights=LIGHTS[lights],
+        material=material,
+        color=(0.3, 0.7, 0.5),
+    )
 
 
 @pytest.mark.parametrize("value", [0.0, 0.3, -1234.5])

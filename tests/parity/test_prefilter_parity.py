@@ -28,10 +28,23 @@ RELATIVE = 1e-6
 ROWS = {row.name: row for row in (*filters().values(), bspline(7)) if row.prefilter}
 SHAPES = (
     *[(n,) for n in (1, 2, 3, 4, 5, 17, 64, 301)],
-    (1, 1), (2, 3), (5, 4), (33, 17), (1, 40), (40, 1),
-    (1, 1, 1), (2, 1, 3), (5, 4, 3), (9, 17, 12), (1, 1, 9), (9, 1, 1), (31, 3, 2),
-    (3, 25, 41), (12, 24, 30), (70, 9),
-)  # fmt: skip
+    (1, 1),
+    (2, 3),
+    (5, 4),
+    (33, 17),
+    (1, 40),
+    (40, 1),
+    (1, 1, 1),
+    (2, 1, 3),
+    (5, 4, 3),
+    (9, 17, 12),
+    (1, 1, 9),
+    (9, 1, 1),
+    (31, 3, 2),
+    (3, 25, 41),
+    (12, 24, 30),
+    (70, 9),
+)
 
 
 def check(device: Device, data: Any, name: str, rule: str = "mirror") -> None:
@@ -147,12 +160,23 @@ def test_hybrid_gives_the_coefficients_of_its_magnifier(device: Device) -> None:
     np.testing.assert_array_equal(prefilter(data, "hybrid", device=device), prefilter(data, "bspline3", device=device))
 
 
-@pytest.mark.parametrize(("data", "error"), [
-    (3.0, DataError), ([], DataError), (np.ones((2, 2, 2, 2)), DataError), (np.ones((0, 3)), DataError),
-    (["a"], DataError), ([1j], DataError), ([object()], DataError), ([np.nan, 1.0], DataError),
-    ([[1.0, np.inf]], DataError), ([1e38], DataError), ([[1.0], [1.0, 2.0]], DataError),
-    (np.zeros(3, "M8[s]"), DataError),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("data", "error"),
+    [
+        (3.0, DataError),
+        ([], DataError),
+        (np.ones((2, 2, 2, 2)), DataError),
+        (np.ones((0, 3)), DataError),
+        (["a"], DataError),
+        ([1j], DataError),
+        ([object()], DataError),
+        ([np.nan, 1.0], DataError),
+        ([[1.0, np.inf]], DataError),
+        ([1e38], DataError),
+        ([[1.0], [1.0, 2.0]], DataError),
+        (np.zeros(3, "M8[s]"), DataError),
+    ],
+)
 def test_bad_samples_are_refused(device: Device, data: Any, error: type[Exception]) -> None:
     with pytest.raises(error):
         prefilter(data, device=device)

@@ -99,9 +99,10 @@ def skip_without_images(device: Device, path: tuple[str, str]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "rule", "derivative", "path", "d"), COMBINATIONS,
+    ("name", "rule", "derivative", "path", "d"),
+    COMBINATIONS,
     ids=[f"{n}-{r}-d{k}-{p[0]}-{p[1]}-{d}D" for n, r, k, p, d in COMBINATIONS],
-)  # fmt: skip
+)
 def test_parity(device: Device, name: str, rule: str, derivative: int, path: tuple[str, str], d: int) -> None:
     skip_without_images(device, path)
     shapes = {3: [(5, 6, 7), (1, 2, 4), (3, 1, 1), (1, 1, 1)], 2: [(6, 7), (1, 5), (4, 1), (1, 1)]}[d]

@@ -47,17 +47,20 @@ def volumes(draw: st.DrawFn) -> Volume:
 def views(draw: st.DrawFn) -> dict[str, Any]:
     """A camera from near to far, a step, a clip box at times, and what is looked for."""
     camera = Camera.orbit(
-        draw(st.floats(-180, 180)), draw(st.floats(-89, 89)), zoom=draw(st.sampled_from([0.3, 1.0, 4.0])),
+        draw(st.floats(-180, 180)),
+        draw(st.floats(-89, 89)),
+        zoom=draw(st.sampled_from([0.3, 1.0, 4.0])),
         projection=draw(st.sampled_from(["perspective", "orthographic"])),
-    )  # fmt: skip
+    )
     points = sorted(draw(st.lists(st.floats(-0.5, 1.5), min_size=2, max_size=4, unique=True)))
     opacities = draw(st.lists(st.sampled_from([0.0, 0.0, 0.02, 1.0]), min_size=len(points), max_size=len(points)))
     return {
-        "camera": camera, "step": draw(st.sampled_from([0.3, 0.5, 1.0, 2.3, 40.0])),
+        "camera": camera,
+        "step": draw(st.sampled_from([0.3, 0.5, 1.0, 2.3, 40.0])),
         "isovalue": draw(st.sampled_from([0.0, 0.2, 0.5, 0.7, 1e-7, 5.0, -3.0])),
         "clip": draw(st.sampled_from([None, None, ((1.0, 1.0, 1.0), (9.0, 12.0, 4.0))])),
         "transfer": TransferFunction(((0.0, "red"), (1.0, "white")), tuple(zip(points, opacities, strict=True))),
-    }  # fmt: skip
+    }
 
 
 def same(

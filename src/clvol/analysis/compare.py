@@ -18,18 +18,7 @@ from clvol.analysis.table import Table, column
 from clvol.analysis.timing import seconds_a_sample
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.device import Device, as_device
-from clvol.errors import (
-    ClvolError,
-    DataError,
-    DeviceError,
-    OptionError,
-    enough_memory,
-    number,
-    one_of,
-    reals,
-    require_room,
-    whole,
-)
+from clvol.errors import ClvolError, DataError, DeviceError, OptionError, enough_memory, number, one_of, reals, require_room, whole
 from clvol.filters import Filter, as_filter, several_names
 from clvol.volume import Volume, as_volume
 
@@ -55,9 +44,19 @@ At random points of more than 85 000 samples it is measured at fewer of them, si
 """
 
 COMPARED: Final = (
-    EXACT_SINC, "nearest", "bspline3-approx", "linear", "mitchell", "catmull-rom", "bspline2", "bspline3", "omoms3", "bspline4",
-    "bspline5", "hybrid",
-)  # fmt: skip
+    EXACT_SINC,
+    "nearest",
+    "bspline3-approx",
+    "linear",
+    "mitchell",
+    "catmull-rom",
+    "bspline2",
+    "bspline3",
+    "omoms3",
+    "bspline4",
+    "bspline5",
+    "hybrid",
+)
 """What `compare` compares unless told otherwise."""
 
 
@@ -125,9 +124,17 @@ class ErrorTable(Table[ErrorRow]):
     """
 
     def __init__(
-        self, rows: Iterable[ErrorRow], *, samples: Volume, against: str, points: int, boundary: str, evaluated_on: str,
-        timed_on: str, filters: Iterable[Filter] = (),
-    ) -> None:  # fmt: skip
+        self,
+        rows: Iterable[ErrorRow],
+        *,
+        samples: Volume,
+        against: str,
+        points: int,
+        boundary: str,
+        evaluated_on: str,
+        timed_on: str,
+        filters: Iterable[Filter] = (),
+    ) -> None:
         super().__init__(rows)
         self.samples = samples
         self.against = against
@@ -162,13 +169,25 @@ class ErrorTable(Table[ErrorRow]):
 
 @enough_memory("what is compared")
 def compare(
-    source: Volume | ArrayLike | Function, filters: Sequence[str | Filter] = COMPARED, *, truth: Function | None = None,
-    gradient: Function | None = None, size: int | Sequence[int] = 41, domain: tuple[float, float] = (-1.0, 1.0),
-    dimensions: int = 3, boundary: str | Boundary = DEFAULT_BOUNDARY, factor: int = 2,
-    lowpass: Literal["gaussian", "none"] = "gaussian", margin: float = 4.0, points: int = 200_000, seed: int = 0,
-    timing: bool = True, device: Device | str | int | None = None, timing_device: Device | str | int | None = None,
+    source: Volume | ArrayLike | Function,
+    filters: Sequence[str | Filter] = COMPARED,
+    *,
+    truth: Function | None = None,
+    gradient: Function | None = None,
+    size: int | Sequence[int] = 41,
+    domain: tuple[float, float] = (-1.0, 1.0),
+    dimensions: int = 3,
+    boundary: str | Boundary = DEFAULT_BOUNDARY,
+    factor: int = 2,
+    lowpass: Literal["gaussian", "none"] = "gaussian",
+    margin: float = 4.0,
+    points: int = 200_000,
+    seed: int = 0,
+    timing: bool = True,
+    device: Device | str | int | None = None,
+    timing_device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
-) -> ErrorTable:  # fmt: skip
+) -> ErrorTable:
     """Measure what each filter makes of data whose truth is known.
 
     A function, or a volume with its `truth`, is compared at uniform random points of the world. Of a volume alone the
@@ -265,9 +284,15 @@ def compare(
                 rows[i] = replace(rows[i], seconds=1e6 * next(seconds))
         told(1.0)
     return ErrorTable(
-        rows, samples=trial.samples, against=trial.against, points=trial.points.shape[0], boundary=rule.name,
-        evaluated_on=_NUMPY if on is None else on.name, timed_on="" if clock is None else clock.name, filters=ours,
-    )  # fmt: skip
+        rows,
+        samples=trial.samples,
+        against=trial.against,
+        points=trial.points.shape[0],
+        boundary=rule.name,
+        evaluated_on=_NUMPY if on is None else on.name,
+        timed_on="" if clock is None else clock.name,
+        filters=ours,
+    )
 
 
 def _clock(named: Device | str | int | None, on: Device | None) -> Device | None:
@@ -343,9 +368,14 @@ def _held_back(
     slopes = reference.sample(original, world, "bspline5", rule, derivative=1)
     how = "after a Gaussian low-pass" if lowpass == "gaussian" else "without a low-pass"
     return _Trial(
-        samples, f"{count} samples of the original, decimated by {factor} {how}", world, None, slopes,
-        [k / factor for k in kept], original.data[np.ix_(*kept)],
-    )  # fmt: skip
+        samples,
+        f"{count} samples of the original, decimated by {factor} {how}",
+        world,
+        None,
+        slopes,
+        [k / factor for k in kept],
+        original.data[np.ix_(*kept)],
+    )
 
 
 def _sampled(function: Function, size: int | Sequence[int], domain: tuple[float, float], dimensions: int) -> Volume:
@@ -441,13 +471,16 @@ def _measure(trial: _Trial, row: str | Filter, rule: Boundary, on: Device | None
     if row == EXACT_SINC or as_filter(row).has_gradient:
         slope_rms, angles = _gradient_errors(trial, _at_points(trial, row, rule, on, 1))
     return ErrorRow(
-        row.name if isinstance(row, Filter) else row, rms, float(np.abs(error).max()),
+        row.name if isinstance(row, Filter) else row,
+        rms,
+        float(np.abs(error).max()),
         20 * (math.log10(span) - math.log10(rms)) if span > 0 and rms > 0 else None,
         ssim(_middle_of(fine), _middle_of(trial.lattice), span) if span > 0 else None,
-        slope_rms, *angles,
+        slope_rms,
+        *angles,
         max(0.0, float(got.max()) - high, low - float(got.min())),
         None,
-    )  # fmt: skip
+    )
 
 
 def _at_points(trial: _Trial, row: str | Filter, rule: Boundary, on: Device | None, derivative: int) -> Array:

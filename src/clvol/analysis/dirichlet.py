@@ -19,8 +19,14 @@ from clvol.filters import DEFAULT_FILTER, Filter, as_filter
 from clvol.volume import Volume, as_volume
 
 __all__ = [
-    "SincVolume", "dirichlet_kernel", "dirichlet_magnify", "dirichlet_sample", "dirichlet_weights", "periodic", "sinc_volume",
-]  # fmt: skip
+    "SincVolume",
+    "dirichlet_kernel",
+    "dirichlet_magnify",
+    "dirichlet_sample",
+    "dirichlet_weights",
+    "periodic",
+    "sinc_volume",
+]
 
 Array: TypeAlias = NDArray[np.float64]
 _CHUNK = 1 << 22  # numbers held at a time
@@ -186,15 +192,15 @@ def dirichlet_sample(
     step = max(1, _CHUNK // max(1, data.size // data.shape[0]))
     for first in range(0, flat.shape[0], step):
         part = flat[first : first + step]
-        weights = [
-            [dirichlet_weights(part[:, a], n, rule, m) for m in range(derivative + 1)] for a, n in enumerate(data.shape)
-        ]  # fmt: skip
+        weights = [[dirichlet_weights(part[:, a], n, rule, m) for m in range(derivative + 1)] for a, n in enumerate(data.shape)]
         sums: dict[tuple[int, ...], Array] = {(m,): np.tensordot(w, data, 1) for m, w in enumerate(weights[0])}
         for a in range(1, d):
             sums = {
                 (*order, m): np.einsum("cy,cy...->c...", w, block)
-                for order, block in sums.items() for m, w in enumerate(weights[a]) if sum(order) + m <= derivative
-            }  # fmt: skip
+                for order, block in sums.items()
+                for m, w in enumerate(weights[a])
+                if sum(order) + m <= derivative
+            }
         for column, order in enumerate(orders):
             result[first : first + step, column] = sums[order]
     if derivative:
@@ -204,9 +210,12 @@ def dirichlet_sample(
 
 @enough_memory("a magnified volume")
 def sinc_volume(
-    volume: Volume | ArrayLike, factor: int = 4, filter: str | Filter = DEFAULT_FILTER, boundary: str | Boundary = DEFAULT_BOUNDARY,
+    volume: Volume | ArrayLike,
+    factor: int = 4,
+    filter: str | Filter = DEFAULT_FILTER,
+    boundary: str | Boundary = DEFAULT_BOUNDARY,
     points: int = 2000,
-) -> SincVolume:  # fmt: skip
+) -> SincVolume:
     """The exact sinc as a volume that can be rendered: FFT magnification, to be followed by spline interpolation.
 
     Panel a) of Figure 6. The spline's error is stated: it falls with ``factor**4`` for ``bspline3``.
@@ -233,13 +242,11 @@ def sinc_volume(
     shift = np.full(volume.ndim, 0.5 / factor - 0.5 if rule.name == "reflect" else 0.0)
     fine = Volume(
         data, tuple(s / factor for s in volume.spacing), tuple(volume.index_to_world(shift)), volume.direction, volume.units
-    )  # fmt: skip
+    )
     places = np.random.default_rng(_SEED).uniform(0, 1, (points, volume.ndim)) * (np.array(volume.size) - 1)
     world = volume.index_to_world(places)
     difference = reference.sample(fine, world, row, rule) - dirichlet_sample(volume, world, rule)
-    return SincVolume(
-        fine, row.name, rule.name, float(np.sqrt(np.mean(difference**2))), float(np.abs(difference).max())
-    )  # fmt: skip
+    return SincVolume(fine, row.name, rule.name, float(np.sqrt(np.mean(difference**2))), float(np.abs(difference).max()))
 
 
 def periodic(boundary: str | Boundary) -> Boundary:

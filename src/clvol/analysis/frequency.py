@@ -75,7 +75,11 @@ def bands(filter: str | Filter, edge: float = math.pi / 2) -> Bands:
         cutoff = float(optimize.brentq(lambda w: abs(float(frequency_response(row, w))) - math.sqrt(0.5), *bracket))
     peak = greatest(lambda w: np.abs(frequency_response(row, w)), 2 * math.pi - edge, _FARTHEST, 4097)
     return Bands(
-        row.name, edge, cutoff, float(frequency_response(row, math.pi)),
-        greatest(lambda w: np.abs(frequency_response(row, w) - 1), 0.0, edge, 513), peak,
+        row.name,
+        edge,
+        cutoff,
+        float(frequency_response(row, math.pi)),
+        greatest(lambda w: np.abs(frequency_response(row, w) - 1), 0.0, edge, 513),
+        peak,
         -20 * math.log10(peak) if peak > 0 else None,
-    )  # fmt: skip
+    )

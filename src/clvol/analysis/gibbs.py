@@ -115,6 +115,4 @@ def _measured(name: str, x: Array, values: Array) -> StepResponse:
     else:
         rise = 0.0
     variation = float(np.abs(np.diff(values)).sum())
-    return StepResponse(
-        name=name, overshoot=above, undershoot=below, ringing=variation - 1, rise=rise, x=x, values=values
-    )  # fmt: skip
+    return StepResponse(name=name, overshoot=above, undershoot=below, ringing=variation - 1, rise=rise, x=x, values=values)

@@ -108,9 +108,7 @@ def _of_response(response: Callable[[Array], Array]) -> Metrics:
 
 def _metrics(name: str, smoothing: float, postaliasing: float, overshoot: float) -> Metrics:
     kept = 1 - smoothing
-    return Metrics(
-        name, smoothing, postaliasing, max(0.0, overshoot), 1 - kept**3, (kept + postaliasing) ** 3 - kept**3
-    )  # fmt: skip
+    return Metrics(name, smoothing, postaliasing, max(0.0, overshoot), 1 - kept**3, (kept + postaliasing) ** 3 - kept**3)
 
 
 def _panels(count: int) -> tuple[Array, Array]:

@@ -25,7 +25,7 @@ _HELD = 1 << 30  # bytes of coefficients that are held at once, unless one filte
 
 def seconds_a_sample(
     volume: Volume, rows: Sequence[Filter], boundary: Boundary, device: Device, progress: Callable[[float], Any] | None = None
-) -> list[float]:  # fmt: skip
+) -> list[float]:
     """The least time a sample of each filter at random positions of the volume, without the prefilter.
 
     In rounds, in which each filter takes its turn, so that what else the machine does falls on all alike.

@@ -17,8 +17,17 @@ __all__ = ["draw"]
 
 Array: TypeAlias = NDArray[np.float64]
 _SHOWN = (
-    "nearest", "linear", "bspline3-approx", "mitchell", "catmull-rom", "bspline2", "bspline3", "omoms3", "bspline4", "bspline5",
-)  # fmt: skip
+    "nearest",
+    "linear",
+    "bspline3-approx",
+    "mitchell",
+    "catmull-rom",
+    "bspline2",
+    "bspline3",
+    "omoms3",
+    "bspline4",
+    "bspline5",
+)
 _SIZES = (25, 37, 55, 81, 121, 181, 271)
 _WAVES = 2.0  # periods of the test function along each axis; whole, so that the function is even about the faces
 _FITTED = 3  # finest grids that a slope is measured on
@@ -35,9 +44,11 @@ def _slopes(points: Array) -> Array:
 
 
 def draw(
-    filters: Sequence[str | Filter] = _SHOWN, sizes: Sequence[int] = _SIZES, points: int = 20_000,
+    filters: Sequence[str | Filter] = _SHOWN,
+    sizes: Sequence[int] = _SIZES,
+    points: int = 20_000,
     progress: Callable[[float], Any] | None = None,
-) -> Drawing:  # fmt: skip
+) -> Drawing:
     """RMS error of values (left) and of gradients (right) of a smooth function on ever finer grids.
 
     Parameters
@@ -68,10 +79,15 @@ def draw(
         gradients = [t[i].gradient_rms or 0.0 for t in tables] if row.has_gradient else None
         numbers.append(
             {
-                "filter": row.name, "order": row.order, "sizes": counts, "rms": values, "gradient_rms": gradients,
-                "slope": _slope(spacing, values), "gradient_slope": None if gradients is None else _slope(spacing, gradients),
+                "filter": row.name,
+                "order": row.order,
+                "sizes": counts,
+                "rms": values,
+                "gradient_rms": gradients,
+                "slope": _slope(spacing, values),
+                "gradient_slope": None if gradients is None else _slope(spacing, gradients),
             }
-        )  # fmt: skip
+        )
     with styled():
         figure = new_figure(12, 5.2)
         left, right = figure.subplots(1, 2)

@@ -24,9 +24,12 @@ _PLACES = ((1, 0), (1, 1), (1, -1), (-1, 0), (-1, 1), (-1, -1), (0, 1.4), (0, -1
 
 
 def draw(
-    filters: Sequence[str | Filter] | None = None, samples: int = 41, points: int = 20_000,
-    device: Device | str | int | None = None, progress: Callable[[float], Any] | None = None,
-) -> Drawing:  # fmt: skip
+    filters: Sequence[str | Filter] | None = None,
+    samples: int = 41,
+    points: int = 20_000,
+    device: Device | str | int | None = None,
+    progress: Callable[[float], Any] | None = None,
+) -> Drawing:
     """Each filter's error on the Marschner-Lobb function against its time on a device: values left, gradients right.
 
     Parameters
@@ -49,9 +52,14 @@ def draw(
     on.require_usable()
     told = progress or (lambda _: None)
     table = analysis.compare(
-        phantoms.marschner_lobb_function, rows, gradient=phantoms.marschner_lobb_gradient, size=samples, points=points,
-        timing=False, progress=lambda done: told(_SHARE * done),
-    )  # fmt: skip
+        phantoms.marschner_lobb_function,
+        rows,
+        gradient=phantoms.marschner_lobb_gradient,
+        size=samples,
+        points=points,
+        timing=False,
+        progress=lambda done: told(_SHARE * done),
+    )
     seconds = seconds_a_sample(
         table.samples, rows, as_boundary(DEFAULT_BOUNDARY), on, lambda done: told(_SHARE + (1 - _SHARE) * done)
     )
@@ -60,9 +68,10 @@ def draw(
         for row, took in zip(table, seconds, strict=True)
     ]
     figure = plot(
-        numbers, "RMS error of the values",
+        numbers,
+        "RMS error of the values",
         f"Marschner–Lobb, {samples}³ samples; times on {on.name}. Line: nothing is both faster and better.",
-    )  # fmt: skip
+    )
     best = {name for name, _, _ in frontier([(n["filter"], n["nanoseconds"], n["rms"]) for n in numbers])}
     lines = [
         f"{n['filter']}: RMS error {n['rms']:.4f}, {n['nanoseconds']:.0f} ns a sample" + (" *" if n["filter"] in best else "")

@@ -51,9 +51,12 @@ class Case:
 
 
 def measure(
-    filters: Sequence[str | Filter] = FIGURE_6, samples: int = 41, points: int = 20_000, scan: Volume | ArrayLike | None = None,
+    filters: Sequence[str | Filter] = FIGURE_6,
+    samples: int = 41,
+    points: int = 20_000,
+    scan: Volume | ArrayLike | None = None,
     progress: Callable[[float], Any] | None = None,
-) -> list[Case]:  # fmt: skip
+) -> list[Case]:
     """Errors on inputs with a known truth, 2-D first; parameters as for `draw`."""
     samples, filters = whole("samples", samples, 4), as_compared(filters)
     require_room("samples", (12 * samples) ** 3, samples)
@@ -107,9 +110,12 @@ def mean_square(tables: Sequence[ErrorTable]) -> dict[str, float]:
 
 
 def draw(
-    filters: Sequence[str | Filter] = FIGURE_6, samples: int = 41, points: int = 20_000, scan: Volume | ArrayLike | None = None,
+    filters: Sequence[str | Filter] = FIGURE_6,
+    samples: int = 41,
+    points: int = 20_000,
+    scan: Volume | ArrayLike | None = None,
     progress: Callable[[float], Any] | None = None,
-) -> Drawing:  # fmt: skip
+) -> Drawing:
     """Figure 4: a bar for each filter, a panel for each input.
 
     Parameters
@@ -150,9 +156,14 @@ def _bars(axes: Any, case: Case) -> None:
     for place, error in zip(places, errors, strict=True):
         text = f"{error / 10.0**power:.3g}"
         axes.text(
-            error / 10.0**power + 0.02 * top / 10.0**power, place, text, va="center", fontsize=9,
-            color=INK, fontweight="bold" if error == errors.min() else "normal",
-        )  # fmt: skip
+            error / 10.0**power + 0.02 * top / 10.0**power,
+            place,
+            text,
+            va="center",
+            fontsize=9,
+            color=INK,
+            fontweight="bold" if error == errors.min() else "normal",
+        )
     axes.set(xlim=(0, 1.2 * top / 10.0**power), xlabel=f"× $10^{{{power}}}$, against the {case.how}")
     axes.set_yticks(places, [title(n) for n in names])
     axes.tick_params(axis="y", length=0)

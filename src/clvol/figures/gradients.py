@@ -24,9 +24,12 @@ _WHITE = (1.0, 1.0, 1.0)
 
 
 def draw(
-    filters: Sequence[str | Filter] = _SHOWN, samples: int = 41, pixels: int = 320, device: Device | str | int | None = None,
+    filters: Sequence[str | Filter] = _SHOWN,
+    samples: int = 41,
+    pixels: int = 320,
+    device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
-) -> Drawing:  # fmt: skip
+) -> Drawing:
     """Pictures of the Marschner-Lobb function above, angles of their normals to the true ones below.
 
     Parameters
@@ -47,9 +50,18 @@ def draw(
     for done, row in enumerate(rows, 1):
         with Renderer(volume, row, device=device) as renderer:
             seen = renderer.render(
-                CAMERA, "isosurface", (pixels, pixels), 0.25, isovalue=ISOVALUE, color=SURFACE, lights=LIGHTS,
-                material=MATERIAL, background=_WHITE, clip=BOX, outputs=("rgba", "normal", "position"),
-            )  # fmt: skip
+                CAMERA,
+                "isosurface",
+                (pixels, pixels),
+                0.25,
+                isovalue=ISOVALUE,
+                color=SURFACE,
+                lights=LIGHTS,
+                material=MATERIAL,
+                background=_WHITE,
+                clip=BOX,
+                outputs=("rgba", "normal", "position"),
+            )
         pictures.append(seen["rgba"][..., :3])
         errors.append(_angles(seen["normal"], seen["position"]))
         there = errors[-1][np.isfinite(errors[-1])]

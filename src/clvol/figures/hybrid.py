@@ -27,9 +27,12 @@ _WHITE = (1.0, 1.0, 1.0)
 
 
 def draw(
-    samples: int = 41, pixels: int = 400, scan: Volume | ArrayLike | None = None, device: Device | str | int | None = None,
+    samples: int = 41,
+    pixels: int = 400,
+    scan: Volume | ArrayLike | None = None,
+    device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
-) -> Drawing:  # fmt: skip
+) -> Drawing:
     """Figure 3: the same surface direct, by the hybrid, and by trilinear interpolation alone; differences; frame times.
 
     Parameters
@@ -57,9 +60,7 @@ def draw(
         raise OptionError(f"scan must hold more than one value, since a surface is drawn; got {low:g} throughout")
     look: dict[str, Any] = {"camera": Camera.orbit(30, 20, zoom=1.3)}
     if scan is None:
-        look = {
-            "camera": CAMERA, "isovalue": ISOVALUE, "color": SURFACE, "lights": LIGHTS, "material": MATERIAL, "clip": BOX,
-        }  # fmt: skip
+        look = {"camera": CAMERA, "isovalue": ISOVALUE, "color": SURFACE, "lights": LIGHTS, "material": MATERIAL, "clip": BOX}
     look |= {"mode": "isosurface", "size": (pixels, pixels), "background": _WHITE}
     numbers: list[dict[str, Any]] = []
     with ExitStack() as stack:
@@ -78,7 +79,7 @@ def draw(
         difference = float(np.sqrt(np.mean((picture - pictures[0]) ** 2)))
         numbers.append(
             {"filter": renderer.filter.name, "seconds": seconds, "coefficients_bytes": kept, "rms_difference": difference}
-        )  # fmt: skip
+        )
     with styled():
         figure = _drawn(pictures, numbers)
     lines = [
@@ -105,8 +106,9 @@ def _drawn(pictures: list[Any], numbers: list[dict[str, Any]]) -> Any:
     times, memory = middle.inset_axes((0.3, 0.62, 0.6, 0.3)), middle.inset_axes((0.3, 0.12, 0.6, 0.3))
     plain(middle)
     for axes, key, unit, heading in (
-        (times, "seconds", 1e-3, "time of a frame, ms"), (memory, "coefficients_bytes", 2**20, "coefficients, MiB"),
-    ):  # fmt: skip
+        (times, "seconds", 1e-3, "time of a frame, ms"),
+        (memory, "coefficients_bytes", 2**20, "coefficients, MiB"),
+    ):
         values = [n[key] / unit for n in numbers]
         axes.barh(range(3)[::-1], values, color=[colour(n["filter"]) for n in numbers], height=0.7)
         axes.set_yticks(range(3)[::-1], ["direct", "hybrid", "trilinear"])

@@ -35,9 +35,11 @@ def finer(image: Volume, factor: int, filter: str | Filter, device: Device | str
 
 
 def draw(
-    filters: Sequence[str | Filter] = FIGURE_6, samples: int = 65, device: Device | str | int | None = None,
+    filters: Sequence[str | Filter] = FIGURE_6,
+    samples: int = 65,
+    device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
-) -> Drawing:  # fmt: skip
+) -> Drawing:
     """Figure 5: a photograph and a zone plate of few samples, four times as fine by each filter.
 
     Parameters

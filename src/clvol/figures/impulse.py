@@ -49,10 +49,14 @@ def draw(filters: Sequence[str | Filter] = _SHOWN) -> Drawing:
             axes.set(xlim=(-_REACH, _REACH), ylim=(-0.28, 1.12), xticks=range(-4, 5, 2), yticks=(0, 0.5, 1))
             numbers.append(
                 {
-                    "filter": row.name, "peak": float(analysis.impulse_response(row, 0.0)), "least": float(response.min()),
-                    "taps": row.support, "continuity": row.continuity, "order": row.order,
+                    "filter": row.name,
+                    "peak": float(analysis.impulse_response(row, 0.0)),
+                    "least": float(response.min()),
+                    "taps": row.support,
+                    "continuity": row.continuity,
+                    "order": row.order,
                 }
-            )  # fmt: skip
+            )
         figure.supxlabel("distance from the sample, in samples; grey: the sinc", fontsize=9.5)
     lines = [f"{title(n['filter'])}: {n['peak']:.3f} at its own sample, least value {n['least']:.3f}" for n in numbers]
     return Drawing(figure, numbers, lines)

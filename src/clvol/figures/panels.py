@@ -29,9 +29,21 @@ from clvol.transfer import TransferFunction, otsu_threshold
 from clvol.volume import Volume, as_volume
 
 __all__ = [
-    "BOX", "CAMERA", "FIGURE_6", "ISOVALUE", "LIGHTS", "MATERIAL", "SIX", "SURFACE", "Panel", "compare", "draw", "figure6", "fixed",
+    "BOX",
+    "CAMERA",
+    "FIGURE_6",
+    "ISOVALUE",
+    "LIGHTS",
+    "MATERIAL",
+    "SIX",
+    "SURFACE",
+    "Panel",
+    "compare",
+    "draw",
+    "figure6",
+    "fixed",
     "settled",
-]  # fmt: skip
+]
 
 SIX = ("sinc", "nearest", "bspline3-approx", "linear", "mitchell", "bspline3")
 """The six reconstructions of the paper as rows of the table: the sinc is cut off."""
@@ -96,9 +108,15 @@ class Panel:
 
 
 def figure6(
-    size: int = 40, pixels: int = 512, filters: Sequence[str | Filter] = FIGURE_6, *, samples: int = 2, step: float = 0.25,
-    device: Device | str | int | None = None, progress: Progress | None = None,
-) -> tuple[list[Panel], NDArray[np.uint8]]:  # fmt: skip
+    size: int = 40,
+    pixels: int = 512,
+    filters: Sequence[str | Filter] = FIGURE_6,
+    *,
+    samples: int = 2,
+    step: float = 0.25,
+    device: Device | str | int | None = None,
+    progress: Progress | None = None,
+) -> tuple[list[Panel], NDArray[np.uint8]]:
     """Figure 6 of the paper: the Marschner-Lobb function sampled `size`³, reconstructed by each filter.
 
     Parameters
@@ -131,9 +149,19 @@ def figure6(
         held, through, finer, residual = _through(volume, row, DEFAULT_BOUNDARY)
         with Renderer(held, through, device=device) as renderer:
             drawn = renderer.render(
-                fixed(CAMERA, volume, held), "isosurface", (pixels, pixels), step * finer, isovalue=ISOVALUE, color=SURFACE,
-                lights=LIGHTS, material=MATERIAL, background=BACKGROUND, clip=BOX, samples=samples, progress=report,
-            )  # fmt: skip
+                fixed(CAMERA, volume, held),
+                "isosurface",
+                (pixels, pixels),
+                step * finer,
+                isovalue=ISOVALUE,
+                color=SURFACE,
+                lights=LIGHTS,
+                material=MATERIAL,
+                background=BACKGROUND,
+                clip=BOX,
+                samples=samples,
+                progress=report,
+            )
         values = sample(held, points, through, device=device)
         rms = float(np.sqrt(np.mean((values - truth) ** 2)))
         angle = _mean_angle(_gradients(held, surface, through, device), normals) if surface.size else None
@@ -148,10 +176,15 @@ def figure6(
 
 
 def compare(
-    volume: Volume | ArrayLike, filters: Sequence[str | Filter] = SIX, pixels: int = 384,
-    boundary: str | Boundary = DEFAULT_BOUNDARY, *, device: Device | str | int | None = None,
-    progress: Progress | None = None, **options: Any,
-) -> tuple[list[Panel], NDArray[np.uint8]]:  # fmt: skip
+    volume: Volume | ArrayLike,
+    filters: Sequence[str | Filter] = SIX,
+    pixels: int = 384,
+    boundary: str | Boundary = DEFAULT_BOUNDARY,
+    *,
+    device: Device | str | int | None = None,
+    progress: Progress | None = None,
+    **options: Any,
+) -> tuple[list[Panel], NDArray[np.uint8]]:
     """The same picture of a volume by each filter; `options` are those of `Renderer.render`.
 
     "exact-sinc" is drawn as in Figure 6, of at most a million samples, since it takes 64 times their memory; it ends up to
@@ -179,16 +212,19 @@ def compare(
             view = camera if held is volume else fixed(camera, volume, held)
             drawn = renderer.render(
                 view, size=(pixels, pixels), step=step * finer, progress=_part(progress, i, len(chosen)), **look
-            )  # fmt: skip
+            )
         panels.append(Panel(row if isinstance(row, str) else row.name, drawn, residual=residual))
     columns = min(len(panels), 3 if len(panels) % 3 == 0 else 4)
     return panels, grid([labelled(p.picture, p.label.rstrip()) for p in panels], columns=columns)
 
 
 def draw(
-    samples: int = 40, pixels: int = 512, filters: Sequence[str | Filter] = FIGURE_6, device: Device | str | int | None = None,
+    samples: int = 40,
+    pixels: int = 512,
+    filters: Sequence[str | Filter] = FIGURE_6,
+    device: Device | str | int | None = None,
     progress: Progress | None = None,
-) -> Drawing:  # fmt: skip
+) -> Drawing:
     """Figure 6 of the paper as a drawing: `figure6` with `samples`³ of the function."""
     panels, sheet = figure6(samples, pixels, filters, device=device, progress=progress)
     lines = [p.label.replace("\n", ": ") for p in panels if p.rms is not None]
@@ -225,7 +261,7 @@ def fixed(camera: Camera, volume: Volume, other: Volume) -> Camera:
     eye = tuple(map(float, view.eye))
     here = Camera.look_at(
         eye, tuple(view.eye + view.forward), tuple(map(float, view.up)), projection=camera.projection, fov=camera.fov
-    )  # fmt: skip
+    )
     return here.zoomed(here.view(other).half_height / view.half_height)
 
 
@@ -261,6 +297,16 @@ def _mean_angle(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 def _exact(volume: Volume, pixels: int, samples: int) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
     """Points of the true surface that the picture shows, (N, 3), and the picture."""
     return draw_function(
-        phantoms.marschner_lobb_function, phantoms.marschner_lobb_gradient, volume, CAMERA.view(volume), (pixels, pixels),
-        clip=BOX, isovalue=ISOVALUE, color=SURFACE, lights=LIGHTS, material=MATERIAL, background=BACKGROUND, samples=samples,
-    )  # fmt: skip
+        phantoms.marschner_lobb_function,
+        phantoms.marschner_lobb_gradient,
+        volume,
+        CAMERA.view(volume),
+        (pixels, pixels),
+        clip=BOX,
+        isovalue=ISOVALUE,
+        color=SURFACE,
+        lights=LIGHTS,
+        material=MATERIAL,
+        background=BACKGROUND,
+        samples=samples,
+    )

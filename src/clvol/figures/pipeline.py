@@ -27,7 +27,7 @@ _CAMERA = Camera.orbit(18, 0, projection="orthographic", zoom=1.2)
 _TRANSFER = TransferFunction(
     ((0.30, (0.17, 0.42, 0.69)), (0.48, (0.87, 0.54, 0.24)), (0.62, (0.97, 0.93, 0.84))),
     ((0.0, 0.0), (0.42, 0.0), (0.50, 0.16), (0.62, 0.30)),
-)  # fmt: skip
+)
 _STEP = 0.5
 _PROFILE = 1201
 
@@ -90,9 +90,17 @@ def follow(volume: Volume, filter: str, size: tuple[int, int], pixel: tuple[int,
     before = np.concatenate([[1.0], after[:-1]])
     gathered = np.cumsum((before * opacities)[:, None] * lit, axis=0)
     return Ray(
-        t - enter, points, values, np.clip(lit, 0, 1), opacities, gathered, 1 - after, origin + enter * direction, direction,
+        t - enter,
+        points,
+        values,
+        np.clip(lit, 0, 1),
+        opacities,
+        gathered,
+        1 - after,
+        origin + enter * direction,
+        direction,
         float(leave - enter),
-    )  # fmt: skip
+    )
 
 
 def draw(samples: int = 21, pixels: int = 240, filter: str = "bspline3", device: Device | str | int | None = None) -> Drawing:
@@ -131,16 +139,24 @@ def draw(samples: int = 21, pixels: int = 240, filter: str = "bspline3", device:
         shown.plot(*pixel, "s", markersize=9, markerfacecolor=final, markeredgecolor=INK, markeredgewidth=1.2)
         red, green, blue = final
         shown.annotate(
-            f"red {red:.2f}\ngreen {green:.2f}\nblue {blue:.2f}", pixel, (0.02, 0.82), textcoords="axes fraction", color=INK,
-            fontsize=8.5, arrowprops={"arrowstyle": "-", "color": INK, "linewidth": 0.8},
-        )  # fmt: skip
+            f"red {red:.2f}\ngreen {green:.2f}\nblue {blue:.2f}",
+            pixel,
+            (0.02, 0.82),
+            textcoords="axes fraction",
+            color=INK,
+            fontsize=8.5,
+            arrowprops={"arrowstyle": "-", "color": INK, "linewidth": 0.8},
+        )
     made = [float(v) for v in picture[pixel[1], pixel[0], :3]]
     numbers = [
         {
-            "pixel": list(pixel), "samples": int(ray.t.size), "color": [float(v) for v in final], "rendered": made,
+            "pixel": list(pixel),
+            "samples": int(ray.t.size),
+            "color": [float(v) for v in final],
+            "rendered": made,
             "opacity": float(ray.opacity[-1]),
         }
-    ]  # fmt: skip
+    ]
     line = f"{ray.t.size} samples along the ray of pixel {pixel[0]}, {pixel[1]} gather {100 * ray.opacity[-1]:.0f} % opacity"
     return Drawing(figure, numbers, [line])
 

@@ -45,14 +45,20 @@ def draw(filters: Sequence[str | Filter] = ("bspline3", "hybrid")) -> Drawing:
             far.plot(omega / np.pi, np.where(level > _FLOOR, level, np.nan), **look)
             numbers.append(asdict(analysis.bands(row)))
         near.set(
-            xlim=(0, 2), ylim=(-0.15, 1.12), xlabel="frequency ω / π, where 1 is Nyquist", ylabel="response",
+            xlim=(0, 2),
+            ylim=(-0.15, 1.12),
+            xlabel="frequency ω / π, where 1 is Nyquist",
+            ylabel="response",
             title="passband and the first band of aliases",
-        )  # fmt: skip
+        )
         near.annotate("ideal", (1.03, 0.97), color=GREY, fontsize=9)  # beside its edge, where no curve is
         far.set(
-            xlim=(0, _REACH), ylim=(_FLOOR, 6), xlabel="frequency ω / π", ylabel="|response|, decibels",
+            xlim=(0, _REACH),
+            ylim=(_FLOOR, 6),
+            xlabel="frequency ω / π",
+            ylabel="|response|, decibels",
             title="stopband: what is left of the aliases",
-        )  # fmt: skip
+        )
         legend_above(figure, near)
     lines = [
         f"{title(n['filter'])}: errs by up to {n['passband_error']:.3f} below π/2, lets "

@@ -26,9 +26,24 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
-    "FAINT", "GREY", "INK", "LETTERS", "Drawing", "colour", "folded", "label_ends", "legend_above", "new_figure", "plain",
-    "require_matplotlib", "require_suffix", "show", "spread", "styled", "title",
-]  # fmt: skip
+    "FAINT",
+    "GREY",
+    "INK",
+    "LETTERS",
+    "Drawing",
+    "colour",
+    "folded",
+    "label_ends",
+    "legend_above",
+    "new_figure",
+    "plain",
+    "require_matplotlib",
+    "require_suffix",
+    "show",
+    "spread",
+    "styled",
+    "title",
+]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -39,30 +54,70 @@ LETTERS = "abcdefghijklmnopqrstuvwxyz"
 _SUFFIXES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".tif", ".tiff")
 _DPI = 150
 _RC: Mapping[str, Any] = {
-    "font.size": 9.5, "axes.titlesize": 10.5, "axes.titleweight": "bold", "axes.titlelocation": "left", "axes.labelcolor": INK,
-    "axes.edgecolor": "#9a9a9a", "axes.linewidth": 0.8, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
-    "axes.axisbelow": True, "grid.color": "#e8e8e8", "grid.linewidth": 0.7, "text.color": INK, "xtick.color": INK,
-    "ytick.color": INK, "xtick.major.size": 3, "ytick.major.size": 3, "lines.linewidth": 1.8, "figure.facecolor": "white",
-    "savefig.facecolor": "white", "svg.fonttype": "none", "legend.frameon": False,
-}  # fmt: skip
+    "font.size": 9.5,
+    "axes.titlesize": 10.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelcolor": INK,
+    "axes.edgecolor": "#9a9a9a",
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e8e8e8",
+    "grid.linewidth": 0.7,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "xtick.major.size": 3,
+    "ytick.major.size": 3,
+    "lines.linewidth": 1.8,
+    "figure.facecolor": "white",
+    "savefig.facecolor": "white",
+    "svg.fonttype": "none",
+    "legend.frameon": False,
+}
 
 _COLOURS = {
-    EXACT_SINC: "#5b5b5b", "sinc": "#8a8a8a", "nearest": "#b07d4f", "bspline3-approx": "#2a9d8f", "linear": "#e9a100",
-    "mitchell": "#c2549d", "catmull-rom": "#58a032", "hybrid": "#7a5cc2", "omoms3": "#d1495b",
-    "bspline2": "#7fb2e5", "bspline3": "#1769c2", "bspline4": "#12508f", "bspline5": "#0b2f57",
-    "bspline2-approx": "#7cc7bc", "bspline4-approx": "#1d7268", "bspline5-approx": "#124a43",
-    "lanczos2": "#e08a76", "lanczos3": "#cf6a52", "lanczos4": "#b04d36", "lanczos5": "#8c3521",
-}  # fmt: skip
+    EXACT_SINC: "#5b5b5b",
+    "sinc": "#8a8a8a",
+    "nearest": "#b07d4f",
+    "bspline3-approx": "#2a9d8f",
+    "linear": "#e9a100",
+    "mitchell": "#c2549d",
+    "catmull-rom": "#58a032",
+    "hybrid": "#7a5cc2",
+    "omoms3": "#d1495b",
+    "bspline2": "#7fb2e5",
+    "bspline3": "#1769c2",
+    "bspline4": "#12508f",
+    "bspline5": "#0b2f57",
+    "bspline2-approx": "#7cc7bc",
+    "bspline4-approx": "#1d7268",
+    "bspline5-approx": "#124a43",
+    "lanczos2": "#e08a76",
+    "lanczos3": "#cf6a52",
+    "lanczos4": "#b04d36",
+    "lanczos5": "#8c3521",
+}
 _ACROSS = 4  # names in a row of a legend
 _GIVEN: dict[str, str] = {}  # colours of other filters
 _GOLDEN, _TRIED, _APART = 0.6180339887, 150, 0.22
 
 _TITLES = {
-    EXACT_SINC: "sinc, exact", "sinc": "sinc, cut off at 4 samples", "nearest": "nearest neighbour",
-    "bspline3-approx": "B-spline approximation", "linear": "linear", "mitchell": "Mitchell B = C = 1/3",
-    "catmull-rom": "Catmull–Rom", "bspline3": "B-spline interpolation", "hybrid": "hybrid, ×2 then linear",
-    "omoms3": "O-MOMS, cubic", "exact": "the function itself",
-}  # fmt: skip
+    EXACT_SINC: "sinc, exact",
+    "sinc": "sinc, cut off at 4 samples",
+    "nearest": "nearest neighbour",
+    "bspline3-approx": "B-spline approximation",
+    "linear": "linear",
+    "mitchell": "Mitchell B = C = 1/3",
+    "catmull-rom": "Catmull–Rom",
+    "bspline3": "B-spline interpolation",
+    "hybrid": "hybrid, ×2 then linear",
+    "omoms3": "O-MOMS, cubic",
+    "exact": "the function itself",
+}
 
 
 def colour(name: str) -> str:
@@ -247,7 +302,14 @@ def label_ends(axes: Axes, ends: Sequence[tuple[str, float, float, str]], gap: f
     right = max(float(p[0]) for p in at)
     for (text, _, _, shade), place, height in zip(ends, at, heights, strict=True):
         axes.annotate(
-            text, (float(place[0]), float(place[1])), (right + 0.025, height), "axes fraction", "axes fraction", color=shade,
-            fontsize=9, va="center", annotation_clip=False,
+            text,
+            (float(place[0]), float(place[1])),
+            (right + 0.025, height),
+            "axes fraction",
+            "axes fraction",
+            color=shade,
+            fontsize=9,
+            va="center",
+            annotation_clip=False,
             arrowprops={"arrowstyle": "-", "color": shade, "linewidth": 0.6, "shrinkA": 1, "shrinkB": 0},
-        )  # fmt: skip
+        )

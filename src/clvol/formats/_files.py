@@ -109,9 +109,7 @@ def _refuse_to_overwrite_anothers(data_file: Path, header: Path) -> None:
             names_it = rb"[\s=:/\\]" + re.escape(data_file.name.encode()) + rb"\s*$"
             if re.search(names_it, stream.read(MAX_HEADER), re.MULTILINE):
                 return
-    raise FormatError(
-        f"cannot write {header}: its samples would replace {data_file}, which is not its own; choose another name"
-    )
+    raise FormatError(f"cannot write {header}: its samples would replace {data_file}, which is not its own; choose another name")
 
 
 def storable(data: NDArray[Any], dtypes: Sequence[str]) -> NDArray[Any]:
@@ -142,8 +140,7 @@ def require_bytes(source: object, found: int, shape: Sequence[int], dtype: DType
     expected = sample_count(shape) * np.dtype(dtype).itemsize
     if found < expected or (exact and found != expected):
         raise FormatError(
-            f"{source} must hold {expected} bytes of samples for shape {tuple(shape)} "
-            f"and dtype {np.dtype(dtype)}; found {found}"
+            f"{source} must hold {expected} bytes of samples for shape {tuple(shape)} and dtype {np.dtype(dtype)}; found {found}"
         )
 
 

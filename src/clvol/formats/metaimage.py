@@ -19,15 +19,31 @@ __all__ = ["check", "read", "write"]
 
 _IO = "MetaImageIO"
 _DTYPES = {
-    "MET_CHAR": "int8", "MET_UCHAR": "uint8", "MET_SHORT": "int16", "MET_USHORT": "uint16",
-    "MET_INT": "int32", "MET_UINT": "uint32", "MET_LONG": "int32", "MET_ULONG": "uint32",
-    "MET_LONG_LONG": "int64", "MET_ULONG_LONG": "uint64", "MET_FLOAT": "float32", "MET_DOUBLE": "float64",
-}  # fmt: skip
+    "MET_CHAR": "int8",
+    "MET_UCHAR": "uint8",
+    "MET_SHORT": "int16",
+    "MET_USHORT": "uint16",
+    "MET_INT": "int32",
+    "MET_UINT": "uint32",
+    "MET_LONG": "int32",
+    "MET_ULONG": "uint32",
+    "MET_LONG_LONG": "int64",
+    "MET_ULONG_LONG": "uint64",
+    "MET_FLOAT": "float32",
+    "MET_DOUBLE": "float64",
+}
 # How many numbers a field has, as a power of the number of axes: ITK reads past what is not there.
 _NUMBERS = {
-    "TransformMatrix": 2, "Rotation": 2, "Orientation": 2,
-    "Offset": 1, "Position": 1, "Origin": 1, "CenterOfRotation": 1, "ElementSpacing": 1, "ElementSize": 1,
-}  # fmt: skip
+    "TransformMatrix": 2,
+    "Rotation": 2,
+    "Orientation": 2,
+    "Offset": 1,
+    "Position": 1,
+    "Origin": 1,
+    "CenterOfRotation": 1,
+    "ElementSpacing": 1,
+    "ElementSize": 1,
+}
 
 
 def read(path: Path) -> Content:

@@ -19,9 +19,17 @@ __all__ = ["check", "read", "write"]
 _IO = "NiftiImageIO"
 _HEADER_BYTES = 348
 _DTYPES = {
-    2: "uint8", 4: "int16", 8: "int32", 16: "float32", 64: "float64",
-    256: "int8", 512: "uint16", 768: "uint32", 1024: "int64", 1280: "uint64",
-}  # fmt: skip
+    2: "uint8",
+    4: "int16",
+    8: "int32",
+    16: "float32",
+    64: "float64",
+    256: "int8",
+    512: "uint16",
+    768: "uint32",
+    1024: "int64",
+    1280: "uint64",
+}
 
 
 def read(path: Path) -> Content:

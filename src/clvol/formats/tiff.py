@@ -57,9 +57,7 @@ def write(volume: Volume, path: Path) -> None:
     for axis, spacing in zip("XYZ", volume.spacing, strict=False):  # Z only for volumes: thus an image stays an image
         metadata |= {f"PhysicalSize{axis}": spacing, f"PhysicalSize{axis}Unit": unit}
     # Without the photometric a stack of three or four slices would be taken for colours.
-    _tifffile().imwrite(
-        path, storable(volume.data, _DTYPES), ome=True, photometric="minisblack", metadata=metadata
-    )
+    _tifffile().imwrite(path, storable(volume.data, _DTYPES), ome=True, photometric="minisblack", metadata=metadata)
 
 
 def _tifffile() -> Any:
@@ -142,9 +140,7 @@ def _ome(description: str) -> tuple[list[float], str, bool]:
     if not any(sizes):
         return [1.0, 1.0, 1.0], "", False
     units = [unit_name(pixels.get(f"PhysicalSize{axis}Unit", "µm")) for axis in "XYZ"]
-    spacing = [
-        float(size) * scale(unit, units[0]) if size else math.nan for size, unit in zip(sizes, units, strict=True)
-    ]
+    spacing = [float(size) * scale(unit, units[0]) if size else math.nan for size, unit in zip(sizes, units, strict=True)]
     return spacing, units[0], bool(sizes[2])
 
 

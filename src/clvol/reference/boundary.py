@@ -16,9 +16,7 @@ __all__ = ["extend", "period"]
 _MODES: Final[dict[str, Any]] = {"mirror": "reflect", "reflect": "symmetric", "wrap": "wrap", "zero": "constant"}
 
 
-def extend(
-    data: NDArray[Any], width: int | Sequence[tuple[int, int]], boundary: str | Boundary = DEFAULT_BOUNDARY
-) -> NDArray[Any]:
+def extend(data: NDArray[Any], width: int | Sequence[tuple[int, int]], boundary: str | Boundary = DEFAULT_BOUNDARY) -> NDArray[Any]:
     """`data` with more samples around it.
 
     Parameters

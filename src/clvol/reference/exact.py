@@ -22,10 +22,21 @@ _BISECTIONS = 45
 
 
 def draw_function(
-    function: Function, gradient: Function, volume: Volume, view: View, size: tuple[int, int], *, isovalue: float,
-    color: Sequence[float], lights: Sequence[Light], material: Material, background: Sequence[float],
-    clip: tuple[Sequence[float], Sequence[float]] | None = None, samples: int = 1, steps: int = 240,
-) -> tuple[Array, NDArray[np.float32]]:  # fmt: skip
+    function: Function,
+    gradient: Function,
+    volume: Volume,
+    view: View,
+    size: tuple[int, int],
+    *,
+    isovalue: float,
+    color: Sequence[float],
+    lights: Sequence[Light],
+    material: Material,
+    background: Sequence[float],
+    clip: tuple[Sequence[float], Sequence[float]] | None = None,
+    samples: int = 1,
+    steps: int = 240,
+) -> tuple[Array, NDArray[np.float32]]:
     """The first surface of a function within the domain of a volume, whose samples are not looked at.
 
     Parameters
@@ -51,12 +62,7 @@ def draw_function(
         drawn = np.broadcast_to(np.asarray(background, np.float64), picture.shape).copy()
         for part in np.array_split(crossing, -(-crossing.size // _RAYS)) if crossing.size else []:
             hit, t = _first_crossing(
-                lambda p: function(p) - isovalue,
-                rays.origin[part],
-                rays.direction[part],
-                rays.enter[part],
-                rays.leave[part],
-                steps,
+                lambda p: function(p) - isovalue, rays.origin[part], rays.direction[part], rays.enter[part], rays.leave[part], steps
             )
             at = rays.at(t, part[hit])
             colors = np.broadcast_to(np.asarray(color, np.float64), at.shape)

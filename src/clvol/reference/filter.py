@@ -56,10 +56,9 @@ def _closed_form(row: Filter) -> Closed | None:
         assert degree is not None
         made, closed = bspline(degree), _bspline(degree)
     elif name in ("mitchell", "catmull-rom") or name.startswith("bc("):
-        b, c = {
-            "mitchell": (Fraction(1, 3), Fraction(1, 3)),
-            "catmull-rom": (Fraction(0), Fraction(1, 2)),
-        }.get(name) or (Fraction(v) if "/" in v else Fraction(float(v)) for v in name[3:-1].split(","))
+        b, c = {"mitchell": (Fraction(1, 3), Fraction(1, 3)), "catmull-rom": (Fraction(0), Fraction(1, 2))}.get(name) or (
+            Fraction(v) if "/" in v else Fraction(float(v)) for v in name[3:-1].split(",")
+        )
         made, closed = bc(b, c), _bc(float(b), float(c))
     elif name == "omoms3":
         made, closed = _omoms3_row(), _omoms3
@@ -100,8 +99,10 @@ def _bc(b: float, c: float) -> Closed:
         r, chain = np.abs(x), np.where(x < 0, -1.0, 1.0) ** derivative  # d|x|/dx, once a derivative
 
         def piece(coefficients: Array) -> Array:
-            return np.polynomial.Polynomial(coefficients).deriv(derivative)(r) if derivative else (
-                np.polynomial.Polynomial(coefficients)(r)
+            return (
+                np.polynomial.Polynomial(coefficients).deriv(derivative)(r)
+                if derivative
+                else (np.polynomial.Polynomial(coefficients)(r))
             )
 
         inner, outer = (x >= -1) & (x < 1), (x >= -2) & (x < 2)
@@ -127,11 +128,7 @@ def _sinc_and_derivatives(x: Array) -> tuple[Array, Array, Array]:
     for m in range(9):
         series[2 * m] = (-1) ** m * np.pi ** (2 * m) / math.factorial(2 * m + 1)
     taylor = np.polynomial.Polynomial(series)
-    return (
-        np.where(small, taylor(x), s0),
-        np.where(small, taylor.deriv(1)(x), s1),
-        np.where(small, taylor.deriv(2)(x), s2),
-    )
+    return (np.where(small, taylor(x), s0), np.where(small, taylor.deriv(1)(x), s1), np.where(small, taylor.deriv(2)(x), s2))
 
 
 def _sinc(radius: int) -> Closed:

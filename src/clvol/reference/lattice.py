@@ -23,9 +23,12 @@ Array: TypeAlias = NDArray[np.float64]
 
 
 def lattice(
-    data: ArrayLike, axes: Sequence[ArrayLike], filter: str | Filter = DEFAULT_FILTER,
-    boundary: str | Boundary = DEFAULT_BOUNDARY, orders: Sequence[int] | None = None,
-) -> Array:  # fmt: skip
+    data: ArrayLike,
+    axes: Sequence[ArrayLike],
+    filter: str | Filter = DEFAULT_FILTER,
+    boundary: str | Boundary = DEFAULT_BOUNDARY,
+    orders: Sequence[int] | None = None,
+) -> Array:
     """Values, or a partial derivative, at every combination of positions along the axes.
 
     Parameters

@@ -59,9 +59,12 @@ class Rays:
 
 
 def camera_rays(
-    volume: Volume, view: View, size: tuple[int, int], offset: Sequence[float] = (0.5, 0.5),
+    volume: Volume,
+    view: View,
+    size: tuple[int, int],
+    offset: Sequence[float] = (0.5, 0.5),
     clip: tuple[Sequence[float], Sequence[float]] | None = None,
-) -> Rays:  # fmt: skip
+) -> Rays:
     """One ray a pixel, row by row from the top, `offset` of a pixel from its upper left corner.
 
     With ``a = 2 (x + ox) / width - 1`` and ``b = 1 - 2 (y + oy) / height``, a pixel lies at
@@ -71,9 +74,7 @@ def camera_rays(
     width, height = size
     a = 2 * (np.arange(width) + offset[0]) / width - 1
     b = 1 - 2 * (np.arange(height) + offset[1]) / height
-    plane = view.half_height * (
-        (a * width / height)[None, :, None] * view.right + b[:, None, None] * view.up
-    ).reshape(-1, 3)
+    plane = view.half_height * ((a * width / height)[None, :, None] * view.right + b[:, None, None] * view.up).reshape(-1, 3)
     if view.orthographic:
         origin, direction, nearest = view.eye + plane, np.broadcast_to(view.forward, plane.shape), -math.inf
     else:
@@ -121,9 +122,7 @@ def lattice(volume: Volume, view: View, aspect: float, step: float) -> tuple[int
     return axis, planes
 
 
-def _sample_distances(
-    volume: Volume, rays: Rays, axis: int, planes: int, step: float, ends: bool
-) -> tuple[Array, Bools, Array]:
+def _sample_distances(volume: Volume, rays: Rays, axis: int, planes: int, step: float, ends: bool) -> tuple[Array, Bools, Array]:
     """Distances of the samples in order, (N, M), which of them exist, and each ray's world step, (N,).
 
     Along an axis of n samples, plane k lies at index ``-1/2 + (k + 1/2) n / K``. With `ends`, the points
@@ -215,15 +214,27 @@ class _Scene:
 
 
 def render(
-    volume: Volume | ArrayLike, camera: Camera | None = None, mode: str | Mode = DEFAULT_MODE,
-    filter: str | Filter = DEFAULT_FILTER, boundary: str | Boundary = DEFAULT_BOUNDARY, size: tuple[int, int] = (64, 64),
-    step: float = 0.5, *, transfer: TransferFunction | None = None, isovalue: float | None = None,
-    color: Sequence[float] | str = (0.93, 0.87, 0.76), shading: bool = True,
-    gradient: Literal["analytic", "central"] = "analytic", material: Material | None = None,
-    lights: Sequence[Light] = (HEADLIGHT,), background: Sequence[float] | str | None = (0.0, 0.0, 0.0),
-    clip: tuple[Sequence[float], Sequence[float]] | None = None, samples: int = 1, termination: float = 0.0,
+    volume: Volume | ArrayLike,
+    camera: Camera | None = None,
+    mode: str | Mode = DEFAULT_MODE,
+    filter: str | Filter = DEFAULT_FILTER,
+    boundary: str | Boundary = DEFAULT_BOUNDARY,
+    size: tuple[int, int] = (64, 64),
+    step: float = 0.5,
+    *,
+    transfer: TransferFunction | None = None,
+    isovalue: float | None = None,
+    color: Sequence[float] | str = (0.93, 0.87, 0.76),
+    shading: bool = True,
+    gradient: Literal["analytic", "central"] = "analytic",
+    material: Material | None = None,
+    lights: Sequence[Light] = (HEADLIGHT,),
+    background: Sequence[float] | str | None = (0.0, 0.0, 0.0),
+    clip: tuple[Sequence[float], Sequence[float]] | None = None,
+    samples: int = 1,
+    termination: float = 0.0,
     outputs: str | Sequence[str] = "rgba",
-) -> Array | dict[str, Array]:  # fmt: skip
+) -> Array | dict[str, Array]:
     """One picture; parameters and results are those of `clvol.Renderer.render`, in float64.
 
     Differences: `termination` is 0 unless given, and all samples of all rays are held at once, so
@@ -269,10 +280,16 @@ def render(
         return np.asarray(differences @ volume.world_to_index_matrix)
 
     scene = _Scene(
-        value, slope, lambda g, c, d: shade(g, c, d, material, lights, flat), transfer,
-        transfer.unit_distance or float(np.mean(volume.spacing)), float(isovalue), np.asarray(color_of("color", color)),
-        shading, termination,
-    )  # fmt: skip
+        value,
+        slope,
+        lambda g, c, d: shade(g, c, d, material, lights, flat),
+        transfer,
+        transfer.unit_distance or float(np.mean(volume.spacing)),
+        float(isovalue),
+        np.asarray(color_of("color", color)),
+        shading,
+        termination,
+    )
     width, height = size
     view = (camera or Camera.orbit()).view(volume, width / height)
     axis, planes = lattice(volume, view, width / height, step)
@@ -378,5 +395,9 @@ def _mean(scene: _Scene, rays: Rays, t: Array, there: Bools, values: Array, step
 
 
 _MODES: dict[str, Callable[[_Scene, Rays, Array, Bools, Array, Array], _Gathered]] = {
-    "composite": _composite, "isosurface": _isosurface, "mip": _mip, "minip": _minip, "mean": _mean,
-}  # fmt: skip
+    "composite": _composite,
+    "isosurface": _isosurface,
+    "mip": _mip,
+    "minip": _minip,
+    "mean": _mean,
+}

@@ -26,9 +26,7 @@ def kernel_samples(filter: str | Filter) -> Array:
     return b[: int(np.flatnonzero(np.abs(b) > 1e-12)[-1]) + 1]
 
 
-def prefilter(
-    data: ArrayLike, filter: str | Filter = DEFAULT_FILTER, boundary: str | Boundary = DEFAULT_BOUNDARY
-) -> Array:
+def prefilter(data: ArrayLike, filter: str | Filter = DEFAULT_FILTER, boundary: str | Boundary = DEFAULT_BOUNDARY) -> Array:
     """Spline coefficients by solving eq. (11) along every axis; the row's own samples if it has no prefilter.
 
     Parameters
@@ -49,9 +47,7 @@ def prefilter(
     return np.ascontiguousarray(result)
 
 
-def prefilter_fft(
-    data: ArrayLike, filter: str | Filter = DEFAULT_FILTER, boundary: str | Boundary = DEFAULT_BOUNDARY
-) -> Array:
+def prefilter_fft(data: ArrayLike, filter: str | Filter = DEFAULT_FILTER, boundary: str | Boundary = DEFAULT_BOUNDARY) -> Array:
     """The same by dividing in the frequency domain, eq. (13), by the response of eq. (16).
 
     An axis is first continued to one full period of its boundary rule. "zero" has none.

@@ -24,9 +24,12 @@ _CHUNK = 1 << 21  # products held at a time
 
 
 def sample(
-    volume: Volume | ArrayLike, points: ArrayLike, filter: str | Filter = DEFAULT_FILTER,
-    boundary: str | Boundary = DEFAULT_BOUNDARY, derivative: int = 0,
-) -> Array:  # fmt: skip
+    volume: Volume | ArrayLike,
+    points: ArrayLike,
+    filter: str | Filter = DEFAULT_FILTER,
+    boundary: str | Boundary = DEFAULT_BOUNDARY,
+    derivative: int = 0,
+) -> Array:
     """The reconstructed function, its gradient or its Hessian at points of the world.
 
     Parameters
@@ -66,9 +69,13 @@ def sample(
 
 
 def resample(
-    volume: Volume | ArrayLike, shape: Sequence[int] | None = None, spacing: Sequence[float] | float | None = None,
-    like: Volume | None = None, filter: str | Filter = DEFAULT_FILTER, boundary: str | Boundary = DEFAULT_BOUNDARY,
-) -> Volume:  # fmt: skip
+    volume: Volume | ArrayLike,
+    shape: Sequence[int] | None = None,
+    spacing: Sequence[float] | float | None = None,
+    like: Volume | None = None,
+    filter: str | Filter = DEFAULT_FILTER,
+    boundary: str | Boundary = DEFAULT_BOUNDARY,
+) -> Volume:
     """The volume on another grid: `shape` or `spacing` over the same domain, or the grid of `like`."""
     volume = as_volume(volume)
     if sum(v is not None for v in (shape, spacing, like)) != 1:
@@ -92,23 +99,23 @@ def resample(
 
 
 def magnify(
-    volume: Volume | ArrayLike, factor: int = 2, filter: str | Filter = DEFAULT_FILTER,
-    boundary: str | Boundary = DEFAULT_BOUNDARY,
-) -> Volume:  # fmt: skip
+    volume: Volume | ArrayLike, factor: int = 2, filter: str | Filter = DEFAULT_FILTER, boundary: str | Boundary = DEFAULT_BOUNDARY
+) -> Volume:
     """The volume with `factor` times the samples along each axis; sample j lies at j / factor (section 4.3)."""
     volume = as_volume(volume)
     if isinstance(factor, bool) or not isinstance(factor, (int, np.integer)) or factor < 1:
         raise OptionError(f"factor must be a whole number of at least 1; got {factor!r}")
     fine = Volume(
-        np.zeros(tuple(factor * n for n in volume.shape)), tuple(s / factor for s in volume.spacing), volume.origin,
-        volume.direction, volume.units,
-    )  # fmt: skip
+        np.zeros(tuple(factor * n for n in volume.shape)),
+        tuple(s / factor for s in volume.spacing),
+        volume.origin,
+        volume.direction,
+        volume.units,
+    )
     return resample(volume, like=fine, filter=filter, boundary=boundary)
 
 
-def _at_indices(
-    data: NDArray[np.generic], index: Array, row: Filter, boundary: str | Boundary, derivative: int
-) -> Array:
+def _at_indices(data: NDArray[np.generic], index: Array, row: Filter, boundary: str | Boundary, derivative: int) -> Array:
     """Derivatives per sample at finite index positions of shape (N, d), x first."""
     d, scale = data.ndim, row.scale
     by = row.magnified_by
@@ -169,6 +176,6 @@ def _blend(stored: Array, first: NDArray[np.int64], at: Array, row: Filter, deri
         for column, order in enumerate(orders):
             terms = block
             for a in reversed(range(d)):
-                terms = np.einsum(f"n{axes[:a + 1]},n{axes[a]}->n{axes[:a]}", terms, weights[order[a]][:, a])
+                terms = np.einsum(f"n{axes[: a + 1]},n{axes[a]}->n{axes[:a]}", terms, weights[order[a]][:, a])
             result[begin : begin + step, column] = terms
     return result

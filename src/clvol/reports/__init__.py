@@ -74,10 +74,17 @@ def page(output: str | os.PathLike[str]) -> Path:
 
 
 def report(
-    volume: Volume, output: str | os.PathLike[str], name: str = "volume", filters: Sequence[str | Filter] = REPORTED,
-    pixels: int = 280, boundary: str | Boundary = DEFAULT_BOUNDARY, *, device: Device | str | int | None = None,
-    progress: Callable[[float], Any] | None = None, **options: Any,
-) -> Report:  # fmt: skip
+    volume: Volume,
+    output: str | os.PathLike[str],
+    name: str = "volume",
+    filters: Sequence[str | Filter] = REPORTED,
+    pixels: int = 280,
+    boundary: str | Boundary = DEFAULT_BOUNDARY,
+    *,
+    device: Device | str | int | None = None,
+    progress: Callable[[float], Any] | None = None,
+    **options: Any,
+) -> Report:
     """Measure, draw and recommend; the page holds all its pictures and is written when it is whole.
 
     Parameters
@@ -120,18 +127,24 @@ def report(
     told = progress or (lambda _: None)
     middle = _middle(volume)
     table = analysis.compare(
-        middle, measured, boundary=rule, factor=_FACTOR, points=_POINTS, timing_device=on,
-        progress=lambda done: told(_SHARE * done),
-    )  # fmt: skip
+        middle, measured, boundary=rule, factor=_FACTOR, points=_POINTS, timing_device=on, progress=lambda done: told(_SHARE * done)
+    )
     found = spectrum.spectra(middle)
     advice = advise(table, spectrum.high_share(found))
     low, high = volume.value_range
     drawn = None
     if low < high:
         drawn = cards(
-            volume, chosen, table.filter(advice.filter), pixels, rule, _FACTOR, on,
-            lambda done: told(_SHARE + (0.97 - _SHARE) * done), options,
-        )  # fmt: skip
+            volume,
+            chosen,
+            table.filter(advice.filter),
+            pixels,
+            rule,
+            _FACTOR,
+            on,
+            lambda done: told(_SHARE + (0.97 - _SHARE) * done),
+            options,
+        )
     text = _page(name, volume, middle, table, advice, found, drawn)
     try:
         file.parent.mkdir(exist_ok=True)
@@ -156,9 +169,8 @@ def _middle(volume: Volume) -> Volume:
 
 
 def _page(
-    name: str, volume: Volume, middle: Volume, table: ErrorTable, advice: Advice, found: spectrum.Spectra,
-    drawn: Cards | None,
-) -> str:  # fmt: skip
+    name: str, volume: Volume, middle: Volume, table: ErrorTable, advice: Advice, found: spectrum.Spectra, drawn: Cards | None
+) -> str:
     """The page; `drawn` is None where the data are constant."""
     rows = [row for row in table if row.filter != EXACT_SINC]
     low, high = volume.value_range

@@ -65,19 +65,29 @@ def inline(picture: Any) -> str:
 
 
 def page(
-    name: str, facts: Sequence[tuple[str, str]], advice: Advice, table: ErrorTable, drawn: Cards | None,
+    name: str,
+    facts: Sequence[tuple[str, str]],
+    advice: Advice,
+    table: ErrorTable,
+    drawn: Cards | None,
     plots: Sequence[tuple[str, str]],
-) -> str:  # fmt: skip
+) -> str:
     """The whole page; `plots` are headings and data URIs, `drawn` is None for constant data."""
     heading = f"Which filter for {escape(name)}?"
     parts = [
-        "<!DOCTYPE html>", '<html lang="en"><head><meta charset="utf-8">',
+        "<!DOCTYPE html>",
+        '<html lang="en"><head><meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        f"<title>{heading}</title><style>{_STYLE}</style></head><body>", f"<h1>{heading}</h1>",
-        _advice(advice), _facts(facts),
-        "<h2>Errors</h2>", _table(table, advice.filter), *(f'<p class="note">{escape(note)}</p>' for note in _NOTES),
-        "<h2>Pictures</h2>", f'<p class="note">{_CONSTANT}</p>' if drawn is None else _cards(drawn),
-    ]  # fmt: skip
+        f"<title>{heading}</title><style>{_STYLE}</style></head><body>",
+        f"<h1>{heading}</h1>",
+        _advice(advice),
+        _facts(facts),
+        "<h2>Errors</h2>",
+        _table(table, advice.filter),
+        *(f'<p class="note">{escape(note)}</p>' for note in _NOTES),
+        "<h2>Pictures</h2>",
+        f'<p class="note">{_CONSTANT}</p>' if drawn is None else _cards(drawn),
+    ]
     for text, source in plots:
         parts.append(f'<h2>{escape(text)}</h2><img class="plot" alt="{escape(text)}" src="{source}">')
     return "\n".join([*parts, "</body></html>", ""])
@@ -128,15 +138,17 @@ def _cards(drawn: Cards) -> str:
     head = "".join(
         f"<th>{text}</th>"
         for text in (
-            "", "the whole", "close-up where filters differ", f"difference of the close-up to {best}'s",
-            "close-up from every second sample", f"its difference to {best} from all samples",
+            "",
+            "the whole",
+            "close-up where filters differ",
+            f"difference of the close-up to {best}'s",
+            "close-up from every second sample",
+            f"its difference to {best} from all samples",
         )
-    )  # fmt: skip
+    )
     rows = []
     for card in drawn.cards:
-        pictures = (
-            card.whole, card.closer, _heat(card.difference, gains[0]), card.fewer, _heat(card.error, gains[1]),
-        )  # fmt: skip
+        pictures = (card.whole, card.closer, _heat(card.difference, gains[0]), card.fewer, _heat(card.error, gains[1]))
         cells = "".join(f'<td><img alt="{escape(card.filter)}" src="{inline(p)}"></td>' for p in pictures)
         rows.append(f"<tr><td>{_named(card.filter)}</td>{cells}</tr>")
     note = (

@@ -60,9 +60,16 @@ class Cards:
 
 
 def cards(
-    volume: Volume, filters: Sequence[Filter], best: Filter, pixels: int, boundary: Boundary, factor: int, device: Device,
-    progress: Callable[[float], Any], options: dict[str, Any],
-) -> Cards:  # fmt: skip
+    volume: Volume,
+    filters: Sequence[Filter],
+    best: Filter,
+    pixels: int,
+    boundary: Boundary,
+    factor: int,
+    device: Device,
+    progress: Callable[[float], Any],
+    options: dict[str, Any],
+) -> Cards:
     """Draw everything; `options` are those of `Renderer.render`."""
     look = settled(volume, options)  # the decimated volume's histogram is another
     look["background"] = look.get("background") or (1.0, 1.0, 1.0)

@@ -61,9 +61,12 @@ def plot(found: Spectra, filters: Sequence[Filter]) -> Figure:
             response = frequency_response(row, omega)
             left.plot(omega / np.pi, response, color=colour(row.name), label=title(row.name), linewidth=1.5)
         left.set(
-            xlim=(0, 2), ylim=(-0.15, 1.2), xlabel="frequency ω / π, where 1 is Nyquist", ylabel="response",
+            xlim=(0, 2),
+            ylim=(-0.15, 1.2),
+            xlabel="frequency ω / π, where 1 is Nyquist",
+            ylabel="response",
             title="what the filters keep (below 1) and let through (above)",
-        )  # fmt: skip
+        )
         legend_above(figure, left)
         for (name, w, power), style in zip(shown, ("-", "--", ":"), strict=False):
             level = 10 * np.log10(np.maximum(power / max(power.max(initial=0), 1e-300), 1e-12))
@@ -75,9 +78,12 @@ def plot(found: Spectra, filters: Sequence[Filter]) -> Figure:
             "above half of Nyquist", (0.75, 0.97), xycoords="axes fraction", ha="center", va="top", fontsize=8.5, color=GREY
         )
         right.set(
-            xlim=(0, 1), ylim=(_FLOOR, 3), xlabel="frequency ω / π", ylabel="power, decibels of the greatest",
+            xlim=(0, 1),
+            ylim=(_FLOOR, 3),
+            xlabel="frequency ω / π",
+            ylabel="power, decibels of the greatest",
             title="what the data hold",
-        )  # fmt: skip
+        )
         if shown:
             right.legend(fontsize=8, loc="lower left")
     return figure
