@@ -22,10 +22,13 @@ from bench.peers import Peer, Points, Shot
 from clvol.boundary import as_boundary
 from clvol.device import Device, as_device
 from clvol.errors import OutOfMemoryError
-from clvol.filters import as_filter
-from clvol.render import OBLIQUE, RAYS, Lattice
-from clvol.spline import Coefficients, _prefilter, choose_path, sample_coefficients
-from clvol.spline import Path as ReadPath
+from clvol.filter import as_filter
+from clvol.march.renderer import OBLIQUE, RAYS, Lattice
+from clvol.spline.coefficients import Coefficients
+from clvol.spline.evaluator import Evaluator as ReadPath
+from clvol.spline.evaluator import choose_evaluator
+from clvol.spline.points import sample_coefficients
+from clvol.spline.prefilter import _prefilter
 
 __all__ = ["Bench", "Case", "Measurement", "Skip", "Work", "all_cases", "draw", "measure", "samples_on_lattice", "shots"]
 
@@ -156,7 +159,7 @@ class Bench:
 
     @property
     def path(self) -> ReadPath:
-        return choose_path(self.device, self.row)
+        return choose_evaluator(self.device, self.row)
 
     def _head(self, n: int, kind: str = "float32") -> Array:
         return scene.head(n, self.device, kind)

@@ -74,9 +74,9 @@ def make() -> Arrays:
         arrays.update({f"{name}, {rule}, {output}": made[output] for output in OUTPUTS})
 
     modes = [mode for mode in clvol.modes() if mode in OPTIONS]
-    for mode, filter in itertools.product(modes, clvol.filters()):
+    for mode, row in itertools.product(modes, clvol.filters()):
         for tile in ("wide", "eights"):
-            draw(f"{mode}, {filter}, {tile}", filter, mode, tile)
+            draw(f"{mode}, {row}, {tile}", row, mode, tile)
         next(rules)  # so that the rules turn against the filters
     for mode, tile, flags in itertools.product(modes, TILES, range(3)):
         look: dict[str, Any] = {"gradient": "central"} if flags == 1 else {}
@@ -86,8 +86,8 @@ def make() -> Arrays:
         draw(f"{mode}, bspline3, {tile}, {look}, all samples", "bspline3", mode, tile, skipping=False, **look)
     for mode, (evaluator, fetch) in itertools.product(modes, EVALUATORS):
         draw(f"{mode}, {evaluator} from {fetch}", "bspline3", mode, evaluator=evaluator, fetch=fetch)
-    for filter, (evaluator, fetch) in itertools.product(clvol.filters(), EVALUATORS):
-        draw(f"composite, {filter}, {evaluator} from {fetch}", filter, "composite", evaluator=evaluator, fetch=fetch)
+    for row, (evaluator, fetch) in itertools.product(clvol.filters(), EVALUATORS):
+        draw(f"composite, {row}, {evaluator} from {fetch}", row, "composite", evaluator=evaluator, fetch=fetch)
     for mode, tile in itertools.product(modes, TILES):
         for k, (azimuth, elevation) in enumerate(((100, 10), (20, -75), (200, 5), (-50, 40))):
             more = ({}, {"samples": 3}, {"clip": ((7.0, -2.0, 4.0), (14.0, 6.0, 15.0))}, {"step": 1.7})[k]
@@ -100,27 +100,25 @@ def make() -> Arrays:
         draw(f"{mode}, two lights", "bspline3", mode, lights=(clvol.Light(), light), material=clvol.Material(0.1, 0.6, 0.4, 12.5))
 
     rng = np.random.default_rng(3)
-    for d, filter in itertools.product((3, 2), clvol.filters()):
+    for d, row in itertools.product((3, 2), clvol.filters()):
         samples = volume((13, 15, 14)[:d])
         low, high = samples.corners.min(0) - 4, samples.corners.max(0) + 4
         points = rng.uniform(low, high, (700, d))
         for derivative, (evaluator, fetch) in itertools.product((0, 1, 2), EVALUATORS):
             rule = next(rules)
-            key = f"points, {d}-D, {filter}, {rule}, derivative {derivative}, {evaluator} from {fetch}"
+            key = f"points, {d}-D, {row}, {rule}, derivative {derivative}, {evaluator} from {fetch}"
             try:
-                arrays[key] = clvol.sample(samples, points, filter, rule, derivative, evaluator=evaluator, fetch=fetch)
+                arrays[key] = clvol.sample(samples, points, row, rule, derivative, evaluator=evaluator, fetch=fetch)
             except DeviceError as error:
                 print(f"without {key}: {error}", file=sys.stderr)
         next(rules)
-    for d, filter, rule in itertools.product((3, 2), clvol.filters(), clvol.boundaries()):
+    for d, row, rule in itertools.product((3, 2), clvol.filters(), clvol.boundaries()):
         samples = volume((13, 15, 14)[:d])
-        arrays[f"prefilter, {d}-D, {filter}, {rule}"] = clvol.prefilter(samples.data, filter, rule)
-        arrays[f"magnified, {d}-D, {filter}, {rule}"] = clvol.magnify(samples, 3, filter, rule).data
-        arrays[f"resampled, {d}-D, {filter}, {rule}"] = clvol.resample(samples, (9, 20, 11)[:d], None, None, filter, rule).data
+        arrays[f"prefilter, {d}-D, {row}, {rule}"] = clvol.prefilter(samples.data, row, rule)
+        arrays[f"magnified, {d}-D, {row}, {rule}"] = clvol.magnify(samples, 3, row, rule).data
+        arrays[f"resampled, {d}-D, {row}, {rule}"] = clvol.resample(samples, (9, 20, 11)[:d], None, None, row, rule).data
         turned = clvol.Volume(np.broadcast_to(np.float32(0), (9, 8, 10)[:d]), (0.7,) * d, tuple(samples.center - 2))
-        arrays[f"turned, {d}-D, {filter}, {rule}"] = clvol.resample(
-            samples, like=turned, filter=filter, boundary=rule, fill=-1
-        ).data
+        arrays[f"turned, {d}-D, {row}, {rule}"] = clvol.resample(samples, like=turned, filter=row, boundary=rule, fill=-1).data
     for shape in ((1, 1, 1), (1, 9, 9), (2, 1, 40), (40, 3, 2)):
         small = np.random.default_rng(5).random(shape).astype(np.float32)
         for mode in modes:

@@ -47,5 +47,5 @@ def device(request: pytest.FixtureRequest) -> Device:
 @pytest.fixture
 def own_table(monkeypatch: pytest.MonkeyPatch) -> None:
     """The table of filters may be changed; it is put back."""
-    table = importlib.import_module("clvol.filters")  # clvol.filters is the function of that name
+    table = importlib.import_module("clvol.filter")  # clvol.filters is the function of that name
     monkeypatch.setattr(table, "_TABLE", dict(table._TABLE))

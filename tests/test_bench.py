@@ -15,7 +15,7 @@ import pytest
 import clvol
 from bench import cases, machine, scene
 from clvol.device import as_device
-from clvol.render import Lattice
+from clvol.march.renderer import Lattice
 
 ROOT = Path(__file__).parents[1]
 

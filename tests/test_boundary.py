@@ -8,8 +8,8 @@ import pytest
 from clvol import reference
 from clvol.boundary import Boundary, as_boundary, boundaries
 from clvol.errors import DataError, OptionError
-from clvol.filters import bspline, filters
-from clvol.reference.prefilter import kernel_samples
+from clvol.filter import bspline, filters
+from clvol.reference.spline.prefilter import kernel_samples
 
 RULES = tuple(boundaries())
 PREFILTERED = {row.name: row for row in (*filters().values(), bspline(7)) if row.prefilter}

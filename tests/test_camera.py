@@ -10,7 +10,7 @@ import pytest
 from clvol.camera import Camera
 from clvol.device import Device
 from clvol.errors import ClvolError, GeometryError, OptionError
-from clvol.render import render
+from clvol.march.renderer import render
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
 

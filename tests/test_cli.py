@@ -792,7 +792,7 @@ def test_a_progress_bar_is_drawn_on_a_terminal_only(clvol_command: Command, monk
 def test_an_interrupt_ends_a_long_render_soon_and_leaves_nothing() -> None:
     # tells when the first tile is done, for an interrupt before that would try another thing
     code = """
-from clvol.render import Renderer
+from clvol.march.renderer import Renderer
 render = Renderer.render
 def told(self, *args, progress, **options):
     return render(self, *args, progress=lambda done: print("tile", flush=True), **options)

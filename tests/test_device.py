@@ -13,7 +13,7 @@ import pytest
 
 from clvol.device import Device, as_device, devices
 from clvol.errors import DeviceError, OptionError, OutOfMemoryError
-from clvol.spline import sample
+from clvol.spline.field import sample
 
 USE = """
 import sys
@@ -193,7 +193,7 @@ def test_kernels_that_do_not_build_name_file_and_line(device: Device) -> None:
     from clvol import program
 
     with pytest.raises(DeviceError, match=r"filter\.cl"):
-        program.build(device, "points.cl", {"COORD_DOUBLE": 0, "DERIVATIVE": 0})
+        program.build(device, "spline/points.cl", {"COORD_DOUBLE": 0, "DERIVATIVE": 0})
 
 
 def test_no_device_at_all_says_what_to_install(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:

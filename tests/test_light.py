@@ -9,10 +9,11 @@ import pytest
 
 from clvol import phantoms
 from clvol.camera import Camera
+from clvol.color import color_of
 from clvol.device import Device
 from clvol.errors import ClvolError, GeometryError, OptionError
-from clvol.light import HEADLIGHT, MAX_LIGHTS, Light, Material, color_of
-from clvol.render import render
+from clvol.light import HEADLIGHT, MAX_LIGHTS, Light, Material
+from clvol.march.renderer import render
 
 
 def test_directions_are_made_unit() -> None:

@@ -13,11 +13,20 @@ import pytest
 from clvol import program
 from clvol.device import Device
 from clvol.errors import DeviceError
-from clvol.filters import as_filter, filters
-from clvol.modes import modes
-from clvol.render import FRAME, _frame_declaration
+from clvol.filter import as_filter, filters
+from clvol.march.renderer import FRAME, _frame_declaration
+from clvol.mode import modes
 
-KERNELS = ["march.cl", "points.cl", "order.cl", "prefilter.cl", "halo.cl", "bounds.cl", "separable.cl", "samples.cl"]
+KERNELS = [
+    "march/march.cl",
+    "spline/points.cl",
+    "spline/sort.cl",
+    "spline/prefilter.cl",
+    "spline/coefficients.cl",
+    "spline/minmax.cl",
+    "spline/resample.cl",
+    "spline/samples.cl",
+]
 FOLDER = program._folder()
 EVERY = sorted(str(p.relative_to(FOLDER)) for p in FOLDER.rglob("*.cl"))
 GENERATED = {"frame.cl": _frame_declaration()}
@@ -48,7 +57,7 @@ def test_every_line_keeps_its_file_and_number(name: str) -> None:
     lines = numbered(spliced(name))
     assert len(lines) > 15
     files = {file for file, _, _ in lines}
-    assert {name, "common.cl"} <= files
+    assert {name, "base/platform.cl"} <= files
     texts = {f: (GENERATED.get(f) or (FOLDER / f).read_text(encoding="utf-8")).splitlines() for f in files}
     for file, line, content in lines:
         if content:
@@ -76,14 +85,14 @@ def test_an_include_seen_before_leaves_no_gap() -> None:
 
 def test_a_mode_takes_its_place() -> None:
     for mode in modes().values():
-        text = program.source("march.cl", {"mode.cl": mode.file}, GENERATED)
+        text = program.source("march/march.cl", {"mode.cl": mode.file}, GENERATED)
         assert f'#line 1 "{mode.file}"' in text
         assert all(other.file == mode.file or f'"{other.file}"' not in text for other in modes().values())
 
 
 def test_a_build_error_names_file_and_line(device: Device) -> None:
     spoilt = "kernel void spoilt(global int *a) { a[0] = nonsense; }\n"
-    broken = 'kernel void fine(global int *a) { a[0] = 1; }\n\n#include "common.cl"\n\n' + spoilt
+    broken = 'kernel void fine(global int *a) { a[0] = 1; }\n\n#include "base/platform.cl"\n\n' + spoilt
     with pytest.raises(DeviceError, match="nonsense") as raised:
         program.build(device, "broken.cl", {"COORD_DOUBLE": 0}, generated={"broken.cl": broken})
     if device.is_pocl:
@@ -158,4 +167,4 @@ def test_floating_literals() -> None:
 
 
 def test_the_kernels_are_found() -> None:
-    assert Path(FOLDER / "march.cl").is_file()
+    assert Path(FOLDER / "march/march.cl").is_file()

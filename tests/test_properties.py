@@ -15,7 +15,7 @@ from hypothesis.extra.numpy import array_shapes, arrays
 
 from clvol import reference
 from clvol.boundary import boundaries
-from clvol.filters import Filter, as_filter, bspline, filters
+from clvol.filter import Filter, as_filter, bspline, filters
 
 MOST = 60
 

@@ -17,7 +17,7 @@ from clvol import DataError, FormatError, OptionError, Volume, phantoms, reports
 from clvol.analysis import EXACT_SINC, ErrorRow, ErrorTable
 from clvol.boundary import as_boundary
 from clvol.device import Device
-from clvol.filters import as_filters
+from clvol.filter import as_filters
 from clvol.reports import advice, html, pictures, spectrum
 
 pytest.importorskip("matplotlib")

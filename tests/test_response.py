@@ -7,7 +7,7 @@ import pytest
 
 from clvol import reference
 from clvol.errors import OptionError
-from clvol.filters import as_filter, bspline, filters
+from clvol.filter import as_filter, bspline, filters
 from clvol.response import frequency_response, prefilter_response
 from clvol.volume import Volume
 

@@ -25,14 +25,14 @@ from clvol.errors import (
     OptionError,
     OutOfMemoryError,
 )
-from clvol.filters import Filter, bc, bspline, filters, from_callable, from_pieces, lanczos, register, sinc
+from clvol.filter import Filter, bc, bspline, filters, from_callable, from_pieces, lanczos, register, sinc
 from clvol.formats import read, write
 from clvol.light import Light, Material
-from clvol.modes import Mode, modes
+from clvol.march.renderer import Renderer, render
+from clvol.mode import Mode, modes
 from clvol.picture import save
-from clvol.render import Renderer, render
 from clvol.response import frequency_response, prefilter_response
-from clvol.spline import magnify, prefilter, resample, sample
+from clvol.spline.field import magnify, prefilter, resample, sample
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.errors import one_of
+from clvol.checks import one_of
 
 __all__ = ["DEFAULT_BOUNDARY", "Boundary", "as_boundary", "boundaries"]
 

@@ -10,7 +10,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import GeometryError, number, one_of, reals
+from clvol.checks import number, one_of, reals
+from clvol.errors import GeometryError
 from clvol.volume import Volume
 
 __all__ = ["Camera", "View"]

@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import DeviceError, OutOfMemoryError, one_of
+from clvol.checks import one_of
+from clvol.errors import DeviceError, OutOfMemoryError
 
 __all__ = ["Device", "as_device", "devices"]
 
@@ -141,7 +142,7 @@ class Device:
         """
         if not self.has_images:
             return 0.0
-        from clvol.spline import measure_sampler
+        from clvol.spline.field import measure_sampler
 
         error = measure_sampler(self)
         return 0.0 if error > 0.1 else float(-np.log2(2 * max(error, 2.0**-25)))

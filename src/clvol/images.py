@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol import spline
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary
+from clvol.checks import number, whole
 from clvol.device import Device
-from clvol.errors import DataError, OptionError, number, whole
-from clvol.filters import DEFAULT_FILTER, Filter
+from clvol.errors import DataError, OptionError
+from clvol.filter import DEFAULT_FILTER, Filter
+from clvol.spline import field
 from clvol.volume import Volume, read_array
 
 __all__ = ["resample", "rotate", "zoom"]
@@ -169,7 +170,7 @@ def _drawn(
 ) -> NDArray[Any]:
     """Each channel on another grid, in the image's dtype."""
     planes = [pixels] if pixels.ndim == 2 else list(np.moveaxis(pixels, 2, 0))
-    drawn = [spline.resample(p, like=grid, filter=filter, boundary=boundary, fill=fill, device=device).data for p in planes]
+    drawn = [field.resample(p, like=grid, filter=filter, boundary=boundary, fill=fill, device=device).data for p in planes]
     result = drawn[0] if pixels.ndim == 2 else np.stack(drawn, -1)
     if pixels.dtype.kind == "f":
         return result.astype(pixels.dtype)

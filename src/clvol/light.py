@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-from clvol.errors import GeometryError, OptionError, number, reals
+from clvol.checks import number, reals
+from clvol.color import color_of
+from clvol.errors import GeometryError
 
 __all__ = ["HEADLIGHT", "MAX_LIGHTS", "Light", "Material"]
 
@@ -54,26 +55,6 @@ class Material:
     def __post_init__(self) -> None:
         for what in ("ambient", "diffuse", "specular", "shininess"):
             object.__setattr__(self, what, number(what, getattr(self, what), least=0))
-
-
-def color_of(what: str, value: Sequence[float] | str) -> tuple[float, float, float]:
-    """Red, green and blue, from three numbers or from a name that the `cmap` package knows."""
-    if isinstance(value, str):
-        import cmap
-
-        try:
-            rgba = cmap.Color(value)
-        except ValueError:
-            raise OptionError(f"{what} must be three numbers, or the name or hex code of a colour; got {value!r}") from None
-        return float(rgba.rgba.r), float(rgba.rgba.g), float(rgba.rgba.b)
-    rule = "three numbers, or the name of a colour"
-    rgb = reals(what, value, rule)
-    if rgb.shape != (3,):
-        raise OptionError(f"{what} must be {rule}; got {value!r}")
-    r, g, b = (float(v) for v in rgb)
-    if not all(math.isfinite(v) and v >= 0 for v in (r, g, b)):
-        raise OptionError(f"{what} must be finite and not negative; got {value!r}")
-    return r, g, b
 
 
 HEADLIGHT = Light()

@@ -8,7 +8,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.errors import OptionError, enough_memory, number, one_of, reals, require_room, whole
+from clvol.checks import enough_memory, number, one_of, reals, require_room, whole
+from clvol.errors import OptionError
 from clvol.volume import Volume
 
 __all__ = [

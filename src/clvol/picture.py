@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.errors import FormatError, OptionError, as_path, whole
+from clvol.checks import as_path, whole
+from clvol.errors import FormatError, OptionError
 from clvol.formats._files import staged
 
 __all__ = ["grid", "heat", "labelled", "require_suffix", "save", "to_bytes"]

@@ -15,7 +15,7 @@ import numpy as np
 from clvol.boundary import Boundary
 from clvol.device import Device, _opencl
 from clvol.errors import DeviceError
-from clvol.filters import Filter
+from clvol.filter import Filter
 
 __all__ = ["LANES", "Program", "boundary_defines", "build", "filter_defines", "row_reach", "source"]
 
@@ -31,7 +31,7 @@ def _folder() -> Path:
     """Inside the package when installed from a wheel; the repository's own when installed editable."""
     package = Path(__file__).resolve().parent
     for folder in (package / "cl", package.parents[1] / "cl"):
-        if (folder / "common.cl").is_file():
+        if (folder / "base/platform.cl").is_file():
             return folder
     raise DeviceError(f"the kernels (cl/*.cl) are not installed beside {package}; reinstall clvol")
 

@@ -11,8 +11,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.errors import OptionError, reals
-from clvol.filters import Filter, as_filter
+from clvol.checks import reals
+from clvol.errors import OptionError
+from clvol.filter import Filter, as_filter
 
 __all__ = ["frequency_response", "prefilter_response"]
 

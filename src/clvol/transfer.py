@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.errors import OptionError, number, reals
-from clvol.light import color_of
+from clvol.checks import number, reals
+from clvol.color import color_of
+from clvol.errors import OptionError
 from clvol.volume import Volume, as_volume
 
 __all__ = ["TABLE_SIZE", "TransferFunction", "otsu_threshold"]

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.errors import DataError, GeometryError, OptionError, number, reals, whole
+from clvol.checks import number, reals, whole
+from clvol.errors import DataError, GeometryError, OptionError
 
 __all__ = ["Volume", "as_volume", "read_array"]
 

@@ -9,7 +9,7 @@ from clvol import reference
 from clvol.analysis import impulse_response
 from clvol.analysis.cardinal import pieces
 from clvol.errors import OptionError
-from clvol.filters import as_filter, bspline, filters
+from clvol.filter import as_filter, bspline, filters
 from clvol.volume import Volume
 
 ROWS = {row.name: row for row in (*filters().values(), bspline(7), bspline(9))}

@@ -11,7 +11,7 @@ from scipy import optimize
 import clvol
 from clvol.analysis import Bands, bands, frequency_response
 from clvol.errors import OptionError
-from clvol.filters import Filter, filters, from_pieces
+from clvol.filter import Filter, filters, from_pieces
 
 NO_EVEN_KERNEL = Filter("skew", ((0.0, 1.0), (1.0, -0.5)))
 

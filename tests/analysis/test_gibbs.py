@@ -10,7 +10,7 @@ import pytest
 from clvol import reference
 from clvol.analysis import WILBRAHAM_GIBBS, lowpass_step, step_response
 from clvol.errors import OptionError
-from clvol.filters import filters
+from clvol.filter import filters
 
 
 def test_a_sharp_low_pass_overshoots_by_8_949_percent_whatever_its_cutoff() -> None:

@@ -11,7 +11,7 @@ from scipy import special
 from clvol import reference
 from clvol.analysis import approximation, error_kernel, frequency_response, impulse_response, taylor_coefficients
 from clvol.errors import OptionError
-from clvol.filters import as_filter, bspline, filters, from_callable, from_pieces
+from clvol.filter import as_filter, bspline, filters, from_callable, from_pieces
 
 
 def zeta_constant(degree: int) -> float:

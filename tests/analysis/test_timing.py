@@ -11,7 +11,7 @@ from clvol import phantoms
 from clvol.analysis import timing
 from clvol.boundary import as_boundary
 from clvol.device import Device
-from clvol.filters import Filter, as_filters
+from clvol.filter import Filter, as_filters
 
 ROWS = as_filters(["linear", "bspline3", "hybrid"])
 
@@ -29,7 +29,7 @@ def test_every_filter_takes_its_turn_and_the_least_counts(monkeypatch: pytest.Mo
         now += 1000 * row.support + (50 if len(asked) < 8 else 0)  # the machine is busy with something else at first
 
     monkeypatch.setattr(timing, "Coefficients", holds)
-    monkeypatch.setattr(timing, "choose_path", lambda *_: None)
+    monkeypatch.setattr(timing, "choose_evaluator", lambda *_: None)
     monkeypatch.setattr(timing, "sample_coefficients", takes)
     monkeypatch.setattr(timing.time, "perf_counter", lambda: now)
     told: list[float] = []

@@ -10,12 +10,12 @@ NumPy and SciPy in float64; a device is used only where one is asked for, and to
 from __future__ import annotations
 
 from clvol.analysis.cardinal import impulse_response
-from clvol.analysis.compare import COMPARED, EXACT_SINC, ErrorRow, ErrorTable, compare
+from clvol.analysis.comparison import COMPARED, EXACT_SINC, ErrorRow, ErrorTable, compare
 from clvol.analysis.dirichlet import SincVolume, dirichlet_kernel, dirichlet_magnify, dirichlet_sample, sinc_volume
 from clvol.analysis.frequency import Bands, bands, frequency_response, prefilter_response
 from clvol.analysis.gibbs import WILBRAHAM_GIBBS, StepResponse, lowpass_step, step_response
-from clvol.analysis.metrics import Metrics, metrics
-from clvol.analysis.ssim import ssim
+from clvol.analysis.marschner_lobb import Metrics, metrics
+from clvol.analysis.similarity import ssim
 from clvol.analysis.table import Table
 from clvol.analysis.theory import Approximation, approximation, error_kernel, taylor_coefficients
 

@@ -14,8 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol import reference
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.errors import DataError, OptionError, enough_memory, reals, require_room, whole
-from clvol.filters import DEFAULT_FILTER, Filter, as_filter
+from clvol.checks import enough_memory, reals, require_room, whole
+from clvol.errors import DataError, OptionError
+from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.volume import Volume, as_volume
 
 __all__ = [

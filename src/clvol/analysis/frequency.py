@@ -11,8 +11,8 @@ from scipy import optimize
 from clvol.analysis.cardinal import even_filter
 from clvol.analysis.extremum import greatest
 from clvol.analysis.table import column
-from clvol.errors import number
-from clvol.filters import Filter
+from clvol.checks import number
+from clvol.filter import Filter
 from clvol.response import frequency_response, prefilter_response
 
 __all__ = ["Bands", "bands", "frequency_response", "prefilter_response"]

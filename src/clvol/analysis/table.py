@@ -11,7 +11,8 @@ from dataclasses import Field, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
-from clvol.errors import DataError, FormatError, OptionError, as_path
+from clvol.checks import as_path
+from clvol.errors import DataError, FormatError, OptionError
 from clvol.formats._files import staged
 
 if TYPE_CHECKING:

@@ -12,8 +12,10 @@ import numpy as np
 
 from clvol.boundary import Boundary
 from clvol.device import Device
-from clvol.filters import Filter
-from clvol.spline import Coefficients, choose_path, sample_coefficients
+from clvol.filter import Filter
+from clvol.spline.coefficients import Coefficients
+from clvol.spline.evaluator import choose_evaluator
+from clvol.spline.points import sample_coefficients
 from clvol.volume import Volume
 
 __all__ = ["seconds_a_sample"]
@@ -47,7 +49,9 @@ def seconds_a_sample(
     for some in _together(volume, rows):
         first, least = len(least), least + [np.inf] * len(some)
         with ExitStack() as stack:
-            held = [(stack.enter_context(Coefficients(volume, row, boundary, device)), choose_path(device, row)) for row in some]
+            held = [
+                (stack.enter_context(Coefficients(volume, row, boundary, device)), choose_evaluator(device, row)) for row in some
+            ]
             for coefficients, path in held:
                 sample_coefficients(coefficients, path, points[:64])  # builds the kernel
             for done in range(1, _ROUNDS + 1):

@@ -12,8 +12,8 @@ from clvol.analysis.timing import seconds_a_sample
 from clvol.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.device import Device, as_device
 from clvol.figures.style import FAINT, GREY, Drawing, colour, new_figure, styled
-from clvol.filters import Filter, as_filters
-from clvol.filters import filters as all_filters
+from clvol.filter import Filter, as_filters
+from clvol.filter import filters as all_filters
 
 __all__ = ["draw", "frontier", "plot"]
 

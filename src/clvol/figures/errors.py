@@ -13,13 +13,14 @@ from numpy.typing import ArrayLike
 
 from clvol import phantoms
 from clvol.analysis import ErrorTable, compare
-from clvol.analysis.compare import as_compared
+from clvol.analysis.comparison import as_compared
 from clvol.boundary import DEFAULT_BOUNDARY
-from clvol.errors import OptionError, require_room, whole
+from clvol.checks import require_room, whole
+from clvol.errors import OptionError
 from clvol.figures.inputs import photograph, rings, zone_plate
 from clvol.figures.panels import FIGURE_6
 from clvol.figures.style import GREY, INK, Drawing, colour, new_figure, styled, title
-from clvol.filters import Filter
+from clvol.filter import Filter
 from clvol.volume import Volume, as_volume
 
 __all__ = ["Case", "draw", "every_shift", "mean_square", "measure"]

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from clvol import phantoms
+from clvol.checks import whole
 from clvol.device import Device
-from clvol.errors import whole
 from clvol.figures.panels import BOX, CAMERA, ISOVALUE, LIGHTS, MATERIAL, SURFACE
 from clvol.figures.style import LETTERS, Drawing, folded, new_figure, show, styled, title
-from clvol.filters import Filter, as_filters
-from clvol.render import Renderer
+from clvol.filter import Filter, as_filters
+from clvol.march.renderer import Renderer
 
 __all__ = ["draw"]
 

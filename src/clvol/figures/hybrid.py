@@ -12,11 +12,12 @@ from numpy.typing import ArrayLike
 
 from clvol import phantoms
 from clvol.camera import Camera
+from clvol.checks import whole
 from clvol.device import Device
-from clvol.errors import OptionError, whole
+from clvol.errors import OptionError
 from clvol.figures.panels import BOX, CAMERA, ISOVALUE, LIGHTS, MATERIAL, SURFACE
 from clvol.figures.style import GREY, Drawing, colour, new_figure, plain, show, styled, title
-from clvol.render import Renderer
+from clvol.march.renderer import Renderer
 from clvol.volume import Volume, as_volume
 
 __all__ = ["draw"]

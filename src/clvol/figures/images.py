@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.analysis import EXACT_SINC, dirichlet_magnify
-from clvol.analysis.compare import as_compared
+from clvol.analysis.comparison import as_compared
+from clvol.checks import require_room, whole
 from clvol.device import Device
-from clvol.errors import require_room, whole
 from clvol.figures.inputs import photograph, zone_plate
 from clvol.figures.panels import FIGURE_6
 from clvol.figures.style import LETTERS, Drawing, folded, new_figure, show, styled, title
-from clvol.filters import Filter
-from clvol.spline import sample
+from clvol.filter import Filter
+from clvol.spline.field import sample
 from clvol.volume import Volume
 
 __all__ = ["draw", "finer"]

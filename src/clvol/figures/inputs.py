@@ -7,7 +7,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import whole
+from clvol.checks import whole
 from clvol.volume import Volume
 
 __all__ = ["photograph", "rings", "zone_plate"]

@@ -11,20 +11,21 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol import phantoms
 from clvol.analysis import EXACT_SINC, sinc_volume
-from clvol.analysis.compare import as_compared
+from clvol.analysis.comparison import as_compared
 from clvol.analysis.dirichlet import periodic
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary
 from clvol.camera import Camera
+from clvol.checks import whole
 from clvol.device import Device
-from clvol.errors import OptionError, whole
+from clvol.errors import OptionError
 from clvol.figures.style import LETTERS, Drawing, title
-from clvol.filters import Filter, as_filter
+from clvol.filter import Filter, as_filter
 from clvol.light import Light, Material
-from clvol.modes import DEFAULT_MODE, as_mode
+from clvol.march.renderer import Renderer
+from clvol.mode import DEFAULT_MODE, as_mode
 from clvol.picture import grid, labelled
-from clvol.reference.exact import draw_function
-from clvol.render import Renderer
-from clvol.spline import Progress, sample
+from clvol.reference.march.exact import draw_function
+from clvol.spline.field import Progress, sample
 from clvol.transfer import TransferFunction, otsu_threshold
 from clvol.volume import Volume, as_volume
 

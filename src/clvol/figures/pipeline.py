@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from clvol import phantoms, reference
 from clvol.camera import Camera
+from clvol.checks import whole
 from clvol.device import Device
-from clvol.errors import whole
 from clvol.figures.style import GREY, INK, Drawing, colour, label_ends, new_figure, show, styled, title
 from clvol.light import HEADLIGHT, Material
-from clvol.reference.march import camera_rays, shade
-from clvol.render import FLAT, Lattice, render
+from clvol.march.renderer import FLAT, Lattice, render
+from clvol.reference.march.march import camera_rays, shade
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
 

@@ -17,8 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol import picture
 from clvol.analysis import EXACT_SINC
-from clvol.errors import FormatError, MissingDependencyError, OptionError, as_path
-from clvol.filters import Filter, as_filter, filters
+from clvol.checks import as_path
+from clvol.errors import FormatError, MissingDependencyError, OptionError
+from clvol.filter import Filter, as_filter, filters
 from clvol.formats._files import staged
 
 if TYPE_CHECKING:

@@ -13,7 +13,8 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike, DTypeLike
 
-from clvol.errors import DataError, FormatError, GeometryError, OptionError, as_path
+from clvol.checks import as_path
+from clvol.errors import DataError, FormatError, GeometryError, OptionError
 from clvol.formats import dicom, metaimage, nifti, npy, nrrd, raw, tiff
 from clvol.formats._files import Reader, Writer, foreign_errors, staged
 from clvol.volume import Volume, as_volume

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import DTypeLike
 
-from clvol.errors import OptionError, one_of
+from clvol.checks import one_of
+from clvol.errors import OptionError
 from clvol.formats._files import Content, require_bytes, sample_count
 
 __all__ = ["read"]

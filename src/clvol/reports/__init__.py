@@ -14,13 +14,14 @@ from typing import Any
 
 from clvol import analysis
 from clvol.analysis import EXACT_SINC, ErrorTable
-from clvol.analysis.compare import as_compared
+from clvol.analysis.comparison import as_compared
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.checks import as_path, whole
 from clvol.device import Device, as_device
-from clvol.errors import FormatError, OptionError, as_path, whole
+from clvol.errors import FormatError, OptionError
 from clvol.figures import cost
 from clvol.figures.style import require_matplotlib
-from clvol.filters import Filter
+from clvol.filter import Filter
 from clvol.formats._files import require_folder, staged
 from clvol.reports import html, spectrum
 from clvol.reports.advice import Advice, advise

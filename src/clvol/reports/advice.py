@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from clvol.analysis import EXACT_SINC, ErrorRow, ErrorTable
 from clvol.figures.style import title
-from clvol.filters import Filter
+from clvol.filter import Filter
 
 __all__ = ["Advice", "advise"]
 

@@ -13,9 +13,9 @@ from clvol.boundary import Boundary
 from clvol.camera import Camera
 from clvol.device import Device
 from clvol.figures.panels import fixed, settled
-from clvol.filters import Filter, as_filter
-from clvol.modes import as_mode
-from clvol.render import Renderer
+from clvol.filter import Filter, as_filter
+from clvol.march.renderer import Renderer
+from clvol.mode import as_mode
 from clvol.volume import Volume
 
 __all__ = ["Card", "Cards", "cards"]

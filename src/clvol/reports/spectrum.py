@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clvol.analysis import frequency_response
 from clvol.figures.style import FAINT, GREY, INK, colour, legend_above, new_figure, styled, title
-from clvol.filters import Filter
+from clvol.filter import Filter
 from clvol.volume import Volume
 
 if TYPE_CHECKING:

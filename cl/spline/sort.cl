@@ -1,0 +1,67 @@
+// Kernels: points sorted by the brick of the volume that they lie in, by counting. What is read for one of them is then
+// in a cache for the next.
+//
+// Set by the host: DIMENSIONS, BRICKS (how many at most), LANES (8), and what is included. A work-item takes a stretch
+// of the points.
+
+#include "base/platform.cl"
+#include "base/lanes.cl"
+#include "spline/position.cl"
+#include "spline/positions.cl"
+
+INLINE size_t stretch(ulong count, size_t item) { return count * item / get_global_size(0); }
+
+INLINE mask bricks_along(coords_t x, int size, int bits)
+{
+    const coord4 last = (coord4)(size - 1), none = (coord4)(0);
+    x.low = x.low > none ? x.low < last ? x.low : last : none;   // what is not a number is in the first
+    x.high = x.high > none ? x.high < last ? x.high : last : none;
+    return (mask)(CONVERT(x.low, int4), CONVERT(x.high, int4)) >> bits;
+}
+
+// grid: bricks along x and y, and the logarithm of their edge. counts: points of each stretch in each brick.
+kernel void count_bricks(constant coord *transform, const int4 size, const int4 grid, global const POINT *points,
+                         const ulong count, global ushort *bricks, global uint *counts)
+{
+    const size_t item = get_global_id(0), end = stretch(count, item + 1);
+    source_t source = { points, stretch(count, item) };
+    uint held[BRICKS];
+    for (int i = 0; i < BRICKS; ++i)
+        held[i] = 0;
+    for (; source.first < end; source.first += LANES) {
+        const int some = end - source.first < LANES ? end - source.first : LANES;
+        const group_t at = group_index(group_of(source, 0, some), transform);
+        lane_masks_u brick;
+        brick.all = bricks_along(at.y, size.y, grid.z);
+#if DIMENSIONS == 3
+        brick.all += bricks_along(at.z, size.z, grid.z) * grid.y;
+#endif
+        brick.all = brick.all * grid.x + bricks_along(at.x, size.x, grid.z);
+        for (int i = 0; i < some; ++i) {
+            bricks[source.first + i] = brick.each[i];
+            ++held[brick.each[i]];
+        }
+    }
+    for (int i = 0; i < BRICKS; ++i)
+        counts[item * BRICKS + i] = held[i];
+}
+
+// starts: where the first point of each stretch in each brick goes. Results: x, y, z and the place in `points`.
+kernel void sort_points(global const POINT *points, const ulong count, global const ushort *bricks, global const uint *starts,
+                        global POINT *sorted)
+{
+    typedef PASTE(POINT, 4) point4;
+    const size_t item = get_global_id(0), end = stretch(count, item + 1);
+    uint next[BRICKS];
+    for (int i = 0; i < BRICKS; ++i)
+        next[i] = starts[item * BRICKS + i];
+    for (size_t i = stretch(count, item); i < end; ++i) {
+        global const POINT *p = points + DIMENSIONS * i;
+#if DIMENSIONS == 3
+        const point4 record = { p[0], p[1], p[2], AS_PLACE(i) };
+#else
+        const point4 record = { p[0], p[1], 0, AS_PLACE(i) };
+#endif
+        ((global point4 *)sorted)[next[bricks[i]]++] = record;
+    }
+}

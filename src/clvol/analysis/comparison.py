@@ -1,0 +1,541 @@
+"""The error of what one is looking at: reconstruction filters measured against a known function, or from every n-th sample."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clvol import reference
+from clvol.analysis.dirichlet import dirichlet_sample, dirichlet_weights
+from clvol.analysis.similarity import ssim
+from clvol.analysis.table import Table, column
+from clvol.analysis.timing import seconds_a_sample
+from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.checks import enough_memory, number, one_of, reals, require_room, whole
+from clvol.device import Device, as_device
+from clvol.errors import ClvolError, DataError, DeviceError, OptionError
+from clvol.filter import Filter, as_filter, several_names
+from clvol.spline.coefficients import Coefficients
+from clvol.spline.evaluator import choose_evaluator
+from clvol.spline.field import sample
+from clvol.spline.points import sample_coefficients
+from clvol.volume import Volume, as_volume
+
+__all__ = ["COMPARED", "EXACT_SINC", "ErrorRow", "ErrorTable", "as_compared", "compare"]
+
+Array: TypeAlias = NDArray[np.float64]
+Function: TypeAlias = Callable[[Array], ArrayLike]
+_Angles: TypeAlias = tuple[float | None, float | None, float | None]
+
+_LATTICE = 1 << 22  # positions at which similarity is judged, at most: of more the middle slices
+_WHOLE = 1 << 25  # samples of a volume that are held back, at most: of a larger one the middle slices
+_FARTHEST = 1024  # samples between those kept
+_CHUNK = 1 << 20  # positions taken at a time
+_SINC_PRODUCTS = 1 << 34  # of the exact sinc at scattered points, where each takes all samples
+_SHARE = 0.9  # of the time that errors take, where times are measured too
+_DIRECTED = 0.01  # of the greatest gradient: what is less has no direction that is seen
+_NUMPY = "NumPy, float64"
+
+EXACT_SINC: Final = "exact-sinc"
+"""Where filters are compared, this name stands for the exact sinc of `clvol.analysis.dirichlet_sample`.
+
+At random points of more than 85 000 samples it is measured at fewer of them, since each takes all samples.
+"""
+
+COMPARED: Final = (
+    EXACT_SINC,
+    "nearest",
+    "bspline3-approx",
+    "linear",
+    "mitchell",
+    "catmull-rom",
+    "bspline2",
+    "bspline3",
+    "omoms3",
+    "bspline4",
+    "bspline5",
+    "hybrid",
+)
+"""What `compare` compares unless told otherwise."""
+
+
+@dataclass(frozen=True)
+class ErrorRow:
+    """What was measured of one filter; None where it does not exist.
+
+    Attributes
+    ----------
+    filter : str
+        Name of the filter.
+    rms, maximum : float
+        Root mean square and greatest error of the values, in the data's units.
+    psnr : float or None
+        ``20 log10(range / rms)`` in decibels, with the range of the samples; None for constant data or no error.
+    ssim : float or None
+        Structural similarity (`ssim`) on a lattice, of half the spacing where the truth is a function and that of the
+        original where it was held back, of which the middle slices count, 4 million positions; None for constant data.
+    gradient_rms : float or None
+        Root mean square length of the gradient's error, per world unit; None if the filter has no gradient.
+    angle_mean, angle_median, angle_95 : float or None
+        Of the angle between the gradient and the true one in degrees: mean, median, 95th percentile, where the true
+        one is at least a hundredth of the greatest; a gradient of length zero counts as 90°.
+    overshoot : float
+        How far the values leave the range of the samples, in the data's units; 0 if they do not.
+    seconds : float or None
+        Time per million samples on a device, without the prefilter; None for the exact sinc, without a device, or if it
+        was not asked for.
+    """
+
+    filter: str = column("filter")
+    rms: float = column("RMS error", ".3g")
+    maximum: float = column("max error", ".3g")
+    psnr: float | None = column("PSNR (dB)", ".2f")
+    ssim: float | None = column("SSIM", ".4f")
+    gradient_rms: float | None = column("gradient RMS", ".3g")
+    angle_mean: float | None = column("mean angle (°)", ".2f")
+    angle_median: float | None = column("median angle (°)", ".2f")
+    angle_95: float | None = column("95 % angle (°)", ".2f")
+    overshoot: float = column("overshoot", ".3g")
+    seconds: float | None = column("s / million", ".3g")
+
+
+class ErrorTable(Table[ErrorRow]):
+    """A row for each filter, in the order asked for, and what was compared with what.
+
+    Attributes
+    ----------
+    samples : Volume
+        What the filters reconstructed from: samples of the function, or the decimated volume.
+    against : str
+        What they were compared with, in words.
+    points : int
+        At how many positions.
+    value_range : (float, float)
+        Least and greatest sample: what `psnr`, `ssim` and `overshoot` refer to.
+    boundary : str
+        The boundary rule.
+    evaluated_on : str
+        "NumPy, float64", or the name of the device.
+    timed_on : str
+        The name of the device; empty if nothing was timed.
+    filters : list of Filter
+        The rows of the table of filters that were compared: some may be of one's own.
+    """
+
+    def __init__(
+        self,
+        rows: Iterable[ErrorRow],
+        *,
+        samples: Volume,
+        against: str,
+        points: int,
+        boundary: str,
+        evaluated_on: str,
+        timed_on: str,
+        filters: Iterable[Filter] = (),
+    ) -> None:
+        super().__init__(rows)
+        self.samples = samples
+        self.against = against
+        self.points = points
+        self.value_range = samples.value_range
+        self.boundary = boundary
+        self.evaluated_on = evaluated_on
+        self.timed_on = timed_on
+        self.filters = list(filters)
+
+    def filter(self, name: str) -> Filter:
+        """The filter that a row of this table names."""
+        return next((row for row in self.filters if row.name == name), None) or as_filter(name)
+
+    def best(self, key: str = "rms") -> ErrorRow:
+        """The row with the least `key` (the greatest for "psnr" and "ssim"), of those that have it.
+
+        Raises
+        ------
+        OptionError
+            `key` is none of the numbers of a row, or no row has it.
+        """
+        names = [f.name for f in self._columns()][1:]
+        if key not in names:
+            raise one_of("key", key, names)
+        having = [row for row in self if getattr(row, key) is not None]
+        if not having:
+            raise OptionError(f"key must be a number that some row has; got {key!r}, which none has")
+        sign = -1 if key in ("psnr", "ssim") else 1
+        return min(having, key=lambda row: sign * getattr(row, key))
+
+
+@enough_memory("what is compared")
+def compare(
+    source: Volume | ArrayLike | Function,
+    filters: Sequence[str | Filter] = COMPARED,
+    *,
+    truth: Function | None = None,
+    gradient: Function | None = None,
+    size: int | Sequence[int] = 41,
+    domain: tuple[float, float] = (-1.0, 1.0),
+    dimensions: int = 3,
+    boundary: str | Boundary = DEFAULT_BOUNDARY,
+    factor: int = 2,
+    lowpass: Literal["gaussian", "none"] = "gaussian",
+    margin: float = 4.0,
+    points: int = 200_000,
+    seed: int = 0,
+    timing: bool = True,
+    device: Device | str | int | None = None,
+    timing_device: Device | str | int | None = None,
+    progress: Callable[[float], Any] | None = None,
+) -> ErrorTable:
+    """Measure what each filter makes of data whose truth is known.
+
+    A function, or a volume with its `truth`, is compared at uniform random points of the world. Of a volume alone the
+    truth are its own samples: they are low-passed, every `factor`-th is kept, and what is reconstructed from these is
+    compared with the original samples, as in Figure 4 of the paper; the true gradient is then that of the
+    quintic spline through the original. Decimation by 2 asks for values at the samples and half-way between them only,
+    where the hybrid is the spline that it magnifies with, and where "nearest" has two samples as near: of these it
+    takes the upper one, at every even factor, so that its error at hard edges depends on where they happen to lie. By
+    3 it asks for thirds, and nothing is as near to two.
+
+    Parameters
+    ----------
+    source : callable, Volume or array-like
+        A function of positions (N, d), x first, that gives (N,) values; or 2-D or 3-D samples.
+    filters : sequence of str or Filter
+        One row each; "exact-sinc" is the exact sinc (not under boundary "zero").
+    truth : callable, optional
+        The function that the volume samples.
+    gradient : callable, optional
+        Its gradient, (N, d) at (N, d); by default taken from the function by sixth-order differences.
+    size, domain, dimensions
+        For a function: samples along each axis (or (nz, ny, nx)), of which the outer ones lie on the faces of
+        ``[low, high]**dimensions``.
+    boundary : str or Boundary
+        As for `clvol.sample`.
+    factor : int
+        Of the decimation, 2 to 1024.
+    lowpass : {"gaussian", "none"}
+        Before the decimation: a Gaussian of standard deviation ``factor / 2`` samples, or nothing.
+    margin : float
+        Samples (of those reconstructed from) along each face in which nothing is compared, since there the boundary
+        rule speaks; less where an axis is shorter than four times as much.
+    points : int
+        How many random positions, or random samples of a decimated volume's gradient, are compared.
+    seed : int
+        Of the random positions.
+    timing : bool
+        Measure the time per million samples at random positions; without any device there are no times.
+    device : Device, str or int, optional
+        Take the values from this device, in float32; by default they are float64 by `clvol.reference`.
+    timing_device : Device, str or int, optional
+        Where times are measured: `device` unless named, or the default one.
+    progress : callable, optional
+        Called with the fraction done.
+
+    Returns
+    -------
+    ErrorTable
+
+    Raises
+    ------
+    OptionError
+        An unknown name, a number outside its bounds, a function that fails or gives other than finite numbers.
+    DataError
+        NaN or infinite samples.
+    OutOfMemoryError
+        More samples or points than fit.
+    """
+    chosen, rule = as_compared(filters), as_boundary(boundary)
+    points, factor = whole("points", points, 1), whole("factor", factor, 2, _FARTHEST)
+    rng = np.random.default_rng(whole("seed", seed, 0))
+    margin = number("margin", margin, least=0)
+    on = None if device is None else as_device(device)
+    clock = _clock(timing_device, on) if timing else None
+    if EXACT_SINC in chosen and rule.period is None:
+        raise OptionError(f"boundary must be mirror, reflect or wrap for {EXACT_SINC!r}; got {rule.name!r}")
+    if callable(source):
+        if truth is not None:
+            raise OptionError("truth must be given with a volume only; got it with a function, which is its own")
+        truth, volume = source, _sampled(source, size, domain, dimensions)
+    else:
+        volume = as_volume(source)
+        volume.require_finite()
+        volume = replace(volume, data=volume.data.astype(np.float64))
+    low, high = volume.value_range
+    if not math.isfinite(high - low):
+        raise DataError(f"samples must span a finite range; got {low:g} to {high:g}")
+    if truth is None:
+        if gradient is not None:
+            raise OptionError("gradient must be that of a function; got it with a volume without its truth")
+        trial = _held_back(volume, factor, lowpass, margin, points, rule, rng)
+    else:
+        trial = _known(volume, truth, gradient, margin, points, rng)
+    told, share = progress or (lambda _: None), 1.0 if clock is None else _SHARE
+    rows = []
+    for done, row in enumerate(chosen, 1):
+        rows.append(_measure(trial, row, rule, on))
+        told(share * done / len(chosen))
+    ours = [row for row in chosen if isinstance(row, Filter)]
+    if clock is not None:
+        seconds = iter(seconds_a_sample(trial.samples, ours, rule, clock, lambda done: told(share + (1 - share) * done)))
+        for i, row in enumerate(chosen):
+            if isinstance(row, Filter):
+                rows[i] = replace(rows[i], seconds=1e6 * next(seconds))
+        told(1.0)
+    return ErrorTable(
+        rows,
+        samples=trial.samples,
+        against=trial.against,
+        points=trial.points.shape[0],
+        boundary=rule.name,
+        evaluated_on=_NUMPY if on is None else on.name,
+        timed_on="" if clock is None else clock.name,
+        filters=ours,
+    )
+
+
+def _clock(named: Device | str | int | None, on: Device | None) -> Device | None:
+    """The device whose time is measured, or None if there is none and none was named."""
+    try:
+        device = on if named is None and on is not None else as_device(named)
+        device.require_usable()
+    except DeviceError:
+        if named is not None:
+            raise
+        return None
+    return device
+
+
+def as_compared(filters: Sequence[str | Filter], most: int | None = None) -> list[str | Filter]:
+    """Rows of the table, and the name of the exact sinc, for one or more names or rows, at most `most`."""
+    chosen = several_names(filters, most)
+    return [EXACT_SINC if isinstance(f, str) and f.strip().lower() == EXACT_SINC else as_filter(f) for f in chosen]
+
+
+# -- what is known -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """Samples to reconstruct from, and the truth: at scattered points, and on a lattice."""
+
+    samples: Volume
+    against: str
+    points: Array  # world, (N, d)
+    values: Array | None  # true ones at `points`; None: those of the lattice are compared
+    gradients: Array  # true ones at `points`, (N, d)
+    axes: list[Array]  # of the lattice, in samples, z first
+    lattice: Array  # true values there
+
+    def first(self, count: int) -> _Trial:
+        """The same with no more than so many of the points, which are in random order."""
+        values = None if self.values is None else self.values[:count]
+        return replace(self, points=self.points[:count], values=values, gradients=self.gradients[:count])
+
+
+def _known(
+    volume: Volume, truth: Function, gradient: Function | None, margin: float, points: int, rng: np.random.Generator
+) -> _Trial:
+    require_room("points", points, points)
+    low, high = _inside(volume, margin)
+    world = volume.index_to_world(rng.uniform(low, high, (points, volume.ndim)))
+    values = _ask(truth, world, "the function", 1)
+    slopes = _differences(truth, world, min(volume.spacing)) if gradient is None else _ask(gradient, world, "the gradient", 2)
+    axes = [np.arange(a, b + 0.25, 0.5) for a, b in zip(low[::-1], high[::-1], strict=True)]
+    axes[0] = _middle(axes[0], math.prod(a.size for a in axes[1:]), _LATTICE)
+    fine = _ask(truth, volume.index_to_world(_lattice_points(axes)), "the function", 1).reshape([a.size for a in axes])
+    return _Trial(volume, f"the function at {points} random points", world, values, slopes, axes, fine)
+
+
+def _held_back(
+    original: Volume, factor: int, lowpass: str, margin: float, points: int, rule: Boundary, rng: np.random.Generator
+) -> _Trial:
+    if lowpass not in ("gaussian", "none"):
+        raise one_of("lowpass", lowpass, ("gaussian", "none"))
+    smooth = original.gaussian([factor / 2 * s for s in original.spacing]) if lowpass == "gaussian" else original
+    samples = smooth.downsample(factor)
+    low, high = (bound * factor for bound in _inside(samples, margin))
+    kept = [
+        np.arange(math.ceil(a - 1e-9), min(math.floor(b + 1e-9), n - 1) + 1)
+        for a, b, n in zip(low[::-1], high[::-1], original.shape, strict=True)
+    ]
+    kept[0] = _middle(kept[0], math.prod(k.size for k in kept[1:]), _WHOLE)
+    count = math.prod(k.size for k in kept)
+    some = rng.choice(count, min(points, count), replace=False)
+    index = np.stack([k[i] for k, i in zip(kept, np.unravel_index(some, [k.size for k in kept]), strict=True)][::-1], -1)
+    world = original.index_to_world(index)
+    slopes = reference.sample(original, world, "bspline5", rule, derivative=1)
+    how = "after a Gaussian low-pass" if lowpass == "gaussian" else "without a low-pass"
+    return _Trial(
+        samples,
+        f"{count} samples of the original, decimated by {factor} {how}",
+        world,
+        None,
+        slopes,
+        [k / factor for k in kept],
+        original.data[np.ix_(*kept)],
+    )
+
+
+def _sampled(function: Function, size: int | Sequence[int], domain: tuple[float, float], dimensions: int) -> Volume:
+    d = whole("dimensions", dimensions, 2, 3)
+    sizes = [size] * d if isinstance(size, (int, np.integer)) and not isinstance(size, bool) else size
+    if not isinstance(sizes, (list, tuple)) or len(sizes) != d:
+        raise OptionError(f"size must be a whole number of at least 2, or {d} of them; got {size!r}")
+    shape = tuple(whole("size", n, 2) for n in sizes)
+    require_room("size", math.prod(shape), size)
+    ends = reals("domain", domain)
+    if ends.shape != (2,) or not np.isfinite(ends).all() or not ends[0] < ends[1]:
+        raise OptionError(f"domain must be two numbers, the lower first; got {domain!r}")
+    low, high = float(ends[0]), float(ends[1])
+    grid = Volume(np.broadcast_to(0.0, shape), tuple((high - low) / (n - 1) for n in shape[::-1]), (low,) * d)
+    points = _lattice_points([np.linspace(low, high, n) for n in shape])
+    return replace(grid, data=_ask(function, points, "the function", 1).reshape(shape))
+
+
+def _ask(function: Function, points: Array, what: str, axes: int) -> Array:
+    """Values (N,) or gradients (N, d) of a user's function at points (N, d)."""
+    rule = "one finite value for each position" if axes == 1 else "a finite vector for each position"
+    shape = points.shape[:axes]
+    parts = []
+    for first in range(0, points.shape[0], _CHUNK):
+        part = points[first : first + _CHUNK]
+        try:
+            given = function(part.copy())
+        except ClvolError:
+            raise
+        except Exception as error:
+            raise OptionError(f"{what} must give {rule}; it failed: {error!r}") from error
+        values = reals(f"what {what} gives", given, rule)
+        if values.shape != (part.shape[0], *shape[1:]) or not np.isfinite(values).all():
+            bad = "" if np.isfinite(values).all() else ", with values that are not finite"
+            raise OptionError(f"{what} must give {rule}; got shape {values.shape} for positions {part.shape}{bad}")
+        parts.append(values)
+    return np.concatenate(parts)
+
+
+def _differences(function: Function, points: Array, spacing: float) -> Array:
+    """The gradient by sixth-order central differences, a hundredth of a sample apart."""
+    h, d = spacing / 100, points.shape[1]
+    result = np.zeros_like(points)
+    for axis, (k, weight) in itertools.product(range(d), ((1, 45 / 60), (2, -9 / 60), (3, 1 / 60))):
+        shift = np.zeros(d)
+        shift[axis] = k * h
+        ahead, behind = (_ask(function, points + sign * shift, "the function", 1) for sign in (1, -1))
+        result[:, axis] += weight * (ahead - behind) / h
+    return result
+
+
+def _inside(volume: Volume, margin: float) -> tuple[Array, Array]:
+    """Least and greatest index that is compared, x first."""
+    last = np.asarray(volume.size) - 1.0
+    skipped = np.minimum(margin, last / 4)
+    return skipped, last - skipped
+
+
+def _middle(positions: NDArray[Any], others: int, most: int) -> NDArray[Any]:
+    """As many of the positions about the middle as there is room for."""
+    count = min(positions.size, max(1, most // others))
+    first = (positions.size - count) // 2
+    return positions[first : first + count]
+
+
+def _middle_of(lattice: Array) -> Array:
+    """As many of the slices about the middle as similarity is judged on."""
+    return np.asarray(lattice[_middle(np.arange(lattice.shape[0]), lattice[0].size, _LATTICE)])
+
+
+def _lattice_points(axes: Sequence[Array]) -> Array:
+    """All combinations, x first; shape (N, d)."""
+    return np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")][::-1], -1)
+
+
+# -- what each filter makes of it ----------------------------------------------------------------------------
+
+
+def _measure(trial: _Trial, row: str | Filter, rule: Boundary, on: Device | None) -> ErrorRow:
+    if row == EXACT_SINC:
+        trial = trial.first(max(1, _SINC_PRODUCTS // trial.samples.data.size))
+    fine = _on_lattice(trial, row, rule, on)
+    low, high = trial.samples.value_range
+    if trial.values is None:
+        got, true = fine, trial.lattice
+    else:
+        got, true = _at_points(trial, row, rule, on, 0), trial.values
+    error = got - true
+    rms = _root_mean_square(error)
+    span = high - low
+    slope_rms: float | None = None
+    angles: _Angles = (None, None, None)
+    if row == EXACT_SINC or as_filter(row).has_gradient:
+        slope_rms, angles = _gradient_errors(trial, _at_points(trial, row, rule, on, 1))
+    return ErrorRow(
+        row.name if isinstance(row, Filter) else row,
+        rms,
+        float(np.abs(error).max()),
+        20 * (math.log10(span) - math.log10(rms)) if span > 0 and rms > 0 else None,
+        ssim(_middle_of(fine), _middle_of(trial.lattice), span) if span > 0 else None,
+        slope_rms,
+        *angles,
+        max(0.0, float(got.max()) - high, low - float(got.min())),
+        None,
+    )
+
+
+def _at_points(trial: _Trial, row: str | Filter, rule: Boundary, on: Device | None, derivative: int) -> Array:
+    if not isinstance(row, Filter):
+        return dirichlet_sample(trial.samples, trial.points, rule, derivative)
+    if on is None:
+        return reference.sample(trial.samples, trial.points, row, rule, derivative)
+    return sample(trial.samples, trial.points, row, rule, derivative, device=on).astype(np.float64)
+
+
+def _on_lattice(trial: _Trial, row: str | Filter, rule: Boundary, on: Device | None) -> Array:
+    if not isinstance(row, Filter):
+        result = trial.samples.data
+        for axis, positions in enumerate(trial.axes):
+            weights = dirichlet_weights(positions, result.shape[axis], rule)
+            result = np.moveaxis(np.tensordot(weights, result, (1, axis)), 0, axis)
+        return np.ascontiguousarray(result)
+    if on is None:
+        return reference.lattice(trial.samples.data, trial.axes, row, rule)
+    result = np.empty([a.size for a in trial.axes])
+    path = choose_evaluator(on, row)
+    thickness = max(1, _CHUNK // (result.size // result.shape[0]))
+    with Coefficients(trial.samples, row, rule, on) as held:
+        for first in range(0, result.shape[0], thickness):
+            axes = [trial.axes[0][first : first + thickness], *trial.axes[1:]]
+            world = trial.samples.index_to_world(_lattice_points(axes))
+            values = sample_coefficients(held, path, world)
+            result[first : first + thickness] = values.reshape([a.size for a in axes])
+    return result
+
+
+def _gradient_errors(trial: _Trial, got: Array) -> tuple[float, _Angles]:
+    """RMS length of the error; mean, median and 95th percentile of the angle in degrees."""
+    true = trial.gradients
+    rms = _root_mean_square(got - true) * math.sqrt(true.shape[-1])
+    low, high = trial.samples.value_range
+    unit = max(float(np.abs(true).max()), float(np.abs(got).max())) or 1.0  # no square of what is left over- or underflows
+    true, got, low, high = true / unit, got / unit, low / unit, high / unit
+    lengths = np.linalg.norm(true, axis=-1)
+    directed = lengths >= max(_DIRECTED * lengths.max(), 1e-9 * (high - low) / min(trial.samples.spacing))
+    if high == low or not directed.any():
+        return rms, (None, None, None)
+    got, true, lengths = got[directed], true[directed], lengths[directed]
+    product = lengths * np.linalg.norm(got, axis=-1)
+    cosine = np.divide((got * true).sum(-1), product, out=np.zeros_like(product), where=product > 0)
+    angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    return rms, (float(angle.mean()), float(np.median(angle)), float(np.percentile(angle, 95)))
+
+
+def _root_mean_square(values: Array) -> float:
+    """Of numbers whose squares may not be floats any more."""
+    unit = float(np.abs(values).max()) or 1.0
+    return unit * math.sqrt(float(np.mean((values / unit) ** 2)))

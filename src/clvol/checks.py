@@ -1,0 +1,133 @@
+"""Checks of arguments: each returns the value in its proper type, or raises an error that says the rule."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from numbers import Integral, Real
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.errors import ClvolError, OptionError, OutOfMemoryError
+
+__all__ = ["as_path", "enough_memory", "number", "one_of", "reals", "require_room", "several", "whole"]
+
+_MOST_SAMPLES = 1 << 36  # no machine holds the float64 positions of more
+
+
+def one_of(what: str, value: object, allowed: Iterable[str]) -> OptionError:
+    """The error for an unknown name: the rule, what is allowed, and what came."""
+    return OptionError(f"{what} must be one of {', '.join(allowed)}; got {value!r}")
+
+
+def number(
+    what: str,
+    value: object,
+    *,
+    above: float | None = None,
+    least: float | None = None,
+    below: float | None = None,
+    most: float | None = None,
+) -> float:
+    """`value` as a float, if it is one finite real number within the bounds; else `OptionError`.
+
+    Python's and NumPy's real scalars are taken, and arrays without axes; truth values and texts are not.
+    """
+    scalar = _scalar(value)
+    try:
+        result = float(scalar) if isinstance(scalar, Real) else math.nan
+    except OverflowError:  # a whole number or fraction beyond float64
+        result = math.inf
+    within = (
+        math.isfinite(result)
+        and (above is None or result > above)
+        and (least is None or result >= least)
+        and (below is None or result < below)
+        and (most is None or result <= most)
+    )
+    if not within:
+        bounds = {"greater than": above, "at least": least, "less than": below, "at most": most}
+        raise OptionError(f"{what} must be a finite number{_allowed(bounds)}; got {value!r}")
+    return result
+
+
+def whole(what: str, value: object, least: int | None = None, most: int | None = None) -> int:
+    """`value` as an int, if it is one whole number within the bounds; else `OptionError`.
+
+    Python's and NumPy's integers are taken, and arrays of them without axes; truth values and floats are not.
+    """
+    scalar = _scalar(value)
+    result = int(scalar) if isinstance(scalar, Integral) else None
+    if result is None or (least is not None and result < least) or (most is not None and result > most):
+        bounds = {"at least": least, "at most": most}
+        raise OptionError(f"{what} must be a whole number{_allowed(bounds)}; got {value!r}")
+    return result
+
+
+def reals(what: str, value: object, rule: str = "real numbers", error: type[ClvolError] = OptionError) -> NDArray[np.float64]:
+    """`value` as an array of float64, not copied where it is one; `error` for texts, complex and masked numbers."""
+    try:
+        array = np.asarray(value)
+        known = array.dtype.kind in "biuf" or (array.dtype.kind == "O" and all(isinstance(v, Real) for v in array.flat))
+        if known and not np.ma.is_masked(value):
+            with np.errstate(over="ignore"):
+                return array.astype(np.float64, copy=False)
+    except (TypeError, ValueError, OverflowError):  # ragged, or beyond float64
+        pass
+    raise error(f"{what} must be {rule}; got {value!r}")
+
+
+def several(what: str, value: object, rule: str, most: int | None = None) -> list[Any]:
+    """`value` as a list, if it is a sequence of one thing or more, at most `most`; else `OptionError`. A text is one thing."""
+    try:
+        result = [] if isinstance(value, (str, bytes)) else list(value)  # type: ignore[call-overload]  # or it cannot be iterated
+    except TypeError:
+        result = []
+    if not result:
+        raise OptionError(f"{what} must be {rule}; got {value!r}")
+    if most is not None and len(result) > most:
+        raise OptionError(f"{what} must be {rule}, at most {most}; got {len(result)}")
+    return result
+
+
+def require_room(what: str, samples: int, value: object) -> None:
+    """Raise `OutOfMemoryError` if `what`, whose value asks for so many samples, asks for more than any machine holds."""
+    if samples > _MOST_SAMPLES:
+        raise OutOfMemoryError(f"out of memory: {what} must give at most {_MOST_SAMPLES} samples; got {value!r}")
+
+
+def as_path(value: object) -> Path:
+    """`value` as a path, if it is a string or a path; else `OptionError`."""
+    if isinstance(value, (str, os.PathLike)):
+        name = os.fspath(value)
+        if isinstance(name, str) and "\0" not in name:
+            return Path(name)
+    raise OptionError(f"path must be a string or a pathlib.Path; got {value!r}")
+
+
+@contextmanager
+def enough_memory(what: str) -> Iterator[None]:
+    """Turn a `MemoryError` into an `OutOfMemoryError` that says what did not fit."""
+    try:
+        yield
+    except ClvolError:
+        raise
+    except MemoryError as error:
+        raise OutOfMemoryError(f"out of memory: {what} must fit into it; got {error or 'no memory'}") from error
+
+
+def _scalar(value: object) -> object:
+    """`value`, or the one element of an array without axes; None for truth values."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    return None if isinstance(value, (bool, np.timedelta64)) else value  # numpy.bool is of no class of `numbers`
+
+
+def _allowed(bounds: Mapping[str, float | None]) -> str:
+    texts = [f"{rule} {bound:.15g}" for rule, bound in bounds.items() if bound is not None]
+    return ", " + " and ".join(texts) if texts else ""

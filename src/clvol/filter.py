@@ -1,0 +1,609 @@
+"""The table of reconstruction filters; everything about a filter is derived from its row.
+
+A filter is a matrix of TAPS rows and DEGREE + 1 columns: row ``i`` holds the polynomial, in the
+fractional position ``t``, of the weight of tap ``i``. For a position ``x`` (in samples)::
+
+    u = x - TAPS/2 + 1        base = floor(u)        t = u - base
+    f(x) = sum over i of  c[base + i] * sum over k of taps[i][k] * t**k
+
+so tap ``i`` lies at signed distance ``t + TAPS/2 - 1 - i`` from ``x``; one rule for odd and even
+tap counts. Entries are exact fractions wherever the filter has them.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property, lru_cache
+from numbers import Rational
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import ArrayLike, NDArray
+
+from clvol.checks import number, one_of, reals, several, whole
+from clvol.errors import ClvolError, OptionError
+
+__all__ = [
+    "DEFAULT_FILTER",
+    "Filter",
+    "FilterTable",
+    "as_filter",
+    "as_filters",
+    "bc",
+    "bspline",
+    "filters",
+    "from_callable",
+    "from_pieces",
+    "lanczos",
+    "register",
+    "several_names",
+    "sinc",
+]
+
+Number: TypeAlias = Fraction | float
+Polynomial: TypeAlias = tuple[Number, ...]
+Array: TypeAlias = NDArray[np.float64]
+
+DEFAULT_FILTER = "bspline3"
+MAX_TAPS = 16  # the widest row that one vector load of the device code covers
+_MAX_DEGREE = 20
+_FIT_TOLERANCE = 1e-10  # of the kernel's peak: its second derivative then errs by about 1e-6
+_MISFIT = 0.1  # of the kernel's peak: a fit that errs by more is another kernel
+_SINC_DEGREE = 12  # of the fits to sinc and its windowed forms: they err by less than that
+_ROUNDING = 1e-9  # floating rows are taken as zero, one or equal within this
+
+
+@dataclass(frozen=True)
+class Filter:
+    """One row of the table.
+
+    Parameters
+    ----------
+    name : str
+        The name by which it is asked for.
+    taps : tuple of polynomials
+        ``taps[i][k]`` is the coefficient of ``t**k`` for tap ``i``.
+    prefilter : bool
+        Solve for the coefficients first (eq. 11), so that the result passes through the samples.
+    magnify : str, optional
+        Magnify the samples by two with this filter first, then reconstruct on the finer grid: the
+        paper's hybrid (section 4.3).
+    fit_error : float
+        Greatest absolute error of `taps` to the kernel that they were fitted to; 0 if exact.
+    """
+
+    name: str
+    taps: tuple[Polynomial, ...]
+    prefilter: bool = False
+    magnify: str | None = None
+    fit_error: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not self.name:
+            raise OptionError(f"a filter's name must be a string that is not empty; got {self.name!r}")
+        object.__setattr__(self, "taps", _rows(f"taps of {self.name!r}", self.taps))
+        if not 1 <= len(self.taps) <= MAX_TAPS:
+            raise OptionError(f"a filter must have 1 to {MAX_TAPS} taps; {self.name!r} has {len(self.taps)}")
+        if len({len(row) for row in self.taps}) != 1 or not 1 <= len(self.taps[0]) <= _MAX_DEGREE + 1:
+            raise OptionError(f"taps of {self.name!r} must be polynomials of one degree, 0 to {_MAX_DEGREE}")
+        number("fit_error", self.fit_error, least=0)
+        if self.magnify is not None and not isinstance(self.magnify, str):
+            raise one_of("magnify", self.magnify, _TABLE)
+        if self.magnify is not None:
+            as_filter(self.magnify)
+        if self.prefilter:
+            self._require_invertible()
+
+    # -- what follows from the matrix ------------------------------------------------------
+
+    @cached_property
+    def matrix(self) -> Array:
+        """The taps as float64, shape (TAPS, DEGREE + 1)."""
+        return np.array([[float(c) for c in row] for row in self.taps])
+
+    @property
+    def support(self) -> int:
+        """Width of the kernel in samples: the number of taps along one axis."""
+        return len(self.taps)
+
+    @property
+    def degree(self) -> int:
+        """Degree of the polynomial pieces."""
+        return len(self.taps[0]) - 1
+
+    @property
+    def scale(self) -> int:
+        """Coefficients per sample along one axis: 2 for a hybrid, else 1."""
+        return 2 if self.magnify else 1
+
+    @property
+    def exact(self) -> bool:
+        """Whether the row is written in exact fractions."""
+        return all(isinstance(c, (int, Fraction)) for row in self.taps for c in row)
+
+    @cached_property
+    def continuity(self) -> int:
+        """The function drawn is Cᵏ; -1 where it jumps."""
+        for k in range(self.degree + 1):
+            rows = self._derivative(k)
+            # past a knot, tap i takes the place of tap i - 1
+            starts = [0, *(_evaluate(row, 0) for row in rows)]
+            ends = [*(_evaluate(row, 1) for row in rows), 0]
+            if any(not _near(a, b, self._slack(k)) for a, b in zip(starts, ends, strict=True)):
+                return k - 1
+        return self.degree  # one polynomial throughout: only the zero kernel
+
+    @cached_property
+    def order(self) -> int:
+        """Order of the polynomials reproduced: ``n`` where every degree below ``n`` is exact.
+
+        Strang and Fix: ``sum w_i(t) (x - x_i)**m`` may not depend on ``t``; without a prefilter it
+        must also be what a kernel that changes nothing has, 1 for m = 0, else 0.
+        """
+        first = self.magnified_by.order if self.magnified_by else None
+        for m in range(self.degree + 2):
+            moment = _moment(self.taps, m)
+            constant = all(_near(c, 0, self._slack(0)) for c in moment[1:])
+            wanted = int(m == 0)
+            if not constant or not (self.prefilter or _near(moment[0], wanted, self._slack(0))):
+                return m if first is None else min(m, first)
+        return self.degree + 2
+
+    @cached_property
+    def sums_to_one(self) -> bool:
+        """Whether the weights sum to one at every position, so that constants stay constant."""
+        return self.order >= 1
+
+    @cached_property
+    def interpolates(self) -> bool:
+        """Whether the result passes through the samples (with the prefilter, where it has one)."""
+        if self.magnified_by and not self.magnified_by.interpolates:
+            return False
+        return self.prefilter or self.interpolates_directly
+
+    @cached_property
+    def interpolates_directly(self) -> bool:
+        """Whether the kernel itself is 1 at 0 and 0 at the other integers."""
+        b = self.samples
+        return abs(b[0] - 1) < _ROUNDING and bool(np.all(np.abs(b[1:]) < _ROUNDING))
+
+    @cached_property
+    def samples(self) -> Array:
+        """The kernel at 0, 1, 2, ...: what the prefilter undoes (eqs 11 and 16)."""
+        b = self(np.arange((self.support + 1) // 2))
+        used = np.flatnonzero(np.abs(b) > _ROUNDING)
+        return b[: used[-1] + 1] if used.size else b[:1]
+
+    @cached_property
+    def poles(self) -> Array:
+        """Roots inside the unit circle of ``b0 + sum b_k (z**k + z**-k)``; empty without a prefilter.
+
+        For the cubic B-spline this is √3 - 2.
+        """
+        return np.sort(self._roots[np.abs(self._roots) < 1].real) if self.prefilter else np.empty(0)
+
+    @cached_property
+    def magnified_by(self) -> Filter | None:
+        """The filter that first magnifies the samples, or None."""
+        return as_filter(self.magnify) if self.magnify else None
+
+    @cached_property
+    def has_gradient(self) -> bool:
+        """Whether the derivative of the function drawn says anything; `nearest` is flat nearly everywhere."""
+        return self.degree >= 1
+
+    def pairable(self, derivative: int = 0) -> bool:
+        """Whether two taps can be had by one linear fetch: weights of a pair never differ in sign.
+
+        Taps are paired 0-1, 2-3, ...; an odd one is alone.
+        """
+        t = np.linspace(0, 1, 4097)
+        w = self.weights(t, derivative)
+        if w.shape[0] % 2:
+            w = np.vstack([w, np.zeros_like(t)])
+        return bool(np.all(w[0::2] * w[1::2] >= -1e-15))
+
+    def weights(self, t: ArrayLike, derivative: int = 0) -> Array:
+        """Tap weights, or their derivatives, at fractional positions `t`; shape (TAPS, ...)."""
+        rows = self.matrix
+        for _ in range(min(whole("derivative", derivative, 0), self.degree + 1)):
+            rows = rows[:, 1:] * np.arange(1, rows.shape[1]) if rows.shape[1] > 1 else np.zeros((self.support, 1))
+        return np.asarray(np.polynomial.polynomial.polyval(reals("t", t), rows.T))
+
+    def __call__(self, x: ArrayLike, derivative: int = 0) -> Array:
+        """The kernel, or its derivative, at signed distance `x` in (finer) samples; same shape as `x`."""
+        x = reals("x", x)
+        place = np.ceil(self.support / 2 - x) - 1  # t = x - TAPS/2 + 1 + tap lies in [0, 1)
+        inside = (place >= 0) & (place < self.support)
+        tap = np.where(inside, place, 0).astype(np.int64)
+        t = np.where(inside, x, 0.0) - self.support / 2 + 1 + tap
+        every = self.weights(np.where(inside, t, 0.0), derivative)
+        return np.where(inside, np.take_along_axis(every, tap[None], 0)[0], 0.0)
+
+    def plot(self, points: int = 129) -> tuple[Array, Array]:
+        """Distance and kernel value for drawing the kernel: two arrays, `points` for each unit piece."""
+        points = whole("points", points, 2)
+        half = self.support / 2
+        x = np.linspace(-half, half, self.support * (points - 1) + 1)
+        return x, self(x)
+
+    # -- inner ---------------------------------------------------------------------------------
+
+    @cached_property
+    def _roots(self) -> NDArray[np.complex128]:
+        b = self.samples
+        return np.roots(np.concatenate([b[:0:-1], b])).astype(np.complex128) if b.size > 1 else np.empty(0, complex)
+
+    def _require_invertible(self) -> None:
+        roots = self._roots
+        inside = roots[np.abs(roots) < 1]
+        at = np.arange(self.support)
+        if np.abs(self(at) - self(-at)).max() > _ROUNDING * max(1.0, float(np.abs(self.samples).max())):
+            raise OptionError(f"{self.name!r} cannot interpolate: its kernel is not even at the samples")
+        if abs(self.samples[0]) < _ROUNDING and self.samples.size == 1:
+            raise OptionError(f"{self.name!r} cannot interpolate: its kernel is zero at the samples")
+        if 2 * inside.size != roots.size or np.any(np.abs(np.abs(roots) - 1) < 1e-3):
+            raise OptionError(f"{self.name!r} cannot interpolate: its prefilter has poles on the unit circle")
+        if np.any(np.abs(inside.imag) > 1e-9):
+            raise OptionError(f"{self.name!r} cannot interpolate: its prefilter has complex poles, {inside}")
+
+    def _derivative(self, order: int) -> list[Polynomial]:
+        rows = list(self.taps)
+        for _ in range(order):
+            rows = [tuple(k * c for k, c in enumerate(row))[1:] or (0,) for row in rows]
+        return rows
+
+    def _slack(self, derivative: int) -> float:
+        """How far floating rows may miss an identity; exact rows may not at all."""
+        if self.exact:
+            return 0.0
+        return max(_ROUNDING, 10 * self.fit_error) * max(1.0, float(self.degree) ** (2 * derivative))
+
+
+def _rows(what: str, rows: object) -> tuple[Polynomial, ...]:
+    """`rows` as polynomials; `OptionError` unless they are sequences of finite numbers."""
+    try:
+        polynomials = tuple(tuple(row) for row in rows)  # type: ignore[attr-defined]  # what cannot be iterated is refused
+    except TypeError:
+        raise OptionError(f"{what} must be sequences of numbers; got {rows!r}") from None
+    for c in (c for row in polynomials for c in row):
+        number(f"each of the {what}", c)
+    return polynomials
+
+
+def _evaluate(row: Polynomial, t: int) -> Number:
+    return sum((c * t**k for k, c in enumerate(row)), Fraction(0))
+
+
+def _near(a: Number, b: Number, slack: float) -> bool:
+    return abs(float(a - b)) <= slack
+
+
+def _moment(taps: Sequence[Polynomial], m: int) -> list[Number]:
+    """``sum over i of w_i(t) * (t + TAPS/2 - 1 - i)**m`` as a polynomial in t, exact where the taps are."""
+    total: list[Number] = [Fraction(0)] * (len(taps[0]) + m)
+    for i, row in enumerate(taps):
+        shift = Fraction(len(taps), 2) - 1 - i
+        for j in range(m + 1):
+            factor = math.comb(m, j) * shift ** (m - j)
+            for k, c in enumerate(row):
+                total[j + k] += c * factor
+    return total
+
+
+# -- making rows -----------------------------------------------------------------------------------
+
+
+def bspline(degree: int, *, prefilter: bool = True) -> Filter:
+    """The B-spline of a degree 0 to 9, by the recursion of eqs (3) and (4) on a uniform knot sequence.
+
+    With `prefilter` it interpolates (section 4.2); without, it is the paper's approximation (4.1).
+    """
+    degree = whole("degree", degree, 0, 9)
+    # On the interval [0, 1), rows[m] is the spline that starts at knot -m.
+    rows: list[list[Fraction]] = [[Fraction(1)]]
+    for k in range(1, degree + 1):
+        rows = [_next_degree(rows, k, m) for m in range(k + 1)]
+    prefilter = prefilter and degree >= 2  # the first two interpolate as they are
+    name = {0: "nearest", 1: "linear"}.get(degree, f"bspline{degree}" + ("" if prefilter else "-approx"))
+    return Filter(name, tuple(tuple(row) for row in reversed(rows)), prefilter=prefilter)
+
+
+def _next_degree(rows: list[list[Fraction]], k: int, m: int) -> list[Fraction]:
+    """Eq. (4) for the spline of degree `k` that starts at knot ``-m``, given those of degree ``k - 1``."""
+    result = [Fraction(0)] * (k + 1)
+    if m < k:  # (u - u_i) / k times the spline that starts at the same knot
+        for j, c in enumerate(rows[m]):
+            result[j] += c * Fraction(m, k)
+            result[j + 1] += c / k
+    if m > 0:  # (u_{i+k+1} - u) / k times the one that starts a knot later
+        for j, c in enumerate(rows[m - 1]):
+            result[j] += c * Fraction(k + 1 - m, k)
+            result[j + 1] -= c / k
+    return result
+
+
+def from_pieces(name: str, pieces: Sequence[Sequence[Number]], *, prefilter: bool = False) -> Filter:
+    """A filter from an even kernel: ``pieces[j]`` are its coefficients in powers of ``|x|`` on [j, j + 1).
+
+    Parameters
+    ----------
+    name : str
+        Name of the new row.
+    pieces : sequence of sequences of number
+        Fractions and integers keep the row exact.
+    prefilter : bool
+        Make it interpolate by solving eq. (11) for its kernel.
+
+    Raises
+    ------
+    OptionError
+        More than eight pieces, or a prefilter that does not exist.
+    """
+    pieces = _rows(f"pieces of {name!r}", pieces)
+    if not pieces:
+        raise OptionError("pieces must hold at least one polynomial; got none")
+    size = max(len(piece) for piece in pieces)
+    taps = []
+    for i in range(2 * len(pieces)):
+        d = len(pieces) - 1 - i  # the tap lies at distance t + d
+        piece, offset, sign = (pieces[d], d, 1) if d >= 0 else (pieces[-d - 1], -d, -1)  # |x| = offset + sign t
+        row: list[Number] = [Fraction(0)] * size
+        for k, c in enumerate(piece):
+            exact = Fraction(c) if isinstance(c, (int, Fraction)) else float(c)
+            for j in range(k + 1):
+                row[j] += exact * math.comb(k, j) * offset ** (k - j) * sign**j
+        taps.append(tuple(row))
+    return Filter(name, tuple(taps), prefilter=prefilter)
+
+
+def from_callable(
+    name: str, kernel: Callable[[Array], ArrayLike], radius: int, *, prefilter: bool = False, degree: int | None = None
+) -> Filter:
+    """A filter fitted to an even kernel that is smooth between the integers.
+
+    Parameters
+    ----------
+    name : str
+        Name of the new row.
+    kernel : callable
+        Kernel values at an array of distances; called within ``[-radius, radius]``.
+    radius : int
+        Half the support, 1 to 8.
+    prefilter : bool
+        Make it interpolate by solving eq. (11) for its kernel.
+    degree : int, optional
+        Degree of the Chebyshev fit on each unit piece; by default the least that errs by no more
+        than 1e-10 of the peak, at most 20.
+
+    Returns
+    -------
+    Filter
+        Its `fit_error` is the greatest error found between the nodes of the fit.
+
+    Raises
+    ------
+    OptionError
+        A kernel that fails or gives other than finite numbers, or that jumps between the integers, unless `degree` is
+        given.
+    """
+    radius = _radius(radius)
+    degree = None if degree is None else whole("degree", degree, 0, _MAX_DEGREE)
+    if not callable(kernel):
+        raise OptionError(f"kernel must be a function of distances; got {kernel!r}")
+    t = np.linspace(0, 1, 1001)
+    distance = t[None, :] - np.arange(2 * radius)[:, None] + radius - 1
+    # the ends of a piece belong to two pieces; a kernel that jumps there must be asked just inside
+    wanted = _kernel_at(name, kernel, np.clip(distance, distance[:, :1] + 1e-12, distance[:, -1:] - 1e-12))
+    peak = float(np.abs(wanted).max())
+    for n in [degree] if degree is not None else range(_MAX_DEGREE + 1):
+        nodes = chebyshev.chebpts1(n + 1)
+        at = (nodes + 1) / 2 - np.arange(2 * radius)[:, None] + radius - 1
+        fits = [_shift(chebyshev.cheb2poly(chebyshev.chebfit(nodes, row, n)), n) for row in _kernel_at(name, kernel, at)]
+        error = float(np.abs(np.polynomial.polynomial.polyval(t, np.array(fits).T) - wanted).max())
+        if error <= _FIT_TOLERANCE * peak:
+            break
+    if degree is None and error > _MISFIT * peak:
+        raise OptionError(
+            f"the kernel of {name!r} must be smooth between the integers; "
+            f"got one that polynomials of degree {n} miss by {error:.2g}"
+        )
+    return Filter(name, tuple(tuple(map(float, row)) for row in fits), prefilter=prefilter, fit_error=error)
+
+
+def _kernel_at(name: str, kernel: Callable[[Array], ArrayLike], distance: Array) -> Array:
+    rule = "one finite value for each distance"
+    try:
+        values = kernel(distance)
+    except ClvolError:
+        raise
+    except Exception as error:
+        raise OptionError(f"the kernel of {name!r} must give {rule}; it failed: {error!r}") from error
+    array = reals(f"the values of the kernel of {name!r}", values, rule)
+    if array.shape != distance.shape or not np.isfinite(array).all():
+        raise OptionError(f"the kernel of {name!r} must give {rule}")
+    return array
+
+
+def _radius(radius: object) -> int:
+    return whole("radius", radius, 1, MAX_TAPS // 2)
+
+
+def _shift(coefficients: NDArray[Any], degree: int) -> Array:
+    """Coefficients in powers of t in [0, 1], `degree` + 1 of them, of a polynomial given in powers of 2t - 1."""
+    polynomial = np.polynomial.Polynomial(coefficients)(np.polynomial.Polynomial([-1.0, 2.0]))
+    return np.pad(polynomial.coef, (0, degree + 1 - polynomial.coef.size))
+
+
+def bc(B: Number, C: Number) -> Filter:
+    """The cubic of Mitchell and Netravali with parameters B and C (reference [10] of the paper).
+
+    (1, 0) is the cubic B-spline without prefilter, (1/3, 1/3) theirs, (0, 1/2) Catmull-Rom.
+    """
+    b, c = _exact(B), _exact(C)
+    return _bc(f"bc({b},{c})", Fraction(b), Fraction(c))
+
+
+def _exact(value: object) -> Number:
+    """`value` as a fraction where it is one or a whole number, else as a float."""
+    real = number("B and C", value)
+    if isinstance(value, Rational):
+        return Fraction(int(value.numerator), int(value.denominator))
+    return Fraction(real) if real.is_integer() else real
+
+
+@lru_cache
+def _bc(name: str, b: Fraction, c: Fraction) -> Filter:
+    return from_pieces(
+        name,
+        [
+            ((6 - 2 * b) / 6, 0, (-18 + 12 * b + 6 * c) / 6, (12 - 9 * b - 6 * c) / 6),
+            ((8 * b + 24 * c) / 6, (-12 * b - 48 * c) / 6, (6 * b + 30 * c) / 6, (-b - 6 * c) / 6),
+        ],
+    )
+
+
+def sinc(radius: int = 4) -> Filter:
+    """The ideal filter cut off at `radius` samples, 1 to 8; its weights miss one by up to 0.08 at radius 4.
+
+    They are not renormalised: what truncation does is to be seen.
+    """
+    return _sinc(_radius(radius))
+
+
+@lru_cache
+def _sinc(radius: int) -> Filter:
+    return from_callable("sinc" if radius == 4 else f"sinc({radius})", np.sinc, radius, degree=_SINC_DEGREE)
+
+
+def lanczos(radius: int) -> Filter:
+    """Sinc under the window sinc(x / radius), radius 1 to 8; its weights sum to one only nearly."""
+    return _lanczos(_radius(radius))
+
+
+@lru_cache
+def _lanczos(radius: int) -> Filter:
+    return from_callable(f"lanczos{radius}", lambda x: np.sinc(x) * np.sinc(x / radius), radius, degree=_SINC_DEGREE)
+
+
+def _omoms3() -> Filter:
+    """Blu, Thévenaz and Unser (2001): the cubic B-spline plus 1/42 of its second derivative.
+
+    The smallest error of any kernel of support 4 and order 4.
+    """
+    taps = tuple((row[0] + 2 * row[2] / 42, row[1] + 6 * row[3] / 42, row[2], row[3]) for row in bspline(3).taps)
+    return Filter("omoms3", taps, prefilter=True)
+
+
+# -- the table -------------------------------------------------------------------------------------
+
+_TABLE: dict[str, Filter] = {}
+_ALIASES = {"bspline": "bspline3", "trilinear": "linear", "cubic": "bspline3"}
+_FAMILIES: dict[str, Callable[..., Filter]] = {"bc": bc, "sinc": sinc, "lanczos": lanczos}
+
+
+def register(new: Filter, *, replace_existing: bool = False) -> Filter:
+    """Add a row, so that it can be asked for by name wherever a filter is; returns it."""
+    if not isinstance(new, Filter):
+        raise OptionError(f"register takes a Filter; got {new!r}")
+    if not re.fullmatch(r"[a-zA-Z][\w.+-]*(\([\w.+/,-]*\))?", new.name):
+        raise OptionError(
+            "a filter's name must be a letter, then letters, digits, '-', '+', '.' or '_', and perhaps "
+            f"parameters in parentheses; got {new.name!r}"
+        )
+    if (new.name in _TABLE or new.name in _ALIASES) and not replace_existing:
+        raise OptionError(f"a filter named {new.name!r} exists; pass replace_existing=True to replace it")
+    _TABLE[new.name] = new
+    return new
+
+
+class FilterTable(dict[str, Filter]):
+    """Every filter by name; printed, it is a table."""
+
+    HEADER = ("filter", "support", "degree", "continuity", "order", "interpolates", "sums to one", "poles")
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """One tuple of texts a filter, in the order of `HEADER`."""
+        return [
+            (
+                name,
+                str(f.support),
+                str(f.degree),
+                "jumps" if f.continuity < 0 else f"C{f.continuity}",
+                str(f.order),
+                "no" if not f.interpolates else "yes" if f.interpolates_directly and not f.magnify else "prefiltered",
+                "yes" if f.sums_to_one else "nearly",
+                " ".join(f"{p:.4f}" for p in (f.magnified_by or f).poles) or "-",
+            )
+            for name, f in self.items()
+        ]
+
+    def __str__(self) -> str:
+        lines = [self.HEADER, *self.rows()]
+        widths = [max(len(line[i]) for line in lines) for i in range(len(self.HEADER))]
+        return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines)
+
+
+def filters() -> FilterTable:
+    """The table: every filter by name, in order; ``print(clvol.filters())`` shows what each has."""
+    return FilterTable(_TABLE)
+
+
+def as_filter(choice: str | Filter) -> Filter:
+    """The row for a name, an alias, or a family with its parameters such as ``"bc(0, 1/2)"`` or ``"sinc(6)"``."""
+    if isinstance(choice, Filter):
+        return choice
+    if not isinstance(choice, str):
+        raise one_of("filter", choice, _TABLE)
+    name = choice.strip().lower()
+    name = _ALIASES.get(name, name)
+    if name in _TABLE:
+        return _TABLE[name]
+    if choice in _TABLE:
+        return _TABLE[choice]
+    if match := re.fullmatch(r"(bc|sinc|lanczos)\(([^()]*)\)", name):
+        try:
+            values = [Fraction(v.strip()) for v in match[2].split(",")]
+            family = match[1]
+            return bc(*values) if family == "bc" else _FAMILIES[family](*map(_whole, values))
+        except (ValueError, TypeError, ZeroDivisionError):
+            raise OptionError(f"filter {choice!r} has wrong parameters; write bc(B, C), sinc(radius) or lanczos(radius)") from None
+    raise one_of("filter", choice, [*_TABLE, "bc(B, C)", "sinc(radius)", "lanczos(radius)"])
+
+
+def as_filters(choices: Sequence[str | Filter], most: int | None = None) -> list[Filter]:
+    """The rows for one or more names or rows, at most `most`."""
+    return [as_filter(choice) for choice in several_names(choices, most)]
+
+
+def several_names(choices: object, most: int | None = None) -> list[Any]:
+    """The one or more names or rows that `filters` says, not yet looked up."""
+    if isinstance(choices, Filter):
+        raise OptionError(f"filters must be one or more names; got {choices!r}")
+    return several("filters", choices, "one or more names", most)
+
+
+def _whole(value: Fraction) -> int:
+    if value.denominator != 1:
+        raise ValueError
+    return int(value)
+
+
+for _row in (
+    bspline(0),
+    bspline(1),
+    *(bspline(degree) for degree in (2, 3, 4, 5)),
+    *(bspline(degree, prefilter=False) for degree in (2, 3, 4, 5)),
+    replace(bc(Fraction(1, 3), Fraction(1, 3)), name="mitchell"),
+    replace(bc(0, Fraction(1, 2)), name="catmull-rom"),
+    _omoms3(),
+    *(lanczos(radius) for radius in (2, 3, 4, 5)),
+    sinc(),
+):
+    register(_row)
+register(replace(bspline(1), name="hybrid", magnify="bspline3"))

@@ -1,0 +1,96 @@
+"""Surfaces of a function that is known everywhere, drawn from the function itself: no samples, no filter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.camera import View
+from clvol.light import Light, Material
+from clvol.march.renderer import pixel_offsets
+from clvol.reference.march.march import camera_rays, shade
+from clvol.volume import Volume
+
+__all__ = ["draw_function"]
+
+Array = NDArray[np.float64]
+Function = Callable[[Array], Array]
+_RAYS = 1 << 13  # at a time, for the sake of memory
+_BISECTIONS = 45
+
+
+def draw_function(
+    function: Function,
+    gradient: Function,
+    volume: Volume,
+    view: View,
+    size: tuple[int, int],
+    *,
+    isovalue: float,
+    color: Sequence[float],
+    lights: Sequence[Light],
+    material: Material,
+    background: Sequence[float],
+    clip: tuple[Sequence[float], Sequence[float]] | None = None,
+    samples: int = 1,
+    steps: int = 240,
+) -> tuple[Array, NDArray[np.float32]]:
+    """The first surface of a function within the domain of a volume, whose samples are not looked at.
+
+    Parameters
+    ----------
+    function, gradient : callable
+        Values (N,) and gradients (N, 3) at world positions (N, 3).
+    volume, view, size, isovalue, color, lights, material, background, clip, samples
+        As for `Renderer.render`, with a view from `Camera.view`.
+    steps : int
+        Intervals of a ray in which a change of sign is looked for.
+
+    Returns
+    -------
+    points : ndarray, shape (N, 3)
+        Of the surface, one for each ray through the middle of a pixel that hits it.
+    picture : ndarray of float32, shape (height, width, 4)
+    """
+    width, height = size
+    picture, points = np.zeros((height * width, 3)), []
+    for k, offset in enumerate(pixel_offsets(samples)):
+        rays = camera_rays(volume, view, size, tuple(offset), clip)
+        crossing = np.flatnonzero(rays.enter < rays.leave)
+        drawn = np.broadcast_to(np.asarray(background, np.float64), picture.shape).copy()
+        for part in np.array_split(crossing, -(-crossing.size // _RAYS)) if crossing.size else []:
+            hit, t = _first_crossing(
+                lambda p: function(p) - isovalue, rays.origin[part], rays.direction[part], rays.enter[part], rays.leave[part], steps
+            )
+            at = rays.at(t, part[hit])
+            colors = np.broadcast_to(np.asarray(color, np.float64), at.shape)
+            drawn[part[hit]] = shade(gradient(at), colors, rays.direction[part[hit]], material, lights, 0.0)
+            if k == 0:
+                points.append(at)
+        picture += drawn / samples
+    opaque = np.concatenate([np.clip(picture, 0, 1), np.ones((height * width, 1))], -1)
+    return np.concatenate(points or [np.empty((0, 3))]), opaque.reshape(height, width, 4).astype(np.float32)
+
+
+def _first_crossing(
+    function: Function, origin: Array, direction: Array, enter: Array, leave: Array, steps: int
+) -> tuple[NDArray[np.int64], Array]:
+    """Which rays meet a zero of `function` between `enter` and `leave`, and at which t, by bisection."""
+
+    def along(t: Array, rays: NDArray[np.int64] | slice) -> Array:
+        at = origin[rays][:, None] + t[..., None] * direction[rays][:, None]
+        return function(at.reshape(-1, 3)).reshape(t.shape)
+
+    t = enter[:, None] + np.linspace(0, 1, steps + 1) * (leave - enter)[:, None]
+    negative = along(t, slice(None)) < 0
+    changes = negative[:, 1:] != negative[:, :-1]
+    hit = np.flatnonzero(changes.any(1))
+    first = changes[hit].argmax(1)
+    low, high, before = t[hit, first], t[hit, first + 1], negative[hit, first]
+    for _ in range(_BISECTIONS):
+        middle = (low + high) / 2
+        same = (along(middle[:, None], hit)[:, 0] < 0) == before
+        low, high = np.where(same, middle, low), np.where(same, high, middle)
+    return hit, (low + high) / 2

@@ -1,0 +1,405 @@
+"""Pictures in float64: rays in world space, the function by eq. (8), colours by the exact transfer function.
+
+It follows what `clvol.render` says a picture is, not how the kernels make one: nothing is in single
+precision, nothing is tabulated, all samples of all rays are taken at once, and surfaces are found by
+bisection.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clvol.boundary import DEFAULT_BOUNDARY, Boundary
+from clvol.camera import Camera, View
+from clvol.checks import one_of
+from clvol.color import color_of
+from clvol.errors import OptionError
+from clvol.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.light import HEADLIGHT, Light, Material
+from clvol.mode import DEFAULT_MODE, Mode, as_mode
+from clvol.reference.spline.points import sample
+from clvol.transfer import TransferFunction, otsu_threshold
+from clvol.volume import Volume, as_volume
+
+__all__ = ["Rays", "camera_rays", "lattice", "render", "shade"]
+
+Array: TypeAlias = NDArray[np.float64]
+Bools: TypeAlias = NDArray[np.bool_]
+
+_STEEP = 0.5  # cosine of 60°: rays farther from the axis step along themselves
+_FLAT = 1e-5  # share of the range, or of the greatest magnitude, per mean spacing: less is no gradient
+_BISECTIONS = 38  # to 1e-12 of a step; to the last bit, rounding would choose the side of a jump again
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Rays in the world: ``p(t) = origin + t direction`` for ``enter <= t <= leave``.
+
+    Attributes
+    ----------
+    origin, direction : ndarray, shape (N, 3)
+        Directions have unit length.
+    enter, leave : ndarray, shape (N,)
+        Where they are inside the volume's domain and the clipping box, and in front of a perspective
+        eye; ``enter > leave`` for rays that miss.
+    """
+
+    origin: Array
+    direction: Array
+    enter: Array
+    leave: Array
+
+    def at(self, t: Array, which: NDArray[Any] | slice = slice(None)) -> Array:
+        """World positions at distances `t` of the rays `which`; (..., 3)."""
+        return np.asarray(self.origin[which] + t[..., None] * self.direction[which])
+
+
+def camera_rays(
+    volume: Volume,
+    view: View,
+    size: tuple[int, int],
+    offset: Sequence[float] = (0.5, 0.5),
+    clip: tuple[Sequence[float], Sequence[float]] | None = None,
+) -> Rays:
+    """One ray a pixel, row by row from the top, `offset` of a pixel from its upper left corner.
+
+    With ``a = 2 (x + ox) / width - 1`` and ``b = 1 - 2 (y + oy) / height``, a pixel lies at
+    ``h (a aspect right + b up)``. Perspective rays start at the eye along forward plus that;
+    orthographic ones start at the eye plus that, along forward, and may run back.
+    """
+    width, height = size
+    a = 2 * (np.arange(width) + offset[0]) / width - 1
+    b = 1 - 2 * (np.arange(height) + offset[1]) / height
+    plane = view.half_height * ((a * width / height)[None, :, None] * view.right + b[:, None, None] * view.up).reshape(-1, 3)
+    if view.orthographic:
+        origin, direction, nearest = view.eye + plane, np.broadcast_to(view.forward, plane.shape), -math.inf
+    else:
+        origin, direction, nearest = np.broadcast_to(view.eye, plane.shape), view.forward + plane, 0.0
+    direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    # the domain is a box in index space, which the map from the world keeps straight and evenly parted
+    start = volume.world_to_index(origin)
+    slope = volume.world_to_index(origin + direction) - start
+    enter, leave = _slabs(start, slope, np.full(3, -0.5), np.array(volume.size) - 0.5)
+    if clip is not None:
+        other_enter, other_leave = _slabs(origin, direction, np.asarray(clip[0], float), np.asarray(clip[1], float))
+        enter, leave = np.maximum(enter, other_enter), np.minimum(leave, other_leave)
+    return Rays(origin, direction, np.maximum(enter, nearest), leave)
+
+
+def _slabs(origin: Array, direction: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """Where lines are inside a box: the intersection of three intervals."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a, b = (low - origin) / direction, (high - origin) / direction
+    parallel = direction == 0
+    inside = (origin >= low) & (origin <= high)
+    near = np.where(parallel, np.where(inside, -math.inf, math.inf), np.minimum(a, b))
+    far = np.where(parallel, np.where(inside, math.inf, -math.inf), np.maximum(a, b))
+    return near.max(-1), far.min(-1)
+
+
+def lattice(volume: Volume, view: View, aspect: float, step: float) -> tuple[int, int]:
+    """The axis most parallel to the view, in index space, and K, how many planes across it are sampled.
+
+    A ray at an angle α to the axis advances ``n / (K cos α)`` voxels from plane to plane. The picture's
+    corners have the greatest α; angles past 60° do not count, for such rays use no planes.
+    """
+    forward = volume.world_to_index_matrix @ view.forward
+    axis = int(np.abs(forward).argmax())
+    reach = 0.0 if view.orthographic else view.half_height
+    corners = [
+        volume.world_to_index_matrix @ (view.forward + reach * (a * aspect * view.right + b * view.up))
+        for a, b in ((-1, -1), (-1, 1), (1, -1), (1, 1))
+    ]
+    least = min(math.copysign(1, forward[axis]) * d[axis] / np.linalg.norm(d) for d in corners)
+    n = volume.size[axis]
+    planes = 1
+    while n / (planes * max(least, _STEEP)) > step * (1 + 1e-9):
+        planes += 1
+    return axis, planes
+
+
+def _sample_distances(volume: Volume, rays: Rays, axis: int, planes: int, step: float, ends: bool) -> tuple[Array, Bools, Array]:
+    """Distances of the samples in order, (N, M), which of them exist, and each ray's world step, (N,).
+
+    Along an axis of n samples, plane k lies at index ``-1/2 + (k + 1/2) n / K``. With `ends`, the points
+    where a ray enters and leaves are samples too, a thousandth of a step inside; then no other sample lies
+    nearer to the edge.
+    """
+    n = volume.size[axis]
+    start = volume.world_to_index(rays.origin)[:, axis]
+    slope = rays.direction @ volume.world_to_index_matrix.T  # voxels a world unit
+    length = np.linalg.norm(slope, axis=1)
+    steep = np.abs(slope[:, axis]) >= _STEEP * length
+    hit = rays.enter <= rays.leave
+
+    along = np.where(steep, slope[:, axis], 1.0)
+    t = (-0.5 + (np.arange(planes) + 0.5) * n / planes - start[:, None]) / along[:, None]
+    t = np.sort(t, axis=1)
+    own = step / length
+    span = np.where(hit & ~steep, rays.leave - rays.enter, 0.0)
+    steps = np.arange(1 + math.floor(float((span / own).max(initial=0.0))))
+    with np.errstate(invalid="ignore"):
+        oblique = np.where(hit, rays.enter, 0.0)[:, None] + (steps + 0.5) * own[:, None]
+    m = max(planes, steps.size)
+    every = np.full((t.shape[0], m + 2), math.inf)
+    every[steep, 1 : planes + 1] = t[steep]
+    every[~steep, 1 : steps.size + 1] = oblique[~steep]
+    world_step = np.where(steep, n / planes / np.abs(along), own)
+    there = hit[:, None] & (every >= rays.enter[:, None]) & (every <= rays.leave[:, None])
+    if ends:
+        first, last = rays.enter + 1e-3 * world_step, rays.leave - 1e-3 * world_step
+        there &= (every >= first[:, None]) & (every <= last[:, None])
+        every[:, 0], every[:, -1] = first, last
+        there[:, 0] = there[:, -1] = hit & (first <= last)
+    every = np.where(there, every, math.inf)
+    order = np.argsort(every, axis=1, kind="stable")
+    return np.take_along_axis(every, order, 1), np.take_along_axis(there, order, 1), world_step
+
+
+def shade(gradient: Array, color: Array, direction: Array, material: Material, lights: Sequence[Light], flat: float) -> Array:
+    """Blinn-Phong: ``color (ka + kd Σ Lᵢ (n·lᵢ)⁺) + ks Σ Lᵢ ((n·hᵢ)⁺)ˢ``, with n towards the viewer.
+
+    ``h`` is halfway between the light and the viewer; there is no highlight where the light is behind the
+    surface. Where the gradient is no longer than `flat` there is no normal, hence full diffuse light and no
+    highlight.
+
+    Parameters
+    ----------
+    gradient, color, direction : ndarray, shape (N, 3)
+        World gradients; colours of the matter; unit directions of the rays.
+    """
+    normal, known = facing(gradient, direction, flat)
+    normal = np.where(known[:, None], normal, 0.0)
+    viewer = -direction
+    diffuse, shine = np.zeros_like(color), np.zeros_like(color)
+    for light in lights:
+        to = viewer if light.direction is None else np.broadcast_to(np.asarray(light.direction), viewer.shape)
+        half = to + viewer
+        half = half / np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-10)
+        cosine = np.where(known, np.maximum((normal * to).sum(1), 0.0), 1.0)
+        highlight = np.maximum((normal * half).sum(1), 0.0) ** material.shininess
+        highlight = np.where(known & (cosine > 0), highlight, 0.0)
+        diffuse += cosine[:, None] * np.asarray(light.color)
+        shine += highlight[:, None] * np.asarray(light.color)
+    return np.asarray(color * (material.ambient + material.diffuse * diffuse) + material.specular * shine)
+
+
+def facing(gradient: Array, direction: Array, flat: float) -> tuple[Array, Bools]:
+    """Unit normals towards the viewer, NaN where the gradient is no longer than `flat`, and where it is longer."""
+    length = np.linalg.norm(gradient, axis=-1)
+    known = length > flat
+    with np.errstate(divide="ignore", invalid="ignore"):
+        normal = gradient / np.where(known, length, math.nan)[..., None]
+    behind = (normal * direction).sum(-1) > 0
+    return np.where(behind[..., None], -normal, normal), known
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """What the modes share."""
+
+    value: Callable[[Array], Array]
+    gradient: Callable[[Array], Array]
+    lit: Callable[[Array, Array, Array], Array]  # gradient, colour and direction to colour
+    transfer: TransferFunction
+    unit_distance: float
+    isovalue: float
+    surface: Array
+    shading: bool
+    termination: float
+
+
+def render(
+    volume: Volume | ArrayLike,
+    camera: Camera | None = None,
+    mode: str | Mode = DEFAULT_MODE,
+    filter: str | Filter = DEFAULT_FILTER,
+    boundary: str | Boundary = DEFAULT_BOUNDARY,
+    size: tuple[int, int] = (64, 64),
+    step: float = 0.5,
+    *,
+    transfer: TransferFunction | None = None,
+    isovalue: float | None = None,
+    color: Sequence[float] | str = (0.93, 0.87, 0.76),
+    shading: bool = True,
+    gradient: Literal["analytic", "central"] = "analytic",
+    material: Material | None = None,
+    lights: Sequence[Light] = (HEADLIGHT,),
+    background: Sequence[float] | str | None = (0.0, 0.0, 0.0),
+    clip: tuple[Sequence[float], Sequence[float]] | None = None,
+    samples: int = 1,
+    termination: float = 0.0,
+    outputs: str | Sequence[str] = "rgba",
+) -> Array | dict[str, Array]:
+    """One picture; parameters and results are those of `clvol.Renderer.render`, in float64.
+
+    Differences: `termination` is 0 unless given, and all samples of all rays are held at once, so
+    this is for small pictures of small volumes.
+
+    Notes
+    -----
+    ``composite``: with opacity ``a`` a unit distance ``u``, a sample stands for a step ``s`` of the ray with
+    opacity ``1 - (1 - a)^(s/u)``; colours add up weighted by opacity times the light that gets there.
+
+    ``isosurface``: the first pair of neighbouring samples on both sides of the isovalue; the root between
+    them by bisection, the end on the far side.
+
+    ``mip``, ``minip``: the extreme sample, the first if several are equal; ``mean``: the mean of all.
+    """
+    volume, row, chosen = as_volume(volume), as_filter(filter), as_mode(mode)
+    if volume.ndim != 3:
+        raise OptionError(f"rendering takes a volume with 3 axes; got shape {volume.shape}")
+    gather = _MODES.get(chosen.name)
+    if gather is None:
+        raise one_of("mode of the reference", chosen.name, _MODES)
+    low, high = volume.value_range
+    if transfer is None:
+        transfer = TransferFunction.automatic(volume) if chosen.automatic else TransferFunction.ramp((low, high))
+    if isovalue is None:
+        isovalue = otsu_threshold(volume) if chosen.name == "isosurface" else low
+    material = material or Material()
+    flat = _FLAT * max(high - low, abs(high), abs(low)) / float(np.mean(volume.spacing))
+    central = gradient == "central" or not row.has_gradient
+
+    def value(points: Array) -> Array:
+        return sample(volume, points, row, boundary)
+
+    def slope(points: Array) -> Array:
+        """Differences of one voxel to either side, or the exact derivative; per world unit.
+
+        ``df/dw_i = Σ_j df/dx_j dx_j/dw_i`` with index positions x and world positions w.
+        """
+        if not central:
+            return sample(volume, points, row, boundary, 1)
+        columns = volume.index_to_world_matrix.T  # row j: one voxel along axis j
+        differences = np.stack([(value(points + c) - value(points - c)) / 2 for c in columns], -1)
+        return np.asarray(differences @ volume.world_to_index_matrix)
+
+    scene = _Scene(
+        value,
+        slope,
+        lambda g, c, d: shade(g, c, d, material, lights, flat),
+        transfer,
+        transfer.unit_distance or float(np.mean(volume.spacing)),
+        float(isovalue),
+        np.asarray(color_of("color", color)),
+        shading,
+        termination,
+    )
+    width, height = size
+    view = (camera or Camera.orbit()).view(volume, width / height)
+    axis, planes = lattice(volume, view, width / height, step)
+    total = np.zeros((width * height, 4))
+    guides: dict[str, Array] = {}
+    for offset in _offsets(samples):
+        rays = camera_rays(volume, view, size, offset, clip)
+        t, there, world_step = _sample_distances(volume, rays, axis, planes, step, chosen.endpoints)
+        values = np.full(t.shape, math.nan)
+        which, k = np.nonzero(there)
+        values[there] = value(rays.at(t[which, k], which))
+        rgb, opacity, depth = gather(scene, rays, t, there, values, world_step)
+        total += np.concatenate([rgb, opacity[:, None]], 1) / samples
+        if not guides:
+            somewhere = np.isfinite(depth)
+            place = np.full((depth.size, 3), math.nan)
+            place[somewhere] = rays.at(depth[somewhere], somewhere)
+            normal = np.full((depth.size, 3), math.nan)
+            normal[somewhere], _ = facing(slope(place[somewhere]), rays.direction[somewhere], flat)
+            guides = {"depth": depth, "normal": normal, "position": place}
+    premultiplied, cover = total[:, :3], total[:, 3:]
+    if background is None:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            over = np.where(cover > 0, premultiplied / cover, 0.0)
+    else:
+        over = premultiplied + (1 - cover) * np.asarray(color_of("background", background))
+        cover = np.ones_like(cover)
+    pictures = {"rgba": np.clip(np.concatenate([over, cover], 1), 0, 1), **guides}
+    shaped = {name: array.reshape(height, width, *array.shape[1:]) for name, array in pictures.items()}
+    return shaped[outputs] if isinstance(outputs, str) else {name: shaped[name] for name in outputs}
+
+
+def _offsets(samples: int) -> Array:
+    """The R2 sequence from the middle of the pixel: multiples of 1/g and 1/g², g the real root of g³ = g + 1."""
+    g = float(np.roots([1, 0, -1, -1])[0].real)
+    return np.array([[(0.5 + i / g) % 1, (0.5 + i / g**2) % 1] for i in range(samples)])
+
+
+# -- the modes: premultiplied colour, opacity and depth of each ray ------------------------------------------------
+
+_Gathered: TypeAlias = tuple[Array, Array, Array]
+
+
+def _composite(scene: _Scene, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:
+    classified = scene.transfer(np.where(there, values, 0.0))
+    rgb, alpha = classified[..., :3], np.where(there, classified[..., 3], 0.0)
+    if scene.shading:
+        which, k = np.nonzero(alpha > 0)
+        gradient = scene.gradient(rays.at(t[which, k], which))
+        rgb[which, k] = scene.lit(gradient, rgb[which, k], rays.direction[which])
+    opacity = 1 - (1 - alpha) ** (step / scene.unit_distance)[:, None]
+    after = np.cumprod(1 - opacity, axis=1)
+    before = np.concatenate([np.ones((after.shape[0], 1)), after[:, :-1]], 1)
+    # the sample that lets no more than `termination` through is the last
+    seen = (before > scene.termination) if scene.termination > 0 else np.ones_like(there)
+    share = np.where(seen, before * opacity, 0.0)
+    half = seen & (after <= 0.5)
+    depth = np.where(half.any(1), np.take_along_axis(t, half.argmax(1)[:, None], 1)[:, 0], math.inf)
+    return np.einsum("nk,nkc->nc", share, rgb), share.sum(1), depth
+
+
+def _isosurface(scene: _Scene, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
+    above = values >= scene.isovalue
+    crossing = there[:, 1:] & there[:, :-1] & (above[:, 1:] != above[:, :-1])
+    hit = np.flatnonzero(crossing.any(1))
+    first = crossing[hit].argmax(1)
+    near, far, side = t[hit, first], t[hit, first + 1], above[hit, first]
+    for _ in range(_BISECTIONS):
+        middle = (near + far) / 2
+        same = (scene.value(rays.at(middle, hit)) >= scene.isovalue) == side
+        near, far = np.where(same, middle, near), np.where(same, far, middle)
+    depth = np.full(t.shape[0], math.inf)
+    depth[hit] = far
+    rgb = np.zeros((t.shape[0], 3))
+    rgb[hit] = scene.surface
+    if scene.shading:
+        rgb[hit] = scene.lit(scene.gradient(rays.at(far, hit)), rgb[hit], rays.direction[hit])
+    return rgb, np.isfinite(depth).astype(float), depth
+
+
+def _extreme(scene: _Scene, t: Array, there: Bools, values: Array, sign: float) -> _Gathered:
+    ranked = np.where(there, sign * values, -math.inf)
+    best = ranked.argmax(1)[:, None]
+    some: Bools = np.asarray(there.any(1))
+    color = scene.transfer(np.where(some, np.take_along_axis(values, best, 1)[:, 0], 0.0))[:, :3]
+    depth = np.where(some, np.take_along_axis(t, best, 1)[:, 0], math.inf)
+    return color * some[:, None], some.astype(float), depth
+
+
+def _mip(scene: _Scene, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
+    return _extreme(scene, t, there, values, 1.0)
+
+
+def _minip(scene: _Scene, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
+    return _extreme(scene, t, there, values, -1.0)
+
+
+def _mean(scene: _Scene, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
+    some: Bools = np.asarray(there.any(1))
+    mean = np.where(there, values, 0.0).sum(1) / np.maximum(there.sum(1), 1)
+    color = scene.transfer(mean)[:, :3]
+    return color * some[:, None], some.astype(float), np.full(t.shape[0], math.inf)
+
+
+_MODES: dict[str, Callable[[_Scene, Rays, Array, Bools, Array, Array], _Gathered]] = {
+    "composite": _composite,
+    "isosurface": _isosurface,
+    "mip": _mip,
+    "minip": _minip,
+    "mean": _mean,
+}

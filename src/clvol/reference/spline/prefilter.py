@@ -1,0 +1,116 @@
+"""From samples to coefficients: eq. (11) solved as a system, or eqs (13) and (16) by the FFT."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import linalg
+
+from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.errors import DataError, OptionError
+from clvol.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.reference.spline.boundary import extend
+from clvol.reference.spline.filter import kernel
+
+__all__ = ["kernel_samples", "prefilter", "prefilter_fft"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+def kernel_samples(filter: str | Filter) -> Array:
+    """The kernel at 0, 1, 2, ... up to the last that is not zero: the entries of eq. (11)."""
+    row = as_filter(filter)
+    b = kernel(row, np.arange((row.support + 1) // 2 + 1))
+    return b[: int(np.flatnonzero(np.abs(b) > 1e-12)[-1]) + 1]
+
+
+def prefilter(data: ArrayLike, filter: str | Filter = DEFAULT_FILTER, boundary: str | Boundary = DEFAULT_BOUNDARY) -> Array:
+    """Spline coefficients by solving eq. (11) along every axis; the row's own samples if it has no prefilter.
+
+    Parameters
+    ----------
+    data : array-like
+        Samples, of any number of axes.
+    filter : str or Filter
+        A hybrid stands for the filter that it magnifies with.
+    boundary : str or Boundary
+        Says which coefficients stand past the edge, hence the matrix's corners.
+    """
+    result, row = _arguments(data, filter)
+    if row.prefilter:
+        for axis in range(result.ndim):
+            lines = np.moveaxis(result, axis, 0)
+            solved = _solve(lines.reshape(lines.shape[0], -1), kernel_samples(row), boundary)
+            result = np.moveaxis(solved.reshape(lines.shape), 0, axis)
+    return np.ascontiguousarray(result)
+
+
+def prefilter_fft(data: ArrayLike, filter: str | Filter = DEFAULT_FILTER, boundary: str | Boundary = DEFAULT_BOUNDARY) -> Array:
+    """The same by dividing in the frequency domain, eq. (13), by the response of eq. (16).
+
+    An axis is first continued to one full period of its boundary rule. "zero" has none.
+    """
+    rule = as_boundary(boundary)
+    if rule.name == "zero":
+        raise OptionError("boundary must be mirror, reflect or wrap, which have a period; got 'zero'")
+    result, row = _arguments(data, filter)
+    if row.prefilter:
+        b = kernel_samples(row)
+        for axis in range(result.ndim):
+            lines = np.moveaxis(result, axis, -1)
+            n = lines.shape[-1]
+            if rule.name == "mirror":
+                cycle = np.concatenate([lines, lines[..., -2:0:-1]], -1)
+            elif rule.name == "reflect":
+                cycle = np.concatenate([lines, lines[..., ::-1]], -1)
+            else:
+                cycle = lines
+            omega = 2 * np.pi * np.fft.fftfreq(cycle.shape[-1])
+            response = b[0] + 2 * sum(v * np.cos(k * omega) for k, v in enumerate(b) if k)
+            solved = np.fft.ifft(np.fft.fft(cycle) / response).real
+            result = np.moveaxis(solved[..., :n], -1, axis)
+    return np.ascontiguousarray(result)
+
+
+def _arguments(data: ArrayLike, filter: str | Filter) -> tuple[Array, Filter]:
+    samples = np.asarray(data)
+    if samples.ndim == 0 or 0 in samples.shape or samples.dtype.kind not in "biuf":
+        raise DataError(f"data must be numbers along 1 axis or more; got {samples.dtype} of shape {samples.shape}")
+    samples = samples.astype(np.float64)
+    if not np.isfinite(samples).all():
+        raise DataError("samples must be finite")
+    row = as_filter(filter)
+    return samples, row.magnified_by or row
+
+
+def _solve(lines: Array, b: Array, boundary: str | Boundary) -> Array:
+    """Eq. (11) for columns of `lines`: a band, and for the closed curve two corners."""
+    n, k = lines.shape[0], b.size - 1
+    # which coefficient each row's neighbours are: the extension of 1, 2, ..., n, where 0 is none
+    column = extend(np.arange(1, n + 1), k, boundary) - 1
+    entries = [(i, int(column[i + k + j]), b[abs(j)]) for j in range(-k, k + 1) for i in range(n)]
+    if n <= 4 * k + 2:  # the corners meet the band
+        matrix = np.zeros((n, n))
+        for i, j, v in entries:
+            if j >= 0:
+                matrix[i, j] += v
+        return np.asarray(np.linalg.solve(matrix, lines), dtype=np.float64)
+    band, corner = np.zeros((2 * k + 1, n)), np.zeros((n, n if k else 0))
+    corner_rows = [*range(k), *range(n - k, n)]
+    for i, j, v in entries:
+        if j < 0:
+            continue
+        if abs(i - j) <= k:
+            band[k + i - j, j] += v
+        else:
+            corner[i, j] += v
+    solved: Array = np.asarray(linalg.solve_banded((k, k), band, lines), dtype=np.float64)
+    if not corner.any():
+        return solved
+    # Woodbury: (B + E C)^-1 p = B^-1 p - B^-1 E (1 + C B^-1 E)^-1 C B^-1 p, E: the corners' rows
+    some = corner[corner_rows]
+    spread = linalg.solve_banded((k, k), band, np.eye(n)[:, corner_rows])
+    inner = np.linalg.solve(np.eye(2 * k) + some @ spread, some @ solved)
+    return np.asarray(solved - spread @ inner)

@@ -1,0 +1,364 @@
+"""Measured errors: the numbers that are known, the ways of knowing the truth, and what cannot be measured."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+
+from clvol import reference
+from clvol.analysis import COMPARED, EXACT_SINC, ErrorTable, compare, ssim
+from clvol.device import Device
+from clvol.errors import ClvolError, DataError, OptionError, OutOfMemoryError
+from clvol.filter import as_filter, filters, from_callable
+from clvol.phantoms import marschner_lobb, marschner_lobb_function, marschner_lobb_gradient
+from clvol.volume import Volume
+
+# of Marschner-Lobb 41³ at 200 000 random points in [-0.8, 0.8]³, computed in float64 before clvol was written
+RMSE = {
+    "nearest": 0.0467,
+    "bspline3-approx": 0.0439,
+    "linear": 0.0315,
+    "mitchell": 0.0282,
+    "catmull-rom": 0.0218,
+    "bspline2": 0.0169,
+    "bspline3": 0.0131,
+    "bspline4": 0.0099,
+    "bspline5": 0.0081,
+}
+DEGREES = {"bspline3": 9.9, "bspline3-approx": 18.0, "mitchell": 18.2, "catmull-rom": 19.7}
+
+
+def wave(points: np.ndarray) -> np.ndarray:
+    return np.sin(3 * points[:, 0]) * np.cos(2 * points[:, 1]) + points[:, -1]
+
+
+def wave_gradient(points: np.ndarray) -> np.ndarray:
+    x, y = points[:, 0], points[:, 1]
+    slopes = [3 * np.cos(3 * x) * np.cos(2 * y), -2 * np.sin(3 * x) * np.sin(2 * y)]
+    if points.shape[1] == 3:
+        return np.stack([*slopes, np.ones_like(x)], -1)
+    return np.stack([slopes[0], slopes[1] + 1], -1)
+
+
+def plane(points: np.ndarray) -> np.ndarray:
+    return points @ np.arange(1.0, points.shape[-1] + 1)
+
+
+@pytest.fixture(scope="module")
+def known() -> ErrorTable:
+    return compare(marschner_lobb_function, list(RMSE), gradient=marschner_lobb_gradient, timing=False)
+
+
+@pytest.mark.parametrize("name", RMSE)
+def test_rms_on_marschner_lobb_is_as_known(known: ErrorTable, name: str) -> None:
+    row = next(r for r in known if r.filter == name)
+    assert row.rms == pytest.approx(RMSE[name], rel=0.02)
+
+
+@pytest.mark.parametrize("name", DEGREES)
+def test_angle_on_marschner_lobb_is_as_known(known: ErrorTable, name: str) -> None:
+    row = next(r for r in known if r.filter == name)
+    assert row.angle_mean == pytest.approx(DEGREES[name], abs=0.5)
+
+
+def test_a_table_says_what_was_compared(known: ErrorTable) -> None:
+    assert [row.filter for row in known] == list(RMSE)
+    assert (known.points, known.boundary, known.evaluated_on, known.timed_on) == (200_000, "mirror", "NumPy, float64", "")
+    assert known.samples.shape == (41, 41, 41)
+    assert known.value_range == known.samples.value_range
+    assert known.against == "the function at 200000 random points"
+    assert known.best().filter == known.best("angle_95").filter == known.best("ssim").filter == "bspline5"
+    assert known.best("overshoot").overshoot == 0
+    assert json.loads(known.to_json())[0]["angle_mean"] is None  # nearest has no gradient
+    for key in ("seconds", "filter", "none"):
+        with pytest.raises(OptionError):
+            known.best(key)
+
+
+def test_numbers_are_their_definitions() -> None:
+    grid = Volume(np.random.default_rng(0).normal(size=(12, 14)), (0.5, 0.25), (1.0, -2.0))
+    table = compare(grid, ["catmull-rom"], truth=wave, gradient=wave_gradient, points=5000, margin=2, seed=3, timing=False)
+    [row] = table
+    points = grid.index_to_world(np.random.default_rng(3).uniform(2, [11, 9], (5000, 2)))
+    got, slopes = (reference.sample(grid, points, "catmull-rom", derivative=d) for d in (0, 1))
+    error = got - wave(points)
+    low, high = grid.data.min(), grid.data.max()
+    assert row.rms == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-12)
+    assert row.maximum == np.abs(error).max()
+    assert row.psnr == pytest.approx(10 * np.log10((high - low) ** 2 / np.mean(error**2)), rel=1e-12)
+    assert row.overshoot == max(got.max() - high, low - got.min(), 0)
+    assert row.overshoot > 0.01
+    true = wave_gradient(points)
+    assert row.gradient_rms == pytest.approx(np.sqrt(np.mean(((slopes - true) ** 2).sum(-1))), rel=1e-12)
+    angle = np.degrees(np.abs(np.angle((slopes[:, 0] + 1j * slopes[:, 1]) / (true[:, 0] + 1j * true[:, 1]))))
+    assert row.angle_mean == pytest.approx(angle.mean(), rel=1e-6)
+    assert row.angle_median == pytest.approx(np.median(angle), rel=1e-6)
+    assert row.angle_95 == pytest.approx(np.percentile(angle, 95), rel=1e-6)
+    y, x = np.meshgrid(np.arange(2, 9.25, 0.5), np.arange(2, 11.25, 0.5), indexing="ij")
+    at = grid.index_to_world(np.stack([x, y], -1))
+    shown = ssim(reference.sample(grid, at, "catmull-rom"), wave(at.reshape(-1, 2)).reshape(x.shape), high - low)
+    assert row.ssim == pytest.approx(shown, rel=1e-12)
+
+
+def test_where_the_true_gradient_is_next_to_none_there_is_no_angle() -> None:
+    """Ahead of the step the true gradient is 0 or a millionth of the greatest, and what the filter rings is no direction."""
+
+    def ramp(points: np.ndarray) -> np.ndarray:
+        return np.maximum(points[:, 0], 0) + 1e-6 * points[:, 1]
+
+    [row] = compare(ramp, ["bspline3"], dimensions=2, size=33, points=4000, timing=False)
+    assert row.angle_95 is not None
+    assert row.angle_95 < 1
+    grid = Volume(np.zeros((33, 33)), (1 / 16,) * 2, (-1.0,) * 2)
+    sampled = ramp(grid.index_to_world(np.stack(np.meshgrid(np.arange(33), np.arange(33)), -1)).reshape(-1, 2)).reshape(33, 33)
+    ahead = reference.sample(Volume(sampled, grid.spacing, grid.origin), [[-0.05, 0.3]], derivative=1)[0]
+    assert np.abs(ahead[0]) > 0.05  # across the true one, which points along y there
+
+
+def test_the_gradient_of_a_function_is_found_by_differences() -> None:
+    options: dict[str, Any] = {"size": 15, "points": 2000, "timing": False}
+    [given] = compare(wave, ["bspline3"], gradient=wave_gradient, **options)
+    [found] = compare(wave, ["bspline3"], **options)
+    assert found.gradient_rms == pytest.approx(given.gradient_rms, abs=1e-9)
+    assert found.angle_mean == pytest.approx(given.angle_mean, abs=1e-6)
+
+
+def test_a_turned_grid_changes_nothing() -> None:
+    rotation = np.linalg.qr(np.random.default_rng(1).normal(size=(2, 2)))[0]
+    empty = Volume(np.zeros((40, 50)), (0.1, 0.2), (3.0, 4.0), rotation)
+    lattice = np.stack(np.meshgrid(np.arange(40), np.arange(50), indexing="ij")[::-1], -1)
+    volume = Volume(plane(empty.index_to_world(lattice)), empty.spacing, empty.origin, rotation)
+    for row in compare(volume, ["linear", "mitchell"], truth=plane, points=500, timing=False):
+        assert row.maximum < 1e-9
+        assert row.angle_95 is not None
+        assert row.angle_95 < 1e-4
+
+
+# -- held back ---------------------------------------------------------------------------------------------------
+
+
+def test_decimation_is_low_pass_every_other_sample_and_back() -> None:
+    data = np.random.default_rng(0).normal(size=(11, 12, 13)).cumsum(0).cumsum(1).astype(np.float32)
+    volume = Volume(data, (1.0, 2.0, 0.5), (1.0, 2.0, 3.0))
+    [row] = table = compare(volume, ["bspline3"], margin=1, timing=False)
+    smooth = Volume(data.astype(float), volume.spacing, volume.origin).gaussian((1.0, 2.0, 0.5)).downsample(2)
+    np.testing.assert_array_equal(table.samples.data, smooth.data)
+    z, y, x = np.meshgrid(np.arange(2, 9), np.arange(2, 9), np.arange(2, 11), indexing="ij")
+    at = volume.index_to_world(np.stack([x, y, z], -1))
+    got = reference.sample(smooth, at)
+    assert row.rms == pytest.approx(np.sqrt(np.mean((got - data[2:9, 2:9, 2:11]) ** 2)), rel=1e-9)
+    span = np.ptp(smooth.data)
+    assert row.ssim == pytest.approx(ssim(got, data[2:9, 2:9, 2:11], span), rel=1e-9)
+    true, slopes = reference.sample(volume, at, "bspline5", derivative=1), reference.sample(smooth, at, derivative=1)
+    assert row.gradient_rms == pytest.approx(np.sqrt(((slopes - true) ** 2).sum(-1).mean()), rel=1e-9)
+    assert table.against == "441 samples of the original, decimated by 2 after a Gaussian low-pass"
+    assert table.points == 441
+
+
+def test_decimation_of_what_is_smooth_orders_the_filters() -> None:
+    line = np.cos(np.linspace(0, 6 * np.pi, 91))  # even about its ends, as the boundary rule has it
+    table = compare(line[:, None] * line, COMPARED, factor=3, lowpass="none", timing=False)
+    rms = {row.filter: row.rms for row in table}
+    assert rms["bspline5"] < rms["bspline4"] < rms["bspline3"] < rms["catmull-rom"] < rms["linear"] < rms["nearest"]
+    assert rms["linear"] < rms["bspline3-approx"]
+    assert table.best().filter == EXACT_SINC
+
+
+@pytest.mark.parametrize("rule", ["mirror", "reflect", "wrap"])
+def test_exact_sinc_beside_the_filters_is_exact_for_what_is_band_limited(rule: str) -> None:
+    n = 24
+    phase = {
+        "mirror": np.pi * np.arange(n) / (n - 1),
+        "reflect": np.pi * (np.arange(n) + 0.5) / n,
+        "wrap": 2 * np.pi * np.arange(n) / n,
+    }[rule]
+    line = np.cos(3 * phase)
+
+    def truth(points: np.ndarray) -> np.ndarray:
+        return np.cos(3 * (phase[0] + (phase[1] - phase[0]) * points[:, 0])) * np.cos(
+            3 * (phase[0] + (phase[1] - phase[0]) * points[:, 1])
+        )
+
+    sinc, linear = compare(line[:, None] * line, [EXACT_SINC, "linear"], truth=truth, boundary=rule, points=500, timing=False)
+    assert sinc.maximum < 1e-12
+    assert sinc.gradient_rms is not None
+    assert sinc.gradient_rms < 1e-9
+    assert sinc.ssim == pytest.approx(1, abs=1e-12)
+    assert linear.maximum > 1e-2
+    # held back: 24 = 2 * 12 samples of a period
+    if rule == "wrap":
+        [held] = compare(line[:, None] * line, [EXACT_SINC], boundary=rule, lowpass="none", timing=False)
+        assert held.maximum < 1e-12
+
+
+def test_of_a_large_volume_the_middle_slices_are_compared(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.modules["clvol.analysis.compare"], "_WHOLE", 500)
+    data = np.random.default_rng(0).normal(size=(40, 16, 16))
+    [row] = table = compare(data, ["linear"], margin=1, lowpass="none", timing=False)
+    assert table.points == 4 * 11 * 11  # of the samples 2 to 36 along z
+    grid = Volume(np.zeros((4, 11, 11)), (0.5,) * 3, (1.0, 1.0, 8.5))
+    got = reference.resample(data[::2, ::2, ::2], like=grid, filter="linear")
+    assert row.rms == pytest.approx(np.sqrt(np.mean((got.data - data[17:21, 2:13, 2:13]) ** 2)), rel=1e-12)
+
+
+# -- devices ------------------------------------------------------------------------------------------------------
+
+
+def test_values_from_a_device_and_times(device: Device) -> None:
+    names = ["linear", "bspline3", EXACT_SINC]
+    for source in (wave, marschner_lobb(24)):
+        seen: list[float] = []
+        exact = compare(source, names, size=17, points=3000, timing=False)
+        got = compare(source, names, size=17, points=3000, device=device, progress=seen.append)
+        assert (got.evaluated_on, got.timed_on) == (device.name, device.name)
+        assert seen == sorted(seen)
+        assert seen[-1] == 1
+        assert len(seen) > 5
+        for a, b in zip(exact, got, strict=True):
+            assert b.rms == pytest.approx(a.rms, abs=2e-5)
+            assert b.ssim == pytest.approx(a.ssim, abs=1e-4)
+            assert b.gradient_rms == pytest.approx(a.gradient_rms, abs=1e-3)
+            assert a.seconds is None
+            assert (b.seconds is None) == (b.filter == EXACT_SINC)
+            assert b.seconds is None or 0 < b.seconds < 60
+
+
+def test_times_alone_are_taken_from_a_device(device: Device) -> None:
+    table = compare(wave, ["linear", EXACT_SINC], size=9, points=30, timing_device=device)
+    assert (table.evaluated_on, table.timed_on) == ("NumPy, float64", device.name)
+    assert table[0].seconds is not None
+    with pytest.raises(OptionError, match="device must be one of"):
+        compare(wave, ["linear"], size=9, points=30, timing_device="none")
+    with pytest.raises(OptionError, match="device must be one of"):
+        compare(wave, ["linear"], size=9, points=30, device="none", timing=False)
+
+
+WITHOUT_OPENCL = """
+import sys
+sys.modules["pyopencl"] = None  # importing it raises ImportError
+from clvol import analysis, phantoms
+table = analysis.compare(phantoms.marschner_lobb(12), ["linear", "exact-sinc"])
+print(table.timed_on == "", table[0].seconds, len(table))
+"""
+
+
+def test_it_works_without_opencl() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_OPENCL], capture_output=True, text=True, timeout=120, check=False, env={**os.environ}
+    )
+    assert (done.stdout.strip(), done.stderr) == ("True None 2", "")
+
+
+# -- bad input ----------------------------------------------------------------------------------------------------
+
+
+def finite(table: ErrorTable) -> bool:
+    return all(v is None or isinstance(v, str) or np.isfinite(v) for row in table for v in vars(row).values())
+
+
+@pytest.mark.parametrize("source", [np.full((9, 9, 9), 3.0), np.zeros((20, 20)), lambda p: np.full(p.shape[0], 2.5)])
+def test_constant_data_give_values(source: Any) -> None:
+    table = compare(source, [*filters(), EXACT_SINC], size=9, points=100, timing=False)
+    assert finite(table)
+    for row in table:
+        assert (row.psnr, row.ssim, row.angle_mean, row.angle_median, row.angle_95) == (None,) * 5
+        sums_to_one = row.filter == EXACT_SINC or as_filter(row.filter).sums_to_one
+        assert row.rms < (1e-12 if sums_to_one else 1)
+    assert "nan" not in table.to_csv() + table.to_json() + table.to_markdown()
+
+
+@pytest.mark.parametrize("unit", [1e-300, 1e-200, 1e-81, 1e-20, 1e34])
+def test_units_of_the_data_change_nothing(unit: float) -> None:
+    data = np.random.default_rng(0).normal(size=(14, 15)).cumsum(0)
+    for scaled, plain in zip(*(compare(data * u, COMPARED, margin=1, timing=False) for u in (unit, 1.0)), strict=True):
+        for key in ("rms", "maximum", "gradient_rms", "overshoot"):
+            one = getattr(plain, key)
+            assert getattr(scaled, key) == (None if one is None else pytest.approx(unit * one, rel=1e-6, abs=1e-12 * unit))
+        for key in ("psnr", "ssim", "angle_mean", "angle_95"):
+            one = getattr(plain, key)
+            assert getattr(scaled, key) == (None if one is None else pytest.approx(one, rel=1e-6))
+    with pytest.raises(DataError, match=r"samples must lie within ±5e36"):
+        compare(data * 1e200, COMPARED, timing=False)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 2), (2, 2), (3, 5), (1, 1, 1), (1, 7, 2), (2, 3, 4)])
+def test_data_smaller_than_the_filter_give_values(shape: tuple[int, ...]) -> None:
+    data = np.random.default_rng(0).normal(size=shape)
+    for factor in (2, 3, 50):
+        assert finite(compare(data, COMPARED, factor=factor, timing=False))
+    assert finite(compare(data, COMPARED, truth=plane, points=50, timing=False))
+
+
+def test_memory_that_is_not_there_is_an_error_of_ours(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise MemoryError("Unable to allocate 29.8 GiB")
+
+    monkeypatch.setattr(sys.modules["clvol.analysis.compare"], "_measure", full)
+    with pytest.raises(OutOfMemoryError, match=r"what is compared must fit into it; got Unable to allocate 29\.8 GiB"):
+        compare(wave, ["linear"], size=5, points=5, timing=False)
+
+
+def test_names_may_come_in_any_sequence() -> None:
+    for names in (np.array(["linear", "Exact-Sinc "]), ("linear", EXACT_SINC), iter(["linear", EXACT_SINC])):
+        table = compare(wave, names, size=5, points=5, timing=False)  # type: ignore[arg-type]
+        assert [row.filter for row in table] == ["linear", EXACT_SINC]
+
+
+def test_filters_of_ones_own_are_compared() -> None:
+    bump = from_callable("bump", lambda x: np.cos(np.pi * x / 4) ** 2 / 2, 2)
+    assert compare(wave, [bump], size=9, points=100, timing=False)[0].filter == "bump"
+
+
+GOOD: dict[str, Any] = {"source": wave, "filters": ["linear"], "size": 5, "points": 10, "timing": False}
+VOLUME = {**GOOD, "source": np.arange(12.0).reshape(3, 4)}
+BAD: list[tuple[dict[str, Any], type[ClvolError], str]] = [
+    ({**GOOD, "source": lambda _: 1 / 0}, OptionError, "function must give one finite value for each position; it failed: Z"),
+    ({**GOOD, "source": lambda p: p}, OptionError, r"got shape \(125, 3\) for positions \(125, 3\)"),
+    ({**GOOD, "source": lambda p: p[:, 0] * np.nan}, OptionError, "with values that are not finite"),
+    ({**GOOD, "source": lambda p: np.sign(p[:, 0]) * 1e308}, DataError, r"must span a finite range; got -1e\+308 to 1e\+308"),
+    ({**GOOD, "source": lambda _: "text"}, OptionError, "what the function gives must be one finite value"),
+    ({**GOOD, "source": lambda _: None}, OptionError, "what the function gives must be one finite value"),
+    ({**GOOD, "gradient": lambda p: p[:, :2]}, OptionError, "the gradient must give a finite vector for each position"),
+    ({**GOOD, "gradient": lambda _: 1 / 0}, OptionError, "the gradient must give a finite vector for each position; it failed"),
+    ({**GOOD, "truth": wave}, OptionError, "truth must be given with a volume only"),
+    ({**VOLUME, "gradient": wave}, OptionError, "gradient must be that of a function"),
+    ({**GOOD, "filters": "linear"}, OptionError, "filters must be one or more names; got 'linear'"),
+    ({**GOOD, "filters": 5}, OptionError, "filters must be one or more names; got 5"),
+    ({**GOOD, "filters": as_filter("linear")}, OptionError, "filters must be one or more names; got Filter"),
+    ({**GOOD, "points": 10**12}, OutOfMemoryError, "points must give at most 68719476736 samples; got 1000000000000"),
+    ({**GOOD, "size": 10**6}, OutOfMemoryError, "size must give at most 68719476736 samples; got 1000000"),
+    ({**GOOD, "size": 10**30}, OutOfMemoryError, "size must give at most 68719476736 samples"),
+    ({**VOLUME, "factor": 10**9}, OptionError, "factor must be a whole number, at least 2 and at most 1024; got 1000000000"),
+    ({**VOLUME, "factor": 10**30}, OptionError, "factor must be a whole number, at least 2 and at most 1024"),
+    ({**GOOD, "filters": []}, OptionError, "filters must be one or more names"),
+    ({**GOOD, "filters": ["none"]}, OptionError, "filter must be one of"),
+    ({**GOOD, "filters": [EXACT_SINC], "boundary": "zero"}, OptionError, "must be mirror, reflect or wrap for 'exact-sinc'"),
+    ({**GOOD, "boundary": "none"}, OptionError, "boundary must be one of"),
+    ({**GOOD, "size": 1}, OptionError, "size must be a whole number, at least 2"),
+    ({**GOOD, "size": (3, 4)}, OptionError, "size must be a whole number of at least 2, or 3 of them"),
+    ({**GOOD, "size": "a"}, OptionError, "size must be"),
+    ({**GOOD, "dimensions": 4}, OptionError, "dimensions must be a whole number, at least 2 and at most 3"),
+    ({**GOOD, "domain": (1, 1)}, OptionError, "domain must be two numbers, the lower first"),
+    ({**GOOD, "domain": (0, np.inf)}, OptionError, "domain must be two numbers"),
+    ({**GOOD, "points": 0}, OptionError, "points must be a whole number, at least 1"),
+    ({**GOOD, "seed": -1}, OptionError, "seed must be"),
+    ({**GOOD, "margin": -1}, OptionError, "margin must be"),
+    ({**GOOD, "device": "none"}, OptionError, "device must be one of"),
+    ({**VOLUME, "factor": 1}, OptionError, "factor must be a whole number, at least 2"),
+    ({**VOLUME, "lowpass": "box"}, OptionError, "lowpass must be one of gaussian, none; got 'box'"),
+    ({**VOLUME, "source": [[1.0, np.nan]]}, DataError, "samples must be finite; got 1 NaN"),
+    ({**VOLUME, "source": np.ones(3)}, DataError, "data must have 2 axes"),
+    ({**VOLUME, "source": None}, DataError, "data must"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "error", "message"), BAD, ids=[m[:40] for _, _, m in BAD])
+def test_bad_input_is_refused(arguments: dict[str, Any], error: type[ClvolError], message: str) -> None:
+    with pytest.raises(error, match=message):
+        compare(**arguments)

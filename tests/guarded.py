@@ -1,0 +1,92 @@
+"""Draws and samples with every buffer between pages that nobody may touch: `python guarded.py start|end`.
+
+A kernel that reads or writes past the start or the end of its buffers ends the process; test_guarded.py runs this.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import itertools
+import mmap
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+import clvol
+from clvol.device import Device
+from clvol.filter import filters
+from clvol.mode import modes
+
+GUARD = 64 << 20  # bytes before and after
+LINE = 64  # what buffers are aligned to
+
+
+def guarded(size: int, side: str) -> NDArray[np.uint8]:
+    """Zeros that start, or end, where memory that can be used does. Kept for good."""
+    library = ctypes.CDLL(None, use_errno=True)
+    library.mmap.restype = ctypes.c_void_p
+    library.mmap.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int, ctypes.c_int, ctypes.c_int, ctypes.c_long]
+    library.mprotect.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int]
+    room = -(-size // mmap.PAGESIZE) * mmap.PAGESIZE
+    start = library.mmap(None, room + 2 * GUARD, 0, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS, -1, 0)
+    if start in (None, ctypes.c_void_p(-1).value) or library.mprotect(start + GUARD, room, mmap.PROT_READ | mmap.PROT_WRITE):
+        raise OSError(ctypes.get_errno(), "guarded memory")
+    past = (room - size) // LINE * LINE if side == "end" else 0
+    return np.frombuffer((ctypes.c_uint8 * size).from_address(start + GUARD + past), np.uint8)
+
+
+def guard(side: str) -> None:
+    """Makes every buffer of every device a guarded one."""
+
+    def allocate(self: Device, size: int) -> Any:
+        return cl.Buffer(self.context, cl.mem_flags.USE_HOST_PTR, hostbuf=guarded(max(int(size), 4), side))
+
+    def upload(self: Device, array: NDArray[Any]) -> Any:
+        memory = guarded(max(array.nbytes, 4), side)
+        memory[: array.nbytes] = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
+        return cl.Buffer(self.context, cl.mem_flags.USE_HOST_PTR, hostbuf=memory)
+
+    @contextmanager
+    def lent(self: Device, array: NDArray[Any], *, write: bool) -> Iterator[Any]:
+        memory = guarded(array.nbytes, side)
+        memory[:] = array.reshape(-1).view(np.uint8)
+        buffer = cl.Buffer(self.context, cl.mem_flags.USE_HOST_PTR, hostbuf=memory)
+        yield buffer
+        self.queue.finish()
+        if write:
+            array.reshape(-1).view(np.uint8)[:] = memory
+        buffer.release()
+
+    for name, method in {"allocate": allocate, "upload": upload, "lent": lent}.items():
+        setattr(Device, name, method)
+
+
+def main(side: str) -> None:
+    guard(side)
+    rng = np.random.default_rng(0)
+    looks = [clvol.Camera.orbit(a, e) for a, e in ((0, 0), (90, 0), (0, 90), (180, -90), (270, 10), (35, -25))]
+    for shape in ((40, 40, 40), (3, 50, 9), (1, 2, 33)):
+        with clvol.Renderer(rng.standard_normal(shape).astype(np.float32)) as renderer:
+            for camera, mode, step in itertools.product(looks, modes(), (0.4, 3, 8, 300)):
+                picture = renderer.render(camera, mode, (33, 31), step)
+                assert np.isfinite(picture).all()
+    small = rng.standard_normal((7, 18, 21)).astype(np.float32)
+    for name in filters():
+        with clvol.Renderer(small, filter=name) as renderer:
+            for mode in ("isosurface", "composite"):
+                assert np.isfinite(renderer.render(looks[-1], mode, (17, 13), 0.7)).all()
+        for count, derivative in itertools.product((1, 70, 600), (0, 1, 2)):
+            points = rng.uniform(-3, 24, (count, 3))
+            if name != "nearest" or derivative == 0:
+                assert np.isfinite(clvol.sample(small, points, derivative=derivative, filter=name)).all()
+        assert np.isfinite(clvol.magnify(small, 2, filter=name).data).all()
+    print("done")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

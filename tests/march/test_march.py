@@ -1,0 +1,375 @@
+"""Whole pictures by the kernels against `clvol.reference.march`, on every device found.
+
+Each distinct kernel costs up to a second to build, so every filter meets every mode by the path that a device
+takes of itself, the other paths meet every mode with the default filter and every filter with some mode, and
+what needs no kernel of its own (cameras, steps, boxes, lights) is tried on every mode with one filter.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from clvol.boundary import boundaries
+from clvol.camera import Camera
+from clvol.device import Device
+from clvol.errors import DeviceError
+from clvol.filter import as_filter, filters
+from clvol.light import Light, Material
+from clvol.march.renderer import OUTPUTS, PLANES, RAYS, Lattice, Renderer, Tile
+from clvol.mode import modes
+from clvol.reference import march as reference
+from clvol.transfer import TransferFunction
+from clvol.volume import Volume
+
+SIZE = (24, 20)
+STEP = 0.37  # no plane of these volumes then lies where a filter jumps or kinks, nor where a box is cut
+CAMERA = Camera.orbit(33, 21)
+# points on nodes of the table that kernels read, so that the table is exact
+TRANSFER = TransferFunction(
+    ((0.0, (0.1, 0.2, 0.9)), (0.25, (0.9, 0.1, 0.2)), (0.5, (0.2, 0.8, 0.3)), (1.0, (1.0, 1.0, 0.9))),
+    ((0.25, 0.0), (0.5, 0.3), (1.0, 0.7)),
+)
+OPTIONS: dict[str, Any] = {"transfer": TRANSFER, "isovalue": 0.5, "background": None, "termination": 0.0, "outputs": OUTPUTS[:-1]}
+MODES = list(modes())
+
+
+@dataclass(frozen=True)
+class Allowance:
+    """What may differ: greatest and RMS difference of the picture; greatest of the others, in world units.
+
+    Colours of nearly transparent pixels are divided by their opacity here, which magnifies rounding. To depths and
+    positions 4e-7 of the distance from the eye is added: what float32 holds of it.
+
+    `pixels` is the share of pixels left out of the maxima: a ray that grazes a surface or touches an edge may go
+    either way; over the RMS they count, unless they are in one picture only.
+    """
+
+    rgba: float = 1e-4
+    rms: float = 5e-6
+    depth: float = 4e-5
+    position: float = 3e-5
+    normal: float = 5e-4
+    pixels: float = 0.0
+
+
+# A texture unit of a GPU blends with 8 bits (facts.md: values err by 0.11 % of the range, gradients by 4.3°).
+COARSE = Allowance(rgba=0.1, rms=0.01, depth=0.2, position=0.2, normal=0.3, pixels=0.05)
+
+
+@lru_cache
+def block(*, oblique: bool = False, origin: tuple[float, float, float] = (5, -3, 2)) -> Volume:
+    """Smooth noise over 0..1, with spacings that differ and, if asked, skew axes."""
+    noise = Volume(np.random.default_rng(3).random((9, 7, 11))).gaussian(0.8).data
+    data = ((noise - noise.min()) / np.ptp(noise)).astype(np.float32)
+    direction = np.array([[0.8, -0.6, 0.1], [0.6, 0.8, 0.2], [0.0, 0.0, 1.0]])
+    direction /= np.linalg.norm(direction, axis=0)
+    return Volume(data, (1.0, 0.8, 1.3), origin, direction if oblique else None)
+
+
+@lru_cache
+def lobes() -> Volume:
+    """A larger volume with large smooth shapes, 16³."""
+    z, y, x = np.meshgrid(*[np.linspace(-1, 1, 16)] * 3, indexing="ij")
+    data = 0.5 + 0.5 * np.sin(3 * x + 1) * np.cos(2.5 * y - 0.4) * np.cos(2 * z * x + 0.3)
+    return Volume(data.astype(np.float32), (0.5, 0.5, 0.5))
+
+
+@lru_cache
+def slope() -> Volume:
+    """Rising along every ray, so that a surface is met once however far apart the samples lie."""
+    z, y, x = np.meshgrid(*(np.linspace(-1, 1, n) for n in (9, 7, 11)), indexing="ij")
+    return Volume((0.5 + 0.2 * x - 0.1 * y + 0.1 * z + 0.08 * x**3 - 0.03 * z * y).astype(np.float32), (1.0, 0.8, 1.3))
+
+
+@pytest.fixture(autouse=True)
+def fine_surfaces(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Surfaces are drawn to rounding here, not to 1e-4 of the range; test_render.py holds them to that."""
+    monkeypatch.setattr(importlib.import_module("clvol.march.renderer"), "TOLERANCE", 0.0)
+
+
+@pytest.fixture(scope="module")
+def keep() -> Iterator[dict[Any, Renderer]]:
+    """Renderers by what they were made of."""
+    kept: dict[Any, Renderer] = {}
+    yield kept
+    for renderer in kept.values():
+        renderer.close()
+
+
+def held(keep: dict[Any, Renderer], device: Device, volume: Volume, filter: str, boundary: str = "mirror") -> Renderer:
+    key = (id(device), id(volume), filter, boundary)
+    if key not in keep:
+        keep[key] = Renderer(volume, filter, boundary, device)
+    return keep[key]
+
+
+def clear_of_knots(volume: Volume, camera: Camera, step: float) -> bool:
+    """Whether no plane of samples lies where a filter jumps or its slope does; there rounding would choose."""
+    lattice = Lattice(volume, camera.view(volume, SIZE[0] / SIZE[1]), SIZE[0] / SIZE[1], step)
+    planes = -0.5 + (np.arange(lattice.planes) + 0.5) * lattice.spacing
+    return bool(np.abs(2 * planes - np.round(2 * planes)).min() > 1e-3)
+
+
+def compare(got: dict[str, NDArray[Any]], want: dict[str, NDArray[Any]], allowed: Allowance) -> None:
+    """Assert that two sets of pictures agree, and that they show something."""
+    budget = allowed.pixels * want["depth"].size
+    flipped = np.isfinite(got["depth"]) != np.isfinite(want["depth"])
+    assert flipped.sum() <= budget, f"{flipped.sum()} pixels are in one picture only"
+    difference = np.abs(got["rgba"] - want["rgba"]).max(-1)
+    rms = float(np.sqrt((difference[~flipped] ** 2).mean()))
+    worst = np.unravel_index(int(np.argmax(difference)), difference.shape)
+    assert (difference > allowed.rgba).sum() <= budget, f"rgba differs by {difference.max():.2g} at {worst}, rms {rms:.2g}"
+    assert rms <= allowed.rms, f"rgba differs by {rms:.2g} rms, at most {difference.max():.2g}"
+    assert want["rgba"][..., 3].max() > 0
+    both = np.isfinite(got["depth"]) & np.isfinite(want["depth"])
+    lengths = np.linalg.norm(got["normal"], axis=-1)
+    np.testing.assert_allclose(lengths[np.isfinite(lengths)], 1, atol=1e-5)
+    far = 4e-7 * float(np.abs(want["depth"][both]).max(initial=0))
+    for name in ("depth", "position", "normal"):
+        a, b = (picture[name].reshape(*both.shape, -1)[both] for picture in (got, want))
+        unknown = np.isnan(a) != np.isnan(b)
+        assert unknown.any(-1).sum() <= budget, f"{name} is in one picture only at {unknown.any(-1).sum()} pixels"
+        off = np.nan_to_num(np.abs(a - b)).max(-1, initial=0)
+        most = getattr(allowed, name) + (0 if name == "normal" else far)
+        assert (off > most).sum() <= budget, f"{name} differs by {off.max():.2g}"
+
+
+def check(
+    renderer: Renderer,
+    camera: Camera,
+    mode: str,
+    allowed: Allowance = Allowance(),
+    size: tuple[int, int] = SIZE,
+    step: float = STEP,
+    *,
+    ways: dict[str, Any] | None = None,
+    **options: Any,
+) -> dict[str, NDArray[Any]]:
+    """Draw both ways and compare; `ways` are options of the kernels only."""
+    options = {**OPTIONS, **options}
+    got = renderer.render(camera, mode, size, step, **options, **(ways or {}))
+    want = reference.render(renderer.volume, camera, mode, renderer.filter, renderer.coefficients.boundary, size, step, **options)
+    assert isinstance(want, dict)
+    for name in want:
+        assert got[name].shape == want[name].shape
+        assert got[name].dtype == np.float32
+    compare(got, want, allowed)
+    return got
+
+
+def allowance(filter: str, mode: str, device: Device, ways: dict[str, str] | None = None) -> Allowance:
+    """By properties of the filter, not its name."""
+    row = as_filter(filter)
+    ways = ways or {}
+    if ways.get("evaluator") == "eight-fetch" and ways.get("fetch") == "image" and device.sampler_bits < 16:
+        return COARSE
+    base = Allowance()
+    if mode == "isosurface":
+        # depth errs by rounding over the slope along the ray, so grazing rays err most
+        base = replace(base, rgba=2e-4, rms=2e-5, depth=2e-4, position=2e-4, normal=1e-3, pixels=0.0025)
+    if mode == "isosurface" and row.continuity == 0:
+        base = replace(base, pixels=0.005, rms=1e-2)  # the normal jumps where the surface passes a cell's face
+    return base
+
+
+# -- every filter in every mode ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("filter", filters())
+@pytest.mark.parametrize("mode", MODES)
+def test_every_filter_in_every_mode(device: Device, keep: dict[Any, Renderer], mode: str, filter: str) -> None:
+    assert clear_of_knots(block(), CAMERA, STEP)
+    check(held(keep, device, block(), filter), CAMERA, mode, allowance(filter, mode, device))
+
+
+WAYS = [
+    {"evaluator": "taps", "fetch": "buffer"},
+    {"evaluator": "eight-fetch", "fetch": "buffer"},
+    {"evaluator": "eight-fetch", "fetch": "image"},
+    {"evaluator": "taps", "fetch": "image"},
+]
+PAIRWISE = [("bspline3", mode, way) for mode in MODES for way in range(1, len(WAYS))] + [
+    (name, MODES[(i + way) % len(MODES)], way)
+    for i, (name, row) in enumerate(filters().items())
+    for way in range(1, len(WAYS))
+    if name != "bspline3" and (row.pairable(0) or WAYS[way]["evaluator"] == "taps")
+]
+
+
+@pytest.mark.parametrize(("filter", "mode", "way"), PAIRWISE, ids=[f"{f}-{m}-{'-'.join(WAYS[w].values())}" for f, m, w in PAIRWISE])
+def test_every_way_to_the_coefficients(device: Device, keep: dict[Any, Renderer], filter: str, mode: str, way: int) -> None:
+    ways = WAYS[way]
+    if ways["fetch"] == "image" and not device.has_images:
+        with pytest.raises(DeviceError, match="images"):
+            held(keep, device, block(), filter).render(CAMERA, mode, SIZE, **ways)
+        return
+    check(held(keep, device, block(), filter), CAMERA, mode, allowance(filter, mode, device, ways), ways=ways)
+
+
+# -- cameras, volumes, steps, boxes: one filter, every mode ----------------------------------------------------------
+
+
+def towards(x: float, y: float, z: float, **more: Any) -> Camera:
+    """A view nearly along an axis, tilted so that no ray runs along a face of a cell."""
+    return Camera(direction=(x + 0.11, y - 0.07, z + 0.05), up=(0.13, 0.29, 0.94) if abs(z) < 1 else (0.2, 0.9, 0.1), **more)
+
+
+AXES = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
+VIEWS: dict[str, tuple[Volume, Camera, float, dict[str, Any]]] = {}
+for _name, _axis in AXES.items():
+    VIEWS[f"perspective {_name}"] = (block(), towards(*_axis), STEP, {})
+    VIEWS[f"orthographic {_name}"] = (block(), towards(*_axis, projection="orthographic"), STEP, {})
+_CENTER = tuple(block().center)
+_INSIDE = Camera.look_at(_CENTER + np.array([0.7, -0.4, 0.3]), _CENTER + np.array([3.0, 2.0, 1.1]), fov=70)
+_BOX = ((4.63, -2.71, 3.13), (11.37, 0.43, 9.57))
+_FAR = (3e4, -2e4, 1e4)
+VIEWS |= {
+    "wide": (block(), Camera.look_at((5.3, -6.1, 5.2), fov=120), STEP, {}),
+    "wide, close": (block(), Camera.look_at((8.4, -3.6, 6.1), (10.4, 0.3, 8.4), fov=120), STEP, {}),
+    "inside": (block(), _INSIDE, STEP, {}),
+    "inside, behind too": (block(), replace(_INSIDE, fov=150), STEP, {}),
+    "orthographic eye inside": (block(), replace(_INSIDE, projection="orthographic"), STEP, {}),
+    "diagonal": (block(), Camera(direction=(1.02, 0.97, -0.93)), STEP, {}),
+    "skew axes": (block(oblique=True), CAMERA, STEP, {}),
+    "skew axes, wide": (block(oblique=True), replace(CAMERA, fov=110), STEP, {}),
+    "far origin": (block(oblique=True, origin=_FAR), CAMERA, STEP, {}),
+    "far origin, orthographic": (block(oblique=True, origin=_FAR), replace(CAMERA, projection="orthographic"), STEP, {}),
+    "box": (block(), CAMERA, STEP, {"clip": _BOX}),
+    "box, skew axes": (block(oblique=True), CAMERA, STEP, {"clip": _BOX}),
+    "half space": (block(), CAMERA, STEP, {"clip": ((-np.inf, -np.inf, 5.1), (np.inf, np.inf, np.inf))}),
+    "zoomed": (block(), CAMERA.zoomed(3.1), STEP, {}),
+    "fine": (block(), CAMERA, 0.25, {}),
+    "coarse": (block(), CAMERA, 2.0, {}),
+    "one plane": (slope(), Camera(direction=(1, -0.4, 0.3)), 1000.0, {}),
+    "one plane, wide": (slope(), Camera(direction=(1, -0.4, 0.3), fov=120), 1000.0, {}),
+    "larger": (lobes(), CAMERA, 0.5, {}),
+    "three samples a pixel": (block(), CAMERA, STEP, {"samples": 3}),
+    "background": (block(), CAMERA, STEP, {"background": (0.2, 0.5, 0.9)}),
+    "one row": (block(), CAMERA, STEP, {"size": (31, 1)}),
+    "one column": (block(), CAMERA, STEP, {"size": (1, 17)}),
+}
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("view", VIEWS)
+def test_every_view(device: Device, keep: dict[Any, Renderer], view: str, mode: str) -> None:
+    volume, camera, step, options = VIEWS[view]
+    allowed = allowance("bspline3", mode, device)
+    away = float(np.abs(volume.origin).max())
+    allowed = replace(allowed, position=allowed.position + away * 1.2e-7)  # what float32 holds of a position
+    if options.get("samples"):
+        allowed = replace(allowed, pixels=2 * allowed.pixels)
+    check(
+        held(keep, device, volume, "bspline3"),
+        camera,
+        mode,
+        allowed,
+        options.get("size", SIZE),
+        step,
+        **{k: v for k, v in options.items() if k != "size"},
+    )
+
+
+@pytest.mark.parametrize("mode", ["composite", "isosurface"])
+@pytest.mark.parametrize("boundary", boundaries())
+def test_every_boundary(device: Device, keep: dict[Any, Renderer], boundary: str, mode: str) -> None:
+    for name in ("nearest", "bspline3"):
+        check(held(keep, device, block(), name, boundary), CAMERA, mode, allowance(name, mode, device))
+
+
+@pytest.mark.parametrize("mode", ["composite", "isosurface"])
+@pytest.mark.parametrize("filter", ["linear", "bspline3", "hybrid"])
+def test_central_differences(device: Device, keep: dict[Any, Renderer], filter: str, mode: str) -> None:
+    check(held(keep, device, block(oblique=True), filter), CAMERA, mode, allowance("bspline3", mode, device), gradient="central")
+
+
+@pytest.mark.parametrize("mode", ["composite", "isosurface"])
+def test_without_shading(device: Device, keep: dict[Any, Renderer], mode: str) -> None:
+    check(held(keep, device, block(), "bspline3"), CAMERA, mode, allowance("bspline3", mode, device), shading=False)
+
+
+LIGHTS = {
+    "none": (),
+    "from the right": (Light((1, -0.3, 0.4)),),
+    "from behind": (Light((0.5, 1, 0)),),
+    "four colours": (
+        Light(None, (0.3, 0.3, 0.3)),
+        Light((1, -1, 0.5), (0.9, 0.1, 0.1)),
+        Light((-1, -1, 1), (0.1, 0.8, 0.1)),
+        Light((0, -1, -2), (0.1, 0.2, 0.9)),
+    ),
+}
+
+
+@pytest.mark.parametrize("mode", ["composite", "isosurface"])
+@pytest.mark.parametrize("lights", LIGHTS)
+def test_lights(device: Device, keep: dict[Any, Renderer], lights: str, mode: str) -> None:
+    material = Material(ambient=0.1, diffuse=0.6, specular=0.4, shininess=12)
+    check(
+        held(keep, device, block(), "bspline3"),
+        CAMERA,
+        mode,
+        allowance("bspline3", mode, device),
+        lights=LIGHTS[lights],
+        material=material,
+        color=(0.3, 0.7, 0.5),
+    )
+
+
+@pytest.mark.parametrize("value", [0.0, 0.3, -1234.5])
+def test_lit_matter_without_a_gradient(device: Device, value: float) -> None:
+    """Full diffuse light, no highlight, no normal."""
+    with Renderer(Volume(np.full((6, 5, 7), value, np.float32)), device=device) as renderer:
+        transfer = TransferFunction(((value, "red"),), ((value, 0.3),))
+        got = check(renderer, CAMERA, "composite", step=0.4, lights=LIGHTS["four colours"], transfer=transfer)
+    assert np.isnan(got["normal"]).all()
+    assert np.isfinite(got["depth"]).any()
+
+
+def test_opaque_matter(device: Device, keep: dict[Any, Renderer]) -> None:
+    """Opacity 1 stays 1 at any step."""
+    solid = TRANSFER.with_opacity(((0.0, 0.0), (0.5, 0.0), (0.5 + 64 / 1024, 1.0), (1.0, 1.0)))
+    renderer = held(keep, device, block(), "bspline3")
+    for step in (0.25, STEP, 1.0):
+        check(renderer, CAMERA, "composite", Allowance(rgba=2e-4, rms=2e-5), step=step, transfer=solid)
+
+
+def test_opacities_a_world_length(device: Device, keep: dict[Any, Renderer]) -> None:
+    check(held(keep, device, block(), "bspline3"), CAMERA, "composite", transfer=replace(TRANSFER, unit_distance=2.7))
+
+
+# -- what the picture may not depend on ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_tiles_of_rays_draw_the_same(device: Device, keep: dict[Any, Renderer], mode: str) -> None:
+    """One ray a work-item, eight at once, and tiles that share planes."""
+    renderer = held(keep, device, block(), "bspline3")
+    views = [Camera.orbit(azimuth, elevation) for azimuth, elevation in ((100, 10), (20, -75), (200, 5))]  # each axis, backwards
+    for camera in (CAMERA, replace(CAMERA, fov=120), *views):
+        for size in (SIZE, (21, 7)):  # a width that eight does not divide
+            one = renderer.render(camera, mode, size, STEP, **OPTIONS, _tile=RAYS)
+            for tile in (Tile(8, 1, 8), Tile(16, 15, 8, patched=True), PLANES):  # an odd height: never sixteen at a time
+                many = renderer.render(camera, mode, size, STEP, **OPTIONS, _tile=tile)
+                compare(many, one, replace(allowance("bspline3", mode, device), pixels=0.005))
+
+
+@pytest.mark.parametrize("termination", [1e-3, 0.03, 0.3])
+def test_early_termination_errs_by_no_more_than_its_share(device: Device, keep: dict[Any, Renderer], termination: float) -> None:
+    renderer = held(keep, device, block(), "bspline3")
+    dense = TRANSFER.with_opacity(((0.0, 0.5), (1.0, 0.9)))
+    check(renderer, CAMERA, "composite", transfer=dense, termination=termination)
+    options = {**OPTIONS, "transfer": dense, "background": "black", "outputs": "rgba", "shading": False}
+    whole = renderer.render(CAMERA, "composite", SIZE, STEP, **options)
+    short = renderer.render(CAMERA, "composite", SIZE, STEP, **{**options, "termination": termination})
+    difference = np.abs(whole - short).max()
+    assert difference <= termination + 1e-6
+    assert difference > 0 or termination < 0.01  # rays do end early

@@ -1,0 +1,171 @@
+"""Skipping space changes no bit of any picture: random volumes, filters, modes, cameras and steps."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
+
+from clvol.boundary import boundaries
+from clvol.camera import Camera
+from clvol.device import Device
+from clvol.errors import DeviceError
+from clvol.filter import Filter, filters, from_callable
+from clvol.march.renderer import OUTPUTS, PLANES, RAYS, Renderer, Tile
+from clvol.mode import modes
+from clvol.phantoms import marschner_lobb
+from clvol.transfer import TransferFunction
+from clvol.volume import Volume
+
+MODES = [name for name, mode in modes().items() if mode.skips]
+TILES = {"planes": PLANES, "eights": Tile(16, 15, 8, patched=True), "rays": RAYS}  # odd: never sixteen at a time
+
+
+@st.composite
+def volumes(draw: st.DrawFn) -> Volume:
+    """Mostly empty, thin, noisy, constant or stepped: where skipping starts, ends and never happens."""
+    shape = draw(st.tuples(*[st.integers(1, 21)] * 3))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    kind = draw(st.sampled_from(["sparse", "noise", "constant", "steps", "small"]))
+    data = rng.random(shape)
+    if kind == "sparse":
+        data *= rng.random(shape) > 0.98
+    elif kind == "constant":
+        data[:] = 0.5
+    elif kind == "steps":
+        data = np.round(data)
+    elif kind == "small":
+        data *= 1e-6
+    return Volume(data.astype(np.float32), tuple(rng.uniform(0.5, 2, 3)))
+
+
+@st.composite
+def views(draw: st.DrawFn) -> dict[str, Any]:
+    """A camera from near to far, a step, a clip box at times, and what is looked for."""
+    camera = Camera.orbit(
+        draw(st.floats(-180, 180)),
+        draw(st.floats(-89, 89)),
+        zoom=draw(st.sampled_from([0.3, 1.0, 4.0])),
+        projection=draw(st.sampled_from(["perspective", "orthographic"])),
+    )
+    points = sorted(draw(st.lists(st.floats(-0.5, 1.5), min_size=2, max_size=4, unique=True)))
+    opacities = draw(st.lists(st.sampled_from([0.0, 0.0, 0.02, 1.0]), min_size=len(points), max_size=len(points)))
+    return {
+        "camera": camera,
+        "step": draw(st.sampled_from([0.3, 0.5, 1.0, 2.3, 40.0])),
+        "isovalue": draw(st.sampled_from([0.0, 0.2, 0.5, 0.7, 1e-7, 5.0, -3.0])),
+        "clip": draw(st.sampled_from([None, None, ((1.0, 1.0, 1.0), (9.0, 12.0, 4.0))])),
+        "transfer": TransferFunction(((0.0, "red"), (1.0, "white")), tuple(zip(points, opacities, strict=True))),
+    }
+
+
+def same(
+    device: Device, volume: Volume, filter: str | Filter, mode: str, view: dict[str, Any], boundary: str = "mirror", **options: Any
+) -> None:
+    with Renderer(volume, filter, boundary, device) as renderer:
+        with_, without = (
+            renderer.render(mode=mode, size=(23, 19), outputs=OUTPUTS, skipping=skipping, **view, **options)
+            for skipping in (True, False)
+        )
+    for name in OUTPUTS[:-1]:
+        assert_array_equal(with_[name], without[name], err_msg=name)
+    seen = np.isfinite(without["visited"])
+    assert_array_equal(np.isfinite(with_["visited"]), seen)
+    assert (with_["visited"][seen] <= without["visited"][seen]).all()
+
+
+@pytest.mark.parametrize("tile", TILES)
+@pytest.mark.parametrize("mode", MODES)
+@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
+@given(volume=volumes(), view=views(), boundary=st.sampled_from(sorted(boundaries())), shading=st.booleans())
+def test_skipping_changes_no_bit(
+    device: Device, mode: str, tile: str, volume: Volume, view: dict[str, Any], boundary: str, shading: bool
+) -> None:
+    shading = shading and boundary == "mirror"  # each pair costs a kernel
+    same(device, volume, "bspline3", mode, view, boundary, shading=shading, _tile=TILES[tile])
+
+
+@pytest.mark.parametrize("filter", filters())
+@settings(deadline=None, max_examples=25, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
+@given(volume=volumes(), view=views())
+def test_skipping_changes_no_bit_of_any_filter(device: Device, filter: str, volume: Volume, view: dict[str, Any]) -> None:
+    mode = MODES[list(filters()).index(filter) % len(MODES)]
+    same(device, volume, filter, mode, view)
+
+
+FITTED = {
+    # sums to one within 0.24 %, jumps, is mostly rounding: what a fit to a kernel may be
+    "nearly one": (lambda x: np.sinc(x) * np.sinc(x / 4), 4, 2),
+    "jumps": (lambda x: np.exp(-x * x / 0.98), 2, 0),
+    "a kink": (lambda x: np.where(np.abs(x) < 1.4, 1 - np.abs(x) / 1.4, 0) / 1.4, 2, 20),
+}
+
+
+@pytest.mark.parametrize("name", FITTED)
+@settings(deadline=None, max_examples=25, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
+@given(volume=volumes(), view=views(), mode=st.sampled_from(["isosurface", "mip"]), constant=st.booleans())
+def test_skipping_changes_no_bit_of_a_filter_that_was_fitted(
+    device: Device, name: str, volume: Volume, view: dict[str, Any], mode: str, constant: bool
+) -> None:
+    kernel, radius, degree = FITTED[name]
+    if constant:
+        volume = Volume(np.full((9, 9, 9), 7.0, np.float32))
+        view = {**view, "isovalue": 7.02}
+    same(device, volume, from_callable(name.replace(" ", "-"), kernel, radius, degree=degree), mode, view)
+
+
+@pytest.mark.parametrize(("evaluator", "fetch"), [("eight-fetch", "buffer"), ("eight-fetch", "image"), ("taps", "image")])
+@settings(deadline=None, max_examples=15, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
+@given(volume=volumes(), view=views())
+def test_skipping_changes_no_bit_on_any_path(
+    device: Device, evaluator: Any, fetch: Any, volume: Volume, view: dict[str, Any]
+) -> None:
+    try:
+        same(device, volume, "bspline3", "isosurface", view, evaluator=evaluator, fetch=fetch)
+    except DeviceError as error:
+        pytest.skip(str(error))
+
+
+@pytest.mark.parametrize("tile", TILES)
+@pytest.mark.parametrize("mode", MODES)
+def test_most_of_an_empty_volume_is_skipped(device: Device, mode: str, tile: str) -> None:
+    data = np.zeros((64, 64, 64), np.float32)
+    data[28:36, 28:36, 28:36] = 1.0
+    if mode == "minip":
+        data = 1 - data
+    volume = Volume(data)
+    transfer = TransferFunction(((0.0, "red"), (1.0, "white")), ((0.3, 0.0), (1.0, 0.5)))
+    with Renderer(volume, device=device) as renderer:
+        options: dict[str, Any] = {"mode": mode, "size": (200, 200), "transfer": transfer, "isovalue": 0.5, "_tile": TILES[tile]}
+        pictures = renderer.render(outputs=("visited", "rgba"), background=None, **options)
+        # rays past the object seek the extreme of what the prefilter leaves there
+        bright = pictures["rgba"][..., 1]
+        hits = bright > 0.5 if mode == "mip" else (bright < 0.5) & np.isfinite(pictures["visited"])
+        share = np.nanmean(pictures["visited"][hits if mode in ("mip", "minip") else ...])
+        assert 0 < share < 0.4
+        assert np.nanmax(renderer.render(outputs="visited", skipping=False, **options)) == 1.0
+
+
+@pytest.mark.parametrize("isovalue", [-1.0, 2.0])
+def test_an_isovalue_outside_the_range_is_looked_for_nowhere(device: Device, isovalue: float) -> None:
+    with Renderer(marschner_lobb(), device=device) as renderer:
+        visited = renderer.render(mode="isosurface", size=(40, 40), isovalue=isovalue, outputs="visited")
+    assert np.isfinite(visited).any()
+    assert np.nanmax(visited) == 0.0
+
+
+def test_a_transfer_function_without_opacity_is_looked_at_nowhere(device: Device) -> None:
+    nothing = TransferFunction(((0.0, "red"), (1.0, "white")), ((0.0, 0.0), (1.0, 0.0)))
+    with Renderer(marschner_lobb(), device=device) as renderer:
+        pictures = renderer.render(mode="composite", size=(40, 40), transfer=nothing, outputs=("rgba", "visited"), background=None)
+    assert np.nanmax(pictures["visited"]) == 0.0
+    assert (pictures["rgba"] == 0).all()
+
+
+def test_tiles_of_another_shape_skip_too(device: Device) -> None:
+    view = {"isovalue": 0.5, "step": 0.5, "camera": Camera.orbit(20, 10)}
+    same(device, marschner_lobb(), "bspline3", "isosurface", view, _tile=Tile(8, 8, 8, patched=True))

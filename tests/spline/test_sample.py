@@ -1,0 +1,164 @@
+"""Values, gradients and Hessians from the device against those of the float64 reference.
+
+A filter, a boundary rule, a derivative, a path and the number of axes make one program, built in about
+a third of a second. Every combination of filter, derivative, path and axes is run; the boundary rule turns
+with them such that each meets every value of every other (a test says so). ``CLVOL_PARITY=all`` runs all.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+
+import numpy as np
+import pytest
+
+from clvol import reference
+from clvol.boundary import boundaries
+from clvol.device import Device
+from clvol.filter import as_filter, filters
+from clvol.spline.field import sample
+from clvol.volume import Volume
+
+# Greatest error allowed, in units of the greatest coefficient (and, for derivatives, of the reciprocal
+# spacing and its square: the least is 0.7). Measured on PoCL, buffers: values 3.2e-7, gradients 9e-7,
+# Hessians 3.2e-6; images: values 6e-7, gradients 7e-7, as their sampler rounds its positions.
+VALUES = 5e-6
+TOLERANCE = {0: VALUES, 1: 5e-6, 2: 1.5e-5}
+# A texture unit has few bits of fraction (device.sampler_bits): it errs by that of the differences it blends.
+PATHS = (("taps", "buffer"), ("eight-fetch", "buffer"), ("eight-fetch", "image"), ("taps", "image"))
+RULES = tuple(boundaries())
+ROWS = (*filters(), "bc(0.2,0.4)", "sinc(8)")
+
+
+def combinations() -> list[tuple[str, str, int, tuple[str, str], int]]:
+    every = []
+    for (f, name), derivative, (p, path), d in itertools.product(enumerate(ROWS), (0, 1, 2), enumerate(PATHS), (3, 2)):
+        rules = RULES if os.environ.get("CLVOL_PARITY") == "all" else (RULES[(f + derivative + p + d) % 4],)
+        every += [(name, rule, derivative, path, d) for rule in rules]
+    return every
+
+
+COMBINATIONS = combinations()
+
+
+def test_every_pair_of_values_is_run() -> None:
+    for a, b in itertools.combinations(range(5), 2):
+        pairs = {(c[a], c[b]) for c in COMBINATIONS}
+        assert len(pairs) == len({c[a] for c in COMBINATIONS}) * len({c[b] for c in COMBINATIONS})
+
+
+def direction(d: int) -> np.ndarray:
+    """Oblique and left-handed in 3-D, and not a rotation's mirror of itself: a transpose would be seen."""
+    return np.linalg.qr(np.random.default_rng(d).normal(size=(d, d)))[0]
+
+
+def volume_of(shape: tuple[int, ...], seed: int = 0) -> Volume:
+    d = len(shape)
+    data = np.random.default_rng(seed).normal(size=shape).astype(np.float32)
+    return Volume(data, (0.7, 1.3, 2.1)[:d], (3.0, -5.0, 7.0)[:d], direction(d))
+
+
+def points_of(volume: Volume, seed: int = 0) -> np.ndarray:
+    """Index positions within, outside near and far, and just inside and outside the faces; none at a knot."""
+    rng, size, d = np.random.default_rng(seed), np.array(volume.size), volume.ndim
+    within = rng.uniform(-0.5, size - 0.5, (120, d))
+    near = rng.uniform(-2 * size - 12, 3 * size + 12, (120, d))
+    face = within[:40].copy()
+    face[np.arange(40), rng.integers(0, d, 40)] = -0.5
+    face[20:] = size - 1 - face[20:]
+    face += rng.choice([-1e-5, 1e-5], face.shape)
+    index = np.concatenate([within, near, face])
+    return index + 1e-3 * (np.abs(2 * index - np.round(2 * index)) < 1e-6)  # half samples are knots of odd filters
+
+
+def allowed(device: Device, name: str, path: tuple[str, str], derivative: int) -> float:
+    row = as_filter(name)
+    if path == ("eight-fetch", "image") and row.pairable(0) and derivative < 2:
+        return TOLERANCE[derivative] + 4 * 2.0**-device.sampler_bits
+    return TOLERANCE[derivative]
+
+
+def parity(
+    device: Device, volume: Volume, points: np.ndarray, name: str, rule: str, derivative: int, path: tuple[str, str]
+) -> None:
+    got = sample(volume, points, name, rule, derivative, evaluator=path[0], fetch=path[1], device=device)
+    wanted = reference.sample(volume, points, name, rule, derivative)
+    assert got.shape == wanted.shape == points.shape[:-1] + (volume.ndim,) * derivative
+    assert got.dtype == np.float32
+    largest = np.abs(reference.prefilter(volume.data, name, rule)).max()
+    scale = largest / min(volume.spacing) ** derivative
+    np.testing.assert_allclose(got, wanted, rtol=0, atol=allowed(device, name, path, derivative) * scale)
+
+
+def skip_without_images(device: Device, path: tuple[str, str]) -> None:
+    if path[1] == "image" and not device.has_images:
+        pytest.skip(f"{device.name} has no images")
+    if path == ("eight-fetch", "image") and device.sampler_bits == 0:
+        pytest.skip(f"the sampler of {device.name} does not interpolate")
+
+
+@pytest.mark.parametrize(
+    ("name", "rule", "derivative", "path", "d"),
+    COMBINATIONS,
+    ids=[f"{n}-{r}-d{k}-{p[0]}-{p[1]}-{d}D" for n, r, k, p, d in COMBINATIONS],
+)
+def test_parity(device: Device, name: str, rule: str, derivative: int, path: tuple[str, str], d: int) -> None:
+    skip_without_images(device, path)
+    shapes = {3: [(5, 6, 7), (1, 2, 4), (3, 1, 1), (1, 1, 1)], 2: [(6, 7), (1, 5), (4, 1), (1, 1)]}[d]
+    for seed, shape in enumerate(shapes):
+        volume = volume_of(shape, seed)
+        parity(device, volume, volume.index_to_world(points_of(volume, seed)), name, rule, derivative, path)
+
+
+# -- places of their own ------------------------------------------------------------------------------------
+
+PLACES = [(n, r) for n in ("nearest", "linear", "bspline2", "bspline3", "lanczos2", "hybrid") for r in RULES]
+
+
+@pytest.mark.parametrize(("name", "rule"), PLACES)
+def test_exactly_at_samples_halves_and_faces(device: Device, name: str, rule: str) -> None:
+    """Knots of the filters; with spacing 1 and origin 0 both sides reach them exactly, and go to the same side."""
+    data = np.random.default_rng(1).normal(size=(4, 5, 6)).astype(np.float32)
+    z, y, x = np.meshgrid(*(np.arange(-3, n + 3, 0.5) for n in data.shape), indexing="ij")
+    points = np.stack([x, y, z], -1)
+    for derivative in (0, 1):
+        if derivative and as_filter(name).continuity < 1:
+            continue  # a slope that jumps may be taken from either side where the boundary folds the position
+        parity(device, Volume(data), points, name, rule, derivative, ("taps", "buffer"))
+
+
+@pytest.mark.parametrize(("name", "rule"), PLACES)
+def test_a_million_samples_away(device: Device, name: str, rule: str) -> None:
+    data = np.random.default_rng(2).normal(size=(4, 5, 6)).astype(np.float32)
+    far = np.random.default_rng(3).choice([-1e6, 1e6, 3.0], (60, 3)) + np.random.default_rng(4).uniform(0.1, 0.4, (60, 3))
+    parity(device, Volume(data), far, name, rule, 0, ("taps", "buffer"))
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("derivative", [0, 1, 2])
+def test_positions_that_are_not_finite_give_nan(device: Device, derivative: int, d: int) -> None:
+    points = np.zeros((4, d))
+    points[0, 0], points[1, 1], points[2, -1] = np.nan, np.inf, -np.inf
+    got = sample(np.ones((3,) * d), points, derivative=derivative, device=device).reshape(4, -1)
+    assert np.isnan(got[:3]).all()
+    assert np.isfinite(got[3]).all()
+    wanted = reference.sample(np.ones((3,) * d), points, derivative=derivative).reshape(4, -1)
+    np.testing.assert_array_equal(np.isnan(got), np.isnan(wanted))
+
+
+def test_positions_too_large_for_any_index_stay_finite(device: Device) -> None:
+    points = np.array([[1e18, 0, 0], [0, -1e30, 0], [0, 0, 1e300]])
+    for rule in RULES:
+        assert np.isfinite(sample(np.ones((3, 3, 3)), points, "linear", rule, device=device)).all()
+
+
+def test_interpolating_rows_pass_through_the_samples(device: Device) -> None:
+    volume = volume_of((4, 5, 6))
+    z, y, x = np.indices(volume.shape)
+    points = volume.index_to_world(np.stack([x, y, z], -1) + 0.0)
+    for name, row in filters().items():
+        if row.interpolates and name != "nearest":
+            got = sample(volume, points, name, device=device)
+            largest = np.abs(reference.prefilter(volume.data, name)).max()
+            np.testing.assert_allclose(got, volume.data, rtol=0, atol=VALUES * largest, err_msg=name)
