@@ -18,7 +18,7 @@ from clvol.spline.field import sample
 USE = """
 import sys
 from clvol.errors import ClvolError
-from clvol.spline import sample
+from clvol import sample
 try:
     value = sample([[1.0, 2.0], [3.0, 4.0]], [[0.5, 0.5]], "linear")
     print("value", value[0])
@@ -78,7 +78,7 @@ FORK = """
 import os
 from clvol.device import as_device, devices
 from clvol.errors import DeviceError
-from clvol.spline import sample
+from clvol import sample
 points = ([[1.0, 2.0], [3.0, 4.0]], [[0.5, 0.5]], "linear")
 device = as_device()
 sample(*points)

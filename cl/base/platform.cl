@@ -1,4 +1,6 @@
-// What every kernel file needs first: how products are added, and the type of positions.
+// What every kernel file needs first: what compilers and devices differ in, and the type of positions.
+//
+// Set by the host: COORD_DOUBLE, whether positions are doubles.
 
 // One rounding where the device has it. Not fma(): PoCL 3.0 cannot compile it for float16.
 #pragma OPENCL FP_CONTRACT ON
@@ -7,6 +9,20 @@
 #define PASTE_(a, b) a##b
 #define PASTE(a, b) PASTE_(a, b)
 
+// What runs once a sample or once a tap is inlined and calls no built-in function: where PoCL does not know the processor
+// (3.0 on AMD's Zen 4, say) it leaves every vload, floor and select a call. What is rarely needed stays out of the loops.
+#define INLINE static inline __attribute__((always_inline))
+#define OUT_OF_LINE static __attribute__((noinline))
+
+// Of numbers, or of vectors element by element; the second where neither comparison holds.
+#define MIN(a, b) ((a) < (b) ? (a) : (b))
+#define MAX(a, b) ((a) > (b) ? (a) : (b))
+
+// A type as it may lie at any address that is a multiple of four.
+#define AT_ANY_ADDRESS __attribute__((aligned(4)))
+typedef float4 float4_at AT_ANY_ADDRESS;
+typedef float8 float8_at AT_ANY_ADDRESS;
+
 // From one type of vector to another, without a call.
 #ifdef __clang__
 #define CONVERT(v, type) __builtin_convertvector(v, type)
@@ -14,17 +30,20 @@
 #define CONVERT(v, type) PASTE(convert_, type)(v)
 #endif
 
-// Asks memory for the line of a global address, be it past what is stored. (Clang takes private pointers only; on these
-// processors all are alike.)
+// Asks memory for the line of a global address, even if it lies past what is stored. (Clang takes private pointers only; on
+// these processors all are alike.)
 #if defined(__clang__) && defined(__x86_64__)
-#define ASK_FOR(address) __builtin_prefetch((const void *)(size_t)(address))
+#define PREFETCH(address) __builtin_prefetch((const void *)(size_t)(address))
 #else
-#define ASK_FOR(address)
+#define PREFETCH(address)
 #endif
 
-// What runs once a sample or once a tap is inlined, and calls no built-in function: where PoCL does not
-// know the processor (3.0 on AMD's Zen 4, say) it leaves every vload, floor and select a call.
-#define INLINE static inline __attribute__((always_inline))
+// Loops over wide filters are not unrolled: with a thousand taps that takes some compilers minutes.
+#if TAPS > 6
+#define UNROLL_TAPS _Pragma("unroll 1")
+#else
+#define UNROLL_TAPS _Pragma("unroll")
+#endif
 
 #if COORD_DOUBLE
 #pragma OPENCL EXTENSION cl_khr_fp64 : enable
@@ -32,15 +51,3 @@ typedef double coord;
 #else
 typedef float coord;
 #endif
-
-INLINE int at_most(int i, int most)
-{
-    return i < most ? i : most;
-}
-
-// The greatest whole number below, for what fits an int.
-INLINE coord whole_below(coord x)
-{
-    const coord i = (coord)(int)x;
-    return x < i ? i - 1 : i;
-}

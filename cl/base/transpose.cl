@@ -1,49 +1,76 @@
-// Eight rows at once: a block of eight columns, each in a vector, from memory that holds rows, and back.
+// Rows to columns: of rows of four taps, one row for each of LANES samples; and of blocks of eight rows of a volume.
+//
+// Both exchange elements within quarters of a register only: what crosses them takes three times as long.
 
-#define LANES 8
+#include "base/lanes.cl"
 
-// at any address that is a multiple of four
-typedef float4 half_at_t __attribute__((aligned(4)));
-typedef float8 lanes_at_t __attribute__((aligned(4)));
+#if LANES > 1
 
-// Four columns of rows 0 to 3 and of rows 4 to 7 become four rows of eight, or the other way.
-INLINE void transpose_halves(float8 v[4])
+// Lanes i, i + 4, ... share a vector of rows of four, so that nothing leaves its part of a register on the way.
+#if LANES == 16
+#define FOURTHS(row, i) (real)(row(i), row(i + 4), row(i + 8), row(i + 12))
+#define EACH_0(v) (v).s000044448888cccc
+#define EACH_1(v) (v).s111155559999dddd
+#define EACH_2(v) (v).s22226666aaaaeeee
+#define EACH_3(v) (v).s33337777bbbbffff
+#define WEAVE_LOW(a, b) __builtin_shufflevector(a, b, 0, 16, 1, 17, 4, 20, 5, 21, 8, 24, 9, 25, 12, 28, 13, 29)
+#define WEAVE_HIGH(a, b) __builtin_shufflevector(a, b, 2, 18, 3, 19, 6, 22, 7, 23, 10, 26, 11, 27, 14, 30, 15, 31)
+#define PAIR_LOW(a, b) __builtin_shufflevector(a, b, 0, 1, 16, 17, 4, 5, 20, 21, 8, 9, 24, 25, 12, 13, 28, 29)
+#define PAIR_HIGH(a, b) __builtin_shufflevector(a, b, 2, 3, 18, 19, 6, 7, 22, 23, 10, 11, 26, 27, 14, 15, 30, 31)
+#else
+#define FOURTHS(row, i) (real)(row(i), row(i + 4))
+#define EACH_0(v) (v).s00004444
+#define EACH_1(v) (v).s11115555
+#define EACH_2(v) (v).s22226666
+#define EACH_3(v) (v).s33337777
+#define WEAVE_LOW(a, b) (real)((a).s0, (b).s0, (a).s1, (b).s1, (a).s4, (b).s4, (a).s5, (b).s5)
+#define WEAVE_HIGH(a, b) (real)((a).s2, (b).s2, (a).s3, (b).s3, (a).s6, (b).s6, (a).s7, (b).s7)
+#define PAIR_LOW(a, b) (real)((a).s01, (b).s01, (a).s45, (b).s45)
+#define PAIR_HIGH(a, b) (real)((a).s23, (b).s23, (a).s67, (b).s67)
+#endif
+
+// From rows[i], those of lanes i, i + 4, ..., to four vectors of all lanes; or back. The two may be the same array.
+INLINE void transpose_fourths(const real rows[4], real lanes[4])
 {
-    const float8 a = (float8)(v[0].s0, v[1].s0, v[0].s1, v[1].s1, v[0].s4, v[1].s4, v[0].s5, v[1].s5);
-    const float8 b = (float8)(v[0].s2, v[1].s2, v[0].s3, v[1].s3, v[0].s6, v[1].s6, v[0].s7, v[1].s7);
-    const float8 c = (float8)(v[2].s0, v[3].s0, v[2].s1, v[3].s1, v[2].s4, v[3].s4, v[2].s5, v[3].s5);
-    const float8 d = (float8)(v[2].s2, v[3].s2, v[2].s3, v[3].s3, v[2].s6, v[3].s6, v[2].s7, v[3].s7);
-    v[0] = (float8)(a.s01, c.s01, a.s45, c.s45);
-    v[1] = (float8)(a.s23, c.s23, a.s67, c.s67);
-    v[2] = (float8)(b.s01, d.s01, b.s45, d.s45);
-    v[3] = (float8)(b.s23, d.s23, b.s67, d.s67);
+    const real a = WEAVE_LOW(rows[0], rows[1]), b = WEAVE_LOW(rows[2], rows[3]);
+    const real c = WEAVE_HIGH(rows[0], rows[1]), d = WEAVE_HIGH(rows[2], rows[3]);
+    lanes[0] = PAIR_LOW(a, b);
+    lanes[1] = PAIR_HIGH(a, b);
+    lanes[2] = PAIR_LOW(c, d);
+    lanes[3] = PAIR_HIGH(c, d);
 }
+
+#endif
+
+#if LANES == 8
+
+// -- blocks of eight rows and eight columns -------------------------------------------------------------------
 
 // v[i] becomes column i of the block. Rows past the last of `rows` repeat that.
-INLINE void load_columns(float8 v[LANES], global const float *block, const size_t pitch, const int rows)
+INLINE void load_columns(real v[8], global const float *block, const size_t pitch, const int rows)
 {
-#define HALF_AT(row, column) (*(global const half_at_t *)(block + ((row) < rows ? (row) : rows - 1) * pitch + (column)))
+#define HALF_AT(row, column) (*(global const float4_at *)(block + ((row) < rows ? (row) : rows - 1) * pitch + (column)))
 #pragma unroll
     for (int i = 0; i < 4; ++i) {
-        v[i] = (float8)(HALF_AT(i, 0), HALF_AT(i + 4, 0));
-        v[i + 4] = (float8)(HALF_AT(i, 4), HALF_AT(i + 4, 4));
+        v[i] = (real)(HALF_AT(i, 0), HALF_AT(i + 4, 0));
+        v[i + 4] = (real)(HALF_AT(i, 4), HALF_AT(i + 4, 4));
     }
-    transpose_halves(v);
-    transpose_halves(v + 4);
+    transpose_fourths(v, v);
+    transpose_fourths(v + 4, v + 4);
 }
 
-INLINE void store_columns(float8 v[LANES], global float *block, const size_t pitch, const int rows)
+INLINE void store_columns(real v[8], global float *block, const size_t pitch, const int rows)
 {
-    transpose_halves(v);
-    transpose_halves(v + 4);
+    transpose_fourths(v, v);
+    transpose_fourths(v + 4, v + 4);
 #define STORE_ROW(row, half)                                               \
     {                                                                      \
-        *(global half_at_t *)(block + (row) * pitch) = v[i].half;          \
-        *(global half_at_t *)(block + (row) * pitch + 4) = v[i + 4].half;  \
+        *(global float4_at *)(block + (row) * pitch) = v[i].half;          \
+        *(global float4_at *)(block + (row) * pitch + 4) = v[i + 4].half;  \
     }
 #pragma unroll
     for (int i = 0; i < 4; ++i)
-        if (rows == LANES) {
+        if (rows == 8) {
             STORE_ROW(i, lo)
             STORE_ROW(i + 4, hi)
         } else {
@@ -53,3 +80,5 @@ INLINE void store_columns(float8 v[LANES], global float *block, const size_t pit
                 STORE_ROW(i + 4, hi)
         }
 }
+
+#endif

@@ -12,11 +12,11 @@ INLINE color_t shade(constant frame_t *frame, color_t color, real3 gradient, rea
         constant float *light = frame->light + 8 * i;   // direction, 1 for a headlight; colour
         const real3 to = light[3] != 0.0f ? scale3(world, (real)(-1.0f))
                                           : real3_of((real)(light[0]), (real)(light[1]), (real)(light[2]));
-        const real lambert = choose(flat, (real)(1.0f), greatest(dot3(normal, to), (real)(0.0f)));
+        const real lambert = choose(flat, (real)(1.0f), MAX(dot3(normal, to), (real)(0.0f)));
         real half_angle = lambert;   // a headlight's half-way direction is the viewer's
         if (light[3] == 0.0f) {
             const real3 sum = add3(to, scale3(world, (real)(-1.0f)));
-            half_angle = greatest(dot3(normal, sum) / square_root(greatest(dot3(sum, sum), (real)(1e-20f))), (real)(0.0f));
+            half_angle = MAX(dot3(normal, sum) / square_root(MAX(dot3(sum, sum), (real)(1e-20f))), (real)(0.0f));
         }
         half_angle = choose(flat, (real)(0.0f), half_angle);
         const real diffuse = frame->diffuse * lambert;

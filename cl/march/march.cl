@@ -33,7 +33,9 @@
 #include "spline/taps.cl"
 #include "spline/pairs.cl"
 #include "spline/cell.cl"
-#include "base/lanes.cl"
+#include "base/math.cl"
+#include "base/vector.cl"
+#include "base/transpose.cl"
 #include "frame.cl"
 #include "march/camera.cl"
 #include "transfer/ramp.cl"
@@ -41,7 +43,7 @@
 #include "march/segments.cl"
 
 #if PATCHED
-#define RARE static __attribute__((noinline))   // rarely called: kept out of the loop
+#define RARE OUT_OF_LINE
 #include "march/plane.cl"
 #else
 #define RARE INLINE
@@ -208,7 +210,7 @@ RARE void tile_patch(VOLUME_PARAMS, constant frame_t *frame, patch_t *patch, int
     const float across = way > 0.0f ? madd(n, frame->spacing, frame->plane) : madd(n, -frame->spacing, frame->plane_back);
     const int axis = frame->axis, u = axis == 0 ? 1 : 0, v = axis == 2 ? 1 : 2;
     patch->made = 1;
-    const int right = at_most(left + TILE_WIDTH, frame->width) - 1, bottom = at_most(top + TILE_HEIGHT, frame->height) - 1;
+    const int right = MIN(left + TILE_WIDTH, frame->width) - 1, bottom = MIN(top + TILE_HEIGHT, frame->height) - 1;
     const float4 px = (float4)(left, right, left, right) + frame->offset[0], py = (float4)(top, top, bottom, bottom) + frame->offset[1];
 #define PIXEL(field, i) madd(px, frame->field##_u[i], madd(py, frame->field##_v[i], frame->field[i]))
     const float4 along = PIXEL(direction, axis);
@@ -292,7 +294,7 @@ kernel void march(VOLUME_PARAMS, global const float2 *bounds, constant frame_t *
         begin(&states[g]);
         gathered[g] = (real)(0.0f);
         going[g] = rays[g].hits & (x < (real)(frame->width)) & (y < (real)(frame->height));
-        const float low = least_lane(choose(going[g], rays[g].begin - MARGIN, NOWHERE)), high = -least_lane(choose(going[g], -MARGIN - rays[g].end, NOWHERE));
+        const float low = min_lane(choose(going[g], rays[g].begin - MARGIN, NOWHERE)), high = max_lane(choose(going[g], rays[g].end + MARGIN, -NOWHERE));
         first = low < first ? low : first;
         last = high > last ? high : last;
 #if PATCHED
@@ -380,7 +382,7 @@ kernel void march(VOLUME_PARAMS, global const float2 *bounds, constant frame_t *
 #if ENDPOINTS
                     // a little inside: on the face itself rounding would decide whether it is read from past the edge
                     const real inset = 1e-3f * ray->step;
-                    t = least(greatest(t, ray->enter + inset), ray->leave - inset);
+                    t = MIN(MAX(t, ray->enter + inset), ray->leave - inset);
 #endif
                     here_t sample_here, *here = &sample_here;
                     real value;

@@ -24,7 +24,6 @@ typedef struct {
 // Blends the slices that take part, with these weights.
 RARE void patch_blend(const patch_t *patch, global const float *coefficients, int slopes, float *blend)
 {
-    typedef float8 eight_t __attribute__((aligned(4)));
     global const float *first = coefficients + patch->u * patch->along_u + patch->v * patch->along_v
         + patch->slice * patch->across;
     float w[WEIGHTS];
@@ -39,8 +38,8 @@ RARE void patch_blend(const patch_t *patch, global const float *coefficients, in
                 float8 sum = (float8)(0.0f);
 #pragma unroll
                 for (int k = 0; k < TAPS; ++k)
-                    sum = madd(w[k], *(global const eight_t *)(p + k * patch->across), sum);
-                *(eight_t *)(blend + j * PATCH + i) = sum;
+                    sum = madd(w[k], *(global const float8_at *)(p + k * patch->across), sum);
+                *(float8_at *)(blend + j * PATCH + i) = sum;
             }
     } else {
         // the planes are perpendicular to x: the taps to blend lie side by side
@@ -69,7 +68,7 @@ INLINE void patch_ahead(const patch_t *patch, VOLUME_PARAMS, int axis, float way
     global const float *row = coefficients + patch->u + patch->v * patch->along_v + slice * patch->across;
     for (int j = 0; j < patch->rows; ++j, row += patch->along_v)
         for (int i = 0; i < patch->columns + 15; i += 16)
-            ASK_FOR(row + i);
+            PREFETCH(row + i);
 }
 
 // Takes the plane at `across`, on the way of rays up or down its axis, under positions from (low_u, low_v) to (high_u, high_v), all in samples.
@@ -108,8 +107,8 @@ INLINE patch_cell_t patch_locate(const patch_t *patch, real u, real v)
     // counted from the patch's corner, hence not negative where it matters: cutting off is rounding down
     u = u * GRID_SCALE - patch->from_u;
     v = v * GRID_SCALE - patch->from_v;
-    u = least(greatest(u, (real)(0.0f)), (real)(PATCH - WEIGHTS));
-    v = least(greatest(v, (real)(0.0f)), (real)(PATCH - TAPS));
+    u = MIN(MAX(u, (real)(0.0f)), (real)(PATCH - WEIGHTS));
+    v = MIN(MAX(v, (real)(0.0f)), (real)(PATCH - TAPS));
     const mask column = to_mask(u), row = to_mask(v);
     c.at.all = row * PATCH + column;
     c.tu = u - to_real(column);

@@ -8,12 +8,12 @@ typedef struct { real3 low, high; } boxes_t;   // a box for every lane
 INLINE void box_samples(const ray_t *ray, float first, float last, mask active, boxes_t *box)
 {
     // a sample lies where the ray is inside, whatever its number would give
-    const real a = least(greatest(madd(first, ray->step, ray->first), ray->enter), ray->leave);
-    const real b = least(greatest(madd(last, ray->step, ray->first), ray->enter), ray->leave);
+    const real a = MIN(MAX(madd(first, ray->step, ray->first), ray->enter), ray->leave);
+    const real b = MIN(MAX(madd(last, ray->step, ray->first), ray->enter), ray->leave);
     const real3 p = at3(ray->origin, ray->direction, a), q = at3(ray->origin, ray->direction, b);
 #define EXTEND(axis)                                                                       \
-    box->low.axis = choose(active, least(box->low.axis, least(p.axis, q.axis)), box->low.axis); \
-    box->high.axis = choose(active, greatest(box->high.axis, greatest(p.axis, q.axis)), box->high.axis)
+    box->low.axis = choose(active, MIN(box->low.axis, MIN(p.axis, q.axis)), box->low.axis); \
+    box->high.axis = choose(active, MAX(box->high.axis, MAX(p.axis, q.axis)), box->high.axis)
     EXTEND(x); EXTEND(y); EXTEND(z);
 #undef EXTEND
 }
@@ -22,22 +22,6 @@ INLINE void box_nothing(boxes_t *box)
 {
     box->low = real3_of(NOWHERE, NOWHERE, NOWHERE);
     box->high = real3_of(-NOWHERE, -NOWHERE, -NOWHERE);
-}
-
-INLINE float least_lane(real v)
-{
-#if LANES == 1
-    return v;
-#else
-#if LANES == 16
-    const float8 eight = v.lo < v.hi ? v.lo : v.hi;
-#else
-    const float8 eight = v;
-#endif
-    const float4 four = eight.lo < eight.hi ? eight.lo : eight.hi;
-    const float2 two = four.lo < four.hi ? four.lo : four.hi;
-    return two.x < two.y ? two.x : two.y;
-#endif
 }
 
 // The first tap's place, among blocks, of a position on an axis of `blocks` of them.
@@ -55,9 +39,9 @@ INLINE float2 values_within(global const float2 *bounds, const int4 extent, cons
     const int halo = extent.w;
     const float m = frame->margin;
     int nx = frame->blocks[0], ny = frame->blocks[1], nz = frame->blocks[2];
-    int x0 = block_of(least_lane(box->low.x) - m, halo, nx), x1 = block_of(-least_lane(-box->high.x) + m, halo, nx);
-    int y0 = block_of(least_lane(box->low.y) - m, halo, ny), y1 = block_of(-least_lane(-box->high.y) + m, halo, ny);
-    int z0 = block_of(least_lane(box->low.z) - m, halo, nz), z1 = block_of(-least_lane(-box->high.z) + m, halo, nz);
+    int x0 = block_of(min_lane(box->low.x) - m, halo, nx), x1 = block_of(max_lane(box->high.x) + m, halo, nx);
+    int y0 = block_of(min_lane(box->low.y) - m, halo, ny), y1 = block_of(max_lane(box->high.y) + m, halo, ny);
+    int z0 = block_of(min_lane(box->low.z) - m, halo, nz), z1 = block_of(max_lane(box->high.z) + m, halo, nz);
     int level = 0;
     while (level < frame->levels - 1 && (x1 - x0 + 1) * (y1 - y0 + 1) * (z1 - z0 + 1) > LOOKS) {
         x0 >>= 1; x1 >>= 1; y0 >>= 1; y1 >>= 1; z0 >>= 1; z1 >>= 1;

@@ -38,7 +38,7 @@ INLINE mask gather(state_t *s, SCENE_PARAMS, real t, real value, mask active)
 
 INLINE color_t finish(const state_t *s, SCENE_PARAMS, real *t)
 {
-    const real opacity = 1.0f - s->transmittance, per_opacity = 1.0f / greatest(opacity, (real)(1e-20f));
+    const real opacity = 1.0f - s->transmittance, per_opacity = 1.0f / MAX(opacity, (real)(1e-20f));
     color_t color = { s->red * per_opacity, s->green * per_opacity, s->blue * per_opacity, opacity };
     *t = s->depth;
     return color;

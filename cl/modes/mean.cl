@@ -21,7 +21,7 @@ INLINE mask gather(state_t *s, SCENE_PARAMS, real t, real value, mask active)
 
 INLINE color_t finish(const state_t *s, SCENE_PARAMS, real *t)
 {
-    color_t color = classify(frame, table, s->sum / greatest(s->count, (real)(1.0f)));
+    color_t color = classify(frame, table, s->sum / MAX(s->count, (real)(1.0f)));
     color.opacity = choose(s->count > 0.0f, (real)(1.0f), (real)(0.0f));
     *t = NOWHERE;
     return color;

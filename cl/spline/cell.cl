@@ -2,6 +2,13 @@
 
 // Set by the host: LEFT = TAPS/2 - 1, exactly, as a floating constant.
 
+// The greatest whole number below, for what fits an int.
+INLINE coord whole_below(coord x)
+{
+    const coord i = (coord)(int)x;
+    return x < i ? i - 1 : i;
+}
+
 INLINE int locate_axis(coord x, float *t)
 {
     const coord u = x * GRID_SCALE - (coord)LEFT, base = whole_below(u);

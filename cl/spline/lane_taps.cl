@@ -46,8 +46,7 @@ INLINE void lane_taps(const row_t rows[LANES], real taps[ROW])
 #undef LOW
 #undef HIGH
 #elif ROW == 2 && LANES > 1
-    typedef real real_at_t __attribute__((aligned(4)));
-    const real low = *(const real_at_t *)rows, high = *(const real_at_t *)(rows + LANES / 2);
+    const real low = *(const real_at *)rows, high = *(const real_at *)(rows + LANES / 2);
     taps[0] = (real)(low.even, high.even);
     taps[1] = (real)(low.odd, high.odd);
 #else

@@ -7,7 +7,9 @@
 
 #define AHEAD 4   // groups whose cells are worked out before any is sampled
 
-#include "base/lanes.cl"
+#include "base/math.cl"
+#include "base/vector.cl"
+#include "base/transpose.cl"
 #include "spline/lane_taps.cl"
 #include "spline/positions.cl"
 
@@ -178,7 +180,6 @@ INLINE real3 group_gradient(VOLUME_PARAMS, const group_cell_t *c)
 INLINE void group_into(VOLUME_PARAMS, const group_cell_t *cells, source_t source, int n, int count, constant coord *w,
                        global float *results)
 {
-    typedef real real_at_t __attribute__((aligned(4)));
     union { real all[COMPONENTS]; float each[COMPONENTS * LANES]; } u;
 #if DERIVATIVE == 0
     u.all[0] = group_value(VOLUME, cells);
@@ -197,11 +198,11 @@ INLINE void group_into(VOLUME_PARAMS, const group_cell_t *cells, source_t source
     if (count >= LANES) {
 #pragma unroll
         for (int i = 0; i < COMPONENTS; ++i)
-            *(global real_at_t *)(results + COMPONENTS * place_of(source, n) + i * LANES) = u.all[i];
+            *(global real_at *)(results + COMPONENTS * place_of(source, n) + i * LANES) = u.all[i];
         return;
     }
 #endif
-    for (int i = 0; i < at_most(LANES, count); ++i)
+    for (int i = 0; i < MIN(LANES, count); ++i)
 #pragma unroll
         for (int k = 0; k < COMPONENTS; ++k)
             results[COMPONENTS * place_of(source, n + i) + k] = u.each[COMPONENTS * i + k];
@@ -212,7 +213,7 @@ INLINE void run_into(VOLUME_PARAMS, source_t source, int count, const int4 size,
 {
     group_cell_t cells[AHEAD];
     for (int first = 0; first < count; first += AHEAD * LANES) {
-        const int end = at_most(first + AHEAD * LANES, count);
+        const int end = MIN(first + AHEAD * LANES, count);
         int outer = 0;
 #pragma unroll 1
         for (int i = first, g = 0; i < end; i += LANES, ++g) {

@@ -6,7 +6,7 @@
 //
 // A cell is named by its first tap among the stored coefficients; a block is BLOCK cells along each axis.
 //
-// Set by the host: BLOCK; TAPS; HULL (1: by Bernstein coefficients; 0: by the taps' extremes and the weights' greatest
+// Set by the host: LANES (cells along x at a time, 8); BLOCK; TAPS; HULL (1: by Bernstein coefficients; 0: by the taps' extremes and the weights' greatest
 // sums); CONTROLS, coefficients along an axis of a cell, SHARED (the last is the next cell's first), BERNSTEIN (their
 // weights: a row for each); SUM_LOW and SUM_HIGH (of a point's weights), LEBESGUE (of their magnitudes);
 // PAD_SIZE, of the taps' greatest magnitude, and PAD_SPREAD, of their range.
@@ -29,10 +29,6 @@ INLINE void widen(float *low, float *high, float least, float greatest)
 
 #if HULL
 
-// LANES cells along x at a time
-#define LANES 8
-typedef float8 lanes_t __attribute__((aligned(4)));
-
 #define ROWS (SHARED ? CONTROLS - 1 : CONTROLS)   // new ones for each cell
 #define POINTS (BLOCK * ROWS + SHARED)            // along the edge of a block
 
@@ -47,9 +43,6 @@ constant float bernstein[CONTROLS][TAPS] = BERNSTEIN;
                 target = madd((float8)(bernstein[row][i_]), value, target); \
     }
 
-INLINE float8 smaller(float8 a, float8 b) { return a < b ? a : b; }
-INLINE float8 larger(float8 a, float8 b) { return a > b ? a : b; }
-
 kernel void bound_cells(global const float *restrict coefficients, const int4 extent, const int4 blocks, global float2 *bounds)
 {
     const int bx = (int)get_global_id(0) * (LANES / BLOCK), by = get_global_id(1), bz = get_global_id(2);
@@ -62,16 +55,16 @@ kernel void bound_cells(global const float *restrict coefficients, const int4 ex
     float8 lines[EDGE][POINTS][CONTROLS];     // control points along x and y, for each slice of taps
     for (int k = 0; k < EDGE; ++k) {
         float8 rows[EDGE][CONTROLS];
-        const size_t z = at_most(bz * BLOCK + k, extent.z - 1);
+        const size_t z = MIN(bz * BLOCK + k, extent.z - 1);
         for (int j = 0; j < EDGE; ++j) {
-            const size_t y = at_most(by * BLOCK + j, extent.y - 1);
+            const size_t y = MIN(by * BLOCK + j, extent.y - 1);
             global const float *p = coefficients + (z * extent.y + y) * extent.x + bx * BLOCK;
             float8 taps[TAPS];
 #pragma unroll
             for (int i = 0; i < TAPS; ++i) {
-                taps[i] = *(global const lanes_t *)(p + i);
-                least = smaller(taps[i], least);
-                greatest = larger(taps[i], greatest);
+                taps[i] = *(global const float8_at *)(p + i);
+                least = MIN(taps[i], least);
+                greatest = MAX(taps[i], greatest);
             }
 #pragma unroll
             for (int d = 0; d < CONTROLS; ++d)
@@ -93,12 +86,12 @@ kernel void bound_cells(global const float *restrict coefficients, const int4 ex
                     if (r < ROWS || cell == BLOCK - 1) {
                         float8 point;
                         CONTROL(point, r, lines[cell + i_][q][d])
-                        low[r] = smaller(point, low[r]);
-                        high[r] = larger(point, high[r]);
+                        low[r] = MIN(point, low[r]);
+                        high[r] = MAX(point, high[r]);
                     }
     for (int r = 1; r < CONTROLS; ++r) {
-        low[0] = smaller(low[r], low[0]);
-        high[0] = larger(high[r], high[0]);
+        low[0] = MIN(low[r], low[0]);
+        high[0] = MAX(high[r], high[0]);
     }
     union { float8 all; float each[LANES]; } lows = { low[0] }, highs = { high[0] }, leasts = { least }, greatests = { greatest };
     for (int b = 0; b < LANES / BLOCK && bx + b < blocks.x; ++b) {
@@ -123,10 +116,10 @@ kernel void bound_cells(global const float *restrict coefficients, const int4 ex
     float least = INFINITY, greatest = -INFINITY;
     for (int k = 0; k < EDGE; ++k)
         for (int j = 0; j < EDGE; ++j) {
-            const size_t z = at_most(bz * BLOCK + k, extent.z - 1), y = at_most(by * BLOCK + j, extent.y - 1);
+            const size_t z = MIN(bz * BLOCK + k, extent.z - 1), y = MIN(by * BLOCK + j, extent.y - 1);
             global const float *p = coefficients + (z * extent.y + y) * extent.x;
             for (int i = 0; i < EDGE; ++i) {
-                const float c = p[at_most(bx * BLOCK + i, extent.x - 1)];
+                const float c = p[MIN(bx * BLOCK + i, extent.x - 1)];
                 least = c < least ? c : least;
                 greatest = c > greatest ? c : greatest;
             }
@@ -144,9 +137,9 @@ kernel void bound_blocks(global float2 *bounds, const int4 finer, const int4 coa
 {
     const int x = get_global_id(0), y = get_global_id(1), z = get_global_id(2);
     float2 hull = (float2)(INFINITY, -INFINITY);
-    for (int k = 2 * z; k < at_most(2 * z + 2, finer.z); ++k)
-        for (int j = 2 * y; j < at_most(2 * y + 2, finer.y); ++j)
-            for (int i = 2 * x; i < at_most(2 * x + 2, finer.x); ++i) {
+    for (int k = 2 * z; k < MIN(2 * z + 2, finer.z); ++k)
+        for (int j = 2 * y; j < MIN(2 * y + 2, finer.y); ++j)
+            for (int i = 2 * x; i < MIN(2 * x + 2, finer.x); ++i) {
                 const float2 b = bounds[finer.w + ((size_t)k * finer.y + j) * finer.x + i];
                 hull.x = b.x < hull.x ? b.x : hull.x;
                 hull.y = b.y > hull.y ? b.y : hull.y;

@@ -70,7 +70,7 @@ INLINE hessian_t taps_hessian(VOLUME_PARAMS, cell_t c)
     for (int i = 0; i < CHUNKS; ++i) {
         cursor_t slice = first;
         row_t sum = (row_t)(0.0f), sum_y = sum, sum_z = sum, sum_yy = sum, sum_yz = sum, sum_zz = sum;
-        UNROLL_SLICES
+        UNROLL_TAPS
         for (int k = 0; k < SLICES; ++k, slice = next_slice(VOLUME, slice)) {
             row_t plane = (row_t)(0.0f), plane_y = plane, plane_yy = plane;
 #pragma unroll

@@ -14,8 +14,6 @@
 #include "spline/cell.cl"
 #include "spline/position.cl"
 
-#define RARE static __attribute__((noinline))   // kept out of the loop
-
 #if DERIVATIVE == 0
 #define COMPONENTS 1
 #elif DERIVATIVE == 1
@@ -103,7 +101,7 @@ INLINE void to_world(float value, gradient_t g, hessian_t h, constant coord *w, 
 
 // Outside the domain the boundary rule holds, or, if FILL is set, the result is `fill`.
 // w: the rows of world_to_index, so index_j = sum_i w[3 j + i] world_i. Results are in world units.
-RARE void outer_into(VOLUME_PARAMS, position_t at, int4 size, int4 period, constant coord *w, const float fill,
+OUT_OF_LINE void outer_into(VOLUME_PARAMS, position_t at, int4 size, int4 period, constant coord *w, const float fill,
                      global float *result)
 {
     float value = 0.0f;
@@ -184,7 +182,7 @@ kernel void sample_lattice(VOLUME_PARAMS, const int4 size, const int4 period, co
     source_t source = { get_global_id(0) * RUN, (int)get_global_id(1) + lattice.z, (int)get_global_id(2) + lattice.w, 0 };
     source.first = ((size_t)source.k * lattice.y + source.j) * lattice.x + source.i;
     if (source.i < lattice.x && source.j < lattice.y)
-        run_into(VOLUME, source, at_most(RUN, lattice.x - source.i), size, period, transform, fill, results);
+        run_into(VOLUME, source, MIN(RUN, lattice.x - source.i), size, period, transform, fill, results);
 }
 
 #endif

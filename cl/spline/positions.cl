@@ -46,7 +46,7 @@ INLINE group_t group_of(source_t source, int n, int count)
     } else {
 #pragma unroll
         for (int i = 0; i < LANES * STRIDE; ++i)
-            u.each[i] = points[STRIDE * at_most(i / STRIDE, count - 1) + i % STRIDE];
+            u.each[i] = points[STRIDE * MIN(i / STRIDE, count - 1) + i % STRIDE];
     }
 #define COMPONENT(i, axis) u.each[STRIDE * (i) + axis]
 #define ALONG(axis, i) \

@@ -33,7 +33,7 @@ INLINE void filter_columns(global float *line, const int chains, const int count
 {
     float8 start[CHAINS][2 * POLES], v[CHAINS];
 #define EACH_CHAIN _Pragma("unroll") for (int c = 0; c < chains; ++c)
-#define LANES_AT(p) (*(global lanes_at_t *)((p) + LANES * c))
+#define LANES_AT(p) (*(global float8_at *)((p) + LANES * c))
     EACH_CHAIN
 #pragma unroll
         for (int p = 0; p < 2 * POLES; ++p)
@@ -50,7 +50,7 @@ INLINE void filter_columns(global float *line, const int chains, const int count
         for (int i = 1; i < count; ++i) {
             global float *at = line + i * stride;
             for (int k = 0; k < chains; k += 2)
-                ASK_FOR(at + AHEAD * stride + k * LANES);
+                PREFETCH(at + AHEAD * stride + k * LANES);
             EACH_CHAIN LANES_AT(at) = v[c] = madd(z, v[c], gain * LANES_AT(at));
         }
         EACH_CHAIN LANES_AT(line + (count - 1) * stride) = v[c] = start[c][2 * p + 1];
@@ -91,7 +91,7 @@ INLINE void keep_columns(float8 v[LANES], global float *block, const size_t pitc
     }
 #pragma unroll
     for (int i = 0; i < LANES; ++i)
-        *(global lanes_at_t *)(block + i * pitch) = v[i];
+        *(global float8_at *)(block + i * pitch) = v[i];
 }
 
 INLINE void kept_columns(float8 v[LANES], global const float *block, const size_t pitch, const int rows)
@@ -102,7 +102,7 @@ INLINE void kept_columns(float8 v[LANES], global const float *block, const size_
     }
 #pragma unroll
     for (int i = 0; i < LANES; ++i)
-        v[i] = *(global const lanes_at_t *)(block + i * pitch);
+        v[i] = *(global const float8_at *)(block + i * pitch);
 }
 
 // One block of the causal recursion from y, and of the anticausal one from c. Past the row's end lies its halo, for
@@ -186,7 +186,7 @@ INLINE void filter_some_rows(global float *line, const int rows, const int count
         filter_rows(line, 2, LANES, count, pitch, STARTS);
     else
         for (int j = 0; j < rows; j += LANES)
-            filter_rows(line + j * pitch, 1, at_most(LANES, rows - j), count, pitch, STARTS);
+            filter_rows(line + j * pitch, 1, MIN(LANES, rows - j), count, pitch, STARTS);
 }
 
 // Sixteen rows of `rows` along id 0, slices along id 1.

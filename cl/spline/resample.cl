@@ -6,13 +6,6 @@
 #include "base/platform.cl"
 #include "base/transpose.cl"
 
-// Unrolled, the loops of wide filters take some compilers minutes.
-#if TAPS > 6
-#define UNROLL_TAPS _Pragma("unroll 1")
-#else
-#define UNROLL_TAPS _Pragma("unroll")
-#endif
-
 // One row, `width` long (a multiple of 8), as a sum over rows that lie `apart`.
 INLINE void blend_row(global float *restrict blend, global const float *restrict rows, const size_t apart,
                       global const int *restrict place, global const float *restrict weight, const int width)
@@ -21,8 +14,8 @@ INLINE void blend_row(global float *restrict blend, global const float *restrict
         float8 sum = (float8)(0.0f);
         UNROLL_TAPS
         for (int t = 0; t < TAPS; ++t)
-            sum = madd((float8)(weight[t]), *(global const lanes_at_t *)(rows + place[t] * apart + i), sum);
-        *(global lanes_at_t *)(blend + i) = sum;
+            sum = madd((float8)(weight[t]), *(global const float8_at *)(rows + place[t] * apart + i), sum);
+        *(global float8_at *)(blend + i) = sum;
     }
 }
 
@@ -35,14 +28,14 @@ INLINE void resample_rows(global float *restrict result, global const float *res
     global float *lines = scratch, *columns = scratch + LANES * width;
     float8 v[LANES];
     for (int r = 0; r < LANES; ++r) {
-        const size_t row = at_most(r, count - 1) * TAPS;
+        const size_t row = MIN(r, count - 1) * TAPS;
         blend_row(lines + r * width, rows, apart, y_place + row, y_weight + row, width);
     }
     for (int i = 0; i < width; i += LANES) {
         load_columns(v, lines + i, width, LANES);
 #pragma unroll
         for (int n = 0; n < LANES; ++n)
-            *(global lanes_at_t *)(columns + (i + n) * LANES) = v[n];
+            *(global float8_at *)(columns + (i + n) * LANES) = v[n];
     }
     for (int i = 0; i < points; i += LANES) {
 #pragma unroll
@@ -51,7 +44,7 @@ INLINE void resample_rows(global float *restrict result, global const float *res
             UNROLL_TAPS
             for (int t = 0; t < TAPS; ++t) {
                 const int tap = (i + n) * TAPS + t;
-                v[n] = madd((float8)(x_weight[tap]), *(global const lanes_at_t *)(columns + x_place[tap]), v[n]);
+                v[n] = madd((float8)(x_weight[tap]), *(global const float8_at *)(columns + x_place[tap]), v[n]);
             }
         }
         if (i + LANES <= points)
@@ -95,9 +88,9 @@ kernel void resample_axes(global const float *restrict coefficients, const int l
         const size_t apart = pitch;
         global const float *rows = coefficients;
 #endif
-        for (int j = block * BLOCK; j < at_most((block + 1) * BLOCK, lattice.y); j += LANES)
+        for (int j = block * BLOCK; j < MIN((block + 1) * BLOCK, lattice.y); j += LANES)
             resample_rows(results + ((size_t)k * lattice.y + j) * lattice.x, rows, apart,
                           places + along_y + j * TAPS, weights + along_y + j * TAPS, places, weights,
-                          at_most(LANES, lattice.y - j), lattice.x, width, mine);
+                          MIN(LANES, lattice.y - j), lattice.x, width, mine);
     }
 }

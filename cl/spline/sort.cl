@@ -5,7 +5,9 @@
 // of the points.
 
 #include "base/platform.cl"
-#include "base/lanes.cl"
+#include "base/math.cl"
+#include "base/vector.cl"
+#include "base/transpose.cl"
 #include "spline/position.cl"
 #include "spline/positions.cl"
 

@@ -4,13 +4,6 @@
 
 #include "spline/fetch.cl"
 
-// Unrolled, a thousand taps take some compilers minutes.
-#if TAPS > 6
-#define UNROLL_SLICES _Pragma("unroll 1")
-#else
-#define UNROLL_SLICES _Pragma("unroll")
-#endif
-
 #if DIMENSIONS == 3
 #define SLICES TAPS
 #else
@@ -37,7 +30,7 @@ typedef struct { cursor_t low, high; } cursors_t;
 INLINE rows_t blend_rows(VOLUME_PARAMS, cursors_t slice, int first, const weight_t wy[TAPS], const weight_t wz[SLICES])
 {
     rows_t sum = (rows_t)(0.0f);
-    UNROLL_SLICES
+    UNROLL_TAPS
     for (int k = 0; k < SLICES; ++k) {
         rows_t plane = (rows_t)(0.0f);
 #pragma unroll
@@ -56,7 +49,7 @@ INLINE slopes_t blend_slopes(VOLUME_PARAMS, cursors_t slice, int first, const we
                              const weight_t wz[SLICES], const weight_t sz[SLICES])
 {
     slopes_t s = { (rows_t)(0.0f), (rows_t)(0.0f), (rows_t)(0.0f) };
-    UNROLL_SLICES
+    UNROLL_TAPS
     for (int k = 0; k < SLICES; ++k) {
         rows_t plane = (rows_t)(0.0f), plane_y = plane;
 #pragma unroll

@@ -4,8 +4,8 @@ typedef struct { real red, green, blue, opacity; } color_t;
 
 INLINE color_t classify(constant frame_t *frame, global const float4 *table, real value)
 {
-    const real place = least(greatest((value - frame->table_low) * frame->table_scale, (real)(0.0f)), (real)(TABLE_SIZE - 1.0f));
-    const mask nodes = to_mask(least(place, (real)(TABLE_SIZE - 2.0f)));
+    const real place = MIN(MAX((value - frame->table_low) * frame->table_scale, (real)(0.0f)), (real)(TABLE_SIZE - 1.0f));
+    const mask nodes = to_mask(MIN(place, (real)(TABLE_SIZE - 2.0f)));
     const lane_indices_u node = { 4 * nodes };
     const real past = place - to_real(nodes);
 #if LANES == 1
@@ -48,6 +48,6 @@ INLINE int transparent(constant frame_t *frame, global const float4 *table, floa
 // Opacity of matter `thickness` unit distances thick, given that of one.
 INLINE real opacity_of(real opacity, real thickness)
 {
-    const real share = 1.0f - exp_2(thickness * log_2(greatest(1.0f - opacity, (real)(1e-30f))));
+    const real share = 1.0f - exp_2(thickness * log_2(MAX(1.0f - opacity, (real)(1e-30f))));
     return choose(opacity < 1.0f, share, (real)(1.0f));
 }

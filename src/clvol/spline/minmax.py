@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from clvol import program
 from clvol.filter import Filter
+from clvol.program import LANES
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import Evaluator
 
@@ -76,6 +77,7 @@ def _defines(filter: Filter, blur: float) -> dict[str, str | int | float]:
         "LEBESGUE": lebesgue**3,
         "PAD_SIZE": pad,
         "PAD_SPREAD": 3 * blur * lebesgue**2,
+        "LANES": LANES,
         "COORD_DOUBLE": 0,
     }
 

@@ -74,6 +74,7 @@ def _prefilter(
             "GAIN": float(1 / filter.samples[-1]),
             "ENDS": starts[0][0].shape[2] // 2,
             "CHAINS": chains,
+            "LANES": LANES,
             "COORD_DOUBLE": 0,
         },
     )
