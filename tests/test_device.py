@@ -108,7 +108,7 @@ def test_use_after_a_fork_is_an_error_not_a_hang(device: Device) -> None:
 def test_fork_before_the_first_use_is_allowed(device: Device) -> None:
     assert device is not None
     done = python(
-        "import os, clvol.spline as s\nchild = os.fork()\n"
+        "import os, clvol as s\nchild = os.fork()\n"
         "value = s.sample([[1.0, 2.0], [3.0, 4.0]], [[0.5, 0.5]], 'linear')[0]\n"
         "if child == 0: os._exit(int(value * 2))\n"
         "print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), value)",
@@ -190,10 +190,8 @@ def test_errors_of_the_runtime_come_out_as_ours(device: Device) -> None:
 
 
 def test_kernels_that_do_not_build_name_file_and_line(device: Device) -> None:
-    from clvol import program
-
     with pytest.raises(DeviceError, match=r"filter\.cl"):
-        program.build(device, "spline/points.cl", {"COORD_DOUBLE": 0, "DERIVATIVE": 0})
+        device.build("spline/points.cl", {"COORD_DOUBLE": 0, "DERIVATIVE": 0})
 
 
 def test_no_device_at_all_says_what_to_install(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,6 +16,7 @@ from clvol.errors import DeviceError
 from clvol.filter import as_filter, filters
 from clvol.march.renderer import FRAME, _frame_declaration
 from clvol.mode import modes
+from clvol.spline import build
 
 KERNELS = [
     "march/march.cl",
@@ -27,7 +28,7 @@ KERNELS = [
     "spline/resample.cl",
     "spline/samples.cl",
 ]
-FOLDER = program._folder()
+FOLDER = program.folder()
 EVERY = sorted(str(p.relative_to(FOLDER)) for p in FOLDER.rglob("*.cl"))
 GENERATED = {"frame.cl": _frame_declaration()}
 
@@ -94,11 +95,11 @@ def test_a_build_error_names_file_and_line(device: Device) -> None:
     spoilt = "kernel void spoilt(global int *a) { a[0] = nonsense; }\n"
     broken = 'kernel void fine(global int *a) { a[0] = 1; }\n\n#include "base/platform.cl"\n\n' + spoilt
     with pytest.raises(DeviceError, match="nonsense") as raised:
-        program.build(device, "broken.cl", {"COORD_DOUBLE": 0}, generated={"broken.cl": broken})
+        device.build("broken.cl", {"COORD_DOUBLE": 0}, generated={"broken.cl": broken})
     if device.is_pocl:
         assert re.search(r"broken\.cl:5:\d+", str(raised.value))
     # the device goes on working
-    program.build(device, "whole.cl", {"COORD_DOUBLE": 0}, generated={"whole.cl": broken.replace("nonsense", "2")}).kernel("spoilt")
+    device.build("whole.cl", {"COORD_DOUBLE": 0}, generated={"whole.cl": broken.replace("nonsense", "2")}).kernel("spoilt")
 
 
 @pytest.mark.parametrize("name", EVERY)
@@ -123,17 +124,17 @@ def test_sources_are_tidy(name: str) -> None:
 
 def test_vectors_are_no_wider_than_eight() -> None:
     for row in filters().values():
-        width = program.row_width(row)
+        width = build.row_width(row)
         assert width in (1, 2, 4, 8)
-        assert row.support <= program.row_reach(row) < row.support + width
+        assert row.support <= build.row_reach(row) < row.support + width
 
 
 @pytest.mark.parametrize("name", filters())
 def test_defines_hold_the_filter_as_float32(name: str) -> None:
     row = as_filter(name)
-    defines = program.filter_defines(row)
+    defines = build.filter_defines(row)
     numbers = np.array([np.float32(v) for v in re.findall(r"(-?\d[\d.]*(?:e[+-]?\d+)?)f", str(defines["FILTER_COLUMNS"]))])
-    numbers = numbers.reshape(row.degree + 1, program.row_reach(row))
+    numbers = numbers.reshape(row.degree + 1, build.row_reach(row))
     np.testing.assert_array_equal(numbers[:, : row.support], row.matrix.T.astype(np.float32))
     assert not numbers[:, row.support :].any()
     assert defines["LEFT"] == row.support / 2 - 1
@@ -148,9 +149,9 @@ def test_the_struct_of_a_picture_is_the_one_of_numpy() -> None:
 
 def test_programs_are_built_once_and_kernels_belong_to_threads(device: Device) -> None:
     made = {"once.cl": "kernel void once(global int *a) { a[0] = 1; }\n"}
-    first = program.build(device, "once.cl", {"A": 1}, generated=made)
-    assert program.build(device, "once.cl", {"A": 1}, generated=made) is first
-    assert program.build(device, "once.cl", {"A": 2}, generated=made) is not first
+    first = device.build("once.cl", {"A": 1}, generated=made)
+    assert device.build("once.cl", {"A": 1}, generated=made) is first
+    assert device.build("once.cl", {"A": 2}, generated=made) is not first
     kernels: list[Any] = [first.kernel("once")]
     thread = threading.Thread(target=lambda: kernels.append(first.kernel("once")))
     thread.start()
@@ -162,8 +163,8 @@ def test_programs_are_built_once_and_kernels_belong_to_threads(device: Device) -
 
 
 def test_floating_literals() -> None:
-    assert [program._float(v) for v in (1.0, 0.5, -2.0)] == ["1.0f", "0.5f", "-2.0f"]
-    assert [program._float(v) for v in (1e-9, 1e30)] == ["9.99999972e-10f", "1.00000002e+30f"]
+    assert [program.literal(v) for v in (1.0, 0.5, -2.0)] == ["1.0f", "0.5f", "-2.0f"]
+    assert [program.literal(v) for v in (1e-9, 1e30)] == ["9.99999972e-10f", "1.00000002e+30f"]
 
 
 def test_the_kernels_are_found() -> None:

@@ -6,7 +6,8 @@
 
 #if FETCH_IMAGE
 
-#define VOLUME_PARAMS read_only image3d_t coefficients, const int4 extent
+#define COEFFICIENTS read_only image3d_t
+#define VOLUME_PARAMS COEFFICIENTS coefficients, const int4 extent
 #define VOLUME coefficients, extent
 
 constant sampler_t texel_sampler = CLK_NORMALIZED_COORDS_FALSE | CLK_ADDRESS_CLAMP_TO_EDGE | CLK_FILTER_NEAREST;
@@ -38,7 +39,8 @@ INLINE float fetch_linear(VOLUME_PARAMS, float x, float y, float z)
 
 #else
 
-#define VOLUME_PARAMS global const float *restrict coefficients, const int4 extent
+#define COEFFICIENTS global const float *restrict
+#define VOLUME_PARAMS COEFFICIENTS coefficients, const int4 extent
 #define VOLUME coefficients, extent
 
 INLINE size_t offset_of(const int4 extent, int x, int y, int z)

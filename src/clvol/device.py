@@ -3,77 +3,100 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import mmap
 import os
 import shutil
 import subprocess
 import sys
-import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol import program
 from clvol.checks import one_of
 from clvol.errors import DeviceError, OutOfMemoryError
+from clvol.opencl import INSTALL, opencl
+from clvol.program import Defines, Program
 
-__all__ = ["Device", "as_device", "devices"]
+__all__ = ["Device", "Limits", "Tile", "as_device", "devices"]
 
 _KINDS = ("cpu", "gpu", "accelerator")
-_INSTALL = (
-    "On Linux without a GPU, 'pip install clvol[pocl]' brings one that runs on the processor; "
-    "with a GPU, install its vendor's OpenCL driver. 'clvol doctor' tells more"
-)
 _HUGE_PAGE = 1 << 21
+_SAMPLER_POSITIONS = 4097
 _MEMORY_SHARE = 0.9  # of the device's memory: PoCL allocates lazily, and the process aborts if there is none left
 
 
-@lru_cache(maxsize=1)
-def _opencl() -> Any:
-    """pyopencl, with caches that can be written; imported only when a device is asked for."""
-    _require_caches()
-    try:
-        import pyopencl
-    except ImportError as error:
-        raise DeviceError(f"pyopencl cannot be imported: {error}. {_INSTALL}") from error
-    return pyopencl
+class Tile(NamedTuple):
+    """The rays of one work-item of the ray loop.
+
+    Attributes
+    ----------
+    width, height : int
+        Rays across and down.
+    lanes : int
+        Rays at a time: 1 or 8 (16 where registers are wide enough and `height` is even).
+    shared : bool
+        Whether the rays share the blended plane under the tile.
+    """
+
+    width: int
+    height: int
+    lanes: int
+    shared: bool
 
 
-@lru_cache(maxsize=1)
-def _require_caches() -> None:
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path(os.environ.get("HOME") or "/nonexistent") / ".cache")
-    if not _writable(home):
-        # PoCL shows no device, or fails without a reason, when it cannot write its cache
-        if not os.environ.get("POCL_CACHE_DIR"):
-            os.environ["POCL_CACHE_DIR"] = tempfile.mkdtemp(prefix="clvol-pocl-")
-        os.environ.setdefault("PYOPENCL_NO_CACHE", "1")
+@dataclass(frozen=True)
+class Limits:
+    """How the work on a device is cut into parts; no result depends on it.
 
+    Parameters
+    ----------
+    launch_seconds : float
+        A launch should not run longer: between launches the program can be interrupted and tells its progress.
+    launch_voxels : int
+        Voxels that a launch of a copy or the prefilter takes.
+    launch_taps : int
+        Taps that a launch of sampling takes.
+    sorted_bytes : int
+        Points that are sorted at a time.
+    sorting : bool, optional
+        Whether points are sorted before they are sampled; None: where it pays.
+    tile : Tile, optional
+        The rays of a work-item; None: what suits the device.
+    """
 
-def _writable(folder: Path) -> bool:
-    while not folder.exists() and folder != folder.parent:
-        folder = folder.parent
-    try:  # asking for permission is not enough: root may write anywhere, yet not in /proc
-        with tempfile.TemporaryFile(dir=folder):
-            return True
-    except OSError:
-        return False
+    launch_seconds: float = 0.25
+    launch_voxels: int = 1 << 26
+    launch_taps: int = 1 << 25
+    sorted_bytes: int = 32 << 20
+    sorting: bool | None = None
+    tile: Tile | None = None
 
 
 class Device:
     """One OpenCL device with its context and queue, made once for each process.
 
     Use `as_device` to get one. Buffers, programs and renderers hold the device they were made on.
+
+    Attributes
+    ----------
+    limits : Limits
+        How its work is cut into parts.
     """
 
     def __init__(self, handle: Any) -> None:
         self.handle = handle
         self._process = os.getpid()
         self._lock = threading.RLock()
-        self._programs: dict[Any, Any] = {}
+        self._programs: dict[Any, Program] = {}
+        self.limits = Limits()
 
     def __repr__(self) -> str:
         return f"<Device {self.name!r} on {self.platform!r}>"
@@ -89,20 +112,20 @@ class Device:
     @cached_property
     def kind(self) -> str:
         """Which kind it is: "cpu", "gpu" or "accelerator"."""
-        kinds = _opencl().device_type
+        kinds = opencl().device_type
         return "cpu" if self.handle.type & kinds.CPU else "gpu" if self.handle.type & kinds.GPU else "accelerator"
 
     @cached_property
     def context(self) -> Any:
         self.require_usable()
         with _errors(self):
-            return _opencl().Context([self.handle])
+            return opencl().Context([self.handle])
 
     @cached_property
     def queue(self) -> Any:
         context = self.context
         with _errors(self):
-            return _opencl().CommandQueue(context)
+            return opencl().CommandQueue(context)
 
     # -- quirks --------------------------------------------------------------------------------
 
@@ -122,11 +145,10 @@ class Device:
         """
         if not self.handle.image_support:
             return False
-        cl = _opencl()
+        cl = opencl()
         with _errors(self):
             formats = cl.get_supported_image_formats(self.context, cl.mem_flags.READ_ONLY, cl.mem_object_type.IMAGE3D)
-        wanted = (cl.channel_order.R, cl.channel_type.FLOAT)
-        return any((f.channel_order, f.channel_data_type) == wanted for f in formats)
+        return _float_format() in formats
 
     @cached_property
     def image_limit(self) -> int:
@@ -142,9 +164,12 @@ class Device:
         """
         if not self.has_images:
             return 0.0
-        from clvol.spline.field import measure_sampler
-
-        error = measure_sampler(self)
+        measured = np.empty(_SAMPLER_POSITIONS, np.float32)
+        ramp = self.image_of(self.upload(np.tile(np.array([0, 1], np.float32), (2, 2, 1))), (2, 2, 2))
+        with self.lent(measured, write=True) as values, self.errors:
+            kernel = self.build("base/sampler.cl", {"COORD_DOUBLE": 0}).kernel("sample_ramp")
+            kernel(self.queue, measured.shape, None, ramp, np.float32(1 / (_SAMPLER_POSITIONS - 1)), values)
+        error = float(np.abs(measured - np.linspace(0, 1, _SAMPLER_POSITIONS)).max())
         return 0.0 if error > 0.1 else float(-np.log2(2 * max(error, 2.0**-25)))
 
     @cached_property
@@ -167,11 +192,36 @@ class Device:
         if self.is_pocl and self.kind == "cpu":
             _require_linker()
 
+    # -- kernels -------------------------------------------------------------------------------
+
+    def build(
+        self, name: str, defines: Defines, replacements: Mapping[str, str] | None = None, generated: Mapping[str, str] | None = None
+    ) -> Program:
+        """The program of one kernel file (see `program.source`), specialised; built at most once for each set of defines."""
+        self.require_usable()
+        key = (name, *(tuple(sorted((given or {}).items())) for given in (defines, replacements, generated)))
+        with self._lock:
+            if key not in self._programs:
+                text = program.source(name, replacements, generated, defines)
+                with self.errors:
+                    self._programs[key] = program.build(self.context, text)
+            return self._programs[key]
+
+    @contextlib.contextmanager
+    def limited(self, **changes: Any) -> Iterator[None]:
+        """Other `limits` for the time of a block."""
+        before = self.limits
+        self.limits = replace(before, **changes)
+        try:
+            yield
+        finally:
+            self.limits = before
+
     # -- memory --------------------------------------------------------------------------------
 
     def allocate(self, size: int) -> Any:
         """A read-write buffer of `size` bytes."""
-        cl = _opencl()
+        cl = opencl()
         size = max(int(size), 4)
         self.require_room(size)
         with _errors(self):
@@ -190,7 +240,7 @@ class Device:
 
     def upload(self, array: np.ndarray[Any, Any]) -> Any:
         """A read-only buffer with a copy of `array`."""
-        cl = _opencl()
+        cl = opencl()
         array = np.ascontiguousarray(array)
         self.require_room(array.nbytes)
         with _errors(self):
@@ -202,7 +252,7 @@ class Device:
 
         No copy where the device shares the host's memory.
         """
-        cl = _opencl()
+        cl = opencl()
         flags = cl.mem_flags.READ_WRITE if write else cl.mem_flags.READ_ONLY
         self.require_room(array.nbytes)
         with _errors(self):
@@ -225,15 +275,27 @@ class Device:
                     self.queue.finish()  # after an error too: a kernel may still be writing to the array
                 buffer.release()
 
+    def image_of(self, buffer: Any, shape: tuple[int, int, int]) -> Any:
+        """A float image with the first numbers of `buffer`, of shape (z, y, x)."""
+        cl = opencl()
+        if max(shape) > self.image_limit:
+            raise OutOfMemoryError(f"{self.name} holds images up to {self.image_limit} wide; got {shape}")
+        self.require_room(4 * math.prod(shape))
+        with self.errors:
+            make = getattr(cl, "create_image", cl.Image)  # Image() itself is deprecated in favour of it
+            image = make(self.context, cl.mem_flags.READ_ONLY, _float_format(), shape=shape[::-1])
+            cl.enqueue_copy(self.queue, image, buffer, offset=0, origin=(0, 0, 0), region=shape[::-1]).wait()
+        return image
+
     def download(self, buffer: Any, array: np.ndarray[Any, Any]) -> None:
         """Copy the start of `buffer` into a contiguous `array`."""
         with _errors(self):
-            _opencl().enqueue_copy(self.queue, array, buffer)
+            opencl().enqueue_copy(self.queue, array, buffer)
 
     @contextlib.contextmanager
     def mapped(self, buffer: Any, shape: tuple[int, ...], *, write: bool) -> Iterator[np.ndarray[Any, Any]]:
         """A float32 buffer as an array: no copy where the device shares the host's memory."""
-        cl = _opencl()
+        cl = opencl()
         flags = cl.map_flags.WRITE if write else cl.map_flags.READ
         with _errors(self):
             array, _ = cl.enqueue_map_buffer(self.queue, buffer, flags, 0, shape, np.float32, is_blocking=True)
@@ -250,6 +312,11 @@ class Device:
     def errors(self) -> contextlib.AbstractContextManager[None]:
         """OpenCL's errors, raised inside, come out as ours."""
         return _errors(self)
+
+
+def _float_format() -> Any:
+    cl = opencl()
+    return cl.ImageFormat(cl.channel_order.R, cl.channel_type.FLOAT)
 
 
 def _huge_pages(size: int) -> NDArray[np.uint8]:
@@ -272,7 +339,7 @@ def _huge_pages(size: int) -> NDArray[np.uint8]:
 @contextlib.contextmanager
 def _errors(device: Device) -> Iterator[None]:
     _require_unforked(device._process)
-    cl = _opencl()
+    cl = opencl()
     try:
         yield
     except cl.MemoryError as error:
@@ -298,7 +365,7 @@ def devices() -> list[Device]:
     """Every OpenCL device found, the one used by default first: GPUs, then the processor."""
     global _process
     _require_unforked(_process)
-    cl = _opencl()
+    cl = opencl()
     _process = os.getpid()
     try:
         platforms = cl.get_platforms()
@@ -339,7 +406,7 @@ def as_device(choice: Device | str | int | None = None) -> Device:
         choice = os.environ.get("CLVOL_DEVICE") or 0
     found = devices()
     if not found:
-        raise DeviceError(f"no OpenCL device was found. {_INSTALL}")
+        raise DeviceError(f"no OpenCL device was found. {INSTALL}")
     text = str(choice).strip().lower()
     if text.isdigit():
         if int(text) < len(found):

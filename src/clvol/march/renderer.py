@@ -22,7 +22,6 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol import program
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.camera import Camera, View
 from clvol.checks import number, one_of, whole
@@ -32,6 +31,7 @@ from clvol.errors import GeometryError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.light import HEADLIGHT, MAX_LIGHTS, Light, Material
 from clvol.mode import DEFAULT_MODE, Mode, as_mode
+from clvol.spline.build import row_reach, row_width
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import Evaluator, EvaluatorName, FetchName, choose_evaluator
 from clvol.spline.field import Floats, Progress
@@ -481,8 +481,7 @@ class Renderer:
         device, held = self.device, self.coefficients
         if tile is None:
             tile = PLANES if device.kind == "cpu" and not path.image and not path.eight_fetch else RAYS
-        built = program.build(
-            device,
+        built = device.build(
             "march/march.cl",
             {
                 **held.defines(path),
@@ -551,7 +550,7 @@ class _Budget:
 
     def __init__(self, device: Device, filter: Filter, planes: int, together: bool, shaded: bool) -> None:
         cores = int(device.handle.max_compute_units) * (1 if device.kind == "cpu" else 32)
-        chunks = program.row_reach(filter) // program.row_width(filter)
+        chunks = row_reach(filter) // row_width(filter)
         rows = filter.support * chunks / 2 + 2 if together else filter.support**2 * chunks + 8
         self._per_pixel = planes * rows * _ROW_SECONDS * (3 if shaded else 1) / max(1, cores)
 

@@ -9,12 +9,12 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol import program
 from clvol.boundary import Boundary
-from clvol.device import Device, _opencl
-from clvol.errors import OptionError, OutOfMemoryError
+from clvol.device import Device
+from clvol.errors import OptionError
 from clvol.filter import Filter
 from clvol.program import LANES
+from clvol.spline.build import boundary_defines, filter_defines, row_reach
 from clvol.spline.evaluator import Evaluator
 from clvol.spline.prefilter import _VOXELS_A_LAUNCH, _prefilter
 from clvol.volume import Volume
@@ -106,7 +106,7 @@ class Coefficients:
             np.where((i := self.boundary.index(np.arange(stored) - halo, n)) < 0, -1, i + halo)
             for stored, n, halo in zip(self.shape[::-1], sizes, halos, strict=True)
         ]
-        built = program.build(device, "spline/coefficients.cl", {"COORD_DOUBLE": 0})
+        built = device.build("spline/coefficients.cl", {"COORD_DOUBLE": 0})
         with device.errors:
             built.kernel("fill_halo")(
                 device.queue,
@@ -132,7 +132,7 @@ class Coefficients:
         pitch, area = int(self.extent[0]), int(self.extent[0]) * int(self.extent[1])
         origin = sum(inside.start * step for inside, step in zip(self.inner, (area, pitch, 1), strict=True))
         nx, ny, nz = sizes
-        kernel = program.build(device, "spline/samples.cl", defines).kernel("copy_samples")
+        kernel = device.build("spline/samples.cl", defines).kernel("copy_samples")
         slices = data.reshape(nz, ny, nx)
         some = max(1, _VOXELS_A_LAUNCH // (nx * ny))
         for first in range(0, nz, some):  # part by part: a wide type may be larger than what a device allows at once
@@ -164,15 +164,7 @@ class Coefficients:
     def image(self) -> Any:
         """The same as an OpenCL image, made when first asked for."""
         if self._image is None:
-            device, cl = self.device, _opencl()
-            if max(self.shape) > device.image_limit:
-                raise OutOfMemoryError(f"{device.name} holds images up to {device.image_limit} wide; got {self.shape}")
-            device.require_room(self.nbytes)
-            with device.errors:
-                form = cl.ImageFormat(cl.channel_order.R, cl.channel_type.FLOAT)
-                make = getattr(cl, "create_image", cl.Image)  # Image() itself is deprecated in favour of it
-                self._image = make(device.context, cl.mem_flags.READ_ONLY, form, shape=self.shape[::-1])
-                cl.enqueue_copy(device.queue, self._image, self.buffer, offset=0, origin=(0, 0, 0), region=self.shape[::-1]).wait()
+            self._image = self.device.image_of(self.buffer, self.shape)
         return self._image
 
     def release(self) -> None:
@@ -198,8 +190,8 @@ class Coefficients:
         """What fetch.cl and sample.cl need to know."""
         eight = path.eight_fetch and self.filter.pairable(0)
         return {
-            **program.filter_defines(self.filter),
-            **program.boundary_defines(self.boundary),
+            **filter_defines(self.filter),
+            **boundary_defines(self.boundary),
             "DIMENSIONS": self.volume.ndim,
             "FETCH_IMAGE": int(path.image),
             "EIGHT_FETCH_VALUE": int(eight),
@@ -216,5 +208,5 @@ def _extent(filter: Filter, dimensions: int, sizes: tuple[int, ...]) -> NDArray[
     """
     halo = filter.support // 2 + 1 + filter.scale
     x, y, z = sizes
-    pitch = -(-(x + 2 * halo + program.row_reach(filter) - filter.support) // LANES) * LANES
+    pitch = -(-(x + 2 * halo + row_reach(filter) - filter.support) // LANES) * LANES
     return np.array([pitch, y + 2 * halo, z + 2 * halo if dimensions == 3 else 1, halo], np.int32)

@@ -15,13 +15,13 @@ from clvol.errors import DataError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.program import LANES
 from clvol.spline.coefficients import Coefficients
-from clvol.spline.evaluator import Evaluator, EvaluatorName, FetchName, choose_evaluator
+from clvol.spline.evaluator import EvaluatorName, FetchName, choose_evaluator
 from clvol.spline.points import sample_coefficients
 from clvol.spline.prefilter import _prefilter
 from clvol.spline.resample import _run_lattice
 from clvol.volume import Volume, as_volume, read_array
 
-__all__ = ["Floats", "Progress", "magnify", "measure_sampler", "prefilter", "resample", "sample"]
+__all__ = ["Floats", "Progress", "magnify", "prefilter", "resample", "sample"]
 
 Floats = NDArray[np.float32]
 Progress = Callable[[float], None]
@@ -84,18 +84,6 @@ def _prefilter_line(volume: Volume, filter: Filter, boundary: Boundary, device: 
         result = np.array(stored[0, :n])
     buffer.release()
     return result
-
-
-def measure_sampler(device: Device) -> float:
-    """Greatest error of the device's linear sampler between two texels of value 0 and 1.
-
-    Some drivers offer linear filtering of float images and give the nearest texel: an error of 1/2.
-    """
-    ramp = Volume(np.broadcast_to(np.array([0.0, 1.0], np.float32), (2, 2, 2)))
-    points = np.stack(np.broadcast_arrays(np.linspace(0, 1, 4097), 0.0, 0.0), -1)
-    with Coefficients(ramp, as_filter("linear"), as_boundary("mirror"), device) as held:
-        values = sample_coefficients(held, Evaluator(True, True), points, 0, None)
-    return float(np.abs(values - points[:, 0]).max())
 
 
 def _fill_value(fill: float | None) -> float | None:

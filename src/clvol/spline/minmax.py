@@ -16,7 +16,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol import program
 from clvol.filter import Filter
 from clvol.program import LANES
 from clvol.spline.coefficients import Coefficients
@@ -120,7 +119,7 @@ class Bounds:
         self.offsets = tuple(int(n) for n in np.cumsum([0, *counts[:-1]]))
         self.buffer = device.allocate(8 * sum(counts))
         defines = _defines(held.filter, blur)
-        built = program.build(device, "spline/minmax.cl", defines)
+        built = device.build("spline/minmax.cl", defines)
         levels = [np.array([*size, at], np.int32) for size, at in zip(sizes, self.offsets, strict=True)]
         across = -(-x // (8 // cells)) if defines["HULL"] else x  # work-items along x
         deep = max(1, _BLOCKS_A_LAUNCH // (x * y))

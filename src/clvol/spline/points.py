@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol import program
 from clvol.device import Device
 from clvol.filter import Filter
-from clvol.program import LANES
+from clvol.program import LANES, Program
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import Evaluator
 from clvol.spline.sort import Sorter, point_defines, scattered
@@ -35,10 +34,10 @@ def _affine(device: Device, matrix: NDArray[np.float64], offset: NDArray[np.floa
     return device.upload(whole.astype(np.float64 if device.has_double else np.float32))
 
 
-def _points_program(held: Coefficients, path: Evaluator, derivative: int, fill: float | None, **more: str | int) -> program.Program:
+def _points_program(held: Coefficients, path: Evaluator, derivative: int, fill: float | None, **more: str | int) -> Program:
     lanes, run = (LANES, _RUN) if _in_groups(held, path, derivative) else (1, 1)
     defines = {**held.defines(path), "DERIVATIVE": derivative, "FILL": int(fill is not None), "LANES": lanes, "RUN": run, **more}
-    return program.build(held.device, "spline/points.cl", defines)
+    return held.device.build("spline/points.cl", defines)
 
 
 def _in_groups(held: Coefficients, path: Evaluator, derivative: int) -> bool:

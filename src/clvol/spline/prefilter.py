@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol import program
 from clvol.boundary import Boundary
 from clvol.device import Device
 from clvol.filter import Filter
@@ -65,8 +64,7 @@ def _prefilter(
     nx, ny, nz = size
     chains = CHAINS if device.kind == "cpu" else 1  # others have enough work-items to wait for
     starts = [_starts(filter, boundary, n) for n in size]
-    built = program.build(
-        device,
+    built = device.build(
         "spline/prefilter.cl",
         {
             "POLES": filter.poles.size,

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol import program
 from clvol.program import LANES
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import Evaluator
@@ -129,9 +128,7 @@ def _run_axes(
     items, room = min(units, _ITEMS_A_CORE * device.units), width * (2 * LANES + int(blocks[:, 1].max()))
     scratch = device.allocate(4 * items * room)
     lattice = np.array([nx, ny, nz, places[0].size], np.int32)
-    built = program.build(
-        device, "spline/resample.cl", {"TAPS": taps, "DIMENSIONS": d, "BLOCK": _BLOCK, "LANES": LANES, "COORD_DOUBLE": 0}
-    )
+    built = device.build("spline/resample.cl", {"TAPS": taps, "DIMENSIONS": d, "BLOCK": _BLOCK, "LANES": LANES, "COORD_DOUBLE": 0})
     some = max(1, LANES * _TAPS_A_LAUNCH // (_BLOCK * nx * taps * d))
     for first in range(0, units, some):
         count = min(some, units - first)

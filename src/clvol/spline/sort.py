@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol import program
 from clvol.program import LANES
 
 if TYPE_CHECKING:
@@ -50,8 +49,7 @@ class Sorter:
         across, down, _ = (last >> bits) + 1
         self._grid = np.array([across, down, bits, 0], np.int32)
         self._items = 8 * device.units
-        self._program = program.build(
-            device,
+        self._program = device.build(
             "spline/sort.cl",
             {
                 "DIMENSIONS": held.volume.ndim,
