@@ -23,7 +23,8 @@ from clvol.boundary import as_boundary
 from clvol.device import Device, as_device
 from clvol.errors import OutOfMemoryError
 from clvol.filter import as_filter
-from clvol.march.renderer import OBLIQUE, RAYS, Lattice
+from clvol.march.frame import BY_RAYS
+from clvol.march.planes import OBLIQUE, Planes
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import Evaluator as ReadPath
 from clvol.spline.evaluator import choose_evaluator
@@ -237,11 +238,15 @@ class Bench:
         fog = clvol.TransferFunction(((0.0, (0.3, 0.2, 0.1)), (2000.0, (1.0, 1.0, 1.0))), ((0.0, 1e-4),), 1.0)
         mode = "composite" if shaded else "mean"
 
-        def ours(**more: Any) -> Array:
-            frames = [renderer.render(camera, mode, size, 0.5, transfer=fog, skipping=False, **more) for camera in cameras]
+        def ours() -> Array:
+            frames = [renderer.render(camera, mode, size, 0.5, transfer=fog, skipping=False) for camera in cameras]
             return np.stack(frames)
 
-        theirs = {"clvol, ray by ray": Peer(partial(ours, _tile=RAYS))}
+        def by_rays() -> Array:
+            with renderer.device.limited(tile=BY_RAYS):
+                return ours()
+
+        theirs = {"clvol, ray by ray": Peer(by_rays)}
         amount = sum(samples_on_lattice(renderer.volume, camera, size, 0.5) for camera in cameras)
         return Work(ours, theirs, amount, "Msample/s", plane_cost(spacing, shaded), min(3, self.repeats), _difference)
 
@@ -355,18 +360,15 @@ def _frame_by_name(bench: Bench, name: str) -> Work:
 
 def draw(renderer: clvol.Renderer, shot: Shot) -> Array:
     """Our side of a `Shot`."""
-    isovalue = shot.isovalue if shot.mode == "isosurface" else None
-    picture = renderer.render(
-        shot.camera, shot.mode, shot.size, shot.step, transfer=shot.transfer, isovalue=isovalue, color=shot.color
-    )
-    return np.asarray(picture)
+    options: dict[str, Any] = {"isovalue": shot.isovalue, "color": shot.color} if shot.mode == "isosurface" else {}
+    return renderer.render(shot.camera, shot.mode, shot.size, shot.step, transfer=shot.transfer, **options)
 
 
 def samples_on_lattice(volume: clvol.Volume, camera: clvol.Camera, size: tuple[int, int], step: float) -> float:
-    """How many samples a frame has if none is skipped: lengths of the rays in the volume by their distance (see `Lattice`)."""
+    """How many samples a frame has if none is skipped: lengths of the rays in the volume by their distance (see `Planes`)."""
     aspect = size[0] / size[1]
     view = camera.view(volume, aspect)
-    lattice = Lattice(volume, view, aspect, step)
+    planes = Planes(volume, view, aspect, step)
     a = ((np.arange(size[0]) + 0.5) / size[0] * 2 - 1)[:, None] * aspect * view.half_height
     b = (1 - (np.arange(size[1]) + 0.5) / size[1] * 2)[None, :, None] * view.half_height
     across = a[:, None] * view.right + b * view.up
@@ -378,8 +380,8 @@ def samples_on_lattice(volume: clvol.Volume, camera: clvol.Camera, size: tuple[i
     with np.errstate(divide="ignore", invalid="ignore"):
         faces = np.stack([(np.full(3, -0.5) - starts) / directions, (np.asarray(volume.size) - 0.5 - starts) / directions])
     enter, leave = np.nanmax(faces.min(0), -1), np.nanmin(faces.max(0), -1)
-    length, along = np.linalg.norm(directions, axis=-1), np.abs(directions[..., lattice.axis])
-    rate = np.where(along > OBLIQUE * length, along / lattice.spacing, length / step)  # samples, a unit of the ray's parameter
+    length, along = np.linalg.norm(directions, axis=-1), np.abs(directions[..., planes.axis])
+    rate = np.where(along > OBLIQUE * length, along / planes.spacing, length / step)  # samples, a unit of the ray's parameter
     return float((np.clip(leave - enter, 0, None) * rate).sum())
 
 

@@ -28,8 +28,13 @@ __all__ = ["compare", "make"]
 Arrays = dict[str, NDArray[Any]]
 SIZE = (37, 33)
 STEP = 0.43
-OUTPUTS = ("rgba", "depth", "normal", "position", "visited")
-EVALUATORS = (("taps", "buffer"), ("eight-fetch", "buffer"), ("eight-fetch", "image"), ("taps", "image"))
+OUTPUTS: tuple[Any, ...] = ("rgba", "depth", "normal", "position", "visited")
+EVALUATORS: tuple[tuple[Any, Any], ...] = (
+    ("taps", "buffer"),
+    ("eight-fetch", "buffer"),
+    ("eight-fetch", "image"),
+    ("taps", "image"),
+)
 # planes shared by 16 × 16 rays in the widest vectors; by an odd number of rows, hence in eights; and ray by ray
 TILES = {"wide": (16, 16, 8, True), "eights": (16, 15, 8, True), "rays": (1, 1, 1, False)}
 TRANSFER = clvol.TransferFunction(
@@ -122,7 +127,7 @@ def make() -> Arrays:
     for shape in ((1, 1, 1), (1, 9, 9), (2, 1, 40), (40, 3, 2)):
         small = np.random.default_rng(5).random(shape).astype(np.float32)
         for mode in modes:
-            options = {"isovalue": 0.5} if mode == "isosurface" else {}
+            options: dict[str, Any] = {"isovalue": 0.5} if mode == "isosurface" else {}
             made = clvol.render(small, mode=mode, size=SIZE, outputs=OUTPUTS, **options)
             arrays.update({f"{mode}, shape {shape}, {output}": made[output] for output in OUTPUTS})
     large = np.random.default_rng(6).random((130, 128, 129)).astype(np.float32)
@@ -158,7 +163,7 @@ def main() -> int:
     if options.second is None:
         started = time.perf_counter()
         arrays = make()
-        np.savez(options.first, **arrays)
+        np.savez(options.first, **arrays)  # type: ignore[arg-type]  # names are no keywords
         print(f"{len(arrays)} arrays in {time.perf_counter() - started:.0f} s: {options.first}")
         return 0
     with np.load(options.first) as old, np.load(options.second) as new:

@@ -15,7 +15,7 @@ import pytest
 import clvol
 from bench import cases, machine, scene
 from clvol.device import as_device
-from clvol.march.renderer import Lattice
+from clvol.march.planes import Planes
 
 ROOT = Path(__file__).parents[1]
 
@@ -104,7 +104,7 @@ def test_samples_on_a_lattice_are_counted() -> None:
     oblique = clvol.Camera.orbit(20, 10, projection="orthographic")
     radius = np.linalg.norm(volume.corners[0] - volume.center)
     pixels = 256
-    planes = Lattice(volume, oblique.view(volume), 1.0, 1.0)
+    planes = Planes(volume, oblique.view(volume), 1.0, 1.0)
     along = abs(oblique.view(volume).forward[planes.axis])
     per_voxel = (pixels / (2 * radius)) ** 2 * along / planes.spacing
     assert cases.samples_on_lattice(volume, oblique, (pixels, pixels), 1.0) == pytest.approx(32**3 * per_voxel, rel=1e-2)

@@ -1,45 +1,56 @@
-// Plane marching: the weights along the axis across the planes are the same for every sample on one plane, so
-// the coefficient slices under a tile of pixels are blended once for the tile, and each sample takes TAPS x TAPS
-// taps of the blend instead of TAPS^3 of the volume.
+// The blended plane under a tile of rays: what makes marching fast on processors.
+//
+// All rays of a tile cross the same planes of samples, and the weights along the axis across a plane are the same for every
+// sample on it. So the slices of coefficients under the tile are blended once a plane, and a sample takes TAPS × TAPS taps of
+// the blend instead of TAPS³ of the volume:
+//
+//   a cubic sample       16 loads of rows of four taps from the volume, or 4 from the blend
+//   its gradient         the same rows again, and 4 of a second blend with slopes across
+//   16 × 16 rays         blend some 19 × 19 coefficients, half a voxel apart even fewer
 //
 // u and v are the two axes of a plane: x before y before z.
 
+#include "base/lanes.cl"
+#include "base/transpose.cl"
+#include "spline/cell.cl"
+#include "spline/fetch.cl"
+#include "spline/filter.cl"
 #include "spline/lane_taps.cl"
 
-#define PATCH 48      // coefficients along an edge of a patch, at most
-#define PATCH_ROOM (PATCH * PATCH + 8)
+#define PLANE_EDGE 48   // coefficients along an edge of a plane, at most
+#define PLANE_ROOM (PLANE_EDGE * PLANE_EDGE + 8)
 
 typedef struct {
     long along_u, along_v, across;   // strides of the stored coefficients
-    int u, v;                        // the first stored coefficient under the patch ...
+    int u, v;                        // the first stored coefficient under the tile ...
     float from_u, from_v;            // ... and where its cell begins
-    int columns, rows;               // how many it holds
+    int columns, rows;               // how many there are
     int slice;                       // the first slice that takes part, and the fraction past it
     float t;
-    int made, usable;                // whether it was asked for, and whether the plane's footprint fits in
+    int made, usable;                // whether it was needed yet, and whether the tile's footprint fits
     int sloped;                      // whether `slopes` is filled for this plane
-    float values[PATCH_ROOM], slopes[PATCH_ROOM];
-} patch_t;
+    float values[PLANE_ROOM], slopes[PLANE_ROOM];
+} plane_t;
 
-// Blends the slices that take part, with these weights.
-RARE void patch_blend(const patch_t *patch, global const float *coefficients, int slopes, float *blend)
+// Blends the slices that take part, with weights or with slopes across.
+OUT_OF_LINE void plane_blend(const plane_t *plane, global const float *coefficients, int slopes, float *blend)
 {
-    global const float *first = coefficients + patch->u * patch->along_u + patch->v * patch->along_v
-        + patch->slice * patch->across;
+    global const float *first = coefficients + plane->u * plane->along_u + plane->v * plane->along_v
+        + plane->slice * plane->across;
     float w[WEIGHTS];
     if (slopes)
-        unpack_slopes(patch->t, w);
+        unpack_slopes(plane->t, w);
     else
-        unpack_weights(patch->t, w);
-    if (patch->along_u == 1) {
-        for (int j = 0; j < patch->rows; ++j)
-            for (int i = 0; i < patch->columns; i += 8) {
-                global const float *p = first + j * patch->along_v + i;
+        unpack_weights(plane->t, w);
+    if (plane->along_u == 1) {
+        for (int j = 0; j < plane->rows; ++j)
+            for (int i = 0; i < plane->columns; i += 8) {
+                global const float *p = first + j * plane->along_v + i;
                 float8 sum = (float8)(0.0f);
 #pragma unroll
                 for (int k = 0; k < TAPS; ++k)
-                    sum = madd(w[k], *(global const float8_at *)(p + k * patch->across), sum);
-                *(float8_at *)(blend + j * PATCH + i) = sum;
+                    sum = madd(w[k], *(global const float8_at *)(p + k * plane->across), sum);
+                *(float8_at *)(blend + j * PLANE_EDGE + i) = sum;
             }
     } else {
         // the planes are perpendicular to x: the taps to blend lie side by side
@@ -47,95 +58,93 @@ RARE void patch_blend(const patch_t *patch, global const float *coefficients, in
 #pragma unroll
         for (int k = 0; k < WEIGHTS; ++k)
             weights[k / ROW].each[k % ROW] = w[k];
-        for (int j = 0; j < patch->rows; ++j)
-            for (int i = 0; i < patch->columns; ++i) {
-                global const float *p = first + j * patch->along_v + i * patch->along_u;
+        for (int j = 0; j < plane->rows; ++j)
+            for (int i = 0; i < plane->columns; ++i) {
+                global const float *p = first + j * plane->along_v + i * plane->along_u;
                 float sum = 0.0f;
 #pragma unroll
                 for (int k = 0; k < CHUNKS; ++k)
                     sum += row_sum(weights[k].row * *(global const row_at_t *)(p + k * ROW));
-                blend[j * PATCH + i] = sum;
+                blend[j * PLANE_EDGE + i] = sum;
             }
     }
 }
 
-// Asks for the coefficients that the planes after this one will need.
-INLINE void patch_ahead(const patch_t *patch, VOLUME_PARAMS, int axis, float way)
+// Asks memory for the coefficients that the planes after this one will need.
+INLINE void plane_ahead(const plane_t *plane, global const float *coefficients, const int4 extent, int axis, float way)
 {
-    const int slice = patch->slice + (way > 0.0f ? TAPS + 1 : -2), slices = axis == 1 ? extent.y : extent.z;
+    const int slice = plane->slice + (way > 0.0f ? TAPS + 1 : -2), slices = axis == 1 ? extent.y : extent.z;
     if (axis == 0 || slice < 0 || slice >= slices)   // along x they lie in the lines at hand
         return;
-    global const float *row = coefficients + patch->u + patch->v * patch->along_v + slice * patch->across;
-    for (int j = 0; j < patch->rows; ++j, row += patch->along_v)
-        for (int i = 0; i < patch->columns + 15; i += 16)
+    global const float *row = coefficients + plane->u + plane->v * plane->along_v + slice * plane->across;
+    for (int j = 0; j < plane->rows; ++j, row += plane->along_v)
+        for (int i = 0; i < plane->columns + 15; i += 16)
             PREFETCH(row + i);
 }
 
-// Takes the plane at `across`, on the way of rays up or down its axis, under positions from (low_u, low_v) to (high_u, high_v), all in samples.
-INLINE void patch_move(patch_t *patch, VOLUME_PARAMS, int axis, float way, float across, float low_u, float high_u, float low_v, float high_v)
+// Moves to the plane at `across`, for rays that go up (way > 0) or down its axis, under positions from (low_u, low_v) to
+// (high_u, high_v), all in samples.
+INLINE void plane_move(plane_t *plane, global const float *coefficients, const int4 extent, int axis, float way, float across,
+                       float low_u, float high_u, float low_v, float high_v)
 {
     const long row = extent.x, slice = row * extent.y;
-    patch->along_u = axis == 0 ? row : 1;
-    patch->along_v = axis == 2 ? row : slice;
-    patch->across = axis == 0 ? 1 : axis == 1 ? row : slice;
+    plane->along_u = axis == 0 ? row : 1;
+    plane->along_v = axis == 2 ? row : slice;
+    plane->across = axis == 0 ? 1 : axis == 1 ? row : slice;
     const int halo = extent.w, limit_u = axis == 0 ? extent.y : extent.x, limit_v = axis == 2 ? extent.y : extent.z;
     float t;
-    patch->slice = locate_axis(across, &patch->t) + halo;
+    plane->slice = locate_axis(across, &plane->t) + halo;
     const int u0 = locate_axis(low_u - 0.01f, &t) + halo, u1 = locate_axis(high_u + 0.01f, &t) + halo + WEIGHTS;
     const int v0 = locate_axis(low_v - 0.01f, &t) + halo, v1 = locate_axis(high_v + 0.01f, &t) + halo + TAPS;
-    patch->u = u0 > 0 ? u0 : 0;
-    patch->v = v0 > 0 ? v0 : 0;
-    patch->columns = (u1 < limit_u ? u1 : limit_u) - patch->u;
-    patch->rows = (v1 < limit_v ? v1 : limit_v) - patch->v;
-    patch->usable = patch->columns <= PATCH && patch->rows <= PATCH && patch->columns > 0 && patch->rows > 0;
-    patch->sloped = 0;
-    patch->from_u = LEFT - (float)(halo - patch->u);
-    patch->from_v = LEFT - (float)(halo - patch->v);
-    if (patch->usable) {
-        patch_ahead(patch, VOLUME, axis, way);
-        patch_blend(patch, coefficients, 0, patch->values);
+    plane->u = MAX(u0, 0);
+    plane->v = MAX(v0, 0);
+    plane->columns = MIN(u1, limit_u) - plane->u;
+    plane->rows = MIN(v1, limit_v) - plane->v;
+    plane->usable = plane->columns <= PLANE_EDGE && plane->rows <= PLANE_EDGE && plane->columns > 0 && plane->rows > 0;
+    plane->sloped = 0;
+    plane->from_u = LEFT - (float)(halo - plane->u);
+    plane->from_v = LEFT - (float)(halo - plane->v);
+    if (plane->usable) {
+        plane_ahead(plane, coefficients, extent, axis, way);
+        plane_blend(plane, coefficients, 0, plane->values);
     }
 }
 
-// Where LANES samples lie in the patch. Positions outside are moved inside: lanes that are not active may ask
-// for anything.
-typedef struct { lane_indices_u at; real tu, tv; } patch_cell_t;
+// The cells of LANES samples on a plane. Positions outside are moved inside: lanes that are not active may hold anything.
+typedef struct { lane_indices_u at; real tu, tv; } plane_cell_t;
 
-INLINE patch_cell_t patch_locate(const patch_t *patch, real u, real v)
+INLINE plane_cell_t plane_locate(const plane_t *plane, real u, real v)
 {
-    patch_cell_t c;
-    // counted from the patch's corner, hence not negative where it matters: cutting off is rounding down
-    u = u * GRID_SCALE - patch->from_u;
-    v = v * GRID_SCALE - patch->from_v;
-    u = MIN(MAX(u, (real)(0.0f)), (real)(PATCH - WEIGHTS));
-    v = MIN(MAX(v, (real)(0.0f)), (real)(PATCH - TAPS));
+    plane_cell_t c;
+    // counted from the plane's corner, hence not negative where it matters: cutting off is rounding down
+    u = u * GRID_SCALE - plane->from_u;
+    v = v * GRID_SCALE - plane->from_v;
+    u = MIN(MAX(u, (real)(0.0f)), (real)(PLANE_EDGE - WEIGHTS));
+    v = MIN(MAX(v, (real)(0.0f)), (real)(PLANE_EDGE - TAPS));
     const mask column = to_mask(u), row = to_mask(v);
-    c.at.all = row * PATCH + column;
+    c.at.all = row * PLANE_EDGE + column;
     c.tu = u - to_real(column);
     c.tv = v - to_real(row);
     return c;
 }
 
-// LANES samples of a plane: what their value leaves for the gradient.
-typedef struct { patch_cell_t cell; real wu[TAPS], wv[TAPS], columns[TAPS]; } here_t;
-
-// Sums over rows of the blend's taps, weighted along v: column k holds the sum at tap k along u, for all lanes.
-INLINE void patch_gather(const float *blend, const patch_cell_t *c, const real wv[TAPS], real columns[TAPS])
+// Sums over rows of the blend, weighted along v: column k holds the sum at tap k along u, for all lanes.
+INLINE void plane_columns(const float *blend, const plane_cell_t *c, const real wv[TAPS], real columns[TAPS])
 {
 #if ROW == 4 && CHUNKS == 1 && LANES > 1
     real rows[4], transposed[4];
 #define TAP_ROW(i) *(const row_at_t *)(p + c->at.each[i])
-#define GATHER(i, each)                                                              \
+#define SUM_ROWS(i, each)                                                            \
     for (int j = 0; j < TAPS; ++j) {                                                 \
-        const float *p = blend + j * PATCH;                                          \
+        const float *p = blend + j * PLANE_EDGE;                                     \
         const real taps = FOURTHS(TAP_ROW, i);                                       \
         rows[i] = j == 0 ? each(wv[j]) * taps : madd(each(wv[j]), taps, rows[i]);    \
     }
-    _Pragma("unroll") GATHER(0, EACH_0)
-    _Pragma("unroll") GATHER(1, EACH_1)
-    _Pragma("unroll") GATHER(2, EACH_2)
-    _Pragma("unroll") GATHER(3, EACH_3)
-#undef GATHER
+    _Pragma("unroll") SUM_ROWS(0, EACH_0)
+    _Pragma("unroll") SUM_ROWS(1, EACH_1)
+    _Pragma("unroll") SUM_ROWS(2, EACH_2)
+    _Pragma("unroll") SUM_ROWS(3, EACH_3)
+#undef SUM_ROWS
 #undef TAP_ROW
     transpose_fourths(rows, transposed);
 #pragma unroll
@@ -155,7 +164,7 @@ INLINE void patch_gather(const float *blend, const patch_cell_t *c, const real w
             rows[i] = w[0].each[i] * *(const row_at_t *)p;
 #pragma unroll
             for (int j = 1; j < TAPS; ++j)
-                rows[i] = madd(w[j].each[i], *(const row_at_t *)(p + j * PATCH), rows[i]);
+                rows[i] = madd(w[j].each[i], *(const row_at_t *)(p + j * PLANE_EDGE), rows[i]);
         }
         lane_taps(rows, taps + h * ROW);
     }
@@ -163,4 +172,34 @@ INLINE void patch_gather(const float *blend, const patch_cell_t *c, const real w
     for (int k = 0; k < TAPS; ++k)
         columns[k] = taps[k];
 #endif
+}
+
+// LANES samples on a plane: what their value leaves for the gradient.
+typedef struct { plane_cell_t cell; real wu[TAPS], wv[TAPS], columns[TAPS]; } plane_sample_t;
+
+INLINE real plane_value(const plane_t *plane, plane_sample_t *s, real u, real v)
+{
+    s->cell = plane_locate(plane, u, v);
+    lane_weights(s->cell.tu, s->wu);
+    lane_weights(s->cell.tv, s->wv);
+    plane_columns(plane->values, &s->cell, s->wv, s->columns);
+    return lane_dot(s->columns, s->wu);
+}
+
+// Slopes along u and v and across the plane, per sample, where `plane_value` was before.
+INLINE real3 plane_gradient(plane_t *plane, const plane_sample_t *s, global const float *coefficients)
+{
+    if (!plane->sloped) {
+        plane_blend(plane, coefficients, 1, plane->slopes);
+        plane->sloped = 1;
+    }
+    real slopes[TAPS], columns[TAPS];
+    lane_slopes(s->cell.tu, slopes);
+    const real du = GRID_SCALE * lane_dot(s->columns, slopes);
+    lane_slopes(s->cell.tv, slopes);
+    plane_columns(plane->values, &s->cell, slopes, columns);
+    const real dv = GRID_SCALE * lane_dot(columns, s->wu);
+    plane_columns(plane->slopes, &s->cell, s->wv, columns);
+    const real across = GRID_SCALE * lane_dot(columns, s->wu);
+    return real3_of(du, dv, across);
 }

@@ -1,61 +1,196 @@
-// Where the function cannot matter: the hierarchy of bounds (bounds.cl) asked for boxes of positions.
+// Where it is worth looking: an iterator over the segments of a tile's rays in which some value could matter.
+//
+// A segment is a slab: the samples of a few successive numbers, over all rays of the tile. The pyramid of minima and maxima
+// (minmax.cl) is queried for the boxes of positions that they span, coarse segments first; what lies where no value matters
+// is skipped. The picture is the same to the last bit, since every sample that is gathered is evaluated as it would be without.
 //
 // Set by the host: BLOCK, cells along an edge of the finest blocks.
 
+#include "base/lanes.cl"
+#include "base/vector.cl"
+#include "march/camera.cl"
+
+#define MAX_LOOKS 32    // blocks that are read for a box, at most
+#define COARSEST 4      // 1 << COARSEST slabs are skipped at once at most
+#define MAX_PARTS 32    // of a ray, where samples may come in any order
+#define MARGIN ((real)(ENDPOINTS ? 1.0f : 0.0f))   // sample numbers before and after the planes, for the two ends of a ray
+
+// -- the values in a box of positions --------------------------------------------------------------------------
+
 typedef struct { real3 low, high; } boxes_t;   // a box for every lane
 
-// The box of samples number `first` to `last` of the active lanes; of the others, nothing.
-INLINE void box_samples(const ray_t *ray, float first, float last, mask active, boxes_t *box)
+INLINE boxes_t empty_boxes(void)
+{
+    const boxes_t box = { { NOWHERE, NOWHERE, NOWHERE }, { -NOWHERE, -NOWHERE, -NOWHERE } };
+    return box;
+}
+
+// Extends the boxes of the active lanes by samples number `first` to `last`.
+INLINE void extend_boxes(boxes_t *box, const ray_t *ray, float first, float last, mask active)
 {
     // a sample lies where the ray is inside, whatever its number would give
     const real a = MIN(MAX(madd(first, ray->step, ray->first), ray->enter), ray->leave);
     const real b = MIN(MAX(madd(last, ray->step, ray->first), ray->enter), ray->leave);
     const real3 p = at3(ray->origin, ray->direction, a), q = at3(ray->origin, ray->direction, b);
-#define EXTEND(axis)                                                                       \
-    box->low.axis = choose(active, MIN(box->low.axis, MIN(p.axis, q.axis)), box->low.axis); \
+#define EXTEND(axis)                                                                            \
+    box->low.axis = choose(active, MIN(box->low.axis, MIN(p.axis, q.axis)), box->low.axis);     \
     box->high.axis = choose(active, MAX(box->high.axis, MAX(p.axis, q.axis)), box->high.axis)
     EXTEND(x); EXTEND(y); EXTEND(z);
 #undef EXTEND
 }
 
-INLINE void box_nothing(boxes_t *box)
-{
-    box->low = real3_of(NOWHERE, NOWHERE, NOWHERE);
-    box->high = real3_of(-NOWHERE, -NOWHERE, -NOWHERE);
-}
-
-// The first tap's place, among blocks, of a position on an axis of `blocks` of them.
+// The block of a position's first tap, on an axis of `blocks` of them.
 INLINE int block_of(float x, int halo, int blocks)
 {
-    const float cell = x * GRID_SCALE - (LEFT - (float)halo), most = (float)(blocks * BLOCK - 1);
-    return (int)(cell > 0.0f ? cell < most ? cell : most : 0.0f) / BLOCK;   // infinite where no lane is active
+    const float cell = x * GRID_SCALE - (LEFT - (float)halo), last = (float)(blocks * BLOCK - 1);
+    return (int)(cell > 0.0f ? MIN(cell, last) : 0.0f) / BLOCK;   // infinite where no lane is active
 }
 
-#define LOOKS 32   // blocks that are looked at for a box, at most
-
-// The least and greatest value in the lanes' boxes. `margin` covers what positions are rounded by.
-INLINE float2 values_within(global const float2 *bounds, const int4 extent, constant frame_t *frame, const boxes_t *box)
+// The smallest and the largest value in the lanes' boxes. The margin covers what positions are rounded by.
+INLINE float2 values_in(global const float2 *minmax, constant minmax_block *block, const int halo, const boxes_t *box)
 {
-    const int halo = extent.w;
-    const float m = frame->margin;
-    int nx = frame->blocks[0], ny = frame->blocks[1], nz = frame->blocks[2];
+    const float m = block->margin;
+    int nx = block->blocks[0], ny = block->blocks[1], nz = block->blocks[2];
     int x0 = block_of(min_lane(box->low.x) - m, halo, nx), x1 = block_of(max_lane(box->high.x) + m, halo, nx);
     int y0 = block_of(min_lane(box->low.y) - m, halo, ny), y1 = block_of(max_lane(box->high.y) + m, halo, ny);
     int z0 = block_of(min_lane(box->low.z) - m, halo, nz), z1 = block_of(max_lane(box->high.z) + m, halo, nz);
     int level = 0;
-    while (level < frame->levels - 1 && (x1 - x0 + 1) * (y1 - y0 + 1) * (z1 - z0 + 1) > LOOKS) {
+    while (level < block->levels - 1 && (x1 - x0 + 1) * (y1 - y0 + 1) * (z1 - z0 + 1) > MAX_LOOKS) {
         x0 >>= 1; x1 >>= 1; y0 >>= 1; y1 >>= 1; z0 >>= 1; z1 >>= 1;
         nx = (nx + 1) >> 1; ny = (ny + 1) >> 1;
         ++level;
     }
-    global const float2 *at = bounds + frame->level_at[level];
+    global const float2 *at = minmax + block->level_at[level];
     float low = INFINITY, high = -INFINITY;
     for (int z = z0; z <= z1; ++z)
         for (int y = y0; y <= y1; ++y)
             for (int x = x0; x <= x1; ++x) {
                 const float2 b = at[((size_t)z * ny + y) * nx + x];
-                low = b.x < low ? b.x : low;
-                high = b.y > high ? b.y : high;
+                low = MIN(b.x, low);
+                high = MAX(b.y, high);
             }
     return (float2)(low, high);
+}
+
+// -- the rays of a tile ----------------------------------------------------------------------------------------
+
+// PACKETS times LANES rays, what each has gathered, and which go on.
+typedef struct {
+    ray_t rays[PACKETS];
+    state_t states[PACKETS];
+    real gathered[PACKETS];   // samples
+    mask going[PACKETS];
+    float first, last;        // numbers of the first and the last sample of any ray
+    int left, top;            // the pixel of the first ray
+    int planar;               // whether all rays cross the planes, and in one direction ...
+    float way;                // ... which is up (1) or down (-1) the axis
+} tile_t;
+
+// The lanes of a packet that have samples among the numbers from first to last.
+INLINE mask lanes_within(const ray_t *ray, mask going, float first, float last)
+{
+    return going & (ray->begin - MARGIN <= last) & (ray->end + MARGIN >= first);
+}
+
+// The smallest and the largest value among samples first to last of some packets.
+INLINE float2 values_of(global const float2 *minmax, constant frame_t *frame, const int halo, const tile_t *tile, int packet,
+                        const int packets, float first, float last)
+{
+    boxes_t box = empty_boxes();
+    for (int g = packet; g < packet + packets; ++g)
+        extend_boxes(&box, tile->rays + g, first - REACH, last + REACH, lanes_within(tile->rays + g, tile->going[g], first, last));
+    return values_in(minmax, &frame->minmax, halo, &box);
+}
+
+// Whether any value among samples first to last of a packet could matter to it.
+INLINE int packet_matters(constant frame_t *frame, global const float4 *table, const tile_t *tile, int g, float2 values,
+                          float first, float last)
+{
+    const ray_t *ray = tile->rays + g;
+    return matters(tile->states + g, frame, table, values.x, values.y, madd(first, ray->step, ray->first),
+                   lanes_within(ray, tile->going[g], first, last));
+}
+
+// -- the iterator ----------------------------------------------------------------------------------------------
+
+typedef struct {
+    float start, stop;          // numbers of the segment's first and last sample
+    int slab, until;            // the next slab, and where the part ends
+    int slabs, level, deep;     // how many there are; 1 << level are tried at once; a part has 1 << deep
+    int parts;
+    float promise[MAX_PARTS];   // of each part, at most
+} segments_t;
+
+// Where the order is free, the part that promises most comes first; its turn comes once.
+INLINE int next_part(segments_t *s)
+{
+    int part = 0;
+    for (int i = 1; i < s->parts; ++i)
+        part = s->promise[i] > s->promise[part] ? i : part;
+    if (s->promise[part] == -INFINITY)
+        return 0;   // no ray has samples in those that are left
+    s->promise[part] = -INFINITY;
+    s->slab = part << s->deep;
+    s->until = part + 1 < s->parts ? (part + 1) << s->deep : s->slabs;
+    s->level = MIN(s->deep, COARSEST);
+    return 1;
+}
+
+INLINE segments_t segments_of(const tile_t *tile, global const float2 *minmax, constant frame_t *frame, const int halo)
+{
+    segments_t s;
+    const float slab = frame->planes.slab;
+    s.slabs = tile->last >= tile->first ? (int)((tile->last - tile->first) / slab) + 1 : 0;
+    s.deep = 30;
+    s.parts = 1;
+    s.slab = s.until = 0;
+    s.promise[0] = 0.0f;
+    if (ANY_ORDER && frame->minmax.skipping) {
+        for (s.deep = 0; s.slabs >> s.deep >= MAX_PARTS; ++s.deep)
+            ;
+        for (s.parts = 0; s.parts << s.deep < s.slabs; ++s.parts) {
+            const float start = madd(s.parts << s.deep, slab, tile->first), stop = madd(1 << s.deep, slab, start - 1.0f);
+            const float2 values = values_of(minmax, frame, halo, tile, 0, PACKETS, start, stop);
+            s.promise[s.parts] = PROMISE(values.x, values.y);
+        }
+    }
+    return s;
+}
+
+// Moves to the next segment in which a value could matter to some ray; false if there is none left.
+INLINE int next_segment(segments_t *s, const tile_t *tile, global const float2 *minmax, constant frame_t *frame,
+                        global const float4 *table, const int halo)
+{
+    const float slab = frame->planes.slab;
+    const int skipping = frame->minmax.skipping;
+    for (;;) {
+        if (s->slab >= s->until && !next_part(s))
+            return 0;
+        const float start = madd(s->slab, slab, tile->first), ahead = madd(1 << s->level, slab, start - 1.0f);
+        const float stop = MIN(ahead, tile->last);
+        int some = 0, wanted = !skipping;
+        for (int g = 0; g < PACKETS; ++g)
+            some |= any_lane(tile->going[g] & (tile->rays[g].end + MARGIN >= start));
+        if (!some) {
+            s->slab = s->until;
+            continue;
+        }
+        if (skipping) {
+            const float2 values = values_of(minmax, frame, halo, tile, 0, PACKETS, start, stop);
+            for (int g = 0; g < PACKETS && !wanted; ++g)
+                wanted = packet_matters(frame, table, tile, g, values, start, stop);
+        }
+        if (!wanted) {
+            s->slab += 1 << s->level;
+            while (s->level < COARSEST && s->level < s->deep && (s->slab & (1 << s->level)) == 0)
+                ++s->level;
+        } else if (s->level > 0) {
+            --s->level;
+        } else {
+            s->start = start;
+            s->stop = stop;
+            ++s->slab;
+            return 1;
+        }
+    }
 }

@@ -1,7 +1,11 @@
-// The greatest or the least value among a ray's samples, coloured by the transfer function.
-// Set by the including mode: BEYOND(a, b), whether a replaces b; EXTREME(low, high), which of the two matters.
+// The maximum or the minimum among a ray's samples, coloured by the transfer function.
+//
+// Set by the including mode: BEYOND(a, b), whether a replaces b; EXTREME(low, high), which of the two matters; PROMISE.
 
 typedef struct { real best, t; } state_t;
+
+#define REACH 0.0f
+#define ANY_ORDER 1
 
 INLINE void begin(state_t *s)
 {
@@ -9,27 +13,37 @@ INLINE void begin(state_t *s)
     s->t = NOWHERE;
 }
 
-#define REACH 0.0f
-#define ANY_ORDER 1
+INLINE mask finished(const state_t *s, constant frame_t *frame) { return NONE; }
+
+// Of equal values the first counts, in whichever order they come.
+INLINE mask replaces(const state_t *s, real value, real t)
+{
+    return BEYOND(value, s->best) | ((value == s->best) & (t < s->t)) | (s->t == NOWHERE);
+}
 
 INLINE int matters(const state_t *s, constant frame_t *frame, global const float4 *table, float low, float high, real t, mask active)
 {
-    const real extreme = (real)(EXTREME(low, high));
-    return any_lane(active & (BEYOND(extreme, s->best) | ((extreme == s->best) & (t < s->t)) | (s->t == NOWHERE)));
+    return any_lane(active & replaces(s, (real)(EXTREME(low, high)), t));
 }
 
-INLINE mask gather(state_t *s, SCENE_PARAMS, real t, real value, mask active)
+INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real t, real value, mask active)
 {
-    // of equal ones the first, in whichever order they come
-    const mask better = active & (BEYOND(value, s->best) | ((value == s->best) & (t < s->t)) | (s->t == NOWHERE));
+    const mask better = active & replaces(s, value, t);
     s->best = choose(better, value, s->best);
     s->t = choose(better, t, s->t);
     return NONE;
 }
 
-INLINE color_t finish(const state_t *s, SCENE_PARAMS, real *t)
+INLINE void merge(state_t *front, const state_t *back)
 {
-    color_t color = classify(frame, table, s->best);
+    const mask better = (back->t < NOWHERE) & replaces(front, back->best, back->t);
+    front->best = choose(better, back->best, front->best);
+    front->t = choose(better, back->t, front->t);
+}
+
+INLINE color_t finish(const state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real *t)
+{
+    color_t color = classify(sample->frame, sample->table, s->best);
     color.opacity = choose(s->t < NOWHERE, (real)(1.0f), (real)(0.0f));
     *t = s->t;
     return color;

@@ -2,6 +2,10 @@
 
 typedef struct { real before, before_t, hit; mask started; } state_t;
 
+#define REACH 1.0f   // a crossing lies between two samples
+#define ANY_ORDER 0
+#define PROMISE(low, high) 0.0f
+
 INLINE void begin(state_t *s)
 {
     s->before = s->before_t = (real)(0.0f);
@@ -9,10 +13,13 @@ INLINE void begin(state_t *s)
     s->started = NONE;
 }
 
+INLINE mask finished(const state_t *s, constant frame_t *frame) { return s->hit < NOWHERE; }
+
 // Regula falsi that halves the value of an end that stays (Illinois), and bisects every third time:
-// until the function is within the tolerance of the isovalue, or the interval can not be halved.
-INLINE real refine(SCENE_PARAMS, real near, real near_value, real far, real far_value, mask active)
+// until the function is within the tolerance of the isovalue, or the interval cannot be halved.
+INLINE real refine(COEFFICIENTS coefficients, const sample_t *sample, real near, real near_value, real far, real far_value, mask active)
 {
+    constant mode_block *mode = &sample->frame->mode;
     real t = far, best = far;
     mask last_was_near = NONE, last_was_far = NONE;
     for (int i = 1; i < 80 && any_lane(active); ++i) {
@@ -20,7 +27,7 @@ INLINE real refine(SCENE_PARAMS, real near, real near_value, real far, real far_
         const real cut = near - near_value * (far - near) / (far_value - near_value);
         const mask between = (cut > near) & (cut < far);
         t = i % 3 == 0 ? middle : choose(between, cut, middle);
-        const real value = value_at(SCENE, t, active) - frame->isovalue;
+        const real value = value_at(coefficients, sample, t, active) - mode->isovalue;
         const mask is_near = (value < 0.0f) == (near_value < 0.0f);
         far_value = choose(is_near & last_was_near, 0.5f * far_value, far_value);
         near_value = choose((!is_near) & last_was_far, 0.5f * near_value, near_value);
@@ -31,41 +38,48 @@ INLINE real refine(SCENE_PARAMS, real near, real near_value, real far, real far_
         last_was_near = is_near;
         last_was_far = !is_near;
         // where the function jumps, the far side of the jump: every pixel is shaded from the same side
-        const mask near_enough = magnitude(value) <= frame->tolerance;
+        const mask near_enough = magnitude(value) <= mode->tolerance;
         best = choose(active, choose(near_enough, t, far), best);
         active = active & !near_enough & (0.5f * (near + far) > near) & (0.5f * (near + far) < far);
     }
     return best;
 }
 
-#define REACH 1.0f   // a crossing lies between two samples
-#define ANY_ORDER 0
-
 INLINE int matters(const state_t *s, constant frame_t *frame, global const float4 *table, float low, float high, real t, mask active)
 {
-    return !(low > frame->isovalue || high < frame->isovalue);
+    return !(low > frame->mode.isovalue || high < frame->mode.isovalue);
 }
 
-INLINE mask gather(state_t *s, SCENE_PARAMS, real t, real value, mask active)
+INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real t, real value, mask active)
 {
-    const real difference = value - frame->isovalue;
+    const real difference = value - sample->frame->mode.isovalue;
     const mask crossed = active & s->started & ((difference < 0.0f) != (s->before < 0.0f));
     if (any_lane(crossed))
-        s->hit = choose(crossed, refine(SCENE, s->before_t, s->before, t, difference, crossed), s->hit);
+        s->hit = choose(crossed, refine(coefficients, sample, s->before_t, s->before, t, difference, crossed), s->hit);
     s->before = difference;
     s->before_t = t;
     s->started = s->started | active;
     return crossed;
 }
 
-INLINE color_t finish(const state_t *s, SCENE_PARAMS, real *t)
+// A stretch begins with the last sample of the one before (REACH), so that each crossing lies within one.
+INLINE void merge(state_t *front, const state_t *back)
 {
+    front->hit = choose(front->hit < NOWHERE, front->hit, back->hit);
+    front->before = choose(back->started, back->before, front->before);
+    front->before_t = choose(back->started, back->before_t, front->before_t);
+    front->started = front->started | back->started;
+}
+
+INLINE color_t finish(const state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real *t)
+{
+    constant float *surface = sample->frame->mode.color;
     const mask hit = s->hit < NOWHERE;
-    color_t color = { (real)(frame->surface[0]), (real)(frame->surface[1]), (real)(frame->surface[2]), choose(hit, (real)(1.0f), (real)(0.0f)) };
-#if SHADED
-    if (any_lane(hit))
-        color = shade(frame, color, gradient_at(SCENE, choose(hit, s->hit, ray->enter), hit), ray->world);
-#endif
+    color_t color = { (real)(surface[0]), (real)(surface[1]), (real)(surface[2]), choose(hit, (real)(1.0f), (real)(0.0f)) };
+    if (SHADED && any_lane(hit)) {
+        const real3 gradient = gradient_at(coefficients, sample, choose(hit, s->hit, sample->ray->enter), hit);
+        color = shade(sample->frame, color, gradient, sample->ray->world);
+    }
     *t = s->hit;
     return color;
 }

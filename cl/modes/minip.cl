@@ -1,4 +1,4 @@
-// The least value along the ray.
+// The minimum along the ray.
 
 #define BEYOND(a, b) ((a) < (b))
 #define EXTREME(low, high) (low)

@@ -1,4 +1,4 @@
-// The greatest value along the ray.
+// The maximum along the ray.
 
 #define BEYOND(a, b) ((a) > (b))
 #define EXTREME(low, high) (high)

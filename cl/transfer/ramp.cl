@@ -1,10 +1,16 @@
 // From a value to a colour and an opacity, by linear interpolation in a table of TABLE_SIZE nodes.
+//
+// Set by the host: TABLE_SIZE.
+
+#include "base/math.cl"
+#include "base/transpose.cl"
+#include "frame.cl"
 
 typedef struct { real red, green, blue, opacity; } color_t;
 
 INLINE color_t classify(constant frame_t *frame, global const float4 *table, real value)
 {
-    const real place = MIN(MAX((value - frame->table_low) * frame->table_scale, (real)(0.0f)), (real)(TABLE_SIZE - 1.0f));
+    const real place = MIN(MAX((value - frame->transfer.low) * frame->transfer.scale, (real)(0.0f)), (real)(TABLE_SIZE - 1.0f));
     const mask nodes = to_mask(MIN(place, (real)(TABLE_SIZE - 2.0f)));
     const lane_indices_u node = { 4 * nodes };
     const real past = place - to_real(nodes);
@@ -31,17 +37,17 @@ INLINE color_t classify(constant frame_t *frame, global const float4 *table, rea
 }
 
 // Whether no value from low to high has any opacity. Behind the table's nodes lie TABLE_SIZE numbers: for each node,
-// the next that has some, itself included.
+// the next one that has some, itself included.
 INLINE int transparent(constant frame_t *frame, global const float4 *table, float low, float high)
 {
     if (low > high)
         return 1;   // no values
     global const float *visible = (global const float *)(table + TABLE_SIZE);
-    const float bottom = (low - frame->table_low) * frame->table_scale, top = (high - frame->table_low) * frame->table_scale;
-    const float most = TABLE_SIZE - 1.0f;
+    const float bottom = (low - frame->transfer.low) * frame->transfer.scale, top = (high - frame->transfer.low) * frame->transfer.scale;
     if (!(bottom - bottom == 0.0f && top - top == 0.0f))
         return 0;
-    const float from = bottom > 0.0f ? bottom < most ? bottom : most : 0.0f, to = top > 0.0f ? top < most ? top : most : 0.0f;
+    const float last = TABLE_SIZE - 1.0f;
+    const float from = bottom > 0.0f ? MIN(bottom, last) : 0.0f, to = top > 0.0f ? MIN(top, last) : 0.0f;
     return visible[(int)from] >= to + 1.0f;   // the first node that is seen colours what lies past the one before it
 }
 

@@ -28,10 +28,11 @@ from clvol.errors import (
 from clvol.filter import Filter, bc, bspline, filters, from_callable, from_pieces, lanczos, register, sinc
 from clvol.formats import read, write
 from clvol.light import Light, Material
-from clvol.march.renderer import Renderer, render
-from clvol.mode import Mode, modes
+from clvol.march.renderer import Output, Renderer, render
+from clvol.mode import Composite, Isosurface, Mean, Minip, Mip, Mode, modes
 from clvol.picture import save
 from clvol.response import frequency_response, prefilter_response
+from clvol.scene import Medium, Scene
 from clvol.spline.field import magnify, prefilter, resample, sample
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
@@ -42,19 +43,27 @@ __all__ = [
     "Boundary",
     "Camera",
     "ClvolError",
+    "Composite",
     "DataError",
     "Device",
     "DeviceError",
     "Filter",
     "FormatError",
     "GeometryError",
+    "Isosurface",
     "Light",
     "Material",
+    "Mean",
+    "Medium",
+    "Minip",
+    "Mip",
     "MissingDependencyError",
     "Mode",
     "OptionError",
     "OutOfMemoryError",
+    "Output",
     "Renderer",
+    "Scene",
     "TransferFunction",
     "Volume",
     "bc",

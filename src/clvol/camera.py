@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clvol.checks import number, one_of, reals
 from clvol.errors import GeometryError
+from clvol.uniform import FLOAT, INT, Block, Values
 from clvol.volume import Volume
 
 __all__ = ["Camera", "View"]
@@ -41,6 +42,45 @@ class View:
     forward: Vector
     half_height: float
     orthographic: bool
+
+    BLOCK: ClassVar[Block] = Block(
+        "camera_block",
+        origin=(FLOAT, 3),
+        origin_u=(FLOAT, 3),
+        origin_v=(FLOAT, 3),
+        direction=(FLOAT, 3),
+        direction_u=(FLOAT, 3),
+        direction_v=(FLOAT, 3),
+        ahead=FLOAT,
+        orthographic=INT,
+    )
+
+    def block(self, volume: Volume, width: int, height: int) -> Values:
+        """What kernels read: rays in index space as linear functions of the pixel, (0, 0) top left.
+
+        They start on the plane through the volume's centre that faces the camera, where float32 is most precise. World units
+        are mean spacings, so that none is too large or too small for float32.
+        """
+        aspect = width / height
+        inverse, origin = volume.world_to_index_matrix, np.asarray(volume.origin)
+        # picture coordinates: from -1 to 1 along `right` and along `up`
+        across, down = self.right * self.half_height * aspect, -self.up * self.half_height
+        corner, per_x, per_y = -across - down, 2 * across / width, 2 * down / height
+        unit = volume.mean_spacing
+        ahead = float((volume.center - self.eye) @ self.forward)
+        start = inverse @ (self.eye + ahead * self.forward - origin)
+        spread = 1.0 if self.orthographic else ahead
+        fan = 0.0 if self.orthographic else unit
+        return self.BLOCK(
+            origin=start + spread * (inverse @ corner),
+            origin_u=spread * (inverse @ per_x),
+            origin_v=spread * (inverse @ per_y),
+            direction=unit * (inverse @ self.forward) + fan * (inverse @ corner),
+            direction_u=fan * (inverse @ per_x),
+            direction_v=fan * (inverse @ per_y),
+            ahead=ahead / unit,
+            orthographic=self.orthographic,
+        )
 
 
 @dataclass(frozen=True)
@@ -163,7 +203,7 @@ class Camera:
             The camera stands on its target.
         """
         target = volume.center if self.target is None else np.asarray(self.target)
-        radius = float(np.linalg.norm(volume.corners - volume.center, axis=1).max())
+        radius = volume.radius
         if self.position is None:
             forward = np.asarray(self.direction) / math.hypot(*self.direction)  # which does not underflow
         else:

@@ -15,9 +15,15 @@ from numpy.typing import NDArray
 
 from clvol.errors import ClvolError, OptionError, OutOfMemoryError
 
-__all__ = ["as_path", "enough_memory", "number", "one_of", "reals", "require_room", "several", "whole"]
+__all__ = ["as_path", "enough_memory", "instance", "number", "one_of", "reals", "require_room", "several", "whole"]
 
 _MOST_SAMPLES = 1 << 36  # no machine holds the float64 positions of more
+
+
+def instance(what: str, value: object, *kinds: type) -> None:
+    """Raise `OptionError` unless `value` is of one of the classes; the first gives the rule its name."""
+    if not isinstance(value, kinds):
+        raise OptionError(f"{what} must be a {kinds[0].__name__}; got {value!r}")
 
 
 def one_of(what: str, value: object, allowed: Iterable[str]) -> OptionError:

@@ -193,7 +193,7 @@ def render(
         begun = time.perf_counter()
         with clvol.Renderer(volume, filter, look.boundary, device) as renderer:
             held = time.perf_counter()
-            outputs = ("rgba", "visited") if verbose or heat_map is not None else ("rgba",)
+            outputs: tuple[clvol.Output, ...] = ("rgba", "visited") if verbose or heat_map is not None else ("rgba",)
             pictures = renderer.render(size=size, progress=progress, outputs=outputs, **options)
             done = time.perf_counter()
     clvol.save(pictures["rgba"], output)

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
 
 from clvol.checks import number, reals
 from clvol.color import color_of
-from clvol.errors import GeometryError
+from clvol.errors import GeometryError, OptionError
+from clvol.uniform import FLOAT, INT, Block, Values
 
-__all__ = ["HEADLIGHT", "MAX_LIGHTS", "Light", "Material"]
+__all__ = ["HEADLIGHT", "LIGHTS", "MAX_LIGHTS", "Light", "Material", "lights_block"]
 
 MAX_LIGHTS = 4
+LIGHTS = Block("lights_block", each=(FLOAT, 8 * MAX_LIGHTS), count=INT)  # a direction, 1 for a headlight; a colour, nothing
 
 
 @dataclass(frozen=True)
@@ -52,9 +58,36 @@ class Material:
     specular: float = 0.2
     shininess: float = 30.0
 
+    BLOCK: ClassVar[Block] = Block(
+        "material_block", ambient=FLOAT, diffuse=FLOAT, specular=FLOAT, shininess=FLOAT, whole_shininess=INT, min_shine=FLOAT
+    )
+
     def __post_init__(self) -> None:
         for what in ("ambient", "diffuse", "specular", "shininess"):
             object.__setattr__(self, what, number(what, getattr(self, what), least=0))
+
+    def block(self) -> Values:
+        """What kernels read: the exponent also as a whole number, if it is one, and the smallest cosine whose power counts."""
+        exponent = self.shininess
+        whole = int(exponent) if float(exponent).is_integer() and exponent < 1 << 20 else 0
+        return self.BLOCK(
+            ambient=self.ambient,
+            diffuse=self.diffuse,
+            specular=self.specular,
+            shininess=exponent,
+            whole_shininess=whole,
+            min_shine=2.0 ** (-60 / max(exponent, 1e-3)),  # powers below 2**-60 are as good as 0
+        )
+
+
+def lights_block(lights: Sequence[Light]) -> Values:
+    """What kernels read of the lights; `OptionError` for more than `MAX_LIGHTS`."""
+    if len(lights) > MAX_LIGHTS:
+        raise OptionError(f"there may be up to {MAX_LIGHTS} lights; got {len(lights)}")
+    each = np.zeros((MAX_LIGHTS, 8))
+    for row, light in zip(each, lights, strict=False):
+        row[:7] = [*(light.direction or (0, 0, 0)), float(light.direction is None), *light.color]
+    return LIGHTS(each=each.ravel(), count=len(lights))
 
 
 HEADLIGHT = Light()

@@ -1,70 +1,258 @@
-"""Render modes: one row here, one file in ``cl/modes/``, one gather in ``reference/march.py``."""
+"""Render modes: a class here, a file in ``cl/modes/``, a function in `clvol.reference.march`.
+
+A mode's options are its fields: `Renderer.render` takes them as keywords, the command line as flags, and an option that is
+not the mode's is refused by name.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import inspect
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, Self
 
-from clvol.checks import one_of
+import numpy as np
 
-__all__ = ["DEFAULT_MODE", "Mode", "as_mode", "modes"]
+from clvol.checks import number, one_of
+from clvol.color import color_of
+from clvol.errors import OptionError
+from clvol.transfer import TransferFunction, otsu_threshold
+from clvol.uniform import FLOAT, Block, Values
+from clvol.volume import Volume
+
+__all__ = [
+    "DEFAULT_MODE",
+    "Composite",
+    "Isosurface",
+    "Mean",
+    "Minip",
+    "Mip",
+    "Mode",
+    "as_mode",
+    "every_option",
+    "mode_options",
+    "modes",
+]
 
 DEFAULT_MODE = "composite"
+_FINITE = 3e38  # of float32; a value beyond it is as good as any other beyond it
 
 
 @dataclass(frozen=True)
 class Mode:
     """One way to make a pixel of what a ray meets.
 
-    Parameters
+    Attributes
     ----------
     name : str
-        The name by which it is asked for; its kernel file is ``modes/<name>.cl``.
+        By which it is asked for; its kernel file is ``modes/<name>.cl``.
     description : str
         What it shows, for listings.
+    state_fields : int
+        Numbers that the kernels carry along each ray.
     endpoints : bool
-        Whether it also wants the function where the ray enters and leaves the volume, a thousandth
-        of a step inside.
-    automatic : bool
-        Whether the default transfer function is one of opacities; else it is a grey ramp.
+        Whether it also needs the function where the ray enters and leaves the volume, a thousandth of a step inside.
     skips : bool
-        Whether values can be of no matter to it, so that space is skipped.
-    ramp : float
-        The share of the volume's range of values over which that ramp runs from black to white.
+        Whether values can be irrelevant to it, so that space is skipped.
+    ramp : float or None
+        The share of the volume's range of values over which the default transfer function runs from black to white; None:
+        that is one of opacities instead.
     """
 
-    name: str
-    description: str
-    endpoints: bool = False
-    automatic: bool = False
-    skips: bool = True
-    ramp: float = 1.0
+    name: ClassVar[str]
+    description: ClassVar[str]
+    state_fields: ClassVar[int]
+    endpoints: ClassVar[bool] = False
+    skips: ClassVar[bool] = True
+    ramp: ClassVar[float | None] = 1.0
+    BLOCK: ClassVar[Block] = Block("mode_block")
 
     @property
     def file(self) -> str:
+        """The kernel file."""
         return f"modes/{self.name}.cl"
 
+    @property
+    def shaded(self) -> bool:
+        """Whether it lights what it shows by the gradient."""
+        return bool(getattr(self, "shading", False))
 
-_TABLE = {
-    row.name: row
-    for row in (
-        Mode("composite", "emission and absorption, front to back", automatic=True),
-        Mode("isosurface", "the first surface of one value, shaded", endpoints=True),
-        Mode("mip", "the greatest value along the ray"),
-        Mode("minip", "the least value along the ray"),
-        Mode("mean", "the mean value along the ray, as an x-ray", skips=False, ramp=0.5),  # means seldom reach the greatest value
-    )
-}
+    def settled(self, volume: Volume) -> Self:  # noqa: ARG002  # most modes leave nothing open
+        """The same with every option that was left open decided for this volume."""
+        return self
+
+    def transfer(self, volume: Volume) -> TransferFunction:
+        """The transfer function for this volume where none is given."""
+        if self.ramp is None:
+            return TransferFunction.automatic(volume)
+        low, high = volume.value_range
+        return TransferFunction.ramp((low, low + self.ramp * (high - low)))
+
+    def block(self, volume: Volume) -> Values:  # noqa: ARG002  # most modes depend on no volume
+        """What its kernel reads, for one volume; of a mode that is settled."""
+        return self.BLOCK()
+
+
+@dataclass(frozen=True)
+class Composite(Mode):
+    """Emission and absorption, front to back.
+
+    Parameters
+    ----------
+    shading : bool
+        Light the matter by the gradient.
+    termination : float
+        A ray ends when no more than this share of light would come through, 0 or more and less than 1: colours err by at
+        most this, times the brightest colour behind.
+    """
+
+    shading: bool = True
+    termination: float = 1e-3
+
+    name: ClassVar[str] = "composite"
+    description: ClassVar[str] = "emission and absorption, front to back"
+    state_fields: ClassVar[int] = 5
+    ramp: ClassVar[float | None] = None
+    BLOCK: ClassVar[Block] = Block("mode_block", termination=FLOAT)
+
+    def __post_init__(self) -> None:
+        _set(self, shading=_switch("shading", self.shading))
+        _set(self, termination=number("termination", self.termination, least=0, below=1))
+
+    def block(self, volume: Volume) -> Values:  # noqa: ARG002
+        return self.BLOCK(termination=self.termination)
+
+
+@dataclass(frozen=True)
+class Isosurface(Mode):
+    """The first surface of one value, shaded.
+
+    Parameters
+    ----------
+    isovalue : float, optional
+        The value of the surface; by default Otsu's threshold, which parts the histogram in two.
+    color : three numbers or a name
+        Of the surface.
+    shading : bool
+        Light the surface by the gradient.
+    tolerance : float
+        How near to the isovalue the function is at the surface that is drawn, as a share of the volume's range.
+    """
+
+    isovalue: float | None = None
+    color: Sequence[float] | str = (0.93, 0.87, 0.76)
+    shading: bool = True
+    tolerance: float = 1e-4
+
+    name: ClassVar[str] = "isosurface"
+    description: ClassVar[str] = "the first surface of one value, shaded"
+    state_fields: ClassVar[int] = 4
+    endpoints: ClassVar[bool] = True
+    BLOCK: ClassVar[Block] = Block("mode_block", isovalue=FLOAT, tolerance=FLOAT, color=(FLOAT, 3))
+
+    def __post_init__(self) -> None:
+        if self.isovalue is not None:
+            _set(self, isovalue=number("isovalue", self.isovalue))
+        _set(self, color=color_of("color", self.color), shading=_switch("shading", self.shading))
+        _set(self, tolerance=number("tolerance", self.tolerance, least=0))
+
+    def settled(self, volume: Volume) -> Self:
+        return self if self.isovalue is not None else replace(self, isovalue=otsu_threshold(volume))
+
+    def block(self, volume: Volume) -> Values:
+        low, high = volume.value_range
+        isovalue = self.settled(volume).isovalue
+        assert isovalue is not None
+        isovalue = min(max(isovalue, -_FINITE), _FINITE)
+        return self.BLOCK(isovalue=isovalue, tolerance=self.tolerance * (high - low), color=self.color)
+
+
+@dataclass(frozen=True)
+class Mip(Mode):
+    """The maximum along the ray."""
+
+    name: ClassVar[str] = "mip"
+    description: ClassVar[str] = "the maximum along the ray"
+    state_fields: ClassVar[int] = 2
+
+
+@dataclass(frozen=True)
+class Minip(Mode):
+    """The minimum along the ray."""
+
+    name: ClassVar[str] = "minip"
+    description: ClassVar[str] = "the minimum along the ray"
+    state_fields: ClassVar[int] = 2
+
+
+@dataclass(frozen=True)
+class Mean(Mode):
+    """The mean along the ray, as an x-ray shows it."""
+
+    name: ClassVar[str] = "mean"
+    description: ClassVar[str] = "the mean along the ray, as an x-ray shows it"
+    state_fields: ClassVar[int] = 2
+    skips: ClassVar[bool] = False
+    ramp: ClassVar[float | None] = 0.5  # means seldom reach the largest value
+
+
+_TABLE: dict[str, type[Mode]] = {mode.name: mode for mode in (Composite, Isosurface, Mip, Minip, Mean)}
 
 
 def modes() -> dict[str, Mode]:
-    """Every mode by name."""
-    return dict(_TABLE)
+    """Every mode by name, with its default options."""
+    return {name: mode() for name, mode in _TABLE.items()}
 
 
-def as_mode(choice: str | Mode) -> Mode:
-    """The row for a name."""
-    if isinstance(choice, Mode):
-        return choice
-    if not isinstance(choice, str) or choice not in _TABLE:
-        raise one_of("mode", choice, _TABLE)
-    return _TABLE[choice]
+def every_option() -> set[str]:
+    """The names of the options of all modes."""
+    return {name for mode in _TABLE.values() for name in mode_options(mode)}
+
+
+def mode_options(mode: Mode | type[Mode]) -> dict[str, str]:
+    """The options of a mode, each with what its class says of it."""
+    doc = inspect.getdoc(mode if isinstance(mode, type) else type(mode)) or ""
+    return {field.name: _described(doc, field.name) for field in fields(mode)}
+
+
+def as_mode(choice: str | Mode, options: Mapping[str, Any] | None = None) -> Mode:
+    """The mode of a name, or a mode itself, with these options.
+
+    Raises
+    ------
+    OptionError
+        No mode has this name, it does not have such an option, or the option's value is not allowed.
+    """
+    if not isinstance(choice, Mode):
+        if not isinstance(choice, str) or choice not in _TABLE:
+            raise one_of("mode", choice, _TABLE)
+        choice = _TABLE[choice]()
+    own = mode_options(choice)
+    for name in options or {}:
+        if name not in own:
+            others = [other for other, mode in _TABLE.items() if name in mode_options(mode)]
+            hint = f", but of {' and '.join(others)}" if others else ""
+            raise OptionError(f"{name} is no option of {choice.name}{hint}; it has {', '.join(own) or 'none of its own'}")
+    return replace(choice, **(options or {}))
+
+
+# -- inner -------------------------------------------------------------------------------------------------
+
+
+def _set(mode: Mode, **values: Any) -> None:
+    """Fields of a frozen mode, in their proper types."""
+    for name, value in values.items():
+        object.__setattr__(mode, name, value)
+
+
+def _switch(what: str, value: object) -> bool:
+    if not isinstance(value, (bool, np.bool_)):
+        raise OptionError(f"{what} must be True or False; got {value!r}")
+    return bool(value)
+
+
+def _described(doc: str, name: str) -> str:
+    """What a docstring's list of parameters says of one of them, on one line."""
+    match = re.search(rf"^{name} : .*\n((?:    .*\n?)+)", doc, re.MULTILINE)
+    return " ".join(match[1].split()) if match else ""

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.checks import number, reals
 from clvol.color import color_of
 from clvol.errors import OptionError
+from clvol.uniform import FLOAT, Block, Values
 from clvol.volume import Volume, as_volume
 
 __all__ = ["TABLE_SIZE", "TransferFunction", "otsu_threshold"]
@@ -47,6 +48,8 @@ class TransferFunction:
     colors: tuple[tuple[float, tuple[float, float, float]], ...]
     opacities: tuple[tuple[float, float], ...] = ((0.0, 1.0),)
     unit_distance: float | None = None
+
+    BLOCK: ClassVar[Block] = Block("transfer_block", low=FLOAT, scale=FLOAT, per_unit_distance=FLOAT)
 
     def __post_init__(self) -> None:
         colors = tuple((_value(v), color_of("a color", c)) for v, c in _pairs("colors", self.colors))
@@ -144,6 +147,12 @@ class TransferFunction:
         exponent = _exponent(*self.value_range)
         low, high = _scaled(self.value_range, exponent)
         return self(np.ldexp(np.linspace(low, high, TABLE_SIZE), exponent)).astype(np.float32)
+
+    def block(self, unit: float) -> Values:
+        """What kernels read, given how many world units one of their units of length has (the mean spacing)."""
+        low, high = self.value_range
+        scale = min((TABLE_SIZE - 1) / (high - low), 1e38) if high > low else 0.0
+        return self.BLOCK(low=low, scale=scale, per_unit_distance=unit / (self.unit_distance or unit))
 
     def with_opacity(self, opacities: Sequence[tuple[float, float]]) -> TransferFunction:
         """The same colours under other opacities."""

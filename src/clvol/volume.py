@@ -186,6 +186,11 @@ class Volume:
         with np.errstate(over="ignore", invalid="ignore"):
             return np.asarray((self._points("world", world) - np.asarray(self.origin)) @ self.world_to_index_matrix.T)
 
+    @property
+    def mean_spacing(self) -> float:
+        """The mean of the spacings, in world units: what one unit of length is to the kernels."""
+        return float(np.mean(self.spacing))
+
     @cached_property
     def corners(self) -> NDArray[np.float64]:
         """World positions of the domain's corners, half a voxel outside the outer samples; (2**d, d)."""
@@ -197,6 +202,11 @@ class Volume:
     def center(self) -> NDArray[np.float64]:
         """World position of the middle of the domain; shape (d,)."""
         return self.index_to_world((np.asarray(self.size) - 1) / 2)
+
+    @cached_property
+    def radius(self) -> float:
+        """Of the sphere around the domain, in world units."""
+        return float(np.linalg.norm(self.corners - self.center, axis=1).max())
 
     # -- making other volumes ----------------------------------------------------------------
 

@@ -22,11 +22,11 @@ from clvol.figures.style import LETTERS, Drawing, title
 from clvol.filter import Filter, as_filter
 from clvol.light import Light, Material
 from clvol.march.renderer import Renderer
-from clvol.mode import DEFAULT_MODE, as_mode
+from clvol.mode import DEFAULT_MODE, as_mode, every_option
 from clvol.picture import grid, labelled
 from clvol.reference.march.exact import draw_function
 from clvol.spline.field import Progress, sample
-from clvol.transfer import TransferFunction, otsu_threshold
+from clvol.transfer import TransferFunction
 from clvol.volume import Volume, as_volume
 
 __all__ = [
@@ -234,17 +234,14 @@ def draw(
 
 def settled(volume: Volume, options: dict[str, Any]) -> dict[str, Any]:
     """Options of `Renderer.render` for pictures of a volume and of others made from it: nothing is left to be derived from each."""
-    look = {"mode": DEFAULT_MODE, **options}
-    mode = as_mode(look["mode"])
+    look = dict(options)
+    own = {name: look.pop(name) for name in every_option() & look.keys()}
+    mode = look["mode"] = as_mode(look.get("mode", DEFAULT_MODE), own).settled(volume)
     look["camera"] = look.get("camera") or Camera.orbit()
-    if look.get("isovalue") is None:
-        look["isovalue"] = otsu_threshold(volume)
     if look.get("transfer") is None:
-        low, high = volume.value_range
-        ramp = TransferFunction.ramp((low, low + mode.ramp * (high - low)))
-        look["transfer"] = TransferFunction.automatic(volume) if mode.automatic else ramp
+        look["transfer"] = mode.transfer(volume)
     if isinstance(look["transfer"], TransferFunction) and look["transfer"].unit_distance is None:
-        look["transfer"] = replace(look["transfer"], unit_distance=float(np.mean(volume.spacing)))
+        look["transfer"] = replace(look["transfer"], unit_distance=volume.mean_spacing)
     return look
 
 

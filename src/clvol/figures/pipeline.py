@@ -14,8 +14,10 @@ from clvol.checks import whole
 from clvol.device import Device
 from clvol.figures.style import GREY, INK, Drawing, colour, label_ends, new_figure, show, styled, title
 from clvol.light import HEADLIGHT, Material
-from clvol.march.renderer import FLAT, Lattice, render
+from clvol.march.planes import Planes
+from clvol.march.renderer import render
 from clvol.reference.march.march import camera_rays, shade
+from clvol.scene import FLAT
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
 
@@ -71,10 +73,10 @@ def follow(volume: Volume, filter: str, size: tuple[int, int], pixel: tuple[int,
     rays = camera_rays(volume, view, (width, height))
     i = pixel[1] * width + pixel[0]
     origin, direction, enter, leave = rays.origin[i], rays.direction[i], rays.enter[i], rays.leave[i]
-    planes = Lattice(volume, view, width / height, _STEP)
+    planes = Planes(volume, view, width / height, _STEP)
     slope = volume.world_to_index_matrix @ direction
     along, first = slope[planes.axis], volume.world_to_index(origin)[planes.axis]
-    t = np.sort((-0.5 + (np.arange(planes.planes) + 0.5) * planes.spacing - first) / along)
+    t = np.sort((-0.5 + (np.arange(planes.count) + 0.5) * planes.spacing - first) / along)
     t = t[(t >= enter) & (t <= leave)]
     points = origin + t[:, None] * direction
     values = reference.sample(volume, points, filter)

@@ -20,11 +20,14 @@ from clvol.filter import Filter
 from clvol.program import LANES
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import Evaluator
+from clvol.uniform import FLOAT, INT, Block, Values
+from clvol.volume import Volume
 
-__all__ = ["BLOCK", "MAX_LEVELS", "Bounds", "bernstein"]
+__all__ = ["BLOCK", "MAX_LEVELS", "MINMAX", "Bounds", "bernstein", "minmax_block"]
 
 BLOCK = 4  # samples along an edge of the finest blocks
 MAX_LEVELS = 12
+MINMAX = Block("minmax_block", margin=FLOAT, skipping=INT, levels=INT, blocks=(INT, 3), level_at=(INT, MAX_LEVELS))
 _HULL_TAPS, _HULL_DEGREE = 6, 5  # of wider filters there would be thousands of control points a cell
 _EPSILON = 2.0**-23
 _PAD_LIMIT = 0.01
@@ -145,3 +148,14 @@ class Bounds:
     def release(self) -> None:
         """Free the device's memory."""
         self.buffer.release()
+
+
+def minmax_block(minmax: Bounds | None, volume: Volume) -> Values:
+    """What the ray loop reads of the pyramid of a volume; without one it skips nothing."""
+    if minmax is None:
+        return MINMAX(margin=0.0, skipping=0, levels=0, blocks=0, level_at=0)
+    level_at = np.zeros(MAX_LEVELS, np.int32)
+    level_at[: len(minmax.offsets)] = minmax.offsets
+    # positions are rounded by up to a few millionths of the volume's size; the rest is reserve
+    margin = 0.01 + 1e-6 * max(volume.size)
+    return MINMAX(margin=margin, skipping=1, levels=len(minmax.offsets), blocks=minmax.blocks, level_at=level_at)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from clvol.camera import View
 from clvol.light import Light, Material
-from clvol.march.renderer import pixel_offsets
+from clvol.march.planes import pixel_offsets
 from clvol.reference.march.march import camera_rays, shade
 from clvol.volume import Volume
 

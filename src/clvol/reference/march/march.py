@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -22,9 +22,9 @@ from clvol.color import color_of
 from clvol.errors import OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.light import HEADLIGHT, Light, Material
-from clvol.mode import DEFAULT_MODE, Mode, as_mode
+from clvol.mode import DEFAULT_MODE, Composite, Isosurface, Mode, as_mode
 from clvol.reference.spline.points import sample
-from clvol.transfer import TransferFunction, otsu_threshold
+from clvol.transfer import TransferFunction
 from clvol.volume import Volume, as_volume
 
 __all__ = ["Rays", "camera_rays", "lattice", "render", "shade"]
@@ -209,10 +209,6 @@ class _Scene:
     lit: Callable[[Array, Array, Array], Array]  # gradient, colour and direction to colour
     transfer: TransferFunction
     unit_distance: float
-    isovalue: float
-    surface: Array
-    shading: bool
-    termination: float
 
 
 def render(
@@ -225,17 +221,14 @@ def render(
     step: float = 0.5,
     *,
     transfer: TransferFunction | None = None,
-    isovalue: float | None = None,
-    color: Sequence[float] | str = (0.93, 0.87, 0.76),
-    shading: bool = True,
     gradient: Literal["analytic", "central"] = "analytic",
     material: Material | None = None,
     lights: Sequence[Light] = (HEADLIGHT,),
     background: Sequence[float] | str | None = (0.0, 0.0, 0.0),
     clip: tuple[Sequence[float], Sequence[float]] | None = None,
     samples: int = 1,
-    termination: float = 0.0,
     outputs: str | Sequence[str] = "rgba",
+    **options: Any,
 ) -> Array | dict[str, Array]:
     """One picture; parameters and results are those of `clvol.Renderer.render`, in float64.
 
@@ -252,7 +245,10 @@ def render(
 
     ``mip``, ``minip``: the extreme sample, the first if several are equal; ``mean``: the mean of all.
     """
-    volume, row, chosen = as_volume(volume), as_filter(filter), as_mode(mode)
+    volume, row, chosen = as_volume(volume), as_filter(filter), as_mode(mode, options)
+    if isinstance(chosen, Composite) and "termination" not in options:
+        chosen = replace(chosen, termination=0.0)
+    chosen = chosen.settled(volume)
     if volume.ndim != 3:
         raise OptionError(f"rendering takes a volume with 3 axes; got shape {volume.shape}")
     gather = _MODES.get(chosen.name)
@@ -260,9 +256,7 @@ def render(
         raise one_of("mode of the reference", chosen.name, _MODES)
     low, high = volume.value_range
     if transfer is None:
-        transfer = TransferFunction.automatic(volume) if chosen.automatic else TransferFunction.ramp((low, high))
-    if isovalue is None:
-        isovalue = otsu_threshold(volume) if chosen.name == "isosurface" else low
+        transfer = chosen.transfer(volume)
     material = material or Material()
     flat = _FLAT * max(high - low, abs(high), abs(low)) / float(np.mean(volume.spacing))
     central = gradient == "central" or not row.has_gradient
@@ -287,10 +281,6 @@ def render(
         lambda g, c, d: shade(g, c, d, material, lights, flat),
         transfer,
         transfer.unit_distance or float(np.mean(volume.spacing)),
-        float(isovalue),
-        np.asarray(color_of("color", color)),
-        shading,
-        termination,
     )
     width, height = size
     view = (camera or Camera.orbit()).view(volume, width / height)
@@ -303,7 +293,7 @@ def render(
         values = np.full(t.shape, math.nan)
         which, k = np.nonzero(there)
         values[there] = value(rays.at(t[which, k], which))
-        rgb, opacity, depth = gather(scene, rays, t, there, values, world_step)
+        rgb, opacity, depth = gather(scene, chosen, rays, t, there, values, world_step)
         total += np.concatenate([rgb, opacity[:, None]], 1) / samples
         if not guides:
             somewhere = np.isfinite(depth)
@@ -335,10 +325,10 @@ def _offsets(samples: int) -> Array:
 _Gathered: TypeAlias = tuple[Array, Array, Array]
 
 
-def _composite(scene: _Scene, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:
+def _composite(scene: _Scene, mode: Composite, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:
     classified = scene.transfer(np.where(there, values, 0.0))
     rgb, alpha = classified[..., :3], np.where(there, classified[..., 3], 0.0)
-    if scene.shading:
+    if mode.shading:
         which, k = np.nonzero(alpha > 0)
         gradient = scene.gradient(rays.at(t[which, k], which))
         rgb[which, k] = scene.lit(gradient, rgb[which, k], rays.direction[which])
@@ -346,28 +336,29 @@ def _composite(scene: _Scene, rays: Rays, t: Array, there: Bools, values: Array,
     after = np.cumprod(1 - opacity, axis=1)
     before = np.concatenate([np.ones((after.shape[0], 1)), after[:, :-1]], 1)
     # the sample that lets no more than `termination` through is the last
-    seen = (before > scene.termination) if scene.termination > 0 else np.ones_like(there)
+    seen = (before > mode.termination) if mode.termination > 0 else np.ones_like(there)
     share = np.where(seen, before * opacity, 0.0)
     half = seen & (after <= 0.5)
     depth = np.where(half.any(1), np.take_along_axis(t, half.argmax(1)[:, None], 1)[:, 0], math.inf)
     return np.einsum("nk,nkc->nc", share, rgb), share.sum(1), depth
 
 
-def _isosurface(scene: _Scene, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
-    above = values >= scene.isovalue
+def _isosurface(scene: _Scene, mode: Isosurface, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
+    assert mode.isovalue is not None  # it is settled
+    above = values >= mode.isovalue
     crossing = there[:, 1:] & there[:, :-1] & (above[:, 1:] != above[:, :-1])
     hit = np.flatnonzero(crossing.any(1))
     first = crossing[hit].argmax(1)
     near, far, side = t[hit, first], t[hit, first + 1], above[hit, first]
     for _ in range(_BISECTIONS):
         middle = (near + far) / 2
-        same = (scene.value(rays.at(middle, hit)) >= scene.isovalue) == side
+        same = (scene.value(rays.at(middle, hit)) >= mode.isovalue) == side
         near, far = np.where(same, middle, near), np.where(same, far, middle)
     depth = np.full(t.shape[0], math.inf)
     depth[hit] = far
     rgb = np.zeros((t.shape[0], 3))
-    rgb[hit] = scene.surface
-    if scene.shading:
+    rgb[hit] = mode.color
+    if mode.shading:
         rgb[hit] = scene.lit(scene.gradient(rays.at(far, hit)), rgb[hit], rays.direction[hit])
     return rgb, np.isfinite(depth).astype(float), depth
 
@@ -381,22 +372,22 @@ def _extreme(scene: _Scene, t: Array, there: Bools, values: Array, sign: float) 
     return color * some[:, None], some.astype(float), depth
 
 
-def _mip(scene: _Scene, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
+def _mip(scene: _Scene, mode: Mode, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
     return _extreme(scene, t, there, values, 1.0)
 
 
-def _minip(scene: _Scene, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
+def _minip(scene: _Scene, mode: Mode, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
     return _extreme(scene, t, there, values, -1.0)
 
 
-def _mean(scene: _Scene, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
+def _mean(scene: _Scene, mode: Mode, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
     some: Bools = np.asarray(there.any(1))
     mean = np.where(there, values, 0.0).sum(1) / np.maximum(there.sum(1), 1)
     color = scene.transfer(mean)[:, :3]
     return color * some[:, None], some.astype(float), np.full(t.shape[0], math.inf)
 
 
-_MODES: dict[str, Callable[[_Scene, Rays, Array, Bools, Array, Array], _Gathered]] = {
+_MODES: dict[str, Callable[[_Scene, Any, Rays, Array, Bools, Array, Array], _Gathered]] = {
     "composite": _composite,
     "isosurface": _isosurface,
     "mip": _mip,

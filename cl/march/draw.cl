@@ -1,0 +1,18 @@
+// Kernel: a picture, from the first sample of its rays to their colours, in one go. The fast path.
+
+#include "march/march.cl"
+#include "march/picture.cl"
+
+kernel void draw(COEFFICIENTS coefficients, const int4 extent, global const float2 *minmax, constant frame_t *frame,
+                 global const float4 *table, global float4 *rgba, global float *depth, global float *normals,
+                 global float *positions, global float *visited)
+{
+    const int left = (int)get_global_id(0) * TILE_WIDTH, top = (int)get_global_id(1) * TILE_HEIGHT;
+    if (left >= frame->picture.width || top >= frame->picture.height)
+        return;
+    const pictures_t pictures = { rgba, depth, normals, positions, visited };
+    tile_t tile;
+    begin_tile(&tile, frame, left, top);
+    march_tile(&tile, coefficients, extent, minmax, frame, table);
+    finish_tile(&tile, coefficients, extent, frame, table, &pictures);
+}

@@ -1,0 +1,83 @@
+// The end of rays: colours and guides into the picture.
+//
+// Set by the host: GUIDES, whether depths, normals, positions and shares of samples are wanted too.
+
+#include "march/march.cl"
+
+// Where pictures go; those that nobody wants are never written.
+typedef struct { global float4 *rgba; global float *depth, *normals, *positions, *visited; } pictures_t;
+
+// The lanes of the packet at pixel (x, y) that lie in the picture.
+#define EACH_PIXEL(x, y)             \
+    for (int i = 0; i < LANES; ++i)  \
+        if ((x) + i % LANES_ACROSS < frame->picture.width && (y) + i / LANES_ACROSS < frame->picture.height)
+
+INLINE void store_pixel(constant frame_t *frame, const int x, const int y, float4 color, float t, float3 normal, float3 place,
+                        const pictures_t *pictures)
+{
+    constant picture_block *picture = &frame->picture;
+    const size_t pixel = (size_t)y * picture->width + x;
+    global float4 *rgba = pictures->rgba + pixel;
+    color.xyz *= color.w;
+    color = picture->pass ? *rgba + color * picture->weight : color * picture->weight;
+    if (picture->pass == picture->last_pass) {
+        const float3 below = (float3)(picture->background[0], picture->background[1], picture->background[2]);
+        color.xyz = picture->opaque ? color.xyz + (1.0f - color.w) * below : color.w > 0.0f ? color.xyz / color.w : (float3)(0.0f);
+        color.w = picture->opaque ? 1.0f : color.w;
+        color = color > 0.0f ? color < 1.0f ? color : (float4)(1.0f) : (float4)(0.0f);
+    }
+    *rgba = color;
+    if (GUIDES && picture->pass == 0) {
+        pictures->depth[pixel] = t * frame->geometry.unit;
+        vstore3(normal, pixel, pictures->normals);
+        vstore3(place, pixel, pictures->positions);
+    }
+}
+
+// The end of the rays of a packet.
+INLINE void finish_packet(COEFFICIENTS coefficients, const sample_t *sample, const state_t *state, real gathered, const int x,
+                          const int y, const pictures_t *pictures)
+{
+    constant frame_t *frame = sample->frame;
+    const ray_t *ray = sample->ray;
+    real t;
+    const color_t color = finish(state, coefficients, sample, &t);
+
+    real3 normal = real3_of((real)(NAN), (real)(NAN), (real)(NAN)), place = normal;
+    const mask somewhere = t < NOWHERE;
+    if (GUIDES && any_lane(somewhere)) {
+        const real3 g = gradient_at(coefficients, sample, choose(somewhere, t, ray->enter), somewhere);
+        const real squared = dot3(g, g);
+        const real unit = choose(dot3(g, ray->world) > 0.0f, (real)(-1.0f), (real)(1.0f)) / square_root(squared);
+        const mask known = somewhere & (squared > 1.0f);
+        constant float *origin = frame->geometry.world_origin;
+        const real3 p = add3(scale3(matrix3(frame->geometry.index_to_world, at3(ray->origin, ray->direction, choose(somewhere, t, ray->enter))), (real)(frame->geometry.unit)),
+                             real3_of((real)(origin[0]), (real)(origin[1]), (real)(origin[2])));
+        normal = real3_of(choose(known, g.x * unit, normal.x), choose(known, g.y * unit, normal.y), choose(known, g.z * unit, normal.z));
+        place = real3_of(choose(somewhere, p.x, place.x), choose(somewhere, p.y, place.y), choose(somewhere, p.z, place.z));
+    }
+    const lanes_u red = { color.red }, green = { color.green }, blue = { color.blue }, opacity = { color.opacity }, depths = { t + ray->ahead };
+    const lanes_u nx = { normal.x }, ny = { normal.y }, nz = { normal.z }, x_ = { place.x }, y_ = { place.y }, z_ = { place.z };
+    EACH_PIXEL(x, y)
+        store_pixel(frame, x + i % LANES_ACROSS, y + i / LANES_ACROSS, (float4)(red.each[i], green.each[i], blue.each[i], opacity.each[i]), depths.each[i],
+                    (float3)(nx.each[i], ny.each[i], nz.each[i]), (float3)(x_.each[i], y_.each[i], z_.each[i]), pictures);
+    if (GUIDES && frame->picture.pass == 0) {
+        const real samples = ray->end - ray->begin + 1.0f + 2.0f * MARGIN;
+        const lanes_u share = { choose(ray->hits & (samples > 0.0f), gathered / samples, (real)(NAN)) };
+        EACH_PIXEL(x, y)
+            pictures->visited[(size_t)(y + i / LANES_ACROSS) * frame->picture.width + x + i % LANES_ACROSS] = share.each[i];
+    }
+}
+
+INLINE void finish_tile(const tile_t *tile, COEFFICIENTS coefficients, const int4 extent, constant frame_t *frame,
+                        global const float4 *table, const pictures_t *pictures)
+{
+    plane_t none;   // no sample is being gathered
+    none.usable = 0;
+    for (int g = 0; g < PACKETS; ++g) {
+        const int x = PACKET_X(tile->left, g), y = PACKET_Y(tile->top, g);
+        const sample_t sample = { frame, table, extent, tile->rays + g, &none, 0 };
+        if (x < frame->picture.width && y < frame->picture.height)
+            finish_packet(coefficients, &sample, tile->states + g, tile->gathered[g], x, y, pictures);
+    }
+}

@@ -1,0 +1,137 @@
+// The function along a ray: what a mode may ask for about one sample, for LANES rays at a time.
+//
+// Set by the host: PLANES (whether the rays of a tile share blended planes), CENTRAL (gradients by central differences).
+
+#include "base/lanes.cl"
+#include "base/math.cl"
+#include "base/vector.cl"
+#include "base/transpose.cl"
+#include "spline/filter.cl"
+#include "spline/fetch.cl"
+#include "spline/taps.cl"
+#include "spline/pairs.cl"
+#include "spline/cell.cl"
+#include "march/camera.cl"
+
+#if PLANES
+#define RARE OUT_OF_LINE   // kept out of the loop over samples on planes
+#include "march/plane.cl"
+#else
+#define RARE INLINE
+typedef struct { int made, usable; } plane_t;
+typedef struct { int nothing; } plane_sample_t;
+#endif
+
+// What there is to know about the samples that are gathered. (An image may be no member: coefficients are passed beside it.)
+typedef struct {
+    constant frame_t *frame;
+    global const float4 *table;     // of the transfer function
+    int4 extent;                    // of the coefficients
+    const ray_t *ray;
+    plane_t *plane;                 // that they lie on, if it is usable
+    plane_sample_t *on_plane;       // where on it
+} sample_t;
+
+// -- one ray ---------------------------------------------------------------------------------------------------
+
+// The cell of a position on a ray. However a ray was rounded, no tap of it, nor of the cells a sample away, lies
+// past what is stored.
+INLINE int stored_cell(int i, int last) { return i < GRID_SCALE ? GRID_SCALE : i > last ? last : i; }
+
+INLINE cell_t locate_stored(const int4 extent, float x, float y, float z)
+{
+    const int reach = TAPS + GRID_SCALE + EIGHT_FETCH_VALUE;
+    cell_t c = locate(x, y, z, extent.w);
+    c.x = stored_cell(c.x, extent.x - (WEIGHTS > reach ? WEIGHTS : reach));
+    c.y = stored_cell(c.y, extent.y - reach);
+    c.z = stored_cell(c.z, extent.z - reach);
+    return c;
+}
+
+RARE float value_one(COEFFICIENTS coefficients, const int4 extent, float x, float y, float z)
+{
+    return sample_value(coefficients, extent, locate_stored(extent, x, y, z));
+}
+
+// The value some samples away: the same fraction of another cell. (Adding to the position would round, and
+// where the function jumps the neighbour would at times be the wrong one.)
+RARE float value_beside(COEFFICIENTS coefficients, const int4 extent, cell_t c, int x, int y, int z)
+{
+    c.x += x * GRID_SCALE; c.y += y * GRID_SCALE; c.z += z * GRID_SCALE;
+    return sample_value(coefficients, extent, c);
+}
+
+// Per sample, not per stored coefficient.
+RARE gradient_t gradient_one(COEFFICIENTS coefficients, const int4 extent, float x, float y, float z)
+{
+    gradient_t g;
+    const cell_t c = locate_stored(extent, x, y, z);
+#if CENTRAL
+    g.x = 0.5f * (value_beside(coefficients, extent, c, 1, 0, 0) - value_beside(coefficients, extent, c, -1, 0, 0));
+    g.y = 0.5f * (value_beside(coefficients, extent, c, 0, 1, 0) - value_beside(coefficients, extent, c, 0, -1, 0));
+    g.z = 0.5f * (value_beside(coefficients, extent, c, 0, 0, 1) - value_beside(coefficients, extent, c, 0, 0, -1));
+#else
+    float value;
+    g = sample_gradient(coefficients, extent, c, &value);
+    g.x *= GRID_SCALE; g.y *= GRID_SCALE; g.z *= GRID_SCALE;
+#endif
+    return g;
+}
+
+// -- LANES rays: anywhere on them ------------------------------------------------------------------------------
+
+// Lanes that are not active are not evaluated.
+INLINE real value_at(COEFFICIENTS coefficients, const sample_t *sample, real t, mask active)
+{
+    const real3 p = at3(sample->ray->origin, sample->ray->direction, t);
+    const lanes_u x = { p.x }, y = { p.y }, z = { p.z };
+    const lane_masks_u wanted = { active };
+    lanes_u value = { (real)(0.0f) };
+    for (int i = 0; i < LANES; ++i)
+        if (wanted.each[i])
+            value.each[i] = value_one(coefficients, sample->extent, x.each[i], y.each[i], z.each[i]);
+    return value.all;
+}
+
+// The gradient in world directions. Its unit is the smallest gradient that is no rounding, so that squares stay in float's range.
+INLINE real3 gradient_at(COEFFICIENTS coefficients, const sample_t *sample, real t, mask active)
+{
+    const real3 p = at3(sample->ray->origin, sample->ray->direction, t);
+    const lanes_u x = { p.x }, y = { p.y }, z = { p.z };
+    const lane_masks_u wanted = { active };
+    lanes_u gx = { (real)(0.0f) }, gy = gx, gz = gx;
+    for (int i = 0; i < LANES; ++i)
+        if (wanted.each[i]) {
+            const gradient_t g = gradient_one(coefficients, sample->extent, x.each[i], y.each[i], z.each[i]);
+            gx.each[i] = g.x; gy.each[i] = g.y; gz.each[i] = g.z;
+        }
+    return transpose3(sample->frame->geometry.gradient, real3_of(gx.all, gy.all, gz.all));
+}
+
+// -- LANES rays: at the sample that is gathered ----------------------------------------------------------------
+
+#if PLANES
+
+INLINE real value_here(COEFFICIENTS coefficients, const sample_t *sample, real t, mask active)
+{
+    if (!sample->plane->usable)
+        return value_at(coefficients, sample, t, active);
+    const real3 p = at3(sample->ray->origin, sample->ray->direction, t);
+    const int axis = sample->frame->planes.axis;
+    return plane_value(sample->plane, sample->on_plane, axis == 0 ? p.y : p.x, axis == 2 ? p.y : p.z);
+}
+
+INLINE real3 gradient_here(COEFFICIENTS coefficients, const sample_t *sample, real t, mask active)
+{
+    if (CENTRAL || !sample->plane->usable)
+        return gradient_at(coefficients, sample, t, active);
+    const real3 g = plane_gradient(sample->plane, sample->on_plane, coefficients);   // along u, along v, across
+    const int axis = sample->frame->planes.axis;
+    return transpose3(sample->frame->geometry.gradient,
+                      axis == 0 ? real3_of(g.z, g.x, g.y) : axis == 1 ? real3_of(g.x, g.z, g.y) : g);
+}
+
+#else
+#define value_here value_at
+#define gradient_here gradient_at
+#endif

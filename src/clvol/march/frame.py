@@ -1,0 +1,189 @@
+"""One picture made definite: everything that its kernels read, computed in float64."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.camera import Camera, View
+from clvol.device import Device, Tile
+from clvol.light import LIGHTS, Material, lights_block
+from clvol.march.planes import SLAB, Planes
+from clvol.mode import Mode
+from clvol.program import Program
+from clvol.scene import CLIP, Medium, Scene, clip_block
+from clvol.spline.coefficients import Coefficients
+from clvol.spline.evaluator import Evaluator
+from clvol.spline.minmax import BLOCK, MINMAX, Bounds, minmax_block
+from clvol.transfer import TABLE_SIZE, TransferFunction
+from clvol.uniform import FLOAT, INT, Block, Values
+
+__all__ = ["BY_PLANES", "BY_RAYS", "PICTURE", "Frame", "frame_block"]
+
+BY_RAYS = Tile(1, 1, 1, shared=False)  # for GPUs, and wherever coefficients are not read as rows of a buffer
+BY_PLANES = Tile(16, 16, 8, shared=True)  # for processors
+
+PICTURE = Block(
+    "picture_block",
+    offset=(FLOAT, 2),
+    background=(FLOAT, 3),
+    weight=FLOAT,
+    width=INT,
+    height=INT,
+    opaque=INT,
+    **{"pass": INT, "last_pass": INT},
+)
+
+
+@lru_cache
+def frame_block(mode: Block) -> tuple[Block, str]:
+    """The parameter block of a picture, the blocks of all that it is made from, and its declaration for the kernels."""
+    block = Block(
+        "frame_t",
+        camera=View.BLOCK,
+        geometry=Medium.BLOCK,
+        clip=CLIP,
+        planes=Planes.BLOCK,
+        transfer=TransferFunction.BLOCK,
+        material=Material.BLOCK,
+        lights=LIGHTS,
+        mode=mode,
+        minmax=MINMAX,
+        picture=PICTURE,
+    )
+    return block, "// generated\n" + block.declaration()
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A picture made definite for a device.
+
+    Attributes
+    ----------
+    coefficients : Coefficients
+        Of the medium.
+    minmax : Bounds or None
+        Of the medium, where space is skipped.
+    mode : Mode
+        Settled for the medium's volume.
+    evaluator : Evaluator
+    planes : Planes
+    central, guides : bool
+        Whether gradients are central differences; whether more than the picture is wanted.
+    values : ndarray
+        The parameter block.
+    table : ndarray of float32
+        The transfer function's nodes, and behind them for each the next one that has some opacity.
+    """
+
+    coefficients: Coefficients
+    minmax: Bounds | None
+    mode: Mode
+    evaluator: Evaluator
+    planes: Planes
+    central: bool
+    guides: bool
+    values: Values
+    table: NDArray[np.float32]
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        coefficients: Coefficients,
+        minmax: Bounds | None,
+        camera: Camera,
+        mode: Mode,
+        size: tuple[int, int],
+        step: float,
+        transfer: TransferFunction,
+        evaluator: Evaluator,
+        *,
+        central: bool,
+        guides: bool,
+    ) -> Frame:
+        """The frame of a scene whose medium's coefficients are resident, by a camera and a mode."""
+        (medium,), (width, height) = scene.media, size
+        volume = medium.volume
+        view = camera.view(volume, width / height)
+        planes = Planes(volume, view, width / height, step)
+        block, _ = frame_block(mode.BLOCK)
+        values = block(
+            camera=view.block(volume, width, height),
+            geometry=medium.block(),
+            clip=clip_block(scene.clip, volume),
+            planes=planes.block(),
+            transfer=transfer.block(volume.mean_spacing),
+            material=medium.material.block(),
+            lights=lights_block(scene.lights),
+            mode=mode.block(volume),
+            minmax=minmax_block(minmax, volume),
+            picture=PICTURE(
+                offset=0.5,
+                background=scene.background or 0.0,
+                weight=1.0,
+                width=width,
+                height=height,
+                opaque=scene.background is not None,
+                **{"pass": 0, "last_pass": 0},
+            ),
+        )
+        return cls(coefficients, minmax, mode, evaluator, planes, central, guides, values, _searchable(transfer.table()))
+
+    @property
+    def device(self) -> Device:
+        return self.coefficients.device
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+        picture = self.values["picture"]
+        return int(picture["width"]), int(picture["height"])
+
+    @property
+    def tile(self) -> Tile:
+        """The rays of a work-item."""
+        if self.device.limits.tile is not None:
+            return Tile(*self.device.limits.tile)
+        rows = not self.evaluator.image and not self.evaluator.eight_fetch
+        return BY_PLANES if self.device.kind == "cpu" and rows else BY_RAYS
+
+    def sampled(self, offset: NDArray[np.float64], number: int, samples: int) -> Values:
+        """The parameter block for one ray of each pixel's `samples`, that at `offset` in the pixel."""
+        values = self.values.copy()
+        picture = values["picture"]
+        picture["offset"], picture["weight"], picture["pass"], picture["last_pass"] = offset, 1 / samples, number, samples - 1
+        return values
+
+    def program(self, name: str) -> Program:
+        """A kernel file of the ray loop, specialised for this frame."""
+        tile, mode = self.tile, self.mode
+        defines: Mapping[str, Any] = {
+            **self.coefficients.defines(self.evaluator),
+            "LANES": tile.lanes,
+            "TILE_WIDTH": tile.width,
+            "TILE_HEIGHT": tile.height,
+            "PLANES": int(tile.shared),
+            "ENDPOINTS": int(mode.endpoints),
+            "SHADED": int(mode.shaded),
+            "STATE_FIELDS": mode.state_fields,
+            "CENTRAL": int(self.central),
+            "GUIDES": int(self.guides),
+            "TABLE_SIZE": TABLE_SIZE,
+            "BLOCK": BLOCK * self.coefficients.filter.scale,
+            "SLAB": SLAB,
+            "COORD_DOUBLE": 0,
+        }
+        _, declaration = frame_block(mode.BLOCK)
+        return self.device.build(name, defines, {"mode.cl": mode.file}, {"frame.cl": declaration})
+
+
+def _searchable(table: NDArray[np.float32]) -> NDArray[np.float32]:
+    seen = np.where(table[:, 3] > 0, np.arange(len(table), dtype=np.float32), np.float32(np.inf))
+    following = np.minimum.accumulate(seen[::-1])[::-1]
+    return np.concatenate([table.ravel(), following])

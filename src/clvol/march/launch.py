@@ -1,0 +1,192 @@
+"""Kernels of the ray loop on a device: the fused `draw`, and the same in parts."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.march.frame import Frame
+from clvol.march.planes import pixel_offsets
+from clvol.spline.build import row_reach, row_width
+
+__all__ = ["CHANNELS", "States", "draw", "finish_states", "march_rays", "merge_states"]
+
+Floats = NDArray[np.float32]
+
+CHANNELS: dict[str, tuple[int, ...]] = {"rgba": (4,), "depth": (), "normal": (3,), "position": (3,), "visited": ()}
+_ROW_SECONDS = 1.5e-9  # a generous guess of the time of one row of taps on one processor core; corrected as tiles finish
+
+
+def draw(frame: Frame, samples: int = 1, progress: Callable[[float], None] | None = None) -> dict[str, Floats]:
+    """The picture of a frame with so many rays a pixel, and its guides if the frame has them; each (height, width, ...)."""
+    kernel, inputs = frame.program("march/draw.cl").kernel("draw"), _Inputs(frame)
+    (width, height), budget = frame.size, _Budget(frame)
+    with _pictures(frame) as (arrays, buffers):
+        for i, offset in enumerate(pixel_offsets(samples)):
+            block = frame.device.upload(frame.sampled(offset, i, samples)[None])
+            for x, y, w, h in budget.tiles(width, height):
+                _launch(frame, kernel, (x, y, w, h), inputs.source, inputs.extent, inputs.minmax, block, inputs.table, *buffers)
+                if progress:
+                    progress((i + min(1.0, ((y + h) * width) / (width * height))) / samples)
+    return arrays
+
+
+# -- in parts ----------------------------------------------------------------------------------------------
+
+
+class States:
+    """What every ray of a frame carries after some of its samples, on the device.
+
+    Attributes
+    ----------
+    frame : Frame
+    buffer : Buffer
+        float32 of shape (fields, height, width): the mode's fields, and how many samples were gathered.
+    """
+
+    def __init__(self, frame: Frame) -> None:
+        width, height = frame.size
+        self.frame = frame
+        self.buffer = frame.device.allocate(4 * (frame.mode.state_fields + 1) * width * height)
+
+    def release(self) -> None:
+        """Free the device's memory."""
+        if self.buffer is not None:
+            self.buffer.release()
+            self.buffer = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.release()
+
+
+def march_rays(frame: Frame, first: float = -math.inf, last: float = math.inf, states: States | None = None) -> States:
+    """The rays through the middles of the pixels after samples number `first` to `last`.
+
+    Parameters
+    ----------
+    frame : Frame
+    first, last : float
+        Numbers of samples, from 0 at the first plane that a ray of the picture may cross; all by default.
+    states : States, optional
+        After the samples before `first`; they are carried on, and returned. By default rays begin anew; a mode that looks
+        at neighbouring samples then takes those before `first` too.
+    """
+    kernel, inputs = frame.program("march/split.cl").kernel("march_rays"), _Inputs(frame)
+    carried, states = states is not None, States(frame) if states is None else states
+    block = frame.device.upload(frame.values[None])
+    for area in _Budget(frame).tiles(*frame.size):
+        _launch(
+            frame,
+            kernel,
+            area,
+            inputs.source,
+            inputs.extent,
+            inputs.minmax,
+            block,
+            inputs.table,
+            np.float32(first),
+            np.float32(last),
+            np.int32(carried),
+            states.buffer,
+        )
+    return states
+
+
+def merge_states(front: States, back: States) -> States:
+    """Two stretches of the same rays as one, in the place of the front one.
+
+    The picture is that of one stretch: bit by bit for surfaces and extremes, within 1e-6 where light or values are added up.
+    The depth of "composite" is that at which one stretch stops half of its light by itself; states that are carried on
+    (`march_rays`) give the exact one.
+    """
+    frame = front.frame
+    kernel = frame.program("march/split.cl").kernel("merge_states")
+    block = frame.device.upload(frame.values[None])
+    _launch(frame, kernel, (0, 0, *frame.size), block, front.buffer, back.buffer)
+    return front
+
+
+def finish_states(states: States) -> dict[str, Floats]:
+    """The picture that rays in these states make, and its guides, as `draw` gives them."""
+    frame = states.frame
+    kernel, inputs = frame.program("march/split.cl").kernel("finish_states"), _Inputs(frame)
+    block = frame.device.upload(frame.values[None])
+    with _pictures(frame) as (arrays, buffers):
+        _launch(frame, kernel, (0, 0, *frame.size), inputs.source, inputs.extent, block, inputs.table, states.buffer, *buffers)
+    return arrays
+
+
+# -- inner -------------------------------------------------------------------------------------------------
+
+
+class _Inputs:
+    """What a frame's kernels read, on the device."""
+
+    def __init__(self, frame: Frame) -> None:
+        self.source, self.extent = frame.coefficients.argument(frame.evaluator), frame.coefficients.extent
+        self.table = frame.device.upload(frame.table)
+        self.minmax = self.table if frame.minmax is None else frame.minmax.buffer  # any buffer: it is not read
+
+
+@contextlib.contextmanager
+def _pictures(frame: Frame) -> Iterator[tuple[dict[str, Floats], list[Any]]]:
+    """The arrays of a frame's pictures, and the buffers that kernels write them through."""
+    width, height = frame.size
+    arrays = {name: np.empty((height, width, *n), np.float32) for name, n in CHANNELS.items() if frame.guides or name == "rgba"}
+    unused = [frame.device.allocate(4) for _ in range(len(CHANNELS) - len(arrays))]  # nobody wants them: never written
+    with contextlib.ExitStack() as lent:
+        yield arrays, [lent.enter_context(frame.device.lent(array, write=True)) for array in arrays.values()] + unused
+
+
+def _launch(frame: Frame, kernel: Any, area: tuple[int, int, int, int], *arguments: Any) -> None:
+    """One launch over the pixels of an area (x, y, width, height) that begins a tile, to its end."""
+    (x, y, w, h), tile, device = area, frame.tile, frame.device
+    shape = (1, 1) if tile.shared else (8, 8)
+    tiles = (-(-w // tile.width), -(-h // tile.height))
+    items = tuple(-(-n // m) * m for n, m in zip(tiles, shape, strict=True))
+    with device.errors:
+        kernel(device.queue, items, shape, *arguments, global_offset=(x // tile.width, y // tile.height))
+    device.finish()
+
+
+class _Budget:
+    """Cuts a frame into areas, none of which should take longer than the device's limit for a launch.
+
+    The time of a ray is bounded by its number of planes; the guess of the time of one sample is raised
+    when an area took longer than guessed, and never lowered: the next one may hold what this one did not.
+    """
+
+    def __init__(self, frame: Frame) -> None:
+        device, row = frame.device, frame.coefficients.filter
+        cores = int(device.handle.max_compute_units) * (1 if device.kind == "cpu" else 32)
+        chunks = row_reach(row) // row_width(row)
+        together = frame.tile.shared and not frame.planes.oblique
+        rows = row.support * chunks / 2 + 2 if together else row.support**2 * chunks + 8
+        costly = frame.central or frame.mode.shaded
+        self._across, self._down = math.lcm(16, frame.tile.width), math.lcm(16, frame.tile.height)
+        self._seconds = device.limits.launch_seconds
+        self._per_pixel = frame.planes.count * rows * _ROW_SECONDS * (3 if costly else 1) / max(1, cores)
+
+    def tiles(self, width: int, height: int) -> Iterator[tuple[int, int, int, int]]:
+        """(x, y, width, height) of each area, each a multiple of a tile, but at the picture's edges."""
+        y = 0
+        while y < height:
+            area = self._seconds / self._per_pixel
+            h = min(height - y, max(1, int(area / width) // self._down) * self._down)
+            x = 0
+            while x < width:
+                w = min(width - x, max(1, int(self._seconds / self._per_pixel / h) // self._across) * self._across)
+                started = time.perf_counter()
+                yield x, y, w, h
+                self._per_pixel = max(self._per_pixel, (time.perf_counter() - started) / (w * h))
+                x += w
+            y += h

@@ -1,0 +1,105 @@
+"""On which planes a view is sampled, and where in their pixels rays lie.
+
+The samples of a ray are where it crosses equally spaced planes perpendicular to one axis of the volume,
+the axis most parallel to the view. In index space an axis of ``n`` samples spans ``[-1/2, n - 1/2]``;
+it holds ``K`` planes at ``-1/2 + (k + 1/2) n / K``, with ``K`` the smallest number such that no ray advances
+more than `step` voxels from one plane to the next. Rays that make an angle of more than 60° with the
+axis would need planes too close: they step `step` voxels along themselves, from half a step past where
+they enter. `reference/march/march.py` samples the same planes.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.camera import View
+from clvol.errors import OptionError
+from clvol.spline.minmax import BLOCK
+from clvol.uniform import FLOAT, INT, Block, Values
+from clvol.volume import Volume
+
+__all__ = ["OBLIQUE", "SLAB", "Planes", "pixel_offsets"]
+
+OBLIQUE = 0.5  # cosine between ray and axis below which a ray steps along itself
+SLAB = 8  # samples of a segment at most: a work-item holds a blended plane for each
+_MAX_PLANES = 1 << 20
+_MAX_STEP = 1e30  # as good as any longer one
+
+
+class Planes:
+    """The planes on which a view is sampled.
+
+    Parameters
+    ----------
+    volume : Volume
+    view : View
+    aspect : float
+        Width of the picture by its height.
+    step : float
+        The most that a ray advances between samples, in voxels.
+
+    Attributes
+    ----------
+    axis : int
+        0, 1 or 2 for x, y, z.
+    count : int
+        How many.
+    spacing : float
+        Their distance in voxels.
+    oblique : bool
+        Whether some rays are too oblique to them and step along themselves.
+
+    Raises
+    ------
+    OptionError
+        There would be more than 2²⁰ planes, or samples on a ray.
+    """
+
+    BLOCK: ClassVar[Block] = Block(
+        "planes_block", first=FLOAT, last=FLOAT, spacing=FLOAT, stride=FLOAT, count=FLOAT, oblique=FLOAT, slab=FLOAT, axis=INT
+    )
+
+    def __init__(self, volume: Volume, view: View, aspect: float, step: float) -> None:
+        self.step = step = min(step, _MAX_STEP)
+        inverse = volume.world_to_index_matrix
+        forward = inverse @ view.forward
+        self.axis = int(np.argmax(np.abs(forward)))
+        corners = [forward]
+        if not view.orthographic:
+            sides = [(a, b) for a in (-1, 1) for b in (-1, 1)]
+            corners = [inverse @ (view.forward + view.half_height * (a * aspect * view.right + b * view.up)) for a, b in sides]
+        cosine = min(abs(float(d[self.axis])) / float(np.linalg.norm(d)) for d in corners)
+        if any(d[self.axis] * forward[self.axis] < 0 for d in corners):
+            cosine = 0.0  # so wide that some rays run the other way
+        self._samples = volume.size[self.axis]
+        self.oblique = cosine < OBLIQUE
+        wanted = self._samples / (step * max(cosine, OBLIQUE))
+        if wanted > _MAX_PLANES:
+            raise OptionError(f"step must give no more than {_MAX_PLANES} planes; {step:g} would give {wanted:.3g}")
+        if self.oblique and math.hypot(*volume.size) > _MAX_PLANES * step:
+            raise OptionError(f"step must give no more than {_MAX_PLANES} samples a ray; got {step:g} for oblique rays")
+        self.count = max(1, math.ceil(wanted - 1e-9))
+        self.spacing = self._samples / self.count
+
+    def block(self) -> Values:
+        """What kernels read: the planes from both ends, and how many samples a segment has, which cross about one block."""
+        return self.BLOCK(
+            first=-0.5 + self.spacing / 2,
+            last=self._samples - 0.5 - self.spacing / 2,
+            spacing=self.spacing,
+            stride=self.step,
+            count=self.count,
+            oblique=OBLIQUE,
+            slab=min(SLAB, max(1, int(BLOCK / max(self.spacing, self.step)))),
+            axis=self.axis,
+        )
+
+
+def pixel_offsets(samples: int) -> NDArray[np.float64]:
+    """Where in a pixel its samples lie: the first in the middle, the others by the R2 sequence; (samples, 2)."""
+    golden = np.array([0.7548776662466927, 0.5698402909980532])  # 1/g, 1/g² with g³ = g + 1
+    return np.asarray((0.5 + np.arange(samples)[:, None] * golden) % 1.0)

@@ -1,0 +1,178 @@
+"""What a picture shows: media, the lights on them, what is behind them, and the box that is cut out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.checks import instance
+from clvol.color import color_of
+from clvol.errors import GeometryError, OptionError
+from clvol.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.light import HEADLIGHT, Light, Material
+from clvol.transfer import TransferFunction
+from clvol.uniform import FLOAT, INT, Block, Values
+from clvol.volume import Volume, as_volume
+
+__all__ = ["CLIP", "FLAT", "Medium", "Scene", "as_scene", "clip_block"]
+
+FLAT = 1e-5
+"""Gradients below this share of the range, or of the largest magnitude, per mean spacing are rounding: they give no normal."""
+
+CLIP = Block("clip_block", low=(FLOAT, 3), high=(FLOAT, 3), clipped=INT)
+_MAX_ANISOTROPY = 1e6  # of spacings: what float32 carries
+
+Box = tuple[Sequence[float], Sequence[float]]
+
+
+@dataclass(frozen=True, eq=False)
+class Medium:
+    """A volume, how it is reconstructed between its samples, and how its matter looks.
+
+    Parameters
+    ----------
+    volume : Volume or array-like, 3-D
+        The samples.
+    transfer : TransferFunction, optional
+        From values to colours and opacities; by default what the mode of the picture shows most volumes with.
+    material : Material
+        How its matter answers light.
+    filter, boundary : str, Filter, Boundary
+        How it is reconstructed.
+
+    Raises
+    ------
+    OptionError
+        The volume does not have three axes, or no filter or boundary has this name.
+    GeometryError
+        Its spacings differ by a factor of more than 10⁶, or lie outside 10⁻³⁰ to 10³⁰: float32 could not tell samples apart.
+    """
+
+    volume: Volume
+    transfer: TransferFunction | None = None
+    material: Material = Material()  # noqa: RUF009  # frozen
+    filter: Filter = DEFAULT_FILTER  # type: ignore[assignment]  # __post_init__ looks names up
+    boundary: Boundary = DEFAULT_BOUNDARY  # type: ignore[assignment]
+
+    BLOCK: ClassVar[Block] = Block(
+        "geometry_block",
+        index_to_world=(FLOAT, 9),
+        gradient=(FLOAT, 9),
+        world_origin=(FLOAT, 3),
+        low=(FLOAT, 3),
+        high=(FLOAT, 3),
+        unit=FLOAT,
+    )
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "volume", as_volume(self.volume))
+        object.__setattr__(self, "filter", as_filter(self.filter))
+        object.__setattr__(self, "boundary", as_boundary(self.boundary))
+        if self.transfer is not None:
+            instance("transfer", self.transfer, TransferFunction)
+        instance("material", self.material, Material)
+        if self.volume.ndim != 3:
+            raise OptionError(f"rendering takes a volume with 3 axes; got shape {self.volume.shape}")
+        low, high = min(self.volume.spacing), max(self.volume.spacing)
+        if high > _MAX_ANISOTROPY * low or not 1e-30 <= low <= high <= 1e30:
+            raise GeometryError(
+                "rendering takes spacings from 1e-30 to 1e30 that differ by a factor of up to "
+                f"{_MAX_ANISOTROPY:g}; got {self.volume.spacing}"
+            )
+
+    def block(self) -> Values:
+        """What kernels read: the domain, its map to the world, and gradients in units of the smallest that is no rounding."""
+        volume = self.volume
+        low, high = volume.value_range
+        unit, inverse = volume.mean_spacing, volume.world_to_index_matrix
+        flat = FLAT * max(high - low, high, -low) / unit
+        return self.BLOCK(
+            index_to_world=volume.index_to_world_matrix.ravel() / unit,
+            gradient=inverse.ravel() / max(flat, 1e-36 * float(np.abs(inverse).max())),  # finite in float32
+            world_origin=volume.origin,
+            low=-0.5,
+            high=np.asarray(volume.size) - 0.5,
+            unit=unit,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Everything that a picture shows.
+
+    Parameters
+    ----------
+    media : Medium, Volume, array-like or a sequence of Medium
+        What there is to see; so far one medium.
+    lights : Light or sequence of Light
+        Up to 4; by default a headlight.
+    background : three numbers, a name, or None
+        Behind the media. None leaves the picture transparent; its colours are then not premultiplied.
+    clip : (low, high), optional
+        A box of world coordinates (x, y, z) outside which nothing is drawn.
+
+    Raises
+    ------
+    OptionError
+        No medium or several, something that is no light, or a background that is no colour.
+    GeometryError
+        A box that is none.
+    """
+
+    media: tuple[Medium, ...]
+    lights: tuple[Light, ...] = (HEADLIGHT,)
+    background: tuple[float, float, float] | None = (0.0, 0.0, 0.0)
+    clip: Box | None = None
+
+    def __post_init__(self) -> None:
+        media = self.media
+        if isinstance(media, (list, tuple)) and any(isinstance(medium, Medium) for medium in media):
+            media = tuple(as_medium(medium) for medium in media)
+        else:
+            media = (as_medium(media),)  # type: ignore[arg-type]  # a volume or an array
+        if len(media) != 1:
+            raise OptionError(f"a scene may have one medium so far; got {len(media)}")
+        lights = (self.lights,) if isinstance(self.lights, Light) else self.lights
+        if not isinstance(lights, Sequence) or not all(isinstance(light, Light) for light in lights):
+            raise OptionError(f"lights must be a Light or a sequence of them; got {lights!r}")
+        object.__setattr__(self, "media", media)
+        object.__setattr__(self, "lights", tuple(lights))
+        if self.background is not None:
+            object.__setattr__(self, "background", color_of("background", self.background))
+        if self.clip is not None:
+            object.__setattr__(self, "clip", _box(self.clip))
+
+
+def as_medium(choice: Medium | Volume | ArrayLike) -> Medium:
+    """A medium itself, or one of a volume or an array."""
+    return choice if isinstance(choice, Medium) else Medium(choice)  # type: ignore[arg-type]  # __post_init__ converts
+
+
+def as_scene(choice: Scene | Medium | Volume | ArrayLike) -> Scene:
+    """A scene itself, or one of a medium, a volume or an array."""
+    return choice if isinstance(choice, Scene) else Scene((as_medium(choice),))
+
+
+def clip_block(clip: Box | None, volume: Volume) -> Values:
+    """What kernels read of a box: relative to the volume's origin, in mean spacings."""
+    if clip is None:
+        return CLIP(low=0.0, high=0.0, clipped=0)
+    low, high = ((np.asarray(corner) - np.asarray(volume.origin)) / volume.mean_spacing for corner in clip)
+    return CLIP(low=low, high=high, clipped=1)
+
+
+def _box(clip: Box) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    try:
+        low, high = (np.array([float(v) for v in corner]) for corner in clip)
+    except (TypeError, ValueError):
+        raise GeometryError(f"clip must be two corners (x, y, z); got {clip!r}") from None
+    if low.shape != (3,) or high.shape != (3,) or np.isnan(low).any() or np.isnan(high).any() or (low >= high).any():
+        raise GeometryError(
+            f"clip must be two corners (x, y, z), each coordinate of the first less than of the second; got {clip!r}"
+        )
+    return low, high

@@ -1,0 +1,65 @@
+"""Parameter blocks of the kernels: each declared once, as a NumPy dtype and as the C struct that has the same layout.
+
+A type that kernels read owns its block: its declaration (`BLOCK`) and the values (`block(...)`). Every number is four bytes
+wide, so that the layout is the same everywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["FLOAT", "INT", "Block", "Values"]
+
+FLOAT, INT = np.float32, np.int32
+Values: TypeAlias = NDArray[np.void]
+"""The values of a block: one element of its dtype."""
+
+Kind: TypeAlias = "type[np.float32 | np.int32] | Block | tuple[type[np.float32 | np.int32], int]"
+
+
+class Block:
+    """The fields of a block.
+
+    Parameters
+    ----------
+    name : str
+        The type's name in OpenCL C.
+    **fields : FLOAT, INT, (FLOAT, n), (INT, n) or Block
+        Numbers, arrays of them, and blocks within this one.
+
+    Attributes
+    ----------
+    dtype : numpy.dtype
+    """
+
+    def __init__(self, name: str, **fields: Kind) -> None:
+        self.name = name
+        self.fields = fields or {"unused": INT}  # C has no empty struct
+        members: list[Any] = [(key, kind.dtype if isinstance(kind, Block) else kind) for key, kind in self.fields.items()]
+        self.dtype: np.dtype[np.void] = np.dtype(members)
+
+    def __call__(self, **values: ArrayLike) -> Values:
+        """The block with these values, one for each field."""
+        if values.keys() != self.fields.keys() and (values or "unused" not in self.fields):
+            raise TypeError(f"{self.name} has the fields {', '.join(self.fields)}; got {', '.join(values)}")
+        result = np.zeros((), self.dtype)
+        for key, value in values.items():
+            result[key] = value
+        return result
+
+    def declaration(self) -> str:
+        """The struct in OpenCL C, behind those of the blocks within it."""
+        parts: Sequence[Block] = [kind for kind in self.fields.values() if isinstance(kind, Block)]
+        members = "\n".join(f"    {_member(key, kind)};" for key, kind in self.fields.items())
+        return "".join(part.declaration() for part in parts) + f"typedef struct {{\n{members}\n}} {self.name};\n"
+
+
+def _member(key: str, kind: Any) -> str:
+    if isinstance(kind, Block):
+        return f"{kind.name} {key}"
+    base, count = kind if isinstance(kind, tuple) else (kind, 0)
+    return f"{'int' if base is INT else 'float'} {key}" + (f"[{count}]" if count else "")
