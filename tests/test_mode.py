@@ -1,39 +1,110 @@
-"""The table of modes: each has its kernel file and its reference."""
+"""Modes: a class, a kernel file and a reference each; options are fields, and foreign ones are refused by name."""
 
 from __future__ import annotations
 
+import re
+from typing import Any
+
+import numpy as np
 import pytest
 
-from clvol import program
+from clvol import phantoms, program
 from clvol.errors import OptionError
-from clvol.mode import DEFAULT_MODE, Mode, as_mode, modes
-from clvol.reference import march
+from clvol.mode import DEFAULT_MODE, Composite, Isosurface, Mode, as_mode, every_option, mode_options, modes
+from clvol.reference.march import march
+from clvol.transfer import otsu_threshold
+
+KERNEL = ("state_t", "begin", "gather", "matters", "merge", "finish", "finished", "REACH", "ANY_ORDER", "PROMISE")
 
 
 @pytest.mark.parametrize("name", modes())
 def test_each_mode_has_a_kernel_file_and_a_reference(name: str) -> None:
     mode = as_mode(name)
     assert mode.name == name
-    assert as_mode(mode) is mode
+    assert as_mode(mode) == mode
     assert mode.description
     text = program.source(mode.file)
-    for word in ("begin", "gather", "finish", "state_t"):
-        assert word in text
+    for word in KERNEL:
+        assert re.search(rf"\b{word}\b", text), word
     assert "for (" not in text or name == "isosurface"  # the ray loop is march.cl's; isosurface refines
-    assert name in march._MODES
+    assert name in march.MODES
 
 
 def test_the_table_is_a_copy() -> None:
     modes().clear()
     assert DEFAULT_MODE in modes()
-    assert set(march._MODES) == set(modes())
+    assert set(march.MODES) == set(modes())
 
 
-@pytest.mark.parametrize("wrong", ["MIP", "", None, 3])
-def test_unknown_modes(wrong: object) -> None:
-    with pytest.raises(OptionError, match=r"mode must be one of composite, isosurface, mip, minip, mean; got "):
-        as_mode(wrong)  # type: ignore[arg-type]
+@pytest.mark.parametrize("name", modes())
+def test_every_option_is_a_field_that_is_described(name: str) -> None:
+    for option, says in mode_options(modes()[name]).items():
+        assert option in every_option()
+        assert len(says) > 10, option
+        assert says.endswith("."), option
 
 
-def test_a_mode_is_a_row() -> None:
-    assert Mode("fog", "none").file == "modes/fog.cl"
+@pytest.mark.parametrize("wrong", ["MIP", "", None, 3, Composite])
+def test_unknown_modes(wrong: Any) -> None:
+    with pytest.raises(OptionError, match=r"mode must be one of composite, isosurface, mip, minip, .*mean.*; got "):
+        as_mode(wrong)
+
+
+def test_options_of_other_modes_are_refused_by_name() -> None:
+    with pytest.raises(OptionError, match="isovalue is no option of mip, but of isosurface; mip has none"):
+        as_mode("mip", {"isovalue": 0.5})
+    with pytest.raises(OptionError, match="shading is no option of mean, but of composite and isosurface; mean has none"):
+        as_mode("mean", {"shading": True})
+    with pytest.raises(OptionError, match="speed is no option of composite; composite has shading, termination"):
+        as_mode("composite", {"speed": 1})
+    with pytest.raises(OptionError, match="termination is no option of isosurface, but of composite"):
+        as_mode(Isosurface(), {"termination": 0.1})
+
+
+BAD: dict[str, tuple[str, dict[str, Any], str]] = {
+    "isovalue NaN": ("isosurface", {"isovalue": float("nan")}, "isovalue must be a finite number; got nan"),
+    "isovalue text": ("isosurface", {"isovalue": "high"}, "isovalue must be a finite number; got 'high'"),
+    "color": ("isosurface", {"color": "no colour"}, "color must be three numbers, or the name"),
+    "two colours": ("isosurface", {"color": (1, 2)}, "color must be three numbers"),
+    "tolerance": ("isosurface", {"tolerance": -1}, "tolerance must be a finite number, at least 0; got -1"),
+    "shading": ("isosurface", {"shading": "yes"}, "shading must be True or False; got 'yes'"),
+    "shading as a number": ("composite", {"shading": 1}, "shading must be True or False; got 1"),
+    "termination": ("composite", {"termination": 1}, "termination must be a finite number, at least 0 and less than 1; got 1"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_values_of_options(case: str) -> None:
+    mode, options, message = BAD[case]
+    with pytest.raises(OptionError, match=message):
+        as_mode(mode, options)
+
+
+def test_options_change_a_mode_and_leave_the_rest() -> None:
+    mode = as_mode(Isosurface(0.5, color="red"), {"shading": np.bool_(False)})
+    assert mode == Isosurface(0.5, (1.0, 0.0, 0.0), shading=False)
+    assert not mode.shaded
+    assert as_mode("composite").shaded
+    assert not as_mode("mip").shaded
+
+
+def test_what_is_left_open_is_settled_for_a_volume() -> None:
+    volume = phantoms.marschner_lobb(11)
+    assert as_mode("isosurface").settled(volume) == Isosurface(otsu_threshold(volume))
+    assert Isosurface(0.2).settled(volume) == Isosurface(0.2)
+    assert Composite().settled(volume) == Composite()
+
+
+def test_the_default_look_of_each_mode() -> None:
+    volume = phantoms.marschner_lobb(11)
+    low, high = volume.value_range
+    assert as_mode("mip").transfer(volume).value_range == (low, high)
+    assert as_mode("mean").transfer(volume).value_range == (low, low + 0.5 * (high - low))  # means seldom reach the largest
+    assert len(as_mode("composite").transfer(volume).opacities) > 1
+
+
+def test_a_mode_is_a_class() -> None:
+    class Fog(Mode):
+        name = "fog"
+
+    assert Fog().file == "modes/fog.cl"

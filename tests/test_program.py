@@ -14,12 +14,13 @@ from clvol import program
 from clvol.device import Device
 from clvol.errors import DeviceError
 from clvol.filter import as_filter, filters
-from clvol.march.renderer import FRAME, _frame_declaration
+from clvol.march.frame import frame_block
 from clvol.mode import modes
 from clvol.spline import build
 
 KERNELS = [
-    "march/march.cl",
+    "march/draw.cl",
+    "march/split.cl",
     "spline/points.cl",
     "spline/sort.cl",
     "spline/prefilter.cl",
@@ -30,7 +31,7 @@ KERNELS = [
 ]
 FOLDER = program.folder()
 EVERY = sorted(str(p.relative_to(FOLDER)) for p in FOLDER.rglob("*.cl"))
-GENERATED = {"frame.cl": _frame_declaration()}
+GENERATED = {"frame.cl": frame_block(modes()["mip"].BLOCK)[1]}
 
 
 def spliced(name: str) -> str:
@@ -86,7 +87,7 @@ def test_an_include_seen_before_leaves_no_gap() -> None:
 
 def test_a_mode_takes_its_place() -> None:
     for mode in modes().values():
-        text = program.source("march/march.cl", {"mode.cl": mode.file}, GENERATED)
+        text = program.source("march/draw.cl", {"mode.cl": mode.file}, GENERATED)
         assert f'#line 1 "{mode.file}"' in text
         assert all(other.file == mode.file or f'"{other.file}"' not in text for other in modes().values())
 
@@ -140,13 +141,6 @@ def test_defines_hold_the_filter_as_float32(name: str) -> None:
     assert defines["LEFT"] == row.support / 2 - 1
 
 
-def test_the_struct_of_a_picture_is_the_one_of_numpy() -> None:
-    declared = re.findall(r"(float|int) (\w+)((?:\[\d+\])*);", _frame_declaration())
-    size = sum(4 * int(np.prod([int(n) for n in re.findall(r"\d+", shape)] or [1])) for _, _, shape in declared)
-    assert size == FRAME.itemsize
-    assert [name for _, name, _ in declared] == list(FRAME.names or ())
-
-
 def test_programs_are_built_once_and_kernels_belong_to_threads(device: Device) -> None:
     made = {"once.cl": "kernel void once(global int *a) { a[0] = 1; }\n"}
     first = device.build("once.cl", {"A": 1}, generated=made)
@@ -168,4 +162,4 @@ def test_floating_literals() -> None:
 
 
 def test_the_kernels_are_found() -> None:
-    assert Path(FOLDER / "march/march.cl").is_file()
+    assert Path(FOLDER / "march/draw.cl").is_file()

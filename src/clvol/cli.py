@@ -16,16 +16,17 @@ import textwrap
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, make_dataclass, replace
 from importlib.metadata import version
 from itertools import zip_longest
 from pathlib import Path
-from typing import Annotated, Any, Literal, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 from cyclopts import App, CoercionError, CycloptsError, Parameter, Token
 
 import clvol
 from clvol.errors import ClvolError, DataError, DeviceError, FormatError, OptionError
+from clvol.mode import as_mode, every_option, mode_options
 from clvol.picture import heat
 
 app = App(
@@ -50,7 +51,7 @@ def _whole(_: object, tokens: Sequence[Token]) -> int | tuple[int, ...]:
 
 _COMPARED = 20_000  # gradients that a table of errors compares
 Projection = Literal["perspective", "orthographic"]
-_MODES = "composite, isosurface, mip, minip or mean."
+_MODES = f"{', '.join(clvol.modes())}."
 
 
 @Parameter(name="*")
@@ -83,21 +84,18 @@ class Look:
     boundary: Annotated[str, Parameter(help="mirror, reflect, wrap or zero.")] = "mirror"
     step: Annotated[float, Parameter(help="The most that a ray advances between samples, in voxels.")] = 0.5
     samples: Annotated[int, Parameter(help="Rays a pixel.", converter=_whole)] = 1
-    isovalue: Annotated[float | None, Parameter(help="Of the surface; default: parts the histogram in two.")] = None
     cmap: Annotated[str | None, Parameter(help="Colour map by name, instead of the automatic colours.")] = None
     value_range: Annotated[tuple[float, float] | None, Parameter(help="Values that the colour map spans.")] = None
     opacity: Annotated[
         tuple[float, ...] | None, Parameter(help="Points of the opacity: value opacity value opacity ...", consume_multiple=True)
     ] = None
-    color: Annotated[str, Parameter(help="Of an isosurface: a name or hex code.")] = "#eddec2"
     background: Annotated[str, Parameter(help="A name, a hex code, or 'none'.")] = "black"
-    shading: Annotated[bool, Parameter(help="Light by the gradient.")] = True
     gradient: Annotated[Literal["analytic", "central"], Parameter(help="What lighting uses.")] = "analytic"
     azimuth: Annotated[float, Parameter(help="Degrees about the z axis.")] = 30.0
     elevation: Annotated[float, Parameter(help="Degrees above the xy plane.")] = 20.0
     zoom: Annotated[float, Parameter(help="1 shows the whole volume.")] = 1.0
     projection: Annotated[Projection, Parameter(help="How rays leave the eye.")] = "perspective"
-    evaluator: Annotated[Literal["auto", "taps", "eight-fetch"], Parameter(help="How the spline is evaluated.")] = "auto"
+    evaluator: Annotated[Literal["auto", "taps", "paired", "eight-fetch"], Parameter(help="How the spline is evaluated.")] = "auto"
     fetch: Annotated[Literal["auto", "buffer", "image"], Parameter(help="Where coefficients are read from.")] = "auto"
 
     def options(self, volume: clvol.Volume) -> dict[str, Any]:
@@ -106,10 +104,7 @@ class Look:
             "mode": self.mode,
             "step": self.step,
             "samples": self.samples,
-            "isovalue": self.isovalue,
             "transfer": self._transfer(volume),
-            "color": self.color,
-            "shading": self.shading,
             "gradient": self.gradient,
             "background": None if self.background == "none" else self.background,
             "evaluator": self.evaluator,
@@ -124,8 +119,7 @@ class Look:
         numbers = self.opacity or ()
         points = tuple(zip(numbers[0::2], numbers[1::2], strict=True))
         if not points:
-            automatic = clvol.TransferFunction.automatic(volume).opacities
-            points = tuple((v, a) for v, a in automatic) if self.mode == "composite" else ()
+            points = as_mode(self.mode).transfer(volume).opacities
         return clvol.TransferFunction.from_cmap(self.cmap or "gray", self.value_range or volume.value_range, points or 1.0)
 
 
@@ -135,6 +129,30 @@ class SurfaceLook(Look):
     """How pictures are made where surfaces are the rule."""
 
     mode: Annotated[str, Parameter(help=_MODES)] = "isosurface"
+
+
+def _flag(name: str) -> tuple[str, Any, None]:
+    """A flag for an option of modes, with what their classes say of it; not given, it is the mode's own default."""
+    having = [mode for mode in clvol.modes().values() if name in mode_options(mode)]
+    kinds = {type(getattr(mode, name)) for mode in having}
+    kind: Any = bool if kinds == {bool} else str if kinds & {str, tuple} else float
+    says = mode_options(having[0])[name]
+    return name, Annotated[kind | None, Parameter(help=f"{says} ({', '.join(mode.name for mode in having)})")], None
+
+
+class Given:
+    """Options of a mode, as they were given."""
+
+    def options(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if value is not None}
+
+
+if TYPE_CHECKING:
+    ModeOptions = Given
+else:
+    ModeOptions = Parameter(name="*")(
+        make_dataclass("ModeOptions", map(_flag, sorted(every_option())), bases=(Given,), namespace={"__module__": __name__})
+    )
 
 
 Source = Annotated[str, Parameter(help="A volume file, a DICOM folder, or phantom:NAME[:SIZE].")]
@@ -164,6 +182,7 @@ def render(
     device: DeviceName = None,
     input: Input | None = None,
     look: Look | None = None,
+    own: ModeOptions | None = None,
     heat_map: Path | None = None,
     verbose: Annotated[bool, Parameter(negative="")] = False,
     json: Json = False,
@@ -189,7 +208,7 @@ def render(
     volume = (input or Input()).read(source)
     told: dict[str, Any] = {"output": str(output), "size": list(size), "filter": filter, "mode": look.mode}
     with _progress("rendering", json) as progress:
-        options = look.options(volume)
+        options = look.options(volume) | (own or ModeOptions()).options()
         begun = time.perf_counter()
         with clvol.Renderer(volume, filter, look.boundary, device) as renderer:
             held = time.perf_counter()
@@ -221,6 +240,7 @@ def compare(
     device: DeviceName = None,
     input: Input | None = None,
     look: SurfaceLook | None = None,
+    own: ModeOptions | None = None,
     json: Json = False,
 ) -> None:
     """Draw a volume by several filters side by side, measure their errors from every second sample, or both.
@@ -246,7 +266,14 @@ def compare(
     if output is not None:
         with _progress("drawing", json) as progress:
             _, sheet = figures.compare(
-                volume, names, pixels, look.boundary, device=device, progress=progress, **look.options(volume)
+                volume,
+                names,
+                pixels,
+                look.boundary,
+                device=device,
+                progress=progress,
+                **look.options(volume),
+                **(own or ModeOptions()).options(),
             )
         told["output"] = str(clvol.save(sheet, output))
     told |= {"filters": list(names)} | ({"mode": look.mode} if output is not None else {})
@@ -323,6 +350,7 @@ def report(
     device: DeviceName = None,
     input: Input | None = None,
     look: SurfaceLook | None = None,
+    own: ModeOptions | None = None,
     json: Json = False,
 ) -> None:
     """Tell by pictures, errors and words which filter to use for a volume: one HTML page that needs nothing else.
@@ -347,6 +375,7 @@ def report(
             device=device,
             progress=progress,
             **look.options(volume),
+            **(own or ModeOptions()).options(),
         )
     told = {"output": str(done.path), "filter": done.advice.filter, "advice": " ".join(done.advice.sentences)}
     _say(json, told | ({"against": done.table.against, "errors": done.table.records()} if json else {}))

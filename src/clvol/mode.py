@@ -233,7 +233,7 @@ def as_mode(choice: str | Mode, options: Mapping[str, Any] | None = None) -> Mod
         if name not in own:
             others = [other for other, mode in _TABLE.items() if name in mode_options(mode)]
             hint = f", but of {' and '.join(others)}" if others else ""
-            raise OptionError(f"{name} is no option of {choice.name}{hint}; it has {', '.join(own) or 'none of its own'}")
+            raise OptionError(f"{name} is no option of {choice.name}{hint}; {choice.name} has {', '.join(own) or 'none'}")
     return replace(choice, **(options or {}))
 
 

@@ -7,7 +7,6 @@ what needs no kernel of its own (cameras, steps, boxes, lights) is tried on ever
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -19,15 +18,17 @@ from numpy.typing import NDArray
 
 from clvol.boundary import boundaries
 from clvol.camera import Camera
-from clvol.device import Device
+from clvol.device import Device, Tile
 from clvol.errors import DeviceError
 from clvol.filter import as_filter, filters
 from clvol.light import Light, Material
-from clvol.march.renderer import OUTPUTS, PLANES, RAYS, Lattice, Renderer, Tile
+from clvol.march.planes import Planes
+from clvol.march.renderer import OUTPUTS, Renderer
 from clvol.mode import modes
 from clvol.reference import march as reference
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
+from tests.march.looks import TILES, suited
 
 SIZE = (24, 20)
 STEP = 0.37  # no plane of these volumes then lies where a filter jumps or kinks, nor where a box is cut
@@ -37,7 +38,15 @@ TRANSFER = TransferFunction(
     ((0.0, (0.1, 0.2, 0.9)), (0.25, (0.9, 0.1, 0.2)), (0.5, (0.2, 0.8, 0.3)), (1.0, (1.0, 1.0, 0.9))),
     ((0.25, 0.0), (0.5, 0.3), (1.0, 0.7)),
 )
-OPTIONS: dict[str, Any] = {"transfer": TRANSFER, "isovalue": 0.5, "background": None, "termination": 0.0, "outputs": OUTPUTS[:-1]}
+# surfaces are drawn to rounding here, not to 1e-4 of the range; test_renderer.py holds them to that
+OPTIONS: dict[str, Any] = {
+    "transfer": TRANSFER,
+    "background": None,
+    "outputs": OUTPUTS[:-1],
+    "isovalue": 0.5,
+    "tolerance": 0.0,
+    "termination": 0.0,
+}
 MODES = list(modes())
 
 
@@ -89,12 +98,6 @@ def slope() -> Volume:
     return Volume((0.5 + 0.2 * x - 0.1 * y + 0.1 * z + 0.08 * x**3 - 0.03 * z * y).astype(np.float32), (1.0, 0.8, 1.3))
 
 
-@pytest.fixture(autouse=True)
-def fine_surfaces(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Surfaces are drawn to rounding here, not to 1e-4 of the range; test_render.py holds them to that."""
-    monkeypatch.setattr(importlib.import_module("clvol.march.renderer"), "TOLERANCE", 0.0)
-
-
 @pytest.fixture(scope="module")
 def keep() -> Iterator[dict[Any, Renderer]]:
     """Renderers by what they were made of."""
@@ -113,9 +116,9 @@ def held(keep: dict[Any, Renderer], device: Device, volume: Volume, filter: str,
 
 def clear_of_knots(volume: Volume, camera: Camera, step: float) -> bool:
     """Whether no plane of samples lies where a filter jumps or its slope does; there rounding would choose."""
-    lattice = Lattice(volume, camera.view(volume, SIZE[0] / SIZE[1]), SIZE[0] / SIZE[1], step)
-    planes = -0.5 + (np.arange(lattice.planes) + 0.5) * lattice.spacing
-    return bool(np.abs(2 * planes - np.round(2 * planes)).min() > 1e-3)
+    planes = Planes(volume, camera.view(volume, SIZE[0] / SIZE[1]), SIZE[0] / SIZE[1], step)
+    places = -0.5 + (np.arange(planes.count) + 0.5) * planes.spacing
+    return bool(np.abs(2 * places - np.round(2 * places)).min() > 1e-3)
 
 
 def compare(got: dict[str, NDArray[Any]], want: dict[str, NDArray[Any]], allowed: Allowance) -> None:
@@ -154,7 +157,7 @@ def check(
     **options: Any,
 ) -> dict[str, NDArray[Any]]:
     """Draw both ways and compare; `ways` are options of the kernels only."""
-    options = {**OPTIONS, **options}
+    options = suited(mode, {**OPTIONS, **options})
     got = renderer.render(camera, mode, size, step, **options, **(ways or {}))
     want = reference.render(renderer.volume, camera, mode, renderer.filter, renderer.coefficients.boundary, size, step, **options)
     assert isinstance(want, dict)
@@ -346,6 +349,20 @@ def test_opacities_a_world_length(device: Device, keep: dict[Any, Renderer]) -> 
     check(held(keep, device, block(), "bspline3"), CAMERA, "composite", transfer=replace(TRANSFER, unit_distance=2.7))
 
 
+@pytest.mark.parametrize("mode", MODES)
+def test_the_default_look_is_the_references(device: Device, mode: str) -> None:
+    """No option is given: transfer function, isovalue, colour, lights and background are what each decides by itself."""
+    with Renderer(block(), device=device) as renderer:
+        got = renderer.render(CAMERA, mode, SIZE, STEP, outputs=OUTPUTS[:-1])
+    want = reference.render(block(), CAMERA, mode, size=SIZE, step=STEP, outputs=OUTPUTS[:-1])
+    assert isinstance(want, dict)
+    # light that early termination leaves out, and automatic points that lie between the nodes of the table
+    difference = np.abs(got["rgba"] - want["rgba"]).max(-1)
+    assert np.sqrt((difference**2).mean()) < 3e-3
+    assert np.quantile(difference, 0.99) < 5e-3
+    assert want["rgba"][..., :3].max() > 0.3
+
+
 # -- what the picture may not depend on ------------------------------------------------------------------------------
 
 
@@ -356,9 +373,12 @@ def test_tiles_of_rays_draw_the_same(device: Device, keep: dict[Any, Renderer], 
     views = [Camera.orbit(azimuth, elevation) for azimuth, elevation in ((100, 10), (20, -75), (200, 5))]  # each axis, backwards
     for camera in (CAMERA, replace(CAMERA, fov=120), *views):
         for size in (SIZE, (21, 7)):  # a width that eight does not divide
-            one = renderer.render(camera, mode, size, STEP, **OPTIONS, _tile=RAYS)
-            for tile in (Tile(8, 1, 8), Tile(16, 15, 8, patched=True), PLANES):  # an odd height: never sixteen at a time
-                many = renderer.render(camera, mode, size, STEP, **OPTIONS, _tile=tile)
+            options = suited(mode, OPTIONS)
+            with device.limited(tile=TILES["rays"]):
+                one = renderer.render(camera, mode, size, STEP, **options)
+            for tile in (Tile(8, 1, 8, shared=False), TILES["eights"], TILES["planes"]):
+                with device.limited(tile=tile):
+                    many = renderer.render(camera, mode, size, STEP, **options)
                 compare(many, one, replace(allowance("bspline3", mode, device), pixels=0.005))
 
 
@@ -368,6 +388,7 @@ def test_early_termination_errs_by_no_more_than_its_share(device: Device, keep: 
     dense = TRANSFER.with_opacity(((0.0, 0.5), (1.0, 0.9)))
     check(renderer, CAMERA, "composite", transfer=dense, termination=termination)
     options = {**OPTIONS, "transfer": dense, "background": "black", "outputs": "rgba", "shading": False}
+    options = suited("composite", options)
     whole = renderer.render(CAMERA, "composite", SIZE, STEP, **options)
     short = renderer.render(CAMERA, "composite", SIZE, STEP, **{**options, "termination": termination})
     difference = np.abs(whole - short).max()

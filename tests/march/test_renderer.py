@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 import re
 from collections.abc import Iterator
@@ -20,11 +19,13 @@ from clvol.camera import Camera
 from clvol.device import Device
 from clvol.errors import ClvolError, DataError, GeometryError, OptionError
 from clvol.light import Light
-from clvol.march.renderer import OUTPUTS, Lattice, Renderer, pixel_offsets, render
+from clvol.march.planes import Planes, pixel_offsets
+from clvol.march.renderer import OUTPUTS, Renderer, render
 from clvol.mode import modes
 from clvol.reference.spline.points import sample as reference_sample
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
+from tests.march.looks import TILES, suited
 
 SIZE = (24, 20)
 CAMERA = Camera.orbit(33, 21)
@@ -66,7 +67,8 @@ def test_moving_volume_camera_and_light_together_changes_nothing(device: Device,
 
     there = Camera.look_at(carried(camera.position), carried(camera.target), tuple(r @ np.asarray(camera.up)))
     light = np.array([0.3, -1.0, 0.5])
-    options: dict[str, Any] = {"transfer": TransferFunction.from_cmap("viridis", (0, 1), ((0.2, 0.0), (1.0, 0.6))), "isovalue": 0.5}
+    transfer = TransferFunction.from_cmap("viridis", (0, 1), ((0.2, 0.0), (1.0, 0.6)))
+    options = suited(mode, {"transfer": transfer, "isovalue": 0.5})
     a = render(still, camera, mode, size=SIZE, device=device, lights=[Light(tuple(light))], **options)
     b = render(moved, there, mode, size=SIZE, device=device, lights=[Light(tuple(r @ light))], **options)
     difference = np.abs(a - b).max(-1)
@@ -107,15 +109,15 @@ def test_one_polynomial_on_turned_grids_gives_one_picture(device: Device, filter
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_tiles_do_not_show(renderer: Renderer, monkeypatch: pytest.MonkeyPatch, mode: str) -> None:
+def test_tiles_do_not_show(renderer: Renderer, mode: str) -> None:
     size = (37, 29)
-    module = importlib.import_module("clvol.march.renderer")
-    whole = {tile: renderer.render(CAMERA, mode, size, outputs=OUTPUTS, _tile=tile) for tile in (module.RAYS, module.PLANES)}
-    monkeypatch.setattr(module, "_LAUNCH_SECONDS", 1e-9)
-    for tile, want in whole.items():
+    for tile in TILES.values():
         calls: list[float] = []
-        cut = renderer.render(CAMERA, mode, size, outputs=OUTPUTS, progress=calls.append, _tile=tile)
-        assert len(calls) >= 3 * 2
+        with renderer.device.limited(tile=tile):
+            want = renderer.render(CAMERA, mode, size, outputs=OUTPUTS)
+        with renderer.device.limited(tile=tile, launch_seconds=1e-9):
+            cut = renderer.render(CAMERA, mode, size, outputs=OUTPUTS, progress=calls.append)
+        assert len(calls) >= 3
         for name in OUTPUTS:
             np.testing.assert_array_equal(cut[name], want[name])
 
@@ -260,17 +262,17 @@ def test_no_ray_advances_farther_than_the_step(step: float) -> None:
     volume = Volume(np.zeros((30, 40, 50), np.float32), (0.5, 1.0, 2.0))
     for camera in (CAMERA, replace(CAMERA, projection="orthographic"), replace(CAMERA, fov=60.0)):
         view = camera.view(volume, 1.5)
-        lattice = Lattice(volume, view, 1.5, step)
-        assert lattice.planes * lattice.spacing == pytest.approx(volume.size[lattice.axis])
+        planes = Planes(volume, view, 1.5, step)
+        assert planes.count * planes.spacing == pytest.approx(volume.size[planes.axis])
         cosines = []
         for a in np.linspace(-1.5, 1.5, 7):
             for b in np.linspace(-1, 1, 7):
                 d = view.forward + (0 if view.orthographic else view.half_height) * (a * view.right + b * view.up)
                 d = volume.world_to_index_matrix @ d
-                cosines.append(abs(d[lattice.axis]) / np.linalg.norm(d))
+                cosines.append(abs(d[planes.axis]) / np.linalg.norm(d))
         least = max(min(cosines), 0.5)  # more oblique rays use no planes
-        assert lattice.spacing / least <= step * (1 + 1e-6)
-        assert lattice.planes == 1 or volume.size[lattice.axis] / (lattice.planes - 1) / least > step  # nor more planes than that
+        assert planes.spacing / least <= step * (1 + 1e-6)
+        assert planes.count == 1 or volume.size[planes.axis] / (planes.count - 1) / least > step  # nor more planes than that
 
 
 # -- something to see without options ----------------------------------------------------------------------------------
@@ -327,7 +329,7 @@ WRONG: dict[str, tuple[dict[str, Any], type[ClvolError], str]] = {
     "clip NaN": ({"clip": ((1, 1, 1), (2, float("nan"), 2))}, GeometryError, "clip must be"),
     "clip of numbers": ({"clip": (1, 2)}, GeometryError, "clip must be two corners"),
     "isovalue NaN": ({"isovalue": float("nan"), "mode": "isosurface"}, OptionError, "isovalue must be a finite number; got nan"),
-    "isovalue infinite": ({"isovalue": float("inf")}, OptionError, "isovalue must be a finite number"),
+    "isovalue infinite": ({"isovalue": float("inf"), "mode": "isosurface"}, OptionError, "isovalue must be a finite number"),
     "five lights": ({"lights": [Light()] * 5}, OptionError, "there may be up to 4 lights; got 5"),
     "no samples": ({"samples": 0}, OptionError, "samples must be a whole number, at least 1 and at most 4096; got 0"),
     "half samples": ({"samples": 1.5}, OptionError, "samples must be a whole number"),
@@ -367,7 +369,7 @@ def test_errors_of_what_is_drawn(device: Device) -> None:
         Renderer(ones, boundary="clamp", device=device)
     with pytest.raises(OptionError, match="device must be one of"):
         Renderer(ones, device="abacus")
-    with pytest.raises(TypeError, match="stepp"):
+    with pytest.raises(OptionError, match="stepp is no option of composite; composite has shading, termination"):
         render(ones, stepp=1, device=device)
 
 
@@ -380,25 +382,24 @@ def test_a_closed_renderer_says_so(device: Device) -> None:
     renderer.close()  # twice does no harm
 
 
-def test_progress_rises_to_one(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(importlib.import_module("clvol.march.renderer"), "_LAUNCH_SECONDS", 1e-9)
+def test_progress_rises_to_one(renderer: Renderer) -> None:
     calls: list[float] = []
-    renderer.render(CAMERA, size=(40, 30), samples=3, progress=calls.append)
+    with renderer.device.limited(launch_seconds=1e-9):
+        renderer.render(CAMERA, size=(40, 30), samples=3, progress=calls.append)
     assert len(calls) > 10
     assert calls == sorted(calls)
     assert calls[-1] == pytest.approx(1)
     assert 0 < calls[0] < 0.5
 
 
-def test_an_interrupt_leaves_the_renderer_usable(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupt_leaves_the_renderer_usable(renderer: Renderer) -> None:
     before = renderer.render(CAMERA, size=(40, 30))
-    monkeypatch.setattr(importlib.import_module("clvol.march.renderer"), "_LAUNCH_SECONDS", 1e-9)
 
     def stop(done: float) -> None:
         if done > 0.3:
             raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt), renderer.device.limited(launch_seconds=1e-9):
         renderer.render(CAMERA, size=(40, 30), progress=stop)
     np.testing.assert_array_equal(renderer.render(CAMERA, size=(40, 30)), before)
 
@@ -411,7 +412,8 @@ def test_an_interrupt_leaves_the_renderer_usable(renderer: Renderer, monkeypatch
 def test_thin_volumes(device: Device, shape: tuple[int, int, int], mode: str) -> None:
     data = np.random.default_rng(2).random(shape).astype(np.float32)
     # `color` tells lit pixels from background even if the value is the least
-    got = render(data, CAMERA, mode, size=(24, 24), isovalue=0.5, background=None, device=device, outputs=("rgba", "depth"))
+    options = suited(mode, {"isovalue": 0.5, "background": None})
+    got = render(data, CAMERA, mode, size=(24, 24), device=device, outputs=("rgba", "depth"), **options)
     assert np.isfinite(got["rgba"]).all()
     if mode in ("mip", "minip", "mean"):
         assert (got["rgba"][..., 3] > 0).any()
@@ -460,7 +462,8 @@ def test_units_of_the_values_do_not_show(device: Device, mode: str, scale: float
     for s in (1.0, scale):
         transfer = TransferFunction.from_cmap("viridis", (0, s), ((0.2 * s, 0.0), (s, 0.6)))
         data = (noise().data.astype(float) * s).astype(np.float32)
-        pictures.append(render(data, CAMERA, mode, size=SIZE, transfer=transfer, isovalue=0.5 * s, device=device))
+        options = suited(mode, {"transfer": transfer, "isovalue": 0.5 * s})
+        pictures.append(render(data, CAMERA, mode, size=SIZE, device=device, **options))
     difference = np.abs(pictures[0] - pictures[1]).max(-1)
     assert (difference > 5e-3).mean() <= 0.005
     assert np.sqrt((difference**2).mean()) < 1e-3
@@ -479,7 +482,7 @@ def test_isovalues_outside_the_data_show_nothing(renderer: Renderer) -> None:
 def test_a_camera_inside_sees_what_is_ahead(renderer: Renderer, mode: str) -> None:
     camera = Camera.look_at((3.6, 4.1, 4.4), (3.6, 9.0, 4.6), fov=90)
     for step in (0.5, 50.0):
-        got = renderer.render(camera, mode, SIZE, step, isovalue=0.5, outputs=OUTPUTS)
+        got = renderer.render(camera, mode, SIZE, step, outputs=OUTPUTS, **suited(mode, {"isovalue": 0.5}))
         hit = np.isfinite(got["depth"])
         assert (got["depth"][hit] >= 0).all()
         assert (got["position"][hit][:, 1] >= 4.1 - 1e-4).all()

@@ -12,17 +12,17 @@ from numpy.testing import assert_array_equal
 
 from clvol.boundary import boundaries
 from clvol.camera import Camera
-from clvol.device import Device
+from clvol.device import Device, Tile
 from clvol.errors import DeviceError
 from clvol.filter import Filter, filters, from_callable
-from clvol.march.renderer import OUTPUTS, PLANES, RAYS, Renderer, Tile
+from clvol.march.renderer import OUTPUTS, Renderer
 from clvol.mode import modes
 from clvol.phantoms import marschner_lobb
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
+from tests.march.looks import TILES, suited
 
 MODES = [name for name, mode in modes().items() if mode.skips]
-TILES = {"planes": PLANES, "eights": Tile(16, 15, 8, patched=True), "rays": RAYS}  # odd: never sixteen at a time
 
 
 @st.composite
@@ -68,7 +68,7 @@ def same(
 ) -> None:
     with Renderer(volume, filter, boundary, device) as renderer:
         with_, without = (
-            renderer.render(mode=mode, size=(23, 19), outputs=OUTPUTS, skipping=skipping, **view, **options)
+            renderer.render(mode=mode, size=(23, 19), outputs=OUTPUTS, skipping=skipping, **suited(mode, {**view, **options}))
             for skipping in (True, False)
         )
     for name in OUTPUTS[:-1]:
@@ -86,7 +86,8 @@ def test_skipping_changes_no_bit(
     device: Device, mode: str, tile: str, volume: Volume, view: dict[str, Any], boundary: str, shading: bool
 ) -> None:
     shading = shading and boundary == "mirror"  # each pair costs a kernel
-    same(device, volume, "bspline3", mode, view, boundary, shading=shading, _tile=TILES[tile])
+    with device.limited(tile=TILES[tile]):
+        same(device, volume, "bspline3", mode, view, boundary, shading=shading)
 
 
 @pytest.mark.parametrize("filter", filters())
@@ -139,8 +140,8 @@ def test_most_of_an_empty_volume_is_skipped(device: Device, mode: str, tile: str
         data = 1 - data
     volume = Volume(data)
     transfer = TransferFunction(((0.0, "red"), (1.0, "white")), ((0.3, 0.0), (1.0, 0.5)))
-    with Renderer(volume, device=device) as renderer:
-        options: dict[str, Any] = {"mode": mode, "size": (200, 200), "transfer": transfer, "isovalue": 0.5, "_tile": TILES[tile]}
+    with device.limited(tile=TILES[tile]), Renderer(volume, device=device) as renderer:
+        options = suited(mode, {"mode": mode, "size": (200, 200), "transfer": transfer, "isovalue": 0.5})
         pictures = renderer.render(outputs=("visited", "rgba"), background=None, **options)
         # rays past the object seek the extreme of what the prefilter leaves there
         bright = pictures["rgba"][..., 1]
@@ -168,4 +169,5 @@ def test_a_transfer_function_without_opacity_is_looked_at_nowhere(device: Device
 
 def test_tiles_of_another_shape_skip_too(device: Device) -> None:
     view = {"isovalue": 0.5, "step": 0.5, "camera": Camera.orbit(20, 10)}
-    same(device, marschner_lobb(), "bspline3", "isosurface", view, _tile=Tile(8, 8, 8, patched=True))
+    with device.limited(tile=Tile(8, 8, 8, shared=True)):
+        same(device, marschner_lobb(), "bspline3", "isosurface", view)

@@ -20,6 +20,7 @@ __all__ = ["CHANNELS", "States", "draw", "finish_states", "march_rays", "merge_s
 Floats = NDArray[np.float32]
 
 CHANNELS: dict[str, tuple[int, ...]] = {"rgba": (4,), "depth": (), "normal": (3,), "position": (3,), "visited": ()}
+_AREA = 16  # pixels along an edge of what is launched at least
 _ROW_SECONDS = 1.5e-9  # a generous guess of the time of one row of taps on one processor core; corrected as tiles finish
 
 
@@ -172,7 +173,7 @@ class _Budget:
         together = frame.tile.shared and not frame.planes.oblique
         rows = row.support * chunks / 2 + 2 if together else row.support**2 * chunks + 8
         costly = frame.central or frame.mode.shaded
-        self._across, self._down = math.lcm(16, frame.tile.width), math.lcm(16, frame.tile.height)
+        self._across, self._down = (-(-_AREA // n) * n for n in frame.tile[:2])
         self._seconds = device.limits.launch_seconds
         self._per_pixel = frame.planes.count * rows * _ROW_SECONDS * (3 if costly else 1) / max(1, cores)
 

@@ -251,9 +251,9 @@ def render(
     chosen = chosen.settled(volume)
     if volume.ndim != 3:
         raise OptionError(f"rendering takes a volume with 3 axes; got shape {volume.shape}")
-    gather = _MODES.get(chosen.name)
+    gather = MODES.get(chosen.name)
     if gather is None:
-        raise one_of("mode of the reference", chosen.name, _MODES)
+        raise one_of("mode of the reference", chosen.name, MODES)
     low, high = volume.value_range
     if transfer is None:
         transfer = chosen.transfer(volume)
@@ -387,7 +387,7 @@ def _mean(scene: _Scene, mode: Mode, rays: Rays, t: Array, there: Bools, values:
     return color * some[:, None], some.astype(float), np.full(t.shape[0], math.inf)
 
 
-_MODES: dict[str, Callable[[_Scene, Any, Rays, Array, Bools, Array, Array], _Gathered]] = {
+MODES: dict[str, Callable[[_Scene, Any, Rays, Array, Bools, Array, Array], _Gathered]] = {
     "composite": _composite,
     "isosurface": _isosurface,
     "mip": _mip,

@@ -1,0 +1,129 @@
+"""The ray loop in parts: stretches of the rays marched apart and merged make the picture that they make in one go."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from clvol.camera import Camera
+from clvol.device import Device
+from clvol.march.frame import Frame
+from clvol.march.launch import States, draw, finish_states, march_rays, merge_states
+from clvol.march.renderer import Renderer
+from clvol.mode import as_mode, modes
+from clvol.phantoms import marschner_lobb
+from clvol.scene import Scene
+from clvol.spline.evaluator import choose_evaluator
+from clvol.spline.minmax import Bounds as MinMax
+from clvol.transfer import TransferFunction
+from tests.march.looks import TILES, suited
+
+SIZE = (41, 35)
+TRANSFER = TransferFunction(((0.0, "navy"), (0.5, "orange"), (1.0, "white")), ((0.2, 0.0), (0.5, 0.25), (1.0, 0.9)))
+EXACT = [name for name in modes() if name not in ("composite", "mean")]  # nothing is added up
+CAMERAS = {
+    "across": Camera.orbit(25, 35),
+    "along an axis": Camera.orbit(0, 0, projection="orthographic"),
+    "oblique": Camera.orbit(40, -30, fov=120),  # some rays step along themselves
+}
+
+
+@pytest.fixture(scope="module")
+def renderer(device: Device) -> Iterator[Renderer]:
+    with Renderer(marschner_lobb(24), device=device) as made:
+        yield made
+
+
+def frame_of(renderer: Renderer, mode: str, camera: Camera, *, skipping: bool = True) -> Frame:
+    evaluator = choose_evaluator(renderer.device, renderer.filter)
+    chosen = as_mode(mode, suited(mode, {"isovalue": 0.5, "termination": 0.0}))
+    return Frame.of(
+        Scene(renderer.volume, background=None),
+        renderer.coefficients,
+        MinMax(renderer.coefficients, evaluator) if skipping and chosen.skips else None,
+        camera,
+        chosen,
+        SIZE,
+        0.5,
+        TRANSFER,
+        evaluator,
+        central=False,
+        guides=True,
+    )
+
+
+def check(got: dict[str, NDArray[Any]], want: dict[str, NDArray[Any]], mode: str, *, carried: bool = False) -> None:
+    assert np.isfinite(want["depth"]).any() or mode == "mean"
+    assert want["rgba"][..., 3].max() == 1 if mode != "composite" else want["rgba"][..., 3].max() > 0.5
+    for name in ("rgba", "depth", "normal", "position"):
+        if mode in EXACT or carried:
+            np.testing.assert_array_equal(got[name], want[name], err_msg=name)
+    # transparent pixels are divided by their opacity, which magnifies rounding
+    seen = want["rgba"][..., 3] > 0.01
+    np.testing.assert_allclose(got["rgba"][..., 3], want["rgba"][..., 3], rtol=0, atol=1e-6)
+    cover = want["rgba"][..., 3:]
+    np.testing.assert_allclose((got["rgba"] * cover)[seen], (want["rgba"] * cover)[seen], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("tile", TILES)
+@pytest.mark.parametrize("mode", modes())
+def test_two_halves_of_the_rays_merged_are_the_picture(renderer: Renderer, mode: str, tile: str) -> None:
+    with renderer.device.limited(tile=TILES[tile]):
+        for camera in CAMERAS.values():
+            frame = frame_of(renderer, mode, camera)
+            whole = draw(frame)
+            for middle in (3, frame.planes.count // 2, 10**6):
+                with march_rays(frame, last=middle - 1) as front, march_rays(frame, middle) as back:
+                    check(finish_states(merge_states(front, back)), whole, mode)
+
+
+@pytest.mark.parametrize("mode", modes())
+def test_states_that_are_carried_on_are_the_picture_to_the_last_bit(renderer: Renderer, mode: str) -> None:
+    """In parts of any length, skipping or not."""
+    for skipping in (True, False):
+        frame = frame_of(renderer, mode, CAMERAS["across"], skipping=skipping)
+        whole, states, first = draw(frame), None, -np.inf
+        for last in (0, 1, 7, 20, np.inf):
+            states = march_rays(frame, first, last, states)
+            first = last + 1
+        assert isinstance(states, States)
+        with states:
+            check(finish_states(states), whole, mode, carried=True)
+
+
+@pytest.mark.parametrize("mode", modes())
+def test_merging_does_not_depend_on_the_grouping(renderer: Renderer, mode: str) -> None:
+    """(a b) c and a (b c)."""
+    frame = frame_of(renderer, mode, CAMERAS["across"])
+    pictures = []
+    for left in (True, False):
+        a, b, c = march_rays(frame, last=9), march_rays(frame, 10, 19), march_rays(frame, 20)
+        merged = merge_states(merge_states(a, b), c) if left else merge_states(a, merge_states(b, c))
+        pictures.append(finish_states(merged))
+        for states in (a, b, c):
+            states.release()
+    np.testing.assert_allclose(pictures[0]["rgba"], pictures[1]["rgba"], rtol=0, atol=2e-6)
+    if mode in EXACT:
+        np.testing.assert_array_equal(pictures[0]["depth"], pictures[1]["depth"])
+
+
+def test_every_sample_is_gathered_once(renderer: Renderer) -> None:
+    """The share of samples looked at adds up; nothing is skipped here."""
+    frame = frame_of(renderer, "mean", CAMERAS["across"])
+    with march_rays(frame, last=11) as front, march_rays(frame, 12) as back:
+        visited = finish_states(merge_states(front, back))["visited"]
+    assert np.nanmin(visited) == np.nanmax(visited) == 1
+
+
+def test_half_of_the_rays_are_half_of_the_picture(renderer: Renderer) -> None:
+    """So that the tests above would notice if numbers of samples were not heeded."""
+    frame = frame_of(renderer, "composite", CAMERAS["across"])
+    whole = draw(frame)["rgba"]
+    with march_rays(frame, last=frame.planes.count // 2) as front:
+        half = finish_states(front)["rgba"]
+    assert (half[..., 3] <= whole[..., 3] + 1e-6).all()
+    assert np.abs(half - whole).max() > 0.1
