@@ -25,7 +25,7 @@ from clvol.light import Light, Material
 from clvol.march.planes import Planes
 from clvol.march.renderer import OUTPUTS, Renderer
 from clvol.mode import modes
-from clvol.reference import march as reference
+from clvol.reference.march import march as reference
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
 from tests.march.looks import TILES, suited
