@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+import clvol
 from clvol import phantoms, program
+from clvol.device import Device
 from clvol.errors import OptionError
 from clvol.mode import DEFAULT_MODE, Composite, Isosurface, Mode, as_mode, every_option, mode_options, modes
 from clvol.reference.march import march
@@ -46,7 +48,7 @@ def test_every_option_is_a_field_that_is_described(name: str) -> None:
 
 @pytest.mark.parametrize("wrong", ["MIP", "", None, 3, Composite])
 def test_unknown_modes(wrong: Any) -> None:
-    with pytest.raises(OptionError, match=r"mode must be one of composite, isosurface, mip, minip, .*mean.*; got "):
+    with pytest.raises(OptionError, match=r"mode must be one of composite, isosurface, mip, .*, mean; got "):
         as_mode(wrong)
 
 
@@ -108,3 +110,33 @@ def test_a_mode_is_a_class() -> None:
         name = "fog"
 
     assert Fog().file == "modes/fog.cl"
+
+
+def test_attenuation_of_nothing_is_the_maximum(device: Device) -> None:
+    volume = phantoms.marschner_lobb(16)
+    options: dict[str, Any] = {"size": (40, 40), "device": device, "outputs": ("rgba", "depth")}
+    plain = clvol.render(volume, mode="mip", **options)
+    same = clvol.render(volume, mode="attenuated", attenuation=0.0, **options)
+    np.testing.assert_allclose(same["rgba"], plain["rgba"], rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(same["depth"], plain["depth"])
+
+
+def test_what_is_near_stands_out(device: Device) -> None:
+    """Two equal balls, one behind the other: the farther one is exp(-attenuation d) as bright, d in sphere diameters."""
+    data = np.zeros((41, 41, 41), np.float32)
+    z, y, x = np.indices(data.shape)
+    for center in ((10, 20, 8), (30, 20, 32)):
+        data += np.exp(-(((x - center[0]) ** 2 + (y - center[1]) ** 2 + (z - center[2]) ** 2) / 8.0))
+    camera = clvol.Camera(direction=(0, 0, 1), up=(0, -1, 0), projection="orthographic")
+    ramp = clvol.TransferFunction.ramp((0, 1))
+    got = clvol.render(data, camera, clvol.Attenuated(1.5), size=(90, 90), transfer=ramp, device=device)[..., 0]
+    near, far = got[:, :45].max(), got[:, 45:].max()
+    assert far / near == pytest.approx(np.exp(-1.5 * 24 / (41 * np.sqrt(3))), rel=0.02)
+    front = 0.5 + (8 - 20) / (41 * np.sqrt(3))
+    assert near == pytest.approx(np.exp(-1.5 * front), rel=0.04)  # no ray meets the middle of a ball
+
+
+@pytest.mark.parametrize("bad", [-1, float("nan"), "strong"])
+def test_bad_attenuation(bad: Any) -> None:
+    with pytest.raises(OptionError, match="attenuation must be a finite number, at least 0"):
+        as_mode("attenuated", {"attenuation": bad})

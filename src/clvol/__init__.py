@@ -29,7 +29,7 @@ from clvol.filter import Filter, bc, bspline, filters, from_callable, from_piece
 from clvol.formats import read, write
 from clvol.light import Light, Material
 from clvol.march.renderer import Output, Renderer, render
-from clvol.mode import Composite, Isosurface, Mean, Minip, Mip, Mode, modes
+from clvol.mode import Attenuated, Composite, Isosurface, Mean, Minip, Mip, Mode, modes
 from clvol.picture import save
 from clvol.response import frequency_response, prefilter_response
 from clvol.scene import Medium, Scene
@@ -40,6 +40,7 @@ from clvol.volume import Volume
 __version__ = "0.1.0"
 
 __all__ = [
+    "Attenuated",
     "Boundary",
     "Camera",
     "ClvolError",

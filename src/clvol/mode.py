@@ -7,6 +7,7 @@ not the mode's is refused by name.
 from __future__ import annotations
 
 import inspect
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -23,6 +24,7 @@ from clvol.volume import Volume
 
 __all__ = [
     "DEFAULT_MODE",
+    "Attenuated",
     "Composite",
     "Isosurface",
     "Mean",
@@ -178,6 +180,32 @@ class Mip(Mode):
 
 
 @dataclass(frozen=True)
+class Attenuated(Mode):
+    """The maximum along the ray of values that fade with depth: what is near stands out.
+
+    Parameters
+    ----------
+    attenuation : float
+        How fast values fade, 0 or more: a value counts from the transfer function's first point up, times exp(-attenuation d),
+        with d from 0 at the front of the volume's bounding sphere to 1 at its back. 0 is "mip".
+    """
+
+    attenuation: float = 2.0
+
+    name: ClassVar[str] = "attenuated"
+    description: ClassVar[str] = "the maximum along the ray, dimmed by depth"
+    state_fields: ClassVar[int] = 2
+    BLOCK: ClassVar[Block] = Block("mode_block", fade=FLOAT, front=FLOAT)
+
+    def __post_init__(self) -> None:
+        _set(self, attenuation=number("attenuation", self.attenuation, least=0))
+
+    def block(self, volume: Volume) -> Values:
+        front = volume.radius / volume.mean_spacing  # before the volume's centre, in the kernels' unit
+        return self.BLOCK(fade=-self.attenuation * math.log2(math.e) / (2 * front), front=front)
+
+
+@dataclass(frozen=True)
 class Minip(Mode):
     """The minimum along the ray."""
 
@@ -197,7 +225,7 @@ class Mean(Mode):
     ramp: ClassVar[float | None] = 0.5  # means seldom reach the largest value
 
 
-_TABLE: dict[str, type[Mode]] = {mode.name: mode for mode in (Composite, Isosurface, Mip, Minip, Mean)}
+_TABLE: dict[str, type[Mode]] = {mode.name: mode for mode in (Composite, Isosurface, Mip, Attenuated, Minip, Mean)}
 
 
 def modes() -> dict[str, Mode]:

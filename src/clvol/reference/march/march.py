@@ -22,7 +22,7 @@ from clvol.color import color_of
 from clvol.errors import OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.light import HEADLIGHT, Light, Material
-from clvol.mode import DEFAULT_MODE, Composite, Isosurface, Mode, as_mode
+from clvol.mode import DEFAULT_MODE, Attenuated, Composite, Isosurface, Mode, as_mode
 from clvol.reference.spline.points import sample
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume, as_volume
@@ -209,6 +209,8 @@ class _Scene:
     lit: Callable[[Array, Array, Array], Array]  # gradient, colour and direction to colour
     transfer: TransferFunction
     unit_distance: float
+    volume: Volume
+    view: View
 
 
 def render(
@@ -275,15 +277,17 @@ def render(
         differences = np.stack([(value(points + c) - value(points - c)) / 2 for c in columns], -1)
         return np.asarray(differences @ volume.world_to_index_matrix)
 
+    width, height = size
+    view = (camera or Camera.orbit()).view(volume, width / height)
     scene = _Scene(
         value,
         slope,
         lambda g, c, d: shade(g, c, d, material, lights, flat),
         transfer,
         transfer.unit_distance or float(np.mean(volume.spacing)),
+        volume,
+        view,
     )
-    width, height = size
-    view = (camera or Camera.orbit()).view(volume, width / height)
     axis, planes = lattice(volume, view, width / height, step)
     total = np.zeros((width * height, 4))
     guides: dict[str, Array] = {}
@@ -376,6 +380,20 @@ def _mip(scene: _Scene, mode: Mode, rays: Rays, t: Array, there: Bools, values: 
     return _extreme(scene, t, there, values, 1.0)
 
 
+def _attenuated(scene: _Scene, mode: Attenuated, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
+    """A ray is half of the sphere's diameter deep where it crosses the plane through the centre that faces the camera."""
+    bottom, forward, center = scene.transfer.value_range[0], scene.view.forward, scene.volume.center
+    diameter = 2 * np.linalg.norm(scene.volume.corners - center, axis=1).max()
+    middle = ((center - rays.origin) @ forward) / (rays.direction @ forward)
+    fading = np.exp(-mode.attenuation * np.maximum(0.5 + (t - middle[:, None]) / diameter, 0.0))
+    heights = np.where(there, np.maximum(values - bottom, 0.0) * np.where(there, fading, 0.0), -math.inf)
+    best = heights.argmax(1)[:, None]
+    some: Bools = np.asarray(there.any(1))
+    color = scene.transfer(bottom + np.where(some, np.take_along_axis(heights, best, 1)[:, 0], 0.0))[:, :3]
+    depth = np.where(some, np.take_along_axis(t, best, 1)[:, 0], math.inf)
+    return color * some[:, None], some.astype(float), depth
+
+
 def _minip(scene: _Scene, mode: Mode, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
     return _extreme(scene, t, there, values, -1.0)
 
@@ -391,6 +409,7 @@ MODES: dict[str, Callable[[_Scene, Any, Rays, Array, Bools, Array, Array], _Gath
     "composite": _composite,
     "isosurface": _isosurface,
     "mip": _mip,
+    "attenuated": _attenuated,
     "minip": _minip,
     "mean": _mean,
 }
