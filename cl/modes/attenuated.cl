@@ -6,8 +6,8 @@
 typedef struct { real best, t; } state_t;
 
 #define REACH 0.0f
-#define ANY_ORDER 0
-#define PROMISE(low, high) 0.0f
+#define ANY_ORDER 1
+#define PROMISE(low, high) (high)   // before it fades
 
 INLINE void begin(state_t *s)
 {
@@ -24,16 +24,22 @@ INLINE real faded(constant frame_t *frame, real value, real t)
     return height * exp_2(frame->mode.fade * MAX(t + frame->mode.front, (real)(0.0f)));
 }
 
+// Of equal heights the first counts, in whichever order they come.
+INLINE mask replaces(const state_t *s, real height, real t)
+{
+    return (height > s->best) | ((height == s->best) & (t < s->t)) | (s->t == NOWHERE);
+}
+
 INLINE int matters(const state_t *s, constant frame_t *frame, global const float4 *table, float low, float high, real t, mask active)
 {
-    const real most = 1.00001f * faded(frame, (real)(high), t);   // exp_2 errs by 3e-7 either way
-    return any_lane(active & ((most > s->best) | (s->t == NOWHERE)));
+    const real highest = 1.00001f * faded(frame, (real)(high), t);   // exp_2 errs by 3e-7 either way
+    return any_lane(active & replaces(s, highest, t));
 }
 
 INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real t, real value, mask active)
 {
     const real height = faded(sample->frame, value, t);
-    const mask better = active & ((height > s->best) | (s->t == NOWHERE));
+    const mask better = active & replaces(s, height, t);
     s->best = choose(better, height, s->best);
     s->t = choose(better, t, s->t);
     return NONE;
@@ -41,7 +47,7 @@ INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample
 
 INLINE void merge(state_t *front, const state_t *back)
 {
-    const mask better = (back->t < NOWHERE) & ((back->best > front->best) | (front->t == NOWHERE));
+    const mask better = (back->t < NOWHERE) & replaces(front, back->best, back->t);
     front->best = choose(better, back->best, front->best);
     front->t = choose(better, back->t, front->t);
 }
