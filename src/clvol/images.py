@@ -14,8 +14,9 @@ from clvol.checks import number, whole
 from clvol.device import Device
 from clvol.errors import DataError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter
+from clvol.interop import read_array
 from clvol.spline import field
-from clvol.volume import Volume, read_array
+from clvol.volume import Volume
 
 __all__ = ["resample", "rotate", "zoom"]
 

@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.checks import number, reals, whole
 from clvol.errors import DataError, GeometryError, OptionError
+from clvol.interop import read_array
 
-__all__ = ["Volume", "as_volume", "read_array"]
+__all__ = ["Volume", "as_volume"]
 
 _CACHED = 1 << 18  # samples
 _TINY_DETERMINANT = 1e-12
@@ -280,46 +281,3 @@ def _direction(value: Any, d: int) -> NDArray[np.float64]:
         raise GeometryError(f"direction must have independent unit columns; got {matrix.tolist()}")
     matrix.setflags(write=False)
     return matrix
-
-
-def read_array(source: Any) -> tuple[NDArray[Any], dict[str, Any]]:
-    """The samples of `source`, and the geometry that its kind of object carries."""
-    if hasattr(source, "GetSpacing") and hasattr(source, "GetDirection"):
-        return _read_itk(source)
-    if hasattr(source, "affine") and hasattr(source, "dataobj"):
-        return _read_nibabel(source)
-    if isinstance(source, Volume):
-        return source.data, {
-            "spacing": source.spacing,
-            "origin": source.origin,
-            "direction": source.direction,
-            "units": source.units,
-        }
-    if np.ma.is_masked(source):
-        raise DataError("data must have no masked element; replace them with .filled(value) of the masked array")
-    try:
-        return np.asarray(source), {}
-    except (TypeError, ValueError) as error:
-        raise DataError(f"data must be a regular array of numbers: {error}") from None
-
-
-def _read_itk(image: Any) -> tuple[NDArray[Any], dict[str, Any]]:
-    """np.asarray would give a flat float64 array without geometry (SimpleITK)."""
-    import SimpleITK as sitk
-
-    data = sitk.GetArrayFromImage(image)
-    if image.GetNumberOfComponentsPerPixel() != 1:
-        raise DataError(f"data must have one value a voxel; got {image.GetNumberOfComponentsPerPixel()} components")
-    return data, {"spacing": image.GetSpacing(), "origin": image.GetOrigin(), "direction": image.GetDirection()}
-
-
-def _read_nibabel(image: Any) -> tuple[NDArray[Any], dict[str, Any]]:
-    """Nibabel arrays are (x, y, z) in a RAS world; ours are [z, y, x] in ITK's LPS."""
-    data = np.asanyarray(image.dataobj)
-    if data.ndim != 3:
-        raise DataError(f"data must have 3 axes; got a nibabel image of shape {data.shape}")
-    matrix = np.diag([-1.0, -1.0, 1.0, 1.0]) @ np.asarray(image.affine, dtype=np.float64)
-    spacing = np.linalg.norm(matrix[:3, :3], axis=0)
-    if not np.isfinite(matrix).all() or (spacing == 0).any():
-        raise GeometryError(f"the image's affine must be finite and not singular; got {image.affine!r}")
-    return data.T, {"spacing": spacing, "origin": matrix[:3, 3], "direction": matrix[:3, :3] / spacing, "units": "mm"}

@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from clvol import picture
 from clvol.analysis import EXACT_SINC
 from clvol.checks import as_path
-from clvol.errors import FormatError, MissingDependencyError, OptionError
+from clvol.errors import MissingDependencyError, OptionError
+from clvol.files import require_suffix, staged
 from clvol.filter import Filter, as_filter, filters
-from clvol.formats._files import staged
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,6 +31,7 @@ __all__ = [
     "GREY",
     "INK",
     "LETTERS",
+    "SUFFIXES",
     "Drawing",
     "colour",
     "folded",
@@ -39,7 +40,6 @@ __all__ = [
     "new_figure",
     "plain",
     "require_matplotlib",
-    "require_suffix",
     "show",
     "spread",
     "styled",
@@ -52,7 +52,7 @@ INK, GREY, FAINT = "#222222", "#6f6f6f", "#d9d9d9"
 LETTERS = "abcdefghijklmnopqrstuvwxyz"
 """What panels are called, a filter each: a figure holds no more of them."""
 
-_SUFFIXES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".tif", ".tiff")
+SUFFIXES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".tif", ".tiff")
 _DPI = 150
 _RC: Mapping[str, Any] = {
     "font.size": 9.5,
@@ -198,23 +198,10 @@ class Drawing:
         """
         if isinstance(self.figure, np.ndarray):
             return picture.save(self.figure, path)
-        path, _ = as_path(path), require_suffix(path)
-        try:
-            with staged(path, path.suffix) as temporary, styled():
-                self.figure.savefig(temporary, dpi=dpi)
-        except FormatError:
-            raise
-        except (OSError, ValueError) as error:
-            raise FormatError(f"cannot write {path}: {error}") from error
+        path, suffix = as_path(path), require_suffix(path, SUFFIXES, "figures")
+        with staged(path, suffix) as temporary, styled():
+            self.figure.savefig(temporary, dpi=dpi)
         return path
-
-
-def require_suffix(path: str | os.PathLike[str]) -> str:
-    """The suffix of a figure's file, in lower case; raises `FormatError` if figures are not written so."""
-    suffix = as_path(path).suffix.lower()
-    if suffix not in _SUFFIXES:
-        raise FormatError(f"figures are written as {', '.join(_SUFFIXES)}; got {os.fspath(path)!r}")
-    return suffix
 
 
 def require_matplotlib() -> Any:

@@ -15,11 +15,12 @@ from numpy.typing import ArrayLike, DTypeLike
 
 from clvol.checks import as_path
 from clvol.errors import DataError, FormatError, GeometryError, OptionError
+from clvol.files import staged
 from clvol.formats import dicom, metaimage, nifti, npy, nrrd, raw, tiff
-from clvol.formats._files import Reader, Writer, foreign_errors, staged
+from clvol.formats._files import Reader, Writer, foreign_errors
 from clvol.volume import Volume, as_volume
 
-__all__ = ["FORMATS", "Format", "read", "write"]
+__all__ = ["FORMATS", "WRITTEN", "Format", "read", "write"]
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,9 @@ FORMATS = (
     Format("raw samples", (".raw", ".bin"), raw.read, None, frozenset({"shape", "dtype", "byte_order", "offset"})),
     Format("DICOM folder", (), dicom.read, None, frozenset({"series"})),
 )
+
+WRITTEN = tuple(suffix for f in FORMATS if f.write for suffix in f.suffixes)
+"""Suffixes of the files that `write` writes."""
 
 
 def read(

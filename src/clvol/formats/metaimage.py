@@ -11,8 +11,9 @@ import numpy as np
 
 from clvol.errors import FormatError
 from clvol.formats import _itk
-from clvol.formats._files import Content, inflated_size, require_bytes
+from clvol.formats._files import inflated_size, require_bytes
 from clvol.formats._headers import data_path, line, numbers, whole
+from clvol.interop import Content
 from clvol.volume import Volume
 
 __all__ = ["check", "read", "write"]

@@ -12,9 +12,10 @@ import numpy as np
 
 from clvol.errors import FormatError
 from clvol.formats import _itk
-from clvol.formats._files import Content, gunzipped_size, require_bytes
+from clvol.formats._files import gunzipped_size, require_bytes
 from clvol.formats._headers import data_path, line, whole
 from clvol.formats._units import one_unit
+from clvol.interop import Content
 from clvol.volume import Volume
 
 __all__ = ["check", "read", "write"]

@@ -12,8 +12,9 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 from clvol.errors import DataError, FormatError, MissingDependencyError
-from clvol.formats._files import Content, require_default, sample_count, storable
+from clvol.formats._files import require_default, sample_count, storable
 from clvol.formats._units import METRES, scale, unit_name
+from clvol.interop import Content
 from clvol.volume import Volume
 
 __all__ = ["read", "write"]

@@ -21,8 +21,8 @@ from clvol.device import Device, as_device
 from clvol.errors import FormatError, OptionError
 from clvol.figures import cost
 from clvol.figures.style import require_matplotlib
+from clvol.files import require_folder, staged
 from clvol.filter import Filter
-from clvol.formats._files import require_folder, staged
 from clvol.reports import html, spectrum
 from clvol.reports.advice import Advice, advise
 from clvol.reports.pictures import Cards, cards
@@ -149,12 +149,10 @@ def report(
     text = _page(name, volume, middle, table, advice, found, drawn)
     try:
         file.parent.mkdir(exist_ok=True)
-        with staged(file, file.suffix) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-    except FormatError:
-        raise
     except OSError as error:
         raise FormatError(f"cannot write {file}: {error}") from error
+    with staged(file, file.suffix) as temporary:
+        temporary.write_text(text, encoding="utf-8")
     told(1.0)
     return Report(file, table, advice)
 
