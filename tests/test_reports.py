@@ -200,8 +200,11 @@ def test_of_constant_data_nothing_is_drawn(tmp_path: Path, device: Device, value
     assert spectrum.high_share(spectrum.spectra(Volume(np.full((13, 12, 11), value)))) is None
 
 
-def test_what_cannot_be_reported_is_said_first(tmp_path: Path, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("clvol.analysis.compare", None)  # nothing may be measured
+def test_what_cannot_be_reported_is_said_first(tmp_path: Path, device: Device) -> None:
+
+    def nothing(done: float) -> None:
+        pytest.fail(f"{done} of the work was done")
+
     bad = np.zeros((5, 5, 5))
     bad[1, 2, 3] = np.nan
     cases: list[tuple[Any, dict[str, Any], type[Exception], str]] = [
@@ -216,7 +219,7 @@ def test_what_cannot_be_reported_is_said_first(tmp_path: Path, device: Device, m
     ]
     for volume, options, error, words in cases:
         with pytest.raises(error, match=words):
-            reports.report(volume, tmp_path / "a.html", device=device, **options)
+            reports.report(volume, tmp_path / "a.html", device=device, progress=nothing, **options)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -243,13 +246,12 @@ def test_without_a_period_there_is_no_exact_sinc(tmp_path: Path, device: Device)
     assert [row.filter for row in done.table] == ["linear", EXACT_SINC]
 
 
-def test_of_a_large_volume_the_middle_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reports, "_MEASURED", 1000)
+def test_of_a_large_volume_the_middle_is_measured() -> None:
     volume = Volume(np.arange(20 * 30 * 40, dtype=np.float32).reshape(20, 30, 40), (1, 2, 3))
-    middle = reports._middle(volume)
+    middle = reports._middle(volume, 1000)
     assert 700 < middle.data.size <= 1000
     np.testing.assert_allclose(middle.center, volume.center, atol=2)
-    assert reports._middle(middle) is middle
+    assert reports._middle(middle, 1000) is middle
 
 
 # -- advice ------------------------------------------------------------------------------------------------------

@@ -14,7 +14,8 @@ import pytest
 
 import clvol
 from clvol import FormatError, MissingDependencyError, OptionError, analysis, figures, phantoms
-from clvol.analysis import EXACT_SINC, timing
+from clvol.analysis import EXACT_SINC
+from clvol.analysis.timing import Effort
 from clvol.device import Device
 from clvol.figures import convergence, cost, errors, gradients, hybrid, images, impulse, inputs, pipeline, responses, style
 
@@ -270,11 +271,10 @@ def test_sizes_of_grids_are_checked(sizes: tuple[int, ...]) -> None:
         convergence.draw(("linear",), sizes)
 
 
-def test_cost_puts_every_filter_on_the_plot(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(timing, "_TIMED", 1000)
-    monkeypatch.setattr(timing, "_ROUNDS", 2)
+def test_cost_puts_every_filter_on_the_plot(device: Device) -> None:
     done: list[float] = []
-    drawing = cost.draw(("nearest", "linear", "bspline3"), samples=15, points=500, device=device, progress=done.append)
+    names, little = ("nearest", "linear", "bspline3"), Effort(positions=1000, rounds=2)
+    drawing = cost.draw(names, samples=15, points=500, device=device, progress=done.append, effort=little)
     assert [n["filter"] for n in drawing.numbers] == ["nearest", "linear", "bspline3"]
     assert all(n["nanoseconds"] > 0 and n["rms"] > 0 for n in drawing.numbers)
     assert drawing.numbers[0]["angle_mean"] is None

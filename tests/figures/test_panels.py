@@ -148,9 +148,9 @@ def test_progress_goes_up_to_one(device: Device) -> None:
     assert told[-1] == pytest.approx(1)
 
 
-def test_a_figure_in_which_no_surface_shows_measures_no_normals(monkeypatch: pytest.MonkeyPatch, device: Device) -> None:
-    monkeypatch.setattr("clvol.figures.panels.CAMERA", Camera.look_at((0, 0, 9), (0, 0, 20), (0, 1, 0)))
-    panels, _ = figure6(8, 8, ("linear",), samples=1, device=device)
+def test_a_figure_in_which_no_surface_shows_measures_no_normals(device: Device) -> None:
+    away = Camera.look_at((0, 0, 9), (0, 0, 20), (0, 1, 0))
+    panels, _ = figure6(8, 8, ("linear",), camera=away, samples=1, device=device)
     assert panels[0].angle is None
     assert panels[0].rms is not None
 
@@ -203,22 +203,24 @@ def test_pixels_are_checked_first(pixels: object) -> None:
             make()
 
 
-def test_filters_are_checked_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("clvol.figures.panels.Renderer", None)  # nothing may be drawn
+def test_filters_are_checked_first() -> None:
+    nowhere = "no such device"  # whoever draws before checking gets a DeviceError
     for filters in ((), "linear"):
         with pytest.raises(OptionError, match=r"filters must be one or more names"):
-            figure6(8, 8, filters)
+            figure6(8, 8, filters, device=nowhere)
         with pytest.raises(OptionError, match=r"filters must be one or more names"):
-            compare(phantoms.sphere(8), filters, 8)
+            compare(phantoms.sphere(8), filters, 8, device=nowhere)
     with pytest.raises(OptionError, match=r"filters must be one or more names, at most 26; got 27"):
-        figure6(8, 8, ("linear",) * 27)
-    monkeypatch.setattr("clvol.figures.panels._DRAWN", 511)
+        figure6(8, 8, ("linear",) * 27, device=nowhere)
     with pytest.raises(OptionError, match=r"'exact-sinc' is drawn of at most 511 samples; got 512"):
-        compare(phantoms.sphere(8), ("linear", EXACT_SINC), 8)
+        compare(phantoms.sphere(8), ("linear", EXACT_SINC), 8, max_samples=511, device=nowhere)
     with pytest.raises(OptionError, match=r"boundary must be mirror, reflect or wrap, which have a period; got 'zero'"):
-        compare(phantoms.sphere(7), ("linear", EXACT_SINC), 8, "zero")
+        compare(phantoms.sphere(7), ("linear", EXACT_SINC), 8, "zero", device=nowhere)
     assert SIX[1:] == FIGURE_6[1:]
-    for make in (lambda: figure6(8, 8, ("linear", "bogus")), lambda: compare(phantoms.sphere(8), ("linear", "bogus"), 8)):
+    for make in (
+        lambda: figure6(8, 8, ("linear", "bogus"), device=nowhere),
+        lambda: compare(phantoms.sphere(8), ("linear", "bogus"), 8, device=nowhere),
+    ):
         with pytest.raises(OptionError, match=r"bspline3.*'bogus'"):
             make()
 

@@ -34,7 +34,6 @@ Function: TypeAlias = Callable[[Array], ArrayLike]
 _Angles: TypeAlias = tuple[float | None, float | None, float | None]
 
 _LATTICE = 1 << 22  # positions at which similarity is judged, at most: of more the middle slices
-_WHOLE = 1 << 25  # samples of a volume that are held back, at most: of a larger one the middle slices
 _FARTHEST = 1024  # samples between those kept
 _CHUNK = 1 << 20  # positions taken at a time
 _SINC_PRODUCTS = 1 << 34  # of the exact sinc at scattered points, where each takes all samples
@@ -192,6 +191,7 @@ def compare(
     device: Device | str | int | None = None,
     timing_device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
+    max_samples: int = 1 << 25,
 ) -> ErrorTable:
     """Measure what each filter makes of data whose truth is known.
 
@@ -237,6 +237,8 @@ def compare(
         Where times are measured: `device` unless named, or the default one.
     progress : callable, optional
         Called with the fraction done.
+    max_samples : int
+        How many samples of a decimated volume are compared; of a larger one the middle slices are.
 
     Returns
     -------
@@ -254,7 +256,7 @@ def compare(
     chosen, rule = as_compared(filters), as_boundary(boundary)
     points, factor = whole("points", points, 1), whole("factor", factor, 2, _FARTHEST)
     rng = np.random.default_rng(whole("seed", seed, 0))
-    margin = number("margin", margin, least=0)
+    margin, max_samples = number("margin", margin, least=0), whole("max_samples", max_samples, 1)
     on = None if device is None else as_device(device)
     clock = _clock(timing_device, on) if timing else None
     if EXACT_SINC in chosen and rule.period is None:
@@ -273,7 +275,7 @@ def compare(
     if truth is None:
         if gradient is not None:
             raise OptionError("gradient must be that of a function; got it with a volume without its truth")
-        trial = _held_back(volume, factor, lowpass, margin, points, rule, rng)
+        trial = _held_back(volume, factor, lowpass, margin, points, rule, rng, max_samples)
     else:
         trial = _known(volume, truth, gradient, margin, points, rng)
     told, share = progress or (lambda _: None), 1.0 if clock is None else _SHARE
@@ -354,7 +356,14 @@ def _known(
 
 
 def _held_back(
-    original: Volume, factor: int, lowpass: str, margin: float, points: int, rule: Boundary, rng: np.random.Generator
+    original: Volume,
+    factor: int,
+    lowpass: str,
+    margin: float,
+    points: int,
+    rule: Boundary,
+    rng: np.random.Generator,
+    max_samples: int,
 ) -> _Trial:
     if lowpass not in ("gaussian", "none"):
         raise one_of("lowpass", lowpass, ("gaussian", "none"))
@@ -365,7 +374,7 @@ def _held_back(
         np.arange(math.ceil(a - 1e-9), min(math.floor(b + 1e-9), n - 1) + 1)
         for a, b, n in zip(low[::-1], high[::-1], original.shape, strict=True)
     ]
-    kept[0] = _middle(kept[0], math.prod(k.size for k in kept[1:]), _WHOLE)
+    kept[0] = _middle(kept[0], math.prod(k.size for k in kept[1:]), max_samples)
     count = math.prod(k.size for k in kept)
     some = rng.choice(count, min(points, count), replace=False)
     index = np.stack([k[i] for k, i in zip(kept, np.unravel_index(some, [k.size for k in kept]), strict=True)][::-1], -1)

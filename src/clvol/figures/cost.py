@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from clvol import analysis, phantoms
-from clvol.analysis.timing import seconds_a_sample
+from clvol.analysis.timing import FULL, Effort, seconds_a_sample
 from clvol.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.device import Device, as_device
 from clvol.figures.style import FAINT, GREY, Drawing, colour, new_figure, styled
@@ -29,6 +29,8 @@ def draw(
     points: int = 20_000,
     device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
+    *,
+    effort: Effort = FULL,
 ) -> Drawing:
     """Each filter's error on the Marschner-Lobb function against its time on a device: values left, gradients right.
 
@@ -42,11 +44,13 @@ def draw(
         Random positions that are compared.
     device, progress
         As for `clvol.sample`.
+    effort : Effort
+        How much time is spent on times.
 
     Raises
     ------
     DeviceError
-        Without a device there are no times.
+        No device is usable, so there are no times.
     """
     rows, on = as_filters(list(all_filters()) if filters is None else filters), as_device(device)
     on.require_usable()
@@ -61,7 +65,7 @@ def draw(
         progress=lambda done: told(_SHARE * done),
     )
     seconds = seconds_a_sample(
-        table.samples, rows, as_boundary(DEFAULT_BOUNDARY), on, lambda done: told(_SHARE + (1 - _SHARE) * done)
+        table.samples, rows, as_boundary(DEFAULT_BOUNDARY), on, lambda done: told(_SHARE + (1 - _SHARE) * done), effort=effort
     )
     numbers: list[dict[str, Any]] = [
         {"filter": row.filter, "nanoseconds": 1e9 * took, "rms": row.rms, "angle_mean": row.angle_mean}

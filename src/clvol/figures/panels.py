@@ -52,7 +52,6 @@ SIX = ("sinc", "nearest", "bspline3-approx", "linear", "mitchell", "bspline3")
 FIGURE_6 = (EXACT_SINC, *SIX[1:])
 """a) to f) of the paper's Figures 4 to 6: the sinc is exact."""
 
-_DRAWN = 1 << 20  # samples whose exact sinc is drawn, at most, in `compare`
 _FINER = 4  # as many times the samples stand for the exact sinc
 # what shows the Marschner-Lobb function well, in every figure
 ISOVALUE = 0.5
@@ -113,6 +112,7 @@ def figure6(
     pixels: int = 512,
     filters: Sequence[str | Filter] = FIGURE_6,
     *,
+    camera: Camera = CAMERA,
     samples: int = 2,
     step: float = 0.25,
     device: Device | str | int | None = None,
@@ -129,7 +129,7 @@ def figure6(
     filters : sequence of str or Filter
         One panel each; the exact function is added at the end. "exact-sinc" is the exact sinc: the samples are
         magnified by the FFT and drawn through `bspline3`, and the panel says how far that is from exact.
-    samples, step, device, progress
+    camera, samples, step, device, progress
         As for `Renderer.render`.
 
     Returns
@@ -141,7 +141,7 @@ def figure6(
     whole("pixels", pixels, 1)
     chosen = as_compared(filters, len(LETTERS))
     volume = phantoms.marschner_lobb(size)
-    surface, picture = _exact(volume, pixels, samples)
+    surface, picture = _exact(volume, camera, pixels, samples)
     points = np.random.default_rng(_SEED).uniform(-0.8, 0.8, (_POINTS, 3))
     truth, normals = phantoms.marschner_lobb_function(points), phantoms.marschner_lobb_gradient(surface)
     panels = []
@@ -150,7 +150,7 @@ def figure6(
         held, through, finer, residual = _through(volume, row, DEFAULT_BOUNDARY)
         with Renderer(held, through, device=device) as renderer:
             drawn = renderer.render(
-                fixed(CAMERA, volume, held),
+                fixed(camera, volume, held),
                 "isosurface",
                 (pixels, pixels),
                 step * finer,
@@ -182,14 +182,15 @@ def compare(
     pixels: int = 384,
     boundary: str | Boundary = DEFAULT_BOUNDARY,
     *,
+    max_samples: int = 1 << 20,
     device: Device | str | int | None = None,
     progress: Progress | None = None,
     **options: Any,
 ) -> tuple[list[Panel], NDArray[np.uint8]]:
     """The same picture of a volume by each filter; `options` are those of `Renderer.render`.
 
-    "exact-sinc" is drawn as in Figure 6, of at most a million samples, since it takes 64 times their memory; it ends up to
-    three eighths of a sample sooner than the others.
+    "exact-sinc" is drawn as in Figure 6, of at most `max_samples` samples since it takes 64 times their memory. It ends up
+    to three eighths of a sample sooner than the others.
 
     Returns
     -------
@@ -202,8 +203,8 @@ def compare(
     chosen, volume = as_compared(filters), as_volume(volume)
     if EXACT_SINC in chosen:
         periodic(boundary)
-        if volume.data.size > _DRAWN:
-            raise OptionError(f"{EXACT_SINC!r} is drawn of at most {_DRAWN} samples; got {volume.data.size}")
+        if volume.data.size > max_samples:
+            raise OptionError(f"{EXACT_SINC!r} is drawn of at most {max_samples} samples; got {volume.data.size}")
     look = settled(volume, {"mode": "isosurface", **options})
     camera, step = look.pop("camera"), look.pop("step", 0.5)
     panels = []
@@ -295,13 +296,13 @@ def _mean_angle(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 # -- the exact function, drawn without any samples --------------------------------------------------------
 
 
-def _exact(volume: Volume, pixels: int, samples: int) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+def _exact(volume: Volume, camera: Camera, pixels: int, samples: int) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
     """Points of the true surface that the picture shows, (N, 3), and the picture."""
     return draw_function(
         phantoms.marschner_lobb_function,
         phantoms.marschner_lobb_gradient,
         volume,
-        CAMERA.view(volume),
+        camera.view(volume),
         (pixels, pixels),
         clip=BOX,
         isovalue=ISOVALUE,

@@ -33,7 +33,6 @@ __all__ = ["REPORTED", "Advice", "Report", "advise", "page", "report"]
 REPORTED = ("nearest", "linear", "bspline3-approx", "mitchell", "catmull-rom", "bspline3", "omoms3", "bspline5", "hybrid")
 """What a report compares unless told otherwise, beside the exact sinc."""
 
-_MEASURED = 1 << 22  # samples that are measured: of a larger volume the middle
 _POINTS = 20_000  # gradients that are compared
 _SHARE = 0.6  # of the time that measuring takes
 _FACTOR = 2
@@ -82,6 +81,7 @@ def report(
     pixels: int = 280,
     boundary: str | Boundary = DEFAULT_BOUNDARY,
     *,
+    max_samples: int = 1 << 22,
     device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
     **options: Any,
@@ -91,7 +91,7 @@ def report(
     Parameters
     ----------
     volume : Volume or array-like, 3-D
-        Of one with more than four million samples the middle is measured; all of it is drawn.
+        What is measured and drawn.
     output : str or Path
         A folder, which then holds index.html, or a file that ends in .html.
     name : str
@@ -101,6 +101,8 @@ def report(
         not, where the boundary rule has a period.
     pixels : int
         Width and height of each picture.
+    max_samples : int
+        How many samples are measured: of a larger volume the middle. All of it is drawn.
     boundary, device, progress
         As for `clvol.render`.
     **options
@@ -118,6 +120,7 @@ def report(
         raise OptionError(f"a report takes a volume with 3 axes; got shape {volume.shape}")
     volume.require_finite()
     pixels, rule, on = whole("pixels", pixels, 16), as_boundary(boundary), as_device(device)
+    max_samples = whole("max_samples", max_samples, 1)
     named = as_compared(filters)
     chosen = [row for row in named if isinstance(row, Filter)]
     if not chosen:
@@ -126,7 +129,7 @@ def report(
     if rule.period is not None or EXACT_SINC in named:
         measured.append(EXACT_SINC)
     told = progress or (lambda _: None)
-    middle = _middle(volume)
+    middle = _middle(volume, max_samples)
     table = analysis.compare(
         middle, measured, boundary=rule, factor=_FACTOR, points=_POINTS, timing_device=on, progress=lambda done: told(_SHARE * done)
     )
@@ -157,11 +160,11 @@ def report(
     return Report(file, table, advice)
 
 
-def _middle(volume: Volume) -> Volume:
-    """As much about the middle as is measured, every axis cut alike."""
-    if volume.data.size <= _MEASURED:
+def _middle(volume: Volume, max_samples: int) -> Volume:
+    """The part about the middle that has at most `max_samples`, every axis cut in the same proportion."""
+    if volume.data.size <= max_samples:
         return volume
-    share = (_MEASURED / volume.data.size) ** (1 / 3)
+    share = (max_samples / volume.data.size) ** (1 / 3)
     sizes = [max(1, int(n * share)) for n in volume.size]
     low = [(n - m) // 2 for n, m in zip(volume.size, sizes, strict=True)]
     return volume.crop(low, [a + m for a, m in zip(low, sizes, strict=True)])
