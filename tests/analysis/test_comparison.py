@@ -18,6 +18,7 @@ from clvol.errors import ClvolError, DataError, OptionError, OutOfMemoryError
 from clvol.filter import as_filter, filters, from_callable
 from clvol.phantoms import marschner_lobb, marschner_lobb_function, marschner_lobb_gradient
 from clvol.volume import Volume
+from tests.cases import BAD_COUNTS, BAD_DATA, BAD_FILTER_LISTS, BAD_FILTERS, BAD_NUMBERS, BAD_WHOLE
 
 # of Marschner-Lobb 41³ at 200 000 random points in [-0.8, 0.8]³, computed in float64 before clvol was written
 RMSE = {
@@ -326,16 +327,13 @@ BAD: list[tuple[dict[str, Any], type[ClvolError], str]] = [
     ({**GOOD, "gradient": lambda _: 1 / 0}, OptionError, "the gradient must give a finite vector for each position; it failed"),
     ({**GOOD, "truth": wave}, OptionError, "truth must be given with a volume only"),
     ({**VOLUME, "gradient": wave}, OptionError, "gradient must be that of a function"),
-    ({**GOOD, "filters": "linear"}, OptionError, "filters must be one or more names; got 'linear'"),
-    ({**GOOD, "filters": 5}, OptionError, "filters must be one or more names; got 5"),
-    ({**GOOD, "filters": as_filter("linear")}, OptionError, "filters must be one or more names; got Filter"),
+    *(({**GOOD, "filters": bad}, OptionError, "filters must be one or more names; got ") for bad in BAD_FILTER_LISTS),
+    *(({**GOOD, "filters": [bad]}, OptionError, "filter") for bad in BAD_FILTERS),
     ({**GOOD, "points": 10**12}, OutOfMemoryError, "points must give at most 68719476736 samples; got 1000000000000"),
     ({**GOOD, "size": 10**6}, OutOfMemoryError, "size must give at most 68719476736 samples; got 1000000"),
     ({**GOOD, "size": 10**30}, OutOfMemoryError, "size must give at most 68719476736 samples"),
     ({**VOLUME, "factor": 10**9}, OptionError, "factor must be a whole number, at least 2 and at most 1024; got 1000000000"),
     ({**VOLUME, "factor": 10**30}, OptionError, "factor must be a whole number, at least 2 and at most 1024"),
-    ({**GOOD, "filters": []}, OptionError, "filters must be one or more names"),
-    ({**GOOD, "filters": ["none"]}, OptionError, "filter must be one of"),
     ({**GOOD, "filters": [EXACT_SINC], "boundary": "zero"}, OptionError, "must be mirror, reflect or wrap for 'exact-sinc'"),
     ({**GOOD, "boundary": "none"}, OptionError, "boundary must be one of"),
     ({**GOOD, "size": 1}, OptionError, "size must be a whole number, at least 2"),
@@ -344,15 +342,15 @@ BAD: list[tuple[dict[str, Any], type[ClvolError], str]] = [
     ({**GOOD, "dimensions": 4}, OptionError, "dimensions must be a whole number, at least 2 and at most 3"),
     ({**GOOD, "domain": (1, 1)}, OptionError, "domain must be two numbers, the lower first"),
     ({**GOOD, "domain": (0, np.inf)}, OptionError, "domain must be two numbers"),
-    ({**GOOD, "points": 0}, OptionError, "points must be a whole number, at least 1"),
-    ({**GOOD, "seed": -1}, OptionError, "seed must be"),
-    ({**GOOD, "margin": -1}, OptionError, "margin must be"),
+    *(({**GOOD, "points": bad}, OptionError, "points must be a whole number, at least 1") for bad in BAD_COUNTS),
+    *(({**VOLUME, "max_samples": bad}, OptionError, "max_samples must be a whole number, at least 1") for bad in BAD_COUNTS),
+    *(({**GOOD, "seed": bad}, OptionError, "seed must be") for bad in (-1, *BAD_WHOLE)),
+    *(({**GOOD, "margin": bad}, OptionError, "margin must be") for bad in (-1, *BAD_NUMBERS)),
     ({**GOOD, "device": "none"}, OptionError, "device must be one of"),
     ({**VOLUME, "factor": 1}, OptionError, "factor must be a whole number, at least 2"),
     ({**VOLUME, "lowpass": "box"}, OptionError, "lowpass must be one of gaussian, none; got 'box'"),
     ({**VOLUME, "source": [[1.0, np.nan]]}, DataError, "samples must be finite; got 1 NaN"),
-    ({**VOLUME, "source": np.ones(3)}, DataError, "data must have 2 axes"),
-    ({**VOLUME, "source": None}, DataError, "data must"),
+    *(({**VOLUME, "source": bad}, DataError, "data must|of data must") for bad in BAD_DATA),
 ]
 
 

@@ -8,6 +8,7 @@ from clvol.analysis import EXACT_SINC
 from clvol.device import Device
 from clvol.figures import FIGURE_6, SIX, Panel, compare, figure6
 from clvol.figures.panels import CAMERA, ISOVALUE, LIGHTS, MATERIAL, SURFACE, _mean_angle, fixed
+from tests.cases import BAD_COUNTS, BAD_FILTER_LISTS
 
 # of the Marschner-Lobb function at 40³, within 0.8 of the centre
 RMS = {"bspline3": 0.0148, "linear": 0.0328, "mitchell": 0.0296, "bspline3-approx": 0.0451, "nearest": 0.0475}
@@ -196,7 +197,7 @@ def test_compare_draws_the_exact_sinc(device: Device, rule: str, mode: str) -> N
     assert np.abs(sinc - spline).mean() < 0.3 * np.abs(nearest - spline).mean()
 
 
-@pytest.mark.parametrize("pixels", [0, -4, 2.5, True, "8"])
+@pytest.mark.parametrize("pixels", BAD_COUNTS, ids=repr)
 def test_pixels_are_checked_first(pixels: object) -> None:
     for make in (lambda: figure6(8, pixels), lambda: compare(phantoms.sphere(8), ("linear",), pixels)):  # type: ignore[arg-type]
         with pytest.raises(OptionError, match=r"pixels must be a whole number, at least 1"):
@@ -205,7 +206,7 @@ def test_pixels_are_checked_first(pixels: object) -> None:
 
 def test_filters_are_checked_first() -> None:
     nowhere = "no such device"  # whoever draws before checking gets a DeviceError
-    for filters in ((), "linear"):
+    for filters in BAD_FILTER_LISTS:
         with pytest.raises(OptionError, match=r"filters must be one or more names"):
             figure6(8, 8, filters, device=nowhere)
         with pytest.raises(OptionError, match=r"filters must be one or more names"):
