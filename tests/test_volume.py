@@ -167,7 +167,7 @@ def test_simpleitk_image_brings_its_geometry() -> None:
     np.testing.assert_array_equal(volume.data, DATA)
     for index in ((0, 0, 0), (5, 1, 3)):
         np.testing.assert_allclose(volume.index_to_world(index), image.TransformIndexToPhysicalPoint(index))
-    with pytest.raises(DataError, match="one value a voxel"):
+    with pytest.raises(DataError, match="one value per voxel"):
         Volume(sitk.GetImageFromArray(np.zeros((2, 2, 2, 3)), isVector=True))
 
 

@@ -32,7 +32,7 @@ def read_array(source: Any) -> Content:
     Raises
     ------
     DataError
-        Ragged or masked data, several values a voxel, or a number of axes that the kind of object does not allow.
+        Ragged or masked data, several values per voxel, or a number of axes that the kind of object does not allow.
     GeometryError
         The affine of a nibabel image is singular or not finite.
     """
@@ -59,11 +59,11 @@ def from_simpleitk(image: Any, units: str = "") -> Content:
     Raises
     ------
     DataError
-        Several values a voxel, or more than three axes.
+        Several values per voxel, or more than three axes.
     """
     rank, channels, size = image.GetDimension(), image.GetNumberOfComponentsPerPixel(), image.GetSize()
     if channels != 1:
-        raise DataError(f"data must have one value a voxel; got {channels}: split the image into its channels")
+        raise DataError(f"data must have one value per voxel; got {channels}: split the image into its channels")
     if any(n != 1 for n in size[3:]):
         raise DataError(f"data must have 2 or 3 axes; got {size} samples: split the image into its frames")
     d = min(rank, 3)

@@ -23,7 +23,7 @@ _BAND = (24, 24, 28)
 
 
 def to_bytes(picture: ArrayLike) -> NDArray[np.uint8]:
-    """A picture with values in 0..1 as eight-bit values, rounded to the nearest, NaN as 0; one of eight bits as it is."""
+    """A picture with values in 0..1 as eight-bit values, rounded, NaN as 0; an eight-bit picture unchanged."""
     try:
         array = np.asarray(picture)
     except (TypeError, ValueError) as error:
@@ -40,7 +40,7 @@ def to_bytes(picture: ArrayLike) -> NDArray[np.uint8]:
 def save(picture: ArrayLike, path: str | os.PathLike[str]) -> Path:
     """Write a picture with values in 0..1, by suffix: .png, .tif, or .jpg and .bmp, which show transparency as black.
 
-    It is written beside `path` and renamed, so that no half-written file is ever seen.
+    The file appears when it is complete.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def heat(share: ArrayLike) -> NDArray[np.float32]:
 def labelled(picture: ArrayLike, text: str) -> NDArray[np.uint8]:
     """A picture with a line or lines of text in a band beneath it; (height + band, width, 3) uint8.
 
-    What is transparent is shown as black.
+    Transparency is shown as black.
     """
     from PIL import Image, ImageDraw, ImageFont
 
@@ -95,7 +95,7 @@ def labelled(picture: ArrayLike, text: str) -> NDArray[np.uint8]:
 
 
 def _opaque(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Eight-bit RGBA, not premultiplied, over black; anything else as it is."""
+    """Eight-bit RGBA, not premultiplied, over black; anything else unchanged."""
     if data.shape[2] != 4:
         return data
     return np.asarray(np.rint(data[..., :3] * (data[..., 3:] / 255)), np.uint8)

@@ -1,6 +1,6 @@
-"""Frequency responses of the filters (eqs 14 to 18), derived from their rows.
+"""Frequency responses of the filters (eqs 14 to 18), derived from their taps.
 
-Frequencies are in radians a sample of the given volume: π is its Nyquist frequency, and an ideal
+Frequencies are in radians per sample of the given volume: π is its Nyquist frequency, and an ideal
 filter would be 1 below it and 0 above.
 """
 
@@ -19,7 +19,7 @@ __all__ = ["frequency_response", "prefilter_response"]
 
 Array: TypeAlias = NDArray[np.float64]
 _MAX_OMEGA = 2000  # the nodes of integration grow with it, and their time with its cube
-_CHUNK = 1 << 20  # cosines held at a time
+_CHUNK = 1 << 20  # cosines in memory at a time
 
 
 def frequency_response(filter: str | Filter, omega: ArrayLike) -> Array:
@@ -28,9 +28,9 @@ def frequency_response(filter: str | Filter, omega: ArrayLike) -> Array:
     Parameters
     ----------
     filter : str or Filter
-        Any row of the table.
+        Any filter of the table.
     omega : array-like
-        Angular frequency in radians a sample, at most 2000 either way.
+        Angular frequency in radians per sample, at most 2000 either way.
 
     Returns
     -------
@@ -68,9 +68,9 @@ def prefilter_response(filter: str | Filter, omega: ArrayLike) -> Array:
     Parameters
     ----------
     filter : str or Filter
-        Any row of the table.
+        Any filter of the table.
     omega : array-like
-        Angular frequency in radians a sample.
+        Angular frequency in radians per sample.
 
     Returns
     -------

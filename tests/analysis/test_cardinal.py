@@ -37,7 +37,7 @@ def test_the_kernel_alone_without_a_prefilter() -> None:
 def test_energy_and_integral_by_hand() -> None:
     linear = pieces(as_filter("linear"))
     assert linear.energy() == pytest.approx(2 / 3, rel=1e-15)
-    assert linear.greatest_integral() == pytest.approx(1, rel=1e-15)
+    assert linear.max_integral() == pytest.approx(1, rel=1e-15)
     assert pieces(as_filter("nearest")).energy() == 1
 
 

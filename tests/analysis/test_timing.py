@@ -9,7 +9,7 @@ import pytest
 
 from clvol import phantoms
 from clvol.analysis import timing
-from clvol.analysis.timing import Effort, seconds_a_sample
+from clvol.analysis.timing import Effort, seconds_per_sample
 from clvol.boundary import as_boundary
 from clvol.device import Device
 from clvol.filter import Filter, as_filters
@@ -34,7 +34,7 @@ def test_every_filter_takes_its_turn_and_the_shortest_time_counts(monkeypatch: p
     monkeypatch.setattr(timing, "sample_coefficients", takes)
     monkeypatch.setattr(timing.time, "perf_counter", lambda: now)
     reported: list[float] = []
-    shortest = seconds_a_sample(phantoms.sphere(8), FILTERS, as_boundary("mirror"), None, reported.append)  # type: ignore[arg-type]
+    shortest = seconds_per_sample(phantoms.sphere(8), FILTERS, as_boundary("mirror"), None, reported.append)  # type: ignore[arg-type]
     usual = Effort()
     assert taken == [(f.name, n) for n in (64, *[usual.positions] * usual.rounds) for f in FILTERS]
     assert shortest == [1000 * f.support / usual.positions for f in FILTERS]
@@ -49,7 +49,7 @@ def test_coefficients_are_resident_while_there_is_room(room: int, groups: list[l
 def test_times_on_a_device(device: Device) -> None:
     reported: list[float] = []
     little = Effort(positions=500, resident_bytes=10)
-    shortest = seconds_a_sample(phantoms.sphere(8), FILTERS, as_boundary("wrap"), device, reported.append, effort=little)
+    shortest = seconds_per_sample(phantoms.sphere(8), FILTERS, as_boundary("wrap"), device, reported.append, effort=little)
     assert len(shortest) == 3
     assert all(0 < seconds < 1 for seconds in shortest)
     assert reported == sorted(reported)

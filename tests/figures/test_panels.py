@@ -84,7 +84,7 @@ def test_a_fixed_camera_sees_the_same_of_another_volume(projection: str) -> None
 
 
 def test_the_exact_panel_is_what_a_much_finer_sampled_volume_shows(drawn: tuple[list[Panel], np.ndarray], device: Device) -> None:
-    # the same box and camera; the domain of 161³ samples ends elsewhere, so the camera is told where it stood
+    # the same box and camera; the domain of 161³ samples ends elsewhere, so the camera gets its place
     coarse, fine = phantoms.marschner_lobb(40), phantoms.marschner_lobb(161)
     view = CAMERA.view(coarse)
     camera = Camera(
@@ -139,14 +139,14 @@ def test_labels_tell_what_was_measured() -> None:
 
 
 def test_progress_goes_up_to_one(device: Device) -> None:
-    told: list[float] = []
-    figure6(8, 8, ("linear", "nearest"), samples=1, device=device, progress=told.append)
-    assert told == sorted(told)
-    assert told[-1] == pytest.approx(1)
-    told.clear()
-    compare(phantoms.sphere(8), ("linear", "nearest"), 8, device=device, progress=told.append)
-    assert told == sorted(told)
-    assert told[-1] == pytest.approx(1)
+    reported: list[float] = []
+    figure6(8, 8, ("linear", "nearest"), samples=1, device=device, progress=reported.append)
+    assert reported == sorted(reported)
+    assert reported[-1] == pytest.approx(1)
+    reported.clear()
+    compare(phantoms.sphere(8), ("linear", "nearest"), 8, device=device, progress=reported.append)
+    assert reported == sorted(reported)
+    assert reported[-1] == pytest.approx(1)
 
 
 def test_a_figure_in_which_no_surface_shows_measures_no_normals(device: Device) -> None:

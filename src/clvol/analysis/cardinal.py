@@ -18,7 +18,7 @@ from clvol.filter import Filter, as_filter
 __all__ = ["Pieces", "even_filter", "impulse_response", "pieces"]
 
 Array: TypeAlias = NDArray[np.float64]
-_TAIL = 1e-18  # of the prefilter's impulse response, which falls like the powers of its greatest pole
+_TAIL = 1e-18  # of the prefilter's impulse response, which decays like the powers of its largest pole
 
 
 @dataclass(frozen=True)
@@ -54,21 +54,21 @@ class Pieces:
         values = polynomial.polyval((nodes + 1) / 2, self.rows.T)
         return float((values**2 @ lengths).sum() / 2 * self.step)
 
-    def greatest_integral(self) -> float:
-        """The greatest value of the integral from the left."""
+    def max_integral(self) -> float:
+        """The maximum of the integral from the left."""
         integrals = np.pad(self.rows / np.arange(1, self.rows.shape[1] + 1), ((0, 0), (1, 0))) * self.step
-        before, most = 0.0, 0.0
+        before, largest = 0.0, 0.0
         for row, integral in zip(self.rows, integrals, strict=True):
             roots = polynomial.polyroots(np.trim_zeros(row, "b")) if row.any() else np.empty(0)
             t = np.clip(np.concatenate([[0.0, 1.0], roots.real]), 0, 1)
             values = before + polynomial.polyval(t, integral)
-            most = max(most, float(values.max()))
+            largest = max(largest, float(values.max()))
             before = float(values[1])
-        return most
+        return largest
 
 
 def impulse_response(filter: str | Filter, x: ArrayLike, derivative: int = 0) -> Array:
-    """What the filter makes, along one axis, of a sample of 1 at 0 among zeros.
+    """The reconstruction, along one axis, of a sample of 1 at 0 among zeros.
 
     For a filter without a prefilter this is its kernel, eq. (10) for the cubic; with one, the cardinal
     spline ``sum of s_k beta(x - k)``, where s is the impulse response of eq. (16); for a hybrid, the
@@ -77,7 +77,7 @@ def impulse_response(filter: str | Filter, x: ArrayLike, derivative: int = 0) ->
     Parameters
     ----------
     filter : str or Filter
-        Any row of the table.
+        Any filter of the table.
     x : array-like
         Signed distance in samples of the given data.
     derivative : {0, 1, 2}
@@ -99,7 +99,7 @@ def impulse_response(filter: str | Filter, x: ArrayLike, derivative: int = 0) ->
 
 
 def even_filter(filter: str | Filter) -> Filter:
-    """The row, if what it makes of an impulse is even, so that its frequency response is real."""
+    """The filter, if its impulse response is even, so that its frequency response is real; else `OptionError`."""
     row = as_filter(filter)
     drawn = pieces(row)
     x = np.random.default_rng(0).uniform(0, -drawn.start, 1000)
@@ -110,7 +110,7 @@ def even_filter(filter: str | Filter) -> Filter:
 
 @lru_cache(maxsize=64)
 def pieces(row: Filter) -> Pieces:
-    """The impulse response of a row along one axis."""
+    """The impulse response of a filter along one axis."""
     kernel = row.matrix[::-1]  # tap i lies at t + TAPS/2 - 1 - i: the last tap is the leftmost piece
     if row.magnified_by is not None:
         coarse = pieces(row.magnified_by)
@@ -125,7 +125,7 @@ def pieces(row: Filter) -> Pieces:
 
 
 def _blend(values: Array, kernel: Array) -> Array:
-    """Pieces of the sum of the kernel's copies, each a piece further, times the values."""
+    """Pieces of the sum of the values times copies of the kernel, each one piece further."""
     return np.stack([np.convolve(values, column) for column in kernel.T], -1)
 
 

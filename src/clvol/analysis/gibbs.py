@@ -28,14 +28,14 @@ _REACH = 16  # samples on either side of the step
 
 @dataclass(frozen=True, kw_only=True)
 class StepResponse:
-    """What becomes of a step from 0 to 1.
+    """The response to a step from 0 to 1.
 
     Attributes
     ----------
     name : str
         Of the filter or low-pass.
     overshoot, undershoot : float
-        How far it goes above 1 and below 0, in steps.
+        How far it goes above 1 and below 0, relative to the step.
     ringing : float
         Total variation less that of a monotone curve, 1: 0 if nothing rings.
     rise : float
@@ -83,7 +83,7 @@ def lowpass_step(
         A box in the frequency domain: it overshoots by 8.949 % of the step whatever its cutoff, within its bounds to 0.01 %.
         Or a Gaussian, which never leaves [0, 1].
     cutoff : float
-        Of the ideal filter, in radians a sample: at most pi / 32, so that the step is sampled
+        Of the ideal filter, in radians per sample: at most pi / 32, so that the step is sampled
         finely, and at least pi / 512, so that the next step is far.
     sigma : float, optional
         Standard deviation of the Gaussian in samples; by default its response is 1/2 at `cutoff`.

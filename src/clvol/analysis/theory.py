@@ -26,9 +26,9 @@ from clvol.response import prefilter_response
 __all__ = ["Approximation", "approximation", "error_kernel", "taylor_coefficients"]
 
 Array: TypeAlias = NDArray[np.float64]
-_MOST = 12  # Taylor coefficients: more than the order of any B-spline of the table's maker
+_MAX_TERMS = 12  # Taylor coefficients: more than the order of any B-spline that `bspline` makes
 _MAX_OMEGA = 2000
-_CHUNK = 1 << 20  # complex numbers held at a time
+_CHUNK = 1 << 20  # complex numbers in memory at a time
 
 
 @dataclass(frozen=True)
@@ -57,12 +57,12 @@ class Approximation:
 def approximation(filter: str | Filter, derivative: int = 0) -> Approximation:
     """Order of approximation and leading error constant, for values or for first derivatives.
 
-    Exact rows are treated in exact fractions, so that linear's constant is ``sqrt(1/120)`` to the last bit.
+    Exact filters are treated in exact fractions, so that linear's constant is ``sqrt(1/120)`` to the last bit.
 
     Parameters
     ----------
     filter : str or Filter
-        Any row of the table.
+        Any filter of the table.
     derivative : {0, 1}
         0: of the values; 1: of the gradient that the filter's own derivative gives.
 
@@ -73,16 +73,16 @@ def approximation(filter: str | Filter, derivative: int = 0) -> Approximation:
     """
     row, derivative = as_filter(filter), whole("derivative", derivative, 0, 1)
     slack = 0.0 if _exact(row) else max(1e-9, 10 * row.fit_error) * float(row.degree) ** (2 * derivative)
-    for n in range(_MOST):
+    for n in range(_MAX_TERMS):
         wanted = int(n == derivative)
         square: Number = Fraction(0)
         for piece in _taylor(row, n, derivative):
-            miss = _plus(piece, [-wanted])
-            square += sum((c / (k + 1) for k, c in enumerate(_times(miss, miss))), Fraction(0))
+            error = _plus(piece, [-wanted])
+            square += sum((c / (k + 1) for k, c in enumerate(_times(error, error))), Fraction(0))
         constant = math.sqrt(square / row.scale)
         if constant > slack:
             return Approximation(row.name, derivative, n - derivative, constant)
-    raise OptionError(f"filter must have an order below {_MOST}; got {row.name!r}")
+    raise OptionError(f"filter must have an order below {_MAX_TERMS}; got {row.name!r}")
 
 
 def error_kernel(filter: str | Filter, omega: ArrayLike, derivative: int = 0) -> Array:
@@ -95,9 +95,9 @@ def error_kernel(filter: str | Filter, omega: ArrayLike, derivative: int = 0) ->
     Parameters
     ----------
     filter : str or Filter
-        Any row of the table.
+        Any filter of the table.
     omega : array-like
-        Angular frequency in radians a sample, within ±2000.
+        Angular frequency in radians per sample, within ±2000.
     derivative : {0, 1}
         1: the mean squared error of the derivative of ``exp(i w x)``, per sample; divide by ω² for the relative one.
 
@@ -136,7 +136,7 @@ def taylor_coefficients(filter: str | Filter, t: ArrayLike, count: int = 6, deri
     Parameters
     ----------
     filter : str or Filter
-        Any row of the table.
+        Any filter of the table.
     t : array-like
         Positions within a sample, in [0, 1).
     count : int
@@ -153,7 +153,7 @@ def taylor_coefficients(filter: str | Filter, t: ArrayLike, count: int = 6, deri
     OptionError
         Unknown filter, or a number outside its bounds.
     """
-    row, count, derivative = as_filter(filter), whole("count", count, 1, _MOST), whole("derivative", derivative, 0, 1)
+    row, count, derivative = as_filter(filter), whole("count", count, 1, _MAX_TERMS), whole("derivative", derivative, 0, 1)
     x = reals("t", t)
     if not ((x >= 0) & (x < 1)).all():
         raise OptionError(f"t must lie in [0, 1); got {t!r}")

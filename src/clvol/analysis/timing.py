@@ -1,4 +1,4 @@
-"""How long a filter takes for a sample, measured in rounds."""
+"""How long a filter takes per sample, measured in rounds."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from clvol.spline.evaluator import choose_evaluator
 from clvol.spline.points import sample_coefficients
 from clvol.volume import Volume
 
-__all__ = ["FULL", "Effort", "seconds_a_sample"]
+__all__ = ["FULL", "Effort", "seconds_per_sample"]
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Effort:
 FULL = Effort()
 
 
-def seconds_a_sample(
+def seconds_per_sample(
     volume: Volume,
     filters: Sequence[Filter],
     boundary: Boundary,

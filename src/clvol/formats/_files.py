@@ -41,7 +41,7 @@ def foreign_errors(what: str, reason: Callable[[Exception], str] = str) -> Itera
     """Turn whatever a library raises into a `FormatError` that says what was being done."""
     try:
         yield
-    except (ClvolError, MemoryError):  # sizes are checked first: a MemoryError is about this machine, not the file
+    except (ClvolError, MemoryError):  # sizes are checked first: a MemoryError is a fact of this machine, not of the file
         raise
     except Exception as error:
         raise FormatError(f"cannot {what}: {reason(error) or type(error).__name__}") from error
@@ -66,12 +66,12 @@ def require_default(volume: Volume, names: Sequence[str], instead: str) -> None:
 
 
 def sample_count(shape: Sequence[int]) -> int:
-    """How many samples `shape` has; a whole number of any size, unlike ``np.prod``."""
+    """How many samples `shape` has; it never overflows, unlike ``np.prod``."""
     return math.prod(int(n) for n in shape)
 
 
 def require_bytes(source: object, found: int, shape: Sequence[int], dtype: DTypeLike, *, exact: bool = False) -> None:
-    """Raise if `found` bytes are not what samples of `shape` and `dtype` take."""
+    """Raise if `found` bytes do not fit samples of `shape` and `dtype`."""
     expected = sample_count(shape) * np.dtype(dtype).itemsize
     if found < expected or (exact and found != expected):
         raise FormatError(
@@ -103,7 +103,7 @@ def inflated_size(stream: IO[bytes], packed: int, limit: int) -> int:
 
 
 def _count(read: Callable[[int], bytes], limit: int) -> int:
-    """Count what `read` gives, without keeping it: libraries fill what is missing with zeros."""
+    """Count the bytes that `read` gives without keeping them: libraries fill what is missing with zeros."""
     total = 0
     while total <= limit and (chunk := read(_CHUNK)):
         total += len(chunk)

@@ -27,7 +27,7 @@ _TOLERANCE = 1e-4  # NIfTI keeps geometry in float32; anything worse was lost, n
 
 @dataclass(frozen=True)
 class Header:
-    """What a format's own check has found out about a file.
+    """What a format's own check found in a file.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def read_image(path: Path, image_io: str, header: Header) -> Content:
     with quiet(), foreign_errors(f"read {path}", reason):
         image = sitk.ReadImage(str(path), imageIO=image_io)
     data, geometry = from_simpleitk(image, header.units)
-    if data.shape[::-1] != header.size:  # the two readings of one header disagree: trust neither
+    if data.shape[::-1] != header.size:  # two readings of one header disagree: trust neither
         raise FormatError(f"cannot read {path}: its header says {header.size}, ITK finds {data.shape[::-1]} samples")
     if not header.spacing_known:
         geometry["spacing"] = (float("nan"),) * data.ndim
@@ -76,7 +76,7 @@ def read_image(path: Path, image_io: str, header: Header) -> Content:
 
 
 def write_image(volume: Volume, path: Path, image_io: str, check: Callable[[Path], Header]) -> None:
-    """Write `volume` and make sure that it arrived: ITK does not notice a full disk."""
+    """Write `volume` and verify the file: ITK does not notice a full disk."""
     if volume.units != "mm":
         require_default(volume, ["units"], "the format measures in mm; .npz")
     sitk = simpleitk()

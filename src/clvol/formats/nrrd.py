@@ -96,7 +96,7 @@ def _layout(fields: dict[str, str], name: str) -> tuple[tuple[int, ...], str]:
         raise FormatError(f"{name} must have 2 or 3 axes; its header says dimension: {rank}")
     size = whole(name, "sizes", fields["sizes"], 1, rank)
     if size[3:] not in ((), (1,)):
-        raise FormatError(f"{name} must hold one volume, one value a voxel; its header says {size}: write them apart")
+        raise FormatError(f"{name} must hold one volume, one value per voxel; its header says {size}: write them as separate files")
     dtype = _DTYPES.get(fields["type"].lower())
     if dtype is None:
         raise FormatError(f"{name} must have samples of type {', '.join(_DTYPES)}; got {fields['type']!r}")

@@ -1,4 +1,4 @@
-"""One page that tells which filter to use for a volume: pictures, errors, frequencies, and a recommendation in words.
+"""One page that says which filter to use for a volume: pictures, errors, frequencies, and a recommendation in words.
 
 >>> from clvol import reports
 >>> reports.report(clvol.read("scan.nii.gz"), "report/")
@@ -31,25 +31,25 @@ from clvol.volume import Volume, as_volume
 __all__ = ["REPORTED", "Advice", "Report", "advise", "page", "report"]
 
 REPORTED = ("nearest", "linear", "bspline3-approx", "mitchell", "catmull-rom", "bspline3", "omoms3", "bspline5", "hybrid")
-"""What a report compares unless told otherwise, beside the exact sinc."""
+"""The default filters of a report; the exact sinc is added."""
 
-_POINTS = 20_000  # gradients that are compared
+_POINTS = 20_000  # compared gradients
 _SHARE = 0.6  # of the time that measuring takes
 _FACTOR = 2
 
 
 @dataclass(frozen=True)
 class Report:
-    """A page that was written.
+    """A written report.
 
     Attributes
     ----------
     path : Path
         The HTML file.
     table : ErrorTable
-        What was measured.
+        The measured errors.
     advice : Advice
-        What is recommended.
+        The recommendation.
     """
 
     path: Path
@@ -86,7 +86,7 @@ def report(
     progress: Callable[[float], Any] | None = None,
     **options: Any,
 ) -> Report:
-    """Measure, draw and recommend; the page holds all its pictures and is written when it is whole.
+    """Measure, draw and recommend; the page embeds its pictures and is written when it is complete.
 
     Parameters
     ----------
@@ -95,10 +95,10 @@ def report(
     output : str or Path
         A folder, which then holds index.html, or a file that ends in .html.
     name : str
-        What the data are called.
+        Name of the data.
     filters : sequence of str or Filter
-        What is compared and drawn; rows of one's own need not be registered. The exact sinc is compared too, named or
-        not, where the boundary rule has a period.
+        What is compared and drawn; filters of your own need not be registered. The exact sinc is always compared if the
+        boundary rule has a period.
     pixels : int
         Width and height of each picture.
     max_samples : int
@@ -112,7 +112,16 @@ def report(
     ------
     DataError
         NaN or infinite samples.
-    OptionError, FormatError, DeviceError, MissingDependencyError
+    OptionError
+        The volume does not have 3 axes, an argument is invalid, or no filter to draw is named.
+    FormatError
+        The report cannot be written there.
+    DeviceError
+        No usable device, or it failed.
+    OutOfMemoryError
+        The volume or what is computed from it does not fit.
+    MissingDependencyError
+        matplotlib is not installed.
     """
     require_matplotlib()
     volume, file = as_volume(volume), page(output)
@@ -128,10 +137,16 @@ def report(
     measured: list[str | Filter] = [*chosen]
     if rule.period is not None or EXACT_SINC in named:
         measured.append(EXACT_SINC)
-    told = progress or (lambda _: None)
+    advance = progress or (lambda _: None)
     middle = _middle(volume, max_samples)
     table = analysis.compare(
-        middle, measured, boundary=rule, factor=_FACTOR, points=_POINTS, timing_device=on, progress=lambda done: told(_SHARE * done)
+        middle,
+        measured,
+        boundary=rule,
+        factor=_FACTOR,
+        points=_POINTS,
+        timing_device=on,
+        progress=lambda done: advance(_SHARE * done),
     )
     found = spectrum.spectra(middle)
     advice = advise(table, spectrum.high_share(found))
@@ -146,7 +161,7 @@ def report(
             rule,
             _FACTOR,
             on,
-            lambda done: told(_SHARE + (0.97 - _SHARE) * done),
+            lambda done: advance(_SHARE + (0.97 - _SHARE) * done),
             options,
         )
     text = _page(name, volume, middle, table, advice, found, drawn)
@@ -156,7 +171,7 @@ def report(
         raise FormatError(f"cannot write {file}: {error}") from error
     with staged(file, file.suffix) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    told(1.0)
+    advance(1.0)
     return Report(file, table, advice)
 
 
@@ -192,6 +207,6 @@ def _page(
             {"filter": r.filter, "nanoseconds": 1000 * (r.seconds or 0), "rms": r.rms, "angle_mean": r.angle_mean or None}
             for r in timed
         ]
-        drawing = cost.plot(numbers, "RMS error of the values", "to the left is faster, below is better; line: nothing is both")
+        drawing = cost.plot(numbers, "RMS error of the values", "left is faster, lower is better; line: nothing is both")
         plots.append(("Error and time", html.inline(drawing)))
     return html.page(name, facts, advice, table, drawn, plots)

@@ -27,8 +27,8 @@ def kernel(filter: str | Filter, x: ArrayLike, derivative: int = 0) -> Array:
     Parameters
     ----------
     filter : str or Filter
-        Any row of the table or of its families. A row that a user made is unknown to the closed
-        forms; for it, `Filter.__call__` answers, and a comparison of the two says nothing.
+        Any filter of the table or of its families. The closed forms do not know a filter made by a user;
+        `Filter.__call__` answers for it, and a comparison of the two proves nothing.
     x : array-like
         Distances in samples (of the finer grid for a hybrid).
     derivative : {0, 1, 2}

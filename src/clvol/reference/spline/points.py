@@ -20,7 +20,7 @@ from clvol.volume import Volume, as_volume
 __all__ = ["magnify", "resample", "sample"]
 
 Array: TypeAlias = NDArray[np.float64]
-_CHUNK = 1 << 21  # products held at a time
+_CHUNK = 1 << 21  # products in memory at a time
 
 
 def sample(
@@ -123,7 +123,7 @@ def _at_indices(data: NDArray[np.generic], index: Array, row: Filter, boundary: 
     near = index.copy()
     for j, n in enumerate(data.shape[::-1]):
         cycle = period(n, boundary)
-        if cycle is None:  # further out there is nothing, as here
+        if cycle is None:  # farther out everything is 0, as here
             near[:, j] = np.clip(near[:, j], -margin, n - 1 + margin)
         else:
             away = (near[:, j] < -0.5) | (near[:, j] > n - 0.5)

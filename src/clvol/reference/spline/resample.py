@@ -44,11 +44,14 @@ def lattice(
 
     Returns
     -------
-    ndarray of float64, as long along each axis as its positions are many
+    ndarray of float64, with one value for each combination of positions
 
     Raises
     ------
-    DataError, OptionError
+    DataError
+        Samples that are not finite real numbers.
+    OptionError
+        Positions outside the domain, a number of axes or orders that does not fit the data, or an unknown name.
     """
     row = as_filter(filter)
     result = prefilter(data, row, boundary)
@@ -91,6 +94,6 @@ def _weights(x: Array, row: Filter, order: int, n: int, margin: int) -> sparse.c
 
 def _continued(n: int, margin: int, boundary: str | Boundary) -> sparse.csr_array:
     """Which coefficient stands at each index from ``-margin`` to ``n + margin - 1``."""
-    stands = extend(np.arange(1, n + 1), margin, boundary) - 1  # 0 is none
+    stands = extend(np.arange(1, n + 1), margin, boundary) - 1  # -1: none
     known = np.flatnonzero(stands >= 0)
     return sparse.csr_array((np.ones(known.size), (known, stands[known])), shape=(stands.size, n))
