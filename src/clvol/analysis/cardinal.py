@@ -100,28 +100,28 @@ def impulse_response(filter: str | Filter, x: ArrayLike, derivative: int = 0) ->
 
 def even_filter(filter: str | Filter) -> Filter:
     """The filter, if its impulse response is even, so that its frequency response is real; else `OptionError`."""
-    row = as_filter(filter)
-    drawn = pieces(row)
+    chosen = as_filter(filter)
+    drawn = pieces(chosen)
     x = np.random.default_rng(0).uniform(0, -drawn.start, 1000)
-    if np.abs(drawn(x) - drawn(-x)).max() > 1e-9 + 2 * row.fit_error:
-        raise OptionError(f"filter must have an even kernel, so that its response is real; got {row.name!r}")
-    return row
+    if np.abs(drawn(x) - drawn(-x)).max() > 1e-9 + 2 * chosen.fit_error:
+        raise OptionError(f"filter must have an even kernel, so that its response is real; got {chosen.name!r}")
+    return chosen
 
 
 @lru_cache(maxsize=64)
-def pieces(row: Filter) -> Pieces:
+def pieces(filter: Filter) -> Pieces:
     """The impulse response of a filter along one axis."""
-    kernel = row.matrix[::-1]  # tap i lies at t + TAPS/2 - 1 - i: the last tap is the leftmost piece
-    if row.magnified_by is not None:
-        coarse = pieces(row.magnified_by)
-        s = row.scale
+    kernel = filter.matrix[::-1]  # tap i lies at t + TAPS/2 - 1 - i: the last tap is the leftmost piece
+    if filter.magnified_by is not None:
+        coarse = pieces(filter.magnified_by)
+        s = filter.scale
         first = math.ceil(coarse.start * s)
         places = np.arange(first, -first + 1) / s
-        return Pieces((first - row.support / 2) / s, 1 / s, _blend(coarse(places), kernel))
-    if not row.prefilter or not row.poles.size:
-        return Pieces(-row.support / 2, 1.0, kernel / (row.samples[0] if row.prefilter else 1.0))
-    s_k = _prefilter_impulse(row)
-    return Pieces(-row.support / 2 - s_k.size // 2, 1.0, _blend(s_k, kernel))
+        return Pieces((first - filter.support / 2) / s, 1 / s, _blend(coarse(places), kernel))
+    if not filter.prefilter or not filter.poles.size:
+        return Pieces(-filter.support / 2, 1.0, kernel / (filter.samples[0] if filter.prefilter else 1.0))
+    s_k = _prefilter_impulse(filter)
+    return Pieces(-filter.support / 2 - s_k.size // 2, 1.0, _blend(s_k, kernel))
 
 
 def _blend(values: Array, kernel: Array) -> Array:
@@ -129,13 +129,13 @@ def _blend(values: Array, kernel: Array) -> Array:
     return np.stack([np.convolve(values, column) for column in kernel.T], -1)
 
 
-def _prefilter_impulse(row: Filter) -> Array:
+def _prefilter_impulse(filter: Filter) -> Array:
     """The inverse transform of eq. (16) at -K, ..., K: residues at the poles within the unit circle."""
-    reach = math.ceil(math.log(_TAIL) / math.log(float(np.abs(row.poles).max())))
+    reach = math.ceil(math.log(_TAIL) / math.log(float(np.abs(filter.poles).max())))
     k = np.abs(np.arange(-reach, reach + 1))
     total = np.zeros(k.size)
-    every = np.concatenate([row.poles, 1 / row.poles])
-    for i, z in enumerate(row.poles):
+    every = np.concatenate([filter.poles, 1 / filter.poles])
+    for i, z in enumerate(filter.poles):
         others = np.delete(every, i)
-        total += z ** (k + row.poles.size - 1) / (row.samples[-1] * np.prod(z - others))
+        total += z ** (k + filter.poles.size - 1) / (filter.samples[-1] * np.prod(z - others))
     return total

@@ -250,7 +250,7 @@ def sinc_volume(
     OutOfMemoryError
         The magnified volume does not fit into memory.
     """
-    volume, row, rule = as_volume(volume), as_filter(filter), periodic(boundary)
+    volume, chosen, rule = as_volume(volume), as_filter(filter), periodic(boundary)
     factor, points = whole("factor", factor, 1), whole("points", points, 1)
     require_room("points", points, points)
     data = dirichlet_magnify(volume.data, factor, rule)
@@ -260,8 +260,8 @@ def sinc_volume(
     )
     places = np.random.default_rng(_SEED).uniform(0, 1, (points, volume.ndim)) * (np.array(volume.size) - 1)
     world = volume.index_to_world(places)
-    difference = reference.sample(fine, world, row, rule) - dirichlet_sample(volume, world, rule)
-    return SincVolume(fine, row.name, rule.name, float(np.sqrt(np.mean(difference**2))), float(np.abs(difference).max()))
+    difference = reference.sample(fine, world, chosen, rule) - dirichlet_sample(volume, world, rule)
+    return SincVolume(fine, chosen.name, rule.name, float(np.sqrt(np.mean(difference**2))), float(np.abs(difference).max()))
 
 
 def periodic(boundary: str | Boundary) -> Boundary:

@@ -66,20 +66,20 @@ def bands(filter: str | Filter, edge: float = math.pi / 2) -> Bands:
     OptionError
         Unknown filter, one whose kernel is not even, or an edge outside its bounds.
     """
-    row, edge = even_filter(filter), number("edge", edge, above=0, below=math.pi)
+    chosen, edge = even_filter(filter), number("edge", edge, above=0, below=math.pi)
     omega = np.linspace(0, 2 * math.pi, 1025)
-    below = np.flatnonzero(np.abs(frequency_response(row, omega)) < math.sqrt(0.5))
+    below = np.flatnonzero(np.abs(frequency_response(chosen, omega)) < math.sqrt(0.5))
     cutoff = None
     if below.size and below[0] > 0:
         bracket = omega[below[0] - 1], omega[below[0]]
-        cutoff = float(optimize.brentq(lambda w: abs(float(frequency_response(row, w))) - math.sqrt(0.5), *bracket))
-    peak = maximum(lambda w: np.abs(frequency_response(row, w)), 2 * math.pi - edge, _FARTHEST, 4097)
+        cutoff = float(optimize.brentq(lambda w: abs(float(frequency_response(chosen, w))) - math.sqrt(0.5), *bracket))
+    peak = maximum(lambda w: np.abs(frequency_response(chosen, w)), 2 * math.pi - edge, _FARTHEST, 4097)
     return Bands(
-        row.name,
+        chosen.name,
         edge,
         cutoff,
-        float(frequency_response(row, math.pi)),
-        maximum(lambda w: np.abs(frequency_response(row, w) - 1), 0.0, edge, 513),
+        float(frequency_response(chosen, math.pi)),
+        maximum(lambda w: np.abs(frequency_response(chosen, w) - 1), 0.0, edge, 513),
         peak,
         -20 * math.log10(peak) if peak > 0 else None,
     )

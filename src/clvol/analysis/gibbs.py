@@ -62,14 +62,14 @@ def step_response(filter: str | Filter) -> StepResponse:
     OptionError
         Unknown filter.
     """
-    row = as_filter(filter)
+    chosen = as_filter(filter)
     x: Array = np.arange(-_REACH * _FINE, _REACH * _FINE + 1) / np.float64(_FINE)
-    drawn = pieces(row)
+    drawn = pieces(chosen)
     reach = int(np.ceil(_REACH - drawn.start)) + 1
     values = np.zeros_like(x)
     for k in range(reach):  # the sample at k + 1/2
         values += drawn(x - k - 0.5)
-    return _measured(row.name, x, values)
+    return _measured(chosen.name, x, values)
 
 
 def lowpass_step(

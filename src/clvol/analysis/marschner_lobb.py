@@ -77,12 +77,12 @@ def metrics(filter: str | Filter | Callable[[Array], Array]) -> Metrics:
     """
     if callable(filter) and not isinstance(filter, Filter):
         return _of_response(filter)
-    row = even_filter(filter)
+    chosen = even_filter(filter)
     omega, widths = _panels(1)
-    kept = float(frequency_response(row, omega) ** 2 @ widths) / np.pi
-    drawn = pieces(row)
+    kept = float(frequency_response(chosen, omega) ** 2 @ widths) / np.pi
+    drawn = pieces(chosen)
     # Parseval: the integral of |H|² over all frequencies is 2 pi times the kernel's energy
-    return _metrics(row.name, 1 - kept, drawn.energy() - kept, drawn.max_integral() - 1)
+    return _metrics(chosen.name, 1 - kept, drawn.energy() - kept, drawn.max_integral() - 1)
 
 
 def _of_response(response: Callable[[Array], Array]) -> Metrics:
