@@ -1,4 +1,4 @@
-"""What every example of a figure does with its command line: draw the figure, write it, tell what it shows."""
+"""What every example of a figure does with its command line: draw the figure, write it, print what it shows."""
 
 from __future__ import annotations
 

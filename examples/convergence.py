@@ -1,4 +1,4 @@
-"""Error against sampling rate: on doubly logarithmic axes a line, whose slope is the filter's order.
+"""Error against sampling rate: on log-log axes a line whose slope is the filter's order.
 
 Gradients converge with one order less.
 

@@ -1,4 +1,4 @@
-"""Error against time a sample, all filters on one plot: which filter should I use?
+"""Error against time per sample, all filters on one plot: which filter should I use?
 
 Nothing is both faster and better than what lies on the line.
 

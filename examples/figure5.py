@@ -1,4 +1,4 @@
-"""Figure 5 of the paper: a photograph and a zone plate of few samples, four times as fine by six filters.
+"""Figure 5 of the paper: a photograph and a zone plate of few samples, magnified four times by six filters.
 
 The zone plate shows aliasing, the photograph sharpness and ringing.
 

@@ -1,4 +1,4 @@
-"""Impulse responses: what each filter makes of one sample among zeros, over the sinc.
+"""Impulse responses: each filter's reconstruction of one sample among zeros, over the sinc.
 
 The prefilter and the hybrid's magnification are part of it.
 

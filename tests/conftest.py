@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-import importlib
 import os
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
 from clvol.device import Device, devices
 from clvol.errors import DeviceError
+from clvol.filter import filters, register, unregister
+
+# One cache of built kernels for all workers, subprocesses and later runs, whatever HOME is. PoCL and NVIDIA's driver cache
+# by themselves, so pyopencl keeps no cache of its own for them. PoCL reads this when pyopencl is first imported, later than here.
+_KERNELS = Path(__file__).parents[1] / ".cache" / "pocl"
+if not os.environ.get("POCL_CACHE_DIR"):
+    _KERNELS.mkdir(parents=True, exist_ok=True)
+    os.environ["POCL_CACHE_DIR"] = str(_KERNELS)
 
 # the same examples in every run of the continuous integration; new ones on a developer's machine
 settings.register_profile("ci", derandomize=True, deadline=None)
@@ -45,7 +54,11 @@ def device(request: pytest.FixtureRequest) -> Device:
 
 
 @pytest.fixture
-def own_table(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The table of filters may be changed; it is put back."""
-    table = importlib.import_module("clvol.filter")  # clvol.filters is the function of that name
-    monkeypatch.setattr(table, "_TABLE", dict(table._TABLE))
+def own_table() -> Iterator[None]:
+    """The test may change the table of filters, which is put back."""
+    before = filters()
+    yield
+    for name in filters():
+        unregister(name)
+    for one in before.values():
+        register(one)

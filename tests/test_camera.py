@@ -13,6 +13,7 @@ from clvol.errors import ClvolError, GeometryError, OptionError
 from clvol.march.renderer import render
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
+from tests.cases import BAD_NUMBERS, BAD_VECTORS, every
 
 BOX = Volume(np.zeros((20, 30, 40), np.float32), (1.0, 0.5, 2.0), (7, -5, 3))
 ANGLES = [(0, 0), (30, 20), (90, 0), (-135, 45), (180, -60), (20, 90), (20, -90), (725, 400)]
@@ -155,27 +156,35 @@ def test_errors(case: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("make", "kind"),
-    [
-        (lambda: Camera(zoom=None), OptionError),
-        (lambda: Camera(zoom=True), OptionError),
-        (lambda: Camera(fov=None), OptionError),
-        (lambda: Camera(distance="far"), OptionError),
-        (lambda: Camera().zoomed("a"), OptionError),
-        (lambda: Camera().zoomed(0), OptionError),
-        (lambda: Camera.orbit(None), OptionError),
-        (lambda: Camera(up=None), GeometryError),
-        (lambda: Camera(direction=None), GeometryError),
-        (lambda: Camera(position=3), GeometryError),
-        (lambda: Camera(position="123"), GeometryError),
-        (lambda: Camera(target=(1, 2j, 3)), GeometryError),
-        (lambda: Camera.look_at(None), GeometryError),
-        (lambda: Camera(projection=np.array(["a", "b"])), OptionError),
-    ],
+    ("call", "bad"),
+    every(
+        zoom=(lambda v: Camera(zoom=v), (0, *BAD_NUMBERS)),
+        zoomed=(lambda v: Camera().zoomed(v), (0, *BAD_NUMBERS)),
+        fov=(lambda v: Camera(fov=v), BAD_NUMBERS),
+        distance=(lambda v: Camera(distance=v), [v for v in BAD_NUMBERS if v is not None]),
+        azimuth=(lambda v: Camera.orbit(v), BAD_NUMBERS),
+        elevation=(lambda v: Camera.orbit(0, v), BAD_NUMBERS),
+        projection=(lambda v: Camera(projection=v), ("fisheye", None, np.array(["a", "b"]))),
+    ),
 )
-def test_wrong_types_are_refused(make: Any, kind: type[ClvolError]) -> None:
-    with pytest.raises(kind):
-        make()
+def test_wrong_options_are_refused(call: Any, bad: Any) -> None:
+    with pytest.raises(OptionError):
+        call(bad)
+
+
+@pytest.mark.parametrize(
+    ("call", "bad"),
+    every(
+        up=(lambda v: Camera(up=v), BAD_VECTORS),
+        direction=(lambda v: Camera(direction=v), BAD_VECTORS),
+        position=(lambda v: Camera(position=v), [v for v in BAD_VECTORS if v is not None]),
+        target=(lambda v: Camera(target=v), [v for v in BAD_VECTORS if v is not None]),
+        look_at=(Camera.look_at, BAD_VECTORS),
+    ),
+)
+def test_wrong_vectors_are_refused(call: Any, bad: Any) -> None:
+    with pytest.raises(GeometryError):
+        call(bad)
 
 
 def test_numpy_scalars_are_taken() -> None:

@@ -448,7 +448,7 @@ def test_figure_draws_prints_and_names_its_file(clvol_command: Command) -> None:
     done = clvol_command("figure", "2")
     assert (done.code, done.err) == (0, "")
     assert done.out.splitlines()[-1] == "output: figure2.png"
-    assert "B-spline interpolation: errs by up to 0.014 below π/2" in done.out
+    assert "B-spline interpolation: error up to 0.014 below π/2" in done.out
     told = clvol_command("figure", "impulse", "-o", "a.svg", "--filters", "linear", "mitchell", "--json").json
     assert [p["filter"] for p in told["panels"]] == ["linear", "mitchell"]
     clvol.write(clvol.phantoms.sphere(9), "scan.npz")

@@ -55,24 +55,24 @@ def test_figure6_tells_what_is_wrong(tmp_path: Path, device: Device, arguments: 
 
 
 @pytest.mark.parametrize(
-    ("name", "arguments", "told"),
+    ("name", "arguments", "words"),
     [
         ("figure1", ("--samples", 9, "--pixels", 30), "samples along the ray of pixel"),
-        ("figure2", (), "hybrid, ×2 then linear: errs by up to 0.064"),
+        ("figure2", (), "hybrid, ×2 then linear: error up to 0.064"),
         ("figure3", ("--samples", 9, "--pixels", 24), "ms a frame"),
-        ("figure4", ("--samples", 9), "Marschner–Lobb, 3-D: least by"),
+        ("figure4", ("--samples", 9), "Marschner–Lobb, 3-D: smallest with"),
         ("figure5", ("--samples", 17), "zone plate, B-spline interpolation: RMS error 0."),
-        ("impulse", (), "B-spline interpolation: 1.000 at its own sample, least value -0.137"),
-        ("gradients", ("--samples", 9, "--pixels", 24), "B-spline interpolation: normals err by"),
+        ("impulse", (), "B-spline interpolation: 1.000 at its own sample, smallest value -0.137"),
+        ("gradients", ("--samples", 9, "--pixels", 24), "B-spline interpolation: mean error of the normals"),
         ("convergence", ("--points", 200), "bspline3: the error falls with power "),
         ("cost", ("--samples", 9, "--points", 200), "* nothing is both faster and better"),
     ],
 )
-def test_every_figure_has_an_example(tmp_path: Path, device: Device, name: str, arguments: tuple[object, ...], told: str) -> None:
+def test_every_figure_has_an_example(tmp_path: Path, device: Device, name: str, arguments: tuple[object, ...], words: str) -> None:
     pytest.importorskip("matplotlib")
     done = run(f"{name}.py", *arguments, "--output", "a.png", folder=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert told in done.stdout
+    assert words in done.stdout
     assert done.stdout.endswith("\na.png\n")
     assert iio.imread(tmp_path / "a.png").std() > 5
     if name in ("figure2", "impulse"):

@@ -12,7 +12,7 @@ from numpy.polynomial import legendre
 
 from clvol import reference
 from clvol.errors import OptionError
-from clvol.filter import Filter, as_filter, bc, bspline, filters, from_callable, from_pieces, lanczos, register, sinc
+from clvol.filter import Filter, as_filter, bc, bspline, filters, from_callable, from_pieces, lanczos, register, sinc, unregister
 from clvol.reference.spline.prefilter import kernel_samples
 from clvol.volume import Volume
 
@@ -310,6 +310,19 @@ def test_replaced_row_is_not_taken_for_its_name() -> None:
     other = register(from_pieces("mitchell", [(1, -1)]), replace_existing=True)
     x = np.linspace(-2, 2, 41)
     np.testing.assert_array_equal(reference.kernel("mitchell", x), other(x))
+
+
+@pytest.mark.usefixtures("own_table")
+def test_unregistered_filter_is_unknown() -> None:
+    linear = as_filter("linear")
+    assert unregister("linear") is linear
+    for gone in ("linear", "trilinear"):
+        with pytest.raises(OptionError, match="filter must be one of"):
+            as_filter(gone)
+    for unknown in ("linear", "bogus", "trilinear", 3, None):
+        with pytest.raises(OptionError, match="filter must be one of"):
+            unregister(unknown)  # type: ignore[arg-type]
+    assert register(linear) is as_filter("linear")
 
 
 def test_filters_gives_a_copy() -> None:

@@ -100,12 +100,12 @@ def test_the_table_of_errors_on_the_page_is_what_is_measured(page: str, errors: 
         label, *cells = (cell.strip() for cell in line.strip("|").split("|"))
         assert label.startswith(name.split(",")[0])
         assert ("²" in label, "³" in label) in ((dimensions == 2, dimensions == 3), (False, False))
-        told = [float(cell.strip("*")) for cell in cells]
-        assert told == [pytest.approx(made[row], rel=0.006) for row in FIGURE_6], label  # three digits
-        assert [cell.startswith("**") for cell in cells] == [value == min(told) for value in told], label
+        printed = [float(cell.strip("*")) for cell in cells]
+        assert printed == [pytest.approx(made[row], rel=0.006) for row in FIGURE_6], label  # three digits
+        assert [cell.startswith("**") for cell in cells] == [value == min(printed) for value in printed], label
 
 
-def told(page: str, pattern: str, *values: float) -> None:
+def states(page: str, pattern: str, *values: float) -> None:
     """The page's numbers where `pattern` matches it are these, rounded as they are written there."""
     found = re.search(pattern, " ".join(page.split()))
     assert found, pattern
@@ -124,16 +124,16 @@ def test_the_page_tells_what_properties_were_measured(page: str) -> None:
     values = reference.sample(Volume(samples), np.random.default_rng(1).uniform(0, 23, (100_000, 3)), "bspline3")
     held = reference.prefilter(samples, "bspline3")
     pattern = f"24³ of them, have control points from −{NUMBER} to {NUMBER} and interpolated values from −{NUMBER} to {NUMBER}"
-    told(page, pattern, -held.min(), held.max(), -values.min(), values.max())
+    states(page, pattern, -held.min(), held.max(), -values.min(), values.max())
     step, mitchell = analysis.step_response("bspline3"), analysis.step_response("mitchell")
-    told(page, f"overshoots by {NUMBER} % on either side and varies by {NUMBER} of", 100 * step.overshoot, step.ringing)
-    told(page, f"falls by √3 − 2, a factor of {NUMBER}, with", 2 - np.sqrt(3))
+    states(page, f"overshoots by {NUMBER} % on either side and varies by {NUMBER} of", 100 * step.overshoot, step.ringing)
+    states(page, f"falls by √3 − 2, a factor of {NUMBER}, with", 2 - np.sqrt(3))
     kept = [float(analysis.frequency_response(name, np.pi / 2)) for name in ("mitchell", "bspline3")]
-    told(page, f"Mitchell keeps {NUMBER} of a wave, the interpolating B-spline {NUMBER};", *kept)
-    told(page, f"rises from 10 to 90 % in {NUMBER} samples with Mitchell's, in {NUMBER} with", mitchell.rise, step.rise)
-    told(page, f"ringing, {NUMBER} % of a step against {NUMBER} %", 100 * step.overshoot, 100 * mitchell.overshoot)
+    states(page, f"Mitchell keeps {NUMBER} of a wave, the interpolating B-spline {NUMBER};", *kept)
+    states(page, f"rises from 10 to 90 % in {NUMBER} samples with Mitchell's, in {NUMBER} with", mitchell.rise, step.rise)
+    states(page, f"ringing, {NUMBER} % of a step against {NUMBER} %", 100 * step.overshoot, 100 * mitchell.overshoot)
     ideal = [100 * analysis.lowpass_step("ideal", np.pi / k).overshoot for k in (32, 64, 128, 256, 512)]
-    told(page, f"overshoots a step by {NUMBER} % whatever its cutoff", 100 * analysis.WILBRAHAM_GIBBS)
+    states(page, f"overshoots a step by {NUMBER} % whatever its cutoff", 100 * analysis.WILBRAHAM_GIBBS)
     assert "within 0.01 % of that from π/512 to π/32" in page
     assert np.abs(np.array(ideal) - 100 * analysis.WILBRAHAM_GIBBS).max() < 0.01
 
@@ -141,42 +141,42 @@ def test_the_page_tells_what_properties_were_measured(page: str) -> None:
 def test_the_page_tells_what_the_hybrid_was_measured_to_do(page: str) -> None:
     direct, hybrid, linear = (analysis.bands(name) for name in ("bspline3", "hybrid", "linear"))
     pattern = rf"direct errs by at most {NUMBER} and lets at most {NUMBER} \(−{NUMBER} dB\)"
-    told(page, pattern, direct.passband_error, direct.stopband_peak, direct.attenuation or 0)
-    told(
+    states(page, pattern, direct.passband_error, direct.stopband_peak, direct.attenuation or 0)
+    states(
         page,
         rf"through; the hybrid {NUMBER} and {NUMBER} \(−{NUMBER} dB\)",
         hybrid.passband_error,
         hybrid.stopband_peak,
         hybrid.attenuation or 0,
     )
-    told(page, f"linear errs by {NUMBER} there and lets {NUMBER} through", linear.passband_error, linear.stopband_peak)
+    states(page, f"linear errs by {NUMBER} there and lets {NUMBER} through", linear.passband_error, linear.stopband_peak)
     names = ["hybrid", "linear", "mitchell", "catmull-rom", "bspline3"]
     rows = analysis.compare(phantoms.marschner_lobb_function, names, gradient=phantoms.marschner_lobb_gradient, timing=False)
     pattern = f"of the hybrid is {NUMBER}, that of linear interpolation {NUMBER}, Mitchell {NUMBER}, Catmull–Rom {NUMBER}, direct"
-    told(page, f"{pattern} {NUMBER} ", *(row.rms for row in rows))
+    states(page, f"{pattern} {NUMBER} ", *(row.rms for row in rows))
     angles = [rows[i].angle_mean or 0 for i in (0, 4)]
-    told(page, f"{NUMBER}° from the true ones in the mean, where direct ones are {NUMBER}°", *angles)
+    states(page, f"{NUMBER}° from the true ones in the mean, where direct ones are {NUMBER}°", *angles)
 
 
 def test_the_page_tells_what_the_six_were_measured_to_do(
     page: str, errors: dict[tuple[str, int], dict[str, float]], device: Device
 ) -> None:
     hard = errors["box, hard edges", 3]
-    told(page, f"{NUMBER} % more than the interpolating B-spline", 100 * (hard[analysis.EXACT_SINC] / hard["bspline3"] - 1))
+    states(page, f"{NUMBER} % more than the interpolating B-spline", 100 * (hard[analysis.EXACT_SINC] / hard["bspline3"] - 1))
     single = [mean_square([t])["nearest"] for t in every_shift(phantoms.box(82), ["nearest"], "none")]
-    told(page, f"neighbour errs by anything from {NUMBER} to {NUMBER} ", min(single), max(single))
+    states(page, f"neighbour errs by anything from {NUMBER} to {NUMBER} ", min(single), max(single))
     times = [errors["zone plate", d][analysis.EXACT_SINC] / errors["zone plate", d]["bspline3"] for d in (2, 3)]
     assert "errs seven to nine times as much as the interpolating B-spline" in " ".join(page.split())
     assert [round(t) for t in sorted(times)] == [7, 9]
     panels, _ = figure6(40, 8, (analysis.EXACT_SINC, "bspline3", "bspline5", "sinc"), samples=1, device=device)
     rms = [p.rms or 0 for p in panels[:4]]
-    told(page, rf"RMS {NUMBER} against {NUMBER}\), .* leaves both behind \({NUMBER}\)\. .* the worst of all \({NUMBER}\)", *rms)
-    told(page, f"that 2000 random points found, {NUMBER} ", panels[0].residual or 0)
+    states(page, rf"RMS {NUMBER} against {NUMBER}\), .* leaves both behind \({NUMBER}\)\. .* the worst of all \({NUMBER}\)", *rms)
+    states(page, f"that 2000 random points found, {NUMBER} ", panels[0].residual or 0)
     high, low = (phantoms.marschner_lobb_function(np.array([[r, 0, 0] for r in radii])).mean() for radii in (CRESTS, TROUGHS))
     left = [rings(name, CRESTS).mean() - rings(name, TROUGHS).mean() for name in ("bspline3-approx", "bspline3")]
-    told(page, f"are {NUMBER} high; .* leaves {NUMBER}, less than half, the interpolation {NUMBER}", float(high - low), *left)
+    states(page, f"are {NUMBER} high; .* leaves {NUMBER}, less than half, the interpolation {NUMBER}", float(high - low), *left)
     scatter = [rings(name, CRESTS).std(1).mean() for name in ("linear", "mitchell", "bspline3", "nearest")]
-    told(page, rf"scatter by {NUMBER} \(.* Mitchell's by {NUMBER}, .* B-spline by {NUMBER} .* worse still, {NUMBER}\.", *scatter)
+    states(page, rf"scatter by {NUMBER} \(.* Mitchell's by {NUMBER}, .* B-spline by {NUMBER} .* worse still, {NUMBER}\.", *scatter)
 
 
 def test_every_shift_keeps_each_sample_once() -> None:

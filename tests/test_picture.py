@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -8,6 +9,7 @@ import pytest
 
 from clvol import FormatError, OptionError
 from clvol.picture import grid, heat, labelled, save, to_bytes
+from tests.cases import BAD_COUNTS, BAD_WHOLE
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".PNG", ".Tif")
 SHAPES = ((5, 7), (5, 7, 1), (5, 7, 3), (5, 7, 4), (3, 4), (1, 1, 4), (3, 5, 3))
@@ -156,10 +158,8 @@ def test_a_grid_of_nothing_or_of_different_pictures_is_refused() -> None:
         lambda: save(None, "a.png"),
         lambda: labelled(np.zeros((2, 2)), 3),
         lambda: grid(3, 1),
-        lambda: grid([np.zeros((2, 2))], 1.5),
-        lambda: grid([np.zeros((2, 2))], None),
-        lambda: grid([np.zeros((2, 2))], 1, -1),
-        lambda: grid([np.zeros((2, 2))], 1, "a"),
+        *(partial(grid, [np.zeros((2, 2))], columns) for columns in BAD_COUNTS),
+        *(partial(grid, [np.zeros((2, 2))], 1, gap) for gap in (-1, *BAD_WHOLE)),
     ],
 )
 def test_wrong_types_are_refused(call) -> None:  # type: ignore[no-untyped-def]

@@ -17,7 +17,7 @@ from clvol import reference
 from clvol.boundary import boundaries
 from clvol.filter import Filter, as_filter, bspline, filters
 
-MOST = 60
+MAX_EXAMPLES = 60
 
 NAMES = tuple(filters())
 RULES = tuple(boundaries())
@@ -41,7 +41,7 @@ def largest(samples: np.ndarray, name: str | Filter, rule: str) -> float:
 # -- section 4.1 ---------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=MOST, deadline=None)
+@settings(max_examples=MAX_EXAMPLES, deadline=None)
 @given(data, degrees, rules, st.integers(0, 2**32 - 1))
 def test_convex_hull(coefficients: np.ndarray, degree: int, rule: str, seed: int) -> None:
     """A value lies within the k + 1 coefficients along each axis that are near: those of the boundary rule included."""
@@ -56,7 +56,7 @@ def test_convex_hull(coefficients: np.ndarray, degree: int, rule: str, seed: int
         assert some.min() - 1e-11 <= value <= some.max() + 1e-11
 
 
-@settings(max_examples=MOST, deadline=None)
+@settings(max_examples=MAX_EXAMPLES, deadline=None)
 @given(arrays(np.float64, st.integers(2, 12), elements=levels), st.integers(1, 5), st.integers(-9, 9), st.integers(-9, 9))
 def test_variation_diminishing(polygon: np.ndarray, degree: int, above: int, slope: int) -> None:
     """No straight line crosses the curve more often than it crosses the control polygon."""
@@ -69,7 +69,7 @@ def test_variation_diminishing(polygon: np.ndarray, degree: int, above: int, slo
     assert changes(away) <= changes(padded - (height + slope / 7 * np.arange(padded.size)))
 
 
-@settings(max_examples=MOST, deadline=None)
+@settings(max_examples=MAX_EXAMPLES, deadline=None)
 @given(data, st.integers(1, 5), rules, st.integers(0, 2**32 - 1), st.integers(-9, 9))
 def test_variation_diminishing_along_lines_of_a_volume(
     coefficients: np.ndarray, degree: int, rule: str, seed: int, above: int
@@ -91,7 +91,7 @@ def changes(values: np.ndarray) -> int:
     return int((signs[1:] != signs[:-1]).sum())
 
 
-@settings(max_examples=MOST, deadline=None)
+@settings(max_examples=MAX_EXAMPLES, deadline=None)
 @given(data, degrees, st.data())
 def test_local_control(coefficients: np.ndarray, degree: int, draw: Any) -> None:
     """A control point moves the function only within (k + 1)/2 samples of itself."""
@@ -105,7 +105,7 @@ def test_local_control(coefficients: np.ndarray, degree: int, draw: Any) -> None
     assert (change >= -1e-12).all()
 
 
-@settings(max_examples=MOST, deadline=None)
+@settings(max_examples=MAX_EXAMPLES, deadline=None)
 @given(arrays(np.float64, st.integers(4, 9), elements=levels), st.floats(0, 1, exclude_max=True))
 def test_a_cubic_curve_is_the_same_by_eqs_4_6_7_9_and_10(control: np.ndarray, u: float) -> None:
     i = control.size // 2  # the segment between control points i - 1 and i
@@ -140,7 +140,7 @@ def test_a_cubic_curve_is_the_same_by_eqs_4_6_7_9_and_10(control: np.ndarray, u:
 # -- every reconstruction --------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=MOST, deadline=None)
+@settings(max_examples=MAX_EXAMPLES, deadline=None)
 @given(
     array_shapes(min_dims=2, max_dims=3, min_side=1, max_side=6),
     names,
@@ -157,7 +157,7 @@ def test_partition_of_unity(shape: tuple[int, ...], name: str, rule: str, level:
         assert np.abs(values - level).max() < 0.4 * abs(level) + 1e-12
 
 
-@settings(max_examples=MOST, deadline=None)
+@settings(max_examples=MAX_EXAMPLES, deadline=None)
 @given(st.sampled_from([name for name in NAMES if as_filter(name).order]), st.integers(0, 2**32 - 1))
 def test_polynomials_of_the_stated_degree_are_reproduced(name: str, seed: int) -> None:
     """Of each degree below the order along each axis, at once."""
@@ -173,7 +173,7 @@ def test_polynomials_of_the_stated_degree_are_reproduced(name: str, seed: int) -
     np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-9 * (1 + np.abs(samples).max()))
 
 
-@settings(max_examples=MOST, deadline=None)
+@settings(max_examples=MAX_EXAMPLES, deadline=None)
 @given(data, st.sampled_from([name for name in NAMES if as_filter(name).interpolates]), rules)
 def test_interpolation_at_the_samples(samples: np.ndarray, name: str, rule: str) -> None:
     lattice = np.stack(np.meshgrid(*(np.arange(n) for n in samples.shape), indexing="ij")[::-1], -1)
@@ -181,7 +181,7 @@ def test_interpolation_at_the_samples(samples: np.ndarray, name: str, rule: str)
     np.testing.assert_allclose(reference.sample(samples, lattice, name, rule), samples, rtol=0, atol=slack)
 
 
-@settings(max_examples=MOST, deadline=None)
+@settings(max_examples=MAX_EXAMPLES, deadline=None)
 @given(data, names, st.data(), st.integers(0, 2**32 - 1))
 def test_shifted_samples_give_the_shifted_function(samples: np.ndarray, name: str, draw: Any, seed: int) -> None:
     shift = [draw.draw(st.integers(-9, 9)) for _ in samples.shape]
@@ -191,7 +191,7 @@ def test_shifted_samples_give_the_shifted_function(samples: np.ndarray, name: st
     np.testing.assert_allclose(moved, reference.sample(samples, points, name, "wrap"), rtol=0, atol=slack)
 
 
-@settings(max_examples=MOST, deadline=None)
+@settings(max_examples=MAX_EXAMPLES, deadline=None)
 @given(data, names, rules, st.integers(0, 2**32 - 1))
 def test_turned_samples_give_the_turned_function(samples: np.ndarray, name: str, rule: str, seed: int) -> None:
     """By 90° in the xy plane; the gradient turns too."""
@@ -208,7 +208,7 @@ def test_turned_samples_give_the_turned_function(samples: np.ndarray, name: str,
     np.testing.assert_allclose(after[:, 1], -before[:, 0], rtol=0, atol=slack)
 
 
-@settings(max_examples=MOST, deadline=None)
+@settings(max_examples=MAX_EXAMPLES, deadline=None)
 @given(data, names, rules, levels, levels, st.integers(0, 2), st.integers(0, 2**32 - 1))
 def test_linearity(samples: np.ndarray, name: str, rule: str, a: float, b: float, derivative: int, seed: int) -> None:
     others = np.random.default_rng(seed).normal(size=samples.shape)

@@ -9,8 +9,8 @@ import pytest
 
 from clvol.errors import ClvolError, DataError, GeometryError, OptionError
 from clvol.volume import Volume, as_volume
+from tests.cases import BAD_COUNTS, BAD_DATA, BAD_NUMBERS, BAD_REALS, OBLIQUE
 
-OBLIQUE = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
 DATA = np.random.default_rng(1).integers(-50, 50, (4, 5, 6)).astype(np.int16)
 VOLUME = Volume(DATA, (0.5, 1.5, 2.0), (1.0, -2.0, 3.0), OBLIQUE, "mm")
 
@@ -69,9 +69,9 @@ def test_downsample_keeps_places() -> None:
     part = VOLUME.downsample(2)
     np.testing.assert_array_equal(part.data, DATA[::2, ::2, ::2])
     np.testing.assert_allclose(part.index_to_world([1, 1, 1]), VOLUME.index_to_world([2, 2, 2]))
-    for n in (0, -1, 1.5, "2", None):
+    for n in BAD_COUNTS:
         with pytest.raises(OptionError, match="n must be"):
-            VOLUME.downsample(n)  # type: ignore[arg-type]
+            VOLUME.downsample(n)
 
 
 def test_gaussian_is_in_world_units() -> None:
@@ -106,7 +106,7 @@ def test_values_that_are_not_finite() -> None:
         Volume([[1e37]]).require_finite()  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("bad", ["a", None, True, np.inf, [1.0], 1e10])
+@pytest.mark.parametrize("bad", [*BAD_NUMBERS, 1e10], ids=repr)
 def test_filled_takes_a_number_that_the_samples_can_be(bad: object) -> None:
     half = Volume(np.array([[np.nan, 1]], np.float16))
     with pytest.raises(OptionError, match="value must be"):
@@ -167,7 +167,7 @@ def test_simpleitk_image_brings_its_geometry() -> None:
     np.testing.assert_array_equal(volume.data, DATA)
     for index in ((0, 0, 0), (5, 1, 3)):
         np.testing.assert_allclose(volume.index_to_world(index), image.TransformIndexToPhysicalPoint(index))
-    with pytest.raises(DataError, match="one value a voxel"):
+    with pytest.raises(DataError, match="one value per voxel"):
         Volume(sitk.GetImageFromArray(np.zeros((2, 2, 2, 3)), isVector=True))
 
 
@@ -183,26 +183,24 @@ def test_nibabel_image_is_brought_into_lps() -> None:
     np.testing.assert_allclose(volume.index_to_world([5, 1, 3]), ras[:3] * [-1, -1, 1], rtol=1e-6)
 
 
+def test_simpleitk_image_has_no_unit_and_drops_trailing_axes_of_one_sample() -> None:
+    sitk = pytest.importorskip("SimpleITK")
+    image = sitk.GetImageFromArray(DATA[None], isVector=False)
+    image.SetSpacing((0.5, 1.5, 2.0, 9.0))
+    assert image.GetDimension() == 4
+    volume = Volume(image)
+    assert (volume.shape, volume.spacing, volume.units) == (DATA.shape, (0.5, 1.5, 2.0), "")
+    assert Volume(image, units="um").units == "um"
+    with pytest.raises(DataError, match="split the image into its frames"):
+        Volume(sitk.GetImageFromArray(np.zeros((2, 2, 2, 2)), isVector=False))
+
+
 BAD: list[tuple[dict[str, Any], type[ClvolError]]] = [
-    ({"data": 3.0}, DataError),
-    ({"data": [1.0]}, DataError),
-    ({"data": np.ones((1, 1, 1, 1))}, DataError),
-    ({"data": np.ones((0, 3))}, DataError),
-    ({"data": [["a"]]}, DataError),
-    ({"data": [[1j]]}, DataError),
-    ({"data": np.ma.array([[1, 2]], mask=[[0, 1]])}, DataError),
-    ({"data": np.array([[1, None]])}, DataError),
-    ({"data": np.ones((2, 2), complex)}, DataError),
-    ({"data": np.array([["1", "2"]])}, DataError),
-    ({"data": [[10**400, 1]]}, DataError),
-    ({"data": "ab"}, DataError),
+    *(({"data": data}, DataError) for data in BAD_DATA),
     ({"spacing": np.array([1 + 1j, 1])}, GeometryError),
     ({"spacing": ("1", "1")}, GeometryError),
     ({"spacing": np.ma.array([1, 2], mask=[0, 1])}, GeometryError),
     ({"direction": np.eye(2) * (1 + 0j)}, GeometryError),
-    ({"data": [[1], [1, 2]]}, DataError),
-    ({"data": None}, DataError),
-    ({"data": np.zeros((2, 2), "V4")}, DataError),
     ({"spacing": (1,)}, GeometryError),
     ({"spacing": (1, 1, 1)}, GeometryError),
     ({"spacing": (0, 1)}, GeometryError),
@@ -232,6 +230,6 @@ def test_bad_points_are_refused() -> None:
     for points in (3.0, [1.0, 2.0], [[1.0] * 4]):
         with pytest.raises(OptionError, match="must have shape"):
             VOLUME.world_to_index(points)
-    for bad in ("a", None, [1j, 2, 3], ["1", "2", "3"], [[1], [1, 2]]):
+    for bad in BAD_REALS:
         with pytest.raises(OptionError, match="world must be numbers of shape"):
-            VOLUME.world_to_index(bad)  # type: ignore[arg-type]
+            VOLUME.world_to_index(bad)

@@ -1,4 +1,4 @@
-"""Where pictures are taken from: orthographic and perspective cameras in world space."""
+"""Orthographic and perspective cameras in world space."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class View:
-    """A camera made definite for one volume: what the rays are computed from.
+    """A camera fitted to one volume: the rays are computed from it.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class View:
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera; what is None is fitted to the volume when a picture is made.
+    """A camera; whatever is None is fitted to the volume when a picture is made.
 
     Parameters
     ----------
@@ -189,11 +189,11 @@ class Camera:
         return camera
 
     def zoomed(self, factor: float) -> Camera:
-        """The same, magnified by a further factor."""
+        """The same camera, magnified by a further factor."""
         return replace(self, zoom=self.zoom * number("factor", factor, above=0))
 
     def view(self, volume: Volume, aspect: float = 1.0) -> View:
-        """The camera made definite for a volume and a picture of ``width / height = aspect``.
+        """The camera fitted to a volume and a picture of ``width / height = aspect``.
 
         A fitted camera sees the volume's bounding sphere.
 
@@ -205,7 +205,7 @@ class Camera:
         target = volume.center if self.target is None else np.asarray(self.target)
         radius = volume.radius
         if self.position is None:
-            forward = np.asarray(self.direction) / math.hypot(*self.direction)  # which does not underflow
+            forward = np.asarray(self.direction) / math.hypot(*self.direction)  # hypot does not underflow
         else:
             forward = target - np.asarray(self.position)
             length = float(np.linalg.norm(forward))

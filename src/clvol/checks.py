@@ -17,7 +17,7 @@ from clvol.errors import ClvolError, OptionError, OutOfMemoryError
 
 __all__ = ["as_path", "enough_memory", "instance", "number", "one_of", "reals", "require_room", "several", "whole"]
 
-_MOST_SAMPLES = 1 << 36  # no machine holds the float64 positions of more
+_MAX_SAMPLES = 1 << 36  # no machine holds the float64 positions of more
 
 
 def instance(what: str, value: object, *kinds: type) -> None:
@@ -27,7 +27,7 @@ def instance(what: str, value: object, *kinds: type) -> None:
 
 
 def one_of(what: str, value: object, allowed: Iterable[str]) -> OptionError:
-    """The error for an unknown name: the rule, what is allowed, and what came."""
+    """The error for an unknown name: the rule, what is allowed, and the offender."""
     return OptionError(f"{what} must be one of {', '.join(allowed)}; got {value!r}")
 
 
@@ -42,7 +42,7 @@ def number(
 ) -> float:
     """`value` as a float, if it is one finite real number within the bounds; else `OptionError`.
 
-    Python's and NumPy's real scalars are taken, and arrays without axes; truth values and texts are not.
+    Python's and NumPy's real scalars and arrays without axes are accepted; booleans and strings are not.
     """
     scalar = _scalar(value)
     try:
@@ -65,7 +65,7 @@ def number(
 def whole(what: str, value: object, least: int | None = None, most: int | None = None) -> int:
     """`value` as an int, if it is one whole number within the bounds; else `OptionError`.
 
-    Python's and NumPy's integers are taken, and arrays of them without axes; truth values and floats are not.
+    Python's and NumPy's integers and arrays of them without axes are accepted; booleans and floats are not.
     """
     scalar = _scalar(value)
     result = int(scalar) if isinstance(scalar, Integral) else None
@@ -76,7 +76,7 @@ def whole(what: str, value: object, least: int | None = None, most: int | None =
 
 
 def reals(what: str, value: object, rule: str = "real numbers", error: type[ClvolError] = OptionError) -> NDArray[np.float64]:
-    """`value` as an array of float64, not copied where it is one; `error` for texts, complex and masked numbers."""
+    """`value` as an array of float64, not copied where it is one; `error` for strings, complex and masked numbers."""
     try:
         array = np.asarray(value)
         known = array.dtype.kind in "biuf" or (array.dtype.kind == "O" and all(isinstance(v, Real) for v in array.flat))
@@ -89,7 +89,7 @@ def reals(what: str, value: object, rule: str = "real numbers", error: type[Clvo
 
 
 def several(what: str, value: object, rule: str, most: int | None = None) -> list[Any]:
-    """`value` as a list, if it is a sequence of one thing or more, at most `most`; else `OptionError`. A text is one thing."""
+    """`value` as a list, if it is a sequence of 1 to `most` items; else `OptionError`. A string is no sequence here."""
     try:
         result = [] if isinstance(value, (str, bytes)) else list(value)  # type: ignore[call-overload]  # or it cannot be iterated
     except TypeError:
@@ -102,9 +102,9 @@ def several(what: str, value: object, rule: str, most: int | None = None) -> lis
 
 
 def require_room(what: str, samples: int, value: object) -> None:
-    """Raise `OutOfMemoryError` if `what`, whose value asks for so many samples, asks for more than any machine holds."""
-    if samples > _MOST_SAMPLES:
-        raise OutOfMemoryError(f"out of memory: {what} must give at most {_MOST_SAMPLES} samples; got {value!r}")
+    """Raise `OutOfMemoryError` if `what`, whose value requests so many samples, requests more than any machine can hold."""
+    if samples > _MAX_SAMPLES:
+        raise OutOfMemoryError(f"out of memory: {what} must give at most {_MAX_SAMPLES} samples; got {value!r}")
 
 
 def as_path(value: object) -> Path:
@@ -118,7 +118,7 @@ def as_path(value: object) -> Path:
 
 @contextmanager
 def enough_memory(what: str) -> Iterator[None]:
-    """Turn a `MemoryError` into an `OutOfMemoryError` that says what did not fit."""
+    """Turn a `MemoryError` into an `OutOfMemoryError` that says what does not fit."""
     try:
         yield
     except ClvolError:
@@ -128,7 +128,7 @@ def enough_memory(what: str) -> Iterator[None]:
 
 
 def _scalar(value: object) -> object:
-    """`value`, or the one element of an array without axes; None for truth values."""
+    """`value`, or the element of an array without axes; None for booleans."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     return None if isinstance(value, (bool, np.timedelta64)) else value  # numpy.bool is of no class of `numbers`

@@ -25,7 +25,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 from cyclopts import App, CoercionError, CycloptsError, Parameter, Token
 
 import clvol
-from clvol.errors import ClvolError, DataError, DeviceError, FormatError, OptionError
+from clvol.errors import ClvolError, DataError, DeviceError, OptionError
+from clvol.files import require_folder, require_suffix
+from clvol.formats import WRITTEN
 from clvol.mode import as_mode, every_option, mode_options
 from clvol.picture import heat
 
@@ -251,15 +253,14 @@ def compare(
         Width and height of each picture.
     """
     from clvol import analysis, figures
-    from clvol.analysis.table import require_suffix
+    from clvol.analysis.table import SUFFIXES
 
     if output is None and table is None:
         raise OptionError("give --output, a picture, --table, a table of errors, or both; got neither")
     if output is not None:
         _require_picture(output)
     if table is not None:
-        require_suffix(table)
-        _require_folder(table)
+        _require_writable(table, SUFFIXES, "tables")
     volume, look = (input or Input()).read(source), look or SurfaceLook()
     names = filters or figures.SIX
     told: dict[str, Any] = {}
@@ -328,8 +329,7 @@ def figure(
         raise OptionError(f"figure {name} takes {', '.join(flags) or 'no option'}; got --{wrong}")
     if figures.FIGURES[name].plotted:
         style.require_matplotlib()
-        style.require_suffix(output)
-        _require_folder(output)
+        _require_writable(output, style.SUFFIXES, "figures")
     else:
         _require_picture(output)
     if scan is not None:
@@ -500,7 +500,7 @@ def resample(
     ]
     if len(given) != 1:
         raise OptionError(f"give one of --to-shape, --to-spacing, --like, --magnify; got {', '.join(given) or 'none'}")
-    _require_written(output)
+    _require_writable(output, WRITTEN, "volumes")
     volume = (input or Input()).read(source)
     with _progress("resampling", json) as progress:
         if magnify is not None:
@@ -579,26 +579,14 @@ def doctor(*, json: Json = False) -> None:
 
 
 def _require_picture(output: Path) -> None:
-    """Raise before hours of work if `output` cannot be a picture."""
-    from clvol.picture import require_suffix
+    from clvol.picture import SUFFIXES
 
-    require_suffix(output)
-    _require_folder(output)
+    _require_writable(output, SUFFIXES, "pictures")
 
 
-def _require_written(output: Path) -> None:
-    """Raise before hours of work if `output` cannot be a volume."""
-    from clvol.formats import FORMATS
-
-    suffixes = [suffix for row in FORMATS if row.write is not None for suffix in row.suffixes]
-    if not output.name.lower().endswith(tuple(suffixes)):
-        raise FormatError(f"volumes are written as {', '.join(suffixes)}; got {str(output)!r}")
-    _require_folder(output)
-
-
-def _require_folder(output: Path) -> None:
-    from clvol.formats._files import require_folder
-
+def _require_writable(output: Path, suffixes: Sequence[str], what: str) -> None:
+    """Raise before hours of work if `output` is no name of a file of that kind, or cannot be written there."""
+    require_suffix(output, suffixes, what)
     require_folder(output)
 
 

@@ -31,7 +31,7 @@ class DataError(ClvolError, ValueError):
 
 
 class GeometryError(ClvolError, ValueError):
-    """Spacing, direction, origin, camera or box describe no valid geometry."""
+    """Spacing, direction, origin, camera or box do not describe a valid geometry."""
 
 
 class FormatError(ClvolError, OSError):
@@ -47,4 +47,4 @@ class DeviceError(ClvolError, RuntimeError):
 
 
 class OutOfMemoryError(DeviceError, MemoryError):
-    """The device, or the machine, cannot hold what was asked for."""
+    """The device, or the machine, cannot hold what was requested."""

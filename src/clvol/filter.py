@@ -43,6 +43,7 @@ __all__ = [
     "register",
     "several_names",
     "sinc",
+    "unregister",
 ]
 
 Number: TypeAlias = Fraction | float
@@ -520,6 +521,16 @@ def register(new: Filter, *, replace_existing: bool = False) -> Filter:
         raise OptionError(f"a filter named {new.name!r} exists; pass replace_existing=True to replace it")
     _TABLE[new.name] = new
     return new
+
+
+def unregister(name: str) -> Filter:
+    """Remove a filter from the table and return it; `OptionError` if there is none of that name.
+
+    The filters that clvol comes with may be removed, too; ``register(unregister("linear"))`` puts one back.
+    """
+    if not isinstance(name, str) or name not in _TABLE:
+        raise one_of("filter", name, _TABLE)
+    return _TABLE.pop(name)
 
 
 class FilterTable(dict[str, Filter]):

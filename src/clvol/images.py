@@ -14,8 +14,9 @@ from clvol.checks import number, whole
 from clvol.device import Device
 from clvol.errors import DataError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter
+from clvol.interop import read_array
 from clvol.spline import field
-from clvol.volume import Volume, read_array
+from clvol.volume import Volume
 
 __all__ = ["resample", "rotate", "zoom"]
 
@@ -30,13 +31,12 @@ def resample(
     *,
     device: Device | str | int | None = None,
 ) -> NDArray[Any]:
-    """The image with other numbers of rows and columns; its domain, from edge to edge, stays.
+    """The image with other numbers of rows and columns; its domain, from edge to edge, stays the same.
 
     Parameters
     ----------
     image : array-like, shape (height, width) or (height, width, channels)
-        Up to 4 channels, each of which is reconstructed on its own. Volumes are for `clvol.resample`, which would take
-        three axes for [z, y, x].
+        Up to 4 channels, each reconstructed on its own. For volumes use `clvol.resample`, where three axes are [z, y, x].
     shape : (int, int)
         Height and width of the result.
     filter, boundary, device
@@ -45,12 +45,17 @@ def resample(
     Returns
     -------
     ndarray of the image's dtype
-        Integers are rounded and cut to the range of their type, since filters may leave that of the image; floats are
-        computed in float32.
+        Integers are rounded and clipped to their type, because filters may leave the image's range; floats are computed
+        in float32.
 
     Raises
     ------
-    DataError, OptionError, DeviceError
+    DataError
+        The image has another shape, is empty, or holds NaN, infinite or other than real numbers.
+    OptionError
+        An unknown filter or boundary, or a number outside its bounds.
+    DeviceError
+        No usable device, or it failed; `OutOfMemoryError` if the result does not fit.
     """
     pixels = _pixels(image)
     height, width = _size(shape)
@@ -100,7 +105,7 @@ def rotate(
     filter, boundary, device
         As for `resample`.
     zoom : float
-        How many pixels of the result a pixel of the image becomes; more than 0.
+        Magnification, greater than 0.
     shape : (int, int), optional
         Height and width of the result, whose middle shows the image's middle; default: those of the image.
     fill : float or None
@@ -112,13 +117,18 @@ def rotate(
 
     Raises
     ------
-    DataError, OptionError, DeviceError
+    DataError
+        The image has another shape, is empty, or holds NaN, infinite or other than real numbers.
+    OptionError
+        An unknown filter or boundary, or a number outside its bounds.
+    DeviceError
+        No usable device, or it failed; `OutOfMemoryError` if the result does not fit.
     """
     pixels, angle, step = _pixels(image), number("degrees", degrees), 1 / number("zoom", zoom, above=0)
     height, width = pixels.shape[:2] if shape is None else _size(shape)
     if fill is not None and pixels.dtype.kind != "f":
         number("fill", fill)
-    # what is seen turns one way if the grid that looks turns the other; rows go down
+    # the picture turns one way when the sampling grid turns the other; rows go down
     cos, sin = _cos_sin(angle)
     direction = np.array([[cos, -sin], [sin, cos]])
     middle = (np.array(pixels.shape[1::-1]) - 1) / 2
@@ -145,7 +155,7 @@ def _size(shape: Sequence[int]) -> tuple[int, int]:
 
 
 def _cos_sin(degrees: float) -> tuple[float, float]:
-    """Exact at quarter turns, so that pixels lie upon pixels there."""
+    """Exact at quarter turns, so that pixels then coincide."""
     turns, rest = divmod(degrees, 90)
     cos, sin = (math.cos(math.radians(rest)), math.sin(math.radians(rest))) if rest else (1.0, 0.0)
     for _ in range(int(turns % 4)):
@@ -175,6 +185,6 @@ def _drawn(
     if pixels.dtype.kind == "f":
         return result.astype(pixels.dtype)
     low, high = (0, 1) if pixels.dtype.kind == "b" else (np.iinfo(pixels.dtype).min, np.iinfo(pixels.dtype).max)
-    # the greatest float64 that is no greater than the greatest integer
+    # the largest float64 that does not exceed the largest integer
     top = float(high) if int(float(high)) <= high else np.nextafter(float(high), 0)
     return np.clip(np.rint(result.astype(np.float64)), low, top).astype(pixels.dtype)

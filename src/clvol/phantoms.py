@@ -1,4 +1,4 @@
-"""Volumes whose true function is known, to measure reconstruction against."""
+"""Volumes that sample a known function, so that reconstructions can be compared with it."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def marschner_lobb_gradient(points: ArrayLike, alpha: float = 0.25, f_m: float =
 
 @enough_memory("a phantom")
 def sphere(size: Size = 64, radius: float = 0.75) -> Volume:
-    """A smooth field on [-1, 1]³ that is 1/2 on a sphere, more within and less without.
+    """A smooth field on [-1, 1]³ that is 1/2 on a sphere, larger inside and smaller outside.
 
     ``1/2 + (radius² - |p|²) / (2 radius)``: near the sphere the signed distance to it, quadratic
     everywhere, so that filters of order 3 and more draw the sphere exactly.
@@ -91,7 +91,7 @@ def polynomial(size: Size = 16, degree: int = 3, seed: int = 0, coefficients: Ar
     size : int or (nz, ny, nx)
         Samples along each axis, at least 2.
     degree : int
-        Greatest degree along each axis, 0 to 9; not used if `coefficients` are given.
+        Highest degree along each axis, 0 to 9; unused if `coefficients` are given.
     seed : int
         Of the random coefficients, which lie in [-1, 1).
     coefficients : array-like, shape (a, b, c), optional
@@ -113,7 +113,7 @@ def polynomial_function(points: ArrayLike, degree: int = 3, seed: int = 0, coeff
 
 @enough_memory("a phantom")
 def checker(size: Size = 64, period: int = 16) -> Volume:
-    """Cubes of 0 and 1 in turn, `period` samples from one to the next of its kind; spacing 1.
+    """Alternating cubes of 0 and 1 that repeat every `period` samples; spacing 1.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def by_name(name: str) -> Volume:
     Raises
     ------
     OptionError
-        An unknown name, or a size that is none.
+        An unknown name, or an invalid size.
     """
     if not isinstance(name, str):
         raise one_of("phantom", name, _TABLE)
@@ -183,8 +183,8 @@ def by_name(name: str) -> Volume:
 # -- inner -------------------------------------------------------------------------------------------
 
 
-def _shape(size: Size, least: int) -> tuple[int, int, int]:
-    wanted = f"size must be a whole number of at least {least}, or three of them (nz, ny, nx); got {size!r}"
+def _shape(size: Size, minimum: int) -> tuple[int, int, int]:
+    wanted = f"size must be a whole number of at least {minimum}, or three of them (nz, ny, nx); got {size!r}"
     if isinstance(size, (bool, str)):
         raise OptionError(wanted)
     try:
@@ -192,7 +192,7 @@ def _shape(size: Size, least: int) -> tuple[int, int, int]:
     except TypeError:
         sizes = (size,) * 3
     try:
-        nz, ny, nx = (whole("size", n, least) for n in sizes)
+        nz, ny, nx = (whole("size", n, minimum) for n in sizes)
     except ValueError:
         raise OptionError(wanted) from None
     require_room("size", nz * ny * nx, size)

@@ -11,19 +11,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.checks import as_path, whole
-from clvol.errors import FormatError, OptionError
-from clvol.formats._files import staged
+from clvol.errors import OptionError
+from clvol.files import require_suffix, staged
 
-__all__ = ["grid", "heat", "labelled", "require_suffix", "save", "to_bytes"]
+__all__ = ["SUFFIXES", "grid", "heat", "labelled", "save", "to_bytes"]
 
-_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 _OPAQUE = (".jpg", ".jpeg", ".bmp")  # these hold no opacity
 _INK = (235, 235, 235)
 _BAND = (24, 24, 28)
 
 
 def to_bytes(picture: ArrayLike) -> NDArray[np.uint8]:
-    """A picture with values in 0..1 as eight-bit values, rounded to the nearest, NaN as 0; one of eight bits as it is."""
+    """A picture with values in 0..1 as eight-bit values, rounded, NaN as 0; an eight-bit picture unchanged."""
     try:
         array = np.asarray(picture)
     except (TypeError, ValueError) as error:
@@ -37,18 +37,10 @@ def to_bytes(picture: ArrayLike) -> NDArray[np.uint8]:
     return np.asarray(np.rint(np.clip(np.nan_to_num(array), 0, 1) * 255), np.uint8)
 
 
-def require_suffix(path: str | os.PathLike[str]) -> str:
-    """The suffix of a picture's file, in lower case; raises `FormatError` if pictures are not written so."""
-    suffix = as_path(path).suffix.lower()
-    if suffix not in _SUFFIXES:
-        raise FormatError(f"pictures are written as {', '.join(_SUFFIXES)}; got {os.fspath(path)!r}")
-    return suffix
-
-
 def save(picture: ArrayLike, path: str | os.PathLike[str]) -> Path:
     """Write a picture with values in 0..1, by suffix: .png, .tif, or .jpg and .bmp, which show transparency as black.
 
-    It is written beside `path` and renamed, so that no half-written file is ever seen.
+    The file appears when it is complete.
 
     Raises
     ------
@@ -57,20 +49,15 @@ def save(picture: ArrayLike, path: str | os.PathLike[str]) -> Path:
     """
     import imageio.v3 as iio
 
-    path, suffix = as_path(path), require_suffix(path)
+    path, suffix = as_path(path), require_suffix(path, SUFFIXES, "pictures")
     data = to_bytes(picture)
     if data.ndim == 3 and data.shape[2] == 1:
         data = data[..., 0]
     if data.ndim == 3 and data.shape[2] == 4 and (suffix in _OPAQUE or data[..., 3].min() == 255):
         data = _opaque(data)
     options: dict[str, Any] = {"quality": 95, "subsampling": 0} if suffix in (".jpg", ".jpeg") else {}
-    try:
-        with staged(path, path.suffix) as temporary:
-            iio.imwrite(temporary, data, plugin="pillow", **options)
-    except FormatError:
-        raise
-    except (OSError, ValueError) as error:
-        raise FormatError(f"cannot write {path}: {error}") from error
+    with staged(path, suffix) as temporary:
+        iio.imwrite(temporary, data, plugin="pillow", **options)
     return path
 
 
@@ -87,7 +74,7 @@ def heat(share: ArrayLike) -> NDArray[np.float32]:
 def labelled(picture: ArrayLike, text: str) -> NDArray[np.uint8]:
     """A picture with a line or lines of text in a band beneath it; (height + band, width, 3) uint8.
 
-    What is transparent is shown as black.
+    Transparency is shown as black.
     """
     from PIL import Image, ImageDraw, ImageFont
 
@@ -108,7 +95,7 @@ def labelled(picture: ArrayLike, text: str) -> NDArray[np.uint8]:
 
 
 def _opaque(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Eight-bit RGBA, not premultiplied, over black; anything else as it is."""
+    """Eight-bit RGBA, not premultiplied, over black; anything else unchanged."""
     if data.shape[2] != 4:
         return data
     return np.asarray(np.rint(data[..., :3] * (data[..., 3:] / 255)), np.uint8)

@@ -1,6 +1,6 @@
-"""Frequency responses of the filters (eqs 14 to 18), derived from their rows.
+"""Frequency responses of the filters (eqs 14 to 18), derived from their taps.
 
-Frequencies are in radians a sample of the given volume: π is its Nyquist frequency, and an ideal
+Frequencies are in radians per sample of the given volume: π is its Nyquist frequency, and an ideal
 filter would be 1 below it and 0 above.
 """
 
@@ -19,7 +19,7 @@ __all__ = ["frequency_response", "prefilter_response"]
 
 Array: TypeAlias = NDArray[np.float64]
 _MAX_OMEGA = 2000  # the nodes of integration grow with it, and their time with its cube
-_CHUNK = 1 << 20  # cosines held at a time
+_CHUNK = 1 << 20  # cosines in memory at a time
 
 
 def frequency_response(filter: str | Filter, omega: ArrayLike) -> Array:
@@ -28,9 +28,9 @@ def frequency_response(filter: str | Filter, omega: ArrayLike) -> Array:
     Parameters
     ----------
     filter : str or Filter
-        Any row of the table.
+        Any filter of the table.
     omega : array-like
-        Angular frequency in radians a sample, at most 2000 either way.
+        Angular frequency in radians per sample, at most 2000 either way.
 
     Returns
     -------
@@ -47,12 +47,12 @@ def frequency_response(filter: str | Filter, omega: ArrayLike) -> Array:
     another kernel of ``1 / s`` the width: the product of S(ω), the sum over j of ``k(j / s) cos(ω j / s)``
     and ``B(ω / s) / s``.
     """
-    row, w = as_filter(filter), _frequencies(omega)
+    chosen, w = as_filter(filter), _frequencies(omega)
     if np.abs(w).max(initial=0.0) > _MAX_OMEGA:
         raise OptionError(f"omega must lie within ±{_MAX_OMEGA}; got {float(np.abs(w).max()):g}")
-    response = _kernel_response(row, w / row.scale) * prefilter_response(row, w)
-    if row.magnified_by is not None:
-        by, s = row.magnified_by, row.scale
+    response = _kernel_response(chosen, w / chosen.scale) * prefilter_response(chosen, w)
+    if chosen.magnified_by is not None:
+        by, s = chosen.magnified_by, chosen.scale
         j = np.arange(-s * by.support, s * by.support + 1)
         digital = np.zeros_like(w)
         for place, value in zip(j / s, by(j / s), strict=True):
@@ -68,19 +68,19 @@ def prefilter_response(filter: str | Filter, omega: ArrayLike) -> Array:
     Parameters
     ----------
     filter : str or Filter
-        Any row of the table.
+        Any filter of the table.
     omega : array-like
-        Angular frequency in radians a sample.
+        Angular frequency in radians per sample.
 
     Returns
     -------
     ndarray of float64, the shape of `omega`
     """
-    row, w = as_filter(filter), _frequencies(omega)
-    row = row.magnified_by or row
-    if not row.prefilter:
+    chosen, w = as_filter(filter), _frequencies(omega)
+    chosen = chosen.magnified_by or chosen
+    if not chosen.prefilter:
         return np.ones_like(w)
-    return 1 / sum((2 * b * np.cos(k * w) for k, b in enumerate(row.samples) if k), np.full_like(w, row.samples[0]))
+    return 1 / sum((2 * b * np.cos(k * w) for k, b in enumerate(chosen.samples) if k), np.full_like(w, chosen.samples[0]))
 
 
 def _frequencies(omega: ArrayLike) -> Array:
@@ -90,15 +90,15 @@ def _frequencies(omega: ArrayLike) -> Array:
     return w
 
 
-def _kernel_response(row: Filter, omega: Array) -> Array:
+def _kernel_response(filter: Filter, omega: Array) -> Array:
     """The Fourier integral of the kernel: B(ω), eq. (15) for B-splines."""
     flat = omega.ravel()
     # n nodes are exact to degree 2n - 1: the polynomial's, and as much as the cosine needs on a unit length
-    count = row.degree + 16 + int(np.abs(flat).max(initial=0.0))
+    count = filter.degree + 16 + int(np.abs(flat).max(initial=0.0))
     nodes, lengths = np.polynomial.legendre.leggauss(count)
     t = (nodes + 1) / 2
-    value = (row.weights(t) * (lengths / 2)).ravel()
-    place = (t + row.support / 2 - 1 - np.arange(row.support)[:, None]).ravel()
+    value = (filter.weights(t) * (lengths / 2)).ravel()
+    place = (t + filter.support / 2 - 1 - np.arange(filter.support)[:, None]).ravel()
     result = np.empty_like(flat)
     step = max(1, _CHUNK // place.size)
     for first in range(0, flat.size, step):

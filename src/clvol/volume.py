@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.checks import number, reals, whole
 from clvol.errors import DataError, GeometryError, OptionError
+from clvol.interop import read_array
 
-__all__ = ["Volume", "as_volume", "read_array"]
+__all__ = ["Volume", "as_volume"]
 
 _CACHED = 1 << 18  # samples
 _TINY_DETERMINANT = 1e-12
@@ -32,12 +33,12 @@ class Volume:
     ----------
     data : array-like, shape (nz, ny, nx) or (ny, nx)
         Any integer, boolean or floating dtype, any byte order and memory layout; it is
-        viewed, not copied, so the caller's array must not change afterwards: what has been computed
-        from it would no longer fit. `Volume.data` is read-only. A masked array may have no masked
-        element. Objects that carry geometry (SimpleITK images, nibabel images)
-        give their spacing, origin and direction, in ITK's LPS frame.
+        viewed, not copied, so the caller's array must not change afterwards: earlier results would
+        no longer match it. `Volume.data` is read-only. A masked array may have no masked element.
+        Objects that carry geometry (SimpleITK and nibabel images) give their spacing, origin and
+        direction, in ITK's LPS frame.
     spacing : sequence of float, optional
-        Distance of neighbouring samples along x, y(, z) in world units; default 1.
+        Distance between neighbouring samples along x, y(, z) in world units; default 1.
     origin : sequence of float, optional
         World position of the sample with index 0; default 0.
     direction : array-like, shape (d, d), optional
@@ -55,8 +56,8 @@ class Volume:
 
     Notes
     -----
-    NaN and infinite samples may be held, but nothing is computed from them: the spline
-    prefilter is recursive, so one NaN would spoil every coefficient. Rendering, sampling
+    A volume may contain NaN and infinite samples, but nothing is computed from them: the spline
+    prefilter is recursive, so one NaN would spoil all coefficients. Rendering, sampling
     and prefiltering raise `DataError` that says where the first one is; `filled` replaces them.
     """
 
@@ -114,14 +115,14 @@ class Volume:
 
     @cached_property
     def _limits(self) -> tuple[Any, Any]:
-        """Least and greatest sample, NaN if there is one; each part is read while it is in the cache for both."""
+        """Smallest and largest sample, NaN if there is one; each part is read for both while it is in the cache."""
         step = max(1, _CACHED // self.data[0].size)
         parts = [self.data[i : i + step] for i in range(0, len(self.data), step)]
         return np.min([part.min() for part in parts]), np.max([part.max() for part in parts])
 
     @cached_property
     def value_range(self) -> tuple[float, float]:
-        """Least and greatest finite sample.
+        """Smallest and largest finite sample.
 
         Raises
         ------
@@ -211,7 +212,7 @@ class Volume:
     # -- making other volumes ----------------------------------------------------------------
 
     def crop(self, low: Sequence[int], high: Sequence[int]) -> Volume:
-        """The samples with index ``low <= index < high``, (x, y, z), where they lay in the world."""
+        """The samples with index ``low <= index < high``, (x, y, z), at their place in the world."""
         lo, hi = _whole("low", low, self.ndim), _whole("high", high, self.ndim)
         for a, b, n in zip(lo, hi, self.size, strict=True):
             if not 0 <= a < b <= n:
@@ -238,7 +239,7 @@ class Volume:
         return self._with(ndimage.gaussian_filter(self.data.astype(kind), voxels, mode="mirror"))
 
     def downsample(self, n: int) -> Volume:
-        """Every `n`-th sample along each axis, from the first; low-pass with `gaussian` before."""
+        """Every `n`-th sample along each axis, from the first; low-pass with `gaussian` first."""
         n = whole("n", n, 1)
         return self._with(self.data[(slice(None, None, n),) * self.ndim], spacing=tuple(s * n for s in self.spacing))
 
@@ -290,46 +291,3 @@ def _direction(value: Any, d: int) -> NDArray[np.float64]:
         raise GeometryError(f"direction must have independent unit columns; got {matrix.tolist()}")
     matrix.setflags(write=False)
     return matrix
-
-
-def read_array(source: Any) -> tuple[NDArray[Any], dict[str, Any]]:
-    """The samples of `source`, and the geometry that its kind of object carries."""
-    if hasattr(source, "GetSpacing") and hasattr(source, "GetDirection"):
-        return _read_itk(source)
-    if hasattr(source, "affine") and hasattr(source, "dataobj"):
-        return _read_nibabel(source)
-    if isinstance(source, Volume):
-        return source.data, {
-            "spacing": source.spacing,
-            "origin": source.origin,
-            "direction": source.direction,
-            "units": source.units,
-        }
-    if np.ma.is_masked(source):
-        raise DataError("data must have no masked element; replace them with .filled(value) of the masked array")
-    try:
-        return np.asarray(source), {}
-    except (TypeError, ValueError) as error:
-        raise DataError(f"data must be a regular array of numbers: {error}") from None
-
-
-def _read_itk(image: Any) -> tuple[NDArray[Any], dict[str, Any]]:
-    """np.asarray would give a flat float64 array without geometry (SimpleITK)."""
-    import SimpleITK as sitk
-
-    data = sitk.GetArrayFromImage(image)
-    if image.GetNumberOfComponentsPerPixel() != 1:
-        raise DataError(f"data must have one value a voxel; got {image.GetNumberOfComponentsPerPixel()} components")
-    return data, {"spacing": image.GetSpacing(), "origin": image.GetOrigin(), "direction": image.GetDirection()}
-
-
-def _read_nibabel(image: Any) -> tuple[NDArray[Any], dict[str, Any]]:
-    """Nibabel arrays are (x, y, z) in a RAS world; ours are [z, y, x] in ITK's LPS."""
-    data = np.asanyarray(image.dataobj)
-    if data.ndim != 3:
-        raise DataError(f"data must have 3 axes; got a nibabel image of shape {data.shape}")
-    matrix = np.diag([-1.0, -1.0, 1.0, 1.0]) @ np.asarray(image.affine, dtype=np.float64)
-    spacing = np.linalg.norm(matrix[:3, :3], axis=0)
-    if not np.isfinite(matrix).all() or (spacing == 0).any():
-        raise GeometryError(f"the image's affine must be finite and not singular; got {image.affine!r}")
-    return data.T, {"spacing": spacing, "origin": matrix[:3, 3], "direction": matrix[:3, :3] / spacing, "units": "mm"}

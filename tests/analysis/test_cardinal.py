@@ -11,6 +11,7 @@ from clvol.analysis.cardinal import pieces
 from clvol.errors import OptionError
 from clvol.filter import as_filter, bspline, filters
 from clvol.volume import Volume
+from tests.cases import BAD_FILTERS, BAD_REALS, BAD_WHOLE
 
 ROWS = {row.name: row for row in (*filters().values(), bspline(7), bspline(9))}
 
@@ -36,12 +37,18 @@ def test_the_kernel_alone_without_a_prefilter() -> None:
 def test_energy_and_integral_by_hand() -> None:
     linear = pieces(as_filter("linear"))
     assert linear.energy() == pytest.approx(2 / 3, rel=1e-15)
-    assert linear.greatest_integral() == pytest.approx(1, rel=1e-15)
+    assert linear.max_integral() == pytest.approx(1, rel=1e-15)
     assert pieces(as_filter("nearest")).energy() == 1
 
 
 @pytest.mark.parametrize(
-    "bad", [{"filter": "none"}, {"x": "a"}, {"x": np.nan}, {"x": [0, np.inf]}, {"derivative": 3}, {"derivative": 0.5}]
+    "bad",
+    [
+        *({"filter": bad} for bad in BAD_FILTERS),
+        *({"x": bad} for bad in (*BAD_REALS, np.nan, [0, np.inf])),
+        *({"derivative": bad} for bad in (3, *BAD_WHOLE)),
+    ],
+    ids=str,
 )
 def test_bad_input_is_refused(bad: dict[str, object]) -> None:
     with pytest.raises(OptionError):

@@ -18,6 +18,7 @@ from clvol.errors import ClvolError, DataError, OptionError, OutOfMemoryError
 from clvol.filter import as_filter, filters, from_callable
 from clvol.phantoms import marschner_lobb, marschner_lobb_function, marschner_lobb_gradient
 from clvol.volume import Volume
+from tests.cases import BAD_COUNTS, BAD_DATA, BAD_FILTER_LISTS, BAD_FILTERS, BAD_NUMBERS, BAD_WHOLE
 
 # of Marschner-Lobb 41³ at 200 000 random points in [-0.8, 0.8]³, computed in float64 before clvol was written
 RMSE = {
@@ -197,10 +198,9 @@ def test_exact_sinc_beside_the_filters_is_exact_for_what_is_band_limited(rule: s
         assert held.maximum < 1e-12
 
 
-def test_of_a_large_volume_the_middle_slices_are_compared(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys.modules["clvol.analysis.compare"], "_WHOLE", 500)
+def test_of_a_large_volume_the_middle_slices_are_compared() -> None:
     data = np.random.default_rng(0).normal(size=(40, 16, 16))
-    [row] = table = compare(data, ["linear"], margin=1, lowpass="none", timing=False)
+    [row] = table = compare(data, ["linear"], margin=1, lowpass="none", timing=False, max_samples=500)
     assert table.points == 4 * 11 * 11  # of the samples 2 to 36 along z
     grid = Volume(np.zeros((4, 11, 11)), (0.5,) * 3, (1.0, 1.0, 8.5))
     got = reference.resample(data[::2, ::2, ::2], like=grid, filter="linear")
@@ -295,13 +295,12 @@ def test_data_smaller_than_the_filter_give_values(shape: tuple[int, ...]) -> Non
     assert finite(compare(data, COMPARED, truth=plane, points=50, timing=False))
 
 
-def test_memory_that_is_not_there_is_an_error_of_ours(monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: object, **__: object) -> None:
+def test_memory_that_is_not_there_is_an_error_of_ours() -> None:
+    def full(_: float) -> None:
         raise MemoryError("Unable to allocate 29.8 GiB")
 
-    monkeypatch.setattr(sys.modules["clvol.analysis.compare"], "_measure", full)
     with pytest.raises(OutOfMemoryError, match=r"what is compared must fit into it; got Unable to allocate 29\.8 GiB"):
-        compare(wave, ["linear"], size=5, points=5, timing=False)
+        compare(wave, ["linear"], size=5, points=5, timing=False, progress=full)
 
 
 def test_names_may_come_in_any_sequence() -> None:
@@ -328,16 +327,13 @@ BAD: list[tuple[dict[str, Any], type[ClvolError], str]] = [
     ({**GOOD, "gradient": lambda _: 1 / 0}, OptionError, "the gradient must give a finite vector for each position; it failed"),
     ({**GOOD, "truth": wave}, OptionError, "truth must be given with a volume only"),
     ({**VOLUME, "gradient": wave}, OptionError, "gradient must be that of a function"),
-    ({**GOOD, "filters": "linear"}, OptionError, "filters must be one or more names; got 'linear'"),
-    ({**GOOD, "filters": 5}, OptionError, "filters must be one or more names; got 5"),
-    ({**GOOD, "filters": as_filter("linear")}, OptionError, "filters must be one or more names; got Filter"),
+    *(({**GOOD, "filters": bad}, OptionError, "filters must be one or more names; got ") for bad in BAD_FILTER_LISTS),
+    *(({**GOOD, "filters": [bad]}, OptionError, "filter") for bad in BAD_FILTERS),
     ({**GOOD, "points": 10**12}, OutOfMemoryError, "points must give at most 68719476736 samples; got 1000000000000"),
     ({**GOOD, "size": 10**6}, OutOfMemoryError, "size must give at most 68719476736 samples; got 1000000"),
     ({**GOOD, "size": 10**30}, OutOfMemoryError, "size must give at most 68719476736 samples"),
     ({**VOLUME, "factor": 10**9}, OptionError, "factor must be a whole number, at least 2 and at most 1024; got 1000000000"),
     ({**VOLUME, "factor": 10**30}, OptionError, "factor must be a whole number, at least 2 and at most 1024"),
-    ({**GOOD, "filters": []}, OptionError, "filters must be one or more names"),
-    ({**GOOD, "filters": ["none"]}, OptionError, "filter must be one of"),
     ({**GOOD, "filters": [EXACT_SINC], "boundary": "zero"}, OptionError, "must be mirror, reflect or wrap for 'exact-sinc'"),
     ({**GOOD, "boundary": "none"}, OptionError, "boundary must be one of"),
     ({**GOOD, "size": 1}, OptionError, "size must be a whole number, at least 2"),
@@ -346,15 +342,15 @@ BAD: list[tuple[dict[str, Any], type[ClvolError], str]] = [
     ({**GOOD, "dimensions": 4}, OptionError, "dimensions must be a whole number, at least 2 and at most 3"),
     ({**GOOD, "domain": (1, 1)}, OptionError, "domain must be two numbers, the lower first"),
     ({**GOOD, "domain": (0, np.inf)}, OptionError, "domain must be two numbers"),
-    ({**GOOD, "points": 0}, OptionError, "points must be a whole number, at least 1"),
-    ({**GOOD, "seed": -1}, OptionError, "seed must be"),
-    ({**GOOD, "margin": -1}, OptionError, "margin must be"),
+    *(({**GOOD, "points": bad}, OptionError, "points must be a whole number, at least 1") for bad in BAD_COUNTS),
+    *(({**VOLUME, "max_samples": bad}, OptionError, "max_samples must be a whole number, at least 1") for bad in BAD_COUNTS),
+    *(({**GOOD, "seed": bad}, OptionError, "seed must be") for bad in (-1, *BAD_WHOLE)),
+    *(({**GOOD, "margin": bad}, OptionError, "margin must be") for bad in (-1, *BAD_NUMBERS)),
     ({**GOOD, "device": "none"}, OptionError, "device must be one of"),
     ({**VOLUME, "factor": 1}, OptionError, "factor must be a whole number, at least 2"),
     ({**VOLUME, "lowpass": "box"}, OptionError, "lowpass must be one of gaussian, none; got 'box'"),
     ({**VOLUME, "source": [[1.0, np.nan]]}, DataError, "samples must be finite; got 1 NaN"),
-    ({**VOLUME, "source": np.ones(3)}, DataError, "data must have 2 axes"),
-    ({**VOLUME, "source": None}, DataError, "data must"),
+    *(({**VOLUME, "source": bad}, DataError, "data must|of data must") for bad in BAD_DATA),
 ]
 
 

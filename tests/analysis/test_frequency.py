@@ -12,6 +12,7 @@ import clvol
 from clvol.analysis import Bands, bands, frequency_response
 from clvol.errors import OptionError
 from clvol.filter import Filter, filters, from_pieces
+from tests.cases import BAD_NUMBERS
 
 NO_EVEN_KERNEL = Filter("skew", ((0.0, 1.0), (1.0, -0.5)))
 
@@ -57,7 +58,7 @@ def test_a_kernel_of_zeros_has_no_bands_but_values() -> None:
     assert nothing == Bands("nothing", math.pi / 2, None, 0.0, 1.0, 0.0, None)
 
 
-@pytest.mark.parametrize("edge", [0, -1, math.pi, math.nan, "a", None])
+@pytest.mark.parametrize("edge", [0, -1, math.pi, *BAD_NUMBERS], ids=repr)
 def test_a_bad_edge_is_refused(edge: object) -> None:
     with pytest.raises(OptionError, match="edge must be a finite number, greater than 0"):
         bands("linear", edge)  # type: ignore[arg-type]

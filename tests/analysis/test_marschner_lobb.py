@@ -11,6 +11,7 @@ from scipy import integrate
 from clvol.analysis import WILBRAHAM_GIBBS, Metrics, frequency_response, metrics
 from clvol.errors import OptionError
 from clvol.filter import Filter, filters, from_callable
+from tests.cases import BAD_FILTERS
 
 
 def ideal(omega: np.ndarray) -> np.ndarray:
@@ -83,9 +84,7 @@ def test_a_filter_without_a_closed_form() -> None:
 @pytest.mark.parametrize(
     "bad",
     [
-        "none",
-        3,
-        None,
+        *BAD_FILTERS,
         lambda w: w[:3],
         lambda _: "text",
         lambda w: w * np.nan,

@@ -9,6 +9,7 @@ import pytest
 
 from clvol.analysis import ssim
 from clvol.errors import DataError, OptionError
+from tests.cases import BAD_NUMBERS
 
 RNG = np.random.default_rng(0)
 IMAGE = RNG.uniform(10, 200, (14, 13))
@@ -77,9 +78,8 @@ def test_data_smaller_than_the_window() -> None:
         ("a", "b", {}, DataError),
         (np.empty((0, 3)),) * 2 + ({}, DataError),
         (IMAGE, np.ones_like(IMAGE), {}, OptionError),
-        (IMAGE, IMAGE, {"data_range": 0}, OptionError),
-        (IMAGE, IMAGE, {"data_range": "a"}, OptionError),
-        (IMAGE, IMAGE, {"sigma": -1}, OptionError),
+        *((IMAGE, IMAGE, {"data_range": bad}, OptionError) for bad in (0, *BAD_NUMBERS) if bad is not None),
+        *((IMAGE, IMAGE, {"sigma": bad}, OptionError) for bad in (-1, *BAD_NUMBERS)),
         (IMAGE, IMAGE, {"sigma": 1e12}, OptionError),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from clvol import reference
 from clvol.analysis import approximation, error_kernel, frequency_response, impulse_response, taylor_coefficients
 from clvol.errors import OptionError
 from clvol.filter import as_filter, bspline, filters, from_callable, from_pieces
+from tests.cases import BAD_COUNTS, BAD_FILTERS, BAD_REALS, BAD_WHOLE, every
 
 
 def zeta_constant(degree: int) -> float:
@@ -139,19 +141,13 @@ def test_rows_in_floating_point() -> None:
 @pytest.mark.parametrize(
     "call",
     [
-        lambda: approximation("none"),
         lambda: approximation("linear", 2),
-        lambda: approximation("linear", True),
-        lambda: error_kernel("none", 1.0),
         lambda: error_kernel("linear", np.nan),
         lambda: error_kernel("linear", 2001),
-        lambda: error_kernel("linear", "a"),
         lambda: error_kernel("linear", 1.0, 2),
-        lambda: taylor_coefficients("none", 0.5),
         lambda: taylor_coefficients("linear", 1.0),
         lambda: taylor_coefficients("linear", -0.1),
         lambda: taylor_coefficients("linear", np.nan),
-        lambda: taylor_coefficients("linear", 0.5, 0),
         lambda: taylor_coefficients("linear", 0.5, 13),
         lambda: taylor_coefficients("linear", 0.5, 3, 2),
     ],
@@ -159,3 +155,19 @@ def test_rows_in_floating_point() -> None:
 def test_bad_input_is_refused(call) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(OptionError):
         call()
+
+
+@pytest.mark.parametrize(
+    ("call", "bad"),
+    every(
+        approximation=(approximation, BAD_FILTERS),
+        error_kernel=(lambda v: error_kernel(v, 1.0), BAD_FILTERS),
+        taylor=(lambda v: taylor_coefficients(v, 0.5), BAD_FILTERS),
+        derivative=(lambda v: approximation("linear", v), BAD_WHOLE),
+        omega=(lambda v: error_kernel("linear", v), BAD_REALS),
+        terms=(lambda v: taylor_coefficients("linear", 0.5, v), BAD_COUNTS),
+    ),
+)
+def test_bad_values_are_refused(call: Any, bad: Any) -> None:
+    with pytest.raises(OptionError):
+        call(bad)

@@ -14,7 +14,8 @@ import pytest
 
 import clvol
 from clvol import FormatError, MissingDependencyError, OptionError, analysis, figures, phantoms
-from clvol.analysis import EXACT_SINC, timing
+from clvol.analysis import EXACT_SINC
+from clvol.analysis.timing import Effort
 from clvol.device import Device
 from clvol.figures import convergence, cost, errors, gradients, hybrid, images, impulse, inputs, pipeline, responses, style
 
@@ -49,8 +50,8 @@ def test_figure_1_gathers_the_pixel_that_render_draws(device: Device) -> None:
     (numbers,) = drawing.numbers
     np.testing.assert_allclose(numbers["color"], numbers["rendered"], atol=3e-3)  # the table of colours, and early termination
     assert 0.3 < numbers["opacity"] < 1
-    told = titles(drawing)
-    assert [t[0] for t in sorted(told)] == ["1", "2", "3", "4", "5"]
+    headings = titles(drawing)
+    assert [t[0] for t in sorted(headings)] == ["1", "2", "3", "4", "5"]
     assert "B-spline interpolation" in texts(drawing)
     assert "nearest neighbour" in texts(drawing)
 
@@ -270,11 +271,10 @@ def test_sizes_of_grids_are_checked(sizes: tuple[int, ...]) -> None:
         convergence.draw(("linear",), sizes)
 
 
-def test_cost_puts_every_filter_on_the_plot(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(timing, "_TIMED", 1000)
-    monkeypatch.setattr(timing, "_ROUNDS", 2)
+def test_cost_puts_every_filter_on_the_plot(device: Device) -> None:
     done: list[float] = []
-    drawing = cost.draw(("nearest", "linear", "bspline3"), samples=15, points=500, device=device, progress=done.append)
+    names, little = ("nearest", "linear", "bspline3"), Effort(positions=1000, rounds=2)
+    drawing = cost.draw(names, samples=15, points=500, device=device, progress=done.append, effort=little)
     assert [n["filter"] for n in drawing.numbers] == ["nearest", "linear", "bspline3"]
     assert all(n["nanoseconds"] > 0 and n["rms"] > 0 for n in drawing.numbers)
     assert drawing.numbers[0]["angle_mean"] is None
@@ -335,7 +335,7 @@ def test_many_filters_of_figure_2_have_a_legend_within_it() -> None:
 def test_the_zone_plate_reaches_three_quarters_of_nyquist() -> None:
     r, h = 0.95, 1e-6
     phase = [np.arccos(2 * inputs.zone_plate(np.array([[r + s * h, 0.0]]), 65)[0] - 1) for s in (-1, 1)]
-    assert abs(phase[1] - phase[0]) / (2 * h) * 2 / 64 == pytest.approx(0.75 * np.pi * r, rel=1e-4)  # radians a sample
+    assert abs(phase[1] - phase[0]) / (2 * h) * 2 / 64 == pytest.approx(0.75 * np.pi * r, rel=1e-4)  # radians per sample
     assert inputs.zone_plate(np.zeros((1, 3)), 9)[0] == 1
 
 
@@ -515,7 +515,7 @@ def test_figures_take_filters_of_ones_own(name: str, options: dict[str, Any], de
 
 def test_a_filter_that_lets_nothing_through_has_a_response() -> None:
     drawing = responses.draw((clvol.from_pieces("nothing", [(0.0,)]),))
-    assert drawing.lines[-1] == "nothing: errs by up to 1.000 below π/2, lets none of its aliases through"
+    assert drawing.lines[-1] == "nothing: error up to 1.000 below π/2; passes none of its aliases"
 
 
 @pytest.mark.parametrize(("name", "options"), [("3", {"pixels": 16}), ("4", {"filters": ("linear",), "samples": 9, "points": 50})])

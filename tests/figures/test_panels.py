@@ -8,6 +8,7 @@ from clvol.analysis import EXACT_SINC
 from clvol.device import Device
 from clvol.figures import FIGURE_6, SIX, Panel, compare, figure6
 from clvol.figures.panels import CAMERA, ISOVALUE, LIGHTS, MATERIAL, SURFACE, _mean_angle, fixed
+from tests.cases import BAD_COUNTS, BAD_FILTER_LISTS
 
 # of the Marschner-Lobb function at 40³, within 0.8 of the centre
 RMS = {"bspline3": 0.0148, "linear": 0.0328, "mitchell": 0.0296, "bspline3-approx": 0.0451, "nearest": 0.0475}
@@ -83,7 +84,7 @@ def test_a_fixed_camera_sees_the_same_of_another_volume(projection: str) -> None
 
 
 def test_the_exact_panel_is_what_a_much_finer_sampled_volume_shows(drawn: tuple[list[Panel], np.ndarray], device: Device) -> None:
-    # the same box and camera; the domain of 161³ samples ends elsewhere, so the camera is told where it stood
+    # the same box and camera; the domain of 161³ samples ends elsewhere, so the camera gets its place
     coarse, fine = phantoms.marschner_lobb(40), phantoms.marschner_lobb(161)
     view = CAMERA.view(coarse)
     camera = Camera(
@@ -138,19 +139,19 @@ def test_labels_tell_what_was_measured() -> None:
 
 
 def test_progress_goes_up_to_one(device: Device) -> None:
-    told: list[float] = []
-    figure6(8, 8, ("linear", "nearest"), samples=1, device=device, progress=told.append)
-    assert told == sorted(told)
-    assert told[-1] == pytest.approx(1)
-    told.clear()
-    compare(phantoms.sphere(8), ("linear", "nearest"), 8, device=device, progress=told.append)
-    assert told == sorted(told)
-    assert told[-1] == pytest.approx(1)
+    reported: list[float] = []
+    figure6(8, 8, ("linear", "nearest"), samples=1, device=device, progress=reported.append)
+    assert reported == sorted(reported)
+    assert reported[-1] == pytest.approx(1)
+    reported.clear()
+    compare(phantoms.sphere(8), ("linear", "nearest"), 8, device=device, progress=reported.append)
+    assert reported == sorted(reported)
+    assert reported[-1] == pytest.approx(1)
 
 
-def test_a_figure_in_which_no_surface_shows_measures_no_normals(monkeypatch: pytest.MonkeyPatch, device: Device) -> None:
-    monkeypatch.setattr("clvol.figures.panels.CAMERA", Camera.look_at((0, 0, 9), (0, 0, 20), (0, 1, 0)))
-    panels, _ = figure6(8, 8, ("linear",), samples=1, device=device)
+def test_a_figure_in_which_no_surface_shows_measures_no_normals(device: Device) -> None:
+    away = Camera.look_at((0, 0, 9), (0, 0, 20), (0, 1, 0))
+    panels, _ = figure6(8, 8, ("linear",), camera=away, samples=1, device=device)
     assert panels[0].angle is None
     assert panels[0].rms is not None
 
@@ -196,29 +197,31 @@ def test_compare_draws_the_exact_sinc(device: Device, rule: str, mode: str) -> N
     assert np.abs(sinc - spline).mean() < 0.3 * np.abs(nearest - spline).mean()
 
 
-@pytest.mark.parametrize("pixels", [0, -4, 2.5, True, "8"])
+@pytest.mark.parametrize("pixels", BAD_COUNTS, ids=repr)
 def test_pixels_are_checked_first(pixels: object) -> None:
     for make in (lambda: figure6(8, pixels), lambda: compare(phantoms.sphere(8), ("linear",), pixels)):  # type: ignore[arg-type]
         with pytest.raises(OptionError, match=r"pixels must be a whole number, at least 1"):
             make()
 
 
-def test_filters_are_checked_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("clvol.figures.panels.Renderer", None)  # nothing may be drawn
-    for filters in ((), "linear"):
+def test_filters_are_checked_first() -> None:
+    nowhere = "no such device"  # whoever draws before checking gets a DeviceError
+    for filters in BAD_FILTER_LISTS:
         with pytest.raises(OptionError, match=r"filters must be one or more names"):
-            figure6(8, 8, filters)
+            figure6(8, 8, filters, device=nowhere)
         with pytest.raises(OptionError, match=r"filters must be one or more names"):
-            compare(phantoms.sphere(8), filters, 8)
+            compare(phantoms.sphere(8), filters, 8, device=nowhere)
     with pytest.raises(OptionError, match=r"filters must be one or more names, at most 26; got 27"):
-        figure6(8, 8, ("linear",) * 27)
-    monkeypatch.setattr("clvol.figures.panels._DRAWN", 511)
+        figure6(8, 8, ("linear",) * 27, device=nowhere)
     with pytest.raises(OptionError, match=r"'exact-sinc' is drawn of at most 511 samples; got 512"):
-        compare(phantoms.sphere(8), ("linear", EXACT_SINC), 8)
+        compare(phantoms.sphere(8), ("linear", EXACT_SINC), 8, max_samples=511, device=nowhere)
     with pytest.raises(OptionError, match=r"boundary must be mirror, reflect or wrap, which have a period; got 'zero'"):
-        compare(phantoms.sphere(7), ("linear", EXACT_SINC), 8, "zero")
+        compare(phantoms.sphere(7), ("linear", EXACT_SINC), 8, "zero", device=nowhere)
     assert SIX[1:] == FIGURE_6[1:]
-    for make in (lambda: figure6(8, 8, ("linear", "bogus")), lambda: compare(phantoms.sphere(8), ("linear", "bogus"), 8)):
+    for make in (
+        lambda: figure6(8, 8, ("linear", "bogus"), device=nowhere),
+        lambda: compare(phantoms.sphere(8), ("linear", "bogus"), 8, device=nowhere),
+    ):
         with pytest.raises(OptionError, match=r"bspline3.*'bogus'"):
             make()
 

@@ -1,6 +1,6 @@
-"""What a reconstruction filter does to data: frequency responses, published metrics, approximation theory, measured errors.
+"""What reconstruction filters do to data: frequency responses, published metrics, approximation theory, measured errors.
 
-NumPy and SciPy in float64; a device is used only where one is asked for, and to measure times.
+NumPy and SciPy in float64; a device is used only on request, and to measure times.
 
 >>> from clvol import analysis, phantoms
 >>> table = analysis.compare(phantoms.marschner_lobb_function, gradient=phantoms.marschner_lobb_gradient)

@@ -18,7 +18,7 @@ from clvol.filter import Filter, as_filter
 __all__ = ["Pieces", "even_filter", "impulse_response", "pieces"]
 
 Array: TypeAlias = NDArray[np.float64]
-_TAIL = 1e-18  # of the prefilter's impulse response, which falls like the powers of its greatest pole
+_TAIL = 1e-18  # of the prefilter's impulse response, which decays like the powers of its largest pole
 
 
 @dataclass(frozen=True)
@@ -54,21 +54,21 @@ class Pieces:
         values = polynomial.polyval((nodes + 1) / 2, self.rows.T)
         return float((values**2 @ lengths).sum() / 2 * self.step)
 
-    def greatest_integral(self) -> float:
-        """The greatest value of the integral from the left."""
+    def max_integral(self) -> float:
+        """The maximum of the integral from the left."""
         integrals = np.pad(self.rows / np.arange(1, self.rows.shape[1] + 1), ((0, 0), (1, 0))) * self.step
-        before, most = 0.0, 0.0
+        before, largest = 0.0, 0.0
         for row, integral in zip(self.rows, integrals, strict=True):
             roots = polynomial.polyroots(np.trim_zeros(row, "b")) if row.any() else np.empty(0)
             t = np.clip(np.concatenate([[0.0, 1.0], roots.real]), 0, 1)
             values = before + polynomial.polyval(t, integral)
-            most = max(most, float(values.max()))
+            largest = max(largest, float(values.max()))
             before = float(values[1])
-        return most
+        return largest
 
 
 def impulse_response(filter: str | Filter, x: ArrayLike, derivative: int = 0) -> Array:
-    """What the filter makes, along one axis, of a sample of 1 at 0 among zeros.
+    """The reconstruction, along one axis, of a sample of 1 at 0 among zeros.
 
     For a filter without a prefilter this is its kernel, eq. (10) for the cubic; with one, the cardinal
     spline ``sum of s_k beta(x - k)``, where s is the impulse response of eq. (16); for a hybrid, the
@@ -77,7 +77,7 @@ def impulse_response(filter: str | Filter, x: ArrayLike, derivative: int = 0) ->
     Parameters
     ----------
     filter : str or Filter
-        Any row of the table.
+        Any filter of the table.
     x : array-like
         Signed distance in samples of the given data.
     derivative : {0, 1, 2}
@@ -99,43 +99,43 @@ def impulse_response(filter: str | Filter, x: ArrayLike, derivative: int = 0) ->
 
 
 def even_filter(filter: str | Filter) -> Filter:
-    """The row, if what it makes of an impulse is even, so that its frequency response is real."""
-    row = as_filter(filter)
-    drawn = pieces(row)
+    """The filter, if its impulse response is even, so that its frequency response is real; else `OptionError`."""
+    chosen = as_filter(filter)
+    drawn = pieces(chosen)
     x = np.random.default_rng(0).uniform(0, -drawn.start, 1000)
-    if np.abs(drawn(x) - drawn(-x)).max() > 1e-9 + 2 * row.fit_error:
-        raise OptionError(f"filter must have an even kernel, so that its response is real; got {row.name!r}")
-    return row
+    if np.abs(drawn(x) - drawn(-x)).max() > 1e-9 + 2 * chosen.fit_error:
+        raise OptionError(f"filter must have an even kernel, so that its response is real; got {chosen.name!r}")
+    return chosen
 
 
 @lru_cache(maxsize=64)
-def pieces(row: Filter) -> Pieces:
-    """The impulse response of a row along one axis."""
-    kernel = row.matrix[::-1]  # tap i lies at t + TAPS/2 - 1 - i: the last tap is the leftmost piece
-    if row.magnified_by is not None:
-        coarse = pieces(row.magnified_by)
-        s = row.scale
+def pieces(filter: Filter) -> Pieces:
+    """The impulse response of a filter along one axis."""
+    kernel = filter.matrix[::-1]  # tap i lies at t + TAPS/2 - 1 - i: the last tap is the leftmost piece
+    if filter.magnified_by is not None:
+        coarse = pieces(filter.magnified_by)
+        s = filter.scale
         first = math.ceil(coarse.start * s)
         places = np.arange(first, -first + 1) / s
-        return Pieces((first - row.support / 2) / s, 1 / s, _blend(coarse(places), kernel))
-    if not row.prefilter or not row.poles.size:
-        return Pieces(-row.support / 2, 1.0, kernel / (row.samples[0] if row.prefilter else 1.0))
-    s_k = _prefilter_impulse(row)
-    return Pieces(-row.support / 2 - s_k.size // 2, 1.0, _blend(s_k, kernel))
+        return Pieces((first - filter.support / 2) / s, 1 / s, _blend(coarse(places), kernel))
+    if not filter.prefilter or not filter.poles.size:
+        return Pieces(-filter.support / 2, 1.0, kernel / (filter.samples[0] if filter.prefilter else 1.0))
+    s_k = _prefilter_impulse(filter)
+    return Pieces(-filter.support / 2 - s_k.size // 2, 1.0, _blend(s_k, kernel))
 
 
 def _blend(values: Array, kernel: Array) -> Array:
-    """Pieces of the sum of the kernel's copies, each a piece further, times the values."""
+    """Pieces of the sum of the values times copies of the kernel, each one piece further."""
     return np.stack([np.convolve(values, column) for column in kernel.T], -1)
 
 
-def _prefilter_impulse(row: Filter) -> Array:
+def _prefilter_impulse(filter: Filter) -> Array:
     """The inverse transform of eq. (16) at -K, ..., K: residues at the poles within the unit circle."""
-    reach = math.ceil(math.log(_TAIL) / math.log(float(np.abs(row.poles).max())))
+    reach = math.ceil(math.log(_TAIL) / math.log(float(np.abs(filter.poles).max())))
     k = np.abs(np.arange(-reach, reach + 1))
     total = np.zeros(k.size)
-    every = np.concatenate([row.poles, 1 / row.poles])
-    for i, z in enumerate(row.poles):
+    every = np.concatenate([filter.poles, 1 / filter.poles])
+    for i, z in enumerate(filter.poles):
         others = np.delete(every, i)
-        total += z ** (k + row.poles.size - 1) / (row.samples[-1] * np.prod(z - others))
+        total += z ** (k + filter.poles.size - 1) / (filter.samples[-1] * np.prod(z - others))
     return total

@@ -1,4 +1,4 @@
-"""The error of what one is looking at: reconstruction filters measured against a known function, or from every n-th sample."""
+"""How far reconstructions are from the truth: filters measured against a known function, or from every n-th sample."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from clvol import reference
 from clvol.analysis.dirichlet import dirichlet_sample, dirichlet_weights
 from clvol.analysis.similarity import ssim
 from clvol.analysis.table import Table, column
-from clvol.analysis.timing import seconds_a_sample
+from clvol.analysis.timing import seconds_per_sample
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.checks import enough_memory, number, one_of, reals, require_room, whole
 from clvol.device import Device, as_device
@@ -33,19 +33,18 @@ Array: TypeAlias = NDArray[np.float64]
 Function: TypeAlias = Callable[[Array], ArrayLike]
 _Angles: TypeAlias = tuple[float | None, float | None, float | None]
 
-_LATTICE = 1 << 22  # positions at which similarity is judged, at most: of more the middle slices
-_WHOLE = 1 << 25  # samples of a volume that are held back, at most: of a larger one the middle slices
-_FARTHEST = 1024  # samples between those kept
-_CHUNK = 1 << 20  # positions taken at a time
-_SINC_PRODUCTS = 1 << 34  # of the exact sinc at scattered points, where each takes all samples
-_SHARE = 0.9  # of the time that errors take, where times are measured too
-_DIRECTED = 0.01  # of the greatest gradient: what is less has no direction that is seen
+_LATTICE = 1 << 22  # max positions at which similarity is judged; of more, the middle slices
+_MAX_FACTOR = 1024  # of the decimation
+_CHUNK = 1 << 20  # positions at a time
+_SINC_PRODUCTS = 1 << 34  # of the exact sinc at scattered points: each takes all samples
+_SHARE = 0.9  # of the progress: errors, if times are measured too
+_DIRECTED = 0.01  # of the largest gradient: below it no direction can be seen
 _NUMPY = "NumPy, float64"
 
 EXACT_SINC: Final = "exact-sinc"
-"""Where filters are compared, this name stands for the exact sinc of `clvol.analysis.dirichlet_sample`.
+"""The name of the exact sinc, `clvol.analysis.dirichlet_sample`, wherever filters are compared.
 
-At random points of more than 85 000 samples it is measured at fewer of them, since each takes all samples.
+Each of its values takes all samples, so for more than 85 000 samples fewer random points are measured.
 """
 
 COMPARED: Final = (
@@ -62,34 +61,34 @@ COMPARED: Final = (
     "bspline5",
     "hybrid",
 )
-"""What `compare` compares unless told otherwise."""
+"""The default filters of `compare`."""
 
 
 @dataclass(frozen=True)
 class ErrorRow:
-    """What was measured of one filter; None where it does not exist.
+    """The errors of one filter; None where a number does not exist.
 
     Attributes
     ----------
     filter : str
         Name of the filter.
     rms, maximum : float
-        Root mean square and greatest error of the values, in the data's units.
+        Root mean square and largest error of the values, in the data's units.
     psnr : float or None
         ``20 log10(range / rms)`` in decibels, with the range of the samples; None for constant data or no error.
     ssim : float or None
-        Structural similarity (`ssim`) on a lattice, of half the spacing where the truth is a function and that of the
-        original where it was held back, of which the middle slices count, 4 million positions; None for constant data.
+        Structural similarity (`ssim`) on a lattice: of half the spacing if the truth is a function, else that of the
+        original. Of more than 4 million positions the middle slices count. None for constant data.
     gradient_rms : float or None
         Root mean square length of the gradient's error, per world unit; None if the filter has no gradient.
     angle_mean, angle_median, angle_95 : float or None
-        Of the angle between the gradient and the true one in degrees: mean, median, 95th percentile, where the true
-        one is at least a hundredth of the greatest; a gradient of length zero counts as 90°.
+        Angle between the gradient and the true one in degrees: mean, median, 95th percentile, where the true gradient
+        is at least a hundredth of the largest. A gradient of length zero counts as 90°.
     overshoot : float
         How far the values leave the range of the samples, in the data's units; 0 if they do not.
     seconds : float or None
-        Time per million samples on a device, without the prefilter; None for the exact sinc, without a device, or if it
-        was not asked for.
+        Time per million samples on a device, without the prefilter; None for the exact sinc, without a device, or
+        without `timing`.
     """
 
     filter: str = column("filter")
@@ -106,18 +105,18 @@ class ErrorRow:
 
 
 class ErrorTable(Table[ErrorRow]):
-    """A row for each filter, in the order asked for, and what was compared with what.
+    """A row for each filter, in the requested order, and what was compared with what.
 
     Attributes
     ----------
     samples : Volume
         What the filters reconstructed from: samples of the function, or the decimated volume.
     against : str
-        What they were compared with, in words.
+        The truth, in words.
     points : int
-        At how many positions.
+        Number of compared positions.
     value_range : (float, float)
-        Least and greatest sample: what `psnr`, `ssim` and `overshoot` refer to.
+        Smallest and largest sample: what `psnr`, `ssim` and `overshoot` refer to.
     boundary : str
         The boundary rule.
     evaluated_on : str
@@ -125,7 +124,7 @@ class ErrorTable(Table[ErrorRow]):
     timed_on : str
         The name of the device; empty if nothing was timed.
     filters : list of Filter
-        The rows of the table of filters that were compared: some may be of one's own.
+        The compared filters; they need not be registered.
     """
 
     def __init__(
@@ -155,7 +154,7 @@ class ErrorTable(Table[ErrorRow]):
         return next((row for row in self.filters if row.name == name), None) or as_filter(name)
 
     def best(self, key: str = "rms") -> ErrorRow:
-        """The row with the least `key` (the greatest for "psnr" and "ssim"), of those that have it.
+        """The row with the smallest `key` (the largest for "psnr" and "ssim"), of those that have it.
 
         Raises
         ------
@@ -192,16 +191,17 @@ def compare(
     device: Device | str | int | None = None,
     timing_device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
+    max_samples: int = 1 << 25,
 ) -> ErrorTable:
-    """Measure what each filter makes of data whose truth is known.
+    """Measure the error of each filter on data whose truth is known.
 
-    A function, or a volume with its `truth`, is compared at uniform random points of the world. Of a volume alone the
-    truth are its own samples: they are low-passed, every `factor`-th is kept, and what is reconstructed from these is
-    compared with the original samples, as in Figure 4 of the paper; the true gradient is then that of the
-    quintic spline through the original. Decimation by 2 asks for values at the samples and half-way between them only,
-    where the hybrid is the spline that it magnifies with, and where "nearest" has two samples as near: of these it
-    takes the upper one, at every even factor, so that its error at hard edges depends on where they happen to lie. By
-    3 it asks for thirds, and nothing is as near to two.
+    A function, or a volume with its `truth`, is compared at uniform random points of the world. A volume alone is its own
+    truth: it is low-passed, every `factor`-th sample is kept, and the reconstruction from these is compared with the
+    original samples, as in Figure 4 of the paper; the true gradient is that of the quintic spline through the original.
+
+    Decimation by 2 compares values only at the kept samples and half-way between them. There the hybrid equals the spline
+    by which it magnifies, and "nearest" has two equally near samples. It takes the upper one (at every even factor), so
+    its error at hard edges depends on where they happen to lie. Decimation by 3 avoids both.
 
     Parameters
     ----------
@@ -223,20 +223,22 @@ def compare(
     lowpass : {"gaussian", "none"}
         Before the decimation: a Gaussian of standard deviation ``factor / 2`` samples, or nothing.
     margin : float
-        Samples (of those reconstructed from) along each face in which nothing is compared, since there the boundary
-        rule speaks; less where an axis is shorter than four times as much.
+        How many kept samples along each face are left out, because the boundary rule decides there; fewer on axes
+        shorter than four times the margin.
     points : int
-        How many random positions, or random samples of a decimated volume's gradient, are compared.
+        Number of random positions, or of random gradients of a decimated volume.
     seed : int
         Of the random positions.
     timing : bool
-        Measure the time per million samples at random positions; without any device there are no times.
+        Measure the time per million samples at random positions, if there is a device.
     device : Device, str or int, optional
-        Take the values from this device, in float32; by default they are float64 by `clvol.reference`.
+        Compute the values on this device, in float32; default: in float64 by `clvol.reference`.
     timing_device : Device, str or int, optional
-        Where times are measured: `device` unless named, or the default one.
+        Where times are measured; default: `device`, or the default device.
     progress : callable, optional
         Called with the fraction done.
+    max_samples : int
+        How many samples of a decimated volume are compared; of a larger one the middle slices are.
 
     Returns
     -------
@@ -245,16 +247,16 @@ def compare(
     Raises
     ------
     OptionError
-        An unknown name, a number outside its bounds, a function that fails or gives other than finite numbers.
+        An unknown name, a number outside its bounds, or a function that fails or does not give finite numbers.
     DataError
         NaN or infinite samples.
     OutOfMemoryError
-        More samples or points than fit.
+        More samples or points than fit into memory.
     """
     chosen, rule = as_compared(filters), as_boundary(boundary)
-    points, factor = whole("points", points, 1), whole("factor", factor, 2, _FARTHEST)
+    points, factor = whole("points", points, 1), whole("factor", factor, 2, _MAX_FACTOR)
     rng = np.random.default_rng(whole("seed", seed, 0))
-    margin = number("margin", margin, least=0)
+    margin, max_samples = number("margin", margin, least=0), whole("max_samples", max_samples, 1)
     on = None if device is None else as_device(device)
     clock = _clock(timing_device, on) if timing else None
     if EXACT_SINC in chosen and rule.period is None:
@@ -273,21 +275,21 @@ def compare(
     if truth is None:
         if gradient is not None:
             raise OptionError("gradient must be that of a function; got it with a volume without its truth")
-        trial = _held_back(volume, factor, lowpass, margin, points, rule, rng)
+        trial = _held_back(volume, factor, lowpass, margin, points, rule, rng, max_samples)
     else:
         trial = _known(volume, truth, gradient, margin, points, rng)
-    told, share = progress or (lambda _: None), 1.0 if clock is None else _SHARE
+    report, share = progress or (lambda _: None), 1.0 if clock is None else _SHARE
     rows = []
     for done, row in enumerate(chosen, 1):
         rows.append(_measure(trial, row, rule, on))
-        told(share * done / len(chosen))
+        report(share * done / len(chosen))
     ours = [row for row in chosen if isinstance(row, Filter)]
     if clock is not None:
-        seconds = iter(seconds_a_sample(trial.samples, ours, rule, clock, lambda done: told(share + (1 - share) * done)))
+        seconds = iter(seconds_per_sample(trial.samples, ours, rule, clock, lambda done: report(share + (1 - share) * done)))
         for i, row in enumerate(chosen):
             if isinstance(row, Filter):
                 rows[i] = replace(rows[i], seconds=1e6 * next(seconds))
-        told(1.0)
+        report(1.0)
     return ErrorTable(
         rows,
         samples=trial.samples,
@@ -301,7 +303,7 @@ def compare(
 
 
 def _clock(named: Device | str | int | None, on: Device | None) -> Device | None:
-    """The device whose time is measured, or None if there is none and none was named."""
+    """The device to time, or None if there is none and none was named."""
     try:
         device = on if named is None and on is not None else as_device(named)
         device.require_usable()
@@ -312,13 +314,13 @@ def _clock(named: Device | str | int | None, on: Device | None) -> Device | None
     return device
 
 
-def as_compared(filters: Sequence[str | Filter], most: int | None = None) -> list[str | Filter]:
-    """Rows of the table, and the name of the exact sinc, for one or more names or rows, at most `most`."""
-    chosen = several_names(filters, most)
+def as_compared(filters: Sequence[str | Filter], maximum: int | None = None) -> list[str | Filter]:
+    """One or more filters, at most `maximum`; the name of the exact sinc stays a name."""
+    chosen = several_names(filters, maximum)
     return [EXACT_SINC if isinstance(f, str) and f.strip().lower() == EXACT_SINC else as_filter(f) for f in chosen]
 
 
-# -- what is known -------------------------------------------------------------------------------------------
+# -- the truth ----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -334,7 +336,7 @@ class _Trial:
     lattice: Array  # true values there
 
     def first(self, count: int) -> _Trial:
-        """The same with no more than so many of the points, which are in random order."""
+        """The first `count` of the points, which are in random order."""
         values = None if self.values is None else self.values[:count]
         return replace(self, points=self.points[:count], values=values, gradients=self.gradients[:count])
 
@@ -354,7 +356,14 @@ def _known(
 
 
 def _held_back(
-    original: Volume, factor: int, lowpass: str, margin: float, points: int, rule: Boundary, rng: np.random.Generator
+    original: Volume,
+    factor: int,
+    lowpass: str,
+    margin: float,
+    points: int,
+    rule: Boundary,
+    rng: np.random.Generator,
+    max_samples: int,
 ) -> _Trial:
     if lowpass not in ("gaussian", "none"):
         raise one_of("lowpass", lowpass, ("gaussian", "none"))
@@ -365,7 +374,7 @@ def _held_back(
         np.arange(math.ceil(a - 1e-9), min(math.floor(b + 1e-9), n - 1) + 1)
         for a, b, n in zip(low[::-1], high[::-1], original.shape, strict=True)
     ]
-    kept[0] = _middle(kept[0], math.prod(k.size for k in kept[1:]), _WHOLE)
+    kept[0] = _middle(kept[0], math.prod(k.size for k in kept[1:]), max_samples)
     count = math.prod(k.size for k in kept)
     some = rng.choice(count, min(points, count), replace=False)
     index = np.stack([k[i] for k, i in zip(kept, np.unravel_index(some, [k.size for k in kept]), strict=True)][::-1], -1)
@@ -433,21 +442,21 @@ def _differences(function: Function, points: Array, spacing: float) -> Array:
 
 
 def _inside(volume: Volume, margin: float) -> tuple[Array, Array]:
-    """Least and greatest index that is compared, x first."""
+    """First and last index that is compared, x first."""
     last = np.asarray(volume.size) - 1.0
     skipped = np.minimum(margin, last / 4)
     return skipped, last - skipped
 
 
-def _middle(positions: NDArray[Any], others: int, most: int) -> NDArray[Any]:
-    """As many of the positions about the middle as there is room for."""
-    count = min(positions.size, max(1, most // others))
+def _middle(positions: NDArray[Any], others: int, room: int) -> NDArray[Any]:
+    """The middle positions, as many as give at most `room` together with `others` along the other axes."""
+    count = min(positions.size, max(1, room // others))
     first = (positions.size - count) // 2
     return positions[first : first + count]
 
 
 def _middle_of(lattice: Array) -> Array:
-    """As many of the slices about the middle as similarity is judged on."""
+    """The middle slices on which similarity is judged."""
     return np.asarray(lattice[_middle(np.arange(lattice.shape[0]), lattice[0].size, _LATTICE)])
 
 
@@ -456,7 +465,7 @@ def _lattice_points(axes: Sequence[Array]) -> Array:
     return np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")][::-1], -1)
 
 
-# -- what each filter makes of it ----------------------------------------------------------------------------
+# -- the errors ----------------------------------------------------------------------------------------------
 
 
 def _measure(trial: _Trial, row: str | Filter, rule: Boundary, on: Device | None) -> ErrorRow:
@@ -506,13 +515,13 @@ def _on_lattice(trial: _Trial, row: str | Filter, rule: Boundary, on: Device | N
     if on is None:
         return reference.lattice(trial.samples.data, trial.axes, row, rule)
     result = np.empty([a.size for a in trial.axes])
-    path = choose_evaluator(on, row)
+    evaluator = choose_evaluator(on, row)
     thickness = max(1, _CHUNK // (result.size // result.shape[0]))
-    with Coefficients(trial.samples, row, rule, on) as held:
+    with Coefficients(trial.samples, row, rule, on) as resident:
         for first in range(0, result.shape[0], thickness):
             axes = [trial.axes[0][first : first + thickness], *trial.axes[1:]]
             world = trial.samples.index_to_world(_lattice_points(axes))
-            values = sample_coefficients(held, path, world)
+            values = sample_coefficients(resident, evaluator, world)
             result[first : first + thickness] = values.reshape([a.size for a in axes])
     return result
 
@@ -522,7 +531,7 @@ def _gradient_errors(trial: _Trial, got: Array) -> tuple[float, _Angles]:
     true = trial.gradients
     rms = _root_mean_square(got - true) * math.sqrt(true.shape[-1])
     low, high = trial.samples.value_range
-    unit = max(float(np.abs(true).max()), float(np.abs(got).max())) or 1.0  # no square of what is left over- or underflows
+    unit = max(float(np.abs(true).max()), float(np.abs(got).max())) or 1.0  # so that no square over- or underflows
     true, got, low, high = true / unit, got / unit, low / unit, high / unit
     lengths = np.linalg.norm(true, axis=-1)
     directed = lengths >= max(_DIRECTED * lengths.max(), 1e-9 * (high - low) / min(trial.samples.spacing))
@@ -536,6 +545,6 @@ def _gradient_errors(trial: _Trial, got: Array) -> tuple[float, _Angles]:
 
 
 def _root_mean_square(values: Array) -> float:
-    """Of numbers whose squares may not be floats any more."""
+    """Root mean square, even of numbers whose squares over- or underflow."""
     unit = float(np.abs(values).max()) or 1.0
     return unit * math.sqrt(float(np.mean((values / unit) ** 2)))

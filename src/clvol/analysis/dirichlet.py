@@ -1,7 +1,7 @@
 """The exact sinc: of samples that repeat with a period it is a finite sum, the Dirichlet kernel, and the FFT gives it.
 
-Samples are continued by the boundary rule to one period, whose trigonometric polynomial of least degree is taken. An
-even period's Nyquist term is halved between ±π, which keeps results real: ``cos(pi x)`` there.
+Samples are continued by the boundary rule to one period, and the trigonometric polynomial of lowest degree is taken. The
+Nyquist term of an even period is split between ±π, which keeps results real: ``cos(pi x)`` there.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ __all__ = [
 ]
 
 Array: TypeAlias = NDArray[np.float64]
-_CHUNK = 1 << 22  # numbers held at a time
+_CHUNK = 1 << 22  # numbers in memory at a time
 _NEAR = 0.1  # of a sample
 _LONGEST = 1 << 31  # period
 _SEED = 1999
@@ -45,9 +45,9 @@ class SincVolume:
     volume : Volume
         float64; give it to `clvol.render` or `clvol.sample` with `filter` and `boundary`.
     filter, boundary : str
-        With which the residual was measured.
+        Those with which the residual was measured.
     rms, maximum : float
-        Difference of the spline to the exact sinc at random points of the domain, in the data's units.
+        Difference between the spline and the exact sinc at random points of the domain, in the data's units.
     """
 
     volume: Volume
@@ -133,8 +133,12 @@ def dirichlet_magnify(data: ArrayLike, factor: int = 2, boundary: str | Boundary
 
     Raises
     ------
-    DataError, OptionError
-        "zero" has no period.
+    DataError
+        Samples that are not finite real numbers, or not 1 to 3 axes.
+    OptionError
+        `factor` is not a whole number of at least 1, or the boundary has no period ("zero").
+    OutOfMemoryError
+        The result does not fit into memory.
     """
     array, factor, rule = _samples(data), whole("factor", factor, 1, _LONGEST), periodic(boundary)
     require_room("factor", array.size * factor**array.ndim, factor)
@@ -147,7 +151,7 @@ def dirichlet_magnify(data: ArrayLike, factor: int = 2, boundary: str | Boundary
         if rule.name == "reflect":  # the finer samples lie about the same faces
             spectrum *= np.exp(1j * np.pi / period * np.arange(spectrum.shape[-1]) * (1 / factor - 1))
         if period % 2 == 0 and factor > 1:
-            spectrum[..., -1] /= 2  # the Nyquist term, which the finer grid tells from its opposite
+            spectrum[..., -1] /= 2  # the Nyquist term, which the finer grid distinguishes from its opposite
         fine = np.fft.irfft(spectrum * factor, count)
         wanted = factor * (n - 1) + 1 if rule.name == "mirror" else factor * n
         array = np.moveaxis(fine[..., :wanted], -1, axis)
@@ -176,7 +180,12 @@ def dirichlet_sample(
 
     Raises
     ------
-    DataError, OptionError
+    DataError
+        Samples that are not finite real numbers, or not 1 to 3 axes.
+    OptionError
+        Points of another shape or not finite, a boundary without a period, or another derivative.
+    OutOfMemoryError
+        What is sampled does not fit into memory.
     """
     rule, derivative = periodic(boundary), whole("derivative", derivative, 0, 1)
     if isinstance(volume, Volume) or np.ndim(volume) > 1:
@@ -234,9 +243,14 @@ def sinc_volume(
 
     Raises
     ------
-    DataError, OptionError
+    DataError
+        Samples that are not finite real numbers, or not 2 or 3 axes.
+    OptionError
+        An unknown filter, a boundary without a period, or a number outside its bounds.
+    OutOfMemoryError
+        The magnified volume does not fit into memory.
     """
-    volume, row, rule = as_volume(volume), as_filter(filter), periodic(boundary)
+    volume, chosen, rule = as_volume(volume), as_filter(filter), periodic(boundary)
     factor, points = whole("factor", factor, 1), whole("points", points, 1)
     require_room("points", points, points)
     data = dirichlet_magnify(volume.data, factor, rule)
@@ -246,8 +260,8 @@ def sinc_volume(
     )
     places = np.random.default_rng(_SEED).uniform(0, 1, (points, volume.ndim)) * (np.array(volume.size) - 1)
     world = volume.index_to_world(places)
-    difference = reference.sample(fine, world, row, rule) - dirichlet_sample(volume, world, rule)
-    return SincVolume(fine, row.name, rule.name, float(np.sqrt(np.mean(difference**2))), float(np.abs(difference).max()))
+    difference = reference.sample(fine, world, chosen, rule) - dirichlet_sample(volume, world, rule)
+    return SincVolume(fine, chosen.name, rule.name, float(np.sqrt(np.mean(difference**2))), float(np.abs(difference).max()))
 
 
 def periodic(boundary: str | Boundary) -> Boundary:

@@ -1,4 +1,4 @@
-"""Where a function of one variable is greatest."""
+"""The maximum of a function of one variable."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
-__all__ = ["greatest"]
+__all__ = ["maximum"]
 
 Array: TypeAlias = NDArray[np.float64]
 
 
-def greatest(function: Callable[[Array], Array], low: float, high: float, count: int) -> float:
-    """The greatest value on [low, high]: the best of `count` places, then the peak between its neighbours."""
+def maximum(function: Callable[[Array], Array], low: float, high: float, count: int) -> float:
+    """The maximum on [low, high]: the best of `count` places, refined between its neighbours."""
     x = np.linspace(low, high, count)
     y = function(x)
     best = int(y.argmax())

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import optimize
 
 from clvol.analysis.cardinal import even_filter
-from clvol.analysis.extremum import greatest
+from clvol.analysis.extremum import maximum
 from clvol.analysis.table import column
 from clvol.checks import number
 from clvol.filter import Filter
@@ -17,27 +17,27 @@ from clvol.response import frequency_response, prefilter_response
 
 __all__ = ["Bands", "bands", "frequency_response", "prefilter_response"]
 
-_FARTHEST = 16 * math.pi  # up to which the stopband is looked at: further out every response is less
+_FARTHEST = 16 * math.pi  # end of the searched stopband: further out every response is smaller
 
 
 @dataclass(frozen=True)
 class Bands:
-    """How a response H keeps what it should keep and removes what it should remove.
+    """How well a response H keeps the passband and removes the stopband.
 
     Attributes
     ----------
     filter : str
         Name of the filter.
     edge : float
-        Edge of the passband in radians a sample; its images, the stopband, begin at ``2 pi - edge``.
+        Edge of the passband in radians per sample; its images, the stopband, begin at ``2 pi - edge``.
     cutoff : float or None
-        Lowest frequency in radians a sample at which ``|H| = 1 / sqrt 2`` (-3 dB); None if there is none below 2 pi.
+        Lowest frequency in radians per sample at which ``|H| = 1 / sqrt 2`` (-3 dB); None if there is none below 2 pi.
     at_nyquist : float
         H(pi); 1/2 for a filter that halves it, as interpolating ones do.
     passband_error : float
-        Greatest ``|H - 1|`` for frequencies up to `edge`.
+        Largest ``|H - 1|`` for frequencies up to `edge`.
     stopband_peak : float
-        Greatest ``|H|`` from ``2 pi - edge`` on.
+        Largest ``|H|`` from ``2 pi - edge`` on.
     attenuation : float or None
         The same in decibels, positive: ``-20 log10(stopband_peak)``; None if nothing gets through.
     """
@@ -57,29 +57,29 @@ def bands(filter: str | Filter, edge: float = math.pi / 2) -> Bands:
     Parameters
     ----------
     filter : str or Filter
-        Any row of the table.
+        Any filter of the table.
     edge : float
-        Up to which frequency, in radians a sample, the data hold anything: above 0 and below pi.
+        The data's highest frequency in radians per sample: above 0 and below pi.
 
     Raises
     ------
     OptionError
         Unknown filter, one whose kernel is not even, or an edge outside its bounds.
     """
-    row, edge = even_filter(filter), number("edge", edge, above=0, below=math.pi)
+    chosen, edge = even_filter(filter), number("edge", edge, above=0, below=math.pi)
     omega = np.linspace(0, 2 * math.pi, 1025)
-    below = np.flatnonzero(np.abs(frequency_response(row, omega)) < math.sqrt(0.5))
+    below = np.flatnonzero(np.abs(frequency_response(chosen, omega)) < math.sqrt(0.5))
     cutoff = None
     if below.size and below[0] > 0:
         bracket = omega[below[0] - 1], omega[below[0]]
-        cutoff = float(optimize.brentq(lambda w: abs(float(frequency_response(row, w))) - math.sqrt(0.5), *bracket))
-    peak = greatest(lambda w: np.abs(frequency_response(row, w)), 2 * math.pi - edge, _FARTHEST, 4097)
+        cutoff = float(optimize.brentq(lambda w: abs(float(frequency_response(chosen, w))) - math.sqrt(0.5), *bracket))
+    peak = maximum(lambda w: np.abs(frequency_response(chosen, w)), 2 * math.pi - edge, _FARTHEST, 4097)
     return Bands(
-        row.name,
+        chosen.name,
         edge,
         cutoff,
-        float(frequency_response(row, math.pi)),
-        greatest(lambda w: np.abs(frequency_response(row, w) - 1), 0.0, edge, 513),
+        float(frequency_response(chosen, math.pi)),
+        maximum(lambda w: np.abs(frequency_response(chosen, w) - 1), 0.0, edge, 513),
         peak,
         -20 * math.log10(peak) if peak > 0 else None,
     )

@@ -28,14 +28,14 @@ _REACH = 16  # samples on either side of the step
 
 @dataclass(frozen=True, kw_only=True)
 class StepResponse:
-    """What becomes of a step from 0 to 1.
+    """The response to a step from 0 to 1.
 
     Attributes
     ----------
     name : str
         Of the filter or low-pass.
     overshoot, undershoot : float
-        How far it goes above 1 and below 0, in steps.
+        How far it goes above 1 and below 0, relative to the step.
     ringing : float
         Total variation less that of a monotone curve, 1: 0 if nothing rings.
     rise : float
@@ -62,14 +62,14 @@ def step_response(filter: str | Filter) -> StepResponse:
     OptionError
         Unknown filter.
     """
-    row = as_filter(filter)
+    chosen = as_filter(filter)
     x: Array = np.arange(-_REACH * _FINE, _REACH * _FINE + 1) / np.float64(_FINE)
-    drawn = pieces(row)
+    drawn = pieces(chosen)
     reach = int(np.ceil(_REACH - drawn.start)) + 1
     values = np.zeros_like(x)
     for k in range(reach):  # the sample at k + 1/2
         values += drawn(x - k - 0.5)
-    return _measured(row.name, x, values)
+    return _measured(chosen.name, x, values)
 
 
 def lowpass_step(
@@ -83,7 +83,7 @@ def lowpass_step(
         A box in the frequency domain: it overshoots by 8.949 % of the step whatever its cutoff, within its bounds to 0.01 %.
         Or a Gaussian, which never leaves [0, 1].
     cutoff : float
-        Of the ideal filter, in radians a sample: at most pi / 32, so that the step is sampled
+        Of the ideal filter, in radians per sample: at most pi / 32, so that the step is sampled
         finely, and at least pi / 512, so that the next step is far.
     sigma : float, optional
         Standard deviation of the Gaussian in samples; by default its response is 1/2 at `cutoff`.

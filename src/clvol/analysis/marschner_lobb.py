@@ -6,7 +6,7 @@ region, ``|w| <= pi`` along every axis::
 
     smoothing      S = 1 - 1/|R| integral over R of |H|²
     postaliasing   P = 1/|R| integral outside R of |H|²
-    overshoot      O = the greatest value of (unit step * filter), less 1
+    overshoot      O = the maximum of (unit step * filter), less 1
 
 The ideal filter, 1 in R and 0 outside, has S = P = 0, and O is the constant of Wilbraham and Gibbs, 0.0895.
 """
@@ -22,7 +22,7 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from clvol.analysis.cardinal import even_filter, pieces
-from clvol.analysis.extremum import greatest
+from clvol.analysis.extremum import maximum
 from clvol.analysis.table import column
 from clvol.checks import reals
 from clvol.errors import ClvolError, OptionError
@@ -33,8 +33,8 @@ __all__ = ["Metrics", "metrics"]
 
 Array: TypeAlias = NDArray[np.float64]
 _PANELS = 64  # of width π, to which the transform of a response is taken
-_NODES = 48  # a panel: exact to float64 for what oscillates 8 times along it
-_REACH = 8.0  # samples from the step within which a response's overshoot is looked for
+_NODES = 48  # per panel: exact to float64 for what oscillates 8 times along it
+_REACH = 8.0  # samples from the step within which the overshoot is sought
 
 
 @dataclass(frozen=True)
@@ -67,8 +67,8 @@ def metrics(filter: str | Filter | Callable[[Array], Array]) -> Metrics:
     Parameters
     ----------
     filter : str, Filter or callable
-        Any row of the table; or an even, real frequency response, called with frequencies in radians a sample up to
-        64 pi, such as ``lambda w: (abs(w) <= numpy.pi) * 1.0`` for the ideal filter: what lies beyond is left out.
+        Any filter of the table; or an even, real frequency response, called with frequencies in radians per sample up to
+        64 pi, such as ``lambda w: (abs(w) <= numpy.pi) * 1.0`` for the ideal filter: the rest is left out.
 
     Raises
     ------
@@ -77,12 +77,12 @@ def metrics(filter: str | Filter | Callable[[Array], Array]) -> Metrics:
     """
     if callable(filter) and not isinstance(filter, Filter):
         return _of_response(filter)
-    row = even_filter(filter)
+    chosen = even_filter(filter)
     omega, widths = _panels(1)
-    kept = float(frequency_response(row, omega) ** 2 @ widths) / np.pi
-    drawn = pieces(row)
+    kept = float(frequency_response(chosen, omega) ** 2 @ widths) / np.pi
+    drawn = pieces(chosen)
     # Parseval: the integral of |H|² over all frequencies is 2 pi times the kernel's energy
-    return _metrics(row.name, 1 - kept, drawn.energy() - kept, drawn.greatest_integral() - 1)
+    return _metrics(chosen.name, 1 - kept, drawn.energy() - kept, drawn.max_integral() - 1)
 
 
 def _of_response(response: Callable[[Array], Array]) -> Metrics:
@@ -104,7 +104,7 @@ def _of_response(response: Callable[[Array], Array]) -> Metrics:
         return np.asarray(0.5 * h[0] + np.sin(x[:, None] * omega) @ (h * widths / omega) / np.pi)
 
     name = getattr(response, "__name__", "response")
-    return _metrics(name, 1 - float(energy[:_NODES].sum()), float(energy[_NODES:].sum()), greatest(step, 0, _REACH, 1025) - 1)
+    return _metrics(name, 1 - float(energy[:_NODES].sum()), float(energy[_NODES:].sum()), maximum(step, 0, _REACH, 1025) - 1)
 
 
 def _metrics(name: str, smoothing: float, postaliasing: float, overshoot: float) -> Metrics:

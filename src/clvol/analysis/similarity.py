@@ -14,7 +14,7 @@ __all__ = ["ssim"]
 
 Array: TypeAlias = NDArray[np.float64]
 _K1, _K2 = 0.01, 0.03
-_WIDEST = 1000  # samples
+_MAX_SIGMA = 1000  # samples
 _CUT = 3.5  # standard deviations: 5 samples on either side for the usual 1.5
 
 
@@ -53,9 +53,9 @@ def ssim(a: ArrayLike, b: ArrayLike, data_range: float | None = None, sigma: flo
         raise DataError(f"a and b must have one shape of 1 to 3 axes; got {x.shape} and {y.shape}")
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise DataError("a and b must be finite")
-    sigma = number("sigma", sigma, above=0, most=_WIDEST)
+    sigma = number("sigma", sigma, above=0, most=_MAX_SIGMA)
     span = number("data_range", float(np.ptp(y)) if data_range is None else data_range, above=0)
-    unit = max(span, float(np.abs(x).max()), float(np.abs(y).max()))  # so that no square over- or underflows that counts
+    unit = max(span, float(np.abs(x).max()), float(np.abs(y).max()))  # so that no square that matters over- or underflows
     x, y, span = x / unit, y / unit, span / unit
     c1, c2 = (_K1 * span) ** 2, (_K2 * span) ** 2
     reach = int(_CUT * sigma + 0.5)
@@ -64,11 +64,11 @@ def ssim(a: ArrayLike, b: ArrayLike, data_range: float | None = None, sigma: flo
     def mean(values: Array) -> Array:
         return np.asarray(ndimage.gaussian_filter(values, sigma, truncate=_CUT, mode="mirror")[inner])
 
-    level = y.mean()  # variances of what is near zero lose no digits
+    level = y.mean()  # near zero, variances lose no digits
     x, y = x - level, y - level
     mx, my = mean(x), mean(y)
     vx, vy, covariance = mean(x * x) - mx * mx, mean(y * y) - my * my, mean(x * y) - mx * my
     mx, my = mx + level, my + level
-    most = (mx * mx + my * my + c1) * (vx + vy + c2)
-    similar = np.divide((2 * mx * my + c1) * (2 * covariance + c2), most, out=np.ones_like(most), where=most != 0)
+    bound = (mx * mx + my * my + c1) * (vx + vy + c2)
+    similar = np.divide((2 * mx * my + c1) * (2 * covariance + c2), bound, out=np.ones_like(bound), where=bound != 0)
     return float(similar.mean())

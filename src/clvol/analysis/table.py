@@ -12,16 +12,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from clvol.checks import as_path
-from clvol.errors import DataError, FormatError, OptionError
-from clvol.formats._files import staged
+from clvol.errors import DataError, OptionError
+from clvol.files import require_suffix, staged
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
-__all__ = ["UNLISTED", "Table", "column", "require_suffix"]
+__all__ = ["SUFFIXES", "UNLISTED", "Table", "column"]
 
 Row = TypeVar("Row")
-_SUFFIXES = (".csv", ".json", ".md")
+SUFFIXES = (".csv", ".json", ".md")
 
 UNLISTED: Final = {"listed": False}
 """Metadata of a field that tables leave out, such as an array."""
@@ -30,14 +30,6 @@ UNLISTED: Final = {"listed": False}
 def column(heading: str, form: str = "") -> Any:
     """A field of a row: its heading, and the format specification of its numbers where people read them."""
     return field(metadata={"heading": heading, "form": form})
-
-
-def require_suffix(path: str | os.PathLike[str]) -> str:
-    """The suffix of a table's file, in lower case; raises `FormatError` if tables are not written so."""
-    suffix = as_path(path).suffix.lower()
-    if suffix not in _SUFFIXES:
-        raise FormatError(f"tables are written as {', '.join(_SUFFIXES)}; got {os.fspath(path)!r}")
-    return suffix
 
 
 class Table(list[Row]):
@@ -63,15 +55,10 @@ class Table(list[Row]):
         FormatError
             Unknown suffix, or it cannot be written there.
         """
-        path, suffix = as_path(path), require_suffix(path)
+        path, suffix = as_path(path), require_suffix(path, SUFFIXES, "tables")
         text = {".csv": self.to_csv, ".json": self.to_json, ".md": self.to_markdown}[suffix]()
-        try:
-            with staged(path, path.suffix) as temporary:
-                temporary.write_text(text.rstrip("\n") + "\n", encoding="utf-8")
-        except FormatError:
-            raise
-        except OSError as error:
-            raise FormatError(f"cannot write {path}: {error}") from error
+        with staged(path, suffix) as temporary:
+            temporary.write_text(text.rstrip("\n") + "\n", encoding="utf-8")
         return path
 
     def to_csv(self) -> str:

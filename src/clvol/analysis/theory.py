@@ -26,9 +26,9 @@ from clvol.response import prefilter_response
 __all__ = ["Approximation", "approximation", "error_kernel", "taylor_coefficients"]
 
 Array: TypeAlias = NDArray[np.float64]
-_MOST = 12  # Taylor coefficients: more than the order of any B-spline of the table's maker
+_MAX_TERMS = 12  # Taylor coefficients: more than the order of any B-spline that `bspline` makes
 _MAX_OMEGA = 2000
-_CHUNK = 1 << 20  # complex numbers held at a time
+_CHUNK = 1 << 20  # complex numbers in memory at a time
 
 
 @dataclass(frozen=True)
@@ -57,12 +57,12 @@ class Approximation:
 def approximation(filter: str | Filter, derivative: int = 0) -> Approximation:
     """Order of approximation and leading error constant, for values or for first derivatives.
 
-    Exact rows are treated in exact fractions, so that linear's constant is ``sqrt(1/120)`` to the last bit.
+    Exact filters are treated in exact fractions, so that linear's constant is ``sqrt(1/120)`` to the last bit.
 
     Parameters
     ----------
     filter : str or Filter
-        Any row of the table.
+        Any filter of the table.
     derivative : {0, 1}
         0: of the values; 1: of the gradient that the filter's own derivative gives.
 
@@ -71,18 +71,18 @@ def approximation(filter: str | Filter, derivative: int = 0) -> Approximation:
     OptionError
         Unknown filter, or another derivative.
     """
-    row, derivative = as_filter(filter), whole("derivative", derivative, 0, 1)
-    slack = 0.0 if _exact(row) else max(1e-9, 10 * row.fit_error) * float(row.degree) ** (2 * derivative)
-    for n in range(_MOST):
+    chosen, derivative = as_filter(filter), whole("derivative", derivative, 0, 1)
+    slack = 0.0 if _exact(chosen) else max(1e-9, 10 * chosen.fit_error) * float(chosen.degree) ** (2 * derivative)
+    for n in range(_MAX_TERMS):
         wanted = int(n == derivative)
         square: Number = Fraction(0)
-        for piece in _taylor(row, n, derivative):
-            miss = _plus(piece, [-wanted])
-            square += sum((c / (k + 1) for k, c in enumerate(_times(miss, miss))), Fraction(0))
-        constant = math.sqrt(square / row.scale)
+        for piece in _taylor(chosen, n, derivative):
+            error = _plus(piece, [-wanted])
+            square += sum((c / (k + 1) for k, c in enumerate(_times(error, error))), Fraction(0))
+        constant = math.sqrt(square / chosen.scale)
         if constant > slack:
-            return Approximation(row.name, derivative, n - derivative, constant)
-    raise OptionError(f"filter must have an order below {_MOST}; got {row.name!r}")
+            return Approximation(chosen.name, derivative, n - derivative, constant)
+    raise OptionError(f"filter must have an order below {_MAX_TERMS}; got {chosen.name!r}")
 
 
 def error_kernel(filter: str | Filter, omega: ArrayLike, derivative: int = 0) -> Array:
@@ -95,9 +95,9 @@ def error_kernel(filter: str | Filter, omega: ArrayLike, derivative: int = 0) ->
     Parameters
     ----------
     filter : str or Filter
-        Any row of the table.
+        Any filter of the table.
     omega : array-like
-        Angular frequency in radians a sample, within ±2000.
+        Angular frequency in radians per sample, within ±2000.
     derivative : {0, 1}
         1: the mean squared error of the derivative of ``exp(i w x)``, per sample; divide by ω² for the relative one.
 
@@ -111,20 +111,22 @@ def error_kernel(filter: str | Filter, omega: ArrayLike, derivative: int = 0) ->
     OptionError
         Unknown filter, frequencies beyond ±2000, or another derivative.
     """
-    row, derivative = as_filter(filter), whole("derivative", derivative, 0, 1)
+    chosen, derivative = as_filter(filter), whole("derivative", derivative, 0, 1)
     w = reals("omega", omega)
     if not np.isfinite(w).all() or np.abs(w).max(initial=0.0) > _MAX_OMEGA:
         raise OptionError(f"omega must lie within ±{_MAX_OMEGA}; got {omega!r}")
     flat = w.ravel()
-    nodes, lengths = legendre.leggauss(2 * row.degree + 16 + int(np.abs(flat).max(initial=0.0)))
+    nodes, lengths = legendre.leggauss(2 * chosen.degree + 16 + int(np.abs(flat).max(initial=0.0)))
     t = (nodes + 1) / 2
     result = np.empty_like(flat)
-    step = max(1, _CHUNK // (t.size * row.support))
+    step = max(1, _CHUNK // (t.size * chosen.support))
     for first in range(0, flat.size, step):
         part = flat[first : first + step]
         ideal = (1j * part[:, None]) ** derivative
-        errors = [np.abs(_of_exponential(row, part, t, phase, derivative) - ideal) ** 2 @ lengths for phase in range(row.scale)]
-        result[first : first + step] = sum(errors) / (2 * row.scale)
+        errors = [
+            np.abs(_of_exponential(chosen, part, t, phase, derivative) - ideal) ** 2 @ lengths for phase in range(chosen.scale)
+        ]
+        result[first : first + step] = sum(errors) / (2 * chosen.scale)
     return result.reshape(w.shape)
 
 
@@ -136,7 +138,7 @@ def taylor_coefficients(filter: str | Filter, t: ArrayLike, count: int = 6, deri
     Parameters
     ----------
     filter : str or Filter
-        Any row of the table.
+        Any filter of the table.
     t : array-like
         Positions within a sample, in [0, 1).
     count : int
@@ -153,79 +155,79 @@ def taylor_coefficients(filter: str | Filter, t: ArrayLike, count: int = 6, deri
     OptionError
         Unknown filter, or a number outside its bounds.
     """
-    row, count, derivative = as_filter(filter), whole("count", count, 1, _MOST), whole("derivative", derivative, 0, 1)
+    chosen, count, derivative = as_filter(filter), whole("count", count, 1, _MAX_TERMS), whole("derivative", derivative, 0, 1)
     x = reals("t", t)
     if not ((x >= 0) & (x < 1)).all():
         raise OptionError(f"t must lie in [0, 1); got {t!r}")
-    u = row.scale * x - row.support / 2 + 1
+    u = chosen.scale * x - chosen.support / 2 + 1
     base = np.floor(u)
     result = np.empty((count, *x.shape))
     for n in range(count):
-        every = np.array([polynomial.polyval(u - base, [float(c) for c in piece]) for piece in _taylor(row, n, derivative)])
-        result[n] = np.take_along_axis(every, (base.astype(np.int64) % row.scale)[None], 0)[0]
+        every = np.array([polynomial.polyval(u - base, [float(c) for c in piece]) for piece in _taylor(chosen, n, derivative)])
+        result[n] = np.take_along_axis(every, (base.astype(np.int64) % chosen.scale)[None], 0)[0]
     return result
 
 
 # -- moments, in exact fractions where the row has them ----------------------------------------------------
 
 
-def _exact(row: Filter) -> bool:
-    return row.exact and (row.magnified_by is None or row.magnified_by.exact)
+def _exact(filter: Filter) -> bool:
+    return filter.exact and (filter.magnified_by is None or filter.magnified_by.exact)
 
 
-def _taylor(row: Filter, n: int, derivative: int) -> list[Polynomial]:
+def _taylor(filter: Filter, n: int, derivative: int) -> list[Polynomial]:
     """a_n as a polynomial in the tap position t, for each phase of the finer grid (one without a hybrid).
 
     With ``m_n(x) = sum over k of (k - x)**n eta(x - k)`` it is ``m_n / n!``, and for the derivative, since the
     derivative of ``(k - x)**n eta`` has two parts, ``(m_n' + n m_(n-1)) / n!``.
     """
-    moments = _moments(row, n)
+    moments = _moments(filter, n)
     if derivative:
-        below: list[list[Number]] = _moments(row, n - 1) if n else [[Fraction(0)]] * row.scale
-        moments = [_plus(_slope(a, row.scale), _times(b, [n])) for a, b in zip(moments, below, strict=True)]
+        below: list[list[Number]] = _moments(filter, n - 1) if n else [[Fraction(0)]] * filter.scale
+        moments = [_plus(_slope(a, filter.scale), _times(b, [n])) for a, b in zip(moments, below, strict=True)]
     return [tuple(c / math.factorial(n) for c in m) for m in moments]
 
 
-def _moments(row: Filter, n: int) -> list[list[Number]]:
+def _moments(filter: Filter, n: int) -> list[list[Number]]:
     """m_n of the whole reconstruction, for each phase of the finer grid."""
-    if row.magnified_by is None:
-        return [_mixed(_inverse_moments(row, n) if row.prefilter else [int(i == 0) for i in range(n + 1)], row, n)]
-    by, s = row.magnified_by, row.scale
+    if filter.magnified_by is None:
+        return [_mixed(_inverse_moments(filter, n) if filter.prefilter else [int(i == 0) for i in range(n + 1)], filter, n)]
+    by, s = filter.magnified_by, filter.scale
     result = []
     for phase in range(s):
         total: list[Number] = [Fraction(0)]
-        for i in range(row.support):
+        for i in range(filter.support):
             # (k - x)**n, with the coarse spline's moments about the finer sample j / s that tap i takes
             at = Fraction((phase + i) % s, s)
-            distance = [-(Fraction(row.support, 2) - 1 - i) / s, Fraction(-1, s)]
+            distance = [-(Fraction(filter.support, 2) - 1 - i) / s, Fraction(-1, s)]
             for m in range(n + 1):
                 known = math.comb(n, m) * _moment_at(by, m, at)
-                total = _plus(total, _times(row.taps[i], _times(_power(distance, n - m), [known])))
+                total = _plus(total, _times(filter.taps[i], _times(_power(distance, n - m), [known])))
         result.append(total)
     return result
 
 
-def _moment_at(row: Filter, n: int, x: Fraction) -> Number:
-    t = (x - Fraction(row.support, 2) + 1) % 1
-    return _value(_moments(row, n)[0], t)
+def _moment_at(filter: Filter, n: int, x: Fraction) -> Number:
+    t = (x - Fraction(filter.support, 2) + 1) % 1
+    return _value(_moments(filter, n)[0], t)
 
 
-def _mixed(inverse: list[Number], row: Filter, n: int) -> list[Number]:
+def _mixed(inverse: list[Number], filter: Filter, n: int) -> list[Number]:
     """The kernel's moments mixed with those of the prefilter: (k - x)**n by the binomial theorem."""
     total: list[Number] = [Fraction(0)]
     for m in range(n + 1):
         if not inverse[n - m]:
             continue
-        for i, weights in enumerate(row.taps):
-            distance = [-(Fraction(row.support, 2) - 1 - i), Fraction(-1)]
+        for i, weights in enumerate(filter.taps):
+            distance = [-(Fraction(filter.support, 2) - 1 - i), Fraction(-1)]
             total = _plus(total, _times(weights, _times(_power(distance, m), [math.comb(n, m) * inverse[n - m]])))
     return total
 
 
-def _inverse_moments(row: Filter, n: int) -> list[Number]:
+def _inverse_moments(filter: Filter, n: int) -> list[Number]:
     """Moments ``sum of s_k k**m`` of the prefilter: with those of the kernel's samples they make 1, 0, 0, ..."""
-    half = Fraction(row.support, 2)
-    samples = {int(half - 1 - i + half % 1): _value(w, half % 1) for i, w in enumerate(row.taps)}
+    half = Fraction(filter.support, 2)
+    samples = {int(half - 1 - i + half % 1): _value(w, half % 1) for i, w in enumerate(filter.taps)}
     own = [sum((b * k**m for k, b in samples.items()), Fraction(0)) for m in range(n + 1)]
     result: list[Number] = []
     for m in range(n + 1):
@@ -265,16 +267,16 @@ def _power(a: list[Fraction], n: int) -> list[Number]:
 # -- the reconstruction of a wave --------------------------------------------------------------------------
 
 
-def _of_exponential(row: Filter, omega: Array, t: Array, phase: int, derivative: int) -> NDArray[np.complex128]:
+def _of_exponential(filter: Filter, omega: Array, t: Array, phase: int, derivative: int) -> NDArray[np.complex128]:
     """What samples of ``exp(i w x)`` become at tap position t, or the derivative, over ``exp(i w x)``; shape (omega, t)."""
-    s = row.scale
-    weights = row.weights(t, derivative) * float(s) ** derivative
-    distance = t + row.support / 2 - 1 - np.arange(row.support)[:, None]
+    s = filter.scale
+    weights = filter.weights(t, derivative) * float(s) ** derivative
+    distance = t + filter.support / 2 - 1 - np.arange(filter.support)[:, None]
     terms = np.exp(-1j * omega[:, None, None] * distance / s) * weights
-    if row.magnified_by is not None:
-        by = row.magnified_by
+    if filter.magnified_by is not None:
+        by = filter.magnified_by
         k = np.arange(-by.support, by.support + 1)
-        for i in range(row.support):
+        for i in range(filter.support):
             place = (phase + i) % s / s
             terms[:, i] *= (np.exp(1j * omega[:, None] * (k - place)) @ by(place - k))[:, None]
-    return np.asarray(terms.sum(1) * prefilter_response(row, omega)[:, None])
+    return np.asarray(terms.sum(1) * prefilter_response(filter, omega)[:, None])

@@ -1,4 +1,4 @@
-"""How long a filter takes for a sample, measured in rounds."""
+"""How long a filter takes per sample, measured in rounds."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,62 +19,88 @@ from clvol.spline.evaluator import choose_evaluator
 from clvol.spline.points import sample_coefficients
 from clvol.volume import Volume
 
-__all__ = ["seconds_a_sample"]
-
-_TIMED = 1 << 17  # positions
-_ROUNDS = 12
-_HELD = 1 << 30  # bytes of coefficients that are held at once, unless one filter needs more
+__all__ = ["FULL", "Effort", "seconds_per_sample"]
 
 
-def seconds_a_sample(
-    volume: Volume, rows: Sequence[Filter], boundary: Boundary, device: Device, progress: Callable[[float], Any] | None = None
+@dataclass(frozen=True)
+class Effort:
+    """How much is measured.
+
+    Parameters
+    ----------
+    positions : int
+        How many are sampled at a time.
+    rounds : int
+        How often each filter takes its turn.
+    resident_bytes : int
+        Coefficients that are resident together; one filter may need more.
+    """
+
+    positions: int = 1 << 17
+    rounds: int = 12
+    resident_bytes: int = 1 << 30
+
+
+FULL = Effort()
+
+
+def seconds_per_sample(
+    volume: Volume,
+    filters: Sequence[Filter],
+    boundary: Boundary,
+    device: Device,
+    progress: Callable[[float], Any] | None = None,
+    *,
+    effort: Effort = FULL,
 ) -> list[float]:
-    """The least time a sample of each filter at random positions of the volume, without the prefilter.
+    """The shortest time per sample of each filter at random positions of the volume, without the prefilter.
 
-    In rounds, in which each filter takes its turn, so that what else the machine does falls on all alike.
+    The filters take turns, round by round, so that other load on the machine hits all of them alike.
 
     Parameters
     ----------
     volume : Volume
         2-D or 3-D samples.
-    rows : sequence of Filter
+    filters : sequence of Filter
     boundary : Boundary
     device : Device
-        One that is usable.
+        A usable one.
     progress : callable, optional
         Called with the fraction done.
+    effort : Effort
+        How much is measured.
     """
-    last = np.array(volume.size) - 1
-    points = volume.index_to_world(np.random.default_rng(0).uniform(0, 1, (_TIMED, volume.ndim)) * last)
-    least: list[float] = []
-    for some in _together(volume, rows):
-        first, least = len(least), least + [np.inf] * len(some)
+    last, n = np.array(volume.size) - 1, effort.positions
+    points = volume.index_to_world(np.random.default_rng(0).uniform(0, 1, (n, volume.ndim)) * last)
+    shortest: list[float] = []
+    for group in _groups(volume, filters, effort.resident_bytes):
+        first, shortest = len(shortest), shortest + [np.inf] * len(group)
         with ExitStack() as stack:
-            held = [
-                (stack.enter_context(Coefficients(volume, row, boundary, device)), choose_evaluator(device, row)) for row in some
+            resident = [
+                (stack.enter_context(Coefficients(volume, f, boundary, device)), choose_evaluator(device, f)) for f in group
             ]
-            for coefficients, path in held:
-                sample_coefficients(coefficients, path, points[:64])  # builds the kernel
-            for done in range(1, _ROUNDS + 1):
-                for i, (coefficients, path) in enumerate(held, first):
+            for coefficients, evaluator in resident:
+                sample_coefficients(coefficients, evaluator, points[:64])  # builds the kernel
+            for done in range(1, effort.rounds + 1):
+                for i, (coefficients, evaluator) in enumerate(resident, first):
                     started = time.perf_counter()
-                    sample_coefficients(coefficients, path, points)
-                    least[i] = min(least[i], (time.perf_counter() - started) / _TIMED)
+                    sample_coefficients(coefficients, evaluator, points)
+                    shortest[i] = min(shortest[i], (time.perf_counter() - started) / n)
                 if progress is not None:
-                    progress((first + len(some) * done / _ROUNDS) / len(rows))
-    return least
+                    progress((first + len(group) * done / effort.rounds) / len(filters))
+    return shortest
 
 
-def _together(volume: Volume, rows: Sequence[Filter]) -> Iterator[list[Filter]]:
-    """Rows whose coefficients are held at once."""
-    some: list[Filter] = []
-    room = _HELD
-    for row in rows:
-        need = 4 * math.prod(row.scale * n for n in volume.shape)
-        if some and need > room:
-            yield some
-            some, room = [], _HELD
-        some.append(row)
-        room -= need
-    if some:
-        yield some
+def _groups(volume: Volume, filters: Sequence[Filter], room: int) -> Iterator[list[Filter]]:
+    """Filters whose coefficients fit into `room` bytes together."""
+    group: list[Filter] = []
+    left = room
+    for one in filters:
+        need = 4 * math.prod(one.scale * n for n in volume.shape)
+        if group and need > left:
+            yield group
+            group, left = [], room
+        group.append(one)
+        left -= need
+    if group:
+        yield group

@@ -1,4 +1,4 @@
-"""The paper's figures, and some beyond: which filter does what, drawn and measured.
+"""The paper's figures and some more: what each filter does, drawn and measured.
 
 >>> from clvol import figures
 >>> figures.draw("2").save("figure2.png")
@@ -21,7 +21,7 @@ __all__ = ["FIGURES", "FIGURE_6", "SIX", "Drawing", "Kind", "Panel", "compare", 
 
 @dataclass(frozen=True)
 class Kind:
-    """A figure that can be asked for: the module whose `draw` makes it, what it shows, and whether matplotlib draws it."""
+    """A figure: the module whose `draw` makes it, what it shows, and whether matplotlib draws it."""
 
     module: str
     what: str
@@ -63,9 +63,9 @@ def draw(name: str, **options: Any) -> Drawing:
     OptionError
         An unknown figure, or an option that it does not take.
     MissingDependencyError
-        matplotlib is not installed; Figure 6 does without.
+        matplotlib is not installed; Figure 6 does not need it.
     OutOfMemoryError
-        More samples or pixels than fit.
+        More samples or pixels than fit into memory.
     """
     known = options_of(name)
     for option in options:

@@ -1,4 +1,4 @@
-"""Error against sampling rate: on doubly logarithmic axes a line, whose slope is the order of approximation."""
+"""Error against sampling rate: on log-log axes a line whose slope is the order of approximation."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ _SHOWN = (
 )
 _SIZES = (25, 37, 55, 81, 121, 181, 271)
 _WAVES = 2.0  # periods of the test function along each axis; whole, so that the function is even about the faces
-_FITTED = 3  # finest grids that a slope is measured on
+_FITTED = 3  # finest grids from which a slope is measured
 
 
 def _waves(points: Array) -> Array:
-    """A function that the boundary rule continues: it is even about the faces."""
+    """A function that the mirror rule continues exactly: it is even about the faces."""
     return np.asarray(np.prod(np.cos(np.pi * _WAVES * points), -1))
 
 
@@ -55,11 +55,11 @@ def draw(
     Parameters
     ----------
     filters : sequence of str or Filter
-        Rows of the table.
+        Filters or their names.
     sizes : sequence of int
-        Samples along each axis of [-1, 1]², ascending, at least two grids of at least 17.
+        Samples along each axis of [-1, 1]², ascending, at least two grids of 17 or more.
     points : int
-        Random positions that are compared.
+        Number of compared random positions.
     progress : callable, optional
         Called with the fraction done.
     """

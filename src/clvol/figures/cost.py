@@ -1,4 +1,4 @@
-"""Error against time a sample, all filters on one plot: the picture that answers "which filter should I use"."""
+"""Error against time per sample, all filters on one plot: it answers "which filter should I use"."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from clvol import analysis, phantoms
-from clvol.analysis.timing import seconds_a_sample
+from clvol.analysis.timing import FULL, Effort, seconds_per_sample
 from clvol.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.device import Device, as_device
 from clvol.figures.style import FAINT, GREY, Drawing, colour, new_figure, styled
@@ -19,7 +19,7 @@ __all__ = ["draw", "frontier", "plot"]
 
 _LETTER = 8.5  # points
 _GAP = 0.85  # of an em, from a dot's centre to the label beside it
-_SHARE = 0.8  # of the time that errors take
+_SHARE = 0.8  # of the progress: errors
 _PLACES = ((1, 0), (1, 1), (1, -1), (-1, 0), (-1, 1), (-1, -1), (0, 1.4), (0, -1.4), (1, 2.2), (1, -2.2), (-1, 2.2), (-1, -2.2))
 
 
@@ -29,6 +29,8 @@ def draw(
     points: int = 20_000,
     device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
+    *,
+    effort: Effort = FULL,
 ) -> Drawing:
     """Each filter's error on the Marschner-Lobb function against its time on a device: values left, gradients right.
 
@@ -39,18 +41,20 @@ def draw(
     samples : int
         Of the function along each axis.
     points : int
-        Random positions that are compared.
+        Number of compared random positions.
     device, progress
         As for `clvol.sample`.
+    effort : Effort
+        How thoroughly times are measured.
 
     Raises
     ------
     DeviceError
-        Without a device there are no times.
+        No device is usable, so there are no times.
     """
     rows, on = as_filters(list(all_filters()) if filters is None else filters), as_device(device)
     on.require_usable()
-    told = progress or (lambda _: None)
+    advance = progress or (lambda _: None)
     table = analysis.compare(
         phantoms.marschner_lobb_function,
         rows,
@@ -58,10 +62,10 @@ def draw(
         size=samples,
         points=points,
         timing=False,
-        progress=lambda done: told(_SHARE * done),
+        progress=lambda done: advance(_SHARE * done),
     )
-    seconds = seconds_a_sample(
-        table.samples, rows, as_boundary(DEFAULT_BOUNDARY), on, lambda done: told(_SHARE + (1 - _SHARE) * done)
+    seconds = seconds_per_sample(
+        table.samples, rows, as_boundary(DEFAULT_BOUNDARY), on, lambda done: advance(_SHARE + (1 - _SHARE) * done), effort=effort
     )
     numbers: list[dict[str, Any]] = [
         {"filter": row.filter, "nanoseconds": 1e9 * took, "rms": row.rms, "angle_mean": row.angle_mean}
@@ -74,7 +78,7 @@ def draw(
     )
     best = {name for name, _, _ in frontier([(n["filter"], n["nanoseconds"], n["rms"]) for n in numbers])}
     lines = [
-        f"{n['filter']}: RMS error {n['rms']:.4f}, {n['nanoseconds']:.0f} ns a sample" + (" *" if n["filter"] in best else "")
+        f"{n['filter']}: RMS error {n['rms']:.4f}, {n['nanoseconds']:.0f} ns per sample" + (" *" if n["filter"] in best else "")
         for n in numbers
     ]
     return Drawing(figure, numbers, [*lines, "* nothing is both faster and better"])
@@ -88,14 +92,14 @@ def plot(numbers: Sequence[dict[str, Any]], heading: str, note: str) -> Any:
         figure.suptitle(note, fontsize=9.5, color=GREY)
         both = [(left, "rms", heading), (right, "angle_mean", "mean angle of the gradient, degrees")]
         shown = [_scatter(axes, numbers, key, text) for axes, key, text in both]
-        figure.draw_without_rendering()  # whereupon the axes stay where they are
+        figure.draw_without_rendering()  # from here on the axes stay in place
         for (axes, *_), points in zip(both, shown, strict=True):
             _label(axes, points)
     return figure
 
 
 def frontier(rows: Sequence[tuple[str, float, float]]) -> list[tuple[str, float, float]]:
-    """Of (name, time, error) those that no other beats in both, fastest first."""
+    """Those of (name, time, error) that no other beats in both time and error, fastest first."""
     kept: list[tuple[str, float, float]] = []
     for row in sorted(rows, key=lambda r: (r[1], r[2])):
         if not kept or row[2] < kept[-1][2]:
@@ -112,7 +116,7 @@ def _scatter(axes: Any, numbers: Sequence[dict[str, Any]], key: str, heading: st
     axes.step([r[1] for r in line], [r[2] for r in line], where="post", color=FAINT, linewidth=5, solid_joinstyle="round", zorder=1)
     for name, nanoseconds, error in shown:
         axes.plot(nanoseconds, error, "o", color=colour(name), markersize=7, zorder=3)
-    axes.set(xlabel="time a sample, nanoseconds", title=heading)
+    axes.set(xlabel="time per sample, nanoseconds", title=heading)
     axes.margins(0.16, 0.08)
     for axis in (axes.xaxis, axes.yaxis):  # 1, 2, 5, 10, ... in plain digits
         axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
@@ -122,7 +126,7 @@ def _scatter(axes: Any, numbers: Sequence[dict[str, Any]], key: str, heading: st
 
 
 def _label(axes: Any, shown: Sequence[tuple[str, float, float]]) -> None:
-    """A name beside each point, where it covers no other name and no point."""
+    """A name beside each point, where it overlaps other names and points least."""
     at = {name: axes.transData.transform((x, y)) for name, x, y in shown}
     em = axes.figure.dpi * _LETTER / 72
     # a dot is not quite an em wide

@@ -25,17 +25,17 @@ from clvol.volume import Volume, as_volume
 
 __all__ = ["Case", "draw", "every_shift", "mean_square", "measure"]
 
-_GRADIENTS = 64  # positions of a gradient nobody looks at: as few as may be
+_GRADIENTS = 64  # nobody looks at the gradients' errors: a few positions
 
 
 @dataclass(frozen=True)
 class Case:
-    """One input, and the mean square error of each filter on it, of data scaled to 0..1.
+    """One input, scaled to 0..1, and the mean square error of each filter on it.
 
     Attributes
     ----------
     name, how : str
-        What it is, and what the truth was.
+        The input, and its truth.
     dimensions : int
     errors : dict of str to float
         By filter.
@@ -62,11 +62,11 @@ def measure(
     samples, filters = whole("samples", samples, 4), as_compared(filters)
     require_room("samples", (12 * samples) ** 3, samples)
     table = partial(compare, filters=filters, boundary=DEFAULT_BOUNDARY, timing=False)
-    held, what = photograph(max(16, 12 * samples))
+    photo, what = photograph(max(16, 12 * samples))
     known: list[tuple[str, int, Callable[[], list[ErrorTable]]]] = [
         ("Marschner–Lobb, z = 0", 2, lambda: [table(rings, size=samples, dimensions=2, points=points)]),
         ("zone plate", 2, lambda: [table(partial(zone_plate, size=samples), size=samples, dimensions=2, points=points)]),
-        (what, 2, lambda: every_shift(held, filters)),
+        (what, 2, lambda: every_shift(photo, filters)),
         ("Marschner–Lobb", 3, lambda: [table(phantoms.marschner_lobb_function, size=samples, points=points)]),
         ("zone plate", 3, lambda: [table(partial(zone_plate, size=samples), size=samples, points=points)]),
         ("box, hard edges", 3, lambda: every_shift(phantoms.box(2 * samples), filters, "none")),
@@ -91,10 +91,10 @@ def measure(
 def every_shift(
     volume: Volume, filters: Sequence[str | Filter], lowpass: Literal["gaussian", "none"] = "gaussian"
 ) -> list[ErrorTable]:
-    """Errors of what is left of a volume when every second sample is kept, for each of the first samples to keep, 2ᵈ of them.
+    """Errors of a volume from every second sample, for each of the 2ᵈ samples that can be the first to be kept.
 
-    Half of the positions along an axis lie half-way between the samples kept, where `nearest` takes the upper one always: at
-    hard edges its error is that of where the edges lie, and only the mean over all shifts is that of the filter.
+    Half of the positions along an axis lie half-way between kept samples, where `nearest` always takes the upper one. At
+    hard edges its error depends on where the edges lie, so only the mean over all shifts is a property of the filter.
     """
     firsts = itertools.product(*(range(min(2, n)) for n in volume.size))
     cropped = [volume.crop(first, volume.size) for first in firsts]
@@ -102,7 +102,7 @@ def every_shift(
 
 
 def mean_square(tables: Sequence[ErrorTable]) -> dict[str, float]:
-    """Mean square errors by filter, of data scaled to 0..1, over all tables."""
+    """Mean square errors by filter over all tables, of data scaled to 0..1."""
     spans = [t.value_range[1] - t.value_range[0] or 1.0 for t in tables]
     return {
         rows[0].filter: float(np.mean([(row.rms / span) ** 2 for row, span in zip(rows, spans, strict=True)]))
@@ -122,14 +122,14 @@ def draw(
     Parameters
     ----------
     filters : sequence of str or Filter
-        Rows of the table, and "exact-sinc".
+        Filters or their names, and "exact-sinc".
     samples : int
         Of the functions along each axis; the photograph and the box have more, and are decimated.
     points : int
-        Random positions at which functions are compared.
+        Number of random positions at which functions are compared.
     scan : Volume or array-like, optional
-        One more input, decimated by two from its first sample, and its middle slice. The slice, the photograph and the box are
-        decimated from each of the samples that can be the first, `every_shift`.
+        One more input, decimated by two from its first sample, and its middle slice. The slice, the photograph and the box
+        are decimated with every shift, see `every_shift`.
     progress : callable, optional
         Called with the fraction done.
     """
@@ -140,11 +140,11 @@ def draw(
         panels = figure.subplots(2, across, sharey=True)
         for axes, case in zip(panels.flat, cases, strict=True):
             _bars(axes, case)
-        figure.suptitle("mean square error of the reconstruction, data scaled to 0…1; the least in bold", fontsize=10, color=GREY)
+        figure.suptitle("mean square error of the reconstruction, data scaled to 0…1; smallest in bold", fontsize=10, color=GREY)
     lines = []
     for case in cases:
         best = min(case.errors, key=lambda name: case.errors[name])
-        lines.append(f"{case.name}, {case.dimensions}-D: least by {title(best)}, {case.errors[best]:.3g}")
+        lines.append(f"{case.name}, {case.dimensions}-D: smallest with {title(best)}, {case.errors[best]:.3g}")
     return Drawing(figure, [case.numbers() for case in cases], lines)
 
 

@@ -1,4 +1,4 @@
-"""Gradient errors: the angle between the normals that are drawn and the true ones, in colour beside each picture."""
+"""Gradient errors: the angle between the drawn normals and the true ones, in colour below each picture."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from clvol.march.renderer import Renderer
 __all__ = ["draw"]
 
 _SHOWN = ("linear", "bspline3-approx", "mitchell", "catmull-rom", "bspline3", "bspline5")
-_MOST = 45.0  # degrees that the colours span
-_ROOM = 50  # of the height, about what shows
+_MAX_ANGLE = 45.0  # degrees that the colours span
+_MARGIN = 50  # this fraction of the height stays around what is visible
 _WHITE = (1.0, 1.0, 1.0)
 
 
@@ -77,23 +77,23 @@ def draw(
         for column, (picture, angles, n) in enumerate(zip(pictures, errors, numbers, strict=True)):
             show(panels[0, column], picture[shown], folded(title(n["filter"])))
             note = "nothing shows" if n["angle_mean"] is None else f"mean {n['angle_mean']:.1f}°"
-            drawn = show(panels[1, column], angles[shown], "", note, cmap="turbo", vmin=0, vmax=_MOST)
+            drawn = show(panels[1, column], angles[shown], "", note, cmap="turbo", vmin=0, vmax=_MAX_ANGLE)
         figure.colorbar(drawn, ax=list(panels[1]), shrink=0.85, pad=0.01, extend="max", label="degrees to the true normal")
-    lines = [f"{title(n['filter'])}: normals err by {n['angle_mean']:.1f}° in the mean" for n in numbers if n["shown"]]
+    lines = [f"{title(n['filter'])}: mean error of the normals {n['angle_mean']:.1f}°" for n in numbers if n["shown"]]
     return Drawing(figure, numbers, lines)
 
 
 def _filled(errors: Sequence[Any]) -> slice:
-    """The rows of the pictures in which any of them shows anything, and a few about them; all, where nothing shows."""
+    """The rows in which any of the pictures shows something, with a margin; all rows if none does."""
     size = errors[0].shape[0]
     rows = np.flatnonzero(np.isfinite(errors).any((0, 2)))
     if not rows.size:
         return slice(0, size)
-    return slice(max(0, int(rows[0]) - size // _ROOM), min(size, int(rows[-1]) + 1 + size // _ROOM))
+    return slice(max(0, int(rows[0]) - size // _MARGIN), min(size, int(rows[-1]) + 1 + size // _MARGIN))
 
 
 def _angles(normals: Any, positions: Any) -> Any:
-    """Degrees between the normals drawn and the true gradient where they are drawn; NaN where nothing is."""
+    """Degrees between the drawn normals and the true gradient; NaN where nothing is drawn."""
     there = np.isfinite(normals).all(-1) & np.isfinite(positions).all(-1)
     true = phantoms.marschner_lobb_gradient(np.where(there[..., None], positions, 0.5).astype(np.float64))
     # both faces of a surface are lit alike: a normal and its opposite are the same

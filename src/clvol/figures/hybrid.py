@@ -50,7 +50,7 @@ def draw(
     Raises
     ------
     OptionError
-        A scan without 3 axes, or with one value throughout: it has no surface.
+        The scan does not have 3 axes, or is constant and so has no surface.
     """
     pixels = whole("pixels", pixels, 1)
     volume = phantoms.marschner_lobb(samples) if scan is None else as_volume(scan)
@@ -67,15 +67,15 @@ def draw(
     with ExitStack() as stack:
         renderers = [stack.enter_context(Renderer(volume, name, device=device)) for name in _FILTERS]
         pictures = [r.render(**look)[..., :3].astype(np.float64) for r in renderers]  # builds the kernels, too
-        least = [np.inf] * len(renderers)
-        for done in range(1, _ROUNDS + 1):  # each takes its turn, so that what else the machine does falls on all alike
+        shortest = [np.inf] * len(renderers)
+        for done in range(1, _ROUNDS + 1):  # in turns, so that other load on the machine hits all of them alike
             for i, renderer in enumerate(renderers):
                 started = time.perf_counter()
                 renderer.render(**look)
-                least[i] = min(least[i], time.perf_counter() - started)
+                shortest[i] = min(shortest[i], time.perf_counter() - started)
             if progress is not None:
                 progress(done / _ROUNDS)
-    for renderer, picture, seconds in zip(renderers, pictures, least, strict=True):
+    for renderer, picture, seconds in zip(renderers, pictures, shortest, strict=True):
         kept = int(np.prod([n * renderer.filter.scale for n in volume.shape])) * 4
         difference = float(np.sqrt(np.mean((picture - pictures[0]) ** 2)))
         numbers.append(
@@ -99,9 +99,9 @@ def _drawn(pictures: list[Any], numbers: list[dict[str, Any]]) -> Any:
     for axes, picture, heading in zip(panels[0], (hybrid, direct, linear), headings, strict=True):
         show(axes, picture, heading)
     differences = [np.abs(p - direct).mean(-1) for p in (hybrid, linear)]
-    most = max(float(np.quantile(d, 0.995)) for d in differences) or 1.0
+    largest = max(float(np.quantile(d, 0.995)) for d in differences) or 1.0
     for axes, difference, n, name in zip(panels[1, ::2], differences, numbers[1:], ("hybrid", "trilinear"), strict=True):
-        image = show(axes, difference, f"|{name} − direct|", f"RMS {n['rms_difference']:.4f}", cmap="Reds", vmin=0, vmax=most)
+        image = show(axes, difference, f"|{name} − direct|", f"RMS {n['rms_difference']:.4f}", cmap="Reds", vmin=0, vmax=largest)
     figure.colorbar(image, cax=panels[1, 2].inset_axes((1.04, 0.1, 0.05, 0.8)), label="difference of shade")
     middle = panels[1, 1]
     times, memory = middle.inset_axes((0.3, 0.62, 0.6, 0.3)), middle.inset_axes((0.3, 0.12, 0.6, 0.3))

@@ -40,7 +40,7 @@ def draw(
     device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
 ) -> Drawing:
-    """Figure 5: a photograph and a zone plate of few samples, four times as fine by each filter.
+    """Figure 5: a photograph and a zone plate of few samples, magnified four times by each filter.
 
     Parameters
     ----------

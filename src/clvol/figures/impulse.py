@@ -1,4 +1,4 @@
-"""Impulse responses: what each filter makes of one sample among zeros, the prefilter included."""
+"""Impulse responses: each filter's reconstruction of one sample among zeros, the prefilter included."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def draw(filters: Sequence[str | Filter] = _SHOWN) -> Drawing:
     Parameters
     ----------
     filters : sequence of str or Filter
-        Rows of the table.
+        Filters or their names.
     """
     rows = as_filters(filters, len(LETTERS))
     x = np.linspace(-_REACH, _REACH, 2001)
@@ -58,5 +58,5 @@ def draw(filters: Sequence[str | Filter] = _SHOWN) -> Drawing:
                 }
             )
         figure.supxlabel("distance from the sample, in samples; grey: the sinc", fontsize=9.5)
-    lines = [f"{title(n['filter'])}: {n['peak']:.3f} at its own sample, least value {n['least']:.3f}" for n in numbers]
+    lines = [f"{title(n['filter'])}: {n['peak']:.3f} at its own sample, smallest value {n['least']:.3f}" for n in numbers]
     return Drawing(figure, numbers, lines)

@@ -1,4 +1,4 @@
-"""What figures are drawn from: functions that are known everywhere, a photograph, hard edges."""
+"""Inputs of the figures: functions that are known everywhere, a photograph, hard edges."""
 
 from __future__ import annotations
 
@@ -33,8 +33,7 @@ def zone_plate(points: Array, size: int) -> Array:
 def photograph(size: int = 512) -> tuple[Volume, str]:
     """A picture in grey, 0 to 1, of `size` pixels each way at most, and what it is.
 
-    It is the portrait that comes with matplotlib, in the public domain; where that is not installed, disks, bars and
-    a gradient of our own.
+    It is the public-domain portrait that comes with matplotlib; without it, disks, bars and a gradient of our own.
     """
     size = whole("size of a photograph", size, 16)
     try:

@@ -1,4 +1,4 @@
-"""The paper's Figure 6, and the same comparison for any volume: filters side by side, measured where the truth is known."""
+"""The paper's Figure 6, and the same comparison of any volume: filters side by side, with errors where the truth is known."""
 
 from __future__ import annotations
 
@@ -47,14 +47,13 @@ __all__ = [
 ]
 
 SIX = ("sinc", "nearest", "bspline3-approx", "linear", "mitchell", "bspline3")
-"""The six reconstructions of the paper as rows of the table: the sinc is cut off."""
+"""The six reconstructions of the paper as filters of the table: the sinc is truncated."""
 
 FIGURE_6 = (EXACT_SINC, *SIX[1:])
 """a) to f) of the paper's Figures 4 to 6: the sinc is exact."""
 
-_DRAWN = 1 << 20  # samples whose exact sinc is drawn, at most, in `compare`
-_FINER = 4  # as many times the samples stand for the exact sinc
-# what shows the Marschner-Lobb function well, in every figure
+_FINER = 4  # magnification that stands for the exact sinc
+# a view that shows the Marschner-Lobb function well, in every figure
 ISOVALUE = 0.5
 BOX = ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
 CAMERA = Camera.orbit(20, 52, zoom=1.27)
@@ -68,7 +67,7 @@ _SEED = 1999
 
 @dataclass(frozen=True)
 class Panel:
-    """One picture of a comparison, and what was measured of it.
+    """One picture of a comparison and its errors.
 
     Attributes
     ----------
@@ -79,13 +78,12 @@ class Panel:
     rms : float or None
         Root mean square error of the values at random points within 0.8 of the centre.
     angle : float or None
-        Mean angle in degrees between the reconstruction's gradient and the true one, at the points of the
-        true surface that the picture shows; None if it shows none.
+        Mean angle in degrees between the reconstruction's gradient and the true one, at the visible points of the true
+        surface; None if there are none.
     residual : float or None
-        Greatest difference found between what is drawn and the exact sinc, at 2000 random points, where that is what is
-        meant.
+        For the exact sinc: the largest difference between it and what is drawn, at 2000 random points.
     letter : str
-        What the panel is called in the figure, or nothing.
+        The panel's letter in the figure, or empty.
     """
 
     filter: str
@@ -101,7 +99,7 @@ class Panel:
         heading += "" if self.residual is None else f" to about {self.residual:.0e}"
         measured = [] if self.rms is None else [f"RMS error {self.rms:.4f}"]
         measured += [] if self.angle is None else [f"normals {self.angle:.1f}°"]
-        return f"{heading}\n{'   '.join(measured)}"  # two lines always, so that all labels are as high
+        return f"{heading}\n{'   '.join(measured)}"  # always two lines, so that all labels have one height
 
     def numbers(self) -> dict[str, Any]:
         """What a program would read: everything but the picture and its letter."""
@@ -113,6 +111,7 @@ def figure6(
     pixels: int = 512,
     filters: Sequence[str | Filter] = FIGURE_6,
     *,
+    camera: Camera = CAMERA,
     samples: int = 2,
     step: float = 0.25,
     device: Device | str | int | None = None,
@@ -129,7 +128,7 @@ def figure6(
     filters : sequence of str or Filter
         One panel each; the exact function is added at the end. "exact-sinc" is the exact sinc: the samples are
         magnified by the FFT and drawn through `bspline3`, and the panel says how far that is from exact.
-    samples, step, device, progress
+    camera, samples, step, device, progress
         As for `Renderer.render`.
 
     Returns
@@ -141,16 +140,16 @@ def figure6(
     whole("pixels", pixels, 1)
     chosen = as_compared(filters, len(LETTERS))
     volume = phantoms.marschner_lobb(size)
-    surface, picture = _exact(volume, pixels, samples)
+    surface, picture = _exact(volume, camera, pixels, samples)
     points = np.random.default_rng(_SEED).uniform(-0.8, 0.8, (_POINTS, 3))
     truth, normals = phantoms.marschner_lobb_function(points), phantoms.marschner_lobb_gradient(surface)
     panels = []
     for i, row in enumerate(chosen):
         report = _part(progress, i + 1, len(chosen) + 1)  # the exact picture was the first part
-        held, through, finer, residual = _through(volume, row, DEFAULT_BOUNDARY)
-        with Renderer(held, through, device=device) as renderer:
+        drawn_volume, through, finer, residual = _through(volume, row, DEFAULT_BOUNDARY)
+        with Renderer(drawn_volume, through, device=device) as renderer:
             drawn = renderer.render(
-                fixed(CAMERA, volume, held),
+                fixed(camera, volume, drawn_volume),
                 "isosurface",
                 (pixels, pixels),
                 step * finer,
@@ -163,9 +162,9 @@ def figure6(
                 samples=samples,
                 progress=report,
             )
-        values = sample(held, points, through, device=device)
+        values = sample(drawn_volume, points, through, device=device)
         rms = float(np.sqrt(np.mean((values - truth) ** 2)))
-        angle = _mean_angle(_gradients(held, surface, through, device), normals) if surface.size else None
+        angle = _mean_angle(_gradients(drawn_volume, surface, through, device), normals) if surface.size else None
         panels.append(Panel(row if isinstance(row, str) else row.name, drawn, rms, angle, residual, LETTERS[i]))
     panels.append(Panel("exact", picture))
     *tiles, truth_tile = [labelled(p.picture, p.label) for p in panels]
@@ -182,19 +181,20 @@ def compare(
     pixels: int = 384,
     boundary: str | Boundary = DEFAULT_BOUNDARY,
     *,
+    max_samples: int = 1 << 20,
     device: Device | str | int | None = None,
     progress: Progress | None = None,
     **options: Any,
 ) -> tuple[list[Panel], NDArray[np.uint8]]:
     """The same picture of a volume by each filter; `options` are those of `Renderer.render`.
 
-    "exact-sinc" is drawn as in Figure 6, of at most a million samples, since it takes 64 times their memory; it ends up to
-    three eighths of a sample sooner than the others.
+    "exact-sinc" is drawn as in Figure 6, of at most `max_samples` samples since it takes 64 times their memory. It ends up
+    to three eighths of a sample sooner than the others.
 
     Returns
     -------
     panels : list of Panel
-        Nothing is measured of them: the truth is not known.
+        Without errors, since the truth is not known.
     sheet : ndarray of uint8, shape (height, width, 3)
         All panels, labelled, in rows of three or four.
     """
@@ -202,15 +202,15 @@ def compare(
     chosen, volume = as_compared(filters), as_volume(volume)
     if EXACT_SINC in chosen:
         periodic(boundary)
-        if volume.data.size > _DRAWN:
-            raise OptionError(f"{EXACT_SINC!r} is drawn of at most {_DRAWN} samples; got {volume.data.size}")
+        if volume.data.size > max_samples:
+            raise OptionError(f"{EXACT_SINC!r} is drawn of at most {max_samples} samples; got {volume.data.size}")
     look = settled(volume, {"mode": "isosurface", **options})
     camera, step = look.pop("camera"), look.pop("step", 0.5)
     panels = []
     for i, row in enumerate(chosen):
-        held, through, finer, residual = _through(volume, row, boundary)
-        with Renderer(held, through, boundary, device) as renderer:
-            view = camera if held is volume else fixed(camera, volume, held)
+        drawn_volume, through, finer, residual = _through(volume, row, boundary)
+        with Renderer(drawn_volume, through, boundary, device) as renderer:
+            view = camera if drawn_volume is volume else fixed(camera, volume, drawn_volume)
             drawn = renderer.render(
                 view, size=(pixels, pixels), step=step * finer, progress=_part(progress, i, len(chosen)), **look
             )
@@ -233,7 +233,7 @@ def draw(
 
 
 def settled(volume: Volume, options: dict[str, Any]) -> dict[str, Any]:
-    """Options of `Renderer.render` for pictures of a volume and of others made from it: nothing is left to be derived from each."""
+    """Options of `Renderer.render` for pictures of a volume and of others made from it, with nothing left to derive from each."""
     look = dict(options)
     own = {name: look.pop(name) for name in every_option() & look.keys()}
     mode = look["mode"] = as_mode(look.get("mode", DEFAULT_MODE), own).settled(volume)
@@ -246,7 +246,7 @@ def settled(volume: Volume, options: dict[str, Any]) -> dict[str, Any]:
 
 
 def _through(volume: Volume, row: str | Filter, boundary: str | Boundary) -> tuple[Volume, Filter, int, float | None]:
-    """What is drawn for a filter or the exact sinc, by which filter, how many times as fine, and how far from the exact sinc."""
+    """The volume and the filter that draw a filter or the exact sinc, the magnification, and the distance from the exact sinc."""
     if isinstance(row, Filter):
         return volume, row, 1, None
     exact = sinc_volume(volume, _FINER, boundary=boundary)
@@ -254,7 +254,7 @@ def _through(volume: Volume, row: str | Filter, boundary: str | Boundary) -> tup
 
 
 def fixed(camera: Camera, volume: Volume, other: Volume) -> Camera:
-    """A camera that sees of another volume what `camera`, fitted to `volume`, sees of this one."""
+    """A camera that shows of another volume what `camera`, fitted to `volume`, shows of this one."""
     view = camera.view(volume)
     eye = tuple(map(float, view.eye))
     here = Camera.look_at(
@@ -264,14 +264,14 @@ def fixed(camera: Camera, volume: Volume, other: Volume) -> Camera:
 
 
 def _part(progress: Progress | None, i: int, n: int) -> Progress | None:
-    """Progress of part `i` of `n`, told as progress of the whole."""
+    """Progress of part `i` of `n`, reported as progress of the whole."""
     return None if progress is None else lambda done: progress((i + done) / n)
 
 
 def _gradients(
     volume: Volume, points: NDArray[np.float64], filter: Filter, device: Device | str | int | None
 ) -> NDArray[np.float64]:
-    """What the picture is shaded by: the analytic gradient, or central differences where there is none."""
+    """The gradient that shades the picture: analytic, or central differences if there is none."""
     if filter.has_gradient:
         return sample(volume, points, filter, derivative=1, device=device).astype(np.float64)
     columns = []
@@ -292,13 +292,13 @@ def _mean_angle(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 # -- the exact function, drawn without any samples --------------------------------------------------------
 
 
-def _exact(volume: Volume, pixels: int, samples: int) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """Points of the true surface that the picture shows, (N, 3), and the picture."""
+def _exact(volume: Volume, camera: Camera, pixels: int, samples: int) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    """The visible points of the true surface, (N, 3), and the picture."""
     return draw_function(
         phantoms.marschner_lobb_function,
         phantoms.marschner_lobb_gradient,
         volume,
-        CAMERA.view(volume),
+        camera.view(volume),
         (pixels, pixels),
         clip=BOX,
         isovalue=ISOVALUE,

@@ -24,7 +24,7 @@ from clvol.volume import Volume
 __all__ = ["Ray", "draw", "follow"]
 
 Array: TypeAlias = NDArray[np.float64]
-_WAVES = 2.5  # of the Marschner-Lobb function: few enough that its samples can be seen
+_WAVES = 2.5  # of the Marschner-Lobb function: few enough for visible samples
 _CAMERA = Camera.orbit(18, 0, projection="orthographic", zoom=1.2)
 _TRANSFER = TransferFunction(
     ((0.30, (0.17, 0.42, 0.69)), (0.48, (0.87, 0.54, 0.24)), (0.62, (0.97, 0.93, 0.84))),
@@ -36,7 +36,7 @@ _PROFILE = 1201
 
 @dataclass(frozen=True)
 class Ray:
-    """What one ray meets, sample by sample.
+    """What one ray passes, sample by sample.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ def draw(samples: int = 21, pixels: int = 240, filter: str = "bspline3", device:
     pixels : int
         Width of the picture.
     filter : str
-        By which the picture is made.
+        Filter of the picture.
     device
         As for `clvol.render`.
     """
@@ -197,7 +197,7 @@ def _profile(axes: Any, volume: Volume, ray: Ray, filter: str) -> None:
         ends.append((title(name), values, colour(name)))
     axes.plot(ray.t, ray.values, "o", color=colour(filter), markersize=3.6, zorder=4)
     axes.set(xlim=(0, ray.length), ylabel="value")
-    axes.set_title("2  reconstruction: the value wherever the ray asks (dots)", fontsize=9.5)
+    axes.set_title("2  reconstruction: the value wherever the ray needs one (dots)", fontsize=9.5)
     label_ends(axes, [(text, ray.length, float(values[-1]), shade) for text, values, shade in ends], 0.075)
 
 

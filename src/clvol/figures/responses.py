@@ -13,7 +13,7 @@ from clvol.filter import Filter, as_filters
 
 __all__ = ["draw"]
 
-_BESIDE = ("linear", "mitchell")  # what the hybrid is to be judged against
+_BESIDE = ("linear", "mitchell")  # the hybrid is judged against these
 _REACH = 4  # multiples of pi
 _FLOOR = -80.0  # decibels
 
@@ -24,7 +24,7 @@ def draw(filters: Sequence[str | Filter] = ("bspline3", "hybrid")) -> Drawing:
     Parameters
     ----------
     filters : sequence of str or Filter
-        What is drawn boldly.
+        Drawn in bold.
     """
     chosen = as_filters(filters)
     rows = [*(row for row in as_filters(_BESIDE) if row not in chosen), *chosen]
@@ -57,13 +57,13 @@ def draw(filters: Sequence[str | Filter] = ("bspline3", "hybrid")) -> Drawing:
             ylim=(_FLOOR, 6),
             xlabel="frequency ω / π",
             ylabel="|response|, decibels",
-            title="stopband: what is left of the aliases",
+            title="stopband: the remaining aliases",
         )
         legend_above(figure, near)
     lines = [
-        f"{title(n['filter'])}: errs by up to {n['passband_error']:.3f} below π/2, lets "
+        f"{title(n['filter'])}: error up to {n['passband_error']:.3f} below π/2; passes "
         + (f"up to {n['stopband_peak']:.3f} ({-n['attenuation']:.0f} dB)" if n["attenuation"] is not None else "none")
-        + " of its aliases through"
+        + " of its aliases"
         for n in numbers
     ]
     return Drawing(figure, numbers, lines)

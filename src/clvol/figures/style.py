@@ -1,4 +1,4 @@
-"""How figures look: one colour and one name for each filter, matplotlib asked for only when it is needed."""
+"""How figures look: one colour and one name for each filter. matplotlib is imported only when it is needed."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from clvol import picture
 from clvol.analysis import EXACT_SINC
 from clvol.checks import as_path
-from clvol.errors import FormatError, MissingDependencyError, OptionError
+from clvol.errors import MissingDependencyError, OptionError
+from clvol.files import require_suffix, staged
 from clvol.filter import Filter, as_filter, filters
-from clvol.formats._files import staged
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,6 +31,7 @@ __all__ = [
     "GREY",
     "INK",
     "LETTERS",
+    "SUFFIXES",
     "Drawing",
     "colour",
     "folded",
@@ -39,7 +40,6 @@ __all__ = [
     "new_figure",
     "plain",
     "require_matplotlib",
-    "require_suffix",
     "show",
     "spread",
     "styled",
@@ -50,9 +50,9 @@ Array: TypeAlias = NDArray[np.float64]
 
 INK, GREY, FAINT = "#222222", "#6f6f6f", "#d9d9d9"
 LETTERS = "abcdefghijklmnopqrstuvwxyz"
-"""What panels are called, a filter each: a figure holds no more of them."""
+"""Names of the panels, one for each filter: a figure holds no more."""
 
-_SUFFIXES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".tif", ".tiff")
+SUFFIXES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".tif", ".tiff")
 _DPI = 150
 _RC: Mapping[str, Any] = {
     "font.size": 9.5,
@@ -124,7 +124,7 @@ _TITLES = {
 def colour(name: str) -> str:
     """The colour of a filter in every figure, by whatever name: `lanczos(2)` has that of `lanczos2`.
 
-    Filters without a colour here are given one when they are first asked for, unlike all that were given before.
+    A filter without a colour here gets one at the first call, unlike all those before.
     """
     if name in _COLOURS:
         return _COLOURS[name]
@@ -144,7 +144,7 @@ def _same(a: Filter, b: Filter) -> bool:
 
 
 def _given(name: str) -> str:
-    """A colour far from all others, if there is one: hues a golden section of the circle apart, in three depths."""
+    """A colour far from all others, if there is one; hues differ by a golden section of the circle, in three depths."""
     if name not in _GIVEN:
         taken = [_rgb(c) for c in (*_COLOURS.values(), *_GIVEN.values())]
         tried = []
@@ -161,7 +161,7 @@ def _rgb(code: str) -> tuple[float, ...]:
 
 
 def folded(text: str, width: int = 26) -> str:
-    """A heading in as many lines as it needs to be no wider than so many letters."""
+    """A heading folded to lines of at most `width` letters."""
     return "\n".join(textwrap.wrap(text, width, break_on_hyphens=False)) or text
 
 
@@ -172,16 +172,16 @@ def title(name: str) -> str:
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure, and the numbers that it shows.
+    """A figure and its numbers.
 
     Attributes
     ----------
     figure : matplotlib Figure or ndarray
         The picture: a matplotlib figure, or an RGB array.
     numbers : list of dict
-        What a program would read.
+        For programs.
     lines : list of str
-        The same for people.
+        For people.
     """
 
     figure: Figure | NDArray[np.uint8]
@@ -198,27 +198,14 @@ class Drawing:
         """
         if isinstance(self.figure, np.ndarray):
             return picture.save(self.figure, path)
-        path, _ = as_path(path), require_suffix(path)
-        try:
-            with staged(path, path.suffix) as temporary, styled():
-                self.figure.savefig(temporary, dpi=dpi)
-        except FormatError:
-            raise
-        except (OSError, ValueError) as error:
-            raise FormatError(f"cannot write {path}: {error}") from error
+        path, suffix = as_path(path), require_suffix(path, SUFFIXES, "figures")
+        with staged(path, suffix) as temporary, styled():
+            self.figure.savefig(temporary, dpi=dpi)
         return path
 
 
-def require_suffix(path: str | os.PathLike[str]) -> str:
-    """The suffix of a figure's file, in lower case; raises `FormatError` if figures are not written so."""
-    suffix = as_path(path).suffix.lower()
-    if suffix not in _SUFFIXES:
-        raise FormatError(f"figures are written as {', '.join(_SUFFIXES)}; got {os.fspath(path)!r}")
-    return suffix
-
-
 def require_matplotlib() -> Any:
-    """The module; raises `MissingDependencyError` if it is not there."""
+    """The matplotlib module; `MissingDependencyError` if it is not installed."""
     try:
         import matplotlib as mpl
     except ImportError:
@@ -228,7 +215,7 @@ def require_matplotlib() -> Any:
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Within it, matplotlib draws in our style, whatever the user's own settings are."""
+    """Within it, matplotlib draws in our style, whatever the user's settings."""
     mpl = require_matplotlib()
     with mpl.rc_context():
         mpl.rcdefaults()
@@ -237,7 +224,7 @@ def styled() -> Iterator[None]:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """A figure of that many inches, without a window."""
+    """A figure of that size in inches, without a window."""
     require_matplotlib()
     from matplotlib.figure import Figure
 
@@ -245,7 +232,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def legend_above(figure: Figure, axes: Axes) -> None:
-    """The names of the curves in `axes` above the figure, in as many rows as they need, for which the figure grows."""
+    """The names of the curves in `axes` above the figure, which grows by the rows that they need."""
     handles, labels = axes.get_legend_handles_labels()
     across = min(_ACROSS, len(labels))
     width, height = figure.get_size_inches()
@@ -254,7 +241,7 @@ def legend_above(figure: Figure, axes: Axes) -> None:
 
 
 def show(axes: Axes, pixels: ArrayLike, heading: str, note: str = "", **options: Any) -> Any:
-    """A picture with its name above and what was measured below; arrays with two axes are shown in grey."""
+    """A picture with a heading above and a note below; arrays with two axes are shown in grey."""
     array = np.asarray(pixels)
     if array.ndim == 2:
         options.setdefault("cmap", "gray")
@@ -267,7 +254,7 @@ def show(axes: Axes, pixels: ArrayLike, heading: str, note: str = "", **options:
 
 
 def plain(axes: Axes) -> None:
-    """No ticks, no lines about it."""
+    """No ticks and no frame."""
     axes.set_xticks([])
     axes.set_yticks([])
     axes.grid(visible=False)
@@ -276,7 +263,7 @@ def plain(axes: Axes) -> None:
 
 
 def spread(places: Sequence[float], gap: float) -> list[float]:
-    """Places moved as little as makes neighbours at least `gap` apart, in the same order."""
+    """Places moved as little as possible so that neighbours are at least `gap` apart, in the same order."""
     if gap <= 0:
         raise OptionError(f"gap must be greater than 0; got {gap!r}")
     order = np.argsort(places, kind="stable")
@@ -296,7 +283,7 @@ def spread(places: Sequence[float], gap: float) -> list[float]:
 
 
 def label_ends(axes: Axes, ends: Sequence[tuple[str, float, float, str]], gap: float = 0.055) -> None:
-    """A label to the right of each curve's end (text, x, y, colour), none upon another; set the axes' limits first."""
+    """A label to the right of each curve's end (text, x, y, colour), without overlaps; set the axes' limits first."""
     to_axes = axes.transData + axes.transAxes.inverted()
     at = [to_axes.transform((x, y)) for _, x, y, _ in ends]
     heights = spread([float(p[1]) for p in at], gap)

@@ -15,11 +15,12 @@ from numpy.typing import ArrayLike, DTypeLike
 
 from clvol.checks import as_path
 from clvol.errors import DataError, FormatError, GeometryError, OptionError
+from clvol.files import staged
 from clvol.formats import dicom, metaimage, nifti, npy, nrrd, raw, tiff
-from clvol.formats._files import Reader, Writer, foreign_errors, staged
+from clvol.formats._files import Reader, Writer, foreign_errors
 from clvol.volume import Volume, as_volume
 
-__all__ = ["FORMATS", "Format", "read", "write"]
+__all__ = ["FORMATS", "WRITTEN", "Format", "read", "write"]
 
 
 @dataclass(frozen=True)
@@ -29,11 +30,11 @@ class Format:
     Parameters
     ----------
     name : str
-        What users call it.
+        Its name for users.
     suffixes : tuple of str
         Endings of file names, in lower case; empty for a folder of files.
     read : callable
-        Gives samples and what the file tells of their geometry.
+        Gives the samples and what the file says of their geometry.
     write : callable or None
         None where the format is only read.
     options : frozenset of str
@@ -57,6 +58,9 @@ FORMATS = (
     Format("raw samples", (".raw", ".bin"), raw.read, None, frozenset({"shape", "dtype", "byte_order", "offset"})),
     Format("DICOM folder", (), dicom.read, None, frozenset({"series"})),
 )
+
+WRITTEN = tuple(suffix for f in FORMATS if f.write for suffix in f.suffixes)
+"""Suffixes of the files that `write` writes."""
 
 
 def read(
@@ -111,7 +115,7 @@ def read(
     MissingDependencyError
         The format needs ``clvol[medical]`` or ``clvol[microscopy]``.
     MemoryError
-        The file is sound, and holds more than fits into memory.
+        The file is sound but does not fit into memory.
 
     Examples
     --------
@@ -125,16 +129,16 @@ def read(
         if not path.is_dir() and not path.is_file():
             raise FormatError(f"cannot read {path}: it is neither a file nor a folder")
     chosen = next(f for f in FORMATS if not f.suffixes) if path.is_dir() else _by_suffix(path)[0]
-    asked = {"shape": shape, "dtype": dtype, "byte_order": byte_order, "offset": offset or None, "series": series}
-    options = {name: value for name, value in asked.items() if value is not None}
+    given = {"shape": shape, "dtype": dtype, "byte_order": byte_order, "offset": offset or None, "series": series}
+    options = {name: value for name, value in given.items() if value is not None}
     for name in options:
         if name not in chosen.options:
             where = next(f.name for f in FORMATS if name in f.options)
             raise OptionError(f"{name} is only for: {where}; {path} is read as: {chosen.name}")
-    given = {"spacing": spacing, "origin": origin, "direction": direction}
+    replaced = {"spacing": spacing, "origin": origin, "direction": direction}
     with foreign_errors(f"read {path}"):
         data, geometry = chosen.read(path, **options)
-        geometry |= {name: value for name, value in given.items() if value is not None}
+        geometry |= {name: value for name, value in replaced.items() if value is not None}
         try:
             return Volume(data, **geometry)
         except DataError as error:
@@ -180,7 +184,7 @@ def write(volume: Volume | ArrayLike, path: str | os.PathLike[str]) -> None:
 
 
 def _by_suffix(path: Path) -> tuple[Format, str]:
-    """The format of a file name, and the suffix that tells it: the longest one, as in .nii.gz."""
+    """The format of a file name and its suffix, the longest that fits, as in .nii.gz."""
     name = path.name.lower()
     found = [(suffix, row) for row in FORMATS for suffix in row.suffixes if name.endswith(suffix)]
     if not found:

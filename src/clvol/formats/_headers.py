@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import IO
 
 from clvol.errors import FormatError
-from clvol.formats._files import MAX_HEADER
+from clvol.files import MAX_HEADER
 
 __all__ = ["data_path", "line", "numbers", "whole"]
 

@@ -11,15 +11,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from clvol.errors import DataError, FormatError, GeometryError, MissingDependencyError
-from clvol.formats._files import Content, foreign_errors, require_default, storable
+from clvol.errors import FormatError, GeometryError
+from clvol.formats._files import foreign_errors, require_default, storable
+from clvol.interop import Content, from_simpleitk, simpleitk
 from clvol.volume import Volume
 
-__all__ = ["Header", "content", "quiet", "read_image", "reason", "simpleitk", "write_image"]
+__all__ = ["Header", "quiet", "read_image", "reason", "write_image"]
 
 _DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64")
 _TOLERANCE = 1e-4  # NIfTI keeps geometry in float32; anything worse was lost, not rounded
@@ -27,7 +27,7 @@ _TOLERANCE = 1e-4  # NIfTI keeps geometry in float32; anything worse was lost, n
 
 @dataclass(frozen=True)
 class Header:
-    """What a format's own check has found out about a file.
+    """What a format's own check found in a file.
 
     Parameters
     ----------
@@ -42,15 +42,6 @@ class Header:
     size: tuple[int, ...]
     units: str = "mm"
     spacing_known: bool = True
-
-
-def simpleitk() -> Any:
-    """The SimpleITK module; its import is slow, so it waits until a file needs it."""
-    try:
-        import SimpleITK
-    except ImportError as error:
-        raise MissingDependencyError("medical files need SimpleITK: pip install clvol[medical]") from error
-    return SimpleITK
 
 
 def reason(error: Exception) -> str:
@@ -76,35 +67,16 @@ def read_image(path: Path, image_io: str, header: Header) -> Content:
     sitk = simpleitk()
     with quiet(), foreign_errors(f"read {path}", reason):
         image = sitk.ReadImage(str(path), imageIO=image_io)
-    data, geometry = content(image)
-    if data.shape[::-1] != header.size:  # the two readings of one header disagree: trust neither
+    data, geometry = from_simpleitk(image, header.units)
+    if data.shape[::-1] != header.size:  # two readings of one header disagree: trust neither
         raise FormatError(f"cannot read {path}: its header says {header.size}, ITK finds {data.shape[::-1]} samples")
-    geometry["units"] = header.units
     if not header.spacing_known:
         geometry["spacing"] = (float("nan"),) * data.ndim
     return data, geometry
 
 
-def content(image: Any) -> Content:
-    """Samples and geometry of a SimpleITK image, without trailing axes of one sample."""
-    rank, channels = image.GetDimension(), image.GetNumberOfComponentsPerPixel()
-    if channels != 1:
-        raise DataError(f"a volume must have one value a voxel; this one has {channels}: write its channels apart")
-    size = image.GetSize()
-    if any(n != 1 for n in size[3:]):
-        raise DataError(f"a volume must have 2 or 3 axes; this one has {size} samples: write its frames apart")
-    d = min(rank, 3)
-    data = simpleitk().GetArrayFromImage(image)
-    return data.reshape(data.shape[rank - d :]), {
-        "spacing": image.GetSpacing()[:d],
-        "origin": image.GetOrigin()[:d],
-        "direction": np.reshape(image.GetDirection(), (rank, rank))[:d, :d],
-        "units": "mm",
-    }
-
-
 def write_image(volume: Volume, path: Path, image_io: str, check: Callable[[Path], Header]) -> None:
-    """Write `volume` and make sure that it arrived: ITK does not notice a full disk."""
+    """Write `volume` and verify the file: ITK does not notice a full disk."""
     if volume.units != "mm":
         require_default(volume, ["units"], "the format measures in mm; .npz")
     sitk = simpleitk()

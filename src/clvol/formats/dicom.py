@@ -12,7 +12,8 @@ import numpy as np
 
 from clvol.errors import DataError, FormatError, OptionError
 from clvol.formats import _itk
-from clvol.formats._files import Content, foreign_errors
+from clvol.formats._files import foreign_errors
+from clvol.interop import Content, from_simpleitk, simpleitk
 
 __all__ = ["read"]
 
@@ -26,7 +27,7 @@ _LARGEST_SHIFT = 0.05  # of the distance between slices; ITK only warns, whateve
 
 def read(path: Path, series: str | None = None) -> Content:
     """The slices of one series, ordered by where they lie in the patient and not by their names."""
-    sitk = _itk.simpleitk()
+    sitk = simpleitk()
     with _itk.quiet(), foreign_errors(f"read {path}", _itk.reason):
         ids = sitk.ImageSeriesReader.GetGDCMSeriesIDs(str(path))
         files_of = {uid: sitk.ImageSeriesReader.GetGDCMSeriesFileNames(str(path), uid) for uid in ids}
@@ -36,7 +37,7 @@ def read(path: Path, series: str | None = None) -> Content:
         reader = sitk.ImageSeriesReader()
         reader.SetImageIO(_IO)
         reader.SetFileNames(files)
-        data, geometry = _itk.content(reader.Execute())
+        data, geometry = from_simpleitk(reader.Execute(), "mm")
     if len(files) > 1:
         _stack(path, data, geometry, origins)
     return data, geometry

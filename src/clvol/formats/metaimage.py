@@ -11,8 +11,9 @@ import numpy as np
 
 from clvol.errors import FormatError
 from clvol.formats import _itk
-from clvol.formats._files import Content, inflated_size, require_bytes
+from clvol.formats._files import inflated_size, require_bytes
 from clvol.formats._headers import data_path, line, numbers, whole
+from clvol.interop import Content
 from clvol.volume import Volume
 
 __all__ = ["check", "read", "write"]
@@ -99,11 +100,11 @@ def _layout(fields: dict[str, str], name: str) -> tuple[tuple[int, ...], str]:
         raise FormatError(f"{name} must have 2 or 3 axes; its header says NDims = {rank}")
     size = whole(name, "DimSize", fields["DimSize"], 1, rank)
     if size[3:] not in ((), (1,)):
-        raise FormatError(f"{name} must hold one volume; its header says {size} samples: write them apart")
+        raise FormatError(f"{name} must hold one volume; its header says {size} samples: write them as separate files")
     if fields["ElementType"] not in _DTYPES:
         raise FormatError(f"{name} must have an ElementType of {', '.join(_DTYPES)}; got {fields['ElementType']!r}")
     if (channels := fields.get("ElementNumberOfChannels", "1")) != "1":
-        raise FormatError(f"{name} must have one value a voxel; its header says {channels}: write its channels apart")
+        raise FormatError(f"{name} must have one value per voxel; its header says {channels}: write its channels as separate files")
     if not _flag(fields, "BinaryData", "True"):
         raise FormatError(f"{name} must hold its samples in binary; its header says BinaryData = False")
     for key, power in _NUMBERS.items():
@@ -124,7 +125,7 @@ def _samples(stream: IO[bytes], fields: dict[str, str], path: Path, expected: in
         return end if skip == -1 else end - max(start, skip)
     if skip:
         raise FormatError(f"{path.name} must not skip bytes before compressed samples; HeaderSize = {skip}")
-    # Without this number ITK unpacks nothing, and gives what its memory held before.
+    # Without this number ITK unpacks nothing, and returns uninitialised memory.
     (packed,) = whole(path.name, "CompressedDataSize", fields.get("CompressedDataSize", ""), 1)
     if packed > end - start:
         raise FormatError(f"{path.name} must hold {packed} compressed bytes; found {end - start}")

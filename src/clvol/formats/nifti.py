@@ -11,7 +11,8 @@ import numpy as np
 
 from clvol.errors import FormatError
 from clvol.formats import _itk
-from clvol.formats._files import Content, gunzipped_size, require_bytes
+from clvol.formats._files import gunzipped_size, require_bytes
+from clvol.interop import Content
 from clvol.volume import Volume
 
 __all__ = ["check", "read", "write"]
@@ -76,9 +77,9 @@ def _parse(head: bytes, name: str) -> tuple[tuple[int, ...], str, int]:
     if not 2 <= rank <= 7 or min(counts[:rank]) < 1:
         raise FormatError(f"{name} must have 2 or 3 axes of at least one sample; its header says {rank} axes {counts}")
     if any(n != 1 for n in counts[3:rank]):
-        raise FormatError(f"{name} must hold one volume; its header says {counts[:rank]} samples: write them apart")
+        raise FormatError(f"{name} must hold one volume; its header says {counts[:rank]} samples: write them as separate files")
     if code not in _DTYPES:
-        raise FormatError(f"{name} must hold real numbers, one a voxel; its header says datatype {code}")
+        raise FormatError(f"{name} must hold real numbers, one per voxel; its header says datatype {code}")
     if not (math.isfinite(start) and start == int(start) and start >= _HEADER_BYTES):
         raise FormatError(f"{name} must say where its samples begin, after the header; it says {start}")
     placement = struct.unpack(f"{order}18f", head[256:328])  # quaternion, offset, affine rows

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.errors import DataError, FormatError
-from clvol.formats._files import Content, require_bytes, require_default
+from clvol.formats._files import require_bytes, require_default
+from clvol.interop import Content
 from clvol.volume import Volume
 
 __all__ = ["read", "read_archive", "write", "write_archive"]

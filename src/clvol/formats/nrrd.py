@@ -12,9 +12,10 @@ import numpy as np
 
 from clvol.errors import FormatError
 from clvol.formats import _itk
-from clvol.formats._files import Content, gunzipped_size, require_bytes
+from clvol.formats._files import gunzipped_size, require_bytes
 from clvol.formats._headers import data_path, line, whole
 from clvol.formats._units import one_unit
+from clvol.interop import Content
 from clvol.volume import Volume
 
 __all__ = ["check", "read", "write"]
@@ -95,7 +96,7 @@ def _layout(fields: dict[str, str], name: str) -> tuple[tuple[int, ...], str]:
         raise FormatError(f"{name} must have 2 or 3 axes; its header says dimension: {rank}")
     size = whole(name, "sizes", fields["sizes"], 1, rank)
     if size[3:] not in ((), (1,)):
-        raise FormatError(f"{name} must hold one volume, one value a voxel; its header says {size}: write them apart")
+        raise FormatError(f"{name} must hold one volume, one value per voxel; its header says {size}: write them as separate files")
     dtype = _DTYPES.get(fields["type"].lower())
     if dtype is None:
         raise FormatError(f"{name} must have samples of type {', '.join(_DTYPES)}; got {fields['type']!r}")

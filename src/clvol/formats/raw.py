@@ -10,7 +10,8 @@ from numpy.typing import DTypeLike
 
 from clvol.checks import one_of
 from clvol.errors import OptionError
-from clvol.formats._files import Content, require_bytes, sample_count
+from clvol.formats._files import require_bytes, sample_count
+from clvol.interop import Content
 
 __all__ = ["read"]
 

@@ -12,8 +12,9 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 from clvol.errors import DataError, FormatError, MissingDependencyError
-from clvol.formats._files import Content, require_default, sample_count, storable
+from clvol.formats._files import require_default, sample_count, storable
 from clvol.formats._units import METRES, scale, unit_name
+from clvol.interop import Content
 from clvol.volume import Volume
 
 __all__ = ["read", "write"]
@@ -124,14 +125,14 @@ def _check_samples(name: str, series: Any) -> None:
         ends = [start + count for start, count in zip(page.dataoffsets, page.databytecounts, strict=True)]
         if not ends or max(ends) > length or min(page.databytecounts) < 1:
             raise FormatError(f"{name} must hold the samples of every slice; some lie past the end of the file")
-    if series.keyframe.compression == 1:  # before memory for them is asked for
+    if series.keyframe.compression == 1:  # checked before memory is allocated
         bits = sample_count(series.shape) * series.keyframe.bitspersample
         if bits > sum(lengths.values()) * 8:
             raise FormatError(f"{name} must hold {bits // 8} bytes of samples; found {sum(lengths.values())}")
 
 
 def _ome(description: str) -> tuple[list[float], str, bool]:
-    """Spacing and unit of OME-XML, and whether it tells a distance of slices. NaN: the file does not say."""
+    """Spacing and unit of OME-XML, and whether it gives a distance of slices. NaN: the file does not say."""
     elements = ET.fromstring(description).iter()
     pixels = next((element for element in elements if element.tag.rpartition("}")[2] == "Pixels"), None)
     if pixels is None:

@@ -1,4 +1,4 @@
-"""One page that tells which filter to use for a volume: pictures, errors, frequencies, and a recommendation in words.
+"""One page that says which filter to use for a volume: pictures, errors, frequencies, and a recommendation in words.
 
 >>> from clvol import reports
 >>> reports.report(clvol.read("scan.nii.gz"), "report/")
@@ -21,8 +21,8 @@ from clvol.device import Device, as_device
 from clvol.errors import FormatError, OptionError
 from clvol.figures import cost
 from clvol.figures.style import require_matplotlib
+from clvol.files import require_folder, staged
 from clvol.filter import Filter
-from clvol.formats._files import require_folder, staged
 from clvol.reports import html, spectrum
 from clvol.reports.advice import Advice, advise
 from clvol.reports.pictures import Cards, cards
@@ -31,26 +31,25 @@ from clvol.volume import Volume, as_volume
 __all__ = ["REPORTED", "Advice", "Report", "advise", "page", "report"]
 
 REPORTED = ("nearest", "linear", "bspline3-approx", "mitchell", "catmull-rom", "bspline3", "omoms3", "bspline5", "hybrid")
-"""What a report compares unless told otherwise, beside the exact sinc."""
+"""The default filters of a report; the exact sinc is added."""
 
-_MEASURED = 1 << 22  # samples that are measured: of a larger volume the middle
-_POINTS = 20_000  # gradients that are compared
+_POINTS = 20_000  # compared gradients
 _SHARE = 0.6  # of the time that measuring takes
 _FACTOR = 2
 
 
 @dataclass(frozen=True)
 class Report:
-    """A page that was written.
+    """A written report.
 
     Attributes
     ----------
     path : Path
         The HTML file.
     table : ErrorTable
-        What was measured.
+        The measured errors.
     advice : Advice
-        What is recommended.
+        The recommendation.
     """
 
     path: Path
@@ -82,25 +81,28 @@ def report(
     pixels: int = 280,
     boundary: str | Boundary = DEFAULT_BOUNDARY,
     *,
+    max_samples: int = 1 << 22,
     device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
     **options: Any,
 ) -> Report:
-    """Measure, draw and recommend; the page holds all its pictures and is written when it is whole.
+    """Measure, draw and recommend; the page embeds its pictures and is written when it is complete.
 
     Parameters
     ----------
     volume : Volume or array-like, 3-D
-        Of one with more than four million samples the middle is measured; all of it is drawn.
+        What is measured and drawn.
     output : str or Path
         A folder, which then holds index.html, or a file that ends in .html.
     name : str
-        What the data are called.
+        Name of the data.
     filters : sequence of str or Filter
-        What is compared and drawn; rows of one's own need not be registered. The exact sinc is compared too, named or
-        not, where the boundary rule has a period.
+        What is compared and drawn; filters of your own need not be registered. The exact sinc is always compared if the
+        boundary rule has a period.
     pixels : int
         Width and height of each picture.
+    max_samples : int
+        How many samples are measured: of a larger volume the middle. All of it is drawn.
     boundary, device, progress
         As for `clvol.render`.
     **options
@@ -110,7 +112,16 @@ def report(
     ------
     DataError
         NaN or infinite samples.
-    OptionError, FormatError, DeviceError, MissingDependencyError
+    OptionError
+        The volume does not have 3 axes, an argument is invalid, or no filter to draw is named.
+    FormatError
+        The report cannot be written there.
+    DeviceError
+        No usable device, or it failed.
+    OutOfMemoryError
+        The volume or what is computed from it does not fit.
+    MissingDependencyError
+        matplotlib is not installed.
     """
     require_matplotlib()
     volume, file = as_volume(volume), page(output)
@@ -118,6 +129,7 @@ def report(
         raise OptionError(f"a report takes a volume with 3 axes; got shape {volume.shape}")
     volume.require_finite()
     pixels, rule, on = whole("pixels", pixels, 16), as_boundary(boundary), as_device(device)
+    max_samples = whole("max_samples", max_samples, 1)
     named = as_compared(filters)
     chosen = [row for row in named if isinstance(row, Filter)]
     if not chosen:
@@ -125,10 +137,16 @@ def report(
     measured: list[str | Filter] = [*chosen]
     if rule.period is not None or EXACT_SINC in named:
         measured.append(EXACT_SINC)
-    told = progress or (lambda _: None)
-    middle = _middle(volume)
+    advance = progress or (lambda _: None)
+    middle = _middle(volume, max_samples)
     table = analysis.compare(
-        middle, measured, boundary=rule, factor=_FACTOR, points=_POINTS, timing_device=on, progress=lambda done: told(_SHARE * done)
+        middle,
+        measured,
+        boundary=rule,
+        factor=_FACTOR,
+        points=_POINTS,
+        timing_device=on,
+        progress=lambda done: advance(_SHARE * done),
     )
     found = spectrum.spectra(middle)
     advice = advise(table, spectrum.high_share(found))
@@ -143,27 +161,25 @@ def report(
             rule,
             _FACTOR,
             on,
-            lambda done: told(_SHARE + (0.97 - _SHARE) * done),
+            lambda done: advance(_SHARE + (0.97 - _SHARE) * done),
             options,
         )
     text = _page(name, volume, middle, table, advice, found, drawn)
     try:
         file.parent.mkdir(exist_ok=True)
-        with staged(file, file.suffix) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-    except FormatError:
-        raise
     except OSError as error:
         raise FormatError(f"cannot write {file}: {error}") from error
-    told(1.0)
+    with staged(file, file.suffix) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    advance(1.0)
     return Report(file, table, advice)
 
 
-def _middle(volume: Volume) -> Volume:
-    """As much about the middle as is measured, every axis cut alike."""
-    if volume.data.size <= _MEASURED:
+def _middle(volume: Volume, max_samples: int) -> Volume:
+    """The part about the middle that has at most `max_samples`, every axis cut in the same proportion."""
+    if volume.data.size <= max_samples:
         return volume
-    share = (_MEASURED / volume.data.size) ** (1 / 3)
+    share = (max_samples / volume.data.size) ** (1 / 3)
     sizes = [max(1, int(n * share)) for n in volume.size]
     low = [(n - m) // 2 for n, m in zip(volume.size, sizes, strict=True)]
     return volume.crop(low, [a + m for a, m in zip(low, sizes, strict=True)])
@@ -191,6 +207,6 @@ def _page(
             {"filter": r.filter, "nanoseconds": 1000 * (r.seconds or 0), "rms": r.rms, "angle_mean": r.angle_mean or None}
             for r in timed
         ]
-        drawing = cost.plot(numbers, "RMS error of the values", "to the left is faster, below is better; line: nothing is both")
+        drawing = cost.plot(numbers, "RMS error of the values", "left is faster, lower is better; line: nothing is both")
         plots.append(("Error and time", html.inline(drawing)))
     return html.page(name, facts, advice, table, drawn, plots)

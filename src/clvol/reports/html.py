@@ -1,4 +1,4 @@
-"""A report as one HTML page: pictures inside it as data, no scripts, nothing from a network."""
+"""A report as one HTML page: pictures embedded as data, no scripts, nothing from a network."""
 
 from __future__ import annotations
 
@@ -35,19 +35,20 @@ th:first-child, td:first-child { text-align: left } tr.chosen { background: #eef
 .dot { display: inline-block; width: .8em; height: .8em; border-radius: 50%; margin-right: .5em }
 .note { color: #6f6f6f; font-size: .9rem } img.plot { max-width: 100% }
 """.strip()
-_CONSTANT = "The data hold one value throughout: there is nothing to draw."
+_CONSTANT = "All samples have the same value: there is nothing to draw."
 _DPI = 110
 _WHITE_TO_RED = ((1.0, 1.0, 1.0), (0.95, 0.55, 0.4), (0.6, 0.05, 0.1))
-_SHOWN = 0.995  # quantile of the differences that the strongest colour stands for
+_SHOWN = 0.995  # the strongest colour is this quantile of the differences
 _LOWER = {"rms", "maximum", "gradient_rms", "angle_mean", "angle_median", "angle_95", "overshoot", "seconds"}
 _NOTES = (
-    "The data are low-passed, every second sample along each axis is kept, and what each filter reconstructs from these is "
-    "compared with all samples of the data but those near the faces. So values are asked for at the samples kept and half-way "
-    "between them only. There the hybrid's are those of bspline3, which it magnifies with; its gradients tell them apart. And "
-    "half-way, nearest has two samples as near and takes the upper one, so that its error at hard edges is a matter of chance.",
-    "Overshoot is how far values leave the range of the samples. Angles are those between a gradient and that of a quintic "
-    "spline through all samples. A dash stands for what does not exist. The best of each column is bold: the greatest of PSNR "
-    "and SSIM, the least of the others.",
+    "The data are low-passed and every second sample along each axis is kept. Each filter reconstructs the data from these "
+    "samples, and the result is compared with all original samples except those near the faces. So values are compared only at "
+    "the kept samples and half-way between them. There the hybrid equals bspline3, by which it magnifies; only its gradients "
+    "differ. Half-way, nearest has two equally near samples and takes the upper one, so its error at hard edges is a matter of "
+    "chance.",
+    "Overshoot is how far values leave the range of the samples. Angles are measured between a gradient and that of a quintic "
+    "spline through all samples. A dash means that the number does not exist. The best of each column is bold: the largest PSNR "
+    "and SSIM, the smallest of the others.",
 )
 
 
@@ -127,9 +128,9 @@ def _best(table: ErrorTable) -> dict[int, set[int]]:
 
 
 def _named(name: str) -> str:
-    spoken = "" if title(name) == name else f'<br><span class="note">{escape(title(name))}</span>'
+    in_words = "" if title(name) == name else f'<br><span class="note">{escape(title(name))}</span>'
     shown = "sinc" if name == EXACT_SINC else name
-    return f'<span class="dot" style="background:{colour(name)}"></span>{escape(shown)}{spoken}'
+    return f'<span class="dot" style="background:{colour(name)}"></span>{escape(shown)}{in_words}'
 
 
 def _cards(drawn: Cards) -> str:
@@ -139,11 +140,11 @@ def _cards(drawn: Cards) -> str:
         f"<th>{text}</th>"
         for text in (
             "",
-            "the whole",
+            "whole view",
             "close-up where filters differ",
-            f"difference of the close-up to {best}'s",
+            f"close-up: difference from {best}",
             "close-up from every second sample",
-            f"its difference to {best} from all samples",
+            f"its difference from {best} with all samples",
         )
     )
     rows = []
@@ -161,7 +162,7 @@ def _scale(differences: Sequence[ArrayLike]) -> float:
     return max(float(np.quantile(np.stack([np.asarray(d) for d in differences]), _SHOWN)), 1 / 255)
 
 
-def _heat(difference: ArrayLike, most: float) -> Any:
-    share = np.clip(np.asarray(difference, np.float64) / most, 0, 1)
+def _heat(difference: ArrayLike, maximum: float) -> Any:
+    share = np.clip(np.asarray(difference, np.float64) / maximum, 0, 1)
     stops = np.linspace(0, 1, len(_WHITE_TO_RED))
     return np.stack([np.interp(share, stops, [c[i] for c in _WHITE_TO_RED]) for i in range(3)], -1)

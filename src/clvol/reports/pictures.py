@@ -1,4 +1,4 @@
-"""The pictures of a report: one view by each filter, a close-up where filters differ, and the same from every second sample."""
+"""The pictures of a report: a view by each filter, a close-up where filters differ, and the same from every second sample."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ __all__ = ["Card", "Cards", "cards"]
 
 Picture: TypeAlias = NDArray[np.float32]
 _CLOSER = 4.0
-_BLUR = 12  # of the picture's width: how large the place is that filters are looked for to differ at
+_BLUR = 12  # the place where filters differ most is sought with a window of this fraction of the width
 
 
 @dataclass(frozen=True)
 class Card:
-    """What is shown of one filter; pictures (height, width, 3), differences (height, width).
+    """The pictures of one filter, (height, width, 3), and their differences, (height, width).
 
     Attributes
     ----------
@@ -35,11 +35,11 @@ class Card:
     whole, closer : ndarray
         From all samples.
     difference : ndarray
-        Of the close-up to that of the filter recommended, from all samples.
+        Between the close-up and that of the recommended filter, from all samples.
     fewer : ndarray
         The close-up from every second sample along each axis.
     error : ndarray
-        Its difference to the close-up of the filter recommended from all samples.
+        Its difference from the close-up of the recommended filter with all samples.
     """
 
     filter: str
@@ -52,7 +52,7 @@ class Card:
 
 @dataclass(frozen=True)
 class Cards:
-    """A card for each filter, the filter that differences refer to, and how they were drawn, in words."""
+    """A card for each filter, the name of the filter that differences refer to, and the mode."""
 
     cards: list[Card]
     reference: str
@@ -71,7 +71,7 @@ def cards(
     options: dict[str, Any],
 ) -> Cards:
     """Draw everything; `options` are those of `Renderer.render`."""
-    look = settled(volume, options)  # the decimated volume's histogram is another
+    look = settled(volume, options)  # settled once: the decimated volume has another histogram
     look["background"] = look.get("background") or (1.0, 1.0, 1.0)
     camera: Camera = look.pop("camera")
     few = volume.gaussian([factor / 2 * s for s in volume.spacing]).downsample(factor)
@@ -106,7 +106,7 @@ def cards(
 
 
 def _closer(camera: Camera, a: Any, b: Any) -> Camera:
-    """Four times as near, at what lies where two filters' pictures differ most."""
+    """Four times as near, aimed at what two filters draw most differently."""
     from scipy import ndimage
 
     apart = ndimage.uniform_filter(_difference(_rgb(a), _rgb(b)), max(1, a["rgba"].shape[1] // _BLUR))

@@ -1,4 +1,4 @@
-"""How much of the data lies at which frequency, beside what filters leave of it."""
+"""The frequencies of the data, beside the responses of the filters."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["Spectra", "high_share", "plot", "spectra"]
 
 Array: TypeAlias = NDArray[np.float64]
 Spectra: TypeAlias = list[tuple[str, Array, Array]]
-"""Axis, frequencies up to Nyquist in radians a sample, and the variance at each: its sum is 1 (0 for constant data)."""
+"""Axis, frequencies up to Nyquist in radians per sample, and the variance at each: its sum is 1 (0 for constant data)."""
 
 _FLOOR = -80.0  # decibels
 
@@ -30,7 +30,7 @@ def spectra(volume: Volume) -> Spectra:
     """Power spectra along each axis of three samples or more, means and ends tapered away."""
     result: Spectra = []
     low, high = volume.value_range
-    span = high - low or math.inf  # of constant data nothing is left, not even what rounding makes of their mean
+    span = high - low or math.inf  # constant data give exactly 0, without rounding errors of the mean
     for axis, name in zip(range(volume.ndim), "zyx"[-volume.ndim :], strict=True):
         n = volume.shape[axis]
         if n < 3:
@@ -50,7 +50,7 @@ def high_share(found: Spectra) -> float | None:
 
 
 def plot(found: Spectra, filters: Sequence[Filter]) -> Figure:
-    """The filters' responses (left), and what the data hold at each frequency (right)."""
+    """The filters' responses (left) and the power of the data at each frequency (right)."""
     omega = np.linspace(0, 2 * np.pi, 601)
     shown = [one for one in found if one[2].any()]
     with styled():
@@ -72,7 +72,7 @@ def plot(found: Spectra, filters: Sequence[Filter]) -> Figure:
             level = 10 * np.log10(np.maximum(power / max(power.max(initial=0), 1e-300), 1e-12))
             right.plot(w / np.pi, np.maximum(level, _FLOOR), style, color=INK, linewidth=1.3, label=f"along {name}")
         if not shown:
-            right.annotate("nothing: they are constant", (0.25, 0.5), xycoords="axes fraction", ha="center", fontsize=9, color=GREY)
+            right.annotate("the data are constant", (0.25, 0.5), xycoords="axes fraction", ha="center", fontsize=9, color=GREY)
         right.axvspan(0.5, 1, color="#f4f4f4", zorder=0)
         right.annotate(
             "above half of Nyquist", (0.75, 0.97), xycoords="axes fraction", ha="center", va="top", fontsize=8.5, color=GREY
@@ -81,8 +81,8 @@ def plot(found: Spectra, filters: Sequence[Filter]) -> Figure:
             xlim=(0, 1),
             ylim=(_FLOOR, 3),
             xlabel="frequency ω / π",
-            ylabel="power, decibels of the greatest",
-            title="what the data hold",
+            ylabel="power, decibels relative to the peak",
+            title="what the data contain",
         )
         if shown:
             right.legend(fontsize=8, loc="lower left")

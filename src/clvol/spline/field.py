@@ -13,13 +13,14 @@ from clvol.checks import whole
 from clvol.device import Device, as_device
 from clvol.errors import DataError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.interop import read_array
 from clvol.program import LANES
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import EvaluatorName, FetchName, choose_evaluator
 from clvol.spline.points import sample_coefficients
 from clvol.spline.prefilter import _prefilter
 from clvol.spline.resample import _run_lattice
-from clvol.volume import Volume, as_volume, read_array
+from clvol.volume import Volume, as_volume
 
 __all__ = ["Floats", "Progress", "magnify", "prefilter", "resample", "sample"]
 

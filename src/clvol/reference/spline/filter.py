@@ -27,8 +27,8 @@ def kernel(filter: str | Filter, x: ArrayLike, derivative: int = 0) -> Array:
     Parameters
     ----------
     filter : str or Filter
-        Any row of the table or of its families. A row that a user made is unknown to the closed
-        forms; for it, `Filter.__call__` answers, and a comparison of the two says nothing.
+        Any filter of the table or of its families. The closed forms do not know a filter made by a user;
+        `Filter.__call__` answers for it, and a comparison of the two proves nothing.
     x : array-like
         Distances in samples (of the finer grid for a hybrid).
     derivative : {0, 1, 2}
@@ -41,15 +41,15 @@ def kernel(filter: str | Filter, x: ArrayLike, derivative: int = 0) -> Array:
     """
     if derivative not in (0, 1, 2):
         raise OptionError(f"derivative must be 0, 1 or 2; got {derivative!r}")
-    row = as_filter(filter)
+    chosen = as_filter(filter)
     distance = np.asarray(x, dtype=np.float64)
-    closed = _closed_form(row)
-    return row(distance, derivative) if closed is None else closed(distance, derivative)
+    closed = _closed_form(chosen)
+    return chosen(distance, derivative) if closed is None else closed(distance, derivative)
 
 
-def _closed_form(row: Filter) -> Closed | None:
-    """The closed form of a row, recognised by its name if its maker makes just these taps."""
-    name = row.name
+def _closed_form(filter: Filter) -> Closed | None:
+    """The closed form of a filter, recognised by its name if its maker makes just these taps."""
+    name = filter.name
     made, closed = None, None
     if name in ("nearest", "linear", "hybrid") or re.fullmatch(r"bspline[2-9](-approx)?", name):
         degree = {"nearest": 0, "linear": 1, "hybrid": 1}.get(name) if name[0] != "b" else int(name[7])
@@ -67,7 +67,7 @@ def _closed_form(row: Filter) -> Closed | None:
         if not 1 <= radius <= 8:
             return None
         made, closed = (sinc(radius), _sinc(radius)) if match[1] == "sinc" else (lanczos(radius), _lanczos(radius))
-    return closed if made is not None and made.taps == row.taps else None
+    return closed if made is not None and made.taps == filter.taps else None
 
 
 def _power(x: Array, k: int) -> Array:

@@ -20,7 +20,7 @@ from clvol.volume import Volume, as_volume
 __all__ = ["magnify", "resample", "sample"]
 
 Array: TypeAlias = NDArray[np.float64]
-_CHUNK = 1 << 21  # products held at a time
+_CHUNK = 1 << 21  # products in memory at a time
 
 
 def sample(
@@ -48,7 +48,7 @@ def sample(
     -------
     ndarray of float64, shape (...), (..., d) or (..., d, d)
     """
-    volume, row = as_volume(volume), as_filter(filter)
+    volume, chosen = as_volume(volume), as_filter(filter)
     if derivative not in (0, 1, 2):
         raise OptionError(f"derivative must be 0, 1 or 2; got {derivative!r}")
     d = volume.ndim
@@ -58,7 +58,7 @@ def sample(
     finite = np.isfinite(flat).all(-1)
     result = np.full((flat.shape[0], d**derivative), np.nan)
     if finite.any():
-        result[finite] = _at_indices(volume.data, flat[finite], row, boundary, derivative)
+        result[finite] = _at_indices(volume.data, flat[finite], chosen, boundary, derivative)
     w = volume.world_to_index_matrix  # index_j = sum over i of w[j, i] world_i
     shaped = result.reshape(index.shape[:-1] + (d,) * derivative)
     if derivative == 1:
@@ -115,20 +115,20 @@ def magnify(
     return resample(volume, like=fine, filter=filter, boundary=boundary)
 
 
-def _at_indices(data: NDArray[np.generic], index: Array, row: Filter, boundary: str | Boundary, derivative: int) -> Array:
+def _at_indices(data: NDArray[np.generic], index: Array, filter: Filter, boundary: str | Boundary, derivative: int) -> Array:
     """Derivatives per sample at finite index positions of shape (N, d), x first."""
-    d, scale = data.ndim, row.scale
-    by = row.magnified_by
-    margin = row.support / 2 / scale + (by.support / 2 if by else 0) + 2
+    d, scale = data.ndim, filter.scale
+    by = filter.magnified_by
+    margin = filter.support / 2 / scale + (by.support / 2 if by else 0) + 2
     near = index.copy()
     for j, n in enumerate(data.shape[::-1]):
         cycle = period(n, boundary)
-        if cycle is None:  # further out there is nothing, as here
+        if cycle is None:  # farther out everything is 0, as here
             near[:, j] = np.clip(near[:, j], -margin, n - 1 + margin)
         else:
             away = (near[:, j] < -0.5) | (near[:, j] > n - 0.5)
             near[away, j] = np.mod(near[away, j], cycle)
-    coefficients = prefilter(data, row, boundary)
+    coefficients = prefilter(data, filter, boundary)
     widths = [
         (math.ceil(max(0.0, margin - near[:, j].min())), math.ceil(max(0.0, near[:, j].max() + margin - n + 1)))
         for j, n in enumerate(data.shape[::-1])
@@ -139,7 +139,7 @@ def _at_indices(data: NDArray[np.generic], index: Array, row: Filter, boundary: 
         for axis in range(d):
             stored = _refine(stored, axis, by, scale)
         first = first * scale
-    return _blend(stored, first, near[:, ::-1] * scale, row, derivative) * float(scale) ** derivative
+    return _blend(stored, first, near[:, ::-1] * scale, filter, derivative) * float(scale) ** derivative
 
 
 def _refine(coefficients: Array, axis: int, by: Filter, scale: int) -> Array:
@@ -150,13 +150,13 @@ def _refine(coefficients: Array, axis: int, by: Filter, scale: int) -> Array:
     return np.moveaxis(np.tensordot(basis, coefficients, (1, axis)), 0, axis)
 
 
-def _blend(stored: Array, first: NDArray[np.int64], at: Array, row: Filter, derivative: int) -> Array:
+def _blend(stored: Array, first: NDArray[np.int64], at: Array, filter: Filter, derivative: int) -> Array:
     """Eq. (8), a product for each axis: sums of coefficients times kernels at all distances within reach.
 
     `at` is z first; results are x first.
     """
     d = stored.ndim
-    reach = math.ceil(row.support / 2)
+    reach = math.ceil(filter.support / 2)
     window = np.arange(1 - reach, reach + 1)  # all within reach of a position above 0 and below 1, or at 0
     axes = "zyx"[-d:]
     orders = {
@@ -169,7 +169,7 @@ def _blend(stored: Array, first: NDArray[np.int64], at: Array, row: Filter, deri
     for begin in range(0, at.shape[0], step):
         part = at[begin : begin + step]
         index = np.floor(part).astype(np.int64)[:, :, None] + window  # (N, d, window)
-        weights = [kernel(row, part[:, :, None] - index, m) for m in range(derivative + 1)]
+        weights = [kernel(filter, part[:, :, None] - index, m) for m in range(derivative + 1)]
         place = np.clip(index - first[:, None], 0, np.array(stored.shape)[:, None] - 1)  # clipped ones have weight 0
         grids = [place[:, a].reshape(-1, *(window.size if i == a else 1 for i in range(d))) for a in range(d)]
         block = stored[tuple(grids)]

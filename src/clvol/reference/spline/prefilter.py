@@ -21,8 +21,8 @@ Array: TypeAlias = NDArray[np.float64]
 
 def kernel_samples(filter: str | Filter) -> Array:
     """The kernel at 0, 1, 2, ... up to the last that is not zero: the entries of eq. (11)."""
-    row = as_filter(filter)
-    b = kernel(row, np.arange((row.support + 1) // 2 + 1))
+    chosen = as_filter(filter)
+    b = kernel(chosen, np.arange((chosen.support + 1) // 2 + 1))
     return b[: int(np.flatnonzero(np.abs(b) > 1e-12)[-1]) + 1]
 
 
@@ -38,11 +38,11 @@ def prefilter(data: ArrayLike, filter: str | Filter = DEFAULT_FILTER, boundary: 
     boundary : str or Boundary
         Says which coefficients stand past the edge, hence the matrix's corners.
     """
-    result, row = _arguments(data, filter)
-    if row.prefilter:
+    result, chosen = _arguments(data, filter)
+    if chosen.prefilter:
         for axis in range(result.ndim):
             lines = np.moveaxis(result, axis, 0)
-            solved = _solve(lines.reshape(lines.shape[0], -1), kernel_samples(row), boundary)
+            solved = _solve(lines.reshape(lines.shape[0], -1), kernel_samples(chosen), boundary)
             result = np.moveaxis(solved.reshape(lines.shape), 0, axis)
     return np.ascontiguousarray(result)
 
@@ -55,9 +55,9 @@ def prefilter_fft(data: ArrayLike, filter: str | Filter = DEFAULT_FILTER, bounda
     rule = as_boundary(boundary)
     if rule.name == "zero":
         raise OptionError("boundary must be mirror, reflect or wrap, which have a period; got 'zero'")
-    result, row = _arguments(data, filter)
-    if row.prefilter:
-        b = kernel_samples(row)
+    result, chosen = _arguments(data, filter)
+    if chosen.prefilter:
+        b = kernel_samples(chosen)
         for axis in range(result.ndim):
             lines = np.moveaxis(result, axis, -1)
             n = lines.shape[-1]
@@ -81,8 +81,8 @@ def _arguments(data: ArrayLike, filter: str | Filter) -> tuple[Array, Filter]:
     samples = samples.astype(np.float64)
     if not np.isfinite(samples).all():
         raise DataError("samples must be finite")
-    row = as_filter(filter)
-    return samples, row.magnified_by or row
+    chosen = as_filter(filter)
+    return samples, chosen.magnified_by or chosen
 
 
 def _solve(lines: Array, b: Array, boundary: str | Boundary) -> Array:

@@ -44,46 +44,49 @@ def lattice(
 
     Returns
     -------
-    ndarray of float64, as long along each axis as its positions are many
+    ndarray of float64, with one value for each combination of positions
 
     Raises
     ------
-    DataError, OptionError
+    DataError
+        Samples that are not finite real numbers.
+    OptionError
+        Positions outside the domain, a number of axes or orders that does not fit the data, or an unknown name.
     """
-    row = as_filter(filter)
-    result = prefilter(data, row, boundary)
+    chosen = as_filter(filter)
+    result = prefilter(data, chosen, boundary)
     orders = [0] * result.ndim if orders is None else orders
     if len(axes) != result.ndim or len(orders) != result.ndim:
         raise OptionError(f"axes and orders must be {result.ndim}, one for each axis; got {len(axes)} and {len(orders)}")
     for axis, (positions, order) in enumerate(zip(axes, orders, strict=True)):
         lines = np.moveaxis(result, axis, 0)
-        matrix = _matrix(lines.shape[0], np.asarray(positions, dtype=np.float64), row, boundary, order)
+        matrix = _matrix(lines.shape[0], np.asarray(positions, dtype=np.float64), chosen, boundary, order)
         drawn = matrix @ lines.reshape(lines.shape[0], -1)
         result = np.moveaxis(drawn.reshape(-1, *lines.shape[1:]), 0, axis)
     return np.ascontiguousarray(result)
 
 
-def _matrix(n: int, x: Array, row: Filter, boundary: str | Boundary, order: int) -> sparse.csr_array:
+def _matrix(n: int, x: Array, filter: Filter, boundary: str | Boundary, order: int) -> sparse.csr_array:
     """Weights of the coefficients of an axis at positions `x`; shape (x.size, n)."""
     if x.ndim != 1 or not ((x >= -0.5) & (x <= n - 0.5)).all():
         raise OptionError(f"positions along an axis of {n} must lie between {-0.5} and {n - 0.5}; got {x}")
-    margin = row.support + 1
-    if row.magnified_by is None:
-        return sparse.csr_array(_weights(x, row, order, n, margin) @ _continued(n, margin, boundary))
+    margin = filter.support + 1
+    if filter.magnified_by is None:
+        return sparse.csr_array(_weights(x, filter, order, n, margin) @ _continued(n, margin, boundary))
     # a hybrid: the finer samples within reach, each from the coefficients
-    by, scale = row.magnified_by, row.scale
+    by, scale = filter.magnified_by, filter.scale
     fine = np.arange(-scale * margin, scale * (n + margin)) / scale
     wider = margin + by.support
     magnified = _weights(fine, by, 0, n, wider) @ _continued(n, wider, boundary)
-    drawn = _weights(x * scale, row, order, scale * n, scale * margin) * float(scale) ** order
+    drawn = _weights(x * scale, filter, order, scale * n, scale * margin) * float(scale) ** order
     return sparse.csr_array(drawn @ magnified)
 
 
-def _weights(x: Array, row: Filter, order: int, n: int, margin: int) -> sparse.csr_array:
+def _weights(x: Array, filter: Filter, order: int, n: int, margin: int) -> sparse.csr_array:
     """Kernels at all distances within reach, over indices ``-margin`` to ``n + margin - 1``."""
-    reach = math.ceil(row.support / 2)
+    reach = math.ceil(filter.support / 2)
     index = np.floor(x).astype(np.int64)[:, None] + np.arange(1 - reach, reach + 1)
-    values = kernel(row, x[:, None] - index, order)
+    values = kernel(filter, x[:, None] - index, order)
     at = np.broadcast_to(np.arange(x.size)[:, None], values.shape)
     used = values != 0
     return sparse.csr_array((values[used], (at[used], index[used] + margin)), shape=(x.size, n + 2 * margin))
@@ -91,6 +94,6 @@ def _weights(x: Array, row: Filter, order: int, n: int, margin: int) -> sparse.c
 
 def _continued(n: int, margin: int, boundary: str | Boundary) -> sparse.csr_array:
     """Which coefficient stands at each index from ``-margin`` to ``n + margin - 1``."""
-    stands = extend(np.arange(1, n + 1), margin, boundary) - 1  # 0 is none
+    stands = extend(np.arange(1, n + 1), margin, boundary) - 1  # -1: none
     known = np.flatnonzero(stands >= 0)
     return sparse.csr_array((np.ones(known.size), (known, stands[known])), shape=(stands.size, n))
