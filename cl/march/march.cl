@@ -61,7 +61,7 @@ INLINE int within(int i, int most) { return i < GRID_SCALE ? GRID_SCALE : i > mo
 // past what is stored.
 INLINE cell_t locate_stored(VOLUME_PARAMS, float x, float y, float z)
 {
-    const int reach = TAPS + GRID_SCALE + EIGHT_FETCH_VALUE;
+    const int reach = TAPS + GRID_SCALE + PAIRED_VALUE;
     cell_t c = locate(x, y, z, extent.w);
     c.x = within(c.x, extent.x - (WEIGHTS > reach ? WEIGHTS : reach));
     c.y = within(c.y, extent.y - reach);

@@ -1,7 +1,7 @@
 // Value, gradient and Hessian of the reconstructed function at one point: by direct taps, or by
 // trilinear fetches that each serve two taps an axis (Sigg and Hadwiger, GPU Gems 2, chapter 20).
 //
-// Set by the host: DIMENSIONS (2 or 3), EIGHT_FETCH_VALUE and EIGHT_FETCH_GRADIENT (whether pairs of
+// Set by the host: DIMENSIONS (2 or 3), PAIRED_VALUE and PAIRED_GRADIENT (whether pairs of
 // weights, and of their derivatives, share their sign: Filter.pairable), besides what is included.
 
 // Where a point lies among the stored coefficients: the first tap, and the fraction past it.
@@ -185,7 +185,7 @@ INLINE gradient_t pairs_gradient(VOLUME_PARAMS, cell_t c, float *value)
 
 INLINE float sample_value(VOLUME_PARAMS, cell_t c)
 {
-#if EIGHT_FETCH_VALUE
+#if PAIRED_VALUE
     return pairs_value(VOLUME, c);
 #else
     return taps_value(VOLUME, c);
@@ -195,7 +195,7 @@ INLINE float sample_value(VOLUME_PARAMS, cell_t c)
 // The gradient per stored coefficient, and the value beside it.
 INLINE gradient_t sample_gradient(VOLUME_PARAMS, cell_t c, float *value)
 {
-#if EIGHT_FETCH_VALUE && EIGHT_FETCH_GRADIENT
+#if PAIRED_VALUE && PAIRED_GRADIENT
     return pairs_gradient(VOLUME, c, value);
 #else
     return taps_gradient(VOLUME, c, value);

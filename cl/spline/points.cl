@@ -163,7 +163,7 @@ INLINE void run_into(VOLUME_PARAMS, source_t source, int count, const int4 size,
 
 // -- kernels: a work-item takes RUN points ----------------------------------------------------------------
 
-#if !LATTICE
+#if !ON_GRID
 
 kernel void sample_points(VOLUME_PARAMS, const int4 size, const int4 period, constant coord *transform,
                           global const POINT *points, const ulong count, const float fill, global float *results)
@@ -176,7 +176,7 @@ kernel void sample_points(VOLUME_PARAMS, const int4 size, const int4 period, con
 #else
 
 // lattice: the number of points along x and y, and the first row and slice of this launch.
-kernel void sample_lattice(VOLUME_PARAMS, const int4 size, const int4 period, constant coord *transform,
+kernel void sample_grid(VOLUME_PARAMS, const int4 size, const int4 period, constant coord *transform,
                            const int4 lattice, const float fill, global float *results)
 {
     source_t source = { get_global_id(0) * RUN, (int)get_global_id(1) + lattice.z, (int)get_global_id(2) + lattice.w, 0 };

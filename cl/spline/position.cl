@@ -1,9 +1,9 @@
 // Where points come from, where their results belong, and where in the volume they lie.
 //
-// Set by the host: LATTICE (points are computed, not read), POINT (the type of those that are read), POINT_BITS (its
+// Set by the host: ON_GRID (points are computed, not read), POINT (the type of those that are read), POINT_BITS (its
 // size), SORTED (each is followed by its place in the list that it was in: order.cl).
 
-#if LATTICE
+#if ON_GRID
 // (i, j, k), and those that follow along i
 typedef struct { int i, j, k; size_t first; } source_t;
 INLINE size_t place_of(source_t source, int n) { return source.first + n; }
@@ -38,7 +38,7 @@ typedef struct { coord x, y, z; } position_t;
 
 INLINE position_t point_of(source_t source, int n)
 {
-#if LATTICE
+#if ON_GRID
     const position_t p = { source.i + n, source.j, source.k };
 #else
     global const POINT *point = source.points + STRIDE * (source.first + n);

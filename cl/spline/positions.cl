@@ -30,7 +30,7 @@ typedef struct { coords_t x, y, z; } group_t;
 INLINE group_t group_of(source_t source, int n, int count)
 {
     group_t p;
-#if LATTICE
+#if ON_GRID
     p.x = to_coords(source.i + n + (mask)(0, 1, 2, 3, 4, 5, 6, 7));
     p.y = to_coords((mask)(source.j));
     p.z = to_coords((mask)(source.k));

@@ -32,7 +32,7 @@ from clvol.march.renderer import Renderer, render
 from clvol.mode import Mode, modes
 from clvol.picture import save
 from clvol.response import frequency_response, prefilter_response
-from clvol.spline.field import magnify, prefilter, resample, sample
+from clvol.spline.field import Field, magnify, prefilter, resample, sample
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
 
@@ -45,6 +45,7 @@ __all__ = [
     "DataError",
     "Device",
     "DeviceError",
+    "Field",
     "Filter",
     "FormatError",
     "GeometryError",

@@ -13,8 +13,8 @@ import numpy as np
 from clvol.boundary import Boundary
 from clvol.device import Device
 from clvol.filter import Filter
-from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import choose_evaluator
+from clvol.spline.field import coefficients_of
 from clvol.spline.points import sample_coefficients
 from clvol.volume import Volume
 
@@ -50,7 +50,7 @@ def seconds_a_sample(
         first, least = len(least), least + [np.inf] * len(some)
         with ExitStack() as stack:
             held = [
-                (stack.enter_context(Coefficients(volume, row, boundary, device)), choose_evaluator(device, row)) for row in some
+                (stack.enter_context(coefficients_of(volume, row, boundary, device)), choose_evaluator(device, row)) for row in some
             ]
             for coefficients, path in held:
                 sample_coefficients(coefficients, path, points[:64])  # builds the kernel

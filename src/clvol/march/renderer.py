@@ -32,10 +32,9 @@ from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.light import HEADLIGHT, MAX_LIGHTS, Light, Material
 from clvol.mode import DEFAULT_MODE, Mode, as_mode
 from clvol.spline.build import row_reach, row_width
-from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import Evaluator, EvaluatorName, FetchName, choose_evaluator
-from clvol.spline.field import Floats, Progress
-from clvol.spline.minmax import BLOCK, MAX_LEVELS, Bounds
+from clvol.spline.field import Floats, Progress, coefficients_of
+from clvol.spline.minmax import BLOCK, MAX_LEVELS, MinMax
 from clvol.transfer import TABLE_SIZE, TransferFunction, otsu_threshold
 from clvol.volume import Volume, as_volume
 
@@ -194,9 +193,9 @@ class Renderer:
             raise OptionError(f"rendering takes a volume with 3 axes; got shape {self.volume.shape}")
         row, rule = as_filter(filter), as_boundary(boundary)
         self.device = as_device(device)
-        self.coefficients = Coefficients(self.volume, row, rule, self.device)
+        self.coefficients = coefficients_of(self.volume, row, rule, self.device)
         self._transfers: dict[Mode, TransferFunction] = {}
-        self._bounds: dict[Evaluator, Bounds] = {}
+        self._bounds: dict[Evaluator, MinMax] = {}
 
     @property
     def filter(self) -> Filter:
@@ -457,7 +456,7 @@ class Renderer:
     def _skip(self, frame: NDArray[Any], path: Evaluator) -> None:
         """Tell the ray loop where the bounds are, which are computed for the first picture."""
         if path not in self._bounds:
-            self._bounds[path] = Bounds(self.coefficients, path)
+            self._bounds[path] = MinMax(self.coefficients, path)
         bounds = self._bounds[path]
         frame["skipping"], frame["levels"] = 1, len(bounds.offsets)
         frame["blocks"], frame["level_at"][: len(bounds.offsets)] = bounds.blocks, bounds.offsets
@@ -480,7 +479,7 @@ class Renderer:
     ) -> dict[str, Floats]:
         device, held = self.device, self.coefficients
         if tile is None:
-            tile = PLANES if device.kind == "cpu" and not path.image and not path.eight_fetch else RAYS
+            tile = PLANES if device.kind == "cpu" and not path.image and not path.paired else RAYS
         built = device.build(
             "march/march.cl",
             {
