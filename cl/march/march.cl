@@ -52,14 +52,14 @@ typedef struct { int made, usable; } patch_t, here_t;
 
 // -- the function along a ray: what modes may ask for ---------------------------------------------------
 
-#define SCENE_PARAMS VOLUME_PARAMS, constant frame_t *frame, global const float4 *table, const ray_t *ray, patch_t *patch, here_t *here
-#define SCENE VOLUME, frame, table, ray, patch, here
+#define SCENE_PARAMS COEFFICIENTS coefficients, const int4 extent, constant frame_t *frame, global const float4 *table, const ray_t *ray, patch_t *patch, here_t *here
+#define SCENE coefficients, extent, frame, table, ray, patch, here
 
 INLINE int within(int i, int most) { return i < GRID_SCALE ? GRID_SCALE : i > most ? most : i; }
 
 // The cell of a position on a ray. However a ray was rounded, no tap of it, nor of the cells a sample away, lies
 // past what is stored.
-INLINE cell_t locate_stored(VOLUME_PARAMS, float x, float y, float z)
+INLINE cell_t locate_stored(COEFFICIENTS coefficients, const int4 extent, float x, float y, float z)
 {
     const int reach = TAPS + GRID_SCALE + PAIRED_VALUE;
     cell_t c = locate(x, y, z, extent.w);
@@ -69,31 +69,31 @@ INLINE cell_t locate_stored(VOLUME_PARAMS, float x, float y, float z)
     return c;
 }
 
-RARE float value_one(VOLUME_PARAMS, float x, float y, float z)
+RARE float value_one(COEFFICIENTS coefficients, const int4 extent, float x, float y, float z)
 {
-    return sample_value(VOLUME, locate_stored(VOLUME, x, y, z));
+    return sample_value(coefficients, extent, locate_stored(coefficients, extent, x, y, z));
 }
 
 // The value some samples away: the same fraction of another cell. (Adding to the position would round, and
 // where the function jumps the neighbour would at times be the wrong one.)
-RARE float value_beside(VOLUME_PARAMS, cell_t c, int x, int y, int z)
+RARE float value_beside(COEFFICIENTS coefficients, const int4 extent, cell_t c, int x, int y, int z)
 {
     c.x += x * GRID_SCALE; c.y += y * GRID_SCALE; c.z += z * GRID_SCALE;
-    return sample_value(VOLUME, c);
+    return sample_value(coefficients, extent, c);
 }
 
 // Per sample, not per stored coefficient.
-RARE gradient_t gradient_one(VOLUME_PARAMS, float x, float y, float z)
+RARE gradient_t gradient_one(COEFFICIENTS coefficients, const int4 extent, float x, float y, float z)
 {
     gradient_t g;
-    const cell_t c = locate_stored(VOLUME, x, y, z);
+    const cell_t c = locate_stored(coefficients, extent, x, y, z);
 #if GRADIENT_CENTRAL
-    g.x = 0.5f * (value_beside(VOLUME, c, 1, 0, 0) - value_beside(VOLUME, c, -1, 0, 0));
-    g.y = 0.5f * (value_beside(VOLUME, c, 0, 1, 0) - value_beside(VOLUME, c, 0, -1, 0));
-    g.z = 0.5f * (value_beside(VOLUME, c, 0, 0, 1) - value_beside(VOLUME, c, 0, 0, -1));
+    g.x = 0.5f * (value_beside(coefficients, extent, c, 1, 0, 0) - value_beside(coefficients, extent, c, -1, 0, 0));
+    g.y = 0.5f * (value_beside(coefficients, extent, c, 0, 1, 0) - value_beside(coefficients, extent, c, 0, -1, 0));
+    g.z = 0.5f * (value_beside(coefficients, extent, c, 0, 0, 1) - value_beside(coefficients, extent, c, 0, 0, -1));
 #else
     float value;
-    g = sample_gradient(VOLUME, c, &value);
+    g = sample_gradient(coefficients, extent, c, &value);
     g.x *= GRID_SCALE; g.y *= GRID_SCALE; g.z *= GRID_SCALE;
 #endif
     return g;
@@ -108,7 +108,7 @@ INLINE real value_at(SCENE_PARAMS, real t, mask active)
     lanes_u value = { (real)(0.0f) };
     for (int i = 0; i < LANES; ++i)
         if (wanted.each[i])
-            value.each[i] = value_one(VOLUME, x.each[i], y.each[i], z.each[i]);
+            value.each[i] = value_one(coefficients, extent, x.each[i], y.each[i], z.each[i]);
     return value.all;
 }
 
@@ -121,7 +121,7 @@ INLINE real3 gradient_at(SCENE_PARAMS, real t, mask active)
     lanes_u gx = { (real)(0.0f) }, gy = gx, gz = gx;
     for (int i = 0; i < LANES; ++i)
         if (wanted.each[i]) {
-            const gradient_t g = gradient_one(VOLUME, x.each[i], y.each[i], z.each[i]);
+            const gradient_t g = gradient_one(coefficients, extent, x.each[i], y.each[i], z.each[i]);
             gx.each[i] = g.x; gy.each[i] = g.y; gz.each[i] = g.z;
         }
     return transpose3(frame->gradient, real3_of(gx.all, gy.all, gz.all));
@@ -205,7 +205,7 @@ INLINE float greatest_of(float4 v)
 }
 
 // Moves the patch to plane number n in the rays' way, under the tile's corners: all other rays cross between them.
-RARE void tile_patch(VOLUME_PARAMS, constant frame_t *frame, patch_t *patch, int left, int top, float way, float n)
+RARE void tile_patch(COEFFICIENTS coefficients, const int4 extent, constant frame_t *frame, patch_t *patch, int left, int top, float way, float n)
 {
     const float across = way > 0.0f ? madd(n, frame->spacing, frame->plane) : madd(n, -frame->spacing, frame->plane_back);
     const int axis = frame->axis, u = axis == 0 ? 1 : 0, v = axis == 2 ? 1 : 2;
@@ -220,7 +220,7 @@ RARE void tile_patch(VOLUME_PARAMS, constant frame_t *frame, patch_t *patch, int
     const float4 t = (across - PIXEL(origin, axis)) / along;
     const float4 pu = madd(t, PIXEL(direction, u), PIXEL(origin, u)), pv = madd(t, PIXEL(direction, v), PIXEL(origin, v));
 #undef PIXEL
-    patch_move(patch, VOLUME, axis, way, across, -greatest_of(-pu), greatest_of(pu), -greatest_of(-pv), greatest_of(pv));
+    patch_move(patch, coefficients, extent, axis, way, across, -greatest_of(-pu), greatest_of(pu), -greatest_of(-pv), greatest_of(pv));
 }
 #endif
 
@@ -276,7 +276,7 @@ INLINE float2 values_of(global const float2 *bounds, const int4 extent, constant
     return values_within(bounds, extent, frame, &box);
 }
 
-kernel void march(VOLUME_PARAMS, global const float2 *bounds, constant frame_t *frame, global const float4 *table,
+kernel void march(COEFFICIENTS coefficients, const int4 extent, global const float2 *bounds, constant frame_t *frame, global const float4 *table,
                   global float4 *rgba, global float *depth, global float *normals, global float *positions, global float *visited)
 {
     const int left = (int)get_global_id(0) * TILE_WIDTH, top = (int)get_global_id(1) * TILE_HEIGHT;
@@ -389,7 +389,7 @@ kernel void march(VOLUME_PARAMS, global const float2 *bounds, constant frame_t *
 #if PATCHED
                     // before and after the lattice, where rays have their ends alone, a plane may lie past what is stored
                     if (planar && !patch->made && n >= 0.0f && n < frame->planes)
-                        tile_patch(VOLUME, frame, patch, left, top, way, n);
+                        tile_patch(coefficients, extent, frame, patch, left, top, way, n);
                     if (patch->usable) {
                         value = value_here(SCENE, t, active);
 #if ENDPOINTS

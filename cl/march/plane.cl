@@ -4,7 +4,7 @@
 //
 // u and v are the two axes of a plane: x before y before z.
 
-#include "spline/lane_taps.cl"
+#include "spline/filter.cl"
 
 #define PATCH 48      // coefficients along an edge of a patch, at most
 #define PATCH_ROOM (PATCH * PATCH + 8)
@@ -60,7 +60,7 @@ RARE void patch_blend(const patch_t *patch, global const float *coefficients, in
 }
 
 // Asks for the coefficients that the planes after this one will need.
-INLINE void patch_ahead(const patch_t *patch, VOLUME_PARAMS, int axis, float way)
+INLINE void patch_ahead(const patch_t *patch, COEFFICIENTS coefficients, const int4 extent, int axis, float way)
 {
     const int slice = patch->slice + (way > 0.0f ? TAPS + 1 : -2), slices = axis == 1 ? extent.y : extent.z;
     if (axis == 0 || slice < 0 || slice >= slices)   // along x they lie in the lines at hand
@@ -72,7 +72,7 @@ INLINE void patch_ahead(const patch_t *patch, VOLUME_PARAMS, int axis, float way
 }
 
 // Takes the plane at `across`, on the way of rays up or down its axis, under positions from (low_u, low_v) to (high_u, high_v), all in samples.
-INLINE void patch_move(patch_t *patch, VOLUME_PARAMS, int axis, float way, float across, float low_u, float high_u, float low_v, float high_v)
+INLINE void patch_move(patch_t *patch, COEFFICIENTS coefficients, const int4 extent, int axis, float way, float across, float low_u, float high_u, float low_v, float high_v)
 {
     const long row = extent.x, slice = row * extent.y;
     patch->along_u = axis == 0 ? row : 1;
@@ -92,7 +92,7 @@ INLINE void patch_move(patch_t *patch, VOLUME_PARAMS, int axis, float way, float
     patch->from_u = LEFT - (float)(halo - patch->u);
     patch->from_v = LEFT - (float)(halo - patch->v);
     if (patch->usable) {
-        patch_ahead(patch, VOLUME, axis, way);
+        patch_ahead(patch, coefficients, extent, axis, way);
         patch_blend(patch, coefficients, 0, patch->values);
     }
 }

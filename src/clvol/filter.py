@@ -232,7 +232,9 @@ class Filter:
 
     def __call__(self, x: ArrayLike, derivative: int = 0) -> Array:
         """The kernel, or its derivative, at signed distance `x` in (finer) samples; same shape as `x`."""
-        base, t = self.cell(reals("x", x) / self.scale)
+        x = reals("x", x)
+        x = np.where(np.abs(x) <= self.support, x, self.support)  # the kernel is zero there, as at any distance beyond
+        base, t = self.cell(x / self.scale)
         inside = (base <= 0) & (base > -self.support)  # tap -base is that of the coefficient at 0
         tap = np.where(inside, -base, 0).astype(np.int64)
         every = self.weights(np.where(inside, t, 0.0), derivative)
