@@ -72,7 +72,7 @@ class Boundary:
         x = np.asarray(x, dtype=np.float64)
         period = self.length(n)
         if not period:
-            return np.clip(x, -margin, n + margin)
+            return np.asarray(np.clip(x, -margin, n + margin))
         far = (x < -n) | (x > 2 * n)
         return np.where(far, np.clip(x - period * np.floor(x / period), 0, period), x)
 
