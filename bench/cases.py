@@ -28,8 +28,9 @@ from clvol.march.planes import OBLIQUE, Planes
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import Evaluator as ReadPath
 from clvol.spline.evaluator import choose_evaluator
+from clvol.spline.field import coefficients_of
 from clvol.spline.points import sample_coefficients
-from clvol.spline.prefilter import _prefilter
+from clvol.spline.prefilter import prefilter_in_place
 
 __all__ = ["Bench", "Case", "Measurement", "Skip", "Work", "all_cases", "draw", "measure", "samples_on_lattice", "shots"]
 
@@ -169,7 +170,7 @@ class Bench:
         return clvol.Renderer(self.head(n, kind))
 
     def held(self, n: int) -> Coefficients:
-        return Coefficients(clvol.Volume(self.head(n)), self.row, self.rule, self.device)
+        return coefficients_of(clvol.Volume(self.head(n)), self.row, self.rule, self.device)
 
     # -- prefilter --
 
@@ -177,7 +178,7 @@ class Bench:
         """The kernels alone, on what is on the device already."""
         held, data = self.held(n), self.head(n)
         amount = float(n**3)
-        return Work(partial(_prefilter_in_place, held), peers.of("prefilter", data), amount, "Mvoxel/s", PREFILTER, self.repeats)
+        return Work(partial(_prefilter, held), peers.of("prefilter", data), amount, "Mvoxel/s", PREFILTER, self.repeats)
 
     def array_prefilter(self, n: int) -> Work:
         data = self.head(n)
@@ -188,7 +189,7 @@ class Bench:
         volume = clvol.Volume(self.head(n))
 
         def ours() -> None:
-            Coefficients(volume, self.row, self.rule, self.device).release()
+            coefficients_of(volume, self.row, self.rule, self.device).release()
 
         return Work(ours, {}, float(n**3), "Mvoxel/s", PREFILTER, self.repeats)
 
@@ -361,7 +362,7 @@ def _frame_by_name(bench: Bench, name: str) -> Work:
 def draw(renderer: clvol.Renderer, shot: Shot) -> Array:
     """Our side of a `Shot`."""
     options: dict[str, Any] = {"isovalue": shot.isovalue, "color": shot.color} if shot.mode == "isosurface" else {}
-    return renderer.render(shot.camera, shot.mode, shot.size, shot.step, transfer=shot.transfer, **options)
+    return np.asarray(renderer.render(shot.camera, shot.mode, shot.size, shot.step, transfer=shot.transfer, **options))
 
 
 def samples_on_lattice(volume: clvol.Volume, camera: clvol.Camera, size: tuple[int, int], step: float) -> float:
@@ -388,10 +389,10 @@ def samples_on_lattice(volume: clvol.Volume, camera: clvol.Camera, size: tuple[i
 # -- inner ------------------------------------------------------------------------------------------------------
 
 
-def _prefilter_in_place(held: Coefficients) -> None:
-    """What `Coefficients` does between upload and halo; here alone the benchmarks reach into the prefilter."""
+def _prefilter(held: Coefficients) -> None:
+    """What `coefficients_of` does between copying the samples and filling the halo."""
     extent, sizes = tuple(held.extent.tolist()), tuple(held.size[:3].tolist())
-    _prefilter(held.device, held.buffer, held.filter, held.boundary, extent, sizes, held.volume.ndim)
+    prefilter_in_place(held.device, held.buffer, held.filter, held.boundary, extent, sizes, held.volume.ndim)
     held.device.finish()
 
 

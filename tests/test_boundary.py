@@ -9,6 +9,7 @@ from clvol import reference
 from clvol.boundary import Boundary, as_boundary, boundaries
 from clvol.errors import DataError, OptionError
 from clvol.filter import bspline, filters
+from clvol.reference.spline.boundary import period as period_of
 from clvol.reference.spline.prefilter import kernel_samples
 
 RULES = tuple(boundaries())
@@ -58,14 +59,14 @@ def test_index_map_is_the_walk_and_the_extension(rule: str, n: int) -> None:
 @pytest.mark.parametrize("n", LENGTHS)
 def test_extension_repeats_with_the_period(rule: str, n: int) -> None:
     period = as_boundary(rule).length(n)
-    assert reference.boundary.period(n, rule) == period
+    assert period_of(n, rule) == period
     far = np.array([10**6, -(10**6) - 7, 2**31 + 3])
     np.testing.assert_array_equal(as_boundary(rule).index(far, n), as_boundary(rule).index(far % period, n))
 
 
 def test_zero_has_no_period() -> None:
     assert as_boundary("zero").length(5) == 0
-    assert reference.boundary.period(5, "zero") is None
+    assert period_of(5, "zero") is None
 
 
 @pytest.mark.parametrize("rule", RULES)
@@ -110,6 +111,42 @@ def test_prefilter_of_a_row_without_one_is_the_samples() -> None:
         np.testing.assert_array_equal(reference.prefilter(data, name), data)
         np.testing.assert_array_equal(reference.prefilter_fft(data, name), data)
     np.testing.assert_array_equal(reference.prefilter(data, "hybrid"), reference.prefilter(data, "bspline3"))
+
+
+@pytest.mark.parametrize("rule", [r for r in RULES if r != "zero"])
+@pytest.mark.parametrize("scale", [1, 2])
+@pytest.mark.parametrize("n", LENGTHS)
+def test_folded_indices_of_a_finer_grid_stand_for_their_positions(rule: str, n: int, scale: int) -> None:
+    """An index and the one that stands for it lie at positions where the function is the same."""
+    boundary = as_boundary(rule)
+    i = np.arange(-3 * scale * n - 4, 4 * scale * n + 4)
+    got = boundary.folded(i, n, scale)
+    assert got.min() >= -1
+    assert got.max() <= scale * n - 1
+    x, y = i / scale, got / scale
+    period = boundary.length(n)
+    same = (x - y) % period == 0
+    if boundary.fold is not None:
+        same |= (x + y + boundary.fold) % period == 0
+    assert same.all()
+
+
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("n", LENGTHS)
+def test_positions_come_to_where_the_function_is_the_same(rule: str, n: int) -> None:
+    boundary, rng = as_boundary(rule), np.random.default_rng(n)
+    near = rng.uniform(-n, 2 * n, 50)
+    np.testing.assert_array_equal(boundary.position(near, n, 10 * n), near)
+    far = np.concatenate([rng.uniform(-50 * n, 50 * n, 50), [1e18, -1e30]])
+    got = boundary.position(far, n, 10)
+    assert np.isfinite(got).all()
+    period = boundary.length(n)
+    if not period:
+        np.testing.assert_array_equal(got, np.clip(far, -10, n + 10))
+        return
+    assert ((got >= min(0, -n)) & (got <= max(period, 2 * n))).all()
+    off = (got[:50] - far[:50]) / period
+    np.testing.assert_allclose(off, np.round(off), atol=1e-9)
 
 
 def test_as_boundary() -> None:

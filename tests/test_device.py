@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clvol.device import Device, as_device, devices
+from clvol.device import Device, Limits, as_device, devices
 from clvol.errors import DeviceError, OptionError, OutOfMemoryError
 from clvol.spline.field import sample
 
@@ -205,6 +205,42 @@ def test_no_device_at_all_says_what_to_install(device: Device, monkeypatch: pyte
         monkeypatch.setattr(pyopencl, "get_platforms", answer)
         with pytest.raises(DeviceError, match=r"no OpenCL device was found.*clvol\[pocl\]"):
             as_device()
+
+
+def test_limits_hold_for_a_block(device: Device) -> None:
+    before = device.limits
+    assert before == Limits()
+    with device.limited(launch_taps=1, sorting=True):
+        assert (device.limits.launch_taps, device.limits.sorting) == (1, True)
+        assert device.limits.launch_voxels == before.launch_voxels
+        with device.limited(sorting=False):
+            assert (device.limits.launch_taps, device.limits.sorting) == (1, False)
+        assert device.limits.sorting is True
+    assert device.limits is before
+
+
+def test_limits_are_put_back_after_an_error(device: Device) -> None:
+    before = device.limits
+    with pytest.raises(KeyboardInterrupt), device.limited(sorted_bytes=1):
+        raise KeyboardInterrupt
+    assert device.limits is before
+
+
+def test_unknown_limits_are_refused(device: Device) -> None:
+    before = device.limits
+    with pytest.raises(TypeError, match="no_such_limit"), device.limited(no_such_limit=1):
+        pass
+    assert device.limits is before
+
+
+def test_clear_sets_numbers_to_zero(device: Device) -> None:
+    buffer = device.allocate(40)
+    with device.mapped(buffer, (10,), write=True) as values:
+        values[:] = 1
+    device.clear(buffer, 3, 4)
+    got = np.empty(10, np.float32)
+    device.download(buffer, got)
+    assert got.tolist() == [1] * 3 + [0] * 4 + [1] * 3
 
 
 def test_linker_is_here_if_pocl_is(device: Device) -> None:

@@ -13,6 +13,7 @@ from numpy.polynomial import legendre
 from clvol import reference
 from clvol.errors import OptionError
 from clvol.filter import Filter, as_filter, bc, bspline, filters, from_callable, from_pieces, lanczos, register, sinc, unregister
+from clvol.reference.spline import filter as reference_filter
 from clvol.reference.spline.prefilter import kernel_samples
 from clvol.volume import Volume
 
@@ -49,6 +50,17 @@ def positions(row: Filter, seed: int = 0) -> np.ndarray:
 # -- properties of every row -------------------------------------------------------------------------------
 
 
+def test_cell_is_the_index_rule(row: Filter) -> None:
+    """The first tap lies TAPS/2 - 1 below, rounded down, and the weights there are the kernel at the taps' distances."""
+    x = np.random.default_rng(0).uniform(-20, 20, 200)
+    base, t = row.cell(x)
+    assert (base == np.floor(base)).all()
+    assert ((t >= 0) & (t < 1)).all()
+    np.testing.assert_allclose(base + t, x * row.scale - row.support / 2 + 1, atol=1e-12)
+    distances = x * row.scale - base - np.arange(row.support)[:, None]
+    np.testing.assert_allclose(row.weights(t), row(distances), atol=1e-9 * max(1.0, np.abs(row.matrix).max()))
+
+
 @pytest.mark.parametrize("derivative", [0, 1, 2])
 def test_row_is_its_closed_form(row: Filter, derivative: int) -> None:
     half = row.support / 2
@@ -60,7 +72,7 @@ def test_row_is_its_closed_form(row: Filter, derivative: int) -> None:
 
 
 def test_reference_does_not_ask_the_row(row: Filter) -> None:
-    assert reference.filter._closed_form(row) is not None
+    assert reference_filter._closed_form(row) is not None
 
 
 def test_weights_sum_to_one_if_the_row_says_so(row: Filter) -> None:

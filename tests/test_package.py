@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 import os
+import pkgutil
 import re
 import shutil
 import subprocess
 import sys
 import tarfile
 import zipfile
+from importlib import import_module
 from importlib.metadata import entry_points, requires, version
 from importlib.util import find_spec
 from pathlib import Path
@@ -64,6 +66,63 @@ def test_importing_is_cheap_and_needs_no_opencl(module: str) -> None:
     code = f"import {module}, sys; print(*[m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", timeout=60, check=True)
     assert done.stdout.split() == []
+
+
+def test_no_module_is_hidden_by_a_function_of_its_name() -> None:
+    for found in pkgutil.walk_packages(clvol.__path__, "clvol."):
+        if not found.name.endswith("__main__"):
+            module = import_module(found.name)
+            parent, _, name = found.name.rpartition(".")
+            assert getattr(sys.modules[parent], name) is module, found.name
+
+
+FORMER = [
+    ("clvol.filters", "as_filter", "clvol.filter", "as_filter"),
+    ("clvol.modes", "as_mode", "clvol.mode", "as_mode"),
+    ("clvol.render", "Renderer", "clvol.march.renderer", "Renderer"),
+    ("clvol.bounds", "Bounds", "clvol.spline.minmax", "MinMax"),
+    ("clvol.order", "Sorter", "clvol.spline.sort", "Sorter"),
+    ("clvol.errors", "one_of", "clvol.checks", "one_of"),
+    ("clvol.spline", "sample", "clvol.spline.field", "sample"),
+    ("clvol.spline", "Path", "clvol.spline.evaluator", "Evaluator"),
+    ("clvol.spline", "choose_path", "clvol.spline.evaluator", "choose_evaluator"),
+    ("clvol.spline", "Coefficients", "clvol.spline.field", "coefficients_of"),
+]
+
+
+@pytest.mark.parametrize(("module", "name", "place", "new"), FORMER)
+def test_former_names_work_and_say_where_they_are(module: str, name: str, place: str, new: str) -> None:
+    with pytest.warns(DeprecationWarning, match=rf"{module}\.{name} is now {place}\.{new}$"):
+        found = getattr(import_module(module), name)
+    assert found is getattr(import_module(place), new)
+    with pytest.raises(AttributeError, match="no_such_name"):
+        import_module(module).no_such_name  # noqa: B018
+
+
+def test_functions_are_not_hidden_by_former_modules() -> None:
+    code = """
+import warnings
+import clvol
+from clvol import filters, modes, render
+assert all(map(callable, (filters, modes, render, clvol.filters, clvol.modes, clvol.render)))
+with warnings.catch_warnings(record=True) as told:
+    warnings.simplefilter("always")
+    import clvol.filters
+    from clvol.filters import as_filter
+    from clvol.render import Renderer
+    from clvol.spline import sample
+assert len({str(w.message) for w in told}) == 3, [str(w.message) for w in told]
+assert all(w.category is DeprecationWarning and w.filename == "<string>" for w in told), [w.filename for w in told]
+assert clvol.filters is filters and clvol.render is render and Renderer is clvol.Renderer
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_importing_uses_no_former_name() -> None:
+    command = [sys.executable, "-W", "error::DeprecationWarning", "-c", "import clvol, clvol.cli, clvol.reference, clvol.analysis"]
+    done = subprocess.run(command, capture_output=True, encoding="utf-8", timeout=60, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
 @in_a_checkout
@@ -130,7 +189,7 @@ def test_the_wheel_holds_what_runs(archives: tuple[Path, Path]) -> None:
 def test_the_wheel_runs_from_where_it_is_unpacked(archives: tuple[Path, Path], tmp_path: Path) -> None:
     with zipfile.ZipFile(archives[1]) as wheel:
         wheel.extractall(tmp_path)
-    code = "import clvol, clvol.program as p; print(clvol.__file__); print(p._folder()); print(len(p.source('points.cl')))"
+    code = "import clvol, clvol.program as p; print(clvol.__file__); print(p.folder()); print(len(p.source('spline/points.cl')))"
     done = subprocess.run(
         [sys.executable, "-c", code],
         capture_output=True,

@@ -27,7 +27,6 @@ KERNELS = [
     "spline/coefficients.cl",
     "spline/minmax.cl",
     "spline/resample.cl",
-    "spline/samples.cl",
 ]
 FOLDER = program.folder()
 EVERY = sorted(str(p.relative_to(FOLDER)) for p in FOLDER.rglob("*.cl"))

@@ -15,7 +15,6 @@
 #include "spline/cell.cl"
 #include "spline/fetch.cl"
 #include "spline/filter.cl"
-#include "spline/lane_taps.cl"
 
 #define PLANE_EDGE 48   // coefficients along an edge of a plane, at most
 #define PLANE_ROOM (PLANE_EDGE * PLANE_EDGE + 8)
@@ -23,7 +22,7 @@
 typedef struct {
     long along_u, along_v, across;   // strides of the stored coefficients
     int u, v;                        // the first stored coefficient under the tile ...
-    float from_u, from_v;            // ... and where its cell begins
+    float from_u, from_v;            // ... and where its cell begins (cell_origin)
     int columns, rows;               // how many there are
     int slice;                       // the first slice that takes part, and the fraction past it
     float t;
@@ -102,8 +101,8 @@ INLINE void plane_move(plane_t *plane, global const float *coefficients, const i
     plane->rows = MIN(v1, limit_v) - plane->v;
     plane->usable = plane->columns <= PLANE_EDGE && plane->rows <= PLANE_EDGE && plane->columns > 0 && plane->rows > 0;
     plane->sloped = 0;
-    plane->from_u = LEFT - (float)(halo - plane->u);
-    plane->from_v = LEFT - (float)(halo - plane->v);
+    plane->from_u = cell_origin(halo - plane->u);
+    plane->from_v = cell_origin(halo - plane->v);
     if (plane->usable) {
         plane_ahead(plane, coefficients, extent, axis, way);
         plane_blend(plane, coefficients, 0, plane->values);
@@ -116,15 +115,10 @@ typedef struct { lane_indices_u at; real tu, tv; } plane_cell_t;
 INLINE plane_cell_t plane_locate(const plane_t *plane, real u, real v)
 {
     plane_cell_t c;
-    // counted from the plane's corner, hence not negative where it matters: cutting off is rounding down
-    u = u * GRID_SCALE - plane->from_u;
-    v = v * GRID_SCALE - plane->from_v;
-    u = MIN(MAX(u, (real)(0.0f)), (real)(PLANE_EDGE - WEIGHTS));
-    v = MIN(MAX(v, (real)(0.0f)), (real)(PLANE_EDGE - TAPS));
-    const mask column = to_mask(u), row = to_mask(v);
+    u = MIN(MAX(GRID_POSITION(u, plane->from_u), (real)(0.0f)), (real)(PLANE_EDGE - WEIGHTS));
+    v = MIN(MAX(GRID_POSITION(v, plane->from_v), (real)(0.0f)), (real)(PLANE_EDGE - TAPS));
+    const mask column = locate_lanes(u, &c.tu), row = locate_lanes(v, &c.tv);
     c.at.all = row * PLANE_EDGE + column;
-    c.tu = u - to_real(column);
-    c.tv = v - to_real(row);
     return c;
 }
 

@@ -40,7 +40,7 @@ INLINE int stored_cell(int i, int last) { return i < GRID_SCALE ? GRID_SCALE : i
 
 INLINE cell_t locate_stored(const int4 extent, float x, float y, float z)
 {
-    const int reach = TAPS + GRID_SCALE + EIGHT_FETCH_VALUE;
+    const int reach = TAPS + GRID_SCALE + PAIRED_VALUE;
     cell_t c = locate(x, y, z, extent.w);
     c.x = stored_cell(c.x, extent.x - (WEIGHTS > reach ? WEIGHTS : reach));
     c.y = stored_cell(c.y, extent.y - reach);

@@ -8,6 +8,7 @@
 
 #include "base/lanes.cl"
 #include "base/vector.cl"
+#include "spline/cell.cl"
 #include "march/camera.cl"
 
 #define MAX_LOOKS 32    // blocks that are read for a box, at most
@@ -42,7 +43,7 @@ INLINE void extend_boxes(boxes_t *box, const ray_t *ray, float first, float last
 // The block of a position's first tap, on an axis of `blocks` of them.
 INLINE int block_of(float x, int halo, int blocks)
 {
-    const float cell = x * GRID_SCALE - (LEFT - (float)halo), last = (float)(blocks * BLOCK - 1);
+    const float cell = GRID_POSITION(x, cell_origin(halo)), last = (float)(blocks * BLOCK - 1);
     return (int)(cell > 0.0f ? MIN(cell, last) : 0.0f) / BLOCK;   // infinite where no lane is active
 }
 

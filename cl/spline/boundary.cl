@@ -1,12 +1,15 @@
-// What lies past the edge: the index rule of the current boundary (boundary.py), on a grid of
-// GRID_SCALE coefficients a sample.
+// What lies past the edge: the index rule of the current boundary (Boundary in boundary.py), on a grid of GRID_SCALE
+// coefficients a sample.
 //
-// Set by the host: BOUNDARY_PERIODIC, BOUNDARY_FOLDED and BOUNDARY_FOLD (index i equals -FOLD - i).
+// Set by the host (build.py, boundary_defines): BOUNDARY_PERIODIC, BOUNDARY_FOLDED and BOUNDARY_FOLD: index i equals
+// -FOLD - i.
 
-// Where the coefficient i is stored on an axis that stores those from -halo up to end - 1, or MISSING
-// if it is zero; period: see Boundary.length.
+#include "base/platform.cl"
+
 #define MISSING INT_MIN
 
+// Where coefficient i is stored on an axis that stores those from -halo to end - 1, or MISSING if it is zero. period: see
+// Boundary.length.
 INLINE int boundary_index(int i, int halo, int end, int period)
 {
 #if BOUNDARY_PERIODIC
@@ -23,12 +26,12 @@ INLINE int boundary_index(int i, int halo, int end, int period)
 #endif
 }
 
-// Brings a position (in samples) within one period of the axis, exactly where the rule repeats and
-// to where nothing is left where it does not; keeps it finite.
+// A position in samples, brought to within one period of the axis. Where the rule does not repeat, it is clipped to where
+// all taps are zero. The result is finite.
 INLINE coord boundary_position(coord x, int n, int period)
 {
 #if BOUNDARY_PERIODIC
-    // clamped, since so far out that a period is less than the rounding the difference may be anything
+    // clamped, for so far out that rounding exceeds a period the difference may be anything
     return (x >= (coord)(-n) && x <= (coord)(2 * n)) ? x
         : clamp(x - period * floor(x / period), (coord)0, (coord)period);
 #else

@@ -1,8 +1,29 @@
-// From a position in samples to the cell that holds it among the stored coefficients.
+// From a position in samples to its cell: the first tap's coefficient on each axis, and the fraction past it. This is the only
+// place in the kernels that knows the index rule, as Filter.cell is on the host:
+//
+//     u = x * GRID_SCALE - LEFT,   base = floor(u),   t = u - base
+//
+// Set by the host: GRID_SCALE, coefficients a sample; LEFT = TAPS/2 - 1, exactly, as a floating constant.
+//
+// | for                                    | positions       | counted from               | rounding down |
+// |----------------------------------------|-----------------|----------------------------|---------------|
+// | locate, locate_axis                    | any             | the volume's first         | by comparing  |
+// | locate_inner, locate_inner_axis        | in the domain   | the first stored           | by cutting off, for nothing is negative |
+// | locate_inner_lanes                     | LANES of these  | the first stored           | likewise      |
+// | GRID_POSITION, then locate_lanes       | LANES in float  | any stored, and limited in between | likewise |
 
-// Set by the host: LEFT = TAPS/2 - 1, exactly, as a floating constant.
+#include "base/coords.cl"
 
-// The greatest whole number below, for what fits an int.
+// Where a point lies among the stored coefficients: the first tap, and the fraction past it.
+typedef struct { int x, y, z; float tx, ty, tz; } cell_t;
+
+// The position u, of any type, that counts from `origin` coefficients before the volume's first; see cell_origin.
+#define GRID_POSITION(x, origin) ((x) * GRID_SCALE - (origin))
+
+// For GRID_POSITION: counts from the coefficient that lies `before` the volume's first, for instance by the halo.
+INLINE float cell_origin(int before) { return LEFT - (float)before; }
+
+// The largest whole number that is not above x, for what fits an int.
 INLINE coord whole_below(coord x)
 {
     const coord i = (coord)(int)x;
@@ -11,7 +32,7 @@ INLINE coord whole_below(coord x)
 
 INLINE int locate_axis(coord x, float *t)
 {
-    const coord u = x * GRID_SCALE - (coord)LEFT, base = whole_below(u);
+    const coord u = GRID_POSITION(x, (coord)LEFT), base = whole_below(u);
     *t = (float)(u - base);
     return (int)base;
 }
@@ -30,10 +51,10 @@ INLINE cell_t locate(coord x, coord y, coord z, int halo)
     return c;
 }
 
-// The same within the domain, where no stored coefficient that is asked for has a negative index: cutting off is enough.
+// The same within the domain, where no stored coefficient that is needed has a negative index.
 INLINE int locate_inner_axis(coord x, int halo, float *t)
 {
-    const coord u = x * GRID_SCALE + ((coord)halo - (coord)LEFT);
+    const coord u = GRID_POSITION(x, (coord)LEFT - (coord)halo);
     const int base = (int)u;
     *t = (float)(u - base);
     return base;
@@ -51,4 +72,26 @@ INLINE cell_t locate_inner(coord x, coord y, coord z, int halo)
     c.tz = 0.0f;
 #endif
     return c;
+}
+
+// -- LANES positions -------------------------------------------------------------------------------------------
+
+#if LANES == 8
+INLINE mask locate_inner_lanes(coords_t x, int halo, real *t)
+{
+    const coord origin = (coord)LEFT - (coord)halo;
+    const coord4 low = GRID_POSITION(x.low, origin), high = GRID_POSITION(x.high, origin);
+    const mask base = (mask)(CONVERT(low, int4), CONVERT(high, int4));
+    const coords_t whole = to_coords(base);
+    *t = (real)(CONVERT(low - whole.low, float4), CONVERT(high - whole.high, float4));
+    return base;
+}
+#endif
+
+// u: GRID_POSITIONs in float, not negative.
+INLINE mask locate_lanes(real u, real *t)
+{
+    const mask base = to_mask(u);
+    *t = u - to_real(base);
+    return base;
 }

@@ -1,38 +1,43 @@
-// One row of coefficients, or one trilinear fetch, from a buffer or from an image.
+// One coefficient, one row of taps, or one trilinear fetch, from a buffer or from an image.
 //
-// Coefficients are stored with a halo on every side, filled by the boundary rule (halo.cl), so that
-// nothing that lies in the volume's domain ever asks past the edge. Coordinates here count from the
-// first stored coefficient. extent = (row pitch, rows, slices, halo).
+// Coefficients are stored with a halo on every side, filled by the boundary rule (coefficients.cl), so that nothing in the
+// volume's domain ever reads past the edge. Coordinates count from the first stored coefficient.
+// extent = (row pitch, rows, slices, halo).
+//
+// Functions that read coefficients take (COEFFICIENTS coefficients, const int4 extent, ...): an image may not be the member
+// of a struct.
+//
+// Set by the host: FETCH_IMAGE, whether coefficients are an image.
+
+#include "spline/filter.cl"
 
 #if FETCH_IMAGE
 
 #define COEFFICIENTS read_only image3d_t
-#define VOLUME_PARAMS COEFFICIENTS coefficients, const int4 extent
-#define VOLUME coefficients, extent
 
 constant sampler_t texel_sampler = CLK_NORMALIZED_COORDS_FALSE | CLK_ADDRESS_CLAMP_TO_EDGE | CLK_FILTER_NEAREST;
 constant sampler_t linear_sampler = CLK_NORMALIZED_COORDS_FALSE | CLK_ADDRESS_CLAMP_TO_EDGE | CLK_FILTER_LINEAR;
 
-INLINE float fetch_one(VOLUME_PARAMS, int x, int y, int z)
+INLINE float fetch_one(COEFFICIENTS coefficients, const int4 extent, int x, int y, int z)
 {
     return read_imagef(coefficients, texel_sampler, (int4)(x, y, z, 0)).x;
 }
 
 typedef int4 cursor_t;
-INLINE cursor_t cursor_at(VOLUME_PARAMS, int x, int y, int z) { return (int4)(x, y, z, 0); }
+INLINE cursor_t cursor_at(COEFFICIENTS coefficients, const int4 extent, int x, int y, int z) { return (int4)(x, y, z, 0); }
 
-INLINE cursor_t next_slice(VOLUME_PARAMS, cursor_t c) { return c + (int4)(0, 0, 1, 0); }
+INLINE cursor_t next_slice(COEFFICIENTS coefficients, const int4 extent, cursor_t c) { return c + (int4)(0, 0, 1, 0); }
 
-INLINE row_t fetch_row(VOLUME_PARAMS, cursor_t c, int i, int j)
+INLINE row_t fetch_row(COEFFICIENTS coefficients, const int4 extent, cursor_t c, int i, int j)
 {
     row_u taps;
 #pragma unroll
     for (int n = 0; n < ROW; ++n)
-        taps.each[n] = fetch_one(VOLUME, c.x + i + n, c.y + j, c.z);
+        taps.each[n] = fetch_one(coefficients, extent, c.x + i + n, c.y + j, c.z);
     return taps.row;
 }
 
-INLINE float fetch_linear(VOLUME_PARAMS, float x, float y, float z)
+INLINE float fetch_linear(COEFFICIENTS coefficients, const int4 extent, float x, float y, float z)
 {
     return read_imagef(coefficients, linear_sampler, (float4)(x + 0.5f, y + 0.5f, z + 0.5f, 0.0f)).x;
 }
@@ -40,31 +45,29 @@ INLINE float fetch_linear(VOLUME_PARAMS, float x, float y, float z)
 #else
 
 #define COEFFICIENTS global const float *restrict
-#define VOLUME_PARAMS COEFFICIENTS coefficients, const int4 extent
-#define VOLUME coefficients, extent
 
 INLINE size_t offset_of(const int4 extent, int x, int y, int z)
 {
     return ((size_t)z * extent.y + y) * extent.x + x;
 }
 
-INLINE float fetch_one(VOLUME_PARAMS, int x, int y, int z)
+INLINE float fetch_one(COEFFICIENTS coefficients, const int4 extent, int x, int y, int z)
 {
     return coefficients[offset_of(extent, x, y, z)];
 }
 
-// Where a block of taps begins, so that its rows are reached by additions.
+// Where a block of taps begins, so that additions alone reach its rows.
 typedef global const float *cursor_t;
-INLINE cursor_t cursor_at(VOLUME_PARAMS, int x, int y, int z) { return coefficients + offset_of(extent, x, y, z); }
+INLINE cursor_t cursor_at(COEFFICIENTS coefficients, const int4 extent, int x, int y, int z) { return coefficients + offset_of(extent, x, y, z); }
 
-INLINE cursor_t next_slice(VOLUME_PARAMS, cursor_t c) { return c + (size_t)extent.x * extent.y; }
+INLINE cursor_t next_slice(COEFFICIENTS coefficients, const int4 extent, cursor_t c) { return c + (size_t)extent.x * extent.y; }
 
-INLINE row_t fetch_row(VOLUME_PARAMS, cursor_t c, int i, int j)
+INLINE row_t fetch_row(COEFFICIENTS coefficients, const int4 extent, cursor_t c, int i, int j)
 {
     return *(global const row_at_t *)(c + (j * (size_t)extent.x + i));
 }
 
-INLINE float fetch_linear(VOLUME_PARAMS, float x, float y, float z)
+INLINE float fetch_linear(COEFFICIENTS coefficients, const int4 extent, float x, float y, float z)
 {
     const float fx = (float)(int)x, fy = (float)(int)y, fz = (float)(int)z;   // never negative
     const float tx = x - fx, ty = y - fy;

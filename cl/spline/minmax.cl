@@ -1,24 +1,24 @@
-// Kernels: the least and greatest value that the reconstructed function takes in blocks of cells.
+// Kernels: the min-max pyramid: bounds of the reconstructed function in blocks of cells.
 //
-// In a cell the function is a polynomial along each axis. Its Bernstein coefficients there are weighted sums of the
-// cell's taps (bounds.py derives the weights of any filter), and the function lies in their convex hull (section 4.1
-// of the paper). What the evaluation in float32 may err by is added on both sides.
+// In a cell the function is a polynomial along each axis. Its Bernstein coefficients there, the control points, are weighted
+// sums of the cell's taps (minmax.py derives the weights for any filter), and the function lies in their convex hull (section
+// 4.1 of the paper). The possible error of the evaluation in float32 is added on both sides.
 //
-// A cell is named by its first tap among the stored coefficients; a block is BLOCK cells along each axis.
+// A cell is named by its first tap among the stored coefficients. A block is BLOCK cells along each axis.
 //
-// Set by the host: LANES (cells along x at a time, 8); BLOCK; TAPS; HULL (1: by Bernstein coefficients; 0: by the taps' extremes and the weights' greatest
-// sums); CONTROLS, coefficients along an axis of a cell, SHARED (the last is the next cell's first), BERNSTEIN (their
-// weights: a row for each); SUM_LOW and SUM_HIGH (of a point's weights), LEBESGUE (of their magnitudes);
-// PAD_SIZE, of the taps' greatest magnitude, and PAD_SPREAD, of their range.
+// Set by the host: LANES, cells along x at a time, 8; BLOCK; TAPS; HULL, 1: by control points, 0: by the extremes of the taps
+// and the largest sums of weights; CONTROLS, control points along an axis of a cell; SHARED, whether the last is the next
+// cell's first; BERNSTEIN, a row of weights for each; SUM_LOW and SUM_HIGH, of a point's weights; LEBESGUE, the sum of their
+// magnitudes; PAD_SIZE, relative to the largest magnitude of a tap, and PAD_SPREAD, relative to the range of the taps.
 
 #include "base/platform.cl"
 
 #define EDGE (BLOCK + TAPS - 1)              // taps along the edge of a block
 
-INLINE void widen(float *low, float *high, float least, float greatest)
+INLINE void widen(float *low, float *high, float tap_min, float tap_max)
 {
-    const float size = greatest > -least ? greatest : -least;
-    const float pad = PAD_SIZE * size + PAD_SPREAD * (greatest - least);
+    const float size = MAX(tap_max, -tap_min);
+    const float pad = PAD_SIZE * size + PAD_SPREAD * (tap_max - tap_min);
     *low -= pad;
     *high += pad;
     if (!(pad < 1e30f)) {                    // so large that the sums may have overflowed
@@ -34,7 +34,7 @@ INLINE void widen(float *low, float *high, float least, float greatest)
 
 constant float bernstein[CONTROLS][TAPS] = BERNSTEIN;
 
-// One control point from TAPS values; weights of nought cost nothing.
+// One control point from TAPS values; weights of 0 cost nothing.
 #define CONTROL(target, row, value)                          \
     {                                                        \
         target = (float8)(0.0f);                             \
@@ -46,11 +46,11 @@ constant float bernstein[CONTROLS][TAPS] = BERNSTEIN;
 kernel void bound_cells(global const float *restrict coefficients, const int4 extent, const int4 blocks, global float2 *bounds)
 {
     const int bx = (int)get_global_id(0) * (LANES / BLOCK), by = get_global_id(1), bz = get_global_id(2);
-    float8 least = (float8)(INFINITY), greatest = -least;
+    float8 tap_min = (float8)(INFINITY), tap_max = -tap_min;
     float8 low[CONTROLS], high[CONTROLS];     // apart, so that they need not wait for each other
     for (int r = 0; r < CONTROLS; ++r) {
-        low[r] = least;
-        high[r] = greatest;
+        low[r] = tap_min;
+        high[r] = tap_max;
     }
     float8 lines[EDGE][POINTS][CONTROLS];     // control points along x and y, for each slice of taps
     for (int k = 0; k < EDGE; ++k) {
@@ -63,8 +63,8 @@ kernel void bound_cells(global const float *restrict coefficients, const int4 ex
 #pragma unroll
             for (int i = 0; i < TAPS; ++i) {
                 taps[i] = *(global const float8_at *)(p + i);
-                least = MIN(taps[i], least);
-                greatest = MAX(taps[i], greatest);
+                tap_min = MIN(taps[i], tap_min);
+                tap_max = MAX(taps[i], tap_max);
             }
 #pragma unroll
             for (int d = 0; d < CONTROLS; ++d)
@@ -93,14 +93,14 @@ kernel void bound_cells(global const float *restrict coefficients, const int4 ex
         low[0] = MIN(low[r], low[0]);
         high[0] = MAX(high[r], high[0]);
     }
-    union { float8 all; float each[LANES]; } lows = { low[0] }, highs = { high[0] }, leasts = { least }, greatests = { greatest };
+    union { float8 all; float each[LANES]; } lows = { low[0] }, highs = { high[0] }, tap_mins = { tap_min }, tap_maxs = { tap_max };
     for (int b = 0; b < LANES / BLOCK && bx + b < blocks.x; ++b) {
         float l = INFINITY, h = -INFINITY, s = INFINITY, g = -INFINITY;
         for (int i = b * BLOCK; i < (b + 1) * BLOCK; ++i) {
-            l = lows.each[i] < l ? lows.each[i] : l;
-            h = highs.each[i] > h ? highs.each[i] : h;
-            s = leasts.each[i] < s ? leasts.each[i] : s;
-            g = greatests.each[i] > g ? greatests.each[i] : g;
+            l = MIN(lows.each[i], l);
+            h = MAX(highs.each[i], h);
+            s = MIN(tap_mins.each[i], s);
+            g = MAX(tap_maxs.each[i], g);
         }
         widen(&l, &h, s, g);
         bounds[((size_t)bz * blocks.y + by) * blocks.x + bx + b] = (float2)(l, h);
@@ -113,20 +113,20 @@ kernel void bound_cells(global const float *restrict coefficients, const int4 ex
 kernel void bound_cells(global const float *restrict coefficients, const int4 extent, const int4 blocks, global float2 *bounds)
 {
     const int bx = get_global_id(0), by = get_global_id(1), bz = get_global_id(2);
-    float least = INFINITY, greatest = -INFINITY;
+    float tap_min = INFINITY, tap_max = -INFINITY;
     for (int k = 0; k < EDGE; ++k)
         for (int j = 0; j < EDGE; ++j) {
             const size_t z = MIN(bz * BLOCK + k, extent.z - 1), y = MIN(by * BLOCK + j, extent.y - 1);
             global const float *p = coefficients + (z * extent.y + y) * extent.x;
             for (int i = 0; i < EDGE; ++i) {
                 const float c = p[MIN(bx * BLOCK + i, extent.x - 1)];
-                least = c < least ? c : least;
-                greatest = c > greatest ? c : greatest;
+                tap_min = MIN(c, tap_min);
+                tap_max = MAX(c, tap_max);
             }
         }
-    const float middle = 0.5f * least + 0.5f * greatest, reach = LEBESGUE * (0.5f * greatest - 0.5f * least);
+    const float middle = 0.5f * tap_min + 0.5f * tap_max, reach = LEBESGUE * (0.5f * tap_max - 0.5f * tap_min);
     float low = middle * (middle > 0.0f ? SUM_LOW : SUM_HIGH) - reach, high = middle * (middle > 0.0f ? SUM_HIGH : SUM_LOW) + reach;
-    widen(&low, &high, least, greatest);
+    widen(&low, &high, tap_min, tap_max);
     bounds[((size_t)bz * blocks.y + by) * blocks.x + bx] = (float2)(low, high);
 }
 
@@ -141,8 +141,8 @@ kernel void bound_blocks(global float2 *bounds, const int4 finer, const int4 coa
         for (int j = 2 * y; j < MIN(2 * y + 2, finer.y); ++j)
             for (int i = 2 * x; i < MIN(2 * x + 2, finer.x); ++i) {
                 const float2 b = bounds[finer.w + ((size_t)k * finer.y + j) * finer.x + i];
-                hull.x = b.x < hull.x ? b.x : hull.x;
-                hull.y = b.y > hull.y ? b.y : hull.y;
+                hull.x = MIN(b.x, hull.x);
+                hull.y = MAX(b.y, hull.y);
             }
     bounds[coarser.w + ((size_t)z * coarser.y + y) * coarser.x + x] = hull;
 }

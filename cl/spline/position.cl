@@ -1,9 +1,11 @@
 // Where points come from, where their results belong, and where in the volume they lie.
 //
-// Set by the host: LATTICE (points are computed, not read), POINT (the type of those that are read), POINT_BITS (its
-// size), SORTED (each is followed by its place in the list that it was in: order.cl).
+// Set by the host: ON_GRID, whether points are those of a grid and not read; POINT, the type of those that are read, and
+// POINT_BITS, its size; SORTED, whether each of these is followed by its place in the list that it came from (sort.cl).
 
-#if LATTICE
+#include "base/platform.cl"
+
+#if ON_GRID
 // (i, j, k), and those that follow along i
 typedef struct { int i, j, k; size_t first; } source_t;
 INLINE size_t place_of(source_t source, int n) { return source.first + n; }
@@ -15,7 +17,7 @@ typedef struct { global const POINT *points; size_t first; } source_t;
 #define STRIDE DIMENSIONS
 #endif
 
-// A number in the place of a coordinate.
+// A whole number stored as a coordinate.
 #if POINT_BITS == 64
 #define PLACE_IN(w) as_ulong(w)
 #define AS_PLACE(i) as_double((ulong)(i))
@@ -38,7 +40,7 @@ typedef struct { coord x, y, z; } position_t;
 
 INLINE position_t point_of(source_t source, int n)
 {
-#if LATTICE
+#if ON_GRID
     const position_t p = { source.i + n, source.j, source.k };
 #else
     global const POINT *point = source.points + STRIDE * (source.first + n);
@@ -52,7 +54,7 @@ INLINE position_t point_of(source_t source, int n)
 }
 
 // transform: 9 entries of a matrix, row by row, then 3 of an offset: index = matrix position + offset,
-// from world positions, or from the lattice's own indices; then 9 of world_to_index.
+// from world positions, or from the grid's own indices; then 9 of world_to_index.
 INLINE position_t index_of(position_t p, constant coord *m)
 {
     const position_t at = { madd(m[0], p.x, madd(m[1], p.y, madd(m[2], p.z, m[9]))),

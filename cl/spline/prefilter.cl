@@ -1,11 +1,18 @@
-// Kernels: from samples to B-spline coefficients, in place, along rows (x), along y or z, or along x and y.
+// Kernels: from samples to B-spline coefficients, in place: along rows (x), along y or z, or along x and y together.
 //
-// For each pole z a causal recursion y[i] = x[i] + z y[i-1] and an anticausal one
-// c[i] = z (c[i+1] - y[i]) (Unser, Aldroubi and Eden, 1991). Both need a first value. The host gives
-// it as a weighted sum of samples near the two ends, worked out from the matrix of eq. (11) that
-// belongs to the boundary rule (spline.py, _starts): one way for every rule and length.
+// For each pole z there is a causal recursion y[i] = x[i] + z y[i-1] and an anticausal one c[i] = z (c[i+1] - y[i]) (Unser,
+// Aldroubi and Eden, 1991). Each needs a first value, which the host gives as a weighted sum of samples near the two ends. It
+// follows from the matrix of eq. (11) that belongs to the boundary rule (prefilter.py, _starts), in one way for every rule and
+// length.
 //
-// Set by the host: POLES (how many), POLE_VALUES, GAIN, ENDS (samples in each sum), CHAINS (vectors side by side).
+// | what makes it fast                                                | where             |
+// |-------------------------------------------------------------------|-------------------|
+// | eight lines at once; CHAINS times as many side by side, since a recursion waits for its last product | filter_columns |
+// | rows are transposed in blocks of eight, and stay so in between     | filter_rows       |
+// | memory is asked AHEAD of its use                                   | filter_columns    |
+// | a slice stays in a processor's cache from x to y                   | prefilter_slices  |
+//
+// Set by the host: POLES, how many; POLE_VALUES; GAIN; ENDS, samples in each sum; CHAINS, vectors side by side.
 
 #include "base/platform.cl"
 #include "base/transpose.cl"
@@ -26,7 +33,7 @@ INLINE void add_to_starts(float8 start[2 * POLES], constant float *weight, float
 
 // -- along y or z: lines lie side by side ---------------------------------------------------------------------
 
-#define AHEAD 8   // samples of a line that are asked for before they are needed: they lie in pages of their own
+#define AHEAD 8   // samples of a line, each of which lies in a page of its own
 
 // 8 * chains lines of `count` samples, stride apart. A recursion waits for its last product: several at once do not.
 INLINE void filter_columns(global float *line, const int chains, const int count, const size_t stride, STARTS_PARAMS)
@@ -72,7 +79,7 @@ INLINE void filter_some_columns(global float *line, const int lines, const int c
             filter_columns(line + i, 1, count, stride, STARTS);
 }
 
-// `lines` of them side by side, 8 * CHAINS a work-item along id 0, as often as id 1 tells, outer_stride apart.
+// `lines` lines side by side, 8 * CHAINS for a work-item along id 0; repeated along id 1, outer_stride apart.
 kernel void prefilter_columns(global float *data, const ulong origin, const int count, const ulong stride,
                               const int lines, const ulong outer_stride, STARTS_PARAMS)
 {
@@ -136,14 +143,14 @@ INLINE float8 anticausal_block(float8 c, const float8 z, const int last, global 
     return c;
 }
 
-// `groups` times eight rows; or, if rows is less than eight, those.
-INLINE void filter_rows(global float *line, const int groups, const int rows, const int count, const size_t pitch,
+// `bands` times eight rows, or fewer than eight if `rows` says so.
+INLINE void filter_rows(global float *line, const int bands, const int rows, const int count, const size_t pitch,
                         STARTS_PARAMS)
 {
     float8 start[2][2 * POLES];
-#define EACH_GROUP _Pragma("unroll") for (int g = 0; g < groups; ++g)
-#define GROUP_AT(column) (line + g * LANES * pitch + (column))
-    EACH_GROUP
+#define EACH_BAND _Pragma("unroll") for (int g = 0; g < bands; ++g)
+#define BAND_AT(column) (line + g * LANES * pitch + (column))
+    EACH_BAND
 #pragma unroll
         for (int p = 0; p < 2 * POLES; ++p)
             start[g][p] = (float8)(0.0f);
@@ -151,9 +158,9 @@ INLINE void filter_rows(global float *line, const int groups, const int rows, co
     for (int b = 0; b < count; b += LANES) {
         if (b >= head && b < (count - tail) / LANES * LANES)
             b = (count - tail) / LANES * LANES;
-        EACH_GROUP {
+        EACH_BAND {
             float8 v[LANES];
-            load_columns(v, GROUP_AT(b), pitch, rows);
+            load_columns(v, BAND_AT(b), pitch, rows);
 #pragma unroll
             for (int i = 0; i < LANES; ++i) {
                 const int left = b + i, right = count - 1 - left;
@@ -169,12 +176,12 @@ INLINE void filter_rows(global float *line, const int groups, const int rows, co
     for (int p = 0; p < POLES; ++p) {
         const float8 z = (float8)(poles[p]);
         float8 v[2];
-        EACH_GROUP v[g] = causal_block(start[g][2 * p], z, gain, 1, GROUP_AT(0), pitch, rows);
+        EACH_BAND v[g] = causal_block(start[g][2 * p], z, gain, 1, BAND_AT(0), pitch, rows);
         for (int b = LANES; b < count; b += LANES)
-            EACH_GROUP v[g] = causal_block(v[g], z, gain, 0, GROUP_AT(b), pitch, rows);
-        EACH_GROUP v[g] = anticausal_block(start[g][2 * p + 1], z, count - 1 - last_block, GROUP_AT(last_block), pitch, rows);
+            EACH_BAND v[g] = causal_block(v[g], z, gain, 0, BAND_AT(b), pitch, rows);
+        EACH_BAND v[g] = anticausal_block(start[g][2 * p + 1], z, count - 1 - last_block, BAND_AT(last_block), pitch, rows);
         for (int b = last_block - LANES; b >= 0; b -= LANES)
-            EACH_GROUP v[g] = anticausal_block(v[g], z, LANES, GROUP_AT(b), pitch, rows);
+            EACH_BAND v[g] = anticausal_block(v[g], z, LANES, BAND_AT(b), pitch, rows);
         gain = 1.0f;
     }
 }

@@ -1,22 +1,21 @@
-// Kernels: points sorted by the brick of the volume that they lie in, by counting. What is read for one of them is then
-// in a cache for the next.
+// Kernels: points sorted by the brick of the volume that they lie in, by counting, so that what is read for one of them is in
+// a cache for the next. A work-item takes a stretch of the points.
 //
-// Set by the host: DIMENSIONS, BRICKS (how many at most), LANES (8), and what is included. A work-item takes a stretch
-// of the points.
+// Set by the host: DIMENSIONS; BRICKS, how many at most; LANES, 8; and what is included.
 
 #include "base/platform.cl"
 #include "base/math.cl"
 #include "base/vector.cl"
 #include "base/transpose.cl"
 #include "spline/position.cl"
-#include "spline/positions.cl"
+#include "spline/position_lanes.cl"
 
 INLINE size_t stretch(ulong count, size_t item) { return count * item / get_global_size(0); }
 
 INLINE mask bricks_along(coords_t x, int size, int bits)
 {
     const coord4 last = (coord4)(size - 1), none = (coord4)(0);
-    x.low = x.low > none ? x.low < last ? x.low : last : none;   // what is not a number is in the first
+    x.low = x.low > none ? x.low < last ? x.low : last : none;   // NaN goes to the first brick
     x.high = x.high > none ? x.high < last ? x.high : last : none;
     return (mask)(CONVERT(x.low, int4), CONVERT(x.high, int4)) >> bits;
 }
@@ -27,12 +26,12 @@ kernel void count_bricks(constant coord *transform, const int4 size, const int4 
 {
     const size_t item = get_global_id(0), end = stretch(count, item + 1);
     source_t source = { points, stretch(count, item) };
-    uint held[BRICKS];
+    uint points_in[BRICKS];
     for (int i = 0; i < BRICKS; ++i)
-        held[i] = 0;
+        points_in[i] = 0;
     for (; source.first < end; source.first += LANES) {
         const int some = end - source.first < LANES ? end - source.first : LANES;
-        const group_t at = group_index(group_of(source, 0, some), transform);
+        const positions_t at = indices_of(points_of(source, 0, some), transform);
         lane_masks_u brick;
         brick.all = bricks_along(at.y, size.y, grid.z);
 #if DIMENSIONS == 3
@@ -41,11 +40,11 @@ kernel void count_bricks(constant coord *transform, const int4 size, const int4 
         brick.all = brick.all * grid.x + bricks_along(at.x, size.x, grid.z);
         for (int i = 0; i < some; ++i) {
             bricks[source.first + i] = brick.each[i];
-            ++held[brick.each[i]];
+            ++points_in[brick.each[i]];
         }
     }
     for (int i = 0; i < BRICKS; ++i)
-        counts[item * BRICKS + i] = held[i];
+        counts[item * BRICKS + i] = points_in[i];
 }
 
 // starts: where the first point of each stretch in each brick goes. Results: x, y, z and the place in `points`.

@@ -33,7 +33,7 @@ from clvol.mode import Attenuated, Composite, Isosurface, Mean, Minip, Mip, Mode
 from clvol.picture import save
 from clvol.response import frequency_response, prefilter_response
 from clvol.scene import Medium, Scene
-from clvol.spline.field import magnify, prefilter, resample, sample
+from clvol.spline.field import Field, magnify, prefilter, resample, sample
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
 
@@ -48,6 +48,7 @@ __all__ = [
     "DataError",
     "Device",
     "DeviceError",
+    "Field",
     "Filter",
     "FormatError",
     "GeometryError",

@@ -21,12 +21,12 @@ DEFAULT_BOUNDARY = "mirror"
 
 @dataclass(frozen=True)
 class Boundary:
-    """One rule: indices repeat with a period, and the second part of a period may be folded back.
+    """One rule: indices repeat with a period, whose second half may be folded back.
 
     Parameters
     ----------
     name : str
-        The name by which it is asked for.
+        Its name in the table.
     period : tuple of int, optional
         ``(a, b)``: the period on an axis of ``n`` samples is ``a n + b``. None: nothing lies outside.
     fold : int, optional
@@ -49,9 +49,32 @@ class Boundary:
         i = np.asarray(i, dtype=np.int64)
         if not self.period:
             return np.where((i >= 0) & (i < n), i, -1)
+        return self.folded(i, n)
+
+    def folded(self, i: ArrayLike, n: int, scale: int = 1) -> NDArray[np.int64]:
+        """The index that stands for `i` where the rule has a period, on a grid of `scale` coefficients a sample.
+
+        It lies in ``0 .. scale * n - 1``, or next to it: a fold that lies between samples has coefficients of the finer
+        grid in its middle, which stand for themselves and are stored in the halo. `boundary_index` in boundary.cl is the
+        same rule for kernels.
+        """
+        period = scale * self.length(n)
+        i = np.asarray(i, dtype=np.int64) % period
+        return i if self.fold is None else np.asarray(np.minimum(i, period - scale * self.fold - i))
+
+    def position(self, x: ArrayLike, n: int, margin: float) -> NDArray[np.float64]:
+        """Positions in samples, brought to where their taps are cheap to find; the function there is the same.
+
+        A position further out than one length of the axis comes to within one period. It is left alone nearer by, so
+        that nothing is rounded there. Without a period it is clipped to `margin` samples past the ends, which must be
+        so far out that all taps are zero. `boundary_position` in boundary.cl is the same rule for kernels.
+        """
+        x = np.asarray(x, dtype=np.float64)
         period = self.length(n)
-        i = i % period
-        return i if self.fold is None else np.minimum(i, (-self.fold - i) % period)
+        if not period:
+            return np.asarray(np.clip(x, -margin, n + margin))
+        far = (x < -n) | (x > 2 * n)
+        return np.where(far, np.clip(x - period * np.floor(x / period), 0, period), x)
 
     def matrix(self, samples: ArrayLike, n: int) -> NDArray[np.float64]:
         """The matrix of eq. (11) on an axis of `n`, for a kernel with these samples at 0, 1, 2, ...; (n, n)."""

@@ -246,6 +246,11 @@ class Device:
         with _errors(self):
             return cl.Buffer(self.context, cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR, hostbuf=array)
 
+    def clear(self, buffer: Any, first: int, count: int) -> None:
+        """Set `count` float32 numbers of a buffer, from number `first` on, to zero."""
+        with _errors(self):
+            opencl().enqueue_fill_buffer(self.queue, buffer, np.float32(0), 4 * first, 4 * count)
+
     @contextlib.contextmanager
     def lent(self, array: np.ndarray[Any, Any], *, write: bool) -> Iterator[Any]:
         """A contiguous array as a buffer for the time of a block, read or written by kernels.

@@ -6,6 +6,8 @@ Each subclass is also the standard exception that a caller would expect, so both
 
 from __future__ import annotations
 
+from clvol.moved import forwarding
+
 __all__ = [
     "ClvolError",
     "DataError",
@@ -48,3 +50,7 @@ class DeviceError(ClvolError, RuntimeError):
 
 class OutOfMemoryError(DeviceError, MemoryError):
     """The device, or the machine, cannot hold what was requested."""
+
+
+_CHECKS = ("as_path", "enough_memory", "number", "one_of", "reals", "require_room", "several", "whole")
+__getattr__ = forwarding(__name__, dict.fromkeys(_CHECKS, "clvol.checks"))

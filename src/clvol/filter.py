@@ -216,13 +216,28 @@ class Filter:
             rows = rows[:, 1:] * np.arange(1, rows.shape[1]) if rows.shape[1] > 1 else np.zeros((self.support, 1))
         return np.asarray(np.polynomial.polynomial.polyval(reals("t", t), rows.T))
 
+    def cell(self, x: ArrayLike) -> tuple[Array, Array]:
+        """The first tap's coefficient and the fraction past it for positions `x` in samples: the index rule.
+
+        ``u = x * scale - (TAPS/2 - 1)``, ``base = floor(u)`` and ``t = u - base``; the value at `x` is the sum over tap
+        ``i`` of ``c[base + i]`` times its weight at `t`. In kernels cell.cl holds this rule.
+
+        Returns
+        -------
+        base, t : ndarray of float64, the shape of `x`
+            Whole numbers, as floats, for a position may lie far out; and fractions in [0, 1).
+        """
+        u = np.asarray(x, dtype=np.float64) * self.scale - (self.support / 2 - 1)
+        base = np.floor(u)
+        return base, u - base
+
     def __call__(self, x: ArrayLike, derivative: int = 0) -> Array:
         """The kernel, or its derivative, at signed distance `x` in (finer) samples; same shape as `x`."""
         x = reals("x", x)
-        place = np.ceil(self.support / 2 - x) - 1  # t = x - TAPS/2 + 1 + tap lies in [0, 1)
-        inside = (place >= 0) & (place < self.support)
-        tap = np.where(inside, place, 0).astype(np.int64)
-        t = np.where(inside, x, 0.0) - self.support / 2 + 1 + tap
+        x = np.where(np.abs(x) <= self.support, x, self.support)  # the kernel is zero there, as at any distance beyond
+        base, t = self.cell(x / self.scale)
+        inside = (base <= 0) & (base > -self.support)  # tap -base is that of the coefficient at 0
+        tap = np.where(inside, -base, 0).astype(np.int64)
         every = self.weights(np.where(inside, t, 0.0), derivative)
         return np.where(inside, np.take_along_axis(every, tap[None], 0)[0], 0.0)
 

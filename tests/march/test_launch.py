@@ -18,7 +18,7 @@ from clvol.mode import as_mode, modes
 from clvol.phantoms import marschner_lobb
 from clvol.scene import Scene
 from clvol.spline.evaluator import choose_evaluator
-from clvol.spline.minmax import Bounds as MinMax
+from clvol.spline.minmax import MinMax
 from clvol.transfer import TransferFunction
 from tests.march.looks import TILES, suited
 
@@ -43,8 +43,8 @@ def frame_of(renderer: Renderer, mode: str, camera: Camera, *, skipping: bool = 
     chosen = as_mode(mode, suited(mode, {"isovalue": 0.5, "termination": 0.0}))
     return Frame.of(
         Scene(renderer.volume, background=None),
-        renderer.coefficients,
-        MinMax(renderer.coefficients, evaluator) if skipping and chosen.skips else None,
+        renderer.field.coefficients,
+        MinMax(renderer.field.coefficients, evaluator) if skipping and chosen.skips else None,
         camera,
         chosen,
         SIZE,

@@ -159,7 +159,7 @@ def check(
     """Draw both ways and compare; `ways` are options of the kernels only."""
     options = suited(mode, {**OPTIONS, **options})
     got = renderer.render(camera, mode, size, step, **options, **(ways or {}))
-    want = reference.render(renderer.volume, camera, mode, renderer.filter, renderer.coefficients.boundary, size, step, **options)
+    want = reference.render(renderer.volume, camera, mode, renderer.filter, renderer.field.boundary, size, step, **options)
     assert isinstance(want, dict)
     for name in want:
         assert got[name].shape == want[name].shape

@@ -1,4 +1,4 @@
-"""Sampling and resampling as a caller sees them; agreement with the reference is in parity/."""
+"""Sampling and resampling as a caller sees them, from volumes and from a `Field`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from clvol.errors import ClvolError, DataError, DeviceError, OptionError
 from clvol.filter import as_filter, bspline, register
 from clvol.phantoms import marschner_lobb, marschner_lobb_function, marschner_lobb_gradient
 from clvol.spline.evaluator import Evaluator, choose_evaluator
-from clvol.spline.field import magnify, prefilter, resample, sample
+from clvol.spline.field import Field, as_field, magnify, prefilter, resample, sample
 from clvol.volume import Volume
 
 ROTATION = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))[0]
@@ -230,13 +230,14 @@ def test_resample_fills(device: Device) -> None:
 def test_choice_of_path(device: Device) -> None:
     cubic, mitchell = as_filter("bspline3"), as_filter("mitchell")
     assert choose_evaluator(device, cubic, "taps", "buffer") == Evaluator(False, False)
-    assert choose_evaluator(device, cubic, "eight-fetch", "buffer") == Evaluator(True, False)
-    assert choose_evaluator(device, mitchell, "eight-fetch", "buffer") == Evaluator(False, False)  # its weights change sign
+    for name in ("paired", "eight-fetch"):
+        assert choose_evaluator(device, cubic, name, "buffer") == Evaluator(True, False)
+    assert choose_evaluator(device, mitchell, "paired", "buffer") == Evaluator(False, False)  # its weights change sign
     if device.kind == "cpu":
         assert choose_evaluator(device, cubic) == Evaluator(False, False)
     if device.has_images:
         assert choose_evaluator(device, cubic, "taps", "image") == Evaluator(False, True)
-        assert str(Evaluator(True, True)) == "eight-fetch from an image"
+        assert str(Evaluator(True, True)) == "paired from an image"
     for evaluator, fetch in (("none", "auto"), ("auto", "none"), (None, "auto")):
         with pytest.raises(OptionError, match="must be one of auto"):
             choose_evaluator(device, cubic, evaluator, fetch)  # type: ignore[arg-type]
@@ -263,7 +264,7 @@ BAD_SAMPLE: list[tuple[dict[str, Any], type[ClvolError]]] = [
     ({"derivative": -1}, OptionError),
     ({"derivative": None}, OptionError),
     ({"filter": "none"}, OptionError),
-    ({"filter": None}, OptionError),
+    ({"filter": 3}, OptionError),
     ({"boundary": "none"}, OptionError),
     ({"evaluator": "none"}, OptionError),
     ({"fetch": "none"}, OptionError),
@@ -386,10 +387,8 @@ def test_prefilter_of_volumes_and_images(device: Device) -> None:
 
 
 @pytest.mark.parametrize("filter", ["bspline3", "sinc(8)", "hybrid"])
-def test_launches_are_short_and_do_not_show(device: Device, monkeypatch: pytest.MonkeyPatch, filter: str) -> None:
-    """However few points a launch takes, lattices and points come out the same."""
-    import importlib
-
+def test_launches_are_short_and_do_not_show(device: Device, filter: str) -> None:
+    """However few points a launch takes, grids and points come out the same."""
     image, volume = random_volume((9, 11)), random_volume()
     points = np.random.default_rng(0).uniform(0, 4, (3000, 3))
     want = (
@@ -397,13 +396,14 @@ def test_launches_are_short_and_do_not_show(device: Device, monkeypatch: pytest.
         resample(volume, (12, 13, 40), filter=filter, device=device).data,
         sample(volume, points, filter, device=device),
     )
-    monkeypatch.setattr(importlib.import_module("clvol.spline.points"), "_TAPS_A_LAUNCH", 1)
     done: list[float] = []
-    np.testing.assert_array_equal(resample(image, (40, 70), filter=filter, device=device, progress=done.append).data, want[0])
-    assert len(done) >= 3
-    assert done[-1] == 1
-    np.testing.assert_array_equal(resample(volume, (12, 13, 40), filter=filter, device=device).data, want[1])
-    np.testing.assert_array_equal(sample(volume, points, filter, device=device), want[2])
+    with device.limited(launch_taps=1):
+        got = resample(image, (40, 70), filter=filter, device=device, progress=done.append)
+        np.testing.assert_array_equal(got.data, want[0])
+        assert len(done) >= 3
+        assert done[-1] == 1
+        np.testing.assert_array_equal(resample(volume, (12, 13, 40), filter=filter, device=device).data, want[1])
+        np.testing.assert_array_equal(sample(volume, points, filter, device=device), want[2])
 
 
 @pytest.mark.parametrize(
@@ -424,3 +424,125 @@ def test_resample_of_an_image_in_colour_says_where_to_go() -> None:
             resample(np.zeros((8, 8, channels)), shape=(16, 16))
     with pytest.raises(OptionError, match=r"shape must be 3 whole numbers of at least 1; got \(16, 16\)$"):
         resample(np.zeros((8, 8, 8)), shape=(16, 16))
+
+
+# -- Field ---------------------------------------------------------------------------------------------------------
+
+FIELD_SHAPES = [(5, 6, 7), (6, 7), (1, 1, 1), (1, 1)]
+
+
+@pytest.mark.parametrize("name", ["bspline3", "hybrid", "mitchell"])
+@pytest.mark.parametrize("shape", FIELD_SHAPES)
+def test_a_field_is_the_functions_and_the_reference(device: Device, shape: tuple[int, ...], name: str) -> None:
+    volume, d = random_volume(shape), len(shape)
+    points = volume.index_to_world(np.random.default_rng(1).uniform(-1, 6.3, (4, 25, d)))
+    largest = np.abs(reference.prefilter(volume.data, name, "reflect")).max()
+    with Field(volume, name, "reflect", device) as field:
+        for derivative, at in enumerate((field, field.gradient, field.hessian)):
+            got = at(points)
+            assert got.shape == (4, 25) + (d,) * derivative
+            np.testing.assert_array_equal(got, sample(volume, points, name, "reflect", derivative, device=device))
+            np.testing.assert_array_equal(got, sample(field, points, derivative=derivative))
+            wanted = reference.sample(volume, points, name, "reflect", derivative)
+            np.testing.assert_allclose(got, wanted, rtol=0, atol=2e-5 * largest / 0.7**derivative)
+            np.testing.assert_array_equal(at(points, evaluator="paired"), at(points, evaluator="eight-fetch"))
+        size = (9, 4, 8)[:d]
+        for ours, theirs in (
+            (field.resample(size), resample(volume, size, filter=name, boundary="reflect", device=device)),
+            (resample(field, spacing=1.3), resample(volume, spacing=1.3, filter=name, boundary="reflect", device=device)),
+            (field.magnify(3), magnify(volume, 3, name, "reflect", device=device)),
+            (magnify(field), magnify(volume, 2, name, "reflect", device=device)),
+        ):
+            compare(ours, theirs, 0)
+
+
+def test_a_field_keeps_its_coefficients(device: Device) -> None:
+    volume = random_volume()
+    points = volume.index_to_world(np.random.default_rng(1).uniform(-1, 6, (30, 3)))
+    field = Field(volume, "bspline5", "wrap", device)
+    held, buffer = field.coefficients, field.coefficients.buffer
+    for call in (field, field.gradient, field.hessian, lambda p: sample(field, p), lambda _: field.magnify(2)):
+        call(points)
+        assert field.coefficients is held
+        assert held.buffer is buffer
+    assert (field.volume, field.filter.name, field.boundary.name) == (volume, "bspline5", "wrap")
+    assert field.device is device
+    assert field.nbytes >= 4 * volume.data.size
+    assert "5 × 6 × 7" in repr(field)
+    assert "bspline5, wrap" in repr(field)
+    field.close()
+
+
+def test_a_closed_field_says_so(device: Device) -> None:
+    volume = random_volume()
+    field = Field(volume, device=device)
+    values = field([[1.0, 2, 3]])
+    field.close()
+    field.close()
+    assert values.shape == (1,)
+    assert (field.closed, field.nbytes) == (True, 0)
+    assert "closed" in repr(field)
+    calls = (field, field.gradient, field.hessian, lambda p: sample(field, p), lambda _: field.magnify(2))
+    for call in (*calls, lambda _: field.resample((2, 2, 2)), lambda p: field(p, evaluator="paired")):
+        with pytest.raises(OptionError, match="the coefficients were released; make new ones"):
+            call([[1.0, 2, 3]])
+
+
+def test_a_field_refuses_what_it_was_not_made_with(device: Device) -> None:
+    with Field(random_volume(), "bspline2", "reflect", device) as field:
+        assert as_field(field) is field
+        assert as_field(field, "bspline2", "reflect", device) is field
+        assert as_field(field, as_filter("bspline2")) is field
+        for other in ({"filter": "linear"}, {"boundary": "wrap"}, {"filter": bspline(3)}):
+            with pytest.raises(OptionError, match=f"the field was made with {next(iter(other))} '"):
+                sample(field, [[0.0, 0, 0]], **other)
+            with pytest.raises(OptionError, match="or make another Field"):
+                magnify(field, 2, **other)
+        with pytest.raises(OptionError):
+            resample(field, (2, 2, 2), filter="none")
+        assert not field.closed
+
+
+def test_a_field_of_bad_samples_is_refused(device: Device) -> None:
+    for bad in ([[np.nan, 1.0]], [[np.inf, 1.0]], [[1e38]], [[1j]], [], np.ones(3)):
+        with pytest.raises(DataError):
+            Field(bad, device=device)
+    for options in ({"filter": "none"}, {"boundary": "none"}, {"device": "none"}):
+        with pytest.raises(OptionError):
+            Field(GOOD, **{"device": device, **options})
+
+
+@pytest.mark.parametrize("dtype", [">f4", ">f8", "<i2", ">u2", "u1", "?"])
+def test_a_field_of_any_samples(device: Device, dtype: str) -> None:
+    data = np.random.default_rng(0).integers(0, 2 if dtype == "?" else 100, (4, 5, 6)).astype(dtype)
+    data.setflags(write=False)
+    with Field(data, device=device) as field:
+        wanted = sample(data.astype(np.float32), [[1.3, 2.1, 0.4]], device=device)
+        np.testing.assert_array_equal(field([[1.3, 2.1, 0.4]]), wanted)
+        np.testing.assert_array_equal(field(np.array([[1.3, 2.1, 0.4]], ">f8")), wanted)
+
+
+def test_threads_share_a_field(device: Device) -> None:
+    volume = random_volume()
+    points = volume.index_to_world(np.random.default_rng(1).uniform(0, 4, (20_000, 3)))
+    wrong = []
+    with Field(volume, device=device) as field:
+        wanted = field(points)
+
+        def work() -> None:
+            wrong.extend(1 for _ in range(5) if not np.array_equal(field(points), wanted))
+
+        threads = [threading.Thread(target=work) for _ in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    assert not wrong
+
+
+def test_rows_end_in_numbers(device: Device) -> None:
+    """What vectors read past the last row is zero, whatever the memory held before."""
+    with Field(random_volume(), device=device) as field:
+        stored = np.full(field.nbytes // 4, np.nan, np.float32)
+        device.download(field.coefficients.buffer, stored)
+        assert not stored[-8:].any()

@@ -1,4 +1,4 @@
-"""The hierarchy of bounds holds what the function does, for every filter, and not much more."""
+"""The min-max pyramid bounds what the function does, for every filter, and is tight."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from clvol.boundary import as_boundary
 from clvol.device import Device
 from clvol.filter import Filter, as_filter, filters, from_callable, from_pieces
 from clvol.phantoms import marschner_lobb
-from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import Evaluator
-from clvol.spline.minmax import BLOCK, Bounds, bernstein
+from clvol.spline.field import coefficients_of
+from clvol.spline.minmax import BLOCK, MinMax, bernstein
 from clvol.spline.points import sample_coefficients
 from clvol.volume import Volume
 
-TAPS = Evaluator(eight_fetch=False, image=False)
+TAPS = Evaluator(paired=False, image=False)
 
 
-def levels(bounds: Bounds) -> list[NDArray[np.float32]]:
-    """(least, greatest) of the blocks of each level, [z, y, x, 2]."""
+def levels(bounds: MinMax) -> list[NDArray[np.float32]]:
+    """(min, max) of the blocks of each level, [z, y, x, 2]."""
     flat = np.empty(bounds.buffer.size // 4, np.float32)
-    bounds.held.device.download(bounds.buffer, flat)
+    bounds.coefficients.device.download(bounds.buffer, flat)
     found, size = [], np.array(bounds.blocks)
     for offset in bounds.offsets:
         count = int(np.prod(size))
@@ -34,7 +34,7 @@ def levels(bounds: Bounds) -> list[NDArray[np.float32]]:
 
 def blocks_of(points: NDArray[np.float64], filter: Filter, halo: int) -> NDArray[np.int64]:
     """The finest block of each point (x, y, z)."""
-    first = np.floor(points * filter.scale - filter.support / 2 + 1).astype(np.int64) + halo
+    first = np.floor(points * filter.scale - filter.support / 2 + 1).astype(np.int64) + halo  # independent of Filter.cell
     return np.asarray(first // (BLOCK * filter.scale))
 
 
@@ -56,7 +56,7 @@ def test_bernstein_coefficients_of_a_cell_are_those_of_the_filter() -> None:
 
 ROWS: dict[str, Filter] = {
     **filters(),
-    # fits that sum to one nearly, that jump, and one that takes values below nought everywhere
+    # fits that sum to one nearly, that jump, and one that takes values below 0 everywhere
     "nearly one": from_callable("nearly-one", lambda x: np.sinc(x) * np.sinc(x / 4), 4, degree=2),
     "jumps": from_callable("jumps", lambda x: np.exp(-x * x / 0.98), 2, degree=0),
     "negative": from_pieces("negative", [[-1.0, 0.25], [-0.75, 0.5]]),
@@ -72,9 +72,9 @@ def test_no_value_lies_outside_the_bounds_of_its_block(device: Device, name: str
         data = rng.standard_normal(shape) * 10.0 ** rng.integers(-3, 4, shape) if shape != (9, 9, 9) else np.full(shape, 7.0)
         volume = Volume(data.astype(np.float32))
         points = rng.uniform(-0.5, np.array(shape[::-1]) - 0.5, (20000, 3))
-        with Coefficients(volume, row, as_boundary(boundary), device) as held:
+        with coefficients_of(volume, row, as_boundary(boundary), device) as held:
             values = sample_coefficients(held, TAPS, points)
-            bounds = Bounds(held, TAPS)
+            bounds = MinMax(held, TAPS)
             finest = blocks_of(points, row, int(held.extent[3]))
             for level, blocks in enumerate(levels(bounds)):
                 x, y, z = np.moveaxis(finest >> level, -1, 0)
@@ -89,8 +89,8 @@ def test_bounds_are_near_the_truth(device: Device) -> None:
     """Of Marschner-Lobb, hardly a block more may hold the isovalue than does."""
     volume = marschner_lobb(41)
     row = as_filter("bspline3")
-    with Coefficients(volume, row, as_boundary("mirror"), device) as held:
-        bounds = Bounds(held, TAPS)
+    with coefficients_of(volume, row, as_boundary("mirror"), device) as held:
+        bounds = MinMax(held, TAPS)
         finest = levels(bounds)[0]
         t = (np.arange(5 * 40) + 0.5) / 5
         z, y, x = np.meshgrid(t, t, t, indexing="ij")
@@ -113,8 +113,8 @@ def test_bounds_are_near_the_truth(device: Device) -> None:
 def test_constant_data_have_tight_bounds_and_little_memory(device: Device) -> None:
     volume = Volume(np.full((64, 64, 64), 7.0, np.float32))
     for name, within in (("bspline3", 1e-3), ("sinc", 4.0)):  # a sinc that is cut off does not keep constants
-        with Coefficients(volume, as_filter(name), as_boundary("mirror"), device) as held:
-            bounds = Bounds(held, TAPS)
+        with coefficients_of(volume, as_filter(name), as_boundary("mirror"), device) as held:
+            bounds = MinMax(held, TAPS)
             assert bounds.buffer.size <= 0.1 * volume.data.nbytes
             inner = levels(bounds)[0][1:-1, 1:-1, 1:-1]
             assert np.abs(inner - 7).max() <= within

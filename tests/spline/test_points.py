@@ -9,11 +9,8 @@ from clvol import reference
 from clvol.boundary import as_boundary
 from clvol.device import Device
 from clvol.filter import as_filter, filters
-from clvol.spline import points as point_module
-from clvol.spline import sort as sorting
-from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import choose_evaluator
-from clvol.spline.field import resample, sample
+from clvol.spline.field import coefficients_of, resample, sample
 from clvol.spline.points import sample_coefficients
 from clvol.spline.sort import scattered
 from clvol.volume import Volume
@@ -44,7 +41,7 @@ def test_a_point_gives_the_same_wherever_it_stands(device: Device, name: str, de
     volume = volume_of(d)
     points = points_of(volume, 600 + 5)
     rule = ("mirror", "reflect", "wrap", "zero")[len(name) % 4]
-    with Coefficients(volume, as_filter(name), as_boundary(rule), device) as held:
+    with coefficients_of(volume, as_filter(name), as_boundary(rule), device) as held:
         path = choose_evaluator(device, held.filter)
 
         def at(some: np.ndarray) -> np.ndarray:
@@ -90,7 +87,7 @@ def test_no_points_and_few(device: Device, derivative: int) -> None:
 
 
 @pytest.mark.parametrize("shape", [(3, 2, 1030), (5, 7, 3), (1, 1, 1)])
-def test_a_turned_lattice_is_its_points(device: Device, shape: tuple[int, ...]) -> None:
+def test_a_turned_grid_is_its_points(device: Device, shape: tuple[int, ...]) -> None:
     volume = volume_of(3)
     turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
     grid = Volume(np.broadcast_to(np.float32(0), shape), (0.01, 0.9, 0.7), volume.center - 3.0, turn)
@@ -107,64 +104,57 @@ def test_a_turned_lattice_is_its_points(device: Device, shape: tuple[int, ...]) 
 # -- sorted ----------------------------------------------------------------------------------------------------
 
 
-def sort(monkeypatch: pytest.MonkeyPatch, whether: bool) -> None:
-    monkeypatch.setattr(point_module, "scattered", lambda *_: whether)
-
-
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64, ">f4", ">f8", "i4"])
 @pytest.mark.parametrize("derivative", [0, 1])
-def test_sorting_changes_nothing(
-    device: Device, monkeypatch: pytest.MonkeyPatch, derivative: int, dtype: type | str, d: int
-) -> None:
+def test_sorting_changes_nothing(device: Device, derivative: int, dtype: type | str, d: int) -> None:
     volume = volume_of(d)
     points = points_of(volume, 3000)
     if dtype == "i4":
         points = np.where(np.isfinite(points), points, 0)
     points = points.astype(dtype)
     points.setflags(write=False)
-    sort(monkeypatch, False)
-    wanted = sample(volume, points, derivative=derivative, device=device)
-    sort(monkeypatch, True)
-    np.testing.assert_array_equal(sample(volume, points, derivative=derivative, device=device), wanted)
-    with monkeypatch.context() as few:
-        few.setattr(point_module, "_TAPS_A_LAUNCH", 1)  # several launches, of 1024 points
+    with device.limited(sorting=False):
+        wanted = sample(volume, points, derivative=derivative, device=device)
+    with device.limited(sorting=True):
         np.testing.assert_array_equal(sample(volume, points, derivative=derivative, device=device), wanted)
-    monkeypatch.setattr(sorting, "_SORTED_BYTES", 32 * 700)  # in several parts
-    done: list[float] = []
-    got = sample(volume, points, derivative=derivative, device=device, progress=done.append)
-    np.testing.assert_array_equal(got, wanted)
-    assert done == sorted(done)
-    assert done[-1] == 1
-    for count in (1, 9):
-        some = sample(volume, points[:count], derivative=derivative, device=device)
-        np.testing.assert_array_equal(some, wanted[:count])
+        with device.limited(launch_taps=1):  # several launches, of 1024 points
+            np.testing.assert_array_equal(sample(volume, points, derivative=derivative, device=device), wanted)
+    with device.limited(sorting=True, sorted_bytes=32 * 700):  # in several parts
+        done: list[float] = []
+        got = sample(volume, points, derivative=derivative, device=device, progress=done.append)
+        np.testing.assert_array_equal(got, wanted)
+        assert done == sorted(done)
+        assert done[-1] == 1
+        for count in (1, 9):
+            some = sample(volume, points[:count], derivative=derivative, device=device)
+            np.testing.assert_array_equal(some, wanted[:count])
+    with device.limited(sorting=True, sorted_bytes=1):  # one by one
+        np.testing.assert_array_equal(sample(volume, points[:5], derivative=derivative, device=device), wanted[:5])
 
 
-def test_an_interrupt_while_points_are_sorted_does_no_harm(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupt_while_points_are_sorted_does_no_harm(device: Device) -> None:
     volume = volume_of(3)
     points = points_of(volume, 3000)
     wanted = sample(volume, points, device=device)
-    sort(monkeypatch, True)
-    monkeypatch.setattr(sorting, "_SORTED_BYTES", 32 * 700)
 
     def stop(done: float) -> None:
         raise KeyboardInterrupt(done)
 
-    with pytest.raises(KeyboardInterrupt):
+    with device.limited(sorting=True, sorted_bytes=32 * 700), pytest.raises(KeyboardInterrupt):
         sample(volume, points, device=device, progress=stop)
     np.testing.assert_array_equal(sample(volume, points, device=device), wanted)
 
 
 @pytest.mark.parametrize("name", ["nearest", "linear", "bspline5", "lanczos5", "hybrid"])
-def test_sorted_points_and_other_filters(device: Device, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+def test_sorted_points_and_other_filters(device: Device, name: str) -> None:
     volume = volume_of(3)
     points = points_of(volume, 2000)
     for fill in (None, 4.0):
-        sort(monkeypatch, False)
-        wanted = sample(volume, points, name, fill=fill, device=device)
-        sort(monkeypatch, True)
-        np.testing.assert_array_equal(sample(volume, points, name, fill=fill, device=device), wanted)
+        with device.limited(sorting=False):
+            wanted = sample(volume, points, name, fill=fill, device=device)
+        with device.limited(sorting=True):
+            np.testing.assert_array_equal(sample(volume, points, name, fill=fill, device=device), wanted)
 
 
 def test_which_points_are_sorted(device: Device) -> None:
@@ -174,16 +164,16 @@ def test_which_points_are_sorted(device: Device) -> None:
     ordered = points[np.argsort(points[:, 2])]
     ordered[:, :2] = 64.0
     data = np.broadcast_to(np.float32(0), (128, 128, 128))
-    with Coefficients(Volume(data), as_filter("bspline3"), as_boundary("mirror"), device) as held:
+    with coefficients_of(Volume(data), as_filter("bspline3"), as_boundary("mirror"), device) as held:
         assert scattered(held, points)
         assert scattered(held, points.astype(">f4"))
         assert not scattered(held, ordered)
         assert not scattered(held, points[:100])
         assert not scattered(held, np.full_like(points, np.nan))
         assert not scattered(held, points[:0])
-    with Coefficients(Volume(data, (50.0, 50.0, 50.0)), as_filter("bspline3"), as_boundary("mirror"), device) as held:
+    with coefficients_of(Volume(data, (50.0, 50.0, 50.0)), as_filter("bspline3"), as_boundary("mirror"), device) as held:
         assert not scattered(held, points)  # in samples these are near
-    with Coefficients(Volume(data), as_filter("linear"), as_boundary("mirror"), device) as held:
+    with coefficients_of(Volume(data), as_filter("linear"), as_boundary("mirror"), device) as held:
         assert not scattered(held, points)
-    with Coefficients(Volume(data[:32]), as_filter("bspline3"), as_boundary("mirror"), device) as held:
+    with coefficients_of(Volume(data[:32]), as_filter("bspline3"), as_boundary("mirror"), device) as held:
         assert not scattered(held, points)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import itertools
 from collections.abc import Callable
 from typing import Any
@@ -75,11 +74,11 @@ def test_halo_is_the_extension(device: Device, rule: str) -> None:
     """What lies around the coefficients on the device is what numpy.pad makes of them."""
     from clvol.boundary import as_boundary
     from clvol.filter import as_filter
-    from clvol.spline.coefficients import Coefficients
+    from clvol.spline.field import coefficients_of
 
     for shape in ((4, 3, 5), (1, 2, 1), (3, 4), (1, 1)):
         volume = Volume(np.random.default_rng(1).normal(size=shape).astype(np.float32))
-        with Coefficients(volume, as_filter("lanczos3"), as_boundary(rule), device) as held:
+        with coefficients_of(volume, as_filter("lanczos3"), as_boundary(rule), device) as held:
             halo = int(held.extent[3])
             with device.mapped(held.buffer, held.shape, write=False) as stored:
                 got = np.array(stored)
@@ -99,12 +98,11 @@ def test_a_long_axis_starts_as_a_short_one(device: Device) -> None:
 def test_order_of_the_work_does_not_show(device: Device, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     """Slice by slice or axis by axis, in long launches or short ones."""
     data = np.random.default_rng(6).normal(size=(6, 21, 75)).astype(np.float32)
-    module = importlib.import_module("clvol.spline.prefilter")
     results = []
     for units, voxels in itertools.product((1, 1000), (1, 1 << 26)):
         monkeypatch.setitem(vars(device), "units", units)
-        monkeypatch.setattr(module, "_VOXELS_A_LAUNCH", voxels)
-        results.append(prefilter(data, name, device=device))
+        with device.limited(launch_voxels=voxels):
+            results.append(prefilter(data, name, device=device))
         check(device, data, name)
     for result in results[1:]:
         np.testing.assert_array_equal(result, results[0])

@@ -1,8 +1,6 @@
-"""Lattices along the volume's axes, made one axis after the other, against the float64 reference."""
+"""Grids along the volume's axes, made one axis after the other, against the float64 reference."""
 
 from __future__ import annotations
-
-import importlib
 
 import numpy as np
 import pytest
@@ -26,14 +24,14 @@ GRIDS = [
 
 @pytest.fixture
 def only_separable(monkeypatch: pytest.MonkeyPatch, device: Device) -> None:
-    """The kernel of single points may not be asked."""
+    """The kernel of single points may not be used."""
     if device.kind != "cpu":
-        pytest.skip("other devices take the lattice point by point")
+        pytest.skip("other devices take a grid point by point")
 
     def refuse(*_: object) -> None:
         raise AssertionError("point by point")
 
-    monkeypatch.setattr(importlib.import_module("clvol.spline.resample"), "_points_program", refuse)
+    monkeypatch.setattr("clvol.spline.resample.sample_grid", refuse)
 
 
 def volume_of(shape: tuple[int, ...]) -> Volume:
@@ -63,7 +61,7 @@ def test_separable(device: Device, name: str, rule: str) -> None:
 
 @pytest.mark.usefixtures("only_separable")
 def test_a_turned_volume_has_axes_of_its_own(device: Device) -> None:
-    """Along them its lattices are separable, whatever rounding its direction makes."""
+    """Along them its grids are separable, whatever rounding its direction makes."""
     turned = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))[0]
     data = np.random.default_rng(0).normal(size=(5, 6, 7)).astype(np.float32)
     volume = Volume(data, (0.7, 1.3, 2.1), (3.0, -5.0, 7.0), turned)
@@ -72,8 +70,8 @@ def test_a_turned_volume_has_axes_of_its_own(device: Device) -> None:
     assert device is not None
 
 
-def test_a_sheared_lattice_is_not_separable(device: Device) -> None:
-    """A thousandth of a sample over the whole lattice is seen."""
+def test_a_sheared_grid_is_not_separable(device: Device) -> None:
+    """A thousandth of a sample over the whole grid shows."""
     volume = volume_of((3, 4, 5))
     shear = np.eye(3)
     shear[0, 1] = 1e-3

@@ -21,9 +21,8 @@ from clvol.checks import enough_memory, number, one_of, reals, require_room, who
 from clvol.device import Device, as_device
 from clvol.errors import ClvolError, DataError, DeviceError, OptionError
 from clvol.filter import Filter, as_filter, several_names
-from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import choose_evaluator
-from clvol.spline.field import sample
+from clvol.spline.field import coefficients_of, sample
 from clvol.spline.points import sample_coefficients
 from clvol.volume import Volume, as_volume
 
@@ -517,7 +516,7 @@ def _on_lattice(trial: _Trial, row: str | Filter, rule: Boundary, on: Device | N
     result = np.empty([a.size for a in trial.axes])
     evaluator = choose_evaluator(on, row)
     thickness = max(1, _CHUNK // (result.size // result.shape[0]))
-    with Coefficients(trial.samples, row, rule, on) as resident:
+    with coefficients_of(trial.samples, row, rule, on) as resident:
         for first in range(0, result.shape[0], thickness):
             axes = [trial.axes[0][first : first + thickness], *trial.axes[1:]]
             world = trial.samples.index_to_world(_lattice_points(axes))

@@ -14,8 +14,8 @@ import numpy as np
 from clvol.boundary import Boundary
 from clvol.device import Device
 from clvol.filter import Filter
-from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import choose_evaluator
+from clvol.spline.field import coefficients_of
 from clvol.spline.points import sample_coefficients
 from clvol.volume import Volume
 
@@ -77,7 +77,7 @@ def seconds_per_sample(
         first, shortest = len(shortest), shortest + [np.inf] * len(group)
         with ExitStack() as stack:
             resident = [
-                (stack.enter_context(Coefficients(volume, f, boundary, device)), choose_evaluator(device, f)) for f in group
+                (stack.enter_context(coefficients_of(volume, f, boundary, device)), choose_evaluator(device, f)) for f in group
             ]
             for coefficients, evaluator in resident:
                 sample_coefficients(coefficients, evaluator, points[:64])  # builds the kernel

@@ -19,7 +19,7 @@ from clvol.program import Program
 from clvol.scene import CLIP, Medium, Scene, clip_block
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import Evaluator
-from clvol.spline.minmax import BLOCK, MINMAX, Bounds, minmax_block
+from clvol.spline.minmax import BLOCK, MINMAX, MinMax, minmax_block
 from clvol.transfer import TABLE_SIZE, TransferFunction
 from clvol.uniform import FLOAT, INT, Block, Values
 
@@ -67,7 +67,7 @@ class Frame:
     ----------
     coefficients : Coefficients
         Of the medium.
-    minmax : Bounds or None
+    minmax : MinMax or None
         Of the medium, where space is skipped.
     mode : Mode
         Settled for the medium's volume.
@@ -82,7 +82,7 @@ class Frame:
     """
 
     coefficients: Coefficients
-    minmax: Bounds | None
+    minmax: MinMax | None
     mode: Mode
     evaluator: Evaluator
     planes: Planes
@@ -96,7 +96,7 @@ class Frame:
         cls,
         scene: Scene,
         coefficients: Coefficients,
-        minmax: Bounds | None,
+        minmax: MinMax | None,
         camera: Camera,
         mode: Mode,
         size: tuple[int, int],
@@ -150,7 +150,7 @@ class Frame:
         """The rays of a work-item."""
         if self.device.limits.tile is not None:
             return Tile(*self.device.limits.tile)
-        rows = not self.evaluator.image and not self.evaluator.eight_fetch
+        rows = not self.evaluator.image and not self.evaluator.paired
         return BY_PLANES if self.device.kind == "cpu" and rows else BY_RAYS
 
     def sampled(self, offset: NDArray[np.float64], number: int, samples: int) -> Values:

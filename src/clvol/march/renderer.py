@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.boundary import Boundary
 from clvol.camera import Camera
 from clvol.checks import instance, number, one_of, whole
-from clvol.device import Device, as_device
+from clvol.device import Device
 from clvol.errors import OptionError
 from clvol.filter import Filter
 from clvol.light import Light, Material
@@ -20,9 +20,9 @@ from clvol.march import launch
 from clvol.march.frame import Frame
 from clvol.mode import DEFAULT_MODE, Mode, as_mode
 from clvol.scene import Box, Medium, Scene, as_scene
-from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import Evaluator, EvaluatorName, FetchName, choose_evaluator
-from clvol.spline.minmax import Bounds
+from clvol.spline.field import Field, as_field
+from clvol.spline.minmax import MinMax
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
 
@@ -42,11 +42,11 @@ class Renderer:
 
     Parameters
     ----------
-    scene : Scene, Medium, Volume or array-like, 3-D
-        What to draw.
+    scene : Scene, Medium, Volume, Field or array-like, 3-D
+        What to draw. A Field's coefficients are used as they are, and stay when the renderer is closed.
     filter, boundary : str, Filter, Boundary, optional
         How a volume is reconstructed between its samples, where `scene` is no more than a volume; default "bspline3" and
-        "mirror". A medium says so itself.
+        "mirror". A medium or a field says so itself.
     device : Device, str or int, optional
         See `as_device`.
 
@@ -69,24 +69,28 @@ class Renderer:
 
     def __init__(
         self,
-        scene: Scene | Medium | Volume | ArrayLike,
+        scene: Scene | Medium | Volume | Field | ArrayLike,
         filter: str | Filter | None = None,
         boundary: str | Boundary | None = None,
         device: Device | str | int | None = None,
     ) -> None:
         given = {name: value for name, value in (("filter", filter), ("boundary", boundary)) if value is not None}
-        if isinstance(scene, (Scene, Medium)):
-            if given:
-                raise OptionError(f"{' and '.join(given)} must be left to the medium of a scene; got {given}")
-        else:
+        self._own = not isinstance(scene, Field)
+        if isinstance(scene, Field):
+            self.field = as_field(scene, filter, boundary, device)
+            scene = Medium(scene.volume, filter=scene.filter, boundary=scene.boundary)
+        elif not isinstance(scene, (Scene, Medium)):
             scene = Medium(scene, **given)  # type: ignore[arg-type]  # __post_init__ converts
+        elif given:
+            raise OptionError(f"{' and '.join(given)} must be left to the medium of a scene; got {given}")
         self.scene = as_scene(scene)
         (medium,) = self.scene.media
-        self.device = as_device(device)
-        self.coefficients = Coefficients(medium.volume, medium.filter, medium.boundary, self.device)
+        if self._own:
+            self.field = Field(medium.volume, medium.filter, medium.boundary, device)
+        self.device = self.field.device
         self._settled: dict[Mode, Mode] = {}
         self._transfers: dict[type[Mode], TransferFunction] = {}
-        self._minmax: dict[Evaluator, Bounds] = {}
+        self._minmax: dict[Evaluator, MinMax] = {}
 
     @property
     def volume(self) -> Volume:
@@ -96,11 +100,12 @@ class Renderer:
     @property
     def filter(self) -> Filter:
         """Of the medium."""
-        return self.coefficients.filter
+        return self.field.filter
 
     def close(self) -> None:
-        """Free the device's memory."""
-        self.coefficients.release()
+        """Free the device's memory, except that of a Field which was given."""
+        if self._own:
+            self.field.close()
         while self._minmax:
             self._minmax.popitem()[1].release()
 
@@ -222,7 +227,7 @@ class Renderer:
         way = choose_evaluator(self.device, self.filter, evaluator, fetch, bits=_BITS)
         frame = Frame.of(
             scene,
-            self.coefficients,
+            self.field.coefficients,
             self._pyramid(way) if skipping and chosen.skips else None,
             camera,
             self._settle(chosen),
@@ -272,16 +277,16 @@ class Renderer:
             self._transfers[kind] = mode.transfer(self.volume)
         return self._transfers[kind]
 
-    def _pyramid(self, evaluator: Evaluator) -> Bounds:
+    def _pyramid(self, evaluator: Evaluator) -> MinMax:
         """Minima and maxima, computed for the first picture."""
         if evaluator not in self._minmax:
-            self._minmax[evaluator] = Bounds(self.coefficients, evaluator)
+            self._minmax[evaluator] = MinMax(self.field.coefficients, evaluator)
         return self._minmax[evaluator]
 
 
 @overload
 def render(
-    scene: Scene | Medium | Volume | ArrayLike,
+    scene: Scene | Medium | Volume | Field | ArrayLike,
     camera: Camera | None = ...,
     mode: str | Mode = ...,
     filter: str | Filter | None = ...,
@@ -297,7 +302,7 @@ def render(
 
 @overload
 def render(
-    scene: Scene | Medium | Volume | ArrayLike,
+    scene: Scene | Medium | Volume | Field | ArrayLike,
     camera: Camera | None = ...,
     mode: str | Mode = ...,
     filter: str | Filter | None = ...,
@@ -312,7 +317,7 @@ def render(
 
 
 def render(
-    scene: Scene | Medium | Volume | ArrayLike,
+    scene: Scene | Medium | Volume | Field | ArrayLike,
     camera: Camera | None = None,
     mode: str | Mode = DEFAULT_MODE,
     filter: str | Filter | None = None,

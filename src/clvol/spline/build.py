@@ -1,14 +1,29 @@
-"""What kernels need to know of a filter and of a boundary rule, as `#define`s."""
+"""What the kernels of the spline need to know, as `#define`s: of a filter, a boundary rule, points, an evaluator."""
 
 from __future__ import annotations
+
+from typing import TypeAlias
 
 import numpy as np
 
 from clvol.boundary import Boundary
+from clvol.device import Device
 from clvol.filter import Filter
 from clvol.program import literal
+from clvol.spline.evaluator import Evaluator
 
-__all__ = ["boundary_defines", "filter_defines", "row_reach", "row_width"]
+__all__ = [
+    "DefineDict",
+    "boundary_defines",
+    "evaluator_defines",
+    "filter_defines",
+    "literals",
+    "point_defines",
+    "row_reach",
+    "row_width",
+]
+
+DefineDict: TypeAlias = dict[str, str | int | float]
 
 
 def row_width(filter: Filter) -> int:
@@ -21,7 +36,12 @@ def row_reach(filter: Filter) -> int:
     return -(-filter.support // row_width(filter)) * row_width(filter)
 
 
-def filter_defines(filter: Filter) -> dict[str, str | int | float]:
+def literals(table: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> str:
+    """A two-dimensional array as OpenCL C initialises one."""
+    return "{" + ",".join("{" + ",".join(map(literal, row)) + "}" for row in table.tolist()) + "}"
+
+
+def filter_defines(filter: Filter) -> DefineDict:
     """What filter.cl and cell.cl need to know of a filter."""
     width, reach = row_width(filter), row_reach(filter)
     columns = np.zeros((filter.degree + 1, reach))
@@ -37,16 +57,37 @@ def filter_defines(filter: Filter) -> dict[str, str | int | float]:
         "ROW": width,
         "CHUNKS": reach // width,
         "FILTER_COLUMNS": "{" + ",".join(rows) + "}",
-        "FILTER_TAPS": "{" + ",".join("{" + ",".join(map(literal, tap)) + "}" for tap in filter.matrix) + "}",
+        "FILTER_TAPS": literals(filter.matrix),
         "LEFT": filter.support / 2 - 1,
         "GRID_SCALE": filter.scale,
     }
 
 
-def boundary_defines(boundary: Boundary) -> dict[str, str | int | float]:
+def boundary_defines(boundary: Boundary) -> DefineDict:
     """What boundary.cl needs to know of a rule."""
     return {
         "BOUNDARY_PERIODIC": int(boundary.period is not None),
         "BOUNDARY_FOLDED": int(boundary.fold is not None),
         "BOUNDARY_FOLD": boundary.fold or 0,
     }
+
+
+def evaluator_defines(evaluator: Evaluator, filter: Filter, dimensions: int, device: Device) -> DefineDict:
+    """What fetch.cl, taps.cl and pairs.cl need to know.
+
+    A filter whose weights change sign within a pair of taps is evaluated by direct taps; so is its gradient if the
+    derivatives of its weights do.
+    """
+    paired = evaluator.paired and filter.pairable(0)
+    return {
+        "DIMENSIONS": dimensions,
+        "FETCH_IMAGE": int(evaluator.image),
+        "PAIRED_VALUE": int(paired),
+        "PAIRED_GRADIENT": int(paired and filter.pairable(1)),
+        "COORD_DOUBLE": int(device.has_double),
+    }
+
+
+def point_defines(kind: type[np.generic]) -> DefineDict:
+    """What position.cl needs to know of points of this type."""
+    return {"POINT": "double" if kind == np.float64 else "float", "POINT_BITS": 8 * np.dtype(kind).itemsize}

@@ -1,8 +1,9 @@
-"""A volume's coefficients on a device: the host side of coefficients.cl."""
+"""A volume's coefficients as a device stores them: the host side of coefficients.cl."""
 
 from __future__ import annotations
 
 import math
+import threading
 from types import TracebackType
 from typing import Any, Self
 
@@ -13,10 +14,9 @@ from clvol.boundary import Boundary
 from clvol.device import Device
 from clvol.errors import OptionError
 from clvol.filter import Filter
-from clvol.program import LANES
-from clvol.spline.build import boundary_defines, filter_defines, row_reach
+from clvol.program import LANES, Program
+from clvol.spline.build import DefineDict, boundary_defines, evaluator_defines, filter_defines, row_reach
 from clvol.spline.evaluator import Evaluator
-from clvol.spline.prefilter import _VOXELS_A_LAUNCH, _prefilter
 from clvol.volume import Volume
 
 __all__ = ["Coefficients"]
@@ -37,23 +37,34 @@ _SAMPLES = {  # OpenCL's names of NumPy's types
 
 
 class Coefficients:
-    """A volume's coefficients on a device: prefiltered, surrounded by a halo, ready to be sampled.
+    """Room on a device for a volume's coefficients and the halo around them.
+
+    This class is storage alone: a new one holds nothing yet. `clvol.spline.field.coefficients_of` makes one and fills it.
 
     Parameters
     ----------
     volume : Volume
         2-D or 3-D samples.
-    filter, boundary : str, Filter or Boundary
-        Decide the prefilter and what the halo holds.
+    filter, boundary : Filter, Boundary
+        They determine how wide the halo is and what belongs into it.
     device : Device
-        Where they are held.
+        Where the coefficients are stored.
+
+    Attributes
+    ----------
+    buffer : Buffer
+        float32, [z, y, x], halo included; None once released.
+    extent : ndarray of int32, shape (4,)
+        Row pitch, rows, slices and halo: the argument of every kernel that reads coefficients.
+    size : ndarray of int32, shape (4,)
+        Samples along (x, y, z), then 0.
+    period : ndarray of int32, shape (4,)
+        The period of the boundary rule along (x, y, z), 0 where it has none, then 0.
 
     Raises
     ------
-    DataError
-        A sample is NaN or infinite.
     OutOfMemoryError
-        They do not fit on the device.
+        The device has no room for them.
     """
 
     def __init__(self, volume: Volume, filter: Filter, boundary: Boundary, device: Device) -> None:
@@ -61,29 +72,23 @@ class Coefficients:
         self.filter = filter
         self.boundary = boundary
         self.device = device
-        volume.require_finite()
         sizes = (*volume.size, 1)[:3]
-        # samples along (x, y, z), and the period of the boundary rule there, as int4 arguments
         self.size = np.array([*sizes, 0], np.int32)
         self.period = np.array([*(boundary.length(n) for n in sizes), 0], np.int32)
-        if filter.magnified_by is None:
-            self.extent = _extent(filter, volume.ndim, sizes)
-            self.buffer = device.allocate(self.nbytes)
-            self._fill(sizes)
-        else:
-            self.extent = _extent(filter, volume.ndim, tuple(filter.scale * n for n in sizes))
-            self.buffer = device.allocate(self.nbytes)
-            self._magnify(filter.magnified_by)
+        self.extent = _extent(filter, volume.ndim, tuple(filter.scale * n for n in sizes))
+        self.buffer: Any = device.allocate(self.nbytes)
+        device.clear(self.buffer, math.prod(self.shape), LANES)  # vectors past the last row enter bounds
         self._image: Any = None
+        self._lock = threading.Lock()
 
     @property
     def nbytes(self) -> int:
-        """Of the buffer."""
+        """Size of the buffer in bytes."""
         return 4 * (math.prod(self.shape) + LANES)  # vectors may read past the last row
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Stored coefficients along z, y, x, the halo included."""
+        """Stored coefficients along z, y, x, halo included."""
         return int(self.extent[2]), int(self.extent[1]), int(self.extent[0])
 
     @property
@@ -96,19 +101,51 @@ class Coefficients:
             for axis in (2, 1, 0)
         )
 
-    def _fill(self, sizes: tuple[int, ...]) -> None:
-        device = self.device
-        self._copy_samples(sizes)
-        if self.filter.poles.size:
-            _prefilter(device, self.buffer, self.filter, self.boundary, self.extent.tolist(), sizes, self.volume.ndim)
+    # -- filling -----------------------------------------------------------------------------------------------
+
+    def copy_samples(self) -> None:
+        """Put the volume's samples where their coefficients will be.
+
+        All cores of a processor copy if kernels can read the samples as they are; otherwise NumPy does.
+        """
+        device, data, sizes = self.device, self.volume.data, self.size[:3].tolist()
+        kind = _SAMPLES.get(data.dtype.str[1:])
+        plain = data.flags.c_contiguous and data.dtype.isnative and data.flags.aligned
+        if device.kind != "cpu" or not plain or kind is None or (kind == "double" and not device.has_double):
+            with device.mapped(self.buffer, self.shape, write=True) as stored:
+                np.copyto(stored[self.inner], data.reshape(sizes[::-1]), casting="unsafe")
+            return
+        kernel = self._build(kind).kernel("copy_samples")
+        pitch, area = int(self.extent[0]), int(self.extent[0]) * int(self.extent[1])
+        origin = sum(inside.start * step for inside, step in zip(self.inner, (area, pitch, 1), strict=True))
+        nx, ny, nz = sizes
+        slices = data.reshape(nz, ny, nx)
+        some = max(1, device.limits.launch_voxels // (nx * ny))
+        for first in range(0, nz, some):  # in parts, for samples of a wide type may exceed the largest allocation
+            part = slices[first : first + some]
+            with device.lent(part, write=False) as samples, device.errors:
+                kernel(
+                    device.queue,
+                    (ny, len(part)),
+                    (1, 1),
+                    samples,
+                    self.buffer,
+                    np.uint64(origin + first * area),
+                    np.int32(nx),
+                    np.uint64(pitch),
+                    np.uint64(area),
+                )
+
+    def fill_halo(self) -> None:
+        """Surround the coefficients by what the boundary rule says lies there."""
+        device, sizes = self.device, self.size[:3].tolist()
         halos = [inside.start for inside in self.inner[::-1]]
         places = [
             np.where((i := self.boundary.index(np.arange(stored) - halo, n)) < 0, -1, i + halo)
             for stored, n, halo in zip(self.shape[::-1], sizes, halos, strict=True)
         ]
-        built = device.build("spline/coefficients.cl", {"COORD_DOUBLE": 0})
         with device.errors:
-            built.kernel("fill_halo")(
+            self._build("float").kernel("fill_halo")(
                 device.queue,
                 self.shape[1::-1],
                 None,
@@ -119,56 +156,45 @@ class Coefficients:
             )
         device.finish()
 
-    def _copy_samples(self, sizes: tuple[int, ...]) -> None:
-        """The samples to where their coefficients will be; by all cores where they can read them as they are."""
-        device, data = self.device, self.volume.data
-        named = _SAMPLES.get(data.dtype.str[1:])
-        plain = data.flags.c_contiguous and data.dtype.isnative and data.flags.aligned
-        if device.kind != "cpu" or not plain or named is None or (named == "double" and not device.has_double):
-            with device.mapped(self.buffer, self.shape, write=True) as stored:
-                np.copyto(stored[self.inner], data.reshape(sizes[::-1]), casting="unsafe")
-            return
-        defines: dict[str, str | int | float] = {"SAMPLE": named, "SAMPLE_DOUBLE": int(named == "double"), "COORD_DOUBLE": 0}
-        pitch, area = int(self.extent[0]), int(self.extent[0]) * int(self.extent[1])
-        origin = sum(inside.start * step for inside, step in zip(self.inner, (area, pitch, 1), strict=True))
-        nx, ny, nz = sizes
-        kernel = device.build("spline/samples.cl", defines).kernel("copy_samples")
-        slices = data.reshape(nz, ny, nx)
-        some = max(1, _VOXELS_A_LAUNCH // (nx * ny))
-        for first in range(0, nz, some):  # part by part: a wide type may be larger than what a device allows at once
-            part = slices[first : first + some]
-            with device.lent(part, write=False) as given, device.errors:
-                kernel(
-                    device.queue,
-                    (ny, len(part)),
-                    (1, 1),
-                    given,
-                    self.buffer,
-                    np.uint64(origin + first * area),
-                    np.int32(nx),
-                    np.uint64(pitch),
-                    np.uint64(area),
-                )
+    def _build(self, samples: str) -> Program:
+        return self.device.build(
+            "spline/coefficients.cl", {"SAMPLE": samples, "SAMPLE_DOUBLE": int(samples == "double"), "COORD_DOUBLE": 0}
+        )
 
-    def _magnify(self, by: Filter) -> None:
-        """Samples of the spline on a grid of twice the density, halo included (section 4.3)."""
-        from clvol.spline.resample import _run_lattice
-
-        scale, halo = self.filter.scale, int(self.extent[3])
-        with Coefficients(self.volume, by, self.boundary, self.device) as coarse:
-            matrix = np.diag([1 / scale, 1 / scale, 1 / scale if self.volume.ndim == 3 else 0.0])
-            offset = np.array([-halo / scale, -halo / scale, -halo / scale if self.volume.ndim == 3 else 0.0])
-            _run_lattice(coarse, Evaluator(False, False), matrix, offset, self.shape, self.buffer)
+    # -- reading -----------------------------------------------------------------------------------------------
 
     @property
     def image(self) -> Any:
-        """The same as an OpenCL image, made when first asked for."""
-        if self._image is None:
-            self._image = self.device.image_of(self.buffer, self.shape)
-        return self._image
+        """The coefficients as an OpenCL image, made at the first use."""
+        with self._lock:
+            if self._image is None:
+                self._image = self.device.image_of(self.buffer, self.shape)
+            return self._image
+
+    def argument(self, evaluator: Evaluator) -> Any:
+        """The buffer or image that kernels read with this evaluator.
+
+        Raises
+        ------
+        OptionError
+            The coefficients were released.
+        OutOfMemoryError
+            An image of this shape, or another copy, is more than the device holds.
+        """
+        if self.buffer is None:
+            raise OptionError("the coefficients were released; make new ones")
+        return self.image if evaluator.image else self.buffer
+
+    def defines(self, evaluator: Evaluator) -> DefineDict:
+        """What every kernel that samples these coefficients needs to know."""
+        return {
+            **filter_defines(self.filter),
+            **boundary_defines(self.boundary),
+            **evaluator_defines(evaluator, self.filter, self.volume.ndim, self.device),
+        }
 
     def release(self) -> None:
-        """Free the device's memory; what was computed stays valid."""
+        """Free the device's memory. Results that were computed stay valid."""
         for memory in (self.buffer, self._image):
             if memory is not None:
                 memory.release()
@@ -180,31 +206,12 @@ class Coefficients:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.release()
 
-    def argument(self, path: Evaluator) -> Any:
-        """The buffer or image that the kernels of this path read."""
-        if self.buffer is None:
-            raise OptionError("the coefficients were released; make new ones")
-        return self.image if path.image else self.buffer
-
-    def defines(self, path: Evaluator) -> dict[str, str | int | float]:
-        """What fetch.cl and sample.cl need to know."""
-        eight = path.eight_fetch and self.filter.pairable(0)
-        return {
-            **filter_defines(self.filter),
-            **boundary_defines(self.boundary),
-            "DIMENSIONS": self.volume.ndim,
-            "FETCH_IMAGE": int(path.image),
-            "EIGHT_FETCH_VALUE": int(eight),
-            "EIGHT_FETCH_GRADIENT": int(eight and self.filter.pairable(1)),
-            "COORD_DOUBLE": int(self.device.has_double),
-        }
-
 
 def _extent(filter: Filter, dimensions: int, sizes: tuple[int, ...]) -> NDArray[np.int32]:
-    """(row pitch, rows, slices, halo) of the stored coefficients.
+    """(row pitch, rows, slices, halo) of what is stored for so many coefficients along x, y and z.
 
-    The halo covers the taps of every point of the domain and of points a sample beyond it, for central
-    differences; rows are longer by what a vector load reads past the last tap.
+    The halo covers the taps of every point of the domain, and of points a sample beyond it, for central differences.
+    Rows are longer by what a vector load reads past the last tap.
     """
     halo = filter.support // 2 + 1 + filter.scale
     x, y, z = sizes

@@ -1,4 +1,4 @@
-"""How a device evaluates a filter: direct taps or pairs of taps, from a buffer or from an image."""
+"""How a device evaluates a filter: by direct taps or by paired fetches, from a buffer or from an image."""
 
 from __future__ import annotations
 
@@ -10,42 +10,72 @@ from clvol.device import Device
 from clvol.errors import DeviceError
 from clvol.filter import Filter
 
-__all__ = ["SAMPLE_BITS", "Evaluator", "EvaluatorName", "FetchName", "choose_evaluator"]
+__all__ = ["DIRECT", "SAMPLE_BITS", "Evaluator", "EvaluatorName", "FetchName", "choose_evaluator"]
 
-EvaluatorName = Literal["auto", "taps", "eight-fetch"]
+EvaluatorName = Literal["auto", "taps", "paired", "eight-fetch"]
 FetchName = Literal["auto", "buffer", "image"]
 
-SAMPLE_BITS = 20.0  # of a sampler's fraction, before `sample` and `resample` trust it of themselves
+SAMPLE_BITS = 20.0
+"""Bits of a sampler's fraction that sampling needs before "auto" chooses it."""
+
+_PAIRED = ("paired", "eight-fetch")
 
 
 @dataclass(frozen=True)
 class Evaluator:
-    """How a kernel gets at the function: pairs of taps by linear fetches or not, an image or a buffer."""
+    """How a kernel evaluates the function.
 
-    eight_fetch: bool
+    Parameters
+    ----------
+    paired : bool
+        Whether one linear fetch serves two taps along each axis (Sigg and Hadwiger, GPU Gems 2, chapter 20). Four taps
+        an axis take 8 fetches in 3-D and 4 in 2-D, hence "eight-fetch" as another name; six taps take 27 in 3-D.
+    image : bool
+        Whether coefficients are read from an image, not from a buffer.
+    """
+
+    paired: bool
     image: bool
 
     def __str__(self) -> str:
-        return f"{'eight-fetch' if self.eight_fetch else 'taps'} from {'an image' if self.image else 'a buffer'}"
+        return f"{'paired' if self.paired else 'taps'} from {'an image' if self.image else 'a buffer'}"
+
+
+DIRECT = Evaluator(paired=False, image=False)
+"""Direct taps from a buffer, which suit a processor."""
 
 
 def choose_evaluator(
     device: Device, filter: Filter, evaluator: str = "auto", fetch: str = "auto", *, bits: float = SAMPLE_BITS
 ) -> Evaluator:
-    """The path to use on a device: as asked, else the one that suits it.
+    """The evaluator for a filter on a device: the one that is named, else the one that suits the device.
 
-    Processors read buffers by direct taps: they sample images in software. On other devices pairs of
-    taps come from the texture unit, if it was measured to interpolate with at least `bits` bits.
+    Processors sample images in software, so they read buffers by direct taps. Other devices take paired fetches from
+    the texture unit, provided that it was measured to interpolate with at least `bits` bits.
+
+    Parameters
+    ----------
+    device : Device
+        Where the coefficients are.
+    filter : Filter
+        One whose weights change sign within a pair of taps is evaluated by direct taps, whatever `evaluator` says.
+    evaluator : {"auto", "taps", "paired", "eight-fetch"}
+        "eight-fetch" is another name for "paired".
+    fetch : {"auto", "buffer", "image"}
+        Where coefficients are read from.
+    bits : float
+        What "auto" demands of the sampler.
 
     Raises
     ------
     OptionError
-        An unknown name.
+        `evaluator` or `fetch` is none of these names.
     DeviceError
-        ``fetch="image"`` on a device that has no float images, or whose sampler does not interpolate.
+        ``fetch="image"`` on a device without float images, or paired fetches from an image on a device whose sampler
+        does not interpolate.
     """
-    if evaluator not in ("auto", "taps", "eight-fetch"):
-        raise one_of("evaluator", evaluator, ("auto", "taps", "eight-fetch"))
+    if evaluator not in ("auto", "taps", *_PAIRED):
+        raise one_of("evaluator", evaluator, ("auto", "taps", "paired"))
     if fetch not in ("auto", "buffer", "image"):
         raise one_of("fetch", fetch, ("auto", "buffer", "image"))
     if fetch == "image" and not device.has_images:
@@ -54,8 +84,8 @@ def choose_evaluator(
     textures = device.kind != "cpu" and fetch != "buffer" and evaluator != "taps"
     if fetch == "auto" and textures:
         image = filter.pairable(0) and device.has_images and device.sampler_bits >= bits
-    eight = evaluator == "eight-fetch" or (evaluator == "auto" and image and device.kind != "cpu")
-    eight = eight and filter.pairable(0)
-    if eight and image and device.sampler_bits == 0:
+    paired = evaluator in _PAIRED or (evaluator == "auto" and image and device.kind != "cpu")
+    paired = paired and filter.pairable(0)
+    if paired and image and device.sampler_bits == 0:
         raise DeviceError(f"{device.name} does not interpolate float images; use evaluator='taps' or fetch='buffer'")
-    return Evaluator(eight, image)
+    return Evaluator(paired, image)

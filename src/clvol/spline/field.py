@@ -1,9 +1,12 @@
-"""The continuous function of a volume: values, derivatives and other grids."""
+"""The continuous function of a volume: `Field`, which keeps its coefficients on a device, and functions that use one once."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import TracebackType
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,17 +19,540 @@ from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.interop import read_array
 from clvol.program import LANES
 from clvol.spline.coefficients import Coefficients
-from clvol.spline.evaluator import EvaluatorName, FetchName, choose_evaluator
-from clvol.spline.points import sample_coefficients
-from clvol.spline.prefilter import _prefilter
-from clvol.spline.resample import _run_lattice
+from clvol.spline.evaluator import DIRECT, EvaluatorName, FetchName, choose_evaluator
+from clvol.spline.points import Floats, Progress, sample_coefficients
+from clvol.spline.prefilter import prefilter_in_place
+from clvol.spline.resample import resample_coefficients
 from clvol.volume import Volume, as_volume
 
-__all__ = ["Floats", "Progress", "magnify", "prefilter", "resample", "sample"]
+__all__ = ["Field", "Floats", "Progress", "as_field", "coefficients_of", "magnify", "opened", "prefilter", "resample", "sample"]
 
-Floats = NDArray[np.float32]
-Progress = Callable[[float], None]
 _CHANNELS = 4  # of an image in colour, at most
+
+
+def coefficients_of(volume: Volume, filter: Filter, boundary: Boundary, device: Device) -> Coefficients:
+    """A volume's coefficients on a device: prefiltered, surrounded by their halo, ready to be sampled.
+
+    Those of a hybrid (section 4.3) are samples of the spline on a grid of twice the density.
+
+    Raises
+    ------
+    DataError
+        A sample is NaN, infinite or too large for float32.
+    OutOfMemoryError
+        The device has no room for them.
+    """
+    volume.require_finite()
+    made = Coefficients(volume, filter, boundary, device)
+    try:
+        if filter.magnified_by is not None:
+            _fill_hybrid(made, filter.magnified_by)
+        else:
+            made.copy_samples()
+            if filter.poles.size:
+                extent, size = made.extent.tolist(), made.size[:3].tolist()
+                prefilter_in_place(device, made.buffer, filter, boundary, extent, size, volume.ndim)
+            made.fill_halo()
+    except BaseException:
+        made.release()
+        raise
+    return made
+
+
+def _fill_hybrid(made: Coefficients, by: Filter) -> None:
+    """Fill the coefficients of a hybrid, halo included, by samples of the spline of `by`."""
+    scale, halo, d = made.filter.scale, int(made.extent[3]), made.volume.ndim
+    steps = np.array([1 / scale] * d + [0.0] * (3 - d))
+    with coefficients_of(made.volume, by, made.boundary, made.device) as coarse:
+        resample_coefficients(coarse, DIRECT, np.diag(steps), -halo * steps, made.shape, made.buffer)
+
+
+class Field:
+    """The continuous function of a volume, with its coefficients kept on a device.
+
+    Making one uploads and prefilters the volume (section 4.2 of the paper); every call then costs its samples only. The
+    functions `clvol.sample`, `clvol.resample` and `clvol.magnify` take a Field in place of a volume.
+
+    Parameters
+    ----------
+    volume : Volume or array-like, shape (ny, nx) or (nz, ny, nx)
+        Samples of any integer or floating dtype; an array has spacing 1 and origin 0.
+    filter : str or Filter
+        A name in `clvol.filters()`, or a filter of your own.
+    boundary : str or Boundary
+        "mirror", "reflect", "wrap" or "zero": what lies past the outer samples.
+    device : Device, str or int, optional
+        See `as_device`; None is the default device.
+
+    Attributes
+    ----------
+    volume : Volume
+        The samples.
+    filter : Filter
+    boundary : Boundary
+    device : Device
+    coefficients : Coefficients
+        As they are stored on the device.
+
+    Raises
+    ------
+    DataError
+        `volume` is no array of real numbers with 2 or 3 axes, is empty, or holds a value that is NaN, infinite or too
+        large for float32.
+    OptionError
+        `filter`, `boundary` or `device` is the name of none.
+    DeviceError
+        There is no OpenCL device, or it cannot be used.
+    OutOfMemoryError
+        The device has no room for the coefficients.
+
+    Notes
+    -----
+    A Field is a context manager: leaving it frees the device's memory, as `close` does. Several threads may use one at a
+    time.
+
+    Examples
+    --------
+    >>> with clvol.Field(volume) as field:
+    ...     values = field(points)
+    ...     gradients = field.gradient(points)
+    """
+
+    def __init__(
+        self,
+        volume: Volume | ArrayLike,
+        filter: str | Filter = DEFAULT_FILTER,
+        boundary: str | Boundary = DEFAULT_BOUNDARY,
+        device: Device | str | int | None = None,
+    ) -> None:
+        self.volume = as_volume(volume)
+        self.filter = as_filter(filter)
+        self.boundary = as_boundary(boundary)
+        self.device = as_device(device)
+        self.coefficients = coefficients_of(self.volume, self.filter, self.boundary, self.device)
+
+    def __repr__(self) -> str:
+        shape = " × ".join(map(str, self.volume.shape))
+        state = ", closed" if self.closed else ""
+        return f"<Field of {shape} samples, {self.filter.name}, {self.boundary.name}, on {self.device.name!r}{state}>"
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the device's memory that the coefficients take; 0 once closed."""
+        return 0 if self.closed else self.coefficients.nbytes
+
+    @property
+    def closed(self) -> bool:
+        """Whether the coefficients were released."""
+        return self.coefficients.buffer is None
+
+    def close(self) -> None:
+        """Free the device's memory. Results stay valid; asking for more raises `OptionError`."""
+        self.coefficients.release()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    # -- at points ---------------------------------------------------------------------------------------------
+
+    def __call__(
+        self,
+        points: ArrayLike,
+        *,
+        evaluator: EvaluatorName = "auto",
+        fetch: FetchName = "auto",
+        fill: float | None = None,
+        progress: Progress | None = None,
+    ) -> Floats:
+        """Values at points of the world.
+
+        Parameters
+        ----------
+        points : array-like, shape (..., d)
+            World positions (x, y) or (x, y, z), as many coordinates as the volume has axes. float32 is computed with as it
+            is, everything else as float64 where the device has it. A position that is not finite gives NaN.
+        evaluator : {"auto", "taps", "paired", "eight-fetch"}
+            Direct taps, or linear fetches that serve two taps along each axis: 8 fetches for the 4 taps an axis of a
+            cubic in 3-D (hence "eight-fetch", another name for it), 4 in 2-D, 27 for the 6 taps of `bspline5`. Filters
+            whose weights change sign within a pair take direct taps; second derivatives always do.
+        fetch : {"auto", "buffer", "image"}
+            Where coefficients are read from.
+        fill : float, optional
+            The result outside the volume's domain, NaN and infinities included; None: the boundary rule goes on there.
+        progress : callable, optional
+            Called with the fraction done, from time to time and at the end with 1.
+
+        Returns
+        -------
+        ndarray of float32, shape (...)
+
+        Raises
+        ------
+        OptionError
+            `points` are no real numbers of shape (..., d); `fill` is no number; `evaluator` or `fetch` is an unknown name;
+            the field is closed.
+        DeviceError
+            ``fetch="image"`` on a device without float images, or paired fetches from an image on one whose sampler does
+            not interpolate.
+        OutOfMemoryError
+            The device has no room for the points.
+        """
+        return self._at(points, 0, evaluator, fetch, fill, progress)
+
+    def gradient(
+        self,
+        points: ArrayLike,
+        *,
+        evaluator: EvaluatorName = "auto",
+        fetch: FetchName = "auto",
+        fill: float | None = None,
+        progress: Progress | None = None,
+    ) -> Floats:
+        """Gradients at points of the world: the exact derivative of the function that calling the field gives.
+
+        It holds almost everywhere: some filters have kinks or jumps. Parameters and errors are those of a call.
+
+        Returns
+        -------
+        ndarray of float32, shape (..., d)
+            Derivatives along (x, y[, z]), per world unit.
+        """
+        return self._at(points, 1, evaluator, fetch, fill, progress)
+
+    def hessian(
+        self,
+        points: ArrayLike,
+        *,
+        evaluator: EvaluatorName = "auto",
+        fetch: FetchName = "auto",
+        fill: float | None = None,
+        progress: Progress | None = None,
+    ) -> Floats:
+        """Second derivatives at points of the world, exact as `gradient` is. Parameters and errors are those of a call.
+
+        Returns
+        -------
+        ndarray of float32, shape (..., d, d)
+            Symmetric, [x, y[, z]] twice, per world unit squared.
+        """
+        return self._at(points, 2, evaluator, fetch, fill, progress)
+
+    def _at(
+        self, points: ArrayLike, derivative: int, evaluator: str, fetch: str, fill: float | None, progress: Progress | None
+    ) -> Floats:
+        d = self.volume.ndim
+        array = _points(points, d)
+        chosen = choose_evaluator(self.device, self.filter, evaluator, fetch)
+        flat = sample_coefficients(self.coefficients, chosen, array.reshape(-1, d), derivative, _fill_value(fill), progress)
+        return flat.reshape(array.shape[:-1] + (d,) * derivative)
+
+    # -- on other grids ----------------------------------------------------------------------------------------
+
+    def resample(
+        self,
+        shape: Sequence[int] | None = None,
+        spacing: Sequence[float] | float | None = None,
+        like: Volume | None = None,
+        *,
+        evaluator: EvaluatorName = "auto",
+        fetch: FetchName = "auto",
+        fill: float | None = None,
+        progress: Progress | None = None,
+    ) -> Volume:
+        """The function on another grid; give exactly one of `shape`, `spacing` and `like`.
+
+        No low-pass is applied: see `Volume.gaussian` before making voxels larger.
+
+        Parameters
+        ----------
+        shape : sequence of int, optional
+            Samples along (z, y, x) or (y, x). The domain stays; its voxels become larger or smaller.
+        spacing : float or sequence of float, optional
+            New spacing along (x, y[, z]) in world units. The domain's centre stays, and its size to within half a voxel.
+        like : Volume, optional
+            Take the grid of this volume, wherever it lies.
+        evaluator, fetch, fill, progress
+            As in a call.
+
+        Returns
+        -------
+        Volume of float32
+
+        Raises
+        ------
+        OptionError
+            None or several of `shape`, `spacing` and `like` are given; `shape` is not one whole number of at least 1 for
+            each axis; `spacing` is not positive and finite, or needs more than 2³¹ − 1 samples along an axis; `like` is
+            no Volume of as many axes; `fill`, `evaluator` or `fetch` as in a call; the field is closed.
+        DeviceError
+            As in a call.
+        OutOfMemoryError
+            The device has no room for the result.
+        """
+        volume = self.volume
+        grid = _grid_for(volume, shape, spacing, like)
+        inverse = volume.world_to_index_matrix
+        matrix = inverse @ grid.index_to_world_matrix
+        offset = inverse @ (np.asarray(grid.origin) - np.asarray(volume.origin))
+        data = self._on_grid(matrix, offset, grid.shape, evaluator, fetch, fill, progress)
+        return Volume(data, grid.spacing, grid.origin, grid.direction, grid.units or volume.units)
+
+    def magnify(
+        self, factor: int = 2, *, evaluator: EvaluatorName = "auto", fetch: FetchName = "auto", progress: Progress | None = None
+    ) -> Volume:
+        """The volume with `factor` times the samples along each axis, the given ones among them (section 4.3).
+
+        Sample ``j`` of the result lies at ``j / factor`` of the given ones, so every `factor`-th is one of them. The last
+        ones lie past the last given one, within its voxel or under the boundary rule.
+
+        Parameters
+        ----------
+        factor : int
+            At least 1.
+        evaluator, fetch, progress
+            As in a call.
+
+        Returns
+        -------
+        Volume of float32
+
+        Raises
+        ------
+        OptionError
+            `factor` is no whole number of at least 1; `evaluator` or `fetch` is an unknown name; the field is closed.
+        DeviceError
+            As in a call.
+        OutOfMemoryError
+            The device has no room for the result.
+        """
+        volume, d = self.volume, self.volume.ndim
+        factor = whole("factor", factor, least=1)
+        shape = tuple(factor * n for n in volume.shape)
+        data = self._on_grid(np.eye(d) / factor, np.zeros(d), shape, evaluator, fetch, None, progress)
+        return Volume(data, tuple(s / factor for s in volume.spacing), volume.origin, volume.direction, volume.units)
+
+    def _on_grid(
+        self,
+        matrix: NDArray[np.float64],
+        offset: NDArray[np.float64],
+        shape: tuple[int, ...],
+        evaluator: str,
+        fetch: str,
+        fill: float | None,
+        progress: Progress | None,
+    ) -> Floats:
+        device = self.device
+        chosen, fill = choose_evaluator(device, self.filter, evaluator, fetch), _fill_value(fill)
+        device.require_room(4 * math.prod(shape))
+        self.coefficients.argument(chosen)  # a closed field is refused before the result is made
+        result = np.empty(shape, np.float32)
+        with device.lent(result, write=True) as buffer:
+            resample_coefficients(self.coefficients, chosen, matrix, offset, (1, *shape)[-3:], buffer, fill, progress)
+        return result
+
+
+# -- a Field, or what one is made of -----------------------------------------------------------------------------
+
+
+def as_field(
+    volume: Volume | ArrayLike | Field,
+    filter: str | Filter | None = None,
+    boundary: str | Boundary | None = None,
+    device: Device | str | int | None = None,
+) -> Field:
+    """A Field as it is, or a new one of a volume.
+
+    Parameters
+    ----------
+    volume : Volume, array-like or Field
+    filter, boundary, device
+        As of `Field`; None is its default, or, where a Field is given, what that has.
+
+    Raises
+    ------
+    OptionError
+        A Field is given together with another filter, boundary or device than its own.
+    DataError, DeviceError, OutOfMemoryError
+        As `Field` raises them.
+    """
+    if not isinstance(volume, Field):
+        return Field(
+            volume, DEFAULT_FILTER if filter is None else filter, DEFAULT_BOUNDARY if boundary is None else boundary, device
+        )
+    for what, own, same, name in (
+        ("filter", volume.filter, filter is None or as_filter(filter) == volume.filter, filter),
+        ("boundary", volume.boundary, boundary is None or as_boundary(boundary) == volume.boundary, boundary),
+        ("device", volume.device, device is None or as_device(device) is volume.device, device),
+    ):
+        if not same:
+            raise OptionError(
+                f"the field was made with {what} {own.name!r}, which cannot be changed to {getattr(name, 'name', name)!r}; "
+                f"leave {what} out, or make another Field"
+            )
+    return volume
+
+
+@contextmanager
+def opened(
+    volume: Volume | ArrayLike | Field,
+    filter: str | Filter | None = None,
+    boundary: str | Boundary | None = None,
+    device: Device | str | int | None = None,
+) -> Iterator[Field]:
+    """`as_field` for the time of a block: a Field that was made for it is closed at its end, one that was given is not."""
+    field = as_field(volume, filter, boundary, device)
+    try:
+        yield field
+    finally:
+        if field is not volume:
+            field.close()
+
+
+# -- functions -------------------------------------------------------------------------------------------------------
+
+
+def sample(
+    volume: Volume | ArrayLike | Field,
+    points: ArrayLike,
+    filter: str | Filter | None = None,
+    boundary: str | Boundary | None = None,
+    derivative: int = 0,
+    *,
+    evaluator: EvaluatorName = "auto",
+    fetch: FetchName = "auto",
+    fill: float | None = None,
+    device: Device | str | int | None = None,
+    progress: Progress | None = None,
+) -> Floats:
+    """The reconstructed function, its gradient or its Hessian at points of the world (eqs 8 and 9 of the paper).
+
+    A volume is prefiltered at every call; make a `Field` to sample one often.
+
+    Parameters
+    ----------
+    volume : Volume, array-like or Field
+        2-D or 3-D samples; an array has spacing 1 and origin 0.
+    points : array-like, shape (..., d)
+        World positions (x, y) or (x, y, z). A position that is not finite gives NaN.
+    filter : str or Filter, optional
+        A name in `clvol.filters()`, or a filter of your own; default "bspline3", or that of the Field.
+    boundary : str or Boundary, optional
+        "mirror", "reflect", "wrap" or "zero"; default "mirror", or that of the Field.
+    derivative : {0, 1, 2}
+        0 for values, 1 for gradients, 2 for Hessians: the exact derivatives of the function that derivative 0 gives, per
+        world unit (almost everywhere, where it has kinks or jumps).
+    evaluator, fetch, fill, progress
+        As in a call of `Field`.
+    device : Device, str or int, optional
+        See `as_device`; default that of the Field, if one is given.
+
+    Returns
+    -------
+    ndarray of float32, shape (...), (..., d) or (..., d, d)
+
+    Raises
+    ------
+    OptionError
+        `derivative` is not 0, 1 or 2; a Field is given with another filter, boundary or device than its own; or for the
+        reasons of a call of `Field`.
+    DataError, DeviceError, OutOfMemoryError
+        As `Field` and a call of it raise them.
+    """
+    derivative = whole("derivative", derivative, least=0, most=2)
+    if not isinstance(volume, Field):
+        volume = as_volume(volume)
+        _points(points, volume.ndim)  # before the volume is prefiltered
+    with opened(volume, filter, boundary, device) as field:
+        at = (field.__call__, field.gradient, field.hessian)[derivative]
+        return at(points, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress)
+
+
+def resample(
+    volume: Volume | ArrayLike | Field,
+    shape: Sequence[int] | None = None,
+    spacing: Sequence[float] | float | None = None,
+    like: Volume | None = None,
+    filter: str | Filter | None = None,
+    boundary: str | Boundary | None = None,
+    *,
+    evaluator: EvaluatorName = "auto",
+    fetch: FetchName = "auto",
+    fill: float | None = None,
+    device: Device | str | int | None = None,
+    progress: Progress | None = None,
+) -> Volume:
+    """The volume on another grid; give exactly one of `shape`, `spacing` and `like`.
+
+    Parameters
+    ----------
+    volume : Volume, array-like or Field
+        2-D or 3-D samples; an array has spacing 1 and origin 0.
+    shape, spacing, like, fill
+        As in `Field.resample`. No low-pass is applied: see `Volume.gaussian` before making voxels larger.
+    filter, boundary, device
+        As in `sample`.
+    evaluator, fetch, progress
+        As in a call of `Field`.
+
+    Returns
+    -------
+    Volume of float32
+
+    Raises
+    ------
+    OptionError
+        A Field is given with another filter, boundary or device than its own; or for the reasons of `Field.resample`.
+    DataError, DeviceError, OutOfMemoryError
+        As `Field` and `Field.resample` raise them.
+    """
+    if not isinstance(volume, Field):
+        volume = as_volume(volume)
+        _grid_for(volume, shape, spacing, like)  # before the volume is prefiltered
+    with opened(volume, filter, boundary, device) as field:
+        return field.resample(shape, spacing, like, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress)
+
+
+def magnify(
+    volume: Volume | ArrayLike | Field,
+    factor: int = 2,
+    filter: str | Filter | None = None,
+    boundary: str | Boundary | None = None,
+    *,
+    evaluator: EvaluatorName = "auto",
+    fetch: FetchName = "auto",
+    device: Device | str | int | None = None,
+    progress: Progress | None = None,
+) -> Volume:
+    """The volume with `factor` times the samples along each axis, the given ones among them (section 4.3).
+
+    Parameters
+    ----------
+    volume : Volume, array-like or Field
+        2-D or 3-D samples; an array has spacing 1 and origin 0.
+    factor : int
+        At least 1; see `Field.magnify` for where the new samples lie.
+    filter, boundary, device
+        As in `sample`.
+    evaluator, fetch, progress
+        As in a call of `Field`.
+
+    Returns
+    -------
+    Volume of float32
+
+    Raises
+    ------
+    OptionError
+        A Field is given with another filter, boundary or device than its own; or for the reasons of `Field.magnify`.
+    DataError, DeviceError, OutOfMemoryError
+        As `Field` and `Field.magnify` raise them.
+    """
+    factor = whole("factor", factor, least=1)
+    with opened(volume, filter, boundary, device) as field:
+        return field.magnify(factor, evaluator=evaluator, fetch=fetch, progress=progress)
 
 
 def prefilter(
@@ -42,7 +568,7 @@ def prefilter(
     data : Volume or array-like, shape (nx,), (ny, nx) or (nz, ny, nx)
         Samples of any integer or floating dtype.
     filter : str or Filter
-        A row of the table; one that needs no prefilter gives the samples back.
+        One that needs no prefilter gives the samples back; a hybrid gives those of the filter that magnifies.
     boundary : str or Boundary
         "mirror", "reflect", "wrap" or "zero".
     device : Device, str or int, optional
@@ -55,7 +581,15 @@ def prefilter(
 
     Raises
     ------
-    DataError, OptionError, DeviceError
+    DataError
+        `data` are no regular array of real numbers with 1 to 3 axes, are empty, or hold a value that is NaN, infinite or
+        too large for float32.
+    OptionError
+        `filter`, `boundary` or `device` is the name of none.
+    DeviceError
+        There is no OpenCL device, or it cannot be used.
+    OutOfMemoryError
+        The device has no room for the coefficients.
     """
     try:
         array, _ = read_array(data)  # coefficients have no geometry
@@ -63,16 +597,16 @@ def prefilter(
         raise DataError(f"data must be a regular array of numbers: {error}") from None
     line = array.ndim == 1
     volume = Volume(array[None] if line else array)
-    row, rule, on = as_filter(filter), as_boundary(boundary), as_device(device)
-    if row.magnified_by is not None:
-        row = row.magnified_by
-    if line:  # a single row of an image, filtered along x alone
-        return _prefilter_line(volume, row, rule, on)
-    with Coefficients(volume, row, rule, on) as held, on.mapped(held.buffer, held.shape, write=False) as stored:
-        return np.array(stored[held.inner]).reshape(volume.shape)
+    chosen, boundary, device = as_filter(filter), as_boundary(boundary), as_device(device)
+    chosen = chosen.magnified_by or chosen
+    if line:
+        return np.asarray(_prefilter_line(volume, chosen, boundary, device)[0])
+    with coefficients_of(volume, chosen, boundary, device) as made, device.mapped(made.buffer, made.shape, write=False) as stored:
+        return np.array(stored[made.inner]).reshape(volume.shape)
 
 
 def _prefilter_line(volume: Volume, filter: Filter, boundary: Boundary, device: Device) -> Floats:
+    """The coefficients of an image of a single row, filtered along x alone."""
     volume.require_finite()
     n = volume.size[0]
     pitch = -(-n // LANES) * LANES
@@ -80,206 +614,66 @@ def _prefilter_line(volume: Volume, filter: Filter, boundary: Boundary, device: 
     with device.mapped(buffer, (1, pitch), write=True) as stored:
         np.copyto(stored[:, :n], volume.data, casting="unsafe")
     if filter.poles.size:
-        _prefilter(device, buffer, filter, boundary, (pitch, 1, 1, 0), (n, 1, 1), 1)
+        prefilter_in_place(device, buffer, filter, boundary, (pitch, 1, 1, 0), (n, 1, 1), 1)
     with device.mapped(buffer, (1, pitch), write=False) as stored:
-        result = np.array(stored[0, :n])
+        result = np.array(stored[:, :n])
     buffer.release()
     return result
 
 
-def _fill_value(fill: float | None) -> float | None:
-    """A real number, NaN and infinite ones included, or None."""
-    if fill is not None and (isinstance(fill, (bool, str)) or not isinstance(fill, (int, float, np.number))):
-        raise OptionError(f"fill must be a number or None; got {fill!r}")
-    return None if fill is None else float(fill)
+# -- arguments -------------------------------------------------------------------------------------------------------
 
 
-def sample(
-    volume: Volume | ArrayLike,
-    points: ArrayLike,
-    filter: str | Filter = DEFAULT_FILTER,
-    boundary: str | Boundary = DEFAULT_BOUNDARY,
-    derivative: int = 0,
-    *,
-    evaluator: EvaluatorName = "auto",
-    fetch: FetchName = "auto",
-    fill: float | None = None,
-    device: Device | str | int | None = None,
-    progress: Progress | None = None,
-) -> Floats:
-    """The reconstructed function, its gradient or its Hessian at points of the world.
-
-    Parameters
-    ----------
-    volume : Volume or array-like
-        2-D or 3-D samples; an array has spacing 1 and origin 0.
-    points : array-like, shape (..., 2) or (..., 3)
-        World positions (x, y, z). A position that is not finite gives NaN.
-    filter, boundary : str, Filter, Boundary
-        Rows of their tables.
-    derivative : {0, 1, 2}
-        0 for values, 1 for gradients, 2 for Hessians: the exact derivatives of the function that
-        derivative 0 gives, per world unit (almost everywhere, where it has kinks or jumps).
-    evaluator : {"auto", "taps", "eight-fetch"}
-        Direct taps, or linear fetches that serve two taps an axis. Filters whose weights change sign
-        within a pair take direct taps; second derivatives always do.
-    fetch : {"auto", "buffer", "image"}
-        Where coefficients are read from.
-    fill : float, optional
-        The result outside the volume's domain; by default the boundary rule goes on there.
-    device : Device, str or int, optional
-        See `as_device`.
-    progress : callable, optional
-        Called with the fraction done.
-
-    Returns
-    -------
-    ndarray of float32, shape (...), (..., d) or (..., d, d)
-
-    Raises
-    ------
-    OptionError, DataError, DeviceError
-    """
-    volume = as_volume(volume)
-    d = volume.ndim
+def _points(points: ArrayLike, d: int) -> NDArray[np.generic]:
+    """`points` as an array, if they are real numbers of shape (..., d)."""
     try:
         array = np.asarray(points)
     except ValueError as error:
         raise OptionError(f"points must be numbers of shape (..., {d}): {error}") from None
     if array.dtype.kind not in "biuf" or array.ndim == 0 or array.shape[-1] != d:
         raise OptionError(f"points must be numbers of shape (..., {d}); got {array.dtype} of shape {array.shape}")
-    derivative = whole("derivative", derivative, least=0, most=2)
-    fill = _fill_value(fill)
-    on, row, rule = as_device(device), as_filter(filter), as_boundary(boundary)
-    path = choose_evaluator(on, row, evaluator, fetch)
-    with Coefficients(volume, row, rule, on) as held:
-        flat = sample_coefficients(held, path, array.reshape(-1, d), derivative, fill, progress)
-    return flat.reshape(array.shape[:-1] + (d,) * derivative)
+    return array
 
 
-def resample(
-    volume: Volume | ArrayLike,
-    shape: Sequence[int] | None = None,
-    spacing: Sequence[float] | float | None = None,
-    like: Volume | None = None,
-    filter: str | Filter = DEFAULT_FILTER,
-    boundary: str | Boundary = DEFAULT_BOUNDARY,
-    *,
-    evaluator: EvaluatorName = "auto",
-    fetch: FetchName = "auto",
-    fill: float | None = None,
-    device: Device | str | int | None = None,
-    progress: Progress | None = None,
-) -> Volume:
-    """The volume on another grid; give exactly one of `shape`, `spacing` and `like`.
+def _fill_value(fill: float | None) -> float | None:
+    """A real number, NaN and infinities included, or None."""
+    if fill is not None and (isinstance(fill, (bool, str)) or not isinstance(fill, (int, float, np.number))):
+        raise OptionError(f"fill must be a number or None; got {fill!r}")
+    return None if fill is None else float(fill)
 
-    Parameters
-    ----------
-    volume : Volume or array-like
-        2-D or 3-D samples.
-    shape : sequence of int, optional
-        Samples along (z, y, x) or (y, x); the domain stays, its voxels become larger or smaller.
-    spacing : float or sequence of float, optional
-        New spacing along (x, y, z); the domain's centre stays, and its size to within half a voxel.
-    like : Volume, optional
-        Take the grid of this volume, wherever it lies.
-    fill : float, optional
-        Value outside the domain of `volume`; by default its boundary rule goes on.
-    filter, boundary, evaluator, fetch, device, progress
-        As for `sample`. No low-pass is applied: see `Volume.gaussian` before making voxels larger.
 
-    Returns
-    -------
-    Volume of float32
-    """
-    volume = as_volume(volume)
+def _grid_for(volume: Volume, shape: Sequence[int] | None, spacing: Sequence[float] | float | None, like: Volume | None) -> Volume:
+    """The grid that one of the three describes: a Volume whose samples take no memory."""
     d = volume.ndim
     if sum(v is not None for v in (shape, spacing, like)) != 1:
         raise OptionError("resample takes exactly one of shape, spacing and like")
-    extent = np.asarray(volume.size) * np.asarray(volume.spacing)
     if like is not None:
         if not isinstance(like, Volume) or like.ndim != d:
             raise OptionError(f"like must be a Volume of {d} axes, as the volume has; got {like!r}")
-        grid = like
+        return like
+    extent = np.asarray(volume.size) * np.asarray(volume.spacing)
+    if shape is not None:
+        if d == 3 and volume.shape[2] <= _CHANNELS and np.shape(shape) == (2,):
+            raise OptionError(
+                f"shape must be 3 whole numbers, as the volume has {d} axes; got {shape!r}: "
+                "for images in colour there is clvol.images.resample"
+            )
+        size = np.asarray(_sizes(shape, d)[::-1])
+        step = extent / size
     else:
-        if shape is not None:
-            if d == 3 and volume.shape[2] <= _CHANNELS and np.shape(shape) == (2,):
-                raise OptionError(
-                    f"shape must be 3 whole numbers, as the volume has {d} axes; got {shape!r}: "
-                    "for images in colour there is clvol.images.resample"
-                )
-            size = np.asarray(_sizes(shape, d)[::-1])
-            step = extent / size
-        else:
-            try:
-                step = np.broadcast_to(np.asarray(spacing, dtype=np.float64), (d,))
-            except (TypeError, ValueError):
-                raise OptionError(f"spacing must be a number, or {d} of them; got {spacing!r}") from None
-            if not np.isfinite(step).all() or (step <= 0).any():
-                raise OptionError(f"spacing must be positive and finite; got {spacing!r}")
-            wanted = np.maximum(1, np.round(extent / step))
-            if wanted.max() > np.iinfo(np.int32).max:
-                raise OptionError(f"spacing {spacing!r} would need {wanted.max():.3g} samples along an axis")
-            size = wanted.astype(np.int64)
-        origin = volume.center - volume.direction @ (step * (size - 1) / 2)
-        grid = _grid(volume, tuple(int(n) for n in size), tuple(step), tuple(origin))
-    inverse = volume.world_to_index_matrix
-    matrix = inverse @ grid.index_to_world_matrix
-    offset = inverse @ (np.asarray(grid.origin) - np.asarray(volume.origin))
-    data = _resampled(volume, matrix, offset, grid.shape, filter, boundary, evaluator, fetch, fill, device, progress)
-    return Volume(data, grid.spacing, grid.origin, grid.direction, grid.units or volume.units)
-
-
-def magnify(
-    volume: Volume | ArrayLike,
-    factor: int = 2,
-    filter: str | Filter = DEFAULT_FILTER,
-    boundary: str | Boundary = DEFAULT_BOUNDARY,
-    *,
-    evaluator: EvaluatorName = "auto",
-    fetch: FetchName = "auto",
-    device: Device | str | int | None = None,
-    progress: Progress | None = None,
-) -> Volume:
-    """The volume with `factor` times the samples along each axis, the given ones among them (section 4.3).
-
-    Sample ``j`` of the result lies at ``j / factor`` of the given ones, so every `factor`-th is one of
-    them; the last ones lie past the last given one, within its voxel or under the boundary rule.
-    """
-    volume = as_volume(volume)
-    factor = whole("factor", factor, least=1)
-    d = volume.ndim
-    shape = tuple(factor * n for n in volume.shape)
-    data = _resampled(volume, np.eye(d) / factor, np.zeros(d), shape, filter, boundary, evaluator, fetch, None, device, progress)
-    return Volume(data, tuple(s / factor for s in volume.spacing), volume.origin, volume.direction, volume.units)
-
-
-def _resampled(
-    volume: Volume,
-    matrix: NDArray[np.float64],
-    offset: NDArray[np.float64],
-    shape: tuple[int, ...],
-    filter: str | Filter,
-    boundary: str | Boundary,
-    evaluator: str,
-    fetch: str,
-    fill: float | None,
-    device: Device | str | int | None,
-    progress: Progress | None,
-) -> Floats:
-    on, row, rule = as_device(device), as_filter(filter), as_boundary(boundary)
-    path = choose_evaluator(on, row, evaluator, fetch)
-    fill = _fill_value(fill)
-    on.require_room(4 * math.prod(shape))
-    result = np.empty(shape, np.float32)
-    with Coefficients(volume, row, rule, on) as held, on.lent(result, write=True) as buffer:
-        _run_lattice(held, path, matrix, offset, (1, *shape)[-3:], buffer, fill, progress)
-    return result
-
-
-def _grid(volume: Volume, size: tuple[int, ...], spacing: tuple[float, ...], origin: tuple[float, ...]) -> Volume:
-    """An empty grid: its samples take no memory."""
-    return Volume(np.broadcast_to(np.float32(0), size[::-1]), spacing, origin, volume.direction, volume.units)
+        try:
+            step = np.broadcast_to(np.asarray(spacing, dtype=np.float64), (d,))
+        except (TypeError, ValueError):
+            raise OptionError(f"spacing must be a number, or {d} of them; got {spacing!r}") from None
+        if not np.isfinite(step).all() or (step <= 0).any():
+            raise OptionError(f"spacing must be positive and finite; got {spacing!r}")
+        wanted = np.maximum(1, np.round(extent / step))
+        if wanted.max() > np.iinfo(np.int32).max:
+            raise OptionError(f"spacing {spacing!r} would need {wanted.max():.3g} samples along an axis")
+        size = wanted.astype(np.int64)
+    origin = volume.center - volume.direction @ (step * (size - 1) / 2)
+    sizes = tuple(int(n) for n in size)
+    return Volume(np.broadcast_to(np.float32(0), sizes[::-1]), tuple(step), tuple(origin), volume.direction, volume.units)
 
 
 def _sizes(shape: Sequence[int], d: int) -> tuple[int, ...]:

@@ -1,30 +1,143 @@
-"""The function at points: the host side of points.cl."""
+"""The function at points and on grids of points: the host side of points.cl."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clvol.device import Device
-from clvol.filter import Filter
 from clvol.program import LANES, Program
+from clvol.spline.build import point_defines
 from clvol.spline.coefficients import Coefficients
-from clvol.spline.evaluator import Evaluator
-from clvol.spline.sort import Sorter, point_defines, scattered
+from clvol.spline.evaluator import DIRECT, Evaluator
+from clvol.spline.sort import Sorter, scattered
 
-Floats = NDArray[np.float32]
-Progress = Callable[[float], None]
+__all__ = ["Floats", "Progress", "sample_coefficients", "sample_grid"]
 
-__all__ = ["sample_coefficients"]
+Floats: TypeAlias = NDArray[np.float32]
+Progress: TypeAlias = Callable[[float], None]
 
-_TAPS_A_LAUNCH = 1 << 25  # ... of sampling: a launch should not run longer than a quarter of a second
-_RUN = 512  # points that a work-item takes on a processor, a multiple of LANES
+_RUN = 512  # points that a work-item of a processor takes, a multiple of LANES
+_MIN_LAUNCH = 1 << 10  # points
 
 
-def _affine(device: Device, matrix: NDArray[np.float64], offset: NDArray[np.float64], slopes: NDArray[np.float64]) -> Any:
+def sample_coefficients(
+    coefficients: Coefficients,
+    evaluator: Evaluator,
+    points: NDArray[Any],
+    derivative: int = 0,
+    fill: float | None = None,
+    progress: Progress | None = None,
+) -> Floats:
+    """The function or its derivatives at world positions.
+
+    Parameters
+    ----------
+    coefficients : Coefficients
+        Of the function.
+    evaluator : Evaluator
+        How it is evaluated. Second derivatives always take direct taps.
+    points : ndarray, shape (N, d)
+        World positions (x, y[, z]). Those of float32 are computed with as they are, all others as float64 where the
+        device has it.
+    derivative : {0, 1, 2}
+        0 for values, 1 for gradients, 2 for Hessians.
+    fill : float, optional
+        The result outside the domain; None: the boundary rule goes on.
+    progress : callable, optional
+        Called with the fraction done.
+
+    Returns
+    -------
+    ndarray of float32, shape (N,), (N, d) or (N, d * d)
+        Per world unit.
+    """
+    device, volume, d = coefficients.device, coefficients.volume, coefficients.volume.ndim
+    kind = np.float64 if device.has_double and points.dtype != np.float32 else np.float32
+    lanes = _in_lanes(coefficients, evaluator, derivative)
+    sorting = lanes and (device.limits.sorting if device.limits.sorting is not None else scattered(coefficients, points))
+    sorter = Sorter(coefficients, kind, points.shape[0]) if sorting else None
+    built = _build(coefficients, evaluator, derivative, fill, kind, on_grid=False, sorted=sorting)
+    inverse = volume.world_to_index_matrix
+    transform = _transform(device, inverse, -inverse @ np.asarray(volume.origin), inverse)
+    results = np.empty((points.shape[0], d**derivative), np.float32)
+    kernel = built.kernel("sample_points")
+    source = coefficients.argument(evaluator)
+    launch = _launch_points(coefficients, evaluator)
+    step = launch if sorter is None else sorter.room
+    for first in range(0, points.shape[0], step):
+        part = np.ascontiguousarray(points[first : first + step], dtype=kind)
+        target = results[first : first + step]
+        count = target.shape[0]
+        with device.lent(part, write=False) as given, device.lent(target, write=True) as wanted, device.errors:
+            ready = given if sorter is None else sorter.sort(given, count, transform)
+            for begin in range(0, count, launch):
+                some = min(launch, count - begin)
+                kernel(
+                    device.queue,
+                    (-(-some // _RUN),) if lanes else (-(-some // 64) * 64,),
+                    (1,) if lanes else (64,),
+                    source,
+                    coefficients.extent,
+                    coefficients.size,
+                    coefficients.period,
+                    transform,
+                    ready,
+                    np.uint64(begin + some),
+                    np.float32(0 if fill is None else fill),
+                    wanted,
+                    global_offset=(begin // _RUN if lanes else begin,),
+                )
+                device.finish()
+                if progress:
+                    progress((first + begin + some) / points.shape[0])
+    return results[:, 0] if derivative == 0 else results
+
+
+def sample_grid(
+    coefficients: Coefficients,
+    evaluator: Evaluator,
+    matrix: NDArray[np.float64],
+    offset: NDArray[np.float64],
+    shape: tuple[int, ...],
+    buffer: Any,
+    fill: float | None = None,
+    progress: Progress | None = None,
+) -> None:
+    """Values at index positions ``matrix @ (i, j, k) + offset`` into a float32 buffer of shape (z, y, x), point by point."""
+    device = coefficients.device
+    built = _build(coefficients, evaluator, 0, fill, np.float32, on_grid=True, sorted=False)
+    transform = _transform(device, matrix, offset, coefficients.volume.world_to_index_matrix)
+    kernel = built.kernel("sample_grid")
+    nz, ny, nx = shape
+    points = _launch_points(coefficients, evaluator)
+    rows, slices = max(1, min(ny, points // nx)), max(1, points // (nx * ny))
+    items, together = (-(-nx // _RUN), 1) if _in_lanes(coefficients, evaluator, 0) else (-(-nx // 8) * 8, 8)
+    parts = [(z, y) for z in range(0, nz, slices) for y in range(0, ny, rows)]
+    for done, (z, y) in enumerate(parts, 1):
+        with device.errors:
+            kernel(
+                device.queue,
+                (items, min(rows, ny - y), min(slices, nz - z)),
+                (together, 1, 1),
+                coefficients.argument(evaluator),
+                coefficients.extent,
+                coefficients.size,
+                coefficients.period,
+                transform,
+                np.array([nx, ny, y, z], np.int32),
+                np.float32(0 if fill is None else fill),
+                buffer,
+            )
+        device.finish()
+        if progress:
+            progress(done / len(parts))
+
+
+def _transform(device: Device, matrix: NDArray[np.float64], offset: NDArray[np.float64], slopes: NDArray[np.float64]) -> Any:
     """The transform of points.cl: from positions to indices, and from index to world derivatives."""
 
     def square(m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -34,69 +147,38 @@ def _affine(device: Device, matrix: NDArray[np.float64], offset: NDArray[np.floa
     return device.upload(whole.astype(np.float64 if device.has_double else np.float32))
 
 
-def _points_program(held: Coefficients, path: Evaluator, derivative: int, fill: float | None, **more: str | int) -> Program:
-    lanes, run = (LANES, _RUN) if _in_groups(held, path, derivative) else (1, 1)
-    defines = {**held.defines(path), "DERIVATIVE": derivative, "FILL": int(fill is not None), "LANES": lanes, "RUN": run, **more}
-    return held.device.build("spline/points.cl", defines)
+def _build(
+    coefficients: Coefficients,
+    evaluator: Evaluator,
+    derivative: int,
+    fill: float | None,
+    kind: type[np.generic],
+    *,
+    on_grid: bool,
+    sorted: bool,
+) -> Program:
+    lanes, run = (LANES, _RUN) if _in_lanes(coefficients, evaluator, derivative) else (1, 1)
+    defines = {
+        **coefficients.defines(evaluator),
+        **point_defines(kind),
+        "DERIVATIVE": derivative,
+        "FILL": int(fill is not None),
+        "LANES": lanes,
+        "RUN": run,
+        "ON_GRID": int(on_grid),
+        "SORTED": int(sorted),
+    }
+    return coefficients.device.build("spline/points.cl", defines)
 
 
-def _in_groups(held: Coefficients, path: Evaluator, derivative: int) -> bool:
-    """Whether a work-item takes a run of points, eight at a time: on processors, from buffers by direct taps."""
-    rows = int(held.extent[1]) * int(held.extent[2])
-    return held.device.kind == "cpu" and path == Evaluator(False, False) and derivative < 2 and rows <= np.iinfo(np.int32).max
+def _in_lanes(coefficients: Coefficients, evaluator: Evaluator, derivative: int) -> bool:
+    """Whether a work-item takes a run of points, LANES at a time: on processors, from buffers by direct taps."""
+    rows = int(coefficients.extent[1]) * int(coefficients.extent[2])
+    cpu = coefficients.device.kind == "cpu"
+    return cpu and evaluator == DIRECT and derivative < 2 and rows <= np.iinfo(np.int32).max
 
 
-def sample_coefficients(
-    held: Coefficients,
-    path: Evaluator,
-    points: NDArray[Any],
-    derivative: int = 0,
-    fill: float | None = None,
-    progress: Progress | None = None,
-) -> Floats:
-    """Results at world positions of shape (N, d): (N,), (N, d) or (N, d * d); `sample` of a volume held on a device."""
-    device, volume, d = held.device, held.volume, held.volume.ndim
-    kind = np.float64 if device.has_double and points.dtype != np.float32 else np.float32
-    groups = _in_groups(held, path, derivative)
-    sorter = Sorter(held, kind, points.shape[0]) if groups and scattered(held, points) else None
-    built = _points_program(held, path, derivative, fill, LATTICE=0, SORTED=int(sorter is not None), **point_defines(kind))
-    inverse = volume.world_to_index_matrix
-    transform = _affine(device, inverse, -inverse @ np.asarray(volume.origin), inverse)
-    results = np.empty((points.shape[0], d**derivative), np.float32)
-    kernel = built.kernel("sample_points")
-    coefficients = held.argument(path)
-    launch = _launch_points(held.filter, d, path)
-    step = launch if sorter is None else sorter.room
-    for first in range(0, points.shape[0], step):
-        part = np.ascontiguousarray(points[first : first + step], dtype=kind)
-        target = results[first : first + step]
-        count = target.shape[0]
-        with device.lent(part, write=False) as given, device.lent(target, write=True) as wanted, device.errors:
-            source = given if sorter is None else sorter.sort(given, count, transform)
-            for begin in range(0, count, launch):
-                some = min(launch, count - begin)
-                kernel(
-                    device.queue,
-                    (-(-some // _RUN),) if groups else (-(-some // 64) * 64,),
-                    (1,) if groups else (64,),
-                    coefficients,
-                    held.extent,
-                    held.size,
-                    held.period,
-                    transform,
-                    source,
-                    np.uint64(begin + some),
-                    np.float32(0 if fill is None else fill),
-                    wanted,
-                    global_offset=(begin // _RUN if groups else begin,),
-                )
-                device.finish()
-                if progress:
-                    progress((first + begin + some) / points.shape[0])
-    return results[:, 0] if derivative == 0 else results
-
-
-def _launch_points(filter: Filter, dimensions: int, path: Evaluator) -> int:
+def _launch_points(coefficients: Coefficients, evaluator: Evaluator) -> int:
     """How many points a launch takes, so that it is short whatever the filter; images may be sampled in software."""
-    taps = _TAPS_A_LAUNCH if path.image else 4 * _TAPS_A_LAUNCH
-    return max(1 << 10, taps // int(filter.support**dimensions) // _RUN * _RUN)
+    taps = coefficients.device.limits.launch_taps * (1 if evaluator.image else 4)
+    return max(_MIN_LAUNCH, taps // int(coefficients.filter.support**coefficients.volume.ndim) // _RUN * _RUN)

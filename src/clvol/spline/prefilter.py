@@ -13,27 +13,29 @@ from numpy.typing import NDArray
 from clvol.boundary import Boundary
 from clvol.device import Device
 from clvol.filter import Filter
-from clvol.program import LANES
+from clvol.program import LANES, literal
 
-Floats = NDArray[np.float32]
+__all__ = ["prefilter_in_place"]
 
-__all__ = ["CHAINS"]
-
-CHAINS = 4  # vectors of lines that are filtered at once where they lie side by side
-_START_ERROR = 1e-9  # what the starting values of the prefilter may leave out, relative to the data
-_VOXELS_A_LAUNCH = 1 << 26  # of copies and the prefilter, and ...
+_CHAINS = 4  # vectors of lines that one work-item of a processor filters side by side
+_START_ERROR = 1e-9  # what the starting values may leave out, relative to the data
 
 
 @lru_cache(maxsize=256)
-def _starts(filter: Filter, boundary: Boundary, n: int) -> tuple[Floats, int, int]:
-    """First values of the recursions of prefilter.cl on an axis of `n`, as sums over samples near the ends.
+def _starts(filter: Filter, boundary: Boundary, n: int) -> tuple[NDArray[np.float32], int, int]:
+    """First values of the recursions of prefilter.cl on an axis of `n` samples, as sums over samples near the ends.
 
-    Returns weights of shape (poles, 2, 2 * ends) and how many samples count from the first and from the last.
+    The coefficients solve the matrix of eq. (11), which the boundary rule determines. Undoing the stages of the later
+    poles on them gives what each stage must produce, hence its first value. All of this is linear in the samples, and
+    only samples near the ends matter, since the inverse decays like powers of the largest pole.
 
-    The coefficients solve the matrix of eq. (11) that the boundary rule makes. Undoing the later poles'
-    stages on them gives what each stage must produce, hence what it must start with; all of it is
-    linear in the samples, and only samples near the ends matter, since the inverse falls off like the
-    greatest pole's powers.
+    Returns
+    -------
+    weights : ndarray, shape (poles, 2, 2 * ends)
+        For each pole the causal and the anticausal sum; of each, weights from the first sample on, then from the last
+        one backwards.
+    head, tail : int
+        How many samples of either end count.
     """
     poles = filter.poles
     reach = math.ceil(math.log(_START_ERROR) / math.log(float(np.abs(poles).max()))) + 2 * poles.size
@@ -56,19 +58,35 @@ def _starts(filter: Filter, boundary: Boundary, n: int) -> tuple[Floats, int, in
     return ends, head, tail
 
 
-def _prefilter(
+def prefilter_in_place(
     device: Device, buffer: Any, filter: Filter, boundary: Boundary, extent: Sequence[int], size: Sequence[int], dimensions: int
 ) -> None:
-    """Filter the stored coefficients along the first `dimensions` of x, y and z, in place."""
+    """Turn samples into coefficients where they are stored (section 4.2).
+
+    Parameters
+    ----------
+    device : Device
+        Where the buffer is.
+    buffer : Buffer
+        float32, [z, y, x], with a halo on every side whose content is lost.
+    filter, boundary : Filter, Boundary
+        What is solved for. The filter has a prefilter.
+    extent : (int, int, int, int)
+        Row pitch, a multiple of `LANES`; stored rows; stored slices; halo.
+    size : (int, int, int)
+        Samples along x, y and z.
+    dimensions : int
+        The first so many of x, y and z are filtered.
+    """
     pitch, area, halo = extent[0], extent[0] * extent[1], extent[3]
     nx, ny, nz = size
-    chains = CHAINS if device.kind == "cpu" else 1  # others have enough work-items to wait for
+    chains = _CHAINS if device.kind == "cpu" else 1  # elsewhere other work-items fill the wait for a product
     starts = [_starts(filter, boundary, n) for n in size]
     built = device.build(
         "spline/prefilter.cl",
         {
             "POLES": filter.poles.size,
-            "POLE_VALUES": "{" + ",".join(f"{p:.9e}f" for p in filter.poles) + "}",
+            "POLE_VALUES": "{" + ",".join(map(literal, filter.poles.tolist())) + "}",
             "GAIN": float(1 / filter.samples[-1]),
             "ENDS": starts[0][0].shape[2] // 2,
             "CHAINS": chains,
@@ -79,8 +97,8 @@ def _prefilter(
     along_x, along_y, along_z = ((device.upload(weights), np.int32(head), np.int32(tail)) for weights, head, tail in starts)
 
     def launch(name: str, groups: int, lines: int, origin: int, stride: int, voxels: int, *arguments: Any) -> None:
-        """One launch or more over lines or slices of so many voxels, `stride` apart."""
-        step = max(1, _VOXELS_A_LAUNCH // voxels)
+        """Launches over `lines` lines or slices, `stride` apart, of so many voxels each."""
+        step = max(1, device.limits.launch_voxels // voxels)
         for first in range(0, lines, step):
             built.kernel(name)(
                 device.queue,
@@ -91,7 +109,7 @@ def _prefilter(
                 *arguments,
             )
 
-    first_row = (halo * area if extent[2] > 1 else 0) + halo * pitch  # the halo's columns in it are filtered too, in vain
+    first_row = (halo * area if extent[2] > 1 else 0) + halo * pitch  # its halo is filtered too, in vain
     rows = np.int32(nx), np.uint64(pitch), np.int32(ny), np.uint64(area)
     wide = -(-pitch // (LANES * chains))
     with device.errors:

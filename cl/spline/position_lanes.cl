@@ -1,42 +1,21 @@
 // LANES positions at once: see position.cl.
 
-// Positions along an axis: of lanes 0 to 3, and of lanes 4 to 7. (Of doubles, eight are wider than most registers.)
-#if COORD_DOUBLE
-typedef double4 coord4;
-typedef long4 mask4;
-typedef long mask_each;
-#else
-typedef float4 coord4;
-typedef int4 mask4;
-typedef int mask_each;
-#endif
-typedef struct { coord4 low, high; } coords_t;
+#include "base/coords.cl"
+#include "spline/position.cl"
 
-#if COORD_DOUBLE
-#define COORDS(v) CONVERT(v, double4)
-#else
-#define COORDS(v) CONVERT(v, float4)
-#endif
+typedef struct { coords_t x, y, z; } positions_t;
 
-INLINE coords_t to_coords(mask i)
+// LANES points from the n-th. If `count`, what is left, is less, the last one is repeated.
+INLINE positions_t points_of(source_t source, int n, int count)
 {
-    const coords_t c = { COORDS(i.lo), COORDS(i.hi) };
-    return c;
-}
-
-typedef struct { coords_t x, y, z; } group_t;
-
-// Up to LANES points from the n-th, and the last one again.
-INLINE group_t group_of(source_t source, int n, int count)
-{
-    group_t p;
-#if LATTICE
+    positions_t p;
+#if ON_GRID
     p.x = to_coords(source.i + n + (mask)(0, 1, 2, 3, 4, 5, 6, 7));
     p.y = to_coords((mask)(source.j));
     p.z = to_coords((mask)(source.k));
 #else
     typedef PASTE(POINT, 4) point4;
-    typedef point4 point4_at __attribute__((aligned(4)));
+    typedef point4 point4_at AT_ANY_ADDRESS;
     union { point4 four[LANES / 4 * STRIDE]; POINT each[LANES * STRIDE]; } u;
     global const POINT *points = source.points + STRIDE * (source.first + n);
     if (count >= LANES) {
@@ -64,8 +43,8 @@ INLINE group_t group_of(source_t source, int n, int count)
     return p;
 }
 
-// One row of the transform: see index_of.
-INLINE coords_t group_row(group_t p, constant coord *m, coord offset)
+// One row of the transform, as in index_of.
+INLINE coords_t index_row(positions_t p, constant coord *m, coord offset)
 {
     coords_t c;
 #if DIMENSIONS == 3
@@ -78,13 +57,13 @@ INLINE coords_t group_row(group_t p, constant coord *m, coord offset)
     return c;
 }
 
-INLINE group_t group_index(group_t p, constant coord *m)
+INLINE positions_t indices_of(positions_t p, constant coord *m)
 {
-    group_t at;
-    at.x = group_row(p, m, m[9]);
-    at.y = group_row(p, m + 3, m[10]);
+    positions_t at;
+    at.x = index_row(p, m, m[9]);
+    at.y = index_row(p, m + 3, m[10]);
 #if DIMENSIONS == 3
-    at.z = group_row(p, m + 6, m[11]);
+    at.z = index_row(p, m + 6, m[11]);
 #else
     at.z = to_coords(NONE);
 #endif

@@ -1,42 +1,33 @@
-// LANES points at once: transforms, cells and weights are worked out for all of them in vectors, sums over rows of
-// taps point by point, and what is left along x in vectors again.
+// LANES points at once: positions, cells and weights of all are computed in vectors, rows of taps are summed point by point,
+// and what is left along x is summed in vectors again.
 //
-// A point in the domain is always one of a group, be it alone, and a point outside always comes after, alone: what a
-// point gives does not depend on its neighbours. Where some groups lie is worked out before any of them is sampled, so
-// that the one does not wait for the other.
+// A point in the domain is always computed with LANES - 1 others, even if they are itself again, and a point outside always
+// alone, afterwards: the result of a point does not depend on its neighbours. AHEAD vectors of points are located before any
+// of them is sampled, so that sampling does not wait for it.
 
-#define AHEAD 4   // groups whose cells are worked out before any is sampled
+#define AHEAD 4
 
 #include "base/math.cl"
 #include "base/vector.cl"
 #include "base/transpose.cl"
-#include "spline/lane_taps.cl"
-#include "spline/positions.cl"
+#include "spline/cell.cl"
+#include "spline/filter.cl"
+#include "spline/position_lanes.cl"
 
 // The first of each point's taps among the coefficients, and the fractions past it. Bit i of `outer` is set if
-// point i is outside the domain: then its cell is any.
-typedef struct { union { long4 halves[2]; long each[LANES]; } first; real tx, ty, tz; int outer; } group_cell_t;
+// point i is outside the domain, and its cell is meaningless.
+typedef struct { union { long4 halves[2]; long each[LANES]; } first; real tx, ty, tz; int outer; } cells_t;
 
 INLINE mask4 within_axis(coord4 x, int size)
 {
-    return x >= (coord)-0.5f & x <= size - (coord)0.5f;   // nothing that is not finite is inside
+    return x >= (coord)-0.5f & x <= size - (coord)0.5f;   // NaN and infinities are not
 }
 
-// As locate_inner_axis.
-INLINE mask group_axis(coords_t x, int halo, real *t)
+// As locate_inner and offset_of. The host takes care that an int can count the rows.
+INLINE cells_t locate_points(positions_t p, constant coord *m, int4 size, int4 extent)
 {
-    const coord4 low = x.low * GRID_SCALE + ((coord)halo - (coord)LEFT), high = x.high * GRID_SCALE + ((coord)halo - (coord)LEFT);
-    const mask base = (mask)(CONVERT(low, int4), CONVERT(high, int4));
-    const coords_t whole = to_coords(base);
-    *t = (real)(CONVERT(low - whole.low, float4), CONVERT(high - whole.high, float4));
-    return base;
-}
-
-// As locate_inner and offset_of. The host sees to it that rows can be counted in an int.
-INLINE group_cell_t group_cells(group_t p, constant coord *m, int4 size, int4 extent)
-{
-    group_cell_t c;
-    group_t at = group_index(p, m);
+    cells_t c;
+    positions_t at = indices_of(p, m);
     mask4 low = within_axis(at.x.low, size.x) & within_axis(at.y.low, size.y);
     mask4 high = within_axis(at.x.high, size.x) & within_axis(at.y.high, size.y);
 #if DIMENSIONS == 3
@@ -57,10 +48,10 @@ INLINE group_cell_t group_cells(group_t p, constant coord *m, int4 size, int4 ex
 #endif
 #undef BRING
     }
-    const mask x = group_axis(at.x, extent.w, &c.tx);
-    mask row = group_axis(at.y, extent.w, &c.ty);
+    const mask x = locate_inner_lanes(at.x, extent.w, &c.tx);
+    mask row = locate_inner_lanes(at.y, extent.w, &c.ty);
 #if DIMENSIONS == 3
-    row += group_axis(at.z, extent.w, &c.tz) * extent.y;
+    row += locate_inner_lanes(at.z, extent.w, &c.tz) * extent.y;
 #else
     c.tz = (real)(0.0f);
 #endif
@@ -76,7 +67,7 @@ INLINE weight_t spread(real w, int i)
 {
     return i == 0 ? EACH_0(w) : i == 1 ? EACH_1(w) : i == 2 ? EACH_2(w) : EACH_3(w);
 }
-INLINE cursors_t cursors_at(VOLUME_PARAMS, const group_cell_t *c, int i)
+INLINE cursors_t cursors_at(COEFFICIENTS coefficients, const int4 extent, const cells_t *c, int i)
 {
     const cursors_t at = { coefficients + c->first.each[i], coefficients + c->first.each[i + 4] };
     return at;
@@ -89,7 +80,7 @@ INLINE weight_t spread(real w, int i)
     lanes.all = w;
     return lanes.each[i];
 }
-INLINE cursors_t cursors_at(VOLUME_PARAMS, const group_cell_t *c, int i)
+INLINE cursors_t cursors_at(COEFFICIENTS coefficients, const int4 extent, const cells_t *c, int i)
 {
     return coefficients + c->first.each[i];
 }
@@ -100,7 +91,7 @@ INLINE cursors_t cursors_at(VOLUME_PARAMS, const group_cell_t *c, int i)
         to[tap] = spread(from[tap], i);
 
 // Sums of rows to a vector for each tap.
-INLINE void group_taps(const rows_t rows[CHUNKS][LANES / SIDE], real taps[WEIGHTS])
+INLINE void rows_to_taps(const rows_t rows[CHUNKS][LANES / SIDE], real taps[WEIGHTS])
 {
 #pragma unroll
     for (int h = 0; h < CHUNKS; ++h) {
@@ -114,7 +105,7 @@ INLINE void group_taps(const rows_t rows[CHUNKS][LANES / SIDE], real taps[WEIGHT
 
 #if DERIVATIVE == 0
 
-INLINE real group_value(VOLUME_PARAMS, const group_cell_t *c)
+INLINE real lanes_value(COEFFICIENTS coefficients, const int4 extent, const cells_t *c)
 {
     real wx[TAPS], wy[TAPS], wz[TAPS], taps[WEIGHTS];
     rows_t rows[CHUNKS][LANES / SIDE];
@@ -123,22 +114,22 @@ INLINE real group_value(VOLUME_PARAMS, const group_cell_t *c)
     SLICE(lane_weights, c->tz, wz, (real)(1.0f));
     UNROLL_LANES
     for (int i = 0; i < LANES / SIDE; ++i) {
-        const cursors_t first = cursors_at(VOLUME, c, i);
+        const cursors_t first = cursors_at(coefficients, extent, c, i);
         weight_t y[TAPS], z[SLICES];
         SPREAD(TAPS, y, wy, i)
         SPREAD(SLICES, z, wz, i)
 #pragma unroll
         for (int h = 0; h < CHUNKS; ++h)
-            rows[h][i] = blend_rows(VOLUME, first, h * ROW, y, z);
+            rows[h][i] = sum_rows(coefficients, extent, first, h * ROW, y, z);
     }
-    group_taps(rows, taps);
+    rows_to_taps(rows, taps);
     return lane_dot(taps, wx);
 }
 
 #else
 
 // Per stored coefficient.
-INLINE real3 group_gradient(VOLUME_PARAMS, const group_cell_t *c)
+INLINE real3 lanes_gradient(COEFFICIENTS coefficients, const int4 extent, const cells_t *c)
 {
     real wx[TAPS], sx[TAPS], wy[TAPS], sy[TAPS], wz[TAPS], sz[TAPS], taps[WEIGHTS];
     rows_t rows[3][CHUNKS][LANES / SIDE];
@@ -150,7 +141,7 @@ INLINE real3 group_gradient(VOLUME_PARAMS, const group_cell_t *c)
     SLICE(lane_slopes, c->tz, sz, (real)(0.0f));
     UNROLL_LANES
     for (int i = 0; i < LANES / SIDE; ++i) {
-        const cursors_t first = cursors_at(VOLUME, c, i);
+        const cursors_t first = cursors_at(coefficients, extent, c, i);
         weight_t y[TAPS], by[TAPS], z[SLICES], bz[SLICES];
         SPREAD(TAPS, y, wy, i)
         SPREAD(TAPS, by, sy, i)
@@ -158,18 +149,18 @@ INLINE real3 group_gradient(VOLUME_PARAMS, const group_cell_t *c)
         SPREAD(SLICES, bz, sz, i)
 #pragma unroll
         for (int h = 0; h < CHUNKS; ++h) {
-            const slopes_t s = blend_slopes(VOLUME, first, h * ROW, y, by, z, bz);
+            const slopes_t s = sum_slopes(coefficients, extent, first, h * ROW, y, by, z, bz);
             rows[0][h][i] = s.sum;
             rows[1][h][i] = s.sum_y;
             rows[2][h][i] = s.sum_z;
         }
     }
     real3 g;
-    group_taps(rows[0], taps);
+    rows_to_taps(rows[0], taps);
     g.x = lane_dot(taps, sx);
-    group_taps(rows[1], taps);
+    rows_to_taps(rows[1], taps);
     g.y = lane_dot(taps, wx);
-    group_taps(rows[2], taps);
+    rows_to_taps(rows[2], taps);
     g.z = lane_dot(taps, wx);
     return g;
 }
@@ -177,14 +168,14 @@ INLINE real3 group_gradient(VOLUME_PARAMS, const group_cell_t *c)
 #endif
 
 // Results of up to LANES points from the n-th.
-INLINE void group_into(VOLUME_PARAMS, const group_cell_t *cells, source_t source, int n, int count, constant coord *w,
+INLINE void lanes_into(COEFFICIENTS coefficients, const int4 extent, const cells_t *cells, source_t source, int n, int count, constant coord *w,
                        global float *results)
 {
     union { real all[COMPONENTS]; float each[COMPONENTS * LANES]; } u;
 #if DERIVATIVE == 0
-    u.all[0] = group_value(VOLUME, cells);
+    u.all[0] = lanes_value(coefficients, extent, cells);
 #else
-    const real3 g = group_gradient(VOLUME, cells);
+    const real3 g = lanes_gradient(coefficients, extent, cells);
 #pragma unroll
     for (int k = 0; k < DIMENSIONS; ++k) {
         lanes_u along;
@@ -208,25 +199,25 @@ INLINE void group_into(VOLUME_PARAMS, const group_cell_t *cells, source_t source
             results[COMPONENTS * place_of(source, n + i) + k] = u.each[COMPONENTS * i + k];
 }
 
-INLINE void run_into(VOLUME_PARAMS, source_t source, int count, const int4 size, const int4 period,
+INLINE void run_into(COEFFICIENTS coefficients, const int4 extent, source_t source, int count, const int4 size, const int4 period,
                      constant coord *transform, const float fill, global float *results)
 {
-    group_cell_t cells[AHEAD];
+    cells_t cells[AHEAD];
     for (int first = 0; first < count; first += AHEAD * LANES) {
         const int end = MIN(first + AHEAD * LANES, count);
         int outer = 0;
 #pragma unroll 1
-        for (int i = first, g = 0; i < end; i += LANES, ++g) {
-            cells[g] = group_cells(group_of(source, i, end - i), transform, size, extent);
-            outer |= cells[g].outer;
+        for (int i = first, n = 0; i < end; i += LANES, ++n) {
+            cells[n] = locate_points(points_of(source, i, end - i), transform, size, extent);
+            outer |= cells[n].outer;
         }
 #pragma unroll 1
-        for (int i = first, g = 0; i < end; i += LANES, ++g)
-            group_into(VOLUME, &cells[g], source, i, end - i, transform + 12, results);
+        for (int i = first, n = 0; i < end; i += LANES, ++n)
+            lanes_into(coefficients, extent, &cells[n], source, i, end - i, transform + 12, results);
         if (outer)
             for (int i = first; i < end; ++i)
                 if (cells[(i - first) / LANES].outer >> (i - first) % LANES & 1)
-                    outer_into(VOLUME, index_of(point_of(source, i), transform), size, period, transform + 12, fill,
+                    outer_into(coefficients, extent, index_of(point_of(source, i), transform), size, period, transform + 12, fill,
                                results + COMPONENTS * place_of(source, i));
     }
 }
