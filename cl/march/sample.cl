@@ -1,4 +1,4 @@
-// The function along a ray: what a mode may ask for about one sample, for LANES rays at a time.
+// The function along a ray: what a mode may query at one sample, for LANES rays at a time.
 //
 // Set by the host: PLANES (whether the rays of a tile share blended planes), CENTRAL (gradients by central differences).
 

@@ -2,12 +2,12 @@
 //
 // What makes them fast on a processor, where a work-item takes RUN points, LANES at a time (point_lanes.cl):
 //
-// | what                                                       | where             |
-// |------------------------------------------------------------|-------------------|
-// | positions, cells and weights of LANES points in vectors     | point_lanes.cl    |
-// | rows of four taps of two points side by side (SIDE 2)       | taps.cl           |
-// | nothing is asked of the boundary rule inside the domain     | coefficients.cl   |
-// | points in no order are sorted before                        | sort.cl           |
+// | what                                                   | where          |
+// |--------------------------------------------------------|----------------|
+// | positions, cells and weights of LANES points in vectors | point_lanes.cl |
+// | rows of four taps of two points side by side (SIDE 2)   | taps.cl        |
+// | the boundary rule is not needed inside the domain       | coefficients.cl |
+// | points in no order are sorted first                     | sort.cl        |
 //
 // Set by the host: DERIVATIVE, 0, 1 or 2; LANES, points that are computed at once, 1 or 8; RUN, points of a work-item; and
 // what is included.

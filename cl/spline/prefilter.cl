@@ -9,7 +9,7 @@
 // |-------------------------------------------------------------------|-------------------|
 // | eight lines at once; CHAINS times as many side by side, since a recursion waits for its last product | filter_columns |
 // | rows are transposed in blocks of eight, and stay so in between     | filter_rows       |
-// | memory is asked AHEAD of its use                                   | filter_columns    |
+// | memory is prefetched AHEAD of its use                              | filter_columns    |
 // | a slice stays in a processor's cache from x to y                   | prefilter_slices  |
 //
 // Set by the host: POLES, how many; POLE_VALUES; GAIN; ENDS, samples in each sum; CHAINS, vectors side by side.

@@ -36,9 +36,9 @@ def number(
     value: object,
     *,
     above: float | None = None,
-    least: float | None = None,
+    minimum: float | None = None,
     below: float | None = None,
-    most: float | None = None,
+    maximum: float | None = None,
 ) -> float:
     """`value` as a float, if it is one finite real number within the bounds; else `OptionError`.
 
@@ -52,25 +52,25 @@ def number(
     within = (
         math.isfinite(result)
         and (above is None or result > above)
-        and (least is None or result >= least)
+        and (minimum is None or result >= minimum)
         and (below is None or result < below)
-        and (most is None or result <= most)
+        and (maximum is None or result <= maximum)
     )
     if not within:
-        bounds = {"greater than": above, "at least": least, "less than": below, "at most": most}
+        bounds = {"greater than": above, "at least": minimum, "less than": below, "at most": maximum}
         raise OptionError(f"{what} must be a finite number{_allowed(bounds)}; got {value!r}")
     return result
 
 
-def whole(what: str, value: object, least: int | None = None, most: int | None = None) -> int:
+def whole(what: str, value: object, minimum: int | None = None, maximum: int | None = None) -> int:
     """`value` as an int, if it is one whole number within the bounds; else `OptionError`.
 
     Python's and NumPy's integers and arrays of them without axes are accepted; booleans and floats are not.
     """
     scalar = _scalar(value)
     result = int(scalar) if isinstance(scalar, Integral) else None
-    if result is None or (least is not None and result < least) or (most is not None and result > most):
-        bounds = {"at least": least, "at most": most}
+    if result is None or (minimum is not None and result < minimum) or (maximum is not None and result > maximum):
+        bounds = {"at least": minimum, "at most": maximum}
         raise OptionError(f"{what} must be a whole number{_allowed(bounds)}; got {value!r}")
     return result
 
@@ -88,16 +88,16 @@ def reals(what: str, value: object, rule: str = "real numbers", error: type[Clvo
     raise error(f"{what} must be {rule}; got {value!r}")
 
 
-def several(what: str, value: object, rule: str, most: int | None = None) -> list[Any]:
-    """`value` as a list, if it is a sequence of 1 to `most` items; else `OptionError`. A string is no sequence here."""
+def several(what: str, value: object, rule: str, maximum: int | None = None) -> list[Any]:
+    """`value` as a list, if it is a sequence of 1 to `maximum` items; else `OptionError`. A string is no sequence here."""
     try:
         result = [] if isinstance(value, (str, bytes)) else list(value)  # type: ignore[call-overload]  # or it cannot be iterated
     except TypeError:
         result = []
     if not result:
         raise OptionError(f"{what} must be {rule}; got {value!r}")
-    if most is not None and len(result) > most:
-        raise OptionError(f"{what} must be {rule}, at most {most}; got {len(result)}")
+    if maximum is not None and len(result) > maximum:
+        raise OptionError(f"{what} must be {rule}, at most {maximum}; got {len(result)}")
     return result
 
 

@@ -69,7 +69,7 @@ class Input:
     def read(self, source: str) -> clvol.Volume:
         if source.startswith("phantom:"):
             if self.shape is not None or self.dtype is not None:
-                raise OptionError("--shape and --dtype are for raw files; a phantom's size is said as phantom:NAME:SIZE")
+                raise OptionError("--shape and --dtype are for raw files; give a phantom's size as phantom:NAME:SIZE")
             volume = clvol.phantoms.by_name(source.removeprefix("phantom:"))
             return volume if self.spacing is None else replace(volume, spacing=self.spacing)
         options = {"shape": self.shape, "dtype": self.dtype, "spacing": self.spacing}
@@ -208,26 +208,26 @@ def render(
         _require_picture(heat_map)
     look = look or Look()
     volume = (input or Input()).read(source)
-    told: dict[str, Any] = {"output": str(output), "size": list(size), "filter": filter, "mode": look.mode}
+    result: dict[str, Any] = {"output": str(output), "size": list(size), "filter": filter, "mode": look.mode}
     with _progress("rendering", json) as progress:
         options = look.options(volume) | (own or ModeOptions()).options()
         begun = time.perf_counter()
         with clvol.Renderer(volume, filter, look.boundary, device) as renderer:
-            held = time.perf_counter()
+            ready = time.perf_counter()
             outputs: tuple[clvol.Output, ...] = ("rgba", "visited") if verbose or heat_map is not None else ("rgba",)
             pictures = renderer.render(size=size, progress=progress, outputs=outputs, **options)
             done = time.perf_counter()
     clvol.save(pictures["rgba"], output)
     if heat_map is not None:
-        told["heat_map"] = str(clvol.save(heat(pictures["visited"]), heat_map))
+        result["heat_map"] = str(clvol.save(heat(pictures["visited"]), heat_map))
     if verbose:
         met = np.isfinite(pictures["visited"])
-        told |= {
+        result |= {
             "samples_visited": round(float(pictures["visited"][met].mean()), 4) if met.any() else 0.0,
-            "seconds_to_hold": round(held - begun, 4),
-            "seconds_to_draw": round(done - held, 4),
+            "seconds_to_hold": round(ready - begun, 4),
+            "seconds_to_draw": round(done - ready, 4),
         }
-    _say(json, told)
+    _say(json, result)
 
 
 @app.command
@@ -263,7 +263,7 @@ def compare(
         _require_writable(table, SUFFIXES, "tables")
     volume, look = (input or Input()).read(source), look or SurfaceLook()
     names = filters or figures.SIX
-    told: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     if output is not None:
         with _progress("drawing", json) as progress:
             _, sheet = figures.compare(
@@ -276,20 +276,20 @@ def compare(
                 **look.options(volume),
                 **(own or ModeOptions()).options(),
             )
-        told["output"] = str(clvol.save(sheet, output))
-    told |= {"filters": list(names)} | ({"mode": look.mode} if output is not None else {})
+        result["output"] = str(clvol.save(sheet, output))
+    result |= {"filters": list(names)} | ({"mode": look.mode} if output is not None else {})
     if table is not None:
         with _progress("measuring", json) as progress:
             errors = analysis.compare(
                 volume, names, boundary=look.boundary, points=_COMPARED, timing_device=device, progress=progress
             )
-        told |= {"table": str(errors.write(table)), "against": errors.against}
+        result |= {"table": str(errors.write(table)), "against": errors.against}
         if json:
-            told["errors"] = errors.records()
+            result["errors"] = errors.records()
         else:
             header, *rows = errors.texts()
             _table(header, rows)
-    _say(json, told)
+    _say(json, result)
 
 
 @app.command
@@ -377,8 +377,8 @@ def report(
             **look.options(volume),
             **(own or ModeOptions()).options(),
         )
-    told = {"output": str(done.path), "filter": done.advice.filter, "advice": " ".join(done.advice.sentences)}
-    _say(json, told | ({"against": done.table.against, "errors": done.table.records()} if json else {}))
+    result = {"output": str(done.path), "filter": done.advice.filter, "advice": " ".join(done.advice.sentences)}
+    _say(json, result | ({"against": done.table.against, "errors": done.table.records()} if json else {}))
 
 
 @app.command
@@ -523,10 +523,10 @@ def doctor(*, json: Json = False) -> None:
 
     def check(what: str, action: Callable[[], str]) -> bool:
         try:
-            told, good = action(), True
-        except Exception as error:  # whatever is wrong here is what the user asks for
-            told, good = _one_line(error), False
-        checks.append({"check": what, "ok": good, "detail": told})
+            result, good = action(), True
+        except Exception as error:  # whatever is wrong here is what the user wants to know
+            result, good = _one_line(error), False
+        checks.append({"check": what, "ok": good, "detail": result})
         return good
 
     def found() -> str:
@@ -551,7 +551,7 @@ def doctor(*, json: Json = False) -> None:
         error = float(np.abs(clvol.sample(volume, points) - reference.sample(volume, points, "bspline3")).max())
         if not error < 1e-4:
             raise DeviceError(f"this device computes wrong values: off by {error:.2g}")
-        return f"greatest difference to the reference {error:.1e}"
+        return f"largest difference from the reference {error:.1e}"
 
     ready = check("an OpenCL device", found)
     ready = ready and check("it builds kernels", builds)

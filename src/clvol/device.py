@@ -59,7 +59,7 @@ class Limits:
     Parameters
     ----------
     launch_seconds : float
-        A launch should not run longer: between launches the program can be interrupted and tells its progress.
+        A launch should not run longer: between launches the program can be interrupted and reports its progress.
     launch_voxels : int
         Voxels that a launch of a copy or the prefilter takes.
     launch_taps : int
@@ -139,7 +139,7 @@ class Device:
 
     @cached_property
     def has_images(self) -> bool:
-        """Whether volumes can be held as images and read with the linear sampler.
+        """Whether volumes can be stored as images and read with the linear sampler.
 
         PoCL on CUDA and some AMD devices have no images; a few drivers lack the float format.
         """
@@ -357,7 +357,7 @@ def _errors(device: Device) -> Iterator[None]:
 
 _lock = threading.Lock()
 _devices: dict[int, Device] = {}
-_process: int | None = None  # the one in which OpenCL was first asked for its devices
+_process: int | None = None  # the one that first queried OpenCL for its devices
 
 
 def _require_unforked(process: int | None) -> None:

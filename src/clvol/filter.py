@@ -66,7 +66,7 @@ class Filter:
     Parameters
     ----------
     name : str
-        The name by which it is asked for.
+        The name by which it is looked up.
     taps : tuple of polynomials
         ``taps[i][k]`` is the coefficient of ``t**k`` for tap ``i``.
     prefilter : bool
@@ -92,7 +92,7 @@ class Filter:
             raise OptionError(f"a filter must have 1 to {MAX_TAPS} taps; {self.name!r} has {len(self.taps)}")
         if len({len(row) for row in self.taps}) != 1 or not 1 <= len(self.taps[0]) <= _MAX_DEGREE + 1:
             raise OptionError(f"taps of {self.name!r} must be polynomials of one degree, 0 to {_MAX_DEGREE}")
-        number("fit_error", self.fit_error, least=0)
+        number("fit_error", self.fit_error, minimum=0)
         if self.magnify is not None and not isinstance(self.magnify, str):
             raise one_of("magnify", self.magnify, _TABLE)
         if self.magnify is not None:
@@ -394,13 +394,13 @@ def from_callable(
     prefilter : bool
         Make it interpolate by solving eq. (11) for its kernel.
     degree : int, optional
-        Degree of the Chebyshev fit on each unit piece; by default the least that errs by no more
+        Degree of the Chebyshev fit on each unit piece; by default the smallest that errs by no more
         than 1e-10 of the peak, at most 20.
 
     Returns
     -------
     Filter
-        Its `fit_error` is the greatest error found between the nodes of the fit.
+        Its `fit_error` is the largest error found between the nodes of the fit.
 
     Raises
     ------
@@ -414,7 +414,7 @@ def from_callable(
         raise OptionError(f"kernel must be a function of distances; got {kernel!r}")
     t = np.linspace(0, 1, 1001)
     distance = t[None, :] - np.arange(2 * radius)[:, None] + radius - 1
-    # the ends of a piece belong to two pieces; a kernel that jumps there must be asked just inside
+    # the ends of a piece belong to two pieces; a kernel that jumps there is evaluated just inside
     wanted = _kernel_at(name, kernel, np.clip(distance, distance[:, :1] + 1e-12, distance[:, -1:] - 1e-12))
     peak = float(np.abs(wanted).max())
     for n in [degree] if degree is not None else range(_MAX_DEGREE + 1):
@@ -524,7 +524,7 @@ _FAMILIES: dict[str, Callable[..., Filter]] = {"bc": bc, "sinc": sinc, "lanczos"
 
 
 def register(new: Filter, *, replace_existing: bool = False) -> Filter:
-    """Add a row, so that it can be asked for by name wherever a filter is; returns it."""
+    """Add a filter to the table, so that its name can be given wherever a filter is expected; returns it."""
     if not isinstance(new, Filter):
         raise OptionError(f"register takes a Filter; got {new!r}")
     if not re.fullmatch(r"[a-zA-Z][\w.+-]*(\([\w.+/,-]*\))?", new.name):
@@ -602,16 +602,16 @@ def as_filter(choice: str | Filter) -> Filter:
     raise one_of("filter", choice, [*_TABLE, "bc(B, C)", "sinc(radius)", "lanczos(radius)"])
 
 
-def as_filters(choices: Sequence[str | Filter], most: int | None = None) -> list[Filter]:
-    """The rows for one or more names or rows, at most `most`."""
-    return [as_filter(choice) for choice in several_names(choices, most)]
+def as_filters(choices: Sequence[str | Filter], maximum: int | None = None) -> list[Filter]:
+    """The filters of one or more names, at most `maximum`."""
+    return [as_filter(choice) for choice in several_names(choices, maximum)]
 
 
-def several_names(choices: object, most: int | None = None) -> list[Any]:
+def several_names(choices: object, maximum: int | None = None) -> list[Any]:
     """The one or more names or rows that `filters` says, not yet looked up."""
     if isinstance(choices, Filter):
         raise OptionError(f"filters must be one or more names; got {choices!r}")
-    return several("filters", choices, "one or more names", most)
+    return several("filters", choices, "one or more names", maximum)
 
 
 def _whole(value: Fraction) -> int:

@@ -78,7 +78,8 @@ def zoom(
     if len(factors) != 2:
         raise OptionError(f"factor must be a number, or two of them, of rows and of columns; got {factor!r}")
     shape = [
-        max(1, round(number("factor", f, above=0, most=_LONGEST / n) * n)) for f, n in zip(factors, pixels.shape[:2], strict=True)
+        max(1, round(number("factor", f, above=0, maximum=_LONGEST / n) * n))
+        for f, n in zip(factors, pixels.shape[:2], strict=True)
     ]
     return resample(pixels, shape, filter, boundary, device=device)
 

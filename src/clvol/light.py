@@ -64,7 +64,7 @@ class Material:
 
     def __post_init__(self) -> None:
         for what in ("ambient", "diffuse", "specular", "shininess"):
-            object.__setattr__(self, what, number(what, getattr(self, what), least=0))
+            object.__setattr__(self, what, number(what, getattr(self, what), minimum=0))
 
     def block(self) -> Values:
         """What kernels read: the exponent also as a whole number, if it is one, and the smallest cosine whose power counts."""

@@ -48,7 +48,7 @@ class Mode:
     Attributes
     ----------
     name : str
-        By which it is asked for; its kernel file is ``modes/<name>.cl``.
+        By which it is looked up; its kernel file is ``modes/<name>.cl``.
     description : str
         What it shows, for listings.
     state_fields : int
@@ -120,7 +120,7 @@ class Composite(Mode):
 
     def __post_init__(self) -> None:
         _set(self, shading=_switch("shading", self.shading))
-        _set(self, termination=number("termination", self.termination, least=0, below=1))
+        _set(self, termination=number("termination", self.termination, minimum=0, below=1))
 
     def block(self, volume: Volume) -> Values:  # noqa: ARG002
         return self.BLOCK(termination=self.termination)
@@ -157,7 +157,7 @@ class Isosurface(Mode):
         if self.isovalue is not None:
             _set(self, isovalue=number("isovalue", self.isovalue))
         _set(self, color=color_of("color", self.color), shading=_switch("shading", self.shading))
-        _set(self, tolerance=number("tolerance", self.tolerance, least=0))
+        _set(self, tolerance=number("tolerance", self.tolerance, minimum=0))
 
     def settled(self, volume: Volume) -> Self:
         return self if self.isovalue is not None else replace(self, isovalue=otsu_threshold(volume))
@@ -198,7 +198,7 @@ class Attenuated(Mode):
     BLOCK: ClassVar[Block] = Block("mode_block", fade=FLOAT, front=FLOAT)
 
     def __post_init__(self) -> None:
-        _set(self, attenuation=number("attenuation", self.attenuation, least=0))
+        _set(self, attenuation=number("attenuation", self.attenuation, minimum=0))
 
     def block(self, volume: Volume) -> Values:
         front = volume.radius / volume.mean_spacing  # before the volume's centre, in the kernels' unit

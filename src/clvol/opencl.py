@@ -14,13 +14,13 @@ __all__ = ["INSTALL", "opencl"]
 
 INSTALL = (
     "On Linux without a GPU, 'pip install clvol[pocl]' brings one that runs on the processor; "
-    "with a GPU, install its vendor's OpenCL driver. 'clvol doctor' tells more"
+    "with a GPU, install its vendor's OpenCL driver. 'clvol doctor' says more"
 )
 
 
 @lru_cache(maxsize=1)
 def opencl() -> Any:
-    """pyopencl, with caches that can be written; imported only when a device is asked for."""
+    """pyopencl, with caches that can be written; imported only when a device is needed."""
     _require_caches()
     try:
         import pyopencl

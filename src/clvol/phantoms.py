@@ -218,8 +218,8 @@ def _points(points: ArrayLike) -> Array:
 
 
 def _columns(points: ArrayLike, alpha: float, f_m: float) -> tuple[Array, Array, Array]:
-    number("alpha", alpha, least=0)
-    number("f_m", f_m, least=0)
+    number("alpha", alpha, minimum=0)
+    number("f_m", f_m, minimum=0)
     array = _points(points)
     return array[..., 0], array[..., 1], array[..., 2]
 

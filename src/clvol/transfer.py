@@ -88,12 +88,12 @@ class TransferFunction:
         colors = tuple((low + (high * float(u) - low * float(u)), shade) for u, shade in zip(at, shades, strict=True))
         points: Any = opacity
         if np.ndim(np.asarray(opacity, dtype=object)) == 0:  # one number, or nothing that is a sequence
-            points = ((low, number("opacity", opacity, least=0, most=1)),)
+            points = ((low, number("opacity", opacity, minimum=0, maximum=1)),)
         return cls(colors, points, unit_distance)  # type: ignore[arg-type]  # three floats each
 
     @classmethod
     def ramp(cls, value_range: tuple[float, float]) -> TransferFunction:
-        """Black at the least value, white at the greatest, opaque: for projections."""
+        """Black at the minimum, white at the maximum, opaque: for projections."""
         low, high = _range(value_range)
         return cls(((low, (0.0, 0.0, 0.0)), (high, (1.0, 1.0, 1.0))), ((low, 1.0),))
 
@@ -130,7 +130,7 @@ class TransferFunction:
 
     @cached_property
     def value_range(self) -> tuple[float, float]:
-        """Least and greatest value of any point."""
+        """The smallest and the largest value of any point."""
         values = [p[0] for p in self.colors] + [p[0] for p in self.opacities]
         return min(values), max(values)
 
@@ -166,8 +166,8 @@ def otsu_threshold(volume: Volume | ArrayLike) -> float:
     if not low < high:
         return low
     exponent = _exponent(low, high)
-    least, greatest = _scaled((low, high), exponent)
-    values = (_scaled(_some_values(volume), exponent) - least) / (greatest - least)  # 0..1
+    bottom, top_value = _scaled((low, high), exponent)
+    values = (_scaled(_some_values(volume), exponent) - bottom) / (top_value - bottom)  # 0..1
     top = float(np.quantile(values, 0.9995))
     counts, edges = np.histogram(values, _BINS, (0, top if top > _LEAST_TOP else 1))
     middles = (edges[1:] + edges[:-1]) / 2
@@ -180,7 +180,7 @@ def otsu_threshold(volume: Volume | ArrayLike) -> float:
     if between.max() <= 0:
         return low / 2 + high / 2
     best = np.flatnonzero(between >= between.max() * (1 - 1e-12))  # a gap makes a plateau: take its middle
-    return math.ldexp(float(least + (greatest - least) * edges[1:][best].mean()), exponent)
+    return math.ldexp(float(bottom + (top_value - bottom) * edges[1:][best].mean()), exponent)
 
 
 def _some_values(volume: Volume) -> NDArray[np.float64]:
@@ -208,7 +208,7 @@ def _scaled(values: ArrayLike, exponent: int) -> NDArray[np.float64]:
 
 
 def _range(value_range: object) -> tuple[float, float]:
-    rule = "two finite numbers, (least, greatest)"
+    rule = "two finite numbers, (minimum, maximum)"
     values = reals("value_range", value_range, rule)
     if values.shape != (2,) or not np.isfinite(values).all() or values[0] > values[1]:
         raise OptionError(f"value_range must be {rule}; got {value_range!r}")

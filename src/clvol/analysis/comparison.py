@@ -255,7 +255,7 @@ def compare(
     chosen, rule = as_compared(filters), as_boundary(boundary)
     points, factor = whole("points", points, 1), whole("factor", factor, 2, _MAX_FACTOR)
     rng = np.random.default_rng(whole("seed", seed, 0))
-    margin, max_samples = number("margin", margin, least=0), whole("max_samples", max_samples, 1)
+    margin, max_samples = number("margin", margin, minimum=0), whole("max_samples", max_samples, 1)
     on = None if device is None else as_device(device)
     clock = _clock(timing_device, on) if timing else None
     if EXACT_SINC in chosen and rule.period is None:

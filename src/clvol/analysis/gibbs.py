@@ -95,8 +95,8 @@ def lowpass_step(
     """
     if kind not in ("ideal", "gaussian"):
         raise one_of("kind", kind, ("ideal", "gaussian"))
-    cutoff = number("cutoff", cutoff, least=np.pi / 512, most=np.pi / 32)
-    width = np.sqrt(2 * np.log(2)) / cutoff if sigma is None else number("sigma", sigma, least=1, most=_PERIOD / 64)
+    cutoff = number("cutoff", cutoff, minimum=np.pi / 512, maximum=np.pi / 32)
+    width = np.sqrt(2 * np.log(2)) / cutoff if sigma is None else number("sigma", sigma, minimum=1, maximum=_PERIOD / 64)
     omega = 2 * np.pi * np.fft.rfftfreq(_PERIOD)
     response = (omega <= cutoff) * 1.0 if kind == "ideal" else np.exp(-((omega * width) ** 2) / 2)
     wave = np.where((np.arange(_PERIOD) - _PERIOD // 4) % _PERIOD < _PERIOD // 2, 1.0, 0.0)

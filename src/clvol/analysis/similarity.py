@@ -53,7 +53,7 @@ def ssim(a: ArrayLike, b: ArrayLike, data_range: float | None = None, sigma: flo
         raise DataError(f"a and b must have one shape of 1 to 3 axes; got {x.shape} and {y.shape}")
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise DataError("a and b must be finite")
-    sigma = number("sigma", sigma, above=0, most=_MAX_SIGMA)
+    sigma = number("sigma", sigma, above=0, maximum=_MAX_SIGMA)
     span = number("data_range", float(np.ptp(y)) if data_range is None else data_range, above=0)
     unit = max(span, float(np.abs(x).max()), float(np.abs(y).max()))  # so that no square that matters over- or underflows
     x, y, span = x / unit, y / unit, span / unit

@@ -20,7 +20,7 @@ __all__ = ["CHANNELS", "States", "draw", "finish_states", "march_rays", "merge_s
 Floats = NDArray[np.float32]
 
 CHANNELS: dict[str, tuple[int, ...]] = {"rgba": (4,), "depth": (), "normal": (3,), "position": (3,), "visited": ()}
-_AREA = 16  # pixels along an edge of what is launched at least
+_AREA = 16  # pixels along an edge of the smallest launch
 _ROW_SECONDS = 1.5e-9  # a generous guess of the time of one row of taps on one processor core; corrected as tiles finish
 
 

@@ -38,7 +38,7 @@ _MAX_SIZE = 1 << 15
 
 
 class Renderer:
-    """A scene whose volumes are held on a device, to be drawn many times.
+    """A scene whose volumes are resident on a device, to be drawn many times.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ class Renderer:
             Instead of the scene's: see `Scene`.
         gradient : {"analytic", "central"}
             "analytic" is the exact derivative of the function drawn. "central" takes differences of one voxel
-            to either side, as many others do. `nearest` has no derivative that tells anything and is always
+            to either side, as many others do. `nearest` has no useful derivative and is always
             shaded by central differences.
         samples : int
             Rays a pixel, 1 to 4096.
@@ -223,7 +223,7 @@ class Renderer:
         if gradient not in ("analytic", "central"):
             raise one_of("gradient", gradient, ("analytic", "central"))
         wanted = _outputs(outputs)
-        samples = whole("samples", samples, least=1, most=4096)
+        samples = whole("samples", samples, minimum=1, maximum=4096)
         way = choose_evaluator(self.device, self.filter, evaluator, fetch, bits=_BITS)
         frame = Frame.of(
             scene,
@@ -336,7 +336,7 @@ def render(
     Returns
     -------
     ndarray of float32, shape (height, width, 4)
-        Red, green, blue and opacity in 0..1, or a dictionary if several `outputs` are asked for.
+        Red, green, blue and opacity in 0..1, or a dictionary for several `outputs`.
     """
     with Renderer(scene, filter, boundary, device) as renderer:
         return renderer.render(camera, mode, size, step, outputs=outputs, **options)  # type: ignore[arg-type]  # either
@@ -357,4 +357,4 @@ def _size(size: tuple[int, int]) -> tuple[int, int]:
         width, height = size
     except (TypeError, ValueError):
         raise OptionError(f"size must be (width, height) in pixels; got {size!r}") from None
-    return whole("width", width, least=1, most=_MAX_SIZE), whole("height", height, least=1, most=_MAX_SIZE)
+    return whole("width", width, minimum=1, maximum=_MAX_SIZE), whole("height", height, minimum=1, maximum=_MAX_SIZE)

@@ -329,7 +329,7 @@ class Field:
             The device has no room for the result.
         """
         volume, d = self.volume, self.volume.ndim
-        factor = whole("factor", factor, least=1)
+        factor = whole("factor", factor, minimum=1)
         shape = tuple(factor * n for n in volume.shape)
         data = self._on_grid(np.eye(d) / factor, np.zeros(d), shape, evaluator, fetch, None, progress)
         return Volume(data, tuple(s / factor for s in volume.spacing), volume.origin, volume.direction, volume.units)
@@ -461,7 +461,7 @@ def sample(
     DataError, DeviceError, OutOfMemoryError
         As `Field` and a call of it raise them.
     """
-    derivative = whole("derivative", derivative, least=0, most=2)
+    derivative = whole("derivative", derivative, minimum=0, maximum=2)
     if not isinstance(volume, Field):
         volume = as_volume(volume)
         _points(points, volume.ndim)  # before the volume is prefiltered
@@ -550,7 +550,7 @@ def magnify(
     DataError, DeviceError, OutOfMemoryError
         As `Field` and `Field.magnify` raise them.
     """
-    factor = whole("factor", factor, least=1)
+    factor = whole("factor", factor, minimum=1)
     with opened(volume, filter, boundary, device) as field:
         return field.magnify(factor, evaluator=evaluator, fetch=fetch, progress=progress)
 

@@ -27,13 +27,13 @@ from clvol.reference.spline.points import sample
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume, as_volume
 
-__all__ = ["Rays", "camera_rays", "lattice", "render", "shade"]
+__all__ = ["Rays", "camera_rays", "planes_across", "render", "shade"]
 
 Array: TypeAlias = NDArray[np.float64]
 Bools: TypeAlias = NDArray[np.bool_]
 
 _STEEP = 0.5  # cosine of 60°: rays farther from the axis step along themselves
-_FLAT = 1e-5  # share of the range, or of the greatest magnitude, per mean spacing: less is no gradient
+_FLAT = 1e-5  # share of the range, or of the largest magnitude, per mean spacing: less is no gradient
 _BISECTIONS = 38  # to 1e-12 of a step; to the last bit, rounding would choose the side of a jump again
 
 
@@ -103,11 +103,11 @@ def _slabs(origin: Array, direction: Array, low: Array, high: Array) -> tuple[Ar
     return near.max(-1), far.min(-1)
 
 
-def lattice(volume: Volume, view: View, aspect: float, step: float) -> tuple[int, int]:
+def planes_across(volume: Volume, view: View, aspect: float, step: float) -> tuple[int, int]:
     """The axis most parallel to the view, in index space, and K, how many planes across it are sampled.
 
     A ray at an angle α to the axis advances ``n / (K cos α)`` voxels from plane to plane. The picture's
-    corners have the greatest α; angles past 60° do not count, for such rays use no planes.
+    corners have the largest α; angles past 60° do not count, for such rays use no planes.
     """
     forward = volume.world_to_index_matrix @ view.forward
     axis = int(np.abs(forward).argmax())
@@ -116,10 +116,10 @@ def lattice(volume: Volume, view: View, aspect: float, step: float) -> tuple[int
         volume.world_to_index_matrix @ (view.forward + reach * (a * aspect * view.right + b * view.up))
         for a, b in ((-1, -1), (-1, 1), (1, -1), (1, 1))
     ]
-    least = min(math.copysign(1, forward[axis]) * d[axis] / np.linalg.norm(d) for d in corners)
+    cosine = min(math.copysign(1, forward[axis]) * d[axis] / np.linalg.norm(d) for d in corners)
     n = volume.size[axis]
     planes = 1
-    while n / (planes * max(least, _STEEP)) > step * (1 + 1e-9):
+    while n / (planes * max(cosine, _STEEP)) > step * (1 + 1e-9):
         planes += 1
     return axis, planes
 
@@ -234,7 +234,7 @@ def render(
 ) -> Array | dict[str, Array]:
     """One picture; parameters and results are those of `clvol.Renderer.render`, in float64.
 
-    Differences: `termination` is 0 unless given, and all samples of all rays are held at once, so
+    Differences: `termination` is 0 unless given, and all samples of all rays are in memory at once, so
     this is for small pictures of small volumes.
 
     Notes
@@ -288,7 +288,7 @@ def render(
         volume,
         view,
     )
-    axis, planes = lattice(volume, view, width / height, step)
+    axis, planes = planes_across(volume, view, width / height, step)
     total = np.zeros((width * height, 4))
     guides: dict[str, Array] = {}
     for offset in _offsets(samples):

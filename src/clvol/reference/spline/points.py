@@ -93,8 +93,8 @@ def resample(
         middle = volume.index_to_world((np.array(volume.size) - 1) / 2)
         origin = middle - volume.direction @ ((size - 1) / 2 * step)
         like = Volume(np.zeros(tuple(size[::-1])), tuple(step), tuple(origin), volume.direction, volume.units)
-    lattice = np.stack(np.meshgrid(*(np.arange(n) for n in like.shape), indexing="ij"), -1)[..., ::-1]
-    data = sample(volume, like.index_to_world(lattice), filter, boundary)
+    indices = np.stack(np.meshgrid(*(np.arange(n) for n in like.shape), indexing="ij"), -1)[..., ::-1]
+    data = sample(volume, like.index_to_world(indices), filter, boundary)
     return Volume(data, like.spacing, like.origin, like.direction, like.units or volume.units)
 
 

@@ -1,4 +1,4 @@
-"""The reconstructed function on a lattice: eq. (8) an axis at a time, where `sample` goes point by point."""
+"""The reconstructed function on a grid: eq. (8) an axis at a time, where `sample` goes point by point."""
 
 from __future__ import annotations
 
