@@ -1,6 +1,8 @@
-// The maximum or the minimum among a ray's samples, coloured by the transfer function.
+// The sample of the highest rank on a ray, coloured by the transfer function.
 //
-// Set by the including mode: BEYOND(a, b), whether a replaces b; EXTREME(low, high), which of the two matters; PROMISE.
+// Set by the including mode: RANK(frame, value, t), what samples are compared by; BEYOND(a, b), whether rank a beats b;
+// FURTHEST(frame, low, high, t), a rank that no value from low to high beats at t or past it; SHOWN(frame, rank), the value
+// that is coloured; PROMISE.
 
 typedef struct { real best, t; } state_t;
 
@@ -15,21 +17,22 @@ INLINE void begin(state_t *s)
 
 INLINE mask finished(const state_t *s, constant frame_t *frame) { return NONE; }
 
-// Of equal values the first counts, in whichever order they come.
-INLINE mask replaces(const state_t *s, real value, real t)
+// Of equal ranks the first counts, in whichever order they come.
+INLINE mask replaces(const state_t *s, real rank, real t)
 {
-    return BEYOND(value, s->best) | ((value == s->best) & (t < s->t)) | (s->t == NOWHERE);
+    return BEYOND(rank, s->best) | ((rank == s->best) & (t < s->t)) | (s->t == NOWHERE);
 }
 
 INLINE int matters(const state_t *s, constant frame_t *frame, global const float4 *table, float low, float high, real t, mask active)
 {
-    return any_lane(active & replaces(s, (real)(EXTREME(low, high)), t));
+    return any_lane(active & replaces(s, FURTHEST(frame, low, high, t), t));
 }
 
 INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real t, real value, mask active)
 {
-    const mask better = active & replaces(s, value, t);
-    s->best = choose(better, value, s->best);
+    const real rank = RANK(sample->frame, value, t);
+    const mask better = active & replaces(s, rank, t);
+    s->best = choose(better, rank, s->best);
     s->t = choose(better, t, s->t);
     return NONE;
 }
@@ -43,7 +46,7 @@ INLINE void merge(state_t *front, const state_t *back)
 
 INLINE color_t finish(const state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real *t)
 {
-    color_t color = classify(sample->frame, sample->table, s->best);
+    color_t color = classify(sample->frame, sample->table, SHOWN(sample->frame, s->best));
     color.opacity = choose(s->t < NOWHERE, (real)(1.0f), (real)(0.0f));
     *t = s->t;
     return color;
