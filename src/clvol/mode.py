@@ -195,6 +195,7 @@ class Attenuated(Mode):
     name: ClassVar[str] = "attenuated"
     description: ClassVar[str] = "the maximum along the ray, dimmed by depth"
     state_fields: ClassVar[int] = 2
+    ramp: ClassVar[float | None] = 0.5  # even the nearest values have faded
     BLOCK: ClassVar[Block] = Block("mode_block", fade=FLOAT, front=FLOAT)
 
     def __post_init__(self) -> None:
