@@ -26,10 +26,7 @@ from clvol.filter import as_filter
 from clvol.march.frame import BY_RAYS
 from clvol.march.planes import OBLIQUE, Planes
 from clvol.spline.coefficients import Coefficients
-from clvol.spline.evaluator import Evaluator as ReadPath
-from clvol.spline.evaluator import choose_evaluator
 from clvol.spline.field import coefficients_of
-from clvol.spline.points import sample_coefficients
 from clvol.spline.prefilter import prefilter_in_place
 
 __all__ = ["Bench", "Case", "Measurement", "Skip", "Work", "all_cases", "draw", "measure", "samples_on_lattice", "shots"]
@@ -159,26 +156,22 @@ class Bench:
     def device(self) -> Device:
         return as_device()
 
-    @property
-    def path(self) -> ReadPath:
-        return choose_evaluator(self.device, self.row)
-
     def _head(self, n: int, kind: str = "float32") -> Array:
         return scene.head(n, self.device, kind)
 
     def _renderer(self, n: int, kind: str = "float32") -> clvol.Renderer:
         return clvol.Renderer(self.head(n, kind))
 
-    def held(self, n: int) -> Coefficients:
+    def coefficients(self, n: int) -> Coefficients:
         return coefficients_of(clvol.Volume(self.head(n)), self.row, self.rule, self.device)
 
     # -- prefilter --
 
     def resident_prefilter(self, n: int) -> Work:
         """The kernels alone, on what is on the device already."""
-        held, data = self.held(n), self.head(n)
+        resident, data = self.coefficients(n), self.head(n)
         amount = float(n**3)
-        return Work(partial(_prefilter, held), peers.of("prefilter", data), amount, "Mvoxel/s", PREFILTER, self.repeats)
+        return Work(partial(_prefilter, resident), peers.of("prefilter", data), amount, "Mvoxel/s", PREFILTER, self.repeats)
 
     def array_prefilter(self, n: int) -> Work:
         data = self.head(n)
@@ -214,11 +207,11 @@ class Bench:
         return Points(data, coefficients, at, ((along, side, side), matrix))
 
     def samples(self, *, random: bool, derivative: int = 0) -> Work:
-        work, held = self.points(random=random), self.held(self.n)
+        work, field = self.points(random=random), clvol.Field(self.head(self.n))
         cost = GRADIENT if derivative else SCATTERED if random else VALUE
         theirs = peers.of("gradient" if derivative else "sample", work)
         return Work(
-            lambda: sample_coefficients(held, self.path, work.at, derivative),
+            partial(field.gradient if derivative else field, work.at),
             theirs,
             float(len(work.at)),
             "Msample/s",
@@ -389,11 +382,11 @@ def samples_on_lattice(volume: clvol.Volume, camera: clvol.Camera, size: tuple[i
 # -- inner ------------------------------------------------------------------------------------------------------
 
 
-def _prefilter(held: Coefficients) -> None:
+def _prefilter(resident: Coefficients) -> None:
     """What `coefficients_of` does between copying the samples and filling the halo."""
-    extent, sizes = tuple(held.extent.tolist()), tuple(held.size[:3].tolist())
-    prefilter_in_place(held.device, held.buffer, held.filter, held.boundary, extent, sizes, held.volume.ndim)
-    held.device.finish()
+    extent, sizes = tuple(resident.extent.tolist()), tuple(resident.size[:3].tolist())
+    prefilter_in_place(resident.device, resident.buffer, resident.filter, resident.boundary, extent, sizes, resident.volume.ndim)
+    resident.device.finish()
 
 
 def _difference(ours: Array, theirs: Array) -> float:
