@@ -114,7 +114,8 @@ def test_a_mode_is_a_class() -> None:
 
 def test_attenuation_of_nothing_is_the_maximum(device: Device) -> None:
     volume = phantoms.marschner_lobb(16)
-    options: dict[str, Any] = {"size": (40, 40), "device": device, "outputs": ("rgba", "depth")}
+    ramp = clvol.TransferFunction.ramp(volume.value_range)
+    options: dict[str, Any] = {"size": (40, 40), "device": device, "outputs": ("rgba", "depth"), "transfer": ramp}
     plain = clvol.render(volume, mode="mip", **options)
     same = clvol.render(volume, mode="attenuated", attenuation=0.0, **options)
     np.testing.assert_allclose(same["rgba"], plain["rgba"], rtol=0, atol=1e-6)
