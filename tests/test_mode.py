@@ -25,7 +25,7 @@ def test_each_mode_has_a_kernel_file_and_a_reference(name: str) -> None:
     assert mode.name == name
     assert as_mode(mode) == mode
     assert mode.description
-    text = program.source(mode.file)
+    text = program.source(mode.file, generated={"frame.cl": "//\n", "base/math.cl": "//\n"})
     for word in KERNEL:
         assert re.search(rf"\b{word}\b", text), word
     assert "for (" not in text or name == "isosurface"  # the ray loop is march.cl's; isosurface refines
