@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from clvol.camera import View
 from clvol.light import Light, Material
-from clvol.march.planes import pixel_offsets
-from clvol.reference.march.march import camera_rays, shade
+from clvol.reference.march.march import camera_rays, pixel_offsets, shade
 from clvol.volume import Volume
 
 __all__ = ["draw_function"]

@@ -27,7 +27,7 @@ from clvol.reference.spline.points import sample
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume, as_volume
 
-__all__ = ["Rays", "camera_rays", "planes_across", "render", "shade"]
+__all__ = ["Rays", "camera_rays", "pixel_offsets", "planes_across", "render", "shade"]
 
 Array: TypeAlias = NDArray[np.float64]
 Bools: TypeAlias = NDArray[np.bool_]
@@ -291,7 +291,7 @@ def render(
     axis, planes = planes_across(volume, view, width / height, step)
     total = np.zeros((width * height, 4))
     guides: dict[str, Array] = {}
-    for offset in _offsets(samples):
+    for offset in pixel_offsets(samples):
         rays = camera_rays(volume, view, size, offset, clip)
         t, there, world_step = _sample_distances(volume, rays, axis, planes, step, chosen.endpoints)
         values = np.full(t.shape, math.nan)
@@ -318,7 +318,7 @@ def render(
     return shaped[outputs] if isinstance(outputs, str) else {name: shaped[name] for name in outputs}
 
 
-def _offsets(samples: int) -> Array:
+def pixel_offsets(samples: int) -> Array:
     """The R2 sequence from the middle of the pixel: multiples of 1/g and 1/g², g the real root of g³ = g + 1."""
     g = float(np.roots([1, 0, -1, -1])[0].real)
     return np.array([[(0.5 + i / g) % 1, (0.5 + i / g**2) % 1] for i in range(samples)])
