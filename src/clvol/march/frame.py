@@ -18,7 +18,7 @@ from clvol.mode import Mode
 from clvol.program import Program
 from clvol.scene import CLIP, Medium, Scene, clip_block
 from clvol.spline.coefficients import Coefficients
-from clvol.spline.evaluator import Evaluator
+from clvol.spline.evaluator import DIRECT, Evaluator
 from clvol.spline.minmax import BLOCK, MINMAX, MinMax, minmax_block
 from clvol.transfer import TABLE_SIZE, TransferFunction
 from clvol.uniform import FLOAT, INT, Block, Values
@@ -73,6 +73,8 @@ class Frame:
         Settled for the medium's volume.
     evaluator : Evaluator
     planes : Planes
+    tile : Tile
+        The rays of a work-item.
     central, guides : bool
         Whether gradients are central differences; whether more than the picture is wanted.
     values : ndarray
@@ -86,6 +88,7 @@ class Frame:
     mode: Mode
     evaluator: Evaluator
     planes: Planes
+    tile: Tile
     central: bool
     guides: bool
     values: Values
@@ -133,7 +136,9 @@ class Frame:
                 **{"pass": 0, "last_pass": 0},
             ),
         )
-        return cls(coefficients, minmax, mode, evaluator, planes, central, guides, values, _searchable(transfer.table()))
+        table = _searchable(transfer.table())
+        tile = _tile(coefficients.device, evaluator)
+        return cls(coefficients, minmax, mode, evaluator, planes, tile, central, guides, values, table)
 
     @property
     def device(self) -> Device:
@@ -144,14 +149,6 @@ class Frame:
         """Width and height in pixels."""
         picture = self.values["picture"]
         return int(picture["width"]), int(picture["height"])
-
-    @property
-    def tile(self) -> Tile:
-        """The rays of a work-item."""
-        if self.device.limits.tile is not None:
-            return Tile(*self.device.limits.tile)
-        rows = not self.evaluator.image and not self.evaluator.paired
-        return BY_PLANES if self.device.kind == "cpu" and rows else BY_RAYS
 
     def sampled(self, offset: NDArray[np.float64], number: int, samples: int) -> Values:
         """The parameter block for one ray of each pixel's `samples`, that at `offset` in the pixel."""
@@ -181,6 +178,13 @@ class Frame:
         }
         _, declaration = frame_block(mode.BLOCK)
         return self.device.build(name, defines, {"mode.cl": mode.file}, {"frame.cl": declaration})
+
+
+def _tile(device: Device, evaluator: Evaluator) -> Tile:
+    """The device's limit, else blended planes for processors that read rows of taps from a buffer."""
+    if device.limits.tile is not None:
+        return Tile(*device.limits.tile)
+    return BY_PLANES if device.kind == "cpu" and evaluator == DIRECT else BY_RAYS
 
 
 def _searchable(table: NDArray[np.float32]) -> NDArray[np.float32]:
