@@ -47,6 +47,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "mip": {"transfer": TRANSFER},
     "minip": {"transfer": TRANSFER, "background": "white"},
     "mean": {},
+    "attenuated": {"transfer": TRANSFER, "attenuation": 1.5},
 }
 
 

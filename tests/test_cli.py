@@ -363,7 +363,7 @@ def test_compare_draws_the_filters_asked_for(clvol_command: Command) -> None:
     done = clvol_command("compare", SPHERE, "-o", "a.png", *options, "--json").json
     assert done == {"output": "a.png", "filters": ["linear", "bc(0, 1/2)"], "mode": "isosurface"}
     camera = clvol.Camera.orbit(30, 20)
-    tile = clvol.render(clvol.phantoms.sphere(8), camera, "isosurface", "linear", "wrap", (16, 16), isovalue=0.3, color="#eddec2")
+    tile = clvol.render(clvol.phantoms.sphere(8), camera, "isosurface", "linear", "wrap", (16, 16), isovalue=0.3)
     np.testing.assert_array_equal(iio.imread("a.png")[:16, :16], clvol.picture.to_bytes(tile)[..., :3])
 
 

@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -246,3 +247,24 @@ def test_clear_sets_numbers_to_zero(device: Device) -> None:
 def test_linker_is_here_if_pocl_is(device: Device) -> None:
     if device.is_pocl and device.kind == "cpu":
         assert shutil.which("ld")
+
+
+def test_limits_of_one_thread_are_not_those_of_another(device: Device) -> None:
+    """However blocks overlap, each thread finds its own limits again."""
+    usual, entered, leave = device.limits, threading.Event(), threading.Event()
+
+    def other() -> None:
+        assert device.limits == usual
+        with device.limited(launch_taps=7):
+            entered.set()
+            leave.wait(10)
+        assert device.limits == usual
+
+    with device.limited(launch_taps=1):
+        thread = threading.Thread(target=other)
+        thread.start()
+        assert entered.wait(10)
+        assert device.limits.launch_taps == 1
+    leave.set()
+    thread.join()
+    assert device.limits == usual

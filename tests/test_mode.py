@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,10 @@ import clvol
 from clvol import phantoms, program
 from clvol.device import Device
 from clvol.errors import OptionError
-from clvol.mode import DEFAULT_MODE, Composite, Isosurface, Mode, as_mode, every_option, mode_options, modes
+from clvol.mode import DEFAULT_MODE, Composite, Isosurface, Mip, Mode, as_mode, every_option, mode_options, modes
 from clvol.reference.march import march
 from clvol.transfer import otsu_threshold
+from clvol.volume import Volume
 
 KERNEL = ("state_t", "begin", "gather", "matters", "merge", "finish", "finished", "REACH", "ANY_ORDER", "PROMISE")
 
@@ -25,7 +27,9 @@ def test_each_mode_has_a_kernel_file_and_a_reference(name: str) -> None:
     assert mode.name == name
     assert as_mode(mode) == mode
     assert mode.description
-    text = program.source(mode.file, generated={"frame.cl": "//\n", "base/math.cl": "//\n"})
+    text = (program.folder() / mode.file).read_text(encoding="utf-8")
+    if '"modes/extreme.cl"' in text:
+        text += (program.folder() / "modes/extreme.cl").read_text(encoding="utf-8")
     for word in KERNEL:
         assert re.search(rf"\b{word}\b", text), word
     assert "for (" not in text or name == "isosurface"  # the ray loop is march.cl's; isosurface refines
@@ -46,7 +50,7 @@ def test_every_option_is_a_field_that_is_described(name: str) -> None:
         assert says.endswith("."), option
 
 
-@pytest.mark.parametrize("wrong", ["MIP", "", None, 3, Composite])
+@pytest.mark.parametrize("wrong", ["MIP", "", None, 3, Volume])
 def test_unknown_modes(wrong: Any) -> None:
     with pytest.raises(OptionError, match=r"mode must be one of composite, isosurface, mip, .*, mean; got "):
         as_mode(wrong)
@@ -68,7 +72,7 @@ BAD: dict[str, tuple[str, dict[str, Any], str]] = {
     "isovalue text": ("isosurface", {"isovalue": "high"}, "isovalue must be a finite number; got 'high'"),
     "color": ("isosurface", {"color": "no colour"}, "color must be three numbers, or the name"),
     "two colours": ("isosurface", {"color": (1, 2)}, "color must be three numbers"),
-    "tolerance": ("isosurface", {"tolerance": -1}, "tolerance must be a finite number, at least 0; got -1"),
+    "tolerance": ("isosurface", {"tolerance": -1}, "tolerance must be a finite number, at least 0 and at most 1; got -1"),
     "shading": ("isosurface", {"shading": "yes"}, "shading must be True or False; got 'yes'"),
     "shading as a number": ("composite", {"shading": 1}, "shading must be True or False; got 1"),
     "termination": ("composite", {"termination": 1}, "termination must be a finite number, at least 0 and less than 1; got 1"),
@@ -110,6 +114,32 @@ def test_a_mode_is_a_class() -> None:
         name = "fog"
 
     assert Fog().file == "modes/fog.cl"
+    assert as_mode(Composite, {"termination": 0.5}) == Composite(termination=0.5)
+    with pytest.raises(OptionError, match="a mode must have a name and state_fields; Fog has no state_fields"):
+        as_mode(Fog)
+    with pytest.raises(OptionError, match="a mode must have a name and state_fields; Mode has no name"):
+        as_mode(Mode())
+
+
+def test_a_mode_of_ones_own_is_drawn_as_it_says(device: Device) -> None:
+    """Its looks are its own: nothing is remembered from another instance of its class."""
+
+    @dataclass(frozen=True)
+    class Window(Mip):
+        top: float = 1.0
+
+        def transfer(self, volume: Volume) -> clvol.TransferFunction:  # noqa: ARG002
+            return clvol.TransferFunction.ramp((0, self.top))
+
+    volume = phantoms.marschner_lobb(9)
+    with clvol.Renderer(volume, device=device) as renderer:
+        bright, dark = (renderer.render(mode=Window(top), size=(20, 20))[..., 0].mean() for top in (1.0, 4.0))
+    assert dark == pytest.approx(bright / 4, rel=0.05)
+
+
+def test_a_misspelt_keyword_gets_a_hint() -> None:
+    with pytest.raises(OptionError, match=r"skiping is no option of mip \(did you mean skipping\?\); mip has none"):
+        clvol.render(np.ones((3, 3, 3)), mode="mip", skiping=False)
 
 
 def test_attenuation_of_nothing_is_the_maximum(device: Device) -> None:
@@ -137,7 +167,7 @@ def test_what_is_near_stands_out(device: Device) -> None:
     assert near == pytest.approx(np.exp(-1.5 * front), rel=0.04)  # no ray meets the middle of a ball
 
 
-@pytest.mark.parametrize("bad", [-1, float("nan"), "strong"])
+@pytest.mark.parametrize("bad", [-1, 41, float("nan"), "strong"])
 def test_bad_attenuation(bad: Any) -> None:
     with pytest.raises(OptionError, match="attenuation must be a finite number, at least 0"):
         as_mode("attenuated", {"attenuation": bad})

@@ -13,6 +13,7 @@ from importlib.metadata import entry_points, requires, version
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import clvol
@@ -87,6 +88,15 @@ FORMER = [
     ("clvol.spline", "Path", "clvol.spline.evaluator", "Evaluator"),
     ("clvol.spline", "choose_path", "clvol.spline.evaluator", "choose_evaluator"),
     ("clvol.spline", "Coefficients", "clvol.spline.field", "coefficients_of"),
+    ("clvol.render", "Lattice", "clvol.march.planes", "Planes"),
+    ("clvol.render", "pixel_offsets", "clvol.march.planes", "pixel_offsets"),
+    ("clvol.program", "filter_defines", "clvol.spline.build", "filter_defines"),
+    ("clvol.reference.march", "shade", "clvol.reference.march.march", "shade"),
+    ("clvol.reference.march", "lattice", "clvol.reference.march.march", "planes_across"),
+    ("clvol.reference.exact", "draw_function", "clvol.reference.march.exact", "draw_function"),
+    ("clvol.reference.filter", "kernel", "clvol.reference.spline.filter", "kernel"),
+    ("clvol.analysis.compare", "as_compared", "clvol.analysis.comparison", "as_compared"),
+    ("clvol.analysis.ssim", "ssim", "clvol.analysis.similarity", "ssim"),
 ]
 
 
@@ -97,6 +107,25 @@ def test_former_names_work_and_say_where_they_are(module: str, name: str, place:
     assert found is getattr(import_module(place), new)
     with pytest.raises(AttributeError, match="no_such_name"):
         import_module(module).no_such_name  # noqa: B018
+
+
+def test_modules_that_were_functions_can_be_called() -> None:
+    import clvol.spline.prefilter
+    import clvol.spline.resample
+
+    data = np.random.default_rng(0).random((3, 4, 5))
+    with pytest.warns(DeprecationWarning, match=r"clvol\.spline\.prefilter is now clvol\.prefilter$"):
+        coefficients = clvol.spline.prefilter(data)  # type: ignore[operator]
+    np.testing.assert_array_equal(coefficients, clvol.prefilter(data))
+    with pytest.warns(DeprecationWarning, match=r"clvol\.spline\.resample is now clvol\.resample$"):
+        finer = clvol.spline.resample(data, (4, 5, 6))  # type: ignore[operator]
+    np.testing.assert_array_equal(finer.data, clvol.resample(data, (4, 5, 6)).data)
+
+
+def test_everything_of_a_former_module_can_be_imported() -> None:
+    code = "from clvol.filters import *; import importlib.util; assert importlib.util.find_spec('clvol.filters'); bspline, register"
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", code], capture_output=True, encoding="utf-8", check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def test_functions_are_not_hidden_by_former_modules() -> None:

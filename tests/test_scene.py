@@ -10,7 +10,7 @@ import pytest
 import clvol
 from clvol import Camera, Light, Material, Medium, Scene, TransferFunction, Volume
 from clvol.device import Device
-from clvol.errors import ClvolError, DataError, GeometryError, OptionError
+from clvol.errors import ClvolError, GeometryError, OptionError
 from clvol.scene import as_scene
 
 DATA = np.random.default_rng(0).random((7, 6, 5)).astype(np.float32)
@@ -51,7 +51,9 @@ def test_what_is_given_stands_instead_of_the_scenes(device: Device) -> None:
         np.testing.assert_array_equal(renderer.render(CAMERA, size=SIZE), clvol.render(scene, CAMERA, size=SIZE, device=device))
 
 
-@pytest.mark.parametrize("scene", [DATA, Volume(DATA), Medium(DATA), Scene(DATA), Scene([Medium(DATA)]), DATA.tolist()])
+@pytest.mark.parametrize(
+    "scene", [DATA, Volume(DATA), Medium(DATA), Scene(DATA), Scene([Medium(DATA)]), Scene([Volume(DATA)]), DATA.tolist()]
+)
 def test_whatever_holds_a_volume_is_a_scene(scene: Any) -> None:
     (medium,) = as_scene(scene).media
     np.testing.assert_array_equal(medium.volume.data, DATA)
@@ -59,9 +61,35 @@ def test_whatever_holds_a_volume_is_a_scene(scene: Any) -> None:
     assert medium.boundary.name == "mirror"
 
 
+def test_a_box_cannot_be_changed() -> None:
+    scene = Scene(DATA, clip=((0, 0, 0), (2, 2, 2)))
+    assert scene.clip is not None
+    with pytest.raises(ValueError, match="read-only"):
+        scene.clip[0][0] = 1.0  # type: ignore[index]
+
+
+def test_a_field_is_drawn_as_it_is_and_stays(device: Device) -> None:
+    with clvol.Field(DATA, "mitchell", "wrap", device) as field:
+        renderer = clvol.Renderer(field)
+        want = clvol.render(DATA, CAMERA, "composite", "mitchell", "wrap", SIZE, device=device)
+        np.testing.assert_array_equal(renderer.render(CAMERA, size=SIZE), want)
+        renderer.close()
+        with pytest.raises(OptionError, match="closed"):
+            renderer.render(CAMERA, size=SIZE)
+        np.testing.assert_array_equal(clvol.render(field, CAMERA, size=SIZE), want)
+        with pytest.raises(OptionError, match="the field was made with filter 'mitchell'"):
+            clvol.Renderer(field, "linear")
+    with pytest.raises(OptionError, match="the field was closed"):
+        clvol.Renderer(field)
+
+
+ONE = "a scene must have one medium, no more so far; got "
 REFUSED: dict[str, tuple[Any, type[ClvolError], str]] = {
-    "two media": (lambda: Scene([Medium(DATA), Medium(DATA)]), OptionError, "a scene may have one medium so far; got 2"),
-    "no medium": (lambda: Scene([]), DataError, "data must have"),
+    "two media": (lambda: Scene([Medium(DATA), Medium(DATA)]), OptionError, ONE + "2"),
+    "two volumes": (lambda: Scene([Volume(DATA), Volume(DATA)]), OptionError, ONE + "2"),
+    "two arrays": (lambda: Scene((DATA, DATA)), OptionError, ONE + "2"),
+    "no medium": (lambda: Scene([]), OptionError, ONE + "0"),
+    "five lights": (lambda: Scene(DATA, lights=[Light()] * 5), OptionError, "there may be up to 4 lights; got 5"),
     "an image": (lambda: Medium(DATA[0]), OptionError, "rendering takes a volume with 3 axes"),
     "a filter": (lambda: Medium(DATA, filter="cubix"), OptionError, "filter must be one of .*; got 'cubix'"),
     "a boundary": (lambda: Medium(DATA, boundary="edge"), OptionError, "boundary must be one of .*; got 'edge'"),

@@ -2,6 +2,8 @@
 //
 // Set by the host: LANES: 1, 8, or 16 where registers hold as many numbers (march.cl).
 
+#include "base/platform.cl"
+
 #if LANES == 1
 
 typedef float real;

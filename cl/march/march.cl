@@ -11,6 +11,7 @@
 //                                 one sample of the active lanes; gives the lanes that need no more
 //   matters(state, frame, table, low, high, t, active)
 //                                 whether a value from low to high, at t or past it, could change what any active lane shows
+//   finished(state, frame)        the lanes that need no more samples, whichever come: for states that are carried on
 //   merge(front, back)            two stretches of the same rays, `back` behind `front`, into `front`
 //   finish(state, coefficients, sample, &t)
 //                                 the colour, not premultiplied, and at which t it lies, or NOWHERE

@@ -4,7 +4,7 @@
 // (minmax.cl) is queried for the boxes of positions that they span, coarse segments first; what lies where no value matters
 // is skipped. The picture is the same to the last bit, since every sample that is gathered is evaluated as it would be without.
 //
-// Set by the host: BLOCK, cells along an edge of the finest blocks.
+// Set by the host: BLOCK, cells along an edge of the finest blocks. Set before: PACKETS, and what the mode defines.
 
 #include "base/lanes.cl"
 #include "base/vector.cl"

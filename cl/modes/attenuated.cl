@@ -1,6 +1,6 @@
 // The maximum along the ray of values that fade with depth: what is near stands out, as in a projection through fog.
 //
-// A value counts from the transfer function's first point up, times exp(-attenuation d), with d from 0 at the front of the
+// A value counts from the smallest value of the transfer function up, times exp(-attenuation d), with d from 0 at the front of the
 // volume's bounding sphere to 1 at its back.
 
 #include "base/math.cl"

@@ -1,5 +1,9 @@
 // Emission and absorption, front to back; opacity is that of the ray's own step.
 
+#include "march/sample.cl"
+#include "transfer/ramp.cl"
+#include "march/light.cl"
+
 typedef struct { real red, green, blue, transmittance, depth; } state_t;
 
 #define REACH 0.0f

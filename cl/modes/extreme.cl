@@ -4,6 +4,9 @@
 // FURTHEST(frame, low, high, t), a rank that no value from low to high beats at t or past it; SHOWN(frame, rank), the value
 // that is coloured; PROMISE.
 
+#include "march/sample.cl"
+#include "transfer/ramp.cl"
+
 typedef struct { real best, t; } state_t;
 
 #define REACH 0.0f

@@ -1,5 +1,9 @@
 // The first surface of one value: a crossing between two samples, refined on the continuous function.
 
+#include "march/sample.cl"
+#include "transfer/ramp.cl"
+#include "march/light.cl"
+
 typedef struct { real before, before_t, hit; mask started; } state_t;
 
 #define REACH 1.0f   // a crossing lies between two samples

@@ -1,5 +1,8 @@
 // The mean of the samples along the ray, coloured by the transfer function; it lies nowhere in depth.
 
+#include "march/sample.cl"
+#include "transfer/ramp.cl"
+
 typedef struct { real sum, count; } state_t;
 
 #define REACH 0.0f

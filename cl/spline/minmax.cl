@@ -43,7 +43,7 @@ constant float bernstein[CONTROLS][TAPS] = BERNSTEIN;
                 target = madd((float8)(bernstein[row][i_]), value, target); \
     }
 
-kernel void bound_cells(global const float *restrict coefficients, const int4 extent, const int4 blocks, global float2 *bounds)
+kernel void minmax_cells(global const float *restrict coefficients, const int4 extent, const int4 blocks, global float2 *bounds)
 {
     const int bx = (int)get_global_id(0) * (LANES / BLOCK), by = get_global_id(1), bz = get_global_id(2);
     float8 tap_min = (float8)(INFINITY), tap_max = -tap_min;
@@ -110,7 +110,7 @@ kernel void bound_cells(global const float *restrict coefficients, const int4 ex
 #else
 
 // f = m sum(w) + sum(w (c - m)), with m the middle of the taps c and w their weights.
-kernel void bound_cells(global const float *restrict coefficients, const int4 extent, const int4 blocks, global float2 *bounds)
+kernel void minmax_cells(global const float *restrict coefficients, const int4 extent, const int4 blocks, global float2 *bounds)
 {
     const int bx = get_global_id(0), by = get_global_id(1), bz = get_global_id(2);
     float tap_min = INFINITY, tap_max = -INFINITY;
@@ -133,7 +133,7 @@ kernel void bound_cells(global const float *restrict coefficients, const int4 ex
 #endif
 
 // Two blocks along each axis make one of the next level. Levels: blocks along x, y and z, and where they begin.
-kernel void bound_blocks(global float2 *bounds, const int4 finer, const int4 coarser)
+kernel void minmax_blocks(global float2 *bounds, const int4 finer, const int4 coarser)
 {
     const int x = get_global_id(0), y = get_global_id(1), z = get_global_id(2);
     float2 hull = (float2)(INFINITY, -INFINITY);

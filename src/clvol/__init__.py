@@ -30,12 +30,15 @@ from clvol.formats import read, write
 from clvol.light import Light, Material
 from clvol.march.renderer import Output, Renderer, render
 from clvol.mode import Attenuated, Composite, Isosurface, Mean, Minip, Mip, Mode, modes
+from clvol.moved import callable_as_before
 from clvol.picture import save
 from clvol.response import frequency_response, prefilter_response
 from clvol.scene import Medium, Scene
 from clvol.spline.field import Field, magnify, prefilter, resample, sample
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
+
+callable_as_before("clvol.spline.prefilter", "clvol.spline.resample")
 
 __version__ = "0.1.0"
 

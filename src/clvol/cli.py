@@ -10,6 +10,7 @@ import io
 import json
 import math
 import os
+import re
 import shutil
 import sys
 import textwrap
@@ -136,17 +137,28 @@ class SurfaceLook(Look):
 def _flag(name: str) -> tuple[str, Any, None]:
     """A flag for an option of modes, with what their classes say of it; not given, it is the mode's own default."""
     having = [mode for mode in clvol.modes().values() if name in mode_options(mode)]
-    kinds = {type(getattr(mode, name)) for mode in having}
-    kind: Any = bool if kinds == {bool} else str if kinds & {str, tuple} else float
-    says = mode_options(having[0])[name]
-    return name, Annotated[kind | None, Parameter(help=f"{says} ({', '.join(mode.name for mode in having)})")], None
+    defaults = [getattr(mode, name) for mode in having]
+    kind: Any = bool if isinstance(defaults[0], bool) else str if isinstance(defaults[0], tuple) else float
+    says = [f"{mode_options(mode)[name]} ({mode.name}{_default(getattr(mode, name))})" for mode in having]
+    return name, Annotated[kind | None, Parameter(help=" ".join(says))], None
+
+
+def _default(value: object) -> str:
+    """A mode's default for people; nothing where it follows from the volume."""
+    if value is None:
+        return ""
+    return f"; default {' '.join(f'{v:g}' for v in value) if isinstance(value, tuple) else value}"
 
 
 class Given:
     """Options of a mode, as they were given."""
 
     def options(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if value is not None}
+        """What was given; a colour may be three numbers in one argument."""
+        given = {name: value for name, value in vars(self).items() if value is not None}
+        if isinstance(given.get("color"), str) and re.fullmatch(r"\s*([\d.e+-]+[\s,]+){2}[\d.e+-]+\s*", given["color"]):
+            given["color"] = tuple(float(v) for v in re.split(r"[\s,]+", given["color"].strip()))
+        return given
 
 
 if TYPE_CHECKING:
@@ -207,10 +219,12 @@ def render(
     if heat_map is not None:
         _require_picture(heat_map)
     look = look or Look()
+    options = (own or ModeOptions()).options()
+    as_mode(look.mode, options)  # before the volume is read
     volume = (input or Input()).read(source)
     result: dict[str, Any] = {"output": str(output), "size": list(size), "filter": filter, "mode": look.mode}
     with _progress("rendering", json) as progress:
-        options = look.options(volume) | (own or ModeOptions()).options()
+        options |= look.options(volume)
         begun = time.perf_counter()
         with clvol.Renderer(volume, filter, look.boundary, device) as renderer:
             ready = time.perf_counter()
@@ -261,20 +275,15 @@ def compare(
         _require_picture(output)
     if table is not None:
         _require_writable(table, SUFFIXES, "tables")
-    volume, look = (input or Input()).read(source), look or SurfaceLook()
+    look, options = look or SurfaceLook(), (own or ModeOptions()).options()
+    as_mode(look.mode, options)  # before the volume is read
+    volume = (input or Input()).read(source)
     names = filters or figures.SIX
     result: dict[str, Any] = {}
     if output is not None:
         with _progress("drawing", json) as progress:
             _, sheet = figures.compare(
-                volume,
-                names,
-                pixels,
-                look.boundary,
-                device=device,
-                progress=progress,
-                **look.options(volume),
-                **(own or ModeOptions()).options(),
+                volume, names, pixels, look.boundary, device=device, progress=progress, **look.options(volume), **options
             )
         result["output"] = str(clvol.save(sheet, output))
     result |= {"filters": list(names)} | ({"mode": look.mode} if output is not None else {})
@@ -363,7 +372,9 @@ def report(
     from clvol import reports
 
     reports.page(output)  # raises before minutes of work if it cannot be written
-    volume, look = (input or Input()).read(source), look or SurfaceLook()
+    look, options = look or SurfaceLook(), (own or ModeOptions()).options()
+    as_mode(look.mode, options)  # before the volume is read
+    volume = (input or Input()).read(source)
     with _progress("measuring and drawing", json) as progress:
         done = reports.report(
             volume,
@@ -375,7 +386,7 @@ def report(
             device=device,
             progress=progress,
             **look.options(volume),
-            **(own or ModeOptions()).options(),
+            **options,
         )
     result = {"output": str(done.path), "filter": done.advice.filter, "advice": " ".join(done.advice.sentences)}
     _say(json, result | ({"against": done.table.against, "errors": done.table.records()} if json else {}))

@@ -80,15 +80,13 @@ class Limits:
     tile: Tile | None = None
 
 
+_LIMITS = Limits()
+
+
 class Device:
     """One OpenCL device with its context and queue, made once for each process.
 
     Use `as_device` to get one. Buffers, programs and renderers hold the device they were made on.
-
-    Attributes
-    ----------
-    limits : Limits
-        How its work is cut into parts.
     """
 
     def __init__(self, handle: Any) -> None:
@@ -96,7 +94,7 @@ class Device:
         self._process = os.getpid()
         self._lock = threading.RLock()
         self._programs: dict[Any, Program] = {}
-        self.limits = Limits()
+        self._limited = threading.local()
 
     def __repr__(self) -> str:
         return f"<Device {self.name!r} on {self.platform!r}>"
@@ -152,7 +150,7 @@ class Device:
 
     @cached_property
     def image_limit(self) -> int:
-        """Greatest extent of an image along any axis."""
+        """Largest extent of an image along any axis."""
         h = self.handle
         return int(min(h.image3d_max_width, h.image3d_max_height, h.image3d_max_depth))
 
@@ -207,15 +205,20 @@ class Device:
                     self._programs[key] = program.build(self.context, text)
             return self._programs[key]
 
+    @property
+    def limits(self) -> Limits:
+        """How this thread's work on the device is cut into parts."""
+        return getattr(self._limited, "limits", _LIMITS)
+
     @contextlib.contextmanager
     def limited(self, **changes: Any) -> Iterator[None]:
-        """Other `limits` for the time of a block."""
+        """Other `limits` for this thread, for the time of a block."""
         before = self.limits
-        self.limits = replace(before, **changes)
+        self._limited.limits = replace(before, **changes)
         try:
             yield
         finally:
-            self.limits = before
+            self._limited.limits = before
 
     # -- memory --------------------------------------------------------------------------------
 

@@ -40,6 +40,7 @@ __all__ = [
     "from_callable",
     "from_pieces",
     "lanczos",
+    "omoms3",
     "register",
     "several_names",
     "sinc",
@@ -75,7 +76,7 @@ class Filter:
         Magnify the samples by two with this filter first, then reconstruct on the finer grid: the
         paper's hybrid (section 4.3).
     fit_error : float
-        Greatest absolute error of `taps` to the kernel that they were fitted to; 0 if exact.
+        Largest absolute error of `taps` to the kernel that they were fitted to; 0 if exact.
     """
 
     name: str
@@ -507,7 +508,7 @@ def _lanczos(radius: int) -> Filter:
     return from_callable(f"lanczos{radius}", lambda x: np.sinc(x) * np.sinc(x / radius), radius, degree=_SINC_DEGREE)
 
 
-def _omoms3() -> Filter:
+def omoms3() -> Filter:
     """Blu, Thévenaz and Unser (2001): the cubic B-spline plus 1/42 of its second derivative.
 
     The smallest error of any kernel of support 4 and order 4.
@@ -627,7 +628,7 @@ for _row in (
     *(bspline(degree, prefilter=False) for degree in (2, 3, 4, 5)),
     replace(bc(Fraction(1, 3), Fraction(1, 3)), name="mitchell"),
     replace(bc(0, Fraction(1, 2)), name="catmull-rom"),
-    _omoms3(),
+    omoms3(),
     *(lanczos(radius) for radius in (2, 3, 4, 5)),
     sinc(),
 ):

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary
+from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.checks import number, whole
 from clvol.device import Device
 from clvol.errors import DataError, OptionError
-from clvol.filter import DEFAULT_FILTER, Filter
+from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.interop import read_array
 from clvol.spline import field
 from clvol.volume import Volume
@@ -181,7 +181,8 @@ def _drawn(
 ) -> NDArray[Any]:
     """Each channel on another grid, in the image's dtype."""
     planes = [pixels] if pixels.ndim == 2 else list(np.moveaxis(pixels, 2, 0))
-    drawn = [field.resample(p, like=grid, filter=filter, boundary=boundary, fill=fill, device=device).data for p in planes]
+    chosen, rule = as_filter(filter), as_boundary(boundary)
+    drawn = [field.resample(p, like=grid, filter=chosen, boundary=rule, fill=fill, device=device).data for p in planes]
     result = drawn[0] if pixels.ndim == 2 else np.stack(drawn, -1)
     if pixels.dtype.kind == "f":
         return result.astype(pixels.dtype)

@@ -41,7 +41,7 @@ def read_array(source: Any) -> Content:
     if hasattr(source, "affine") and hasattr(source, "dataobj"):
         return from_nibabel(source)
     if isinstance(source, _Gridded):
-        return source.data, {name: getattr(source, name) for name in ("spacing", "origin", "direction", "units")}
+        return np.asarray(source.data), {name: getattr(source, name) for name in ("spacing", "origin", "direction", "units")}
     if np.ma.is_masked(source):
         raise DataError("data must have no masked element; replace them with .filled(value) of the masked array")
     try:

@@ -6,10 +6,11 @@ not the mode's is refused by name.
 
 from __future__ import annotations
 
+import difflib
 import inspect
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Self
 
@@ -135,11 +136,11 @@ class Isosurface(Mode):
     isovalue : float, optional
         The value of the surface; by default Otsu's threshold, which parts the histogram in two.
     color : three numbers or a name
-        Of the surface.
+        Of the surface: red, green and blue in 0..1, a name or a hex code.
     shading : bool
         Light the surface by the gradient.
     tolerance : float
-        How near to the isovalue the function is at the surface that is drawn, as a share of the volume's range.
+        How near to the isovalue the function is at the surface that is drawn, as a share of the volume's range, 0 to 1.
     """
 
     isovalue: float | None = None
@@ -157,7 +158,7 @@ class Isosurface(Mode):
         if self.isovalue is not None:
             _set(self, isovalue=number("isovalue", self.isovalue))
         _set(self, color=color_of("color", self.color), shading=_switch("shading", self.shading))
-        _set(self, tolerance=number("tolerance", self.tolerance, minimum=0))
+        _set(self, tolerance=number("tolerance", self.tolerance, minimum=0, maximum=1))
 
     def settled(self, volume: Volume) -> Self:
         return self if self.isovalue is not None else replace(self, isovalue=otsu_threshold(volume))
@@ -186,8 +187,8 @@ class Attenuated(Mode):
     Parameters
     ----------
     attenuation : float
-        How fast values fade, 0 or more: a value counts from the transfer function's first point up, times exp(-attenuation d),
-        with d from 0 at the front of the volume's bounding sphere to 1 at its back. 0 is "mip".
+        How fast values fade, 0 to 40: a value counts from the smallest value of the transfer function up, times
+        exp(-attenuation d), with d from 0 at the front of the volume's bounding sphere to 1 at its back. 0 is "mip".
     """
 
     attenuation: float = 2.0
@@ -199,7 +200,7 @@ class Attenuated(Mode):
     BLOCK: ClassVar[Block] = Block("mode_block", fade=FLOAT, front=FLOAT)
 
     def __post_init__(self) -> None:
-        _set(self, attenuation=number("attenuation", self.attenuation, minimum=0))
+        _set(self, attenuation=number("attenuation", self.attenuation, minimum=0, maximum=40))
 
     def block(self, volume: Volume) -> Values:
         front = volume.radius / volume.mean_spacing  # before the volume's centre, in the kernels' unit
@@ -245,23 +246,30 @@ def mode_options(mode: Mode | type[Mode]) -> dict[str, str]:
     return {field.name: _described(doc, field.name) for field in fields(mode)}
 
 
-def as_mode(choice: str | Mode, options: Mapping[str, Any] | None = None) -> Mode:
-    """The mode of a name, or a mode itself, with these options.
+def as_mode(choice: str | Mode | type[Mode], options: Mapping[str, Any] | None = None, others: Iterable[str] = ()) -> Mode:
+    """The mode of a name, a class of mode, or a mode itself, with these options; `others` are what else the caller takes.
 
     Raises
     ------
     OptionError
-        No mode has this name, it does not have such an option, or the option's value is not allowed.
+        No mode has this name, it does not have such an option, the option's value is not allowed, or a class does not say
+        what every mode must.
     """
+    if isinstance(choice, type) and issubclass(choice, Mode):
+        choice = choice()
     if not isinstance(choice, Mode):
         if not isinstance(choice, str) or choice not in _TABLE:
             raise one_of("mode", choice, _TABLE)
         choice = _TABLE[choice]()
+    for name in ("name", "state_fields"):
+        if not hasattr(choice, name):
+            raise OptionError(f"a mode must have a name and state_fields; {type(choice).__name__} has no {name}")
     own = mode_options(choice)
     for name in options or {}:
         if name not in own:
-            others = [other for other, mode in _TABLE.items() if name in mode_options(mode)]
-            hint = f", but of {' and '.join(others)}" if others else ""
+            having = [other for other, mode in _TABLE.items() if name in mode_options(mode)]
+            near = difflib.get_close_matches(name, [*own, *others], 1)
+            hint = f", but of {' and '.join(having)}" if having else f" (did you mean {near[0]}?)" if near else ""
             raise OptionError(f"{name} is no option of {choice.name}{hint}; {choice.name} has {', '.join(own) or 'none'}")
     return replace(choice, **(options or {}))
 

@@ -10,19 +10,34 @@ import sys
 import warnings
 from collections.abc import Callable, Mapping
 from importlib import import_module
+from importlib.machinery import ModuleSpec
 from types import ModuleType
 from typing import Any
 
-__all__ = ["forwarding"]
+__all__ = ["callable_as_before", "forwarding"]
 
 _MODULES = {
+    "clvol.analysis.compare": "clvol.analysis.comparison",
+    "clvol.analysis.metrics": "clvol.analysis.marschner_lobb",
+    "clvol.analysis.ssim": "clvol.analysis.similarity",
     "clvol.bounds": "clvol.spline.minmax",
     "clvol.filters": "clvol.filter",
     "clvol.modes": "clvol.mode",
     "clvol.order": "clvol.spline.sort",
+    "clvol.reference.boundary": "clvol.reference.spline.boundary",
+    "clvol.reference.exact": "clvol.reference.march.exact",
+    "clvol.reference.filter": "clvol.reference.spline.filter",
+    "clvol.reference.lattice": "clvol.reference.spline.resample",
+    "clvol.reference.prefilter": "clvol.reference.spline.prefilter",
+    "clvol.reference.sample": "clvol.reference.spline.points",
     "clvol.render": "clvol.march.renderer",
 }
-_RENAMED = {"clvol.bounds.Bounds": "MinMax"}
+_ELSEWHERE = {  # names of those modules that are in another one now, or have another name
+    "clvol.bounds.Bounds": "clvol.spline.minmax:MinMax",
+    "clvol.render.Lattice": "clvol.march.planes:Planes",
+    "clvol.render.OBLIQUE": "clvol.march.planes:OBLIQUE",
+    "clvol.render.pixel_offsets": "clvol.march.planes:pixel_offsets",
+}
 
 
 def forwarding(module: str, places: Mapping[str, str]) -> Callable[[str], Any]:
@@ -42,13 +57,31 @@ class _FormerModule(ModuleType):
 
     def __init__(self, name: str, target: str) -> None:
         super().__init__(name, f"Now {target}.")
+        self.__spec__ = ModuleSpec(name, None)
         self.__dict__["_target"] = target
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):  # what tools ask of every module
+        if name == "__all__":  # for `from ... import *`
+            return list(import_module(self._target).__all__)
+        if name.startswith("__"):  # what tools look for in every module
             raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
         former = f"{self.__name__}.{name}"
-        return _found(former, self._target, _RENAMED.get(former, name))
+        target, _, new = _ELSEWHERE.get(former, self._target).partition(":")
+        return _found(former, target, new or name)
+
+
+class _FormerFunction(ModuleType):
+    """A module whose name was that of a function before: it can still be called."""
+
+    def __call__(self, *arguments: Any, **options: Any) -> Any:
+        name = self.__name__.rpartition(".")[2]
+        return _found(self.__name__, "clvol", name)(*arguments, **options)
+
+
+def callable_as_before(*modules: str) -> None:
+    """Lets modules be called as the functions that had their names, each time with a warning."""
+    for name in modules:
+        sys.modules[name].__class__ = _FormerFunction
 
 
 def _found(former: str, target: str, name: str) -> Any:

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from clvol.errors import DeviceError
+from clvol.errors import DeviceError, OptionError
+from clvol.moved import forwarding
 from clvol.opencl import opencl
 
 __all__ = ["LANES", "Defines", "Program", "build", "literal", "source"]
@@ -52,7 +53,10 @@ def source(
         if name in seen:
             return ""
         seen.add(name)
-        text = (generated or {}).get(name) or (folder() / name).read_text(encoding="utf-8")
+        try:
+            text = (generated or {}).get(name) or (folder() / name).read_text(encoding="utf-8")
+        except FileNotFoundError:
+            raise OptionError(f"every kernel must have a file in {folder()}; there is no {name}") from None
 
         def insert(match: re.Match[str]) -> str:
             line = text.count("\n", 0, match.end()) + 2  # of what follows the directive
@@ -98,3 +102,8 @@ def literal(value: str | float) -> str:
         return str(value)
     text = f"{np.float32(value):.9g}"
     return f"{text}f" if "." in text or "e" in text else f"{text}.0f"
+
+
+__getattr__ = forwarding(
+    __name__, dict.fromkeys(("boundary_defines", "filter_defines", "row_reach", "row_width"), "clvol.spline.build")
+)

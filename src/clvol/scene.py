@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +14,7 @@ from clvol.checks import instance
 from clvol.color import color_of
 from clvol.errors import GeometryError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
-from clvol.light import HEADLIGHT, Light, Material
+from clvol.light import HEADLIGHT, Light, Material, lights_block
 from clvol.transfer import TransferFunction
 from clvol.uniform import FLOAT, INT, Block, Values
 from clvol.volume import Volume, as_volume
@@ -107,8 +107,8 @@ class Scene:
 
     Parameters
     ----------
-    media : Medium, Volume, array-like or a sequence of Medium
-        What there is to see; so far one medium.
+    media : Medium, Volume, array-like, or a sequence of these
+        What there is to see; so far one medium. (A Field goes to a `Renderer` as it is.)
     lights : Light or sequence of Light
         Up to 4; by default a headlight.
     background : three numbers, a name, or None
@@ -119,7 +119,7 @@ class Scene:
     Raises
     ------
     OptionError
-        No medium or several, something that is no light, or a background that is no colour.
+        No medium or several, something that is no light, more than 4 lights, or a background that is no colour.
     GeometryError
         A box that is none.
     """
@@ -130,16 +130,16 @@ class Scene:
     clip: Box | None = None
 
     def __post_init__(self) -> None:
-        media = self.media
-        if isinstance(media, (list, tuple)) and any(isinstance(medium, Medium) for medium in media):
-            media = tuple(as_medium(medium) for medium in media)
-        else:
-            media = (as_medium(media),)  # type: ignore[arg-type]  # a volume or an array
+        media: Any = self.media
+        if not isinstance(media, (list, tuple)) or (media and not any(isinstance(m, (Medium, Volume, np.ndarray)) for m in media)):
+            media = (media,)  # a volume or an array, perhaps as nested lists
         if len(media) != 1:
-            raise OptionError(f"a scene may have one medium so far; got {len(media)}")
+            raise OptionError(f"a scene must have one medium, no more so far; got {len(media)}")
+        media = (as_medium(media[0]),)
         lights = (self.lights,) if isinstance(self.lights, Light) else self.lights
         if not isinstance(lights, Sequence) or not all(isinstance(light, Light) for light in lights):
             raise OptionError(f"lights must be a Light or a sequence of them; got {lights!r}")
+        lights_block(lights)  # refuses too many
         object.__setattr__(self, "media", media)
         object.__setattr__(self, "lights", tuple(lights))
         if self.background is not None:
@@ -175,4 +175,5 @@ def _box(clip: Box) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         raise GeometryError(
             f"clip must be two corners (x, y, z), each coordinate of the first less than of the second; got {clip!r}"
         )
+    low.flags.writeable = high.flags.writeable = False
     return low, high

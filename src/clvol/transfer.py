@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, ClassVar
+from functools import cached_property, wraps
+from typing import Any, ClassVar, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,10 +20,12 @@ from clvol.volume import Volume, as_volume
 
 __all__ = ["TABLE_SIZE", "TransferFunction", "otsu_threshold"]
 
+Made = TypeVar("Made")
+
 TABLE_SIZE = 1025  # nodes of the table that devices read, with linear interpolation between them
 _CMAP_NODES = 64
 _BINS = 512
-_LEAST_TOP = 1e-12  # of the range: what lies below is one value, and the histogram covers all
+_MIN_TOP = 1e-12  # of the range: what lies below is one value, and the histogram covers all
 _BINS_SAMPLE = 1 << 21  # voxels that a histogram is made of: enough for 512 bins, and fast
 
 
@@ -104,29 +107,7 @@ class TransferFunction:
         Nothing below Otsu's threshold between background and matter is seen; opacity then rises to
         the brightest values. Colours run from dark red over bone to white.
         """
-        volume = as_volume(volume)
-        low, high = volume.value_range
-        values = _some_values(volume)
-        start = otsu_threshold(volume)
-        inside = values[values > start]
-        top = float(np.quantile(inside, 0.995)) if inside.size else high
-        top = max(top, start + (1e-3 * high - 1e-3 * low))  # no difference here may overflow
-        if not low < high:  # constant data: show it as fog
-            return cls(((low, (0.9, 0.85, 0.75)),), ((low, 0.02),))
-
-        def at(share: float) -> float:
-            return start + (share * top - share * start)
-
-        soft = start - (0.35 * start - 0.35 * low)
-        return cls(
-            (
-                (soft, (0.42, 0.16, 0.10)),
-                (at(0.15), (0.78, 0.45, 0.30)),
-                (at(0.5), (0.95, 0.84, 0.66)),
-                (at(1.0), (1.0, 1.0, 0.97)),
-            ),
-            ((soft, 0.0), (start, 0.05), (at(0.4), 0.30), (at(1.0), 0.80)),
-        )
+        return _automatic(volume)
 
     @cached_property
     def value_range(self) -> tuple[float, float]:
@@ -159,9 +140,23 @@ class TransferFunction:
         return replace(self, opacities=opacities)  # type: ignore[arg-type]  # __post_init__ converts
 
 
-def otsu_threshold(volume: Volume | ArrayLike) -> float:
+def _remembered(make: Callable[[Volume], Made]) -> Callable[[Volume | ArrayLike], Made]:
+    """What is derived from a volume's histogram, once a volume: its samples do not change."""
+    known: WeakKeyDictionary[Volume, Made] = WeakKeyDictionary()
+
+    @wraps(make)
+    def found(volume: Volume | ArrayLike) -> Made:
+        volume = as_volume(volume)
+        if volume not in known:
+            known[volume] = make(volume)
+        return known[volume]
+
+    return found
+
+
+@_remembered
+def otsu_threshold(volume: Volume) -> float:
     """The value that best parts the histogram in two (Otsu, 1979); the middle of the range for few values."""
-    volume = as_volume(volume)
     low, high = volume.value_range
     if not low < high:
         return low
@@ -169,7 +164,7 @@ def otsu_threshold(volume: Volume | ArrayLike) -> float:
     bottom, top_value = _scaled((low, high), exponent)
     values = (_scaled(_some_values(volume), exponent) - bottom) / (top_value - bottom)  # 0..1
     top = float(np.quantile(values, 0.9995))
-    counts, edges = np.histogram(values, _BINS, (0, top if top > _LEAST_TOP else 1))
+    counts, edges = np.histogram(values, _BINS, (0, top if top > _MIN_TOP else 1))
     middles = (edges[1:] + edges[:-1]) / 2
     below = np.cumsum(counts)
     above = below[-1] - below
@@ -181,6 +176,28 @@ def otsu_threshold(volume: Volume | ArrayLike) -> float:
         return low / 2 + high / 2
     best = np.flatnonzero(between >= between.max() * (1 - 1e-12))  # a gap makes a plateau: take its middle
     return math.ldexp(float(bottom + (top_value - bottom) * edges[1:][best].mean()), exponent)
+
+
+@_remembered
+def _automatic(volume: Volume) -> TransferFunction:
+    """See `TransferFunction.automatic`."""
+    low, high = volume.value_range
+    values = _some_values(volume)
+    start = otsu_threshold(volume)
+    inside = values[values > start]
+    top = float(np.quantile(inside, 0.995)) if inside.size else high
+    top = max(top, start + (1e-3 * high - 1e-3 * low))  # no difference here may overflow
+    if not low < high:  # constant data: show it as fog
+        return TransferFunction(((low, (0.9, 0.85, 0.75)),), ((low, 0.02),))
+
+    def at(share: float) -> float:
+        return start + (share * top - share * start)
+
+    soft = start - (0.35 * start - 0.35 * low)
+    return TransferFunction(
+        ((soft, (0.42, 0.16, 0.10)), (at(0.15), (0.78, 0.45, 0.30)), (at(0.5), (0.95, 0.84, 0.66)), (at(1.0), (1.0, 1.0, 0.97))),
+        ((soft, 0.0), (start, 0.05), (at(0.4), 0.30), (at(1.0), 0.80)),
+    )
 
 
 def _some_values(volume: Volume) -> NDArray[np.float64]:

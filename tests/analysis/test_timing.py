@@ -29,7 +29,7 @@ def test_every_filter_takes_its_turn_and_the_shortest_time_counts(monkeypatch: p
         taken.append((filter.name, len(points)))
         now += 1000 * filter.support + (50 if len(taken) < 8 else 0)  # at first the machine is busy with something else
 
-    monkeypatch.setattr(timing, "Coefficients", holds)
+    monkeypatch.setattr(timing, "coefficients_of", holds)
     monkeypatch.setattr(timing, "choose_evaluator", lambda *_: None)
     monkeypatch.setattr(timing, "sample_coefficients", takes)
     monkeypatch.setattr(timing.time, "perf_counter", lambda: now)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from clvol.camera import Camera
 from clvol.device import Device
+from clvol.errors import OptionError
 from clvol.march.frame import Frame
 from clvol.march.launch import States, draw, finish_states, march_rays, merge_states
 from clvol.march.renderer import Renderer
@@ -38,9 +39,9 @@ def renderer(device: Device) -> Iterator[Renderer]:
         yield made
 
 
-def frame_of(renderer: Renderer, mode: str, camera: Camera, *, skipping: bool = True) -> Frame:
+def frame_of(renderer: Renderer, mode: str, camera: Camera, *, skipping: bool = True, termination: float = 0.0) -> Frame:
     evaluator = choose_evaluator(renderer.device, renderer.filter)
-    chosen = as_mode(mode, suited(mode, {"isovalue": 0.5, "termination": 0.0}))
+    chosen = as_mode(mode, suited(mode, {"isovalue": 0.5, "termination": termination}))
     return Frame.of(
         Scene(renderer.volume, background=None),
         renderer.field.coefficients,
@@ -109,6 +110,34 @@ def test_merging_does_not_depend_on_the_grouping(renderer: Renderer, mode: str) 
     np.testing.assert_allclose(pictures[0]["rgba"], pictures[1]["rgba"], rtol=0, atol=2e-6)
     if mode in EXACT:
         np.testing.assert_array_equal(pictures[0]["depth"], pictures[1]["depth"])
+
+
+@pytest.mark.parametrize("termination", [1e-3, 0.1])
+def test_merged_light_errs_by_no_more_than_early_termination(renderer: Renderer, termination: float) -> None:
+    frame = frame_of(renderer, "composite", CAMERAS["across"], termination=termination)
+    whole = draw(frame)["rgba"]
+    with march_rays(frame, last=9) as front, march_rays(frame, 10) as back:
+        merged = finish_states(merge_states(front, back))["rgba"]
+    difference = np.abs((merged * merged[..., 3:]) - (whole * whole[..., 3:]))
+    assert difference.max() <= 2 * termination + 1e-6  # the colours and the opacity
+
+
+def test_states_of_another_picture_or_released_are_refused(renderer: Renderer) -> None:
+    frame, other = frame_of(renderer, "mip", CAMERAS["across"]), frame_of(renderer, "minip", CAMERAS["across"])
+    with march_rays(frame) as states, march_rays(other) as foreign:
+        for call in (lambda: merge_states(states, foreign), lambda: march_rays(other, states=states)):
+            with pytest.raises(OptionError, match="states must be of one picture's size, mode and volume"):
+                call()
+        states.release()
+        calls = (
+            lambda: merge_states(states, foreign),
+            lambda: merge_states(foreign, states),
+            lambda: march_rays(frame, states=states),
+            lambda: finish_states(states),
+        )
+        for call in calls:
+            with pytest.raises(OptionError, match=r"released|states must be of one"):
+                call()
 
 
 def test_every_sample_is_gathered_once(renderer: Renderer) -> None:

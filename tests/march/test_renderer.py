@@ -318,8 +318,8 @@ WRONG: dict[str, tuple[dict[str, Any], type[ClvolError], str]] = {
     "size of one number": ({"size": 64}, OptionError, r"size must be \(width, height\) in pixels; got 64"),
     "size of fractions": ({"size": (6.5, 5)}, OptionError, "width must be a whole number"),
     "size too large": ({"size": (40000, 1)}, OptionError, "32768"),
-    "mode": ({"mode": "xray"}, OptionError, "mode must be one of composite, isosurface, mip, minip, mean; got 'xray'"),
-    "evaluator": ({"evaluator": "magic"}, OptionError, "evaluator must be one of auto, taps, eight-fetch; got 'magic'"),
+    "mode": ({"mode": "xray"}, OptionError, "mode must be one of composite, isosurface, mip, attenuated, minip, mean; got 'xray'"),
+    "evaluator": ({"evaluator": "magic"}, OptionError, "evaluator must be one of auto, taps, paired, eight-fetch; got 'magic'"),
     "fetch": ({"fetch": "disk"}, OptionError, "fetch must be one of auto, buffer, image; got 'disk'"),
     "gradient": ({"gradient": "sobel"}, OptionError, "gradient must be one of analytic, central; got 'sobel'"),
     "outputs": ({"outputs": "z"}, OptionError, "outputs must be one of rgba, depth, normal, position, visited; got 'z'"),
@@ -369,7 +369,9 @@ def test_errors_of_what_is_drawn(device: Device) -> None:
         Renderer(ones, boundary="clamp", device=device)
     with pytest.raises(OptionError, match="device must be one of"):
         Renderer(ones, device="abacus")
-    with pytest.raises(OptionError, match="stepp is no option of composite; composite has shading, termination"):
+    with pytest.raises(
+        OptionError, match=r"stepp is no option of composite \(did you mean step\?\); composite has shading, termination"
+    ):
         render(ones, stepp=1, device=device)
 
 

@@ -5,26 +5,25 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from clvol.errors import OptionError
 from clvol.march.frame import Frame
 from clvol.march.planes import pixel_offsets
 from clvol.spline.build import row_reach, row_width
+from clvol.spline.points import Floats, Progress
 
 __all__ = ["CHANNELS", "States", "draw", "finish_states", "march_rays", "merge_states"]
-
-Floats = NDArray[np.float32]
 
 CHANNELS: dict[str, tuple[int, ...]] = {"rgba": (4,), "depth": (), "normal": (3,), "position": (3,), "visited": ()}
 _AREA = 16  # pixels along an edge of the smallest launch
 _ROW_SECONDS = 1.5e-9  # a generous guess of the time of one row of taps on one processor core; corrected as tiles finish
 
 
-def draw(frame: Frame, samples: int = 1, progress: Callable[[float], None] | None = None) -> dict[str, Floats]:
+def draw(frame: Frame, samples: int = 1, progress: Progress | None = None) -> dict[str, Floats]:
     """The picture of a frame with so many rays a pixel, and its guides if the frame has them; each (height, width, ...)."""
     kernel, inputs = frame.program("march/draw.cl").kernel("draw"), _Inputs(frame)
     (width, height), budget = frame.size, _Budget(frame)
@@ -56,6 +55,15 @@ class States:
         self.frame = frame
         self.buffer = frame.device.allocate(4 * (frame.mode.state_fields + 1) * width * height)
 
+    def argument(self, other: Frame) -> Any:
+        """The buffer, for kernels of a frame of the same size, mode and volume; `OptionError` if it is another or released."""
+        if self.buffer is None:
+            raise OptionError("the states were released; march new ones")
+        mine, theirs = ((f.size, f.mode, f.coefficients) for f in (self.frame, other))
+        if mine != theirs:
+            raise OptionError(f"states must be of one picture's size, mode and volume; got {mine[:2]} and {theirs[:2]}")
+        return self.buffer
+
     def release(self) -> None:
         """Free the device's memory."""
         if self.buffer is not None:
@@ -83,6 +91,7 @@ def march_rays(frame: Frame, first: float = -math.inf, last: float = math.inf, s
     """
     kernel, inputs = frame.program("march/split.cl").kernel("march_rays"), _Inputs(frame)
     carried, states = states is not None, States(frame) if states is None else states
+    buffer = states.argument(frame)
     block = frame.device.upload(frame.values[None])
     for area in _Budget(frame).tiles(*frame.size):
         _launch(
@@ -97,7 +106,7 @@ def march_rays(frame: Frame, first: float = -math.inf, last: float = math.inf, s
             np.float32(first),
             np.float32(last),
             np.int32(carried),
-            states.buffer,
+            buffer,
         )
     return states
 
@@ -105,24 +114,26 @@ def march_rays(frame: Frame, first: float = -math.inf, last: float = math.inf, s
 def merge_states(front: States, back: States) -> States:
     """Two stretches of the same rays as one, in the place of the front one.
 
-    The picture is that of one stretch: bit by bit for surfaces and extremes, within 1e-6 where light or values are added up.
+    The picture is that of one stretch: bit by bit for surfaces and extremes, within 1e-6 where values are added up, and within
+    1e-6 and the mode's `termination` where light is: a stretch does not know how much of it the one before stopped.
     The depth of "composite" is that at which one stretch stops half of its light by itself; states that are carried on
     (`march_rays`) give the exact one.
     """
     frame = front.frame
+    buffers = front.argument(frame), back.argument(frame)
     kernel = frame.program("march/split.cl").kernel("merge_states")
     block = frame.device.upload(frame.values[None])
-    _launch(frame, kernel, (0, 0, *frame.size), block, front.buffer, back.buffer)
+    _launch(frame, kernel, (0, 0, *frame.size), block, *buffers)
     return front
 
 
 def finish_states(states: States) -> dict[str, Floats]:
     """The picture that rays in these states make, and its guides, as `draw` gives them."""
-    frame = states.frame
+    frame, buffer = states.frame, states.argument(states.frame)
     kernel, inputs = frame.program("march/split.cl").kernel("finish_states"), _Inputs(frame)
     block = frame.device.upload(frame.values[None])
     with _pictures(frame) as (arrays, buffers):
-        _launch(frame, kernel, (0, 0, *frame.size), inputs.source, inputs.extent, block, inputs.table, states.buffer, *buffers)
+        _launch(frame, kernel, (0, 0, *frame.size), inputs.source, inputs.extent, block, inputs.table, buffer, *buffers)
     return arrays
 
 
@@ -167,11 +178,11 @@ class _Budget:
     """
 
     def __init__(self, frame: Frame) -> None:
-        device, row = frame.device, frame.coefficients.filter
-        cores = int(device.handle.max_compute_units) * (1 if device.kind == "cpu" else 32)
-        chunks = row_reach(row) // row_width(row)
+        device, drawn = frame.device, frame.coefficients.filter
+        cores = device.units * (1 if device.kind == "cpu" else 32)
+        chunks = row_reach(drawn) // row_width(drawn)
         together = frame.tile.shared and not frame.planes.oblique
-        rows = row.support * chunks / 2 + 2 if together else row.support**2 * chunks + 8
+        rows = drawn.support * chunks / 2 + 2 if together else drawn.support**2 * chunks + 8
         costly = frame.central or frame.mode.shaded
         self._across, self._down = (-(-_AREA // n) * n for n in frame.tile[:2])
         self._seconds = device.limits.launch_seconds

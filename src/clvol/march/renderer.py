@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import inspect
+import threading
+from collections.abc import Sequence
 from types import EllipsisType, TracebackType
 from typing import Any, Literal, Self, TypeAlias, get_args, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from clvol.boundary import Boundary
 from clvol.camera import Camera
@@ -23,14 +25,13 @@ from clvol.scene import Box, Medium, Scene, as_scene
 from clvol.spline.evaluator import Evaluator, EvaluatorName, FetchName, choose_evaluator
 from clvol.spline.field import Field, as_field
 from clvol.spline.minmax import MinMax
+from clvol.spline.points import Floats, Progress
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
 
 __all__ = ["OUTPUTS", "Output", "Renderer", "render"]
 
-Floats: TypeAlias = NDArray[np.float32]
 Output: TypeAlias = Literal["rgba", "depth", "normal", "position", "visited"]
-Progress: TypeAlias = Callable[[float], None]
 
 OUTPUTS: tuple[Output, ...] = get_args(Output)
 _BITS = 8.0  # of the sampler's fraction, before pictures are made by it: what texture units have
@@ -53,10 +54,10 @@ class Renderer:
     Raises
     ------
     OptionError
-        No filter, boundary or device has this name, the volume does not have three axes, or `filter` or `boundary` are given
-        beside a scene or a medium.
+        No filter, boundary or device has this name, the volume does not have three axes, `filter` or `boundary` are given
+        beside a scene or a medium, another filter, boundary or device than a field's beside it, or the field is closed.
     GeometryError
-        The spacings differ by a factor of more than 10⁶.
+        The spacings differ by a factor of more than 10⁶, or lie outside 10⁻³⁰ to 10³⁰.
     DataError
         A sample is NaN or infinite.
     DeviceError
@@ -78,6 +79,8 @@ class Renderer:
         self._own = not isinstance(scene, Field)
         if isinstance(scene, Field):
             self.field = as_field(scene, filter, boundary, device)
+            if scene.closed:
+                raise OptionError("the field was closed, and its coefficients were released; make a new one")
             scene = Medium(scene.volume, filter=scene.filter, boundary=scene.boundary)
         elif not isinstance(scene, (Scene, Medium)):
             scene = Medium(scene, **given)  # type: ignore[arg-type]  # __post_init__ converts
@@ -88,9 +91,9 @@ class Renderer:
         if self._own:
             self.field = Field(medium.volume, medium.filter, medium.boundary, device)
         self.device = self.field.device
-        self._settled: dict[Mode, Mode] = {}
-        self._transfers: dict[type[Mode], TransferFunction] = {}
         self._minmax: dict[Evaluator, MinMax] = {}
+        self._lock = threading.Lock()
+        self._closed = False
 
     @property
     def volume(self) -> Volume:
@@ -104,6 +107,7 @@ class Renderer:
 
     def close(self) -> None:
         """Free the device's memory, except that of a Field which was given."""
+        self._closed = True
         if self._own:
             self.field.close()
         while self._minmax:
@@ -123,7 +127,18 @@ class Renderer:
         size: tuple[int, int] = ...,
         step: float = ...,
         *,
+        transfer: TransferFunction | None = ...,
+        material: Material | None = ...,
+        lights: Light | Sequence[Light] | None = ...,
+        background: Sequence[float] | str | EllipsisType | None = ...,
+        clip: Box | EllipsisType | None = ...,
+        gradient: Literal["analytic", "central"] = ...,
+        samples: int = ...,
+        skipping: bool = ...,
+        evaluator: EvaluatorName = ...,
+        fetch: FetchName = ...,
         outputs: Output = ...,
+        progress: Progress | None = ...,
         **options: Any,
     ) -> Floats: ...
 
@@ -135,7 +150,18 @@ class Renderer:
         size: tuple[int, int] = ...,
         step: float = ...,
         *,
+        transfer: TransferFunction | None = ...,
+        material: Material | None = ...,
+        lights: Light | Sequence[Light] | None = ...,
+        background: Sequence[float] | str | EllipsisType | None = ...,
+        clip: Box | EllipsisType | None = ...,
+        gradient: Literal["analytic", "central"] = ...,
+        samples: int = ...,
+        skipping: bool = ...,
+        evaluator: EvaluatorName = ...,
+        fetch: FetchName = ...,
         outputs: list[Output] | tuple[Output, ...],
+        progress: Progress | None = ...,
         **options: Any,
     ) -> dict[str, Floats]: ...
 
@@ -208,13 +234,21 @@ class Renderer:
         Raises
         ------
         OptionError
-            A value that is not allowed, or an option that the mode does not have.
+            An option that the mode does not have, or a value that is not allowed: `size` beyond 1 to 32768 pixels, a `step` that
+            is not positive or gives more than 2²⁰ samples a ray, `samples` beyond 1 to 4096, more than 4 lights, an unknown name;
+            or the renderer is closed.
         GeometryError
-            A camera on its target, or a box that is none.
+            The camera stands on its target, or `clip` is no box.
         DeviceError
-            The device failed, or ``fetch="image"`` without images.
+            The device failed; ``fetch="image"`` on a device without images, or paired fetches from an image whose sampler does
+            not interpolate.
+        OutOfMemoryError
+            The device has no room for the picture, or for the pyramid of minima and maxima.
         """
-        scene, chosen = self._seen(transfer, material, lights, background, clip), as_mode(mode, options)
+        chosen = as_mode(mode, options, _KEYWORDS)
+        if self._closed or self.field.closed:
+            raise OptionError("the renderer or its field was closed, and its coefficients were released; make new ones")
+        scene = self._seen(transfer, material, lights, background, clip)
         camera = Camera.orbit() if camera is None else camera
         instance("camera", camera, Camera)
         instance("skipping", skipping, bool, np.bool_)
@@ -230,10 +264,10 @@ class Renderer:
             self.field.coefficients,
             self._pyramid(way) if skipping and chosen.skips else None,
             camera,
-            self._settle(chosen),
+            chosen.settled(self.volume),
             _size(size),
             number("step", step, above=0),
-            scene.media[0].transfer or self._transfer(chosen),
+            scene.media[0].transfer or chosen.transfer(self.volume),
             way,
             central=gradient == "central" or not self.filter.has_gradient,
             guides=wanted != ("rgba",),
@@ -266,22 +300,15 @@ class Renderer:
             scene.clip if clip is ... else clip,
         )
 
-    def _settle(self, mode: Mode) -> Mode:
-        if mode not in self._settled:
-            self._settled[mode] = mode.settled(self.volume)
-        return self._settled[mode]
-
-    def _transfer(self, mode: Mode) -> TransferFunction:
-        kind = type(mode)
-        if kind not in self._transfers:
-            self._transfers[kind] = mode.transfer(self.volume)
-        return self._transfers[kind]
-
     def _pyramid(self, evaluator: Evaluator) -> MinMax:
         """Minima and maxima, computed for the first picture."""
-        if evaluator not in self._minmax:
-            self._minmax[evaluator] = MinMax(self.field.coefficients, evaluator)
-        return self._minmax[evaluator]
+        with self._lock:
+            if evaluator not in self._minmax:
+                self._minmax[evaluator] = MinMax(self.field.coefficients, evaluator)
+            return self._minmax[evaluator]
+
+
+_KEYWORDS = tuple(name for name in inspect.signature(Renderer.render).parameters if name not in ("self", "options"))
 
 
 @overload
@@ -338,6 +365,7 @@ def render(
     ndarray of float32, shape (height, width, 4)
         Red, green, blue and opacity in 0..1, or a dictionary for several `outputs`.
     """
+    as_mode(mode, {name: value for name, value in options.items() if name not in _KEYWORDS}, _KEYWORDS)  # before any work
     with Renderer(scene, filter, boundary, device) as renderer:
         return renderer.render(camera, mode, size, step, outputs=outputs, **options)  # type: ignore[arg-type]  # either
 

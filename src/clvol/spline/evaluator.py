@@ -75,7 +75,7 @@ def choose_evaluator(
         does not interpolate.
     """
     if evaluator not in ("auto", "taps", *_PAIRED):
-        raise one_of("evaluator", evaluator, ("auto", "taps", "paired"))
+        raise one_of("evaluator", evaluator, ("auto", "taps", *_PAIRED))
     if fetch not in ("auto", "buffer", "image"):
         raise one_of("fetch", fetch, ("auto", "buffer", "image"))
     if fetch == "image" and not device.has_images:

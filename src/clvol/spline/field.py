@@ -138,7 +138,7 @@ class Field:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the device's memory that the coefficients take; 0 once closed."""
+        """Bytes of the buffer with the coefficients; 0 once closed. An image (``fetch="image"``) takes as many again."""
         return 0 if self.closed else self.coefficients.nbytes
 
     @property
@@ -183,7 +183,7 @@ class Field:
         fill : float, optional
             The result outside the volume's domain, NaN and infinities included; None: the boundary rule goes on there.
         progress : callable, optional
-            Called with the fraction done, from time to time and at the end with 1.
+            Called with the fraction done, from time to time and after the last point with 1.
 
         Returns
         -------

@@ -128,7 +128,7 @@ class MinMax:
         across = -(-x // (LANES // cells)) if defines["HULL"] else x  # work-items along x
         deep = max(1, _BLOCKS_A_LAUNCH // (x * y))
         with device.errors:
-            bound = built.kernel("bound_cells")
+            bound = built.kernel("minmax_cells")
             for first in range(0, z, deep):
                 bound(
                     device.queue,
@@ -141,7 +141,7 @@ class MinMax:
                     global_offset=(0, 0, first),
                 )
                 device.finish()
-            merge = built.kernel("bound_blocks")
+            merge = built.kernel("minmax_blocks")
             for finer, coarser in itertools.pairwise(levels):
                 merge(device.queue, tuple(int(n) for n in coarser[:3]), None, self.buffer, finer, coarser)
         device.finish()

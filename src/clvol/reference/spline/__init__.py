@@ -1,1 +1,1 @@
-"""The function between the samples: filters, boundaries, prefilter, values at points and on lattices."""
+"""The function between the samples in float64: kernels, boundaries, prefilter, points and grids."""

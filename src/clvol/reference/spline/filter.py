@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.errors import OptionError
-from clvol.filter import Filter, as_filter, bc, bspline, lanczos, sinc
-from clvol.filter import _omoms3 as _omoms3_row  # it has no public maker
+from clvol.filter import Filter, as_filter, bc, bspline, lanczos, omoms3, sinc
 
 __all__ = ["kernel"]
 
@@ -61,7 +60,7 @@ def _closed_form(filter: Filter) -> Closed | None:
         )
         made, closed = bc(b, c), _bc(float(b), float(c))
     elif name == "omoms3":
-        made, closed = _omoms3_row(), _omoms3
+        made, closed = omoms3(), _omoms3
     elif match := re.fullmatch(r"(sinc|lanczos)\(?(\d*)\)?", name):
         radius = int(match[2] or 4)
         if not 1 <= radius <= 8:
