@@ -210,7 +210,7 @@ def render(
     heat_map
         A second picture: the share of each ray's samples that was looked at, from black to pale yellow.
     verbose
-        Tell what share of the samples was looked at, and how long the parts took, kernels that are built first
+        Report the share of the samples that was looked at, and how long the parts took, kernels that are built first
         included.
     """
     import numpy as np
@@ -362,7 +362,7 @@ def report(
     own: ModeOptions | None = None,
     json: Json = False,
 ) -> None:
-    """Tell by pictures, errors and words which filter to use for a volume: one HTML page that needs nothing else.
+    """Show by pictures, errors and words which filter to use for a volume: one HTML page that needs nothing else.
 
     Parameters
     ----------
@@ -410,7 +410,7 @@ def figure6(
 
 @app.command
 def info(source: Source, /, *, input: Input | None = None, json: Json = False) -> None:
-    """Tell what a volume file holds."""
+    """Show what a volume file holds."""
     import numpy as np
 
     volume = (input or Input()).read(source)
