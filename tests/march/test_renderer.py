@@ -111,7 +111,7 @@ def test_one_polynomial_on_turned_grids_gives_one_picture(device: Device, filter
 @pytest.mark.parametrize("mode", MODES)
 def test_tiles_do_not_show(renderer: Renderer, mode: str) -> None:
     size = (37, 29)
-    for tile in TILES.values():
+    for tile in (TILES["planes"], TILES["rays"]):
         calls: list[float] = []
         with renderer.device.limited(tile=tile):
             want = renderer.render(CAMERA, mode, size, outputs=OUTPUTS)
