@@ -122,6 +122,14 @@ def test_tiles_do_not_show(renderer: Renderer, mode: str) -> None:
             np.testing.assert_array_equal(cut[name], want[name])
 
 
+def test_no_row_is_added_twice_where_a_tile_is_odd(renderer: Renderer) -> None:
+    """Several rays a pixel add up; launches must not overlap, whatever the height of a tile."""
+    with renderer.device.limited(tile=TILES["eights"]):
+        want = renderer.render(CAMERA, "minip", (37, 47), samples=3)
+        with renderer.device.limited(launch_seconds=1e-9):
+            np.testing.assert_array_equal(renderer.render(CAMERA, "minip", (37, 47), samples=3), want)
+
+
 def test_the_same_twice_to_the_last_bit(device: Device, renderer: Renderer) -> None:
     for mode in MODES:
         first = renderer.render(CAMERA, mode, SIZE, samples=2)
