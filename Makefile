@@ -21,7 +21,7 @@ bench: $(VENV)/bench.stamp
 	$(BIN)/python -m bench
 
 clean:
-	rm -rf $(VENV) .cache dist figure6.png
+	rm -rf $(VENV) dist figure6.png
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,12 +14,14 @@ from clvol.device import Device, devices
 from clvol.errors import DeviceError
 from clvol.filter import filters, register, unregister
 
-# One cache of built kernels for all workers, subprocesses and later runs, whatever HOME is. PoCL and NVIDIA's driver cache
-# by themselves, so pyopencl keeps no cache of its own for them. PoCL reads this when pyopencl is first imported, later than here.
-_KERNELS = Path(__file__).parents[1] / ".cache" / "pocl"
+# One cache of built kernels for all workers, subprocesses and later runs, also those in other clones and with another HOME:
+# PoCL's own. (PoCL and NVIDIA's driver cache by themselves, so pyopencl keeps no cache for them. PoCL reads the variable when
+# pyopencl is first imported, later than here.)
 if not os.environ.get("POCL_CACHE_DIR"):
-    _KERNELS.mkdir(parents=True, exist_ok=True)
-    os.environ["POCL_CACHE_DIR"] = str(_KERNELS)
+    kernels = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pocl" / "kcache"
+    with contextlib.suppress(OSError):  # clvol finds a temporary folder
+        kernels.mkdir(parents=True, exist_ok=True)
+        os.environ["POCL_CACHE_DIR"] = str(kernels)
 
 # the same examples in every run of the continuous integration; new ones on a developer's machine
 settings.register_profile("ci", derandomize=True, deadline=None)
