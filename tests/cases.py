@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from clvol.filter import as_filter
-from clvol.volume import Volume
 
 __all__ = [
     "BAD_COUNTS",
@@ -20,10 +19,10 @@ __all__ = [
     "BAD_REALS",
     "BAD_VECTORS",
     "BAD_WHOLE",
+    "DEGREES",
     "OBLIQUE",
+    "RMSE",
     "every",
-    "points_within",
-    "random_volume",
     "rotation",
 ]
 
@@ -89,20 +88,18 @@ def rotation(d: int = 3, seed: int = 0) -> np.ndarray:
 
 OBLIQUE: Final = rotation()
 
+# -- what is known ---------------------------------------------------------------------------------
 
-def random_volume(shape: tuple[int, ...] = (5, 6, 7), seed: int = 0) -> Volume:
-    """Noise on an oblique, anisotropic grid away from the origin."""
-    d = len(shape)
-    return Volume(
-        np.random.default_rng(seed).normal(size=shape).astype(np.float32),
-        (0.5, 1.5, 2.0)[:d],
-        (1.0, -2.0, 3.0)[:d],
-        rotation(d, seed),
-        "mm",
-    )
-
-
-def points_within(volume: Volume, count: int = 50, seed: int = 1) -> np.ndarray:
-    """Random world positions within the volume's samples."""
-    index = np.random.default_rng(seed).uniform(0, 1, (count, volume.ndim)) * (np.asarray(volume.size) - 1)
-    return volume.index_to_world(index)
+# of Marschner-Lobb 41³ at 200 000 random points in [-0.8, 0.8]³, computed in float64 before clvol was written
+RMSE = {
+    "nearest": 0.0467,
+    "bspline3-approx": 0.0439,
+    "linear": 0.0315,
+    "mitchell": 0.0282,
+    "catmull-rom": 0.0218,
+    "bspline2": 0.0169,
+    "bspline3": 0.0131,
+    "bspline4": 0.0099,
+    "bspline5": 0.0081,
+}
+DEGREES = {"bspline3": 9.9, "bspline3-approx": 18.0, "mitchell": 18.2, "catmull-rom": 19.7}

@@ -169,6 +169,13 @@ else:
     )
 
 
+def _mode_options(look: Look, own: ModeOptions | None) -> dict[str, Any]:
+    """The options given for the mode, refused here, before the volume is read, if they are none of it."""
+    options = {} if own is None else own.options()
+    as_mode(look.mode, options)
+    return options
+
+
 Source = Annotated[str, Parameter(help="A volume file, a DICOM folder, or phantom:NAME[:SIZE].")]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="Print what a program would read.")]
 Output = Annotated[Path, Parameter(name=["--output", "-o"], help="The file to write.")]
@@ -219,8 +226,7 @@ def render(
     if heat_map is not None:
         _require_picture(heat_map)
     look = look or Look()
-    options = (own or ModeOptions()).options()
-    as_mode(look.mode, options)  # before the volume is read
+    options = _mode_options(look, own)
     volume = (input or Input()).read(source)
     result: dict[str, Any] = {"output": str(output), "size": list(size), "filter": filter, "mode": look.mode}
     with _progress("rendering", json) as progress:
@@ -275,8 +281,8 @@ def compare(
         _require_picture(output)
     if table is not None:
         _require_writable(table, SUFFIXES, "tables")
-    look, options = look or SurfaceLook(), (own or ModeOptions()).options()
-    as_mode(look.mode, options)  # before the volume is read
+    look = look or SurfaceLook()
+    options = _mode_options(look, own)
     volume = (input or Input()).read(source)
     names = filters or figures.SIX
     result: dict[str, Any] = {}
@@ -372,8 +378,8 @@ def report(
     from clvol import reports
 
     reports.page(output)  # raises before minutes of work if it cannot be written
-    look, options = look or SurfaceLook(), (own or ModeOptions()).options()
-    as_mode(look.mode, options)  # before the volume is read
+    look = look or SurfaceLook()
+    options = _mode_options(look, own)
     volume = (input or Input()).read(source)
     with _progress("measuring and drawing", json) as progress:
         done = reports.report(

@@ -165,9 +165,8 @@ class Isosurface(Mode):
 
     def block(self, volume: Volume) -> Values:
         low, high = volume.value_range
-        isovalue = self.settled(volume).isovalue
-        assert isovalue is not None
-        isovalue = min(max(isovalue, -_FINITE), _FINITE)
+        assert self.isovalue is not None  # it is settled
+        isovalue = min(max(self.isovalue, -_FINITE), _FINITE)
         return self.BLOCK(isovalue=isovalue, tolerance=self.tolerance * (high - low), color=self.color)
 
 
@@ -237,13 +236,13 @@ def modes() -> dict[str, Mode]:
 
 def every_option() -> set[str]:
     """The names of the options of all modes."""
-    return {name for mode in _TABLE.values() for name in mode_options(mode)}
+    return {name for mode in _TABLE.values() for name in _option_names(mode)}
 
 
 def mode_options(mode: Mode | type[Mode]) -> dict[str, str]:
     """The options of a mode, each with what its class says of it."""
     doc = inspect.getdoc(mode if isinstance(mode, type) else type(mode)) or ""
-    return {field.name: _described(doc, field.name) for field in fields(mode)}
+    return {name: _described(doc, name) for name in _option_names(mode)}
 
 
 def as_mode(choice: str | Mode | type[Mode], options: Mapping[str, Any] | None = None, others: Iterable[str] = ()) -> Mode:
@@ -264,10 +263,10 @@ def as_mode(choice: str | Mode | type[Mode], options: Mapping[str, Any] | None =
     for name in ("name", "state_fields"):
         if not hasattr(choice, name):
             raise OptionError(f"a mode must have a name and state_fields; {type(choice).__name__} has no {name}")
-    own = mode_options(choice)
+    own = _option_names(choice)
     for name in options or {}:
         if name not in own:
-            having = [other for other, mode in _TABLE.items() if name in mode_options(mode)]
+            having = [other for other, mode in _TABLE.items() if name in _option_names(mode)]
             near = difflib.get_close_matches(name, [*own, *others], 1)
             hint = f", but of {' and '.join(having)}" if having else f" (did you mean {near[0]}?)" if near else ""
             raise OptionError(f"{name} is no option of {choice.name}{hint}; {choice.name} has {', '.join(own) or 'none'}")
@@ -275,6 +274,10 @@ def as_mode(choice: str | Mode | type[Mode], options: Mapping[str, Any] | None =
 
 
 # -- inner -------------------------------------------------------------------------------------------------
+
+
+def _option_names(mode: Mode | type[Mode]) -> list[str]:
+    return [field.name for field in fields(mode)]
 
 
 def _set(mode: Mode, **values: Any) -> None:

@@ -18,21 +18,7 @@ from clvol.errors import ClvolError, DataError, OptionError, OutOfMemoryError
 from clvol.filter import as_filter, filters, from_callable
 from clvol.phantoms import marschner_lobb, marschner_lobb_function, marschner_lobb_gradient
 from clvol.volume import Volume
-from tests.cases import BAD_COUNTS, BAD_DATA, BAD_FILTER_LISTS, BAD_FILTERS, BAD_NUMBERS, BAD_WHOLE
-
-# of Marschner-Lobb 41³ at 200 000 random points in [-0.8, 0.8]³, computed in float64 before clvol was written
-RMSE = {
-    "nearest": 0.0467,
-    "bspline3-approx": 0.0439,
-    "linear": 0.0315,
-    "mitchell": 0.0282,
-    "catmull-rom": 0.0218,
-    "bspline2": 0.0169,
-    "bspline3": 0.0131,
-    "bspline4": 0.0099,
-    "bspline5": 0.0081,
-}
-DEGREES = {"bspline3": 9.9, "bspline3-approx": 18.0, "mitchell": 18.2, "catmull-rom": 19.7}
+from tests.cases import BAD_COUNTS, BAD_DATA, BAD_FILTER_LISTS, BAD_FILTERS, BAD_NUMBERS, BAD_WHOLE, DEGREES, RMSE
 
 
 def wave(points: np.ndarray) -> np.ndarray:

@@ -19,6 +19,7 @@ from clvol.phantoms import marschner_lobb, marschner_lobb_function, marschner_lo
 from clvol.spline.evaluator import Evaluator, choose_evaluator
 from clvol.spline.field import Field, as_field, magnify, prefilter, resample, sample
 from clvol.volume import Volume
+from tests.cases import DEGREES, RMSE
 
 ROTATION = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))[0]
 
@@ -31,18 +32,6 @@ def random_volume(shape: tuple[int, ...] = (5, 6, 7)) -> Volume:
 
 # -- the facts that the project was started from ---------------------------------------------------------------
 
-RMSE = {
-    "nearest": 0.0467,
-    "bspline3-approx": 0.0439,
-    "linear": 0.0315,
-    "mitchell": 0.0282,
-    "catmull-rom": 0.0218,
-    "bspline2": 0.0169,
-    "bspline3": 0.0131,
-    "bspline4": 0.0099,
-    "bspline5": 0.0081,
-}
-DEGREES = {"bspline3": 9.9, "bspline3-approx": 18.0, "mitchell": 18.2, "catmull-rom": 19.7}
 POINTS = np.random.default_rng(0).uniform(-0.8, 0.8, (200_000, 3))
 
 
