@@ -49,6 +49,7 @@ INLINE float min_lane(real v)
 INLINE float max_lane(real v) { return -min_lane(-v); }
 
 INLINE real choose(mask m, real yes, real no) { return m ? yes : no; }
+INLINE mask choose_whole(mask m, mask yes, mask no) { return m ? yes : no; }
 INLINE real magnitude(real a) { return a < 0.0f ? -a : a; }
 
 #define NONE ((mask)(0))

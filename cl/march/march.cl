@@ -9,6 +9,8 @@
 //   begin(state)                  before the first sample
 //   gather(state, coefficients, sample, t, value, active)
 //                                 one sample of the active lanes; gives the lanes that need no more
+//   gather_stretch(state, coefficients, sample, minmax, from, to, active)
+//                                 instead of that, if STRETCHES is 1: all that lies from one t to another
 //   matters(state, frame, table, low, high, t, active)
 //                                 whether a value from low to high, at t or past it, could change what any active lane shows
 //   finished(state, frame)        the lanes that need no more samples, whichever come: for states that are carried on
@@ -108,12 +110,16 @@ INLINE real sample_value_of(COEFFICIENTS coefficients, const sample_t *sample, f
 INLINE void march_tile(tile_t *tile, COEFFICIENTS coefficients, const int4 extent, global const float2 *minmax,
                        constant frame_t *frame, global const float4 *table)
 {
+#if !STRETCHES
     plane_t planes[SLAB];   // one for each sample number of a segment, made when the first packet needs it
+#endif
     segments_t segments = segments_of(tile, minmax, frame, extent.w);
     while (next_segment(&segments, tile, minmax, frame, table, extent.w)) {
         const float start = segments.start, stop = segments.stop;
+#if !STRETCHES
         for (int i = 0; i < SLAB; ++i)
             planes[i].made = planes[i].usable = 0;
+#endif
         for (int g = 0; g < PACKETS; ++g) {
             const ray_t *ray = tile->rays + g;
             if (!any_lane(lanes_within(ray, tile->going[g], start, stop)))
@@ -126,6 +132,14 @@ INLINE void march_tile(tile_t *tile, COEFFICIENTS coefficients, const int4 exten
             state_t state = tile->states[g];
             real gathered = tile->gathered[g];
             mask going = tile->going[g];
+#if STRETCHES
+            const sample_t sample = { frame, table, extent, ray, 0, 0 };
+            const mask active = lanes_within(ray, going, start, stop);
+            going = going & !gather_stretch(&state, coefficients, &sample, minmax, madd(start, ray->step, ray->first),
+                                            madd(stop + 1.0f, ray->step, ray->first), active);
+            const real samples = MIN((real)(stop), ray->end + MARGIN) - MAX((real)(start), ray->begin - MARGIN) + 1.0f;
+            gathered += choose(active, samples, (real)(0.0f));
+#else
             float n = start;
             for (plane_t *plane = planes; plane < planes + SLAB && n <= stop; ++plane, n += 1.0f) {
                 const mask active = lanes_within(ray, going, n, n);
@@ -142,6 +156,7 @@ INLINE void march_tile(tile_t *tile, COEFFICIENTS coefficients, const int4 exten
                 going = going & !gather(&state, coefficients, &sample, t, value, active);
                 gathered += choose(active, (real)(1.0f), (real)(0.0f));
             }
+#endif
             tile->states[g] = state;
             tile->gathered[g] = gathered;
             tile->going[g] = going;

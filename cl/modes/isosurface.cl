@@ -1,89 +1,43 @@
-// The first surface of one value: a crossing between two samples, refined on the continuous function.
+// The first surface of one value: the first root of the function along the ray, whatever the step.
 
-#include "march/sample.cl"
-#include "transfer/ramp.cl"
-#include "march/light.cl"
+#include "march/surface.cl"
+#include "march/walk.cl"
 
-typedef struct { real before, before_t, hit; mask started; } state_t;
+typedef walk_t state_t;
 
-#define REACH 1.0f   // a crossing lies between two samples
+#define STRETCHES 1
+#define REACH 1.0f   // a stretch goes on to where the next begins
 #define ANY_ORDER 0
 #define PROMISE(low, high) 0.0f
 
 INLINE void begin(state_t *s)
 {
-    s->before = s->before_t = (real)(0.0f);
     s->hit = NOWHERE;
-    s->started = NONE;
+    s->side = (real)(0.0f);
 }
 
 INLINE mask finished(const state_t *s, constant frame_t *frame) { return s->hit < NOWHERE; }
-
-// Regula falsi that halves the value of an end that stays (Illinois), and bisects every third time:
-// until the function is within the tolerance of the isovalue, or the interval cannot be halved.
-INLINE real refine(COEFFICIENTS coefficients, const sample_t *sample, real near, real near_value, real far, real far_value, mask active)
-{
-    constant mode_block *mode = &sample->frame->mode;
-    real t = far, best = far;
-    mask last_was_near = NONE, last_was_far = NONE;
-    for (int i = 1; i < 80 && any_lane(active); ++i) {
-        const real middle = 0.5f * (near + far);
-        const real cut = near - near_value * (far - near) / (far_value - near_value);
-        const mask between = (cut > near) & (cut < far);
-        t = i % 3 == 0 ? middle : choose(between, cut, middle);
-        const real value = value_at(coefficients, sample, t, active) - mode->isovalue;
-        const mask is_near = (value < 0.0f) == (near_value < 0.0f);
-        far_value = choose(is_near & last_was_near, 0.5f * far_value, far_value);
-        near_value = choose((!is_near) & last_was_far, 0.5f * near_value, near_value);
-        near = choose(is_near, t, near);
-        near_value = choose(is_near, value, near_value);
-        far = choose(is_near, far, t);
-        far_value = choose(is_near, far_value, value);
-        last_was_near = is_near;
-        last_was_far = !is_near;
-        // where the function jumps, the far side of the jump: every pixel is shaded from the same side
-        const mask near_enough = magnitude(value) <= mode->tolerance;
-        best = choose(active, choose(near_enough, t, far), best);
-        active = active & !near_enough & (0.5f * (near + far) > near) & (0.5f * (near + far) < far);
-    }
-    return best;
-}
 
 INLINE int matters(const state_t *s, constant frame_t *frame, global const float4 *table, float low, float high, real t, mask active)
 {
     return !(low > frame->mode.isovalue || high < frame->mode.isovalue);
 }
 
-INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real t, real value, mask active)
+INLINE mask gather_stretch(state_t *s, COEFFICIENTS coefficients, const sample_t *sample, global const float2 *minmax,
+                           real from, real to, mask active)
 {
-    const real difference = value - sample->frame->mode.isovalue;
-    const mask crossed = active & s->started & ((difference < 0.0f) != (s->before < 0.0f));
-    if (any_lane(crossed))
-        s->hit = choose(crossed, refine(coefficients, sample, s->before_t, s->before, t, difference, crossed), s->hit);
-    s->before = difference;
-    s->before_t = t;
-    s->started = s->started | active;
-    return crossed;
+    return walk_rays(s, coefficients, sample, minmax, sample->frame->mode.isovalue, from, to, active);
 }
 
-// A stretch begins with the last sample of the one before (REACH), so that each crossing lies within one.
+// Both stretches look at the whole of the cell between them.
 INLINE void merge(state_t *front, const state_t *back)
 {
     front->hit = choose(front->hit < NOWHERE, front->hit, back->hit);
-    front->before = choose(back->started, back->before, front->before);
-    front->before_t = choose(back->started, back->before_t, front->before_t);
-    front->started = front->started | back->started;
+    front->side = choose(back->side == 0.0f, front->side, back->side);
 }
 
 INLINE color_t finish(const state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real *t)
 {
-    constant float *surface = sample->frame->mode.color;
-    const mask hit = s->hit < NOWHERE;
-    color_t color = { (real)(surface[0]), (real)(surface[1]), (real)(surface[2]), choose(hit, (real)(1.0f), (real)(0.0f)) };
-    if (SHADED && any_lane(hit)) {
-        const real3 gradient = gradient_at(coefficients, sample, choose(hit, s->hit, sample->ray->enter), hit);
-        color = shade(sample->frame, color, gradient, sample->ray->world);
-    }
     *t = s->hit;
-    return color;
+    return surface_color(coefficients, sample, s->hit);
 }

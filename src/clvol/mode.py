@@ -12,7 +12,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
@@ -77,6 +77,11 @@ class Mode:
         return f"modes/{self.name}.cl"
 
     @property
+    def stretches(self) -> bool:
+        """Whether its kernel looks at stretches of rays, not at samples: `step` then does not matter."""
+        return False
+
+    @property
     def shaded(self) -> bool:
         """Whether it lights what it shows by the gradient."""
         return bool(getattr(self, "shading", False))
@@ -139,18 +144,24 @@ class Isosurface(Mode):
         Of the surface: red, green and blue in 0..1, a name or a hex code.
     shading : bool
         Light the surface by the gradient.
+    method : {"exact", "stepped"}
+        "exact": the first root of the function that is drawn, which is a polynomial along the ray in every cell; `step` does
+        not matter. "stepped": the first two neighbouring samples on both sides of the isovalue, and a root between them; a
+        surface that a ray enters and leaves between two samples is missed.
     tolerance : float
-        How near to the isovalue the function is at the surface that is drawn, as a share of the volume's range, 0 to 1.
+        Of "stepped": how near to the isovalue the function is at the surface that is drawn, as a share of the difference
+        between the two samples around it, 0 to 1.
     """
 
     isovalue: float | None = None
     color: Sequence[float] | str = (0.93, 0.87, 0.76)
     shading: bool = True
+    method: Literal["exact", "stepped"] = "exact"
     tolerance: float = 1e-4
 
     name: ClassVar[str] = "isosurface"
     description: ClassVar[str] = "the first surface of one value, shaded"
-    state_fields: ClassVar[int] = 4
+    state_fields: ClassVar[int] = 2
     endpoints: ClassVar[bool] = True
     BLOCK: ClassVar[Block] = Block("mode_block", isovalue=FLOAT, tolerance=FLOAT, color=(FLOAT, 3))
 
@@ -159,15 +170,26 @@ class Isosurface(Mode):
             _set(self, isovalue=number("isovalue", self.isovalue))
         _set(self, color=color_of("color", self.color), shading=_switch("shading", self.shading))
         _set(self, tolerance=number("tolerance", self.tolerance, minimum=0, maximum=1))
+        if self.method not in ("exact", "stepped"):
+            raise one_of("method", self.method, ("exact", "stepped"))
+        if self.method == "stepped":
+            _set(self, state_fields=4)  # the last sample too
+
+    @property
+    def file(self) -> str:
+        return "modes/isosurface.cl" if self.method == "exact" else "modes/stepped.cl"
+
+    @property
+    def stretches(self) -> bool:
+        return self.method == "exact"
 
     def settled(self, volume: Volume) -> Self:
         return self if self.isovalue is not None else replace(self, isovalue=otsu_threshold(volume))
 
-    def block(self, volume: Volume) -> Values:
-        low, high = volume.value_range
+    def block(self, volume: Volume) -> Values:  # noqa: ARG002
         assert self.isovalue is not None  # it is settled
         isovalue = min(max(self.isovalue, -_FINITE), _FINITE)
-        return self.BLOCK(isovalue=isovalue, tolerance=self.tolerance * (high - low), color=self.color)
+        return self.BLOCK(isovalue=isovalue, tolerance=self.tolerance, color=self.color)
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from clvol.march.planes import SLAB, Planes
 from clvol.mode import Mode
 from clvol.program import Program
 from clvol.scene import CLIP, Medium, Scene, clip_block
+from clvol.spline.build import along_defines
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, Evaluator
 from clvol.spline.minmax import BLOCK, MINMAX, MinMax, minmax_block
@@ -27,6 +28,8 @@ __all__ = ["BY_PLANES", "BY_RAYS", "PICTURE", "Frame", "frame_block"]
 
 BY_RAYS = Tile(1, 1, 1, shared=False)  # for GPUs, and wherever coefficients are not read as rows of a buffer
 BY_PLANES = Tile(16, 16, 8, shared=True)  # for processors
+
+_STRETCH = 0.5  # voxels: samples of modes that look at all between them; a segment of them crosses about one block
 
 PICTURE = Block(
     "picture_block",
@@ -114,7 +117,7 @@ class Frame:
         (medium,), (width, height) = scene.media, size
         volume = medium.volume
         view = camera.view(volume, width / height)
-        planes = Planes(volume, view, width / height, step)
+        planes = Planes(volume, view, width / height, _STRETCH if mode.stretches else step)
         block, _ = frame_block(mode.BLOCK)
         values = block(
             camera=view.block(volume, width, height),
@@ -175,6 +178,7 @@ class Frame:
             "BLOCK": BLOCK * self.coefficients.filter.scale,
             "SLAB": SLAB,
             "COORD_DOUBLE": 0,
+            **(along_defines(self.coefficients.filter) if mode.stretches else {}),
         }
         _, declaration = frame_block(mode.BLOCK)
         return self.device.build(name, defines, {"mode.cl": mode.file}, {"frame.cl": declaration})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TypeAlias
 
 import numpy as np
@@ -14,6 +15,7 @@ from clvol.spline.evaluator import Evaluator
 
 __all__ = [
     "DefineDict",
+    "along_defines",
     "boundary_defines",
     "evaluator_defines",
     "filter_defines",
@@ -60,6 +62,19 @@ def filter_defines(filter: Filter) -> DefineDict:
         "FILTER_TAPS": literals(filter.matrix),
         "LEFT": filter.support / 2 - 1,
         "GRID_SCALE": filter.scale,
+    }
+
+
+def along_defines(filter: Filter) -> DefineDict:
+    """What along.cl, bernstein.cl and walk.cl need to know of a filter: the function along a line in a cell."""
+    n = filter.degree
+    pascal = np.array([[math.comb(n - m, j - m) if j >= m else 0 for j in range(n + 1)] for m in range(n + 1)], np.float64)
+    along = 3 * n
+    return {
+        "PASCAL": literals(pascal),
+        "BERNSTEIN_DEGREE": along,
+        "BERNSTEIN_CHOOSE": "{" + ",".join(literal(float(math.comb(along, j))) for j in range(along + 1)) + "}",
+        "JUMPS": int(filter.continuity < 0),
     }
 
 
