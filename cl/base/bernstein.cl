@@ -100,16 +100,16 @@ INLINE real polynomial_at(const real scaled[COEFFICIENT_COUNT], const real u)
     return sum;
 }
 
-// The root of polynomials that change sides once on 0..1, for the active lanes: regula falsi that halves the value of an end
-// that stays (Illinois), and bisects every third time, until float32 tells no places apart.
-OUT_OF_LINE real root_between(const real q[COEFFICIENT_COUNT], mask active)
+// The root of polynomials that change sides once on 0..1: regula falsi that halves the value of an end that stays (Illinois), and
+// bisects every third time, until float32 tells no places apart.
+INLINE real root_between(const real q[COEFFICIENT_COUNT])
 {
     real scaled[COEFFICIENT_COUNT];
 #pragma unroll
     for (int j = 0; j <= BERNSTEIN_DEGREE; ++j)
         scaled[j] = q[j] * bernstein_choose[j];
     real low = (real)(0.0f), high = (real)(1.0f), at_low = q[0], at_high = q[BERNSTEIN_DEGREE], root = high;
-    mask last_was_low = NONE, last_was_high = NONE;
+    mask active = low < high, last_was_low = NONE, last_was_high = NONE;
     for (int i = 1; i < 60 && any_lane(active); ++i) {
         const real middle = 0.5f * (low + high), cut = low - at_low * (high - low) / (at_high - at_low);
         const mask between = (cut > low) & (cut < high);

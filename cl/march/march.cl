@@ -9,8 +9,6 @@
 //   begin(state)                  before the first sample
 //   gather(state, coefficients, sample, t, value, active)
 //                                 one sample of the active lanes; gives the lanes that need no more
-//   gather_stretch(state, coefficients, sample, minmax, from, to, active)
-//                                 instead of that, if STRETCHES is 1: all that lies from one t to another
 //   matters(state, frame, table, low, high, t, active)
 //                                 whether a value from low to high, at t or past it, could change what any active lane shows
 //   finished(state, frame)        the lanes that need no more samples, whichever come: for states that are carried on
@@ -20,6 +18,7 @@
 //   REACH                         how many samples away others may depend on a sample: a surface lies between two
 //   ANY_ORDER                     whether samples may be gathered in any order: then the segments where
 //                                 PROMISE(low, high) is largest come first
+//   STRETCHES                     1: instead of samples, which `gather` would take, all that lies between them is looked at (walk.cl)
 //
 // Set by the host: SLAB, LANES, TILE_WIDTH, TILE_HEIGHT, PLANES, ENDPOINTS, SHADED, CENTRAL, STATE_FIELDS, and what is included.
 
@@ -41,6 +40,9 @@
 #define PACKETS (TILE_WIDTH * TILE_HEIGHT / LANES)
 
 #include "march/segments.cl"
+#if STRETCHES
+#include "march/walk.cl"
+#endif
 
 // The x and y of a packet's first pixel.
 #define PACKET_X(left, g) ((left) + (g) % PACKETS_ACROSS * LANES_ACROSS)
@@ -106,60 +108,65 @@ INLINE real sample_value_of(COEFFICIENTS coefficients, const sample_t *sample, f
     return value;
 }
 
+#if STRETCHES
+#define take_segment walk_segment
+#else
+
+// Takes samples number start to stop of the rays that want them.
+INLINE void take_segment(tile_t *tile, COEFFICIENTS coefficients, const int4 extent, global const float2 *minmax,
+                         constant frame_t *frame, global const float4 *table, const mask wanted[PACKETS], const float start,
+                         const float stop)
+{
+    plane_t planes[SLAB];   // one for each sample number, made when the first packet needs it
+    for (int i = 0; i < SLAB; ++i)
+        planes[i].made = planes[i].usable = 0;
+    for (int g = 0; g < PACKETS; ++g) {
+        if (!any_lane(wanted[g]))
+            continue;
+        const ray_t *ray = tile->rays + g;
+        state_t state = tile->states[g];
+        real gathered = tile->gathered[g];
+        mask going = tile->going[g];
+        float n = start;
+        for (plane_t *plane = planes; plane < planes + SLAB && n <= stop; ++plane, n += 1.0f) {
+            const mask active = lanes_within(ray, going, n, n);
+            if (!any_lane(active))
+                continue;
+#if PLANES
+            // before and after the planes, where rays have their ends alone, one may lie past what is stored
+            if (tile->planar && !plane->made && n >= 0.0f && n < frame->planes.count)
+                make_plane(plane, coefficients, extent, frame, tile->left, tile->top, tile->way, n);
+#endif
+            plane_sample_t on_plane;
+            const sample_t sample = { frame, table, extent, ray, plane, &on_plane };
+            const real t = sample_t_of(ray, n), value = sample_value_of(coefficients, &sample, n, t, active);
+            going = going & !gather(&state, coefficients, &sample, t, value, active);
+            gathered += choose(active, (real)(1.0f), (real)(0.0f));
+        }
+        tile->states[g] = state;
+        tile->gathered[g] = gathered;
+        tile->going[g] = going;
+    }
+}
+
+#endif
+
 // Takes the rays of a tile through their samples.
 INLINE void march_tile(tile_t *tile, COEFFICIENTS coefficients, const int4 extent, global const float2 *minmax,
                        constant frame_t *frame, global const float4 *table)
 {
-#if !STRETCHES
-    plane_t planes[SLAB];   // one for each sample number of a segment, made when the first packet needs it
-#endif
     segments_t segments = segments_of(tile, minmax, frame, extent.w);
     while (next_segment(&segments, tile, minmax, frame, table, extent.w)) {
         const float start = segments.start, stop = segments.stop;
-#if !STRETCHES
-        for (int i = 0; i < SLAB; ++i)
-            planes[i].made = planes[i].usable = 0;
-#endif
+        mask wanted[PACKETS];
         for (int g = 0; g < PACKETS; ++g) {
-            const ray_t *ray = tile->rays + g;
-            if (!any_lane(lanes_within(ray, tile->going[g], start, stop)))
-                continue;
-            if (PACKETS > 1 && frame->minmax.skipping) {
+            wanted[g] = lanes_within(tile->rays + g, tile->going[g], start, stop);
+            if (PACKETS > 1 && frame->minmax.skipping && any_lane(wanted[g])) {
                 const float2 values = values_of(minmax, frame, extent.w, tile, g, 1, start, stop);
                 if (!packet_matters(frame, table, tile, g, values, start, stop))
-                    continue;
+                    wanted[g] = NONE;
             }
-            state_t state = tile->states[g];
-            real gathered = tile->gathered[g];
-            mask going = tile->going[g];
-#if STRETCHES
-            const sample_t sample = { frame, table, extent, ray, 0, 0 };
-            const mask active = lanes_within(ray, going, start, stop);
-            going = going & !gather_stretch(&state, coefficients, &sample, minmax, madd(start, ray->step, ray->first),
-                                            madd(stop + 1.0f, ray->step, ray->first), active);
-            const real samples = MIN((real)(stop), ray->end + MARGIN) - MAX((real)(start), ray->begin - MARGIN) + 1.0f;
-            gathered += choose(active, samples, (real)(0.0f));
-#else
-            float n = start;
-            for (plane_t *plane = planes; plane < planes + SLAB && n <= stop; ++plane, n += 1.0f) {
-                const mask active = lanes_within(ray, going, n, n);
-                if (!any_lane(active))
-                    continue;
-#if PLANES
-                // before and after the planes, where rays have their ends alone, one may lie past what is stored
-                if (tile->planar && !plane->made && n >= 0.0f && n < frame->planes.count)
-                    make_plane(plane, coefficients, extent, frame, tile->left, tile->top, tile->way, n);
-#endif
-                plane_sample_t on_plane;
-                const sample_t sample = { frame, table, extent, ray, plane, &on_plane };
-                const real t = sample_t_of(ray, n), value = sample_value_of(coefficients, &sample, n, t, active);
-                going = going & !gather(&state, coefficients, &sample, t, value, active);
-                gathered += choose(active, (real)(1.0f), (real)(0.0f));
-            }
-#endif
-            tile->states[g] = state;
-            tile->gathered[g] = gathered;
-            tile->going[g] = going;
         }
+        take_segment(tile, coefficients, extent, minmax, frame, table, wanted, start, stop);
     }
 }

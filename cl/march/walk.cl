@@ -4,13 +4,19 @@
 // Between cells it may jump. A ray crosses the planes between cells at distances that follow from their numbers alone, so a cell
 // gives the same answer wherever a walk begins: however rays are cut into segments, and whatever is skipped.
 //
-// Set before: COEFFICIENTS and what along.cl needs. Set by the host: BLOCK, cells along an edge of the finest blocks; JUMPS,
-// whether the filter's function may jump between cells.
+// The rays of a tile go on, packet by packet, until each is in a cell whose block may hold the value. Few are at a time, so
+// these cells are then gathered from the whole tile, and looked at LANES by LANES; so are the roots that were found.
+//
+// A mode that asks for this (STRETCHES) supplies SOUGHT(frame), the value, and a state_t with
+//   hit    where the function first is on the other side, or NOWHERE
+//   side   of what was looked at so far: 1 not below the value, -1 below; 0 if that was nothing
+//
+// Set by the host: BLOCK, cells along an edge of the finest blocks; JUMPS, whether the function may jump between cells.
 
 #include "spline/along.cl"
-#include "spline/cell.cl"
-#include "march/camera.cl"
-#include "march/sample.cl"
+#include "march/segments.cl"
+
+#define RAYS (PACKETS * LANES)
 
 // -- one axis ---------------------------------------------------------------------------------------------------
 
@@ -52,10 +58,11 @@ INLINE real entry_of(const axis_t *a, const mask cell)
 
 INLINE mask next_cell(const axis_t *a, const mask cell) { return cell + choose_whole(a->up, 1, -1); }
 
+INLINE mask limit_whole(mask i, mask last) { return choose_whole(i > last, last, i); }
+
 INLINE mask limit_cell(const axis_t *a, mask cell)
 {
-    cell = choose_whole(cell < a->first, a->first, cell);
-    return choose_whole(cell > a->last, a->last, cell);
+    return limit_whole(choose_whole(cell < a->first, a->first, cell), a->last);
 }
 
 // The cell in which a ray is at t: that between whose planes t lies, however the position is rounded.
@@ -77,48 +84,76 @@ INLINE real fraction_at(const axis_t *a, const mask cell, const real t)
 // -- three ------------------------------------------------------------------------------------------------------
 
 typedef struct { axis_t x, y, z; } axes_t;
-typedef struct { mask x, y, z; } cell_indices_t;
+typedef struct { mask x, y, z; } cells_t;
 
-// Bounds of the function in the blocks of cells, one a lane.
-INLINE void bounds_of(global const float2 *minmax, constant minmax_block *block, const cell_indices_t *cell, real *low, real *high)
+INLINE axes_t axes_along(const ray_t *ray, constant geometry_block *geometry, const int halo)
+{
+    const axes_t axes = {
+        axis_along(ray->origin.x, ray->direction.x, geometry->low[0], geometry->high[0], halo),
+        axis_along(ray->origin.y, ray->direction.y, geometry->low[1], geometry->high[1], halo),
+        axis_along(ray->origin.z, ray->direction.z, geometry->low[2], geometry->high[2], halo),
+    };
+    return axes;
+}
+
+// Bounds of the function in the blocks of LANES cells.
+INLINE void bounds_of(global const float2 *minmax, constant minmax_block *block, const cells_t *cell, real *low, real *high)
 {
     const int nx = block->blocks[0], ny = block->blocks[1], nz = block->blocks[2];
-    const lane_masks_u x = { cell->x }, y = { cell->y }, z = { cell->z };
-    lanes_u lows, highs;
-    for (int i = 0; i < LANES; ++i) {
-        const int bx = MIN(x.each[i] / BLOCK, nx - 1), by = MIN(y.each[i] / BLOCK, ny - 1), bz = MIN(z.each[i] / BLOCK, nz - 1);
-        const float2 bound = minmax[((size_t)bz * ny + by) * nx + bx];
-        lows.each[i] = bound.x;
-        highs.each[i] = bound.y;
-    }
-    *low = lows.all;
-    *high = highs.all;
-}
-
-// The function in these cells, on the rays from t to `until`.
-INLINE void function_in_cells(COEFFICIENTS coefficients, const int4 extent, const axes_t *axes, const cell_indices_t *cell, real t,
-                              real until, real q[COEFFICIENT_COUNT])
-{
-    const lane_masks_u x = { cell->x }, y = { cell->y }, z = { cell->z };
-    cursor_t slices[LANES];
+    const mask x = limit_whole(cell->x / BLOCK, nx - 1), y = limit_whole(cell->y / BLOCK, ny - 1), z = limit_whole(cell->z / BLOCK, nz - 1);
+    const lane_indices_u at = { (z * ny + y) * nx + x };
+#if LANES == 1
+    *low = minmax[at.all].x;
+    *high = minmax[at.all].y;
+#else
+    union { float2 each[LANES]; struct { real first, second; } halves; } bounds;
+#pragma unroll
     for (int i = 0; i < LANES; ++i)
-        slices[i] = cursor_at(coefficients, extent, x.each[i], y.each[i], z.each[i]);
-    function_along(coefficients, extent, slices,
-                   fraction_at(&axes->x, cell->x, t), fraction_at(&axes->x, cell->x, until),
-                   fraction_at(&axes->y, cell->y, t), fraction_at(&axes->y, cell->y, until),
-                   fraction_at(&axes->z, cell->z, t), fraction_at(&axes->z, cell->z, until), q);
+        bounds.each[i] = minmax[at.each[i]];
+    *low = (real)(bounds.halves.first.even, bounds.halves.second.even);
+    *high = (real)(bounds.halves.first.odd, bounds.halves.second.odd);
+#endif
 }
 
-// The first place past a jump where a sample of the function is on its far side, so that every pixel is lit from there.
-INLINE real beyond_jump(COEFFICIENTS coefficients, const sample_t *sample, const float value, real t, const real length,
+// -- a tile -----------------------------------------------------------------------------------------------------
+
+// A packet on its way through a stretch of its rays.
+typedef struct {
+    axes_t axes;
+    cells_t cell;
+    real t, until;        // where the rays enter their cells, and leave them
+    real end;             // of the stretch
+    mask active;
+    lanes_u x, y, z, to_x, to_y, to_z;   // fractions of the cells there
+    lanes_u side, sign;   // of what was looked at; where this cell begins
+    lane_masks_u found;   // whether it holds a root
+} walker_t;
+
+INLINE void set_out(walker_t *w, const ray_t *ray, const state_t *state, constant geometry_block *geometry, const int halo,
+                    const real from, const real to, const mask active)
+{
+    const real begin = MAX(from, ray->enter);
+    w->axes = axes_along(ray, geometry, halo);
+    w->end = MIN(to, ray->leave);
+    w->active = active & (begin <= w->end);
+    w->cell.x = cell_at(&w->axes.x, begin);
+    w->cell.y = cell_at(&w->axes.y, begin);
+    w->cell.z = cell_at(&w->axes.z, begin);
+    // the whole of the first cell, whatever lies before the stretch: every walk looks at it in the same way
+    w->t = MAX(MAX(entry_of(&w->axes.x, w->cell.x), entry_of(&w->axes.y, w->cell.y)), MAX(entry_of(&w->axes.z, w->cell.z), ray->enter));
+    w->side.all = state->side;
+    w->found.all = NONE;
+}
+
+// The first place past a jump at which a sample of the function is on its far side, so that every pixel is lit from there.
+INLINE real beyond_jump(COEFFICIENTS coefficients, const sample_t *sample, const float value, real t, const real end,
                         const real side, mask active)
 {
 #if JUMPS
-    const real end = t + length;
-    real further = 1e-7f * (magnitude(t) + sample->frame->geometry.high[0] + sample->frame->geometry.high[1] + sample->frame->geometry.high[2]);
+    constant float *high = sample->frame->geometry.high;
+    real further = 1e-7f * (magnitude(t) + high[0] + high[1] + high[2]);
     for (int i = 0; i < 24; ++i) {
-        const real at = value_at(coefficients, sample, t, active);
-        active &= (at < value) == (side < 0.0f);
+        active &= (value_at(coefficients, sample, t, active) < value) == (side < 0.0f);
         if (!any_lane(active))
             break;
         t = choose(active, MIN(t + further, end), t);
@@ -128,86 +163,160 @@ INLINE real beyond_jump(COEFFICIENTS coefficients, const sample_t *sample, const
     return t;
 }
 
-// What a walk knows of its rays.
-typedef struct {
-    real hit;    // where the function first is on the other side, or NOWHERE
-    real side;   // 1: not below the value so far; -1: below; 0: nothing was looked at yet
-} walk_t;
-
-// The active rays from t = `from` to `to`, within the domain and the clipping box: looks for the first place where the function
-// changes sides of `value`. Gives the lanes that found it.
-OUT_OF_LINE mask walk_rays(walk_t *walk, COEFFICIENTS coefficients, const sample_t *sample, global const float2 *minmax,
-                           const float value, const real from, const real to, mask active)
+// Takes rays to cells that may hold the value, and on past those that do not. `looked`: at the cells in which they are.
+INLINE void go_on(walker_t *w, state_t *state, COEFFICIENTS coefficients, const sample_t *sample, global const float2 *minmax,
+                  const float value, int looked)
 {
     const ray_t *ray = sample->ray;
-    constant frame_t *frame = sample->frame;
-    constant geometry_block *geometry = &frame->geometry;
-    const int halo = sample->extent.w;
-    const axes_t axes = {
-        axis_along(ray->origin.x, ray->direction.x, geometry->low[0], geometry->high[0], halo),
-        axis_along(ray->origin.y, ray->direction.y, geometry->low[1], geometry->high[1], halo),
-        axis_along(ray->origin.z, ray->direction.z, geometry->low[2], geometry->high[2], halo),
-    };
-    const real begin = MAX(from, ray->enter), end = MIN(to, ray->leave);
-    active &= begin <= end;
-    cell_indices_t cell = { cell_at(&axes.x, begin), cell_at(&axes.y, begin), cell_at(&axes.z, begin) };
-    // the whole of the first cell, even what lies before: it is looked at as any other walk would
-    real t = MAX(MAX(entry_of(&axes.x, cell.x), entry_of(&axes.y, cell.y)), MAX(entry_of(&axes.z, cell.z), ray->enter));
-    real side = walk->side, held[COEFFICIENT_COUNT], held_from = t, held_length = (real)(0.0f);
-    mask bracketed = NONE, jumped = NONE;
+    w->active &= !w->found.all;
+    for (;; looked = 0) {
+        const axes_t *axes = &w->axes;
+        const real exit_x = exit_of(&axes->x, w->cell.x), exit_y = exit_of(&axes->y, w->cell.y), exit_z = exit_of(&axes->z, w->cell.z);
+        const real exit = MIN(MIN(exit_x, exit_y), exit_z);
+        w->until = MIN(exit, ray->leave);
+        mask passed = w->active;
+        if (!looked) {
+            if (!sample->frame->minmax.skipping)
+                return;
+            real low, high;
+            bounds_of(minmax, &sample->frame->minmax, &w->cell, &low, &high);
+            w->sign.all = choose(low > value, (real)(1.0f), (real)(-1.0f));
+            passed &= (low > value) | (high < value);
+        }
+        if (!any_lane(passed))
+            return;
+        // sides change from one cell to the next where the function jumps, or by rounding
+        const mask changed = passed & (w->side.all * w->sign.all < 0.0f);
+        if (any_lane(changed))
+            state->hit = choose(changed, beyond_jump(coefficients, sample, value, w->t, w->until, w->side.all, changed), state->hit);
+        w->side.all = choose(passed, w->sign.all, w->side.all);
+        w->active &= !changed;
+        passed &= w->active;
+        w->cell.x = choose_whole(passed & (exit_x == exit), next_cell(&axes->x, w->cell.x), w->cell.x);
+        w->cell.y = choose_whole(passed & (exit_y == exit), next_cell(&axes->y, w->cell.y), w->cell.y);
+        w->cell.z = choose_whole(passed & (exit_z == exit), next_cell(&axes->z, w->cell.z), w->cell.z);
+        w->t = choose(passed, exit, w->t);
+        w->active &= !passed | (exit < w->end);
+    }
+}
+
+// Roots to be refined, LANES of them at a time.
+typedef struct {
+    int count, ray[LANES];
+    lanes_u from, length, q[COEFFICIENT_COUNT];
+} roots_t;
+
+OUT_OF_LINE void refine_roots(roots_t *roots, state_t *states)
+{
+    real q[COEFFICIENT_COUNT];
 #pragma unroll
     for (int j = 0; j < COEFFICIENT_COUNT; ++j)
-        held[j] = (real)(0.0f);
-    while (any_lane(active)) {
-        const real exit_x = exit_of(&axes.x, cell.x), exit_y = exit_of(&axes.y, cell.y), exit_z = exit_of(&axes.z, cell.z);
-        const real exit = MIN(MIN(exit_x, exit_y), exit_z), until = MIN(exit, ray->leave);
-        // rays in cells that cannot hold the value move on first, until all that go on want theirs
-        mask moving = active, wanted = active, found = NONE;
-        real sign;
-        if (frame->minmax.skipping) {
-            real low, high;
-            bounds_of(minmax, &frame->minmax, &cell, &low, &high);
-            const mask passed = active & ((low > value) | (high < value));
-            sign = choose(low > value, (real)(1.0f), (real)(-1.0f));
-            if (any_lane(passed)) {
-                moving = passed;
-                wanted = NONE;
-            }
-        }
-        if (any_lane(wanted)) {
-            real q[COEFFICIENT_COUNT], start = (real)(0.0f), width = (real)(1.0f);
-            function_in_cells(coefficients, sample->extent, &axes, &cell, t, until, q);
-#pragma unroll
-            for (int j = 0; j < COEFFICIENT_COUNT; ++j)
-                q[j] -= value;
-            sign = choose(q[0] < 0.0f, (real)(-1.0f), (real)(1.0f));
-            const changes_t changes = changes_of(q);
-            found = wanted & changes.once & !(side * sign < 0.0f);
-            if (any_lane(found & changes.twice))
-                found = first_change(q, found, &start, &width);
-            copy_polynomial(held, q, found);
-            held_from = choose(found, madd(start, until - t, t), held_from);
-            held_length = choose(found, width * (until - t), held_length);
-            bracketed |= found;
-        }
-        // the side changes between this cell and the one before where the function jumps, or by rounding
-        const mask jump = moving & (side * sign < 0.0f);
-        held_from = choose(jump, t, held_from);
-        held_length = choose(jump, until - t, held_length);
-        jumped |= jump;
-        side = choose(moving & !jump, sign, side);
-        active &= !(found | jump);
-        moving &= active;
-        cell.x = choose_whole(moving & (exit_x == exit), next_cell(&axes.x, cell.x), cell.x);
-        cell.y = choose_whole(moving & (exit_y == exit), next_cell(&axes.y, cell.y), cell.y);
-        cell.z = choose_whole(moving & (exit_z == exit), next_cell(&axes.z, cell.z), cell.z);
-        t = choose(moving, exit, t);
-        active &= !moving | (exit < end);
+        q[j] = roots->q[j].all;
+    const lanes_u hit = { madd(root_between(q), roots->length.all, roots->from.all) };
+    for (int i = 0; i < roots->count; ++i) {
+        lanes_u *hits = (lanes_u *)&states[roots->ray[i] / LANES].hit;
+        hits->each[roots->ray[i] % LANES] = hit.each[i];
     }
-    walk->side = side;
-    if (any_lane(bracketed))
-        walk->hit = choose(bracketed, madd(root_between(held, bracketed), held_length, held_from), walk->hit);
-    if (any_lane(jumped))
-        walk->hit = choose(jumped, beyond_jump(coefficients, sample, value, held_from, held_length, side, jumped), walk->hit);
-    return bracketed | jumped;
+    roots->count = 0;
+}
+
+// Looks at the cells of some rays.
+OUT_OF_LINE void look_into(walker_t *walkers, const int *rays, const int count, COEFFICIENTS coefficients, const int4 extent,
+                           const float value, roots_t *roots, state_t *states)
+{
+    lanes_u x, y, z, to_x, to_y, to_z, from, length, side;
+    cursor_t slices[LANES];
+    lane_masks_u active;
+    for (int i = 0; i < LANES; ++i) {
+        const int ray = rays[i < count ? i : 0], lane = ray % LANES;
+        walker_t *w = walkers + ray / LANES;
+        const lane_masks_u cx = { w->cell.x }, cy = { w->cell.y }, cz = { w->cell.z };
+        const lanes_u t = { w->t }, until = { w->until };
+        slices[i] = cursor_at(coefficients, extent, cx.each[lane], cy.each[lane], cz.each[lane]);
+        x.each[i] = w->x.each[lane]; y.each[i] = w->y.each[lane]; z.each[i] = w->z.each[lane];
+        to_x.each[i] = w->to_x.each[lane]; to_y.each[i] = w->to_y.each[lane]; to_z.each[i] = w->to_z.each[lane];
+        from.each[i] = t.each[lane];
+        length.each[i] = until.each[lane] - t.each[lane];
+        side.each[i] = w->side.each[lane];
+        active.each[i] = i < count ? -1 : 0;
+    }
+    real q[COEFFICIENT_COUNT], start = (real)(0.0f), width = (real)(1.0f);
+    function_along(coefficients, extent, slices, x.all, to_x.all, y.all, to_y.all, z.all, to_z.all, q);
+#pragma unroll
+    for (int j = 0; j < COEFFICIENT_COUNT; ++j)
+        q[j] -= value;
+    const lanes_u sign = { choose(q[0] < 0.0f, (real)(-1.0f), (real)(1.0f)) };
+    const changes_t changes = changes_of(q);
+    lane_masks_u found = { changes.once & !(side.all * sign.all < 0.0f) & (active.all != 0) };
+    if (any_lane(found.all & changes.twice))
+        found.all = first_change(q, found.all, &start, &width);
+    const lanes_u begin = { madd(start, length.all, from.all) }, part = { width * length.all };
+    for (int i = 0; i < count; ++i) {
+        walker_t *w = walkers + rays[i] / LANES;
+        w->sign.each[rays[i] % LANES] = sign.each[i];
+        if (!found.each[i])
+            continue;
+        w->found.each[rays[i] % LANES] = found.each[i];
+        for (int j = 0; j < COEFFICIENT_COUNT; ++j) {
+            const lanes_u coefficient = { q[j] };
+            roots->q[j].each[roots->count] = coefficient.each[i];
+        }
+        roots->from.each[roots->count] = begin.each[i];
+        roots->length.each[roots->count] = part.each[i];
+        roots->ray[roots->count] = rays[i];
+        if (++roots->count == LANES)
+            refine_roots(roots, states);
+    }
+}
+
+// Walks the rays of a tile through samples number start to stop, and all between them, to the first place where the function
+// changes sides.
+OUT_OF_LINE void walk_segment(tile_t *tile, COEFFICIENTS coefficients, const int4 extent, global const float2 *minmax,
+                              constant frame_t *frame, global const float4 *table, const mask wanted[PACKETS], const float start, const float stop)
+{
+    const float value = SOUGHT(frame);
+    walker_t walkers[PACKETS];
+    roots_t roots;
+    int rays[RAYS];
+    roots.count = 0;
+    for (int g = 0; g < PACKETS; ++g) {
+        const ray_t *ray = tile->rays + g;
+        const real samples = MIN((real)(stop), ray->end + MARGIN) - MAX((real)(start), ray->begin - MARGIN) + 1.0f;
+        tile->gathered[g] += choose(wanted[g], samples, (real)(0.0f));
+        walkers[g].active = wanted[g];
+        if (any_lane(wanted[g]))
+            set_out(walkers + g, ray, tile->states + g, &frame->geometry, extent.w, madd(start, ray->step, ray->first),
+                    madd(stop + 1.0f, ray->step, ray->first), wanted[g]);
+    }
+    for (int looked = 0;; looked = 1) {
+        int count = 0;
+        for (int g = 0; g < PACKETS; ++g) {
+            walker_t *w = walkers + g;
+            if (!any_lane(w->active))
+                continue;
+            const sample_t sample = { frame, table, extent, tile->rays + g, 0, 0 };
+            go_on(w, tile->states + g, coefficients, &sample, minmax, value, looked);
+            w->x.all = fraction_at(&w->axes.x, w->cell.x, w->t);
+            w->y.all = fraction_at(&w->axes.y, w->cell.y, w->t);
+            w->z.all = fraction_at(&w->axes.z, w->cell.z, w->t);
+            w->to_x.all = fraction_at(&w->axes.x, w->cell.x, w->until);
+            w->to_y.all = fraction_at(&w->axes.y, w->cell.y, w->until);
+            w->to_z.all = fraction_at(&w->axes.z, w->cell.z, w->until);
+            const lane_masks_u active = { w->active };
+            for (int i = 0; i < LANES; ++i)
+                if (active.each[i])
+                    rays[count++] = g * LANES + i;
+        }
+        if (count == 0)
+            break;
+        for (int i = 0; i < count; i += LANES)
+            look_into(walkers, rays + i, MIN(count - i, LANES), coefficients, extent, value, &roots, tile->states);
+    }
+    if (roots.count)
+        refine_roots(&roots, tile->states);
+    for (int g = 0; g < PACKETS; ++g)
+        if (any_lane(wanted[g])) {
+            tile->states[g].side = choose(wanted[g], walkers[g].side.all, tile->states[g].side);
+            tile->going[g] = tile->going[g] & !finished(tile->states + g, frame);
+        }
 }
