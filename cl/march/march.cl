@@ -108,14 +108,11 @@ INLINE real sample_value_of(COEFFICIENTS coefficients, const sample_t *sample, f
     return value;
 }
 
-#if STRETCHES
-#define take_segment walk_segment
-#else
+#if !STRETCHES
 
 // Takes samples number start to stop of the rays that want them.
-INLINE void take_segment(tile_t *tile, COEFFICIENTS coefficients, const int4 extent, global const float2 *minmax,
-                         constant frame_t *frame, global const float4 *table, const mask wanted[PACKETS], const float start,
-                         const float stop)
+INLINE void take_samples(tile_t *tile, COEFFICIENTS coefficients, const int4 extent, constant frame_t *frame,
+                         global const float4 *table, const mask wanted[PACKETS], const float start, const float stop)
 {
     plane_t planes[SLAB];   // one for each sample number, made when the first packet needs it
     for (int i = 0; i < SLAB; ++i)
@@ -153,7 +150,7 @@ INLINE void take_segment(tile_t *tile, COEFFICIENTS coefficients, const int4 ext
 
 // Takes the rays of a tile through their samples.
 INLINE void march_tile(tile_t *tile, COEFFICIENTS coefficients, const int4 extent, global const float2 *minmax,
-                       constant frame_t *frame, global const float4 *table)
+                       global const ulong2 *sides, constant frame_t *frame, global const float4 *table)
 {
     segments_t segments = segments_of(tile, minmax, frame, extent.w);
     while (next_segment(&segments, tile, minmax, frame, table, extent.w)) {
@@ -167,6 +164,10 @@ INLINE void march_tile(tile_t *tile, COEFFICIENTS coefficients, const int4 exten
                     wanted[g] = NONE;
             }
         }
-        take_segment(tile, coefficients, extent, minmax, frame, table, wanted, start, stop);
+#if STRETCHES
+        walk_segment(tile, coefficients, extent, sides, frame, table, wanted, start, stop);
+#else
+        take_samples(tile, coefficients, extent, frame, table, wanted, start, stop);
+#endif
     }
 }

@@ -14,6 +14,7 @@
 // Set by the host: BLOCK, cells along an edge of the finest blocks; JUMPS, whether the function may jump between cells.
 
 #include "spline/along.cl"
+#include "spline/sides.cl"
 #include "march/segments.cl"
 
 #define RAYS (PACKETS * LANES)
@@ -23,7 +24,7 @@
 // Rays along an axis, in cells: where they begin, how many they cross a unit of t, and which they may be in.
 typedef struct {
     real origin, direction, per_direction;
-    mask up;            // towards larger numbers
+    mask up, ahead;     // whether towards larger numbers, and that as a number: 1 or 0
     mask first, last;   // that the domain touches
 } axis_t;
 
@@ -35,44 +36,43 @@ INLINE axis_t axis_along(real origin, real direction, float low, float high, con
     a.direction = direction * (float)GRID_SCALE;
     a.per_direction = 1.0f / choose(magnitude(a.direction) < 1e-12f, (real)(1e-12f), a.direction);
     a.up = a.per_direction > 0.0f;
+    a.ahead = choose_whole(a.up, (mask)(1), NONE);
     const float from = GRID_POSITION(low, start), to = GRID_POSITION(high, start);   // whole or half numbers, not negative
     a.first = (mask)((int)from);
     a.last = (mask)((int)to - ((float)(int)to == to));
     return a;
 }
 
-INLINE real plane_t_of(const axis_t *a, const mask plane) { return (to_real(plane) - a->origin) * a->per_direction; }
-
-// Where the ray leaves a cell, and where it entered. The outer ones reach as far as the ray does.
-INLINE real exit_of(const axis_t *a, const mask cell)
+// Where the ray crosses the plane before cell number `plane`; where that is the domain's face it goes on.
+INLINE real exit_at(const axis_t *a, const mask plane)
 {
-    const mask outer = (a->up & (cell >= a->last)) | (!a->up & (cell <= a->first));
-    return choose(outer, NOWHERE, plane_t_of(a, cell + choose_whole(a->up, 1, 0)));
+    const mask outer = (a->up & (plane > a->last)) | (!a->up & (plane <= a->first));
+    return choose(outer, NOWHERE, (to_real(plane) - a->origin) * a->per_direction);
 }
 
-INLINE real entry_of(const axis_t *a, const mask cell)
+INLINE real entry_at(const axis_t *a, const mask plane)
 {
-    const mask outer = (a->up & (cell <= a->first)) | (!a->up & (cell >= a->last));
-    return choose(outer, -NOWHERE, plane_t_of(a, cell + choose_whole(a->up, 0, 1)));
+    const mask outer = (a->up & (plane <= a->first)) | (!a->up & (plane > a->last));
+    return choose(outer, -NOWHERE, (to_real(plane) - a->origin) * a->per_direction);
 }
 
-INLINE mask next_cell(const axis_t *a, const mask cell) { return cell + choose_whole(a->up, 1, -1); }
+// Where it leaves a cell, or a whole brick of them, and where it entered the cell.
+INLINE real exit_of(const axis_t *a, const mask cell) { return exit_at(a, cell + a->ahead); }
+INLINE real brick_exit_of(const axis_t *a, const mask cell)
+{
+    const mask first = cell & ~(SIDES_EDGE - 1);
+    return exit_at(a, choose_whole(a->up, first + SIDES_EDGE, first));
+}
+INLINE real entry_of(const axis_t *a, const mask cell) { return entry_at(a, cell + 1 - a->ahead); }
 
 INLINE mask limit_whole(mask i, mask last) { return choose_whole(i > last, last, i); }
-
-INLINE mask limit_cell(const axis_t *a, mask cell)
-{
-    return limit_whole(choose_whole(cell < a->first, a->first, cell), a->last);
-}
 
 // The cell in which a ray is at t: that between whose planes t lies, however the position is rounded.
 INLINE mask cell_at(const axis_t *a, const real t)
 {
-    const real far = MIN(MAX(madd(t, a->direction, a->origin), (real)(-1.0f)), (real)(2e9f));
-    mask cell = limit_cell(a, to_mask(round_down(far)));
-    cell = choose_whole(exit_of(a, cell) <= t, next_cell(a, cell), cell);
-    cell = choose_whole(entry_of(a, cell) > t, cell - choose_whole(a->up, 1, -1), cell);
-    return limit_cell(a, cell);
+    const real place = MIN(MAX(madd(t, a->direction, a->origin), to_real(a->first)), to_real(a->last));
+    const mask cell = to_mask(place), step = 2 * a->ahead - 1;
+    return choose_whole(exit_of(a, cell) <= t, cell + step, choose_whole(entry_of(a, cell) > t, cell - step, cell));
 }
 
 // How far into the cell the ray is at t.
@@ -96,23 +96,28 @@ INLINE axes_t axes_along(const ray_t *ray, constant geometry_block *geometry, co
     return axes;
 }
 
-// Bounds of the function in the blocks of LANES cells.
-INLINE void bounds_of(global const float2 *minmax, constant minmax_block *block, const cells_t *cell, real *low, real *high)
+// What is known of LANES cells: whether they may hold the value; whether the function is above it there; whether that is so in the
+// whole brick.
+typedef struct { mask held, above, uniform; } sides_t;
+
+INLINE sides_t sides_of(global const ulong2 *sides, constant minmax_block *block, const cells_t *cell)
 {
-    const int nx = block->blocks[0], ny = block->blocks[1], nz = block->blocks[2];
-    const mask x = limit_whole(cell->x / BLOCK, nx - 1), y = limit_whole(cell->y / BLOCK, ny - 1), z = limit_whole(cell->z / BLOCK, nz - 1);
+    const int nx = block->blocks[0] * BRICKS, ny = block->blocks[1] * BRICKS, nz = block->blocks[2] * BRICKS;
+    const mask x = limit_whole(cell->x / SIDES_EDGE, nx - 1), y = limit_whole(cell->y / SIDES_EDGE, ny - 1);
+    const mask z = limit_whole(cell->z / SIDES_EDGE, nz - 1);
     const lane_indices_u at = { (z * ny + y) * nx + x };
-#if LANES == 1
-    *low = minmax[at.all].x;
-    *high = minmax[at.all].y;
-#else
-    union { float2 each[LANES]; struct { real first, second; } halves; } bounds;
+    const lane_masks_u bits = { BIT_OF(cell->x, cell->y, cell->z) };
+    lane_masks_u known;
+#if LANES > 1
 #pragma unroll
-    for (int i = 0; i < LANES; ++i)
-        bounds.each[i] = minmax[at.each[i]];
-    *low = (real)(bounds.halves.first.even, bounds.halves.second.even);
-    *high = (real)(bounds.halves.first.odd, bounds.halves.second.odd);
 #endif
+    for (int i = 0; i < LANES; ++i) {
+        const ulong2 brick = sides[at.each[i]];
+        const int held = (int)(brick.x >> bits.each[i]) & 1, above = (int)(brick.y >> bits.each[i]) & 1;
+        known.each[i] = held | above << 1 | (brick.x == 0 && (brick.y == 0 || brick.y == ALL_CELLS)) << 2;
+    }
+    const sides_t s = { (known.all & 1) != 0, (known.all & 2) != 0, (known.all & 4) != 0 };
+    return s;
 }
 
 // -- a tile -----------------------------------------------------------------------------------------------------
@@ -164,24 +169,25 @@ INLINE real beyond_jump(COEFFICIENTS coefficients, const sample_t *sample, const
 }
 
 // Takes rays to cells that may hold the value, and on past those that do not. `looked`: at the cells in which they are.
-INLINE void go_on(walker_t *w, state_t *state, COEFFICIENTS coefficients, const sample_t *sample, global const float2 *minmax,
+INLINE void go_on(walker_t *w, state_t *state, COEFFICIENTS coefficients, const sample_t *sample, global const ulong2 *sides,
                   const float value, int looked)
 {
     const ray_t *ray = sample->ray;
+    const axes_t *axes = &w->axes;
     w->active &= !w->found.all;
     for (;; looked = 0) {
-        const axes_t *axes = &w->axes;
-        const real exit_x = exit_of(&axes->x, w->cell.x), exit_y = exit_of(&axes->y, w->cell.y), exit_z = exit_of(&axes->z, w->cell.z);
-        const real exit = MIN(MIN(exit_x, exit_y), exit_z);
+        real exit = MIN(MIN(exit_of(&axes->x, w->cell.x), exit_of(&axes->y, w->cell.y)), exit_of(&axes->z, w->cell.z));
         w->until = MIN(exit, ray->leave);
         mask passed = w->active;
         if (!looked) {
             if (!sample->frame->minmax.skipping)
                 return;
-            real low, high;
-            bounds_of(minmax, &sample->frame->minmax, &w->cell, &low, &high);
-            w->sign.all = choose(low > value, (real)(1.0f), (real)(-1.0f));
-            passed &= (low > value) | (high < value);
+            const sides_t known = sides_of(sides, &sample->frame->minmax, &w->cell);
+            w->sign.all = choose(known.above, (real)(1.0f), (real)(-1.0f));
+            passed &= !known.held;
+            const mask far = passed & known.uniform;
+            if (any_lane(far))
+                exit = choose(far, MIN(MIN(brick_exit_of(&axes->x, w->cell.x), brick_exit_of(&axes->y, w->cell.y)), brick_exit_of(&axes->z, w->cell.z)), exit);
         }
         if (!any_lane(passed))
             return;
@@ -190,13 +196,12 @@ INLINE void go_on(walker_t *w, state_t *state, COEFFICIENTS coefficients, const 
         if (any_lane(changed))
             state->hit = choose(changed, beyond_jump(coefficients, sample, value, w->t, w->until, w->side.all, changed), state->hit);
         w->side.all = choose(passed, w->sign.all, w->side.all);
-        w->active &= !changed;
-        passed &= w->active;
-        w->cell.x = choose_whole(passed & (exit_x == exit), next_cell(&axes->x, w->cell.x), w->cell.x);
-        w->cell.y = choose_whole(passed & (exit_y == exit), next_cell(&axes->y, w->cell.y), w->cell.y);
-        w->cell.z = choose_whole(passed & (exit_z == exit), next_cell(&axes->z, w->cell.z), w->cell.z);
+        passed &= !changed;
+        w->active &= !changed & (!passed | (exit < w->end));
+        w->cell.x = choose_whole(passed, cell_at(&axes->x, exit), w->cell.x);
+        w->cell.y = choose_whole(passed, cell_at(&axes->y, exit), w->cell.y);
+        w->cell.z = choose_whole(passed, cell_at(&axes->z, exit), w->cell.z);
         w->t = choose(passed, exit, w->t);
-        w->active &= !passed | (exit < w->end);
     }
 }
 
@@ -271,8 +276,9 @@ OUT_OF_LINE void look_into(walker_t *walkers, const int *rays, const int count, 
 
 // Walks the rays of a tile through samples number start to stop, and all between them, to the first place where the function
 // changes sides.
-OUT_OF_LINE void walk_segment(tile_t *tile, COEFFICIENTS coefficients, const int4 extent, global const float2 *minmax,
-                              constant frame_t *frame, global const float4 *table, const mask wanted[PACKETS], const float start, const float stop)
+OUT_OF_LINE void walk_segment(tile_t *tile, COEFFICIENTS coefficients, const int4 extent, global const ulong2 *sides,
+                              constant frame_t *frame, global const float4 *table, const mask wanted[PACKETS], const float start,
+                              const float stop)
 {
     const float value = SOUGHT(frame);
     walker_t walkers[PACKETS];
@@ -295,7 +301,7 @@ OUT_OF_LINE void walk_segment(tile_t *tile, COEFFICIENTS coefficients, const int
             if (!any_lane(w->active))
                 continue;
             const sample_t sample = { frame, table, extent, tile->rays + g, 0, 0 };
-            go_on(w, tile->states + g, coefficients, &sample, minmax, value, looked);
+            go_on(w, tile->states + g, coefficients, &sample, sides, value, looked);
             w->x.all = fraction_at(&w->axes.x, w->cell.x, w->t);
             w->y.all = fraction_at(&w->axes.y, w->cell.y, w->t);
             w->z.all = fraction_at(&w->axes.z, w->cell.z, w->t);

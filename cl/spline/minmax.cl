@@ -12,6 +12,7 @@
 // magnitudes; PAD_SIZE, relative to the largest magnitude of a tap, and PAD_SPREAD, relative to the range of the taps.
 
 #include "base/platform.cl"
+#include "spline/sides.cl"
 
 #define EDGE (BLOCK + TAPS - 1)              // taps along the edge of a block
 
@@ -26,6 +27,21 @@ INLINE void widen(float *low, float *high, float tap_min, float tap_max)
         *high = INFINITY;
     }
 }
+
+// -- sides: for each cell, whether the function there may hold a value, else whether it is above -----------------
+
+// A number (may hold, is above) for each brick, of a bit for each cell. From those of block (bx, by, bz), `along` of them along x.
+INLINE void store_bricks(global ulong2 *sides, const ulong2 *bricks, const int4 blocks, const int bx, const int by, const int bz,
+                         const int along)
+{
+    const int nx = blocks.x * BRICKS, ny = blocks.y * BRICKS;
+    for (int z = 0; z < BRICKS; ++z)
+        for (int y = 0; y < BRICKS; ++y)
+            for (int x = 0; x < along && bx * BRICKS + x < nx; ++x)
+                sides[((size_t)(bz * BRICKS + z) * ny + by * BRICKS + y) * nx + bx * BRICKS + x] = bricks[(z * BRICKS + y) * along + x];
+}
+
+// -- bounds ------------------------------------------------------------------------------------------------------
 
 #if HULL
 
@@ -43,16 +59,15 @@ constant float bernstein[CONTROLS][TAPS] = BERNSTEIN;
                 target = madd((float8)(bernstein[row][i_]), value, target); \
     }
 
-kernel void minmax_cells(global const float *restrict coefficients, const int4 extent, const int4 blocks, global float2 *bounds)
+// Control points along x and y of LANES cells along x, and all along y, for each slice of their taps.
+typedef float8 lines_t[EDGE][POINTS][CONTROLS];
+
+// Those of block (bx, by, bz) and what follows along x; and the extremes of the taps.
+INLINE void control_lines(lines_t lines, global const float *restrict coefficients, const int4 extent, const int bx, const int by,
+                          const int bz, float8 *tap_min, float8 *tap_max)
 {
-    const int bx = (int)get_global_id(0) * (LANES / BLOCK), by = get_global_id(1), bz = get_global_id(2);
-    float8 tap_min = (float8)(INFINITY), tap_max = -tap_min;
-    float8 low[CONTROLS], high[CONTROLS];     // apart, so that they need not wait for each other
-    for (int r = 0; r < CONTROLS; ++r) {
-        low[r] = tap_min;
-        high[r] = tap_max;
-    }
-    float8 lines[EDGE][POINTS][CONTROLS];     // control points along x and y, for each slice of taps
+    *tap_min = (float8)(INFINITY);
+    *tap_max = -*tap_min;
     for (int k = 0; k < EDGE; ++k) {
         float8 rows[EDGE][CONTROLS];
         const size_t z = MIN(bz * BLOCK + k, extent.z - 1);
@@ -63,8 +78,8 @@ kernel void minmax_cells(global const float *restrict coefficients, const int4 e
 #pragma unroll
             for (int i = 0; i < TAPS; ++i) {
                 taps[i] = *(global const float8_at *)(p + i);
-                tap_min = MIN(taps[i], tap_min);
-                tap_max = MAX(taps[i], tap_max);
+                *tap_min = MIN(taps[i], *tap_min);
+                *tap_max = MAX(taps[i], *tap_max);
             }
 #pragma unroll
             for (int d = 0; d < CONTROLS; ++d)
@@ -78,6 +93,18 @@ kernel void minmax_cells(global const float *restrict coefficients, const int4 e
                     for (int d = 0; d < CONTROLS; ++d)
                         CONTROL(lines[k][cell * ROWS + r][d], r, rows[cell + i_][d])
     }
+}
+
+kernel void minmax_cells(global const float *restrict coefficients, const int4 extent, const int4 blocks, global float2 *bounds)
+{
+    const int bx = (int)get_global_id(0) * (LANES / BLOCK), by = get_global_id(1), bz = get_global_id(2);
+    float8 tap_min, tap_max, low[CONTROLS], high[CONTROLS];     // apart, so that they need not wait for each other
+    for (int r = 0; r < CONTROLS; ++r) {
+        low[r] = (float8)(INFINITY);
+        high[r] = -low[r];
+    }
+    lines_t lines;
+    control_lines(lines, coefficients, extent, bx, by, bz, &tap_min, &tap_max);
     for (int q = 0; q < POINTS; ++q)
         for (int d = 0; d < CONTROLS; ++d)
             for (int cell = 0; cell < BLOCK; ++cell)
@@ -107,6 +134,62 @@ kernel void minmax_cells(global const float *restrict coefficients, const int4 e
     }
 }
 
+// The same for each cell by itself: on which side of a value the function is. A brick is SIDES_EDGE cells along each axis.
+kernel void side_cells(global const float *restrict coefficients, const int4 extent, const int4 blocks, global const float2 *bounds,
+                       const float value, global ulong2 *sides)
+{
+    const int bx = (int)get_global_id(0) * (LANES / BLOCK), by = get_global_id(1), bz = get_global_id(2);
+    float low = INFINITY, high = -INFINITY;
+    for (int b = 0; b < LANES / BLOCK && bx + b < blocks.x; ++b) {
+        const float2 bound = bounds[((size_t)bz * blocks.y + by) * blocks.x + bx + b];
+        low = MIN(bound.x, low);
+        high = MAX(bound.y, high);
+    }
+    ulong2 bricks[BRICKS][BRICKS][LANES / SIDES_EDGE];
+    for (int i = 0; i < BRICKS * BRICKS * (LANES / SIDES_EDGE); ++i)
+        (&bricks[0][0][0])[i] = (ulong2)(0, low > value ? ALL_CELLS : 0);
+    if (!(low > value || high < value)) {
+        float8 tap_min, tap_max;
+        lines_t lines;
+        control_lines(lines, coefficients, extent, bx, by, bz, &tap_min, &tap_max);
+        union { float8 all; float each[LANES]; } tap_mins = { tap_min }, tap_maxs = { tap_max };
+        for (int i = 1; i < LANES; ++i) {
+            tap_mins.each[0] = MIN(tap_mins.each[i], tap_mins.each[0]);
+            tap_maxs.each[0] = MAX(tap_maxs.each[i], tap_maxs.each[0]);
+        }
+        for (int i = 0; i < BRICKS * BRICKS * (LANES / SIDES_EDGE); ++i)
+            (&bricks[0][0][0])[i] = (ulong2)(0, 0);
+        for (int z = 0; z < BLOCK; ++z) {
+            float8 lows[POINTS], highs[POINTS];     // of the control points of a layer of cells, line by line
+            for (int q = 0; q < POINTS; ++q) {
+                lows[q] = (float8)(INFINITY);
+                highs[q] = -lows[q];
+                for (int d = 0; d < CONTROLS; ++d)
+#pragma unroll
+                    for (int r = 0; r < CONTROLS; ++r) {
+                        float8 point;
+                        CONTROL(point, r, lines[z + i_][q][d])
+                        lows[q] = MIN(point, lows[q]);
+                        highs[q] = MAX(point, highs[q]);
+                    }
+            }
+            for (int y = 0; y < BLOCK; ++y) {
+                union { float8 all; float each[LANES]; } l = { lows[y * ROWS] }, h = { highs[y * ROWS] };
+                for (int r = 1; r < CONTROLS; ++r) {
+                    l.all = MIN(lows[y * ROWS + r], l.all);
+                    h.all = MAX(highs[y * ROWS + r], h.all);
+                }
+                for (int i = 0; i < LANES; ++i) {
+                    widen(&l.each[i], &h.each[i], tap_mins.each[0], tap_maxs.each[0]);
+                    const ulong bit = (ulong)1 << BIT_OF(i, y, z), above = l.each[i] > value, held = !(above || h.each[i] < value);
+                    bricks[z / SIDES_EDGE][y / SIDES_EDGE][i / SIDES_EDGE] |= (ulong2)(held ? bit : 0, above ? bit : 0);
+                }
+            }
+        }
+    }
+    store_bricks(sides, &bricks[0][0][0], blocks, bx, by, bz, LANES / SIDES_EDGE);
+}
+
 #else
 
 // f = m sum(w) + sum(w (c - m)), with m the middle of the taps c and w their weights.
@@ -128,6 +211,20 @@ kernel void minmax_cells(global const float *restrict coefficients, const int4 e
     float low = middle * (middle > 0.0f ? SUM_LOW : SUM_HIGH) - reach, high = middle * (middle > 0.0f ? SUM_HIGH : SUM_LOW) + reach;
     widen(&low, &high, tap_min, tap_max);
     bounds[((size_t)bz * blocks.y + by) * blocks.x + bx] = (float2)(low, high);
+}
+
+
+// No better than whole blocks.
+kernel void side_cells(global const float *restrict coefficients, const int4 extent, const int4 blocks, global const float2 *bounds,
+                       const float value, global ulong2 *sides)
+{
+    const int bx = get_global_id(0), by = get_global_id(1), bz = get_global_id(2);
+    const float2 bound = bounds[((size_t)bz * blocks.y + by) * blocks.x + bx];
+    const int above = bound.x > value, held = !(above || bound.y < value);
+    ulong2 bricks[BRICKS][BRICKS][BRICKS];
+    for (int i = 0; i < BRICKS * BRICKS * BRICKS; ++i)
+        (&bricks[0][0][0])[i] = (ulong2)(held ? ALL_CELLS : 0, above ? ALL_CELLS : 0);
+    store_bricks(sides, &bricks[0][0][0], blocks, bx, by, bz, BRICKS);
 }
 
 #endif

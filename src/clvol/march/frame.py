@@ -72,6 +72,8 @@ class Frame:
         Of the medium.
     minmax : MinMax or None
         Of the medium, where space is skipped.
+    sides : Buffer or None
+        Of the value that the mode seeks, if it looks at stretches, where space is skipped.
     mode : Mode
         Settled for the medium's volume.
     evaluator : Evaluator
@@ -88,6 +90,7 @@ class Frame:
 
     coefficients: Coefficients
     minmax: MinMax | None
+    sides: Any
     mode: Mode
     evaluator: Evaluator
     planes: Planes
@@ -141,7 +144,8 @@ class Frame:
         )
         table = _searchable(transfer.table())
         tile = _tile(coefficients.device, evaluator)
-        return cls(coefficients, minmax, mode, evaluator, planes, tile, central, guides, values, table)
+        sides = minmax.sides(float(values["mode"]["isovalue"])) if minmax is not None and mode.stretches else None
+        return cls(coefficients, minmax, sides, mode, evaluator, planes, tile, central, guides, values, table)
 
     @property
     def device(self) -> Device:

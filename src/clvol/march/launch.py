@@ -31,7 +31,7 @@ def draw(frame: Frame, samples: int = 1, progress: Progress | None = None) -> di
         for i, offset in enumerate(pixel_offsets(samples)):
             block = frame.device.upload(frame.sampled(offset, i, samples)[None])
             for x, y, w, h in budget.tiles(width, height):
-                _launch(frame, kernel, (x, y, w, h), inputs.source, inputs.extent, inputs.minmax, block, inputs.table, *buffers)
+                _launch(frame, kernel, (x, y, w, h), inputs.source, inputs.extent, inputs.minmax, inputs.sides, block, inputs.table, *buffers)
                 if progress:
                     progress((i + min(1.0, ((y + h) * width) / (width * height))) / samples)
     return arrays
@@ -101,6 +101,7 @@ def march_rays(frame: Frame, first: float = -math.inf, last: float = math.inf, s
             inputs.source,
             inputs.extent,
             inputs.minmax,
+            inputs.sides,
             block,
             inputs.table,
             np.float32(first),
@@ -147,6 +148,7 @@ class _Inputs:
         self.source, self.extent = frame.coefficients.argument(frame.evaluator), frame.coefficients.extent
         self.table = frame.device.upload(frame.table)
         self.minmax = self.table if frame.minmax is None else frame.minmax.buffer  # any buffer: it is not read
+        self.sides = self.table if frame.sides is None else frame.sides
 
 
 @contextlib.contextmanager

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import itertools
 import math
+import threading
 from fractions import Fraction
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,7 +109,6 @@ class MinMax:
     def __init__(self, coefficients: Coefficients, evaluator: Evaluator) -> None:
         self.coefficients = coefficients
         device, scale, support = coefficients.device, coefficients.filter.scale, coefficients.filter.support
-        source = coefficients.argument(DIRECT)
         blur = 0.0
         if evaluator.paired:
             # paired fetches read at a position that is rounded, in a texture unit to some bits of a texel
@@ -123,32 +124,56 @@ class MinMax:
         self.offsets = tuple(int(n) for n in np.cumsum([0, *counts[:-1]]))
         self.buffer = device.allocate(8 * sum(counts))
         defines = _defines(coefficients.filter, blur)
-        built = device.build("spline/minmax.cl", defines)
+        self._built, self._hull = device.build("spline/minmax.cl", defines), bool(defines["HULL"])
+        self._lock = threading.Lock()
+        self._sides: tuple[float, Any] | None = None
+        self._over_blocks("minmax_cells", self.buffer)
         levels = [np.array([*size, at], np.int32) for size, at in zip(sizes, self.offsets, strict=True)]
-        across = -(-x // (LANES // cells)) if defines["HULL"] else x  # work-items along x
-        deep = max(1, _BLOCKS_A_LAUNCH // (x * y))
         with device.errors:
-            bound = built.kernel("minmax_cells")
-            for first in range(0, z, deep):
-                bound(
-                    device.queue,
-                    (across, y, min(deep, z - first)),
-                    (1, 1, 1),
-                    source,
-                    coefficients.extent,
-                    levels[0],
-                    self.buffer,
-                    global_offset=(0, 0, first),
-                )
-                device.finish()
-            merge = built.kernel("minmax_blocks")
+            merge = self._built.kernel("minmax_blocks")
             for finer, coarser in itertools.pairwise(levels):
                 merge(device.queue, tuple(int(n) for n in coarser[:3]), None, self.buffer, finer, coarser)
         device.finish()
 
+    def sides(self, value: float) -> Any:
+        """On which side of a value the function is in each cell, as sides.cl has it; kept until another value is asked for."""
+        with self._lock:
+            if self._sides is None or self._sides[0] != value:
+                self._sides = (value, self._sides_of(value))
+            return self._sides[1]
+
+    def _sides_of(self, value: float) -> Any:
+        coefficients, device = self.coefficients, self.coefficients.device
+        buffer = device.allocate(2 * math.prod(self.blocks) * (BLOCK * coefficients.filter.scale) ** 3 // 8)
+        self._over_blocks("side_cells", self.buffer, np.float32(value), buffer)
+        return buffer
+
+    def _over_blocks(self, name: str, *arguments: Any) -> None:
+        """A kernel over all blocks of the finest level, in launches that are not long."""
+        coefficients, device, (x, y, z) = self.coefficients, self.coefficients.device, self.blocks
+        cells = BLOCK * coefficients.filter.scale
+        across = -(-x // (LANES // cells)) if self._hull else x  # work-items along x
+        deep = max(1, _BLOCKS_A_LAUNCH // (x * y))
+        level = np.array([*self.blocks, 0], np.int32)
+        with device.errors:
+            kernel = self._built.kernel(name)
+            for first in range(0, z, deep):
+                kernel(
+                    device.queue,
+                    (across, y, min(deep, z - first)),
+                    (1, 1, 1),
+                    coefficients.argument(DIRECT),
+                    coefficients.extent,
+                    level,
+                    *arguments,
+                    global_offset=(0, 0, first),
+                )
+                device.finish()
+
     def release(self) -> None:
         """Free the device's memory."""
         self.buffer.release()
+        self._sides = None
 
 
 def minmax_block(minmax: MinMax | None, volume: Volume) -> Values:
