@@ -21,11 +21,12 @@
 
 // -- one axis ---------------------------------------------------------------------------------------------------
 
-// Rays along an axis, in cells: where they begin, how many they cross a unit of t, and which they may be in.
+// Rays along an axis, in cells. Plane number n lies before cell n. Past the domain's faces there are no cells: rays go on in the
+// outer ones, wherever they enter and leave.
 typedef struct {
-    real origin, direction, per_direction;
-    mask up, ahead;     // whether towards larger numbers, and that as a number: 1 or 0
-    mask first, last;   // that the domain touches
+    real origin, direction, per_direction;   // at t = 0; cells a unit of t; units of t a cell
+    mask up, ahead, step;   // whether towards larger numbers; 1 and 1 if so, else 0 and -1
+    mask from, to;          // the first and the last plane on the way
 } axis_t;
 
 INLINE axis_t axis_along(real origin, real direction, float low, float high, const int halo)
@@ -37,43 +38,46 @@ INLINE axis_t axis_along(real origin, real direction, float low, float high, con
     a.per_direction = 1.0f / choose(magnitude(a.direction) < 1e-12f, (real)(1e-12f), a.direction);
     a.up = a.per_direction > 0.0f;
     a.ahead = choose_whole(a.up, (mask)(1), NONE);
-    const float from = GRID_POSITION(low, start), to = GRID_POSITION(high, start);   // whole or half numbers, not negative
-    a.first = (mask)((int)from);
-    a.last = (mask)((int)to - ((float)(int)to == to));
+    a.step = 2 * a.ahead - 1;
+    const float bottom = GRID_POSITION(low, start), top = GRID_POSITION(high, start);   // whole or half numbers, not negative
+    const mask first = (mask)((int)bottom), past = (mask)((int)top + ((float)(int)top < top));
+    a.from = choose_whole(a.up, first, past);
+    a.to = choose_whole(a.up, past, first);
     return a;
 }
 
-// Where the ray crosses the plane before cell number `plane`; where that is the domain's face it goes on.
-INLINE real exit_at(const axis_t *a, const mask plane)
+INLINE real plane_t_of(const axis_t *a, const mask plane) { return (to_real(plane) - a->origin) * a->per_direction; }
+
+// Where rays leave a cell, and where they entered it.
+INLINE real exit_of(const axis_t *a, const mask cell)
 {
-    const mask outer = (a->up & (plane > a->last)) | (!a->up & (plane <= a->first));
-    return choose(outer, NOWHERE, (to_real(plane) - a->origin) * a->per_direction);
+    const mask plane = cell + a->ahead;
+    return choose(plane == a->to, NOWHERE, plane_t_of(a, plane));
 }
 
-INLINE real entry_at(const axis_t *a, const mask plane)
+INLINE real entry_of(const axis_t *a, const mask cell)
 {
-    const mask outer = (a->up & (plane <= a->first)) | (!a->up & (plane > a->last));
-    return choose(outer, -NOWHERE, (to_real(plane) - a->origin) * a->per_direction);
+    const mask plane = cell + 1 - a->ahead;
+    return choose(plane == a->from, -NOWHERE, plane_t_of(a, plane));
 }
 
-// Where it leaves a cell, or a whole brick of them, and where it entered the cell.
-INLINE real exit_of(const axis_t *a, const mask cell) { return exit_at(a, cell + a->ahead); }
+// Where they leave its brick.
 INLINE real brick_exit_of(const axis_t *a, const mask cell)
 {
-    const mask first = cell & ~(SIDES_EDGE - 1);
-    return exit_at(a, choose_whole(a->up, first + SIDES_EDGE, first));
+    const mask plane = (cell & ~(SIDES_EDGE - 1)) + SIDES_EDGE * a->ahead;
+    const mask outer = (a->up & (plane >= a->to)) | (!a->up & (plane <= a->to));
+    return choose(outer, NOWHERE, plane_t_of(a, plane));
 }
-INLINE real entry_of(const axis_t *a, const mask cell) { return entry_at(a, cell + 1 - a->ahead); }
-
-INLINE mask limit_whole(mask i, mask last) { return choose_whole(i > last, last, i); }
 
 // The cell in which a ray is at t: that between whose planes t lies, however the position is rounded.
 INLINE mask cell_at(const axis_t *a, const real t)
 {
-    const real place = MIN(MAX(madd(t, a->direction, a->origin), to_real(a->first)), to_real(a->last));
-    const mask cell = to_mask(place), step = 2 * a->ahead - 1;
-    return choose_whole(exit_of(a, cell) <= t, cell + step, choose_whole(entry_of(a, cell) > t, cell - step, cell));
+    const mask bottom = choose_whole(a->up, a->from, a->to), top = choose_whole(a->up, a->to, a->from) - 1;
+    const mask cell = to_mask(MIN(MAX(madd(t, a->direction, a->origin), to_real(bottom)), to_real(top)));
+    return cell + choose_whole(exit_of(a, cell) <= t, a->step, choose_whole(entry_of(a, cell) > t, -a->step, NONE));
 }
+
+INLINE mask next_cell(const axis_t *a, const mask cell, const mask wanted) { return choose_whole(wanted, cell + a->step, cell); }
 
 // How far into the cell the ray is at t.
 INLINE real fraction_at(const axis_t *a, const mask cell, const real t)
@@ -99,6 +103,8 @@ INLINE axes_t axes_along(const ray_t *ray, constant geometry_block *geometry, co
 // What is known of LANES cells: whether they may hold the value; whether the function is above it there; whether that is so in the
 // whole brick.
 typedef struct { mask held, above, uniform; } sides_t;
+
+INLINE mask limit_whole(mask i, mask last) { return choose_whole(i > last, last, i); }
 
 INLINE sides_t sides_of(global const ulong2 *sides, constant minmax_block *block, const cells_t *cell)
 {
@@ -134,7 +140,7 @@ typedef struct {
     lane_masks_u found;   // whether it holds a root
 } walker_t;
 
-INLINE void set_out(walker_t *w, const ray_t *ray, const state_t *state, constant geometry_block *geometry, const int halo,
+OUT_OF_LINE void set_out(walker_t *w, const ray_t *ray, const state_t *state, constant geometry_block *geometry, const int halo,
                     const real from, const real to, const mask active)
 {
     const real begin = MAX(from, ray->enter);
@@ -169,23 +175,24 @@ INLINE real beyond_jump(COEFFICIENTS coefficients, const sample_t *sample, const
 }
 
 // Takes rays to cells that may hold the value, and on past those that do not. `looked`: at the cells in which they are.
-INLINE void go_on(walker_t *w, state_t *state, COEFFICIENTS coefficients, const sample_t *sample, global const ulong2 *sides,
+OUT_OF_LINE void go_on(walker_t *w, state_t *state, COEFFICIENTS coefficients, const sample_t *sample, global const ulong2 *sides,
                   const float value, int looked)
 {
     const ray_t *ray = sample->ray;
     const axes_t *axes = &w->axes;
     w->active &= !w->found.all;
     for (;; looked = 0) {
-        real exit = MIN(MIN(exit_of(&axes->x, w->cell.x), exit_of(&axes->y, w->cell.y)), exit_of(&axes->z, w->cell.z));
+        const real exit_x = exit_of(&axes->x, w->cell.x), exit_y = exit_of(&axes->y, w->cell.y), exit_z = exit_of(&axes->z, w->cell.z);
+        real exit = MIN(MIN(exit_x, exit_y), exit_z);
         w->until = MIN(exit, ray->leave);
-        mask passed = w->active;
+        mask passed = w->active, far = NONE;
         if (!looked) {
             if (!sample->frame->minmax.skipping)
-                return;
+                return;   // any may
             const sides_t known = sides_of(sides, &sample->frame->minmax, &w->cell);
             w->sign.all = choose(known.above, (real)(1.0f), (real)(-1.0f));
             passed &= !known.held;
-            const mask far = passed & known.uniform;
+            far = passed & known.uniform;
             if (any_lane(far))
                 exit = choose(far, MIN(MIN(brick_exit_of(&axes->x, w->cell.x), brick_exit_of(&axes->y, w->cell.y)), brick_exit_of(&axes->z, w->cell.z)), exit);
         }
@@ -198,9 +205,16 @@ INLINE void go_on(walker_t *w, state_t *state, COEFFICIENTS coefficients, const 
         w->side.all = choose(passed, w->sign.all, w->side.all);
         passed &= !changed;
         w->active &= !changed & (!passed | (exit < w->end));
-        w->cell.x = choose_whole(passed, cell_at(&axes->x, exit), w->cell.x);
-        w->cell.y = choose_whole(passed, cell_at(&axes->y, exit), w->cell.y);
-        w->cell.z = choose_whole(passed, cell_at(&axes->z, exit), w->cell.z);
+        const mask near = passed & !far;
+        w->cell.x = next_cell(&axes->x, w->cell.x, near & (exit_x == exit));
+        w->cell.y = next_cell(&axes->y, w->cell.y, near & (exit_y == exit));
+        w->cell.z = next_cell(&axes->z, w->cell.z, near & (exit_z == exit));
+        far &= passed;
+        if (any_lane(far)) {
+            w->cell.x = choose_whole(far, cell_at(&axes->x, exit), w->cell.x);
+            w->cell.y = choose_whole(far, cell_at(&axes->y, exit), w->cell.y);
+            w->cell.z = choose_whole(far, cell_at(&axes->z, exit), w->cell.z);
+        }
         w->t = choose(passed, exit, w->t);
     }
 }
@@ -283,7 +297,7 @@ OUT_OF_LINE void walk_segment(tile_t *tile, COEFFICIENTS coefficients, const int
     const float value = SOUGHT(frame);
     walker_t walkers[PACKETS];
     roots_t roots;
-    int rays[RAYS];
+    int rays[RAYS + 1];
     roots.count = 0;
     for (int g = 0; g < PACKETS; ++g) {
         const ray_t *ray = tile->rays + g;
@@ -309,9 +323,10 @@ OUT_OF_LINE void walk_segment(tile_t *tile, COEFFICIENTS coefficients, const int
             w->to_y.all = fraction_at(&w->axes.y, w->cell.y, w->until);
             w->to_z.all = fraction_at(&w->axes.z, w->cell.z, w->until);
             const lane_masks_u active = { w->active };
-            for (int i = 0; i < LANES; ++i)
-                if (active.each[i])
-                    rays[count++] = g * LANES + i;
+            for (int i = 0; i < LANES; ++i) {
+                rays[count] = g * LANES + i;   // kept if it is active
+                count += active.each[i] != 0;
+            }
         }
         if (count == 0)
             break;

@@ -29,7 +29,7 @@ __all__ = ["BY_PLANES", "BY_RAYS", "PICTURE", "Frame", "frame_block"]
 BY_RAYS = Tile(1, 1, 1, shared=False)  # for GPUs, and wherever coefficients are not read as rows of a buffer
 BY_PLANES = Tile(16, 16, 8, shared=True)  # for processors
 
-_STRETCH = 0.5  # voxels: samples of modes that look at all between them; a segment of them crosses about one block
+_STRETCHES = 1.0, 4 * BLOCK  # step and segments of modes that look at all between samples, in voxels
 
 PICTURE = Block(
     "picture_block",
@@ -120,7 +120,7 @@ class Frame:
         (medium,), (width, height) = scene.media, size
         volume = medium.volume
         view = camera.view(volume, width / height)
-        planes = Planes(volume, view, width / height, _STRETCH if mode.stretches else step)
+        planes = Planes(volume, view, width / height, *(_STRETCHES if mode.stretches else (step, min(BLOCK, SLAB * step))))
         block, _ = frame_block(mode.BLOCK)
         values = block(
             camera=view.block(volume, width, height),

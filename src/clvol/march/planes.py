@@ -41,6 +41,8 @@ class Planes:
         Width of the picture by its height.
     step : float
         The most that a ray advances between samples, in voxels.
+    segment : float
+        How long segments of a ray are at most, in voxels.
 
     Attributes
     ----------
@@ -63,8 +65,9 @@ class Planes:
         "planes_block", first=FLOAT, last=FLOAT, spacing=FLOAT, stride=FLOAT, count=FLOAT, oblique=FLOAT, slab=FLOAT, axis=INT
     )
 
-    def __init__(self, volume: Volume, view: View, aspect: float, step: float) -> None:
+    def __init__(self, volume: Volume, view: View, aspect: float, step: float, segment: float = BLOCK) -> None:
         self.step = step = min(step, _MAX_STEP)
+        self._segment = segment
         inverse = volume.world_to_index_matrix
         forward = inverse @ view.forward
         self.axis = int(np.argmax(np.abs(forward)))
@@ -86,7 +89,7 @@ class Planes:
         self.spacing = self._samples / self.count
 
     def block(self) -> Values:
-        """What kernels read: the planes from both ends, and how many samples a segment has, which cross about one block."""
+        """What kernels read: the planes from both ends, and how many samples a segment has."""
         return self.BLOCK(
             first=-0.5 + self.spacing / 2,
             last=self._samples - 0.5 - self.spacing / 2,
@@ -94,7 +97,7 @@ class Planes:
             stride=self.step,
             count=self.count,
             oblique=OBLIQUE,
-            slab=min(SLAB, max(1, int(BLOCK / max(self.spacing, self.step)))),
+            slab=max(1, int(self._segment / max(self.spacing, self.step))),
             axis=self.axis,
         )
 
