@@ -23,6 +23,7 @@ from clvol.errors import OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.light import HEADLIGHT, Light, Material
 from clvol.mode import DEFAULT_MODE, Attenuated, Composite, Isosurface, Mode, as_mode
+from clvol.reference.march.roots import first_crossings
 from clvol.reference.spline.points import sample
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume, as_volume
@@ -206,6 +207,7 @@ class _Scene:
 
     value: Callable[[Array], Array]
     gradient: Callable[[Array], Array]
+    filter: Filter
     lit: Callable[[Array, Array, Array], Array]  # gradient, colour and direction to colour
     transfer: TransferFunction
     unit_distance: float
@@ -242,8 +244,9 @@ def render(
     ``composite``: with opacity ``a`` a unit distance ``u``, a sample stands for a step ``s`` of the ray with
     opacity ``1 - (1 - a)^(s/u)``; colours add up weighted by opacity times the light that gets there.
 
-    ``isosurface``: the first pair of neighbouring samples on both sides of the isovalue; the root between
-    them by bisection, the end on the far side.
+    ``isosurface``: the first root of the function along the ray (`first_crossings`). With ``method="stepped"`` the
+    first pair of neighbouring samples on both sides of the isovalue; the root between them by bisection, the end on
+    the far side.
 
     ``mip``, ``minip``: the extreme sample, the first if several are equal; ``mean``: the mean of all.
     """
@@ -282,6 +285,7 @@ def render(
     scene = _Scene(
         value,
         slope,
+        row,
         lambda g, c, d: shade(g, c, d, material, lights, flat),
         transfer,
         transfer.unit_distance or float(np.mean(volume.spacing)),
@@ -349,22 +353,33 @@ def _composite(scene: _Scene, mode: Composite, rays: Rays, t: Array, there: Bool
 
 def _isosurface(scene: _Scene, mode: Isosurface, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
     assert mode.isovalue is not None  # it is settled
-    above = values >= mode.isovalue
+    if mode.method == "exact":
+        ends = rays.origin, rays.direction, rays.enter, rays.leave
+        depth = first_crossings(scene.value, scene.volume, scene.filter, *ends, mode.isovalue)
+    else:
+        depth = _stepped(scene, mode.isovalue, rays, t, there, values)
+    hit = np.flatnonzero(np.isfinite(depth))
+    rgb = np.zeros((t.shape[0], 3))
+    rgb[hit] = mode.color
+    if mode.shading:
+        rgb[hit] = scene.lit(scene.gradient(rays.at(depth[hit], hit)), rgb[hit], rays.direction[hit])
+    return rgb, np.isfinite(depth).astype(float), depth
+
+
+def _stepped(scene: _Scene, isovalue: float, rays: Rays, t: Array, there: Bools, values: Array) -> Array:
+    """Where the function first has been on the other side at a sample: the end on the far side of a bisection."""
+    above = values >= isovalue
     crossing = there[:, 1:] & there[:, :-1] & (above[:, 1:] != above[:, :-1])
     hit = np.flatnonzero(crossing.any(1))
     first = crossing[hit].argmax(1)
     near, far, side = t[hit, first], t[hit, first + 1], above[hit, first]
     for _ in range(_BISECTIONS):
         middle = (near + far) / 2
-        same = (scene.value(rays.at(middle, hit)) >= mode.isovalue) == side
+        same = (scene.value(rays.at(middle, hit)) >= isovalue) == side
         near, far = np.where(same, middle, near), np.where(same, far, middle)
     depth = np.full(t.shape[0], math.inf)
     depth[hit] = far
-    rgb = np.zeros((t.shape[0], 3))
-    rgb[hit] = mode.color
-    if mode.shading:
-        rgb[hit] = scene.lit(scene.gradient(rays.at(far, hit)), rgb[hit], rays.direction[hit])
-    return rgb, np.isfinite(depth).astype(float), depth
+    return depth
 
 
 def _extreme(scene: _Scene, t: Array, there: Bools, values: Array, sign: float) -> _Gathered:
