@@ -1037,9 +1037,10 @@ def test_nrrd_units_are_read(tmp_path: Path) -> None:
     assert formats.read(tmp_path / "v.nrrd").units == "um"
 
 
-def test_nrrd_with_unknown_spacing(tmp_path: Path) -> None:
+@pytest.mark.parametrize("line", ["spacings: 1 1 nan", "space: LPS\nspace directions: (1,0,0) none (0,0,1)"])
+def test_nrrd_with_unknown_spacing(tmp_path: Path, line: str) -> None:
     need(".nrrd")
-    (tmp_path / "v.nrrd").write_bytes(f"{NRRD}spacings: 1 1 nan\n\n".encode() + BYTES)
+    (tmp_path / "v.nrrd").write_bytes(f"{NRRD}{line}\n\n".encode() + BYTES)
     with pytest.raises(GeometryError, match="spacing="):
         formats.read(tmp_path / "v.nrrd")
     assert formats.read(tmp_path / "v.nrrd", spacing=(1, 1, 2)).spacing == (1, 1, 2)
