@@ -127,8 +127,8 @@ def from_ras(placement: Placement, d: int, unit: float) -> dict[str, Any]:
         raise GeometryError(f"an image of two axes must lie in the xy plane; its axes run along {direction[:, :2].T.tolist()}")
     return {
         "spacing": spacing[:d] * unit,
-        "origin": (turn * origin)[:d] * unit,
-        "direction": (turn[:, None] * direction)[:d, :d],
+        "origin": (turn * origin)[:d] * unit + 0.0,  # -0 becomes 0
+        "direction": (turn[:, None] * direction)[:d, :d] + 0.0,
         "units": "mm",
     }
 
