@@ -2,7 +2,7 @@
 
     python examples/real_scan.py SCAN --output scan.png [--isovalue V] [--zoom Z]
 
-SCAN is a file that `clvol.read` knows (NIfTI, NRRD, MetaImage: needs clvol[medical]).
+SCAN is a file that `clvol.read` knows (NIfTI; NRRD and MetaImage need clvol[medical]).
 """
 
 from __future__ import annotations

@@ -574,7 +574,7 @@ def doctor(*, json: Json = False) -> None:
     ready = ready and check("it builds kernels", builds)
     ready = ready and check("it computes right values", parity)
     for extra, module, what in (
-        ("medical", "SimpleITK", "NIfTI, NRRD, MetaImage, DICOM"),
+        ("medical", "SimpleITK", "NRRD, MetaImage, DICOM, writing NIfTI"),
         ("microscopy", "tifffile", "TIFF stacks"),
         ("figures", "matplotlib", "figures and reports"),
     ):

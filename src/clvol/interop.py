@@ -9,10 +9,15 @@ from numpy.typing import NDArray
 
 from clvol.errors import DataError, GeometryError, MissingDependencyError
 
-__all__ = ["Content", "from_nibabel", "from_simpleitk", "read_array", "simpleitk"]
+__all__ = ["Content", "Placement", "affine_parts", "from_nibabel", "from_ras", "from_simpleitk", "read_array", "simpleitk"]
+
+_FLAT = 1e-4  # files keep directions in float32
 
 Content: TypeAlias = tuple[NDArray[Any], dict[str, Any]]
 """Samples [z, y, x], and those keyword arguments of `Volume` that their source knows: spacing, origin, direction, units."""
+
+Placement: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+"""Spacing, origin and direction (columns) of three index axes in the world."""
 
 
 @runtime_checkable
@@ -78,23 +83,54 @@ def from_simpleitk(image: Any, units: str = "") -> Content:
 
 
 def from_nibabel(image: Any) -> Content:
-    """Samples, geometry and millimetres of a nibabel image: its arrays are [x, y, z] in a RAS world, ours [z, y, x] in LPS.
+    """Samples and geometry of a nibabel image, in millimetres: its arrays are [x, y, z] in a RAS world, ours [z, y, x] in LPS.
+
+    Where the image measures in metres or micrometres (``xyzt_units`` of NIfTI), its affine does too.
 
     Raises
     ------
     DataError
-        A number of axes other than 3.
+        A number of axes other than 2 and 3, not counting trailing axes of one sample.
     GeometryError
-        The affine is singular or not finite.
+        The affine is singular or not finite; an image of two axes lies across the world's xy plane.
     """
     data = np.asanyarray(image.dataobj)
-    if data.ndim != 3:
-        raise DataError(f"data must have 3 axes; got a nibabel image of shape {data.shape}")
-    matrix = np.diag([-1.0, -1.0, 1.0, 1.0]) @ np.asarray(image.affine, dtype=np.float64)
-    spacing = np.linalg.norm(matrix[:3, :3], axis=0)
-    if not np.isfinite(matrix).all() or (spacing == 0).any():
+    d = min(data.ndim, 3)
+    if d < 2 or any(n != 1 for n in data.shape[3:]):
+        raise DataError(f"data must have 2 or 3 axes; got a nibabel image of shape {data.shape}")
+    affine = np.asarray(image.affine, dtype=np.float64)
+    if not np.isfinite(affine).all() or (np.linalg.norm(affine[:3, :3], axis=0) == 0).any():
         raise GeometryError(f"the image's affine must be finite and not singular; got {image.affine!r}")
-    return data.T, {"spacing": spacing, "origin": matrix[:3, 3], "direction": matrix[:3, :3] / spacing, "units": "mm"}
+    unit = image.header.get_xyzt_units()[0] if hasattr(image.header, "get_xyzt_units") else "mm"
+    geometry = from_ras(affine_parts(affine[:3, :3], affine[:3, 3]), d, {"meter": 1e3, "micron": 1e-3}.get(unit, 1.0))
+    return data.reshape(data.shape[:d]).T, geometry
+
+
+def affine_parts(matrix: NDArray[np.float64], origin: NDArray[np.float64]) -> Placement:
+    """Of an affine map from indices; an axis that it gives no length has the direction NaN."""
+    spacing = np.linalg.norm(matrix, axis=0)
+    with np.errstate(invalid="ignore"):
+        return spacing, origin, matrix / spacing
+
+
+def from_ras(placement: Placement, d: int, unit: float) -> dict[str, Any]:
+    """Geometry in millimetres and ITK's LPS of a grid of `d` axes that is placed in a RAS world, in units of `unit` mm.
+
+    Raises
+    ------
+    GeometryError
+        An image of two axes lies across the world's xy plane, in which a `Volume` keeps images.
+    """
+    spacing, origin, direction = placement
+    turn = np.array([-1.0, -1.0, 1.0])
+    if d == 2 and np.abs(direction[2, :2]).max() > _FLAT:
+        raise GeometryError(f"an image of two axes must lie in the xy plane; its axes run along {direction[:, :2].T.tolist()}")
+    return {
+        "spacing": spacing[:d] * unit,
+        "origin": (turn * origin)[:d] * unit + 0.0,  # -0 becomes 0
+        "direction": (turn[:, None] * direction)[:d, :d] + 0.0,
+        "units": "mm",
+    }
 
 
 def simpleitk() -> Any:

@@ -99,7 +99,9 @@ def read(
     Returns
     -------
     Volume
-        Medical formats: in mm, in ITK's LPS frame; samples scaled as the header says. TIFF: in
+        Medical formats: in ITK's LPS frame, in mm (NRRD and MetaImage: in the unit of the header, if
+        it has one). Samples that the header scales are float64. NIfTI files are read as nibabel
+        reads them: placed by the sform, else the qform, else the spacing about the middle. TIFF: in
         the unit of the file. 4-D files are accepted if the last axis has one sample.
 
     Raises

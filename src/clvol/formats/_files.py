@@ -26,6 +26,7 @@ __all__ = [
     "require_bytes",
     "require_default",
     "sample_count",
+    "scaled",
     "storable",
 ]
 
@@ -54,6 +55,16 @@ def storable(data: NDArray[Any], dtypes: Sequence[str]) -> NDArray[Any]:
     if name not in dtypes:
         raise FormatError(f"samples must be {', '.join(dtypes)} here; got {data.dtype}: convert them or write .npz")
     return np.ascontiguousarray(data, dtype=name)
+
+
+def scaled(data: NDArray[Any], slope: float, offset: float) -> NDArray[Any]:
+    """``slope * data + offset`` in float64, or `data` themselves where that is what it means."""
+    if slope == 1 and offset == 0:
+        return data
+    values = data.astype(np.float64)
+    values *= slope
+    values += offset
+    return values
 
 
 def require_default(volume: Volume, names: Sequence[str], instead: str) -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from clvol.errors import FormatError, GeometryError
-from clvol.formats._files import foreign_errors, require_default, storable
+from clvol.formats._files import foreign_errors, require_default, scaled, storable
 from clvol.interop import Content, from_simpleitk, simpleitk
 from clvol.volume import Volume
 
@@ -37,11 +37,15 @@ class Header:
         World unit.
     spacing_known : bool
         False where the header says that the spacing is unknown; ITK would make it 1.
+    slope, offset : float
+        What turns a sample into the value that is meant, ``slope * sample + offset``; ITK passes it over.
     """
 
     size: tuple[int, ...]
     units: str = "mm"
     spacing_known: bool = True
+    slope: float = 1.0
+    offset: float = 0.0
 
 
 def reason(error: Exception) -> str:
@@ -72,7 +76,7 @@ def read_image(path: Path, image_io: str, header: Header) -> Content:
         raise FormatError(f"cannot read {path}: its header says {header.size}, ITK finds {data.shape[::-1]} samples")
     if not header.spacing_known:
         geometry["spacing"] = (float("nan"),) * data.ndim
-    return data, geometry
+    return scaled(data, header.slope, header.offset), geometry
 
 
 def write_image(volume: Volume, path: Path, image_io: str, check: Callable[[Path], Header]) -> None:

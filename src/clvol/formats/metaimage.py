@@ -33,6 +33,7 @@ _DTYPES = {
     "MET_FLOAT": "float32",
     "MET_DOUBLE": "float64",
 }
+_UNITS = {"?": "mm", "um": "um", "mm": "mm", "cm": "cm"}
 # How many numbers a field has, as a power of the number of axes: ITK reads past what is not there.
 _NUMBERS = {
     "TransformMatrix": 2,
@@ -48,7 +49,7 @@ _NUMBERS = {
 
 
 def read(path: Path) -> Content:
-    """Samples and geometry, which is in ITK's LPS frame already."""
+    """Samples, scaled as the header says, and geometry, which is in ITK's LPS frame already."""
     return _itk.read_image(path, _IO, check(path))
 
 
@@ -69,7 +70,8 @@ def check(path: Path) -> _itk.Header:
             with data_path(path, file).open("rb") as samples:
                 found = _samples(samples, fields, path, math.prod(size) * np.dtype(dtype).itemsize)
     require_bytes(path.name, found, size[::-1], dtype, exact=_flag(fields, "CompressedData"))
-    return _itk.Header(size[:3])
+    slope, offset = _intensity(fields, path.name)
+    return _itk.Header(size[:3], _unit(fields, path.name), slope=slope, offset=offset)
 
 
 def _fields(stream: IO[bytes], name: str) -> dict[str, str]:
@@ -131,6 +133,25 @@ def _samples(stream: IO[bytes], fields: dict[str, str], path: Path, expected: in
         raise FormatError(f"{path.name} must hold {packed} compressed bytes; found {end - start}")
     stream.seek(start)
     return inflated_size(stream, packed, expected)
+
+
+def _intensity(fields: dict[str, str], name: str) -> tuple[float, float]:
+    """What samples are multiplied by and what is added then, to give the values that are meant."""
+    slope, offset = (
+        numbers(name, key, fields.get(key, default), 1)[0]
+        for key, default in (("ElementToIntensityFunctionSlope", "1"), ("ElementToIntensityFunctionOffset", "0"))
+    )
+    if not (math.isfinite(slope) and math.isfinite(offset) and slope):
+        raise FormatError(f"{name} must scale its samples by finite numbers, the slope not 0; its header says {slope} and {offset}")
+    return slope, offset
+
+
+def _unit(fields: dict[str, str], name: str) -> str:
+    """The world unit, millimetres where the header has none."""
+    unit = fields.get("DistanceUnits", "mm")
+    if unit not in _UNITS:
+        raise FormatError(f"{name} must measure in {', '.join(_UNITS)} (DistanceUnits); its header says {unit!r}")
+    return _UNITS[unit]
 
 
 def _flag(fields: dict[str, str], key: str, default: str = "False") -> bool:

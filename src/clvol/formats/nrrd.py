@@ -63,7 +63,8 @@ def check(path: Path) -> _itk.Header:
             found = _samples(stream, fields, path.name, expected)
     require_bytes(path.name, found, size[::-1], dtype)
     units = re.findall(r'"([^"]*)"', fields.get("space units", fields.get("units", "")))
-    known = "nan" not in fields.get("spacings", "").lower()
+    said = [*fields.get("spacings", "").split(), *re.findall(r"none|\(.*?\)", fields.get("space directions", ""))[:3]]
+    known = not any(text.lower() in ("nan", "none") for text in said)
     return _itk.Header(size[:3], one_unit(path.name, units) or "mm", known)
 
 

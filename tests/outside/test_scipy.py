@@ -1,0 +1,36 @@
+"""SciPy's own tests of interpolation and of spline filters, on clvol: see scipy_shim.py."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pytest
+
+from clvol.device import Device, devices
+
+TESTS = ("scipy.ndimage.tests.test_interpolation", "scipy.ndimage.tests.test_splines")
+LEFT_OUT = {"test_map_coordinates_large_data": "3.6 GB of memory as it was found: clvol refuses NaN, and looks for it everywhere"}
+AT_LEAST = 900  # of 1,009 in SciPy 1.17; fewer would mean that they were not found
+
+
+def test_scipys_own_tests_pass(device: Device, tmp_path: Path) -> None:
+    if importlib.util.find_spec("scipy.ndimage.tests") is None:
+        pytest.skip("this SciPy was packaged without its tests")
+    number = next(i for i, one in enumerate(devices()) if (one.platform, one.name) == (device.platform, device.name))
+    paths = [str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths), "CLVOL_DEVICE": str(number)}
+    environment.pop("PYTEST_ADDOPTS", None)
+    options = ["-p", "scipy_shim", "-p", "no:cacheprovider", "-k", f"not ({' or '.join(LEFT_OUT)})", "--junit-xml", "report.xml"]
+    command = [sys.executable, "-m", "pytest", "-q", *options, "--pyargs", *TESTS]
+    run = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False, timeout=600)
+    assert (tmp_path / "report.xml").exists(), run.stdout + run.stderr
+    cases = ET.parse(tmp_path / "report.xml").findall(".//testcase")
+    failed = [case.get("name") for case in cases if case.find("failure") is not None or case.find("error") is not None]
+    skipped = [case.get("name") for case in cases if case.find("skipped") is not None]
+    assert failed == [], run.stdout[-4000:]
+    assert len(cases) - len(skipped) >= AT_LEAST, (len(cases), skipped[:9])
