@@ -19,10 +19,11 @@ from clvol.transfer import TransferFunction
 from clvol.uniform import FLOAT, INT, Block, Values
 from clvol.volume import Volume, as_volume
 
-__all__ = ["CLIP", "FLAT", "Medium", "Scene", "as_scene", "clip_block"]
+__all__ = ["CLIP", "ROUNDING", "Medium", "Scene", "as_scene", "clip_block"]
 
-FLAT = 1e-5
-"""Gradients below this share of the range, or of the largest magnitude, per mean spacing are rounding: they give no normal."""
+ROUNDING = 2.0**-19
+"""Gradients up to this share of the function's value a voxel are rounding, and give no normal. In constant volumes they reach
+a third of it, whichever the filter of the table: the prefilter and the sum over taps round by a few units in the last place."""
 
 CLIP = Block("clip_block", low=(FLOAT, 3), high=(FLOAT, 3), clipped=INT)
 _MAX_ANISOTROPY = 1e6  # of spacings: what float32 carries
@@ -63,10 +64,11 @@ class Medium:
         "geometry_block",
         index_to_world=(FLOAT, 9),
         gradient=(FLOAT, 9),
-        world_origin=(FLOAT, 3),
+        center=(FLOAT, 3),
         low=(FLOAT, 3),
         high=(FLOAT, 3),
         unit=FLOAT,
+        rounding=FLOAT,
     )
 
     def __post_init__(self) -> None:
@@ -86,18 +88,20 @@ class Medium:
             )
 
     def block(self) -> Values:
-        """What kernels read: the domain, its map to the world, and gradients in units of the smallest that is no rounding."""
+        """What kernels read: the domain, its map to the world and back, for gradients, and what these are rounded by."""
         volume = self.volume
         low, high = volume.value_range
         unit, inverse = volume.mean_spacing, volume.world_to_index_matrix
-        flat = FLAT * max(high - low, high, -low) / unit
+        # the unit of gradients: float32 holds those of volumes of any range, and of parts with a far smaller one
+        slope = max(1e-5 * max(high - low, high, -low) / unit, 1e-36 * float(np.abs(inverse).max()))
         return self.BLOCK(
             index_to_world=volume.index_to_world_matrix.ravel() / unit,
-            gradient=inverse.ravel() / max(flat, 1e-36 * float(np.abs(inverse).max())),  # finite in float32
-            world_origin=volume.origin,
+            gradient=inverse.ravel() / slope,
+            center=(np.asarray(volume.size) - 1) / 2,
             low=-0.5,
             high=np.asarray(volume.size) - 0.5,
             unit=unit,
+            rounding=ROUNDING * float(np.linalg.norm(inverse, 2)) / slope,
         )
 
 

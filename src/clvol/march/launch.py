@@ -34,7 +34,7 @@ def draw(frame: Frame, samples: int = 1, progress: Progress | None = None) -> di
                 _launch(frame, kernel, (x, y, w, h), inputs.source, inputs.extent, inputs.minmax, block, inputs.table, *buffers)
                 if progress:
                     progress((i + min(1.0, ((y + h) * width) / (width * height))) / samples)
-    return arrays
+    return _in_world(frame, arrays)
 
 
 # -- in parts ----------------------------------------------------------------------------------------------
@@ -134,7 +134,7 @@ def finish_states(states: States) -> dict[str, Floats]:
     block = frame.device.upload(frame.values[None])
     with _pictures(frame) as (arrays, buffers):
         _launch(frame, kernel, (0, 0, *frame.size), inputs.source, inputs.extent, block, inputs.table, buffer, *buffers)
-    return arrays
+    return _in_world(frame, arrays)
 
 
 # -- inner -------------------------------------------------------------------------------------------------
@@ -157,6 +157,13 @@ def _pictures(frame: Frame) -> Iterator[tuple[dict[str, Floats], list[Any]]]:
     unused = [frame.device.allocate(4) for _ in range(len(CHANNELS) - len(arrays))]  # nobody wants them: never written
     with contextlib.ExitStack() as lent:
         yield arrays, [lent.enter_context(frame.device.lent(array, write=True)) for array in arrays.values()] + unused
+
+
+def _in_world(frame: Frame, arrays: dict[str, Floats]) -> dict[str, Floats]:
+    """The pictures, with positions counted from the world's origin: kernels count from the volume's centre, in float32."""
+    if "position" in arrays:
+        arrays["position"] = arrays["position"] + frame.coefficients.volume.center
+    return arrays
 
 
 def _launch(frame: Frame, kernel: Any, area: tuple[int, int, int, int], *arguments: Any) -> None:

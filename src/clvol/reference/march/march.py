@@ -27,13 +27,13 @@ from clvol.reference.spline.points import sample
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume, as_volume
 
-__all__ = ["Rays", "camera_rays", "pixel_offsets", "planes_across", "render", "shade"]
+__all__ = ["Rays", "camera_rays", "facing", "flat_below", "pixel_offsets", "planes_across", "render", "shade"]
 
 Array: TypeAlias = NDArray[np.float64]
 Bools: TypeAlias = NDArray[np.bool_]
 
 _STEEP = 0.5  # cosine of 60°: rays farther from the axis step along themselves
-_FLAT = 1e-5  # share of the range, or of the largest magnitude, per mean spacing: less is no gradient
+_ROUNDING = 2.0**-19  # share of the value a voxel: less is no gradient, since kernels compute in float32
 _BISECTIONS = 38  # to 1e-12 of a step; to the last bit, rounding would choose the side of a jump again
 
 
@@ -162,7 +162,9 @@ def _sample_distances(volume: Volume, rays: Rays, axis: int, planes: int, step: 
     return np.take_along_axis(every, order, 1), np.take_along_axis(there, order, 1), world_step
 
 
-def shade(gradient: Array, color: Array, direction: Array, material: Material, lights: Sequence[Light], flat: float) -> Array:
+def shade(
+    gradient: Array, color: Array, direction: Array, material: Material, lights: Sequence[Light], flat: float | Array
+) -> Array:
     """Blinn-Phong: ``color (ka + kd Σ Lᵢ (n·lᵢ)⁺) + ks Σ Lᵢ ((n·hᵢ)⁺)ˢ``, with n towards the viewer.
 
     ``h`` is halfway between the light and the viewer; there is no highlight where the light is behind the
@@ -173,6 +175,8 @@ def shade(gradient: Array, color: Array, direction: Array, material: Material, l
     ----------
     gradient, color, direction : ndarray, shape (N, 3)
         World gradients; colours of the matter; unit directions of the rays.
+    flat : float or ndarray, shape (N,)
+        See `flat_below`.
     """
     normal, known = facing(gradient, direction, flat)
     normal = np.where(known[:, None], normal, 0.0)
@@ -190,7 +194,12 @@ def shade(gradient: Array, color: Array, direction: Array, material: Material, l
     return np.asarray(color * (material.ambient + material.diffuse * diffuse) + material.specular * shine)
 
 
-def facing(gradient: Array, direction: Array, flat: float) -> tuple[Array, Bools]:
+def flat_below(volume: Volume, values: Array) -> Array:
+    """The longest world gradient, where the function has these values, that may be rounding of float32 alone."""
+    return np.asarray(_ROUNDING * np.abs(values) / np.linalg.svd(volume.index_to_world_matrix, compute_uv=False).min())
+
+
+def facing(gradient: Array, direction: Array, flat: float | Array) -> tuple[Array, Bools]:
     """Unit normals towards the viewer, NaN where the gradient is no longer than `flat`, and where it is longer."""
     length = np.linalg.norm(gradient, axis=-1)
     known = length > flat
@@ -206,7 +215,7 @@ class _Scene:
 
     value: Callable[[Array], Array]
     gradient: Callable[[Array], Array]
-    lit: Callable[[Array, Array, Array], Array]  # gradient, colour and direction to colour
+    lit: Callable[[Array, Array, Array, Array], Array]  # gradient, values, colour and direction to colour
     transfer: TransferFunction
     unit_distance: float
     volume: Volume
@@ -256,11 +265,9 @@ def render(
     gather = MODES.get(chosen.name)
     if gather is None:
         raise one_of("mode of the reference", chosen.name, MODES)
-    low, high = volume.value_range
     if transfer is None:
         transfer = chosen.transfer(volume)
     material = material or Material()
-    flat = _FLAT * max(high - low, abs(high), abs(low)) / float(np.mean(volume.spacing))
     central = gradient == "central" or not row.has_gradient
 
     def value(points: Array) -> Array:
@@ -282,7 +289,7 @@ def render(
     scene = _Scene(
         value,
         slope,
-        lambda g, c, d: shade(g, c, d, material, lights, flat),
+        lambda g, v, c, d: shade(g, c, d, material, lights, flat_below(volume, v)),
         transfer,
         transfer.unit_distance or float(np.mean(volume.spacing)),
         volume,
@@ -304,6 +311,7 @@ def render(
             place = np.full((depth.size, 3), math.nan)
             place[somewhere] = rays.at(depth[somewhere], somewhere)
             normal = np.full((depth.size, 3), math.nan)
+            flat = flat_below(volume, value(place[somewhere]))
             normal[somewhere], _ = facing(slope(place[somewhere]), rays.direction[somewhere], flat)
             guides = {"depth": depth, "normal": normal, "position": place}
     premultiplied, cover = total[:, :3], total[:, 3:]
@@ -335,7 +343,7 @@ def _composite(scene: _Scene, mode: Composite, rays: Rays, t: Array, there: Bool
     if mode.shading:
         which, k = np.nonzero(alpha > 0)
         gradient = scene.gradient(rays.at(t[which, k], which))
-        rgb[which, k] = scene.lit(gradient, rgb[which, k], rays.direction[which])
+        rgb[which, k] = scene.lit(gradient, values[which, k], rgb[which, k], rays.direction[which])
     opacity = 1 - (1 - alpha) ** (step / scene.unit_distance)[:, None]
     after = np.cumprod(1 - opacity, axis=1)
     before = np.concatenate([np.ones((after.shape[0], 1)), after[:, :-1]], 1)
@@ -363,7 +371,8 @@ def _isosurface(scene: _Scene, mode: Isosurface, rays: Rays, t: Array, there: Bo
     rgb = np.zeros((t.shape[0], 3))
     rgb[hit] = mode.color
     if mode.shading:
-        rgb[hit] = scene.lit(scene.gradient(rays.at(far, hit)), rgb[hit], rays.direction[hit])
+        at = rays.at(far, hit)
+        rgb[hit] = scene.lit(scene.gradient(at), np.full(hit.size, mode.isovalue), rgb[hit], rays.direction[hit])
     return rgb, np.isfinite(depth).astype(float), depth
 
 
