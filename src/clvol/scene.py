@@ -16,7 +16,7 @@ from clvol.errors import GeometryError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.light import HEADLIGHT, Light, Material, lights_block
 from clvol.transfer import TransferFunction
-from clvol.uniform import FLOAT, INT, Block, Values
+from clvol.uniform import FLOAT, INT, REACH, Block, Values
 from clvol.volume import Volume, as_volume
 
 __all__ = ["CLIP", "ROUNDING", "Medium", "Scene", "as_scene", "clip_block"]
@@ -51,7 +51,8 @@ class Medium:
     OptionError
         The volume does not have three axes, or no filter or boundary has this name.
     GeometryError
-        Its spacings differ by a factor of more than 10⁶, or lie outside 10⁻³⁰ to 10³⁰: float32 could not tell samples apart.
+        Its spacings differ by a factor of more than 10⁶, or lie outside 10⁻³⁰ to 10³⁰, or an axis has more than 2¹⁸ samples:
+        float32 could not tell samples apart. (`clvol.sample` and `Field` count in double where the device can.)
     """
 
     volume: Volume
@@ -85,6 +86,11 @@ class Medium:
             raise GeometryError(
                 "rendering takes spacings from 1e-30 to 1e30 that differ by a factor of up to "
                 f"{_MAX_ANISOTROPY:g}; got {self.volume.spacing}"
+            )
+        if max(self.volume.size) > REACH:
+            raise GeometryError(
+                f"rendering takes axes of up to {REACH} samples, where float32 holds positions within 1/16 of a voxel; got shape "
+                f"{self.volume.shape}: draw parts of it (Volume.crop), or take values by clvol.sample"
             )
 
     def block(self) -> Values:

@@ -125,7 +125,7 @@ class Frame:
             material=medium.material.block(),
             lights=lights_block(scene.lights),
             mode=mode.block(volume),
-            minmax=minmax_block(minmax, volume),
+            minmax=minmax_block(minmax, volume, planes.margin),
             picture=PICTURE(
                 offset=0.5,
                 background=scene.background or 0.0,

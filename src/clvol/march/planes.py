@@ -52,15 +52,28 @@ class Planes:
         Their distance in voxels.
     oblique : bool
         Whether some rays are too oblique to them and step along themselves.
+    margin : float
+        More than the positions of samples are rounded by, in voxels.
 
     Raises
     ------
     OptionError
         There would be more than 2²⁰ planes, or samples on a ray.
+    GeometryError
+        The picture spans so many voxels that float32 does not carry them: `View.reach`.
     """
 
     BLOCK: ClassVar[Block] = Block(
-        "planes_block", first=FLOAT, last=FLOAT, spacing=FLOAT, stride=FLOAT, count=FLOAT, oblique=FLOAT, slab=FLOAT, axis=INT
+        "planes_block",
+        first=FLOAT,
+        last=FLOAT,
+        spacing=FLOAT,
+        stride=FLOAT,
+        count=FLOAT,
+        oblique=FLOAT,
+        slab=FLOAT,
+        margin=FLOAT,
+        axis=INT,
     )
 
     def __init__(self, volume: Volume, view: View, aspect: float, step: float) -> None:
@@ -76,6 +89,7 @@ class Planes:
         if any(d[self.axis] * forward[self.axis] < 0 for d in corners):
             cosine = 0.0  # so wide that some rays run the other way
         self._samples = volume.size[self.axis]
+        self.margin = max(0.01, 2.0**-22 * view.reach(volume, aspect))
         self.oblique = cosine < OBLIQUE
         wanted = self._samples / (step * max(cosine, OBLIQUE))
         if wanted > _MAX_PLANES:
@@ -95,6 +109,7 @@ class Planes:
             count=self.count,
             oblique=OBLIQUE,
             slab=min(SLAB, max(1, int(BLOCK / max(self.spacing, self.step)))),
+            margin=self.margin,
             axis=self.axis,
         )
 
