@@ -11,8 +11,9 @@ from typing import Any, Self
 import numpy as np
 
 from clvol.errors import OptionError
+from clvol.filter import Filter
 from clvol.march.frame import Frame
-from clvol.march.planes import pixel_offsets
+from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter, pixel_rays
 from clvol.spline.build import row_reach, row_width
 from clvol.spline.points import Floats, Progress
 
@@ -23,17 +24,23 @@ _AREA = 16  # pixels along an edge of the smallest launch
 _ROW_SECONDS = 1.5e-9  # a generous guess of the time of one row of taps on one processor core; corrected as tiles finish
 
 
-def draw(frame: Frame, samples: int = 1, progress: Progress | None = None) -> dict[str, Floats]:
-    """The picture of a frame with so many rays a pixel, and its guides if the frame has them; each (height, width, ...)."""
+def draw(
+    frame: Frame, samples: int = 1, filter: str | Filter = DEFAULT_PIXEL_FILTER, progress: Progress | None = None
+) -> dict[str, Floats]:
+    """The picture of a frame with so many rays a pixel, and its guides if the frame has them; each (height, width, ...).
+
+    Guides are those of the ray through the pixel's middle, which is cast for them if the picture does without it.
+    """
     kernel, inputs = frame.program("march/draw.cl").kernel("draw"), _Inputs(frame)
     (width, height), budget = frame.size, _Budget(frame)
     with _pictures(frame) as (arrays, buffers):
-        for i, offset in enumerate(pixel_offsets(samples)):
-            block = frame.device.upload(frame.sampled(offset, i, samples)[None])
+        rays = pixel_rays(samples, as_pixel_filter(filter), middle=frame.guides)
+        for i, (offset, weight) in enumerate(rays):
+            block = frame.device.upload(frame.sampled(offset, weight, i, len(rays))[None])
             for x, y, w, h in budget.tiles(width, height):
                 _launch(frame, kernel, (x, y, w, h), inputs.source, inputs.extent, inputs.minmax, block, inputs.table, *buffers)
                 if progress:
-                    progress((i + min(1.0, ((y + h) * width) / (width * height))) / samples)
+                    progress((i + min(1.0, ((y + h) * width) / (width * height))) / len(rays))
     return _in_world(frame, arrays)
 
 

@@ -27,7 +27,7 @@ from clvol.reference.spline.points import sample
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume, as_volume
 
-__all__ = ["Rays", "camera_rays", "facing", "flat_below", "pixel_offsets", "planes_across", "render", "shade"]
+__all__ = ["Rays", "camera_rays", "facing", "flat_below", "pixel_rays", "planes_across", "render", "shade"]
 
 Array: TypeAlias = NDArray[np.float64]
 Bools: TypeAlias = NDArray[np.bool_]
@@ -238,6 +238,7 @@ def render(
     background: Sequence[float] | str | None = (0.0, 0.0, 0.0),
     clip: tuple[Sequence[float], Sequence[float]] | None = None,
     samples: int = 1,
+    pixel_filter: str | Filter = "linear",
     outputs: str | Sequence[str] = "rgba",
     **options: Any,
 ) -> Array | dict[str, Array]:
@@ -298,14 +299,14 @@ def render(
     axis, planes = planes_across(volume, view, width / height, step)
     total = np.zeros((width * height, 4))
     guides: dict[str, Array] = {}
-    for offset in pixel_offsets(samples):
+    for offset, weight in pixel_rays(samples, pixel_filter):
         rays = camera_rays(volume, view, size, offset, clip)
         t, there, world_step = _sample_distances(volume, rays, axis, planes, step, chosen.endpoints)
         values = np.full(t.shape, math.nan)
         which, k = np.nonzero(there)
         values[there] = value(rays.at(t[which, k], which))
         rgb, opacity, depth = gather(scene, chosen, rays, t, there, values, world_step)
-        total += np.concatenate([rgb, opacity[:, None]], 1) / samples
+        total += np.concatenate([rgb, opacity[:, None]], 1) * weight
         if not guides:
             somewhere = np.isfinite(depth)
             place = np.full((depth.size, 3), math.nan)
@@ -326,10 +327,33 @@ def render(
     return shaped[outputs] if isinstance(outputs, str) else {name: shaped[name] for name in outputs}
 
 
-def pixel_offsets(samples: int) -> Array:
-    """The R2 sequence from the middle of the pixel: multiples of 1/g and 1/g², g the real root of g³ = g + 1."""
-    g = float(np.roots([1, 0, -1, -1])[0].real)
-    return np.array([[(0.5 + i / g) % 1, (0.5 + i / g**2) % 1] for i in range(samples)])
+def pixel_rays(samples: int, filter: str | Filter) -> list[tuple[tuple[float, float], float]]:
+    """Offset in the pixel and weight of each of its rays, that through the middle first, which may count nothing.
+
+    Along each axis the magnitude of the filter is cut into strips of equal weight. Counted from the middle of all, strip
+    ``k`` along x meets the strip along y whose rank is that of ``frac(1/2 + k g)``, g the golden section. A ray lies where
+    half of its strip's weight is on either side, and counts what the filter itself has in both strips.
+    """
+    row = as_filter(filter)
+    x = np.linspace(-row.support / 2, row.support / 2, 1 + 30_000 * row.support)
+    pieces = row((x[1:] + x[:-1]) / 2)
+    below = np.concatenate([[0], np.cumsum(np.abs(pieces))]) / np.abs(pieces).sum()
+
+    def until(share: float) -> float:
+        return float(np.interp(share, below, x))
+
+    def within(low: float, high: float) -> float:
+        return float(np.interp(high, x[1:], np.cumsum(pieces), left=0) - np.interp(low, x[1:], np.cumsum(pieces), left=0))
+
+    place = [until((i + 0.5) / samples) for i in range(samples)]
+    share = [within(until(i / samples), until((i + 1) / samples)) for i in range(samples)]
+    along = [math.fmod(samples + 0.5 + (i - (samples - 1) / 2) * (math.sqrt(5) - 1) / 2, 1) for i in range(samples)]
+    rank = [sum(other < mine for other in along) for mine in along]
+    total = sum(share[i] * share[rank[i]] for i in range(samples))
+    rays = [((0.5 + place[i], 0.5 + place[rank[i]]), share[i] * share[rank[i]] / total) for i in range(samples)]
+    if samples % 2 == 0:
+        return [((0.5, 0.5), 0.0), *rays]
+    return [((0.5, 0.5), rays[samples // 2][1]), *rays[: samples // 2], *rays[samples // 2 + 1 :]]
 
 
 # -- the modes: premultiplied colour, opacity and depth of each ray ------------------------------------------------
