@@ -56,7 +56,7 @@ class View:
     )
 
     def reach(self, volume: Volume, aspect: float) -> float:
-        """How many voxels the positions count that rays through the volume are computed from; that of the domain if none meets it.
+        """How many voxels the positions count that rays through the volume are computed from; at least those of its longest axis.
 
         They are rounded to float32: the points drawn err by up to 2⁻²² of this.
 
@@ -85,7 +85,7 @@ class View:
         reach = float(np.linalg.norm(middle)) + spread * max(float(np.linalg.norm(v)) for v in across)
         if reach > REACH:
             raise GeometryError(
-                f"a picture must span no more than {REACH} voxels from the volume's centre to its own corners, or float32 errs by more "
+        """How many voxels the positions count that rays through the volume are made of; at least those of its longest axis.
                 f"than 1/16 of a voxel; fov and zoom or the camera's place give {reach:.3g}"
             )
         return max(own, reach)

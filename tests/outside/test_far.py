@@ -58,7 +58,8 @@ def test_positions_are_as_exact_far_from_the_origin(device: Device, distance: fl
     assert both.sum() > 400
     assert both.sum() > 0.98 * np.isfinite(want[..., 0]).sum()
     p = got[both] - (np.asarray(volume.origin) + (SIDE - 1) / 2)
-    rim = np.abs((p * rays(camera.view(volume, size[0] / size[1]), size)[1][both]).sum(1)) < 0.2 * RADIUS  # grazed: t is ill-defined
+    _, direction = rays(camera.view(volume, size[0] / size[1]), size)
+    rim = np.abs((p * direction[both]).sum(1)) < 0.2 * RADIUS  # grazed: where the ray meets it is ill-defined
     assert np.abs(np.linalg.norm(p, axis=1) - RADIUS).max() < 2e-4
     assert np.abs(p - want[both])[~rim].max() < 1e-3
 
@@ -88,13 +89,11 @@ def test_wide_cameras_are_exact_or_refused(device: Device, fov: float, zoom: flo
     volume, camera, size = ball((0, 0, 0)), Camera(direction=(0.3, 0.8, -0.5), fov=fov, zoom=zoom), (49, 33)
     corner = np.tan(np.radians(fov / 2)) / zoom
     with clvol.Renderer(volume, "linear", device=device) as renderer:
-        try:
-            got = renderer.render(camera, "mip", size, outputs=("rgba", "position"))
-        except GeometryError as error:
-            assert "must span no more than 262144 voxels" in str(error)
-            assert corner * volume.radius > 10_000  # so wide is no picture of anything
+        if corner * volume.radius > 200_000:
+            with pytest.raises(GeometryError, match="must span no more than 262144 voxels"):
+                renderer.render(camera, "mip", size, outputs=("rgba", "position"))
             return
-        assert corner < 1e5
+        got = renderer.render(camera, "mip", size, outputs=("rgba", "position"))
         plain = renderer.render(camera, "mip", size, outputs=("rgba", "position"), skipping=False)
     for name in got:
         np.testing.assert_array_equal(got[name], plain[name])

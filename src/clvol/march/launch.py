@@ -6,18 +6,22 @@ import contextlib
 import math
 import time
 from collections.abc import Iterator
-from typing import Any, Self
+from typing import Any, Self, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clvol.errors import OptionError
 from clvol.filter import Filter
 from clvol.march.frame import Frame
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter, pixel_rays
 from clvol.spline.build import row_reach, row_width
-from clvol.spline.points import Floats, Progress
+from clvol.spline.points import Progress
 
-__all__ = ["CHANNELS", "States", "draw", "finish_states", "march_rays", "merge_states"]
+__all__ = ["CHANNELS", "Picture", "States", "draw", "finish_states", "march_rays", "merge_states"]
+
+Picture: TypeAlias = NDArray[np.floating[Any]]
+"""Float32, but for positions, which are float64."""
 
 CHANNELS: dict[str, tuple[int, ...]] = {"rgba": (4,), "depth": (), "normal": (3,), "position": (3,), "visited": ()}
 _AREA = 16  # pixels along an edge of the smallest launch
@@ -26,7 +30,7 @@ _ROW_SECONDS = 1.5e-9  # a generous guess of the time of one row of taps on one 
 
 def draw(
     frame: Frame, samples: int = 1, filter: str | Filter = DEFAULT_PIXEL_FILTER, progress: Progress | None = None
-) -> dict[str, Floats]:
+) -> dict[str, Picture]:
     """The picture of a frame with so many rays a pixel, and its guides if the frame has them; each (height, width, ...).
 
     Guides are those of the ray through the pixel's middle, which is cast for them if the picture does without it.
@@ -134,7 +138,7 @@ def merge_states(front: States, back: States) -> States:
     return front
 
 
-def finish_states(states: States) -> dict[str, Floats]:
+def finish_states(states: States) -> dict[str, Picture]:
     """The picture that rays in these states make, and its guides, as `draw` gives them."""
     frame, buffer = states.frame, states.argument(states.frame)
     kernel, inputs = frame.program("march/split.cl").kernel("finish_states"), _Inputs(frame)
@@ -157,7 +161,7 @@ class _Inputs:
 
 
 @contextlib.contextmanager
-def _pictures(frame: Frame) -> Iterator[tuple[dict[str, Floats], list[Any]]]:
+def _pictures(frame: Frame) -> Iterator[tuple[dict[str, Picture], list[Any]]]:
     """The arrays of a frame's pictures, and the buffers that kernels write them through."""
     width, height = frame.size
     arrays = {name: np.empty((height, width, *n), np.float32) for name, n in CHANNELS.items() if frame.guides or name == "rgba"}
@@ -166,7 +170,7 @@ def _pictures(frame: Frame) -> Iterator[tuple[dict[str, Floats], list[Any]]]:
         yield arrays, [lent.enter_context(frame.device.lent(array, write=True)) for array in arrays.values()] + unused
 
 
-def _in_world(frame: Frame, arrays: dict[str, Floats]) -> dict[str, Floats]:
+def _in_world(frame: Frame, arrays: dict[str, Picture]) -> dict[str, Picture]:
     """The pictures, with positions counted from the world's origin: kernels count from the volume's centre, in float32."""
     if "position" in arrays:
         arrays["position"] = arrays["position"] + frame.coefficients.volume.center

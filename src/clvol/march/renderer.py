@@ -20,13 +20,14 @@ from clvol.filter import Filter
 from clvol.light import Light, Material
 from clvol.march import launch
 from clvol.march.frame import Frame
+from clvol.march.launch import Picture
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter
 from clvol.mode import DEFAULT_MODE, Mode, as_mode
 from clvol.scene import Box, Medium, Scene, as_scene
 from clvol.spline.evaluator import Evaluator, EvaluatorName, FetchName, choose_evaluator
 from clvol.spline.field import Field, as_field
 from clvol.spline.minmax import MinMax
-from clvol.spline.points import Floats, Progress
+from clvol.spline.points import Progress
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
 
@@ -142,7 +143,7 @@ class Renderer:
         outputs: Output = ...,
         progress: Progress | None = ...,
         **options: Any,
-    ) -> Floats: ...
+    ) -> Picture: ...
 
     @overload
     def render(
@@ -166,7 +167,7 @@ class Renderer:
         outputs: list[Output] | tuple[Output, ...],
         progress: Progress | None = ...,
         **options: Any,
-    ) -> dict[str, Floats]: ...
+    ) -> dict[str, Picture]: ...
 
     def render(
         self,
@@ -189,7 +190,7 @@ class Renderer:
         outputs: Output | Sequence[Output] = "rgba",
         progress: Progress | None = None,
         **options: Any,
-    ) -> Floats | dict[str, Floats]:
+    ) -> Picture | dict[str, Picture]:
         """One picture.
 
         Parameters
@@ -335,7 +336,7 @@ def render(
     device: Device | str | int | None = ...,
     outputs: Output = ...,
     **options: Any,
-) -> Floats: ...
+) -> Picture: ...
 
 
 @overload
@@ -351,7 +352,7 @@ def render(
     device: Device | str | int | None = ...,
     outputs: list[Output] | tuple[Output, ...],
     **options: Any,
-) -> dict[str, Floats]: ...
+) -> dict[str, Picture]: ...
 
 
 def render(
@@ -366,7 +367,7 @@ def render(
     device: Device | str | int | None = None,
     outputs: Output | Sequence[Output] = "rgba",
     **options: Any,
-) -> Floats | dict[str, Floats]:
+) -> Picture | dict[str, Picture]:
     """One picture of a volume or a scene; `Renderer` is the same for many pictures of one scene.
 
     Parameters and errors are those of `Renderer` and of `Renderer.render`.

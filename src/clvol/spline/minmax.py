@@ -152,7 +152,7 @@ class MinMax:
 
 
 def minmax_block(minmax: MinMax | None, volume: Volume, rounding: float) -> Values:
-    """What the ray loop reads of the pyramid of a volume; without one it skips nothing. Positions are rounded by less than `rounding`."""
+    """What the ray loop reads of the pyramid of a volume; without one it skips nothing. Positions err by less than `rounding`."""
     if minmax is None:
         return MINMAX(margin=0.0, skipping=0, levels=0, blocks=0, level_at=0)
     level_at = np.zeros(MAX_LEVELS, np.int32)
