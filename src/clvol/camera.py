@@ -85,8 +85,8 @@ class View:
         reach = float(np.linalg.norm(middle)) + spread * max(float(np.linalg.norm(v)) for v in across)
         if reach > REACH:
             raise GeometryError(
-        """How many voxels the positions count that rays through the volume are made of; at least those of its longest axis.
-                f"than 1/16 of a voxel; fov and zoom or the camera's place give {reach:.3g}"
+                f"a picture must span no more than {REACH} voxels from the volume's centre to its own corners, or float32 errs by "
+                f"more than 1/16 of a voxel; fov and zoom or the camera's place give {reach:.3g}"
             )
         return max(own, reach)
 
