@@ -8,12 +8,7 @@
 // what the function's values there, of the size of `value`, are rounded by: it has no direction, and `normal` is not one.
 INLINE mask flat_or_normal(constant frame_t *frame, real3 gradient, real value, real3 world, real3 *normal)
 {
-    // by a power of two to a length of about 1: one voxel may be 1e30 times as bright as the rest, whose squares would be 0
-    union { real f; mask i; } scale;
-    scale.f = MAX(magnitude(gradient.x), MAX(magnitude(gradient.y), magnitude(gradient.z)));
-    scale.i = 0x7f000000 - (scale.i & 0x7f800000);
-    gradient = scale3(gradient, scale.f);
-    const real squared = dot3(gradient, gradient), rounding = magnitude(value) * frame->geometry.rounding * scale.f;
+    const real squared = dot3(gradient, gradient), rounding = value * frame->geometry.rounding;
     const mask flat = squared <= rounding * rounding;
     const real facing = dot3(gradient, world);
     *normal = scale3(gradient, choose(facing > 0.0f, (real)(-1.0f), (real)(1.0f)) / square_root(choose(flat, (real)(1.0f), squared)));

@@ -93,7 +93,7 @@ INLINE real value_at(COEFFICIENTS coefficients, const sample_t *sample, real t, 
     return value.all;
 }
 
-// The gradient in world directions, in the unit of Medium.block, near which float is far from its limits.
+// The gradient in world directions, in a unit (Medium.block) in which float holds its square.
 INLINE real3 gradient_at(COEFFICIENTS coefficients, const sample_t *sample, real t, mask active)
 {
     const real3 p = at3(sample->ray->origin, sample->ray->direction, t);

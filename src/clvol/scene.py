@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -98,16 +99,21 @@ class Medium:
         volume = self.volume
         low, high = volume.value_range
         unit, inverse = volume.mean_spacing, volume.world_to_index_matrix
-        # the unit of gradients: float32 holds those of volumes of any range, and of parts with a far smaller one
-        slope = max(1e-5 * max(high - low, high, -low) / unit, 1e-36 * float(np.abs(inverse).max()))
+        # Gradients are in a unit in which float32 holds their squares, from 2¹³ times the largest value a voxel, more than any
+        # filter gives, down to 2⁻¹¹² of it: one voxel may be 1e30 times as bright as all that is to be seen.
+        largest = max(high - low, high, -low)
+        gradient = inverse / max(1e-5 * largest / unit, 1e-36 * float(np.abs(inverse).max()))
+        steepest = float(np.linalg.norm(gradient, 2))
+        exponent = min(50 - math.log2(steepest * max(largest, 1e-100)), 120 - math.log2(steepest))  # a power of two rounds nothing
+        gradient, steepest = gradient * 2.0 ** math.floor(exponent), steepest * 2.0 ** math.floor(exponent)
         return self.BLOCK(
             index_to_world=volume.index_to_world_matrix.ravel() / unit,
-            gradient=inverse.ravel() / slope,
+            gradient=gradient.ravel(),
             center=(np.asarray(volume.size) - 1) / 2,
             low=-0.5,
             high=np.asarray(volume.size) - 0.5,
             unit=unit,
-            rounding=ROUNDING * float(np.linalg.norm(inverse, 2)) / slope,
+            rounding=ROUNDING * steepest,
         )
 
 
