@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
+import clvol
 from clvol import reference
 from clvol.boundary import Boundary, as_boundary, boundaries
+from clvol.device import Device
 from clvol.errors import DataError, OptionError
 from clvol.filter import bspline, filters
 from clvol.reference.spline.boundary import period as period_of
@@ -168,3 +172,94 @@ def test_reference_refuses_bad_input() -> None:
     own = Boundary("own", (1, 0), None, "")
     with pytest.raises(OptionError):
         reference.extend(np.ones(3), 1, own)
+
+
+def says_one_sample(period: tuple[int, int] | None, fold: int | None, n: int) -> bool:
+    """Whether every index near an axis of `n` stands for one of its samples, each sample for itself, by walking the rule."""
+    if period is None:
+        return fold is None
+    length = max(1, period[0] * n + period[1])
+    reach = range(-3 * length - 9, 3 * length + 10)
+    for i in range(n):
+        seen, ahead = {i}, [i]
+        while ahead:  # all indices that the rule says are the same
+            j = ahead.pop()
+            near = [j + length, j - length] + ([] if fold is None else [-fold - j])
+            new = {k for k in near if k in reach} - seen
+            seen |= new
+            ahead += new
+        if sum(0 <= j < n for j in seen) != 1:
+            return False
+    return True
+
+
+def covers(period: tuple[int, int], fold: int | None, n: int) -> bool:
+    """Whether a period holds no index but samples and their images."""
+    length = max(1, period[0] * n + period[1])
+    images = {i % length for i in range(n)}
+    if fold is not None:
+        images |= {(-fold - i) % length for i in range(n)}
+    return images == set(range(length))
+
+
+def test_the_rules_that_are_taken_are_those_that_name_one_sample_for_each_index() -> None:
+    """All small periods and folds, checked on axes of many lengths without the class."""
+    for period in [None, *((a, b) for a in range(-1, 5) for b in range(-4, 5))]:
+        for fold in (None, *range(-4, 5)):
+            wanted = all(says_one_sample(period, fold, n) and (period is None or covers(period, fold, n)) for n in range(1, 13))
+            if not wanted:
+                with pytest.raises(OptionError, match="must give every index one of the samples"):
+                    Boundary("own", period, fold, "")
+                continue
+            rule = Boundary("own", period, fold, "")
+            for n in range(1, 13):
+                index = rule.index(np.arange(-50, 60), n)
+                assert index.min() >= (0 if period else -1)
+                assert index.max() < n
+                np.testing.assert_array_equal(index[50 : 50 + n], np.arange(n))
+
+
+WRONG: list[tuple[Any, Any]] = [((1, 5), None), ((10**30, 0), None), ((2, 0), 10**30), ((2, 0), 1.0), ((2, 0), True), (None, 0)]
+WRONG += [(period, None) for period in ((1,), (1, 0, 0), (1.0, 0), "10", 3)]
+
+
+@pytest.mark.parametrize(("period", "fold"), WRONG)
+def test_what_is_no_rule_is_refused(period: Any, fold: Any) -> None:
+    with pytest.raises(OptionError, match="a boundary's"):
+        Boundary("own", period, fold, "")
+
+
+def test_names_are_strings() -> None:
+    with pytest.raises(OptionError, match="a boundary's name must be a string; got 3"):
+        Boundary(3, None, None, "")  # type: ignore[arg-type]
+    with pytest.raises(OptionError, match="a boundary's description must be a string; got None"):
+        Boundary("own", None, None, None)  # type: ignore[arg-type]
+    assert Boundary("own", [2, np.int64(-1)], np.int32(0), "").period == (2, -1)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("period", "fold"), [((2, -1), 0), ((2, -1), 1)])
+@pytest.mark.parametrize("filter", ["linear", "bspline3", "bspline5", "hybrid"])
+def test_a_rule_that_mirrors_and_reflects_is_that_of_the_longer_axis(device: Device, filter: str, period: Any, fold: int) -> None:
+    """About an outer sample at one end and a face at the other: one half of an axis that is reflected, or mirrored, whole."""
+    own = Boundary("own", period, fold, "mirrored at one end, reflected at the other")
+    line = np.random.default_rng(3).random((1, 7, 1))
+    twice, before = ([6, 5, 4, 3, 2, 1, 0, 1, 2, 3, 4, 5, 6], 6) if fold == 0 else ([0, 1, 2, 3, 4, 5, 6, 5, 4, 3, 2, 1, 0], 0)
+    points = np.random.default_rng(4).uniform(-20, 27, (200, 3))
+    # along x and z lines are constant: there every rule is the same
+    got = clvol.sample(np.broadcast_to(line, (6, 7, 5)), points, filter, own, device=device)
+    want = clvol.sample(
+        np.broadcast_to(line[:, twice], (6, 13, 5)), points + np.array([0, before, 0]), filter, "reflect", device=device
+    )
+    np.testing.assert_allclose(got, want, atol=3e-6)
+
+
+def test_linear_in_the_outer_half_voxel(device: Device) -> None:
+    """What the README says: "reflect" is the clamp of ITK and VTK there, "mirror" differs by half a difference at most."""
+    data = np.random.default_rng(5).random((6, 7, 5))
+    points = np.random.default_rng(6).uniform(-0.5, np.array([4.5, 6.5, 5.5]), (4000, 3))
+    clamped = clvol.sample(data, np.clip(points, 0, [4, 6, 5]), "linear", device=device)
+    np.testing.assert_allclose(clvol.sample(data, points, "linear", "reflect", device=device), clamped, atol=1e-6)
+    off = np.abs(clvol.sample(data, points, "linear", "mirror", device=device) - clamped)
+    outer = (np.abs(points - [2, 3, 2.5]) > [2, 3, 2.5]).sum(1)
+    assert off[outer == 0].max() < 1e-6
+    assert 0.2 < off[outer == 1].max() < 0.5

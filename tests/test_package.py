@@ -89,7 +89,7 @@ FORMER = [
     ("clvol.spline", "choose_path", "clvol.spline.evaluator", "choose_evaluator"),
     ("clvol.spline", "Coefficients", "clvol.spline.field", "coefficients_of"),
     ("clvol.render", "Lattice", "clvol.march.planes", "Planes"),
-    ("clvol.render", "pixel_offsets", "clvol.march.planes", "pixel_offsets"),
+    ("clvol.render", "pixel_offsets", "clvol.march.pixels", "pixel_offsets"),
     ("clvol.program", "filter_defines", "clvol.spline.build", "filter_defines"),
     ("clvol.reference.march", "shade", "clvol.reference.march.march", "shade"),
     ("clvol.reference.march", "lattice", "clvol.reference.march.march", "planes_across"),

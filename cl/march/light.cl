@@ -4,15 +4,23 @@
 #include "base/vector.cl"
 #include "frame.cl"
 
-// color: of the matter; gradient: in world directions, no longer than 1 where it is rounding; world: the ray's unit direction.
-INLINE color_t shade(constant frame_t *frame, color_t color, real3 gradient, real3 world)
+// The unit normal of a gradient, towards the viewer, that is against the ray. Gives the lanes whose gradient is no longer than
+// what the function's values there, of the size of `value`, are rounded by: it has no direction, and `normal` is not one.
+INLINE mask flat_or_normal(constant frame_t *frame, real3 gradient, real value, real3 world, real3 *normal)
+{
+    const real squared = dot3(gradient, gradient), rounding = value * frame->geometry.rounding;
+    const mask flat = squared <= rounding * rounding;
+    const real facing = dot3(gradient, world);
+    *normal = scale3(gradient, choose(facing > 0.0f, (real)(-1.0f), (real)(1.0f)) / square_root(choose(flat, (real)(1.0f), squared)));
+    return flat;
+}
+
+// color: of the matter; gradient: in world directions; value: the function's there; world: the ray's unit direction.
+INLINE color_t shade(constant frame_t *frame, color_t color, real3 gradient, real value, real3 world)
 {
     constant material_block *material = &frame->material;
-    const real squared = dot3(gradient, gradient);
-    const mask flat = squared <= 1.0f;   // rounding, not a direction
-    const real facing = dot3(gradient, world);
-    // towards the viewer: against the ray
-    const real3 normal = scale3(gradient, choose(facing > 0.0f, (real)(-1.0f), (real)(1.0f)) / square_root(choose(flat, (real)(1.0f), squared)));
+    real3 normal;
+    const mask flat = flat_or_normal(frame, gradient, value, world, &normal);
     real red = (real)(material->ambient), green = red, blue = red, shine_red = (real)(0.0f), shine_green = shine_red, shine_blue = shine_red;
     for (int i = 0; i < frame->lights.count; ++i) {
         constant float *light = frame->lights.each + 8 * i;   // direction, 1 for a headlight; colour

@@ -85,7 +85,7 @@ OUT_OF_LINE void make_plane(plane_t *plane, COEFFICIENTS coefficients, const int
     float2 u, v;
     plane->made = 1;
     if (tile_footprint(frame, left, top, right, bottom, way, across, &u, &v))
-        plane_move(plane, coefficients, extent, frame->planes.axis, way, across, u.x, u.y, v.x, v.y);
+        plane_move(plane, coefficients, extent, frame->planes.axis, way, across, u.x, u.y, v.x, v.y, frame->planes.margin);
 }
 #endif
 

@@ -4,7 +4,7 @@
 
 #include "march/march.cl"
 
-// Where pictures go; those that nobody wants are never written.
+// Where pictures go; those that nobody wants are never written. Positions count from the volume's centre: the host adds it.
 typedef struct { global float4 *rgba; global float *depth, *normals, *positions, *visited; } pictures_t;
 
 // The lanes of the packet at pixel (x, y) that lie in the picture.
@@ -46,14 +46,14 @@ INLINE void finish_packet(COEFFICIENTS coefficients, const sample_t *sample, con
     real3 normal = real3_of((real)(NAN), (real)(NAN), (real)(NAN)), place = normal;
     const mask somewhere = t < NOWHERE;
     if (GUIDES && any_lane(somewhere)) {
-        const real3 g = gradient_at(coefficients, sample, choose(somewhere, t, ray->enter), somewhere);
-        const real squared = dot3(g, g);
-        const real unit = choose(dot3(g, ray->world) > 0.0f, (real)(-1.0f), (real)(1.0f)) / square_root(squared);
-        const mask known = somewhere & (squared > 1.0f);
-        constant float *origin = frame->geometry.world_origin;
-        const real3 p = add3(scale3(matrix3(frame->geometry.index_to_world, at3(ray->origin, ray->direction, choose(somewhere, t, ray->enter))), (real)(frame->geometry.unit)),
-                             real3_of((real)(origin[0]), (real)(origin[1]), (real)(origin[2])));
-        normal = real3_of(choose(known, g.x * unit, normal.x), choose(known, g.y * unit, normal.y), choose(known, g.z * unit, normal.z));
+        const real at = choose(somewhere, t, ray->enter);
+        const real3 g = gradient_at(coefficients, sample, at, somewhere);
+        real3 facing;
+        const mask known = somewhere & !flat_or_normal(frame, g, value_at(coefficients, sample, at, somewhere), ray->world, &facing);
+        constant float *center = frame->geometry.center;
+        const real3 origin = real3_of(ray->origin.x - center[0], ray->origin.y - center[1], ray->origin.z - center[2]);
+        const real3 p = scale3(matrix3(frame->geometry.index_to_world, at3(origin, ray->direction, at)), (real)(frame->geometry.unit));
+        normal = real3_of(choose(known, facing.x, normal.x), choose(known, facing.y, normal.y), choose(known, facing.z, normal.z));
         place = real3_of(choose(somewhere, p.x, place.x), choose(somewhere, p.y, place.y), choose(somewhere, p.z, place.z));
     }
     const lanes_u red = { color.red }, green = { color.green }, blue = { color.blue }, opacity = { color.opacity }, depths = { t + ray->ahead };

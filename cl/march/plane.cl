@@ -82,9 +82,9 @@ INLINE void plane_ahead(const plane_t *plane, global const float *coefficients, 
 }
 
 // Moves to the plane at `across`, for rays that go up (way > 0) or down its axis, under positions from (low_u, low_v) to
-// (high_u, high_v), all in samples.
+// (high_u, high_v), all in samples, which may be off by `margin`.
 INLINE void plane_move(plane_t *plane, global const float *coefficients, const int4 extent, int axis, float way, float across,
-                       float low_u, float high_u, float low_v, float high_v)
+                       float low_u, float high_u, float low_v, float high_v, float margin)
 {
     const long row = extent.x, slice = row * extent.y;
     plane->along_u = axis == 0 ? row : 1;
@@ -93,8 +93,8 @@ INLINE void plane_move(plane_t *plane, global const float *coefficients, const i
     const int halo = extent.w, limit_u = axis == 0 ? extent.y : extent.x, limit_v = axis == 2 ? extent.y : extent.z;
     float t;
     plane->slice = locate_axis(across, &plane->t) + halo;
-    const int u0 = locate_axis(low_u - 0.01f, &t) + halo, u1 = locate_axis(high_u + 0.01f, &t) + halo + WEIGHTS;
-    const int v0 = locate_axis(low_v - 0.01f, &t) + halo, v1 = locate_axis(high_v + 0.01f, &t) + halo + TAPS;
+    const int u0 = locate_axis(low_u - margin, &t) + halo, u1 = locate_axis(high_u + margin, &t) + halo + WEIGHTS;
+    const int v0 = locate_axis(low_v - margin, &t) + halo, v1 = locate_axis(high_v + margin, &t) + halo + TAPS;
     plane->u = MAX(u0, 0);
     plane->v = MAX(v0, 0);
     plane->columns = MIN(u1, limit_u) - plane->u;

@@ -93,7 +93,7 @@ INLINE real value_at(COEFFICIENTS coefficients, const sample_t *sample, real t, 
     return value.all;
 }
 
-// The gradient in world directions. Its unit is the smallest gradient that is no rounding, so that squares stay in float's range.
+// The gradient in world directions, in a unit (Medium.block) in which float holds its square.
 INLINE real3 gradient_at(COEFFICIENTS coefficients, const sample_t *sample, real t, mask active)
 {
     const real3 p = at3(sample->ray->origin, sample->ray->direction, t);

@@ -32,7 +32,7 @@ INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample
     if (!any_lane(seen))
         return NONE;
     if (SHADED)
-        color = shade(frame, color, gradient_here(coefficients, sample, t, seen), sample->ray->world);
+        color = shade(frame, color, gradient_here(coefficients, sample, t, seen), value, sample->ray->world);
     const real thickness = sample->ray->step * frame->transfer.per_unit_distance;
     const real opacity = choose(seen, opacity_of(color.opacity, thickness), (real)(0.0f));
     const real share = s->transmittance * opacity;

@@ -12,11 +12,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.checks import one_of
+from clvol.checks import one_of, several, whole
+from clvol.errors import OptionError
 
 __all__ = ["DEFAULT_BOUNDARY", "Boundary", "as_boundary", "boundaries"]
 
 DEFAULT_BOUNDARY = "mirror"
+
+# Every rule of this kind that leaves the samples what they are and gives each index past the edge one of them, on axes of
+# any length. Without a fold the period is n. A fold -s/2 must lie between the last sample before the volume and its first
+# one, so s is 0 or 1; the other fold, half a period further, likewise between samples n - 1 and n: (period - s)/2 is n - 1 or
+# n - 1/2.
+_RULES = {(None, None), ((1, 0), None)} | {((2, s - 2 + half), s) for s in (0, 1) for half in (0, 1)}
 
 
 @dataclass(frozen=True)
@@ -33,12 +40,42 @@ class Boundary:
         ``s``: index ``i`` equals index ``-s - i``, a reflection about ``-s/2``. None: no reflection.
     description : str
         What it means, for listings.
+
+    Raises
+    ------
+    OptionError
+        The rule does not say, on an axis of any length, which one of the samples an index past the edge stands for, or that
+        none does. Those that do: no period and no fold; period (1, 0) and no fold; period (2, -2) or (2, -1) and fold 0;
+        period (2, -1) or (2, 0) and fold 1.
+
+    Notes
+    -----
+    The rule extends coefficients, and the domain ends half a voxel past the outer samples. In that outer half voxel "mirror"
+    goes on as the function did inside, in the mirror; ITK and VTK keep the outer sample's value there for linear
+    interpolation (they clamp), and so does "reflect". See the README.
     """
 
     name: str
     period: tuple[int, int] | None
     fold: int | None
     description: str
+
+    def __post_init__(self) -> None:
+        for what in ("name", "description"):
+            if not isinstance(getattr(self, what), str):
+                raise OptionError(f"a boundary's {what} must be a string; got {getattr(self, what)!r}")
+        if self.period is not None:
+            rule = "two whole numbers (a, b), or None"
+            given = [whole("each number of a boundary's period", v) for v in several("a boundary's period", self.period, rule, 2)]
+            object.__setattr__(self, "period", tuple(given))
+        if self.fold is not None:
+            object.__setattr__(self, "fold", whole("a boundary's fold", self.fold))
+        if (self.period, self.fold) not in _RULES:
+            allowed = ", ".join(f"{period} and {fold}" for period, fold in sorted(_RULES, key=str))
+            raise OptionError(
+                "a boundary's period and fold must give every index one of the samples, and each sample its own, on axes of any "
+                f"length: {allowed}; got {self.period} and {self.fold}"
+            )
 
     def length(self, n: int) -> int:
         """The period in samples on an axis of `n`; at least 1, and 0 if the rule has none."""

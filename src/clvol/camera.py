@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from clvol.checks import number, one_of, reals
 from clvol.errors import GeometryError
-from clvol.uniform import FLOAT, INT, Block, Values
+from clvol.uniform import FLOAT, INT, REACH, Block, Values
 from clvol.volume import Volume
 
 __all__ = ["Camera", "View"]
@@ -54,6 +54,41 @@ class View:
         ahead=FLOAT,
         orthographic=INT,
     )
+
+    def reach(self, volume: Volume, aspect: float) -> float:
+        """How many voxels the positions count that rays through the volume are computed from; at least those of its longest axis.
+
+        They are rounded to float32: the points drawn err by up to 2⁻²² of this.
+
+        Raises
+        ------
+        GeometryError
+            It is more than `REACH`.
+        """
+        size, inverse, to_center = np.asarray(volume.size), volume.world_to_index_matrix, volume.center - self.eye
+        corner = self.half_height * np.hypot(aspect, 1)
+        ahead = float(to_center @ self.forward)
+        aside = float(np.linalg.norm(to_center - ahead * self.forward))
+        if self.orthographic:
+            seen = aside - volume.radius <= corner
+            spread = 1.0
+        else:
+            distance = math.hypot(aside, ahead)
+            turn = math.asin(min(1.0, volume.radius / distance)) if distance > 0 else math.pi
+            seen = math.atan2(aside, ahead) - turn <= math.atan(corner)
+            spread = max(abs(ahead), volume.radius)  # directions are rounded, too, and followed through the volume
+        own = float(size.max())
+        if not seen:
+            return own
+        across = [inverse @ (self.half_height * (a * aspect * self.right + self.up)) for a in (-1, 1)]
+        middle = inverse @ (to_center - ahead * self.forward)
+        reach = float(np.linalg.norm(middle)) + spread * max(float(np.linalg.norm(v)) for v in across)
+        if reach > REACH:
+            raise GeometryError(
+                f"a picture must span no more than {REACH} voxels from the volume's centre to its own corners, or float32 errs by "
+                f"more than 1/16 of a voxel; fov and zoom or the camera's place give {reach:.3g}"
+            )
+        return max(own, reach)
 
     def block(self, volume: Volume, width: int, height: int) -> Values:
         """What kernels read: rays in index space as linear functions of the pixel, (0, 0) top left.

@@ -87,6 +87,7 @@ class Look:
     boundary: Annotated[str, Parameter(help="mirror, reflect, wrap or zero.")] = "mirror"
     step: Annotated[float, Parameter(help="The most that a ray advances between samples, in voxels.")] = 0.5
     samples: Annotated[int, Parameter(help="Rays a pixel.", converter=_whole)] = 1
+    pixel_filter: Annotated[str, Parameter(help="What several rays a pixel sample; see 'clvol filters'.")] = "linear"
     cmap: Annotated[str | None, Parameter(help="Colour map by name, instead of the automatic colours.")] = None
     value_range: Annotated[tuple[float, float] | None, Parameter(help="Values that the colour map spans.")] = None
     opacity: Annotated[
@@ -107,6 +108,7 @@ class Look:
             "mode": self.mode,
             "step": self.step,
             "samples": self.samples,
+            "pixel_filter": self.pixel_filter,
             "transfer": self._transfer(volume),
             "gradient": self.gradient,
             "background": None if self.background == "none" else self.background,

@@ -36,7 +36,7 @@ _ELSEWHERE = {  # names of those modules that are in another one now, or have an
     "clvol.bounds.Bounds": "clvol.spline.minmax:MinMax",
     "clvol.render.Lattice": "clvol.march.planes:Planes",
     "clvol.render.OBLIQUE": "clvol.march.planes:OBLIQUE",
-    "clvol.render.pixel_offsets": "clvol.march.planes:pixel_offsets",
+    "clvol.render.pixel_offsets": "clvol.march.pixels:pixel_offsets",
 }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -16,13 +17,14 @@ from clvol.errors import GeometryError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.light import HEADLIGHT, Light, Material, lights_block
 from clvol.transfer import TransferFunction
-from clvol.uniform import FLOAT, INT, Block, Values
+from clvol.uniform import FLOAT, INT, REACH, Block, Values
 from clvol.volume import Volume, as_volume
 
-__all__ = ["CLIP", "FLAT", "Medium", "Scene", "as_scene", "clip_block"]
+__all__ = ["CLIP", "ROUNDING", "Medium", "Scene", "as_scene", "clip_block"]
 
-FLAT = 1e-5
-"""Gradients below this share of the range, or of the largest magnitude, per mean spacing are rounding: they give no normal."""
+ROUNDING = 2.0**-19
+"""Gradients up to this share of the function's value a voxel are rounding, and give no normal. In constant volumes they reach
+a third of it, whichever the filter of the table: the prefilter and the sum over taps round by a few units in the last place."""
 
 CLIP = Block("clip_block", low=(FLOAT, 3), high=(FLOAT, 3), clipped=INT)
 _MAX_ANISOTROPY = 1e6  # of spacings: what float32 carries
@@ -50,7 +52,8 @@ class Medium:
     OptionError
         The volume does not have three axes, or no filter or boundary has this name.
     GeometryError
-        Its spacings differ by a factor of more than 10⁶, or lie outside 10⁻³⁰ to 10³⁰: float32 could not tell samples apart.
+        Its spacings differ by a factor of more than 10⁶, or lie outside 10⁻³⁰ to 10³⁰, or an axis has more than 2¹⁸ samples:
+        float32 could not tell samples apart. (`clvol.sample` and `Field` count in double where the device can.)
     """
 
     volume: Volume
@@ -63,10 +66,11 @@ class Medium:
         "geometry_block",
         index_to_world=(FLOAT, 9),
         gradient=(FLOAT, 9),
-        world_origin=(FLOAT, 3),
+        center=(FLOAT, 3),
         low=(FLOAT, 3),
         high=(FLOAT, 3),
         unit=FLOAT,
+        rounding=FLOAT,
     )
 
     def __post_init__(self) -> None:
@@ -84,20 +88,32 @@ class Medium:
                 "rendering takes spacings from 1e-30 to 1e30 that differ by a factor of up to "
                 f"{_MAX_ANISOTROPY:g}; got {self.volume.spacing}"
             )
+        if max(self.volume.size) > REACH:
+            raise GeometryError(
+                f"rendering takes axes of up to {REACH} samples, where float32 holds positions within 1/16 of a voxel; got shape "
+                f"{self.volume.shape}: draw parts of it (Volume.crop), or take values by clvol.sample"
+            )
 
     def block(self) -> Values:
-        """What kernels read: the domain, its map to the world, and gradients in units of the smallest that is no rounding."""
+        """What kernels read: the domain, its map to the world and back, for gradients, and what these are rounded by."""
         volume = self.volume
         low, high = volume.value_range
         unit, inverse = volume.mean_spacing, volume.world_to_index_matrix
-        flat = FLAT * max(high - low, high, -low) / unit
+        # Gradients are in a unit in which float32 holds their squares, from 2¹³ times the largest value a voxel, more than any
+        # filter gives, down to 2⁻¹¹² of it: one voxel may be 1e30 times as bright as all that is to be seen.
+        largest = max(high - low, high, -low)
+        gradient = inverse / max(1e-5 * largest / unit, 1e-36 * float(np.abs(inverse).max()))
+        steepest = float(np.linalg.norm(gradient, 2))
+        exponent = min(50 - math.log2(steepest * max(largest, 1e-100)), 120 - math.log2(steepest))  # a power of two rounds nothing
+        gradient, steepest = gradient * 2.0 ** math.floor(exponent), steepest * 2.0 ** math.floor(exponent)
         return self.BLOCK(
             index_to_world=volume.index_to_world_matrix.ravel() / unit,
-            gradient=inverse.ravel() / max(flat, 1e-36 * float(np.abs(inverse).max())),  # finite in float32
-            world_origin=volume.origin,
+            gradient=gradient.ravel(),
+            center=(np.asarray(volume.size) - 1) / 2,
             low=-0.5,
             high=np.asarray(volume.size) - 0.5,
             unit=unit,
+            rounding=ROUNDING * steepest,
         )
 
 

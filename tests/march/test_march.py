@@ -162,7 +162,7 @@ def check(
     assert isinstance(want, dict)
     for name in want:
         assert got[name].shape == want[name].shape
-        assert got[name].dtype == np.float32
+        assert got[name].dtype == (np.float64 if name == "position" else np.float32)
     compare(got, want, allowed)
     return got
 

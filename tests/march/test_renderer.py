@@ -19,7 +19,7 @@ from clvol.camera import Camera
 from clvol.device import Device
 from clvol.errors import ClvolError, DataError, GeometryError, OptionError
 from clvol.light import Light
-from clvol.march.planes import Planes, pixel_offsets
+from clvol.march.planes import Planes
 from clvol.march.renderer import OUTPUTS, Renderer, render
 from clvol.mode import modes
 from clvol.reference.spline.points import sample as reference_sample
@@ -253,16 +253,6 @@ def test_a_clip_box_cuts_where_it_says(device: Device) -> None:
     assert (places <= high + 1e-4).all()
     faces = np.minimum(np.abs(places - low), np.abs(places - high)).min(1)
     assert faces.max() < 0.15  # the first sample behind a face
-
-
-def test_rays_of_a_pixel_lie_within_it() -> None:
-    offsets = pixel_offsets(64)
-    assert offsets.shape == (64, 2)
-    np.testing.assert_array_equal(offsets[0], 0.5)
-    assert ((offsets >= 0) & (offsets < 1)).all()
-    counts, _, _ = np.histogram2d(*offsets.T, bins=4, range=[[0, 1]] * 2)
-    assert counts.min() >= 2  # spread evenly
-    assert counts.max() <= 6
 
 
 @pytest.mark.parametrize("step", [0.1, 0.5, 1.0, 7.0, 1e9])

@@ -16,8 +16,7 @@ from clvol.figures.style import GREY, INK, Drawing, colour, label_ends, new_figu
 from clvol.light import HEADLIGHT, Material
 from clvol.march.planes import Planes
 from clvol.march.renderer import render
-from clvol.reference.march.march import camera_rays, shade
-from clvol.scene import FLAT
+from clvol.reference.march.march import camera_rays, flat_below, shade
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
 
@@ -82,11 +81,9 @@ def follow(volume: Volume, filter: str, size: tuple[int, int], pixel: tuple[int,
     values = reference.sample(volume, points, filter)
     gradient = reference.sample(volume, points, filter, derivative=1)
     classified = _TRANSFER(values)
-    low, high = volume.value_range
     unit = float(np.mean(volume.spacing))
-    lit = shade(
-        gradient, classified[:, :3], np.broadcast_to(direction, points.shape), Material(), (HEADLIGHT,), FLAT * (high - low) / unit
-    )
+    directions = np.broadcast_to(direction, points.shape)
+    lit = shade(gradient, classified[:, :3], directions, Material(), (HEADLIGHT,), flat_below(volume, values))
     opacities = 1 - (1 - classified[:, 3]) ** (planes.spacing / abs(along) / unit)
     after = np.cumprod(1 - opacities)
     before = np.concatenate([[1.0], after[:-1]])

@@ -131,7 +131,7 @@ class Frame:
             material=medium.material.block(),
             lights=lights_block(scene.lights),
             mode=mode.block(volume),
-            minmax=minmax_block(minmax, volume),
+            minmax=minmax_block(minmax, volume, planes.margin),
             picture=PICTURE(
                 offset=0.5,
                 background=scene.background or 0.0,
@@ -157,11 +157,11 @@ class Frame:
         picture = self.values["picture"]
         return int(picture["width"]), int(picture["height"])
 
-    def sampled(self, offset: NDArray[np.float64], number: int, samples: int) -> Values:
-        """The parameter block for one ray of each pixel's `samples`, that at `offset` in the pixel."""
+    def sampled(self, offset: NDArray[np.float64], weight: float, number: int, passes: int) -> Values:
+        """The parameter block for ray `number` of each pixel's, at `offset` from its corner, which counts `weight`."""
         values = self.values.copy()
         picture = values["picture"]
-        picture["offset"], picture["weight"], picture["pass"], picture["last_pass"] = offset, 1 / samples, number, samples - 1
+        picture["offset"], picture["weight"], picture["pass"], picture["last_pass"] = offset, weight, number, passes - 1
         return values
 
     def program(self, name: str) -> Program:

@@ -6,35 +6,46 @@ import contextlib
 import math
 import time
 from collections.abc import Iterator
-from typing import Any, Self
+from typing import Any, Self, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clvol.errors import OptionError
+from clvol.filter import Filter
 from clvol.march.frame import Frame
-from clvol.march.planes import pixel_offsets
+from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter, pixel_rays
 from clvol.spline.build import row_reach, row_width
-from clvol.spline.points import Floats, Progress
+from clvol.spline.points import Progress
 
-__all__ = ["CHANNELS", "States", "draw", "finish_states", "march_rays", "merge_states"]
+__all__ = ["CHANNELS", "Picture", "States", "draw", "finish_states", "march_rays", "merge_states"]
+
+Picture: TypeAlias = NDArray[np.floating[Any]]
+"""Float32, but for positions, which are float64."""
 
 CHANNELS: dict[str, tuple[int, ...]] = {"rgba": (4,), "depth": (), "normal": (3,), "position": (3,), "visited": ()}
 _AREA = 16  # pixels along an edge of the smallest launch
 _ROW_SECONDS = 1.5e-9  # a generous guess of the time of one row of taps on one processor core; corrected as tiles finish
 
 
-def draw(frame: Frame, samples: int = 1, progress: Progress | None = None) -> dict[str, Floats]:
-    """The picture of a frame with so many rays a pixel, and its guides if the frame has them; each (height, width, ...)."""
+def draw(
+    frame: Frame, samples: int = 1, filter: str | Filter = DEFAULT_PIXEL_FILTER, progress: Progress | None = None
+) -> dict[str, Picture]:
+    """The picture of a frame with so many rays a pixel, and its guides if the frame has them; each (height, width, ...).
+
+    Guides are those of the ray through the pixel's middle, which is cast for them if the picture does without it.
+    """
     kernel, inputs = frame.program("march/draw.cl").kernel("draw"), _Inputs(frame)
     (width, height), budget = frame.size, _Budget(frame)
     with _pictures(frame) as (arrays, buffers):
-        for i, offset in enumerate(pixel_offsets(samples)):
-            block = frame.device.upload(frame.sampled(offset, i, samples)[None])
+        rays = pixel_rays(samples, as_pixel_filter(filter), middle=frame.guides)
+        for i, (offset, weight) in enumerate(rays):
+            block = frame.device.upload(frame.sampled(offset, weight, i, len(rays))[None])
             for x, y, w, h in budget.tiles(width, height):
                 _launch(frame, kernel, (x, y, w, h), inputs.source, inputs.extent, inputs.minmax, inputs.sides, block, inputs.table, *buffers)
                 if progress:
-                    progress((i + min(1.0, ((y + h) * width) / (width * height))) / samples)
-    return arrays
+                    progress((i + min(1.0, ((y + h) * width) / (width * height))) / len(rays))
+    return _in_world(frame, arrays)
 
 
 # -- in parts ----------------------------------------------------------------------------------------------
@@ -128,14 +139,14 @@ def merge_states(front: States, back: States) -> States:
     return front
 
 
-def finish_states(states: States) -> dict[str, Floats]:
+def finish_states(states: States) -> dict[str, Picture]:
     """The picture that rays in these states make, and its guides, as `draw` gives them."""
     frame, buffer = states.frame, states.argument(states.frame)
     kernel, inputs = frame.program("march/split.cl").kernel("finish_states"), _Inputs(frame)
     block = frame.device.upload(frame.values[None])
     with _pictures(frame) as (arrays, buffers):
         _launch(frame, kernel, (0, 0, *frame.size), inputs.source, inputs.extent, block, inputs.table, buffer, *buffers)
-    return arrays
+    return _in_world(frame, arrays)
 
 
 # -- inner -------------------------------------------------------------------------------------------------
@@ -152,13 +163,20 @@ class _Inputs:
 
 
 @contextlib.contextmanager
-def _pictures(frame: Frame) -> Iterator[tuple[dict[str, Floats], list[Any]]]:
+def _pictures(frame: Frame) -> Iterator[tuple[dict[str, Picture], list[Any]]]:
     """The arrays of a frame's pictures, and the buffers that kernels write them through."""
     width, height = frame.size
     arrays = {name: np.empty((height, width, *n), np.float32) for name, n in CHANNELS.items() if frame.guides or name == "rgba"}
     unused = [frame.device.allocate(4) for _ in range(len(CHANNELS) - len(arrays))]  # nobody wants them: never written
     with contextlib.ExitStack() as lent:
         yield arrays, [lent.enter_context(frame.device.lent(array, write=True)) for array in arrays.values()] + unused
+
+
+def _in_world(frame: Frame, arrays: dict[str, Picture]) -> dict[str, Picture]:
+    """The pictures, with positions counted from the world's origin: kernels count from the volume's centre, in float32."""
+    if "position" in arrays:
+        arrays["position"] = arrays["position"] + frame.coefficients.volume.center
+    return arrays
 
 
 def _launch(frame: Frame, kernel: Any, area: tuple[int, int, int, int], *arguments: Any) -> None:

@@ -1,4 +1,4 @@
-"""On which planes a view is sampled, and where in their pixels rays lie.
+"""On which planes a view is sampled.
 
 The samples of a ray are where it crosses equally spaced planes perpendicular to one axis of the volume,
 the axis most parallel to the view. In index space an axis of ``n`` samples spans ``[-1/2, n - 1/2]``;
@@ -14,7 +14,6 @@ import math
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clvol.camera import View
 from clvol.errors import OptionError
@@ -22,7 +21,7 @@ from clvol.spline.minmax import BLOCK
 from clvol.uniform import FLOAT, INT, Block, Values
 from clvol.volume import Volume
 
-__all__ = ["OBLIQUE", "SLAB", "Planes", "pixel_offsets"]
+__all__ = ["OBLIQUE", "SLAB", "Planes"]
 
 OBLIQUE = 0.5  # cosine between ray and axis below which a ray steps along itself
 SLAB = 8  # samples of a segment at most: a work-item holds a blended plane for each
@@ -54,15 +53,28 @@ class Planes:
         Their distance in voxels.
     oblique : bool
         Whether some rays are too oblique to them and step along themselves.
+    margin : float
+        More than the positions of samples are rounded by, in voxels.
 
     Raises
     ------
     OptionError
         There would be more than 2²⁰ planes, or samples on a ray.
+    GeometryError
+        The picture spans so many voxels that float32 does not carry them: `View.reach`.
     """
 
     BLOCK: ClassVar[Block] = Block(
-        "planes_block", first=FLOAT, last=FLOAT, spacing=FLOAT, stride=FLOAT, count=FLOAT, oblique=FLOAT, slab=FLOAT, axis=INT
+        "planes_block",
+        first=FLOAT,
+        last=FLOAT,
+        spacing=FLOAT,
+        stride=FLOAT,
+        count=FLOAT,
+        oblique=FLOAT,
+        slab=FLOAT,
+        margin=FLOAT,
+        axis=INT,
     )
 
     def __init__(self, volume: Volume, view: View, aspect: float, step: float, segment: float = BLOCK) -> None:
@@ -79,6 +91,7 @@ class Planes:
         if any(d[self.axis] * forward[self.axis] < 0 for d in corners):
             cosine = 0.0  # so wide that some rays run the other way
         self._samples = volume.size[self.axis]
+        self.margin = max(0.01, 2.0**-22 * view.reach(volume, aspect))
         self.oblique = cosine < OBLIQUE
         wanted = self._samples / (step * max(cosine, OBLIQUE))
         if wanted > _MAX_PLANES:
@@ -98,11 +111,6 @@ class Planes:
             count=self.count,
             oblique=OBLIQUE,
             slab=max(1, int(self._segment / max(self.spacing, self.step))),
+            margin=self.margin,
             axis=self.axis,
         )
-
-
-def pixel_offsets(samples: int) -> NDArray[np.float64]:
-    """Where in a pixel its samples lie: the first in the middle, the others by the R2 sequence; (samples, 2)."""
-    golden = np.array([0.7548776662466927, 0.5698402909980532])  # 1/g, 1/g² with g³ = g + 1
-    return np.asarray((0.5 + np.arange(samples)[:, None] * golden) % 1.0)

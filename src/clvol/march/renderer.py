@@ -20,12 +20,14 @@ from clvol.filter import Filter
 from clvol.light import Light, Material
 from clvol.march import launch
 from clvol.march.frame import Frame
+from clvol.march.launch import Picture
+from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter
 from clvol.mode import DEFAULT_MODE, Mode, as_mode
 from clvol.scene import Box, Medium, Scene, as_scene
 from clvol.spline.evaluator import Evaluator, EvaluatorName, FetchName, choose_evaluator
 from clvol.spline.field import Field, as_field
 from clvol.spline.minmax import MinMax
-from clvol.spline.points import Floats, Progress
+from clvol.spline.points import Progress
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
 
@@ -57,7 +59,7 @@ class Renderer:
         No filter, boundary or device has this name, the volume does not have three axes, `filter` or `boundary` are given
         beside a scene or a medium, another filter, boundary or device than a field's beside it, or the field is closed.
     GeometryError
-        The spacings differ by a factor of more than 10⁶, or lie outside 10⁻³⁰ to 10³⁰.
+        The spacings differ by a factor of more than 10⁶, or lie outside 10⁻³⁰ to 10³⁰, or an axis has more than 2¹⁸ samples.
     DataError
         A sample is NaN or infinite.
     DeviceError
@@ -134,13 +136,14 @@ class Renderer:
         clip: Box | EllipsisType | None = ...,
         gradient: Literal["analytic", "central"] = ...,
         samples: int = ...,
+        pixel_filter: str | Filter = ...,
         skipping: bool = ...,
         evaluator: EvaluatorName = ...,
         fetch: FetchName = ...,
         outputs: Output = ...,
         progress: Progress | None = ...,
         **options: Any,
-    ) -> Floats: ...
+    ) -> Picture: ...
 
     @overload
     def render(
@@ -157,13 +160,14 @@ class Renderer:
         clip: Box | EllipsisType | None = ...,
         gradient: Literal["analytic", "central"] = ...,
         samples: int = ...,
+        pixel_filter: str | Filter = ...,
         skipping: bool = ...,
         evaluator: EvaluatorName = ...,
         fetch: FetchName = ...,
         outputs: list[Output] | tuple[Output, ...],
         progress: Progress | None = ...,
         **options: Any,
-    ) -> dict[str, Floats]: ...
+    ) -> dict[str, Picture]: ...
 
     def render(
         self,
@@ -179,13 +183,14 @@ class Renderer:
         clip: Box | EllipsisType | None = ...,
         gradient: Literal["analytic", "central"] = "analytic",
         samples: int = 1,
+        pixel_filter: str | Filter = DEFAULT_PIXEL_FILTER,
         skipping: bool = True,
         evaluator: EvaluatorName = "auto",
         fetch: FetchName = "auto",
         outputs: Output | Sequence[Output] = "rgba",
         progress: Progress | None = None,
         **options: Any,
-    ) -> Floats | dict[str, Floats]:
+    ) -> Picture | dict[str, Picture]:
         """One picture.
 
         Parameters
@@ -208,7 +213,11 @@ class Renderer:
             to either side, as many others do. `nearest` has no useful derivative and is always
             shaded by central differences.
         samples : int
-            Rays a pixel, 1 to 4096.
+            Rays a pixel, 1 to 4096. A single one goes through its middle.
+        pixel_filter : str or Filter
+            What several rays sample: the picture under this filter of the table, which is as many pixels wide as it has taps.
+            "linear" leaves half the aliasing of "nearest", the pixel's own square, and is less sharp; one with negative
+            lobes, such as "mitchell", needs about 64 rays. Filters with a prefilter are none.
         skipping : bool
             Do not look where the function's minimum and maximum say that nothing can be seen. The picture is the same to the
             last bit.
@@ -217,7 +226,8 @@ class Renderer:
         outputs : str or sequence of str
             Of "rgba", "depth", "normal", "position", "visited". Several give a dictionary. Depth is the world distance
             from the eye along the ray (orthographic: from the camera's plane), inf where there is nothing;
-            normals face the viewer; NaN where there are none. In "composite" they are where half of the light
+            normals face the viewer; NaN where there are none. Positions are in the world. These are of the ray through the
+            pixel's middle. In "composite" they are where half of the light
             is stopped, in projections where the extreme lies; "mean" has none. "visited" is the share of a ray's
             samples that was looked at, NaN where it has none.
         progress : callable, optional
@@ -229,7 +239,8 @@ class Renderer:
         -------
         ndarray of float32, shape (height, width, 4), or a dictionary
             Red, green, blue, opacity in 0..1; row 0 is the top. Depth and visited have shape (height, width),
-            normals and positions (height, width, 3).
+            normals and positions (height, width, 3). Positions are float64: exact to float32 as seen from the volume's
+            centre, however far that is from the world's origin.
 
         Raises
         ------
@@ -238,7 +249,8 @@ class Renderer:
             is not positive or gives more than 2²⁰ samples a ray, `samples` beyond 1 to 4096, more than 4 lights, an unknown name;
             or the renderer is closed.
         GeometryError
-            The camera stands on its target, or `clip` is no box.
+            The camera stands on its target, `clip` is no box, or the camera is so wide (fov near 180°, zoom near 0) that a
+            picture spans more than 2¹⁸ voxels from the volume's centre to its own corners: float32 would miss the rays.
         DeviceError
             The device failed; ``fetch="image"`` on a device without images, or paired fetches from an image whose sampler does
             not interpolate.
@@ -257,7 +269,7 @@ class Renderer:
         if gradient not in ("analytic", "central"):
             raise one_of("gradient", gradient, ("analytic", "central"))
         wanted = _outputs(outputs)
-        samples = whole("samples", samples, minimum=1, maximum=4096)
+        samples, pixel_filter = whole("samples", samples, minimum=1, maximum=4096), as_pixel_filter(pixel_filter)
         way = choose_evaluator(self.device, self.filter, evaluator, fetch, bits=_BITS)
         frame = Frame.of(
             scene,
@@ -272,7 +284,7 @@ class Renderer:
             central=gradient == "central" or not self.filter.has_gradient,
             guides=wanted != ("rgba",),
         )
-        pictures = launch.draw(frame, samples, progress)
+        pictures = launch.draw(frame, samples, pixel_filter, progress)
         return pictures[wanted[0]] if isinstance(outputs, str) else {name: pictures[name] for name in wanted}
 
     def _seen(
@@ -324,7 +336,7 @@ def render(
     device: Device | str | int | None = ...,
     outputs: Output = ...,
     **options: Any,
-) -> Floats: ...
+) -> Picture: ...
 
 
 @overload
@@ -340,7 +352,7 @@ def render(
     device: Device | str | int | None = ...,
     outputs: list[Output] | tuple[Output, ...],
     **options: Any,
-) -> dict[str, Floats]: ...
+) -> dict[str, Picture]: ...
 
 
 def render(
@@ -355,7 +367,7 @@ def render(
     device: Device | str | int | None = None,
     outputs: Output | Sequence[Output] = "rgba",
     **options: Any,
-) -> Floats | dict[str, Floats]:
+) -> Picture | dict[str, Picture]:
     """One picture of a volume or a scene; `Renderer` is the same for many pictures of one scene.
 
     Parameters and errors are those of `Renderer` and of `Renderer.render`.

@@ -173,7 +173,8 @@ class Field:
         ----------
         points : array-like, shape (..., d)
             World positions (x, y) or (x, y, z), as many coordinates as the volume has axes. float32 is computed with as it
-            is, everything else as float64 where the device has it. A position that is not finite gives NaN.
+            is, everything else as float64 where the device has it; where it has none, positions err by up to 2⁻²⁴ of their
+            distance from the world's origin and from the first sample. A position that is not finite gives NaN.
         evaluator : {"auto", "taps", "paired", "eight-fetch"}
             Direct taps, or linear fetches that serve two taps along each axis: 8 fetches for the 4 taps an axis of a
             cubic in 3-D (hence "eight-fetch", another name for it), 4 in 2-D, 27 for the 6 taps of `bspline5`. Filters

@@ -176,12 +176,12 @@ class MinMax:
         self._sides = None
 
 
-def minmax_block(minmax: MinMax | None, volume: Volume) -> Values:
-    """What the ray loop reads of the pyramid of a volume; without one it skips nothing."""
+def minmax_block(minmax: MinMax | None, volume: Volume, rounding: float) -> Values:
+    """What the ray loop reads of the pyramid of a volume; without one it skips nothing. Positions err by less than `rounding`."""
     if minmax is None:
         return MINMAX(margin=0.0, skipping=0, levels=0, blocks=0, level_at=0)
     level_at = np.zeros(MAX_LEVELS, np.int32)
     level_at[: len(minmax.offsets)] = minmax.offsets
     # positions are rounded by up to a few millionths of the volume's size; the rest is reserve
-    margin = 0.01 + 1e-6 * max(volume.size)
+    margin = max(0.01 + 1e-6 * max(volume.size), rounding)
     return MINMAX(margin=margin, skipping=1, levels=len(minmax.offsets), blocks=minmax.blocks, level_at=level_at)

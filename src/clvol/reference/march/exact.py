@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.camera import View
+from clvol.filter import Filter
 from clvol.light import Light, Material
-from clvol.reference.march.march import camera_rays, pixel_offsets, shade
+from clvol.reference.march.march import camera_rays, pixel_rays, shade
 from clvol.volume import Volume
 
 __all__ = ["draw_function"]
@@ -34,6 +35,7 @@ def draw_function(
     background: Sequence[float],
     clip: tuple[Sequence[float], Sequence[float]] | None = None,
     samples: int = 1,
+    pixel_filter: str | Filter = "linear",
     steps: int = 240,
 ) -> tuple[Array, NDArray[np.float32]]:
     """The first surface of a function within the domain of a volume, whose samples are not looked at.
@@ -42,7 +44,7 @@ def draw_function(
     ----------
     function, gradient : callable
         Values (N,) and gradients (N, 3) at world positions (N, 3).
-    volume, view, size, isovalue, color, lights, material, background, clip, samples
+    volume, view, size, isovalue, color, lights, material, background, clip, samples, pixel_filter
         As for `Renderer.render`, with a view from `Camera.view`.
     steps : int
         Intervals of a ray in which a change of sign is looked for.
@@ -55,8 +57,8 @@ def draw_function(
     """
     width, height = size
     picture, points = np.zeros((height * width, 3)), []
-    for k, offset in enumerate(pixel_offsets(samples)):
-        rays = camera_rays(volume, view, size, tuple(offset), clip)
+    for k, (offset, weight) in enumerate(pixel_rays(samples, pixel_filter)):
+        rays = camera_rays(volume, view, size, offset, clip)
         crossing = np.flatnonzero(rays.enter < rays.leave)
         drawn = np.broadcast_to(np.asarray(background, np.float64), picture.shape).copy()
         for part in np.array_split(crossing, -(-crossing.size // _RAYS)) if crossing.size else []:
@@ -68,7 +70,7 @@ def draw_function(
             drawn[part[hit]] = shade(gradient(at), colors, rays.direction[part[hit]], material, lights, 0.0)
             if k == 0:
                 points.append(at)
-        picture += drawn / samples
+        picture += drawn * weight
     opaque = np.concatenate([np.clip(picture, 0, 1), np.ones((height * width, 1))], -1)
     return np.concatenate(points or [np.empty((0, 3))]), opaque.reshape(height, width, 4).astype(np.float32)
 

@@ -28,13 +28,13 @@ from clvol.reference.spline.points import sample
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume, as_volume
 
-__all__ = ["Rays", "camera_rays", "pixel_offsets", "planes_across", "render", "shade"]
+__all__ = ["Rays", "camera_rays", "facing", "flat_below", "pixel_rays", "planes_across", "render", "shade"]
 
 Array: TypeAlias = NDArray[np.float64]
 Bools: TypeAlias = NDArray[np.bool_]
 
 _STEEP = 0.5  # cosine of 60°: rays farther from the axis step along themselves
-_FLAT = 1e-5  # share of the range, or of the largest magnitude, per mean spacing: less is no gradient
+_ROUNDING = 2.0**-19  # share of the value a voxel: less is no gradient, since kernels compute in float32
 _BISECTIONS = 38  # to 1e-12 of a step; to the last bit, rounding would choose the side of a jump again
 
 
@@ -163,7 +163,9 @@ def _sample_distances(volume: Volume, rays: Rays, axis: int, planes: int, step: 
     return np.take_along_axis(every, order, 1), np.take_along_axis(there, order, 1), world_step
 
 
-def shade(gradient: Array, color: Array, direction: Array, material: Material, lights: Sequence[Light], flat: float) -> Array:
+def shade(
+    gradient: Array, color: Array, direction: Array, material: Material, lights: Sequence[Light], flat: float | Array
+) -> Array:
     """Blinn-Phong: ``color (ka + kd Σ Lᵢ (n·lᵢ)⁺) + ks Σ Lᵢ ((n·hᵢ)⁺)ˢ``, with n towards the viewer.
 
     ``h`` is halfway between the light and the viewer; there is no highlight where the light is behind the
@@ -174,6 +176,8 @@ def shade(gradient: Array, color: Array, direction: Array, material: Material, l
     ----------
     gradient, color, direction : ndarray, shape (N, 3)
         World gradients; colours of the matter; unit directions of the rays.
+    flat : float or ndarray, shape (N,)
+        See `flat_below`.
     """
     normal, known = facing(gradient, direction, flat)
     normal = np.where(known[:, None], normal, 0.0)
@@ -191,7 +195,12 @@ def shade(gradient: Array, color: Array, direction: Array, material: Material, l
     return np.asarray(color * (material.ambient + material.diffuse * diffuse) + material.specular * shine)
 
 
-def facing(gradient: Array, direction: Array, flat: float) -> tuple[Array, Bools]:
+def flat_below(volume: Volume, values: Array) -> Array:
+    """The longest world gradient, where the function has these values, that may be rounding of float32 alone."""
+    return np.asarray(_ROUNDING * np.abs(values) / np.linalg.svd(volume.index_to_world_matrix, compute_uv=False).min())
+
+
+def facing(gradient: Array, direction: Array, flat: float | Array) -> tuple[Array, Bools]:
     """Unit normals towards the viewer, NaN where the gradient is no longer than `flat`, and where it is longer."""
     length = np.linalg.norm(gradient, axis=-1)
     known = length > flat
@@ -208,7 +217,7 @@ class _Scene:
     value: Callable[[Array], Array]
     gradient: Callable[[Array], Array]
     filter: Filter
-    lit: Callable[[Array, Array, Array], Array]  # gradient, colour and direction to colour
+    lit: Callable[[Array, Array, Array, Array], Array]  # gradient, values, colour and direction to colour
     transfer: TransferFunction
     unit_distance: float
     volume: Volume
@@ -231,6 +240,7 @@ def render(
     background: Sequence[float] | str | None = (0.0, 0.0, 0.0),
     clip: tuple[Sequence[float], Sequence[float]] | None = None,
     samples: int = 1,
+    pixel_filter: str | Filter = "linear",
     outputs: str | Sequence[str] = "rgba",
     **options: Any,
 ) -> Array | dict[str, Array]:
@@ -259,11 +269,9 @@ def render(
     gather = MODES.get(chosen.name)
     if gather is None:
         raise one_of("mode of the reference", chosen.name, MODES)
-    low, high = volume.value_range
     if transfer is None:
         transfer = chosen.transfer(volume)
     material = material or Material()
-    flat = _FLAT * max(high - low, abs(high), abs(low)) / float(np.mean(volume.spacing))
     central = gradient == "central" or not row.has_gradient
 
     def value(points: Array) -> Array:
@@ -286,7 +294,7 @@ def render(
         value,
         slope,
         row,
-        lambda g, c, d: shade(g, c, d, material, lights, flat),
+        lambda g, v, c, d: shade(g, c, d, material, lights, flat_below(volume, v)),
         transfer,
         transfer.unit_distance or float(np.mean(volume.spacing)),
         volume,
@@ -295,19 +303,20 @@ def render(
     axis, planes = planes_across(volume, view, width / height, step)
     total = np.zeros((width * height, 4))
     guides: dict[str, Array] = {}
-    for offset in pixel_offsets(samples):
+    for offset, weight in pixel_rays(samples, pixel_filter):
         rays = camera_rays(volume, view, size, offset, clip)
         t, there, world_step = _sample_distances(volume, rays, axis, planes, step, chosen.endpoints)
         values = np.full(t.shape, math.nan)
         which, k = np.nonzero(there)
         values[there] = value(rays.at(t[which, k], which))
         rgb, opacity, depth = gather(scene, chosen, rays, t, there, values, world_step)
-        total += np.concatenate([rgb, opacity[:, None]], 1) / samples
+        total += np.concatenate([rgb, opacity[:, None]], 1) * weight
         if not guides:
             somewhere = np.isfinite(depth)
             place = np.full((depth.size, 3), math.nan)
             place[somewhere] = rays.at(depth[somewhere], somewhere)
             normal = np.full((depth.size, 3), math.nan)
+            flat = flat_below(volume, value(place[somewhere]))
             normal[somewhere], _ = facing(slope(place[somewhere]), rays.direction[somewhere], flat)
             guides = {"depth": depth, "normal": normal, "position": place}
     premultiplied, cover = total[:, :3], total[:, 3:]
@@ -322,10 +331,33 @@ def render(
     return shaped[outputs] if isinstance(outputs, str) else {name: shaped[name] for name in outputs}
 
 
-def pixel_offsets(samples: int) -> Array:
-    """The R2 sequence from the middle of the pixel: multiples of 1/g and 1/g², g the real root of g³ = g + 1."""
-    g = float(np.roots([1, 0, -1, -1])[0].real)
-    return np.array([[(0.5 + i / g) % 1, (0.5 + i / g**2) % 1] for i in range(samples)])
+def pixel_rays(samples: int, filter: str | Filter) -> list[tuple[tuple[float, float], float]]:
+    """Offset in the pixel and weight of each of its rays, that through the middle first, which may count nothing.
+
+    Along each axis the magnitude of the filter is cut into strips of equal weight. Counted from the middle of all, strip
+    ``k`` along x meets the strip along y whose rank is that of ``frac(1/2 + k g)``, g the golden section. A ray lies where
+    half of its strip's weight is on either side, and counts what the filter itself has in both strips.
+    """
+    row = as_filter(filter)
+    x = np.linspace(-row.support / 2, row.support / 2, 1 + 30_000 * row.support)
+    pieces = row((x[1:] + x[:-1]) / 2)
+    below = np.concatenate([[0], np.cumsum(np.abs(pieces))]) / np.abs(pieces).sum()
+
+    def until(share: float) -> float:
+        return float(np.interp(share, below, x))
+
+    def within(low: float, high: float) -> float:
+        return float(np.interp(high, x[1:], np.cumsum(pieces), left=0) - np.interp(low, x[1:], np.cumsum(pieces), left=0))
+
+    place = [until((i + 0.5) / samples) for i in range(samples)]
+    share = [within(until(i / samples), until((i + 1) / samples)) for i in range(samples)]
+    along = [math.fmod(samples + 0.5 + (i - (samples - 1) / 2) * (math.sqrt(5) - 1) / 2, 1) for i in range(samples)]
+    rank = [sum(other < mine for other in along) for mine in along]
+    total = sum(share[i] * share[rank[i]] for i in range(samples))
+    rays = [((0.5 + place[i], 0.5 + place[rank[i]]), share[i] * share[rank[i]] / total) for i in range(samples)]
+    if samples % 2 == 0:
+        return [((0.5, 0.5), 0.0), *rays]
+    return [((0.5, 0.5), rays[samples // 2][1]), *rays[: samples // 2], *rays[samples // 2 + 1 :]]
 
 
 # -- the modes: premultiplied colour, opacity and depth of each ray ------------------------------------------------
@@ -339,7 +371,7 @@ def _composite(scene: _Scene, mode: Composite, rays: Rays, t: Array, there: Bool
     if mode.shading:
         which, k = np.nonzero(alpha > 0)
         gradient = scene.gradient(rays.at(t[which, k], which))
-        rgb[which, k] = scene.lit(gradient, rgb[which, k], rays.direction[which])
+        rgb[which, k] = scene.lit(gradient, values[which, k], rgb[which, k], rays.direction[which])
     opacity = 1 - (1 - alpha) ** (step / scene.unit_distance)[:, None]
     after = np.cumprod(1 - opacity, axis=1)
     before = np.concatenate([np.ones((after.shape[0], 1)), after[:, :-1]], 1)
@@ -362,7 +394,8 @@ def _isosurface(scene: _Scene, mode: Isosurface, rays: Rays, t: Array, there: Bo
     rgb = np.zeros((t.shape[0], 3))
     rgb[hit] = mode.color
     if mode.shading:
-        rgb[hit] = scene.lit(scene.gradient(rays.at(depth[hit], hit)), rgb[hit], rays.direction[hit])
+        gradient = scene.gradient(rays.at(depth[hit], hit))
+        rgb[hit] = scene.lit(gradient, np.full(hit.size, mode.isovalue), rgb[hit], rays.direction[hit])
     return rgb, np.isfinite(depth).astype(float), depth
 
 

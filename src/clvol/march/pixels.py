@@ -1,0 +1,83 @@
+"""Where about a pixel's middle its rays lie and what each counts: a pixel is the picture under a filter of the table.
+
+N rays part the filter, along each axis, into N strips of equal weight (of its magnitude, where it has negative lobes): a ray
+lies in the middle of one strip along x and of one along y, each strip is used once, and a ray counts as much as the filter
+has in both strips. Which strips meet follows from multiples of the golden ratio, counted from the middle, so that the
+pattern is symmetric about the pixel's middle: a picture is not shifted. `reference/march/march.py` has the same rays.
+
+On a zone plate, 16 rays under "linear" leave half of the aliasing of "nearest", the pixel's own square, and half as
+much again of its blur; under "mitchell" they are about as good, and better than either from 64 rays on.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.errors import OptionError
+from clvol.filter import Filter, as_filter
+
+__all__ = ["DEFAULT_PIXEL_FILTER", "as_pixel_filter", "pixel_offsets", "pixel_rays"]
+
+DEFAULT_PIXEL_FILTER = "linear"
+_GOLDEN = (5**0.5 - 1) / 2
+_FINE = 4096  # pieces of a pixel in which the filter is summed
+
+
+def as_pixel_filter(choice: str | Filter) -> Filter:
+    """The filter of a name, if a picture can be filtered by it.
+
+    Raises
+    ------
+    OptionError
+        No filter has this name, or it is no kernel that is even and has a positive sum: one with a prefilter is none.
+    """
+    row = as_filter(choice)
+    if row.prefilter or row.magnify:
+        raise OptionError(f"pixel_filter must be a filter without a prefilter, such as 'bspline3-approx'; got {row.name!r}")
+    _, values = _kernel(row)
+    if not np.allclose(values, values[::-1], atol=1e-6 * np.abs(values).max()) or values.sum() <= 0:
+        raise OptionError(f"pixel_filter must be an even kernel with a positive sum; {row.name!r} is not")
+    return row
+
+
+def pixel_offsets(samples: int, filter: str | Filter = DEFAULT_PIXEL_FILTER) -> NDArray[np.float64]:
+    """Where the rays of a pixel lie, in pixels from its upper left corner, those nearest its middle first; (samples, 2)."""
+    return _pattern(samples, as_pixel_filter(filter))[0]
+
+
+def pixel_rays(samples: int, filter: Filter, *, middle: bool) -> list[tuple[NDArray[np.float64], float]]:
+    """Offset and weight of each ray of a pixel; with `middle` the first lies in its middle, and may count nothing."""
+    offsets, weights = _pattern(samples, filter)
+    rays = [(offset, float(weight)) for offset, weight in zip(offsets, weights, strict=True)]
+    return [(np.array([0.5, 0.5]), 0.0), *rays] if middle and samples % 2 == 0 else rays
+
+
+@lru_cache
+def _pattern(samples: int, filter: Filter) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Offsets (samples, 2), and weights, which sum to one."""
+    k = np.arange(samples) - (samples - 1) / 2
+    across, down = np.arange(samples), np.argsort(np.argsort((0.5 + k * _GOLDEN) % 1.0))
+    strips = np.stack([across, down], -1)[np.argsort(np.abs(k), kind="stable")]
+    places, shares = _strips(filter, samples)
+    weights = shares[strips].prod(1)
+    return 0.5 + places[strips], weights / weights.sum()
+
+
+def _strips(filter: Filter, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The middle of each of so many strips of a filter, from its own middle, and its sum over each."""
+    edges, values = _kernel(filter)
+    size = np.concatenate([[0.0], np.cumsum(np.abs(values))])
+    size /= size[-1]
+    places = np.interp((np.arange(count) + 0.5) / count, size, edges)
+    sums = np.concatenate([[0.0], np.cumsum(values)])
+    shares = np.diff(np.interp(np.interp(np.arange(count + 1) / count, size, edges), edges, sums))
+    return (places - places[::-1]) / 2, (shares + shares[::-1]) / 2  # even to the last bit
+
+
+def _kernel(filter: Filter) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Edges of fine pieces of a kernel's support, and its value in the middle of each."""
+    edges = np.linspace(-filter.support / 2, filter.support / 2, filter.support * _FINE + 1)
+    return edges, filter((edges[1:] + edges[:-1]) / 2)

@@ -1,0 +1,147 @@
+"""Positions far from the world's origin, at wide angles and on long axes, against rays and spheres intersected in float64 here."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clvol
+from clvol import Camera, Volume
+from clvol.camera import View
+from clvol.device import Device
+from clvol.errors import GeometryError
+
+SIDE, RADIUS = 40, 12.0
+
+
+def ball(origin: tuple[float, float, float], spacing: float = 1.0) -> Volume:
+    """r² about the middle, which the cubic B-spline reproduces there."""
+    z, y, x = np.mgrid[:SIDE, :SIDE, :SIDE] - (SIDE - 1) / 2
+    return Volume(x * x + y * y + z * z, (spacing,) * 3, origin)
+
+
+def rays(view: View, size: tuple[int, int]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    """Origins and unit directions of the rays through the middles of the pixels."""
+    width, height = size
+    a = 2 * (np.arange(width) + 0.5) / width - 1
+    b = 1 - 2 * (np.arange(height) + 0.5) / height
+    plane = view.half_height * (a[None, :, None] * width / height * view.right + b[:, None, None] * view.up)
+    if view.orthographic:
+        return view.eye + plane, np.broadcast_to(view.forward, plane.shape)
+    along = view.forward + plane
+    return np.broadcast_to(view.eye, plane.shape), along / np.linalg.norm(along, axis=-1, keepdims=True)
+
+
+def sphere_points(volume: Volume, view: View, size: tuple[int, int], radius: float) -> np.ndarray[Any, Any]:
+    """Where each ray first meets the sphere, counted from its centre; NaN where it does not."""
+    origin, direction = rays(view, size)
+    center = np.asarray(volume.origin) + np.asarray(volume.spacing) * (SIDE - 1) / 2
+    o = origin - center
+    b, c = (o * direction).sum(-1), (o * o).sum(-1) - radius**2
+    with np.errstate(invalid="ignore"):
+        t = -b - np.sqrt(b * b - c)
+    return o + t[..., None] * direction
+
+
+@pytest.mark.parametrize("projection", ["perspective", "orthographic"])
+@pytest.mark.parametrize("distance", [0.0, 1e6, 1e7, 1e9])
+def test_positions_are_as_exact_far_from_the_origin(device: Device, distance: float, projection: Any) -> None:
+    volume, size = ball((distance, -3 * distance, 0.7 * distance)), (60, 48)
+    camera = Camera.orbit(30, 20, zoom=1.5, projection=projection)
+    options: dict[str, Any] = {"isovalue": RADIUS**2, "tolerance": 1e-8, "size": size, "device": device}
+    got = clvol.render(volume, camera, "isosurface", outputs="position", **options)
+    assert got.dtype == np.float64
+    want = sphere_points(volume, camera.view(volume, size[0] / size[1]), size, RADIUS)
+    both = np.isfinite(got[..., 0]) & np.isfinite(want[..., 0])
+    assert both.sum() > 400
+    assert both.sum() > 0.98 * np.isfinite(want[..., 0]).sum()
+    p = got[both] - (np.asarray(volume.origin) + (SIDE - 1) / 2)
+    _, direction = rays(camera.view(volume, size[0] / size[1]), size)
+    rim = np.abs((p * direction[both]).sum(1)) < 0.2 * RADIUS  # grazed: where the ray meets it is ill-defined
+    assert np.abs(np.linalg.norm(p, axis=1) - RADIUS).max() < 2e-4
+    assert np.abs(p - want[both])[~rim].max() < 1e-3
+
+
+@pytest.mark.parametrize("distance", [1e6, 1e7])
+def test_clip_boxes_and_normals_too(device: Device, distance: float) -> None:
+    """The faces of a box in front of the ball: positions lie on them, and the picture is that at the origin."""
+    size, camera = (48, 48), Camera.orbit(30, 20, zoom=1.5)
+    near, far = ball((0, 0, 0)), ball((distance, -distance, 2 * distance))
+    pictures = []
+    for volume in (near, far):
+        middle = np.asarray(volume.origin) + (SIDE - 1) / 2
+        options: dict[str, Any] = {"isovalue": RADIUS**2, "clip": (middle - 5.3, middle + 15), "size": size, "device": device}
+        got = clvol.render(volume, camera, "isosurface", outputs=("rgba", "normal", "position"), **options)
+        pictures.append((got, got["position"] - middle))
+    np.testing.assert_allclose(pictures[1][0]["rgba"], pictures[0][0]["rgba"], atol=1e-4)
+    np.testing.assert_allclose(pictures[1][0]["normal"], pictures[0][0]["normal"], atol=1e-4)
+    np.testing.assert_allclose(pictures[1][1], pictures[0][1], atol=2e-4)
+
+
+WIDE = [(fov, zoom) for fov in (90.0, 150.0, 170.0, 179.0, 179.9) for zoom in (1.0, 0.1, 0.01, 0.001)]
+
+
+@pytest.mark.parametrize(("fov", "zoom"), WIDE)
+def test_wide_cameras_are_exact_or_refused(device: Device, fov: float, zoom: float) -> None:
+    """Positions lie on the rays within 1/16 of a voxel, and skipping changes nothing; else an error names the limit."""
+    volume, camera, size = ball((0, 0, 0)), Camera(direction=(0.3, 0.8, -0.5), fov=fov, zoom=zoom), (49, 33)
+    corner = np.tan(np.radians(fov / 2)) / zoom
+    with clvol.Renderer(volume, "linear", device=device) as renderer:
+        if corner * volume.radius > 200_000:
+            with pytest.raises(GeometryError, match="must span no more than 262144 voxels"):
+                renderer.render(camera, "mip", size, outputs=("rgba", "position"))
+            return
+        got = renderer.render(camera, "mip", size, outputs=("rgba", "position"))
+        plain = renderer.render(camera, "mip", size, outputs=("rgba", "position"), skipping=False)
+    for name in got:
+        np.testing.assert_array_equal(got[name], plain[name])
+    origin, direction = rays(camera.view(volume, size[0] / size[1]), size)
+    there = np.isfinite(got["position"][..., 0])
+    assert there.any()
+    q = (got["position"] - origin)[there]
+    off = q - (q * direction[there]).sum(-1, keepdims=True) * direction[there]
+    assert np.linalg.norm(off, axis=1).max() < 1 / 16
+
+
+def test_a_camera_that_sees_nothing_of_the_volume_may_be_anywhere(device: Device) -> None:
+    away = Camera.look_at((1e8, 0, 0), (2e8, 1e3, 0))
+    got = clvol.render(ball((0, 0, 0)), away, "mip", size=(16, 16), background="red", device=device)
+    np.testing.assert_array_equal(got, np.broadcast_to(np.float32([1, 0, 0, 1]), got.shape))
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_long_axes_are_exact_or_refused(device: Device, axis: int) -> None:
+    """A ramp at the far end of an axis: its surface lies where the ramp has the value, within 1/64 of a voxel."""
+    for n, taken in ((1 << 18, True), ((1 << 18) + 1, False), (5_000_000, False)):
+        shape = [3, 3, 3]
+        shape[2 - axis] = n
+        line = np.zeros(n, np.float32)
+        line[-64:] = np.arange(64)
+        data = np.broadcast_to(line.reshape([-1 if k == 2 - axis else 1 for k in range(3)]), shape)
+        target = np.ones(3)
+        target[axis] = n - 30
+        camera = Camera(tuple(target - [0.5, 2.5, 3.5]), tuple(target), (0.3, 0.1, 1), projection="orthographic", zoom=n / 6)
+        options: dict[str, Any] = {"size": (24, 24), "isovalue": 34.25, "tolerance": 1e-8, "device": device}
+        if not taken:
+            with pytest.raises(GeometryError, match="rendering takes axes of up to 262144 samples"):
+                clvol.render(data, camera, "isosurface", "linear", outputs="position", **options)
+            continue
+        got = clvol.render(data, camera, "isosurface", "linear", outputs="position", **options)[..., axis]
+        there = np.isfinite(got)
+        assert there.any()
+        assert np.abs(got[there] - (n - 64 + 34.25)).max() < 1 / 64
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_samples_are_exact_on_axes_that_pictures_refuse(device: Device, axis: int) -> None:
+    n, shape = 5_000_000, [2, 2, 2]
+    shape[2 - axis] = n
+    line = np.zeros(n, np.float32)
+    line[-64:] = np.arange(64)
+    data = np.broadcast_to(line.reshape([-1 if k == 2 - axis else 1 for k in range(3)]), shape)
+    points = np.random.default_rng(axis).uniform(0, 1, (500, 3))
+    points[:, axis] = n - 60 + 50 * points[:, axis]
+    bound = 1e-4 if device.has_double else 1.0  # rounded to float32, positions err by up to half a voxel
+    assert np.abs(clvol.sample(data, points, "linear", device=device) - (points[:, axis] - (n - 64))).max() < bound
