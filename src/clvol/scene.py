@@ -15,6 +15,7 @@ from clvol.color import color_of
 from clvol.errors import GeometryError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.light import HEADLIGHT, Light, Material, lights_block
+from clvol.stored import AS_THEY_ARE, Stored
 from clvol.transfer import TransferFunction
 from clvol.uniform import FLOAT, INT, Block, Values
 from clvol.volume import Volume, as_volume
@@ -85,10 +86,10 @@ class Medium:
                 f"{_MAX_ANISOTROPY:g}; got {self.volume.spacing}"
             )
 
-    def block(self) -> Values:
+    def block(self, stored: Stored = AS_THEY_ARE) -> Values:
         """What kernels read: the domain, its map to the world, and gradients in units of the smallest that is no rounding."""
         volume = self.volume
-        low, high = volume.value_range
+        low, high = (float(v) for v in stored(volume.value_range))
         unit, inverse = volume.mean_spacing, volume.world_to_index_matrix
         flat = FLAT * max(high - low, high, -low) / unit
         return self.BLOCK(
