@@ -77,7 +77,7 @@ class Stored:
 
     def __call__(self, values: ArrayLike) -> NDArray[np.float64]:
         """`values` in stored units, in float64; those beyond what float32 holds as `held` gives them."""
-        return np.asarray(np.ldexp(self.held(values) - self.offset, -self.exponent))
+        return np.asarray(np.ldexp(self.held(values), -self.exponent) - math.ldexp(self.offset, -self.exponent))
 
     def samples(self, data: NDArray[Any]) -> NDArray[Any]:
         """Samples of a volume in stored units, still to be rounded to float32; integers are subtracted as integers."""
@@ -95,7 +95,8 @@ class Stored:
         """The values that stored ones stand for, in float64 unless they are the same; `gain`: what becomes of a 1 in them."""
         if self.identity:
             return stored
-        return np.asarray(self._scaled(stored) + gain * self.offset)
+        with np.errstate(over="ignore"):
+            return np.asarray(self._scaled(stored) + gain * self.offset)
 
     def derivatives(self, stored: NDArray[np.float32]) -> Reals:
         """Derivatives of the values, given those of stored ones: in float64 unless they are the same."""

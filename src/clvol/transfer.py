@@ -124,11 +124,11 @@ class TransferFunction:
         opacity, where = [p[1] for p in self.opacities], _scaled([p[0] for p in self.opacities], exponent)
         return np.stack([*(np.interp(v, at, rgb[:, i]) for i in range(3)), np.interp(v, where, opacity)], -1)
 
-    def table(self, stored: Stored = AS_THEY_ARE) -> NDArray[np.float32]:
-        """The function at `TABLE_SIZE` equally spaced values of `value_range`; shape (TABLE_SIZE, 4)."""
-        held = tuple(stored.held(self.value_range).tolist())
-        exponent = _exponent(*held)
-        low, high = _scaled(held, exponent)
+    def table(self, stored: Stored | None = None) -> NDArray[np.float32]:
+        """The function at `TABLE_SIZE` equally spaced values of `value_range`, as far as it is stored; shape (TABLE_SIZE, 4)."""
+        ends = self.value_range if stored is None else tuple(stored.held(self.value_range).tolist())
+        exponent = _exponent(*ends)
+        low, high = _scaled(ends, exponent)
         return self(np.ldexp(np.linspace(low, high, TABLE_SIZE), exponent)).astype(np.float32)
 
     def block(self, unit: float, stored: Stored = AS_THEY_ARE) -> Values:

@@ -620,7 +620,7 @@ def prefilter(
         return np.asarray(_prefilter_line(volume, chosen, boundary, device)[0])
     with coefficients_of(volume, chosen, boundary, device) as made, device.mapped(made.buffer, made.shape, write=False) as stored:
         own = np.array(stored[made.inner]).reshape(volume.shape)
-        return made.stored.values(own, _gain(chosen))
+        return made.stored.values(own, _gain(chosen) ** volume.ndim)
 
 
 def _prefilter_line(volume: Volume, filter: Filter, boundary: Boundary, device: Device) -> Reals:
@@ -641,7 +641,7 @@ def _prefilter_line(volume: Volume, filter: Filter, boundary: Boundary, device: 
 
 
 def _gain(filter: Filter) -> float:
-    """The coefficients of samples that are all 1."""
+    """The coefficients of samples that are all 1, along one axis."""
     return 1 / float(filter.samples[0] + 2 * filter.samples[1:].sum()) if filter.poles.size else 1.0
 
 

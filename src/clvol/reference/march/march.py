@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary
+from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.camera import Camera, View
 from clvol.checks import one_of
 from clvol.color import color_of
@@ -24,6 +24,7 @@ from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.light import HEADLIGHT, Light, Material
 from clvol.mode import DEFAULT_MODE, Attenuated, Composite, Isosurface, Mode, as_mode
 from clvol.reference.spline.points import sample
+from clvol.stored import Stored
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume, as_volume
 
@@ -256,7 +257,8 @@ def render(
     gather = MODES.get(chosen.name)
     if gather is None:
         raise one_of("mode of the reference", chosen.name, MODES)
-    low, high = volume.value_range
+    offset = Stored.of(volume, row, as_boundary(boundary)).offset  # kernels round what is left without it
+    low, high = (v - offset for v in volume.value_range)
     if transfer is None:
         transfer = chosen.transfer(volume)
     material = material or Material()
