@@ -20,7 +20,8 @@ from clvol.volume import Volume
 __all__ = ["AS_THEY_ARE", "Stored"]
 
 _FAR = 8  # times their range from zero samples lie that are stored less an offset: float32 then errs by 1e-6 of the range
-_EXPONENTS = 64  # samples of 2**-64 to 2**64 are stored unscaled: prefilters gain up to 2**32 on the way, subnormals are far
+_EXPONENTS = 90  # samples of 2**-90 to 2**90 are stored unscaled: their 24 digits end above 2**-126, and sums fit below 2**128
+_ROOM = 120  # of the exponents that float32 has, what a prefilter may use: filters and derivatives gain a little more
 _PROBES = 8  # along each axis, at least, where an axis has them
 _LARGEST = 3e38  # in stored units: about what float32 holds
 
@@ -48,7 +49,8 @@ class Stored:
 
         An offset, about the middle of the range, is taken off samples that lie further than 8 times their range from zero, if
         the filter's weights sum to one and the boundary rule puts no zeros outside. Samples that float32 holds and that are all
-        the same need none. An exponent brings the largest magnitude that is left to 1/2..1 if it is beyond 2**-64..2**64.
+        the same need none. An exponent brings the largest magnitude that is left to 1/2..1 if it is beyond 2**-90..2**90, or if a
+        filter's prefilter gains so much that it would overflow.
         """
         movable = filter.sums_to_one and boundary.period is not None
         if volume.data.dtype.kind in "biu":
@@ -61,7 +63,8 @@ class Stored:
         low, high = (float(v) for v in volume.limits)
         start = _offset(low, high) if movable else 0.0
         exponent = math.frexp(max(abs(low - start), abs(high - start)))[1]
-        return cls(start, exponent if abs(exponent) > _EXPONENTS else 0)
+        within = -_EXPONENTS <= exponent <= min(_EXPONENTS, _ROOM - _gain_exponent(filter.magnified_by or filter))
+        return cls(start, 0 if within else exponent)
 
     @property
     def identity(self) -> bool:
@@ -109,6 +112,13 @@ class Stored:
 
 AS_THEY_ARE = Stored()
 """Values are stored unchanged."""
+
+
+def _gain_exponent(filter: Filter) -> int:
+    """Of a power of two that no number exceeds on the way from samples within ±1 to coefficients, along three axes."""
+    if not filter.poles.size:
+        return 0
+    return math.ceil(-3 * (math.log2(abs(filter.samples[-1])) + 2 * float(np.log2(1 - np.abs(filter.poles)).sum())))
 
 
 def _may_be_far(data: NDArray[Any]) -> bool:
