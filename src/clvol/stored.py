@@ -71,6 +71,10 @@ class Stored:
         """Whether values are stored as they are."""
         return self == AS_THEY_ARE
 
+    def alters(self, derivative: int) -> bool:
+        """Whether values, or derivatives of this order, differ from what kernels make of stored ones."""
+        return not self.identity if derivative == 0 else self.exponent != 0
+
     # -- values of the data's units -> stored ones -----------------------------------------------------------------
 
     def held(self, values: ArrayLike) -> NDArray[np.float64]:
@@ -103,7 +107,7 @@ class Stored:
 
     def derivatives(self, stored: NDArray[np.float32]) -> Reals:
         """Derivatives of the values, given those of stored ones: in float64 unless they are the same."""
-        return self._scaled(stored) if self.exponent else stored
+        return self._scaled(stored) if self.alters(1) else stored
 
     def _scaled(self, stored: NDArray[np.float32]) -> NDArray[np.float64]:
         with np.errstate(over="ignore"):

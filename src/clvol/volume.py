@@ -226,8 +226,8 @@ class Volume:
     def gaussian(self, sigma: float | Sequence[float]) -> Volume:
         """Low-pass by a Gaussian of standard deviation `sigma` in world units (section 3 of the paper).
 
-        The kernel is cut at four standard deviations; edges are mirrored. The result is float32
-        (float64 for float64 data).
+        The kernel is cut at four standard deviations; edges are mirrored. The result is float32; float64 for samples
+        that float32 does not hold: float64, longdouble, and integers beyond 2²⁴.
         """
         from scipy import ndimage
 
@@ -238,13 +238,18 @@ class Volume:
             raise OptionError(f"sigma must not be negative; got {sigma!r}")
         self.require_finite()
         voxels = [w / s for w, s in zip(widths, self.spacing, strict=True)][::-1]
-        kind = np.float64 if self.data.dtype.itemsize == 8 and self.data.dtype.kind == "f" else np.float32
+        wide = self.data.dtype.itemsize > 4 if self.data.dtype.kind == "f" else self._beyond_float32()
+        kind = np.float64 if wide else np.float32
         return self._with(ndimage.gaussian_filter(self.data.astype(kind), voxels, mode="mirror"))
 
     def downsample(self, n: int) -> Volume:
         """Every `n`-th sample along each axis, from the first; low-pass with `gaussian` first."""
         n = whole("n", n, 1)
         return self._with(self.data[(slice(None, None, n),) * self.ndim], spacing=tuple(s * n for s in self.spacing))
+
+    def _beyond_float32(self) -> bool:
+        """Whether there are integers that float32 does not hold."""
+        return self.data.dtype.itemsize > 2 and max(abs(int(v)) for v in self.limits) > 1 << 24
 
     def _with(self, data: NDArray[Any], **changes: Any) -> Volume:
         return replace(self, data=data, **changes)

@@ -243,6 +243,15 @@ def test_no_pass_over_ordinary_integers(device: Device) -> None:
     assert "limits" not in vars(volume)
 
 
+def test_low_pass(device: Device) -> None:
+    steps = (100 * small()).astype(np.int64)
+    volume = clvol.Volume(steps + 2**40).gaussian(1.5)
+    expected = ndimage.gaussian_filter(steps.astype(np.float64), 1.5, mode="mirror")
+    assert_allclose(volume.data - 2.0**40, expected, rtol=0, atol=1e-3)  # float64 has 2.4e-4 there
+    at = inside()
+    assert_allclose(clvol.sample(volume, at, device=device) - 2.0**40, scipy_values(expected, at, 3), rtol=0, atol=2e-3)
+
+
 # -- large integers in pictures --------------------------------------------------------------------------------------
 
 

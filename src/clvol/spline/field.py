@@ -115,7 +115,7 @@ class Field:
     ------
     DataError
         `volume` is no array of real numbers with 2 or 3 axes, is empty, or holds a value that is NaN, infinite or too
-        large for float32.
+        large for float64.
     OptionError
         `filter`, `boundary` or `device` is the name of none.
     DeviceError
@@ -127,6 +127,14 @@ class Field:
     -----
     A Field is a context manager: leaving it frees the device's memory, as `close` does. Several threads may use one at a
     time.
+
+    Devices compute in float32: values err by about 10⁻⁶ of the largest magnitude. Samples further than 8 times their range from
+    zero (a pressure of 101,325 ± 3) are stored less an offset, and samples beyond 2⁻⁹⁰ to 2⁹⁰ less a power of two, whatever
+    their type, so that values err by about 10⁻⁶ of the *range* then. Results are float32 where samples are stored as they are,
+    as most are. Otherwise values are float64; derivatives are so with a power of two alone, for an offset does not change them.
+    No offset is taken off where the filter's weights do not sum to one (`lanczos3`, `sinc`), nor under the boundary rule "zero".
+    A single sample near zero in data that are otherwise far from it prevents the offset too. Integers with a range of more than
+    2²⁴ are rounded to 2⁻²⁴ of it. See `clvol.stored`.
 
     Examples
     --------
@@ -205,6 +213,7 @@ class Field:
         Returns
         -------
         ndarray of float32, shape (...)
+            float64 where the samples lie far from zero, or are very large or small: see the notes of `Field`.
 
         Raises
         ------
@@ -235,7 +244,7 @@ class Field:
         Returns
         -------
         ndarray of float32, shape (..., d)
-            Derivatives along (x, y[, z]), per world unit.
+            Derivatives along (x, y[, z]), per world unit; float64 where the samples are very large or small.
         """
         return self._at(points, 1, evaluator, fetch, fill, progress)
 
@@ -253,7 +262,7 @@ class Field:
         Returns
         -------
         ndarray of float32, shape (..., d, d)
-            Symmetric, [x, y[, z]] twice, per world unit squared.
+            Symmetric, [x, y[, z]] twice, per world unit squared; float64 where the samples are very large or small.
         """
         return self._at(points, 2, evaluator, fetch, fill, progress)
 
@@ -296,7 +305,7 @@ class Field:
 
         Returns
         -------
-        Volume of float32
+        Volume of float32, or of float64 as in a call
 
         Raises
         ------
@@ -334,7 +343,7 @@ class Field:
 
         Returns
         -------
-        Volume of float32
+        Volume of float32, or of float64 as in a call
 
         Raises
         ------
@@ -469,6 +478,7 @@ def sample(
     Returns
     -------
     ndarray of float32, shape (...), (..., d) or (..., d, d)
+        float64 where the samples lie far from zero (values alone), or are very large or small: see the notes of `Field`.
 
     Raises
     ------
@@ -516,7 +526,7 @@ def resample(
 
     Returns
     -------
-    Volume of float32
+    Volume of float32, or of float64 as `sample` gives it
 
     Raises
     ------
@@ -558,7 +568,7 @@ def magnify(
 
     Returns
     -------
-    Volume of float32
+    Volume of float32, or of float64 as `sample` gives it
 
     Raises
     ------
@@ -594,13 +604,13 @@ def prefilter(
     Returns
     -------
     ndarray of float32, the shape of `data`
-        The control points r of eq. (11), for every axis.
+        The control points r of eq. (11), for every axis, in units of the data; float64 as `sample` gives it.
 
     Raises
     ------
     DataError
         `data` are no regular array of real numbers with 1 to 3 axes, are empty, or hold a value that is NaN, infinite or
-        too large for float32.
+        too large for float64.
     OptionError
         `filter`, `boundary` or `device` is the name of none.
     DeviceError

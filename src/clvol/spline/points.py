@@ -89,7 +89,7 @@ def sample_coefficients(
                     transform,
                     ready,
                     np.uint64(begin + some),
-                    kernel_fill(coefficients.stored, fill),
+                    kernel_fill(coefficients.stored, derivative, fill),
                     wanted,
                     global_offset=(begin // _RUN if lanes else begin,),
                 )
@@ -99,16 +99,16 @@ def sample_coefficients(
     return in_units_of_data(coefficients.stored, results[:, 0] if derivative == 0 else results, derivative, fill)
 
 
-def kernel_fill(stored: Stored, fill: float | None) -> np.float32:
+def kernel_fill(stored: Stored, derivative: int, fill: float | None) -> np.float32:
     """What kernels write outside the domain: infinity, which no sample gives, where `fill` would not survive the way back."""
     if fill is None:
         return np.float32(0)
-    return np.float32(fill if stored.identity else math.inf)
+    return np.float32(math.inf if stored.alters(derivative) else fill)
 
 
 def in_units_of_data(stored: Stored, results: Floats, derivative: int, fill: float | None) -> Reals:
     """Results of kernels in units of the data, and `fill` outside the domain."""
-    if stored.identity:
+    if not stored.alters(derivative):
         return results
     final = stored.derivatives(results) if derivative else stored.values(results)
     if fill is not None:
@@ -148,7 +148,7 @@ def sample_grid(
                 coefficients.period,
                 transform,
                 np.array([nx, ny, y, z], np.int32),
-                kernel_fill(coefficients.stored, fill),
+                kernel_fill(coefficients.stored, 0, fill),
                 buffer,
             )
         device.finish()

@@ -141,4 +141,4 @@ def _resample_axes(
         with device.mapped(buffer, shape, write=True) as values:
             for axis, (x, n) in enumerate(zip(positions, coefficients.volume.size, strict=True)):
                 outside = (x < -0.5) | (x > n - 0.5)
-                np.moveaxis(values, 2 - axis, 0)[outside] = kernel_fill(coefficients.stored, fill)
+                np.moveaxis(values, 2 - axis, 0)[outside] = kernel_fill(coefficients.stored, 0, fill)
