@@ -121,7 +121,7 @@ class Frame:
             geometry=medium.block(stored),
             clip=clip_block(scene.clip, volume),
             planes=planes.block(),
-            transfer=transfer.block(volume.mean_spacing, stored),
+            transfer=transfer.block(volume.mean_spacing, stored.offset, stored.exponent),
             material=medium.material.block(),
             lights=lights_block(scene.lights),
             mode=mode.block(volume, stored),
@@ -136,7 +136,7 @@ class Frame:
                 **{"pass": 0, "last_pass": 0},
             ),
         )
-        table = _searchable(transfer.table(stored))
+        table = _searchable(transfer.table(stored.offset, stored.exponent))
         tile = _tile(coefficients.device, evaluator)
         return cls(coefficients, minmax, mode, evaluator, planes, tile, central, guides, values, table)
 
