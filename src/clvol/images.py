@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol import reference
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.checks import number, whole
 from clvol.device import Device
@@ -241,6 +240,8 @@ def _below(whole: int) -> float:
 
 def _in_float64(plane: NDArray[Any], grid: Volume, filter: Filter, boundary: Boundary, fill: float | None) -> NDArray[np.float64]:
     """The values of a channel on another grid, by the reference."""
+    from clvol import reference  # it takes SciPy, which few images need
+
     axes = [o + s * np.arange(n) for n, s, o in zip(grid.shape, grid.spacing[::-1], grid.origin[::-1], strict=True)]
     inside = all(x[0] >= -0.5 and x[-1] <= n - 0.5 for x, n in zip(axes, plane.shape, strict=True))
     if inside and np.array_equal(grid.direction, np.eye(2)):

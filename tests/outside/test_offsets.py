@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 import clvol
+from clvol import reference
 from clvol.device import Device
 from clvol.filter import Filter, bspline
 from clvol.reference.march.march import render
@@ -178,7 +179,7 @@ def test_what_lies_outside_is_as_it_was_given(device: Device) -> None:
     away = clvol.Volume(np.zeros((2, 2, 2)), origin=(-30.0, 0, 0))
     assert_array_equal(clvol.resample(data, like=away, fill=0.1, device=device).data, np.full((2, 2, 2), 0.1))
     beyond = clvol.sample(data, [[-2.25, 3.5, 3.25]], device=device)  # the boundary rule goes on
-    assert_allclose(beyond - PRESSURE, clvol.reference.sample(data - PRESSURE, [[-2.25, 3.5, 3.25]]), rtol=0, atol=6e-6)
+    assert_allclose(beyond - PRESSURE, reference.sample(data - PRESSURE, [[-2.25, 3.5, 3.25]]), rtol=0, atol=6e-6)
 
 
 @pytest.mark.parametrize("order", [2, 3, 4, 5])
@@ -206,7 +207,7 @@ def test_other_filters_whose_weights_sum_to_one(device: Device, name: str) -> No
     """An offset goes through them unchanged. (The values without it are held against the reference elsewhere.)"""
     data, at = small() + PRESSURE, inside()
     got = clvol.sample(data, at, name, device=device) - PRESSURE
-    assert_allclose(got, clvol.reference.sample(data - PRESSURE, at, name), rtol=0, atol=1e-5)
+    assert_allclose(got, reference.sample(data - PRESSURE, at, name), rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize(("name", "rule"), [("lanczos3", "mirror"), ("bspline3", "zero")])
@@ -214,7 +215,7 @@ def test_where_constants_do_not_stay_constant_nothing_is_taken_off(device: Devic
     data, at = small() + PRESSURE, inside()
     got = clvol.sample(data, at, name, rule, device=device)
     assert got.dtype == np.float32
-    assert_allclose(got, clvol.reference.sample(data, at, name, rule), rtol=1e-6)
+    assert_allclose(got, reference.sample(data, at, name, rule), rtol=1e-6)
 
 
 def test_constants(device: Device) -> None:
