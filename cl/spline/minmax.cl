@@ -9,7 +9,8 @@
 // Set by the host: LANES, cells along x at a time, 8; BLOCK; TAPS; HULL, 1: by control points, 0: by the extremes of the taps
 // and the largest sums of weights; CONTROLS, control points along an axis of a cell; SHARED, whether the last is the next
 // cell's first; BERNSTEIN, a row of weights for each; SUM_LOW and SUM_HIGH, of a point's weights; LEBESGUE, the sum of their
-// magnitudes; PAD_SIZE, relative to the largest magnitude of a tap, and PAD_SPREAD, relative to the range of the taps.
+// magnitudes; PAD_SIZE, relative to the largest magnitude of a tap, PAD_SPREAD, relative to the range of the taps, and PAD_TINY,
+// what is lost where numbers are too small to be rounded to so many digits (zeros lose nothing).
 
 #include "base/platform.cl"
 #include "spline/sides.cl"
@@ -19,7 +20,9 @@
 INLINE void widen(float *low, float *high, float tap_min, float tap_max)
 {
     const float size = MAX(tap_max, -tap_min);
-    const float pad = PAD_SIZE * size + PAD_SPREAD * (tap_max - tap_min);
+    float pad = PAD_SIZE * size + PAD_SPREAD * (tap_max - tap_min);
+    if (size > 0.0f)
+        pad += PAD_TINY;
     *low -= pad;
     *high += pad;
     if (!(pad < 1e30f)) {                    // so large that the sums may have overflowed

@@ -495,7 +495,7 @@ def resample(
     input: Input | None = None,
     json: Json = False,
 ) -> None:
-    """Put a volume on another grid, as float32; say which by one of --to-shape, --to-spacing, --like, --magnify.
+    """Put a volume on another grid, in floating point; say which by one of --to-shape, --to-spacing, --like, --magnify.
 
     Parameters
     ----------

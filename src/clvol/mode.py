@@ -19,6 +19,7 @@ import numpy as np
 from clvol.checks import number, one_of
 from clvol.color import color_of
 from clvol.errors import OptionError
+from clvol.stored import AS_THEY_ARE, Stored
 from clvol.transfer import TransferFunction, otsu_threshold
 from clvol.uniform import FLOAT, Block, Values
 from clvol.volume import Volume
@@ -39,7 +40,6 @@ __all__ = [
 ]
 
 DEFAULT_MODE = "composite"
-_FINITE = 3e38  # of float32; a value beyond it is as good as any other beyond it
 
 
 @dataclass(frozen=True)
@@ -97,8 +97,8 @@ class Mode:
         low, high = volume.value_range
         return TransferFunction.ramp((low, low + self.ramp * (high - low)))
 
-    def block(self, volume: Volume) -> Values:  # noqa: ARG002  # most modes depend on no volume
-        """What its kernel reads, for one volume; of a mode that is settled."""
+    def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002  # most modes depend on no volume
+        """What its kernel reads, for one volume whose values are stored in this way; of a mode that is settled."""
         return self.BLOCK()
 
 
@@ -128,7 +128,7 @@ class Composite(Mode):
         _set(self, shading=_switch("shading", self.shading))
         _set(self, termination=number("termination", self.termination, minimum=0, below=1))
 
-    def block(self, volume: Volume) -> Values:  # noqa: ARG002
+    def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002
         return self.BLOCK(termination=self.termination)
 
 
@@ -186,10 +186,9 @@ class Isosurface(Mode):
     def settled(self, volume: Volume) -> Self:
         return self if self.isovalue is not None else replace(self, isovalue=otsu_threshold(volume))
 
-    def block(self, volume: Volume) -> Values:  # noqa: ARG002
+    def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002
         assert self.isovalue is not None  # it is settled
-        isovalue = min(max(self.isovalue, -_FINITE), _FINITE)
-        return self.BLOCK(isovalue=isovalue, tolerance=self.tolerance, color=self.color)
+        return self.BLOCK(isovalue=stored(self.isovalue), tolerance=self.tolerance, color=self.color)
 
 
 @dataclass(frozen=True)
@@ -223,7 +222,7 @@ class Attenuated(Mode):
     def __post_init__(self) -> None:
         _set(self, attenuation=number("attenuation", self.attenuation, minimum=0, maximum=40))
 
-    def block(self, volume: Volume) -> Values:
+    def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002
         front = volume.radius / volume.mean_spacing  # before the volume's centre, in the kernels' unit
         return self.BLOCK(fade=-self.attenuation * math.log2(math.e) / (2 * front), front=front)
 

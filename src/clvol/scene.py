@@ -16,6 +16,7 @@ from clvol.color import color_of
 from clvol.errors import GeometryError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.light import HEADLIGHT, Light, Material, lights_block
+from clvol.stored import AS_THEY_ARE, Stored
 from clvol.transfer import TransferFunction
 from clvol.uniform import FLOAT, INT, REACH, Block, Values
 from clvol.volume import Volume, as_volume
@@ -94,10 +95,10 @@ class Medium:
                 f"{self.volume.shape}: draw parts of it (Volume.crop), or take values by clvol.sample"
             )
 
-    def block(self) -> Values:
+    def block(self, stored: Stored = AS_THEY_ARE) -> Values:
         """What kernels read: the domain, its map to the world and back, for gradients, and what these are rounded by."""
         volume = self.volume
-        low, high = volume.value_range
+        low, high = (float(v) for v in stored(volume.value_range))
         unit, inverse = volume.mean_spacing, volume.world_to_index_matrix
         # Gradients are in a unit in which float32 holds their squares, from 2¹³ times the largest value a voxel, more than any
         # filter gives, down to 2⁻¹¹² of it: one voxel may be 1e30 times as bright as all that is to be seen.

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.checks import number, reals
 from clvol.color import color_of
 from clvol.errors import OptionError
+from clvol.stored import Stored
 from clvol.uniform import FLOAT, Block, Values
 from clvol.volume import Volume, as_volume
 
@@ -123,15 +124,19 @@ class TransferFunction:
         opacity, where = [p[1] for p in self.opacities], _scaled([p[0] for p in self.opacities], exponent)
         return np.stack([*(np.interp(v, at, rgb[:, i]) for i in range(3)), np.interp(v, where, opacity)], -1)
 
-    def table(self) -> NDArray[np.float32]:
-        """The function at `TABLE_SIZE` equally spaced values of `value_range`; shape (TABLE_SIZE, 4)."""
-        exponent = _exponent(*self.value_range)
-        low, high = _scaled(self.value_range, exponent)
+    def table(self, offset: float = 0.0, exponent: int = 0) -> NDArray[np.float32]:
+        """The function at `TABLE_SIZE` equally spaced values of `value_range`, as far as float32 holds them; shape (TABLE_SIZE, 4).
+
+        Values are stored as ``(value - offset) * 2**-exponent``.
+        """
+        ends = tuple(Stored(offset, exponent).held(self.value_range).tolist())
+        exponent = _exponent(*ends)
+        low, high = _scaled(ends, exponent)
         return self(np.ldexp(np.linspace(low, high, TABLE_SIZE), exponent)).astype(np.float32)
 
-    def block(self, unit: float) -> Values:
-        """What kernels read, given how many world units one of their units of length has (the mean spacing)."""
-        low, high = self.value_range
+    def block(self, unit: float, offset: float = 0.0, exponent: int = 0) -> Values:
+        """What kernels read, given how many world units one of their units of length has (the mean spacing); see `table`."""
+        low, high = Stored(offset, exponent)(self.value_range)
         scale = min((TABLE_SIZE - 1) / (high - low), 1e38) if high > low else 0.0
         return self.BLOCK(low=low, scale=scale, per_unit_distance=unit / (self.unit_distance or unit))
 

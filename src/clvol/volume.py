@@ -114,8 +114,9 @@ class Volume:
         return self.shape[::-1]
 
     @cached_property
-    def _limits(self) -> tuple[Any, Any]:
-        """Smallest and largest sample, NaN if there is one; each part is read for both while it is in the cache."""
+    def limits(self) -> tuple[Any, Any]:
+        """Smallest and largest sample in the type of the samples, NaN if there is one."""
+        # each part is read for both while it is in the cache
         step = max(1, _CACHED // self.data[0].size)
         parts = [self.data[i : i + step] for i in range(0, len(self.data), step)]
         return np.min([part.min() for part in parts]), np.max([part.max() for part in parts])
@@ -129,7 +130,7 @@ class Volume:
         DataError
             No sample is finite.
         """
-        low, high = (float(v) for v in self._limits)
+        low, high = (float(v) for v in self.limits)
         if math.isfinite(low) and math.isfinite(high):
             return low, high
         with np.errstate(over="ignore"):  # longdouble reaches further than float64
@@ -139,13 +140,15 @@ class Volume:
         return float(finite.min()), float(finite.max())
 
     def require_finite(self) -> None:
-        """Raise `DataError` if a sample is NaN, infinite, or too large for float32."""
+        """Raise `DataError` if a sample is NaN, infinite, or too large for float64."""
         if self.data.dtype.kind != "f":
             return
-        low, high = self._limits
+        low, high = self.limits
         if np.isfinite(low) and np.isfinite(high):
-            if max(abs(float(low)), abs(float(high))) > float(np.finfo(np.float32).max) / 64:  # a prefilter gains up to 27
-                raise DataError(f"samples must lie within ±5e36, the room that float32 leaves; got {low!s} to {high!s}")
+            with np.errstate(over="ignore"):  # longdouble reaches further
+                held = np.isfinite([float(low), float(high)]).all()
+            if not held:
+                raise DataError(f"samples must lie within ±1.8e308, which float64 holds; got {low!s} to {high!s}")
             return
         bad = ~np.isfinite(self.data)
         first = tuple(int(i) for i in np.unravel_index(int(np.argmax(bad)), self.shape))
@@ -223,8 +226,8 @@ class Volume:
     def gaussian(self, sigma: float | Sequence[float]) -> Volume:
         """Low-pass by a Gaussian of standard deviation `sigma` in world units (section 3 of the paper).
 
-        The kernel is cut at four standard deviations; edges are mirrored. The result is float32
-        (float64 for float64 data).
+        The kernel is cut at four standard deviations; edges are mirrored. The result is float32; float64 for samples
+        that float32 does not hold: float64, longdouble, and integers beyond 2²⁴.
         """
         from scipy import ndimage
 
@@ -235,13 +238,18 @@ class Volume:
             raise OptionError(f"sigma must not be negative; got {sigma!r}")
         self.require_finite()
         voxels = [w / s for w, s in zip(widths, self.spacing, strict=True)][::-1]
-        kind = np.float64 if self.data.dtype.itemsize == 8 and self.data.dtype.kind == "f" else np.float32
+        wide = self.data.dtype.itemsize > 4 if self.data.dtype.kind == "f" else self._beyond_float32()
+        kind = np.float64 if wide else np.float32
         return self._with(ndimage.gaussian_filter(self.data.astype(kind), voxels, mode="mirror"))
 
     def downsample(self, n: int) -> Volume:
         """Every `n`-th sample along each axis, from the first; low-pass with `gaussian` first."""
         n = whole("n", n, 1)
         return self._with(self.data[(slice(None, None, n),) * self.ndim], spacing=tuple(s * n for s in self.spacing))
+
+    def _beyond_float32(self) -> bool:
+        """Whether there are integers that float32 does not hold."""
+        return self.data.dtype.itemsize > 2 and max(abs(int(v)) for v in self.limits) > 1 << 24
 
     def _with(self, data: NDArray[Any], **changes: Any) -> Volume:
         return replace(self, data=data, **changes)

@@ -259,7 +259,7 @@ def test_constant_data_give_values(source: Any) -> None:
     assert "nan" not in table.to_csv() + table.to_json() + table.to_markdown()
 
 
-@pytest.mark.parametrize("unit", [1e-300, 1e-200, 1e-81, 1e-20, 1e34])
+@pytest.mark.parametrize("unit", [1e-300, 1e-200, 1e-81, 1e-20, 1e34, 1e200, 1e300])
 def test_units_of_the_data_change_nothing(unit: float) -> None:
     data = np.random.default_rng(0).normal(size=(14, 15)).cumsum(0)
     for scaled, plain in zip(*(compare(data * u, COMPARED, margin=1, timing=False) for u in (unit, 1.0)), strict=True):
@@ -269,8 +269,6 @@ def test_units_of_the_data_change_nothing(unit: float) -> None:
         for key in ("psnr", "ssim", "angle_mean", "angle_95"):
             one = getattr(plain, key)
             assert getattr(scaled, key) == (None if one is None else pytest.approx(one, rel=1e-6))
-    with pytest.raises(DataError, match=r"samples must lie within ±5e36"):
-        compare(data * 1e200, COMPARED, timing=False)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 2), (2, 2), (3, 5), (1, 1, 1), (1, 7, 2), (2, 3, 4)])

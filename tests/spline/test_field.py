@@ -265,7 +265,6 @@ BAD_SAMPLE: list[tuple[dict[str, Any], type[ClvolError]]] = [
     ({"volume": [["a"]]}, DataError),
     ({"volume": [[np.nan]]}, DataError),
     ({"volume": [[np.inf]]}, DataError),
-    ({"volume": [[1e38]]}, DataError),
     ({"volume": [[1j]]}, DataError),
 ]
 
@@ -493,7 +492,7 @@ def test_a_field_refuses_what_it_was_not_made_with(device: Device) -> None:
 
 
 def test_a_field_of_bad_samples_is_refused(device: Device) -> None:
-    for bad in ([[np.nan, 1.0]], [[np.inf, 1.0]], [[1e38]], [[1j]], [], np.ones(3)):
+    for bad in ([[np.nan, 1.0]], [[np.inf, 1.0]], [[1j]], [], np.ones(3)):
         with pytest.raises(DataError):
             Field(bad, device=device)
     for options in ({"filter": "none"}, {"boundary": "none"}, {"device": "none"}):

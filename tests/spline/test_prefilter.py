@@ -170,7 +170,6 @@ def test_hybrid_gives_the_coefficients_of_its_magnifier(device: Device) -> None:
         ([object()], DataError),
         ([np.nan, 1.0], DataError),
         ([[1.0, np.inf]], DataError),
-        ([1e38], DataError),
         ([[1.0], [1.0, 2.0]], DataError),
         (np.zeros(3, "M8[s]"), DataError),
     ],

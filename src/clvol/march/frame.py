@@ -118,19 +118,19 @@ class Frame:
     ) -> Frame:
         """The frame of a scene whose medium's coefficients are resident, by a camera and a mode."""
         (medium,), (width, height) = scene.media, size
-        volume = medium.volume
+        volume, stored = medium.volume, coefficients.stored
         view = camera.view(volume, width / height)
         planes = Planes(volume, view, width / height, *(_STRETCHES if mode.stretches else (step, min(BLOCK, SLAB * step))))
         block, _ = frame_block(mode.BLOCK)
         values = block(
             camera=view.block(volume, width, height),
-            geometry=medium.block(),
+            geometry=medium.block(stored),
             clip=clip_block(scene.clip, volume),
             planes=planes.block(),
-            transfer=transfer.block(volume.mean_spacing),
+            transfer=transfer.block(volume.mean_spacing, stored.offset, stored.exponent),
             material=medium.material.block(),
             lights=lights_block(scene.lights),
-            mode=mode.block(volume),
+            mode=mode.block(volume, stored),
             minmax=minmax_block(minmax, volume, planes.margin),
             picture=PICTURE(
                 offset=0.5,
@@ -142,7 +142,7 @@ class Frame:
                 **{"pass": 0, "last_pass": 0},
             ),
         )
-        table = _searchable(transfer.table())
+        table = _searchable(transfer.table(stored.offset, stored.exponent))
         tile = _tile(coefficients.device, evaluator)
         sides = minmax.sides(float(values["mode"]["isovalue"])) if minmax is not None and mode.stretches else None
         return cls(coefficients, minmax, sides, mode, evaluator, planes, tile, central, guides, values, table)

@@ -61,7 +61,7 @@ class Renderer:
     GeometryError
         The spacings differ by a factor of more than 10⁶, or lie outside 10⁻³⁰ to 10³⁰, or an axis has more than 2¹⁸ samples.
     DataError
-        A sample is NaN or infinite.
+        A sample is NaN, infinite, or too large for float64.
     DeviceError
         There is no device, or it cannot hold the volume (`OutOfMemoryError`).
 

@@ -17,6 +17,7 @@ from clvol.filter import Filter
 from clvol.program import LANES, Program
 from clvol.spline.build import DefineDict, boundary_defines, evaluator_defines, filter_defines, row_reach
 from clvol.spline.evaluator import Evaluator
+from clvol.stored import AS_THEY_ARE, Stored
 from clvol.volume import Volume
 
 __all__ = ["Coefficients"]
@@ -49,6 +50,8 @@ class Coefficients:
         They determine how wide the halo is and what belongs into it.
     device : Device
         Where the coefficients are stored.
+    stored : Stored
+        What stands for the volume's values: the coefficients are those of ``(sample - offset) * 2**-exponent``.
 
     Attributes
     ----------
@@ -67,11 +70,12 @@ class Coefficients:
         The device has no room for them.
     """
 
-    def __init__(self, volume: Volume, filter: Filter, boundary: Boundary, device: Device) -> None:
+    def __init__(self, volume: Volume, filter: Filter, boundary: Boundary, device: Device, stored: Stored = AS_THEY_ARE) -> None:
         self.volume = volume
         self.filter = filter
         self.boundary = boundary
         self.device = device
+        self.stored = stored
         sizes = (*volume.size, 1)[:3]
         self.size = np.array([*sizes, 0], np.int32)
         self.period = np.array([*(boundary.length(n) for n in sizes), 0], np.int32)
@@ -106,15 +110,18 @@ class Coefficients:
     def copy_samples(self) -> None:
         """Put the volume's samples where their coefficients will be.
 
-        All cores of a processor copy if kernels can read the samples as they are; otherwise NumPy does.
+        All cores of a processor copy if kernels can read the samples and store them as they are; otherwise NumPy does.
         """
         device, data, sizes = self.device, self.volume.data, self.size[:3].tolist()
         kind = _SAMPLES.get(data.dtype.str[1:])
         plain = data.flags.c_contiguous and data.dtype.isnative and data.flags.aligned
-        if device.kind != "cpu" or not plain or kind is None or (kind == "double" and not device.has_double):
-            with device.mapped(self.buffer, self.shape, write=True) as stored:
-                np.copyto(stored[self.inner], data.reshape(sizes[::-1]), casting="unsafe")
+        readable = plain and kind is not None and (kind != "double" or device.has_double)
+        if device.kind != "cpu" or not readable or not self.stored.identity:
+            with device.mapped(self.buffer, self.shape, write=True) as room:
+                for target, slice_ in zip(room[self.inner], data.reshape(sizes[::-1]), strict=True):
+                    np.copyto(target, self.stored.samples(slice_), casting="unsafe")
             return
+        assert kind is not None  # it is readable
         kernel = self._build(kind).kernel("copy_samples")
         pitch, area = int(self.extent[0]), int(self.extent[0]) * int(self.extent[1])
         origin = sum(inside.start * step for inside, step in zip(self.inner, (area, pitch, 1), strict=True))

@@ -20,12 +20,25 @@ from clvol.interop import read_array
 from clvol.program import LANES
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, EvaluatorName, FetchName, choose_evaluator
-from clvol.spline.points import Floats, Progress, sample_coefficients
+from clvol.spline.points import Floats, Progress, Reals, in_units_of_data, sample_coefficients
 from clvol.spline.prefilter import prefilter_in_place
 from clvol.spline.resample import resample_coefficients
+from clvol.stored import Stored
 from clvol.volume import Volume, as_volume
 
-__all__ = ["Field", "Floats", "Progress", "as_field", "coefficients_of", "magnify", "opened", "prefilter", "resample", "sample"]
+__all__ = [
+    "Field",
+    "Floats",
+    "Progress",
+    "Reals",
+    "as_field",
+    "coefficients_of",
+    "magnify",
+    "opened",
+    "prefilter",
+    "resample",
+    "sample",
+]
 
 _CHANNELS = 4  # of an image in colour, at most
 
@@ -38,20 +51,24 @@ def coefficients_of(volume: Volume, filter: Filter, boundary: Boundary, device: 
     Raises
     ------
     DataError
-        A sample is NaN, infinite or too large for float32.
+        A sample is NaN, infinite or too large for float64.
     OutOfMemoryError
         The device has no room for them.
     """
     volume.require_finite()
-    made = Coefficients(volume, filter, boundary, device)
+    return _filled(Coefficients(volume, filter, boundary, device, Stored.of(volume, filter, boundary)))
+
+
+def _filled(made: Coefficients) -> Coefficients:
+    """The coefficients that there is room for; it is released if that fails."""
     try:
-        if filter.magnified_by is not None:
-            _fill_hybrid(made, filter.magnified_by)
+        if made.filter.magnified_by is not None:
+            _fill_hybrid(made, made.filter.magnified_by)
         else:
             made.copy_samples()
-            if filter.poles.size:
+            if made.filter.poles.size:
                 extent, size = made.extent.tolist(), made.size[:3].tolist()
-                prefilter_in_place(device, made.buffer, filter, boundary, extent, size, volume.ndim)
+                prefilter_in_place(made.device, made.buffer, made.filter, made.boundary, extent, size, made.volume.ndim)
             made.fill_halo()
     except BaseException:
         made.release()
@@ -63,7 +80,7 @@ def _fill_hybrid(made: Coefficients, by: Filter) -> None:
     """Fill the coefficients of a hybrid, halo included, by samples of the spline of `by`."""
     scale, halo, d = made.filter.scale, int(made.extent[3]), made.volume.ndim
     steps = np.array([1 / scale] * d + [0.0] * (3 - d))
-    with coefficients_of(made.volume, by, made.boundary, made.device) as coarse:
+    with _filled(Coefficients(made.volume, by, made.boundary, made.device, made.stored)) as coarse:
         resample_coefficients(coarse, DIRECT, np.diag(steps), -halo * steps, made.shape, made.buffer)
 
 
@@ -98,7 +115,7 @@ class Field:
     ------
     DataError
         `volume` is no array of real numbers with 2 or 3 axes, is empty, or holds a value that is NaN, infinite or too
-        large for float32.
+        large for float64.
     OptionError
         `filter`, `boundary` or `device` is the name of none.
     DeviceError
@@ -110,6 +127,14 @@ class Field:
     -----
     A Field is a context manager: leaving it frees the device's memory, as `close` does. Several threads may use one at a
     time.
+
+    Devices compute in float32: values err by about 10⁻⁶ of the largest magnitude. Samples further than 8 times their range from
+    zero (a pressure of 101,325 ± 3) are stored less an offset, and samples beyond 2⁻⁹⁰ to 2⁹⁰ less a power of two, whatever
+    their type, so that values err by about 10⁻⁶ of the *range* then. Results are float32 where samples are stored as they are,
+    as most are. Otherwise values are float64; derivatives are so with a power of two alone, for an offset does not change them.
+    No offset is taken off where the filter's weights do not sum to one (`lanczos3`, `sinc`), nor under the boundary rule "zero".
+    A single sample near zero in data that are otherwise far from it prevents the offset too. Integers with a range of more than
+    2²⁴ are rounded to 2⁻²⁴ of it. See `clvol.stored`.
 
     Examples
     --------
@@ -166,7 +191,7 @@ class Field:
         fetch: FetchName = "auto",
         fill: float | None = None,
         progress: Progress | None = None,
-    ) -> Floats:
+    ) -> Reals:
         """Values at points of the world.
 
         Parameters
@@ -189,6 +214,7 @@ class Field:
         Returns
         -------
         ndarray of float32, shape (...)
+            float64 where the samples lie far from zero, or are very large or small: see the notes of `Field`.
 
         Raises
         ------
@@ -211,7 +237,7 @@ class Field:
         fetch: FetchName = "auto",
         fill: float | None = None,
         progress: Progress | None = None,
-    ) -> Floats:
+    ) -> Reals:
         """Gradients at points of the world: the exact derivative of the function that calling the field gives.
 
         It holds almost everywhere: some filters have kinks or jumps. Parameters and errors are those of a call.
@@ -219,7 +245,7 @@ class Field:
         Returns
         -------
         ndarray of float32, shape (..., d)
-            Derivatives along (x, y[, z]), per world unit.
+            Derivatives along (x, y[, z]), per world unit; float64 where the samples are very large or small.
         """
         return self._at(points, 1, evaluator, fetch, fill, progress)
 
@@ -231,19 +257,19 @@ class Field:
         fetch: FetchName = "auto",
         fill: float | None = None,
         progress: Progress | None = None,
-    ) -> Floats:
+    ) -> Reals:
         """Second derivatives at points of the world, exact as `gradient` is. Parameters and errors are those of a call.
 
         Returns
         -------
         ndarray of float32, shape (..., d, d)
-            Symmetric, [x, y[, z]] twice, per world unit squared.
+            Symmetric, [x, y[, z]] twice, per world unit squared; float64 where the samples are very large or small.
         """
         return self._at(points, 2, evaluator, fetch, fill, progress)
 
     def _at(
         self, points: ArrayLike, derivative: int, evaluator: str, fetch: str, fill: float | None, progress: Progress | None
-    ) -> Floats:
+    ) -> Reals:
         d = self.volume.ndim
         array = _points(points, d)
         chosen = choose_evaluator(self.device, self.filter, evaluator, fetch)
@@ -280,7 +306,7 @@ class Field:
 
         Returns
         -------
-        Volume of float32
+        Volume of float32, or of float64 as in a call
 
         Raises
         ------
@@ -318,7 +344,7 @@ class Field:
 
         Returns
         -------
-        Volume of float32
+        Volume of float32, or of float64 as in a call
 
         Raises
         ------
@@ -344,7 +370,7 @@ class Field:
         fetch: str,
         fill: float | None,
         progress: Progress | None,
-    ) -> Floats:
+    ) -> Reals:
         device = self.device
         chosen, fill = choose_evaluator(device, self.filter, evaluator, fetch), _fill_value(fill)
         device.require_room(4 * math.prod(shape))
@@ -352,7 +378,7 @@ class Field:
         result = np.empty(shape, np.float32)
         with device.lent(result, write=True) as buffer:
             resample_coefficients(self.coefficients, chosen, matrix, offset, (1, *shape)[-3:], buffer, fill, progress)
-        return result
+        return in_units_of_data(self.coefficients.stored, result, 0, fill)
 
 
 # -- a Field, or what one is made of -----------------------------------------------------------------------------
@@ -427,7 +453,7 @@ def sample(
     fill: float | None = None,
     device: Device | str | int | None = None,
     progress: Progress | None = None,
-) -> Floats:
+) -> Reals:
     """The reconstructed function, its gradient or its Hessian at points of the world (eqs 8 and 9 of the paper).
 
     A volume is prefiltered at every call; make a `Field` to sample one often.
@@ -453,6 +479,7 @@ def sample(
     Returns
     -------
     ndarray of float32, shape (...), (..., d) or (..., d, d)
+        float64 where the samples lie far from zero (values alone), or are very large or small: see the notes of `Field`.
 
     Raises
     ------
@@ -500,7 +527,7 @@ def resample(
 
     Returns
     -------
-    Volume of float32
+    Volume of float32, or of float64 as `sample` gives it
 
     Raises
     ------
@@ -542,7 +569,7 @@ def magnify(
 
     Returns
     -------
-    Volume of float32
+    Volume of float32, or of float64 as `sample` gives it
 
     Raises
     ------
@@ -561,7 +588,7 @@ def prefilter(
     filter: str | Filter = DEFAULT_FILTER,
     boundary: str | Boundary = DEFAULT_BOUNDARY,
     device: Device | str | int | None = None,
-) -> Floats:
+) -> Reals:
     """Spline coefficients of samples (section 4.2 of the paper).
 
     Parameters
@@ -578,13 +605,13 @@ def prefilter(
     Returns
     -------
     ndarray of float32, the shape of `data`
-        The control points r of eq. (11), for every axis.
+        The control points r of eq. (11), for every axis, in units of the data; float64 as `sample` gives it.
 
     Raises
     ------
     DataError
         `data` are no regular array of real numbers with 1 to 3 axes, are empty, or hold a value that is NaN, infinite or
-        too large for float32.
+        too large for float64.
     OptionError
         `filter`, `boundary` or `device` is the name of none.
     DeviceError
@@ -603,23 +630,30 @@ def prefilter(
     if line:
         return np.asarray(_prefilter_line(volume, chosen, boundary, device)[0])
     with coefficients_of(volume, chosen, boundary, device) as made, device.mapped(made.buffer, made.shape, write=False) as stored:
-        return np.array(stored[made.inner]).reshape(volume.shape)
+        own = np.array(stored[made.inner]).reshape(volume.shape)
+        return made.stored.values(own, _gain(chosen) ** volume.ndim)
 
 
-def _prefilter_line(volume: Volume, filter: Filter, boundary: Boundary, device: Device) -> Floats:
+def _prefilter_line(volume: Volume, filter: Filter, boundary: Boundary, device: Device) -> Reals:
     """The coefficients of an image of a single row, filtered along x alone."""
     volume.require_finite()
+    stored = Stored.of(volume, filter, boundary)
     n = volume.size[0]
     pitch = -(-n // LANES) * LANES
     buffer = device.allocate(4 * pitch)
-    with device.mapped(buffer, (1, pitch), write=True) as stored:
-        np.copyto(stored[:, :n], volume.data, casting="unsafe")
+    with device.mapped(buffer, (1, pitch), write=True) as room:
+        np.copyto(room[:, :n], stored.samples(volume.data), casting="unsafe")
     if filter.poles.size:
         prefilter_in_place(device, buffer, filter, boundary, (pitch, 1, 1, 0), (n, 1, 1), 1)
-    with device.mapped(buffer, (1, pitch), write=False) as stored:
-        result = np.array(stored[:, :n])
+    with device.mapped(buffer, (1, pitch), write=False) as room:
+        result = np.array(room[:, :n])
     buffer.release()
-    return result
+    return stored.values(result, _gain(filter))
+
+
+def _gain(filter: Filter) -> float:
+    """The coefficients of samples that are all 1, along one axis."""
+    return 1 / float(filter.samples[0] + 2 * filter.samples[1:].sum()) if filter.poles.size else 1.0
 
 
 # -- arguments -------------------------------------------------------------------------------------------------------

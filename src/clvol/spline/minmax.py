@@ -33,6 +33,7 @@ MINMAX = Block("minmax_block", margin=FLOAT, skipping=INT, levels=INT, blocks=(I
 _HULL_TAPS, _HULL_DEGREE = 6, 5  # wider filters would have thousands of control points a cell
 _EPSILON = 2.0**-23
 _PAD_LIMIT = 0.01
+_TINIEST = 2.0**-126  # float32's smallest number of all digits; devices may take what is smaller for zero
 _BLOCKS_A_LAUNCH = 1 << 15  # a launch should not run longer than a quarter of a second
 
 
@@ -81,6 +82,7 @@ def _defines(filter: Filter, blur: float) -> DefineDict:
         "LEBESGUE": lebesgue**3,
         "PAD_SIZE": pad,
         "PAD_SPREAD": 3 * blur * lebesgue**2,
+        "PAD_TINY": _TINIEST * 4 * (taps + 2) * (1 + lebesgue + lebesgue**2 + hull + hull**2),
         "LANES": LANES,
         "COORD_DOUBLE": 0,
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
@@ -14,8 +15,9 @@ from clvol.spline.build import point_defines
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, Evaluator
 from clvol.spline.sort import Sorter, scattered
+from clvol.stored import Reals, Stored
 
-__all__ = ["Floats", "Progress", "sample_coefficients", "sample_grid"]
+__all__ = ["Floats", "Progress", "Reals", "in_units_of_data", "kernel_fill", "sample_coefficients", "sample_grid"]
 
 Floats: TypeAlias = NDArray[np.float32]
 Progress: TypeAlias = Callable[[float], None]
@@ -31,7 +33,7 @@ def sample_coefficients(
     derivative: int = 0,
     fill: float | None = None,
     progress: Progress | None = None,
-) -> Floats:
+) -> Reals:
     """The function or its derivatives at world positions.
 
     Parameters
@@ -52,8 +54,8 @@ def sample_coefficients(
 
     Returns
     -------
-    ndarray of float32, shape (N,), (N, d) or (N, d * d)
-        Per world unit.
+    ndarray of float32 or float64, shape (N,), (N, d) or (N, d * d)
+        In units of the data, per world unit; float64 where it differs from what is stored.
     """
     device, volume, d = coefficients.device, coefficients.volume, coefficients.volume.ndim
     kind = np.float64 if device.has_double and points.dtype != np.float32 else np.float32
@@ -87,14 +89,31 @@ def sample_coefficients(
                     transform,
                     ready,
                     np.uint64(begin + some),
-                    np.float32(0 if fill is None else fill),
+                    kernel_fill(coefficients.stored, derivative, fill),
                     wanted,
                     global_offset=(begin // _RUN if lanes else begin,),
                 )
                 device.finish()
                 if progress:
                     progress((first + begin + some) / points.shape[0])
-    return results[:, 0] if derivative == 0 else results
+    return in_units_of_data(coefficients.stored, results[:, 0] if derivative == 0 else results, derivative, fill)
+
+
+def kernel_fill(stored: Stored, derivative: int, fill: float | None) -> np.float32:
+    """What kernels write outside the domain: infinity, which no sample gives, where `fill` would not survive the way back."""
+    if fill is None:
+        return np.float32(0)
+    return np.float32(math.inf if stored.alters(derivative) else fill)
+
+
+def in_units_of_data(stored: Stored, results: Floats, derivative: int, fill: float | None) -> Reals:
+    """Results of kernels in units of the data, and `fill` outside the domain."""
+    if not stored.alters(derivative):
+        return results
+    final = stored.derivatives(results) if derivative else stored.values(results)
+    if fill is not None:
+        final[np.isinf(results)] = fill
+    return final
 
 
 def sample_grid(
@@ -107,7 +126,7 @@ def sample_grid(
     fill: float | None = None,
     progress: Progress | None = None,
 ) -> None:
-    """Values at index positions ``matrix @ (i, j, k) + offset`` into a float32 buffer of shape (z, y, x), point by point."""
+    """`resample_coefficients`, point by point."""
     device = coefficients.device
     built = _build(coefficients, evaluator, 0, fill, np.float32, on_grid=True, sorted=False)
     transform = _transform(device, matrix, offset, coefficients.volume.world_to_index_matrix)
@@ -129,7 +148,7 @@ def sample_grid(
                 coefficients.period,
                 transform,
                 np.array([nx, ny, y, z], np.int32),
-                np.float32(0 if fill is None else fill),
+                kernel_fill(coefficients.stored, 0, fill),
                 buffer,
             )
         device.finish()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from clvol.program import LANES
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, Evaluator
-from clvol.spline.points import Progress, sample_grid
+from clvol.spline.points import Progress, kernel_fill, sample_grid
 
 __all__ = ["resample_coefficients"]
 
@@ -29,7 +29,7 @@ def resample_coefficients(
     fill: float | None = None,
     progress: Progress | None = None,
 ) -> None:
-    """Values at index positions ``matrix @ (i, j, k) + offset`` into a float32 buffer.
+    """Values in stored units at index positions ``matrix @ (i, j, k) + offset`` into a float32 buffer.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def resample_coefficients(
     buffer : Buffer
         Where the values go, [z, y, x].
     fill : float, optional
-        The value outside the domain; None: the boundary rule goes on.
+        What belongs outside the domain, where `kernel_fill` of it is written; None: the boundary rule goes on.
     progress : callable, optional
         Called with the fraction done.
     """
@@ -141,4 +141,4 @@ def _resample_axes(
         with device.mapped(buffer, shape, write=True) as values:
             for axis, (x, n) in enumerate(zip(positions, coefficients.volume.size, strict=True)):
                 outside = (x < -0.5) | (x > n - 0.5)
-                np.moveaxis(values, 2 - axis, 0)[outside] = fill
+                np.moveaxis(values, 2 - axis, 0)[outside] = kernel_fill(coefficients.stored, 0, fill)

@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary
+from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.camera import Camera, View
 from clvol.checks import one_of
 from clvol.color import color_of
@@ -25,6 +25,7 @@ from clvol.light import HEADLIGHT, Light, Material
 from clvol.mode import DEFAULT_MODE, Attenuated, Composite, Isosurface, Mode, as_mode
 from clvol.reference.march.roots import first_crossings
 from clvol.reference.spline.points import sample
+from clvol.stored import Stored
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume, as_volume
 
@@ -269,6 +270,7 @@ def render(
     gather = MODES.get(chosen.name)
     if gather is None:
         raise one_of("mode of the reference", chosen.name, MODES)
+    taken_off = Stored.of(volume, row, as_boundary(boundary)).offset  # kernels round what is left without it
     if transfer is None:
         transfer = chosen.transfer(volume)
     material = material or Material()
@@ -294,7 +296,7 @@ def render(
         value,
         slope,
         row,
-        lambda g, v, c, d: shade(g, c, d, material, lights, flat_below(volume, v)),
+        lambda g, v, c, d: shade(g, c, d, material, lights, flat_below(volume, v - taken_off)),
         transfer,
         transfer.unit_distance or float(np.mean(volume.spacing)),
         volume,
@@ -316,7 +318,7 @@ def render(
             place = np.full((depth.size, 3), math.nan)
             place[somewhere] = rays.at(depth[somewhere], somewhere)
             normal = np.full((depth.size, 3), math.nan)
-            flat = flat_below(volume, value(place[somewhere]))
+            flat = flat_below(volume, value(place[somewhere]) - taken_off)
             normal[somewhere], _ = facing(slope(place[somewhere]), rays.direction[somewhere], flat)
             guides = {"depth": depth, "normal": normal, "position": place}
     premultiplied, cover = total[:, :3], total[:, 3:]

@@ -1,0 +1,179 @@
+"""Samples of any magnitude that float64 holds: values, derivatives, surfaces, and skipping, against SciPy in float64.
+
+A power of two times the samples must change nothing but the scale: truths are those of samples about 1.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
+from scipy import ndimage
+
+import clvol
+from clvol import reference
+from clvol.device import Device
+from clvol.errors import DataError
+from clvol.filter import bspline
+
+Array = NDArray[np.float64]
+SHAPE = (13, 14, 15)
+LARGE = (1e35, 4.99e36, 1e38, 1e100, 1e300)
+SMALL = (1e-30, 1e-40, 1e-45, 1e-50, 1e-100, 1e-290)
+
+
+def some(seed: int = 0) -> Array:
+    return np.random.default_rng(seed).uniform(-1, 1, SHAPE)
+
+
+def blobs() -> Array:
+    """Matter in the middle, nothing around it."""
+    z, y, x = np.meshgrid(*(np.linspace(-1, 1, n) for n in SHAPE), indexing="ij")
+    return np.where(x**2 + y**2 + z**2 < 0.5, np.exp(-3 * (x**2 + 2 * y**2 + z**2)), 0)
+
+
+def inside(count: int = 300) -> Array:
+    return np.random.default_rng(1).uniform(0, np.array(SHAPE[::-1]) - 1, (count, 3))
+
+
+@pytest.mark.parametrize("scale", LARGE + SMALL, ids=str)
+@pytest.mark.parametrize("order", [1, 2, 3, 4, 5])
+def test_values_of_every_degree(device: Device, order: int, scale: float) -> None:
+    data, at = some() * scale, inside()
+    name = "linear" if order == 1 else f"bspline{order}"
+    expected = ndimage.map_coordinates(data / scale, at[:, ::-1].T, np.float64, order, "mirror")
+    got = clvol.sample(data, at, name, device=device)
+    assert got.dtype == np.float64
+    assert_allclose(got / scale, expected, rtol=0, atol=4e-6)
+
+
+@pytest.mark.parametrize("name", clvol.filters())
+@pytest.mark.parametrize("scale", [4.99e36, 3e38, 1e-42], ids=str)
+def test_every_filter_gives_finite_numbers(device: Device, name: str, scale: float) -> None:
+    """Of float32 samples that reach as far as float32 does."""
+    data, at = (some() * scale).astype(np.float32), inside(50)
+    for boundary in clvol.boundaries():
+        with clvol.Field(data, name, boundary, device) as field:
+            expected = reference.sample(data.astype(np.float64) / scale, at, name, boundary)
+            assert_allclose(field(at) / scale, expected, rtol=0, atol=4e-6)
+            assert np.isfinite(field.gradient(at)).all()
+            assert np.isfinite(field.hessian(at)).all()
+
+
+@pytest.mark.parametrize("scale", [1e20, 1e26, 1e36], ids=str)
+def test_a_prefilter_that_gains_much(device: Device, scale: float) -> None:
+    """The B-spline of degree 9 multiplies by 9! before it filters, along each axis."""
+    got = clvol.sample(some() * scale, inside(), bspline(9), device=device)
+    assert_allclose(got / scale, reference.sample(some(), inside(), bspline(9)), rtol=0, atol=3e-4)
+
+
+@pytest.mark.parametrize("exponent", [-900, -149, -100, -91, 85, 91, 110, 127, 1000])
+def test_a_power_of_two_changes_no_digit(device: Device, exponent: int) -> None:
+    at = inside()
+    with clvol.Field(some(), device=device) as plain, clvol.Field(np.ldexp(some(), exponent), device=device) as scaled:
+        assert_array_equal(np.ldexp(scaled(at), -exponent), plain(at))
+        assert_array_equal(np.ldexp(scaled.gradient(at), -exponent), plain.gradient(at))
+        assert_array_equal(np.ldexp(scaled.hessian(at), -exponent), plain.hessian(at))
+        assert_array_equal(np.ldexp(scaled.magnify(2).data, -exponent), plain.magnify(2).data)
+        assert_array_equal(scaled([[-9.0, 0, 0]], fill=0.125), [0.125])
+        assert_array_equal(scaled.gradient([[-9.0, 0, 0]], fill=0.125), [[0.125] * 3])
+    coefficients = clvol.prefilter(some(), "bspline5", device=device)
+    assert_array_equal(np.ldexp(clvol.prefilter(np.ldexp(some(), exponent), "bspline5", device=device), -exponent), coefficients)
+    line = clvol.prefilter(some()[0, 0], "bspline5", device=device)
+    assert_array_equal(np.ldexp(clvol.prefilter(np.ldexp(some()[0, 0], exponent), "bspline5", device=device), -exponent), line)
+    picture = clvol.images.rotate(some()[0], 30, device=device).astype(np.float32)
+    assert_array_equal(np.ldexp(clvol.images.rotate(np.ldexp(some()[0], exponent), 30, device=device), -exponent), picture)
+
+
+def test_small_differences_far_from_zero(device: Device) -> None:
+    """An offset and a power of two: what is left of 1 ± 1e-20 is beyond float64, of 1e30 ± 1e20 it is not."""
+    data, at = 1e30 + some() * 1e20, inside()
+    got = clvol.sample(data, at, device=device) - 1e30
+    expected = ndimage.map_coordinates(data - 1e30, at[:, ::-1].T, np.float64, 3, "mirror")
+    assert_allclose(got / 1e20, expected / 1e20, rtol=0, atol=1e-5)  # float64 has 1.4e14 there
+
+
+def test_one_large_sample_beside_small_ones(device: Device) -> None:
+    data = np.full(SHAPE, 1e-40)
+    data[2, 3, 4] = 1e30
+    got = clvol.sample(data, [[4.0, 3, 2], [12, 12, 10]], "linear", device=device)
+    assert_allclose(got[0], 1e30, rtol=1e-6)
+    assert abs(got[1]) <= 1e-30
+
+
+def test_beyond_float64_is_refused() -> None:
+    if np.finfo(np.longdouble).maxexp == np.finfo(np.float64).maxexp:
+        pytest.skip("longdouble is float64 here")
+    with pytest.raises(DataError, match="float64"):
+        clvol.Volume(np.array([[1, np.longdouble("1e4000")]])).require_finite()
+
+
+# -- pictures --------------------------------------------------------------------------------------------------------
+
+OUTPUTS = ("rgba", "depth", "normal", "position", "visited")
+VIEW: dict[str, Any] = {"size": (37, 35), "camera": clvol.Camera.orbit(30, 20), "outputs": OUTPUTS}
+
+
+def looks(scale: float) -> dict[str, dict[str, Any]]:
+    fog = clvol.TransferFunction(((0.0, "black"), (scale, "white")), ((0.1 * scale, 0.0), (0.5 * scale, 0.2), (scale, 0.9)))
+    ramp = clvol.TransferFunction.ramp((0.0, scale))
+    return {
+        "isosurface": {"isovalue": 0.3 * scale},
+        "composite": {"transfer": fog},
+        **{mode: {"transfer": ramp} for mode in ("mip", "minip", "mean", "attenuated")},
+    }
+
+
+@pytest.mark.parametrize("exponent", [-1000, -149, -133, 66, 119, 124, 1000])
+def test_pictures_are_those_of_data_about_one(device: Device, exponent: int) -> None:
+    scale = 2.0**exponent
+    with clvol.Renderer(blobs(), device=device) as plain, clvol.Renderer(blobs() * scale, device=device) as scaled:
+        for (mode, look), other in zip(looks(1.0).items(), looks(scale).values(), strict=True):
+            one, two = plain.render(mode=mode, **look, **VIEW), scaled.render(mode=mode, **other, **VIEW)
+            for name in OUTPUTS:
+                assert_array_equal(two[name], one[name], err_msg=f"{mode} {name}")
+
+
+@pytest.mark.parametrize("kind", ["blobs", "noise", "constant"])
+@pytest.mark.parametrize("scale", [1e36, 4.99e36, 1e-38, 1e-40, 1e-44], ids=str)
+@pytest.mark.parametrize("filter", ["bspline3", "linear", "bspline5", "lanczos3", "hybrid"])
+def test_skipping_changes_no_picture(device: Device, filter: str, scale: float, kind: str) -> None:
+    base = {"blobs": blobs(), "noise": some(), "constant": np.full(SHAPE, 0.7)}[kind]
+    data = (base * scale).astype(np.float32)
+    value = float(data.max())  # the constant itself, too
+    with clvol.Renderer(data, filter, device=device) as renderer:
+        for mode, look in (looks(scale) | {"mip": {}, "minip": {}}).items():
+            for options in [look] if mode != "isosurface" else [look, {"isovalue": value}, {"isovalue": 0.0}]:
+                on, off = (renderer.render(mode=mode, skipping=skipping, **options, **VIEW) for skipping in (True, False))
+                for name in OUTPUTS[:-1]:
+                    assert_array_equal(on[name], off[name], err_msg=f"{mode} {name}")
+
+
+def test_skipping_among_subnormal_samples_beside_large_ones(device: Device) -> None:
+    data = np.full(SHAPE, 1e-40, np.float32)
+    data[:3] = 1.0
+    data[6:9] = 3e-41
+    with clvol.Renderer(data, "linear", device=device) as renderer:
+        for isovalue in (1e-40, float(np.float32(1e-40)), 5e-41, 3e-41, 0.0, 0.5):
+            on, off = (renderer.render(mode="isosurface", skipping=s, isovalue=isovalue, **VIEW) for s in (True, False))
+            for name in OUTPUTS[:-1]:
+                assert_array_equal(on[name], off[name], err_msg=f"{isovalue} {name}")
+        faint = clvol.TransferFunction(((0.0, "white"),), ((0.0, 0.0), (1e-40, 0.0), (1.1e-40, 0.5)))
+        on, off = (renderer.render(mode="composite", skipping=s, transfer=faint, **VIEW) for s in (True, False))
+        assert_array_equal(on["rgba"], off["rgba"])
+
+
+def test_transfer_functions_that_reach_further_than_the_data(device: Device) -> None:
+    """Data about 1e-45, drawn by one from -1 to 1: all of it has the colour of zero; and the other way round."""
+    wide = clvol.TransferFunction(((-1.0, (0.0, 0, 0)), (1.0, (1.0, 1, 1))), ((-1.0, 1.0),))
+    with clvol.Renderer(blobs() * 1e-45, device=device) as renderer:
+        drawn = renderer.render(mode="mip", transfer=wide, size=(17, 17))
+        assert_allclose(drawn[8, 8], [0.5, 0.5, 0.5, 1], atol=1e-6)
+    with clvol.Renderer(blobs(), device=device) as renderer:
+        wider = clvol.TransferFunction(((-1e300, (0.0, 0, 0)), (1e300, (1.0, 1, 1))), ((-1e300, 1.0),))
+        assert_allclose(renderer.render(mode="mip", transfer=wider, size=(17, 17))[8, 8], [0.5, 0.5, 0.5, 1], atol=1e-6)
+        for isovalue in (1e300, -1e300):
+            assert not renderer.render(mode="isosurface", isovalue=isovalue, background=None, size=(17, 17)).any()
