@@ -38,13 +38,7 @@ TRANSFER = TransferFunction(
     ((0.0, (0.1, 0.2, 0.9)), (0.25, (0.9, 0.1, 0.2)), (0.5, (0.2, 0.8, 0.3)), (1.0, (1.0, 1.0, 0.9))),
     ((0.25, 0.0), (0.5, 0.3), (1.0, 0.7)),
 )
-OPTIONS: dict[str, Any] = {
-    "transfer": TRANSFER,
-    "background": None,
-    "outputs": OUTPUTS[:-1],
-    "isovalue": 0.5,
-    "termination": 0.0,
-}
+OPTIONS: dict[str, Any] = {"transfer": TRANSFER, "background": None, "outputs": OUTPUTS[:-1], "isovalue": 0.5, "termination": 0.0}
 MODES = list(modes())
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from clvol.camera import Camera, View
 from clvol.device import Device, Tile
 from clvol.light import LIGHTS, Material, lights_block
-from clvol.march.planes import SLAB, Planes
+from clvol.march.planes import SEGMENT, SLAB, Planes
 from clvol.mode import Mode
 from clvol.program import Program
 from clvol.scene import CLIP, Medium, Scene, clip_block
@@ -29,7 +29,7 @@ __all__ = ["BY_PLANES", "BY_RAYS", "PICTURE", "Frame", "frame_block"]
 BY_RAYS = Tile(1, 1, 1, shared=False)  # for GPUs, and wherever coefficients are not read as rows of a buffer
 BY_PLANES = Tile(16, 16, 8, shared=True)  # for processors
 
-_STRETCHES = 1.0, 4 * BLOCK  # step and segments of modes that look at all between samples, in voxels
+_STRETCHES = 2.0, 4 * SEGMENT  # step and segments of modes that look at all between samples, in voxels
 
 PICTURE = Block(
     "picture_block",
@@ -120,7 +120,7 @@ class Frame:
         (medium,), (width, height) = scene.media, size
         volume, stored = medium.volume, coefficients.stored
         view = camera.view(volume, width / height)
-        planes = Planes(volume, view, width / height, *(_STRETCHES if mode.stretches else (step, min(BLOCK, SLAB * step))))
+        planes = Planes(volume, view, width / height, *(_STRETCHES if mode.stretches else (step, SEGMENT)))
         block, _ = frame_block(mode.BLOCK)
         values = block(
             camera=view.block(volume, width, height),

@@ -42,7 +42,18 @@ def draw(
         for i, (offset, weight) in enumerate(rays):
             block = frame.device.upload(frame.sampled(offset, weight, i, len(rays))[None])
             for x, y, w, h in budget.tiles(width, height):
-                _launch(frame, kernel, (x, y, w, h), inputs.source, inputs.extent, inputs.minmax, inputs.sides, block, inputs.table, *buffers)
+                _launch(
+                    frame,
+                    kernel,
+                    (x, y, w, h),
+                    inputs.source,
+                    inputs.extent,
+                    inputs.minmax,
+                    inputs.sides,
+                    block,
+                    inputs.table,
+                    *buffers,
+                )
                 if progress:
                     progress((i + min(1.0, ((y + h) * width) / (width * height))) / len(rays))
     return _in_world(frame, arrays)

@@ -21,10 +21,11 @@ from clvol.spline.minmax import BLOCK
 from clvol.uniform import FLOAT, INT, Block, Values
 from clvol.volume import Volume
 
-__all__ = ["OBLIQUE", "SLAB", "Planes"]
+__all__ = ["OBLIQUE", "SEGMENT", "SLAB", "Planes"]
 
 OBLIQUE = 0.5  # cosine between ray and axis below which a ray steps along itself
 SLAB = 8  # samples of a segment at most: a work-item holds a blended plane for each
+SEGMENT = float(BLOCK)  # voxels that a segment crosses, where samples are not far apart: about one block of the pyramid
 _MAX_PLANES = 1 << 20
 _MAX_STEP = 1e30  # as good as any longer one
 
@@ -77,7 +78,7 @@ class Planes:
         axis=INT,
     )
 
-    def __init__(self, volume: Volume, view: View, aspect: float, step: float, segment: float = BLOCK) -> None:
+    def __init__(self, volume: Volume, view: View, aspect: float, step: float, segment: float = SEGMENT) -> None:
         self.step = step = min(step, _MAX_STEP)
         self._segment = segment
         inverse = volume.world_to_index_matrix
@@ -110,7 +111,7 @@ class Planes:
             stride=self.step,
             count=self.count,
             oblique=OBLIQUE,
-            slab=max(1, int(self._segment / max(self.spacing, self.step))),
+            slab=min(SLAB, max(1, int(self._segment / max(self.spacing, self.step)))),
             margin=self.margin,
             axis=self.axis,
         )

@@ -58,7 +58,7 @@ def first_crossings(
     t = np.full(enter.shape, math.inf)
     there = np.flatnonzero(enter < leave)
     for part in np.array_split(there, -(-there.size // _LINES)) if there.size else []:
-        t[part] = _first(value, volume, filter, *(a[part] for a in (origin, direction, enter, leave)), isovalue)
+        t[part] = _first(value, volume, filter, origin[part], direction[part], enter[part], leave[part], isovalue)
     return t
 
 
