@@ -1,0 +1,186 @@
+"""Are surfaces exact? ``python -m bench.roots`` holds a million random rays against float64.
+
+The function is SciPy's spline, the truth `clvol.reference.march.roots`: eigenvalues in every cell of every ray. A ray is right if
+its depth is within 1e-4 voxel of the truth. Near a tangent nothing in float32 can be: such a ray counts as rounding if the truth
+is what was drawn for a ray that is moved by up to 1e-4 voxel, or for an isovalue that is moved by 3e-6 of the largest magnitude
+of a coefficient. All else is wrong: a surface missed, or another one than the first.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+import clvol
+from clvol.camera import Camera
+from clvol.filter import as_filter
+from clvol.reference.march.march import Rays, camera_rays
+from clvol.reference.march.roots import first_crossings
+
+__all__ = ["DEPTH", "SCENES", "Count", "Surface", "check"]
+
+Array = NDArray[np.float64]
+DEPTH = 1e-4  # of a voxel
+_SHIFT, _LIFT = 1e-4, 3e-6  # what rounding may move: rays, of a voxel; isovalues, of the largest magnitude
+_NEAR = 0.05  # voxels; near a tangent the least move of a ray moves the surface far along it
+_EDGE = 64  # pixels along the edge of a picture
+_ORDERS = {"nearest": 0, "linear": 1, "bspline2": 2, "bspline3": 3, "bspline4": 4, "bspline5": 5}
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A volume, an isovalue, and the function in float64."""
+
+    volume: clvol.Volume
+    isovalue: float
+    filter: str = "bspline3"
+
+    @cached_property
+    def coefficients(self) -> Array:
+        """Of SciPy's spline."""
+        data, order = np.asarray(self.volume.data, np.float64), _ORDERS[self.filter]
+        return np.asarray(ndimage.spline_filter(data, order, mode="mirror")) if order > 1 else data
+
+    def values(self, points: Array) -> Array:
+        """At world positions (N, 3)."""
+        at, order = self.volume.world_to_index(points)[:, ::-1].T, _ORDERS[self.filter]
+        return np.asarray(ndimage.map_coordinates(self.coefficients, at, order=order, mode="mirror", prefilter=False))
+
+    def depths(self, rays: Rays, which: Any, shift: Array | float = 0.0, lift: float = 0.0) -> Array:
+        """Where some of the rays first meet the isovalue; both moved, if asked."""
+        ends = rays.origin[which] + shift, rays.direction[which], rays.enter[which], rays.leave[which]
+        return first_crossings(self.values, self.volume, as_filter(self.filter), *ends, self.isovalue + lift)
+
+
+@dataclass
+class Count:
+    """What came out for so many rays."""
+
+    rays: int = 0
+    hits: int = 0
+    rounding: int = 0
+    wrong: int = 0
+    worst: float = 0.0  # error of depth of the others, in voxels
+
+
+def _cube(n: int) -> tuple[Array, Array, Array]:
+    z, y, x = np.meshgrid(*[np.linspace(-1, 1, n)] * 3, indexing="ij")
+    return x, y, z
+
+
+def _shell(thickness: float) -> Surface:
+    """A smooth ridge, of which so many voxels lie above the isovalue."""
+    x, y, z = _cube(25)
+    width = 1.5
+    ridge = np.exp(-((np.sqrt(x * x + y * y + z * z) - 0.6) ** 2) * 12**2 / (2 * width**2))
+    return Surface(clvol.Volume(ridge), math.exp(-((thickness / 2) ** 2) / (2 * width**2)))
+
+
+def _touching() -> Surface:
+    """A parabola through whose lowest samples the isovalue goes: a double root on every ray."""
+    x, _, _ = _cube(17)
+    return Surface(clvol.Volume(x * x), 0.0)
+
+
+def _noise(filter: str, shape: tuple[int, int, int] = (15, 17, 16), **placed: Any) -> Surface:
+    return Surface(clvol.Volume(np.random.default_rng(1).random(shape), **placed), 0.47, filter)
+
+
+SCENES = {
+    "Marschner-Lobb, 25³": lambda: Surface(clvol.phantoms.marschner_lobb(25), 0.5),
+    "noise": lambda: _noise("bspline3"),
+    "noise, long voxels": lambda: _noise("bspline3", (9, 12, 14), spacing=(1.0, 0.5, 2.2), origin=(3.0, -2.0, 7.0)),
+    "a shell 0.1 voxel thin": lambda: _shell(0.1),
+    "double roots": _touching,
+    **{f"noise, {name}": (lambda name=name: _noise(name, (9, 10, 11))) for name in ("nearest", "linear", "bspline2", "bspline5")},
+}
+
+
+def _cameras(volume: clvol.Volume, rng: np.random.Generator) -> Iterator[Camera]:
+    """Along the axes through samples and faces of cells, from outside, and from inside."""
+    for azimuth, zoom in ((0, 1.0), (90, 1.7), (180, 1.0)):
+        yield Camera.orbit(azimuth, 0, projection="orthographic", zoom=zoom)
+    size = np.asarray(volume.spacing) * np.asarray(volume.size)
+    for kind in itertools.cycle(range(3)):
+        azimuth, elevation = rng.uniform(0, 360), rng.uniform(-85, 85)
+        if kind == 0:
+            yield Camera.orbit(azimuth, elevation, zoom=rng.uniform(0.8, 4))
+        elif kind == 1:
+            yield Camera.orbit(azimuth, elevation, projection="orthographic", zoom=rng.uniform(0.8, 3))
+        else:
+            eye = volume.center + (rng.random(3) - 0.5) * 0.8 * size
+            yield Camera.look_at(eye, volume.center + rng.normal(size=3) * size)
+
+
+def check(surface: Surface, rays: int, seed: int = 0, edge: int = _EDGE, **options: Any) -> Count:
+    """Hold pictures of a surface against the truth, by so many random rays at least; `options` are the renderer's."""
+    count, rng, voxel = Count(), np.random.default_rng(seed), float(np.mean(surface.volume.spacing))
+    largest = float(np.abs(surface.coefficients).max())
+    with clvol.Renderer(surface.volume, surface.filter) as renderer:
+        for camera in _cameras(surface.volume, rng):
+            if count.rays >= rays:
+                return count
+            drawn = renderer.render(camera, "isosurface", (edge, edge), isovalue=surface.isovalue, outputs="depth", **options)
+            got = drawn.reshape(-1).astype(np.float64)
+            lines = camera_rays(surface.volume, camera.view(surface.volume, 1.0), (edge, edge))
+            truth = surface.depths(lines, slice(None))
+            count.rays += got.size
+            count.hits += int(np.isfinite(truth).sum())
+            error = _apart(got, truth) / voxel
+            count.worst = max(count.worst, float(error[error <= DEPTH].max(initial=0.0)))
+            off = np.flatnonzero(error > DEPTH)
+            moved = _nearest(surface, lines, off, got[off], voxel, largest) / voxel if off.size else np.empty(0)
+            count.rounding += int((moved <= _NEAR).sum())
+            count.wrong += int((moved > _NEAR).sum())
+    return count
+
+
+def _apart(a: Array, b: Array) -> Array:
+    """How far two depths are from each other: nothing if both are infinite, infinitely if one is."""
+    with np.errstate(invalid="ignore"):
+        return np.where(np.isinf(a) & np.isinf(b), 0.0, np.abs(a - b))
+
+
+def _nearest(surface: Surface, rays: Rays, which: NDArray[np.int64], got: Array, voxel: float, largest: float) -> Array:
+    """How near the truth for rays and isovalues that are moved a little comes to what was drawn."""
+    across = np.cross(rays.direction[which], np.eye(3)[np.abs(rays.direction[which]).argmin(1)])
+    sides = across, np.cross(rays.direction[which], across)
+    best = np.full(which.size, math.inf)
+    for lift, (side, share) in itertools.product(
+        (0.0, -1.0, 1.0, -0.3, 0.3), [(0, 0.0), *itertools.product((0, 1), (-1, 1, -0.3, 0.3))]
+    ):
+        depths = surface.depths(rays, which, share * _SHIFT * voxel * sides[side], lift * _LIFT * largest)
+        best = np.minimum(best, _apart(got, depths))
+    return best
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rays", type=int, default=1_000_000, help="in all (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0)
+    chosen = parser.parse_args()
+    wrong = 0
+    for name, scene in SCENES.items():
+        started = time.perf_counter()
+        count = check(scene(), chosen.rays // len(SCENES), chosen.seed)
+        wrong += count.wrong
+        print(
+            f"{name:24} {count.rays:9} rays  {count.hits:9} hits  {count.wrong:3} wrong  {count.rounding:5} rounding"
+            f"  others within {count.worst:.1e} voxel  {time.perf_counter() - started:5.0f} s",
+            flush=True,
+        )
+    raise SystemExit(1 if wrong else 0)
+
+
+if __name__ == "__main__":
+    main()
