@@ -20,7 +20,7 @@ from clvol.scene import CLIP, Medium, Scene, clip_block
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, Evaluator
 from clvol.spline.minmax import BLOCK, MINMAX, MinMax, minmax_block
-from clvol.transfer import TABLE_SIZE, TransferFunction
+from clvol.transfer import TransferFunction
 from clvol.uniform import FLOAT, INT, Block, Values
 
 __all__ = ["BY_PLANES", "BY_RAYS", "PICTURE", "Frame", "frame_block"]
@@ -80,7 +80,7 @@ class Frame:
     values : ndarray
         The parameter block.
     table : ndarray of float32
-        The transfer function's nodes, and behind them for each the next one that has some opacity.
+        The transfer function's nodes or pieces.
     """
 
     coefficients: Coefficients
@@ -136,7 +136,7 @@ class Frame:
                 **{"pass": 0, "last_pass": 0},
             ),
         )
-        table = _searchable(transfer.table())
+        table = transfer.table()
         tile = _tile(coefficients.device, evaluator)
         return cls(coefficients, minmax, mode, evaluator, planes, tile, central, guides, values, table)
 
@@ -171,7 +171,6 @@ class Frame:
             "STATE_FIELDS": mode.state_fields,
             "CENTRAL": int(self.central),
             "GUIDES": int(self.guides),
-            "TABLE_SIZE": TABLE_SIZE,
             "BLOCK": BLOCK * self.coefficients.filter.scale,
             "SLAB": SLAB,
             "COORD_DOUBLE": 0,
@@ -185,9 +184,3 @@ def _tile(device: Device, evaluator: Evaluator) -> Tile:
     if device.limits.tile is not None:
         return Tile(*device.limits.tile)
     return BY_PLANES if device.kind == "cpu" and evaluator == DIRECT else BY_RAYS
-
-
-def _searchable(table: NDArray[np.float32]) -> NDArray[np.float32]:
-    seen = np.where(table[:, 3] > 0, np.arange(len(table), dtype=np.float32), np.float32(np.inf))
-    following = np.minimum.accumulate(seen[::-1])[::-1]
-    return np.concatenate([table.ravel(), following])
