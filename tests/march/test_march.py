@@ -175,6 +175,8 @@ def allowance(filter: str, mode: str, device: Device, ways: dict[str, str] | Non
     if ways.get("evaluator") == "eight-fetch" and ways.get("fetch") == "image" and device.sampler_bits < 16:
         return COARSE
     base = Allowance()
+    if mode == "composite":
+        base = replace(base, depth=2e-4, position=2e-4)  # depth errs by the light's rounding over how fast it falls
     if mode == "isosurface":
         # depth errs by rounding over the slope along the ray, so grazing rays err most
         base = replace(base, rgba=2e-4, rms=2e-5, depth=2e-4, position=2e-4, normal=1e-3, pixels=0.0025)
