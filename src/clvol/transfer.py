@@ -89,7 +89,7 @@ class TransferFunction:
         import cmap
 
         low, high = _range(value_range)
-        at = np.linspace(0, 1, _CMAP_NODES)
+        at = np.linspace(0, 1, _CMAP_NODES) if low < high else np.ones(1)
         try:
             chosen = cmap.Colormap(name)
             shades = [tuple(map(float, chosen(float(u)).rgba[:3])) for u in at]
@@ -105,9 +105,10 @@ class TransferFunction:
 
     @classmethod
     def ramp(cls, value_range: tuple[float, float]) -> TransferFunction:
-        """Black at the minimum, white at the maximum, opaque: for projections."""
+        """Black at the minimum, white at the maximum, opaque: for projections. White where the two are one."""
         low, high = _range(value_range)
-        return cls(((low, (0.0, 0.0, 0.0)), (high, (1.0, 1.0, 1.0))), ((low, 1.0),))
+        ends = ((low, (0.0, 0.0, 0.0)), (high, (1.0, 1.0, 1.0)))
+        return cls(ends if low < high else ends[1:], ((low, 1.0),))
 
     @classmethod
     def automatic(cls, volume: Volume | ArrayLike) -> TransferFunction:
@@ -174,7 +175,8 @@ class _Layout(NamedTuple):
 def _laid_out(transfer: TransferFunction, offset: float, exponent: int) -> _Layout:
     """See `TransferFunction.table`."""
     colors, opacities = (
-        np.ldexp([p[0] for p in points], -exponent) - math.ldexp(offset, -exponent) for points in (transfer.colors, transfer.opacities)
+        _scaled([p[0] for p in points], exponent) - math.ldexp(offset, -exponent)
+        for points in (transfer.colors, transfer.opacities)
     )
     at = np.unique(np.concatenate([colors, opacities]))
     jumps = len(np.unique(colors)) < len(colors) or len(np.unique(opacities)) < len(opacities)
@@ -238,13 +240,13 @@ def _of_pieces(transfer: TransferFunction, colors: NDArray[np.float64], opacitie
         )
     )
     until = np.where(clear_at, starts, np.nextafter(starts, np.float32(-np.inf)))
-    until[0] = -np.inf
+    until[0] = np.finfo(np.float32).min
     count = len(starts)
     following = np.minimum.accumulate(np.where(some, np.arange(count), count)[::-1])[::-1]
-    until = np.append(until, np.float32(np.inf))[following]
-    rows = np.stack(
-        [bases[:, :4], slopes[:, :4], np.stack([starts, bases[:, 4], slopes[:, 4], until], -1)], axis=1
-    ).astype(np.float32)
+    until = np.append(until, np.finfo(np.float32).max)[following]
+    rows = np.stack([bases[:, :4], slopes[:, :4], np.stack([starts, bases[:, 4], slopes[:, 4], until], -1)], axis=1).astype(
+        np.float32
+    )
     low = np.float32(starts[0])
     if count <= _FEW:
         return _Layout(float(low), 0.0, 0.0, count, 0, rows.ravel())

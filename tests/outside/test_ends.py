@@ -67,7 +67,11 @@ def along_rays(eye: Array, along: Array, enter: Array, leave: Array, n: int = 60
     t = enter[..., None] + share * length
     points = eye + t[..., None] * along[..., None, :]
     values = map_coordinates(
-        spline_filter(smooth().astype(np.float64), 3, mode="mirror"), points[..., ::-1].reshape(-1, 3).T, order=3, mode="mirror", prefilter=False
+        spline_filter(smooth().astype(np.float64), 3, mode="mirror"),
+        points[..., ::-1].reshape(-1, 3).T,
+        order=3,
+        mode="mirror",
+        prefilter=False,
     )
     return values.reshape(t.shape), length * np.tile(weights / 2 / pieces, pieces)
 
@@ -85,7 +89,9 @@ def true_picture(camera: str, box: Box) -> dict[str, Array]:
     # behind node k about half of its weight is still to come
     middles = depth - stopped * weights / 2
     nodes = enter[..., None] + np.cumsum(weights, -1) - weights / 2
-    half = np.array([np.interp(np.log(2), m, t, right=np.inf) for m, t in zip(middles.reshape(-1, 600), nodes.reshape(-1, 600), strict=True)])
+    half = np.array(
+        [np.interp(np.log(2), m, t, right=np.inf) for m, t in zip(middles.reshape(-1, 600), nodes.reshape(-1, 600), strict=True)]
+    )
     return {
         "opacity": np.where(hit, -np.expm1(-depth[..., -1]), np.nan),
         "depth": np.where(hit, half.reshape(hit.shape), np.nan),
@@ -97,7 +103,9 @@ def drawn(device: Device, camera: str, box: Box, step: float, **options: Any) ->
     look: dict[str, Any] = {"camera": CAMERAS[camera], "size": SIZE, "step": step, "clip": box, "background": None, **options}
     transfer = clvol.TransferFunction(((0.0, "black"), (1.0, "white")), THROUGH, 1.0)
     with clvol.Renderer(smooth(), "bspline3", "mirror", device) as renderer:
-        light = renderer.render(mode="composite", transfer=transfer, outputs=("rgba", "depth"), shading=False, termination=0.0, **look)
+        light = renderer.render(
+            mode="composite", transfer=transfer, outputs=("rgba", "depth"), shading=False, termination=0.0, **look
+        )
         mean = renderer.render(mode="mean", transfer=transfer, **look)
     return {
         "opacity": light["rgba"][..., 3].astype(np.float64),
@@ -175,7 +183,13 @@ def test_light_on_a_thin_slab(device: Device, tile: str) -> None:
     z, y, x = np.meshgrid(*[np.arange(12.0)] * 3, indexing="ij")
     ramp = (x + 2 * y - z).astype(np.float32)
     transfer = clvol.TransferFunction(((0.0, (0.8, 0.6, 0.4)),), ((0.0, 0.9),), 1.0)
-    look: dict[str, Any] = {"size": (20, 17), "transfer": transfer, "background": None, "lights": clvol.Light((1, -2, 0.5)), "step": 1.0}
+    look: dict[str, Any] = {
+        "size": (20, 17),
+        "transfer": transfer,
+        "background": None,
+        "lights": clvol.Light((1, -2, 0.5)),
+        "step": 1.0,
+    }
     camera = clvol.Camera(direction=(0.1, 1, 0.2), projection="orthographic")
     colors = []
     with device.limited(tile=TILES[tile]), clvol.Renderer(ramp, "linear", device=device) as renderer:

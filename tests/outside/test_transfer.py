@@ -108,7 +108,9 @@ def test_points_anywhere(device: Device, seed: int) -> None:
     values = rng.uniform(-1.2, 1.2, 576)
     values[:100] = rng.choice([p[0] for p in (*colors, *opacities)], 100)
     steepest = max(
-        (abs(b[0] - a[0]) or np.inf) ** -1 for points in (colors, opacities) for a, b in zip(points, points[1:] + points[-1:], strict=True)
+        (abs(b[0] - a[0]) or np.inf) ** -1
+        for points in (colors, opacities)
+        for a, b in zip(points, points[1:] + points[-1:], strict=True)
     )
     check(device, values, colors, opacities, 1e-6 + 2e-7 * steepest)
 

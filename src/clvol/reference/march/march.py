@@ -426,7 +426,7 @@ def _minip(scene: _Scene, mode: Mode, rays: Rays, t: Array, there: Bools, values
     return _extreme(scene, t, there, values, -1.0)
 
 
-def _mean(scene: _Scene, mode: Mode, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:
+def _mean(scene: _Scene, mode: Mode, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
     near, far = _stretches(rays, t, there, step)
     length = (far - near).sum(1)
     some: Bools = np.asarray(length > 0)
