@@ -4,13 +4,13 @@
 #include "march/sample.cl"
 #include "transfer/ramp.cl"
 
-typedef struct { real sum, length; } state_t;
+typedef struct { real sum, steps; } state_t;
 
 #define REACH 0.0f
 #define ANY_ORDER 0
 #define PROMISE(low, high) 0.0f
 
-INLINE void begin(state_t *s) { s->sum = s->length = (real)(0.0f); }
+INLINE void begin(state_t *s) { s->sum = s->steps = (real)(0.0f); }
 
 INLINE mask finished(const state_t *s, constant frame_t *frame) { return NONE; }
 
@@ -21,24 +21,29 @@ INLINE int matters(const state_t *s, constant frame_t *frame, global const float
 
 INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real t, real value, mask active)
 {
-    real before, behind;
-    stretch_of(sample->ray, sample->number, t, &before, &behind);
-    const real length = choose(active, MAX(before + behind, (real)(0.0f)), (real)(0.0f));
-    s->sum = choose(active, madd(length, value, s->sum), s->sum);
-    s->length += length;
+    const ray_t *ray = sample->ray;
+    const mask ends = active & ((ray->begin == sample->number) | (ray->end == sample->number));
+    real steps = (real)(1.0f);
+    if (any_lane(ends)) {
+        real before, behind;
+        stretch_of(ray, sample->number, t, &before, &behind);
+        steps = choose(ends, MAX(before + behind, (real)(0.0f)) / choose(ray->alone, (real)(1.0f), ray->step), steps);
+    }
+    s->sum = choose(active, madd(steps, value, s->sum), s->sum);
+    s->steps = choose(active, s->steps + steps, s->steps);
     return NONE;
 }
 
 INLINE void merge(state_t *front, const state_t *back)
 {
     front->sum += back->sum;
-    front->length += back->length;
+    front->steps += back->steps;
 }
 
 INLINE color_t finish(const state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real *t)
 {
-    const mask some = s->length > 0.0f;
-    color_t color = classify(sample->frame, sample->table, s->sum / choose(some, s->length, (real)(1.0f)));
+    const mask some = s->steps > 0.0f;
+    color_t color = classify(sample->frame, sample->table, s->sum / choose(some, s->steps, (real)(1.0f)));
     color.opacity = choose(some, (real)(1.0f), (real)(0.0f));
     *t = NOWHERE;
     return color;
