@@ -72,8 +72,8 @@ def test_equal_nodes_serve_points_that_lie_on_them() -> None:
 
 def test_nearly_opaque_matter_is_known_by_what_it_lets_through() -> None:
     fog = TransferFunction(((0.0, "white"),), ((0.0, 1 - 1e-7), (1.0, 1 - 1e-6)))
-    pieces = fog.table().reshape(-1, 3, 4)
-    assert fog.block(1.0)["pieces"] == len(pieces)
+    assert fog.block(1.0)["pieces"] == 3
+    pieces = fog.table()[:36].reshape(-1, 3, 4)
     np.testing.assert_allclose(pieces[:, 2, 1], [1e-7, 1e-7, 1e-6], rtol=1e-6)
 
 

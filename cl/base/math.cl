@@ -65,11 +65,19 @@ INLINE real exp_2(real y)
     return p * scale.f;
 }
 
-// 1 - exp_2(y), also where that is small.
+// 1 - exp_2(y) for y <= 0, to full precision where that is small too: there `scale` is 1.
 INLINE real one_less_exp_2(real y)
 {
-    const real series = -y * madd(y, madd(y, madd(y, (real)(9.6181291e-3f), 5.5504109e-2f), 0.24022651f), 0.69314718f);
-    return choose(magnitude(y) < 0.0625f, series, 1.0f - exp_2(y));
+    y = MAX(y, (real)(-60.0f));
+    const mask whole = to_mask(y - 0.5f);   // the nearest
+    const real f = y - to_real(whole);
+    const real f2 = f * f;
+    const real low = madd(f, (real)(0.24022651f), 0.69314718f), middle = madd(f, (real)(9.6181291e-3f), 5.5504109e-2f);
+    const real high = madd(f, (real)(1.5403530e-4f), 1.3333558e-3f);
+    const real less = f * madd(f2, madd(f2, high, middle), low);   // exp_2(f) - 1
+    union { real f; mask i; } scale;
+    scale.i = (whole + 127) << 23;
+    return (1.0f - scale.f) - scale.f * less;
 }
 
 // x > 0 to a power, given whether that is a whole number. `floor` is x whose power is nothing that anyone sees.

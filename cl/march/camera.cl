@@ -95,12 +95,16 @@ INLINE ray_t pixel_ray(constant frame_t *frame, real px, real py)
 }
 
 // How far the stretch that sample number n, at t, stands for reaches before and behind it: half a step, but from where the ray
-// enters to the first sample, and from the last to where it leaves.
-INLINE void stretch_of(const ray_t *ray, float n, real t, real *before, real *behind)
+// enters to the first sample, and from the last to where it leaves. True if n is the first or the last of some active ray.
+INLINE int stretch_of(const ray_t *ray, float n, real t, mask active, real *before, real *behind)
 {
-    const real half_step = 0.5f * ray->step;
-    *before = choose(ray->begin == n, t - ray->enter, half_step);
-    *behind = choose(ray->end == n, ray->leave - t, half_step);
+    *before = *behind = 0.5f * ray->step;
+    const mask first = ray->begin == n, last = ray->end == n;
+    if (!any_lane(active & (first | last)))
+        return 0;
+    *before = choose(first, MAX(t - ray->enter, (real)(0.0f)), *before);
+    *behind = choose(last, MAX(ray->leave - t, (real)(0.0f)), *behind);
+    return 1;
 }
 
 // Where rays cross plane number n on their way up (way > 0) or down the axis.

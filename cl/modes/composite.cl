@@ -43,18 +43,18 @@ INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample
     if (SHADED)
         color = shade(frame, color, gradient_here(coefficients, sample, t, seen), sample->ray->world);
     real before, behind;
-    stretch_of(sample->ray, sample->number, t, &before, &behind);
-    const real length = MAX(before + behind, (real)(0.0f)), light = transmittance(s);
+    stretch_of(sample->ray, sample->number, t, seen, &before, &behind);
+    const real length = before + behind, light = transmittance(s);
     const real through = log_light(color, length * frame->transfer.per_unit_distance);
     const real share = light * one_less_exp_2(through);
     s->red = choose(seen, madd(share, color.red, s->red), s->red);
     s->green = choose(seen, madd(share, color.green, s->green), s->green);
     s->blue = choose(seen, madd(share, color.blue, s->blue), s->blue);
     add_opacity(s, share, seen);
-    const mask halved = seen & (transmittance(s) <= 0.5f) & (s->depth == NOWHERE);   // half of the light is stopped
+    const mask halved = seen & (transmittance(s) <= 0.5f) & (light > 0.5f);   // half of the light is stopped
     if (any_lane(halved)) {
         const real past = log_2(2.0f * light) / -through;   // where in the stretch, were it all of one kind
-        s->depth = choose(halved, madd(MIN(MAX(past, (real)(0.0f)), (real)(1.0f)), length, t - before), s->depth);
+        s->depth = choose(halved, madd(MIN(past, (real)(1.0f)), length, t - before), s->depth);
     }
     return finished(s, frame);
 }

@@ -22,13 +22,9 @@ INLINE int matters(const state_t *s, constant frame_t *frame, global const float
 INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real t, real value, mask active)
 {
     const ray_t *ray = sample->ray;
-    const mask ends = active & ((ray->begin == sample->number) | (ray->end == sample->number));
-    real steps = (real)(1.0f);
-    if (any_lane(ends)) {
-        real before, behind;
-        stretch_of(ray, sample->number, t, &before, &behind);
-        steps = choose(ends, MAX(before + behind, (real)(0.0f)) / choose(ray->alone, (real)(1.0f), ray->step), steps);
-    }
+    real steps = (real)(1.0f), before, behind;
+    if (stretch_of(ray, sample->number, t, active, &before, &behind))
+        steps = (before + behind) / choose(ray->alone, (real)(1.0f), ray->step);
     s->sum = choose(active, madd(steps, value, s->sum), s->sum);
     s->steps = choose(active, s->steps + steps, s->steps);
     return NONE;

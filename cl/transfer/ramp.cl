@@ -73,19 +73,23 @@ INLINE int transparent_by_nodes(constant frame_t *frame, global const float4 *ta
 
 // -- pieces ----------------------------------------------------------------------------------------------------
 
-// The numbers of the pieces that values lie in: the last that begins no later. A few are compared with all; where there are
-// many, a bucket tells the first in question, and halving the others.
+// The numbers of the pieces that values lie in: the last that begins no later. Where there are few, values are compared with the
+// starts of all, which lie behind them, four at a time; where there are many, a bucket tells the first in question, and halving
+// the others.
 INLINE mask pieces_of(constant frame_t *frame, global const float4 *table, real value, real *start)
 {
     global const float *starts = (global const float *)table + START;
     mask piece = NONE;
     *start = (real)(starts[0]);
     if (frame->transfer.halvings == 0) {
-        for (int i = 1; i < frame->transfer.pieces; ++i) {
-            const float next = starts[i * PIECE];
-            const mask past = value >= next;
-            piece = past ? (mask)(i) : piece;
-            *start = choose(past, (real)(next), *start);
+        global const float *each = (global const float *)table + frame->transfer.pieces * PIECE;
+        for (int i = 0; i < frame->transfer.pieces - 1; i += 4) {
+#pragma unroll
+            for (int k = 0; k < 4; ++k) {
+                const mask past = value >= each[i + k];
+                piece = past ? (mask)(i + k + 1) : piece;
+                *start = choose(past, (real)(each[i + k]), *start);
+            }
         }
         return piece;
     }
@@ -163,7 +167,7 @@ INLINE int transparent(constant frame_t *frame, global const float4 *table, floa
 // for one.
 INLINE real log_light(color_t color, real thickness)
 {
-    const mask thin = color.opacity < 0.03125f;   // there 1 - opacity has lost some of it
+    const mask thin = color.opacity < 0.25f;   // there 1 - opacity has lost some of it
     const real light = thickness * log_2_of(MAX(color.clear, (real)(1e-30f)), thin, -color.opacity);
     return choose(color.opacity < 1.0f, light, -NOWHERE);
 }

@@ -26,7 +26,8 @@ _CELLS = 1024  # of a table of equal nodes at most, and buckets in which pieces 
 _ON_NODE = 1e-5  # of a cell: as near to a node is on it
 _LOOSE = 1e-7  # of the range: what float32 may take from where a table of equal nodes begins
 _NEARLY_OPAQUE = 0.99  # what float32 leaves of 1 - opacity is little from here on
-_FEW = 16  # pieces that are found by comparing a value with all of them
+_FEW = 16  # pieces that are found by comparing a value with all of them ...
+_AT_ONCE = 4  # ... so many at a time
 _FAR = 1.5e38  # of float32: no difference of two values within overflows
 _STEEPEST = 3e38
 _CMAP_NODES = 64
@@ -138,8 +139,8 @@ class TransferFunction:
 
         Either equal nodes (red, green, blue, opacity) and behind them for each the next one that has some opacity; or, where
         the block has a number of pieces, the pieces: colours and opacity where one begins, their slopes, and (where it begins,
-        1 - opacity there, the slope of that, up to which value nothing is seen from here on), four numbers each. Behind many
-        pieces lies the piece at the start of each of equal buckets.
+        1 - opacity there, the slope of that, up to which value nothing is seen from here on), four numbers each. Behind few
+        pieces lie the starts of all but the first; behind many, the piece at the start of each of equal buckets.
         """
         return _laid_out(self, offset, exponent).table
 
@@ -249,7 +250,8 @@ def _of_pieces(transfer: TransferFunction, colors: NDArray[np.float64], opacitie
     )
     low = np.float32(starts[0])
     if count <= _FEW:
-        return _Layout(float(low), 0.0, 0.0, count, 0, rows.ravel())
+        padded = np.append(starts[1:], [np.finfo(np.float32).max] * (-(count - 1) % _AT_ONCE)).astype(np.float32)
+        return _Layout(float(low), 0.0, 0.0, count, 0, np.concatenate([rows.ravel(), padded]))
     last = np.float32(_CELLS - 1)
     scale = np.float32(min(_CELLS / (float(starts[-1]) - float(low)), _STEEPEST / 10))
     with np.errstate(over="ignore"):  # as kernels compute it, in float32
