@@ -43,7 +43,7 @@ def looked_up(
     pieces = table[: 12 * int(block["pieces"])].reshape(-1, 3, 4)
     number = np.searchsorted(pieces[1:, 2, 0], values, side="right")
     if block["halvings"]:
-        first = table[12 * len(pieces) :].astype(int)
+        first = table[12 * len(pieces) :].reshape(1024, -1)[:, 0].astype(int)
         bucket = np.clip((values - block["low"]) * block["scale"], 0, block["last"]).astype(int)
         assert ((first[bucket] <= number) & (number < first[bucket] + (1 << int(block["halvings"])))).all()
     return np.asarray(pieces[number, 0] + (values - pieces[number, 2, 0])[:, None] * pieces[number, 1])

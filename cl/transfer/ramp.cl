@@ -75,7 +75,7 @@ INLINE int transparent_by_nodes(constant frame_t *frame, global const float4 *ta
 
 // The numbers of the pieces that values lie in: the last that begins no later. Where there are few, values are compared with the
 // starts of all, which lie behind them, four at a time; where there are many, a bucket tells the first in question, and halving
-// the others.
+// the others. A bucket is the number of that piece, or, where one comparison decides, that, its start and the next one's.
 INLINE mask pieces_of(constant frame_t *frame, global const float4 *table, real value, real *start)
 {
     global const float *starts = (global const float *)table + START;
@@ -94,7 +94,24 @@ INLINE mask pieces_of(constant frame_t *frame, global const float4 *table, real 
         return piece;
     }
     const real place = MIN(MAX((value - frame->transfer.low) * frame->transfer.scale, (real)(0.0f)), (real)(frame->transfer.last));
-    piece = to_mask(each_of((global const float *)table + frame->transfer.pieces * PIECE, to_mask(place)));
+    global const float *buckets = (global const float *)table + frame->transfer.pieces * PIECE;
+    if (frame->transfer.halvings == 1) {   // no bucket holds more than one start
+#if LANES == 1
+        const float4 bucket = *(global const float4 *)(buckets + 4 * to_mask(place));
+        const real first = bucket.x, first_start = bucket.y, next_start = bucket.z;
+#else
+        const lane_indices_u at = { 4 * to_mask(place) };
+#define BUCKET(i) *(global const float4 *)(buckets + at.each[i])
+        real rows[4] = { FOURTHS(BUCKET, 0), FOURTHS(BUCKET, 1), FOURTHS(BUCKET, 2), FOURTHS(BUCKET, 3) };
+#undef BUCKET
+        transpose_fourths(rows, rows);
+        const real first = rows[0], first_start = rows[1], next_start = rows[2];
+#endif
+        const mask past = value >= next_start;
+        *start = choose(past, next_start, first_start);
+        return to_mask(choose(past, first + 1.0f, first));
+    }
+    piece = to_mask(each_of(buckets, to_mask(place)));
     const mask last = (mask)(frame->transfer.pieces - 1);
     for (int reach = 1 << (frame->transfer.halvings - 1); reach > 0; reach >>= 1) {
         const mask probe = MIN(piece + reach, last);

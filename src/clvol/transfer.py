@@ -140,7 +140,8 @@ class TransferFunction:
         Either equal nodes (red, green, blue, opacity) and behind them for each the next one that has some opacity; or, where
         the block has a number of pieces, the pieces: colours and opacity where one begins, their slopes, and (where it begins,
         1 - opacity there, the slope of that, up to which value nothing is seen from here on), four numbers each. Behind few
-        pieces lie the starts of all but the first; behind many, the piece at the start of each of equal buckets.
+        pieces lie the starts of all but the first; behind many, the piece at the start of each of equal buckets, or, where no
+        bucket holds two starts, four numbers for each: that piece, its start, the next one's, 0.
         """
         return _laid_out(self, offset, exponent).table
 
@@ -258,7 +259,11 @@ def _of_pieces(transfer: TransferFunction, colors: NDArray[np.float64], opacitie
         buckets = np.minimum((starts[1:] - low) * scale, last).astype(np.int64)
     first = np.searchsorted(buckets, np.arange(_CELLS), side="left")
     halvings = int(np.bincount(buckets).max()).bit_length()
-    return _Layout(float(low), float(scale), float(last), count, halvings, np.concatenate([rows.ravel(), first.astype(np.float32)]))
+    tail = first.astype(np.float32)
+    if halvings == 1:
+        following = np.append(starts, np.finfo(np.float32).max).astype(np.float32)[first + 1]
+        tail = np.stack([tail, starts[first].astype(np.float32), following, np.zeros_like(following)], 1)
+    return _Layout(float(low), float(scale), float(last), count, halvings, np.concatenate([rows.ravel(), tail.ravel()]))
 
 
 def _limit(x: NDArray[np.float64], at: NDArray[np.float64], values: NDArray[np.float64], side: int) -> NDArray[np.float64]:
