@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from clvol import phantoms
 from clvol.errors import ClvolError, OptionError
-from clvol.transfer import TABLE_SIZE, TransferFunction, otsu_threshold
+from clvol.transfer import TransferFunction, otsu_threshold
 from clvol.volume import Volume
 
 SOME = TransferFunction(((-1.0, "red"), (0.0, (0, 1, 0)), (3.0, "#0000ff")), ((-0.5, 0.0), (1.0, 0.8), (2.0, 0.1)))
@@ -23,31 +24,63 @@ def test_points_are_met_and_lines_lie_between() -> None:
     assert SOME.value_range == (-1.0, 3.0)
 
 
-def test_the_table_is_the_function_at_its_nodes() -> None:
-    table = SOME.table()
-    assert table.shape == (TABLE_SIZE, 4)
-    assert table.dtype == np.float32
-    nodes = np.linspace(-1, 3, TABLE_SIZE)
-    np.testing.assert_allclose(table, SOME(nodes), atol=1e-7)
-    # these points lie on nodes, so that lines between nodes are the function itself
-    values = np.random.default_rng(0).uniform(-1, 3, 1000)
-    between = np.stack([np.interp(values, nodes, column) for column in table.T], -1)
-    np.testing.assert_allclose(between, SOME(values), atol=2e-7)
+ODD = TransferFunction(
+    ((0.0, "black"), (0.30003, "red"), (0.30003, "blue"), (1.0, "white")), ((0.30003, 0.0), (0.70001, 0.999), (0.8, 1.0))
+)
+MANY = TransferFunction.from_cmap("viridis", (0, 1), [(0.30003, 0.0), (0.5, 0.3), (0.70001, 0.0)])
 
 
-def test_points_between_nodes_move_by_less_than_a_node() -> None:
-    odd = TransferFunction(((0.0, "black"), (1.0, "white")), ((0.30003, 0.0), (0.70001, 1.0)))
-    nodes = np.linspace(0, 1, TABLE_SIZE)
-    values = np.linspace(0, 1, 20011)
-    between = np.interp(values, nodes, odd.table()[:, 3])
-    slope = 1 / 0.4
-    assert np.abs(between - odd(values)[:, 3]).max() <= slope / (TABLE_SIZE - 1)
+def looked_up(
+    transfer: TransferFunction, values: NDArray[np.float32], offset: float = 0.0, exponent: int = 0
+) -> NDArray[np.float64]:
+    """Colours and opacities of stored values, from what kernels read."""
+    block, table = transfer.block(1.0, offset, exponent), transfer.table(offset, exponent).astype(np.float64)
+    assert transfer.table(offset, exponent).dtype == np.float32
+    if not block["pieces"]:
+        nodes = table[: 4 * (int(block["last"]) + 1)].reshape(-1, 4)
+        place = (values.astype(np.float64) - block["low"]) * block["scale"]
+        return np.stack([np.interp(place, np.arange(len(nodes)), column) for column in nodes.T], -1)
+    pieces = table[: 12 * int(block["pieces"])].reshape(-1, 3, 4)
+    number = np.searchsorted(pieces[1:, 2, 0], values, side="right")
+    if block["halvings"]:
+        first = table[12 * len(pieces) :].reshape(1024, -1)[:, 0].astype(int)
+        bucket = np.clip((values - block["low"]) * block["scale"], 0, block["last"]).astype(int)
+        assert ((first[bucket] <= number) & (number < first[bucket] + (1 << int(block["halvings"])))).all()
+    return np.asarray(pieces[number, 0] + (values - pieces[number, 2, 0])[:, None] * pieces[number, 1])
+
+
+@pytest.mark.parametrize(("transfer", "pieces"), [(SOME, 0), (ODD, 6), (MANY, 68)], ids=["equal nodes", "few", "many"])
+@pytest.mark.parametrize(("offset", "exponent"), [(0.0, 0), (0.5, 0), (-0.75, -3), (0.125, 140)])
+def test_what_kernels_read_is_the_function(transfer: TransferFunction, pieces: int, offset: float, exponent: int) -> None:
+    low, high = transfer.value_range
+    values = np.concatenate([np.random.default_rng(0).uniform(low - 0.2, high + 0.2, 5000), [p[0] for p in transfer.colors]])
+    stored = np.ldexp(values - offset, -exponent).astype(np.float32)
+    back = np.ldexp(stored.astype(np.float64), exponent) + offset
+    if exponent < 100:  # else they are hardly numbers of float32
+        assert transfer.block(1.0, offset, exponent)["pieces"] == pieces
+        np.testing.assert_allclose(looked_up(transfer, stored, offset, exponent), transfer(back), rtol=0, atol=3e-6)
+    assert np.isfinite(looked_up(transfer, stored, offset, exponent)).all()
+
+
+def test_equal_nodes_serve_points_that_lie_on_them() -> None:
+    for stops in (2, 3, 5, 64, 257, 1025):
+        at = np.linspace(-3, 7, stops)
+        block = TransferFunction(tuple((float(x), (1.0, 1.0, 1.0)) for x in at), ((-3.0, 1.0),)).block(1.0)
+        assert block["pieces"] == 0
+        assert block["last"] % (stops - 1) == 0
+
+
+def test_nearly_opaque_matter_is_known_by_what_it_lets_through() -> None:
+    fog = TransferFunction(((0.0, "white"),), ((0.0, 1 - 1e-7), (1.0, 1 - 1e-6)))
+    assert fog.block(1.0)["pieces"] == 3
+    pieces = fog.table()[:36].reshape(-1, 3, 4)
+    np.testing.assert_allclose(pieces[:, 2, 1], [1e-7, 1e-7, 1e-6], rtol=1e-6)
 
 
 def test_a_single_point_is_a_constant() -> None:
     fog = TransferFunction(((5.0, "white"),), ((5.0, 0.3),))
     np.testing.assert_allclose(fog([-100, 5, 100]), [[1, 1, 1, 0.3]] * 3)
-    np.testing.assert_allclose(fog.table(), [[1, 1, 1, 0.3]] * TABLE_SIZE, rtol=1e-6)
+    np.testing.assert_allclose(looked_up(fog, np.float32([-100, 5, 100])), [[1, 1, 1, 0.3]] * 3, rtol=1e-6)
 
 
 def test_colour_maps_by_name() -> None:
@@ -148,10 +181,12 @@ def test_ranges_of_any_size(scale: float) -> None:
     assert otsu_threshold(data) == pytest.approx(0, abs=0.1 * scale)
     for chosen in (TransferFunction.automatic(data), TransferFunction.ramp((-scale, scale)), TransferFunction.ramp((0, scale))):
         assert np.isfinite(chosen.value_range).all()
-        table = chosen.table(exponent=int(np.frexp(scale)[1]))  # as data of this magnitude are stored
+        table = chosen.table()
         assert np.isfinite(table).all()
         assert np.isfinite(chosen([0, scale, -scale])).all()
-        assert table[0, 0] < table[-1, 0] == chosen(scale)[0]
+        if 1e-37 < scale < 1e37:  # else float32 holds no such numbers or slopes
+            red = looked_up(chosen, np.array(chosen.value_range, np.float32))[:, 0]
+            assert red[0] < red[1] == pytest.approx(chosen(scale)[0])
 
 
 @pytest.mark.filterwarnings("error")

@@ -33,7 +33,8 @@ INLINE real round_down(real x) { return floor(x); }
 
 // Logarithm and power to the base 2 within 3e-7, without a call: for x > 0, normal, and |y| small. Polynomials by
 // Estrin's scheme: what a sample costs is how long its operations wait for each other.
-INLINE real log_2(real x)
+// log_2_of takes x - 1 apart, for the lanes where it is given (and x nearly 1): x itself does not hold it.
+INLINE real log_2_of(real x, mask given, real less)
 {
     union { real f; mask i; } bits, part;
     bits.f = x;
@@ -42,11 +43,13 @@ INLINE real log_2(real x)
     const mask upper = part.f > 1.41421356f;
     part.f = choose(upper, 0.5f * part.f, part.f);
     const real whole = choose(upper, to_real(exponent + 1), to_real(exponent));
-    const real y = part.f - 1.0f, y2 = y * y, y4 = y2 * y2;
+    const real y = choose(given, less, part.f - 1.0f), y2 = y * y, y4 = y2 * y2;
     const real low = madd(y2, madd(y, (real)(-0.36024198f), 0.48092404f), madd(y, (real)(-0.72135276f), 1.4426949f));
     const real high = madd(y2, madd(y, (real)(-0.14620353f), 0.23420985f), madd(y, (real)(-0.24882181f), 0.28707561f));
     return madd(y, madd(y4, high, low), whole);
 }
+
+INLINE real log_2(real x) { return log_2_of(x, NONE, x); }
 
 INLINE real exp_2(real y)
 {
@@ -60,6 +63,21 @@ INLINE real exp_2(real y)
     union { real f; mask i; } scale;
     scale.i = (whole + 127) << 23;
     return p * scale.f;
+}
+
+// 1 - exp_2(y) for y <= 0, to full precision where that is small too: there `scale` is 1.
+INLINE real one_less_exp_2(real y)
+{
+    y = MAX(y, (real)(-60.0f));
+    const mask whole = to_mask(y - 0.5f);   // the nearest
+    const real f = y - to_real(whole);
+    const real f2 = f * f;
+    const real low = madd(f, (real)(0.24022651f), 0.69314718f), middle = madd(f, (real)(9.6181291e-3f), 5.5504109e-2f);
+    const real high = madd(f, (real)(1.5403530e-4f), 1.3333558e-3f);
+    const real less = f * madd(f2, madd(f2, high, middle), low);   // exp_2(f) - 1
+    union { real f; mask i; } scale;
+    scale.i = (whole + 127) << 23;
+    return (1.0f - scale.f) - scale.f * less;
 }
 
 // x > 0 to a power, given whether that is a whole number. `floor` is x whose power is nothing that anyone sees.

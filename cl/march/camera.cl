@@ -28,7 +28,8 @@ typedef struct {
     real enter, leave;      // t where the ray is inside the domain and the clipping box
     real first, step;       // sample n lies at t = first + n * step
     real begin, end;        // the samples are those with begin <= n <= end
-    mask hits, planar;      // whether it meets the volume; whether its samples lie on the planes
+    mask hits, planar;      // whether it meets the volume; whether its samples lie on the planes ...
+    mask alone;             // ... but for a ray that leaves before the next plane: it has one sample, in its middle
 } ray_t;
 
 INLINE void clip_axis(real origin, real direction, float low, float high, real *enter, real *leave)
@@ -84,7 +85,26 @@ INLINE ray_t pixel_ray(constant frame_t *frame, real px, real py)
     ray.begin = choose(oblique, (real)(0.0f), MAX((real)(0.0f), -round_down((ray.first - ray.enter) / ray.step)));
     ray.end = round_down((ray.leave - ray.first) / ray.step);
     ray.end = choose(oblique, ray.end, MIN(ray.end, (real)(planes->count - 1.0f)));
+
+    ray.alone = ray.hits & (ray.end < ray.begin) & (mask)(ENDPOINTS ? 0 : ~0);
+    ray.first = choose(ray.alone, 0.5f * (ray.enter + ray.leave), ray.first);
+    ray.step = choose(ray.alone, (real)(0.0f), ray.step);
+    ray.begin = choose(ray.alone, MIN(ray.begin, (real)(planes->count - 1.0f)), ray.begin);
+    ray.end = choose(ray.alone, ray.begin, ray.end);
     return ray;
+}
+
+// How far the stretch that sample number n, at t, stands for reaches before and behind it: half a step, but from where the ray
+// enters to the first sample, and from the last to where it leaves. True if n is the first or the last of some active ray.
+INLINE int stretch_of(const ray_t *ray, float n, real t, mask active, real *before, real *behind)
+{
+    *before = *behind = 0.5f * ray->step;
+    const mask first = ray->begin == n, last = ray->end == n;
+    if (!any_lane(active & (first | last)))
+        return 0;
+    *before = choose(first, MAX(t - ray->enter, (real)(0.0f)), *before);
+    *behind = choose(last, MAX(ray->leave - t, (real)(0.0f)), *behind);
+    return 1;
 }
 
 // Where rays cross plane number n on their way up (way > 0) or down the axis.

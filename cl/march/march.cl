@@ -98,13 +98,17 @@ INLINE real sample_t_of(const ray_t *ray, float n)
     return ENDPOINTS ? MIN(MAX(t, ray->enter + inset), ray->leave - inset) : t;
 }
 
-// The value of sample number n. Ends of rays lie on no plane.
-INLINE real sample_value_of(COEFFICIENTS coefficients, const sample_t *sample, float n, real t, mask active)
+// The value of a sample. Ends of rays lie on no plane, nor does the one sample of a ray between two planes.
+INLINE real sample_value_of(COEFFICIENTS coefficients, const sample_t *sample, real t, mask active)
 {
+    const ray_t *ray = sample->ray;
+    const float n = sample->number;
     real value = value_here(coefficients, sample, t, active);
-    const mask ends = active & ((sample->ray->begin > n) | (sample->ray->end < n));
-    if (PLANES && ENDPOINTS && sample->plane->usable && any_lane(ends))
-        value = choose(ends, value_at(coefficients, sample, t, ends), value);
+    if (PLANES && sample->plane->usable && (ENDPOINTS || sample->apart)) {
+        const mask apart = active & (ENDPOINTS ? (ray->begin > n) | (ray->end < n) : ray->alone);
+        if (any_lane(apart))
+            value = choose(apart, value_at(coefficients, sample, t, apart), value);
+    }
     return value;
 }
 
@@ -124,6 +128,7 @@ INLINE void take_samples(tile_t *tile, COEFFICIENTS coefficients, const int4 ext
         state_t state = tile->states[g];
         real gathered = tile->gathered[g];
         mask going = tile->going[g];
+        const int apart = any_lane(going & ray->alone);
         float n = start;
         for (plane_t *plane = planes; plane < planes + SLAB && n <= stop; ++plane, n += 1.0f) {
             const mask active = lanes_within(ray, going, n, n);
@@ -135,8 +140,8 @@ INLINE void take_samples(tile_t *tile, COEFFICIENTS coefficients, const int4 ext
                 make_plane(plane, coefficients, extent, frame, tile->left, tile->top, tile->way, n);
 #endif
             plane_sample_t on_plane;
-            const sample_t sample = { frame, table, extent, ray, plane, &on_plane };
-            const real t = sample_t_of(ray, n), value = sample_value_of(coefficients, &sample, n, t, active);
+            const sample_t sample = { frame, table, extent, ray, plane, &on_plane, n, apart };
+            const real t = sample_t_of(ray, n), value = sample_value_of(coefficients, &sample, t, active);
             going = going & !gather(&state, coefficients, &sample, t, value, active);
             gathered += choose(active, (real)(1.0f), (real)(0.0f));
         }

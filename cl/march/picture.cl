@@ -76,7 +76,7 @@ INLINE void finish_tile(const tile_t *tile, COEFFICIENTS coefficients, const int
     none.usable = 0;
     for (int g = 0; g < PACKETS; ++g) {
         const int x = PACKET_X(tile->left, g), y = PACKET_Y(tile->top, g);
-        const sample_t sample = { frame, table, extent, tile->rays + g, &none, 0 };
+        const sample_t sample = { frame, table, extent, tile->rays + g, &none, 0, 0.0f, 0 };
         if (x < frame->picture.width && y < frame->picture.height)
             finish_packet(coefficients, &sample, tile->states + g, tile->gathered[g], x, y, pictures);
     }

@@ -30,6 +30,8 @@ typedef struct {
     const ray_t *ray;
     plane_t *plane;                 // that they lie on, if it is usable
     plane_sample_t *on_plane;       // where on it
+    float number;                   // of the sample
+    int apart;                      // whether some ray's sample lies on no plane (alone)
 } sample_t;
 
 // -- one ray ---------------------------------------------------------------------------------------------------
@@ -127,8 +129,14 @@ INLINE real3 gradient_here(COEFFICIENTS coefficients, const sample_t *sample, re
         return gradient_at(coefficients, sample, t, active);
     const real3 g = plane_gradient(sample->plane, sample->on_plane, coefficients);   // along u, along v, across
     const int axis = sample->frame->planes.axis;
-    return transpose3(sample->frame->geometry.gradient,
-                      axis == 0 ? real3_of(g.z, g.x, g.y) : axis == 1 ? real3_of(g.x, g.z, g.y) : g);
+    real3 gradient = transpose3(sample->frame->geometry.gradient,
+                                axis == 0 ? real3_of(g.z, g.x, g.y) : axis == 1 ? real3_of(g.x, g.z, g.y) : g);
+    const mask apart = active & sample->ray->alone;
+    if (sample->apart && any_lane(apart)) {
+        const real3 own = gradient_at(coefficients, sample, t, apart);
+        gradient = real3_of(choose(apart, own.x, gradient.x), choose(apart, own.y, gradient.y), choose(apart, own.z, gradient.z));
+    }
+    return gradient;
 }
 
 #else

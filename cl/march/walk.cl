@@ -314,7 +314,7 @@ OUT_OF_LINE void walk_segment(tile_t *tile, COEFFICIENTS coefficients, const int
             walker_t *w = walkers + g;
             if (!any_lane(w->active))
                 continue;
-            const sample_t sample = { frame, table, extent, tile->rays + g, 0, 0 };
+            const sample_t sample = { frame, table, extent, tile->rays + g, 0, 0, 0.0f, 0 };
             go_on(w, tile->states + g, coefficients, &sample, sides, value, looked);
             w->x.all = fraction_at(&w->axes.x, w->cell.x, w->t);
             w->y.all = fraction_at(&w->axes.y, w->cell.y, w->t);

@@ -1,10 +1,11 @@
-// Emission and absorption, front to back; opacity is that of the ray's own step.
+// Emission and absorption, front to back; a sample's opacity is that of the stretch of the ray that it stands for.
 
 #include "march/sample.cl"
 #include "transfer/ramp.cl"
 #include "march/light.cl"
 
-typedef struct { real red, green, blue, transmittance, depth; } state_t;
+// Opacity is summed with the part that its last bit could not take (Kahan): thousands of thin samples add up to what they are.
+typedef struct { real red, green, blue, opacity, rest, depth; } state_t;
 
 #define REACH 0.0f
 #define ANY_ORDER 0
@@ -12,12 +13,20 @@ typedef struct { real red, green, blue, transmittance, depth; } state_t;
 
 INLINE void begin(state_t *s)
 {
-    s->red = s->green = s->blue = (real)(0.0f);
-    s->transmittance = (real)(1.0f);
+    s->red = s->green = s->blue = s->opacity = s->rest = (real)(0.0f);
     s->depth = NOWHERE;
 }
 
-INLINE mask finished(const state_t *s, constant frame_t *frame) { return s->transmittance <= frame->mode.termination; }
+INLINE real transmittance(const state_t *s) { return (1.0f - s->opacity) - s->rest; }
+
+INLINE mask finished(const state_t *s, constant frame_t *frame) { return transmittance(s) <= frame->mode.termination; }
+
+INLINE void add_opacity(state_t *s, real share, mask active)
+{
+    const real more = share + s->rest, opacity = s->opacity + more;
+    s->rest = choose(active, more - (opacity - s->opacity), s->rest);
+    s->opacity = choose(active, opacity, s->opacity);
+}
 
 INLINE int matters(const state_t *s, constant frame_t *frame, global const float4 *table, float low, float high, real t, mask active)
 {
@@ -33,31 +42,38 @@ INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample
         return NONE;
     if (SHADED)
         color = shade(frame, color, gradient_here(coefficients, sample, t, seen), value, sample->ray->world);
-    const real thickness = sample->ray->step * frame->transfer.per_unit_distance;
-    const real opacity = choose(seen, opacity_of(color.opacity, thickness), (real)(0.0f));
-    const real share = s->transmittance * opacity;
+    real before, behind;
+    stretch_of(sample->ray, sample->number, t, seen, &before, &behind);
+    const real length = before + behind, light = transmittance(s);
+    const real through = log_light(color, length * frame->transfer.per_unit_distance);
+    const real share = light * one_less_exp_2(through);
     s->red = choose(seen, madd(share, color.red, s->red), s->red);
     s->green = choose(seen, madd(share, color.green, s->green), s->green);
     s->blue = choose(seen, madd(share, color.blue, s->blue), s->blue);
-    s->transmittance -= share;
-    s->depth = choose((s->transmittance <= 0.5f) & (s->depth == NOWHERE), t, s->depth);   // half of the light is stopped
+    add_opacity(s, share, seen);
+    const mask halved = seen & (transmittance(s) <= 0.5f) & (light > 0.5f);   // half of the light is stopped
+    if (any_lane(halved)) {
+        const real past = log_2(2.0f * light) / -through;   // where in the stretch, were it all of one kind
+        s->depth = choose(halved, madd(MIN(past, (real)(1.0f)), length, t - before), s->depth);
+    }
     return finished(s, frame);
 }
 
 // The depth is exact if one stretch stops half of the light by itself; the other's light is not known where it is marched.
 INLINE void merge(state_t *front, const state_t *back)
 {
-    front->red = madd(front->transmittance, back->red, front->red);
-    front->green = madd(front->transmittance, back->green, front->green);
-    front->blue = madd(front->transmittance, back->blue, front->blue);
-    front->transmittance *= back->transmittance;
+    const real light = transmittance(front);
+    front->red = madd(light, back->red, front->red);
+    front->green = madd(light, back->green, front->green);
+    front->blue = madd(light, back->blue, front->blue);
+    add_opacity(front, light * back->opacity, ~NONE);
     front->depth = choose(front->depth < NOWHERE, front->depth, back->depth);
 }
 
 INLINE color_t finish(const state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real *t)
 {
-    const real opacity = 1.0f - s->transmittance, per_opacity = 1.0f / MAX(opacity, (real)(1e-20f));
-    color_t color = { s->red * per_opacity, s->green * per_opacity, s->blue * per_opacity, opacity };
+    const real per_opacity = 1.0f / MAX(s->opacity, (real)(1e-20f));
+    color_t color = { s->red * per_opacity, s->green * per_opacity, s->blue * per_opacity, s->opacity };
     *t = s->depth;
     return color;
 }

@@ -1,15 +1,16 @@
-// The mean of the samples along the ray, coloured by the transfer function; it lies nowhere in depth.
+// The mean along the ray, coloured by the transfer function: of samples, by the lengths of the stretches that they stand for. It
+// lies nowhere in depth.
 
 #include "march/sample.cl"
 #include "transfer/ramp.cl"
 
-typedef struct { real sum, count; } state_t;
+typedef struct { real sum, steps; } state_t;
 
 #define REACH 0.0f
 #define ANY_ORDER 0
 #define PROMISE(low, high) 0.0f
 
-INLINE void begin(state_t *s) { s->sum = s->count = (real)(0.0f); }
+INLINE void begin(state_t *s) { s->sum = s->steps = (real)(0.0f); }
 
 INLINE mask finished(const state_t *s, constant frame_t *frame) { return NONE; }
 
@@ -20,21 +21,26 @@ INLINE int matters(const state_t *s, constant frame_t *frame, global const float
 
 INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real t, real value, mask active)
 {
-    s->sum += choose(active, value, (real)(0.0f));
-    s->count += choose(active, (real)(1.0f), (real)(0.0f));
+    const ray_t *ray = sample->ray;
+    real steps = (real)(1.0f), before, behind;
+    if (stretch_of(ray, sample->number, t, active, &before, &behind))
+        steps = (before + behind) / choose(ray->alone, (real)(1.0f), ray->step);
+    s->sum = choose(active, madd(steps, value, s->sum), s->sum);
+    s->steps = choose(active, s->steps + steps, s->steps);
     return NONE;
 }
 
 INLINE void merge(state_t *front, const state_t *back)
 {
     front->sum += back->sum;
-    front->count += back->count;
+    front->steps += back->steps;
 }
 
 INLINE color_t finish(const state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real *t)
 {
-    color_t color = classify(sample->frame, sample->table, s->sum / MAX(s->count, (real)(1.0f)));
-    color.opacity = choose(s->count > 0.0f, (real)(1.0f), (real)(0.0f));
+    const mask some = s->steps > 0.0f;
+    color_t color = classify(sample->frame, sample->table, s->sum / choose(some, s->steps, (real)(1.0f)));
+    color.opacity = choose(some, (real)(1.0f), (real)(0.0f));
     *t = NOWHERE;
     return color;
 }

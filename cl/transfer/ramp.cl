@@ -1,23 +1,45 @@
-// From a value to a colour and an opacity, by linear interpolation in a table of TABLE_SIZE nodes.
+// From a value to a colour and an opacity: a function that is linear between its points, and constant beyond them.
 //
-// Set by the host: TABLE_SIZE.
+// Where all points lie on equal nodes the table holds those, and transfer.pieces is 0. Else it holds the pieces, three rows of
+// four numbers each: colour and opacity where the piece begins; their slopes; and where it begins, 1 - opacity there, the slope of
+// that, and up to which value nothing is seen from this piece on. Piece 0 lies before the first point.
 
 #include "base/math.cl"
 #include "base/transpose.cl"
 #include "frame.cl"
 
-typedef struct { real red, green, blue, opacity; } color_t;
+typedef struct {
+    real red, green, blue, opacity;
+    real clear;   // 1 - opacity: of nearly opaque matter it is known better than by that
+} color_t;
 
-INLINE color_t classify(constant frame_t *frame, global const float4 *table, real value)
+#define NEARLY_OPAQUE 0.99f   // no point of a table of equal nodes lies between this and 1
+#define PIECE 12              // numbers of a piece
+#define START 8               // of them, where it begins; behind it, 1 - opacity and its slope
+#define CLEAR_UNTIL 11
+
+INLINE real each_of(global const float *numbers, mask at)
 {
-    const real place = MIN(MAX((value - frame->transfer.low) * frame->transfer.scale, (real)(0.0f)), (real)(TABLE_SIZE - 1.0f));
-    const mask nodes = to_mask(MIN(place, (real)(TABLE_SIZE - 2.0f)));
-    const lane_indices_u node = { 4 * nodes };
+    const lane_indices_u index = { at };
+    lanes_u result;
+    for (int i = 0; i < LANES; ++i)
+        result.each[i] = numbers[index.each[i]];
+    return result.all;
+}
+
+// -- equal nodes -----------------------------------------------------------------------------------------------
+
+INLINE color_t classify_by_nodes(constant frame_t *frame, global const float4 *table, real value)
+{
+    const float last = frame->transfer.last;
+    const real place = MIN(MAX((value - frame->transfer.low) * frame->transfer.scale, (real)(0.0f)), (real)(last));
+    const mask nodes = to_mask(MIN(place, (real)(last - 1.0f)));
     const real past = place - to_real(nodes);
 #if LANES == 1
     const float4 c = madd(past, table[nodes + 1] - table[nodes], table[nodes]);
-    const color_t color = { c.x, c.y, c.z, c.w };
+    const color_t color = { c.x, c.y, c.z, c.w, 1.0f - c.w };
 #else
+    const lane_indices_u node = { 4 * nodes };
     global const float *channel = (global const float *)table;
     real rows[4], channels[4];
 #define LOW(i) *(global const float4 *)(channel + node.each[i])
@@ -31,29 +53,138 @@ INLINE color_t classify(constant frame_t *frame, global const float4 *table, rea
 #undef LOW
 #undef HIGH
     transpose_fourths(rows, channels);
-    const color_t color = { channels[0], channels[1], channels[2], channels[3] };
+    const color_t color = { channels[0], channels[1], channels[2], channels[3], 1.0f - channels[3] };
 #endif
     return color;
 }
 
-// Whether no value from low to high has any opacity. Behind the table's nodes lie TABLE_SIZE numbers: for each node,
-// the next one that has some, itself included.
-INLINE int transparent(constant frame_t *frame, global const float4 *table, float low, float high)
+// Whether no value from low to high has any opacity. Behind the nodes lie as many numbers: for each node, the next one that has
+// some, itself included.
+INLINE int transparent_by_nodes(constant frame_t *frame, global const float4 *table, float low, float high)
 {
-    if (low > high)
-        return 1;   // no values
-    global const float *visible = (global const float *)(table + TABLE_SIZE);
+    const float last = frame->transfer.last;
+    global const float *visible = (global const float *)(table + (int)last + 1);
     const float bottom = (low - frame->transfer.low) * frame->transfer.scale, top = (high - frame->transfer.low) * frame->transfer.scale;
     if (!(bottom - bottom == 0.0f && top - top == 0.0f))
         return 0;
-    const float last = TABLE_SIZE - 1.0f;
     const float from = bottom > 0.0f ? MIN(bottom, last) : 0.0f, to = top > 0.0f ? MIN(top, last) : 0.0f;
     return visible[(int)from] >= to + 1.0f;   // the first node that is seen colours what lies past the one before it
 }
 
-// Opacity of matter `thickness` unit distances thick, given that of one.
-INLINE real opacity_of(real opacity, real thickness)
+// -- pieces ----------------------------------------------------------------------------------------------------
+
+// The numbers of the pieces that values lie in: the last that begins no later. Where there are few, values are compared with the
+// starts of all, which lie behind them, four at a time; where there are many, a bucket tells the first in question, and halving
+// the others. A bucket is the number of that piece, or, where one comparison decides, that, its start and the next one's.
+INLINE mask pieces_of(constant frame_t *frame, global const float4 *table, real value, real *start)
 {
-    const real share = 1.0f - exp_2(thickness * log_2(MAX(1.0f - opacity, (real)(1e-30f))));
-    return choose(opacity < 1.0f, share, (real)(1.0f));
+    global const float *starts = (global const float *)table + START;
+    mask piece = NONE;
+    *start = (real)(starts[0]);
+    if (frame->transfer.halvings == 0) {
+        global const float *each = (global const float *)table + frame->transfer.pieces * PIECE;
+        for (int i = 0; i < frame->transfer.pieces - 1; i += 4) {
+#pragma unroll
+            for (int k = 0; k < 4; ++k) {
+                const mask past = value >= each[i + k];
+                piece = past ? (mask)(i + k + 1) : piece;
+                *start = choose(past, (real)(each[i + k]), *start);
+            }
+        }
+        return piece;
+    }
+    const real place = MIN(MAX((value - frame->transfer.low) * frame->transfer.scale, (real)(0.0f)), (real)(frame->transfer.last));
+    global const float *buckets = (global const float *)table + frame->transfer.pieces * PIECE;
+    if (frame->transfer.halvings == 1) {   // no bucket holds more than one start
+#if LANES == 1
+        const float4 bucket = *(global const float4 *)(buckets + 4 * to_mask(place));
+        const real first = bucket.x, first_start = bucket.y, next_start = bucket.z;
+#else
+        const lane_indices_u at = { 4 * to_mask(place) };
+#define BUCKET(i) *(global const float4 *)(buckets + at.each[i])
+        real rows[4] = { FOURTHS(BUCKET, 0), FOURTHS(BUCKET, 1), FOURTHS(BUCKET, 2), FOURTHS(BUCKET, 3) };
+#undef BUCKET
+        transpose_fourths(rows, rows);
+        const real first = rows[0], first_start = rows[1], next_start = rows[2];
+#endif
+        const mask past = value >= next_start;
+        *start = choose(past, next_start, first_start);
+        return to_mask(choose(past, first + 1.0f, first));
+    }
+    piece = to_mask(each_of(buckets, to_mask(place)));
+    const mask last = (mask)(frame->transfer.pieces - 1);
+    for (int reach = 1 << (frame->transfer.halvings - 1); reach > 0; reach >>= 1) {
+        const mask probe = MIN(piece + reach, last);
+        piece = value >= each_of(starts, probe * PIECE) ? probe : piece;
+    }
+    *start = each_of(starts, piece * PIECE);
+    return piece;
+}
+
+INLINE color_t classify_by_pieces(constant frame_t *frame, global const float4 *table, real value)
+{
+    global const float *numbers = (global const float *)table;
+    real start;
+    const lane_indices_u piece = { pieces_of(frame, table, value, &start) * PIECE };
+    const real past = value - start;
+#if LANES == 1
+    const float4 c = madd(past, *(global const float4 *)(numbers + piece.all + 4), *(global const float4 *)(numbers + piece.all));
+    color_t color = { c.x, c.y, c.z, c.w, 1.0f - c.w };
+#else
+    real rows[4], channels[4];
+#define BASE(i) *(global const float4 *)(numbers + piece.each[i])
+#define SLOPE(i) *(global const float4 *)(numbers + piece.each[i] + 4)
+#define COLORS(i, each) rows[i] = madd(each(past), FOURTHS(SLOPE, i), FOURTHS(BASE, i));
+    COLORS(0, EACH_0)
+    COLORS(1, EACH_1)
+    COLORS(2, EACH_2)
+    COLORS(3, EACH_3)
+#undef COLORS
+#undef BASE
+#undef SLOPE
+    transpose_fourths(rows, channels);
+    color_t color = { channels[0], channels[1], channels[2], channels[3], 1.0f - channels[3] };
+#endif
+    const mask nearly = color.opacity > NEARLY_OPAQUE;
+    if (any_lane(nearly))
+        color.clear = choose(nearly, madd(past, each_of(numbers + START + 2, piece.all), each_of(numbers + START + 1, piece.all)), color.clear);
+    return color;
+}
+
+INLINE int transparent_by_pieces(constant frame_t *frame, global const float4 *table, float low, float high)
+{
+    if (!(low <= high))
+        return 0;
+    global const float *numbers = (global const float *)table;
+    int piece = 0, reach = 1;
+    while (2 * reach < frame->transfer.pieces)
+        reach *= 2;
+    for (; reach > 0; reach >>= 1)
+        if (piece + reach < frame->transfer.pieces && low >= numbers[(piece + reach) * PIECE + START])
+            piece += reach;
+    return high <= numbers[piece * PIECE + CLEAR_UNTIL];
+}
+
+// -- either ----------------------------------------------------------------------------------------------------
+
+INLINE color_t classify(constant frame_t *frame, global const float4 *table, real value)
+{
+    return frame->transfer.pieces ? classify_by_pieces(frame, table, value) : classify_by_nodes(frame, table, value);
+}
+
+// Whether no value from low to high has any opacity.
+INLINE int transparent(constant frame_t *frame, global const float4 *table, float low, float high)
+{
+    if (low > high)
+        return 1;   // no values
+    return frame->transfer.pieces ? transparent_by_pieces(frame, table, low, high) : transparent_by_nodes(frame, table, low, high);
+}
+
+// The logarithm to the base 2 of the share of light that comes through matter `thickness` unit distances thick, given its colour
+// for one.
+INLINE real log_light(color_t color, real thickness)
+{
+    const mask thin = color.opacity < 0.25f;   // there 1 - opacity has lost some of it
+    const real light = thickness * log_2_of(MAX(color.clear, (real)(1e-30f)), thin, -color.opacity);
+    return choose(color.opacity < 1.0f, light, -NOWHERE);
 }

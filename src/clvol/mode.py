@@ -120,7 +120,7 @@ class Composite(Mode):
 
     name: ClassVar[str] = "composite"
     description: ClassVar[str] = "emission and absorption, front to back"
-    state_fields: ClassVar[int] = 5
+    state_fields: ClassVar[int] = 6
     ramp: ClassVar[float | None] = None
     BLOCK: ClassVar[Block] = Block("mode_block", termination=FLOAT)
 

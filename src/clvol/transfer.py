@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, wraps
-from typing import Any, ClassVar, TypeVar
+from functools import cached_property, lru_cache, wraps
+from typing import Any, ClassVar, NamedTuple, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -15,15 +15,21 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.checks import number, reals
 from clvol.color import color_of
 from clvol.errors import OptionError
-from clvol.stored import Stored
-from clvol.uniform import FLOAT, Block, Values
+from clvol.uniform import FLOAT, INT, Block, Values
 from clvol.volume import Volume, as_volume
 
-__all__ = ["TABLE_SIZE", "TransferFunction", "otsu_threshold"]
+__all__ = ["TransferFunction", "otsu_threshold"]
 
 Made = TypeVar("Made")
 
-TABLE_SIZE = 1025  # nodes of the table that devices read, with linear interpolation between them
+_CELLS = 1024  # of a table of equal nodes at most, and buckets in which pieces are looked up
+_ON_NODE = 1e-5  # of a cell: as near to a node is on it
+_LOOSE = 1e-7  # of the range: what float32 may take from where a table of equal nodes begins
+_NEARLY_OPAQUE = 0.99  # what float32 leaves of 1 - opacity is little from here on
+_FEW = 16  # pieces that are found by comparing a value with all of them ...
+_AT_ONCE = 4  # ... so many at a time
+_FAR = 1.5e38  # of float32: no difference of two values within overflows
+_STEEPEST = 3e38
 _CMAP_NODES = 64
 _BINS = 512
 _MIN_TOP = 1e-12  # of the range: what lies below is one value, and the histogram covers all
@@ -45,15 +51,18 @@ class TransferFunction:
 
     Notes
     -----
-    Devices read both from one table of 1025 nodes, linear in between: points that lie between nodes
-    are moved by up to half a 1024th of the range from the first point to the last.
+    Two points at one value are a jump; the value itself has the later one's colour or opacity. Devices draw the function
+    exactly, to the rounding of float32: from a table of equal nodes where all points lie on such, else from its pieces, each
+    found by comparing values with the points.
     """
 
     colors: tuple[tuple[float, tuple[float, float, float]], ...]
     opacities: tuple[tuple[float, float], ...] = ((0.0, 1.0),)
     unit_distance: float | None = None
 
-    BLOCK: ClassVar[Block] = Block("transfer_block", low=FLOAT, scale=FLOAT, per_unit_distance=FLOAT)
+    BLOCK: ClassVar[Block] = Block(
+        "transfer_block", low=FLOAT, scale=FLOAT, last=FLOAT, per_unit_distance=FLOAT, pieces=INT, halvings=INT
+    )
 
     def __post_init__(self) -> None:
         colors = tuple((_value(v), color_of("a color", c)) for v, c in _pairs("colors", self.colors))
@@ -81,7 +90,7 @@ class TransferFunction:
         import cmap
 
         low, high = _range(value_range)
-        at = np.linspace(0, 1, _CMAP_NODES)
+        at = np.linspace(0, 1, _CMAP_NODES) if low < high else np.ones(1)
         try:
             chosen = cmap.Colormap(name)
             shades = [tuple(map(float, chosen(float(u)).rgba[:3])) for u in at]
@@ -97,9 +106,10 @@ class TransferFunction:
 
     @classmethod
     def ramp(cls, value_range: tuple[float, float]) -> TransferFunction:
-        """Black at the minimum, white at the maximum, opaque: for projections."""
+        """Black at the minimum, white at the maximum, opaque: for projections. White where the two are one."""
         low, high = _range(value_range)
-        return cls(((low, (0.0, 0.0, 0.0)), (high, (1.0, 1.0, 1.0))), ((low, 1.0),))
+        ends = ((low, (0.0, 0.0, 0.0)), (high, (1.0, 1.0, 1.0)))
+        return cls(ends if low < high else ends[1:], ((low, 1.0),))
 
     @classmethod
     def automatic(cls, volume: Volume | ArrayLike) -> TransferFunction:
@@ -125,24 +135,142 @@ class TransferFunction:
         return np.stack([*(np.interp(v, at, rgb[:, i]) for i in range(3)), np.interp(v, where, opacity)], -1)
 
     def table(self, offset: float = 0.0, exponent: int = 0) -> NDArray[np.float32]:
-        """The function at `TABLE_SIZE` equally spaced values of `value_range`, as far as float32 holds them; shape (TABLE_SIZE, 4).
+        """What kernels read beside the block, for values that are stored as ``(value - offset) / 2**exponent``.
 
-        Values are stored as ``(value - offset) * 2**-exponent``.
+        Either equal nodes (red, green, blue, opacity) and behind them for each the next one that has some opacity; or, where
+        the block has a number of pieces, the pieces: colours and opacity where one begins, their slopes, and (where it begins,
+        1 - opacity there, the slope of that, up to which value nothing is seen from here on), four numbers each. Behind few
+        pieces lie the starts of all but the first; behind many, the piece at the start of each of equal buckets, or, where no
+        bucket holds two starts, four numbers for each: that piece, its start, the next one's, 0.
         """
-        ends = tuple(Stored(offset, exponent).held(self.value_range).tolist())
-        exponent = _exponent(*ends)
-        low, high = _scaled(ends, exponent)
-        return self(np.ldexp(np.linspace(low, high, TABLE_SIZE), exponent)).astype(np.float32)
+        return _laid_out(self, offset, exponent).table
 
     def block(self, unit: float, offset: float = 0.0, exponent: int = 0) -> Values:
         """What kernels read, given how many world units one of their units of length has (the mean spacing); see `table`."""
-        low, high = Stored(offset, exponent)(self.value_range)
-        scale = min((TABLE_SIZE - 1) / (high - low), 1e38) if high > low else 0.0
-        return self.BLOCK(low=low, scale=scale, per_unit_distance=unit / (self.unit_distance or unit))
+        layout = _laid_out(self, offset, exponent)
+        return self.BLOCK(
+            low=layout.low,
+            scale=layout.scale,
+            last=layout.last,
+            per_unit_distance=unit / (self.unit_distance or unit),
+            pieces=layout.pieces,
+            halvings=layout.halvings,
+        )
 
     def with_opacity(self, opacities: Sequence[tuple[float, float]]) -> TransferFunction:
         """The same colours under other opacities."""
         return replace(self, opacities=opacities)  # type: ignore[arg-type]  # __post_init__ converts
+
+
+class _Layout(NamedTuple):
+    """The function as kernels read it."""
+
+    low: float
+    scale: float  # cells, or buckets, a unit of value
+    last: float  # the number of the last node, or bucket
+    pieces: int  # 0 for equal nodes
+    halvings: int  # of the pieces in question, where a bucket is known; 0 where there are no buckets
+    table: NDArray[np.float32]
+
+
+@lru_cache(maxsize=64)
+def _laid_out(transfer: TransferFunction, offset: float, exponent: int) -> _Layout:
+    """See `TransferFunction.table`."""
+    colors, opacities = (
+        _scaled([p[0] for p in points], exponent) - math.ldexp(offset, -exponent)
+        for points in (transfer.colors, transfer.opacities)
+    )
+    at = np.unique(np.concatenate([colors, opacities]))
+    jumps = len(np.unique(colors)) < len(colors) or len(np.unique(opacities)) < len(opacities)
+    faint = any(_NEARLY_OPAQUE < a < 1 for _, a in transfer.opacities)
+    cells = 0 if jumps or faint else _equal_cells(at)
+    return _of_nodes(transfer, at, cells) if cells else _of_pieces(transfer, colors, opacities)
+
+
+def _equal_cells(at: NDArray[np.float64]) -> int:
+    """The largest number of equal cells whose edges all points are; 0 if there are too many, or float32 does not hold them."""
+    low, high = at[0], at[-1]
+    if low == high:
+        return _CELLS
+    half = high / 2 - low / 2
+    if not 1e-30 < half < _FAR / 2 or abs(np.float64(np.float32(low)) - low) / 2 > _LOOSE * half:
+        return 0
+    shares = (at / 2 - low / 2) / half
+    cells = np.arange(_CELLS, 0, -1)
+    places = shares[:, None] * cells
+    fits = np.abs(places - np.round(places)).max(0) <= _ON_NODE
+    return int(cells[fits.argmax()]) if fits.any() else 0
+
+
+def _of_nodes(transfer: TransferFunction, at: NDArray[np.float64], cells: int) -> _Layout:
+    exponent = _exponent(*transfer.value_range)
+    low, high = _scaled(transfer.value_range, exponent)
+    nodes = transfer(np.ldexp(np.linspace(low, high, cells + 1), exponent)).astype(np.float32)
+    seen = np.where(nodes[:, 3] > 0, np.arange(len(nodes), dtype=np.float32), np.float32(np.inf))
+    following = np.minimum.accumulate(seen[::-1])[::-1]
+    scale = cells / (at[-1] - at[0]) if at[-1] > at[0] else 0.0
+    return _Layout(float(at[0]), float(scale), float(cells), 0, 0, np.concatenate([nodes.ravel(), following]))
+
+
+def _of_pieces(transfer: TransferFunction, colors: NDArray[np.float64], opacities: NDArray[np.float64]) -> _Layout:
+    at = np.unique(np.clip(np.concatenate([colors, opacities]), -_FAR, _FAR))
+    shades, seen = (np.array([p[1] for p in points]) for points in (transfer.colors, transfer.opacities))
+    curves = [*((colors, shade) for shade in shades.T), (opacities, seen), (opacities, 1 - seen)]
+    up_to = np.stack([_limit(at, *curve, -1) for curve in curves], -1)  # red, green, blue, opacity, 1 - opacity
+    since = np.stack([_limit(at, *curve, 1) for curve in curves], -1)
+    # a piece begins at the first number of float32 that is no smaller than its point
+    with np.errstate(under="ignore"):
+        starts = at.astype(np.float32)
+    starts = np.where(starts < at, np.nextafter(starts, np.float32(np.inf)), starts)
+    slopes = np.zeros_like(since)
+    with np.errstate(over="ignore"):
+        slopes[:-1] = np.clip((up_to[1:] - since[:-1]) / np.diff(at)[:, None], -_STEEPEST, _STEEPEST)
+    ends = np.concatenate([up_to[1:], since[-1:]])
+    bases = np.clip(since + slopes * (starts - at)[:, None], np.minimum(since, ends), np.maximum(since, ends))
+    some = np.maximum(since, ends)[:, 3] > 0
+    clear_at = (since[:, 3] == 0) & (starts == at)  # nothing is seen at the start itself
+    # before the first point the function is constant; pieces between two successive numbers of float32 hold no value
+    kept = np.append(starts[1:] > starts[:-1], True)
+    starts, slopes, bases, some, clear_at = (
+        np.concatenate([first, rest[kept]])
+        for first, rest in (
+            (starts[:1], starts),
+            (np.zeros((1, 5)), slopes),
+            (up_to[:1], bases),
+            (up_to[:1, 3] > 0, some),
+            (np.array([False]), clear_at),
+        )
+    )
+    until = np.where(clear_at, starts, np.nextafter(starts, np.float32(-np.inf)))
+    until[0] = np.finfo(np.float32).min
+    count = len(starts)
+    following = np.minimum.accumulate(np.where(some, np.arange(count), count)[::-1])[::-1]
+    until = np.append(until, np.finfo(np.float32).max)[following]
+    rows = np.stack([bases[:, :4], slopes[:, :4], np.stack([starts, bases[:, 4], slopes[:, 4], until], -1)], axis=1).astype(
+        np.float32
+    )
+    low = np.float32(starts[0])
+    if count <= _FEW:
+        padded = np.append(starts[1:], [np.finfo(np.float32).max] * (-(count - 1) % _AT_ONCE)).astype(np.float32)
+        return _Layout(float(low), 0.0, 0.0, count, 0, np.concatenate([rows.ravel(), padded]))
+    last = np.float32(_CELLS - 1)
+    scale = np.float32(min(_CELLS / (float(starts[-1]) - float(low)), _STEEPEST / 10))
+    with np.errstate(over="ignore"):  # as kernels compute it, in float32
+        buckets = np.minimum((starts[1:] - low) * scale, last).astype(np.int64)
+    first = np.searchsorted(buckets, np.arange(_CELLS), side="left")
+    halvings = int(np.bincount(buckets).max()).bit_length()
+    tail = first.astype(np.float32)
+    if halvings == 1:
+        following = np.append(starts, np.finfo(np.float32).max).astype(np.float32)[first + 1]
+        tail = np.stack([tail, starts[first].astype(np.float32), following, np.zeros_like(following)], 1)
+    return _Layout(float(low), float(scale), float(last), count, halvings, np.concatenate([rows.ravel(), tail.ravel()]))
+
+
+def _limit(x: NDArray[np.float64], at: NDArray[np.float64], values: NDArray[np.float64], side: int) -> NDArray[np.float64]:
+    """The piecewise linear function through some points, at x from above (side 1) or from below (-1)."""
+    exponent = _exponent(at[0], at[-1])
+    x, at = _scaled(x, exponent), _scaled(at, exponent)  # no difference overflows
+    return np.interp(x, at, values) if side > 0 else np.interp(-x, -at[::-1], values[::-1])
 
 
 def _remembered(make: Callable[[Volume], Made]) -> Callable[[Volume | ArrayLike], Made]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -17,7 +18,7 @@ from clvol.march.launch import States, draw, finish_states, march_rays, merge_st
 from clvol.march.renderer import Renderer
 from clvol.mode import as_mode, modes
 from clvol.phantoms import marschner_lobb
-from clvol.scene import Scene
+from clvol.scene import Box, Scene
 from clvol.spline.evaluator import choose_evaluator
 from clvol.spline.minmax import MinMax
 from clvol.transfer import TransferFunction
@@ -39,11 +40,13 @@ def renderer(device: Device) -> Iterator[Renderer]:
         yield made
 
 
-def frame_of(renderer: Renderer, mode: str, camera: Camera, *, skipping: bool = True, termination: float = 0.0) -> Frame:
+def frame_of(
+    renderer: Renderer, mode: str, camera: Camera, *, skipping: bool = True, termination: float = 0.0, clip: Box | None = None
+) -> Frame:
     evaluator = choose_evaluator(renderer.device, renderer.filter)
     chosen = as_mode(mode, suited(mode, {"isovalue": 0.5, "termination": termination}))
     return Frame.of(
-        Scene(renderer.volume, background=None),
+        Scene(renderer.volume, background=None, clip=clip),
         renderer.field.coefficients,
         MinMax(renderer.field.coefficients, evaluator) if skipping and chosen.skips else None,
         camera,
@@ -94,6 +97,24 @@ def test_states_that_are_carried_on_are_the_picture_to_the_last_bit(renderer: Re
         assert isinstance(states, States)
         with states:
             check(finish_states(states), whole, mode, carried=True)
+
+
+@pytest.mark.parametrize("mode", ["composite", "mean", "mip"])
+def test_rays_of_few_samples_in_parts_are_the_picture_to_the_last_bit(renderer: Renderer, mode: str) -> None:
+    """Rays between two planes have one sample, wherever they are parted; those through some have two ends."""
+    x, y, z = renderer.volume.center
+    for thick in (0.3, 1.4):
+        clip = (x, y, z), (math.inf, y + thick * renderer.volume.spacing[1], math.inf)
+        frame = frame_of(renderer, mode, Camera.orbit(10, 70), clip=clip)
+        whole, states, first = draw(frame), None, -np.inf
+        assert (whole["rgba"][..., 3] > 0).any()
+        for last in (*range(4, 40, 3), np.inf):
+            states = march_rays(frame, first, last, states)
+            first = last + 1
+        assert isinstance(states, States)
+        with states:
+            for name, picture in finish_states(states).items():
+                np.testing.assert_array_equal(picture, whole[name], err_msg=name)
 
 
 @pytest.mark.parametrize("mode", modes())

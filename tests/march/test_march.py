@@ -33,7 +33,7 @@ from tests.march.looks import TILES, suited
 SIZE = (24, 20)
 STEP = 0.37  # no plane of these volumes then lies where a filter jumps or kinks, nor where a box is cut
 CAMERA = Camera.orbit(33, 21)
-# points on nodes of the table that kernels read, so that the table is exact
+# points on equal nodes; the default look has others
 TRANSFER = TransferFunction(
     ((0.0, (0.1, 0.2, 0.9)), (0.25, (0.9, 0.1, 0.2)), (0.5, (0.2, 0.8, 0.3)), (1.0, (1.0, 1.0, 0.9))),
     ((0.25, 0.0), (0.5, 0.3), (1.0, 0.7)),
@@ -168,6 +168,8 @@ def allowance(filter: str, mode: str, device: Device, ways: dict[str, str] | Non
     if ways.get("evaluator") == "eight-fetch" and ways.get("fetch") == "image" and device.sampler_bits < 16:
         return COARSE
     base = Allowance()
+    if mode == "composite":
+        base = replace(base, depth=2e-4, position=2e-4)  # depth errs by the light's rounding over how fast it falls
     if mode == "isosurface":
         # depth errs by rounding over the slope along the ray, so grazing rays err most
         base = replace(base, rgba=2e-4, rms=2e-5, depth=2e-4, position=2e-4, normal=1e-3, pixels=0.0025)
@@ -357,7 +359,7 @@ def test_the_default_look_is_the_references(device: Device, mode: str) -> None:
         got = renderer.render(CAMERA, mode, SIZE, STEP, outputs=OUTPUTS[:-1])
     want = reference.render(block(), CAMERA, mode, size=SIZE, step=STEP, outputs=OUTPUTS[:-1])
     assert isinstance(want, dict)
-    # light that early termination leaves out, and automatic points that lie between the nodes of the table
+    # light that early termination leaves out
     difference = np.abs(got["rgba"] - want["rgba"]).max(-1)
     assert np.sqrt((difference**2).mean()) < 3e-3
     assert np.quantile(difference, 0.99) < 5e-3

@@ -21,7 +21,7 @@ from clvol.spline.build import along_defines
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, Evaluator
 from clvol.spline.minmax import BLOCK, MINMAX, MinMax, minmax_block
-from clvol.transfer import TABLE_SIZE, TransferFunction
+from clvol.transfer import TransferFunction
 from clvol.uniform import FLOAT, INT, Block, Values
 
 __all__ = ["BY_PLANES", "BY_RAYS", "PICTURE", "Frame", "frame_block"]
@@ -85,7 +85,7 @@ class Frame:
     values : ndarray
         The parameter block.
     table : ndarray of float32
-        The transfer function's nodes, and behind them for each the next one that has some opacity.
+        The transfer function's nodes or pieces.
     """
 
     coefficients: Coefficients
@@ -142,7 +142,7 @@ class Frame:
                 **{"pass": 0, "last_pass": 0},
             ),
         )
-        table = _searchable(transfer.table(stored.offset, stored.exponent))
+        table = transfer.table(stored.offset, stored.exponent)
         tile = _tile(coefficients.device, evaluator)
         sides = minmax.sides(float(values["mode"]["isovalue"])) if minmax is not None and mode.stretches else None
         return cls(coefficients, minmax, sides, mode, evaluator, planes, tile, central, guides, values, table)
@@ -178,7 +178,6 @@ class Frame:
             "STATE_FIELDS": mode.state_fields,
             "CENTRAL": int(self.central),
             "GUIDES": int(self.guides),
-            "TABLE_SIZE": TABLE_SIZE,
             "BLOCK": BLOCK * self.coefficients.filter.scale,
             "SLAB": SLAB,
             "COORD_DOUBLE": 0,
@@ -193,9 +192,3 @@ def _tile(device: Device, evaluator: Evaluator) -> Tile:
     if device.limits.tile is not None:
         return Tile(*device.limits.tile)
     return BY_PLANES if device.kind == "cpu" and evaluator == DIRECT else BY_RAYS
-
-
-def _searchable(table: NDArray[np.float32]) -> NDArray[np.float32]:
-    seen = np.where(table[:, 3] > 0, np.arange(len(table), dtype=np.float32), np.float32(np.inf))
-    following = np.minimum.accumulate(seen[::-1])[::-1]
-    return np.concatenate([table.ravel(), following])

@@ -5,7 +5,8 @@ the axis most parallel to the view. In index space an axis of ``n`` samples span
 it holds ``K`` planes at ``-1/2 + (k + 1/2) n / K``, with ``K`` the smallest number such that no ray advances
 more than `step` voxels from one plane to the next. Rays that make an angle of more than 60° with the
 axis would need planes too close: they step `step` voxels along themselves, from half a step past where
-they enter. `reference/march/march.py` samples the same planes.
+they enter. A ray that meets no plane, or is shorter than half a step, has one sample in its middle.
+`reference/march/march.py` samples the same planes.
 """
 
 from __future__ import annotations

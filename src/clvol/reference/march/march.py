@@ -131,7 +131,7 @@ def _sample_distances(volume: Volume, rays: Rays, axis: int, planes: int, step: 
 
     Along an axis of n samples, plane k lies at index ``-1/2 + (k + 1/2) n / K``. With `ends`, the points
     where a ray enters and leaves are samples too, a thousandth of a step inside; then no other sample lies
-    nearer to the edge.
+    nearer to the edge. Without, a ray that meets no plane has one sample, halfway between where it enters and leaves.
     """
     n = volume.size[axis]
     start = volume.world_to_index(rays.origin)[:, axis]
@@ -159,9 +159,26 @@ def _sample_distances(volume: Volume, rays: Rays, axis: int, planes: int, step: 
         there &= (every >= first[:, None]) & (every <= last[:, None])
         every[:, 0], every[:, -1] = first, last
         there[:, 0] = there[:, -1] = hit & (first <= last)
+    else:
+        alone = hit & ~there.any(1)
+        every[alone, 0] = (rays.enter[alone] + rays.leave[alone]) / 2
+        there[alone, 0] = True
     every = np.where(there, every, math.inf)
     order = np.argsort(every, axis=1, kind="stable")
     return np.take_along_axis(every, order, 1), np.take_along_axis(there, order, 1), world_step
+
+
+def _stretches(rays: Rays, t: Array, there: Bools, step: Array) -> tuple[Array, Array]:
+    """From where to where on its ray each sample stands for it, each (N, M); 0 to 0 where there is none.
+
+    Half a step to either side, but the first from where the ray enters, and the last to where it leaves.
+    """
+    near, far = np.where(there, t - step[:, None] / 2, 0.0), np.where(there, t + step[:, None] / 2, 0.0)
+    some = np.flatnonzero(there.any(1))
+    first = there[some].argmax(1)
+    near[some, first] = rays.enter[some]
+    far[some, first + there[some].sum(1) - 1] = rays.leave[some]
+    return near, far
 
 
 def shade(
@@ -252,14 +269,17 @@ def render(
 
     Notes
     -----
-    ``composite``: with opacity ``a`` a unit distance ``u``, a sample stands for a step ``s`` of the ray with
-    opacity ``1 - (1 - a)^(s/u)``; colours add up weighted by opacity times the light that gets there.
+    ``composite``: with opacity ``a`` a unit distance ``u``, a sample stands for a stretch ``s`` of the ray with
+    opacity ``1 - (1 - a)^(s/u)``; colours add up weighted by opacity times the light that gets there. Stretches are as
+    long as a step; that of the first sample begins where the ray enters, that of the last ends where it leaves. The depth is
+    where half of the light is stopped, if each stretch is of one kind.
 
     ``isosurface``: the first root of the function along the ray (`first_crossings`). With ``method="stepped"`` the
     first pair of neighbouring samples on both sides of the isovalue; the root between them by bisection, the end on
     the far side.
 
-    ``mip``, ``minip``: the extreme sample, the first if several are equal; ``mean``: the mean of all.
+    ``mip``, ``minip``: the extreme sample, the first if several are equal; ``mean``: the mean of all, by the lengths of their
+    stretches.
     """
     volume, row, chosen = as_volume(volume), as_filter(filter), as_mode(mode, options)
     if isinstance(chosen, Composite) and "termination" not in options:
@@ -374,14 +394,22 @@ def _composite(scene: _Scene, mode: Composite, rays: Rays, t: Array, there: Bool
         which, k = np.nonzero(alpha > 0)
         gradient = scene.gradient(rays.at(t[which, k], which))
         rgb[which, k] = scene.lit(gradient, values[which, k], rgb[which, k], rays.direction[which])
-    opacity = 1 - (1 - alpha) ** (step / scene.unit_distance)[:, None]
+    near, far = _stretches(rays, t, there, step)
+    with np.errstate(divide="ignore"):
+        stopped = -np.log1p(-alpha)  # a unit distance: inf in opaque matter
+    thickness = (far - near) / scene.unit_distance
+    optical = np.multiply(stopped, thickness, out=np.zeros_like(stopped), where=thickness > 0)
+    opacity = -np.expm1(-optical)
     after = np.cumprod(1 - opacity, axis=1)
     before = np.concatenate([np.ones((after.shape[0], 1)), after[:, :-1]], 1)
     # the sample that lets no more than `termination` through is the last
     seen = (before > mode.termination) if mode.termination > 0 else np.ones_like(there)
     share = np.where(seen, before * opacity, 0.0)
     half = seen & (after <= 0.5)
-    depth = np.where(half.any(1), np.take_along_axis(t, half.argmax(1)[:, None], 1)[:, 0], math.inf)
+    depth = np.full(t.shape[0], math.inf)
+    halved = np.flatnonzero(half.any(1))
+    at = halved, half[halved].argmax(1)
+    depth[halved] = near[at] + np.log(2 * before[at]) / optical[at] * (far - near)[at]
     return np.einsum("nk,nkc->nc", share, rgb), share.sum(1), depth
 
 
@@ -449,8 +477,10 @@ def _minip(scene: _Scene, mode: Mode, rays: Rays, t: Array, there: Bools, values
 
 
 def _mean(scene: _Scene, mode: Mode, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
-    some: Bools = np.asarray(there.any(1))
-    mean = np.where(there, values, 0.0).sum(1) / np.maximum(there.sum(1), 1)
+    near, far = _stretches(rays, t, there, step)
+    length = (far - near).sum(1)
+    some: Bools = np.asarray(length > 0)
+    mean = (np.where(there, values, 0.0) * (far - near)).sum(1) / np.where(some, length, 1.0)
     color = scene.transfer(mean)[:, :3]
     return color * some[:, None], some.astype(float), np.full(t.shape[0], math.inf)
 
