@@ -12,9 +12,9 @@ import argparse
 import itertools
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -49,12 +49,14 @@ class Surface:
     def coefficients(self) -> Array:
         """Of SciPy's spline."""
         data, order = np.asarray(self.volume.data, np.float64), _ORDERS[self.filter]
-        return np.asarray(ndimage.spline_filter(data, order, mode="mirror")) if order > 1 else data
+        return np.asarray(ndimage.spline_filter(data, order, mode="mirror")) if order > 1 else data  # type: ignore[call-overload]
 
     def values(self, points: Array) -> Array:
         """At world positions (N, 3)."""
         at, order = self.volume.world_to_index(points)[:, ::-1].T, _ORDERS[self.filter]
-        return np.asarray(ndimage.map_coordinates(self.coefficients, at, order=order, mode="mirror", prefilter=False))
+        result = np.empty(at.shape[1])
+        ndimage.map_coordinates(self.coefficients, at, result, order, "mirror", prefilter=False)  # type: ignore[call-overload]  # any order
+        return result
 
     def depths(self, rays: Rays, which: Any, shift: Array | float = 0.0, lift: float = 0.0) -> Array:
         """Where some of the rays first meet the isovalue; both moved, if asked."""
@@ -96,19 +98,19 @@ def _noise(filter: str, shape: tuple[int, int, int] = (15, 17, 16), **placed: An
     return Surface(clvol.Volume(np.random.default_rng(1).random(shape), **placed), 0.47, filter)
 
 
-SCENES = {
+SCENES: dict[str, Callable[[], Surface]] = {
     "Marschner-Lobb, 25³": lambda: Surface(clvol.phantoms.marschner_lobb(25), 0.5),
     "noise": lambda: _noise("bspline3"),
     "noise, long voxels": lambda: _noise("bspline3", (9, 12, 14), spacing=(1.0, 0.5, 2.2), origin=(3.0, -2.0, 7.0)),
     "a shell 0.1 voxel thin": lambda: _shell(0.1),
     "double roots": _touching,
-    **{f"noise, {name}": (lambda name=name: _noise(name, (9, 10, 11))) for name in ("nearest", "linear", "bspline2", "bspline5")},
+    **{f"noise, {name}": partial(_noise, name, (9, 10, 11)) for name in ("nearest", "linear", "bspline2", "bspline5")},
 }
 
 
 def _cameras(volume: clvol.Volume, rng: np.random.Generator) -> Iterator[Camera]:
     """Along the axes through samples and faces of cells, from outside, and from inside."""
-    for azimuth, zoom in ((0, 1.0), (90, 1.7), (180, 1.0)):
+    for azimuth, zoom in ((0.0, 1.0), (90.0, 1.7), (180.0, 1.0)):
         yield Camera.orbit(azimuth, 0, projection="orthographic", zoom=zoom)
     size = np.asarray(volume.spacing) * np.asarray(volume.size)
     for kind in itertools.cycle(range(3)):
@@ -157,7 +159,7 @@ def _nearest(surface: Surface, rays: Rays, which: NDArray[np.int64], got: Array,
     sides = across, np.cross(rays.direction[which], across)
     best = np.full(which.size, math.inf)
     for lift, (side, share) in itertools.product(
-        (0.0, -1.0, 1.0, -0.3, 0.3), [(0, 0.0), *itertools.product((0, 1), (-1, 1, -0.3, 0.3))]
+        (0.0, -1.0, 1.0, -0.3, 0.3), [(0, 0.0), *itertools.product((0, 1), (-1.0, 1.0, -0.3, 0.3))]
     ):
         depths = surface.depths(rays, which, share * _SHIFT * voxel * sides[side], lift * _LIFT * largest)
         best = np.minimum(best, _apart(got, depths))

@@ -104,7 +104,7 @@ INLINE real sample_value_of(COEFFICIENTS coefficients, const sample_t *sample, r
     const ray_t *ray = sample->ray;
     const float n = sample->number;
     real value = value_here(coefficients, sample, t, active);
-    if (PLANES && sample->plane->usable && (ENDPOINTS || sample->apart)) {
+    if (PLANES && sample->plane->usable && (ENDPOINTS | sample->apart)) {
         const mask apart = active & (ENDPOINTS ? (ray->begin > n) | (ray->end < n) : ray->alone);
         if (any_lane(apart))
             value = choose(apart, value_at(coefficients, sample, t, apart), value);
