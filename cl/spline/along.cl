@@ -18,10 +18,12 @@
 
 constant float pascal[ORDER][ORDER] = PASCAL;
 
-// The weight of each tap at fractions from x0 to x1 in scaled Bernstein form: by its Taylor polynomial about x0.
+// The weight of each tap at fractions from x0 to x1 in scaled Bernstein form: by its Taylor polynomial about the smaller, so that
+// powers of both are no larger than 1.
 INLINE void weights_along(const real x0, const real x1, real w[TAPS][ORDER])
 {
-    const real span = x1 - x0;
+    const mask down = x1 < x0;
+    const real start = MIN(x0, x1), span = magnitude(x1 - x0);
     UNROLL_TAPS
     for (int i = 0; i < TAPS; ++i) {
         real p[ORDER];
@@ -32,7 +34,7 @@ INLINE void weights_along(const real x0, const real x1, real w[TAPS][ORDER])
         for (int m = 0; m < DEGREE; ++m)
 #pragma unroll
             for (int k = DEGREE - 1; k >= m; --k)
-                p[k] = madd(x0, p[k + 1], p[k]);
+                p[k] = madd(start, p[k + 1], p[k]);
         real power = span;
 #pragma unroll
         for (int m = 1; m < ORDER; ++m) {
@@ -45,6 +47,12 @@ INLINE void weights_along(const real x0, const real x1, real w[TAPS][ORDER])
 #pragma unroll
             for (int m = 1; m <= j; ++m)
                 w[i][j] = madd((real)(pascal[m][j]), p[m], w[i][j]);
+        }
+#pragma unroll
+        for (int j = 0; 2 * j < DEGREE; ++j) {
+            const real forth = w[i][j], back = w[i][DEGREE - j];
+            w[i][j] = choose(down, back, forth);
+            w[i][DEGREE - j] = choose(down, forth, back);
         }
     }
 }

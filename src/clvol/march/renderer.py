@@ -202,7 +202,7 @@ class Renderer:
         size : (width, height)
             In pixels.
         step : float
-            The most that a ray advances between samples, in voxels.
+            The most that a ray advances between samples, in voxels. Exact surfaces take none: see `Isosurface`.
         transfer, material
             Instead of the medium's. A transfer function that neither gives is the mode's: from the histogram for "composite",
             a grey ramp for projections.

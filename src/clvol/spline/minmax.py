@@ -63,10 +63,13 @@ def _defines(filter: Filter, blur: float) -> DefineDict:
     rows = bernstein(filter)
     # Rounding, relative to the largest tap. A weight is a sum of degree + 1 products, so its error is their size times
     # degree + 2 roundings. A value sums taps times weights along three axes with a rounding a tap; along each axis the
-    # error of the weights is multiplied by the largest sum of the weights of the other two. A control point likewise.
+    # error of the weights is multiplied by the largest sum of the weights of the other two. A control point likewise. Along a ray
+    # a weight's coefficients take three sums of as many terms, and each of theirs sums all taps times degree + 1 twice.
     size = float(np.abs(filter.matrix).sum())
     hull = float(np.abs(rows).sum(-1).max())
-    pad = _EPSILON * (3 * ((degree + 2) * size + taps + 2) * lebesgue**2 + 3 * (taps + 2) * hull**3)
+    point = 3 * ((degree + 2) * size + taps + 2) * lebesgue**2 + 3 * (taps + 2) * hull**3
+    along = 3 * (3 * degree + 2) * size * hull**2 + (taps + 2 * taps * (degree + 1) + 2) * hull**3
+    pad = _EPSILON * max(point, along + 3 * (taps + 2) * hull**3)
     if pad > _PAD_LIMIT:
         pad = 1e38  # weights that are mostly rounding: no bounds at all
     shared = degree > 0 and np.allclose(np.append(rows[-1], 0), np.insert(rows[0], 0, 0), rtol=0, atol=1e-12)
