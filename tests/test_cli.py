@@ -121,6 +121,16 @@ def test_render_passes_every_option_on(clvol_command: Command) -> None:
     np.testing.assert_array_equal(iio.imread("a.png"), clvol.picture.to_bytes(picture)[..., :3])
 
 
+def test_options_of_modes_that_are_words(clvol_command: Command) -> None:
+    options = (*SMALL, "--mode", "isosurface", "--isovalue", "-0.25")
+    assert clvol_command("render", SPHERE, "--output", "a.png", *options, "--method", "stepped").code == 0
+    drawn = clvol.render(clvol.phantoms.sphere(8), None, clvol.Isosurface(-0.25, method="stepped"), size=(16, 12))
+    np.testing.assert_array_equal(iio.imread("a.png"), clvol.picture.to_bytes(drawn)[..., :3])
+    wrong = clvol_command("render", SPHERE, "--output", "b.png", *options, "--method", "fast")
+    assert wrong.code == 1
+    assert "method must be one of exact, stepped; got 'fast'" in wrong.err
+
+
 def test_render_tells_and_shows_what_was_looked_at(clvol_command: Command) -> None:
     options = (*SMALL, "--mode", "isosurface", "--isovalue", "-0.25")
     told = clvol_command("render", SPHERE, "-o", "a.png", *options, "--heat-map", "heat.png", "--verbose", "--json").json

@@ -140,7 +140,7 @@ def _flag(name: str) -> tuple[str, Any, None]:
     """A flag for an option of modes, with what their classes say of it; not given, it is the mode's own default."""
     having = [mode for mode in clvol.modes().values() if name in mode_options(mode)]
     defaults = [getattr(mode, name) for mode in having]
-    kind: Any = bool if isinstance(defaults[0], bool) else str if isinstance(defaults[0], tuple) else float
+    kind: Any = bool if isinstance(defaults[0], bool) else str if isinstance(defaults[0], (str, tuple)) else float
     says = [f"{mode_options(mode)[name]} ({mode.name}{_default(getattr(mode, name))})" for mode in having]
     return name, Annotated[kind | None, Parameter(help=" ".join(says))], None
 
