@@ -7,7 +7,7 @@ import statistics
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -249,6 +249,8 @@ class Bench:
     def frame(self, shot: Shot) -> Work:
         renderer = self.renderer(shot.data.shape[0])
         theirs = peers.of("frame", shot)
+        if shot.mode == "isosurface":
+            theirs["clvol, stepped, 0.5 voxel"] = Peer(partial(draw, renderer, replace(shot, step=0.5), method="stepped"))
         amount = float(shot.size[0] * shot.size[1])
         return Work(partial(draw, renderer, shot), theirs, amount, "Mpixel/s", None, self.repeats, _difference)
 
@@ -352,9 +354,10 @@ def _frame_by_name(bench: Bench, name: str) -> Work:
     return bench.frame(shots(bench)[name]())
 
 
-def draw(renderer: clvol.Renderer, shot: Shot) -> Array:
-    """Our side of a `Shot`."""
-    options: dict[str, Any] = {"isovalue": shot.isovalue, "color": shot.color} if shot.mode == "isosurface" else {}
+def draw(renderer: clvol.Renderer, shot: Shot, **options: Any) -> Array:
+    """Our side of a `Shot`; `options` are the mode's."""
+    if shot.mode == "isosurface":
+        options |= {"isovalue": shot.isovalue, "color": shot.color}
     return np.asarray(renderer.render(shot.camera, shot.mode, shot.size, shot.step, transfer=shot.transfer, **options))
 
 

@@ -233,8 +233,10 @@ OUT_OF_LINE void refine_roots(roots_t *roots, state_t *states)
         q[j] = roots->q[j].all;
     const lanes_u hit = { madd(root_between(q), roots->length.all, roots->from.all) };
     for (int i = 0; i < roots->count; ++i) {
-        lanes_u *hits = (lanes_u *)&states[roots->ray[i] / LANES].hit;
-        hits->each[roots->ray[i] % LANES] = hit.each[i];
+        state_t *state = states + roots->ray[i] / LANES;
+        lanes_u hits = { state->hit };
+        hits.each[roots->ray[i] % LANES] = hit.each[i];
+        state->hit = hits.all;
     }
     roots->count = 0;
 }

@@ -85,7 +85,9 @@ class Look:
 
     mode: Annotated[str, Parameter(help=_MODES)] = "composite"
     boundary: Annotated[str, Parameter(help="mirror, reflect, wrap or zero.")] = "mirror"
-    step: Annotated[float, Parameter(help="The most that a ray advances between samples, in voxels; exact surfaces take none.")] = 0.5
+    step: Annotated[float, Parameter(help="The most that a ray advances between samples, in voxels; exact surfaces take none.")] = (
+        0.5
+    )
     samples: Annotated[int, Parameter(help="Rays a pixel.", converter=_whole)] = 1
     pixel_filter: Annotated[str, Parameter(help="What several rays a pixel sample; see 'clvol filters'.")] = "linear"
     cmap: Annotated[str | None, Parameter(help="Colour map by name, instead of the automatic colours.")] = None
