@@ -141,9 +141,9 @@ def check(surface: Surface, rays: int, seed: int = 0, edge: int = _EDGE, **optio
             error = _apart(got, truth) / voxel
             count.worst = max(count.worst, float(error[error <= DEPTH].max(initial=0.0)))
             off = np.flatnonzero(error > DEPTH)
-            moved = _nearest(surface, lines, off, got[off], voxel, largest) / voxel if off.size else np.empty(0)
-            count.rounding += int((moved <= _NEAR).sum())
-            count.wrong += int((moved > _NEAR).sum())
+            explained = _explained(surface, lines, off, got[off], voxel, largest)
+            count.rounding += int(explained.sum())
+            count.wrong += int((~explained).sum())
     return count
 
 
@@ -153,17 +153,19 @@ def _apart(a: Array, b: Array) -> Array:
         return np.where(np.isinf(a) & np.isinf(b), 0.0, np.abs(a - b))
 
 
-def _nearest(surface: Surface, rays: Rays, which: NDArray[np.int64], got: Array, voxel: float, largest: float) -> Array:
-    """How near the truth for rays and isovalues that are moved a little comes to what was drawn."""
+def _explained(
+    surface: Surface, rays: Rays, which: NDArray[np.int64], got: Array, voxel: float, largest: float
+) -> NDArray[np.bool_]:
+    """Whether what was drawn is the truth for a ray and an isovalue that are moved a little."""
     across = np.cross(rays.direction[which], np.eye(3)[np.abs(rays.direction[which]).argmin(1)])
     sides = across, np.cross(rays.direction[which], across)
-    best = np.full(which.size, math.inf)
-    for lift, (side, share) in itertools.product(
-        (0.0, -1.0, 1.0, -0.3, 0.3), [(0, 0.0), *itertools.product((0, 1), (-1.0, 1.0, -0.3, 0.3))]
-    ):
-        depths = surface.depths(rays, which, share * _SHIFT * voxel * sides[side], lift * _LIFT * largest)
-        best = np.minimum(best, _apart(got, depths))
-    return best
+    explained = np.zeros(which.size, bool)
+    moves = [(0, 0.0), *itertools.product((0, 1), (-1.0, 1.0, -0.3, 0.3))]
+    for lift, (side, share) in itertools.product((0.0, -1.0, 1.0, -0.3, 0.3), moves):
+        left = np.flatnonzero(~explained)
+        depths = surface.depths(rays, which[left], share * _SHIFT * voxel * sides[side][left], lift * _LIFT * largest)
+        explained[left] = _apart(got[left], depths) <= _NEAR * voxel
+    return explained
 
 
 def main() -> None:
