@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 DEPTH = 1e-4  # of a voxel
 _SHIFT, _LIFT = 1e-4, 3e-6  # what rounding may move: rays, of a voxel; isovalues, of the largest magnitude
 _NEAR = 0.05  # voxels; near a tangent the least move of a ray moves the surface far along it
-_EDGE = 64  # pixels along the edge of a picture
+_EDGE = 63  # pixels along the edge of a picture: odd, so that some rays lie on planes of cells
 _ORDERS = {"nearest": 0, "linear": 1, "bspline2": 2, "bspline3": 3, "bspline4": 4, "bspline5": 5}
 
 
@@ -124,6 +124,13 @@ def _cameras(volume: clvol.Volume, rng: np.random.Generator) -> Iterator[Camera]
             yield Camera.look_at(eye, volume.center + rng.normal(size=3) * size)
 
 
+def _box(volume: clvol.Volume, rng: np.random.Generator) -> tuple[Any, Any]:
+    """Some part of the domain, perhaps a thin one."""
+    low, high = volume.corners.min(0), volume.corners.max(0)
+    ends = np.sort(low + rng.random((2, 3)) * (high - low), 0)
+    return ends[0], ends[1]
+
+
 def check(surface: Surface, rays: int, seed: int = 0, edge: int = _EDGE, **options: Any) -> Count:
     """Hold pictures of a surface against the truth, by so many random rays at least; `options` are the renderer's."""
     count, rng, voxel = Count(), np.random.default_rng(seed), float(np.mean(surface.volume.spacing))
@@ -132,9 +139,10 @@ def check(surface: Surface, rays: int, seed: int = 0, edge: int = _EDGE, **optio
         for camera in _cameras(surface.volume, rng):
             if count.rays >= rays:
                 return count
-            drawn = renderer.render(camera, "isosurface", (edge, edge), isovalue=surface.isovalue, outputs="depth", **options)
-            got = drawn.reshape(-1).astype(np.float64)
-            lines = camera_rays(surface.volume, camera.view(surface.volume, 1.0), (edge, edge))
+            clip = _box(surface.volume, rng) if rng.random() < 0.25 else None
+            shown: dict[str, Any] = {"isovalue": surface.isovalue, "outputs": "depth", "clip": clip, **options}
+            got = renderer.render(camera, "isosurface", (edge, edge), **shown).reshape(-1).astype(np.float64)
+            lines = camera_rays(surface.volume, camera.view(surface.volume, 1.0), (edge, edge), clip=clip)
             truth = surface.depths(lines, slice(None))
             count.rays += got.size
             count.hits += int(np.isfinite(truth).sum())

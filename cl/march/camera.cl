@@ -36,8 +36,10 @@ INLINE void clip_axis(real origin, real direction, float low, float high, real *
 {
     const real d = choose(magnitude(direction) < 1e-12f, (real)(1e-12f), direction);
     const real a = (low - origin) / d, b = (high - origin) / d;
-    *enter = MAX(*enter, MIN(a, b));
-    *leave = MIN(*leave, MAX(a, b));
+    // a ray along the faces is inside, even on a face, or outside all the way
+    const mask inside = (magnitude(direction) < 1e-12f) & (low <= origin) & (origin <= high);
+    *enter = MAX(*enter, choose(inside, -NOWHERE, MIN(a, b)));
+    *leave = MIN(*leave, choose(inside, NOWHERE, MAX(a, b)));
 }
 
 INLINE real axis_of(real3 v, int axis) { return axis == 0 ? v.x : axis == 1 ? v.y : v.z; }

@@ -41,8 +41,10 @@ INLINE axis_t axis_along(real origin, real direction, float low, float high, con
     a.step = 2 * a.ahead - 1;
     const float bottom = GRID_POSITION(low, start), top = GRID_POSITION(high, start);   // whole or half numbers, not negative
     const mask first = (mask)((int)bottom), past = (mask)((int)top + ((float)(int)top < top));
-    a.from = choose_whole(a.up, first, past);
-    a.to = choose_whole(a.up, past, first);
+    // rays along the planes stay in one cell, even those on a plane
+    const mask parallel = magnitude(a.direction) < 1e-12f, own = to_mask(MIN(MAX(a.origin, to_real(first)), to_real(past - 1)));
+    a.from = choose_whole(parallel, own, choose_whole(a.up, first, past));
+    a.to = choose_whole(parallel, own + 1, choose_whole(a.up, past, first));
     return a;
 }
 
@@ -156,22 +158,25 @@ OUT_OF_LINE void set_out(walker_t *w, const ray_t *ray, const state_t *state, co
     w->found.all = NONE;
 }
 
-// The first place past a jump at which a sample of the function is on its far side, so that every pixel is lit from there.
-INLINE real beyond_jump(COEFFICIENTS coefficients, const sample_t *sample, const float value, real t, const real end,
+// The first place past a jump at which a sample of the function is on its far side, so that every pixel is lit from there; the jump
+// itself if none is near.
+INLINE real beyond_jump(COEFFICIENTS coefficients, const sample_t *sample, const float value, const real jump, const real end,
                         const real side, mask active)
 {
 #if JUMPS
     constant float *high = sample->frame->geometry.high;
-    real further = 1e-7f * (magnitude(t) + high[0] + high[1] + high[2]);
-    for (int i = 0; i < 24; ++i) {
+    real t = jump, further = 1e-7f * (magnitude(t) + high[0] + high[1] + high[2]);
+    for (int i = 0; i < 8; ++i) {
         active &= (value_at(coefficients, sample, t, active) < value) == (side < 0.0f);
         if (!any_lane(active))
-            break;
+            return t;
         t = choose(active, MIN(t + further, end), t);
         further *= 2.0f;
     }
+    return choose(active, jump, t);
+#else
+    return jump;
 #endif
-    return t;
 }
 
 // Takes rays to cells that may hold the value, and on past those that do not. `looked`: at the cells in which they are.

@@ -4,7 +4,8 @@
 // u of the way. Sums and products of these are taken in scaled Bernstein form, whose coefficients C(n, j) b[j] multiply as those
 // of ordinary polynomials do. The weights along x are summed over a row of taps, then rows over y, then slices over z.
 //
-// The results lie in the convex hull of the cell's own control points (minmax.cl) but for rounding, which PAD_SIZE covers.
+// Where bounds are those of control points (HULL in minmax.cl) the results lie in the hull of the cell's own, but for rounding,
+// which PAD_SIZE covers. Where they are bounds of values alone, coefficients may lie outside; roots may not.
 //
 // Set by the host: PASCAL, row m of whose table holds C(DEGREE - m, j - m) for j = 0 to DEGREE; BERNSTEIN_DEGREE and
 // BERNSTEIN_CHOOSE, see bernstein.cl.

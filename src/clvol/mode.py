@@ -55,7 +55,8 @@ class Mode:
     state_fields : int
         Numbers that the kernels carry along each ray.
     endpoints : bool
-        Whether it also needs the function where the ray enters and leaves the volume, a thousandth of a step inside.
+        Whether its rays reach from where they enter the volume to where they leave it: modes that take samples then take two
+        more, a thousandth of a step inside.
     skips : bool
         Whether values can be irrelevant to it, so that space is skipped.
     ramp : float or None
@@ -145,9 +146,9 @@ class Isosurface(Mode):
     shading : bool
         Light the surface by the gradient.
     method : {"exact", "stepped"}
-        "exact": the first root of the function that is drawn, which is a polynomial along the ray in every cell; `step` does
-        not matter. "stepped": the first two neighbouring samples on both sides of the isovalue, and a root between them; a
-        surface that a ray enters and leaves between two samples is missed.
+        "exact": the first place where the function that is drawn, a polynomial along the ray in every cell, goes from below the
+        isovalue to not below it, or back; `step` does not matter. "stepped": the first two neighbouring samples on both sides of
+        the isovalue, and a root between them; a surface that a ray enters and leaves between two samples is missed.
     tolerance : float
         Of "stepped": how near to the isovalue the function is at the surface that is drawn, as a share of the difference
         between the two samples around it, 0 to 1.

@@ -59,7 +59,7 @@ def test_the_truth_agrees_with_samples_a_hundredth_of_a_voxel_apart() -> None:
 
 @pytest.mark.parametrize("thickness", [0.3, 0.1, 0.01])
 def test_a_thin_sheet_is_seen_by_every_ray(thickness: float) -> None:
-    """A parabola along x, which a cubic spline is: 2 · thickness / 2 apart its roots lie, whatever the angle."""
+    """A parabola along x, which a cubic spline reproduces: its two roots lie `thickness` apart."""
     x = np.arange(16.0)
     data = np.broadcast_to(-((x - 7.37) ** 2), (8, 8, 16)).astype(np.float64)
     # within the domain's middle SciPy and the parabola agree to what the boundary rule leaves there
@@ -106,6 +106,26 @@ def test_a_ray_that_begins_behind_a_surface_sees_the_next() -> None:
         data, Camera(direction=(1, 0.01, 0.02)), "isosurface", size=(9, 9), isovalue=0.0, clip=clip, outputs="position"
     )
     assert float(behind[4, 4, 0]) == pytest.approx(2 * math.pi - 0.5, abs=0.05)
+
+
+@pytest.mark.parametrize("size", [9, 33, 65])
+def test_rays_on_the_planes_between_cells_meet_no_surface_along_them(size: int) -> None:
+    half = np.zeros((6, 6, 6))
+    half[:, :, 3:] = 1
+    camera = Camera(direction=(0, 1, 0), projection="orthographic")  # the middle column of pixels lies on such a plane
+    depth = clvol.render(half, camera, "isosurface", "nearest", size=(size, size), isovalue=0.5, outputs="depth")
+    assert np.isinf(depth).all()
+
+
+def test_a_clip_face_that_holds_a_ray_does_not_cut_it() -> None:
+    data = np.random.default_rng(3).random((6, 6, 6))
+    camera = Camera(direction=(0, 1, 0), projection="orthographic")
+    options: dict[str, Any] = {"size": (9, 9), "isovalue": 0.6, "outputs": "depth", "clip": ((2.5, -9, -9), (99, 99, 99))}
+    got = clvol.render(data, camera, "isosurface", **options)
+    want = clvol.reference.march.march.render(data, camera, "isosurface", **options)
+    assert isinstance(want, np.ndarray)
+    assert np.isfinite(want[:, 4]).any()
+    np.testing.assert_allclose(got, want, atol=1e-4)
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 1, 7), (2, 1, 3), (2, 2, 2)])

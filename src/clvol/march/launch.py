@@ -25,6 +25,7 @@ Picture: TypeAlias = NDArray[np.floating[Any]]
 
 CHANNELS: dict[str, tuple[int, ...]] = {"rgba": (4,), "depth": (), "normal": (3,), "position": (3,), "visited": ()}
 _AREA = 16  # pixels along an edge of the smallest launch
+_CELLS = 8  # of so many on a ray one is looked at, at most guesses
 _ROW_SECONDS = 1.5e-9  # a generous guess of the time of one row of taps on one processor core; corrected as tiles finish
 
 
@@ -204,8 +205,8 @@ def _launch(frame: Frame, kernel: Any, area: tuple[int, int, int, int], *argumen
 class _Budget:
     """Cuts a frame into areas, none of which should take longer than the device's limit for a launch.
 
-    The time of a ray is bounded by its number of planes; the guess of the time of one sample is raised
-    when an area took longer than guessed, and never lowered: the next one may hold what this one did not.
+    The time of a ray is bounded by its number of planes, or guessed from its number of cells, few of which are looked at;
+    the guess is raised when an area took longer, and never lowered: the next one may hold what this one did not.
     """
 
     def __init__(self, frame: Frame) -> None:
@@ -214,10 +215,15 @@ class _Budget:
         chunks = row_reach(drawn) // row_width(drawn)
         together = frame.tile.shared and not frame.planes.oblique
         rows = drawn.support * chunks / 2 + 2 if together else drawn.support**2 * chunks + 8
+        count: float = frame.planes.count
+        if frame.mode.stretches:
+            order = drawn.degree + 1
+            rows = drawn.support**2 * order * (drawn.support + order) / 32 + 40  # a polynomial, and the way to it
+            count = float(frame.coefficients.size.sum()) * drawn.scale / _CELLS
         costly = frame.central or frame.mode.shaded
         self._across, self._down = (-(-_AREA // n) * n for n in frame.tile[:2])
         self._seconds = device.limits.launch_seconds
-        self._per_pixel = frame.planes.count * rows * _ROW_SECONDS * (3 if costly else 1) / max(1, cores)
+        self._per_pixel = count * rows * _ROW_SECONDS * (3 if costly else 1) / max(1, cores)
 
     def tiles(self, width: int, height: int) -> Iterator[tuple[int, int, int, int]]:
         """(x, y, width, height) of each area, each a multiple of a tile, but at the picture's edges."""

@@ -141,9 +141,13 @@ class MinMax:
         device.finish()
 
     def sides(self, value: float) -> Any:
-        """On which side of a value the function is in each cell, as sides.cl has it; kept until another value is asked for."""
+        """On which side of a value the function is in each cell, as sides.cl has it: 16 bytes for 64 cells.
+
+        It is kept until another value is asked for.
+        """
         with self._lock:
             if self._sides is None or self._sides[0] != value:
+                self._sides = None  # not two at a time
                 self._sides = (value, self._sides_of(value))
             return self._sides[1]
 
@@ -178,7 +182,8 @@ class MinMax:
     def release(self) -> None:
         """Free the device's memory."""
         self.buffer.release()
-        self._sides = None
+        with self._lock:
+            self._sides = None  # freed as soon as no frame holds them
 
 
 def minmax_block(minmax: MinMax | None, volume: Volume, rounding: float) -> Values:

@@ -1,4 +1,4 @@
-"""The first root of the function along a ray, by eigenvalues: in every cell it is a polynomial, known from its values.
+"""Where the function along a ray first changes sides, by eigenvalues: in every cell it is a polynomial, known from its values.
 
 The kernels look for it by Bernstein coefficients; here each piece is interpolated at Chebyshev nodes, and the roots are the
 eigenvalues of the colleague matrix (Good 1961; Boyd, "Solving Transcendental Equations", SIAM 2014, chapter 2).
@@ -36,7 +36,7 @@ def first_crossings(
     leave: Array,
     isovalue: float,
 ) -> Array:
-    """Where the function that is drawn first takes a value along each line, from where it enters.
+    """Where the function that is drawn first goes from below a value to not below it, or back, along each line.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def first_crossings(
     Returns
     -------
     ndarray, shape (N,)
-        t of the first place where the function equals the value or jumps past it; infinite where there is none.
+        t of that place, from where the line enters; infinite where there is none.
     """
     t = np.full(enter.shape, math.inf)
     there = np.flatnonzero(enter < leave)
@@ -84,13 +84,14 @@ def _first(
     values = value(points.reshape(-1, 3)).reshape(at.shape) - isovalue
     coefficients = values @ np.linalg.inv(chebyshev.chebvander(nodes, degree)).T
 
-    found = np.full(line.size, math.inf)  # t of the first root of each piece
+    # sides of the value: where each piece begins and ends, and where in between it first changes
+    below = np.repeat((coefficients[:, :1] < 0), 2, 1)
+    found = np.full(line.size, math.inf)
     possible = np.abs(coefficients[:, 0]) <= np.abs(coefficients[:, 1:]).sum(1)
-    root = _first_roots(coefficients[possible])
+    root, below[possible] = _first_changes(coefficients[possible])
     found[possible] = low[possible] + (root + 1) / 2 * (high - low)[possible]
 
-    start, end = coefficients @ (-1.0) ** np.arange(degree + 1), coefficients.sum(1)
-    jump = (line[1:] == line[:-1]) & ((start[1:] < 0) != (end[:-1] < 0))
+    jump = (line[1:] == line[:-1]) & (below[1:, 0] != below[:-1, 1])
     past = low[1:] + _PAST * float(min(volume.spacing)) / np.linalg.norm(direction[line[1:]], axis=1)
     found[1:] = np.where(jump, np.minimum(past, found[1:]), found[1:])
     first = np.full(enter.size, math.inf)
@@ -112,9 +113,26 @@ def _knots(volume: Volume, filter: Filter, origin: Array, direction: Array, ente
     return np.concatenate(knots, 1)
 
 
-def _first_roots(coefficients: Array) -> Array:
-    """The smallest real root in -1..1 of each Chebyshev series, infinite where there is none."""
-    first = np.full(len(coefficients), math.inf)
+def _first_changes(coefficients: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Where in -1..1 each Chebyshev series first changes sides, infinite if nowhere; and whether it begins and ends below zero."""
+    roots = _real_roots(coefficients)
+    ends = np.concatenate([np.full((len(roots), 1), -1.0), roots, np.ones((len(roots), 1))], 1)
+    between = (ends[:, 1:] + ends[:, :-1]) / 2
+    values = np.einsum("pnk,pk->pn", chebyshev.chebvander(between, coefficients.shape[1] - 1), coefficients)
+    below, long = values < 0, ends[:, 1:] > ends[:, :-1]
+    last = below.shape[1] - 1
+    for k in range(last - 1, -1, -1):  # stretches without length have no side of their own: the next one's, else the one's before
+        below[:, k], long[:, k] = np.where(long[:, k], below[:, k], below[:, k + 1]), long[:, k] | long[:, k + 1]
+    for k in range(1, last + 1):
+        below[:, k] = np.where(long[:, k], below[:, k], below[:, k - 1])
+    changes = below[:, 1:] != below[:, :-1]
+    first = np.where(changes, ends[:, 1:-1], math.inf).min(1, initial=math.inf)
+    return first, below[:, [0, -1]]
+
+
+def _real_roots(coefficients: Array) -> Array:
+    """The real roots of each Chebyshev series in -1..1, in order, and 1 for each that is not."""
+    every = np.ones((len(coefficients), coefficients.shape[1] - 1))
     size = np.abs(coefficients)
     large = size > _NOTHING * size.max(1, initial=0.0)[:, None]
     degrees = np.where(large.any(1), coefficients.shape[1] - 1 - large[:, ::-1].argmax(1), 0)
@@ -123,10 +141,10 @@ def _first_roots(coefficients: Array) -> Array:
         series = coefficients[which, : degree + 1]
         colleague = np.broadcast_to(chebyshev.chebcompanion([0.0] * degree + [1.0]), (which.size, degree, degree)).copy()
         scale = np.array([1.0, *[math.sqrt(0.5)] * (degree - 1)])
-        last = series[:, :-1] / series[:, -1:] * (scale / scale[-1]) * 0.5 if degree > 1 else series[:, :1] / series[:, 1:]
-        colleague[:, :, -1] -= last
+        colleague[:, :, -1] -= (
+            series[:, :-1] / series[:, -1:] * (scale / scale[-1]) * 0.5 if degree > 1 else series[:, :1] / series[:, 1:]
+        )
         roots = np.linalg.eigvals(colleague)
         real = (np.abs(roots.imag) < _REAL) & (np.abs(roots.real) <= 1 + _EDGE)
-        first[which] = np.where(real, np.clip(roots.real, -1, 1), math.inf).min(1)
-    first[degrees == 0] = np.where(size[degrees == 0, 0] == 0, -1.0, math.inf)
-    return first
+        every[which, :degree] = np.where(real, np.clip(roots.real, -1, 1), 1.0)
+    return np.sort(every, 1)
