@@ -148,7 +148,9 @@ class Isosurface(Mode):
     method : {"exact", "stepped"}
         "exact": the first place where the function that is drawn, a polynomial along the ray in every cell, goes from below the
         isovalue to not below it, or back; `step` does not matter. "stepped": the first two neighbouring samples on both sides of
-        the isovalue, and a root between them; a surface that a ray enters and leaves between two samples is missed.
+        the isovalue, and a root between them; a surface that a ray enters and leaves between two samples is missed. Both take
+        about as long with most filters; with "lanczos" and "sinc", whose pieces are of degree 12, "exact" takes 9 to 19 times as
+        long.
     tolerance : float
         Of "stepped": how near to the isovalue the function is at the surface that is drawn, as a share of the difference
         between the two samples around it, 0 to 1.
