@@ -320,11 +320,12 @@ def test_pictures_of_the_widest_range_do_not_wrap(device: Device, low: int) -> N
     """From one end of the type to the other, and beyond both by the overshoot of a spline."""
     kind, high = (np.uint64, 2**64 - 1) if low == 0 else (np.int64, 2**63 - 1)
     picture = np.array([[low] * 6 + [high] * 6] * 8, dtype=kind)
-    for got in (clvol.images.zoom(picture, 4, device=device), clvol.images.zoom(picture[:, ::-1], 4, device=device)[:, ::-1]):
+    for got in (clvol.images.zoom(picture, 3, device=device), clvol.images.zoom(picture[:, ::-1], 3, device=device)[:, ::-1]):
         rows = [[int(v) for v in row] for row in got]
-        assert all(abs(v - low) <= 2**11 for row in rows for v in row[2:16:4]), "float64 has 2¹¹ there"
-        assert all(row[21] - low < (high - low) // 4 and high - row[26] < (high - low) // 4 for row in rows)
-        assert all(low <= v <= high for row in rows for v in row)
+        assert all(v - low < (high - low) // 4 for row in rows for v in row[:16])
+        assert all(high - v < (high - low) // 4 for row in rows for v in row[-16:])
+        off = [abs(int(v) - int(w)) for v, w in zip(got[1::3, 1::3].flat, picture.flat, strict=True)]
+        assert max(off) < 2**16  # of 2⁶⁴, from rounding of positions
 
 
 @pytest.mark.parametrize("kind", [np.uint16, np.int16, np.int32], ids=lambda k: k.__name__)
