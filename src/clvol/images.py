@@ -50,9 +50,10 @@ def resample(
         Integers are rounded to the nearest, and clipped to their type, because filters may leave the image's range. Where new
         pixels lie on old ones, filters that go through the samples give those back exactly; elsewhere a pixel whose exact
         value lies close to a half may be rounded to the other side. Integers of 32 and 64 bits that reach further than 2¹⁶
-        (from their middle, where they lie far from zero) are computed in float64, by NumPy on the host; that takes about 4
-        times as long, 20 times where the image is turned, and beyond 2⁵³ results err by what float64 does. Floats are computed
-        in float32, about their middle where they lie far from zero: to about 10⁻⁶ of the image's range.
+        (from their middle, where they lie far from zero) are computed in float64, by NumPy on the host: about 0.05 µs a pixel
+        of the result, 2 µs where the image is turned, 10 to 100 times as long as on the device. Where they span more than 2⁵³,
+        results err as float64 does. Floats are computed in float32, about their middle where they lie far from zero: to about
+        10⁻⁶ of the image's range.
 
     Raises
     ------

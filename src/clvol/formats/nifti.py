@@ -138,7 +138,7 @@ def _parse(head: bytes, name: str) -> _Header:
     if code not in _DTYPES:
         raise FormatError(f"{name} must hold real numbers, one per voxel; its header says datatype {code}")
     if not (math.isfinite(start) and start == int(start) and start >= _FIRST):
-        raise FormatError(f"{name} must say at which byte its samples begin, {_FIRST} or later; its header says {start:g}")
+        raise FormatError(f"{name} must say where its samples begin, at byte {_FIRST} or later; its header says {start:g}")
     if slope == 0 or not math.isfinite(slope):  # the format's way of saying that there is no scale, and no offset either
         slope, offset = 1.0, 0.0
     if not math.isfinite(offset):
