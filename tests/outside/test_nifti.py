@@ -241,7 +241,7 @@ def test_samples_that_begin_past_the_end_are_not_there(tmp_path: Path) -> None:
     content = bytearray(path.read_bytes())
     struct.pack_into("<f", content, 108, 3e14)
     path.write_bytes(content)
-    with pytest.raises(FormatError, match="must hold 48 bytes of samples.*found 0$"):
+    with pytest.raises(FormatError, match=r"must hold 48 bytes of samples.*found 0$"):
         clvol.read(path)
 
 

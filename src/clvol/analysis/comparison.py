@@ -271,9 +271,7 @@ def compare(
         volume = replace(volume, data=volume.data.astype(np.float64))
     low, high = volume.value_range
     if max(-low, high) > _LARGEST:
-        raise DataError(
-            f"samples must lie within ±{_LARGEST:g}, so that float64 holds splines through them; got {low:g} to {high:g}"
-        )
+        raise DataError(f"samples must lie within ±{_LARGEST:g}, to leave room for splines; got {low:g} to {high:g}")
     if truth is None:
         if gradient is not None:
             raise OptionError("gradient must be that of a function; got it with a volume without its truth")
