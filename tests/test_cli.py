@@ -356,6 +356,21 @@ def test_info_tells_of_images_phantoms_and_nan(clvol_command: Command) -> None:
     assert clvol_command("info", "none.npy", "--fill-nan", "2", "--json").json["value_range"] == [2, 2]
 
 
+def test_info_tells_the_range_of_values_far_from_zero(clvol_command: Command) -> None:
+    for name, data, text in (
+        ("whole", np.array([[2**40 - 700, 2**40 + 4321]]), "1099511627076 1099511632097"),
+        ("wide", np.array([[2**63 + 1, 2**64 - 1]], np.uint64), f"{2**63 + 1} {2**64 - 1}"),
+        ("pressure", np.array([[101_324.8125, 101_325.0625]]), "101324.8125 101325.0625"),
+        ("pi", np.array([[-3.14159265, 3.14159265]]), "-3.14159 3.14159"),
+        ("truth", np.array([[False, True]]), "0 1"),
+        ("most", np.array([[-1.7e308, 1.7e308]]), "-1.7e+308 1.7e+308"),
+        ("least", np.array([[0.5, 0.5]]), "0.5 0.5"),
+    ):
+        np.save(f"{name}.npy", data)
+        assert f"value range: {text}\n" in clvol_command("info", f"{name}.npy").out
+    assert clvol_command("info", "whole.npy", "--json").json["value_range"] == [2**40 - 700, 2**40 + 4321]
+
+
 def test_info_of_what_is_no_volume_is_one_line(clvol_command: Command) -> None:
     Path("a.npy").write_bytes(b"not an array")
     clvol_command("info", "a.npy").fails(1, "a.npy")

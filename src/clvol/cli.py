@@ -426,7 +426,7 @@ def info(source: Source, /, *, input: Input | None = None, json: Json = False) -
     volume = (input or Input()).read(source)
     finite = volume.data.dtype.kind != "f" or bool(np.isfinite(volume.data).all())
     try:
-        value_range = list(volume.value_range)
+        value_range = list(volume.value_range if volume.data.dtype.kind == "f" else map(int, volume.limits))
     except DataError:  # nothing is finite
         value_range = None
     _say(
@@ -438,7 +438,7 @@ def info(source: Source, /, *, input: Input | None = None, json: Json = False) -
             "origin": list(volume.origin),
             "direction": volume.direction.tolist(),
             "units": volume.units,
-            "value_range": value_range,
+            "value_range": value_range if json or value_range is None else _range_text(*value_range),
             "finite": finite,
             "bytes": volume.data.nbytes,
         },
@@ -638,6 +638,15 @@ def _say(as_json: bool, what: dict[str, Any], lines: Sequence[str] = ()) -> None
     for key, value in what.items():
         if not (lines and isinstance(value, list)) and value != "":
             print(f"{key.replace('_', ' ')}: {_text(value)}")
+
+
+def _range_text(low: float, high: float) -> str:
+    """The ends of a range as people read them: integers in full, others to six digits of the range, even far from zero."""
+    if isinstance(low, int):
+        return f"{low} {high}"
+    span, largest = high - low, max(abs(low), abs(high))
+    more = math.ceil(math.log10(largest) - math.log10(span)) if 0 < span < largest else 0
+    return " ".join(f"{v:.{min(6 + more, 17)}g}" for v in (low, high))
 
 
 def _text(value: Any) -> str:

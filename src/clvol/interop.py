@@ -9,7 +9,20 @@ from numpy.typing import NDArray
 
 from clvol.errors import DataError, GeometryError, MissingDependencyError
 
-__all__ = ["Content", "Placement", "affine_parts", "from_nibabel", "from_ras", "from_simpleitk", "read_array", "simpleitk"]
+__all__ = [
+    "NIFTI_MILLIMETRES",
+    "Content",
+    "Placement",
+    "affine_parts",
+    "from_nibabel",
+    "from_ras",
+    "from_simpleitk",
+    "read_array",
+    "simpleitk",
+]
+
+NIFTI_MILLIMETRES = {0: 1.0, 1: 1e3, 2: 1.0, 3: 1e-3}
+"""Of the unit of length that NIfTI's ``xyzt_units & 7`` stands for: none, m, mm and µm."""
 
 _FLAT = 1e-4  # files keep directions in float32
 
@@ -39,7 +52,7 @@ def read_array(source: Any) -> Content:
     DataError
         Ragged or masked data, several values per voxel, or a number of axes that the kind of object does not allow.
     GeometryError
-        The affine of a nibabel image is singular or not finite.
+        The affine of a nibabel image is singular or not finite, or its unit of length unknown.
     """
     if hasattr(source, "GetSpacing") and hasattr(source, "GetDirection"):
         return from_simpleitk(source)
@@ -92,7 +105,8 @@ def from_nibabel(image: Any) -> Content:
     DataError
         A number of axes other than 2 and 3, not counting trailing axes of one sample.
     GeometryError
-        The affine is singular or not finite; an image of two axes lies across the world's xy plane.
+        The affine is singular or not finite; the unit of length is unknown; an image of two axes lies across the world's
+        xy plane.
     """
     data = np.asanyarray(image.dataobj)
     d = min(data.ndim, 3)
@@ -101,8 +115,11 @@ def from_nibabel(image: Any) -> Content:
     affine = np.asarray(image.affine, dtype=np.float64)
     if not np.isfinite(affine).all() or (np.linalg.norm(affine[:3, :3], axis=0) == 0).any():
         raise GeometryError(f"the image's affine must be finite and not singular; got {image.affine!r}")
-    unit = image.header.get_xyzt_units()[0] if hasattr(image.header, "get_xyzt_units") else "mm"
-    geometry = from_ras(affine_parts(affine[:3, :3], affine[:3, 3]), d, {"meter": 1e3, "micron": 1e-3}.get(unit, 1.0))
+    # the name that get_xyzt_units has for a unit of time, in the same number, may be missing, and says nothing about space
+    unit = int(image.header["xyzt_units"]) & 7 if hasattr(image.header, "get_xyzt_units") else 0
+    if unit not in NIFTI_MILLIMETRES:
+        raise GeometryError(f"the image must measure in m, mm or µm (xyzt_units 1, 2 or 3, or 0 for none); its header says {unit}")
+    geometry = from_ras(affine_parts(affine[:3, :3], affine[:3, 3]), d, NIFTI_MILLIMETRES[unit])
     return data.reshape(data.shape[:d]).T, geometry
 
 

@@ -17,7 +17,7 @@ from clvol.boundary import Boundary
 from clvol.filter import Filter
 from clvol.volume import Volume
 
-__all__ = ["AS_THEY_ARE", "Stored"]
+__all__ = ["AS_THEY_ARE", "Stored", "differences"]
 
 _FAR = 8  # times their range from zero samples lie that are stored less an offset: float32 then errs by 1e-6 of the range
 _EXPONENTS = 90  # samples of 2**-90 to 2**90 are stored unscaled: their 24 digits end above 2**-126, and sums fit below 2**128
@@ -91,8 +91,7 @@ class Stored:
         if self.identity:
             return data
         if data.dtype.kind in "biu":
-            wrapped = np.array([int(self.offset) % (1 << 64)], np.uint64).view(np.int64)
-            return np.asarray(data.astype(np.int64) - wrapped)  # differences fit, whatever wraps around
+            return differences(data, int(self.offset))
         wide = np.result_type(data.dtype, np.float64).type
         return np.asarray(np.ldexp(data.astype(wide) - wide(self.offset), -self.exponent))
 
@@ -116,6 +115,11 @@ class Stored:
 
 AS_THEY_ARE = Stored()
 """Values are stored unchanged."""
+
+
+def differences(data: NDArray[Any], whole: int) -> NDArray[np.int64]:
+    """Integers less a whole number, exactly, as int64; they must fit, but the integers themselves need not."""
+    return np.asarray(data.astype(np.int64) - np.array([whole % (1 << 64)], np.uint64).view(np.int64))  # modulo 2⁶⁴
 
 
 def _gain_exponent(filter: Filter) -> int:

@@ -48,7 +48,7 @@ def test_light_through_thousands_of_thin_samples(device: Device, opacity: float)
     for step in (0.37, 1.0):
         drawn = draw(device, length, fog(opacity, 1.0), step=step, shading=False)["rgba"][4, 4].astype(np.float64)
         np.testing.assert_allclose(drawn[3], opacity_of(opacity, length), rtol=1e-5)
-        np.testing.assert_allclose(drawn[:3], 1, rtol=2e-4)  # colours are summed without what rounding leaves
+        np.testing.assert_allclose(drawn[:3], 1, rtol=2e-4)  # colours are summed without Kahan's correction
 
 
 @pytest.mark.parametrize("opacity", [0.05, 0.2, 0.7, 0.99, 1 - 1e-6])

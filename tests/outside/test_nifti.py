@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import math
 import struct
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -169,9 +170,18 @@ def test_units(tmp_path: Path, codes: tuple[int, int], code: int, millimetres: f
     assert_as_nibabel(nifti(tmp_path / "v.nii", codes=codes, xyzt_units=(code,)), millimetres)
 
 
-def test_unknown_units_are_an_error(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="xyzt_units"):
-        clvol.read(nifti(tmp_path / "v.nii", xyzt_units=(5,)))
+@pytest.mark.parametrize("code", [4, 5, 6, 7, 7 + 16])
+def test_unknown_units_are_an_error_by_every_way_in(tmp_path: Path, code: int) -> None:
+    path = nifti(tmp_path / "v.nii", xyzt_units=(code,))
+    with pytest.raises(FormatError, match="xyzt_units 1, 2 or 3"):
+        clvol.read(path)
+    with pytest.raises(GeometryError, match="xyzt_units 1, 2 or 3"):
+        clvol.Volume(nibabel.load(path))
+
+
+@pytest.mark.parametrize("code", [2 + 56, 3 + 64, 1 + 248])
+def test_an_unknown_unit_of_time_says_nothing_about_space(tmp_path: Path, code: int) -> None:
+    assert_as_nibabel(nifti(tmp_path / "v.nii", xyzt_units=(code,)), {1: 1e3, 2: 1.0, 3: 1e-3}[code & 7])
 
 
 # -- samples ---------------------------------------------------------------------------------------------------------
@@ -214,6 +224,40 @@ def test_wide_integers_keep_every_bit(tmp_path: Path, code: tuple[int, str]) -> 
 @pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
 def test_extensions_before_the_samples_are_skipped(tmp_path: Path, suffix: str, start: int) -> None:
     assert_as_nibabel(nifti(tmp_path / f"v{suffix}", vox_offset=(float(start),)))
+
+
+@pytest.mark.parametrize("start", [348, 349, 351])
+@pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
+def test_samples_do_not_begin_in_the_four_bytes_after_the_header(tmp_path: Path, suffix: str, start: int) -> None:
+    path = nifti(tmp_path / f"v{suffix}", vox_offset=(float(start),))
+    with pytest.raises(FormatError, match=f"352 or later; its header says {start}"):
+        clvol.read(path)
+    with pytest.raises(nibabel.spatialimages.HeaderDataError, match="vox offset"):
+        nibabel.load(path)
+
+
+def test_samples_that_begin_past_the_end_are_not_there(tmp_path: Path) -> None:
+    path = nifti(tmp_path / "v.nii")
+    content = bytearray(path.read_bytes())
+    struct.pack_into("<f", content, 108, 3e14)
+    path.write_bytes(content)
+    with pytest.raises(FormatError, match=r"must hold 48 bytes of samples.*found 0$"):
+        clvol.read(path)
+
+
+def test_a_packed_file_is_counted_before_room_for_much_more_is_made(tmp_path: Path) -> None:
+    """A quarter of a megabyte of gzip could hold the 250 MB that this header promises, and holds less."""
+    path = nifti(tmp_path / "v.nii", datatype=(2, 8), dim=(3, 500, 500, 1000, 1, 1, 1, 1))
+    noise = np.random.default_rng(0).bytes(1 << 18)
+    packed = tmp_path / "v.nii.gz"
+    packed.write_bytes(gzip.compress(path.read_bytes() + noise))
+    tracemalloc.start()
+    try:
+        with pytest.raises(FormatError, match="must hold 250000000 bytes of samples"):
+            clvol.read(packed)
+        assert tracemalloc.get_traced_memory()[1] < 1 << 24
+    finally:
+        tracemalloc.stop()
 
 
 @pytest.mark.parametrize(

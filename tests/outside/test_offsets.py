@@ -292,6 +292,56 @@ def test_pictures_of_integers_far_from_zero_come_back(device: Device, kind: type
     assert (differences[4:-4, 4:-4] == at).mean() > 0.99
 
 
+@pytest.mark.parametrize("kind", [np.int32, np.uint32, np.int64, np.uint64], ids=lambda k: k.__name__)
+def test_pictures_of_one_integer_stay_so(device: Device, kind: type[np.generic]) -> None:
+    limits = np.iinfo(kind)  # type: ignore[type-var]
+    for value in (limits.min, limits.max, limits.max // 2 + 1, limits.max - 1):
+        picture = np.full((9, 7), value, kind)
+        for name in ("bspline3", "bspline5", "linear"):
+            assert (clvol.images.zoom(picture, 2.3, name, device=device) == value).all()
+        turned = clvol.images.rotate(picture, 30, shape=(21, 21), fill=3, device=device)
+        assert set(turned.ravel().tolist()) == {value, 3} or value == 3
+
+
+@pytest.mark.parametrize(("kind", "start"), [(np.uint64, 2**63), (np.int64, 2**61), (np.int64, -(2**62))], ids=str)
+def test_the_range_of_pictures_of_integers_decides_how_exact_they_are(device: Device, kind: type[np.generic], start: int) -> None:
+    """A range of 2⁴⁰ needs 40 of the digits of float64, wherever it lies."""
+    steps = np.random.default_rng(6).integers(-(2**39), 2**39, (30, 31))
+    picture = np.array([[start + int(v) for v in row] for row in steps], dtype=kind)
+    finer = clvol.images.zoom(picture, 2, device=device)
+    smooth = ndimage.zoom(steps.astype(np.float64), 2, order=3, mode="mirror", grid_mode=True)
+    differences = np.array([[int(v) - start for v in row] for row in finer])
+    assert np.abs(differences - np.rint(smooth))[4:-4, 4:-4].max() <= 1
+    assert_array_equal(clvol.images.zoom(picture, 3, device=device)[1::3, 1::3], picture)
+
+
+@pytest.mark.parametrize("low", [0, 5 - 2**62, -(2**63)], ids=str)
+def test_pictures_of_the_widest_range_do_not_wrap(device: Device, low: int) -> None:
+    """From one end of the type to the other, and beyond both by the overshoot of a spline."""
+    kind, high = (np.uint64, 2**64 - 1) if low == 0 else (np.int64, 2**63 - 1)
+    picture = np.array([[low] * 6 + [high] * 6] * 8, dtype=kind)
+    for got in (clvol.images.zoom(picture, 3, device=device), clvol.images.zoom(picture[:, ::-1], 3, device=device)[:, ::-1]):
+        rows = [[int(v) for v in row] for row in got]
+        assert all(v - low < (high - low) // 4 for row in rows for v in row[:16])
+        assert all(high - v < (high - low) // 4 for row in rows for v in row[-16:])
+        off = [abs(int(v) - int(w)) for v, w in zip(got[1::3, 1::3].flat, picture.flat, strict=True)]
+        assert max(off) < 2**16  # of 2⁶⁴, from rounding of positions
+
+
+@pytest.mark.parametrize("kind", [np.uint16, np.int16, np.int32], ids=lambda k: k.__name__)
+def test_between_the_pixels_integers_are_within_one(device: Device, kind: type[np.generic]) -> None:
+    """Where float32 decides to which side what lies close to a half is rounded."""
+    low, high = (-(2**15), 2**15) if kind is np.int32 else (np.iinfo(kind).min, np.iinfo(kind).max)  # type: ignore[type-var]
+    picture = np.random.default_rng(7).integers(low, high, (60, 61)).astype(kind)
+    got = clvol.images.zoom(picture, 1.7, device=device).astype(np.int64)
+    rows, columns = (((np.arange(m) + 0.5) * n / m - 0.5)[4:-4] for m, n in zip(got.shape, picture.shape, strict=True))
+    at = np.stack(np.meshgrid(rows, columns, indexing="ij"))
+    limits = np.iinfo(kind)  # type: ignore[type-var]
+    truth = np.clip(ndimage.map_coordinates(picture.astype(np.float64), at, order=3, mode="mirror"), limits.min, limits.max)
+    assert np.abs(got[4:-4, 4:-4] - truth).max() < 0.52
+    assert (got[4:-4, 4:-4] == np.rint(truth)).mean() > 0.98
+
+
 def test_turned_pictures_of_large_integers_are_those_of_scipy(device: Device) -> None:
     picture = np.random.default_rng(5).integers(-(2**31), 2**31, (40, 31)).astype(np.int32)
     got = clvol.images.rotate(picture, 30, "linear", fill=17, device=device)

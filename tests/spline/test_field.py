@@ -18,6 +18,7 @@ from clvol.filter import as_filter, bspline, register
 from clvol.phantoms import marschner_lobb, marschner_lobb_function, marschner_lobb_gradient
 from clvol.spline.evaluator import Evaluator, choose_evaluator
 from clvol.spline.field import Field, as_field, magnify, prefilter, resample, sample
+from clvol.stored import Stored
 from clvol.volume import Volume
 from tests.cases import DEGREES, RMSE
 
@@ -534,3 +535,12 @@ def test_rows_end_in_numbers(device: Device) -> None:
         stored = np.full(field.nbytes // 4, np.nan, np.float32)
         device.download(field.coefficients.buffer, stored)
         assert not stored[-8:].any()
+
+
+def test_samples_that_are_stored_as_they_are_are_copied_at_once(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A volume of any layout in one call of NumPy, not slice by slice through the map to stored units."""
+    data = np.random.default_rng(8).random((5, 6, 7))
+    want = prefilter(data, "linear", device=device)
+    monkeypatch.setattr(Stored, "samples", lambda *_: pytest.fail("samples were mapped one slice at a time"))
+    for layout in (np.asfortranarray(data), np.repeat(data, 2, 0)[::2], data.astype(">f8"), data[:, ::-1][:, ::-1]):
+        np.testing.assert_array_equal(prefilter(layout, "linear", device=device), want)

@@ -39,6 +39,7 @@ _SINC_PRODUCTS = 1 << 34  # of the exact sinc at scattered points: each takes al
 _SHARE = 0.9  # of the progress: errors, if times are measured too
 _DIRECTED = 0.01  # of the largest gradient: below it no direction can be seen
 _NUMPY = "NumPy, float64"
+_LARGEST = 1e305  # samples: coefficients of splines through them, and gradients, are up to some hundred times as large
 
 EXACT_SINC: Final = "exact-sinc"
 """The name of the exact sinc, `clvol.analysis.dirichlet_sample`, wherever filters are compared.
@@ -248,7 +249,7 @@ def compare(
     OptionError
         An unknown name, a number outside its bounds, or a function that fails or does not give finite numbers.
     DataError
-        NaN or infinite samples.
+        NaN or infinite samples, or some beyond ±10³⁰⁵: float64 does not hold the coefficients of splines through them.
     OutOfMemoryError
         More samples or points than fit into memory.
     """
@@ -269,8 +270,8 @@ def compare(
         volume.require_finite()
         volume = replace(volume, data=volume.data.astype(np.float64))
     low, high = volume.value_range
-    if not math.isfinite(high - low):
-        raise DataError(f"samples must span a finite range; got {low:g} to {high:g}")
+    if max(-low, high) > _LARGEST:
+        raise DataError(f"samples must lie within ±{_LARGEST:g}, to leave room for splines; got {low:g} to {high:g}")
     if truth is None:
         if gradient is not None:
             raise OptionError("gradient must be that of a function; got it with a volume without its truth")

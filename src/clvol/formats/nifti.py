@@ -19,13 +19,14 @@ from numpy.typing import NDArray
 from clvol.errors import FormatError
 from clvol.formats import _itk
 from clvol.formats._files import gunzipped_size, require_bytes, scaled
-from clvol.interop import Content, Placement, affine_parts, from_ras
+from clvol.interop import NIFTI_MILLIMETRES, Content, Placement, affine_parts, from_ras
 from clvol.volume import Volume
 
 __all__ = ["check", "read", "write"]
 
 _IO = "NiftiImageIO"
 _HEADER_BYTES = 348
+_FIRST = 352  # where samples may begin: four bytes after the header say whether extensions follow
 _DTYPES = {
     2: "uint8",
     4: "int16",
@@ -38,9 +39,9 @@ _DTYPES = {
     1024: "int64",
     1280: "uint64",
 }
-_MOST_PACKED = 1032  # bytes that one byte of gzip can hold
+_TRUSTED = 1 << 26  # bytes of samples that are believed of any packed file
+_PACKED = 20  # and for every byte of it; beyond, they are counted first, for gzip packs up to 1032 into one
 _PLACED = range(1, 6)  # codes of a sform or qform that says where the grid lies; nibabel takes any other for 0, nowhere
-_MILLIMETRES = {0: 1.0, 1: 1e3, 2: 1.0, 3: 1e-3}  # no unit, m, mm, µm
 _ROUNDING = 3 * float(np.finfo(np.float32).eps)  # of a quaternion's squared length in float32; nibabel's number
 
 Vector = NDArray[np.float64]
@@ -67,8 +68,9 @@ def read(path: Path) -> Content:
     """Samples, scaled as the header says, and geometry, turned from NIfTI's RAS to ITK's LPS; both as nibabel has them."""
     with _opened(path) as stream:
         header = _parse(stream.read(_HEADER_BYTES), path.name)
-        if header.end > path.stat().st_size * (_MOST_PACKED if _packed(path) else 1):
-            check(path)  # raises before memory is asked for that the samples cannot fill
+        size = path.stat().st_size
+        if header.end > (max(_TRUSTED, _PACKED * size) if _packed(path) else size):
+            check(path)  # raises before memory is asked for that the samples do not fill
         raw = np.empty(header.end - header.start, np.uint8)
         stream.seek(header.start)
         found = _fill(raw, stream)
@@ -97,7 +99,7 @@ def check(path: Path) -> _itk.Header:
             found = gunzipped_size(file, header.end)
     else:
         found = path.stat().st_size
-    require_bytes(path.name, found - header.start, header.size[::-1], header.dtype)
+    require_bytes(path.name, max(0, found - header.start), header.size[::-1], header.dtype)
     return _itk.Header(header.size)
 
 
@@ -135,8 +137,8 @@ def _parse(head: bytes, name: str) -> _Header:
         raise FormatError(f"{name} must hold one volume; its header says {counts[:rank]} samples: write them as separate files")
     if code not in _DTYPES:
         raise FormatError(f"{name} must hold real numbers, one per voxel; its header says datatype {code}")
-    if not (math.isfinite(start) and start == int(start) and start >= _HEADER_BYTES):
-        raise FormatError(f"{name} must say where its samples begin, after the header; it says {start}")
+    if not (math.isfinite(start) and start == int(start) and start >= _FIRST):
+        raise FormatError(f"{name} must say where its samples begin, at byte {_FIRST} or later; its header says {start:g}")
     if slope == 0 or not math.isfinite(slope):  # the format's way of saying that there is no scale, and no offset either
         slope, offset = 1.0, 0.0
     if not math.isfinite(offset):
@@ -151,9 +153,9 @@ def _parse(head: bytes, name: str) -> _Header:
     else:
         placed = _by_pixdim(np.abs(pixdim), (*size, 1)[:3])
     unit = head[123] & 7
-    if unit not in _MILLIMETRES:
+    if unit not in NIFTI_MILLIMETRES:
         raise FormatError(f"{name} must measure in m, mm or µm (xyzt_units 1, 2 or 3, or 0 for none); its header says {unit}")
-    geometry = from_ras(placed, len(size), _MILLIMETRES[unit])
+    geometry = from_ras(placed, len(size), NIFTI_MILLIMETRES[unit])
     return _Header(size, np.dtype(_DTYPES[code]).newbyteorder(order), int(start), slope, offset, geometry)
 
 

@@ -118,8 +118,12 @@ class Coefficients:
         readable = plain and kind is not None and (kind != "double" or device.has_double)
         if device.kind != "cpu" or not readable or not self.stored.identity:
             with device.mapped(self.buffer, self.shape, write=True) as room:
-                for target, slice_ in zip(room[self.inner], data.reshape(sizes[::-1]), strict=True):
-                    np.copyto(target, self.stored.samples(slice_), casting="unsafe")
+                samples, inner = data.reshape(sizes[::-1]), room[self.inner]
+                if self.stored.identity:
+                    np.copyto(inner, samples, casting="unsafe")
+                else:  # slice by slice, for each is made anew and wider
+                    for target, slice_ in zip(inner, samples, strict=True):
+                        np.copyto(target, self.stored.samples(slice_), casting="unsafe")
             return
         assert kind is not None  # it is readable
         kernel = self._build(kind).kernel("copy_samples")
