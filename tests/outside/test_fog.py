@@ -31,7 +31,8 @@ def draw(device: Device, length: int, transfer: clvol.TransferFunction, **option
 @pytest.mark.parametrize("tile", TILES)
 @pytest.mark.parametrize("unit", [1.0, 40.0])
 @pytest.mark.parametrize(
-    "opacity", [1e-12, 1e-9, 1e-8, 3e-8, 1e-7, 1e-6, 3e-5, 1e-3, 0.013, 0.03, 0.05, 0.3, 0.9, 0.995, 1 - 1e-4, 1 - 1e-6]
+    "opacity",
+    [1e-12, 1e-9, 1e-8, 3e-8, 1e-7, 1e-6, 3e-5, 1e-3, 0.013, 0.03, 0.05, 0.3, 0.9, 0.995, 1 - 1e-4, 1 - 1e-6, 1 - 1e-8, 1 - 1e-12],
 )
 def test_opacity(device: Device, opacity: float, unit: float, tile: str) -> None:
     with device.limited(tile=TILES[tile]):
@@ -42,13 +43,21 @@ def test_opacity(device: Device, opacity: float, unit: float, tile: str) -> None
             np.testing.assert_allclose(drawn[seen], opacity_of(opacity, 17 / unit), rtol=1e-5)
 
 
+@pytest.mark.parametrize("opacity", [1 - 1e-6, 1 - 1e-8, 1 - 1e-12, 1.0])
+def test_thin_slabs_of_what_is_all_but_opaque(device: Device, opacity: float) -> None:
+    """0.1 thick, cut by a clip box: float32 holds 1 - 1e-8 as 1, and it was drawn as opaque."""
+    box = ((-1, 3.0, -1), (3, 3.1, 3))
+    drawn = draw(device, 17, fog(opacity, 1.0), clip=box, shading=False)["rgba"][4, 4, 3]
+    np.testing.assert_allclose(drawn, opacity_of(opacity, 0.1) if opacity < 1 else 1.0, rtol=1e-5)
+
+
 @pytest.mark.parametrize("opacity", [1e-12, 1e-8, 2.3e-8, 1e-6, 1e-4, 1e-3])
 def test_light_through_thousands_of_thin_samples(device: Device, opacity: float) -> None:
     length = 3000
     for step in (0.37, 1.0):
         drawn = draw(device, length, fog(opacity, 1.0), step=step, shading=False)["rgba"][4, 4].astype(np.float64)
         np.testing.assert_allclose(drawn[3], opacity_of(opacity, length), rtol=1e-5)
-        np.testing.assert_allclose(drawn[:3], 1, rtol=2e-4)  # colours are summed without what rounding leaves
+        np.testing.assert_allclose(drawn[:3], 1, rtol=2e-4)  # colours are summed without Kahan's correction
 
 
 @pytest.mark.parametrize("opacity", [0.05, 0.2, 0.7, 0.99, 1 - 1e-6])

@@ -141,3 +141,10 @@ def test_what_is_no_pixel_filter_is_refused(device: Device) -> None:
     ):
         with pytest.raises(OptionError, match=message):
             clvol.render(np.ones((3, 3, 3)), size=(4, 4), samples=4, pixel_filter=choice, device=device)
+
+
+def test_it_is_refused_before_any_work() -> None:
+    """(It was refused behind the upload, which here finds that a sample is NaN.)"""
+    data = np.full((3, 3, 3), np.nan)
+    with pytest.raises(OptionError, match="pixel_filter must be a filter without a prefilter"):
+        clvol.render(data, pixel_filter="bspline3")

@@ -377,7 +377,8 @@ def render(
     ndarray of float32, shape (height, width, 4)
         Red, green, blue and opacity in 0..1, or a dictionary for several `outputs`.
     """
-    as_mode(mode, {name: value for name, value in options.items() if name not in _KEYWORDS}, _KEYWORDS)  # before any work
+    as_mode(mode, {name: value for name, value in options.items() if name not in _KEYWORDS}, _KEYWORDS)  # before any work,
+    as_pixel_filter(options.get("pixel_filter", DEFAULT_PIXEL_FILTER))  # and so is this
     with Renderer(scene, filter, boundary, device) as renderer:
         return renderer.render(camera, mode, size, step, outputs=outputs, **options)  # type: ignore[arg-type]  # either
 
