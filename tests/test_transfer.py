@@ -31,9 +31,7 @@ ODD = TransferFunction(
 MANY = TransferFunction.from_cmap("viridis", (0, 1), [(0.30003, 0.0), (0.5, 0.3), (0.70001, 0.0)])
 
 
-def looked_up(
-    transfer: TransferFunction, values: NDArray[np.float32], stored: Stored = AS_THEY_ARE
-) -> NDArray[np.float64]:
+def looked_up(transfer: TransferFunction, values: NDArray[np.float32], stored: Stored = AS_THEY_ARE) -> NDArray[np.float64]:
     """Colours and opacities of stored values, from what kernels read."""
     block, table = transfer.block(1.0, stored), transfer.table(stored).astype(np.float64)
     assert transfer.table(stored).dtype == np.float32

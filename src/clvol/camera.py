@@ -19,7 +19,7 @@ __all__ = ["Camera", "View"]
 
 _PROJECTIONS = ("perspective", "orthographic")
 _FARTHEST = 1e20  # mean spacings from a volume's centre: no number that kernels read overflows
-_ALONG = 16  # times as many voxels as points may lie off their rays, they may be moved along them
+_ALONG = 16  # times as far as off their rays, points may be moved along them
 Vector = NDArray[np.float64]
 
 
@@ -75,7 +75,8 @@ class View:
         aside = math.hypot(*(to_center - ahead * self.forward))  # which overflows for no camera
         if not math.hypot(ahead, aside) <= _FARTHEST * volume.mean_spacing:
             raise GeometryError(
-                f"the camera must stand within {_FARTHEST:g} mean spacings of the volume's centre, which float32 holds; got {self.eye}"
+                f"the camera must stand within {_FARTHEST:g} mean spacings of the volume's centre, which float32 holds; "
+                f"got {self.eye}"
             )
         if self.orthographic:
             seen = aside - volume.radius <= corner
@@ -94,11 +95,12 @@ class View:
         # Each coordinate is rounded by itself, which moves a point off its ray as far as the ray turns from that axis.
         off = self._turns(inverse, aspect)
         astray = float(np.linalg.norm(off * middle)) + spread * max(float(np.linalg.norm(off * v)) for v in across)
-        if not (astray <= REACH and reach <= _ALONG * REACH):
+        span = max(astray, reach / _ALONG)
+        if not span <= REACH:
             raise GeometryError(
-                f"a picture must span no more than {REACH} voxels from the volume's centre to its own corners, or {_ALONG} times as "
-                "many where they are moved along rays, or float32 errs by more than 1/16 of a voxel or by a voxel along the ray; fov "
-                f"and zoom, the camera's place and the spacings {volume.spacing} give {astray:.3g} and {reach:.3g}"
+                f"a picture must span no more than {REACH} voxels from the volume's centre to its own corners, or float32 errs by "
+                f"more than 1/16 of a voxel (by a voxel along rays, where 1/{_ALONG} counts); fov and zoom, the camera's place and "
+                f"the spacings {volume.spacing} give {span:.3g}"
             )
         return max(own, reach)
 

@@ -193,8 +193,7 @@ def _laid_out(transfer: TransferFunction, stored: Stored) -> _Layout:
 
 
 def _equal_cells(at: NDArray[np.float64]) -> int:
-    """The largest number of equal cells whose edges all points are, each its own; 0 if there are too many, or float32 does not
-    hold them."""
+    """The largest number of equal cells whose edges all points are, each its own; 0 if none does, or float32 does not hold them."""
     low, high = at[0], at[-1]
     if low == high:
         return _CELLS

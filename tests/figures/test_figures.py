@@ -76,7 +76,9 @@ def test_the_ray_of_figure_1_is_lit_far_from_zero(monkeypatch: pytest.MonkeyPatc
         tuple((v + far, rest) for v, rest in points) for points in (pipeline._TRANSFER.colors, pipeline._TRANSFER.opacities)
     )
     monkeypatch.setattr(pipeline, "_TRANSFER", TransferFunction(colors, opacities))
-    moved = pipeline.follow(Volume(volume.data.astype(np.float64) + far, volume.spacing, volume.origin), "bspline3", (40, 32), (20, 16))
+    moved = pipeline.follow(
+        Volume(volume.data.astype(np.float64) + far, volume.spacing, volume.origin), "bspline3", (40, 32), (20, 16)
+    )
     np.testing.assert_allclose(moved.colors, plain.colors, atol=1e-4)
 
 

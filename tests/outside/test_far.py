@@ -110,7 +110,6 @@ UNEQUAL = [
     (64, (1e-4, 1, 1), "orthographic"),
     (16, (1e-5, 1, 1), "perspective"),
     (24, (1, 1e-4, 1), "perspective"),
-    (24, (1e-3, 1e-3, 1), "perspective"),
 ]
 
 
@@ -118,7 +117,7 @@ UNEQUAL = [
 def test_unequal_spacings_move_nothing_off_its_ray(
     device: Device, side: int, spacing: tuple[float, float, float], projection: Any
 ) -> None:
-    """By the default camera: positions lie on the rays within 1/16 of a voxel, and within a voxel of a face of the cube drawn.
+    """By the default camera: positions lie on the rays within 1/16 of a voxel, and within a voxel of the volume.
 
     (Volumes 10⁴ times as thin along the view as across were refused for what moves samples along their rays alone.)
     """
@@ -156,7 +155,7 @@ def test_cameras_as_far_as_float64_reaches_are_refused(device: Device) -> None:
     """(Squares of 1e155 overflow: "cannot convert float NaN to integer".)"""
     for position in ((1e155, 1e155, 0.0), (1e300, -1e300, 1e300), (-1.7e308, 0.0, 0.0)):
         for target in (None, (1.7e308, 0.0, 0.0)):
-            with pytest.raises(GeometryError, match="must stand within 1e[+]20|must lie within"):
+            with pytest.raises(GeometryError, match=r"must stand within 1e\+20|must lie within"):
                 clvol.render(ball((0, 0, 0)), Camera.look_at(position, target), "mip", size=(8, 8), device=device)
 
 
