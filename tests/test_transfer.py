@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from clvol import phantoms
 from clvol.errors import ClvolError, OptionError
+from clvol.stored import AS_THEY_ARE, Stored
 from clvol.transfer import TransferFunction, otsu_threshold
 from clvol.volume import Volume
 
@@ -30,12 +31,10 @@ ODD = TransferFunction(
 MANY = TransferFunction.from_cmap("viridis", (0, 1), [(0.30003, 0.0), (0.5, 0.3), (0.70001, 0.0)])
 
 
-def looked_up(
-    transfer: TransferFunction, values: NDArray[np.float32], offset: float = 0.0, exponent: int = 0
-) -> NDArray[np.float64]:
+def looked_up(transfer: TransferFunction, values: NDArray[np.float32], stored: Stored = AS_THEY_ARE) -> NDArray[np.float64]:
     """Colours and opacities of stored values, from what kernels read."""
-    block, table = transfer.block(1.0, offset, exponent), transfer.table(offset, exponent).astype(np.float64)
-    assert transfer.table(offset, exponent).dtype == np.float32
+    block, table = transfer.block(1.0, stored), transfer.table(stored).astype(np.float64)
+    assert transfer.table(stored).dtype == np.float32
     if not block["pieces"]:
         nodes = table[: 4 * (int(block["last"]) + 1)].reshape(-1, 4)
         place = (values.astype(np.float64) - block["low"]) * block["scale"]
@@ -54,12 +53,13 @@ def looked_up(
 def test_what_kernels_read_is_the_function(transfer: TransferFunction, pieces: int, offset: float, exponent: int) -> None:
     low, high = transfer.value_range
     values = np.concatenate([np.random.default_rng(0).uniform(low - 0.2, high + 0.2, 5000), [p[0] for p in transfer.colors]])
+    way = Stored(offset, exponent)
     stored = np.ldexp(values - offset, -exponent).astype(np.float32)
     back = np.ldexp(stored.astype(np.float64), exponent) + offset
     if exponent < 100:  # else they are hardly numbers of float32
-        assert transfer.block(1.0, offset, exponent)["pieces"] == pieces
-        np.testing.assert_allclose(looked_up(transfer, stored, offset, exponent), transfer(back), rtol=0, atol=3e-6)
-    assert np.isfinite(looked_up(transfer, stored, offset, exponent)).all()
+        assert transfer.block(1.0, way)["pieces"] == pieces
+        np.testing.assert_allclose(looked_up(transfer, stored, way), transfer(back), rtol=0, atol=3e-6)
+    assert np.isfinite(looked_up(transfer, stored, way)).all()
 
 
 def test_equal_nodes_serve_points_that_lie_on_them() -> None:

@@ -180,11 +180,11 @@ INLINE int transparent(constant frame_t *frame, global const float4 *table, floa
     return frame->transfer.pieces ? transparent_by_pieces(frame, table, low, high) : transparent_by_nodes(frame, table, low, high);
 }
 
-// The logarithm to the base 2 of the share of light that comes through matter `thickness` unit distances thick, given its colour
-// for one.
+// The logarithm to the base 2 of the share of light that matter of this colour lets through when it is `thickness` unit distances
+// thick.
 INLINE real log_light(color_t color, real thickness)
 {
     const mask thin = color.opacity < 0.25f;   // there 1 - opacity has lost some of it
     const real light = thickness * log_2_of(MAX(color.clear, (real)(1e-30f)), thin, -color.opacity);
-    return choose(color.opacity < 1.0f, light, -NOWHERE);
+    return choose(color.clear > 0.0f, light, -NOWHERE);
 }

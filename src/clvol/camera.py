@@ -18,6 +18,8 @@ from clvol.volume import Volume
 __all__ = ["Camera", "View"]
 
 _PROJECTIONS = ("perspective", "orthographic")
+_FARTHEST = 1e20  # mean spacings from a volume's centre: no number that kernels read overflows
+_ALONG = 16  # times as far as off their rays, points may be moved along them
 Vector = NDArray[np.float64]
 
 
@@ -58,17 +60,24 @@ class View:
     def reach(self, volume: Volume, aspect: float) -> float:
         """How many voxels the positions count that rays through the volume are computed from; at least those of its longest axis.
 
-        They are rounded to float32: the points drawn err by up to 2⁻²² of this.
+        They are rounded to float32: the points drawn err by up to 2⁻²² of this, most of it along their rays where the volume is
+        much thinner along the view than across.
 
         Raises
         ------
         GeometryError
-            It is more than `REACH`.
+            Points would err by more than 1/16 of a voxel off their rays, or by more than a voxel along them; or the camera stands
+            too far away for float32.
         """
         size, inverse, to_center = np.asarray(volume.size), volume.world_to_index_matrix, volume.center - self.eye
         corner = self.half_height * np.hypot(aspect, 1)
         ahead = float(to_center @ self.forward)
-        aside = float(np.linalg.norm(to_center - ahead * self.forward))
+        aside = math.hypot(*(to_center - ahead * self.forward))  # which overflows for no camera
+        if not math.hypot(ahead, aside) <= _FARTHEST * volume.mean_spacing:
+            raise GeometryError(
+                f"the camera must stand within {_FARTHEST:g} mean spacings of the volume's centre, which float32 holds; "
+                f"got {self.eye}"
+            )
         if self.orthographic:
             seen = aside - volume.radius <= corner
             spread = 1.0
@@ -83,12 +92,28 @@ class View:
         across = [inverse @ (self.half_height * (a * aspect * self.right + self.up)) for a in (-1, 1)]
         middle = inverse @ (to_center - ahead * self.forward)
         reach = float(np.linalg.norm(middle)) + spread * max(float(np.linalg.norm(v)) for v in across)
-        if reach > REACH:
+        # Each coordinate is rounded by itself, which moves a point off its ray as far as the ray turns from that axis.
+        off = self._turns(inverse, aspect)
+        astray = float(np.linalg.norm(off * middle)) + spread * max(float(np.linalg.norm(off * v)) for v in across)
+        span = max(astray, reach / _ALONG)
+        if not span <= REACH:
             raise GeometryError(
                 f"a picture must span no more than {REACH} voxels from the volume's centre to its own corners, or float32 errs by "
-                f"more than 1/16 of a voxel; fov and zoom or the camera's place give {reach:.3g}"
+                f"more than 1/16 of a voxel (by a voxel along rays, where 1/{_ALONG} counts); fov and zoom, the camera's place and "
+                f"the spacings {volume.spacing} give {span:.3g}"
             )
         return max(own, reach)
+
+    def _turns(self, inverse: Vector, aspect: float) -> Vector:
+        """The sine of the largest angle between any ray and each axis, in index space; (3,)."""
+        corner = 0.0 if self.orthographic else self.half_height
+        rays = np.stack(
+            [inverse @ (self.forward + corner * (a * aspect * self.right + b * self.up)) for a in (-1, 1) for b in (-1, 1)]
+        )
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        # on one side of an axis, the ray that turns farthest from it is one of the corners'
+        one_side = (rays > 0).all(0) | (rays < 0).all(0)
+        return np.where(one_side, np.linalg.norm(rays[:, [[1, 2], [2, 0], [0, 1]]], axis=-1).max(0), 1.0)
 
     def block(self, volume: Volume, width: int, height: int) -> Values:
         """What kernels read: rays in index space as linear functions of the pixel, (0, 0) top left.
@@ -242,7 +267,11 @@ class Camera:
         if self.position is None:
             forward = np.asarray(self.direction) / math.hypot(*self.direction)  # hypot does not underflow
         else:
-            forward = target - np.asarray(self.position)
+            with np.errstate(over="ignore"):
+                forward = target - np.asarray(self.position)
+            if not np.isfinite(forward).all():
+                raise GeometryError(f"position must lie within 1.8e308 of its target, which float64 holds; got {self.position}")
+            forward = np.ldexp(forward, -math.frexp(float(np.abs(forward).max()))[1])  # so that no square overflows
             length = float(np.linalg.norm(forward))
             if not length:
                 raise GeometryError(f"position and target must differ, or there is no direction of view; got {self.position} twice")

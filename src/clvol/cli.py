@@ -89,7 +89,7 @@ class Look:
         0.5
     )
     samples: Annotated[int, Parameter(help="Rays a pixel.", converter=_whole)] = 1
-    pixel_filter: Annotated[str, Parameter(help="What several rays a pixel sample; see 'clvol filters'.")] = "linear"
+    pixel_filter: Annotated[str, Parameter(help="What several rays a pixel sample: a filter without a prefilter.")] = "linear"
     cmap: Annotated[str | None, Parameter(help="Colour map by name, instead of the automatic colours.")] = None
     value_range: Annotated[tuple[float, float] | None, Parameter(help="Values that the colour map spans.")] = None
     opacity: Annotated[

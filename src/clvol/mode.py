@@ -20,7 +20,7 @@ from clvol.checks import number, one_of
 from clvol.color import color_of
 from clvol.errors import OptionError
 from clvol.stored import AS_THEY_ARE, Stored
-from clvol.transfer import TransferFunction, otsu_threshold
+from clvol.transfer import TransferFunction, otsu_threshold, share_of
 from clvol.uniform import FLOAT, Block, Values
 from clvol.volume import Volume
 
@@ -96,7 +96,7 @@ class Mode:
         if self.ramp is None:
             return TransferFunction.automatic(volume)
         low, high = volume.value_range
-        return TransferFunction.ramp((low, low + self.ramp * (high - low)))
+        return TransferFunction.ramp((low, share_of(low, high, self.ramp)))
 
     def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002  # most modes depend on no volume
         """What its kernel reads, for one volume whose values are stored in this way; of a mode that is settled."""

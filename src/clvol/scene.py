@@ -54,7 +54,8 @@ class Medium:
         The volume does not have three axes, or no filter or boundary has this name.
     GeometryError
         Its spacings differ by a factor of more than 10⁶, or lie outside 10⁻³⁰ to 10³⁰, or an axis has more than 2¹⁸ samples:
-        float32 could not tell samples apart. (`clvol.sample` and `Field` count in double where the device can.)
+        float32 could not tell samples apart. (`clvol.sample` and `Field` count in double where the device can. Whether spacings
+        that differ by less are too unequal for a picture depends on the view: see `Renderer.render`.)
     """
 
     volume: Volume

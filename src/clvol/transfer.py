@@ -15,10 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.checks import number, reals
 from clvol.color import color_of
 from clvol.errors import OptionError
+from clvol.stored import AS_THEY_ARE, Stored
 from clvol.uniform import FLOAT, INT, Block, Values
 from clvol.volume import Volume, as_volume
 
-__all__ = ["TransferFunction", "otsu_threshold"]
+__all__ = ["TransferFunction", "otsu_threshold", "share_of"]
 
 Made = TypeVar("Made")
 
@@ -30,6 +31,7 @@ _FEW = 16  # pieces that are found by comparing a value with all of them ...
 _AT_ONCE = 4  # ... so many at a time
 _FAR = 1.5e38  # of float32: no difference of two values within overflows
 _STEEPEST = 3e38
+_LARGEST = float(np.finfo(np.float64).max)
 _CMAP_NODES = 64
 _BINS = 512
 _MIN_TOP = 1e-12  # of the range: what lies below is one value, and the histogram covers all
@@ -98,7 +100,10 @@ class TransferFunction:
             raise OptionError(
                 f"colour map {name!r} is not known to the cmap package; try 'gray', 'viridis', 'bone', 'magma'"
             ) from None
-        colors = tuple((low + (high * float(u) - low * float(u)), shade) for u, shade in zip(at, shades, strict=True))
+        exponent = _exponent(low, high)
+        bottom, top = _scaled((low, high), exponent)
+        places = [_unscaled(bottom + (top * u - bottom * u), exponent) for u in at]
+        colors = tuple(zip(places, shades, strict=True))
         points: Any = opacity
         if np.ndim(np.asarray(opacity, dtype=object)) == 0:  # one number, or nothing that is a sequence
             points = ((low, number("opacity", opacity, minimum=0, maximum=1)),)
@@ -134,8 +139,8 @@ class TransferFunction:
         opacity, where = [p[1] for p in self.opacities], _scaled([p[0] for p in self.opacities], exponent)
         return np.stack([*(np.interp(v, at, rgb[:, i]) for i in range(3)), np.interp(v, where, opacity)], -1)
 
-    def table(self, offset: float = 0.0, exponent: int = 0) -> NDArray[np.float32]:
-        """What kernels read beside the block, for values that are stored as ``(value - offset) / 2**exponent``.
+    def table(self, stored: Stored = AS_THEY_ARE) -> NDArray[np.float32]:
+        """What kernels read beside the block, for values that are stored in this way.
 
         Either equal nodes (red, green, blue, opacity) and behind them for each the next one that has some opacity; or, where
         the block has a number of pieces, the pieces: colours and opacity where one begins, their slopes, and (where it begins,
@@ -143,11 +148,11 @@ class TransferFunction:
         pieces lie the starts of all but the first; behind many, the piece at the start of each of equal buckets, or, where no
         bucket holds two starts, four numbers for each: that piece, its start, the next one's, 0.
         """
-        return _laid_out(self, offset, exponent).table
+        return _laid_out(self, stored).table
 
-    def block(self, unit: float, offset: float = 0.0, exponent: int = 0) -> Values:
+    def block(self, unit: float, stored: Stored = AS_THEY_ARE) -> Values:
         """What kernels read, given how many world units one of their units of length has (the mean spacing); see `table`."""
-        layout = _laid_out(self, offset, exponent)
+        layout = _laid_out(self, stored)
         return self.BLOCK(
             low=layout.low,
             scale=layout.scale,
@@ -174,10 +179,10 @@ class _Layout(NamedTuple):
 
 
 @lru_cache(maxsize=64)
-def _laid_out(transfer: TransferFunction, offset: float, exponent: int) -> _Layout:
+def _laid_out(transfer: TransferFunction, stored: Stored) -> _Layout:
     """See `TransferFunction.table`."""
-    colors, opacities = (
-        _scaled([p[0] for p in points], exponent) - math.ldexp(offset, -exponent)
+    colors, opacities = (  # not as `stored(...)` has them: points may lie beyond what float32 holds
+        _scaled([p[0] for p in points], stored.exponent) - math.ldexp(stored.offset, -stored.exponent)
         for points in (transfer.colors, transfer.opacities)
     )
     at = np.unique(np.concatenate([colors, opacities]))
@@ -188,7 +193,7 @@ def _laid_out(transfer: TransferFunction, offset: float, exponent: int) -> _Layo
 
 
 def _equal_cells(at: NDArray[np.float64]) -> int:
-    """The largest number of equal cells whose edges all points are; 0 if there are too many, or float32 does not hold them."""
+    """The largest number of equal cells whose edges all points are, each its own; 0 if none does, or float32 does not hold them."""
     low, high = at[0], at[-1]
     if low == high:
         return _CELLS
@@ -198,7 +203,9 @@ def _equal_cells(at: NDArray[np.float64]) -> int:
     shares = (at / 2 - low / 2) / half
     cells = np.arange(_CELLS, 0, -1)
     places = shares[:, None] * cells
-    fits = np.abs(places - np.round(places)).max(0) <= _ON_NODE
+    nodes = np.round(places)
+    # where end points lie far away, the cells of few are so wide that points between lie near to one node together
+    fits = (np.abs(places - nodes).max(0) <= _ON_NODE) & (np.diff(nodes, axis=0).min(0) >= 1)
     return int(cells[fits.argmax()]) if fits.any() else 0
 
 
@@ -287,6 +294,13 @@ def _remembered(make: Callable[[Volume], Made]) -> Callable[[Volume | ArrayLike]
     return found
 
 
+def share_of(low: float, high: float, share: float) -> float:
+    """``low + share (high - low)``, where that difference may be more than float64 holds."""
+    exponent = _exponent(low, high)
+    bottom, top = _scaled((low, high), exponent)
+    return _unscaled(bottom + share * (top - bottom), exponent)
+
+
 @_remembered
 def otsu_threshold(volume: Volume) -> float:
     """The value that best parts the histogram in two (Otsu, 1979); the middle of the range for few values."""
@@ -314,19 +328,20 @@ def otsu_threshold(volume: Volume) -> float:
 @_remembered
 def _automatic(volume: Volume) -> TransferFunction:
     """See `TransferFunction.automatic`."""
-    low, high = volume.value_range
-    values = _some_values(volume)
-    start = otsu_threshold(volume)
-    inside = values[values > start]
+    least, most = volume.value_range
+    if not least < most:  # constant data: show it as fog
+        return TransferFunction(((least, (0.9, 0.85, 0.75)),), ((least, 0.02),))
+    exponent = _exponent(least, most)  # no difference here may overflow
+    low, high, otsu = (float(v) for v in _scaled((least, most, otsu_threshold(volume)), exponent))
+    values = _scaled(_some_values(volume), exponent)
+    inside = values[values > otsu]
     top = float(np.quantile(inside, 0.995)) if inside.size else high
-    top = max(top, start + (1e-3 * high - 1e-3 * low))  # no difference here may overflow
-    if not low < high:  # constant data: show it as fog
-        return TransferFunction(((low, (0.9, 0.85, 0.75)),), ((low, 0.02),))
+    top = max(top, otsu + (1e-3 * high - 1e-3 * low))
 
     def at(share: float) -> float:
-        return start + (share * top - share * start)
+        return _unscaled(otsu + (share * top - share * otsu), exponent)
 
-    soft = start - (0.35 * start - 0.35 * low)
+    start, soft = at(0.0), _unscaled(otsu - (0.35 * otsu - 0.35 * low), exponent)
     return TransferFunction(
         ((soft, (0.42, 0.16, 0.10)), (at(0.15), (0.78, 0.45, 0.30)), (at(0.5), (0.95, 0.84, 0.66)), (at(1.0), (1.0, 1.0, 0.97))),
         ((soft, 0.0), (start, 0.05), (at(0.4), 0.30), (at(1.0), 0.80)),
@@ -355,6 +370,12 @@ def _scaled(values: ArrayLike, exponent: int) -> NDArray[np.float64]:
     """``values / 2**exponent``, exact."""
     with np.errstate(over="ignore"):
         return np.asarray(np.ldexp(np.asarray(values, dtype=np.float64), -exponent))
+
+
+def _unscaled(value: float, exponent: int) -> float:
+    """``value * 2**exponent``, or the nearest that float64 holds."""
+    with np.errstate(over="ignore"):
+        return float(np.clip(np.ldexp(value, exponent), -_LARGEST, _LARGEST))
 
 
 def _range(value_range: object) -> tuple[float, float]:

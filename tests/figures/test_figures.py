@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import clvol
-from clvol import FormatError, MissingDependencyError, OptionError, analysis, figures, phantoms
+from clvol import FormatError, MissingDependencyError, OptionError, TransferFunction, Volume, analysis, figures, phantoms
 from clvol.analysis import EXACT_SINC
 from clvol.analysis.timing import Effort
 from clvol.device import Device
@@ -66,6 +66,20 @@ def test_the_ray_of_figure_1_is_sampled_as_said() -> None:
     np.testing.assert_allclose(ray.opacity, 1 - np.cumprod(1 - ray.opacities))
     np.testing.assert_allclose(ray.values, clvol.reference.sample(volume, ray.points, "bspline3"))
     assert (np.diff(ray.opacity) >= 0).all()
+
+
+def test_the_ray_of_figure_1_is_lit_far_from_zero(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What counts as rounding is judged by the values less the offset that is taken off them, as in pictures."""
+    volume, far = phantoms.marschner_lobb(13, f_m=2.5), 2.0**24
+    plain = pipeline.follow(volume, "bspline3", (40, 32), (20, 16))
+    colors, opacities = (
+        tuple((v + far, rest) for v, rest in points) for points in (pipeline._TRANSFER.colors, pipeline._TRANSFER.opacities)
+    )
+    monkeypatch.setattr(pipeline, "_TRANSFER", TransferFunction(colors, opacities))
+    moved = pipeline.follow(
+        Volume(volume.data.astype(np.float64) + far, volume.spacing, volume.origin), "bspline3", (40, 32), (20, 16)
+    )
+    np.testing.assert_allclose(moved.colors, plain.colors, atol=1e-4)
 
 
 # -- 2 ---------------------------------------------------------------------------------------------------------

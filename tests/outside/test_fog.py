@@ -31,7 +31,8 @@ def draw(device: Device, length: int, transfer: clvol.TransferFunction, **option
 @pytest.mark.parametrize("tile", TILES)
 @pytest.mark.parametrize("unit", [1.0, 40.0])
 @pytest.mark.parametrize(
-    "opacity", [1e-12, 1e-9, 1e-8, 3e-8, 1e-7, 1e-6, 3e-5, 1e-3, 0.013, 0.03, 0.05, 0.3, 0.9, 0.995, 1 - 1e-4, 1 - 1e-6]
+    "opacity",
+    [1e-12, 1e-9, 1e-8, 3e-8, 1e-7, 1e-6, 3e-5, 1e-3, 0.013, 0.03, 0.05, 0.3, 0.9, 0.995, 1 - 1e-4, 1 - 1e-6, 1 - 1e-8, 1 - 1e-12],
 )
 def test_opacity(device: Device, opacity: float, unit: float, tile: str) -> None:
     with device.limited(tile=TILES[tile]):
@@ -40,6 +41,14 @@ def test_opacity(device: Device, opacity: float, unit: float, tile: str) -> None
             seen = drawn > 0
             assert seen[4, 4]
             np.testing.assert_allclose(drawn[seen], opacity_of(opacity, 17 / unit), rtol=1e-5)
+
+
+@pytest.mark.parametrize("opacity", [1 - 1e-6, 1 - 1e-8, 1 - 1e-12, 1.0])
+def test_thin_slabs_of_what_is_all_but_opaque(device: Device, opacity: float) -> None:
+    """0.1 thick, cut by a clip box: float32 holds 1 - 1e-8 as 1, and it was drawn as opaque."""
+    box = ((-1, 3.0, -1), (3, 3.1, 3))
+    drawn = draw(device, 17, fog(opacity, 1.0), clip=box, shading=False)["rgba"][4, 4, 3]
+    np.testing.assert_allclose(drawn, opacity_of(opacity, 0.1) if opacity < 1 else 1.0, rtol=1e-5)
 
 
 @pytest.mark.parametrize("opacity", [1e-12, 1e-8, 2.3e-8, 1e-6, 1e-4, 1e-3])

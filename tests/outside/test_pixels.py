@@ -86,8 +86,15 @@ def zone_plate(samples: int, name: str) -> tuple[float, float]:
 @pytest.mark.parametrize("samples", [4, 9, 16, 64])
 def test_the_default_leaves_less_aliasing_than_the_pixels_square(samples: int) -> None:
     square, tent = zone_plate(samples, "nearest"), zone_plate(samples, "linear")
-    assert tent[0] < 0.7 * square[0]
+    assert tent[0] < (0.5 if samples >= 16 else 0.67) * square[0]
     assert tent[1] < 1.7 * square[1]
+
+
+@pytest.mark.parametrize("samples", [16, 32, 64, 256])
+def test_lobes_need_about_64_rays(samples: int) -> None:
+    tent, lobed = zone_plate(samples, "linear"), zone_plate(samples, "mitchell")
+    for mine, other in zip(lobed, tent, strict=True):
+        assert mine < (1 if samples >= 64 else 1.1) * other
 
 
 @pytest.mark.parametrize("name", PIXEL_FILTERS)
@@ -141,3 +148,10 @@ def test_what_is_no_pixel_filter_is_refused(device: Device) -> None:
     ):
         with pytest.raises(OptionError, match=message):
             clvol.render(np.ones((3, 3, 3)), size=(4, 4), samples=4, pixel_filter=choice, device=device)
+
+
+def test_it_is_refused_before_any_work() -> None:
+    """(It was refused behind the upload, which here finds that a sample is NaN.)"""
+    data = np.full((3, 3, 3), np.nan)
+    with pytest.raises(OptionError, match="pixel_filter must be a filter without a prefilter"):
+        clvol.render(data, pixel_filter="bspline3")

@@ -137,6 +137,19 @@ def test_pictures_are_those_of_data_about_one(device: Device, exponent: int) -> 
                 assert_array_equal(two[name], one[name], err_msg=f"{mode} {name}")
 
 
+@pytest.mark.parametrize("mode", ["composite", "isosurface", "mip", "minip", "mean", "attenuated"])
+def test_default_looks_up_to_what_float64_holds(device: Device, mode: str) -> None:
+    """Samples of ±1.7e308, whose range is more than float64 holds: the pictures are those of ±0.95."""
+    z, y, x = np.mgrid[:9, :9, :9] / 8
+    data = 0.95 * np.cos(3 * (x + 2 * y + z))
+    data[4, 4, 4], data[0, 0, 0] = 0.95, -0.95
+    views: dict[str, Any] = {"mode": mode, "filter": "linear", "size": (17, 17), "device": device}
+    np.testing.assert_array_equal(clvol.render(np.ldexp(data, 1024), **views), clvol.render(data, **views))
+    with np.errstate(over="raise"):
+        look = clvol.TransferFunction.from_cmap("viridis", (-1.7e308, 1.7e308))
+    assert look.value_range == (-1.7e308, 1.7e308)
+
+
 @pytest.mark.parametrize("kind", ["blobs", "noise", "constant"])
 @pytest.mark.parametrize("scale", [1e36, 4.99e36, 1e-38, 1e-40, 1e-44], ids=str)
 @pytest.mark.parametrize("filter", ["bspline3", "linear", "bspline5", "lanczos3", "hybrid"])

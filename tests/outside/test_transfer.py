@@ -17,7 +17,7 @@ TILES = {"wide": Tile(16, 16, 8, shared=True), "eights": Tile(16, 15, 8, shared=
 COMPOSITE: dict[str, Any] = {"mode": "composite", "shading": False, "termination": 0.0}
 
 
-def drawn(device: Device, values: NDArray[np.float32], transfer: clvol.TransferFunction) -> tuple[NDArray[Any], NDArray[Any]]:
+def drawn(device: Device, values: NDArray[Any], transfer: clvol.TransferFunction) -> tuple[NDArray[Any], NDArray[Any]]:
     """Values, each (N,), and their colours and opacities in the picture of a slab of voxels that have them, (N, 4)."""
     slab = values.reshape(24, 1, 24)
     with clvol.Renderer(slab, "nearest", device=device) as renderer:
@@ -89,6 +89,29 @@ def test_it_is_linear_between_its_points(device: Device, name: str, tile: str) -
     values[: len(points)] = points  # where pieces meet
     # many steep pieces: a value's own rounding counts
     check(device, values, colors, opacities, 1e-5 if len(colors) > 20 else 2e-6, tile)
+
+
+# points, and the values drawn: between the inner points, which lie near to one another beside the ends
+NEAR = float(np.nextafter(0.5, 1.0))
+FAR_ENDS: dict[str, tuple[Any, tuple[float, float]]] = {
+    "0 to 0.4 within 1e5": (((-1e5, 0.0), (0.0, 0.0), (0.4, 1.0), (1e5, 1.0)), (-0.5, 1.0)),
+    "0 to 4 within 1e6": (((-1e6, 0.0), (0.0, 0.0), (4.0, 0.9), (1e6, 0.9)), (-1.0, 7.0)),
+    "0.2 wide at 1e9": (((0.0, 0.0), (5e8, 0.0), (1e9 + 0.2, 0.0), (1e9 + 0.4, 0.9), (2e9, 0.9)), (1e9, 1e9 + 1)),
+    "as good as a jump": (((0.5, 0.1), (NEAR, 0.8), (0.7, 0.3)), (0.4999, 0.5003)),
+}
+
+
+@pytest.mark.parametrize("name", FAR_ENDS)
+def test_points_near_to_one_another_beside_ends_far_away(device: Device, name: str) -> None:
+    """(Points of a cell as wide as the volume's range fell on one of its ends together: opacities erred by 0.5 to 0.999.)"""
+    opacities, (low, high) = FAR_ENDS[name]
+    colors = tuple((v, (a, 1 - a, 0.5)) for v, a in opacities)
+    values = np.random.default_rng(0).uniform(low, high, 576)
+    if high < 100:  # else float32 does not hold them
+        values = values.astype(np.float32).astype(np.float64)
+    at, got = drawn(device, values, clvol.TransferFunction(colors, opacities, 1.0))
+    np.testing.assert_allclose(got[:, :3], interpolated(at, colors), rtol=0, atol=2e-6)
+    np.testing.assert_allclose(got[:, 3:], interpolated(at, opacities), rtol=2e-6, atol=2e-6)
 
 
 @pytest.mark.parametrize("seed", range(12))

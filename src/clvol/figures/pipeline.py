@@ -9,14 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol import phantoms, reference
+from clvol.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.camera import Camera
 from clvol.checks import whole
 from clvol.device import Device
 from clvol.figures.style import GREY, INK, Drawing, colour, label_ends, new_figure, show, styled, title
+from clvol.filter import as_filter
 from clvol.light import HEADLIGHT, Material
 from clvol.march.planes import Planes
 from clvol.march.renderer import render
 from clvol.reference.march.march import camera_rays, flat_below, shade
+from clvol.stored import Stored
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
 
@@ -81,9 +84,10 @@ def follow(volume: Volume, filter: str, size: tuple[int, int], pixel: tuple[int,
     values = reference.sample(volume, points, filter)
     gradient = reference.sample(volume, points, filter, derivative=1)
     classified = _TRANSFER(values)
+    offset = Stored.of(volume, as_filter(filter), as_boundary(DEFAULT_BOUNDARY)).offset  # kernels round what is left without it
     unit = float(np.mean(volume.spacing))
     directions = np.broadcast_to(direction, points.shape)
-    lit = shade(gradient, classified[:, :3], directions, Material(), (HEADLIGHT,), flat_below(volume, values))
+    lit = shade(gradient, classified[:, :3], directions, Material(), (HEADLIGHT,), flat_below(volume, values - offset))
     opacities = 1 - (1 - classified[:, 3]) ** (planes.spacing / abs(along) / unit)
     after = np.cumprod(1 - opacities)
     before = np.concatenate([[1.0], after[:-1]])

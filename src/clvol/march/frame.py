@@ -127,7 +127,7 @@ class Frame:
             geometry=medium.block(stored),
             clip=clip_block(scene.clip, volume),
             planes=planes.block(),
-            transfer=transfer.block(volume.mean_spacing, stored.offset, stored.exponent),
+            transfer=transfer.block(volume.mean_spacing, stored),
             material=medium.material.block(),
             lights=lights_block(scene.lights),
             mode=mode.block(volume, stored),
@@ -142,7 +142,7 @@ class Frame:
                 **{"pass": 0, "last_pass": 0},
             ),
         )
-        table = transfer.table(stored.offset, stored.exponent)
+        table = transfer.table(stored)
         tile = _tile(coefficients.device, evaluator)
         sides = minmax.sides(float(values["mode"]["isovalue"])) if minmax is not None and mode.stretches else None
         return cls(coefficients, minmax, sides, mode, evaluator, planes, tile, central, guides, values, table)

@@ -60,6 +60,7 @@ class Renderer:
         beside a scene or a medium, another filter, boundary or device than a field's beside it, or the field is closed.
     GeometryError
         The spacings differ by a factor of more than 10⁶, or lie outside 10⁻³⁰ to 10³⁰, or an axis has more than 2¹⁸ samples.
+        (Whether spacings that differ by less are too unequal depends on the view: `render`.)
     DataError
         A sample is NaN, infinite, or too large for float64.
     DeviceError
@@ -216,8 +217,9 @@ class Renderer:
             Rays a pixel, 1 to 4096. A single one goes through its middle.
         pixel_filter : str or Filter
             What several rays sample: the picture under this filter of the table, which is as many pixels wide as it has taps.
-            "linear" leaves half the aliasing of "nearest", the pixel's own square, and is less sharp; one with negative
-            lobes, such as "mitchell", needs about 64 rays. Filters with a prefilter are none.
+            "linear" leaves half of the aliasing of "nearest", the pixel's own square, from 16 rays on, and two thirds with fewer,
+            and is less sharp; one with negative lobes, such as "mitchell", needs about 64 rays. Filters with a prefilter are
+            refused.
         skipping : bool
             Do not look where the function's minimum and maximum say that nothing can be seen. The picture is the same to the
             last bit.
@@ -249,8 +251,10 @@ class Renderer:
             is not positive or gives more than 2²⁰ samples a ray, `samples` beyond 1 to 4096, more than 4 lights, an unknown name;
             or the renderer is closed.
         GeometryError
-            The camera stands on its target, `clip` is no box, or the camera is so wide (fov near 180°, zoom near 0) that a
-            picture spans more than 2¹⁸ voxels from the volume's centre to its own corners: float32 would miss the rays.
+            The camera stands on its target or further away than 10²⁰ mean spacings, `clip` is no box, or a picture spans more
+            than 2¹⁸ voxels from the volume's centre to its own corners, because the camera is so wide (fov near 180°, zoom near
+            0), or because spacings are so unequal: float32 would miss the rays. It may span 16 times as many where rounding
+            moves samples along their rays alone, as in a volume that is thin along the view.
         DeviceError
             The device failed; ``fetch="image"`` on a device without images, or paired fetches from an image whose sampler does
             not interpolate.
@@ -377,7 +381,8 @@ def render(
     ndarray of float32, shape (height, width, 4)
         Red, green, blue and opacity in 0..1, or a dictionary for several `outputs`.
     """
-    as_mode(mode, {name: value for name, value in options.items() if name not in _KEYWORDS}, _KEYWORDS)  # before any work
+    as_mode(mode, {name: value for name, value in options.items() if name not in _KEYWORDS}, _KEYWORDS)  # before any work,
+    as_pixel_filter(options.get("pixel_filter", DEFAULT_PIXEL_FILTER))  # and so is this
     with Renderer(scene, filter, boundary, device) as renderer:
         return renderer.render(camera, mode, size, step, outputs=outputs, **options)  # type: ignore[arg-type]  # either
 
