@@ -258,7 +258,8 @@ def _of_pieces(transfer: TransferFunction, colors: NDArray[np.float64], opacitie
     )
     low = np.float32(starts[0])
     if count <= _FEW:
-        padded = np.append(starts[1:], [np.finfo(np.float32).max] * (-(count - 1) % _AT_ONCE)).astype(np.float32)
+        # whatever is compared with NaN is not past it, even the infinities of bounds and of rays that have ended
+        padded = np.append(starts[1:], [math.nan] * (-(count - 1) % _AT_ONCE)).astype(np.float32)
         return _Layout(float(low), 0.0, 0.0, count, 0, np.concatenate([rows.ravel(), padded]))
     last = np.float32(_CELLS - 1)
     scale = np.float32(min(_CELLS / (float(starts[-1]) - float(low)), _STEEPEST / 10))
@@ -268,7 +269,7 @@ def _of_pieces(transfer: TransferFunction, colors: NDArray[np.float64], opacitie
     halvings = int(np.bincount(buckets).max()).bit_length()
     tail = first.astype(np.float32)
     if halvings == 1:
-        following = np.append(starts, np.finfo(np.float32).max).astype(np.float32)[first + 1]
+        following = np.append(starts, math.nan).astype(np.float32)[first + 1]
         tail = np.stack([tail, starts[first].astype(np.float32), following, np.zeros_like(following)], 1)
     return _Layout(float(low), float(scale), float(last), count, halvings, np.concatenate([rows.ravel(), tail.ravel()]))
 
