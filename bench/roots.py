@@ -3,7 +3,8 @@
 The function is SciPy's spline, the truth `clvol.reference.march.roots`: eigenvalues in every cell of every ray. A ray is right if
 its depth is within 1e-4 voxel of the truth. Near a tangent nothing in float32 can be: such a ray counts as rounding if the truth
 is what was drawn for a ray that is moved by up to 1e-4 voxel, or for an isovalue that is moved by 3e-6 of the largest magnitude
-of a coefficient. All else is wrong: a surface missed, or another one than the first.
+of a coefficient; or if the function is that near to the isovalue where the surface was drawn, and passes it nowhere before. All
+else is wrong: a surface missed, or another one than the first.
 """
 
 from __future__ import annotations
@@ -173,6 +174,12 @@ def _explained(
         left = np.flatnonzero(~explained)
         depths = surface.depths(rays, which[left], share * _SHIFT * voxel * sides[side][left], lift * _LIFT * largest)
         explained[left] = _apart(got[left], depths) <= _NEAR * voxel
+    # along a tangent plane the function stays within rounding of the isovalue: then any place is as good that nothing lies before
+    left = np.flatnonzero(~explained & np.isfinite(got))
+    lift = _LIFT * largest
+    there = np.abs(surface.values(rays.at(got[left], which[left])) - surface.isovalue) <= lift
+    before = [surface.depths(rays, which[left], lift=sign * lift) < got[left] - _NEAR * voxel for sign in (-1.0, 1.0)]
+    explained[left] = there & ~(before[0] & before[1])
     return explained
 
 
