@@ -56,6 +56,7 @@ def coefficients_of(volume: Volume, filter: Filter, boundary: Boundary, device: 
         The device has no room for them.
     """
     volume.require_finite()
+    device.require_room(4 * volume.data.size * filter.scale**volume.ndim)  # before integers may be looked at
     return _filled(Coefficients(volume, filter, boundary, device, Stored.of(volume, filter, boundary)))
 
 
