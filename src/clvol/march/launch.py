@@ -43,18 +43,7 @@ def draw(
         for i, (offset, weight) in enumerate(rays):
             block = frame.device.upload(frame.sampled(offset, weight, i, len(rays))[None])
             for x, y, w, h in budget.tiles(width, height):
-                _launch(
-                    frame,
-                    kernel,
-                    (x, y, w, h),
-                    inputs.source,
-                    inputs.extent,
-                    inputs.minmax,
-                    inputs.sides,
-                    block,
-                    inputs.table,
-                    *buffers,
-                )
+                _launch(frame, kernel, (x, y, w, h), *inputs.of_rays(block), *buffers)
                 if progress:
                     progress((i + min(1.0, ((y + h) * width) / (width * height))) / len(rays))
     return _in_world(frame, arrays)
@@ -117,21 +106,7 @@ def march_rays(frame: Frame, first: float = -math.inf, last: float = math.inf, s
     buffer = states.argument(frame)
     block = frame.device.upload(frame.values[None])
     for area in _Budget(frame).tiles(*frame.size):
-        _launch(
-            frame,
-            kernel,
-            area,
-            inputs.source,
-            inputs.extent,
-            inputs.minmax,
-            inputs.sides,
-            block,
-            inputs.table,
-            np.float32(first),
-            np.float32(last),
-            np.int32(carried),
-            buffer,
-        )
+        _launch(frame, kernel, area, *inputs.of_rays(block), np.float32(first), np.float32(last), np.int32(carried), buffer)
     return states
 
 
@@ -172,6 +147,10 @@ class _Inputs:
         self.table = frame.device.upload(frame.table)
         self.minmax = self.table if frame.minmax is None else frame.minmax.buffer  # any buffer: it is not read
         self.sides = self.table if frame.sides is None else frame.sides
+
+    def of_rays(self, block: Any) -> tuple[Any, ...]:
+        """What kernels that take rays through the volume begin with, given the parameter block."""
+        return self.source, self.extent, self.minmax, self.sides, block, self.table
 
 
 @contextlib.contextmanager
