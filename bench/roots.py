@@ -14,7 +14,7 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -25,7 +25,7 @@ from scipy import ndimage
 import clvol
 from clvol.camera import Camera
 from clvol.filter import as_filter
-from clvol.reference.march.march import Rays, camera_rays
+from clvol.reference.march.rays import Rays, camera_rays
 from clvol.reference.march.roots import first_crossings
 
 __all__ = ["DEPTH", "SCENES", "Count", "Surface", "check"]
@@ -61,8 +61,9 @@ class Surface:
 
     def depths(self, rays: Rays, which: Any, shift: Array | float = 0.0, lift: float = 0.0) -> Array:
         """Where some of the rays first meet the isovalue; both moved, if asked."""
-        ends = rays.origin[which] + shift, rays.direction[which], rays.enter[which], rays.leave[which]
-        return first_crossings(self.values, self.volume, as_filter(self.filter), *ends, self.isovalue + lift)
+        some = rays[which]
+        moved = replace(some, origin=some.origin + shift)
+        return first_crossings(self.values, self.volume, as_filter(self.filter), moved, self.isovalue + lift)
 
 
 @dataclass

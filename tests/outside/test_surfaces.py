@@ -44,8 +44,7 @@ def test_the_truth_agrees_with_samples_a_hundredth_of_a_voxel_apart() -> None:
     spline = caster.Spline(data)
     view = camera.view(volume, 1.0)
     rays = camera_rays(volume, view, size)
-    ends = rays.origin, rays.direction, rays.enter, rays.leave
-    found = first_crossings(spline, volume, as_filter("bspline3"), *ends, 0.5)
+    found = first_crossings(spline, volume, as_filter("bspline3"), rays, 0.5)
     hit = np.isfinite(found)
     assert hit.sum() > 100
     np.testing.assert_allclose(spline(rays.at(found[hit], hit)), 0.5, atol=1e-9)

@@ -23,6 +23,7 @@ from clvol.errors import OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.light import HEADLIGHT, Light, Material
 from clvol.mode import DEFAULT_MODE, Attenuated, Composite, Isosurface, Mode, as_mode
+from clvol.reference.march.rays import Rays, camera_rays
 from clvol.reference.march.roots import first_crossings
 from clvol.reference.spline.points import sample
 from clvol.stored import Stored
@@ -37,72 +38,6 @@ Bools: TypeAlias = NDArray[np.bool_]
 _STEEP = 0.5  # cosine of 60°: rays farther from the axis step along themselves
 _ROUNDING = 2.0**-19  # share of the value a voxel: less is no gradient, since kernels compute in float32
 _BISECTIONS = 38  # to 1e-12 of a step; to the last bit, rounding would choose the side of a jump again
-
-
-@dataclass(frozen=True)
-class Rays:
-    """Rays in the world: ``p(t) = origin + t direction`` for ``enter <= t <= leave``.
-
-    Attributes
-    ----------
-    origin, direction : ndarray, shape (N, 3)
-        Directions have unit length.
-    enter, leave : ndarray, shape (N,)
-        Where they are inside the volume's domain and the clipping box, and in front of a perspective
-        eye; ``enter > leave`` for rays that miss.
-    """
-
-    origin: Array
-    direction: Array
-    enter: Array
-    leave: Array
-
-    def at(self, t: Array, which: NDArray[Any] | slice = slice(None)) -> Array:
-        """World positions at distances `t` of the rays `which`; (..., 3)."""
-        return np.asarray(self.origin[which] + t[..., None] * self.direction[which])
-
-
-def camera_rays(
-    volume: Volume,
-    view: View,
-    size: tuple[int, int],
-    offset: Sequence[float] = (0.5, 0.5),
-    clip: tuple[Sequence[float], Sequence[float]] | None = None,
-) -> Rays:
-    """One ray a pixel, row by row from the top, `offset` of a pixel from its upper left corner.
-
-    With ``a = 2 (x + ox) / width - 1`` and ``b = 1 - 2 (y + oy) / height``, a pixel lies at
-    ``h (a aspect right + b up)``. Perspective rays start at the eye along forward plus that;
-    orthographic ones start at the eye plus that, along forward, and may run back.
-    """
-    width, height = size
-    a = 2 * (np.arange(width) + offset[0]) / width - 1
-    b = 1 - 2 * (np.arange(height) + offset[1]) / height
-    plane = view.half_height * ((a * width / height)[None, :, None] * view.right + b[:, None, None] * view.up).reshape(-1, 3)
-    if view.orthographic:
-        origin, direction, nearest = view.eye + plane, np.broadcast_to(view.forward, plane.shape), -math.inf
-    else:
-        origin, direction, nearest = np.broadcast_to(view.eye, plane.shape), view.forward + plane, 0.0
-    direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
-    # the domain is a box in index space, which the map from the world keeps straight and evenly parted
-    start = volume.world_to_index(origin)
-    slope = volume.world_to_index(origin + direction) - start
-    enter, leave = _slabs(start, slope, np.full(3, -0.5), np.array(volume.size) - 0.5)
-    if clip is not None:
-        other_enter, other_leave = _slabs(origin, direction, np.asarray(clip[0], float), np.asarray(clip[1], float))
-        enter, leave = np.maximum(enter, other_enter), np.minimum(leave, other_leave)
-    return Rays(origin, direction, np.maximum(enter, nearest), leave)
-
-
-def _slabs(origin: Array, direction: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Where lines are inside a box: the intersection of three intervals."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        a, b = (low - origin) / direction, (high - origin) / direction
-    parallel = direction == 0
-    inside = (origin >= low) & (origin <= high)
-    near = np.where(parallel, np.where(inside, -math.inf, math.inf), np.minimum(a, b))
-    far = np.where(parallel, np.where(inside, math.inf, -math.inf), np.maximum(a, b))
-    return near.max(-1), far.min(-1)
 
 
 def planes_across(volume: Volume, view: View, aspect: float, step: float) -> tuple[int, int]:
@@ -416,8 +351,7 @@ def _composite(scene: _Scene, mode: Composite, rays: Rays, t: Array, there: Bool
 def _isosurface(scene: _Scene, mode: Isosurface, rays: Rays, t: Array, there: Bools, values: Array, step: Array) -> _Gathered:  # noqa: ARG001
     assert mode.isovalue is not None  # it is settled
     if mode.method == "exact":
-        ends = rays.origin, rays.direction, rays.enter, rays.leave
-        depth = first_crossings(scene.value, scene.volume, scene.filter, *ends, mode.isovalue)
+        depth = first_crossings(scene.value, scene.volume, scene.filter, rays, mode.isovalue)
     else:
         depth = _stepped(scene, mode.isovalue, rays, t, there, values)
     hit = np.flatnonzero(np.isfinite(depth))

@@ -14,6 +14,7 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from clvol.filter import Filter
+from clvol.reference.march.rays import Rays
 from clvol.volume import Volume
 
 __all__ = ["first_crossings"]
@@ -26,17 +27,8 @@ _NOTHING = 1e-14  # leading coefficients below this share of the largest are rou
 _PAST = 1e-9  # of a voxel: where a jump is, its far side
 
 
-def first_crossings(
-    value: Callable[[Array], Array],
-    volume: Volume,
-    filter: Filter,
-    origin: Array,
-    direction: Array,
-    enter: Array,
-    leave: Array,
-    isovalue: float,
-) -> Array:
-    """Where the function that is drawn first goes from below a value to not below it, or back, along each line.
+def first_crossings(value: Callable[[Array], Array], volume: Volume, filter: Filter, rays: Rays, isovalue: float) -> Array:
+    """Where the function that is drawn first goes from below a value to not below it, or back, along each ray.
 
     Parameters
     ----------
@@ -44,35 +36,24 @@ def first_crossings(
         The function: values (N,) at world positions (N, 3).
     volume, filter : Volume, Filter
         What it is made from: they say where its pieces meet, and of what degree they are.
-    origin, direction : ndarray, shape (N, 3)
-        Lines ``p(t) = origin + t direction`` in the world ...
-    enter, leave : ndarray, shape (N,)
-        ... for ``enter <= t <= leave``; ``enter > leave`` for those that are nowhere.
+    rays : Rays
+        Or any other lines: directions need no unit length.
     isovalue : float
 
     Returns
     -------
     ndarray, shape (N,)
-        t of that place, from where the line enters; infinite where there is none.
+        t of that place, from where the ray enters; infinite where there is none.
     """
-    t = np.full(enter.shape, math.inf)
-    there = np.flatnonzero(enter < leave)
+    t = np.full(rays.enter.shape, math.inf)
+    there = np.flatnonzero(rays.enter < rays.leave)
     for part in np.array_split(there, -(-there.size // _LINES)) if there.size else []:
-        t[part] = _first(value, volume, filter, origin[part], direction[part], enter[part], leave[part], isovalue)
+        t[part] = _first(value, volume, filter, rays[part], isovalue)
     return t
 
 
-def _first(
-    value: Callable[[Array], Array],
-    volume: Volume,
-    filter: Filter,
-    origin: Array,
-    direction: Array,
-    enter: Array,
-    leave: Array,
-    isovalue: float,
-) -> Array:
-    ends = np.sort(np.concatenate([enter[:, None], _knots(volume, filter, origin, direction, enter, leave), leave[:, None]], 1), 1)
+def _first(value: Callable[[Array], Array], volume: Volume, filter: Filter, rays: Rays, isovalue: float) -> Array:
+    ends = np.sort(np.concatenate([rays.enter[:, None], _knots(volume, filter, rays), rays.leave[:, None]], 1), 1)
     low, high = ends[:, :-1], ends[:, 1:]
     line, piece = np.nonzero(high > low)  # in order along each line
     low, high = low[line, piece], high[line, piece]
@@ -80,7 +61,7 @@ def _first(
     degree = 3 * filter.degree
     nodes = chebyshev.chebpts1(degree + 1)
     at = low[:, None] + (nodes + 1) / 2 * (high - low)[:, None]
-    points = origin[line][:, None] + at[..., None] * direction[line][:, None]
+    points = rays.origin[line][:, None] + at[..., None] * rays.direction[line][:, None]
     values = value(points.reshape(-1, 3)).reshape(at.shape) - isovalue
     coefficients = values @ np.linalg.inv(chebyshev.chebvander(nodes, degree)).T
 
@@ -92,24 +73,25 @@ def _first(
     found[possible] = low[possible] + (root + 1) / 2 * (high - low)[possible]
 
     jump = (line[1:] == line[:-1]) & (below[1:, 0] != below[:-1, 1])
-    past = low[1:] + _PAST * float(min(volume.spacing)) / np.linalg.norm(direction[line[1:]], axis=1)
+    past = low[1:] + _PAST * float(min(volume.spacing)) / np.linalg.norm(rays.direction[line[1:]], axis=1)
     found[1:] = np.where(jump, np.minimum(past, found[1:]), found[1:])
-    first = np.full(enter.size, math.inf)
+    first = np.full(rays.enter.size, math.inf)
     np.minimum.at(first, line, found)
     return first
 
 
-def _knots(volume: Volume, filter: Filter, origin: Array, direction: Array, enter: Array, leave: Array) -> Array:
+def _knots(volume: Volume, filter: Filter, rays: Rays) -> Array:
     """Where lines cross the planes between cells; those past their ends at the ends."""
-    start = volume.world_to_index(origin)
-    slope = volume.world_to_index(origin + direction) - start
+    start = volume.world_to_index(rays.origin)
+    slope = volume.world_to_index(rays.origin + rays.direction) - start
+    enter, leave = rays.enter[:, None], rays.leave[:, None]
     knots = []
     for axis, n in enumerate(volume.size):
         shift = filter.support / 2 - 1  # the index rule: u = x scale - shift, and pieces meet where u is whole
         numbers = np.arange(math.floor(-0.5 * filter.scale - shift), math.ceil((n - 0.5) * filter.scale - shift) + 1)
         with np.errstate(divide="ignore", invalid="ignore"):
             t = ((numbers + shift) / filter.scale - start[:, axis, None]) / slope[:, axis, None]
-        knots.append(np.clip(np.where(np.isfinite(t), t, enter[:, None]), enter[:, None], leave[:, None]))
+        knots.append(np.clip(np.where(np.isfinite(t), t, enter), enter, leave))
     return np.concatenate(knots, 1)
 
 

@@ -1,0 +1,88 @@
+"""Rays of a camera in the world, and where they are inside a volume, in float64."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Self, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.camera import View
+from clvol.volume import Volume
+
+__all__ = ["Rays", "camera_rays"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Rays in the world: ``p(t) = origin + t direction`` for ``enter <= t <= leave``.
+
+    Attributes
+    ----------
+    origin, direction : ndarray, shape (N, 3)
+        Directions have unit length.
+    enter, leave : ndarray, shape (N,)
+        Where they are inside the volume's domain and the clipping box, and in front of a perspective
+        eye; ``enter > leave`` for rays that miss.
+    """
+
+    origin: Array
+    direction: Array
+    enter: Array
+    leave: Array
+
+    def at(self, t: Array, which: NDArray[Any] | slice = slice(None)) -> Array:
+        """World positions at distances `t` of the rays `which`; (..., 3)."""
+        return np.asarray(self.origin[which] + t[..., None] * self.direction[which])
+
+    def __getitem__(self, which: NDArray[Any] | slice) -> Self:
+        """Some of the rays."""
+        return type(self)(self.origin[which], self.direction[which], self.enter[which], self.leave[which])
+
+
+def camera_rays(
+    volume: Volume,
+    view: View,
+    size: tuple[int, int],
+    offset: Sequence[float] = (0.5, 0.5),
+    clip: tuple[Sequence[float], Sequence[float]] | None = None,
+) -> Rays:
+    """One ray a pixel, row by row from the top, `offset` of a pixel from its upper left corner.
+
+    With ``a = 2 (x + ox) / width - 1`` and ``b = 1 - 2 (y + oy) / height``, a pixel lies at
+    ``h (a aspect right + b up)``. Perspective rays start at the eye along forward plus that;
+    orthographic ones start at the eye plus that, along forward, and may run back.
+    """
+    width, height = size
+    a = 2 * (np.arange(width) + offset[0]) / width - 1
+    b = 1 - 2 * (np.arange(height) + offset[1]) / height
+    plane = view.half_height * ((a * width / height)[None, :, None] * view.right + b[:, None, None] * view.up).reshape(-1, 3)
+    if view.orthographic:
+        origin, direction, nearest = view.eye + plane, np.broadcast_to(view.forward, plane.shape), -math.inf
+    else:
+        origin, direction, nearest = np.broadcast_to(view.eye, plane.shape), view.forward + plane, 0.0
+    direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    # the domain is a box in index space, which the map from the world keeps straight and evenly parted
+    start = volume.world_to_index(origin)
+    slope = volume.world_to_index(origin + direction) - start
+    enter, leave = _slabs(start, slope, np.full(3, -0.5), np.array(volume.size) - 0.5)
+    if clip is not None:
+        other_enter, other_leave = _slabs(origin, direction, np.asarray(clip[0], float), np.asarray(clip[1], float))
+        enter, leave = np.maximum(enter, other_enter), np.minimum(leave, other_leave)
+    return Rays(origin, direction, np.maximum(enter, nearest), leave)
+
+
+def _slabs(origin: Array, direction: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """Where lines are inside a box: the intersection of three intervals."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a, b = (low - origin) / direction, (high - origin) / direction
+    parallel = direction == 0
+    inside = (origin >= low) & (origin <= high)
+    near = np.where(parallel, np.where(inside, -math.inf, math.inf), np.minimum(a, b))
+    far = np.where(parallel, np.where(inside, math.inf, -math.inf), np.maximum(a, b))
+    return near.max(-1), far.min(-1)
