@@ -1,4 +1,8 @@
-"""How far reconstructions are from the truth: filters measured against a known function, or from every n-th sample."""
+"""How far reconstructions are from the truth: filters measured against a known function, or from every n-th sample.
+
+What is decimated has to be low-passed first, and most of what then differs from the original is that low-pass, which is no
+filter's fault. So results are compared with what was sampled, the low-passed volume, and what the low-pass took is said apart.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol import reference
+from clvol.analysis.angles import angle_weights, angles, weighted_quantile
 from clvol.analysis.dirichlet import dirichlet_sample, dirichlet_weights
 from clvol.analysis.similarity import ssim
 from clvol.analysis.table import Table, column
@@ -21,6 +26,7 @@ from clvol.checks import enough_memory, number, one_of, reals, require_room, who
 from clvol.device import Device, as_device
 from clvol.errors import ClvolError, DataError, DeviceError, OptionError
 from clvol.filter import Filter, as_filter, several_names
+from clvol.response import prefilter_response
 from clvol.spline.evaluator import choose_evaluator
 from clvol.spline.field import coefficients_of, sample
 from clvol.spline.points import sample_coefficients
@@ -37,7 +43,8 @@ _MAX_FACTOR = 1024  # of the decimation
 _CHUNK = 1 << 20  # positions at a time
 _SINC_PRODUCTS = 1 << 34  # of the exact sinc at scattered points: each takes all samples
 _SHARE = 0.9  # of the progress: errors, if times are measured too
-_DIRECTED = 0.01  # of the largest gradient: below it no direction can be seen
+_SHIFTS = 27  # of a decimated grid by whole samples; of more, so many by chance
+_SOUGHT = 20_000  # cells in which overshoot is sought
 _NUMPY = "NumPy, float64"
 _LARGEST = 1e305  # samples: coefficients of splines through them, and gradients, are up to some hundred times as large
 
@@ -73,7 +80,10 @@ class ErrorRow:
     filter : str
         Name of the filter.
     rms, maximum : float
-        Root mean square and largest error of the values, in the data's units.
+        Root mean square and largest error of the values, in the data's units; of a volume without its truth, against what
+        was sampled: the low-passed volume.
+    original : float or None
+        RMS difference from the original samples: `rms` and what the low-pass took, together. None for a function.
     psnr : float or None
         ``20 log10(range / rms)`` in decibels, with the range of the samples; None for constant data or no error.
     ssim : float or None
@@ -82,10 +92,11 @@ class ErrorRow:
     gradient_rms : float or None
         Root mean square length of the gradient's error, per world unit; None if the filter has no gradient.
     angle_mean, angle_median, angle_95 : float or None
-        Angle between the gradient and the true one in degrees: mean, median, 95th percentile, where the true gradient
-        is at least a hundredth of the largest. A gradient of length zero counts as 90°.
+        Angle between the gradient and the true one in degrees: mean, median, 95th percentile, where there is a true
+        gradient that is more than noise: see `clvol.analysis.angles`.
     overshoot : float
-        How far the values leave the range of the samples, in the data's units; 0 if they do not.
+        How far the values leave the range of the samples, in the data's units; 0 if they do not. Of a volume without its
+        truth: drawn from all samples of the original, half-way between those where it is likeliest.
     seconds : float or None
         Time per million samples on a device, without the prefilter; None for the exact sinc, without a device, or
         without `timing`.
@@ -93,6 +104,7 @@ class ErrorRow:
 
     filter: str = column("filter")
     rms: float = column("RMS error", ".3g")
+    original: float | None = column("and low-pass", ".3g")
     maximum: float = column("max error", ".3g")
     psnr: float | None = column("PSNR (dB)", ".2f")
     ssim: float | None = column("SSIM", ".4f")
@@ -112,7 +124,11 @@ class ErrorTable(Table[ErrorRow]):
     samples : Volume
         What the filters reconstructed from: samples of the function, or the decimated volume.
     against : str
-        The truth, in words.
+        The truth, in words: what was low-passed too.
+    lost : float
+        RMS of what the low-pass took from the original samples that are compared: no filter can bring it back. 0 without.
+    shifts : int
+        In how many places the decimated grid was put.
     points : int
         Number of compared positions.
     value_range : (float, float)
@@ -135,6 +151,8 @@ class ErrorTable(Table[ErrorRow]):
         against: str,
         points: int,
         boundary: str,
+        lost: float = 0.0,
+        shifts: int = 1,
         evaluated_on: str,
         timed_on: str,
         filters: Iterable[Filter] = (),
@@ -143,6 +161,8 @@ class ErrorTable(Table[ErrorRow]):
         self.samples = samples
         self.against = against
         self.points = points
+        self.lost = lost
+        self.shifts = shifts
         self.value_range = samples.value_range
         self.boundary = boundary
         self.evaluated_on = evaluated_on
@@ -184,6 +204,8 @@ def compare(
     boundary: str | Boundary = DEFAULT_BOUNDARY,
     factor: int = 2,
     lowpass: Literal["gaussian", "none"] = "gaussian",
+    fractional: int = 4,
+    sigma: float | None = None,
     margin: float = 4.0,
     points: int = 200_000,
     seed: int = 0,
@@ -196,12 +218,14 @@ def compare(
     """Measure the error of each filter on data whose truth is known.
 
     A function, or a volume with its `truth`, is compared at uniform random points of the world. A volume alone is its own
-    truth: it is low-passed, every `factor`-th sample is kept, and the reconstruction from these is compared with the
-    original samples, as in Figure 4 of the paper; the true gradient is that of the quintic spline through the original.
+    truth: it is low-passed, as in Figure 4 of the paper, every `factor`-th sample of that is kept, and what is reconstructed from
+    these is compared with what was sampled, the low-passed volume, at the places of the original samples. The true gradient is
+    that of the quintic spline through the low-passed volume.
 
-    Decimation by 2 compares values only at the kept samples and half-way between them. There the hybrid equals the spline
-    by which it magnifies, and "nearest" has two equally near samples. It takes the upper one (at every even factor), so
-    its error at hard edges depends on where they happen to lie. Decimation by 3 avoids both.
+    The kept samples begin at each of the first `factor` along every axis in turn, and at places between them, where the
+    low-passed volume is taken from its quintic spline: so all distances from a kept sample occur, and no error depends on where
+    edges happen to lie. Without a low-pass there is no telling what lies between samples, and only whole shifts are made; then
+    "nearest" has two equally near samples half-way, and the hybrid equals there the spline by which it magnifies.
 
     Parameters
     ----------
@@ -222,6 +246,11 @@ def compare(
         Of the decimation, 2 to 1024.
     lowpass : {"gaussian", "none"}
         Before the decimation: a Gaussian of standard deviation ``factor / 2`` samples, or nothing.
+    fractional : int
+        How many of the shifts of a low-passed volume lie between samples.
+    sigma : float, optional
+        Standard deviation of the noise of a volume's samples, to tell where its gradients are more than noise; estimated by
+        default.
     margin : float
         How many kept samples along each face are left out, because the boundary rule decides there; fewer on axes
         shorter than four times the margin.
@@ -238,7 +267,7 @@ def compare(
     progress : callable, optional
         Called with the fraction done.
     max_samples : int
-        How many samples of a decimated volume are compared; of a larger one the middle slices are.
+        How many samples of a decimated volume are compared, over all shifts; of more, each shift compares some slices.
 
     Returns
     -------
@@ -256,6 +285,8 @@ def compare(
     chosen, rule = as_compared(filters), as_boundary(boundary)
     points, factor = whole("points", points, 1), whole("factor", factor, 2, _MAX_FACTOR)
     rng = np.random.default_rng(whole("seed", seed, 0))
+    fractional = whole("fractional", fractional, 0)
+    sigma = None if sigma is None else number("sigma", sigma, minimum=0)
     margin, max_samples = number("margin", margin, minimum=0), whole("max_samples", max_samples, 1)
     on = None if device is None else as_device(device)
     clock = _clock(timing_device, on) if timing else None
@@ -275,7 +306,8 @@ def compare(
     if truth is None:
         if gradient is not None:
             raise OptionError("gradient must be that of a function; got it with a volume without its truth")
-        trial = _held_back(volume, factor, lowpass, margin, points, rule, rng, max_samples)
+        sigma = noise.estimate(volume).sigma if sigma is None else sigma
+        trial = _held_back(volume, factor, lowpass, fractional, sigma, margin, points, rule, rng, max_samples)
     else:
         trial = _known(volume, truth, gradient, margin, points, rng)
     report, share = progress or (lambda _: None), 1.0 if clock is None else _SHARE
@@ -294,8 +326,10 @@ def compare(
         rows,
         samples=trial.samples,
         against=trial.against,
-        points=trial.points.shape[0],
+        points=sum(part.points.shape[0] for part in trial.parts),
         boundary=rule.name,
+        lost=trial.lost,
+        shifts=len(trial.parts),
         evaluated_on=_NUMPY if on is None else on.name,
         timed_on="" if clock is None else clock.name,
         filters=ours,
@@ -324,21 +358,36 @@ def as_compared(filters: Sequence[str | Filter], maximum: int | None = None) -> 
 
 
 @dataclass(frozen=True)
-class _Trial:
+class _Part:
     """Samples to reconstruct from, and the truth: at scattered points, and on a lattice."""
 
     samples: Volume
-    against: str
     points: Array  # world, (N, d)
     values: Array | None  # true ones at `points`; None: those of the lattice are compared
     gradients: Array  # true ones at `points`, (N, d)
     axes: list[Array]  # of the lattice, in samples, z first
     lattice: Array  # true values there
+    original: Array | None = None  # values there before the low-pass
 
-    def first(self, count: int) -> _Trial:
+    def first(self, count: int) -> _Part:
         """The first `count` of the points, which are in random order."""
         values = None if self.values is None else self.values[:count]
         return replace(self, points=self.points[:count], values=values, gradients=self.gradients[:count])
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """What filters are measured by: one part, or a part for each place of the decimated grid."""
+
+    parts: list[_Part]
+    against: str
+    scan: Volume | None = None  # the volume that was decimated
+    lost: float = 0.0
+    sigma: float = 0.0  # of each component of the true gradients
+
+    @property
+    def samples(self) -> Volume:
+        return self.parts[0].samples
 
 
 def _known(
@@ -352,13 +401,15 @@ def _known(
     axes = [np.arange(a, b + 0.25, 0.5) for a, b in zip(low[::-1], high[::-1], strict=True)]
     axes[0] = _middle(axes[0], math.prod(a.size for a in axes[1:]), _LATTICE)
     fine = _ask(truth, volume.index_to_world(_lattice_points(axes)), "the function", 1).reshape([a.size for a in axes])
-    return _Trial(volume, f"the function at {points} random points", world, values, slopes, axes, fine)
+    return _Trial([_Part(volume, world, values, slopes, axes, fine)], f"the function at {points} random points")
 
 
 def _held_back(
     original: Volume,
     factor: int,
     lowpass: str,
+    fractional: int,
+    sigma: float,
     margin: float,
     points: int,
     rule: Boundary,
@@ -367,29 +418,88 @@ def _held_back(
 ) -> _Trial:
     if lowpass not in ("gaussian", "none"):
         raise one_of("lowpass", lowpass, ("gaussian", "none"))
-    smooth = original.gaussian([factor / 2 * s for s in original.spacing]) if lowpass == "gaussian" else original
-    samples = smooth.downsample(factor)
-    low, high = (bound * factor for bound in _inside(samples, margin))
-    kept = [
-        np.arange(math.ceil(a - 1e-9), min(math.floor(b + 1e-9), n - 1) + 1)
-        for a, b, n in zip(low[::-1], high[::-1], original.shape, strict=True)
-    ]
-    kept[0] = _middle(kept[0], math.prod(k.size for k in kept[1:]), max_samples)
-    count = math.prod(k.size for k in kept)
-    some = rng.choice(count, min(points, count), replace=False)
-    index = np.stack([k[i] for k, i in zip(kept, np.unravel_index(some, [k.size for k in kept]), strict=True)][::-1], -1)
-    world = original.index_to_world(index)
-    slopes = reference.sample(original, world, "bspline5", rule, derivative=1)
-    how = "after a Gaussian low-pass" if lowpass == "gaussian" else "without a low-pass"
+    width = factor / 2 if lowpass == "gaussian" else 0.0
+    smooth = original.gaussian([width * s for s in original.spacing]) if width else original
+    shifts = _shifts(original.size, factor, fractional if width else 0, rng)
+    grids = [(shift, _decimated(smooth, factor, shift, rule)) for shift in shifts]
+    places = [_compared(samples, shift, factor, original.shape, margin) for shift, samples in grids]
+    parts, lost = [], []
+    for i, ((shift, samples), kept) in enumerate(zip(grids, places, strict=True)):
+        if not all(k.size for k in kept):
+            continue
+        kept[0] = _slab(kept[0], math.prod(k.size for k in kept[1:]), max_samples // len(grids), i / max(1, len(grids) - 1))
+        count = math.prod(k.size for k in kept)
+        some = rng.choice(count, min(math.ceil(points / len(grids)), count), replace=False)
+        index = np.stack([k[j] for k, j in zip(kept, np.unravel_index(some, [k.size for k in kept]), strict=True)][::-1], -1)
+        world = original.index_to_world(index)
+        slopes = reference.sample(smooth, world, "bspline5", rule, derivative=1)
+        axes = [(k - s) / factor for k, s in zip(kept, shift[::-1], strict=True)]
+        sampled, before = smooth.data[np.ix_(*kept)], original.data[np.ix_(*kept)]
+        lost.append((before - sampled).ravel())
+        parts.append(_Part(samples, world, None, slopes, axes, sampled, before))
+    how = f"a Gaussian low-pass of standard deviation {width:g} samples" if width else "no low-pass"
+    count = sum(part.lattice.size for part in parts)
     return _Trial(
-        samples,
-        f"{count} samples of the original, decimated by {factor} {how}",
-        world,
-        None,
-        slopes,
-        [k / factor for k in kept],
-        original.data[np.ix_(*kept)],
+        parts,
+        f"what was sampled, the volume after {how}: {count} values, from every {_ordinal(factor)} sample along each axis, "
+        f"with the kept ones in {len(parts)} places",
+        original,
+        _root_mean_square(np.concatenate(lost)),
+        _slope_noise(sigma, width, original.spacing),
     )
+
+
+def _ordinal(n: int) -> str:
+    return {2: "second", 3: "third"}.get(n, f"{n}th")
+
+
+def _shifts(size: Sequence[int], factor: int, fractional: int, rng: np.random.Generator) -> list[Array]:
+    """Where the kept samples begin, in samples, x first: at whole ones, the first of all first, and between them."""
+    every = [range(min(factor, n)) for n in size]
+    count = math.prod(len(e) for e in every)
+    chosen: NDArray[Any] = np.arange(count)
+    if count > _SHIFTS:
+        chosen = np.concatenate([[0], 1 + np.sort(rng.choice(count - 1, _SHIFTS - 1, replace=False))])
+    whole_ones = np.stack(np.unravel_index(chosen, [len(e) for e in every][::-1])[::-1], -1).astype(np.float64)
+    between = rng.uniform(0, 1, (fractional, len(size))) * [min(factor, n - 1) for n in size]
+    return [*whole_ones, *between]
+
+
+def _decimated(smooth: Volume, factor: int, shift: Array, rule: Boundary) -> Volume:
+    """Every `factor`-th sample, or value of the quintic spline, from `shift` on."""
+    axes = [np.arange(s, n - 1 + 1e-9, factor) for s, n in zip(shift[::-1], smooth.shape, strict=True)]
+    if all(s == int(s) for s in shift):
+        data = smooth.data[np.ix_(*(a.astype(np.int64) for a in axes))]
+    else:
+        data = reference.lattice(smooth.data, axes, "bspline5", rule)
+    origin = tuple(smooth.index_to_world(shift))
+    return replace(smooth, data=data, spacing=tuple(s * factor for s in smooth.spacing), origin=origin)
+
+
+def _compared(samples: Volume, shift: Array, factor: int, shape: Sequence[int], margin: float) -> list[NDArray[np.int64]]:
+    """Indices of the original samples that are compared, z first."""
+    low, high = (bound * factor + shift for bound in _inside(samples, margin))
+    return [
+        np.arange(math.ceil(a - 1e-9), min(math.floor(b + 1e-9), n - 1) + 1)
+        for a, b, n in zip(low[::-1], high[::-1], shape, strict=True)
+    ]
+
+
+def _slab(positions: NDArray[Any], others: int, room: int, share: float) -> NDArray[Any]:
+    """As many neighbouring positions as give at most `room` with `others` along the other axes, `share` of the way along."""
+    count = min(positions.size, max(1, room // others))
+    first = round((positions.size - count) * share)
+    return positions[first : first + count]
+
+
+def _slope_noise(sigma: float, width: float, spacing: Sequence[float]) -> float:
+    """What white noise is in a component of the quintic spline's gradient, after a Gaussian of `width` samples."""
+    w = (np.arange(256) + 0.5) * np.pi / 256
+    row = as_filter("bspline5")
+    slope = sum(2 * abs(float(row(float(k), 1))) * np.sin(k * w) for k in (1, 2)) * prefilter_response(row, w)
+    passed = np.exp(-((width * w) ** 2))
+    gain = float((slope**2 * passed).mean()) * float(passed.mean()) ** (len(spacing) - 1)
+    return sigma * math.sqrt(gain * float(np.mean([1 / s**2 for s in spacing])))
 
 
 def _sampled(function: Function, size: int | Sequence[int], domain: tuple[float, float], dimensions: int) -> Volume:
@@ -469,35 +579,89 @@ def _lattice_points(axes: Sequence[Array]) -> Array:
 
 
 def _measure(trial: _Trial, row: str | Filter, rule: Boundary, on: Device | None) -> ErrorRow:
-    if row == EXACT_SINC:
-        trial = trial.first(max(1, _SINC_PRODUCTS // trial.samples.data.size))
-    fine = _on_lattice(trial, row, rule, on)
     low, high = trial.samples.value_range
-    if trial.values is None:
-        got, true = fine, trial.lattice
-    else:
-        got, true = _at_points(trial, row, rule, on, 0), trial.values
-    error = got - true
-    rms = _root_mean_square(error)
     span = high - low
+    errors, before, similar, slopes, leaving = [], [], [], [], 0.0
+    for part in trial.parts:
+        if row == EXACT_SINC:
+            part = part.first(max(1, _SINC_PRODUCTS // (part.samples.data.size * len(trial.parts))))
+        fine = _on_lattice(part, row, rule, on)
+        if part.values is None:
+            got, true = fine, part.lattice
+        else:
+            got, true = _at_points(part, row, rule, on, 0), part.values
+            leaving = max(0.0, float(got.max()) - high, low - float(got.min()))
+        errors.append((got - true).ravel())
+        if part.original is not None:
+            before.append((got - part.original).ravel())
+        if span > 0:
+            similar.append((ssim(_middle_of(fine), _middle_of(part.lattice), span), fine.size))
+        if row == EXACT_SINC or as_filter(row).has_gradient:
+            slopes.append((part.gradients, _at_points(part, row, rule, on, 1)))
+    if trial.scan is not None:
+        leaving = overshoot(trial.scan, row, rule)
+    error = np.concatenate(errors)
+    rms = _root_mean_square(error)
     slope_rms: float | None = None
-    angles: _Angles = (None, None, None)
-    if row == EXACT_SINC or as_filter(row).has_gradient:
-        slope_rms, angles = _gradient_errors(trial, _at_points(trial, row, rule, on, 1))
+    between: _Angles = (None, None, None)
+    if slopes:
+        slope_rms, between = _gradient_errors(trial, *(np.concatenate(both) for both in zip(*slopes, strict=True)))
     return ErrorRow(
         row.name if isinstance(row, Filter) else row,
         rms,
+        _root_mean_square(np.concatenate(before)) if before else None,
         float(np.abs(error).max()),
         20 * (math.log10(span) - math.log10(rms)) if span > 0 and rms > 0 else None,
-        ssim(_middle_of(fine), _middle_of(trial.lattice), span) if span > 0 else None,
+        sum(value * n for value, n in similar) / sum(n for _, n in similar) if similar else None,
         slope_rms,
-        *angles,
-        max(0.0, float(got.max()) - high, low - float(got.min())),
+        *between,
+        leaving,
         None,
     )
 
 
-def _at_points(trial: _Trial, row: str | Filter, rule: Boundary, on: Device | None, derivative: int) -> Array:
+def overshoot(volume: Volume, row: str | Filter, rule: Boundary) -> float:
+    """How far a reconstruction leaves the range of its samples, in their units: 0 if it does not.
+
+    Sought half-way between samples along one axis, two or three, in the cells whose samples lie nearest to the ends of the
+    range and differ most: where filters ring.
+
+    Parameters
+    ----------
+    volume : Volume
+        2-D or 3-D, finite samples.
+    row : Filter, or "exact-sinc"
+    rule : Boundary
+    """
+    from scipy import ndimage
+
+    low, high = volume.value_range
+    data = volume.data.astype(np.float64)
+    if low == high or (isinstance(row, Filter) and keeps_range(row)):
+        return 0.0
+    top, bottom = ndimage.maximum_filter(data, 2, origin=-1), ndimage.minimum_filter(data, 2, origin=-1)
+    wide = ndimage.maximum_filter(data, 4, origin=-1) / 2 - ndimage.minimum_filter(data, 4, origin=-1) / 2
+    likely = np.maximum(top / 2 - high / 2, low / 2 - bottom / 2) + wide / 2
+    count = _SOUGHT if isinstance(row, Filter) else max(1, _SINC_PRODUCTS // (8 * data.size * 8))
+    order = np.argpartition(likely.ravel(), max(0, likely.size - count))[-count:]
+    cells = np.stack(np.unravel_index(order, data.shape), -1)[:, ::-1]
+    reached = [low, high]
+    for step in itertools.product((0.0, 0.5), repeat=volume.ndim):
+        index = np.minimum(cells + step, np.array(volume.size) - 1.0)
+        world = volume.index_to_world(index)
+        part = dirichlet_sample(volume, world, rule) if not isinstance(row, Filter) else reference.sample(volume, world, row, rule)
+        reached = [min(reached[0], float(part.min())), max(reached[1], float(part.max()))]
+    return max(low - reached[0], reached[1] - high)
+
+
+def keeps_range(row: Filter) -> bool:
+    """Whether values can never leave the range of the samples: weights that sum to one, none negative, of the samples themselves."""
+    if row.magnified_by is not None and not keeps_range(row.magnified_by):
+        return False
+    return not row.prefilter and row.sums_to_one and bool((row.weights(np.linspace(0, 1, 257)) >= -1e-12).all())
+
+
+def _at_points(trial: _Part, row: str | Filter, rule: Boundary, on: Device | None, derivative: int) -> Array:
     if not isinstance(row, Filter):
         return dirichlet_sample(trial.samples, trial.points, rule, derivative)
     if on is None:
@@ -505,7 +669,7 @@ def _at_points(trial: _Trial, row: str | Filter, rule: Boundary, on: Device | No
     return sample(trial.samples, trial.points, row, rule, derivative, device=on).astype(np.float64)
 
 
-def _on_lattice(trial: _Trial, row: str | Filter, rule: Boundary, on: Device | None) -> Array:
+def _on_lattice(trial: _Part, row: str | Filter, rule: Boundary, on: Device | None) -> Array:
     if not isinstance(row, Filter):
         result = trial.samples.data
         for axis, positions in enumerate(trial.axes):
@@ -526,22 +690,18 @@ def _on_lattice(trial: _Trial, row: str | Filter, rule: Boundary, on: Device | N
     return result
 
 
-def _gradient_errors(trial: _Trial, got: Array) -> tuple[float, _Angles]:
+def _gradient_errors(trial: _Trial, true: Array, got: Array) -> tuple[float, _Angles]:
     """RMS length of the error; mean, median and 95th percentile of the angle in degrees."""
-    true = trial.gradients
     rms = _root_mean_square(got - true) * math.sqrt(true.shape[-1])
     low, high = trial.samples.value_range
-    unit = max(float(np.abs(true).max()), float(np.abs(got).max())) or 1.0  # so that no square over- or underflows
-    true, got, low, high = true / unit, got / unit, low / unit, high / unit
-    lengths = np.linalg.norm(true, axis=-1)
-    directed = lengths >= max(_DIRECTED * lengths.max(), 1e-9 * (high - low) / min(trial.samples.spacing))
-    if high == low or not directed.any():
+    weights = angle_weights(true, trial.sigma)
+    weights[np.abs(true).max(-1) < 1e-9 * (high - low) / min(trial.samples.spacing)] = 0  # rounding errors
+    total = float(weights.sum())
+    if high == low or total == 0:
         return rms, (None, None, None)
-    got, true, lengths = got[directed], true[directed], lengths[directed]
-    product = lengths * np.linalg.norm(got, axis=-1)
-    cosine = np.divide((got * true).sum(-1), product, out=np.zeros_like(product), where=product > 0)
-    angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
-    return rms, (float(angle.mean()), float(np.median(angle)), float(np.percentile(angle, 95)))
+    between = angles(got, true)
+    median, most = (weighted_quantile(between, weights, share) for share in (0.5, 0.95))
+    return rms, (float((weights * between).sum()) / total, median, most)
 
 
 def _root_mean_square(values: Array) -> float:

@@ -1,0 +1,419 @@
+"""The error to expect of a filter, from the spectrum of the samples and their noise: nothing is blurred or left out.
+
+A separable filter with frequency response H that reconstructs f from samples with white noise errs, averaged over all positions
+and all places of the grid, by ::
+
+    mean squared error = bias² + variance
+    bias²    = mean over w of S(w) E(w),   E(w) = 1 - 2 H(w) + A(w),   A(w) = sum over k of |H(w + 2 pi k)|²
+    variance = sigma² times the mean over w of A(w), which is the mean over positions of the sum of the squared weights
+
+where S is the spectrum of f, and H and A of a volume are products over its axes (Blu and Unser, *Quantitative Fourier analysis of
+approximation techniques*, 1999, in several dimensions and with noise). The spectrum of the samples is S plus sigma², so the error
+is linear in it, and blocks of the volume give it one by one: how it differs among them tells how sure an order of filters is. (With
+the noise taken off in this way it is Mallows' C_p, Stein's unbiased estimate of risk, at all positions instead of the samples.)
+
+The samples say what lies below the Nyquist frequency. Beyond it there is nothing to be seen, so f is taken to be band-limited,
+except at jumps: steps from one sample to the next between samples that are level, which no band-limited function makes. The
+spectrum of a jump is ``height² / w²`` at all frequencies, and the filter's response beyond Nyquist counts for it.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clvol.analysis.comparison import EXACT_SINC, as_compared
+from clvol.analysis.table import Table, column
+from clvol.analysis.theory import error_kernel
+from clvol.checks import enough_memory, number, whole
+from clvol.errors import OptionError
+from clvol.filter import Filter
+from clvol.response import frequency_response
+from clvol.volume import Volume, as_volume
+
+__all__ = ["PredictedRow", "PredictedTable", "jump_error", "predict", "variance_gain"]
+
+Array: TypeAlias = NDArray[np.float64]
+_BLOCK = 32  # samples along each axis
+_TAPERED = 8  # samples: a shorter axis is taken as it is
+_LEVEL = 0.05  # of a jump, and
+_QUIET = 3.0  # standard deviations of the noise: what its neighbours may differ by
+_STANDS_OUT = 30.0  # standard deviations: the least height of a jump
+_NODES = 256  # frequencies in (0, pi), of quantities that are periodic and smooth
+_ALIASES = 4  # on either side: those of a jump fall at least with the cube of the frequency
+_RESAMPLES = 2000
+_SURE = 0.975  # of the resampled volumes
+
+
+@dataclass(frozen=True)
+class PredictedRow:
+    """The error to expect of one filter: root mean squares in the data's units.
+
+    Attributes
+    ----------
+    filter : str
+        Name of the filter.
+    bias : float
+        What it does to the function: blur and aliases.
+    noise : float
+        What it leaves of the samples' noise.
+    rms : float
+        Both together, the root of the sum of their squares.
+    gradient_rms : float or None
+        The same of the gradient, per world unit; None if the filter has none.
+    """
+
+    filter: str = column("filter")
+    bias: float = column("bias", ".3g")
+    noise: float = column("noise", ".3g")
+    rms: float = column("expected RMS error", ".3g")
+    gradient_rms: float | None = column("of the gradient", ".3g")
+
+
+class PredictedTable(Table[PredictedRow]):
+    """A row for each filter, in the requested order, and how far the blocks of the volume bear it out.
+
+    Attributes
+    ----------
+    sigma : float
+        Standard deviation of the noise, as it was given.
+    blocks : ndarray of float64, shape (filters, blocks)
+        Expected squared errors by block, in squared units of the data; their mean is that of the row.
+    slopes : ndarray of float64, shape (filters, blocks)
+        Those of gradients; NaN for filters that have none.
+    variance : float
+        Mean square, without the noise, of what is to be reconstructed: the samples less a plane fitted to each block.
+    detail : float or None
+        Share above half of Nyquist of the mean squared difference between neighbours, without the noise; None if there is
+        no difference that noise does not explain. It does not depend on the volume's length.
+    jumps : float
+        Share of the mean squared difference between neighbours that lies in jumps.
+    """
+
+    def __init__(
+        self,
+        rows: Iterable[PredictedRow],
+        *,
+        sigma: float,
+        blocks: Array,
+        slopes: Array,
+        variance: float,
+        detail: float | None,
+        jumps: float,
+        seed: int,
+    ) -> None:
+        super().__init__(rows)
+        self.sigma = sigma
+        self.blocks = blocks
+        self.slopes = slopes
+        self.variance = variance
+        self.detail = detail
+        self.jumps = jumps
+        self._seed = seed
+
+    def row(self, filter: str) -> PredictedRow:
+        """The row of a filter; `OptionError` if it has none."""
+        return self[self._place(filter)]
+
+    def surely_less(self, filter: str, than: str, times: float = 1.0, key: str = "rms") -> bool:
+        """Whether the error of `filter` is less than `times` that of `than` in 97.5 % of resampled volumes.
+
+        A resampled volume has as many blocks, drawn with replacement, the same for both filters (Efron's bootstrap).
+
+        Parameters
+        ----------
+        filter, than : str
+            Names of rows.
+        times : float
+            Positive.
+        key : {"rms", "gradient_rms"}
+
+        Raises
+        ------
+        OptionError
+            A filter that has no row, or another key.
+        """
+        if key not in ("rms", "gradient_rms"):
+            raise OptionError(f"key must be one of rms, gradient_rms; got {key!r}")
+        squares = self.blocks if key == "rms" else self.slopes
+        gap = number("times", times, above=0) ** 2 * squares[self._place(than)] - squares[self._place(filter)]
+        if not np.isfinite(gap).all() or not gap.any():
+            return False
+        return float((_draws(gap.size, self._seed) @ gap > 0).mean()) >= _SURE
+
+    def _place(self, filter: str) -> int:
+        names = [row.filter for row in self]
+        if filter not in names:
+            raise OptionError(f"filter must be one of {', '.join(names)}; got {filter!r}")
+        return names.index(filter)
+
+
+@lru_cache(maxsize=4)
+def _draws(count: int, seed: int) -> Array:
+    """How often each block is drawn, for each resampled volume; (volumes, blocks)."""
+    return np.random.default_rng(seed).multinomial(count, np.full(count, 1 / count), _RESAMPLES).astype(np.float64)
+
+
+@enough_memory("what is predicted")
+def predict(
+    volume: Volume | ArrayLike, filters: Sequence[str | Filter], sigma: float, *, blocks: int = 256, seed: int = 0
+) -> PredictedTable:
+    """The error to expect of each filter on the samples as they are.
+
+    Parameters
+    ----------
+    volume : Volume or array-like
+        2-D or 3-D samples.
+    filters : sequence of str or Filter
+        One row each; "exact-sinc" is the ideal filter.
+    sigma : float
+        Standard deviation of the samples' noise, which is taken to be white.
+    blocks : int
+        How many blocks of 32 samples along each axis, which overlap by half, are looked at; of more, so many by chance.
+    seed : int
+        Of that choice and of the resampling.
+
+    Returns
+    -------
+    PredictedTable
+
+    Raises
+    ------
+    OptionError
+        An unknown name, or a number outside its bounds.
+    DataError
+        NaN or infinite samples.
+    OutOfMemoryError
+        The blocks do not fit into memory.
+    """
+    chosen, volume = as_compared(filters), as_volume(volume)
+    sigma, count, seed = number("sigma", sigma, minimum=0), whole("blocks", blocks, 1), whole("seed", seed, 0)
+    volume.require_finite()
+    low, high = volume.value_range
+    unit = high / 2 - low / 2 or 1.0  # so that no square over- or underflows
+    noise = sigma / unit
+    parts = (_blocks(volume, count, seed) - (low / 2 + high / 2)) / unit
+    shape = parts.shape[1:]
+    omega = [2 * np.pi * np.fft.fftfreq(n) for n in shape]
+    power, white = _spectra(parts)
+    power -= noise**2 * white
+    steps = _steps(parts, noise)
+    rows, squares, slopes = [], [], []
+    for row in chosen:
+        tables = [_tables(row, w) for w in omega]
+        bias = power @ _kernel(tables) + sum(steps[:, a] * _beyond(row) for a in range(len(shape)))
+        left = noise**2 * variance_gain(row) ** len(shape)
+        squares.append(unit**2 * (bias + left))
+        slope = np.full(bias.size, np.nan)
+        if row == EXACT_SINC or (isinstance(row, Filter) and row.has_gradient):
+            kernel, gain = _slope_kernel(tables, omega, volume.spacing[::-1], row)
+            slope = unit**2 * (power @ kernel + noise**2 * gain)
+        slopes.append(slope)
+        square, mean = max(0.0, float(bias.mean())), float(slope.mean())
+        rows.append(
+            PredictedRow(
+                row.name if isinstance(row, Filter) else row,
+                unit * math.sqrt(square),
+                unit * math.sqrt(left),
+                unit * math.sqrt(square + left),
+                math.sqrt(max(0.0, mean)) if math.isfinite(mean) else None,
+            )
+        )
+    detail, total = _detail(power, white, omega, noise)
+    return PredictedTable(
+        rows,
+        sigma=sigma,
+        blocks=np.array(squares),
+        slopes=np.array(slopes),
+        variance=unit**2 * max(0.0, float(power.mean(0).sum())),
+        detail=detail,
+        jumps=min(1.0, float(steps.sum(1).mean()) / total) if total > 0 else 0.0,
+        seed=seed,
+    )
+
+
+def variance_gain(filter: str | Filter) -> float:
+    """What part of the variance of white noise a filter keeps along one axis, the mean over all positions; 1 for "exact-sinc".
+
+    The mean over positions of the sum of the squared weights that samples have there, the prefilter included; of a volume it is
+    the product over its axes. It is 2/3 for linear interpolation, 0.479 for the cubic approximation.
+
+    Raises
+    ------
+    OptionError
+        Unknown filter.
+    """
+    return _gain(as_compared([filter])[0])
+
+
+def jump_error(filter: str | Filter) -> float:
+    """The squared error beside a jump of height 1, integrated along one axis and averaged over where it lies between samples.
+
+    ``1/(2 pi) integral of E(w) / w²``, per sample: 1/4 for nearest, 1/6 for linear interpolation, which is the least that is
+    possible with two samples, and 2/pi² for the sinc.
+
+    Raises
+    ------
+    OptionError
+        Unknown filter.
+    """
+    row, w = as_compared([filter])[0], _middles()
+    keeps, passes, _ = _tables(row, w)
+    return float(((1 - 2 * keeps + passes) / (4 * np.sin(w / 2) ** 2)).mean()) + _beyond(row)
+
+
+# -- blocks of the volume ------------------------------------------------------------------------------------
+
+
+def _blocks(volume: Volume, count: int, seed: int) -> Array:
+    """Blocks that overlap by half, at most `count` of them; (blocks, *shape)."""
+    sizes = [min(_BLOCK, n) for n in volume.shape]
+    starts = [sorted({*range(0, n - m, max(1, m // 2)), n - m}) for n, m in zip(volume.shape, sizes, strict=True)]
+    places = list(itertools.product(*starts))
+    if len(places) > count:
+        places = [places[i] for i in np.sort(np.random.default_rng(seed).choice(len(places), count, replace=False))]
+    windows = [tuple(slice(a, a + m) for a, m in zip(place, sizes, strict=True)) for place in places]
+    return np.stack([volume.data[window].astype(np.float64) for window in windows])
+
+
+def _taper(shape: tuple[int, ...]) -> Array:
+    """Hann's window, with a mean square of 1."""
+    window = np.ones(shape)
+    for axis, n in enumerate(shape):
+        line = np.hanning(n + 2)[1:-1] if n >= _TAPERED else np.ones(n)
+        window *= line.reshape([-1 if a == axis else 1 for a in range(len(shape))])
+    return window / math.sqrt(float((window**2).mean()))
+
+
+def _spectra(parts: Array) -> tuple[Array, Array]:
+    """Power of each block less a plane fitted to it, (blocks, frequencies), and what noise of variance 1 adds to it.
+
+    Powers are shares of the mean square: their sum is that of the tapered block. The plane would leak to all frequencies.
+    """
+    shape = parts.shape[1:]
+    window = _taper(shape)
+    ones = np.ones(shape)
+    bases = [ones, *(g - (n - 1) / 2 for g, n in zip(np.indices(shape, np.float64), shape, strict=True) if n > 1)]
+    tapered = np.array([window * b / math.sqrt(float(((window * b) ** 2).sum())) for b in bases]).reshape(len(bases), -1)
+    flat = (parts * window).reshape(len(parts), -1)
+    flat -= flat @ tapered.T @ tapered
+    axes, size = tuple(range(1, parts.ndim)), flat.shape[1]
+    power = np.abs(np.fft.fftn(flat.reshape(parts.shape), axes=axes)) ** 2 / size**2
+    # noise is white, so its samples are independent: those of the tapered noise have the variances window², and the fit
+    # takes from them what projects on the tapered bases
+    variances = window.ravel() ** 2
+    of_bases = np.fft.fftn(tapered.reshape(-1, *shape), axes=axes).reshape(len(bases), -1)
+    crossed = np.fft.fftn((tapered * variances).reshape(-1, *shape), axes=axes).reshape(len(bases), -1)
+    shared = (tapered * variances) @ tapered.T
+    white = variances.sum() - 2 * (of_bases.conj() * crossed).real.sum(0)
+    white = white + np.einsum("iw,ij,jw->w", of_bases.conj(), shared, of_bases).real
+    return power.reshape(len(parts), -1), white / size**2
+
+
+def _steps(parts: Array, noise: float) -> Array:
+    """Mean square along each axis of the differences that are jumps; (blocks, axes)."""
+    weights = _taper(parts.shape[1:]) ** 2
+    result = np.zeros((len(parts), parts.ndim - 1))
+    for axis in range(parts.ndim - 1):
+        if parts.shape[axis + 1] < 4:
+            continue
+        change = np.abs(np.diff(np.moveaxis(parts, axis + 1, -1)))
+        middle = change[..., 1:-1]
+        least = np.maximum(change[..., :-2], change[..., 2:])
+        jumps = (middle > 0) & (middle >= _STANDS_OUT * noise) & (least <= _LEVEL * middle + _QUIET * noise)
+        along = np.moveaxis(weights, axis, -1)
+        result[:, axis] = (np.where(jumps, middle**2, 0) * (along[..., 1:-2] + along[..., 2:-1]) / 2).reshape(len(parts), -1).sum(1)
+    return result / parts[0].size
+
+
+def _detail(power: Array, white: Array, omega: Sequence[Array], noise: float) -> tuple[float | None, float]:
+    """Share of the mean squared difference that lies above half of Nyquist, and that mean square."""
+    mean = power.mean(0).reshape([w.size for w in omega])
+    spread = power.std(0).reshape(mean.shape) / math.sqrt(len(power))
+    floor = (noise**2 * white).reshape(mean.shape)
+    high = total = doubt = 0.0
+    for axis, w in enumerate(omega):
+        others = tuple(a for a in range(mean.ndim) if a != axis)
+        weight = 2 - 2 * np.cos(w)
+        line = mean.sum(others) * weight
+        high += float(line[np.abs(w) > np.pi / 2].sum())
+        total += float(line.sum())
+        doubt += float((np.hypot(spread, floor / math.sqrt(len(power))).sum(others) * weight).sum())
+    if total <= 0 or total <= 1e-3 * doubt:
+        return None, max(total, 0.0)
+    return min(1.0, max(0.0, high / total)), total
+
+
+# -- filters at frequencies ----------------------------------------------------------------------------------
+
+
+def _tables(row: str | Filter, omega: Array) -> tuple[Array, Array, Array]:
+    """H(w), A(w), and the same sum with (w + 2 pi k)², the power of the derivative."""
+    if not isinstance(row, Filter):
+        return np.ones_like(omega), np.ones_like(omega), omega**2
+    keeps = frequency_response(row, omega)
+    passes = error_kernel(row, omega) - 1 + 2 * keeps
+    if not row.has_gradient:
+        return keeps, passes, np.zeros_like(omega)
+    return keeps, passes, error_kernel(row, omega, 1) - omega**2 + 2 * omega**2 * keeps
+
+
+def _product(lines: Sequence[Array]) -> Array:
+    result = lines[0]
+    for line in lines[1:]:
+        result = np.multiply.outer(result, line)
+    return result.ravel()
+
+
+def _kernel(tables: Sequence[tuple[Array, Array, Array]]) -> Array:
+    """E(w) of a volume, at all combinations of frequencies."""
+    return np.asarray(1 - 2 * _product([t[0] for t in tables]) + _product([t[1] for t in tables]))
+
+
+def _slope_kernel(
+    tables: Sequence[tuple[Array, Array, Array]], omega: Sequence[Array], spacing: Sequence[float], row: str | Filter
+) -> tuple[Array, float]:
+    """That of the gradient per world unit, and what it makes of noise of variance 1."""
+    w = _middles()
+    value, slope = variance_gain(row), float(_tables(row, w)[2].mean())
+    total, gain = np.zeros(math.prod(v.size for v in omega)), 0.0
+    for axis, step in enumerate(spacing):
+        squares = _product([v**2 if a == axis else np.ones_like(v) for a, v in enumerate(omega)])
+        passes = _product([t[2] if a == axis else t[1] for a, t in enumerate(tables)])
+        total += (squares * (1 - 2 * _product([t[0] for t in tables])) + passes) / step**2
+        gain += slope * value ** (len(omega) - 1) / step**2
+    return total, gain
+
+
+def _middles() -> Array:
+    """Frequencies within (0, pi) whose mean stands for the integral."""
+    return np.asarray((np.arange(_NODES) + 0.5) * np.pi / _NODES)
+
+
+@lru_cache(maxsize=256)
+def _gain(row: str | Filter) -> float:
+    return float(_tables(row, _middles())[1].mean())
+
+
+@lru_cache(maxsize=256)
+def _beyond(row: str | Filter) -> float:
+    """How much more a filter errs at a jump of height 1 than at a band-limited function with the same samples.
+
+    The two differ by the ``-2 H`` of E alone: A repeats, and the aliases of ``1 / w²`` sum to the ``1 / (4 sin²(w / 2))`` that
+    the samples show.
+    """
+    w = _middles()
+    if not isinstance(row, Filter):
+        return float((1 / (2 * np.sin(w / 2) ** 2) - 2 / w**2).mean())
+    seen = frequency_response(row, w) / (4 * np.sin(w / 2) ** 2)
+    for k in range(-_ALIASES, _ALIASES + 1):
+        at = w + 2 * np.pi * k
+        seen -= frequency_response(row, at) / at**2
+    return float(2 * seen.mean())
