@@ -127,7 +127,6 @@ class Noise:
         return self.background is not None and self.jump >= _CUTS
 
 
-
 def estimate(samples: NDArray[Any]) -> Noise:
     """The noise of a volume or image, from at most about a million of its samples; `Volume.noise` remembers it.
 

@@ -44,7 +44,6 @@ _CHUNK = 1 << 20  # positions at a time
 _SINC_PRODUCTS = 1 << 34  # of the exact sinc at scattered points: each takes all samples
 _SHARE = 0.9  # of the progress: errors, if times are measured too
 _SHIFTS = 27  # of a decimated grid by whole samples; of more, so many by chance
-_SOUGHT = 20_000  # cells in which overshoot is sought
 _NUMPY = "NumPy, float64"
 _LARGEST = 1e305  # samples: coefficients of splines through them, and gradients, are up to some hundred times as large
 
@@ -306,7 +305,7 @@ def compare(
     if truth is None:
         if gradient is not None:
             raise OptionError("gradient must be that of a function; got it with a volume without its truth")
-        sigma = noise.estimate(volume).sigma if sigma is None else sigma
+        sigma = volume.noise.sigma if sigma is None else sigma
         trial = _held_back(volume, factor, lowpass, fractional, sigma, margin, points, rule, rng, max_samples)
     else:
         trial = _known(volume, truth, gradient, margin, points, rng)
@@ -421,7 +420,9 @@ def _held_back(
     width = factor / 2 if lowpass == "gaussian" else 0.0
     smooth = original.gaussian([width * s for s in original.spacing]) if width else original
     shifts = _shifts(original.size, factor, fractional if width else 0, rng)
-    grids = [(shift, _decimated(smooth, factor, shift, rule)) for shift in shifts]
+    quintic, drawn = _prefiltered(smooth.data, as_filter("bspline5"), rule)
+    coefficients = replace(smooth, data=quintic)
+    grids = [(shift, _decimated(smooth, quintic, drawn, factor, shift, rule)) for shift in shifts]
     places = [_compared(samples, shift, factor, original.shape, margin) for shift, samples in grids]
     parts, lost = [], []
     for i, ((shift, samples), kept) in enumerate(zip(grids, places, strict=True)):
@@ -432,7 +433,7 @@ def _held_back(
         some = rng.choice(count, min(math.ceil(points / len(grids)), count), replace=False)
         index = np.stack([k[j] for k, j in zip(kept, np.unravel_index(some, [k.size for k in kept]), strict=True)][::-1], -1)
         world = original.index_to_world(index)
-        slopes = reference.sample(smooth, world, "bspline5", rule, derivative=1)
+        slopes = reference.sample(coefficients, world, drawn, rule, derivative=1)
         axes = [(k - s) / factor for k, s in zip(kept, shift[::-1], strict=True)]
         sampled, before = smooth.data[np.ix_(*kept)], original.data[np.ix_(*kept)]
         lost.append((before - sampled).ravel())
@@ -465,13 +466,13 @@ def _shifts(size: Sequence[int], factor: int, fractional: int, rng: np.random.Ge
     return [*whole_ones, *between]
 
 
-def _decimated(smooth: Volume, factor: int, shift: Array, rule: Boundary) -> Volume:
-    """Every `factor`-th sample, or value of the quintic spline, from `shift` on."""
+def _decimated(smooth: Volume, quintic: Array, drawn: Filter, factor: int, shift: Array, rule: Boundary) -> Volume:
+    """Every `factor`-th sample, or value of the quintic spline with such coefficients, from `shift` on."""
     axes = [np.arange(s, n - 1 + 1e-9, factor) for s, n in zip(shift[::-1], smooth.shape, strict=True)]
     if all(s == int(s) for s in shift):
         data = smooth.data[np.ix_(*(a.astype(np.int64) for a in axes))]
     else:
-        data = reference.lattice(smooth.data, axes, "bspline5", rule)
+        data = reference.lattice(quintic, axes, drawn, rule)
     origin = tuple(smooth.index_to_world(shift))
     return replace(smooth, data=data, spacing=tuple(s * factor for s in smooth.spacing), origin=origin)
 
@@ -623,8 +624,7 @@ def _measure(trial: _Trial, row: str | Filter, rule: Boundary, on: Device | None
 def overshoot(volume: Volume, row: str | Filter, rule: Boundary) -> float:
     """How far a reconstruction leaves the range of its samples, in their units: 0 if it does not.
 
-    Sought half-way between samples along one axis, two or three, in the cells whose samples lie nearest to the ends of the
-    range and differ most: where filters ring.
+    Looked for half-way between samples along one axis, two or three, where filters ring most.
 
     Parameters
     ----------
@@ -633,29 +633,29 @@ def overshoot(volume: Volume, row: str | Filter, rule: Boundary) -> float:
     row : Filter, or "exact-sinc"
     rule : Boundary
     """
-    from scipy import ndimage
-
     low, high = volume.value_range
-    data = volume.data.astype(np.float64)
     if low == high or (isinstance(row, Filter) and keeps_range(row)):
         return 0.0
-    top, bottom = ndimage.maximum_filter(data, 2, origin=-1), ndimage.minimum_filter(data, 2, origin=-1)
-    wide = ndimage.maximum_filter(data, 4, origin=-1) / 2 - ndimage.minimum_filter(data, 4, origin=-1) / 2
-    likely = np.maximum(top / 2 - high / 2, low / 2 - bottom / 2) + wide / 2
-    count = _SOUGHT if isinstance(row, Filter) else max(1, _SINC_PRODUCTS // (8 * data.size * 8))
-    order = np.argpartition(likely.ravel(), max(0, likely.size - count))[-count:]
-    cells = np.stack(np.unravel_index(order, data.shape), -1)[:, ::-1]
-    reached = [low, high]
-    for step in itertools.product((0.0, 0.5), repeat=volume.ndim):
-        index = np.minimum(cells + step, np.array(volume.size) - 1.0)
-        world = volume.index_to_world(index)
-        part = dirichlet_sample(volume, world, rule) if not isinstance(row, Filter) else reference.sample(volume, world, row, rule)
-        reached = [min(reached[0], float(part.min())), max(reached[1], float(part.max()))]
-    return max(low - reached[0], reached[1] - high)
+    data: Array = volume.data.astype(np.float64)
+    if isinstance(row, Filter):
+        data, row = _prefiltered(data, row, rule)
+    least, most = low, high
+    thickness = max(1, _CHUNK // (data.size // data.shape[0]))
+    for shift in itertools.product((0.0, 0.5), repeat=data.ndim):
+        axes = [np.arange(n - 1 if s else n) + s for n, s in zip(data.shape, shift, strict=True)]
+        if not all(axis.size for axis in axes):
+            continue
+        for first in range(0, axes[0].size, thickness):
+            part = lattice_of(data, [axes[0][first : first + thickness], *axes[1:]], row, rule)
+            least, most = min(least, float(part.min())), max(most, float(part.max()))
+    return max(low - least, most - high)
 
 
 def keeps_range(row: Filter) -> bool:
-    """Whether values can never leave the range of the samples: weights that sum to one, none negative, of the samples themselves."""
+    """Whether values can never leave the range of the samples.
+
+    So it is where weights of the samples themselves sum to one and none is negative: every value is a mean of samples then.
+    """
     if row.magnified_by is not None and not keeps_range(row.magnified_by):
         return False
     return not row.prefilter and row.sums_to_one and bool((row.weights(np.linspace(0, 1, 257)) >= -1e-12).all())
@@ -670,14 +670,8 @@ def _at_points(trial: _Part, row: str | Filter, rule: Boundary, on: Device | Non
 
 
 def _on_lattice(trial: _Part, row: str | Filter, rule: Boundary, on: Device | None) -> Array:
-    if not isinstance(row, Filter):
-        result = trial.samples.data
-        for axis, positions in enumerate(trial.axes):
-            weights = dirichlet_weights(positions, result.shape[axis], rule)
-            result = np.moveaxis(np.tensordot(weights, result, (1, axis)), 0, axis)
-        return np.ascontiguousarray(result)
-    if on is None:
-        return reference.lattice(trial.samples.data, trial.axes, row, rule)
+    if on is None or not isinstance(row, Filter):
+        return lattice_of(trial.samples.data, trial.axes, row, rule)
     result = np.empty([a.size for a in trial.axes])
     evaluator = choose_evaluator(on, row)
     thickness = max(1, _CHUNK // (result.size // result.shape[0]))
@@ -688,6 +682,21 @@ def _on_lattice(trial: _Part, row: str | Filter, rule: Boundary, on: Device | No
             values = sample_coefficients(resident, evaluator, world)
             result[first : first + thickness] = values.reshape([a.size for a in axes])
     return result
+
+
+def lattice_of(data: Array, axes: Sequence[Array], row: str | Filter, rule: Boundary) -> Array:
+    """Values at all combinations of positions, in float64."""
+    if isinstance(row, Filter):
+        return reference.lattice(data, axes, row, rule)
+    for axis, positions in enumerate(axes):
+        weights = dirichlet_weights(positions, data.shape[axis], rule)
+        data = np.moveaxis(np.tensordot(weights, data, (1, axis)), 0, axis)
+    return np.ascontiguousarray(data)
+
+
+def _prefiltered(data: Array, row: Filter, rule: Boundary) -> tuple[Array, Filter]:
+    """Coefficients, and the filter that draws them as they are: solved for once, however often it draws."""
+    return (reference.prefilter(data, row, rule), replace(row, prefilter=False)) if row.prefilter else (data, row)
 
 
 def _gradient_errors(trial: _Trial, true: Array, got: Array) -> tuple[float, _Angles]:

@@ -35,6 +35,7 @@ from clvol.analysis.theory import error_kernel
 from clvol.checks import enough_memory, number, whole
 from clvol.errors import OptionError
 from clvol.filter import Filter
+from clvol.noise import Noise, colour_power
 from clvol.response import frequency_response
 from clvol.volume import Volume, as_volume
 
@@ -163,7 +164,12 @@ def _draws(count: int, seed: int) -> Array:
 
 @enough_memory("what is predicted")
 def predict(
-    volume: Volume | ArrayLike, filters: Sequence[str | Filter], sigma: float, *, blocks: int = 256, seed: int = 0
+    volume: Volume | ArrayLike,
+    filters: Sequence[str | Filter],
+    noise: Noise | float | None = None,
+    *,
+    blocks: int = 256,
+    seed: int = 0,
 ) -> PredictedTable:
     """The error to expect of each filter on the samples as they are.
 
@@ -173,8 +179,9 @@ def predict(
         2-D or 3-D samples.
     filters : sequence of str or Filter
         One row each; "exact-sinc" is the ideal filter.
-    sigma : float
-        Standard deviation of the samples' noise, which is taken to be white.
+    noise : Noise or float, optional
+        That of the samples, or the standard deviation of white noise; default: `Volume.noise`. Samples of a background that was
+        masked out or cut off have none.
     blocks : int
         How many blocks of 32 samples along each axis, which overlap by half, are looked at; of more, so many by chance.
     seed : int
@@ -194,42 +201,48 @@ def predict(
         The blocks do not fit into memory.
     """
     chosen, volume = as_compared(filters), as_volume(volume)
-    sigma, count, seed = number("sigma", sigma, minimum=0), whole("blocks", blocks, 1), whole("seed", seed, 0)
+    count, seed = whole("blocks", blocks, 1), whole("seed", seed, 0)
     volume.require_finite()
+    given = volume.noise if noise is None else noise
+    known = given if isinstance(given, Noise) else Noise(number("noise", given, minimum=0), "white", colour=(1.0,) * volume.ndim)
     low, high = volume.value_range
     unit = high / 2 - low / 2 or 1.0  # so that no square over- or underflows
-    noise = sigma / unit
-    parts = (_blocks(volume, count, seed) - (low / 2 + high / 2)) / unit
+    samples = _blocks(volume, count, seed)
+    parts = (samples - (low / 2 + high / 2)) / unit
     shape = parts.shape[1:]
-    omega = [2 * np.pi * np.fft.fftfreq(n) for n in shape]
+    variance = (known.sigma / unit) ** 2 * _noisy(samples, known)
+    del samples
+    omega = [np.asarray(2 * np.pi * np.fft.fftfreq(n), np.float64) for n in shape]
+    colours = known.colour[::-1]
     power, white = _spectra(parts)
-    power -= noise**2 * white
-    steps = _steps(parts, noise)
+    white *= _product([_coloured(ratio, w) for ratio, w in zip(colours, omega, strict=True)])
+    power -= np.multiply.outer(variance, white)
+    steps = _steps(parts, np.sqrt(variance))
     rows, squares, slopes = [], [], []
     for row in chosen:
         tables = [_tables(row, w) for w in omega]
         bias = power @ _kernel(tables) + sum(steps[:, a] * _beyond(row) for a in range(len(shape)))
-        left = noise**2 * variance_gain(row) ** len(shape)
+        left = variance * math.prod(_gain(row, ratio) for ratio in colours)
         squares.append(unit**2 * (bias + left))
         slope = np.full(bias.size, np.nan)
         if row == EXACT_SINC or (isinstance(row, Filter) and row.has_gradient):
-            kernel, gain = _slope_kernel(tables, omega, volume.spacing[::-1], row)
-            slope = unit**2 * (power @ kernel + noise**2 * gain)
+            kernel, gain = _slope_kernel(row, tables, omega, volume.spacing[::-1], colours)
+            slope = unit**2 * (power @ kernel + variance * gain)
         slopes.append(slope)
-        square, mean = max(0.0, float(bias.mean())), float(slope.mean())
+        square, noisy, mean = max(0.0, float(bias.mean())), float(left.mean()), float(slope.mean())
         rows.append(
             PredictedRow(
                 row.name if isinstance(row, Filter) else row,
                 unit * math.sqrt(square),
-                unit * math.sqrt(left),
-                unit * math.sqrt(square + left),
+                unit * math.sqrt(noisy),
+                unit * math.sqrt(square + noisy),
                 math.sqrt(max(0.0, mean)) if math.isfinite(mean) else None,
             )
         )
-    detail, total = _detail(power, white, omega, noise)
+    detail, total = _detail(power, omega)
     return PredictedTable(
         rows,
-        sigma=sigma,
+        sigma=known.sigma,
         blocks=np.array(squares),
         slopes=np.array(slopes),
         variance=unit**2 * max(0.0, float(power.mean(0).sum())),
@@ -250,7 +263,7 @@ def variance_gain(filter: str | Filter) -> float:
     OptionError
         Unknown filter.
     """
-    return _gain(as_compared([filter])[0])
+    return _gain(as_compared([filter])[0], 1.0)
 
 
 def jump_error(filter: str | Filter) -> float:
@@ -317,38 +330,42 @@ def _spectra(parts: Array) -> tuple[Array, Array]:
     return power.reshape(len(parts), -1), white / size**2
 
 
-def _steps(parts: Array, noise: float) -> Array:
-    """Mean square along each axis of the differences that are jumps; (blocks, axes)."""
+def _noisy(samples: Array, noise: Noise) -> Array:
+    """What share of each block is no background, which has no noise."""
+    if noise.background is None:
+        return np.ones(len(samples))
+    weights = _taper(samples.shape[1:]) ** 2
+    return ((samples != noise.background) * weights).reshape(len(samples), -1).mean(1)
+
+
+def _steps(parts: Array, sigma: Array) -> Array:
+    """Mean square along each axis of the differences that are jumps, with the noise of each block; (blocks, axes)."""
     weights = _taper(parts.shape[1:]) ** 2
+    noise = sigma.reshape(-1, *[1] * (parts.ndim - 1))
     result = np.zeros((len(parts), parts.ndim - 1))
     for axis in range(parts.ndim - 1):
         if parts.shape[axis + 1] < 4:
             continue
         change = np.abs(np.diff(np.moveaxis(parts, axis + 1, -1)))
         middle = change[..., 1:-1]
-        least = np.maximum(change[..., :-2], change[..., 2:])
-        jumps = (middle > 0) & (middle >= _STANDS_OUT * noise) & (least <= _LEVEL * middle + _QUIET * noise)
+        beside = np.maximum(change[..., :-2], change[..., 2:])
+        jumps = (middle > 0) & (middle >= _STANDS_OUT * noise) & (beside <= _LEVEL * middle + _QUIET * noise)
         along = np.moveaxis(weights, axis, -1)
         result[:, axis] = (np.where(jumps, middle**2, 0) * (along[..., 1:-2] + along[..., 2:-1]) / 2).reshape(len(parts), -1).sum(1)
     return result / parts[0].size
 
 
-def _detail(power: Array, white: Array, omega: Sequence[Array], noise: float) -> tuple[float | None, float]:
+def _detail(power: Array, omega: Sequence[Array]) -> tuple[float | None, float]:
     """Share of the mean squared difference that lies above half of Nyquist, and that mean square."""
-    mean = power.mean(0).reshape([w.size for w in omega])
-    spread = power.std(0).reshape(mean.shape) / math.sqrt(len(power))
-    floor = (noise**2 * white).reshape(mean.shape)
-    high = total = doubt = 0.0
-    for axis, w in enumerate(omega):
-        others = tuple(a for a in range(mean.ndim) if a != axis)
-        weight = 2 - 2 * np.cos(w)
-        line = mean.sum(others) * weight
-        high += float(line[np.abs(w) > np.pi / 2].sum())
-        total += float(line.sum())
-        doubt += float((np.hypot(spread, floor / math.sqrt(len(power))).sum(others) * weight).sum())
-    if total <= 0 or total <= 1e-3 * doubt:
+    ones = [np.ones_like(w) for w in omega]
+    shares = []
+    for least in (0.0, np.pi / 2):
+        lines = [np.where(np.abs(w) > least, 2 - 2 * np.cos(w), 0.0) for w in omega]
+        shares.append(power @ sum(_product([*ones[:a], line, *ones[a + 1 :]]) for a, line in enumerate(lines)))
+    total, doubt = float(shares[0].mean()), float(shares[0].std()) / math.sqrt(len(power))
+    if total <= 0 or total < 2 * doubt:  # noise explains it
         return None, max(total, 0.0)
-    return min(1.0, max(0.0, high / total)), total
+    return min(1.0, max(0.0, float(shares[1].mean()) / total)), total
 
 
 # -- filters at frequencies ----------------------------------------------------------------------------------
@@ -369,7 +386,7 @@ def _product(lines: Sequence[Array]) -> Array:
     result = lines[0]
     for line in lines[1:]:
         result = np.multiply.outer(result, line)
-    return result.ravel()
+    return np.asarray(result.ravel())
 
 
 def _kernel(tables: Sequence[tuple[Array, Array, Array]]) -> Array:
@@ -378,18 +395,28 @@ def _kernel(tables: Sequence[tuple[Array, Array, Array]]) -> Array:
 
 
 def _slope_kernel(
-    tables: Sequence[tuple[Array, Array, Array]], omega: Sequence[Array], spacing: Sequence[float], row: str | Filter
+    row: str | Filter,
+    tables: Sequence[tuple[Array, Array, Array]],
+    omega: Sequence[Array],
+    spacing: Sequence[float],
+    colours: Sequence[float],
 ) -> tuple[Array, float]:
     """That of the gradient per world unit, and what it makes of noise of variance 1."""
     w = _middles()
-    value, slope = variance_gain(row), float(_tables(row, w)[2].mean())
+    slopes = _tables(row, w)[2]
     total, gain = np.zeros(math.prod(v.size for v in omega)), 0.0
     for axis, step in enumerate(spacing):
         squares = _product([v**2 if a == axis else np.ones_like(v) for a, v in enumerate(omega)])
         passes = _product([t[2] if a == axis else t[1] for a, t in enumerate(tables)])
         total += (squares * (1 - 2 * _product([t[0] for t in tables])) + passes) / step**2
-        gain += slope * value ** (len(omega) - 1) / step**2
+        others = math.prod(_gain(row, ratio) for a, ratio in enumerate(colours) if a != axis)
+        gain += float((slopes * _coloured(colours[axis], w)).mean()) * others / step**2
     return total, gain
+
+
+def _coloured(ratio: float, omega: Array) -> Array:
+    """The power of noise of variance 1 along an axis, see `clvol.noise.colour_power`."""
+    return np.asarray(colour_power(ratio, omega) / float(colour_power(ratio, _middles()).mean()))
 
 
 def _middles() -> Array:
@@ -398,8 +425,8 @@ def _middles() -> Array:
 
 
 @lru_cache(maxsize=256)
-def _gain(row: str | Filter) -> float:
-    return float(_tables(row, _middles())[1].mean())
+def _gain(row: str | Filter, ratio: float) -> float:
+    return float((_tables(row, _middles())[1] * _coloured(ratio, _middles())).mean())
 
 
 @lru_cache(maxsize=256)
