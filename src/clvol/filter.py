@@ -61,7 +61,7 @@ _FIT_TOLERANCE = 1e-10  # of the kernel's peak: its second derivative then errs 
 _MISFIT = 0.1  # of the kernel's peak: a fit that errs by more is another kernel
 _SINC_DEGREE = 12  # of the fits to sinc and its windowed forms: they err by less than that
 _ROUNDING = 1e-9  # floating rows are taken as zero, one or equal within this
-_NEAREST_POLE = 0.03  # to the unit circle: what float32 can follow
+_MOST_SMOOTHING = 1e5  # beyond it poles lie so near to the unit circle that float32 cannot follow
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Filter:
     fit_error : float
         Largest absolute error of `taps` to the kernel that they were fitted to; 0 if exact.
     smoothing : float, tuple of float or "auto"
-        λ, 0 or more, of a smoothing spline, which trades closeness to the samples for smoothness: 0 passes through them. One
+        λ, from 0 to 10⁵, of a smoothing spline, which trades closeness to the samples for smoothness: 0 passes through them. One
         number, or one for each axis, x first. "auto" is decided for each volume (`clvol.smoothing.settled`).
     length : float, optional
         Instead of λ, a length ℓ in world units: λ is (ℓ / spacing)²ᵐ along each axis, m being the `penalty`, so that a wave
@@ -348,9 +348,7 @@ class Filter:
             raise OptionError(f"{self.name!r} cannot interpolate: its kernel is not even at the samples")
         if abs(self.samples[0]) < _ROUNDING and self.samples.size == 1:
             raise OptionError(f"{self.name!r} cannot interpolate: its kernel is zero at the samples")
-        if 2 * inside.size != roots.size or np.any(np.abs(np.abs(roots) - 1) < (_NEAREST_POLE if self.smoothing else 1e-3)):
-            if self.smoothing:
-                raise OptionError(f"smoothing must be up to {_most(self.penalty):g} for {self.name!r}; got {self.smoothing!r}")
+        if 2 * inside.size != roots.size or np.any(np.abs(np.abs(roots) - 1) < 1e-3):
             raise OptionError(f"{self.name!r} cannot interpolate: its prefilter has poles on the unit circle")
 
     def _derivative(self, order: int) -> list[Polynomial]:
@@ -421,8 +419,8 @@ def bspline(
     Raises
     ------
     OptionError
-        A degree outside 0 to 9; smoothing that is negative, too large for float32, or given to a filter without a prefilter
-        (degrees 0 and 1 have none).
+        A degree outside 0 to 9; smoothing that is negative or more than 10⁵, which float32 could not follow, or given to a
+        filter without a prefilter (degrees 0 and 1 have none).
     """
     degree = whole("degree", degree, 0, 9)
     made = _bspline(degree, prefilter is not False and degree >= 2)  # the first two interpolate as they are
@@ -465,16 +463,11 @@ def _smoothing(value: object) -> Smoothing:
             return "auto"
         raise OptionError(f'smoothing must be a number of at least 0, one for each axis, or "auto"; got {value!r}')
     if not isinstance(value, (tuple, list, np.ndarray)):
-        return float(number("smoothing", value, minimum=0))
-    values = tuple(float(number("smoothing along each axis", v, minimum=0)) for v in value)
+        return float(number("smoothing", value, minimum=0, maximum=_MOST_SMOOTHING))
+    values = tuple(float(number("smoothing along each axis", v, minimum=0, maximum=_MOST_SMOOTHING)) for v in value)
     if len(values) not in (2, 3):
         raise OptionError(f"smoothing must be one number, or one for each of 2 or 3 axes; got {value!r}")
     return values[0] if len(set(values)) == 1 else values
-
-
-def _most(penalty: int) -> float:
-    """The largest λ, about, whose poles stay `_NEAREST_POLE` away from the unit circle."""
-    return float((math.sin(math.pi / (2 * penalty)) / _NEAREST_POLE) ** (2 * penalty))
 
 
 def _next_degree(rows: list[list[Fraction]], k: int, m: int) -> list[Fraction]:
