@@ -27,6 +27,7 @@ from clvol.device import Device, as_device
 from clvol.errors import ClvolError, DataError, DeviceError, OptionError
 from clvol.filter import Filter, as_filter, several_names
 from clvol.response import prefilter_response
+from clvol.settling import settled
 from clvol.spline.evaluator import choose_evaluator
 from clvol.spline.field import coefficients_of, sample
 from clvol.spline.points import sample_coefficients
@@ -302,6 +303,7 @@ def compare(
     low, high = volume.value_range
     if max(-low, high) > _LARGEST:
         raise DataError(f"samples must lie within ±{_LARGEST:g}, to leave room for splines; got {low:g} to {high:g}")
+    chosen = [settled(row, volume) if isinstance(row, Filter) else row for row in chosen]
     if truth is None:
         if gradient is not None:
             raise OptionError("gradient must be that of a function; got it with a volume without its truth")
@@ -696,7 +698,9 @@ def lattice_of(data: Array, axes: Sequence[Array], row: str | Filter, rule: Boun
 
 def _prefiltered(data: Array, row: Filter, rule: Boundary) -> tuple[Array, Filter]:
     """Coefficients, and the filter that draws them as they are: solved for once, however often it draws."""
-    return (reference.prefilter(data, row, rule), replace(row, prefilter=False)) if row.prefilter else (data, row)
+    if not row.prefilter:
+        return data, row
+    return reference.prefilter(data, row, rule), replace(row, prefilter=False, smoothing=0.0)
 
 
 def _gradient_errors(trial: _Trial, true: Array, got: Array) -> tuple[float, _Angles]:

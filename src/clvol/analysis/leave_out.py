@@ -16,6 +16,7 @@ from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.checks import enough_memory, number
 from clvol.errors import OptionError
 from clvol.filter import Filter
+from clvol.settling import settled
 from clvol.volume import Volume, as_volume
 
 __all__ = ["LeftOutRow", "LeftOutTable", "leave_out"]
@@ -107,6 +108,7 @@ def leave_out(
     if EXACT_SINC in chosen and rule.period is None:
         raise OptionError(f"boundary must be mirror, reflect or wrap for {EXACT_SINC!r}; got {rule.name!r}")
     volume.require_finite()
+    chosen = [settled(row, volume) if isinstance(row, Filter) else row for row in chosen]
     if sigma is None:
         noise = volume.noise
         share = 1.0 if noise.background is None else 1 - noise.background_share

@@ -37,6 +37,7 @@ from clvol.errors import OptionError
 from clvol.filter import Filter
 from clvol.noise import Noise, colour_power
 from clvol.response import frequency_response
+from clvol.settling import settled
 from clvol.volume import Volume, as_volume
 
 __all__ = ["PredictedRow", "PredictedTable", "jump_error", "predict", "variance_gain"]
@@ -203,6 +204,7 @@ def predict(
     chosen, volume = as_compared(filters), as_volume(volume)
     count, seed = whole("blocks", blocks, 1), whole("seed", seed, 0)
     volume.require_finite()
+    chosen = [settled(row, volume) if isinstance(row, Filter) else row for row in chosen]
     given = volume.noise if noise is None else noise
     known = given if isinstance(given, Noise) else Noise(number("noise", given, minimum=0), "white", colour=(1.0,) * volume.ndim)
     low, high = volume.value_range
@@ -220,13 +222,14 @@ def predict(
     steps = _steps(parts, np.sqrt(variance))
     rows, squares, slopes = [], [], []
     for row in chosen:
-        tables = [_tables(row, w) for w in omega]
-        bias = power @ _kernel(tables) + sum(steps[:, a] * _beyond(row) for a in range(len(shape)))
-        left = variance * math.prod(_gain(row, ratio) for ratio in colours)
+        along = [row.along(a) if isinstance(row, Filter) else row for a in reversed(range(len(shape)))]  # x is 0
+        tables = [_tables(part, w) for part, w in zip(along, omega, strict=True)]
+        bias = power @ _kernel(tables) + sum(steps[:, a] * _beyond(part) for a, part in enumerate(along))
+        left = variance * math.prod(_gain(part, ratio) for part, ratio in zip(along, colours, strict=True))
         squares.append(unit**2 * (bias + left))
         slope = np.full(bias.size, np.nan)
         if row == EXACT_SINC or (isinstance(row, Filter) and row.has_gradient):
-            kernel, gain = _slope_kernel(row, tables, omega, volume.spacing[::-1], colours)
+            kernel, gain = _slope_kernel(along, tables, omega, volume.spacing[::-1], colours)
             slope = unit**2 * (power @ kernel + variance * gain)
         slopes.append(slope)
         square, noisy, mean = max(0.0, float(bias.mean())), float(left.mean()), float(slope.mean())
@@ -263,7 +266,7 @@ def variance_gain(filter: str | Filter) -> float:
     OptionError
         Unknown filter.
     """
-    return _gain(as_compared([filter])[0], 1.0)
+    return _gain(_one(filter), 1.0)
 
 
 def jump_error(filter: str | Filter) -> float:
@@ -277,9 +280,14 @@ def jump_error(filter: str | Filter) -> float:
     OptionError
         Unknown filter.
     """
-    row, w = as_compared([filter])[0], _middles()
+    row, w = _one(filter), _middles()
     keeps, passes, _ = _tables(row, w)
     return float(((1 - 2 * keeps + passes) / (4 * np.sin(w / 2) ** 2)).mean()) + _beyond(row)
+
+
+def _one(filter: str | Filter) -> str | Filter:
+    """The filter, or "exact-sinc"; one whose smoothing differs from axis to axis is refused by `Filter.undone`."""
+    return as_compared([filter])[0]
 
 
 # -- blocks of the volume ------------------------------------------------------------------------------------
@@ -335,7 +343,7 @@ def _noisy(samples: Array, noise: Noise) -> Array:
     if noise.background is None:
         return np.ones(len(samples))
     weights = _taper(samples.shape[1:]) ** 2
-    return ((samples != noise.background) * weights).reshape(len(samples), -1).mean(1)
+    return np.asarray(((samples != noise.background) * weights).reshape(len(samples), -1).mean(1))
 
 
 def _steps(parts: Array, sigma: Array) -> Array:
@@ -352,7 +360,7 @@ def _steps(parts: Array, sigma: Array) -> Array:
         jumps = (middle > 0) & (middle >= _STANDS_OUT * noise) & (beside <= _LEVEL * middle + _QUIET * noise)
         along = np.moveaxis(weights, axis, -1)
         result[:, axis] = (np.where(jumps, middle**2, 0) * (along[..., 1:-2] + along[..., 2:-1]) / 2).reshape(len(parts), -1).sum(1)
-    return result / parts[0].size
+    return np.asarray(result / parts[0].size)
 
 
 def _detail(power: Array, omega: Sequence[Array]) -> tuple[float | None, float]:
@@ -395,22 +403,21 @@ def _kernel(tables: Sequence[tuple[Array, Array, Array]]) -> Array:
 
 
 def _slope_kernel(
-    row: str | Filter,
+    along: Sequence[str | Filter],
     tables: Sequence[tuple[Array, Array, Array]],
     omega: Sequence[Array],
     spacing: Sequence[float],
     colours: Sequence[float],
 ) -> tuple[Array, float]:
     """That of the gradient per world unit, and what it makes of noise of variance 1."""
-    w = _middles()
-    slopes = _tables(row, w)[2]
-    total, gain = np.zeros(math.prod(v.size for v in omega)), 0.0
+    keeps = _product([t[0] for t in tables])
+    total, gain = np.zeros(keeps.size), 0.0
     for axis, step in enumerate(spacing):
-        squares = _product([v**2 if a == axis else np.ones_like(v) for a, v in enumerate(omega)])
+        squares = _product([w**2 if a == axis else np.ones_like(w) for a, w in enumerate(omega)])
         passes = _product([t[2] if a == axis else t[1] for a, t in enumerate(tables)])
-        total += (squares * (1 - 2 * _product([t[0] for t in tables])) + passes) / step**2
-        others = math.prod(_gain(row, ratio) for a, ratio in enumerate(colours) if a != axis)
-        gain += float((slopes * _coloured(colours[axis], w)).mean()) * others / step**2
+        total += (squares * (1 - 2 * keeps) + passes) / step**2
+        gains = (_gain(row, ratio, int(a == axis)) for a, (row, ratio) in enumerate(zip(along, colours, strict=True)))
+        gain += math.prod(gains) / step**2
     return total, gain
 
 
@@ -425,8 +432,9 @@ def _middles() -> Array:
 
 
 @lru_cache(maxsize=256)
-def _gain(row: str | Filter, ratio: float) -> float:
-    return float((_tables(row, _middles())[1] * _coloured(ratio, _middles())).mean())
+def _gain(row: str | Filter, ratio: float, derivative: int = 0) -> float:
+    """What part of the variance of noise a filter keeps along an axis, or its derivative makes of it."""
+    return float((_tables(row, _middles())[1 + derivative] * _coloured(ratio, _middles())).mean())
 
 
 @lru_cache(maxsize=256)

@@ -21,6 +21,7 @@ from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.checks import enough_memory, number, whole
 from clvol.errors import DataError, OptionError
 from clvol.filter import Filter
+from clvol.settling import settled
 from clvol.volume import Volume, as_volume
 
 __all__ = ["RotationRow", "RotationTable", "rotations"]
@@ -119,6 +120,7 @@ def rotations(
         raise OptionError(f"boundary must be mirror, reflect or wrap for {EXACT_SINC!r}; got {rule.name!r}")
     image = _middle(volume, whole("max_pixels", max_pixels, 1))
     image.require_finite()
+    chosen = [settled(row, image) if isinstance(row, Filter) else row for row in chosen]
     low, high = image.value_range
     unit = max(abs(low), abs(high)) or 1.0  # so that no square over- or underflows
     start = replace(image, data=image.data.astype(np.float64) / unit)
