@@ -50,6 +50,7 @@ _QUIET = 3.0  # standard deviations of the noise: what its neighbours may differ
 _STANDS_OUT = 30.0  # standard deviations: the least height of a jump
 _NODES = 256  # frequencies in (0, pi), of quantities that are periodic and smooth
 _ALIASES = 4  # on either side: those of a jump fall at least with the cube of the frequency
+_UNSURE = 0.1  # of the noise's variance: how far its estimate may be wrong
 _RESAMPLES = 2000
 _SURE = 0.975  # of the resampled volumes
 
@@ -85,13 +86,15 @@ class PredictedTable(Table[PredictedRow]):
     Attributes
     ----------
     sigma : float
-        Standard deviation of the noise, as it was given.
+        Standard deviation of the noise, in the data's units.
     blocks : ndarray of float64, shape (filters, blocks)
         Expected squared errors by block, in squared units of the data; their mean is that of the row.
     slopes : ndarray of float64, shape (filters, blocks)
         Those of gradients; NaN for filters that have none.
     variance : float
         Mean square, without the noise, of what is to be reconstructed: the samples less a plane fitted to each block.
+    steepness : float
+        The same of its gradient, per squared world unit.
     detail : float or None
         Share above half of Nyquist of the mean squared difference between neighbours, without the noise; None if there is
         no difference that noise does not explain. It does not depend on the volume's length.
@@ -107,6 +110,7 @@ class PredictedTable(Table[PredictedRow]):
         blocks: Array,
         slopes: Array,
         variance: float,
+        steepness: float,
         detail: float | None,
         jumps: float,
         seed: int,
@@ -116,6 +120,7 @@ class PredictedTable(Table[PredictedRow]):
         self.blocks = blocks
         self.slopes = slopes
         self.variance = variance
+        self.steepness = steepness
         self.detail = detail
         self.jumps = jumps
         self._seed = seed
@@ -212,12 +217,15 @@ def predict(
     samples = _blocks(volume, count, seed)
     parts = (samples - (low / 2 + high / 2)) / unit
     shape = parts.shape[1:]
-    variance = (known.sigma / unit) ** 2 * _noisy(samples, known)
+    share = _noisy(samples, known)
+    variance = (known.sigma / unit) ** 2 * share
     del samples
     omega = [np.asarray(2 * np.pi * np.fft.fftfreq(n), np.float64) for n in shape]
     colours = known.colour[::-1]
     power, white = _spectra(parts)
     white *= _product([_coloured(ratio, w) for ratio, w in zip(colours, omega, strict=True)])
+    if not isinstance(noise, float | int):
+        variance *= _refined(power, np.multiply.outer(variance, white), omega)
     power -= np.multiply.outer(variance, white)
     steps = _steps(parts, np.sqrt(variance))
     rows, squares, slopes = [], [], []
@@ -227,28 +235,30 @@ def predict(
         bias = power @ _kernel(tables) + sum(steps[:, a] * _beyond(part) for a, part in enumerate(along))
         left = variance * math.prod(_gain(part, ratio) for part, ratio in zip(along, colours, strict=True))
         squares.append(unit**2 * (bias + left))
-        slope = np.full(bias.size, np.nan)
+        slope, gain = np.full(bias.size, np.nan), math.nan
         if row == EXACT_SINC or (isinstance(row, Filter) and row.has_gradient):
             kernel, gain = _slope_kernel(along, tables, omega, volume.spacing[::-1], colours)
-            slope = unit**2 * (power @ kernel + variance * gain)
-        slopes.append(slope)
-        square, noisy, mean = max(0.0, float(bias.mean())), float(left.mean()), float(slope.mean())
+            slope = power @ kernel
+        square, noisy = max(0.0, float(bias.mean())), float(left.mean())
+        steep = max(0.0, float(slope.mean())) + float(variance.mean()) * gain
+        slopes.append(unit**2 * (slope + variance * gain))
         rows.append(
             PredictedRow(
                 row.name if isinstance(row, Filter) else row,
                 unit * math.sqrt(square),
                 unit * math.sqrt(noisy),
                 unit * math.sqrt(square + noisy),
-                math.sqrt(max(0.0, mean)) if math.isfinite(mean) else None,
+                unit * math.sqrt(steep) if math.isfinite(steep) else None,
             )
         )
-    detail, total = _detail(power, omega)
+    detail, total = _detail(power, np.multiply.outer(variance, white), omega)
     return PredictedTable(
         rows,
-        sigma=known.sigma,
+        sigma=unit * math.sqrt(float(variance.mean() / share.mean())) if variance.any() else 0.0,
         blocks=np.array(squares),
         slopes=np.array(slopes),
         variance=unit**2 * max(0.0, float(power.mean(0).sum())),
+        steepness=unit**2 * max(0.0, float(power.mean(0) @ _squares(omega, volume.spacing[::-1]))),
         detail=detail,
         jumps=min(1.0, float(steps.sum(1).mean()) / total) if total > 0 else 0.0,
         seed=seed,
@@ -363,17 +373,32 @@ def _steps(parts: Array, sigma: Array) -> Array:
     return np.asarray(result / parts[0].size)
 
 
-def _detail(power: Array, omega: Sequence[Array]) -> tuple[float | None, float]:
+def _refined(power: Array, noise: Array, omega: Sequence[Array]) -> float:
+    """By what the variance of the noise is to be multiplied.
+
+    Where all frequencies are high it is seen best. If it explains the power there but for a tenth, it is all of that power: a mean
+    over as many is more exact than what the noise was estimated by.
+    """
+    corner = _product([np.where((np.abs(w) > np.pi / 2) | (w.size < _TAPERED), 1.0, 0.0) for w in omega]) > 0
+    expected = float(noise[:, corner].sum())
+    ratio = float(power[:, corner].sum()) / expected if expected > 0 else 1.0
+    return ratio if abs(ratio - 1) < _UNSURE else 1.0
+
+
+def _detail(power: Array, noise: Array, omega: Sequence[Array]) -> tuple[float | None, float]:
     """Share of the mean squared difference that lies above half of Nyquist, and that mean square."""
     ones = [np.ones_like(w) for w in omega]
-    shares = []
-    for least in (0.0, np.pi / 2):
+
+    def squares(least: float) -> tuple[Array, float]:
         lines = [np.where(np.abs(w) > least, 2 - 2 * np.cos(w), 0.0) for w in omega]
-        shares.append(power @ sum(_product([*ones[:a], line, *ones[a + 1 :]]) for a, line in enumerate(lines)))
-    total, doubt = float(shares[0].mean()), float(shares[0].std()) / math.sqrt(len(power))
-    if total <= 0 or total < 2 * doubt:  # noise explains it
+        weights = np.asarray(sum(_product([*ones[:a], line, *ones[a + 1 :]]) for a, line in enumerate(lines)))
+        return np.asarray(power @ weights), float((noise @ weights).mean())
+
+    (every, hidden), (high, _) = squares(0.0), squares(np.pi / 2)
+    total, doubt = float(every.mean()), 2 * float(every.std()) / math.sqrt(len(power))
+    if total <= max(doubt, _UNSURE * hidden):
         return None, max(total, 0.0)
-    return min(1.0, max(0.0, float(shares[1].mean()) / total)), total
+    return min(1.0, max(0.0, float(high.mean()) / total)), total
 
 
 # -- filters at frequencies ----------------------------------------------------------------------------------
@@ -419,6 +444,13 @@ def _slope_kernel(
         gains = (_gain(row, ratio, int(a == axis)) for a, (row, ratio) in enumerate(zip(along, colours, strict=True)))
         gain += math.prod(gains) / step**2
     return total, gain
+
+
+def _squares(omega: Sequence[Array], spacing: Sequence[float]) -> Array:
+    """What the gradient, per world unit, makes of power."""
+    ones = [np.ones_like(w) for w in omega]
+    lines = [[*ones[:a], (w / step) ** 2, *ones[a + 1 :]] for a, (w, step) in enumerate(zip(omega, spacing, strict=True))]
+    return np.asarray(sum(_product(line) for line in lines))
 
 
 def _coloured(ratio: float, omega: Array) -> Array:

@@ -1,22 +1,59 @@
-"""A recommendation in plain words, computed from the errors that were measured of the data at hand."""
+"""A recommendation in plain words, from the error that is expected of each filter on the data at hand.
+
+What is recommended follows from `clvol.analysis.predict`: the samples' own spectrum, less their noise, through each filter. Two
+filters are compared in words only where the bootstrap of their errors over blocks of the volume says which is the better one.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from clvol.analysis import EXACT_SINC, ErrorRow, ErrorTable
+import numpy as np
+from numpy.typing import ArrayLike
+
+from clvol.analysis import EXACT_SINC, PredictedRow, PredictedTable, predict
+from clvol.analysis.comparison import as_compared, keeps_range, overshoot
+from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.errors import OptionError
 from clvol.figures.style import title
 from clvol.filter import Filter
+from clvol.noise import Noise
+from clvol.settling import settled
+from clvol.volume import Volume, as_volume
 
-__all__ = ["Advice", "advise"]
+__all__ = ["ADVISED", "Advice", "advise"]
+
+ADVISED = (
+    "nearest",
+    "linear",
+    "bspline3-approx",
+    "mitchell",
+    "catmull-rom",
+    "bspline3",
+    "bspline3(auto)",
+    "omoms3",
+    "bspline5",
+    "hybrid",
+)
+"""The filters that `advise` and reports choose from by default."""
 
 _AS_GOOD = 1.05  # times the smallest error: nobody would see the difference
-_LITTLE = 0.05  # share of the error: a smaller gain is not worth the time
-_LEAVES = 0.01  # of the range
-_NONE = 1e-6  # of the range: rounding
-_RICH, _SMOOTH = 0.1, 0.01  # shares of the variance above half of Nyquist
+_LITTLE = 0.05  # share of the error: a smaller gain is not worth a sentence
 _BASE = "linear"  # what most programs do
+_UNSEEN = 1e-4  # of the range: noise and errors that nobody would see
+_UNSEEN_SLOPE = 0.01  # of the gradients: half a degree
+_ROUNDING = 1e-6  # of the range: errors of float32 are as large
+_DETAIL = (  # share of the squared differences above half of Nyquist; at a step from one sample to the next it is a half
+    (0.4, "their detail is as fine as the samples, and some of it is lost between them"),
+    (0.1, "they are sharp, and their samples just hold them"),
+    (0.01, "they are well sampled"),
+    (0.0, "they are very smooth"),
+)
+_NOTHING = 0.1  # of the variance: less is none, as exactly as noise can be estimated
+_STEPS = 0.5  # share of the squared differences in jumps
+_KINDS = {"correlated": ", correlated from sample to sample", "signal-dependent": ", more where values are higher"}
 
 
 @dataclass(frozen=True)
@@ -29,97 +66,210 @@ class Advice:
         Name of the filter recommended.
     sentences : list of str
         The recommendation first.
+    expected : PredictedTable or None
+        The errors on which it rests; None for constant data and for labels.
     """
 
     filter: str
     sentences: list[str]
+    expected: PredictedTable | None = None
 
 
-def advise(table: ErrorTable, high: float | None = None) -> Advice:
-    """The narrowest of the filters with the smallest error, then the smoothest; and what the choice gains and costs.
+def advise(
+    volume: Volume | ArrayLike,
+    filters: Sequence[str | Filter] = ADVISED,
+    boundary: str | Boundary = DEFAULT_BOUNDARY,
+    *,
+    noise: Noise | float | None = None,
+) -> Advice:
+    """The narrowest of the filters that are expected to err least, then the smoothest; and what the choice gains.
 
     Parameters
     ----------
-    table : ErrorTable
-        From `clvol.analysis.compare`.
-    high : float, optional
-        Share of the data's variance above half of the Nyquist frequency.
+    volume : Volume or array-like
+        2-D or 3-D samples.
+    filters : sequence of str or Filter
+        What is chosen from; the exact sinc is told of, not recommended. Smoothing that is "auto" is settled for the volume.
+    boundary : str or Boundary
+        With which values between samples are looked at, to see whether they leave the samples' range.
+    noise : Noise or float, optional
+        As for `clvol.analysis.predict`.
+
+    Raises
+    ------
+    OptionError
+        An unknown name, or none but the exact sinc.
+    DataError
+        NaN or infinite samples.
     """
-    rows = [row for row in table if row.filter != EXACT_SINC]
-    sinc = next((row for row in table if row.filter == EXACT_SINC), None)
-    low, top = table.value_range
-    if low == top:
-        name = _BASE if any(row.filter == _BASE for row in rows) else rows[0].filter
-        sentence = f"The data are constant: every filter whose weights sum to one reproduces them, so use {name}, which is fast."
-        return Advice(name, [sentence])
-    smallest = min(row.rms for row in rows)
-    near = [row for row in rows if row.rms <= _AS_GOOD * smallest]
-    slopes = [row.gradient_rms for row in near if row.gradient_rms is not None]
-    steady = [row for row in near if row.gradient_rms is not None and row.gradient_rms <= _AS_GOOD * min(slopes)]
-    chosen = min(steady or near, key=lambda row: (_taps(table.filter(row.filter)), -table.filter(row.filter).continuity, row.rms))
-    in_words = "" if title(chosen.filter) == chosen.filter else f" ({title(chosen.filter)})"
-    sentences = [f"For these data use {chosen.filter}{in_words}."]
-    sentences += _against_base(rows, chosen)
-    best = min(rows, key=lambda row: row.rms)
-    if best is not chosen and chosen.rms > best.rms:
-        gain = 1 - best.rms / chosen.rms
-        sentences.append(f"{best.filter} has the smallest error, {_percent(gain)} lower{_slower(best, chosen)}.")
-    sentences += _gradients(rows, chosen)
-    sentences.append(_overshoot(rows, chosen, top - low))
-    if sinc is not None and chosen.rms > 0:
-        ratio = sinc.rms / chosen.rms - 1
-        word = "larger" if ratio > 0 else "smaller"
-        sentences.append(
-            f"The exact sinc, ideal in theory, has a {_percent(abs(ratio))} {word} error than {chosen.filter} on these data."
-        )
-    if high is not None:
-        kind = "rich in detail as fine as the samples" if high > _RICH else "well sampled" if high > _SMOOTH else "very smooth"
-        sentences.append(f"{_percent(high)} of their variance lies above half of the Nyquist frequency: they are {kind}.")
-    return Advice(chosen.filter, sentences)
+    volume, rule = as_volume(volume), as_boundary(boundary)
+    volume.require_finite()
+    named = as_compared(filters)
+    rows = settled_once(named, volume)
+    if not rows:
+        raise OptionError(f"filters must name one beside {EXACT_SINC!r}; got {filters!r}")
+    by_name = {row.name: row for row in rows}
+    low, high = volume.value_range
+    if low == high:
+        chosen = _BASE if _BASE in by_name else rows[0].name
+        says = f"The data are constant: every filter whose weights sum to one reproduces them, so use {chosen}, which is fast."
+        return Advice(chosen, [says])
+    known = volume.noise if noise is None else noise
+    if isinstance(known, Noise) and known.kind == "labels" and "nearest" in by_name:
+        return Advice("nearest", _labels(known))
+    sinc = [EXACT_SINC] if EXACT_SINC in named and rule.period is not None else []
+    expected = predict(volume, [*rows, *sinc], known)
+    best = _choice(expected, by_name, high - low)
+    if float(np.var(volume.data, dtype=np.float64)) < (1 + _NOTHING) * expected.sigma**2:
+        smooth = max(by_name.values(), key=lambda row: -expected.row(row.name).noise).name
+        return Advice(smooth, _pure_noise(smooth, expected), expected)
+    sentences = [f"For these data use {best}{_in_words(best)}."]
+    sentences += _noise(expected, known, best, by_name, high - low)
+    sentences += _gains(expected, best, by_name, high - low)
+    sentences += _range(volume, by_name, best, rule)
+    sentences += _edges(expected, known, best, by_name)
+    if sinc:
+        sentences += _sinc(expected, best)
+    return Advice(best, sentences, expected)
+
+
+def settled_once(filters: Sequence[str | Filter], volume: Volume) -> list[Filter]:
+    """The filters, but for the exact sinc, as they are for a volume; each once, for "auto" may turn out to be 0."""
+    return list({row.name: row for row in (settled(f, volume) for f in filters if isinstance(f, Filter))}.values())
+
+
+def _choice(expected: PredictedTable, rows: dict[str, Filter], span: float) -> str:
+    having = [row for row in expected if row.filter in rows]
+    near = [row for row in having if row.rms <= _AS_GOOD * max(min(r.rms for r in having), _UNSEEN * span)]
+    # a jump has no gradient to be right about
+    slopes = [row.gradient_rms for row in near if row.gradient_rms is not None and expected.jumps < _STEPS]
+    least = max(min(slopes, default=0.0), _UNSEEN_SLOPE * math.sqrt(expected.steepness))
+    steady = [row for row in near if slopes and row.gradient_rms is not None and row.gradient_rms <= _AS_GOOD * least]
+
+    def cost(row: PredictedRow) -> tuple[float, ...]:
+        return _taps(rows[row.filter]), -rows[row.filter].continuity, row.rms
+
+    return min(steady or near, key=cost).filter
 
 
 def _taps(row: Filter) -> int:
-    """Taps per sample along each axis of the given data: the cost of a filter on every machine, free of timing noise."""
+    """Taps per sample along each axis: the cost on every machine, free of timing noise."""
     return row.support * row.scale
 
 
-def _against_base(rows: Sequence[ErrorRow], chosen: ErrorRow) -> list[str]:
-    base = next((row for row in rows if row.filter == _BASE), None)
-    if base is None or base is chosen or not base.rms:
-        return []
-    gain = 1 - chosen.rms / base.rms
-    if gain < _LITTLE:
-        return [f"The choice matters little here: its error is {_percent(max(gain, 0))} smaller than that of {_BASE}."]
+def _labels(noise: Noise) -> list[str]:
     return [
-        f"Its error is {_percent(gain)} smaller than that of {_BASE} interpolation (RMS {chosen.rms:.3g} against {base.rms:.3g})"
-        f"{_slower(chosen, base)}."
+        f"These data are labels: {noise.distinct} values in even regions. Use nearest: between two labels there is no third one.",
+        "To draw a region's surface without stairs, draw its indicator, volume.indicator(label), at 1/2 by bspline3(auto).",
     ]
 
 
-def _slower(row: ErrorRow, than: ErrorRow) -> str:
-    if not row.seconds or not than.seconds:
-        return ""
-    return f", at {row.seconds / than.seconds:.1f} times the time per sample"
+def _pure_noise(smooth: str, expected: PredictedTable) -> list[str]:
+    left = _percent(expected.row(smooth).noise / expected.sigma)
+    return [
+        f"These data are noise: a standard deviation of {expected.sigma:.3g} explains nearly all of their variance.",
+        f"If something must be drawn use {smooth}{_in_words(smooth)}, which leaves {left} of it.",
+    ]
 
 
-def _gradients(rows: Sequence[ErrorRow], chosen: ErrorRow) -> list[str]:
-    base = next((row for row in rows if row.filter == _BASE), None)
-    if base is None or base is chosen or not base.gradient_rms or chosen.gradient_rms is None:
+def _noise(expected: PredictedTable, known: Noise | float, best: str, rows: dict[str, Filter], span: float) -> list[str]:
+    if expected.sigma < _UNSEEN * span:
         return []
-    gain = 1 - chosen.gradient_rms / base.gradient_rms
-    word = "smaller" if gain >= 0 else "larger"
-    return [f"The error of its gradients, which shade surfaces, is {_percent(abs(gain))} {word} than with {_BASE} interpolation."]
+    kind = _KINDS.get(known.kind, "") if isinstance(known, Noise) else ""
+    share = _percent(expected.sigma / span)
+    says = [f"The samples hold noise{kind}: its standard deviation is {expected.sigma:.3g}, {share} of their range."]
+    if expected.detail is None:
+        says.append("Noise is nearly all by which neighbouring samples differ.")
+    row = expected.row(best)
+    through = min((name for name in rows if rows[name].interpolates), key=lambda name: expected.row(name).rms, default=None)
+    if not rows[best].interpolates and through is not None and expected.surely_less(best, through, 1 - _LITTLE):
+        other = expected.row(through)
+        says.append(
+            f"It pays not to pass through them: {best} is expected to err by {row.rms:.3g}, {row.noise:.3g} of it noise, and "
+            f"{through}, the best that does, by {other.rms:.3g}, {other.noise:.3g} of it noise."
+        )
+    elif rows[best].interpolates and row.noise < row.bias:
+        says.append("It is less than what is lost between the samples, so there is no need to smooth.")
+    return says
 
 
-def _overshoot(rows: Sequence[ErrorRow], chosen: ErrorRow, span: float) -> str:
-    if chosen.overshoot <= _LEAVES * span:
-        share = chosen.overshoot / span
-        if share < _NONE:
-            return "It stays within the range of the samples."
-        return f"It leaves the range of the samples by no more than {_percent(share)}."
-    within = [row.filter for row in rows if row.overshoot <= _LEAVES * span]
-    instead = f"; if that must not happen, use {' or '.join(within)}" if within else ""
-    return f"At edges it leaves the range of the samples by up to {_percent(chosen.overshoot / span)}{instead}."
+def _gains(expected: PredictedTable, best: str, rows: dict[str, Filter], span: float) -> list[str]:
+    says = []
+    row = expected.row(best)
+    if _BASE in rows and best != _BASE:
+        base = expected.row(_BASE)
+        if base.rms <= _UNSEEN * span:
+            says.append(f"The choice matters little: even {_BASE} interpolation errs by less than a ten-thousandth of their range.")
+        elif expected.surely_less(best, _BASE, 1 - _LITTLE):
+            says.append(
+                f"Its expected error is {_percent(1 - row.rms / base.rms)} smaller than that of {_BASE} interpolation "
+                f"(RMS {row.rms:.3g} against {base.rms:.3g})."
+            )
+        elif expected.surely_less(best, _BASE):
+            says.append(f"It errs less than {_BASE} interpolation, but by little.")
+        else:
+            says.append(f"For the values alone it matters little: {_BASE} interpolation may err as little.")
+        gradients = row.gradient_rms is not None and base.gradient_rms and expected.jumps < _STEPS
+        if gradients and expected.surely_less(best, _BASE, key="gradient_rms"):
+            gain = _percent(1 - (row.gradient_rms or 0.0) / (base.gradient_rms or 1.0))
+            says.append(f"The error of its gradients, which shade surfaces, is {gain} smaller than with {_BASE} interpolation.")
+    others = [r for r in expected if r.filter in rows and r.filter != best]
+    least = min(others, key=lambda r: r.rms, default=None)
+    if least is not None and row.rms > _UNSEEN * span and expected.surely_less(least.filter, best):
+        more = f", with {_taps(rows[least.filter])} taps a sample along each axis instead of {_taps(rows[best])}"
+        says.append(
+            f"{least.filter} errs still less, by {_percent(1 - least.rms / row.rms)}"
+            f"{more if _taps(rows[least.filter]) > _taps(rows[best]) else ''}."
+        )
+    return says
+
+
+def _range(volume: Volume, rows: dict[str, Filter], best: str, rule: Boundary) -> list[str]:
+    low, high = volume.value_range
+    leaving = overshoot(volume, rows[best], rule) / (high - low)
+    if keeps_range(rows[best]):
+        return ["It cannot leave the range of the samples."]
+    if leaving < _ROUNDING:
+        return ["On these samples it stays within their range."]
+    within = [name for name, row in rows.items() if keeps_range(row)]
+    instead = f"; if that must not happen, {_listed(within)} cannot" if within else ""
+    return [f"It leaves the range of the samples by up to {_percent(leaving)} of it{instead}."]
+
+
+def _edges(expected: PredictedTable, known: Noise | float, best: str, rows: dict[str, Filter]) -> list[str]:
+    says = []
+    if expected.jumps >= _STEPS:
+        says.append(
+            "Most edges go from one sample to the next between level ones, and where between them they lie no filter can tell: "
+            "the smoother ones blur or ring there."
+        )
+    elif expected.detail is not None:
+        kind = next(words for least, words in _DETAIL if expected.detail >= least)
+        high = _percent(expected.detail)
+        says.append(f"{high} of the squared differences between neighbouring samples lie above half of Nyquist: {kind}.")
+    if isinstance(known, Noise) and known.kind == "binary":
+        says.append("The samples have two values. For surfaces without stairs draw them at the mean of the two by bspline3(auto).")
+    elif isinstance(known, Noise) and known.masked and rows[best].interpolates:
+        says.append(
+            f"They have been masked: the value {known.background:.6g} cuts through objects. For surfaces without stairs there use "
+            "bspline3(auto)."
+        )
+    return says
+
+
+def _sinc(expected: PredictedTable, best: str) -> list[str]:
+    row, sinc = expected.row(best), expected.row(EXACT_SINC)
+    if sinc.rms > 0 and row.rms > 0 and expected.surely_less(best, EXACT_SINC):
+        return [f"The exact sinc, ideal without noise and jumps, is expected to err {_percent(sinc.rms / row.rms - 1)} more."]
+    return []
+
+
+def _in_words(name: str) -> str:
+    return "" if title(name) == name else f" ({title(name)})"
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def _percent(share: float) -> str:
