@@ -43,12 +43,13 @@ from clvol.volume import Volume, as_volume
 __all__ = ["PredictedRow", "PredictedTable", "jump_error", "predict", "variance_gain"]
 
 Array: TypeAlias = NDArray[np.float64]
-_BLOCK = 32  # samples along each axis
+_BLOCK = 16, 32  # samples along each axis: half of it, but no less and no more
 _TAPERED = 8  # samples: a shorter axis is taken as it is
 _LEVEL = 0.05  # of a jump, and
 _QUIET = 3.0  # standard deviations of the noise: what its neighbours may differ by
 _STANDS_OUT = 30.0  # standard deviations: the least height of a jump
 _NODES = 256  # frequencies in (0, pi), of quantities that are periodic and smooth
+_SLOW = 1e-3  # a frequency at which a wave is a plane
 _ALIASES = 4  # on either side: those of a jump fall at least with the cube of the frequency
 _UNSURE = 0.1  # of the noise's variance: how far its estimate may be wrong
 _RESAMPLES = 2000
@@ -189,7 +190,7 @@ def predict(
         That of the samples, or the standard deviation of white noise; default: `Volume.noise`. Samples of a background that was
         masked out or cut off have none.
     blocks : int
-        How many blocks of 32 samples along each axis, which overlap by half, are looked at; of more, so many by chance.
+        How many blocks of 16 to 32 samples along each axis, which overlap by half, are looked at; of more, so many by chance.
     seed : int
         Of that choice and of the resampling.
 
@@ -222,7 +223,7 @@ def predict(
     del samples
     omega = [np.asarray(2 * np.pi * np.fft.fftfreq(n), np.float64) for n in shape]
     colours = known.colour[::-1]
-    power, white = _spectra(parts)
+    power, white, tilts = _spectra(parts)
     white *= _product([_coloured(ratio, w) for ratio, w in zip(colours, omega, strict=True)])
     if not isinstance(noise, float | int):
         variance *= _refined(power, np.multiply.outer(variance, white), omega)
@@ -232,13 +233,15 @@ def predict(
     for row in chosen:
         along = [row.along(a) if isinstance(row, Filter) else row for a in reversed(range(len(shape)))]  # x is 0
         tables = [_tables(part, w) for part, w in zip(along, omega, strict=True)]
-        bias = power @ _kernel(tables) + sum(steps[:, a] * _beyond(part) for a, part in enumerate(along))
+        bias = power @ _unsmeared(_kernel(tables), shape) + sum(
+            steps[:, a] * _beyond(part) + tilts[:, a] * _on_slopes(part) for a, part in enumerate(along)
+        )
         left = variance * math.prod(_gain(part, ratio) for part, ratio in zip(along, colours, strict=True))
         squares.append(unit**2 * (bias + left))
         slope, gain = np.full(bias.size, np.nan), math.nan
         if row == EXACT_SINC or (isinstance(row, Filter) and row.has_gradient):
             kernel, gain = _slope_kernel(along, tables, omega, volume.spacing[::-1], colours)
-            slope = power @ kernel
+            slope = power @ _unsmeared(kernel, shape)
         square, noisy = max(0.0, float(bias.mean())), float(left.mean())
         steep = max(0.0, float(slope.mean())) + float(variance.mean()) * gain
         slopes.append(unit**2 * (slope + variance * gain))
@@ -305,7 +308,7 @@ def _one(filter: str | Filter) -> str | Filter:
 
 def _blocks(volume: Volume, count: int, seed: int) -> Array:
     """Blocks that overlap by half, at most `count` of them; (blocks, *shape)."""
-    sizes = [min(_BLOCK, n) for n in volume.shape]
+    sizes = [min(n, max(_BLOCK[0], min(_BLOCK[1], n // 2))) for n in volume.shape]
     starts = [sorted({*range(0, n - m, max(1, m // 2)), n - m}) for n, m in zip(volume.shape, sizes, strict=True)]
     places = list(itertools.product(*starts))
     if len(places) > count:
@@ -314,27 +317,40 @@ def _blocks(volume: Volume, count: int, seed: int) -> Array:
     return np.stack([volume.data[window].astype(np.float64) for window in windows])
 
 
-def _taper(shape: tuple[int, ...]) -> Array:
+def _taper(shape: Sequence[int]) -> Array:
     """Hann's window, with a mean square of 1."""
-    window = np.ones(shape)
-    for axis, n in enumerate(shape):
-        line = np.hanning(n + 2)[1:-1] if n >= _TAPERED else np.ones(n)
-        window *= line.reshape([-1 if a == axis else 1 for a in range(len(shape))])
-    return window / math.sqrt(float((window**2).mean()))
+    lines = [np.sin(np.pi * (np.arange(n) + 0.5) / n) ** 2 if n >= _TAPERED else np.ones(n) for n in shape]
+    window = _product(lines).reshape(shape)
+    return np.asarray(window / math.sqrt(float((window**2).mean())))
 
 
-def _spectra(parts: Array) -> tuple[Array, Array]:
-    """Power of each block less a plane fitted to it, (blocks, frequencies), and what noise of variance 1 adds to it.
+def _unsmeared(kernel: Array, shape: Sequence[int]) -> Array:
+    """What to weigh tapered blocks' power with, to get what `kernel` makes of their spectrum.
 
-    Powers are shares of the mean square: their sum is that of the tapered block. The plane would leak to all frequencies.
+    Hann's window smears each frequency over the next on either side, 1/6, 2/3, 1/6, which is detail to a spline that smooths
+    much: the inverse, along each axis a division by ``2/3 + 1/3 cos(2 pi lag / n)``, is applied to the kernel.
+    """
+    smear = _product([2 / 3 + np.cos(2 * np.pi * np.arange(n) / n) / 3 if n >= _TAPERED else np.ones(n) for n in shape]).reshape(
+        shape
+    )
+    return np.asarray(np.fft.fftn(np.fft.ifftn(kernel.reshape(shape)) / smear).real.ravel())
+
+
+def _spectra(parts: Array) -> tuple[Array, Array, Array]:
+    """Power of each block less a plane fitted to it, what noise of variance 1 adds to it, and the squared slopes of the plane.
+
+    Shapes (blocks, frequencies), (frequencies,) and (blocks, axes). Powers are shares of the mean square: their sum is that of
+    the tapered block. The plane would leak to all frequencies.
     """
     shape = parts.shape[1:]
     window = _taper(shape)
     ones = np.ones(shape)
-    bases = [ones, *(g - (n - 1) / 2 for g, n in zip(np.indices(shape, np.float64), shape, strict=True) if n > 1)]
-    tapered = np.array([window * b / math.sqrt(float(((window * b) ** 2).sum())) for b in bases]).reshape(len(bases), -1)
+    bases = [ones, *(g - (n - 1) / 2 for g, n in zip(np.indices(shape, np.float64), shape, strict=True))]
+    lengths = np.array([math.sqrt(float(((window * b) ** 2).sum())) or 1.0 for b in bases])
+    tapered = np.array([window * b / length for b, length in zip(bases, lengths, strict=True)]).reshape(len(bases), -1)
     flat = (parts * window).reshape(len(parts), -1)
-    flat -= flat @ tapered.T @ tapered
+    fitted = flat @ tapered.T
+    flat -= fitted @ tapered
     axes, size = tuple(range(1, parts.ndim)), flat.shape[1]
     power = np.abs(np.fft.fftn(flat.reshape(parts.shape), axes=axes)) ** 2 / size**2
     # noise is white, so its samples are independent: those of the tapered noise have the variances window², and the fit
@@ -345,7 +361,7 @@ def _spectra(parts: Array) -> tuple[Array, Array]:
     shared = (tapered * variances) @ tapered.T
     white = variances.sum() - 2 * (of_bases.conj() * crossed).real.sum(0)
     white = white + np.einsum("iw,ij,jw->w", of_bases.conj(), shared, of_bases).real
-    return power.reshape(len(parts), -1), white / size**2
+    return power.reshape(len(parts), -1), white / size**2, (fitted[:, 1:] / lengths[1:]) ** 2
 
 
 def _noisy(samples: Array, noise: Noise) -> Array:
@@ -467,6 +483,12 @@ def _middles() -> Array:
 def _gain(row: str | Filter, ratio: float, derivative: int = 0) -> float:
     """What part of the variance of noise a filter keeps along an axis, or its derivative makes of it."""
     return float((_tables(row, _middles())[1 + derivative] * _coloured(ratio, _middles())).mean())
+
+
+@lru_cache(maxsize=256)
+def _on_slopes(row: str | Filter) -> float:
+    """The squared error on a plane of slope 1 a sample: 1/12 for nearest, 0 for filters that reproduce planes."""
+    return 0.0 if not isinstance(row, Filter) or row.order >= 2 else float(error_kernel(row, _SLOW)) / _SLOW**2
 
 
 @lru_cache(maxsize=256)
