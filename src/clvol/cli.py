@@ -138,6 +138,15 @@ class SurfaceLook(Look):
     mode: Annotated[str, Parameter(help=_MODES)] = "isosurface"
 
 
+@Parameter(name="*")
+@dataclass
+class ReportLook(SurfaceLook):
+    """How the pictures of a report are made: on white, filled by what shows."""
+
+    background: Annotated[str, Parameter(help="A name, a hex code, or 'none'.")] = "white"
+    zoom: Annotated[float | None, Parameter(help="1 shows the whole volume. [default: what shows fills the picture]")] = None  # type: ignore[assignment]
+
+
 def _flag(name: str) -> tuple[str, Any, None]:
     """A flag for an option of modes, with what their classes say of it; not given, it is the mode's own default."""
     having = [mode for mode in clvol.modes().values() if name in mode_options(mode)]

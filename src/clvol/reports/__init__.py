@@ -13,28 +13,29 @@ from pathlib import Path
 from typing import Any
 
 from clvol import analysis
-from clvol.analysis import EXACT_SINC, ErrorTable
+from clvol.analysis import EXACT_SINC, ErrorTable, LeftOutTable, RotationTable
 from clvol.analysis.comparison import as_compared
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.checks import as_path, whole
 from clvol.device import Device, as_device
-from clvol.errors import FormatError, OptionError
+from clvol.errors import DataError, FormatError, OptionError
 from clvol.figures import cost
 from clvol.figures.style import require_matplotlib
 from clvol.files import require_folder, staged
 from clvol.filter import Filter
 from clvol.reports import html, spectrum
-from clvol.reports.advice import Advice, advise
+from clvol.reports.advice import ADVISED, Advice, advise, settled_once
 from clvol.reports.pictures import Cards, cards
 from clvol.volume import Volume, as_volume
 
 __all__ = ["REPORTED", "Advice", "Report", "advise", "page", "report"]
 
-REPORTED = ("nearest", "linear", "bspline3-approx", "mitchell", "catmull-rom", "bspline3", "omoms3", "bspline5", "hybrid")
+REPORTED = ADVISED
 """The default filters of a report; the exact sinc is added."""
 
+_COMPARED = 1 << 20  # samples over all shifts of the decimated grid, and samples left out
 _POINTS = 20_000  # compared gradients
-_SHARE = 0.6  # of the time that measuring takes
+_ADVISED, _COMPARING, _SHARE = 0.1, 0.4, 0.5  # of the time: when these are done
 _FACTOR = 2
 
 
@@ -47,14 +48,20 @@ class Report:
     path : Path
         The HTML file.
     table : ErrorTable
-        The measured errors.
+        The errors measured from every second sample.
     advice : Advice
-        The recommendation.
+        The recommendation, with the expected errors on which it rests.
+    left_out : LeftOutTable
+        The errors of samples left out along each axis.
+    turned : RotationTable or None
+        What is left of a slice after nine turns; None if it is too small to be turned.
     """
 
     path: Path
     table: ErrorTable
     advice: Advice
+    left_out: LeftOutTable
+    turned: RotationTable | None
 
 
 def page(output: str | os.PathLike[str]) -> Path:
@@ -81,6 +88,7 @@ def report(
     pixels: int = 280,
     boundary: str | Boundary = DEFAULT_BOUNDARY,
     *,
+    fill: bool | None = None,
     max_samples: int = 1 << 22,
     device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
@@ -97,16 +105,18 @@ def report(
     name : str
         Name of the data.
     filters : sequence of str or Filter
-        What is compared and drawn; filters of your own need not be registered. The exact sinc is always compared if the
-        boundary rule has a period.
+        What is compared and drawn; filters of your own need not be registered. Smoothing that is "auto" is settled for the volume.
+        The exact sinc is always compared if the boundary rule has a period.
     pixels : int
         Width and height of each picture.
+    fill : bool, optional
+        Aim and magnify the camera so that what shows fills the pictures; by default if no camera is given.
     max_samples : int
         How many samples are measured: of a larger volume the middle. All of it is drawn.
     boundary, device, progress
         As for `clvol.render`.
     **options
-        Those of `Renderer.render`, for the pictures.
+        Those of `Renderer.render`, for the pictures; the background is white by default.
 
     Raises
     ------
@@ -131,40 +141,50 @@ def report(
     pixels, rule, on = whole("pixels", pixels, 16), as_boundary(boundary), as_device(device)
     max_samples = whole("max_samples", max_samples, 1)
     named = as_compared(filters)
-    chosen = [row for row in named if isinstance(row, Filter)]
+    chosen = settled_once(named, volume)
     if not chosen:
         raise OptionError(f"filters must name one to be drawn beside {EXACT_SINC!r}; got {filters!r}")
-    measured: list[str | Filter] = [*chosen]
-    if rule.period is not None or EXACT_SINC in named:
-        measured.append(EXACT_SINC)
+    sinc = [EXACT_SINC] if rule.period is not None or EXACT_SINC in named else []
     advance = progress or (lambda _: None)
     middle = _middle(volume, max_samples)
+    noise = volume.noise
+    advice = advise(middle, [*chosen, *sinc], rule, noise=noise)
+    advance(_ADVISED)
     table = analysis.compare(
         middle,
-        measured,
+        [*chosen, *sinc],
         boundary=rule,
         factor=_FACTOR,
+        sigma=noise.sigma,
         points=_POINTS,
         timing_device=on,
-        progress=lambda done: advance(_SHARE * done),
+        max_samples=_COMPARED,
+        progress=lambda done: advance(_ADVISED + (_COMPARING - _ADVISED) * done),
     )
+    left_out = analysis.leave_out(_middle(middle, _COMPARED), chosen, rule)
+    try:
+        turned = analysis.rotations(middle, chosen, boundary=rule)
+    except DataError:  # too small
+        turned = None
+    advance(_SHARE)
     found = spectrum.spectra(middle)
-    advice = advise(table, spectrum.high_share(found))
     low, high = volume.value_range
     drawn = None
     if low < high:
         drawn = cards(
             volume,
             chosen,
-            table.filter(advice.filter),
+            next(row for row in chosen if row.name == advice.filter),
             pixels,
             rule,
             _FACTOR,
             on,
             lambda done: advance(_SHARE + (0.97 - _SHARE) * done),
             options,
+            options.get("camera") is None if fill is None else fill,
         )
-    text = _page(name, volume, middle, table, advice, found, drawn)
+    made = Report(file, table, advice, left_out, turned)
+    text = _page(name, volume, middle, made, found, drawn)
     try:
         file.parent.mkdir(exist_ok=True)
     except OSError as error:
@@ -172,7 +192,7 @@ def report(
     with staged(file, file.suffix) as temporary:
         temporary.write_text(text, encoding="utf-8")
     advance(1.0)
-    return Report(file, table, advice)
+    return made
 
 
 def _middle(volume: Volume, max_samples: int) -> Volume:
@@ -186,27 +206,34 @@ def _middle(volume: Volume, max_samples: int) -> Volume:
 
 
 def _page(
-    name: str, volume: Volume, middle: Volume, table: ErrorTable, advice: Advice, found: spectrum.Spectra, drawn: Cards | None
+    name: str, volume: Volume, middle: Volume, made: Report, found: spectrum.Spectra, drawn: Cards | None
 ) -> str:
     """The page; `drawn` is None where the data are constant."""
-    rows = [row for row in table if row.filter != EXACT_SINC]
+    table, expected, noise = made.table, made.advice.expected, volume.noise
     low, high = volume.value_range
     facts = [
         ("samples", " × ".join(map(str, volume.size)) + f", {volume.data.dtype}"),
         ("spacing", " × ".join(f"{s:.4g}" for s in volume.spacing) + f" {volume.units or ''}".rstrip()),
         ("range", f"{low:.6g} to {high:.6g}"),
+        ("noise", "none found" if noise.sigma == 0 else f"{noise.kind}, standard deviation {noise.sigma:.3g}"),
         ("measured", f"{' × '.join(map(str, middle.size))} samples" + ("" if middle is volume else ", the middle of the volume")),
-        ("against", table.against),
         ("boundary", table.boundary),
         ("computed by", f"{table.evaluated_on}; times and pictures on {table.timed_on or 'no device'}"),
     ]
     plots = [("Frequencies", html.inline(spectrum.plot(found, table.filters)))]
-    timed = [row for row in rows if row.seconds and row.rms > 0 and table.value_range[0] < table.value_range[1]]
-    if timed:
+    errors = {row.filter: row.rms for row in (table if expected is None else expected)}
+    timed = [row for row in table if row.seconds and errors.get(row.filter)]
+    if timed and low < high:
         numbers = [
-            {"filter": r.filter, "nanoseconds": 1000 * (r.seconds or 0), "rms": r.rms, "angle_mean": r.angle_mean or None}
+            {
+                "filter": r.filter,
+                "nanoseconds": 1000 * (r.seconds or 0),
+                "rms": errors[r.filter],
+                "angle_mean": r.angle_mean or None,
+            }
             for r in timed
         ]
-        drawing = cost.plot(numbers, "RMS error of the values", "left is faster, lower is better; line: nothing is both")
+        which = "RMS error of the values" if expected is None else "expected RMS error of the values"
+        drawing = cost.plot(numbers, which, "left is faster, lower is better; line: nothing is both")
         plots.append(("Error and time", html.inline(drawing)))
-    return html.page(name, facts, advice, table, drawn, plots)
+    return html.page(name, facts, made.advice, table, made.left_out, made.turned, drawn, plots)

@@ -5,13 +5,15 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from html import escape
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clvol.analysis import EXACT_SINC, ErrorTable
+from clvol.analysis import EXACT_SINC, ErrorTable, LeftOutTable, PredictedTable, PredictedRow, RotationTable, Table
+from clvol.analysis.table import column
 from clvol.figures.style import colour, styled, title
 from clvol.picture import to_bytes
 from clvol.reports.advice import Advice
@@ -39,16 +41,30 @@ _CONSTANT = "All samples have the same value: there is nothing to draw."
 _DPI = 110
 _WHITE_TO_RED = ((1.0, 1.0, 1.0), (0.95, 0.55, 0.4), (0.6, 0.05, 0.1))
 _SHOWN = 0.995  # the strongest colour is this quantile of the differences
-_LOWER = {"rms", "maximum", "gradient_rms", "angle_mean", "angle_median", "angle_95", "overshoot", "seconds"}
-_NOTES = (
-    "The data are low-passed and every second sample along each axis is kept. Each filter reconstructs the data from these "
-    "samples, and the result is compared with all original samples except those near the faces. So values are compared only at "
-    "the kept samples and half-way between them. There the hybrid equals bspline3, by which it magnifies; only its gradients "
-    "differ. Half-way, nearest has two equally near samples and takes the upper one, so its error at hard edges is a matter of "
-    "chance.",
-    "Overshoot is how far values leave the range of the samples. Angles are measured between a gradient and that of a quintic "
-    "spline through all samples. A dash means that the number does not exist. The best of each column is bold: the largest PSNR "
-    "and SSIM, the smallest of the others.",
+_HIGHER = {"psnr", "ssim"}  # the best is the largest; of all others the smallest
+_BEST = " The best of each column is bold."
+_EXPECTED = (
+    "What each filter does to the frequencies that these samples hold, and to their noise: nothing is blurred or left out for it. "
+    "Bias is blur and aliases, noise what it leaves of the samples'; the root of the sum of both squares is the error to expect "
+    "between the samples, and the advice above goes by it. What frequencies the object had beyond the samples' Nyquist frequency "
+    "nobody can know; there are none here, except at jumps from one sample to the next. Gradients are per world unit. Overshoot is "
+    "how far values half-way between these samples leave their range."
+)
+_MEASURED = (
+    "A check by experiment, on other data: the volume is low-passed, every second sample of that along each axis is kept, and what "
+    "filters reconstruct from these is compared with {against}. That low-pass itself took {lost:.3g} (RMS) from "
+    "the samples, which no filter can bring back and which is in none of these columns but the second: the difference from the samples "
+    "before the low-pass. {share}The low-pass takes most of the noise, too, and what is left of it counts as data here, so filters "
+    "that smooth look worse than they are. Angles are those to the gradient of the quintic spline through the low-passed volume, where it "
+    "stands out of the noise. A dash means that the number does not exist."
+)
+_LEFT_OUT = (
+    "Nothing is low-passed here: along one axis every second slice is left out and predicted from the others, RMS{noise}. "
+    "Detail finer than two slices is lost to all filters."
+)
+_TURNED = (
+    "Nothing is low-passed here either: the middle slice is turned {turns} times by {degrees:g}°, each time drawn anew, and compared with "
+    "itself within the disc that stays inside. Noise is part of the picture here: filters that smooth lose by it."
 )
 
 
@@ -70,6 +86,8 @@ def page(
     facts: Sequence[tuple[str, str]],
     advice: Advice,
     table: ErrorTable,
+    left_out: LeftOutTable,
+    turned: RotationTable | None,
     drawn: Cards | None,
     plots: Sequence[tuple[str, str]],
 ) -> str:
@@ -83,15 +101,37 @@ def page(
         f"<h1>{heading}</h1>",
         _advice(advice),
         _facts(facts),
-        "<h2>Errors</h2>",
-        _table(table, advice.filter),
-        *(f'<p class="note">{escape(note)}</p>' for note in _NOTES),
-        "<h2>Pictures</h2>",
-        f'<p class="note">{_CONSTANT}</p>' if drawn is None else _cards(drawn),
     ]
+    if advice.expected is not None:
+        parts += ["<h2>Errors to expect</h2>", _expected(advice.expected, table, advice.filter), _note(_EXPECTED + _BEST)]
+    parts += [
+        "<h2>Pictures</h2>",
+        _note(_CONSTANT) if drawn is None else _cards(drawn),
+        "<h2>Measured: from every second sample</h2>",
+        _table(_without_times(table), advice.filter),
+        _note(_measured(table) + _BEST),
+    ]
+    if any(value is not None for row in left_out for value in (row.x, row.y, row.z)):
+        noise = f", less the noise ({left_out.sigma:.3g})" if left_out.sigma > 0 else ""
+        parts += ["<h2>Measured: slices left out</h2>", _table(left_out, advice.filter), _note(_LEFT_OUT.format(noise=noise) + _BEST)]
+    if turned is not None:
+        says = _TURNED.format(turns=turned.turns, degrees=360 / turned.turns)
+        parts += ["<h2>Measured: turned in a circle</h2>", _table(turned, advice.filter), _note(says + _BEST)]
     for text, source in plots:
         parts.append(f'<h2>{escape(text)}</h2><img class="plot" alt="{escape(text)}" src="{source}">')
     return "\n".join([*parts, "</body></html>", ""])
+
+
+def _note(text: str) -> str:
+    return f'<p class="note">{escape(text)}</p>'
+
+
+def _measured(table: ErrorTable) -> str:
+    """What the table of errors holds; the share of the low-pass is that of the best filter's squared difference."""
+    best, share = min(table, key=lambda row: row.rms), ""
+    if best.original:
+        share = f"Of {best.filter}'s squared difference from those it is {100 * min(1.0, (table.lost / best.original) ** 2):.0f} %. "
+    return _MEASURED.format(against=table.against, lost=table.lost, share=share)
 
 
 def _advice(advice: Advice) -> str:
@@ -102,29 +142,66 @@ def _facts(facts: Sequence[tuple[str, str]]) -> str:
     return '<table class="facts">' + "".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in facts) + "</table>"
 
 
-def _table(table: ErrorTable, chosen: str) -> str:
-    header, _, *lines = [[cell.strip() for cell in line.strip("| ").split("|")] for line in table.to_markdown().splitlines()]
-    best = _best(table)
+def _table(table: Table[Any], chosen: str) -> str:
+    """Rows as people read them; columns that are empty in all rows are left out."""
+    header, *lines = table.texts()
+    columns = [i for i in range(len(header)) if i == 0 or any(line[i] != "–" for line in lines)]
+    best = _best(table.records())
     rows = []
     for i, cells in enumerate(lines):
         style = ' class="chosen"' if cells[0] == chosen else ""
         texts = [f"<td>{_named(cells[0])}</td>"]
-        for column, cell in enumerate(cells[1:], 1):
-            texts.append(f"<td{' class=best' if i in best.get(column, ()) else ''}>{escape(cell)}</td>")
+        texts += [f"<td{' class=best' if i in best[c] else ''}>{escape(cells[c])}</td>" for c in columns[1:]]
         rows.append(f"<tr{style}>{''.join(texts)}</tr>")
-    head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
+    head = "".join(f"<th>{escape(header[c])}</th>" for c in columns)
     return f'<div class="scroll"><table><tr>{head}</tr>{"".join(rows)}</table></div>'
 
 
-def _best(table: ErrorTable) -> dict[int, set[int]]:
-    """Rows that are best in each column."""
-    best: dict[int, set[int]] = {}
-    for column, key in enumerate(vars(table[0])):
-        known = {i: getattr(row, key) for i, row in enumerate(table) if column and getattr(row, key) is not None}
-        if known:
-            extreme = min(known.values()) if key in _LOWER else max(known.values())
-            best[column] = {i for i, value in known.items() if value == extreme}
+def _best(records: Sequence[dict[str, Any]]) -> list[set[int]]:
+    """Rows that are best in each column; none in the first, of names."""
+    best: list[set[int]] = []
+    for key in records[0]:
+        known = {i: record[key] for i, record in enumerate(records) if best and record[key] is not None}
+        extreme = (max if key in _HIGHER else min)(known.values(), default=None)
+        best.append({i for i, value in known.items() if value == extreme})
     return best
+
+
+@dataclass(frozen=True)
+class _Expected(PredictedRow):
+    """A row of the expected errors, with what else is known of all samples."""
+
+    overshoot: float | None = column("overshoot", ".3g")
+    seconds: float | None = column("s / million", ".3g")
+
+
+def _expected(expected: PredictedTable, table: ErrorTable, chosen: str) -> str:
+    measured = {row.filter: row for row in table}
+    rows = []
+    for row in expected:
+        known = measured.get(row.filter)
+        rows.append(_Expected(**vars(row), overshoot=known and known.overshoot, seconds=known and known.seconds))
+    return _table(Table(rows), chosen)
+
+
+def _without_times(table: ErrorTable) -> Table[Any]:
+    """What is of the low-passed volume alone: overshoot and times stand beside the expected errors."""
+    return Table(_Measured(**{f.name: getattr(row, f.name) for f in fields(_Measured)}) for row in table)
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """A row of the errors measured from every second sample."""
+
+    filter: str = column("filter")
+    rms: float = column("RMS error", ".3g")
+    original: float | None = column("and low-pass", ".3g")
+    maximum: float = column("max error", ".3g")
+    psnr: float | None = column("PSNR (dB)", ".2f")
+    ssim: float | None = column("SSIM", ".4f")
+    gradient_rms: float | None = column("gradient RMS", ".3g")
+    angle_mean: float | None = column("mean angle (°)", ".2f")
+    angle_95: float | None = column("95 % angle (°)", ".2f")
 
 
 def _named(name: str) -> str:

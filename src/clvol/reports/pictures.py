@@ -22,7 +22,9 @@ __all__ = ["Card", "Cards", "cards"]
 
 Picture: TypeAlias = NDArray[np.float32]
 _CLOSER = 4.0
-_BLUR = 12  # the place where filters differ most is sought with a window of this fraction of the width
+_STEEP = 1.5  # depth over width: surfaces seen at more than about 56° are grazing
+_FILLED = 0.92  # of the picture's width or height
+_SHOWS = 2 / 255
 
 
 @dataclass(frozen=True)
@@ -69,14 +71,15 @@ def cards(
     device: Device,
     progress: Callable[[float], Any],
     options: dict[str, Any],
+    fill: bool = False,
 ) -> Cards:
-    """Draw everything; `options` are those of `Renderer.render`."""
+    """Draw everything; `options` are those of `Renderer.render`. With `fill` what shows fills the pictures."""
     look = settled(volume, options)  # settled once: the decimated volume has another histogram
     look["background"] = look.get("background") or (1.0, 1.0, 1.0)
     camera: Camera = look.pop("camera")
     few = volume.gaussian([factor / 2 * s for s in volume.spacing]).downsample(factor)
     step = look.pop("step", 0.5)
-    done, total = 0, 2 * len(filters) + 2
+    done, total = 0, 2 * len(filters) + 2 + fill
 
     def draw(data: Volume, filter: Filter, views: Sequence[Camera], step: float) -> list[Any]:
         nonlocal done
@@ -89,9 +92,12 @@ def cards(
         progress(min(1.0, done / total))
         return drawn
 
+    if fill:
+        (first,) = draw(volume, best, [camera], step)
+        camera = _filling(camera, volume, _rgb(first))
     (first,) = draw(volume, best, [camera], step)
     (other,) = draw(volume, as_filter("linear"), [camera], step)
-    views = [camera, _closer(camera, first, other)]
+    views = [camera, _closer(camera, volume, first, other)]
     truth = _rgb(draw(volume, best, views, step)[1])
     made = []
     for row in filters:
@@ -105,18 +111,54 @@ def cards(
     return Cards(made, best.name, as_mode(look["mode"]).name)
 
 
-def _closer(camera: Camera, a: Any, b: Any) -> Camera:
-    """Four times as near, aimed at what two filters draw most differently."""
+def _filling(camera: Camera, volume: Volume, picture: Picture) -> Camera:
+    """Aimed at the middle of what stands out from the corner of a picture, and as near as shows all of it."""
+    shown = (np.abs(picture - picture[0, 0]) > _SHOWS).any(-1)
+    if not shown.any():
+        return camera
+    rows, columns = np.flatnonzero(shown.any(1)), np.flatnonzero(shown.any(0))
+    size = picture.shape[0]
+    down, across = (float(places[0] + places[-1] + 1) / size - 1 for places in (rows, columns))
+    extent = max(np.ptp(rows) + 1, np.ptp(columns) + 1) / size
+    view = camera.view(volume)
+    target = volume.center if camera.target is None else np.asarray(camera.target)
+    half = view.half_height * (1.0 if view.orthographic else float((target - view.eye) @ view.forward))
+    x, y, z = (float(v) for v in target + half * (across * view.right - down * view.up))
+    return replace(camera, target=(x, y, z)).zoomed(_FILLED / float(extent))
+
+
+def _closer(camera: Camera, volume: Volume, a: Any, b: Any) -> Camera:
+    """Four times as near, where two filters draw most differently, seen from above: at its edges everything differs."""
     from scipy import ndimage
 
-    apart = ndimage.uniform_filter(_difference(_rgb(a), _rgb(b)), max(1, a["rgba"].shape[1] // _BLUR))
     position = a["position"]
     seen = np.isfinite(position).all(-1)
     if not seen.any():
         return camera.zoomed(_CLOSER)
-    place = np.unravel_index(int(np.where(seen, apart, -1).argmax()), seen.shape)
+    facing = seen & (_slope(position, camera, volume) < _STEEP)
+    window = max(1, round(seen.shape[1] / _CLOSER))
+    apart = np.where(facing if facing.any() else seen, _difference(_rgb(a), _rgb(b)), 0)
+    within = ndimage.uniform_filter(apart, window, mode="constant")
+    place = np.unravel_index(int(np.where(facing if facing.any() else seen, within, -1).argmax()), seen.shape)
     x, y, z = (float(v) for v in position[place])
     return replace(camera, target=(x, y, z)).zoomed(_CLOSER)
+
+
+def _slope(position: Picture, camera: Camera, volume: Volume) -> Picture:
+    """How far what is seen recedes from pixel to pixel, over how far it goes across; infinite beside nothing."""
+    view = camera.view(volume)
+    away = position.astype(np.float64) - view.eye
+    depth, across, up = away @ view.forward, away @ view.right, away @ view.up
+    steep = np.zeros(depth.shape)
+    for axis, along in ((0, up), (1, across)):
+        with np.errstate(invalid="ignore", divide="ignore"):
+            ratio = np.abs(np.diff(depth, axis=axis) / np.diff(along, axis=axis))
+        ratio = np.where(np.isfinite(ratio), ratio, np.inf)
+        before, after = [(0, 0), (0, 0)], [(0, 0), (0, 0)]
+        before[axis], after[axis] = (0, 1), (1, 0)
+        for pad in (before, after):
+            steep = np.maximum(steep, np.pad(ratio, pad))
+    return np.asarray(steep, np.float32)
 
 
 def _rgb(drawn: Any) -> Picture:

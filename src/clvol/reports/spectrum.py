@@ -17,7 +17,7 @@ from clvol.volume import Volume
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Spectra", "high_share", "plot", "spectra"]
+__all__ = ["Spectra", "plot", "spectra"]
 
 Array: TypeAlias = NDArray[np.float64]
 Spectra: TypeAlias = list[tuple[str, Array, Array]]
@@ -41,12 +41,6 @@ def spectra(volume: Volume) -> Spectra:
         total = float(power[1:].sum())
         result.append((name, np.asarray(2 * np.pi * np.fft.rfftfreq(n)[1:], np.float64), np.asarray(power[1:] / (total or 1.0))))
     return result
-
-
-def high_share(found: Spectra) -> float | None:
-    """Share of the variance above half of Nyquist, the mean of the axes; None if there is no variance."""
-    shares = [float(power[omega > np.pi / 2].sum()) for _, omega, power in found if power.any()]
-    return float(np.mean(shares)) if shares else None
 
 
 def plot(found: Spectra, filters: Sequence[Filter]) -> Figure:
