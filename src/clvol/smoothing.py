@@ -20,17 +20,16 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import interpolate, optimize
 
 from clvol.checks import whole
+from clvol.filter import bspline
 from clvol.noise import Spectrum
 from clvol.volume import Volume, as_volume
 
-__all__ = ["PENALTY", "Smoothing", "choose"]
+__all__ = ["Smoothing", "choose"]
 
 Array: TypeAlias = NDArray[np.float64]
 
-PENALTY = {2: 2, 3: 2, 4: 3, 5: 3}  # order of the differences that λ weighs, by the degree of the spline
 # Measured on voxelised spheres (radius 5 to 18 voxels), tori (tube 2 to 6) and planes whose surface is known, cubic splines: the
 # RMS distance to the surface falls from 0.20 voxels (λ = 0) to 0.08-0.12 at λ = 0.5 and rises again, that of the normals from 24° to 4.4°.
 _STAIRS = 0.5
@@ -74,7 +73,7 @@ def choose(volume: Volume | ArrayLike, degree: int = 3) -> Smoothing:
     ----------
     volume : Volume or array-like
     degree : int
-        Of the spline, 2 to 5.
+        Of the spline, 2 to 9.
 
     Raises
     ------
@@ -82,7 +81,7 @@ def choose(volume: Volume | ArrayLike, degree: int = 3) -> Smoothing:
         Samples that were looked at are NaN or infinite.
     """
     volume = as_volume(volume)
-    degree = whole("degree", degree, 2, 5)
+    degree = whole("degree", degree, 2, 9)
     noise = volume.noise
     d = volume.ndim
     if noise.kind in ("binary", "labels"):
@@ -118,7 +117,7 @@ class _Risk:
 
     def __init__(self, spectrum: Spectrum, degree: int) -> None:
         self.spectrum = spectrum
-        self.axes = [(_sampled(degree, omega), _penalty(degree, omega)) for omega in spectrum.frequencies]
+        self.axes = [_passing(degree, omega) for omega in spectrum.frequencies]
 
     def __call__(self, smoothing: Sequence[float]) -> float:
         passed = squared = self.spectrum.power
@@ -150,35 +149,27 @@ def _least(spectrum: Spectrum, degree: int) -> tuple[float, ...]:
     several = [one] * d
     for axis in [*range(d)] * 2:
         several[axis], apart = best(lambda value, axis=axis: risk([*several[:axis], value, *several[axis + 1 :]]))  # type: ignore[misc]
-    values = several if apart < _APART**2 * least else [one] * d
+    differ = 0 < apart < _APART**2 * least and max(several) > 2 * min(several)
+    values = several if differ else [one] * d
     return tuple(_rounded(value) for value in values[::-1])
 
 
-def _sampled(degree: int, omega: Array) -> Array:
-    """Transform of the samples of a B-spline, the denominator of eq. (16)."""
-    half = (degree + 1) / 2
-    spline = interpolate.BSpline.basis_element(np.arange(degree + 2) - half, extrapolate=False)
-    total = np.full_like(omega, float(spline(0.0)))
-    for k in range(1, math.ceil(half)):
-        total += 2 * float(spline(k)) * np.cos(k * omega)
-    return total
-
-
-def _penalty(degree: int, omega: Array) -> Array:
-    return np.asarray((2 - 2 * np.cos(omega)) ** PENALTY[degree])
+def _passing(degree: int, omega: Array) -> tuple[Array, Array]:
+    """B(ω) and (2 − 2 cos ω)^m."""
+    row = bspline(degree)
+    b = row.samples
+    return b[0] + 2 * np.cos(np.outer(omega, np.arange(1, len(b)))) @ b[1:], (2 - 2 * np.cos(omega)) ** row.penalty
 
 
 def _equivalent(value: float, degree: int) -> float:
     """λ for a degree that halves the same frequency as `value` does for cubic splines."""
-
-    def excess(omega: float) -> float:
-        at = np.array([omega])
-        return float((value * _penalty(3, at) - _sampled(3, at))[0])
-
     if degree == 3:
         return value
-    at = np.array([optimize.brentq(excess, 1e-3, np.pi)])
-    return float((_sampled(degree, at) / _penalty(degree, at))[0])
+    omega = np.linspace(1e-3, np.pi, 4096)
+    sampled, penalty = _passing(3, omega)
+    half = int(np.argmin(np.abs(sampled - value * penalty)))
+    sampled, penalty = _passing(degree, omega[half : half + 1])
+    return float((sampled / penalty)[0])
 
 
 def _rounded(value: float) -> float:
