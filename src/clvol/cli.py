@@ -431,10 +431,8 @@ def info(source: Source, /, *, input: Input | None = None, json: Json = False) -
         value_range = list(volume.value_range if volume.data.dtype.kind == "f" else map(int, volume.limits))
     except DataError:  # nothing is finite
         value_range = None
-    try:
-        noise, chosen = volume.noise, smoothing.choose(volume)
-    except DataError:  # not all is finite
-        noise = chosen = None
+    noise = volume.noise if finite else None
+    chosen = smoothing.choose(volume) if finite else None
     _say(
         json,
         {

@@ -129,7 +129,6 @@ class Noise:
         return self.background is not None and self.jump >= _CUTS
 
 
-
 def estimate(samples: NDArray[Any]) -> Noise:
     """The noise of a volume or image, from at most about a million of its samples; `Volume.noise` remembers it.
 
@@ -264,8 +263,7 @@ def _jump(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> float:
 
 
 def _evenness(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[float, float]:
-    """Share of the samples equal to all of their neighbours, the background apart; share of those that have unlike neighbours that
-    are equal to at most one of them."""
+    """Two shares: of an object's samples, those equal to all neighbours; of samples that are not, those equal to at most one."""
     equal = np.zeros(blocks.shape, np.int8)
     there = np.zeros(blocks.shape, np.int8)
     for axis in range(1, blocks.ndim):
@@ -296,7 +294,7 @@ def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[f
     level = bands.pop((0,) * len(axes)) / np.float32(math.sqrt(2) ** len(axes))
     used = np.logical_or.reduce([np.abs(band) > _STILL for band in bands.values()])
     if ground.any():  # places that reach into a background have less noise than others
-        used &= _bands(ground.astype(np.float32), axes, (np.ones(len(_LOW), np.float32),))[(0,) * len(axes)] < 0.5
+        used &= _bands(ground.astype(np.float32), axes, (np.ones(len(_LOW)),))[(0,) * len(axes)] < 0.5
     if used.sum() < _FEWEST:
         return 0.0, 0.0, white
     squares = {key: band**2 for key, band in bands.items()}
@@ -312,10 +310,10 @@ def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[f
         square = square[np.argsort(around[places] - square, kind="stable")]
         count = max(len(square) // 2, min(len(square), _FEWEST))
         found = float(np.median(square[:count]))
-        while count >= 2 * _FEWEST:
+        while count >= 2 * _FEWEST:  # as long as that makes a difference
             count //= 2
             less = float(np.median(square[:count]))
-            if less > found * (1 - 2 * _error(count)):  # as long as that makes a difference
+            if less > found * (1 - 2 * _error(count)):
                 break
             found = less
         return found / _MEDIAN_SQUARE
@@ -326,8 +324,8 @@ def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[f
     middle = np.sort(variances)[len(variances) // 4 : len(variances) - len(variances) // 4]
     mean, gain = float(middle.mean()), 0.0
     if len(classes) > 2 and mean > 0:
-        i, j = np.triu_indices(len(classes), 1)
-        slope = float(np.median((variances[j] - variances[i]) / np.maximum(levels[j] - levels[i], _STILL)))  # Theil and Sen
+        a, b = np.triu_indices(len(classes), 1)
+        slope = float(np.median((variances[b] - variances[a]) / np.maximum(levels[b] - levels[a], _STILL)))  # Theil and Sen
         at = float(np.median(variances - slope * levels))
         ends = at + slope * levels[0], at + slope * levels[-1]
         if ends[1] > _GROWS * ends[0] and ends[1] - ends[0] > _CONFIDENT * mean * _error(len(level) // (2 * len(classes))):
@@ -360,9 +358,11 @@ def _bands(
         count = (blocks.shape[axis] - len(_LOW)) // 2 + 1
         split = {}
         for key, band in bands.items():
+            shifted = [band[(slice(None),) * axis + (slice(j, j + 2 * count - 1, 2),)] for j in range(len(_LOW))]
             for half, taps in enumerate(filters):
-                split[(*key, half)] = sum(
-                    np.float32(tap) * band[(slice(None),) * axis + (slice(j, j + 2 * count - 1, 2),)] for j, tap in enumerate(taps)
-                )
+                total = np.zeros_like(shifted[0])
+                for tap, samples in zip(taps, shifted, strict=True):
+                    total += np.float32(tap) * samples
+                split[(*key, half)] = total
         bands = split
     return bands

@@ -1,8 +1,8 @@
 """How much smoothing pays for a volume: λ of a smoothing spline, from the volume's own spectrum and noise.
 
-At the samples a smoothing spline passes the share ``G(ω) = B(ω) / (B(ω) + λ (2 − 2 cos ω)^m)`` of each frequency, B being the transform
-of the B-spline's samples (Unser, Aldroubi and Eden, B-spline signal processing, 1993), in two and three dimensions the product
-over the axes. Of samples with power P(ω), in which there is noise of power N(ω), it leaves the mean square error
+At the samples a smoothing spline passes the share ``G(ω) = B(ω) / (B(ω) + λ (2 − 2 cos ω)^m)`` of each frequency, B being the
+transform of the B-spline's samples (Unser, Aldroubi and Eden, B-spline signal processing, 1993), in two and three dimensions the
+product over the axes. Of samples with power P(ω), in which there is noise of power N(ω), it leaves the mean square error
 
     ∫ (P(ω) − N(ω)) (1 − G(ω))² + N(ω) G(ω)² dω  =  ∫ P (1 − G)² + 2 N G − N dω
 
@@ -30,8 +30,8 @@ __all__ = ["Smoothing", "choose"]
 
 Array: TypeAlias = NDArray[np.float64]
 
-# Measured on voxelised spheres (radius 5 to 18 voxels), tori (tube 2 to 6) and planes whose surface is known, cubic splines: the
-# RMS distance to the surface falls from 0.20 voxels (λ = 0) to 0.08-0.12 at λ = 0.5 and rises again, that of the normals from 24° to 4.4°.
+# Measured with cubic splines on voxelised spheres (radius 5 to 18 voxels), tori (tube 3 to 6) and planes: the RMS distance to the
+# true surface falls from 0.20 voxels at λ = 0 to 0.08-0.12 at λ = 0.5, and then rises; the normals err by 24° and 4.4°.
 _STAIRS = 0.5
 # Beside an exact background there is an inside worth keeping: 0.10 voxels and 7° at the edge.
 _EDGE = 0.2
@@ -66,8 +66,8 @@ class Smoothing:
 def choose(volume: Volume | ArrayLike, degree: int = 3) -> Smoothing:
     """λ of the smoothing spline that errs least for a volume, 0 where interpolation does.
 
-    Noise alone decides, as `Volume.noise` tells of it, but where noise cannot: binary volumes and labels have stairs for surfaces, and
-    so has an object cut out by a mask. There λ is at least what removes them (see the source for the measurements).
+    The noise decides, as `Volume.noise` tells of it, except where there is more to smooth than noise: surfaces of binary volumes and
+    of labels are stairs, and so are those of objects that were cut out by a mask. There λ is at least what removes the stairs.
 
     Parameters
     ----------
