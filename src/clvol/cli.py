@@ -420,8 +420,10 @@ def figure6(
 
 @app.command
 def info(source: Source, /, *, input: Input | None = None, json: Json = False) -> None:
-    """Show what a volume file holds."""
+    """Show what a volume file holds, its noise, and the smoothing λ that "auto" chooses for cubic splines."""
     import numpy as np
+
+    from clvol import smoothing
 
     volume = (input or Input()).read(source)
     finite = volume.data.dtype.kind != "f" or bool(np.isfinite(volume.data).all())
@@ -429,6 +431,8 @@ def info(source: Source, /, *, input: Input | None = None, json: Json = False) -
         value_range = list(volume.value_range if volume.data.dtype.kind == "f" else map(int, volume.limits))
     except DataError:  # nothing is finite
         value_range = None
+    noise = volume.noise if finite else None
+    chosen = smoothing.choose(volume) if finite else None
     _say(
         json,
         {
@@ -441,6 +445,10 @@ def info(source: Source, /, *, input: Input | None = None, json: Json = False) -
             "value_range": value_range if json or value_range is None else _range_text(*value_range),
             "finite": finite,
             "bytes": volume.data.nbytes,
+            "noise": noise.kind if noise else None,
+            "sigma": noise.sigma if noise else None,
+            "smoothing": list(chosen.values) if chosen else None,
+            "reason": chosen.reason if chosen else "",
         },
     )
 
