@@ -144,7 +144,11 @@ class ReportLook(SurfaceLook):
     """How the pictures of a report are made: on white, filled by what shows."""
 
     background: Annotated[str, Parameter(help="A name, a hex code, or 'none'.")] = "white"
-    zoom: Annotated[float | None, Parameter(help="1 shows the whole volume. [default: what shows fills the picture]")] = None  # type: ignore[assignment]
+    zoom: Annotated[float | None, Parameter(help="1 shows the whole volume; by default what shows fills the picture.")] = None  # type: ignore[assignment]  # not given
+
+    def options(self, volume: clvol.Volume) -> dict[str, Any]:
+        given = replace(self, zoom=1.0) if self.zoom is None else self
+        return super(ReportLook, given).options(volume) | {"fill": self.zoom is None}
 
 
 def _flag(name: str) -> tuple[str, Any, None]:
@@ -269,7 +273,10 @@ def compare(
     /,
     *,
     output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="The picture to write.")] = None,
-    table: Annotated[Path | None, Parameter(help="The errors to write: .csv, .json or .md.")] = None,
+    table: Annotated[Path | None, Parameter(help="Errors from every second sample to write: .csv, .json or .md.")] = None,
+    expected: Annotated[Path | None, Parameter(help="Errors to expect of the samples as they are, likewise.")] = None,
+    left_out: Annotated[Path | None, Parameter(help="Errors of slices left out along each axis, likewise.")] = None,
+    turned: Annotated[Path | None, Parameter(help="What is left of the middle slice after nine turns of 40°, likewise.")] = None,
     filters: Filters = (),
     pixels: Whole = 384,
     device: DeviceName = None,
@@ -278,7 +285,7 @@ def compare(
     own: ModeOptions | None = None,
     json: Json = False,
 ) -> None:
-    """Draw a volume by several filters side by side, measure their errors from every second sample, or both.
+    """Draw a volume by several filters side by side, measure their errors in up to four ways, or both.
 
     Parameters
     ----------
@@ -288,12 +295,15 @@ def compare(
     from clvol import analysis, figures
     from clvol.analysis.table import SUFFIXES
 
-    if output is None and table is None:
-        raise OptionError("give --output, a picture, --table, a table of errors, or both; got neither")
+    tables = {"table": table, "expected": expected, "left_out": left_out, "turned": turned}
+    wanted = {kind: path for kind, path in tables.items() if path is not None}
+    if output is None and not wanted:
+        flags = ", ".join(f"--{kind.replace('_', '-')}" for kind in tables)
+        raise OptionError(f"give --output, a picture, or a table of errors ({flags}), or several; got none")
     if output is not None:
         _require_picture(output)
-    if table is not None:
-        _require_writable(table, SUFFIXES, "tables")
+    for path in wanted.values():
+        _require_writable(path, SUFFIXES, "tables")
     look = look or SurfaceLook()
     options = _mode_options(look, own)
     volume = (input or Input()).read(source)
@@ -306,14 +316,24 @@ def compare(
             )
         result["output"] = str(clvol.save(sheet, output))
     result |= {"filters": list(names)} | ({"mode": look.mode} if output is not None else {})
-    if table is not None:
+    for kind, path in wanted.items():
         with _progress("measuring", json) as progress:
-            errors = analysis.compare(
-                volume, names, boundary=look.boundary, points=_COMPARED, timing_device=device, progress=progress
-            )
-        result |= {"table": str(errors.write(table)), "against": errors.against}
+            errors: analysis.Table[Any]
+            if kind == "table":
+                errors = analysis.compare(
+                    volume, names, boundary=look.boundary, points=_COMPARED, timing_device=device, progress=progress
+                )
+                result["against"] = errors.against
+            elif kind == "expected":
+                errors = analysis.predict(volume, names)
+                result["noise"] = errors.sigma
+            elif kind == "left_out":
+                errors = analysis.leave_out(volume, names, look.boundary, progress=progress)
+            else:
+                errors = analysis.rotations(volume, names, boundary=look.boundary, progress=progress)
+        result[kind] = str(errors.write(path))
         if json:
-            result["errors"] = errors.records()
+            result["errors" if kind == "table" else f"{kind}_errors"] = errors.records()
         else:
             header, *rows = errors.texts()
             _table(header, rows)
@@ -377,7 +397,7 @@ def report(
     pixels: Whole = 280,
     device: DeviceName = None,
     input: Input | None = None,
-    look: SurfaceLook | None = None,
+    look: ReportLook | None = None,
     own: ModeOptions | None = None,
     json: Json = False,
 ) -> None:
@@ -391,7 +411,7 @@ def report(
     from clvol import reports
 
     reports.page(output)  # raises before minutes of work if it cannot be written
-    look = look or SurfaceLook()
+    look = look or ReportLook()
     options = _mode_options(look, own)
     volume = (input or Input()).read(source)
     with _progress("measuring and drawing", json) as progress:
@@ -429,8 +449,10 @@ def figure6(
 
 @app.command
 def info(source: Source, /, *, input: Input | None = None, json: Json = False) -> None:
-    """Show what a volume file holds."""
+    """Show what a volume file holds, its noise, and the smoothing λ that "auto" chooses for cubic splines."""
     import numpy as np
+
+    from clvol import smoothing
 
     volume = (input or Input()).read(source)
     finite = volume.data.dtype.kind != "f" or bool(np.isfinite(volume.data).all())
@@ -438,6 +460,8 @@ def info(source: Source, /, *, input: Input | None = None, json: Json = False) -
         value_range = list(volume.value_range if volume.data.dtype.kind == "f" else map(int, volume.limits))
     except DataError:  # nothing is finite
         value_range = None
+    noise = volume.noise if finite else None
+    chosen = smoothing.choose(volume) if finite else None
     _say(
         json,
         {
@@ -450,6 +474,10 @@ def info(source: Source, /, *, input: Input | None = None, json: Json = False) -
             "value_range": value_range if json or value_range is None else _range_text(*value_range),
             "finite": finite,
             "bytes": volume.data.nbytes,
+            "noise": noise.kind if noise else None,
+            "sigma": noise.sigma if noise else None,
+            "smoothing": list(chosen.values) if chosen else None,
+            "reason": chosen.reason if chosen else "",
         },
     )
 

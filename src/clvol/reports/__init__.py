@@ -205,9 +205,7 @@ def _middle(volume: Volume, max_samples: int) -> Volume:
     return volume.crop(low, [a + m for a, m in zip(low, sizes, strict=True)])
 
 
-def _page(
-    name: str, volume: Volume, middle: Volume, made: Report, found: spectrum.Spectra, drawn: Cards | None
-) -> str:
+def _page(name: str, volume: Volume, middle: Volume, made: Report, found: spectrum.Spectra, drawn: Cards | None) -> str:
     """The page; `drawn` is None where the data are constant."""
     table, expected, noise = made.table, made.advice.expected, volume.noise
     low, high = volume.value_range

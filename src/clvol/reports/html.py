@@ -113,7 +113,11 @@ def page(
     ]
     if any(value is not None for row in left_out for value in (row.x, row.y, row.z)):
         noise = f", less the noise ({left_out.sigma:.3g})" if left_out.sigma > 0 else ""
-        parts += ["<h2>Measured: slices left out</h2>", _table(left_out, advice.filter), _note(_LEFT_OUT.format(noise=noise) + _BEST)]
+        parts += [
+            "<h2>Measured: slices left out</h2>",
+            _table(left_out, advice.filter),
+            _note(_LEFT_OUT.format(noise=noise) + _BEST),
+        ]
     if turned is not None:
         says = _TURNED.format(turns=turned.turns, degrees=360 / turned.turns)
         parts += ["<h2>Measured: turned in a circle</h2>", _table(turned, advice.filter), _note(says + _BEST)]
@@ -130,7 +134,9 @@ def _measured(table: ErrorTable) -> str:
     """What the table of errors holds; the share of the low-pass is that of the best filter's squared difference."""
     best, share = min(table, key=lambda row: row.rms), ""
     if best.original:
-        share = f"Of {best.filter}'s squared difference from those it is {100 * min(1.0, (table.lost / best.original) ** 2):.0f} %. "
+        share = (
+            f"Of {best.filter}'s squared difference from those it is {100 * min(1.0, (table.lost / best.original) ** 2):.0f} %. "
+        )
     return _MEASURED.format(against=table.against, lost=table.lost, share=share)
 
 
