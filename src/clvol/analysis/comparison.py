@@ -440,12 +440,12 @@ def _held_back(
         sampled, before = smooth.data[np.ix_(*kept)], original.data[np.ix_(*kept)]
         lost.append((before - sampled).ravel())
         parts.append(_Part(samples, world, None, slopes, axes, sampled, before))
-    how = f"a Gaussian low-pass of standard deviation {width:g} samples" if width else "no low-pass"
+    samples = "sample" if width == 1 else "samples"
+    what = f"the volume low-passed by a Gaussian of standard deviation {width:g} {samples}" if width else "the volume"
     count = sum(part.lattice.size for part in parts)
     return _Trial(
         parts,
-        f"what was sampled, the volume after {how}: {count} values, from every {_ordinal(factor)} sample along each axis, "
-        f"with the kept ones in {len(parts)} places",
+        f"{count} samples of {what}, drawn from every {_ordinal(factor)} along each axis, beginning in {len(parts)} places",
         original,
         _root_mean_square(np.concatenate(lost)),
         _slope_noise(sigma, width, original.spacing),

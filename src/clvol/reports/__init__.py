@@ -215,6 +215,7 @@ def _page(name: str, volume: Volume, middle: Volume, made: Report, found: spectr
         ("range", f"{low:.6g} to {high:.6g}"),
         ("noise", "none found" if noise.sigma == 0 else f"{noise.kind}, standard deviation {noise.sigma:.3g}"),
         ("measured", f"{' × '.join(map(str, middle.size))} samples" + ("" if middle is volume else ", the middle of the volume")),
+        ("every second sample", f"against {table.against}"),
         ("boundary", table.boundary),
         ("computed by", f"{table.evaluated_on}; times and pictures on {table.timed_on or 'no device'}"),
     ]

@@ -245,7 +245,7 @@ def _edges(expected: PredictedTable, known: Noise | float, best: str, rows: dict
         )
     elif expected.detail is not None:
         kind = next(words for least, words in _DETAIL if expected.detail >= least)
-        high = _percent(expected.detail)
+        high = _percent(expected.detail) if expected.detail >= 0.001 else "Less than 0.1 %"
         says.append(f"{high} of the squared differences between neighbouring samples lie above half of Nyquist: {kind}.")
     if isinstance(known, Noise) and known.kind == "binary":
         says.append("The samples have two values. For surfaces without stairs draw them at the mean of the two by bspline3(auto).")

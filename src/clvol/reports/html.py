@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clvol.analysis import EXACT_SINC, ErrorTable, LeftOutTable, PredictedTable, PredictedRow, RotationTable, Table
+from clvol.analysis import EXACT_SINC, ErrorTable, LeftOutTable, PredictedRow, PredictedTable, RotationTable, Table
 from clvol.analysis.table import column
 from clvol.figures.style import colour, styled, title
 from clvol.picture import to_bytes
@@ -44,27 +44,29 @@ _SHOWN = 0.995  # the strongest colour is this quantile of the differences
 _HIGHER = {"psnr", "ssim"}  # the best is the largest; of all others the smallest
 _BEST = " The best of each column is bold."
 _EXPECTED = (
-    "What each filter does to the frequencies that these samples hold, and to their noise: nothing is blurred or left out for it. "
-    "Bias is blur and aliases, noise what it leaves of the samples'; the root of the sum of both squares is the error to expect "
-    "between the samples, and the advice above goes by it. What frequencies the object had beyond the samples' Nyquist frequency "
-    "nobody can know; there are none here, except at jumps from one sample to the next. Gradients are per world unit. Overshoot is "
-    "how far values half-way between these samples leave their range."
+    "What each filter does to the frequencies that these samples hold, and to their noise: for these numbers nothing is "
+    "blurred or left out. Bias is blur and aliases (0 where the noise may explain all of it); noise is what the filter "
+    "leaves of the samples'; the root of the sum of both squares is the error to expect between the samples, and the advice"
+    " above goes by it. What frequencies the object had beyond those that samples can hold nobody can know: there are none "
+    "here, except at jumps from one sample to the next. Gradients are per world unit. Overshoot is how far values half-way "
+    "between these samples leave their range."
 )
 _MEASURED = (
-    "A check by experiment, on other data: the volume is low-passed, every second sample of that along each axis is kept, and what "
-    "filters reconstruct from these is compared with {against}. That low-pass itself took {lost:.3g} (RMS) from "
-    "the samples, which no filter can bring back and which is in none of these columns but the second: the difference from the samples "
-    "before the low-pass. {share}The low-pass takes most of the noise, too, and what is left of it counts as data here, so filters "
-    "that smooth look worse than they are. Angles are those to the gradient of the quintic spline through the low-passed volume, where it "
-    "stands out of the noise. A dash means that the number does not exist."
+    "A check by experiment, on blurred data: the volume is low-passed, every second sample of that along each axis is kept,"
+    " and what filters make of these is compared with the low-passed volume. The low-pass itself took {lost:.3g} (RMS) from"
+    " the samples. No filter can bring that back, and it is in no column but the second, the difference from the samples "
+    "before the low-pass{share}. The low-pass takes most of the noise, too, and what is left of it counts as data here, so "
+    "filters that smooth look worse than they are. Angles are those to the gradient of the quintic spline through the "
+    "low-passed volume, where it stands out of the noise. A dash means that the number does not exist."
 )
 _LEFT_OUT = (
     "Nothing is low-passed here: along one axis every second slice is left out and predicted from the others, RMS{noise}. "
     "Detail finer than two slices is lost to all filters."
 )
 _TURNED = (
-    "Nothing is low-passed here either: the middle slice is turned {turns} times by {degrees:g}°, each time drawn anew, and compared with "
-    "itself within the disc that stays inside. Noise is part of the picture here: filters that smooth lose by it."
+    "Nothing is low-passed here either: the middle slice is turned {turns} times by {degrees:g}°, each time drawn anew, and"
+    " compared with itself within the disc that stays inside. Noise is part of the picture here: filters that smooth lose "
+    "by it."
 )
 
 
@@ -112,7 +114,7 @@ def page(
         _note(_measured(table) + _BEST),
     ]
     if any(value is not None for row in left_out for value in (row.x, row.y, row.z)):
-        noise = f", less the noise ({left_out.sigma:.3g})" if left_out.sigma > 0 else ""
+        noise = f", less the noise ({left_out.sigma:.3g})" if left_out.sigma > 0 else ", noise and all"
         parts += [
             "<h2>Measured: slices left out</h2>",
             _table(left_out, advice.filter),
@@ -134,10 +136,8 @@ def _measured(table: ErrorTable) -> str:
     """What the table of errors holds; the share of the low-pass is that of the best filter's squared difference."""
     best, share = min(table, key=lambda row: row.rms), ""
     if best.original:
-        share = (
-            f"Of {best.filter}'s squared difference from those it is {100 * min(1.0, (table.lost / best.original) ** 2):.0f} %. "
-        )
-    return _MEASURED.format(against=table.against, lost=table.lost, share=share)
+        share = f" ({100 * min(1.0, (table.lost / best.original) ** 2):.0f} % of that difference's square for {best.filter})"
+    return _MEASURED.format(lost=table.lost, share=share)
 
 
 def _advice(advice: Advice) -> str:
@@ -185,8 +185,8 @@ def _expected(expected: PredictedTable, table: ErrorTable, chosen: str) -> str:
     measured = {row.filter: row for row in table}
     rows = []
     for row in expected:
-        known = measured.get(row.filter)
-        rows.append(_Expected(**vars(row), overshoot=known and known.overshoot, seconds=known and known.seconds))
+        known = measured[row.filter]
+        rows.append(_Expected(**vars(row), overshoot=known.overshoot, seconds=known.seconds))
     return _table(Table(rows), chosen)
 
 
