@@ -440,8 +440,8 @@ def _held_back(
         sampled, before = smooth.data[np.ix_(*kept)], original.data[np.ix_(*kept)]
         lost.append((before - sampled).ravel())
         parts.append(_Part(samples, world, None, slopes, axes, sampled, before))
-    samples = "sample" if width == 1 else "samples"
-    what = f"the volume low-passed by a Gaussian of standard deviation {width:g} {samples}" if width else "the volume"
+    wide = "1 sample" if width == 1 else f"{width:g} samples"
+    what = f"the volume low-passed by a Gaussian of standard deviation {wide}" if width else "the volume"
     count = sum(part.lattice.size for part in parts)
     return _Trial(
         parts,

@@ -1,0 +1,168 @@
+"""Errors to expect: closed forms, and what is met where the truth and the noise are known."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from clvol import Volume, reference
+from clvol.analysis import EXACT_SINC, error_kernel, jump_error, predict, variance_gain
+from clvol.errors import ClvolError, DataError, OptionError
+from clvol.filter import as_filter
+from clvol.noise import Noise
+from tests.cases import BAD_COUNTS, BAD_FILTER_LISTS, BAD_FILTERS
+
+NAMES = (
+    "nearest",
+    "linear",
+    "bspline3-approx",
+    "mitchell",
+    "catmull-rom",
+    "bspline2",
+    "bspline3",
+    "omoms3",
+    "bspline5",
+    "bspline3(0.1)",
+)
+
+
+# -- one filter ---------------------------------------------------------------------------------------------------
+
+
+def test_variance_gains_are_the_closed_forms() -> None:
+    assert variance_gain("nearest") == pytest.approx(1, rel=1e-6)
+    assert variance_gain("linear") == pytest.approx(2 / 3, rel=1e-9)  # the mean of (1 - t)² + t²
+    assert variance_gain("bspline3-approx") == pytest.approx(151 / 315, rel=1e-9)  # the septic B-spline at 0
+    assert variance_gain("bspline2-approx") == pytest.approx(11 / 20, rel=1e-9)  # the quintic one
+    assert variance_gain(EXACT_SINC) == 1
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_variance_gain_is_the_mean_of_squared_weights(name: str) -> None:
+    """White noise drawn at random places: its variance is what the filter keeps."""
+    rng = np.random.default_rng(0)
+    drawn = reference.sample(Volume(rng.normal(size=(300, 300))), rng.uniform(10, 289, (40_000, 2)), name)
+    assert drawn.std() == pytest.approx(variance_gain(name), rel=0.03)  # a square for two axes, a root for the deviation
+
+
+def test_errors_at_jumps_are_the_closed_forms() -> None:
+    assert jump_error("nearest") == pytest.approx(1 / 4, rel=1e-3)
+    assert jump_error("linear") == pytest.approx(1 / 6, rel=1e-3)
+    assert jump_error(EXACT_SINC) == pytest.approx(2 / math.pi**2, rel=1e-5)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_error_at_jumps_is_that_of_a_step(name: str) -> None:
+    """The step as the filter draws it, integrated on a fine grid over all places of the step between two samples."""
+    n, fine = 80, 100
+    x = (np.arange((n - 1) * fine) + 0.5) / fine
+    drawn = reference.lattice((np.arange(n) < n // 2).astype(float), [x], name, "mirror")
+    edges = n // 2 - 1 + (np.arange(fine) + 0.5) / fine
+    errors = [float(((drawn - (x < edge)) ** 2).sum()) / fine for edge in edges]
+    assert jump_error(name) == pytest.approx(float(np.mean(errors)), rel=0.01)
+
+
+# -- a volume -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_of_waves_it_is_the_error_kernel(name: str) -> None:
+    """Waves along x: what is expected is Blu and Unser's kernel at their frequency, the cube of one axis alone."""
+    omega = 2 * np.pi * 5 / 32  # whole periods in a block, so that nothing leaks
+    data = np.cos(omega * np.arange(96))[None, None].repeat(40, 0).repeat(40, 1)
+    [row] = predict(data, [name], 0.0)
+    keeps_others = as_filter(name).sums_to_one
+    assert keeps_others
+    assert row.rms == pytest.approx(math.sqrt(float(error_kernel(name, omega)) / 2), rel=0.03)
+    assert row.noise == 0
+
+
+@pytest.mark.parametrize("name", [n for n in NAMES if n != "nearest"])
+def test_of_waves_gradients_err_by_the_error_kernel_of_derivatives(name: str) -> None:
+    omega = 2 * np.pi * 5 / 32
+    data = Volume(np.cos(omega * np.arange(96))[None, None].repeat(40, 0).repeat(40, 1), (0.5, 1.0, 1.0))
+    [row] = predict(data, [name], 0.0)
+    assert row.gradient_rms == pytest.approx(2 * math.sqrt(float(error_kernel(name, omega, 1)) / 2), rel=0.05)
+
+
+@pytest.mark.parametrize("shape", [(48, 50, 46), (120, 130), (6, 60, 60)])
+def test_of_noise_it_is_what_the_filter_leaves(shape: tuple[int, ...]) -> None:
+    data = np.random.default_rng(0).normal(5, 2, shape)
+    for row in predict(data, [*NAMES, EXACT_SINC], 2.0):
+        assert row.noise == pytest.approx(2 * variance_gain(row.filter) ** (len(shape) / 2), rel=1e-9)
+        assert row.bias < 0.45 * row.noise + 0.2  # what chance leaves of the sum of few blocks
+
+
+def test_noise_of_a_background_is_none() -> None:
+    """Half of the volume is exactly 0: half of the variance of the noise is there."""
+    data = np.random.default_rng(0).normal(5, 1, (48, 48, 96))
+    data[..., :48] = 0
+    noise = Noise(1.0, "white", colour=(1.0, 1.0, 1.0), background=0.0, background_share=0.5)
+    [row] = predict(data, ["linear"], noise)
+    assert row.noise == pytest.approx((2 / 3) ** 1.5 * math.sqrt(0.5), rel=0.05)
+
+
+def test_an_axis_has_its_own_smoothing() -> None:
+    """λ along z alone changes what becomes of waves along z alone."""
+    omega = 2 * np.pi * 5 / 32
+    wave = np.cos(omega * np.arange(64))
+    along_z, along_x = wave[:, None, None].repeat(40, 1).repeat(40, 2), wave[None, None].repeat(40, 0).repeat(40, 1)
+    smooth, plain = (float(error_kernel(name, omega)) for name in ("bspline3(2)", "bspline3"))
+    for data, expected in ((along_z, smooth), (along_x, plain)):
+        [row] = predict(data, ["bspline3(0,0,2)"], 0.0)
+        assert row.rms == pytest.approx(math.sqrt(expected / 2), rel=0.05)
+
+
+def test_blocks_say_what_is_sure() -> None:
+    x = np.arange(80)
+    data = np.cos(0.9 * x)[:, None, None] + np.cos(1.1 * x)[None, :, None] + np.cos(x)[None, None]
+    table = predict(data, ["linear", "bspline3", "bspline5"], 0.0)
+    assert table.blocks.shape[1] == table.slopes.shape[1] == 4**3
+    assert [row.rms**2 for row in table] == pytest.approx(table.blocks.mean(1), rel=1e-9)
+    assert table.surely_less("bspline3", "linear")
+    assert table.surely_less("bspline3", "linear", 0.5)
+    assert not table.surely_less("linear", "bspline3")
+    assert not table.surely_less("linear", "linear")
+    assert table.surely_less("bspline5", "linear", key="gradient_rms")
+    ratio = table.row("bspline3").rms / table.row("linear").rms
+    assert table.surely_less("bspline3", "linear", 1.2 * ratio)
+    assert not table.surely_less("bspline3", "linear", 0.8 * ratio)
+    with pytest.raises(OptionError, match="filter must be one of linear, bspline3, bspline5; got 'x'"):
+        table.row("x")
+    with pytest.raises(OptionError, match="key must be one of rms, gradient_rms; got 'psnr'"):
+        table.surely_less("linear", "bspline3", key="psnr")
+    with pytest.raises(OptionError, match="times must be a finite number, greater than 0"):
+        table.surely_less("linear", "bspline3", 0)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (2, 2), (3, 5), (1, 1, 1), (2, 3, 4), (1, 20, 20), (9, 9, 9)])
+def test_small_data_have_an_error_too(shape: tuple[int, ...]) -> None:
+    data = np.random.default_rng(0).normal(size=shape)
+    for row in predict(data, [*NAMES, EXACT_SINC], 0.5):
+        for number in (row.bias, row.noise, row.rms, row.gradient_rms or 0.0):
+            assert math.isfinite(number)
+            assert number >= 0
+
+
+BAD: list[tuple[dict[str, Any], type[ClvolError], str]] = [
+    *(({"filters": bad}, OptionError, "filters must be one or more names; got ") for bad in BAD_FILTER_LISTS),
+    *(({"filters": [bad]}, OptionError, "filter") for bad in BAD_FILTERS),
+    *(({"noise": bad}, OptionError, "noise must be a finite number, at least 0") for bad in (-1, "a", np.nan)),
+    *(({"blocks": bad}, OptionError, "blocks must be a whole number, at least 1") for bad in BAD_COUNTS),
+    ({"seed": -1}, OptionError, "seed must be"),
+    ({"volume": [[1.0, np.inf]]}, DataError, "samples must be finite"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "error", "message"), BAD)
+def test_bad_input_is_refused(arguments: dict[str, Any], error: type[ClvolError], message: str) -> None:
+    with pytest.raises(error, match=message):
+        predict(**{"volume": np.arange(12.0).reshape(3, 4), "filters": ["linear"], "noise": 0.0, **arguments})
+
+
+def test_a_filter_with_different_axes_has_no_single_gain() -> None:
+    with pytest.raises(OptionError, match="along each axis"):
+        variance_gain("bspline3(0.1,0.2,0.3)")
