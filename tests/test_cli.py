@@ -433,8 +433,28 @@ def test_compare_writes_a_table_of_errors(clvol_command: Command) -> None:
     assert files() == ["a.json", "a.md", "a.png", "scan.npz"]
 
 
+def test_compare_writes_errors_found_in_other_ways(clvol_command: Command) -> None:
+    clvol.write(clvol.phantoms.marschner_lobb(24), "scan.npz")
+    volume, names = clvol.read("scan.npz"), ("linear", "bspline3")
+    few = ("compare", "scan.npz", "--filters", *names)
+    told = clvol_command(*few, "--expected", "e.json", "--left-out", "l.csv", "--turned", "t.md", "--json").json
+    assert (told["expected"], told["left_out"], told["turned"]) == ("e.json", "l.csv", "t.md")
+    assert told["expected_errors"] == clvol.analysis.predict(volume, names).records()
+    assert told["left_out_errors"] == clvol.analysis.leave_out(volume, names).records()
+    assert told["turned_errors"] == clvol.analysis.rotations(volume, names).records()
+    assert json.loads(Path("e.json").read_text(encoding="utf-8")) == told["expected_errors"]
+    assert Path("l.csv").read_text(encoding="utf-8").startswith("filter,x,y,z\nlinear,")
+    assert Path("t.md").read_text(encoding="utf-8").startswith("| filter | RMS error |")
+    assert clvol_command(*few, "--turned", "b.csv").out.startswith("filter ")
+    clvol_command(*few, "--turned", "none/b.csv").fails(1, "none does not exist")
+    clvol_command(*few, "--expected", "b.xls").fails(1, "tables are written as .csv, .json, .md", "'b.xls'")
+    assert files() == ["b.csv", "e.json", "l.csv", "scan.npz", "t.md"]
+
+
 def test_compare_tells_what_is_wrong_with_a_table(clvol_command: Command) -> None:
-    clvol_command("compare", SPHERE).fails(1, "give --output, a picture, --table, a table of errors, or both; got neither")
+    clvol_command("compare", SPHERE).fails(
+        1, "give --output, a picture, or a table of errors (--table, --expected, --left-out, --t"
+    )
     clvol_command("compare", SPHERE, "--table", "a.xls").fails(1, "tables are written as .csv, .json, .md", "'a.xls'")
     clvol_command("compare", SPHERE, "--table", "none/a.csv").fails(1, "none does not exist")
     clvol_command("compare", SPHERE, "--table", "a.csv", "--filters", "bogus").fails(1, "'bogus'")
@@ -532,7 +552,9 @@ def test_report_writes_a_page_and_says_its_advice(clvol_command: Command) -> Non
     assert told["output"] == "a.html"
     assert [row["filter"] for row in told["errors"]] == ["linear", "bspline3", "exact-sinc"]
     assert all(row["rms"] > 0 for row in told["errors"])
-    assert told["against"].startswith("27 samples of the original, decimated by 2")
+    assert " samples of the volume low-passed by a Gaussian of standard deviation 1 sample, drawn from every sec" in told["against"]
+    assert [row["filter"] for row in told["expected"]] == [row["filter"] for row in told["errors"]]
+    assert {row["filter"] for row in told["left_out"]} < {row["filter"] for row in told["errors"]}
     assert "Which filter for scan.npz?" in Path("a.html").read_text(encoding="utf-8")  # not where it lay
     assert files() == ["a.html", "out", "scan.npz"]
 

@@ -427,8 +427,12 @@ def report(
             **look.options(volume),
             **options,
         )
-    result = {"output": str(done.path), "filter": done.advice.filter, "advice": " ".join(done.advice.sentences)}
-    _say(json, result | ({"against": done.table.against, "errors": done.table.records()} if json else {}))
+    result: dict[str, Any] = {"output": str(done.path), "filter": done.advice.filter, "advice": " ".join(done.advice.sentences)}
+    if json:
+        result |= {"against": done.table.against, "lost": done.table.lost, "errors": done.table.records()}
+        result |= {"expected": None if done.advice.expected is None else done.advice.expected.records()}
+        result |= {"left_out": done.left_out.records(), "turned": None if done.turned is None else done.turned.records()}
+    _say(json, result)
 
 
 @app.command
