@@ -175,7 +175,7 @@ def predict(
     filters: Sequence[str | Filter],
     noise: Noise | float | None = None,
     *,
-    blocks: int = 256,
+    blocks: int = 128,
     seed: int = 0,
 ) -> PredictedTable:
     """The error to expect of each filter on the samples as they are.

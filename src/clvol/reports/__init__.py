@@ -161,7 +161,7 @@ def report(
         max_samples=_COMPARED,
         progress=lambda done: advance(_ADVISED + (_COMPARING - _ADVISED) * done),
     )
-    left_out = analysis.leave_out(_middle(middle, _COMPARED), chosen, rule)
+    left_out = analysis.leave_out(_middle(middle, _COMPARED // 2), chosen, rule)
     try:
         turned = analysis.rotations(middle, chosen, boundary=rule)
     except DataError:  # too small

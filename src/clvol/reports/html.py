@@ -79,7 +79,7 @@ def inline(picture: Any) -> str:
     else:
         import imageio.v3 as iio
 
-        iio.imwrite(stream, to_bytes(picture), extension=".png", plugin="pillow", optimize=True)
+        iio.imwrite(stream, to_bytes(picture), extension=".png", plugin="pillow")
     return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
 
 
