@@ -57,7 +57,7 @@ MAX_TAPS = 16  # the widest row that one vector load of the device code covers
 _MAX_DEGREE = 20
 _FIT_TOLERANCE = 1e-10  # of the kernel's peak: its second derivative then errs by about 1e-6
 _MISFIT = 0.1  # of the kernel's peak: a fit that errs by more is another kernel
-_SINC_DEGREE = 12  # of the fits to sinc and its windowed forms: they err by less than that
+_SINC_DEGREE = 12  # of the fits to sinc and its windowed forms: more would cost derivatives in float32 what the fit gains
 _ROUNDING = 1e-9  # floating rows are taken as zero, one or equal within this
 
 
