@@ -30,6 +30,7 @@ from clvol.filter import (
 from clvol.reference.spline import filter as reference_filter
 from clvol.reference.spline.prefilter import kernel_samples
 from clvol.volume import Volume
+from tests.cases import SMOOTHED
 
 table = importlib.import_module("clvol.filter")  # clvol.filters is the function of that name
 ROWS = {
@@ -49,6 +50,7 @@ ROWS = {
         *(sinc(radius, normalized=True) for radius in (1, 2, 7)),
         lanczos(2, normalized=True),
         lanczos(8, normalized=True),
+        *map(as_filter, SMOOTHED),
     )
 }
 SPLINES = range(10)
@@ -175,9 +177,14 @@ def test_poles_are_roots_of_the_samples(row: Filter) -> None:
         return
     b = kernel_samples(row)
     np.testing.assert_allclose(row.samples, b, atol=1e-12)
+    assert isinstance(row.smoothing, float)
+    if row.smoothing:
+        differences = row.smoothing * np.poly([1] * 2 * row.penalty)[row.penalty :] * (-1) ** row.penalty  # of (z - 1)²ᵐ
+        b = np.pad(b, (0, differences.size - b.size)) + differences
     assert row.poles.size == b.size - 1
     for z in row.poles:
-        assert -1 < z < 0
+        assert abs(z) < 1
+        assert row.smoothing or -1 < z < 0
         assert b[0] + sum(v * (z**k + z**-k) for k, v in enumerate(b) if k) == pytest.approx(0, abs=1e-9)
 
 

@@ -11,9 +11,10 @@ from clvol.analysis.cardinal import pieces
 from clvol.errors import OptionError
 from clvol.filter import as_filter, bspline, filters
 from clvol.volume import Volume
-from tests.cases import BAD_FILTERS, BAD_REALS, BAD_WHOLE
+from tests.cases import BAD_FILTERS, BAD_REALS, BAD_WHOLE, SMOOTHED
 
-ROWS = {row.name: row for row in (*filters().values(), bspline(7), bspline(9))}
+NEARLY_EQUAL = "bspline3(0.00694444)"  # poles
+ROWS = {row.name: row for row in (*filters().values(), bspline(7), bspline(9), *map(as_filter, (*SMOOTHED, NEARLY_EQUAL)))}
 
 
 @pytest.mark.parametrize("derivative", [0, 1, 2])
