@@ -101,6 +101,16 @@ def test_figure_2_draws_eqs_17_and_18() -> None:
     assert direct["stopband_peak"] < magnified["stopband_peak"]
 
 
+def test_figure_2_marks_where_direct_begins_to_pass_less_than_the_hybrid() -> None:
+    drawing = responses.draw()
+    mark = axes_of(drawing)[1].get_lines()[-1]
+    np.testing.assert_allclose(mark.get_xdata(), 2.1565005, atol=1e-6)  # by eqs 17 and 18, computed without clvol
+    assert "hybrid\npasses less\nB-spline interpolation\npasses less beyond 2.157 π" in texts(drawing)
+    assert drawing.lines[-1].startswith("beyond π, hybrid, ×2 then linear passes less up to 2.157 π, B-spline interpolation")
+    for names in (("bspline3",), ("bspline3", "lanczos4"), ("bspline3", "bspline3")):  # never, or more than once
+        assert not any("beyond" in line for line in responses.draw(names).lines)
+
+
 # -- 3 ---------------------------------------------------------------------------------------------------------
 
 
