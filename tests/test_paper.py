@@ -176,15 +176,24 @@ def test_the_page_tells_what_the_six_were_measured_to_do(
     times = [errors["zone plate", d][analysis.EXACT_SINC] / errors["zone plate", d]["bspline3"] for d in (2, 3)]
     assert "errs seven to nine times as much as the interpolating B-spline" in " ".join(page.split())
     assert [round(t) for t in sorted(times)] == [7, 9]
-    panels, _ = figure6(40, 8, (analysis.EXACT_SINC, "bspline3", "bspline5", "sinc"), samples=1, device=device)
-    rms = [p.rms or 0 for p in panels[:4]]
-    states(page, rf"RMS {NUMBER} against {NUMBER}\), .* leaves both behind \({NUMBER}\)\. .* the worst of all \({NUMBER}\)", *rms)
+    names = (analysis.EXACT_SINC, "bspline3", "bspline5", "sinc", "sinc4n", "lanczosn(4)")
+    panels, _ = figure6(40, 8, names, samples=1, device=device)
+    rms = [p.rms or 0 for p in panels[:6]]
+    pattern = rf"RMS {NUMBER} against {NUMBER}\), .* leaves both behind \({NUMBER}\)\. .* the worst of all \({NUMBER}\)"
+    states(page, rf"{pattern}, .*`sinc4n`, {NUMBER}, .*`lanczosn\(4\)`, {NUMBER}\)", *rms)
     states(page, f"that 2000 random points found, {NUMBER} ", panels[0].residual or 0)
     high, low = (phantoms.marschner_lobb_function(np.array([[r, 0, 0] for r in radii])).mean() for radii in (CRESTS, TROUGHS))
     left = [rings(name, CRESTS).mean() - rings(name, TROUGHS).mean() for name in ("bspline3-approx", "bspline3")]
     states(page, f"are {NUMBER} high; .* leaves {NUMBER}, less than half, the interpolation {NUMBER}", float(high - low), *left)
     scatter = [rings(name, CRESTS).std(1).mean() for name in ("linear", "mitchell", "bspline3", "nearest")]
     states(page, rf"scatter by {NUMBER} \(.* Mitchell's by {NUMBER}, .* B-spline by {NUMBER} .* worse still, {NUMBER}\.", *scatter)
+
+
+def test_the_page_tells_the_constants_of_cubics(page: str) -> None:
+    constants = [analysis.approximation(name).constant for name in ("omoms3", "moms3", "bspline3")]
+    states(page, f"its constant is {NUMBER}, that of `moms3`, .* 1/42, {NUMBER}, and that of the B-spline {NUMBER}", *constants)
+    rows = analysis.compare(phantoms.marschner_lobb_function, ["omoms3", "moms3"], timing=False)
+    states(page, f"`omoms3` errs by {NUMBER}, `moms3` by {NUMBER}", *(row.rms for row in rows))
 
 
 def test_every_shift_keeps_each_sample_once() -> None:
