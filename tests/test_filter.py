@@ -23,6 +23,7 @@ from clvol.filter import (
     lanczos,
     moms3,
     omoms3,
+    quasi,
     register,
     sinc,
     unregister,
@@ -50,6 +51,7 @@ ROWS = {
         *(sinc(radius, normalized=True) for radius in (1, 2, 7)),
         lanczos(2, normalized=True),
         lanczos(8, normalized=True),
+        quasi(5),
         *map(as_filter, SMOOTHED),
     )
 }
@@ -312,6 +314,19 @@ def test_moms3_of_minus_a_sixth_is_the_cubic_of_lagrange() -> None:
     assert (moms3().taps, omoms3().taps) == (moms3(Fraction(1, 56)).taps, moms3(Fraction(1, 42)).taps)
 
 
+def test_quasi_interpolation_is_the_filter_published() -> None:
+    """Condat, Blu and Unser (2005): linear's prefilter is 12 / (z + 10 + 1/z); it need not pass through the samples."""
+    row = quasi(1)
+    assert row.taps == bspline(1).taps
+    np.testing.assert_allclose(row.undone, [10 / 12, 1 / 12], rtol=1e-15)
+    assert row.poles == pytest.approx([math.sqrt(24) - 5], rel=1e-12)
+    assert not row.interpolates
+    x = np.linspace(2.0, 9.0, 29)  # lines stay as they are, far from the ends of 161 samples
+    line = np.tile(3 - 0.5 * np.arange(161.0), (2, 1))
+    got = reference.sample(line, np.stack([x + 75, np.ones_like(x)], -1), row)
+    np.testing.assert_allclose(got, 3 - 0.5 * (x + 75), rtol=0, atol=1e-10)
+
+
 # -- making and registering rows ---------------------------------------------------------------------------
 
 
@@ -499,6 +514,9 @@ def test_unknown_filter_lists_what_is_known() -> None:
         *(lambda bad=bad: sinc(bad) for bad in (1.5, True, "a", [], None, 0, 9)),
         *(lambda bad=bad: lanczos(bad) for bad in (2.5, True, "a", [], None, 2.0)),
         *(lambda bad=bad: moms3(bad) for bad in (Fraction(1, 12), 0.5, "a", None, True, math.nan)),
+        *(lambda bad=bad: quasi(bad) for bad in (0, 2, 7, 3.0, "a", None, True)),
+        lambda: bspline(3, smoothing=-1 / 720),
+        lambda: Filter("x", bspline(1).taps, prefilter=True, smoothing=-0.25),
         *(lambda bad=bad: bspline(bad) for bad in (3.0, 2.5, "a", None, True)),
         *(lambda bad=bad: bc(bad, 1) for bad in ([], None, True, "a", 1j, 1e308)),
         *(lambda bad=bad: from_pieces("x", bad) for bad in (3, "ab", [1], [("a",)], [(None,)], [(1j,)], None)),

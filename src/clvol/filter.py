@@ -43,6 +43,7 @@ __all__ = [
     "lanczos",
     "moms3",
     "omoms3",
+    "quasi",
     "register",
     "several_names",
     "sinc",
@@ -62,6 +63,7 @@ _FIT_TOLERANCE = 1e-10  # of the kernel's peak: its second derivative then errs 
 _MISFIT = 0.1  # of the kernel's peak: a fit that errs by more is another kernel
 _SINC_DEGREE = 12  # of the fits to sinc and its windowed forms: more would cost derivatives in float32 what the fit gains
 _ROUNDING = 1e-9  # floating rows are taken as zero, one or equal within this
+_LEAST_SMOOTHING = -0.25  # of quasi-interpolators, which sharpen: linear's prefilter ends to exist there
 _MOST_SMOOTHING = 1e5  # beyond it poles lie so near to the unit circle that float32 cannot follow
 
 
@@ -84,7 +86,8 @@ class Filter:
         Largest absolute error of `taps` to the kernel that they were fitted to; 0 if exact.
     smoothing : float, tuple of float or "auto"
         λ, from 0 to 10⁵, of a smoothing spline, which trades closeness to the samples for smoothness: 0 passes through them. One
-        number, or one for each axis, x first. "auto" is decided for each volume (`clvol.smoothing.settled`).
+        number, or one for each axis, x first. "auto" is decided for each volume (`clvol.smoothing.settled`). A negative one
+        sharpens (`quasi`).
     length : float, optional
         Instead of λ, a length ℓ in world units: λ is (ℓ / spacing)²ᵐ along each axis, m being the `penalty`, so that a wave
         of wavelength 2πℓ keeps about half of its height, whatever the spacing.
@@ -118,7 +121,7 @@ class Filter:
             raise one_of("magnify", self.magnify, _TABLE)
         if self.magnify is not None:
             as_filter(self.magnify)
-        object.__setattr__(self, "smoothing", _smoothing(self.smoothing))
+        object.__setattr__(self, "smoothing", _smoothing(self.smoothing, _LEAST_SMOOTHING))
         if self.length is not None:
             object.__setattr__(self, "length", number("length", self.length, minimum=0))
             if self.smoothing != 0:
@@ -255,7 +258,7 @@ class Filter:
             raise OptionError(f"{self.name!r} has another smoothing along each axis: take one, filter.along(axis)")
         smoothing, m = self.along(0).smoothing, self.penalty
         assert isinstance(smoothing, float)
-        if smoothing < _ROUNDING:
+        if abs(smoothing) < _ROUNDING:
             return self.samples
         b = np.zeros(max(self.samples.size, m + 1))
         b[: self.samples.size] = self.samples
@@ -457,15 +460,15 @@ def _shortest(value: float) -> str:
     return short if float(short) == value else repr(value)
 
 
-def _smoothing(value: object) -> Smoothing:
+def _smoothing(value: object, least: float = 0.0) -> Smoothing:
     """λ, one for each axis, or "auto", as a filter holds it: the same for all axes is one number."""
     if isinstance(value, str):
         if value == "auto":
             return "auto"
         raise OptionError(f'smoothing must be a number of at least 0, one for each axis, or "auto"; got {value!r}')
     if not isinstance(value, (tuple, list, np.ndarray)):
-        return float(number("smoothing", value, minimum=0, maximum=_MOST_SMOOTHING))
-    values = tuple(float(number("smoothing along each axis", v, minimum=0, maximum=_MOST_SMOOTHING)) for v in value)
+        return float(number("smoothing", value, minimum=least, maximum=_MOST_SMOOTHING))
+    values = tuple(float(number("smoothing along each axis", v, minimum=least, maximum=_MOST_SMOOTHING)) for v in value)
     if len(values) not in (2, 3):
         raise OptionError(f"smoothing must be one number, or one for each of 2 or 3 axes; got {value!r}")
     return values[0] if len(set(values)) == 1 else values
@@ -483,6 +486,28 @@ def _next_degree(rows: list[list[Fraction]], k: int, m: int) -> list[Fraction]:
             result[j] += c * Fraction(k + 1 - m, k)
             result[j + 1] -= c / k
     return result
+
+
+def quasi(degree: int) -> Filter:
+    """The quasi-interpolating B-spline of degree 1, 3 or 5: near the samples instead of through them, and nearer to the function.
+
+    Interpolation errs by ``|B_L| / L! T**L f^(L)`` in the mean, L = degree + 1, with Bernoulli's number B_L: 1/12 for linear,
+    1/720 for the cubic. A prefilter that takes it off leaves the asymptotic error of least squares, 0.41 of that of linear
+    interpolation, 0.55 of that of the cubic, with the same taps (L. Condat, T. Blu and M. Unser, *Beyond interpolation: optimal
+    reconstruction by quasi-interpolation*, ICIP 2005). It is a smoothing spline whose λ is negative, ``-|B_L| / L!``: linear's
+    prefilter is ``12 / (z + 10 + 1/z)``. Noise grows by up to 1.5 along each axis, the cubic's 3 to 3.2.
+
+    Raises
+    ------
+    OptionError
+        Another degree: in even ones the mean error is 0.
+    """
+    bernoulli = {1: Fraction(1, 6), 3: Fraction(1, 30), 5: Fraction(1, 42)}
+    if whole("degree", degree, 1, 5) not in bernoulli:
+        raise OptionError(f"degree must be 1, 3 or 5; got {degree!r}")
+    smoothing = -float(bernoulli[degree] / math.factorial(degree + 1))
+    made = bspline(degree)
+    return replace(made, name=f"{made.name}-quasi", prefilter=True, smoothing=smoothing)
 
 
 def from_pieces(name: str, pieces: Sequence[Sequence[Number]], *, prefilter: bool = False) -> Filter:
@@ -865,6 +890,8 @@ for _row in (
     replace(bc(0, Fraction(1, 2)), name="catmull-rom"),
     omoms3(),
     moms3(),
+    quasi(1),
+    quasi(3),
     *(lanczos(radius) for radius in (2, 3, 4, 5)),
     lanczos(3, normalized=True),
     sinc(),

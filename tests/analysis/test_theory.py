@@ -12,7 +12,7 @@ from scipy import optimize, special
 from clvol import reference
 from clvol.analysis import approximation, error_kernel, frequency_response, impulse_response, taylor_coefficients
 from clvol.errors import OptionError
-from clvol.filter import Filter, as_filter, bspline, filters, from_callable, from_pieces, moms3
+from clvol.filter import Filter, as_filter, bspline, filters, from_callable, from_pieces, moms3, quasi
 from tests.cases import BAD_COUNTS, BAD_FILTERS, BAD_REALS, BAD_WHOLE, SMOOTHED, every
 
 NAMES = (*filters(), *SMOOTHED)
@@ -101,6 +101,14 @@ def test_smoothing_adds_itself_to_the_mean_error(smoothing: float) -> None:
     wanted = math.sqrt((1 / 720 + smoothing) ** 2 + 1 / 1_209_600)
     assert (approximation(row).order, approximation(row).constant) == (4, pytest.approx(wanted, rel=1e-12))
     assert approximation(row, 1).constant == approximation("bspline3", 1).constant
+
+
+@pytest.mark.parametrize("degree", [1, 3, 5])
+def test_quasi_interpolation_reaches_the_constant_of_least_squares(degree: int) -> None:
+    order = degree + 1
+    wanted = math.sqrt(abs(special.bernoulli(2 * order)[-1]) / math.factorial(2 * order))
+    got = approximation(quasi(degree))
+    assert (got.order, got.constant) == (order, pytest.approx(wanted, rel=1e-9))
 
 
 @pytest.mark.parametrize("name", ["bspline3(auto)", "bspline3(length=1)", "bspline3(0.1, 0.2)"])

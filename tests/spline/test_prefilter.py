@@ -28,6 +28,8 @@ TOLERANCE = {
     "bspline5": 2e-5,
     "omoms3": 1e-5,
     "moms3": 1e-5,
+    "linear-quasi": 1e-6,
+    "bspline3-quasi": 3e-6,
     "bspline7": 8e-4,
 }
 TOLERANCE |= dict.fromkeys(SMOOTHED, 2e-6)

@@ -50,9 +50,8 @@ def _closed_form(filter: Filter) -> Closed | None:
     """The closed form of a filter, recognised by its name if its maker makes just these taps."""
     name = filter.name
     made, closed = None, None
-    if name in ("nearest", "linear", "hybrid") or re.fullmatch(r"bspline[2-9](-approx|\(.*\))?", name):
-        degree = {"nearest": 0, "linear": 1, "hybrid": 1}.get(name) if name[0] != "b" else int(name[7])
-        assert degree is not None
+    if name in ("nearest", "linear", "linear-quasi", "hybrid") or re.fullmatch(r"bspline[2-9](-approx|-quasi|\(.*\))?", name):
+        degree = int(name[7]) if name[0] == "b" else int(name != "nearest")
         made, closed = bspline(degree), _bspline(degree)
     elif name in ("mitchell", "catmull-rom") or name.startswith("bc("):
         b, c = {"mitchell": (Fraction(1, 3), Fraction(1, 3)), "catmull-rom": (Fraction(0), Fraction(1, 2))}.get(name) or (
