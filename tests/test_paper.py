@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy import optimize
+from scipy import ndimage, optimize, signal
 
 from clvol import Volume, analysis, filters, phantoms, reference
 from clvol.device import Device
@@ -194,6 +194,36 @@ def test_the_page_tells_the_constants_of_cubics(page: str) -> None:
     states(page, f"its constant is {NUMBER}, that of `moms3`, .* 1/42, {NUMBER}, and that of the B-spline {NUMBER}", *constants)
     rows = analysis.compare(phantoms.marschner_lobb_function, ["omoms3", "moms3"], timing=False)
     states(page, f"`omoms3` errs by {NUMBER}, `moms3` by {NUMBER}", *(row.rms for row in rows))
+
+
+def test_the_rivals_of_the_hybrid_at_eight_fetches(page: str) -> None:
+    """Shifted linear interpolation by SciPy: coefficients by a causal recursion, drawn a fifth of a sample further on."""
+    shift = (1 - 1 / np.sqrt(3)) / 2
+    volume, pad = phantoms.marschner_lobb(41), 20
+    held = np.pad(volume.data.astype(np.float64), pad, mode="reflect")
+    for axis in range(3):
+        # (1 - shift) c[k] + shift c[k - 1] = f[k]; what is left of the start is 0.268**20
+        held = signal.lfilter([1 / (1 - shift)], [1, shift / (1 - shift)], held, axis)
+    points = np.random.default_rng(0).uniform(-0.8, 0.8, (60_000, 3))
+    truth = phantoms.marschner_lobb_function(points)
+    drawn = ndimage.map_coordinates(held, ((points + 1) * 20 - shift + pad).T[::-1], order=1)
+    names = ("linear", "linear-quasi", "hybrid", "bspline3", "bspline3-quasi")
+    errors = {name: reference.sample(volume, points, name) - truth for name in names} | {"shifted": drawn - truth}
+    rms = {name: float(np.sqrt(np.mean(error**2))) for name, error in errors.items()}
+    pattern = (
+        rf"linear errs by {NUMBER}, shifted .* by {NUMBER}, quasi-inter.* by {NUMBER}, and the hybrid by {NUMBER}\. The two rivals"
+    )
+    states(page, pattern, *(rms[name] for name in ("linear", "shifted", "linear-quasi", "hybrid")))
+    states(page, f"takes the cubic from {NUMBER} to {NUMBER} ", rms["bspline3"], rms["bspline3-quasi"])
+
+    def response(omega: np.ndarray) -> np.ndarray:
+        return np.sinc(omega / (2 * np.pi)) ** 2 * np.exp(-1j * omega * shift) / (1 - shift + shift * np.exp(-1j * omega))
+
+    omega, images = 0.01, 2 * np.pi * np.concatenate([np.arange(-200, 0), np.arange(1, 201)])
+    squared = np.abs(1 - response(np.array(omega))) ** 2 + (np.abs(response(omega + images)) ** 2).sum()
+    constants = [analysis.approximation(name).constant for name in ("linear-quasi", "linear", "hybrid")]
+    states(page, f"least squares, {NUMBER} T² ‖f″‖; linear has {NUMBER}, the hybrid {NUMBER}", *constants)
+    assert np.sqrt(squared) / omega**2 == pytest.approx(constants[0], rel=1e-3)
 
 
 def test_every_shift_keeps_each_sample_once() -> None:
