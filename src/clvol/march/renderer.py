@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 import threading
 from collections.abc import Sequence
 from types import EllipsisType, TracebackType
@@ -22,7 +23,8 @@ from clvol.march import launch
 from clvol.march.frame import Frame
 from clvol.march.launch import Picture
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter
-from clvol.mode import DEFAULT_MODE, Mode, as_mode
+from clvol.march.uncertainty import Uncertainty
+from clvol.mode import DEFAULT_MODE, Isosurface, Mode, as_mode
 from clvol.scene import Box, Medium, Scene, as_scene
 from clvol.spline.evaluator import Evaluator, EvaluatorName, FetchName, choose_evaluator
 from clvol.spline.field import Field, as_field
@@ -33,7 +35,7 @@ from clvol.volume import Volume
 
 __all__ = ["OUTPUTS", "Output", "Renderer", "render"]
 
-Output: TypeAlias = Literal["rgba", "depth", "normal", "position", "visited"]
+Output: TypeAlias = Literal["rgba", "depth", "normal", "position", "visited", "uncertainty"]
 
 OUTPUTS: tuple[Output, ...] = get_args(Output)
 _BITS = 8.0  # of the sampler's fraction, before pictures are made by it: what texture units have
@@ -95,6 +97,7 @@ class Renderer:
             self.field = Field(medium.volume, medium.filter, medium.boundary, device)
         self.device = self.field.device
         self._minmax: dict[Evaluator, MinMax] = {}
+        self._uncertainty: Uncertainty | None = None
         self._lock = threading.Lock()
         self._closed = False
 
@@ -115,6 +118,9 @@ class Renderer:
             self.field.close()
         while self._minmax:
             self._minmax.popitem()[1].release()
+        if self._uncertainty is not None:
+            self._uncertainty.release()
+            self._uncertainty = None
 
     def __enter__(self) -> Self:
         return self
@@ -142,6 +148,7 @@ class Renderer:
         evaluator: EvaluatorName = ...,
         fetch: FetchName = ...,
         outputs: Output = ...,
+        sigma: float | None = ...,
         progress: Progress | None = ...,
         **options: Any,
     ) -> Picture: ...
@@ -166,6 +173,7 @@ class Renderer:
         evaluator: EvaluatorName = ...,
         fetch: FetchName = ...,
         outputs: list[Output] | tuple[Output, ...],
+        sigma: float | None = ...,
         progress: Progress | None = ...,
         **options: Any,
     ) -> dict[str, Picture]: ...
@@ -189,6 +197,7 @@ class Renderer:
         evaluator: EvaluatorName = "auto",
         fetch: FetchName = "auto",
         outputs: Output | Sequence[Output] = "rgba",
+        sigma: float | None = None,
         progress: Progress | None = None,
         **options: Any,
     ) -> Picture | dict[str, Picture]:
@@ -226,12 +235,16 @@ class Renderer:
         evaluator, fetch
             As for `clvol.sample`.
         outputs : str or sequence of str
-            Of "rgba", "depth", "normal", "position", "visited". Several give a dictionary. Depth is the world distance
+            Of "rgba", "depth", "normal", "position", "visited", "uncertainty". Several give a dictionary. Depth is the world distance
             from the eye along the ray (orthographic: from the camera's plane), inf where there is nothing;
             normals face the viewer; NaN where there are none. Positions are in the world. These are of the ray through the
             pixel's middle. In "composite" they are where half of the light
             is stopped, in projections where the extreme lies; "mean" has none. "visited" is the share of a ray's
-            samples that was looked at, NaN where it has none.
+            samples that was looked at, NaN where it has none. "uncertainty", of "isosurface" alone, says within what of the
+            surface that is drawn the true one lies, and within how many degrees of its normal: see the notes.
+        sigma : float, optional
+            Standard deviation of the samples' noise, in units of the data, for "uncertainty"; by default what is estimated
+            from them (`Volume.noise`).
         progress : callable, optional
             Called with the fraction done.
         **options
@@ -241,7 +254,7 @@ class Renderer:
         -------
         ndarray of float32, shape (height, width, 4), or a dictionary
             Red, green, blue, opacity in 0..1; row 0 is the top. Depth and visited have shape (height, width),
-            normals and positions (height, width, 3). Positions are float64: exact to float32 as seen from the volume's
+            normals and positions (height, width, 3), uncertainty (height, width, 2). Positions are float64: exact to float32 as seen from the volume's
             centre, however far that is from the world's origin.
 
         Raises
@@ -259,7 +272,16 @@ class Renderer:
             The device failed; ``fetch="image"`` on a device without images, or paired fetches from an image whose sampler does
             not interpolate.
         OutOfMemoryError
-            The device has no room for the picture, or for the pyramid of minima and maxima.
+            The device has no room for the picture, for the pyramid of minima and maxima, or for the copy of the samples that
+            "uncertainty" takes.
+
+        Notes
+        -----
+        "uncertainty" holds, in world units and in degrees, what 95 % of the errors should lie within: 1.96 times the root of the
+        mean square that is expected of the filter's error between the samples and of the noise (`clvol.march.uncertainty`). Both
+        are to first order: where noise alone makes surfaces, or where a filter has smoothed away what was there, it
+        says too little. It knows nothing of errors that the samples themselves have, such as a scanner's own blur. Integers
+        have at least the noise of rounding, ``sqrt(1/12)``.
         """
         chosen = as_mode(mode, options, _KEYWORDS)
         if self._closed or self.field.closed:
@@ -273,8 +295,12 @@ class Renderer:
         if gradient not in ("analytic", "central"):
             raise one_of("gradient", gradient, ("analytic", "central"))
         wanted = _outputs(outputs)
+        if "uncertainty" in wanted:
+            self._require_surface(chosen)
+        sigma = None if sigma is None else number("sigma", sigma, minimum=0)
         samples, pixel_filter = whole("samples", samples, minimum=1, maximum=4096), as_pixel_filter(pixel_filter)
         way = choose_evaluator(self.device, self.filter, evaluator, fetch, bits=_BITS)
+        central = gradient == "central" or not self.filter.has_gradient
         frame = Frame.of(
             scene,
             self.field.coefficients,
@@ -285,10 +311,12 @@ class Renderer:
             number("step", step, above=0),
             scene.media[0].transfer or chosen.transfer(self.volume),
             way,
-            central=gradient == "central" or not self.filter.has_gradient,
+            central=central,
             guides=wanted != ("rgba",),
         )
         pictures = launch.draw(frame, samples, pixel_filter, progress)
+        if "uncertainty" in wanted:
+            pictures["uncertainty"] = self._doubt()(pictures["position"], self._sigma(sigma), central=central)
         return pictures[wanted[0]] if isinstance(outputs, str) else {name: pictures[name] for name in wanted}
 
     def _seen(
@@ -315,6 +343,24 @@ class Renderer:
             scene.background if background is ... else background,  # type: ignore[arg-type]
             scene.clip if clip is ... else clip,
         )
+
+    def _require_surface(self, mode: Mode) -> None:
+        if not isinstance(mode, Isosurface):
+            raise OptionError(f"the output uncertainty is of surfaces: mode must be isosurface; got {mode.name!r}")
+        if not self.filter.has_gradient:
+            raise OptionError(f"the output uncertainty needs a filter that has slopes; got {self.filter.name!r}")
+
+    def _doubt(self) -> Uncertainty:
+        """The errors of surfaces, made ready for the first picture."""
+        with self._lock:
+            if self._uncertainty is None:
+                self._uncertainty = Uncertainty(self.field)
+            return self._uncertainty
+
+    def _sigma(self, given: float | None) -> float:
+        """Of the samples' noise; integers were rounded."""
+        rounding = math.sqrt(1 / 12) if self.volume.data.dtype.kind in "iu" else 0.0
+        return max(0.0 if given is None else given, rounding)
 
     def _pyramid(self, evaluator: Evaluator) -> MinMax:
         """Minima and maxima, computed for the first picture."""
