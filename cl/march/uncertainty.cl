@@ -4,8 +4,9 @@
 // all places between two samples, and how much the errors of the value and of the slope vary about their means. Here they run
 // over the eight samples around a point.
 //
-// Set by the host: STORED, weights of a stencil; REACH, samples to either side of which they are not all zero; PLACES between two
-// samples, for which it tabulates what noise becomes; the block uncertainty_t.
+// Set by the host: STORED, weights of a stencil; REACH, samples to either side that have some; VALUE_IS_ODD, whether those of VALUE
+// have another sign on the other side, as those of ODD; PLACES between two samples, for which it tabulates what noise becomes; the
+// block uncertainty_t.
 
 #include "base/platform.cl"
 #include "spline/filter.cl"
@@ -13,7 +14,7 @@
 #include "spline/taps.cl"
 #include "uncertainty.h"
 
-enum { MEAN, VALUE, SLOPE, KINDS };   // of stencils
+enum { MEAN, VALUE, EVEN, ODD, KINDS };   // of stencils
 
 typedef struct {
     float value;      // mean square of the error
@@ -56,30 +57,37 @@ INLINE errors_t errors_at(global const float *samples, const int4 extent, consta
                                                                            : (float8)(s, s, s, s, t, t, t, t);
         first += (size_t)(base + extent.w) * step[axis];
     }
-    float8 mean = (float8)(0.0f), value[3], slope[3];
+    float8 mean = (float8)(0.0f), value[3], slopes[3];
 #pragma unroll
     for (int axis = 0; axis < 3; ++axis) {
-        constant float *stencil = u->stencils + KINDS * STORED * axis + STORED / 2;
-        float8 sums[KINDS] = { (float8)(0.0f), (float8)(0.0f), (float8)(0.0f) };
-        global const float *from = first - REACH * step[axis];
-        for (int k = -REACH; k <= REACH + 1; ++k, from += step[axis]) {   // the last of the one end is the first but one of the other
-            const float4 v = four(from, step[axis == 0], step[axis == 2 ? 1 : 2]);
+        constant float *stencil = u->stencils + KINDS * STORED * axis + STORED / 2;   // its middle
+        float4 v[2 * REACH + 2];
 #pragma unroll
-            for (int kind = 0; kind < KINDS; ++kind) {
-                const float near = k <= REACH ? stencil[STORED * kind + k] : 0.0f, far = k > -REACH ? stencil[STORED * kind + k - 1] : 0.0f;
-                sums[kind] = madd((float8)(v, v), (float8)((float4)(near), (float4)(far)), sums[kind]);
-            }
+        for (int k = 0; k < 2 * REACH + 2; ++k)
+            v[k] = four(first + (k - REACH) * (ptrdiff_t)step[axis], step[axis == 0], step[axis == 2 ? 1 : 2]);
+        float8 sums[KINDS];
+        const float8 middle = (float8)(v[REACH], v[REACH + 1]);   // at both ends of the cell
+        for (int kind = 0; kind < KINDS; ++kind)
+            sums[kind] = stencil[STORED * kind] * middle;
+#pragma unroll
+        for (int k = 1; k <= REACH; ++k) {
+            const float8 after = (float8)(v[REACH + k], v[REACH + 1 + k]), before = (float8)(v[REACH - k], v[REACH + 1 - k]);
+            const float8 even = after + before, odd = after - before;
+            sums[MEAN] = madd((float8)(stencil[STORED * MEAN + k]), even, sums[MEAN]);
+            sums[VALUE] = madd((float8)(stencil[STORED * VALUE + k]), VALUE_IS_ODD ? odd : even, sums[VALUE]);
+            sums[EVEN] = madd((float8)(stencil[STORED * EVEN + k]), even, sums[EVEN]);
+            sums[ODD] = madd((float8)(stencil[STORED * ODD + k]), odd, sums[ODD]);
         }
         mean += eight(sums[MEAN], axis);
         value[axis] = eight(sums[VALUE], axis);
-        slope[axis] = eight(sums[SLOPE], axis);
+        slopes[axis] = eight(sums[EVEN] * sums[EVEN] + sums[ODD] * sums[ODD], axis);
     }
     errors_t e;
     e.value = sum_eight(weight * (mean * mean + value[0] * value[0] + value[1] * value[1] + value[2] * value[2]));
 #pragma unroll
     for (int axis = 0; axis < 3; ++axis) {
         const float8 a = differences(value[(axis + 1) % 3], axis), b = differences(value[(axis + 2) % 3], axis);
-        e.slope[axis] = sum_eight(weight * (slope[axis] * slope[axis] + a * a + b * b));
+        e.slope[axis] = sum_eight(weight * (slopes[axis] + a * a + b * b));
         e.mean[axis] = sum_eight(weight * differences(mean, axis));
     }
     return e;
@@ -112,15 +120,22 @@ kernel void uncertainty(COEFFICIENTS coefficients, const int4 extent, global con
 
     float value;
     gradient_t g = taps_gradient(coefficients, extent, locate_inner(at[0], at[1], at[2], extent.w), &value);
-    g.x *= u->gain; g.y *= u->gain; g.z *= u->gain;
+    g.x *= u->gain * GRID_SCALE; g.y *= u->gain * GRID_SCALE; g.z *= u->gain * GRID_SCALE;
     const float3 gradient = { madd(m[0], g.x, madd(m[3], g.y, m[6] * g.z)), madd(m[1], g.x, madd(m[4], g.y, m[7] * g.z)),
                               madd(m[2], g.x, madd(m[5], g.y, m[8] * g.z)) };
     const float square = gradient.x * gradient.x + gradient.y * gradient.y + gradient.z * gradient.z;
+    if (!(square > 0.0f)) {
+        result[0] = INFINITY;
+        result[1] = 180.0f;
+        return;
+    }
+    value *= u->gain;
+    const float rounding = u->rounding * (value * value + g.x * g.x + g.y * g.y + g.z * g.z);
 
     const errors_t e = errors_at(samples, stored, u, at);
     const float x = u->squares[place[0]], y = u->squares[place[1]], z = u->squares[place[2]];
     const float noisy[3] = { u->slopes[place[0]] * y * z, x * u->slopes[place[1]] * z, x * y * u->slopes[place[2]] };
-    const float off = MAX(e.value - u->power * u->noise[0], 0.0f) + u->power * x * y * z + u->rounding;
+    const float off = MAX(e.value - u->power * u->noise[0], 0.0f) + u->power * x * y * z + rounding;
     float3 mean = (float3)(0.0f);   // slope of the mean error in the world
     float varying = 0.0f, expected = 0.0f, noise = 0.0f;
 #pragma unroll
@@ -129,7 +144,7 @@ kernel void uncertainty(COEFFICIENTS coefficients, const int4 extent, global con
         const float length = row.x * row.x + row.y * row.y + row.z * row.z;
         const float along = row.x * gradient.x + row.y * gradient.y + row.z * gradient.z;
         const float across = MAX(length - along * along / square, 0.0f);   // of the normal
-        varying += across * (MAX(e.slope[axis] - u->power * u->noise[1 + axis], 0.0f) + u->power * noisy[axis] + u->rounding);
+        varying += across * (MAX(e.slope[axis] - u->power * u->noise[1 + axis], 0.0f) + u->power * noisy[axis] + rounding);
         expected += across * u->power * u->noise[4 + axis];
         noise += length * u->power * noisy[axis];
         mean += row * e.mean[axis];

@@ -19,8 +19,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import TypeAlias
+from functools import cached_property, lru_cache
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,15 +45,16 @@ _PLACES = 64  # between two samples, at which errors are tabulated
 _OMEGA = np.pi * (np.arange(64) + 0.5) / 64
 _FITTED = (0.05 * np.pi, 0.9 * np.pi)  # beyond, a wave and its alias are one
 _ROUGH = np.pi * (np.arange(24) + 0.5) / 24  # frequencies along each of three axes
+_KEPT = 1 / 3
 _LEAST_SLOPE = 0.1  # of the slope that is drawn, how much is taken to be there at least, whatever noise may have made of it
-_ROUNDING = 2.0**-20  # of the largest magnitude, by which float32 errs
+_ROUNDING = 2.0**-20  # of the values around, by which float32 errs
 _PLACED = 2.0**-22  # of the volume's radius, by which positions are rounded
 _ROOM = bspline(9, prefilter=False)  # a filter whose halo has room for the stencils
 
 
 UNCERTAINTY = Block(
     "uncertainty_t",
-    stencils=(FLOAT, 9 * (2 * _REACH + 1)),
+    stencils=(FLOAT, 12 * (2 * _REACH + 1)),
     squares=(FLOAT, 3 * _PLACES),
     slopes=(FLOAT, 3 * _PLACES),
     noise=(FLOAT, 7),
@@ -119,7 +120,7 @@ class Uncertainty:
         """
         device, made, samples = self._field.device, self._field.coefficients, self._samples
         defines = {**made.defines(DIRECT), "LANES": 1, "STORED": 2 * _REACH + 1, "PLACES": _PLACES}
-        defines["REACH"] = _errors(self._field.filter, central).reach
+        defines |= _errors(self._field.filter, central).defines
         built = device.build("march/uncertainty.cl", defines, generated={"uncertainty.h": "// generated\n" + UNCERTAINTY.declaration()})
         block = device.upload(self._block(sigma, central)[None])
         points = np.empty(positions.shape, np.float32)
@@ -159,7 +160,7 @@ class Uncertainty:
             noise=errors.noise,
             to_index=volume.world_to_index_matrix.ravel() * spacing,
             center=(np.asarray(volume.size) - 1) / 2,
-            gain=self._field.filter.scale / self._magnitude,
+            gain=1 / self._magnitude,
             power=(sigma / unit) ** 2,
             rounding=_ROUNDING**2,
             placed=(_PLACED * volume.radius / spacing) ** 2,
@@ -178,7 +179,7 @@ class _Errors:
 
     Attributes
     ----------
-    stencils : ndarray, shape (3, 3, 2 REACH + 1)
+    stencils : ndarray, shape (3, 4, 2 REACH + 1)
         For each axis those of the mean error, the varying error and the varying error of the slope.
     noise : ndarray, shape (7,)
         What samples with noise of variance 1 give on average in the squares of what uncertainty.cl finds.
@@ -191,10 +192,13 @@ class _Errors:
     squares: Array
     slopes: Array
 
-    @property
-    def reach(self) -> int:
-        """Of the stencils, to either side."""
-        return int(np.abs(np.flatnonzero(self.stencils.any((0, 1))) - _REACH).max(initial=0))
+    @cached_property
+    def defines(self) -> dict[str, int]:
+        """What the kernel needs to know of the stencils when it is built."""
+        used = np.flatnonzero(self.stencils.any((0, 1)))
+        value = self.stencils[:, 1]
+        odd = bool(np.abs(value + value[:, ::-1]).max() < np.abs(value - value[:, ::-1]).max())
+        return {"REACH": int(np.abs(used - _REACH).max(initial=0)), "VALUE_IS_ODD": int(odd)}
 
 
 @lru_cache(maxsize=64)
@@ -209,15 +213,20 @@ def _along(filter: Filter, axis: int, central: bool) -> tuple[Array, Array, Arra
     x = (np.arange(_PLACES) + 0.5) / _PLACES
     value, slope = _wave(filter, axis, x, _OMEGA), _wave(filter, axis, x, _OMEGA, 1)
     if central:
-        slope = 1j * np.sin(_OMEGA) * value
+        slope = 1j * np.sin(_OMEGA)[:, None] * value
     mean = value.mean(1, keepdims=True).real
-    varying = np.sqrt((np.abs(value - mean) ** 2).mean(1))
-    bending = np.sqrt((np.abs(slope - 1j * _OMEGA[:, None] * mean) ** 2).mean(1))
-    missing = 1 - mean[:, 0]
-    whole = np.hypot(missing, varying)
-    stencils = np.array([_stencil(missing, whole, even=True), _stencil(varying, whole), _stencil(bending, bending)])
+    error = slope - 1j * _OMEGA[:, None] * mean
+    kept = np.maximum(_wave(filter, axis, np.zeros(1), _OMEGA)[:, 0].real, _KEPT)
+    missing = (1 - mean[:, 0]) / kept
+    varying, even, odd = (_root_mean_square(part) / kept for part in (value - mean, error.real, error.imag))
+    off, turned = np.hypot(missing, varying), np.hypot(even, odd)
+    stencils = [_stencil(missing, off, 0), _stencil(varying, off), _stencil(even, turned, 0), _stencil(odd, turned, 1)]
     at_sample = _wave(filter, axis, np.zeros(1), _ROUGH)[:, 0].real
-    return stencils, at_sample, (np.abs(value) ** 2).mean(0), (np.abs(slope) ** 2).mean(0)
+    return np.array(stencils), at_sample, (np.abs(value) ** 2).mean(0), (np.abs(slope) ** 2).mean(0)
+
+
+def _root_mean_square(waves: NDArray[np.inexact[Any]]) -> Array:
+    return np.asarray(np.sqrt((np.abs(waves) ** 2).mean(1)))
 
 
 def _wave(filter: Filter, axis: int, x: Array, omega: Array, derivative: int = 0) -> NDArray[np.complex128]:
@@ -230,13 +239,13 @@ def _wave(filter: Filter, axis: int, x: Array, omega: Array, derivative: int = 0
         fractions = np.arange(filter.scale) / filter.scale
         coarse = _wave(filter.magnified_by, axis, fractions, omega)
         terms *= coarse[:, np.rint((at % 1) * filter.scale).astype(np.int64) % filter.scale]
-    elif filter.prefilter:
-        b = filter.samples
+    else:
+        b = filter.along(axis).undone
         terms /= (b[0] + 2 * np.cos(omega[:, None] * np.arange(1, b.size)) @ b[1:])[:, None, None]
     return np.asarray(terms.sum(1))
 
 
-def _stencil(response: Array, scale: Array, *, even: bool = False) -> Array:
+def _stencil(response: Array, scale: Array, parity: int | None = None) -> Array:
     """Weights at -REACH, ..., REACH whose response has this magnitude, relative to `scale`, at the frequencies that are fitted.
 
     It is ``u**(n / 2)`` times a polynomial in ``u = 4 sin²(w / 2)``, with the order n of the response at 0; of an odd order
@@ -249,7 +258,7 @@ def _stencil(response: Array, scale: Array, *, even: bool = False) -> Array:
     low = int(np.argmax(np.abs(response[:32]) > 1e-12))
     high = 2 * low + 1
     order = round(math.log(max(abs(response[high] / response[low]), 1.0)) / math.log(_OMEGA[high] / _OMEGA[low]))
-    order = min(order + (order % 2 if even else 0), 2 * _REACH)
+    order = min(order + (0 if parity is None else (order + parity) % 2), 2 * _REACH)
     u = 4 * np.sin(_OMEGA / 2) ** 2
     first = np.sin(_OMEGA) if order % 2 else np.ones_like(u)
     terms = min(_TERMS, _REACH + 1 - (order + 1) // 2)
@@ -271,12 +280,12 @@ def _noise(stencils: Array, at_sample: list[Array]) -> Array:
     k = np.arange(-_REACH, _REACH + 1)
     waves = np.exp(1j * _ROUGH[:, None] * k)
     shapes = [[-1 if b == a else 1 for b in range(3)] for a in range(3)]
-    mean, value, slope = ([(waves @ stencils[a, which]).reshape(shapes[a]) for a in range(3)] for which in range(3))
+    mean, value, even, odd = ([(waves @ stencils[a, which]).reshape(shapes[a]) for a in range(3)] for which in range(4))
     bend = [(4 * np.sin(_ROUGH / 2) ** 2).reshape(shape) for shape in shapes]  # of differences, squared
     blend = [((2 + np.cos(_ROUGH)) / 3).reshape(shape) for shape in shapes]  # of linear interpolation, squared
     x, y, z = ((at_sample[a] ** 2).reshape(shapes[a]) for a in range(3))
     drawn, total = x * y * z, np.abs(mean[0] + mean[1] + mean[2]) ** 2
     varying = [np.abs(v) ** 2 for v in value]
-    own = [np.abs(slope[a]) ** 2 + bend[a] * sum(varying[b] for b in range(3) if b != a) for a in range(3)]
+    own = [np.abs(even[a]) ** 2 + np.abs(odd[a]) ** 2 + bend[a] * sum(varying[b] for b in range(3) if b != a) for a in range(3)]
     steep = [bend[a] * total * math.prod(blend[b] for b in range(3) if b != a) for a in range(3)]
     return np.array([float((drawn * found).mean()) for found in (total + sum(varying), *own, *steep)])
