@@ -124,13 +124,13 @@ kernel void uncertainty(COEFFICIENTS coefficients, const int4 extent, global con
     const float3 gradient = { madd(m[0], g.x, madd(m[3], g.y, m[6] * g.z)), madd(m[1], g.x, madd(m[4], g.y, m[7] * g.z)),
                               madd(m[2], g.x, madd(m[5], g.y, m[8] * g.z)) };
     const float square = gradient.x * gradient.x + gradient.y * gradient.y + gradient.z * gradient.z;
-    if (!(square > 0.0f)) {
+    value *= u->gain;
+    const float rounding = u->rounding * (value * value + g.x * g.x + g.y * g.y + g.z * g.z);
+    if (!(square > rounding * u->steepest)) {   // there is no slope but what rounding makes
         result[0] = INFINITY;
         result[1] = 180.0f;
         return;
     }
-    value *= u->gain;
-    const float rounding = u->rounding * (value * value + g.x * g.x + g.y * g.y + g.z * g.z);
 
     const errors_t e = errors_at(samples, stored, u, at);
     const float x = u->squares[place[0]], y = u->squares[place[1]], z = u->squares[place[2]];

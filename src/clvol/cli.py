@@ -29,8 +29,9 @@ import clvol
 from clvol.errors import ClvolError, DataError, DeviceError, OptionError
 from clvol.files import require_folder, require_suffix
 from clvol.formats import WRITTEN
+from clvol.march.uncertainty import COVERAGE, in_words
 from clvol.mode import as_mode, every_option, mode_options
-from clvol.picture import heat
+from clvol.picture import heat, heat_with_scale
 
 app = App(
     name="clvol",
@@ -209,6 +210,7 @@ def render(
     look: Look | None = None,
     own: ModeOptions | None = None,
     heat_map: Path | None = None,
+    uncertainty: Path | None = None,
     verbose: Annotated[bool, Parameter(negative="")] = False,
     json: Json = False,
 ) -> None:
@@ -220,6 +222,8 @@ def render(
         How it is reconstructed between its samples; see 'clvol filters'.
     heat_map
         A second picture: the share of each ray's samples that was looked at, from black to pale yellow.
+    uncertainty
+        Another picture, of an isosurface: within what of it the true surface lies, with 95 % confidence, from black to pale yellow.
     verbose
         Report the share of the samples that was looked at, and how long the parts took, kernels that are built first
         included.
@@ -227,8 +231,9 @@ def render(
     import numpy as np
 
     _require_picture(output)
-    if heat_map is not None:
-        _require_picture(heat_map)
+    for other in (heat_map, uncertainty):
+        if other is not None:
+            _require_picture(other)
     look = look or Look()
     options = _mode_options(look, own)
     volume = (input or Input()).read(source)
@@ -238,12 +243,19 @@ def render(
         begun = time.perf_counter()
         with clvol.Renderer(volume, filter, look.boundary, device) as renderer:
             ready = time.perf_counter()
-            outputs: tuple[clvol.Output, ...] = ("rgba", "visited") if verbose or heat_map is not None else ("rgba",)
+            outputs: list[clvol.Output] = ["rgba"]
+            outputs += ["visited"] if verbose or heat_map is not None else []
+            outputs += ["uncertainty"] if uncertainty is not None else []
             pictures = renderer.render(size=size, progress=progress, outputs=outputs, **options)
             done = time.perf_counter()
     clvol.save(pictures["rgba"], output)
     if heat_map is not None:
         result["heat_map"] = str(clvol.save(heat(pictures["visited"]), heat_map))
+    if uncertainty is not None:
+        within = pictures["uncertainty"]
+        title = f"the true surface lies within, in {COVERAGE:.0%} of places"
+        result["uncertainty"] = str(clvol.save(heat_with_scale(within[..., 0], volume.units, title), uncertainty))
+        result["surface"] = in_words(within, volume.units)
     if verbose:
         met = np.isfinite(pictures["visited"])
         result |= {

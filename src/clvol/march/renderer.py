@@ -37,7 +37,9 @@ __all__ = ["OUTPUTS", "Output", "Renderer", "render"]
 
 Output: TypeAlias = Literal["rgba", "depth", "normal", "position", "visited", "uncertainty"]
 
-OUTPUTS: tuple[Output, ...] = get_args(Output)
+OUTPUTS: tuple[Output, ...] = ("rgba", "depth", "normal", "position", "visited")
+"""Of every mode."""
+_ALL_OUTPUTS = get_args(Output)
 _BITS = 8.0  # of the sampler's fraction, before pictures are made by it: what texture units have
 _MAX_SIZE = 1 << 15
 
@@ -246,8 +248,8 @@ class Renderer:
         evaluator, fetch
             As for `clvol.sample`.
         outputs : str or sequence of str
-            Of "rgba", "depth", "normal", "position", "visited", "uncertainty". Several give a dictionary. Depth is the world distance
-            from the eye along the ray (orthographic: from the camera's plane), inf where there is nothing;
+            Of "rgba", "depth", "normal", "position", "visited", "uncertainty". Several give a dictionary. Depth is the world
+            distance from the eye along the ray (orthographic: from the camera's plane), inf where there is nothing;
             normals face the viewer; NaN where there are none. Positions are in the world. These are of the ray through the
             pixel's middle. In "composite" they are where half of the light
             is stopped, in projections where the extreme lies; "mean" has none. "visited" is the share of a ray's
@@ -264,9 +266,10 @@ class Renderer:
         Returns
         -------
         ndarray of float32, shape (height, width, 4), or a dictionary
-            Red, green, blue, opacity in 0..1; row 0 is the top. Depth and visited have shape (height, width),
-            normals and positions (height, width, 3), uncertainty (height, width, 2). Positions are float64: exact to float32 as seen from the volume's
-            centre, however far that is from the world's origin.
+            Red, green, blue, opacity in 0..1; row 0 is the top. Depth and visited have shape (height, width), normals and
+            positions (height, width, 3), uncertainty (height, width, 2): world units and degrees, NaN where nothing was hit.
+            Positions are float64: exact to float32 as seen from the volume's centre, however far that is from the world's
+            origin.
 
         Raises
         ------
@@ -288,11 +291,11 @@ class Renderer:
 
         Notes
         -----
-        "uncertainty" holds, in world units and in degrees, what 95 % of the errors should lie within: 1.96 times the root of the
-        mean square that is expected of the filter's error between the samples and of the noise (`clvol.march.uncertainty`). Both
-        are to first order: where noise alone makes surfaces, or where a filter has smoothed away what was there, it
-        says too little. It knows nothing of errors that the samples themselves have, such as a scanner's own blur. Integers
-        have at least the noise of rounding, ``sqrt(1/12)``.
+        "uncertainty" is what 95 % of the errors should lie within: 1.96 times the root of the mean square that is expected of them,
+        from what the filter does between samples and from the noise; `clvol.march.uncertainty` says how. It is to first order,
+        and knows of no more than the samples hold. Where noise alone makes surfaces, it says too little, and where smoothing
+        took away all of a detail, or where the samples were too far apart to hold it. Integers have at least the noise of
+        rounding, ``sqrt(1/12)``.
         """
         chosen = as_mode(mode, options, _KEYWORDS)
         if self._closed or self.field.closed:
@@ -456,11 +459,11 @@ def render(
 
 def _outputs(outputs: object) -> tuple[str, ...]:
     if not isinstance(outputs, (str, Sequence)) or not outputs:
-        raise one_of("outputs", outputs, OUTPUTS)
+        raise one_of("outputs", outputs, _ALL_OUTPUTS)
     wanted = (outputs,) if isinstance(outputs, str) else tuple(outputs)
     for name in wanted:
-        if name not in OUTPUTS:
-            raise one_of("outputs", name, OUTPUTS)
+        if name not in _ALL_OUTPUTS:
+            raise one_of("outputs", name, _ALL_OUTPUTS)
     return wanted
 
 

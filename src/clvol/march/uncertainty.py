@@ -31,7 +31,7 @@ from clvol.spline.evaluator import DIRECT
 from clvol.spline.field import Field
 from clvol.uniform import FLOAT, Block, Values
 
-__all__ = ["COVERAGE", "Uncertainty"]
+__all__ = ["COVERAGE", "Uncertainty", "in_words"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -52,6 +52,27 @@ _PLACED = 2.0**-22  # of the volume's radius, by which positions are rounded
 _ROOM = bspline(9, prefilter=False)  # a filter whose halo has room for the stencils
 
 
+def in_words(uncertainty: NDArray[np.floating[Any]], units: str = "") -> str:
+    """What a picture's uncertainty comes to, in one line.
+
+    Parameters
+    ----------
+    uncertainty : ndarray, shape (..., 2)
+        As `Renderer.render` gives it.
+    units : str
+        Of the world.
+    """
+    there = uncertainty[~np.isnan(uncertainty[..., 0])]
+    if not len(there):
+        return "no surface"
+    unit = f" {units}" if units else ""
+    (far, turned), (farther, more) = np.quantile(there, (0.5, 0.95), axis=0)
+    return (
+        f"half of the surface lies within ± {far:.2g}{unit} of the true one, its normals within ± {turned:.2g}°; "
+        f"95 % of it within ± {farther:.2g}{unit} and ± {more:.2g}°"
+    )
+
+
 UNCERTAINTY = Block(
     "uncertainty_t",
     stencils=(FLOAT, 12 * (2 * _REACH + 1)),
@@ -60,6 +81,7 @@ UNCERTAINTY = Block(
     noise=(FLOAT, 7),
     to_index=(FLOAT, 9),
     center=(FLOAT, 3),
+    steepest=FLOAT,
     gain=FLOAT,
     power=FLOAT,
     rounding=FLOAT,
@@ -101,7 +123,7 @@ class Uncertainty:
         """Free the device's memory."""
         self._samples.release()
 
-    def __call__(self, positions: Array, sigma: float, *, central: bool = False) -> NDArray[np.float32]:
+    def __call__(self, positions: NDArray[np.floating[Any]], sigma: float, *, central: bool = False) -> NDArray[np.float32]:
         """Within what of a surface through each position the true one lies, and its normal.
 
         Parameters
@@ -121,17 +143,18 @@ class Uncertainty:
         device, made, samples = self._field.device, self._field.coefficients, self._samples
         defines = {**made.defines(DIRECT), "LANES": 1, "STORED": 2 * _REACH + 1, "PLACES": _PLACES}
         defines |= _errors(self._field.filter, central).defines
-        built = device.build("march/uncertainty.cl", defines, generated={"uncertainty.h": "// generated\n" + UNCERTAINTY.declaration()})
+        generated = {"uncertainty.h": "// generated\n" + UNCERTAINTY.declaration()}
+        kernel = device.build("march/uncertainty.cl", defines, generated=generated).kernel("uncertainty")
         block = device.upload(self._block(sigma, central)[None])
-        points = np.empty(positions.shape, np.float32)
-        np.subtract(positions, self._field.volume.center, out=points, casting="same_kind")
+        points = np.empty((positions.size // 3, 3), np.float32)
+        np.subtract(positions.reshape(-1, 3), self._field.volume.center, out=points, casting="same_kind")
         points /= self._field.volume.mean_spacing
-        points, results = points.reshape(-1, 3), np.empty((positions.size // 3, 2), np.float32)
+        results = np.empty((len(points), 2), np.float32)
         step = max(64, device.limits.launch_taps // (24 * (2 * _REACH + 1) + made.filter.support**3) // 64 * 64)
         with device.lent(points, write=False) as given, device.lent(results, write=True) as wanted, device.errors:
             for first in range(0, len(points), step):
                 count = min(len(points), first + step)
-                built.kernel("uncertainty")(
+                kernel(
                     device.queue,
                     (-(-(count - first) // 64) * 64,),
                     (64,),
@@ -153,13 +176,15 @@ class Uncertainty:
         """What kernels read: lengths in mean spacings, values in units of the largest magnitude."""
         volume, errors = self._field.volume, _errors(self._field.filter, central)
         unit, spacing = math.ldexp(self._magnitude, self._field.coefficients.stored.exponent), volume.mean_spacing
+        to_index = volume.world_to_index_matrix * spacing
         return UNCERTAINTY(
             stencils=errors.stencils.ravel() / self._magnitude,
             squares=errors.squares.ravel(),
             slopes=errors.slopes.ravel(),
             noise=errors.noise,
-            to_index=volume.world_to_index_matrix.ravel() * spacing,
+            to_index=to_index.ravel(),
             center=(np.asarray(volume.size) - 1) / 2,
+            steepest=(to_index**2).sum(),
             gain=1 / self._magnitude,
             power=(sigma / unit) ** 2,
             rounding=_ROUNDING**2,
@@ -251,7 +276,7 @@ def _stencil(response: Array, scale: Array, parity: int | None = None) -> Array:
     It is ``u**(n / 2)`` times a polynomial in ``u = 4 sin²(w / 2)``, with the order n of the response at 0; of an odd order
     one root of u is ``sin(w)``, so that weights belong to samples.
     """
-    fitted = (_OMEGA > _FITTED[0]) & (_OMEGA < _FITTED[1]) & (scale > 0)
+    fitted = slice(*np.searchsorted(_OMEGA, _FITTED))
     taps = np.zeros(2 * _REACH + 1)
     if not (np.abs(response) > 1e-12).any():
         return taps
