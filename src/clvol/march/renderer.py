@@ -382,7 +382,7 @@ class Renderer:
     def _sigma(self, given: float | None) -> float:
         """Of the samples' noise; integers were rounded."""
         rounding = math.sqrt(1 / 12) if self.volume.data.dtype.kind in "iu" else 0.0
-        return max(0.0 if given is None else given, rounding)
+        return max(self.volume.noise.sigma if given is None else given, rounding)
 
     def _pyramid(self, field: Field, evaluator: Evaluator) -> MinMax:
         """Minima and maxima, computed for the first picture."""
