@@ -162,6 +162,16 @@ def test_what_noise_makes_of_a_plane(device: Device, filter: str) -> None:
     assert found.coverage()[1] >= 0.93
 
 
+def test_neither_noise_nor_smoothing_need_be_known(device: Device) -> None:
+    """The default: sigma is estimated from the samples, and so is the smoothing."""
+    for name, sigma in (("ball", 0.02), ("soft ball", 0.05), ("wave", 0.1), ("marschner-lobb", 0.02)):
+        phantom = PHANTOMS[name]
+        for filter_name in ("bspline3", "bspline3(auto)"):
+            found = measure(sampled(phantom, sigma), phantom, filter_name, device)
+            assert min(found.coverage()) >= 0.85, (name, filter_name, found.coverage())
+            assert found.sharpness()[0] > 0.12, (name, filter_name, found.sharpness())
+
+
 def test_scanners_of_any_shape(device: Device) -> None:
     """Slices twice as far apart as pixels, turned in the world."""
     a, b = np.radians((25, 40))
