@@ -152,7 +152,7 @@ def test_render_tells_and_shows_how_far_the_surface_may_be_off(clvol_command: Co
     look = {"mode": "isosurface", "isovalue": -0.25, "size": (16, 12)}
     stated = clvol.render(clvol.phantoms.sphere(8), filter="bspline3", outputs="uncertainty", **look)
     assert told["surface"] == clvol.march.uncertainty.in_words(stated)
-    title = "the true surface lies within, in 95% of places"
+    title = "the true surface lies within ± (95 %)"
     np.testing.assert_array_equal(iio.imread("within.png"), clvol.picture.heat_with_scale(stated[..., 0], "", title))
     clvol_command("render", SPHERE, "-o", "b.png", *SMALL, "--uncertainty", "b2.png").fails(1, "mode must be isosurface")
     assert files() == ["a.png", "within.png"]

@@ -226,7 +226,7 @@ def render(
     heat_map
         A second picture: the share of each ray's samples that was looked at, from black to pale yellow.
     uncertainty
-        Another picture, of an isosurface: within what of it the true surface lies, with 95 % confidence, from black to pale yellow.
+        Another picture, of an isosurface: within what of it the true surface lies in 95 % of places, with its scale.
     verbose
         Report the share of the samples that was looked at, and how long the parts took, kernels that are built first
         included.
@@ -258,7 +258,7 @@ def render(
         result["heat_map"] = str(clvol.save(heat(pictures["visited"]), heat_map))
     if uncertainty is not None:
         within = pictures["uncertainty"]
-        title = f"the true surface lies within, in {COVERAGE:.0%} of places"
+        title = f"the true surface lies within ± ({100 * COVERAGE:.0f} %)"
         result["uncertainty"] = str(clvol.save(heat_with_scale(within[..., 0], volume.units, title), uncertainty))
         result["surface"] = in_words(within, volume.units)
     if verbose:

@@ -208,7 +208,7 @@ def test_stencils_respond_as_the_filter_errs(name: str) -> None:
     """Within a fourth of the error, but near the Nyquist frequency; constants give nothing."""
     row, omega = as_filter(name), np.linspace(0.06, 0.75, 40) * np.pi
     k = np.arange(-uncertainty._REACH, uncertainty._REACH + 1)
-    stencils = uncertainty._along(row, 0, False)[0]
+    stencils = uncertainty._errors(row, False).stencils[0]
     got = np.abs(np.exp(1j * omega[:, None] * k) @ stencils.T)
     kept = np.maximum(uncertainty._wave(row, 0, np.zeros(1), omega)[:, 0].real, uncertainty._KEPT)
     for response, kernel in (
@@ -223,6 +223,18 @@ def test_smoothing_may_differ_from_axis_to_axis() -> None:
     errors = uncertainty._errors(as_filter("bspline3(0.1,0,1)"), False)
     for axis, name in enumerate(("bspline3(0.1)", "bspline3", "bspline3(1)")):
         np.testing.assert_array_equal(errors.squares[axis], uncertainty._errors(as_filter(name), False).squares[0])
+
+
+@pytest.mark.parametrize("name", [name for name, row in clvol.filters().items() if row.has_gradient])
+def test_every_row_has_finite_stencils_of_one_parity(name: str) -> None:
+    for central in (False, True):
+        errors = uncertainty._errors(as_filter(name), central)
+        assert np.isfinite(errors.stencils).all()
+        assert errors.defines["REACH"] <= uncertainty._REACH
+        sign = -1 if errors.defines["VALUE_IS_ODD"] else 1
+        for kind, other in enumerate((1, sign, 1, -1)):
+            np.testing.assert_allclose(errors.stencils[:, kind], other * errors.stencils[:, kind, ::-1], atol=1e-12)
+        assert (errors.noise >= 0).all()
 
 
 def test_noise_in_what_the_kernel_finds_is_known(device: Device) -> None:

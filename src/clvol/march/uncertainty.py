@@ -4,8 +4,9 @@ What is drawn errs for two reasons.
 
 *Between the samples* the filter's error for a wave ``exp(i w x)`` is known at every place (the error kernel of Blu and Unser, 1999,
 is its mean square). Along an axis it is taken apart into its mean over all places, which adds up with those along the other axes,
-and what varies about the mean, for the value and for the slope. A stencil for each, with the response of that error, run over the
-samples of the function that is drawn, gives the error at every place, without any higher-degree spline.
+and what varies about the mean: of the value, and of the slope in phase with the wave and out of it. A stencil for each, with the
+response of that error, run over the samples of the function that is drawn, gives the error at every place, without any
+higher-degree spline.
 
 *Noise* of standard deviation sigma in the samples is, in the value, noise of variance ``sigma² sum of eta(x - k)²``, eta being the
 impulse response of the whole reconstruction, and likewise in slopes with its derivative; these sums depend on the place between
@@ -43,9 +44,11 @@ _REACH = 6  # of the stencils, in samples
 _TERMS = 4  # of a stencil's polynomial, where they fit
 _PLACES = 64  # between two samples, at which errors are tabulated
 _OMEGA = np.pi * (np.arange(64) + 0.5) / 64
+_BETWEEN = (np.arange(_PLACES) + 0.5) / _PLACES
+_NOTHING = 1e-12  # of a wave: float64's rounding
 _FITTED = (0.05 * np.pi, 0.9 * np.pi)  # beyond, a wave and its alias are one
 _ROUGH = np.pi * (np.arange(24) + 0.5) / 24  # frequencies along each of three axes
-_KEPT = 1 / 3
+_KEPT = 1 / 3  # of a wave, at least: what smoothing took away counts as if no more than the rest of it had gone
 _LEAST_SLOPE = 0.1  # of the slope that is drawn, how much is taken to be there at least, whatever noise may have made of it
 _ROUNDING = 2.0**-20  # of the values around, by which float32 errs
 _PLACED = 2.0**-22  # of the volume's radius, by which positions are rounded
@@ -66,7 +69,7 @@ def in_words(uncertainty: NDArray[np.floating[Any]], units: str = "") -> str:
     if not len(there):
         return "no surface"
     unit = f" {units}" if units else ""
-    (far, turned), (farther, more) = np.quantile(there, (0.5, 0.95), axis=0)
+    (far, turned), (farther, more) = np.quantile(there, (0.5, 0.95), axis=0, method="nearest")
     return (
         f"half of the surface lies within ± {far:.2g}{unit} of the true one, its normals within ± {turned:.2g}°; "
         f"95 % of it within ± {farther:.2g}{unit} and ± {more:.2g}°"
@@ -205,7 +208,7 @@ class _Errors:
     Attributes
     ----------
     stencils : ndarray, shape (3, 4, 2 REACH + 1)
-        For each axis those of the mean error, the varying error and the varying error of the slope.
+        For each axis those of the mean error, of what varies of the value, and of the slope in phase and out of phase.
     noise : ndarray, shape (7,)
         What samples with noise of variance 1 give on average in the squares of what uncertainty.cl finds.
     squares, slopes : ndarray, shape (3, PLACES)
@@ -228,30 +231,31 @@ class _Errors:
 
 @lru_cache(maxsize=64)
 def _errors(filter: Filter, central: bool) -> _Errors:
-    along = [_along(filter, axis, central) for axis in range(3)]
-    stencils = np.array([axis[0] for axis in along])
-    return _Errors(stencils, _noise(stencils, [axis[1] for axis in along]), *(np.array([a[k] for a in along]) for k in (2, 3)))
+    parity = _order(_varying(_wave(filter, 0, _BETWEEN, _OMEGA))) % 2  # the same along all axes, whatever the smoothing
+    along = [_along(filter, axis, central, parity) for axis in range(3)]
+    stencils, at_samples, squares, slopes = (np.array(parts) for parts in zip(*along, strict=True))
+    return _Errors(stencils, _noise(stencils, at_samples), squares, slopes)
 
 
-def _along(filter: Filter, axis: int, central: bool) -> tuple[Array, Array, Array, Array]:
+def _along(filter: Filter, axis: int, central: bool, parity: int) -> tuple[Array, Array, Array, Array]:
     """Along an axis: the stencils, the response of the function drawn to the samples at a sample, ``eta²`` and ``eta'²``."""
-    x = (np.arange(_PLACES) + 0.5) / _PLACES
-    value, slope = _wave(filter, axis, x, _OMEGA), _wave(filter, axis, x, _OMEGA, 1)
+    value, slope = (_wave(filter, axis, _BETWEEN, _OMEGA, derivative) for derivative in (0, 1))
     if central:
         slope = 1j * np.sin(_OMEGA)[:, None] * value
-    mean = value.mean(1, keepdims=True).real
-    error = slope - 1j * _OMEGA[:, None] * mean
+    mean = value.mean(1).real
+    error = slope - 1j * (_OMEGA * mean)[:, None]
     kept = np.maximum(_wave(filter, axis, np.zeros(1), _OMEGA)[:, 0].real, _KEPT)
-    missing = (1 - mean[:, 0]) / kept
-    varying, even, odd = (_root_mean_square(part) / kept for part in (value - mean, error.real, error.imag))
+    missing, varying = (1 - mean) / kept, _varying(value) / kept
+    even, odd = (np.sqrt((part**2).mean(1)) / kept for part in (error.real, error.imag))
     off, turned = np.hypot(missing, varying), np.hypot(even, odd)
-    stencils = [_stencil(missing, off, 0), _stencil(varying, off), _stencil(even, turned, 0), _stencil(odd, turned, 1)]
+    stencils = [_stencil(missing, off, 0), _stencil(varying, off, parity), _stencil(even, turned, 0), _stencil(odd, turned, 1)]
     at_sample = _wave(filter, axis, np.zeros(1), _ROUGH)[:, 0].real
     return np.array(stencils), at_sample, (np.abs(value) ** 2).mean(0), (np.abs(slope) ** 2).mean(0)
 
 
-def _root_mean_square(waves: NDArray[np.inexact[Any]]) -> Array:
-    return np.asarray(np.sqrt((np.abs(waves) ** 2).mean(1)))
+def _varying(value: NDArray[np.complex128]) -> Array:
+    """Root mean square, over all places, of what is drawn of waves about its mean."""
+    return np.asarray(np.sqrt((np.abs(value - value.mean(1, keepdims=True).real) ** 2).mean(1)))
 
 
 def _wave(filter: Filter, axis: int, x: Array, omega: Array, derivative: int = 0) -> NDArray[np.complex128]:
@@ -270,20 +274,18 @@ def _wave(filter: Filter, axis: int, x: Array, omega: Array, derivative: int = 0
     return np.asarray(terms.sum(1))
 
 
-def _stencil(response: Array, scale: Array, parity: int | None = None) -> Array:
-    """Weights at -REACH, ..., REACH whose response has this magnitude, relative to `scale`, at the frequencies that are fitted.
+def _stencil(response: Array, scale: Array, parity: int) -> Array:
+    """Weights at -REACH, ..., REACH whose response has this magnitude, with errors relative to `scale`.
 
-    It is ``u**(n / 2)`` times a polynomial in ``u = 4 sin²(w / 2)``, with the order n of the response at 0; of an odd order
-    one root of u is ``sin(w)``, so that weights belong to samples.
+    It is ``u**(n / 2)`` times a polynomial in ``u = 4 sin²(w / 2)``, n being the order of the response at 0, or the next of this
+    parity. Of an odd order one root of u is ``sin(w)``, so that weights belong to samples.
     """
     fitted = slice(*np.searchsorted(_OMEGA, _FITTED))
     taps = np.zeros(2 * _REACH + 1)
-    if not (np.abs(response) > 1e-12).any():
+    if (np.abs(response) < _NOTHING).all():
         return taps
-    low = int(np.argmax(np.abs(response[:32]) > 1e-12))
-    high = 2 * low + 1
-    order = round(math.log(max(abs(response[high] / response[low]), 1.0)) / math.log(_OMEGA[high] / _OMEGA[low]))
-    order = min(order + (0 if parity is None else (order + parity) % 2), 2 * _REACH)
+    order = _order(response)
+    order = min(order + (order + parity) % 2, 2 * _REACH - parity)
     u = 4 * np.sin(_OMEGA / 2) ** 2
     first = np.sin(_OMEGA) if order % 2 else np.ones_like(u)
     terms = min(_TERMS, _REACH + 1 - (order + 1) // 2)
@@ -300,7 +302,15 @@ def _stencil(response: Array, scale: Array, parity: int | None = None) -> Array:
     return taps
 
 
-def _noise(stencils: Array, at_sample: list[Array]) -> Array:
+def _order(response: Array) -> int:
+    """The power of the frequency with which a response begins."""
+    low = int(np.argmax(np.abs(response[: _OMEGA.size // 2]) > _NOTHING))
+    high = 2 * low + 1
+    growth = abs(response[high]) / max(abs(response[low]), _NOTHING)
+    return max(0, round(math.log(max(growth, _NOTHING)) / math.log(_OMEGA[high] / _OMEGA[low])))
+
+
+def _noise(stencils: Array, at_sample: Array) -> Array:
     """Mean squares of what uncertainty.cl finds in the function drawn of white noise of variance 1."""
     k = np.arange(-_REACH, _REACH + 1)
     waves = np.exp(1j * _ROUGH[:, None] * k)
