@@ -16,6 +16,7 @@ from clvol.errors import OptionError
 from clvol.filter import as_filter
 from clvol.march import uncertainty
 from clvol.march.uncertainty import in_words
+from clvol.noise import Noise
 from tests.cases import BAD_NUMBERS
 
 SIZE = (60, 50)
@@ -119,7 +120,9 @@ def test_thin_volumes(device: Device, shape: tuple[int, int, int], boundary: str
 
 
 def test_a_surface_without_slope_may_be_anywhere(device: Device) -> None:
-    got = uncertainty.Uncertainty(clvol.Field(np.full((8, 8, 8), 0.5), "bspline3", device=device))(np.full((1, 3), 3.2), 0.0)
+    got = uncertainty.Uncertainty(clvol.Field(np.full((8, 8, 8), 0.5), "bspline3", device=device))(
+        np.full((1, 3), 3.2), Noise(0.0, "none")
+    )
     assert got.tolist() == [[np.inf, 180.0]]
 
 
@@ -196,7 +199,7 @@ def test_waves_become_what_theory_says(name: str) -> None:
 def test_noise_becomes_the_sum_of_squares_of_the_impulse_response(name: str) -> None:
     row, k = as_filter(name), np.arange(-40, 41)
     x = (np.arange(uncertainty._PLACES) + 0.5) / uncertainty._PLACES
-    errors = uncertainty._errors(row, False)
+    errors = uncertainty._errors(row)
     for axis in range(3):
         for derivative, table in ((0, errors.squares), (1, errors.slopes)):
             want = (impulse_response(row, x[:, None] - k, derivative) ** 2).sum(1)
@@ -208,7 +211,7 @@ def test_stencils_respond_as_the_filter_errs(name: str) -> None:
     """Within a fourth of the error, but near the Nyquist frequency; constants give nothing."""
     row, omega = as_filter(name), np.linspace(0.06, 0.75, 40) * np.pi
     k = np.arange(-uncertainty._REACH, uncertainty._REACH + 1)
-    stencils = uncertainty._errors(row, False).stencils[0]
+    stencils = uncertainty._errors(row).stencils[0]
     got = np.abs(np.exp(1j * omega[:, None] * k) @ stencils.T)
     kept = np.maximum(uncertainty._wave(row, 0, np.zeros(1), omega)[:, 0].real, uncertainty._KEPT)
     for response, kernel in (
@@ -220,9 +223,9 @@ def test_stencils_respond_as_the_filter_errs(name: str) -> None:
 
 
 def test_smoothing_may_differ_from_axis_to_axis() -> None:
-    errors = uncertainty._errors(as_filter("bspline3(0.1,0,1)"), False)
+    errors = uncertainty._errors(as_filter("bspline3(0.1,0,1)"))
     for axis, name in enumerate(("bspline3(0.1)", "bspline3", "bspline3(1)")):
-        np.testing.assert_array_equal(errors.squares[axis], uncertainty._errors(as_filter(name), False).squares[0])
+        np.testing.assert_array_equal(errors.squares[axis], uncertainty._errors(as_filter(name)).squares[0])
 
 
 @pytest.mark.parametrize("name", [name for name, row in clvol.filters().items() if row.has_gradient])
@@ -244,8 +247,8 @@ def test_noise_in_what_the_kernel_finds_is_known(device: Device) -> None:
     with clvol.Field(volume, "bspline3-approx", "reflect", device=device) as field:
         stated = uncertainty.Uncertainty(field)
         points = rng.uniform(8, 31, (20_000, 3))
-        none, all_of_it = (stated(points, sigma)[:, 0] for sigma in (0.0, 1.0))
+        none, all_of_it = (stated(points, Noise(sigma, "white"))[:, 0] for sigma in (0.0, 1.0))
     slope = np.linalg.norm(clvol.sample(volume, points, "bspline3-approx", "reflect", 1), axis=1)
     found = ((none * slope / 1.96) ** 2).mean()
-    assert found == pytest.approx(uncertainty._errors(as_filter("bspline3-approx"), False).noise[0], rel=0.1)
+    assert found == pytest.approx(uncertainty._errors(as_filter("bspline3-approx")).noise[0], rel=0.1)
     assert np.isfinite(all_of_it).all()

@@ -25,6 +25,7 @@ from clvol.march.launch import Picture
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter
 from clvol.march.uncertainty import Uncertainty
 from clvol.mode import DEFAULT_MODE, Isosurface, Mode, as_mode
+from clvol.noise import Noise
 from clvol.scene import Box, Medium, Scene, as_scene
 from clvol.spline.evaluator import Evaluator, EvaluatorName, FetchName, choose_evaluator
 from clvol.spline.field import Field, as_field
@@ -256,8 +257,8 @@ class Renderer:
             samples that was looked at, NaN where it has none. "uncertainty", of "isosurface" alone, says within what of the
             surface that is drawn the true one lies, and within how many degrees of its normal: see the notes.
         sigma : float, optional
-            Standard deviation of the samples' noise, in units of the data, for "uncertainty"; by default what is estimated
-            from them (`Volume.noise`).
+            Standard deviation of the samples' noise, in units of the data, for "uncertainty"; it is then taken to be white. By
+            default it is estimated, with its spectrum (`Volume.noise`).
         progress : callable, optional
             Called with the fraction done.
         **options
@@ -330,7 +331,7 @@ class Renderer:
         )
         pictures = launch.draw(frame, samples, pixel_filter, progress)
         if uncertain is not None:
-            pictures["uncertainty"] = uncertain(pictures["position"], self._sigma(sigma), central=central)
+            pictures["uncertainty"] = uncertain(pictures["position"], self._noise(sigma), central=central)
         return pictures[wanted[0]] if isinstance(outputs, str) else {name: pictures[name] for name in wanted}
 
     def _seen(
@@ -379,10 +380,11 @@ class Renderer:
                 self._uncertainty = Uncertainty(field)
             return self._uncertainty
 
-    def _sigma(self, given: float | None) -> float:
-        """Of the samples' noise; integers were rounded."""
+    def _noise(self, sigma: float | None) -> Noise:
+        """Of the samples: white where its standard deviation is given; integers were rounded."""
+        noise = self.volume.noise if sigma is None else Noise(sigma, "white")
         rounding = math.sqrt(1 / 12) if self.volume.data.dtype.kind in "iu" else 0.0
-        return max(self.volume.noise.sigma if given is None else given, rounding)
+        return noise if noise.sigma >= rounding else Noise(rounding, "white")
 
     def _pyramid(self, field: Field, evaluator: Evaluator) -> MinMax:
         """Minima and maxima, computed for the first picture."""

@@ -8,9 +8,10 @@ and what varies about the mean: of the value, and of the slope in phase with the
 response of that error, run over the samples of the function that is drawn, gives the error at every place, without any
 higher-degree spline.
 
-*Noise* of standard deviation sigma in the samples is, in the value, noise of variance ``sigma² sum of eta(x - k)²``, eta being the
-impulse response of the whole reconstruction, and likewise in slopes with its derivative; these sums depend on the place between
-samples. What noise alone gives in the stencils is taken off their squares.
+*Noise* of standard deviation sigma in the samples, if it is white, is in the value noise of variance ``sigma² sum of eta(x - k)²``,
+eta being the impulse response of the whole reconstruction, and likewise in slopes with its derivative; these sums depend on the
+place between samples. They are computed as integrals over frequencies, which are weighted by the power of noise that is not white.
+What noise alone gives in the stencils is taken off their squares.
 
 A surface lies off by the error of its value over the slope (to first order), and its normal is turned by the error of the slope
 across the normal over the slope.
@@ -27,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.filter import Filter, bspline
+from clvol.noise import Noise, colour_power
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT
 from clvol.spline.field import Field
@@ -52,6 +54,7 @@ _KEPT = 1 / 3  # of a wave, at least: what smoothing took away counts as if no m
 _LEAST_SLOPE = 0.1  # of the slope that is drawn, how much is taken to be there at least, whatever noise may have made of it
 _ROUNDING = 2.0**-20  # of the values around, by which float32 errs
 _PLACED = 2.0**-22  # of the volume's radius, by which positions are rounded
+_WHITE = 1.0, 1.0, 1.0
 _ROOM = bspline(9, prefilter=False)  # a filter whose halo has room for the stencils
 
 
@@ -126,15 +129,15 @@ class Uncertainty:
         """Free the device's memory."""
         self._samples.release()
 
-    def __call__(self, positions: NDArray[np.floating[Any]], sigma: float, *, central: bool = False) -> NDArray[np.float32]:
+    def __call__(self, positions: NDArray[np.floating[Any]], noise: Noise, *, central: bool = False) -> NDArray[np.float32]:
         """Within what of a surface through each position the true one lies, and its normal.
 
         Parameters
         ----------
         positions : ndarray, shape (..., 3)
             In the world; NaN where there is nothing.
-        sigma : float
-            Standard deviation of the samples' noise, in units of the data.
+        noise : Noise
+            Of the samples; its standard deviation and colour matter.
         central : bool
             Normals are those of central differences.
 
@@ -145,10 +148,11 @@ class Uncertainty:
         """
         device, made, samples = self._field.device, self._field.coefficients, self._samples
         defines = {**made.defines(DIRECT), "LANES": 1, "STORED": 2 * _REACH + 1, "PLACES": _PLACES}
-        defines |= _errors(self._field.filter, central).defines
+        errors = _errors(self._field.filter, central, noise.colour or _WHITE)
+        defines |= errors.defines
         generated = {"uncertainty.h": "// generated\n" + UNCERTAINTY.declaration()}
         kernel = device.build("march/uncertainty.cl", defines, generated=generated).kernel("uncertainty")
-        block = device.upload(self._block(sigma, central)[None])
+        block = device.upload(self._block(errors, noise.sigma)[None])
         points = np.empty((positions.size // 3, 3), np.float32)
         np.subtract(positions.reshape(-1, 3), self._field.volume.center, out=points, casting="same_kind")
         points /= self._field.volume.mean_spacing
@@ -175,9 +179,9 @@ class Uncertainty:
                 device.finish()
         return results.reshape(*positions.shape[:-1], 2)
 
-    def _block(self, sigma: float, central: bool) -> Values:
+    def _block(self, errors: _Errors, sigma: float) -> Values:
         """What kernels read: lengths in mean spacings, values in units of the largest magnitude."""
-        volume, errors = self._field.volume, _errors(self._field.filter, central)
+        volume = self._field.volume
         unit, spacing = math.ldexp(self._magnitude, self._field.coefficients.stored.exponent), volume.mean_spacing
         to_index = volume.world_to_index_matrix * spacing
         return UNCERTAINTY(
@@ -210,9 +214,9 @@ class _Errors:
     stencils : ndarray, shape (3, 4, 2 REACH + 1)
         For each axis those of the mean error, of what varies of the value, and of the slope in phase and out of phase.
     noise : ndarray, shape (7,)
-        What samples with noise of variance 1 give on average in the squares of what uncertainty.cl finds.
+        What noise of variance 1 gives on average in the squares of what uncertainty.cl finds.
     squares, slopes : ndarray, shape (3, PLACES)
-        The sums of ``eta²`` and ``eta'²`` along each axis between two samples.
+        The sums of ``eta²`` and ``eta'²`` along each axis between two samples, of noise that is white.
     """
 
     stencils: Array
@@ -230,15 +234,15 @@ class _Errors:
 
 
 @lru_cache(maxsize=64)
-def _errors(filter: Filter, central: bool) -> _Errors:
+def _errors(filter: Filter, central: bool = False, colour: tuple[float, ...] = _WHITE) -> _Errors:
     parity = _order(_varying(_wave(filter, 0, _BETWEEN, _OMEGA))) % 2  # the same along all axes, whatever the smoothing
-    along = [_along(filter, axis, central, parity) for axis in range(3)]
+    along = [_along(filter, axis, central, parity, colour[axis]) for axis in range(3)]
     stencils, at_samples, squares, slopes = (np.array(parts) for parts in zip(*along, strict=True))
     return _Errors(stencils, _noise(stencils, at_samples), squares, slopes)
 
 
-def _along(filter: Filter, axis: int, central: bool, parity: int) -> tuple[Array, Array, Array, Array]:
-    """Along an axis: the stencils, the response of the function drawn to the samples at a sample, ``eta²`` and ``eta'²``."""
+def _along(filter: Filter, axis: int, central: bool, parity: int, colour: float) -> tuple[Array, Array, Array, Array]:
+    """Along an axis: the stencils, what is drawn at samples of noise at the rough frequencies, and its variance between samples."""
     value, slope = (_wave(filter, axis, _BETWEEN, _OMEGA, derivative) for derivative in (0, 1))
     if central:
         slope = 1j * np.sin(_OMEGA)[:, None] * value
@@ -249,8 +253,9 @@ def _along(filter: Filter, axis: int, central: bool, parity: int) -> tuple[Array
     even, odd = (np.sqrt((part**2).mean(1)) / kept for part in (error.real, error.imag))
     off, turned = np.hypot(missing, varying), np.hypot(even, odd)
     stencils = [_stencil(missing, off, 0), _stencil(varying, off, parity), _stencil(even, turned, 0), _stencil(odd, turned, 1)]
-    at_sample = _wave(filter, axis, np.zeros(1), _ROUGH)[:, 0].real
-    return np.array(stencils), at_sample, (np.abs(value) ** 2).mean(0), (np.abs(slope) ** 2).mean(0)
+    power, rough = (colour_power(colour, omega) / colour_power(colour, omega).mean() for omega in (_OMEGA, _ROUGH))
+    at_sample = _wave(filter, axis, np.zeros(1), _ROUGH)[:, 0].real * np.sqrt(rough)
+    return np.array(stencils), at_sample, power @ np.abs(value) ** 2 / power.size, power @ np.abs(slope) ** 2 / power.size
 
 
 def _varying(value: NDArray[np.complex128]) -> Array:
@@ -311,7 +316,7 @@ def _order(response: Array) -> int:
 
 
 def _noise(stencils: Array, at_sample: Array) -> Array:
-    """Mean squares of what uncertainty.cl finds in the function drawn of white noise of variance 1."""
+    """Mean squares of what uncertainty.cl finds in the function drawn of noise of variance 1."""
     k = np.arange(-_REACH, _REACH + 1)
     waves = np.exp(1j * _ROUGH[:, None] * k)
     shapes = [[-1 if b == a else 1 for b in range(3)] for a in range(3)]
