@@ -326,8 +326,13 @@ def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[f
     # classes of equal width in value, in which the variance is nearly one
     least, most = np.quantile(level, (0.005, 0.995))
     number = np.floor(_LEVELS * (level - least) / max(float(most - least), _STILL)).clip(0, _LEVELS - 1)
-    classes = [np.flatnonzero(number == n) for n in range(_LEVELS)]
-    classes = [places for places in classes if len(places) >= 2 * _FEWEST] or [np.arange(len(level))]
+    classes: list[NDArray[np.int64]] = []
+    few = np.zeros(0, np.int64)
+    for n in range(_LEVELS):
+        few = np.append(few, np.flatnonzero(number == n))
+        if len(few) >= 2 * _FEWEST:
+            classes, few = [*classes, few], few[:0]
+    classes = [*classes[:-1], np.concatenate([*classes[-1:], few])]
     counts = np.array([float(len(places)) for places in classes])
     variances = np.array([power(highest, places) for places in classes])
     levels = np.array([float(level[places].mean()) for places in classes])

@@ -38,9 +38,9 @@ _EDGE = 0.2
 _GRID = 1e-4, 1e2, 151  # λ that are tried, for cubic splines: from, to, how many
 _UNSEEN = 0.01  # of the samples' standard deviation: noise below is not seen (rounding to 8 bits makes half of it)
 _PAYS = 0.98  # of the error of interpolation: what is gained below is not worth a change
-# The error hardly changes about its minimum, but gradients do, and steps between regions, which no spectrum tells from waves, are the
-# better for more: on phantoms it costs 1 % in the mean.
-_MORE = 1.4
+# Of the λ of least error: the error hardly changes about its minimum, while gradients do, and steps between regions, which no
+# spectrum tells from waves, are the better for more.
+_MORE = 1.2
 _APART = 0.9  # of the error with one λ: what λ along each axis must bring
 
 
