@@ -48,7 +48,7 @@ _CONFIDENT = 4.0  # standard errors by which the variance must grow with the val
 _GROWS = 1.5  # and the factor by which it does, at least, between the extreme classes
 _COLOURED = 1.5  # ratio of the powers of two octaves from which noise is said to be correlated
 _SIGNAL = 8.0  # and from which that is the signal
-_MANY = 4096  # places from which that can be told
+_MANY = 20_000  # places from which that can be told
 _FEWEST = 100  # places from which something is estimated
 _GROUND = 0.05  # share of samples from which the commonest value is taken for a background
 _EVEN = 0.2  # share of samples equal to all their neighbours from which there is no noise
@@ -155,9 +155,11 @@ def estimate(samples: NDArray[Any]) -> Noise:
     if len(values) == 1:
         return Noise(0.0, "none", spectrum=_spectrum(blocks, 0.0, facts["colour"]), **facts)
     if len(values) < blocks.size / 2:
-        facts["step"] = float(np.diff(values.astype(np.float64)).min()) * unit
+        step = float(np.diff(values.astype(np.float64)).min() * unit)
+        facts["step"] = step if samples.dtype.kind == "f" else float(round(step))
     blocks -= values[most]  # a background is zero to the last bit, and so are bands of it
     same, alone = _surroundings(blocks)
+    outer = counts[~np.isin(values - values[most], blocks[same])].sum()  # samples of values that fill no region: parts of voxels
     common = blocks == 0
     ground = common & (common.mean() >= _GROUND) & ((same & common).sum() >= common.sum() / 2)
     if ground.any():
@@ -166,7 +168,7 @@ def estimate(samples: NDArray[Any]) -> Noise:
         facts["jump"] = _jump(blocks, ground)
     even = float(same[~ground].mean())
     kind, variance, gain, colour = "none", 0.0, 0.0, facts["colour"]
-    if len(values) <= _LABELS and alone < _ALONE:
+    if len(values) <= _LABELS and alone < _ALONE and outer < _ALONE * (~same).sum():
         kind = "binary" if len(values) == 2 else "labels"
     elif even < _EVEN:
         variance, gain, colour = _variance(blocks, ground)
@@ -174,7 +176,8 @@ def estimate(samples: NDArray[Any]) -> Noise:
             kind = "correlated" if max(colour) > 1 else "signal-dependent" if gain > 0 else "white"
     total = variance * math.prod(float(colour_power(ratio, _OMEGA).mean()) for ratio in colour)
     spectrum = _spectrum(blocks, variance * (1 - float(ground.mean())), colour)
-    return Noise(math.sqrt(total) * unit, kind, **facts | {"gain": gain * unit, "colour": colour[::-1], "spectrum": spectrum})
+    facts |= {"gain": float(gain * unit), "colour": colour[::-1], "spectrum": spectrum}
+    return Noise(float(math.sqrt(total) * unit), kind, **facts)
 
 
 def colour_power(ratio: float, omega: Array) -> Array:
@@ -204,16 +207,15 @@ def _blocks(data: NDArray[Any]) -> NDArray[Any]:
     return np.stack([data[tuple(slice(s, s + e) for s, e in zip(at, edges, strict=True))] for at in itertools.product(*starts)])
 
 
-def _normalised(samples: NDArray[Any]) -> tuple[NDArray[np.float32], float]:
-    """Samples from 0 to 1, and what their range was."""
+def _normalised(samples: NDArray[Any]) -> tuple[NDArray[np.float32], np.longdouble]:
+    """Samples from 0 to 1, and what their range was, which may be more than float64 holds."""
     wide = samples.astype(np.result_type(samples.dtype, np.float64))
     if not np.isfinite(wide).all():
         raise DataError("samples must be finite for their noise to be estimated: replace them with Volume.filled(value)")
     exponent = int(np.frexp(np.abs(wide).max())[1]) + 1
     wide = np.ldexp(wide, -exponent)  # no difference overflows
     low, high = wide.min(), wide.max()
-    with np.errstate(over="ignore"):
-        unit = min(float(np.ldexp(high - low, exponent)), float(np.finfo(np.float64).max))
+    unit = np.ldexp(np.longdouble(high - low), exponent)
     return ((wide - low) / (high - low if low < high else 1)).astype(np.float32), unit
 
 
@@ -312,15 +314,15 @@ def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[f
     def power(key: tuple[int, ...], places: NDArray[np.int64]) -> float:
         """Of the noise in a band: half of the places, those that have the least power round about, and half of these ..."""
         square = squares[key][places]
-        square = square[np.argsort(around[places] - square, kind="stable")]
-        count = max(len(square) // 2, min(len(square), _FEWEST))
-        found = float(np.median(square[:count]))
+        others = around[places] - square
+        order = np.argsort(others, kind="stable")
+        count = max(len(order) // 2, min(len(order), _FEWEST))
+        found = float(np.median(square[order[:count]]))
         while count >= 2 * _FEWEST:  # as long as that makes a difference
-            count //= 2
-            less = float(np.median(square[:count]))
-            if less > found * (1 - 2 * _error(count)):
+            less = float(np.median(square[order[: count // 2]]))
+            if less > found * (1 - 2 * _error(count // 2)):
                 break
-            found = less
+            found, count = less, count // 2
         return found / _MEDIAN_SQUARE
 
     # classes of equal width in value, in which the variance is nearly one
@@ -333,15 +335,15 @@ def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[f
         if len(few) >= 2 * _FEWEST:
             classes, few = [*classes, few], few[:0]
     classes = [*classes[:-1], np.concatenate([*classes[-1:], few])]
-    counts = np.array([float(len(places)) for places in classes])
     variances = np.array([power(highest, places) for places in classes])
+    counts = np.array([float(len(places)) for places in classes])
     levels = np.array([float(level[places].mean()) for places in classes])
     mean, gain = _middle(variances, counts), 0.0
     if len(classes) > 1 and mean > 0:
         a, b = np.triu_indices(len(classes), 1)
         apart = levels[b] - levels[a]
-        # Theil and Sen, by how much a pair of classes tells
-        slope = _middle((variances[b] - variances[a]) / apart, apart**2 * counts[a] * counts[b])
+        # as Theil and Sen do, but from the lower slopes: edges between levels add to the variance of classes and never take off
+        slope = _middle((variances[b] - variances[a]) / apart, apart * counts[a] * counts[b], 0.1, 0.5)
         at = _middle(variances - slope * levels, counts)
         ends = at + slope * levels[0], at + slope * levels[-1]
         if ends[1] > _GROWS * ends[0] and ends[1] - ends[0] > _CONFIDENT * mean * _error(len(level) // (2 * len(classes))):
@@ -350,18 +352,19 @@ def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[f
     colour = list(white)
     if len(axes) > 1 and len(level) >= _MANY:
         for i, axis in enumerate(axes):
-            lower = [power((*highest[:i], 0, *highest[i + 1 :]), places) for places in classes]
-            ratio = _middle(np.array(lower) / np.maximum(variances, _STILL**2), counts)
+            lower = np.array([power((*highest[:i], 0, *highest[i + 1 :]), places) for places in classes])
+            ratio = _middle(lower / np.maximum(variances, _STILL**2), counts)
             if _COLOURED < ratio < _SIGNAL:
                 colour[axis - 1] = ratio
     return (mean, gain, tuple(colour)) if mean > _NOTHING else (0.0, 0.0, white)
 
 
-def _middle(values: Array, weights: Array) -> float:
-    """The weighted mean of the middle half."""
+def _middle(values: Array, weights: Array, low: float = 0.25, high: float = 0.75) -> float:
+    """The weighted mean of what lies between two quantiles."""
     order = np.argsort(values, kind="stable")
-    until = np.cumsum(weights[order]) / weights.sum()
-    inner = (np.minimum(until, 0.75) - np.maximum(until - weights[order] / weights.sum(), 0.25)).clip(0)
+    shares = weights[order] / weights.sum()
+    until = np.cumsum(shares)
+    inner = (np.minimum(until, high) - np.maximum(until - shares, low)).clip(0)
     return float(inner @ values[order] / inner.sum())
 
 

@@ -142,12 +142,12 @@ def _least(spectrum: Spectrum, degree: int) -> tuple[float, ...]:
         return float(grid[errors.argmin()]), float(errors.min())
 
     one, least = best(lambda value: risk((value,) * d))
-    if least > _PAYS**2 * risk((0.0,) * d):
-        return (0.0,) * d
-    several, apart = [one] * d, least
+    several, apart = [one] * d, least  # near 0, the estimate may be below
     for axis in [*range(d)] * 2:
         several[axis], apart = best(lambda value, axis=axis: risk([*several[:axis], value, *several[axis + 1 :]]))  # type: ignore[misc]
-    differ = 0 < apart < _APART**2 * least and max(several) > 2 * min(several)
+    differ = apart < _APART**2 * max(least, 0) and max(several) > 2 * min(several)
+    if min(least, apart) > _PAYS**2 * risk((0.0,) * d):
+        return (0.0,) * d
     return tuple(_rounded(min(_MORE * value, grid[-1])) for value in (several[::-1] if differ else [one] * d))
 
 
