@@ -15,18 +15,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.checks import whole
-from clvol.filter import bspline
+from clvol.errors import OptionError
+from clvol.filter import Filter, as_filter, bspline
 from clvol.noise import Spectrum
 from clvol.volume import Volume, as_volume
 
-__all__ = ["Smoothing", "choose"]
+__all__ = ["Smoothing", "choose", "settled"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -82,6 +84,13 @@ def choose(volume: Volume | ArrayLike, degree: int = 3) -> Smoothing:
     """
     volume = as_volume(volume)
     degree = whole("degree", degree, 2, 9)
+    known = _CHOSEN.setdefault(volume, {})
+    if degree not in known:
+        known[degree] = _choice(volume, degree)
+    return known[degree]
+
+
+def _choice(volume: Volume, degree: int) -> Smoothing:
     noise = volume.noise
     d = volume.ndim
     if noise.kind in ("binary", "labels"):
@@ -101,7 +110,30 @@ def choose(volume: Volume | ArrayLike, degree: int = 3) -> Smoothing:
     return Smoothing(values, says, noise.sigma)
 
 
+def settled(filter: str | Filter, volume: Volume) -> Filter:
+    """A row as it is for a volume: one whose smoothing is "auto" or a length has numbers instead, and its name says them.
+
+    Raises
+    ------
+    OptionError
+        Its smoothing has another number of axes than the volume, or is too much for float32.
+    """
+    row = as_filter(filter)
+    if row.magnified_by is not None and not row.magnified_by.settled:
+        row = replace(row, magnify=settled(row.magnified_by, volume).name)
+    if isinstance(row.smoothing, tuple) and len(row.smoothing) != volume.ndim:
+        raise OptionError(f"smoothing must be one number, or {volume.ndim} for a volume of {volume.ndim} axes; got {row.name!r}")
+    if row.settled:
+        return row
+    if row.length is not None:
+        length = row.length
+        return row.smoothed([float(f"{(length / s) ** (2 * row.penalty):.6g}") for s in volume.spacing])
+    return row.smoothed(choose(volume, row.degree).values)
+
+
 # -- inner -------------------------------------------------------------------------------------------
+
+_CHOSEN: WeakKeyDictionary[Volume, dict[int, Smoothing]] = WeakKeyDictionary()
 
 _KINDS = {
     "white": "white",
