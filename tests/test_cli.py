@@ -3,6 +3,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -84,6 +85,20 @@ def files() -> list[str]:
 # -- render ---------------------------------------------------------------------------------------------------
 
 
+def test_render_says_what_it_smooths(clvol_command: Command, tmp_path: Path) -> None:
+    noisy = clvol.phantoms.sphere(32).data + np.random.default_rng(0).normal(0, 0.2, (32, 32, 32))
+    np.save(tmp_path / "noisy.npy", noisy.astype(np.float32))
+    done = clvol_command("render", "noisy.npy", "-o", "a.png", *SMALL)
+    assert re.search(r"filter: bspline3, λ = [\d.]+ \(white noise, σ = 0\.[12]\d*\)", done.out)
+    assert "filter: bspline3\n" in clvol_command("render", "noisy.npy", "-o", "a.png", "--mode", "mip", *SMALL).out
+    assert (
+        "filter: bspline3, λ = 0.5\n"
+        in clvol_command("render", "noisy.npy", "-o", "a.png", "--filter", "bspline3(0.5)", *SMALL).out
+    )
+    drawn = json.loads(clvol_command("render", "noisy.npy", "-o", "a.png", "--json", *SMALL).out)["filter"]
+    assert drawn == clvol.Renderer(noisy.astype(np.float32)).filter.name
+
+
 def test_render_writes_what_render_gives(clvol_command: Command) -> None:
     done = clvol_command("render", SPHERE, "-o", "a.png", *SMALL)
     assert (done.code, done.err) == (0, "")
@@ -143,6 +158,19 @@ def test_render_tells_and_shows_what_was_looked_at(clvol_command: Command) -> No
     assert files() == ["a.png", "heat.png"]
     clvol_command("render", SPHERE, "-o", "b.png", *options, "--heat-map", "heat.gif").fails(1, "heat.gif")
     assert "b.png" not in files()
+
+
+def test_render_tells_and_shows_how_far_the_surface_may_be_off(clvol_command: Command) -> None:
+    options = (*SMALL, "--mode", "isosurface", "--isovalue", "-0.25", "--filter", "bspline3")
+    told = clvol_command("render", SPHERE, "-o", "a.png", *options, "--uncertainty", "within.png", "--json").json
+    assert told["uncertainty"] == "within.png"
+    look = {"mode": "isosurface", "isovalue": -0.25, "size": (16, 12)}
+    stated = clvol.render(clvol.phantoms.sphere(8), filter="bspline3", outputs="uncertainty", **look)
+    assert told["surface"] == clvol.march.uncertainty.in_words(stated)
+    title = "the true surface lies within ± (95 %)"
+    np.testing.assert_array_equal(iio.imread("within.png"), clvol.picture.heat_with_scale(stated[..., 0], "", title))
+    clvol_command("render", SPHERE, "-o", "b.png", *SMALL, "--uncertainty", "b2.png").fails(1, "mode must be isosurface")
+    assert files() == ["a.png", "within.png"]
 
 
 @pytest.mark.parametrize("mode", ["composite", "isosurface", "mip", "minip", "mean"])
@@ -309,6 +337,10 @@ def test_info_tells_of_every_kind_of_file(clvol_command: Command, name: str) -> 
         "value_range": [0, 23],
         "finite": True,
         "bytes": 48,
+        "noise": "none",
+        "sigma": 0.0,
+        "smoothing": [0.0, 0.0, 0.0],
+        "reason": "no noise",
     }
     lines = clvol_command("info", name).out.splitlines()
     assert lines[0] == "shape: 2 3 4"
@@ -352,8 +384,19 @@ def test_info_tells_of_images_phantoms_and_nan(clvol_command: Command) -> None:
     np.save("none.npy", np.full((2, 2, 2), np.nan, np.float32))
     told = clvol_command("info", "none.npy", "--json").json
     assert (told["finite"], told["value_range"]) == (False, None)
+    assert (told["noise"], told["sigma"], told["smoothing"]) == (None, None, None)
     assert "value range: none\nfinite: no\n" in clvol_command("info", "none.npy").out
     assert clvol_command("info", "none.npy", "--fill-nan", "2", "--json").json["value_range"] == [2, 2]
+
+
+def test_info_tells_of_noise_and_of_what_auto_chooses(clvol_command: Command) -> None:
+    np.save("noisy.npy", clvol.phantoms.sphere(32).data + 0.1 * np.random.default_rng(0).normal(size=(32, 32, 32)))
+    told = clvol_command("info", "noisy.npy", "--json").json
+    assert told["noise"] == "white"
+    assert told["sigma"] == pytest.approx(0.1, rel=0.1)
+    assert min(told["smoothing"]) > 0.1
+    assert "reason: white noise, σ = 0.0" in clvol_command("info", "noisy.npy").out
+    assert clvol_command("info", "phantom:box", "--json").json["noise"] == "binary"
 
 
 def test_info_tells_the_range_of_values_far_from_zero(clvol_command: Command) -> None:

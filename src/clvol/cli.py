@@ -28,9 +28,12 @@ from cyclopts import App, CoercionError, CycloptsError, Parameter, Token
 import clvol
 from clvol.errors import ClvolError, DataError, DeviceError, OptionError
 from clvol.files import require_folder, require_suffix
+from clvol.filter import Filter
 from clvol.formats import WRITTEN
+from clvol.march.uncertainty import COVERAGE, in_words
 from clvol.mode import as_mode, every_option, mode_options
-from clvol.picture import heat
+from clvol.picture import heat, heat_with_scale
+from clvol.smoothing import choose
 
 app = App(
     name="clvol",
@@ -215,13 +218,14 @@ def render(
     /,
     *,
     output: Output,
-    filter: str = "bspline3",
+    filter: Annotated[str | None, Parameter(show_default=False)] = None,
     size: Size = (512, 512),
     device: DeviceName = None,
     input: Input | None = None,
     look: Look | None = None,
     own: ModeOptions | None = None,
     heat_map: Path | None = None,
+    uncertainty: Path | None = None,
     verbose: Annotated[bool, Parameter(negative="")] = False,
     json: Json = False,
 ) -> None:
@@ -230,9 +234,12 @@ def render(
     Parameters
     ----------
     filter
-        How it is reconstructed between its samples; see 'clvol filters'.
+        How it is reconstructed between its samples; see 'clvol filters'. [default: bspline3(auto), which smooths the noise that it
+        finds; bspline3 in modes that show extremes, such as mip]
     heat_map
         A second picture: the share of each ray's samples that was looked at, from black to pale yellow.
+    uncertainty
+        Another picture, of an isosurface: within what of it the true surface lies in 95 % of places, with its scale.
     verbose
         Report the share of the samples that was looked at, and how long the parts took, kernels that are built first
         included.
@@ -240,23 +247,33 @@ def render(
     import numpy as np
 
     _require_picture(output)
-    if heat_map is not None:
-        _require_picture(heat_map)
+    for other in (heat_map, uncertainty):
+        if other is not None:
+            _require_picture(other)
     look = look or Look()
     options = _mode_options(look, own)
     volume = (input or Input()).read(source)
-    result: dict[str, Any] = {"output": str(output), "size": list(size), "filter": filter, "mode": look.mode}
+    result: dict[str, Any] = {"output": str(output), "size": list(size), "filter": "", "mode": look.mode}
     with _progress("rendering", json) as progress:
         options |= look.options(volume)
         begun = time.perf_counter()
         with clvol.Renderer(volume, filter, look.boundary, device) as renderer:
             ready = time.perf_counter()
-            outputs: tuple[clvol.Output, ...] = ("rgba", "visited") if verbose or heat_map is not None else ("rgba",)
+            outputs: list[clvol.Output] = ["rgba"]
+            outputs += ["visited"] if verbose or heat_map is not None else []
+            outputs += ["uncertainty"] if uncertainty is not None else []
             pictures = renderer.render(size=size, progress=progress, outputs=outputs, **options)
             done = time.perf_counter()
+            drawn = renderer.filter_of(look.mode)
+    result["filter"] = drawn.name if json else _filter_text(drawn, filter, volume)
     clvol.save(pictures["rgba"], output)
     if heat_map is not None:
         result["heat_map"] = str(clvol.save(heat(pictures["visited"]), heat_map))
+    if uncertainty is not None:
+        within = pictures["uncertainty"]
+        title = f"the true surface lies within ± ({100 * COVERAGE:.0f} %)"
+        result["uncertainty"] = str(clvol.save(heat_with_scale(within[..., 0], volume.units, title), uncertainty))
+        result["surface"] = in_words(within, volume.units)
     if verbose:
         met = np.isfinite(pictures["visited"])
         result |= {
@@ -456,8 +473,6 @@ def info(source: Source, /, *, input: Input | None = None, json: Json = False) -
     """Show what a volume file holds, its noise, and the smoothing λ that "auto" chooses for cubic splines."""
     import numpy as np
 
-    from clvol import smoothing
-
     volume = (input or Input()).read(source)
     finite = volume.data.dtype.kind != "f" or bool(np.isfinite(volume.data).all())
     try:
@@ -465,7 +480,7 @@ def info(source: Source, /, *, input: Input | None = None, json: Json = False) -
     except DataError:  # nothing is finite
         value_range = None
     noise = volume.noise if finite else None
-    chosen = smoothing.choose(volume) if finite else None
+    chosen = choose(volume) if finite else None
     _say(
         json,
         {
@@ -679,6 +694,15 @@ def _say(as_json: bool, what: dict[str, Any], lines: Sequence[str] = ()) -> None
     for key, value in what.items():
         if not (lines and isinstance(value, list)) and value != "":
             print(f"{key.replace('_', ' ')}: {_text(value)}")
+
+
+def _filter_text(row: Filter, given: str | None, volume: clvol.Volume) -> str:
+    """A filter as people read it: its smoothing, and why it is so if it was chosen for the volume."""
+    if not row.smoothing:
+        return row.name
+    values = row.smoothing if isinstance(row.smoothing, tuple) else (row.smoothing,)
+    text = f"{row.name.partition('(')[0]}, λ = {', '.join(map(str, values))}"
+    return f"{text} ({choose(volume, row.degree).reason})" if given is None or "auto" in given else text
 
 
 def _range_text(low: float, high: float) -> str:

@@ -15,18 +15,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.checks import whole
-from clvol.filter import bspline
+from clvol.errors import OptionError
+from clvol.filter import Filter, as_filter, bspline
 from clvol.noise import Spectrum
 from clvol.volume import Volume, as_volume
 
-__all__ = ["Smoothing", "choose"]
+__all__ = ["Smoothing", "choose", "settled"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -35,12 +37,12 @@ Array: TypeAlias = NDArray[np.float64]
 _STAIRS = 0.5
 # Beside an exact background there is an inside worth keeping: 0.10 voxels and 7° at the edge.
 _EDGE = 0.2
-_GRID = 1e-4, 1e2  # λ that are tried, for cubic splines
+_GRID = 1e-4, 1e2, 151  # λ that are tried, for cubic splines: from, to, how many
 _UNSEEN = 0.01  # of the samples' standard deviation: noise below is not seen (rounding to 8 bits makes half of it)
 _PAYS = 0.98  # of the error of interpolation: what is gained below is not worth a change
-# Of the least predicted error: of all λ that err no more, the greatest. The error hardly changes about its minimum, but the
-# gradients do, and steps between regions, which no spectrum tells from waves, are the better for it.
-_ROOM = 1.02
+# Of the λ of least error: the error hardly changes about its minimum, while gradients do, and steps between regions, which no
+# spectrum tells from waves, are the better for more.
+_MORE = 1.2
 _APART = 0.9  # of the error with one λ: what λ along each axis must bring
 
 
@@ -66,8 +68,8 @@ class Smoothing:
 def choose(volume: Volume | ArrayLike, degree: int = 3) -> Smoothing:
     """λ of the smoothing spline that errs least for a volume, 0 where interpolation does.
 
-    The noise decides, as `Volume.noise` tells of it, except where there is more to smooth than noise: surfaces of binary volumes and
-    of labels are stairs, and so are those of objects that were cut out by a mask. There λ is at least what removes the stairs.
+    The noise decides, as `Volume.noise` tells of it, except where there is more to smooth than noise: surfaces of binary volumes
+    and of labels are stairs, and so are those of objects that were cut out by a mask. There λ is at least what removes the stairs.
 
     Parameters
     ----------
@@ -82,6 +84,13 @@ def choose(volume: Volume | ArrayLike, degree: int = 3) -> Smoothing:
     """
     volume = as_volume(volume)
     degree = whole("degree", degree, 2, 9)
+    known = _CHOSEN.setdefault(volume, {})
+    if degree not in known:
+        known[degree] = _choice(volume, degree)
+    return known[degree]
+
+
+def _choice(volume: Volume, degree: int) -> Smoothing:
     noise = volume.noise
     d = volume.ndim
     if noise.kind in ("binary", "labels"):
@@ -101,7 +110,30 @@ def choose(volume: Volume | ArrayLike, degree: int = 3) -> Smoothing:
     return Smoothing(values, says, noise.sigma)
 
 
+def settled(filter: str | Filter, volume: Volume) -> Filter:
+    """A row as it is for a volume: one whose smoothing is "auto" or a length has numbers instead, and its name says them.
+
+    Raises
+    ------
+    OptionError
+        Its smoothing has another number of axes than the volume, or is too much for float32.
+    """
+    row = as_filter(filter)
+    if row.magnified_by is not None and not row.magnified_by.settled:
+        row = replace(row, magnify=settled(row.magnified_by, volume).name)
+    if isinstance(row.smoothing, tuple) and len(row.smoothing) != volume.ndim:
+        raise OptionError(f"smoothing must be one number, or {volume.ndim} for a volume of {volume.ndim} axes; got {row.name!r}")
+    if row.settled:
+        return row
+    if row.length is not None:
+        length = row.length
+        return row.smoothed([float(f"{(length / s) ** (2 * row.penalty):.6g}") for s in volume.spacing])
+    return row.smoothed(choose(volume, row.degree).values)
+
+
 # -- inner -------------------------------------------------------------------------------------------
+
+_CHOSEN: WeakKeyDictionary[Volume, dict[int, Smoothing]] = WeakKeyDictionary()
 
 _KINDS = {
     "white": "white",
@@ -135,23 +167,20 @@ def _least(spectrum: Spectrum, degree: int) -> tuple[float, ...]:
     if math.prod(float(share.sum()) for share in spectrum.noise) < _UNSEEN**2 * float(spectrum.power.sum()):
         return (0.0,) * d
     risk = _Risk(spectrum, degree)
-    grid = _equivalent(1.0, degree) * np.geomspace(_GRID[0], _GRID[1], 151)
+    grid = _equivalent(1.0, degree) * np.geomspace(*_GRID)
 
     def best(of: Callable[[float], float]) -> tuple[float, float]:
-        """The greatest λ whose error is little more than the least, and the least."""
-        found = np.array([of(value) for value in grid])
-        least = float(found.min())
-        return float(grid[np.flatnonzero(found <= least + (_ROOM**2 - 1) * abs(least))[-1]]), least
+        errors = np.array([of(value) for value in grid])
+        return float(grid[errors.argmin()]), float(errors.min())
 
     one, least = best(lambda value: risk((value,) * d))
-    if least > _PAYS**2 * risk((0.0,) * d):
-        return (0.0,) * d
-    several = [one] * d
+    several, apart = [one] * d, least  # near 0, the estimate may be below
     for axis in [*range(d)] * 2:
         several[axis], apart = best(lambda value, axis=axis: risk([*several[:axis], value, *several[axis + 1 :]]))  # type: ignore[misc]
-    differ = 0 < apart < _APART**2 * least and max(several) > 2 * min(several)
-    values = several if differ else [one] * d
-    return tuple(_rounded(value) for value in values[::-1])
+    differ = apart < _APART**2 * max(least, 0) and max(several) > 2 * min(several)
+    if min(least, apart) > _PAYS**2 * risk((0.0,) * d):
+        return (0.0,) * d
+    return tuple(_rounded(min(_MORE * value, grid[-1])) for value in (several[::-1] if differ else [one] * d))
 
 
 def _passing(degree: int, omega: Array) -> tuple[Array, Array]:
