@@ -314,7 +314,7 @@ def test_smoothing_that_is_auto_is_settled_once(tmp_path: Path, device: Device) 
     noisy = Volume(phantoms.sphere(24).data + np.random.default_rng(0).normal(0, 0.1, (24, 24, 24)).astype(np.float32))
     names = ("linear", "bspline3", "bspline3(auto)")
     done = reports.report(noisy, tmp_path / "a.html", filters=names, pixels=16, device=device)
-    settled = clvol.settling.settled("bspline3(auto)", noisy).name
+    settled = clvol.smoothing.settled("bspline3(auto)", noisy).name
     assert settled != "bspline3"
     assert [row.filter for row in done.table] == ["linear", "bspline3", settled, EXACT_SINC]
     assert done.advice.filter == settled

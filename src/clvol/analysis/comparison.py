@@ -28,7 +28,7 @@ from clvol.device import Device, as_device
 from clvol.errors import ClvolError, DataError, DeviceError, OptionError
 from clvol.filter import Filter, as_filter, several_names
 from clvol.response import prefilter_response
-from clvol.settling import settled
+from clvol.smoothing import settled
 from clvol.spline.evaluator import choose_evaluator
 from clvol.spline.field import coefficients_of, sample
 from clvol.spline.points import sample_coefficients

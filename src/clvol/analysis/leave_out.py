@@ -16,7 +16,7 @@ from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.checks import enough_memory, number
 from clvol.errors import OptionError
 from clvol.filter import Filter
-from clvol.settling import settled
+from clvol.smoothing import settled
 from clvol.volume import Volume, as_volume
 
 __all__ = ["LeftOutRow", "LeftOutTable", "leave_out"]

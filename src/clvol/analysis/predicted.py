@@ -37,7 +37,7 @@ from clvol.errors import OptionError
 from clvol.filter import Filter
 from clvol.noise import Noise, colour_power
 from clvol.response import frequency_response
-from clvol.settling import settled
+from clvol.smoothing import settled
 from clvol.volume import Volume, as_volume
 
 __all__ = ["PredictedRow", "PredictedTable", "jump_error", "predict", "variance_gain"]

@@ -21,7 +21,7 @@ from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.checks import enough_memory, number, whole
 from clvol.errors import DataError, OptionError
 from clvol.filter import Filter
-from clvol.settling import settled
+from clvol.smoothing import settled
 from clvol.volume import Volume, as_volume
 
 __all__ = ["RotationRow", "RotationTable", "rotations"]

@@ -20,7 +20,7 @@ from clvol.errors import OptionError
 from clvol.figures.style import title
 from clvol.filter import Filter
 from clvol.noise import Noise
-from clvol.settling import settled
+from clvol.smoothing import settled
 from clvol.volume import Volume, as_volume
 
 __all__ = ["ADVISED", "Advice", "advise"]
