@@ -16,7 +16,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, ndimage
 
 from clvol.errors import DataError
 
@@ -221,6 +220,8 @@ def _normalised(samples: NDArray[Any]) -> tuple[NDArray[np.float32], np.longdoub
 
 def _spectrum(blocks: NDArray[np.float32], variance: float, colour: Sequence[float]) -> Spectrum:
     """Mean spectrum of the blocks without their means, by the cosine transform."""
+    from scipy import fft
+
     axes = tuple(range(1, blocks.ndim))
     blocks = blocks - blocks.mean(axes, keepdims=True)
     weight = float(blocks[0].size)
@@ -295,6 +296,8 @@ def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[f
 
     0 where no place shows it.
     """
+    from scipy import ndimage
+
     axes = [axis for axis in range(1, blocks.ndim) if blocks.shape[axis] >= len(_LOW)]
     white = (1.0,) * (blocks.ndim - 1)
     if not axes:
@@ -362,7 +365,7 @@ def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[f
 def _line(levels: Array, variances: Array, counts: Array) -> tuple[float, float]:
     """The variance at level 0, and how it grows with the level.
 
-    From the lower of the slopes between classes, not, as Theil and Sen do, the middle ones: edges add to variances and never take off.
+    From the lower of the slopes between classes, not the middle ones as Theil and Sen: edges add to variances, and never take off.
     """
     if len(levels) < 2:
         return float(variances[0]), 0.0
