@@ -12,7 +12,7 @@ SOURCE = Path(__file__).resolve().parents[1] / "src"
 LAYERS = [
     "errors moved checks uniform files interop filter boundary volume stored camera color light transfer mode scene",
     "reference response phantoms formats",
-    "opencl program device",
+    "processor opencl program device",
     "spline",
     "march",
     "picture images analysis",

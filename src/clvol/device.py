@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol import program
+from clvol import processor, program
 from clvol.checks import one_of
 from clvol.errors import DeviceError, OutOfMemoryError
 from clvol.opencl import INSTALL, opencl
@@ -184,10 +184,12 @@ class Device:
         """Raise `DeviceError` where using the device would hang or abort the process.
 
         A PoCL context used after a fork hangs; PoCL shells out to the linker for every kernel
-        and aborts the process when there is none, or no libgcc and libc for it to link.
+        and aborts the process when there is none, or no libgcc and libc for it to link; it cannot
+        build for a processor that it has no name for, and is given one.
         """
         _require_unforked(self._process)
         if self.is_pocl and self.kind == "cpu":
+            _named(self.handle.int_ptr)
             _require_linker()
 
     # -- kernels -------------------------------------------------------------------------------
@@ -430,14 +432,19 @@ def as_device(choice: Device | str | int | None = None) -> Device:
 # -- PoCL and the linker ---------------------------------------------------------------------------------
 
 _PROBE = """
-import pyopencl as cl
+import runpy, pyopencl as cl
 for p in cl.get_platforms():
     if "portable computing language" in p.name.lower():
         d = p.get_devices()[0]
+        kept = runpy.run_path(%r)
+        kept["name_processor"](d.int_ptr)
         c = cl.Context([d]); q = cl.CommandQueue(c)
         k = cl.Program(c, "kernel void probe_%s(global int *a) { a[0] = 1; }").build()
         cl.Kernel(k, "probe_%s")(q, (1,), None, cl.Buffer(c, cl.mem_flags.READ_WRITE, 4)); q.finish()
 """
+
+
+_named = lru_cache(processor.name_processor)
 
 
 @lru_cache(maxsize=1)
@@ -461,7 +468,11 @@ def _require_linker() -> None:
     environment = {**os.environ, "PYOPENCL_NO_CACHE": "1"}
     try:
         trial = subprocess.run(
-            [sys.executable, "-c", _PROBE % (name, name)], capture_output=True, env=environment, timeout=120, check=False
+            [sys.executable, "-c", _PROBE % (processor.__file__, name, name)],
+            capture_output=True,
+            env=environment,
+            timeout=120,
+            check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         raise DeviceError(f"PoCL could not be tried: {error}") from error
