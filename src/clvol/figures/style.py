@@ -28,9 +28,11 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FAINT",
+    "GAP",
     "GREY",
     "INK",
     "LETTERS",
+    "LINE",
     "SUFFIXES",
     "Drawing",
     "colour",
@@ -38,11 +40,13 @@ __all__ = [
     "label_ends",
     "legend_above",
     "new_figure",
+    "placed",
     "plain",
     "require_matplotlib",
     "show",
     "spread",
     "styled",
+    "tiles",
     "title",
 ]
 
@@ -52,8 +56,12 @@ INK, GREY, FAINT = "#222222", "#6f6f6f", "#d9d9d9"
 LETTERS = "abcdefghijklmnopqrstuvwxyz"
 """Names of the panels, one for each filter: a figure holds no more."""
 
+LINE, GAP = 27, 8
+"""Pixels of the file: a line of text; between pictures (`tiles`)."""
+
 SUFFIXES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".tif", ".tiff")
 _DPI = 150
+_LEAST_TILE = 160  # pixels of the file across
 _RC: Mapping[str, Any] = {
     "font.size": 9.5,
     "axes.titlesize": 10.5,
@@ -240,12 +248,56 @@ def legend_above(figure: Figure, axes: Axes) -> None:
     figure.legend(handles, labels, loc="outside upper center", ncols=across)
 
 
+def placed(figure: Figure, x: int, y: int, width: int, height: int) -> Axes:
+    """Axes of a size in pixels of the file, at a place from its top left corner: a picture that large is shown as it is."""
+    across, down = (round(inches * _DPI) for inches in figure.get_size_inches())
+    return figure.add_axes((x / across, 1 - (y + height) / down, width / across, height / down))
+
+
+def tiles(
+    rows: int, columns: int, size: tuple[int, int], *, above: int = 0, below: int = 0, between: int = 0, right: int = 0
+) -> tuple[Figure, NDArray[Any], int]:
+    """A figure of axes in which pictures of a size (width, height) are shown pixel for pixel.
+
+    Parameters
+    ----------
+    rows, columns : int
+    size : (int, int)
+        Of a picture. One narrower than 160 pixels is shown a whole number of times as large.
+    above, below, between, right : int
+        Lines of text above the first row, below the last one and after each other, and pixels right of the last column.
+
+    Returns
+    -------
+    figure : Figure
+    axes : ndarray of Axes, shape (rows, columns)
+    times : int
+        How many times as large as they are pictures are shown.
+    """
+    require_matplotlib()
+    from matplotlib.figure import Figure
+
+    times = -(-_LEAST_TILE // size[0])
+    width, height = (times * n for n in size)
+    gap, start = LINE * between + GAP, LINE * above + GAP
+    total = start + rows * (height + gap) - gap + LINE * below + GAP
+    figure = Figure(figsize=((columns * (width + GAP) + GAP + right) / _DPI, total / _DPI), dpi=_DPI)
+    axes = np.empty((rows, columns), object)
+    for i, j in np.ndindex(rows, columns):
+        axes[i, j] = placed(figure, GAP + j * (width + GAP), start + i * (height + gap), width, height)
+        plain(axes[i, j])
+    return figure, axes, times
+
+
 def show(axes: Axes, pixels: ArrayLike, heading: str, note: str = "", **options: Any) -> Any:
-    """A picture with a heading above and a note below; arrays with two axes are shown in grey."""
+    """A picture with a heading above and a note below; arrays with two axes are shown in grey.
+
+    Where the axes have its size (`tiles`) it is drawn pixel for pixel, and filtered wherever a file has fewer pixels.
+    """
     array = np.asarray(pixels)
     if array.ndim == 2:
         options.setdefault("cmap", "gray")
-    drawn = axes.imshow(array, interpolation="nearest", **options)
+    drawn = axes.imshow(array, interpolation="antialiased", **options)
     plain(axes)
     axes.set_title(heading, fontsize=9)
     if note:
