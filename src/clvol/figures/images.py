@@ -14,7 +14,7 @@ from clvol.checks import require_room, whole
 from clvol.device import Device
 from clvol.figures.inputs import photograph, zone_plate
 from clvol.figures.panels import FIGURE_6
-from clvol.figures.style import LETTERS, Drawing, folded, show, styled, tiles, title
+from clvol.figures.style import LETTERS, LETTERS_A_PIXEL, Drawing, folded, show, styled, tiles, title
 from clvol.filter import Filter
 from clvol.spline.field import sample
 from clvol.volume import Volume
@@ -24,7 +24,6 @@ __all__ = ["draw", "finer"]
 Array: TypeAlias = NDArray[np.float64]
 _FACTOR, _NEAR = 4, 16  # pixels a sample, of pictures and of their close-ups
 _COLLAR, _CORNER = (0.36, 0.73), (0.06, 0.06)  # where close-ups begin, along x and y of the picture
-_LETTERS_A_PIXEL = 0.092  # of a heading
 
 
 def finer(
@@ -85,7 +84,7 @@ def draw(
     numbers: list[dict[str, Any]] = []
     with styled():
         figure, panels, times = tiles(4, len(chosen) + 1, original.shape[::-1], above=2, between=1)
-        letters = int(_LETTERS_A_PIXEL * times * size)
+        letters = int(LETTERS_A_PIXEL * times * size)
         for column, drawer in enumerate(chosen):
             name = drawer.name if isinstance(drawer, Filter) else drawer
             for row, (kind, truth, few, start, _) in enumerate(inputs):

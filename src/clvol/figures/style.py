@@ -32,6 +32,7 @@ __all__ = [
     "GREY",
     "INK",
     "LETTERS",
+    "LETTERS_A_PIXEL",
     "LINE",
     "SUFFIXES",
     "Drawing",
@@ -58,6 +59,9 @@ LETTERS = "abcdefghijklmnopqrstuvwxyz"
 
 LINE, GAP = 27, 8
 """Pixels of the file: a line of text; between pictures (`tiles`)."""
+
+LETTERS_A_PIXEL = 0.092
+"""Of a heading above a picture, per pixel of its width."""
 
 SUFFIXES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".tif", ".tiff")
 _DPI = 150
