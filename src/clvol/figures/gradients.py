@@ -21,7 +21,7 @@ __all__ = ["draw"]
 _SHOWN = ("linear", "bspline3-approx", "mitchell", "catmull-rom", "bspline3", "bspline5")
 _MAX_ANGLE = 45.0  # degrees that the colours span
 _RAYS = 4  # a pixel
-_RIGHT = 115  # pixels for the scale of colours
+_RIGHT = 130  # pixels for the scale of colours
 _MARGIN = 50  # this fraction of the height stays around what is visible
 _WHITE = (1.0, 1.0, 1.0)
 

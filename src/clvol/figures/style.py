@@ -60,7 +60,7 @@ LETTERS = "abcdefghijklmnopqrstuvwxyz"
 LINE, GAP = 27, 8
 """Pixels of the file: a line of text; between pictures (`tiles`)."""
 
-LETTERS_A_PIXEL = 0.092
+LETTERS_A_PIXEL = 0.08
 """Of a heading above a picture, per pixel of its width."""
 
 SUFFIXES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".tif", ".tiff")
