@@ -22,6 +22,7 @@ __all__ = [
     "DEGREES",
     "OBLIQUE",
     "RMSE",
+    "SMOOTHED",
     "every",
     "rotation",
 ]
@@ -87,6 +88,9 @@ def rotation(d: int = 3, seed: int = 0) -> np.ndarray:
 
 
 OBLIQUE: Final = rotation()
+
+SMOOTHED: Final = ("bspline2(0.02)", "bspline3(0.1)", "bspline5(2)")
+"""Smoothing splines, with real poles, complex ones, and both."""
 
 # -- what is known ---------------------------------------------------------------------------------
 

@@ -16,6 +16,7 @@ from clvol.filter import Filter, as_filter, bc, bspline, filters, from_callable,
 from clvol.reference.spline import filter as reference_filter
 from clvol.reference.spline.prefilter import kernel_samples
 from clvol.volume import Volume
+from tests.cases import SMOOTHED
 
 table = importlib.import_module("clvol.filter")  # clvol.filters is the function of that name
 ROWS = {
@@ -30,6 +31,7 @@ ROWS = {
         sinc(2),
         sinc(8),
         lanczos(8),
+        *map(as_filter, SMOOTHED),
     )
 }
 SPLINES = range(10)
@@ -156,9 +158,14 @@ def test_poles_are_roots_of_the_samples(row: Filter) -> None:
         return
     b = kernel_samples(row)
     np.testing.assert_allclose(row.samples, b, atol=1e-12)
+    assert isinstance(row.smoothing, float)
+    if row.smoothing:
+        differences = row.smoothing * np.poly([1] * 2 * row.penalty)[row.penalty :] * (-1) ** row.penalty  # of (z - 1)²ᵐ
+        b = np.pad(b, (0, differences.size - b.size)) + differences
     assert row.poles.size == b.size - 1
     for z in row.poles:
-        assert -1 < z < 0
+        assert abs(z) < 1
+        assert row.smoothing or -1 < z < 0
         assert b[0] + sum(v * (z**k + z**-k) for k, v in enumerate(b) if k) == pytest.approx(0, abs=1e-9)
 
 

@@ -16,10 +16,11 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from clvol import reference
 from clvol.boundary import boundaries
 from clvol.filter import Filter, as_filter, bspline, filters
+from tests.cases import SMOOTHED
 
 MAX_EXAMPLES = 60
 
-NAMES = tuple(filters())
+NAMES = (*filters(), *SMOOTHED)
 RULES = tuple(boundaries())
 names, rules = st.sampled_from(NAMES), st.sampled_from(RULES)
 degrees = st.integers(0, 5)

@@ -12,7 +12,7 @@ from clvol.errors import OptionError
 from clvol.filter import as_filter, bspline, filters
 from clvol.response import frequency_response, prefilter_response
 from clvol.volume import Volume
-from tests.cases import BAD_FILTERS, BAD_REALS
+from tests.cases import BAD_FILTERS, BAD_REALS, SMOOTHED
 
 OMEGA = np.concatenate([np.linspace(-6 * np.pi, 6 * np.pi, 1201), [0.0, 1e-9, 40 * np.pi, 333.3]])
 
@@ -50,7 +50,7 @@ def test_prefilter_gains_3_at_nyquist_and_1_at_0() -> None:
     np.testing.assert_allclose(prefilter_response("hybrid", [0, np.pi]), [1, 3], rtol=1e-14)
 
 
-@pytest.mark.parametrize("name", filters())
+@pytest.mark.parametrize("name", [*filters(), *SMOOTHED])
 def test_response_at_0_is_1_if_the_weights_sum_to_one(name: str) -> None:
     row = as_filter(name)
     value = float(frequency_response(name, 0.0))
@@ -60,7 +60,7 @@ def test_response_at_0_is_1_if_the_weights_sum_to_one(name: str) -> None:
         np.testing.assert_allclose(frequency_response(name, 2 * np.pi * np.arange(1, 6) * row.scale), 0, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", filters())
+@pytest.mark.parametrize("name", [*filters(), *SMOOTHED])
 def test_response_is_the_transform_of_what_the_reference_draws(name: str) -> None:
     """An impulse, reconstructed by the reference, summed finely: Fourier integrals to a few digits."""
     n, fine = 65, 64

@@ -1,34 +1,80 @@
 // Kernels: from samples to B-spline coefficients, in place: along rows (x), along y or z, or along x and y together.
 //
-// For each pole z there is a causal recursion y[i] = x[i] + z y[i-1] and an anticausal one c[i] = z (c[i+1] - y[i]) (Unser,
-// Aldroubi and Eden, 1991). Each needs a first value, which the host gives as a weighted sum of samples near the two ends. It
-// follows from the matrix of eq. (11) that belongs to the boundary rule (prefilter.py, _starts), in one way for every rule and
-// length.
+// The poles are undone in stages of ORDER, 1 or 2: a causal recursion y[i] = gain x[i] + a1 y[i-1] + a2 y[i-2] and an anticausal
+// one, c[i] = y[i] + a1 c[i+1] + a2 c[i+2] (Unser, Aldroubi and Eden, 1991 and 1993). A single pole z has c[i] = z (c[i+1] - y[i])
+// instead. Complex poles, which smoothing brings, come in conjugate pairs, so that a stage of two is real. Each recursion needs
+// its first ORDER values, which the host gives as weighted sums of samples near the two ends. They follow from the matrix of
+// eq. (11) that belongs to the boundary rule (prefilter.py, _plan), in one way for every rule and length.
 //
 // | what makes it fast                                                | where             |
 // |-------------------------------------------------------------------|-------------------|
 // | eight lines at once; CHAINS times as many side by side, since a recursion waits for its last product | filter_columns |
+// | two poles a stage: memory is passed over half as often            | causal, anticausal |
 // | rows are transposed in blocks of eight, and stay so in between     | filter_rows       |
 // | memory is prefetched AHEAD of its use                              | filter_columns    |
 // | a slice stays in a processor's cache from x to y                   | prefilter_slices  |
 //
-// Set by the host: POLES, how many; POLE_VALUES; GAIN; ENDS, samples in each sum; CHAINS, vectors side by side.
+// Set by the host: ORDER; STAGES, how many; CHAINS, vectors side by side.
 
 #include "base/platform.cl"
 #include "base/transpose.cl"
 
-constant float poles[POLES] = POLE_VALUES;
+#define SUMS (2 * ORDER * STAGES)
 
-// First values of the recursions: starts[pole][causal or anticausal][ENDS from the first, ENDS from the last];
-// of these, head and tail count.
-#define STARTS_PARAMS constant float *starts, const int head, const int tail
-#define STARTS starts, head, tail
+// Of the lines of one axis: {a1, a2, gain} of each stage, then the weights of the first values,
+// [stage][causal, then anticausal][ORDER, from the end on][ends from the first, ends from the last]; head and tail of them count.
+#define PLAN_PARAMS constant float *plan, const int ends, const int head, const int tail
+#define PLAN plan, ends, head, tail
 
-INLINE void add_to_starts(float8 start[2 * POLES], constant float *weight, float8 v)
+typedef struct {
+    float8 a1, a2;
+    float gain;
+} stage_t;
+
+INLINE stage_t stage_of(constant float *plan, const int s)
 {
+    const stage_t stage = { (float8)(plan[3 * s]), (float8)(plan[3 * s + 1]), plan[3 * s + 2] };
+    return stage;
+}
+
+INLINE void add_to_starts(float8 start[SUMS], constant float *plan, const int ends, const int place, float8 v)
+{
+    constant float *weight = plan + 3 * STAGES + place;
 #pragma unroll
-    for (int p = 0; p < 2 * POLES; ++p)
-        start[p] = madd((float8)(weight[p * 2 * ENDS]), v, start[p]);
+    for (int p = 0; p < SUMS; ++p)
+        start[p] = madd((float8)(weight[p * 2 * ends]), v, start[p]);
+}
+
+// One step of a recursion; y holds its last ORDER values.
+INLINE float8 causal(float8 y[ORDER], const stage_t stage, const float8 x)
+{
+#if ORDER == 2
+    const float8 next = madd(stage.a1, y[0], madd(stage.a2, y[1], stage.gain * x));
+    y[1] = y[0];
+    return y[0] = next;
+#else
+    return y[0] = madd(stage.a1, y[0], stage.gain * x);
+#endif
+}
+
+INLINE float8 anticausal(float8 c[ORDER], const stage_t stage, const float8 y)
+{
+#if ORDER == 2
+    const float8 next = madd(stage.a1, c[0], madd(stage.a2, c[1], y));
+    c[1] = c[0];
+    return c[0] = next;
+#else
+    return c[0] = madd(stage.a1, c[0], -stage.a1 * y);
+#endif
+}
+
+// The first values of a recursion take the place of what it would give there. first: number `at` of them.
+INLINE float8 started(float8 state[ORDER], const float8 *first, const int at)
+{
+#if ORDER == 2
+    state[1] = state[0];
+#endif
+    return state[0] = first[at];
 }
 
 // -- along y or z: lines lie side by side ---------------------------------------------------------------------
@@ -36,55 +82,56 @@ INLINE void add_to_starts(float8 start[2 * POLES], constant float *weight, float
 #define AHEAD 8   // samples of a line, each of which lies in a page of its own
 
 // 8 * chains lines of `count` samples, stride apart. A recursion waits for its last product: several at once do not.
-INLINE void filter_columns(global float *line, const int chains, const int count, const size_t stride, STARTS_PARAMS)
+INLINE void filter_columns(global float *line, const int chains, const int count, const size_t stride, PLAN_PARAMS)
 {
-    float8 start[CHAINS][2 * POLES], v[CHAINS];
+    float8 start[CHAINS][SUMS], v[CHAINS][ORDER];
 #define EACH_CHAIN _Pragma("unroll") for (int c = 0; c < chains; ++c)
 #define LANES_AT(p) (*(global float8_at *)((p) + LANES * c))
     EACH_CHAIN
 #pragma unroll
-        for (int p = 0; p < 2 * POLES; ++p)
+        for (int p = 0; p < SUMS; ++p)
             start[c][p] = (float8)(0.0f);
     for (int i = 0; i < head; ++i)
-        EACH_CHAIN add_to_starts(start[c], starts + i, LANES_AT(line + i * stride));
+        EACH_CHAIN add_to_starts(start[c], plan, ends, i, LANES_AT(line + i * stride));
     for (int i = 0; i < tail; ++i)
-        EACH_CHAIN add_to_starts(start[c], starts + ENDS + i, LANES_AT(line + (count - 1 - i) * stride));
-    float gain = GAIN;
+        EACH_CHAIN add_to_starts(start[c], plan, ends, ends + i, LANES_AT(line + (count - 1 - i) * stride));
+    const int given = MIN(ORDER, count);
 #pragma unroll 1
-    for (int p = 0; p < POLES; ++p) {
-        const float8 z = (float8)(poles[p]);
-        EACH_CHAIN LANES_AT(line) = v[c] = start[c][2 * p];
-        for (int i = 1; i < count; ++i) {
+    for (int s = 0; s < STAGES; ++s) {
+        const stage_t stage = stage_of(plan, s);
+        for (int i = 0; i < given; ++i)
+            EACH_CHAIN LANES_AT(line + i * stride) = started(v[c], start[c] + 2 * ORDER * s, i);
+        for (int i = given; i < count; ++i) {
             global float *at = line + i * stride;
             for (int k = 0; k < chains; k += 2)
                 PREFETCH(at + AHEAD * stride + k * LANES);
-            EACH_CHAIN LANES_AT(at) = v[c] = madd(z, v[c], gain * LANES_AT(at));
+            EACH_CHAIN LANES_AT(at) = causal(v[c], stage, LANES_AT(at));
         }
-        EACH_CHAIN LANES_AT(line + (count - 1) * stride) = v[c] = start[c][2 * p + 1];
-        for (int i = count - 2; i >= 0; --i) {
+        for (int i = 0; i < given; ++i)
+            EACH_CHAIN LANES_AT(line + (count - 1 - i) * stride) = started(v[c], start[c] + 2 * ORDER * s + ORDER, i);
+        for (int i = count - 1 - given; i >= 0; --i) {
             global float *at = line + i * stride;
-            EACH_CHAIN LANES_AT(at) = v[c] = madd(z, v[c], -z * LANES_AT(at));
+            EACH_CHAIN LANES_AT(at) = anticausal(v[c], stage, LANES_AT(at));
         }
-        gain = 1.0f;
     }
 }
 
 // Up to 8 * CHAINS lines, a multiple of 8.
-INLINE void filter_some_columns(global float *line, const int lines, const int count, const size_t stride, STARTS_PARAMS)
+INLINE void filter_some_columns(global float *line, const int lines, const int count, const size_t stride, PLAN_PARAMS)
 {
     if (lines >= LANES * CHAINS)
-        filter_columns(line, CHAINS, count, stride, STARTS);
+        filter_columns(line, CHAINS, count, stride, PLAN);
     else
         for (int i = 0; i < lines; i += LANES)
-            filter_columns(line + i, 1, count, stride, STARTS);
+            filter_columns(line + i, 1, count, stride, PLAN);
 }
 
 // `lines` lines side by side, 8 * CHAINS for a work-item along id 0; repeated along id 1, outer_stride apart.
 kernel void prefilter_columns(global float *data, const ulong origin, const int count, const ulong stride,
-                              const int lines, const ulong outer_stride, STARTS_PARAMS)
+                              const int lines, const ulong outer_stride, PLAN_PARAMS)
 {
     const int first = get_global_id(0) * LANES * CHAINS;
-    filter_some_columns(data + origin + get_global_id(1) * outer_stride + first, lines - first, count, stride, STARTS);
+    filter_some_columns(data + origin + get_global_id(1) * outer_stride + first, lines - first, count, stride, PLAN);
 }
 
 // -- along x: eight rows at once, in blocks of eight columns ----------------------------------------------------
@@ -112,47 +159,41 @@ INLINE void kept_columns(float8 v[LANES], global const float *block, const size_
         v[i] = *(global const float8_at *)(block + i * pitch);
 }
 
-// One block of the causal recursion from y, and of the anticausal one from c. Past the row's end lies its halo, for
+// One block of a recursion that goes on from `state`. first, last: the block's column that is the first or the last one of the
+// row; it may lie in another block. The recursion's first values stand from there on. Past the row's end lies its halo, for
 // which anything may be written.
-INLINE float8 causal_block(float8 y, const float8 z, const float gain, const int first, global float *block,
-                           const size_t pitch, const int rows)
+INLINE void causal_block(float8 state[ORDER], const stage_t stage, const float8 *given, const int first, global float *block,
+                         const size_t pitch, const int rows)
 {
     float8 v[LANES];
     load_columns(v, block, pitch, rows);
 #pragma unroll
-    for (int i = 0; i < LANES; ++i) {
-        y = first && i == 0 ? y : madd(z, y, gain * v[i]);
-        v[i] = y;
-    }
+    for (int i = 0; i < LANES; ++i)
+        v[i] = i < first + ORDER ? started(state, given, i - first) : causal(state, stage, v[i]);
     keep_columns(v, block, pitch, rows);
-    return y;
 }
 
-// last: the block's column that is the last one of the row, or more.
-INLINE float8 anticausal_block(float8 c, const float8 z, const int last, global float *block,
-                               const size_t pitch, const int rows)
+INLINE void anticausal_block(float8 state[ORDER], const stage_t stage, const float8 *given, const int last,
+                             global float *block, const size_t pitch, const int rows)
 {
     float8 v[LANES];
     kept_columns(v, block, pitch, rows);
 #pragma unroll
-    for (int i = LANES - 1; i >= 0; --i) {
-        c = i >= last ? c : madd(z, c, -z * v[i]);
-        v[i] = c;
-    }
+    for (int i = LANES - 1; i >= 0; --i)
+        v[i] = i > last - ORDER ? started(state, given, MAX(last - i, 0)) : anticausal(state, stage, v[i]);
     store_columns(v, block, pitch, rows);
-    return c;
 }
 
 // `bands` times eight rows, or fewer than eight if `rows` says so.
 INLINE void filter_rows(global float *line, const int bands, const int rows, const int count, const size_t pitch,
-                        STARTS_PARAMS)
+                        PLAN_PARAMS)
 {
-    float8 start[2][2 * POLES];
+    float8 start[2][SUMS];
 #define EACH_BAND _Pragma("unroll") for (int g = 0; g < bands; ++g)
 #define BAND_AT(column) (line + g * LANES * pitch + (column))
     EACH_BAND
 #pragma unroll
-        for (int p = 0; p < 2 * POLES; ++p)
+        for (int p = 0; p < SUMS; ++p)
             start[g][p] = (float8)(0.0f);
     const int last_block = (count - 1) / LANES * LANES;
     for (int b = 0; b < count; b += LANES) {
@@ -165,54 +206,60 @@ INLINE void filter_rows(global float *line, const int bands, const int rows, con
             for (int i = 0; i < LANES; ++i) {
                 const int left = b + i, right = count - 1 - left;
                 if (left < head)
-                    add_to_starts(start[g], starts + left, v[i]);
+                    add_to_starts(start[g], plan, ends, left, v[i]);
                 else if (right >= 0 && right < tail)
-                    add_to_starts(start[g], starts + ENDS + right, v[i]);
+                    add_to_starts(start[g], plan, ends, ends + right, v[i]);
             }
         }
     }
-    float gain = GAIN;
 #pragma unroll 1
-    for (int p = 0; p < POLES; ++p) {
-        const float8 z = (float8)(poles[p]);
-        float8 v[2];
-        EACH_BAND v[g] = causal_block(start[g][2 * p], z, gain, 1, BAND_AT(0), pitch, rows);
+    for (int s = 0; s < STAGES; ++s) {
+        const stage_t stage = stage_of(plan, s);
+        const int from = 2 * ORDER * s, back = from + ORDER;
+        float8 v[2][ORDER];
+        EACH_BAND causal_block(v[g], stage, start[g] + from, 0, BAND_AT(0), pitch, rows);
         for (int b = LANES; b < count; b += LANES)
-            EACH_BAND v[g] = causal_block(v[g], z, gain, 0, BAND_AT(b), pitch, rows);
-        EACH_BAND v[g] = anticausal_block(start[g][2 * p + 1], z, count - 1 - last_block, BAND_AT(last_block), pitch, rows);
-        for (int b = last_block - LANES; b >= 0; b -= LANES)
-            EACH_BAND v[g] = anticausal_block(v[g], z, LANES, BAND_AT(b), pitch, rows);
-        gain = 1.0f;
+            EACH_BAND causal_block(v[g], stage, start[g] + from, -ORDER, BAND_AT(b), pitch, rows);
+        EACH_BAND anticausal_block(v[g], stage, start[g] + back, count - 1 - last_block, BAND_AT(last_block), pitch, rows);
+        int b = last_block - LANES;
+#if ORDER == 2   // its first values may lie in two blocks
+        if (b >= 0) {
+            EACH_BAND anticausal_block(v[g], stage, start[g] + back, count - 1 - b, BAND_AT(b), pitch, rows);
+            b -= LANES;
+        }
+#endif
+        for (; b >= 0; b -= LANES)
+            EACH_BAND anticausal_block(v[g], stage, start[g] + back, LANES + ORDER, BAND_AT(b), pitch, rows);
     }
 }
 
 // Up to sixteen rows.
-INLINE void filter_some_rows(global float *line, const int rows, const int count, const size_t pitch, STARTS_PARAMS)
+INLINE void filter_some_rows(global float *line, const int rows, const int count, const size_t pitch, PLAN_PARAMS)
 {
     if (rows >= 2 * LANES)
-        filter_rows(line, 2, LANES, count, pitch, STARTS);
+        filter_rows(line, 2, LANES, count, pitch, PLAN);
     else
         for (int j = 0; j < rows; j += LANES)
-            filter_rows(line + j * pitch, 1, MIN(LANES, rows - j), count, pitch, STARTS);
+            filter_rows(line + j * pitch, 1, MIN(LANES, rows - j), count, pitch, PLAN);
 }
 
 // Sixteen rows of `rows` along id 0, slices along id 1.
 kernel void prefilter_rows(global float *data, const ulong origin, const int count, const ulong pitch, const int rows,
-                           const ulong slice, STARTS_PARAMS)
+                           const ulong slice, PLAN_PARAMS)
 {
     const int first = get_global_id(0) * 2 * LANES;
-    filter_some_rows(data + origin + get_global_id(1) * slice + first * pitch, rows - first, count, pitch, STARTS);
+    filter_some_rows(data + origin + get_global_id(1) * slice + first * pitch, rows - first, count, pitch, PLAN);
 }
 
 // Along x and then along y, one slice a work-item along id 1: on a processor the slice stays in its cache in between.
 // halo: of the rows, which begin at `origin`.
 kernel void prefilter_slices(global float *data, const ulong origin, const int count, const ulong pitch, const int rows,
-                             const ulong slice, const int halo, STARTS_PARAMS,
-                             constant float *starts_y, const int head_y, const int tail_y)
+                             const ulong slice, const int halo, PLAN_PARAMS,
+                             constant float *plan_y, const int ends_y, const int head_y, const int tail_y)
 {
     global float *first = data + origin + get_global_id(1) * slice;
     for (int j = 0; j < rows; j += 2 * LANES)
-        filter_some_rows(first + j * pitch, rows - j, count, pitch, STARTS);
+        filter_some_rows(first + j * pitch, rows - j, count, pitch, PLAN);
     for (int i = 0; i < pitch; i += LANES * CHAINS)
-        filter_some_columns(first - halo + i, pitch - i, rows, pitch, starts_y, head_y, tail_y);
+        filter_some_columns(first - halo + i, pitch - i, rows, pitch, plan_y, ends_y, head_y, tail_y);
 }

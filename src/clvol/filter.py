@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
 from numbers import Rational
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -30,6 +30,7 @@ from clvol.errors import ClvolError, OptionError
 
 __all__ = [
     "DEFAULT_FILTER",
+    "PICTURE_FILTER",
     "Filter",
     "FilterTable",
     "as_filter",
@@ -49,15 +50,18 @@ __all__ = [
 
 Number: TypeAlias = Fraction | float
 Polynomial: TypeAlias = tuple[Number, ...]
+Smoothing: TypeAlias = float | tuple[float, ...] | Literal["auto"]
 Array: TypeAlias = NDArray[np.float64]
 
 DEFAULT_FILTER = "bspline3"
+PICTURE_FILTER = "bspline3"  # of pictures: data that are drawn should not show their noise
 MAX_TAPS = 16  # the widest row that one vector load of the device code covers
 _MAX_DEGREE = 20
 _FIT_TOLERANCE = 1e-10  # of the kernel's peak: its second derivative then errs by about 1e-6
 _MISFIT = 0.1  # of the kernel's peak: a fit that errs by more is another kernel
 _SINC_DEGREE = 12  # of the fits to sinc and its windowed forms: they err by less than that
 _ROUNDING = 1e-9  # floating rows are taken as zero, one or equal within this
+_MOST_SMOOTHING = 1e5  # beyond it poles lie so near to the unit circle that float32 cannot follow
 
 
 @dataclass(frozen=True)
@@ -77,6 +81,19 @@ class Filter:
         paper's hybrid (section 4.3).
     fit_error : float
         Largest absolute error of `taps` to the kernel that they were fitted to; 0 if exact.
+    smoothing : float, tuple of float or "auto"
+        λ, from 0 to 10⁵, of a smoothing spline, which trades closeness to the samples for smoothness: 0 passes through them. One
+        number, or one for each axis, x first. "auto" is decided for each volume (`clvol.smoothing.settled`).
+    length : float, optional
+        Instead of λ, a length ℓ in world units: λ is (ℓ / spacing)²ᵐ along each axis, m being the `penalty`, so that a wave
+        of wavelength 2πℓ keeps about half of its height, whatever the spacing.
+
+    Notes
+    -----
+    A smoothing spline of odd degree 2m - 1 minimises the sum of squared distances to the samples plus λ times the integral of
+    its squared m-th derivative, along each axis in turn (Unser, Aldroubi and Eden, 1993); lengths are in samples. Its
+    coefficients are those of eq. (13) with B(ω) + λ (2 - 2 cos ω)ᵐ in place of B(ω). For even degrees m is that of the next odd
+    one, and the penalty the corresponding sum over coefficients.
     """
 
     name: str
@@ -84,6 +101,8 @@ class Filter:
     prefilter: bool = False
     magnify: str | None = None
     fit_error: float = 0.0
+    smoothing: Smoothing = 0.0
+    length: float | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:
@@ -98,8 +117,17 @@ class Filter:
             raise one_of("magnify", self.magnify, _TABLE)
         if self.magnify is not None:
             as_filter(self.magnify)
+        object.__setattr__(self, "smoothing", _smoothing(self.smoothing))
+        if self.length is not None:
+            object.__setattr__(self, "length", number("length", self.length, minimum=0))
+            if self.smoothing != 0:
+                raise OptionError(f"give smoothing or length, not both; got {self.smoothing!r} and {self.length!r}")
+        if (self.smoothing != 0 or self.length is not None) and not self.prefilter:
+            raise OptionError(f"smoothing takes a filter with a prefilter; {self.name!r} has none")
         if self.prefilter:
-            self._require_invertible()
+            axes = len(self.smoothing) if isinstance(self.smoothing, tuple) else 1
+            for axis in range(axes if self.settled else 0):
+                self.along(axis)._require_invertible()
 
     # -- what follows from the matrix ------------------------------------------------------
 
@@ -166,7 +194,9 @@ class Filter:
         """Whether the result passes through the samples (with the prefilter, where it has one)."""
         if self.magnified_by and not self.magnified_by.interpolates:
             return False
-        return self.prefilter or self.interpolates_directly
+        if self.prefilter:
+            return self.smoothing == 0 and not self.length
+        return self.interpolates_directly
 
     @cached_property
     def interpolates_directly(self) -> bool:
@@ -181,13 +211,67 @@ class Filter:
         used = np.flatnonzero(np.abs(b) > _ROUNDING)
         return b[: used[-1] + 1] if used.size else b[:1]
 
-    @cached_property
-    def poles(self) -> Array:
-        """Roots inside the unit circle of ``b0 + sum b_k (z**k + z**-k)``; empty without a prefilter.
+    @property
+    def settled(self) -> bool:
+        """Whether it is the same for every volume: its smoothing is neither "auto" nor a length."""
+        own = self.smoothing != "auto" and self.length is None
+        return own and (self.magnified_by is None or self.magnified_by.settled)
 
-        For the cubic B-spline this is √3 - 2.
+    @property
+    def penalty(self) -> int:
+        """The order m of the derivative that smoothing keeps small: the degree is 2m - 1, or the even one below."""
+        return self.degree // 2 + 1
+
+    def smoothed(self, smoothing: Smoothing | Sequence[float]) -> Filter:
+        """The same row with other smoothing, named after it: one number, one for each axis, or "auto"."""
+        return _smoothed(self, _smoothing(smoothing))
+
+    def along(self, axis: int) -> Filter:
+        """What the row does along an axis, 0 being x: itself, but for λ that differs from axis to axis.
+
+        Raises
+        ------
+        OptionError
+            The row has no λ for this axis, or has still to be settled for a volume.
         """
-        return np.sort(self._roots[np.abs(self._roots) < 1].real) if self.prefilter else np.empty(0)
+        if not self.settled:
+            raise OptionError(f"the smoothing of {self.name!r} is decided for a volume: clvol.smoothing.settled(filter, volume)")
+        if not isinstance(self.smoothing, tuple):
+            return self
+        if axis >= len(self.smoothing):
+            raise OptionError(f"{self.name!r} has smoothing for {len(self.smoothing)} axes; got axis {axis} (x is 0)")
+        return _smoothed(self, self.smoothing[axis])
+
+    @cached_property
+    def undone(self) -> Array:
+        """What the prefilter undoes, at distances 0, 1, 2, ...: `samples`, and λ times the penalty; 1 without a prefilter.
+
+        Its transform is the denominator of eq. (16) plus λ (2 - 2 cos ω)ᵐ.
+        """
+        if not self.prefilter:
+            return np.ones(1)
+        if isinstance(self.smoothing, tuple):
+            raise OptionError(f"{self.name!r} has another smoothing along each axis: take one, filter.along(axis)")
+        smoothing, m = self.along(0).smoothing, self.penalty
+        assert isinstance(smoothing, float)
+        if smoothing < _ROUNDING:
+            return self.samples
+        b = np.zeros(max(self.samples.size, m + 1))
+        b[: self.samples.size] = self.samples
+        b[: m + 1] += [smoothing * (-1) ** k * math.comb(2 * m, m + k) for k in range(m + 1)]
+        return b
+
+    @cached_property
+    def poles(self) -> NDArray[Any]:
+        """Roots inside the unit circle of ``b0 + sum b_k (z**k + z**-k)``, b being `undone`; empty without a prefilter.
+
+        For the cubic B-spline this is √3 - 2. Complex ones are conjugate pairs.
+        """
+        if not self.prefilter:
+            return np.empty(0)
+        inside = self._roots[np.abs(self._roots) < 1]
+        real = np.abs(inside.imag) < _ROUNDING
+        return np.sort(inside.real if real.all() else np.where(real, inside.real, inside))
 
     @cached_property
     def magnified_by(self) -> Filter | None:
@@ -253,7 +337,7 @@ class Filter:
 
     @cached_property
     def _roots(self) -> NDArray[np.complex128]:
-        b = self.samples
+        b = self.undone
         return np.roots(np.concatenate([b[:0:-1], b])).astype(np.complex128) if b.size > 1 else np.empty(0, complex)
 
     def _require_invertible(self) -> None:
@@ -266,8 +350,6 @@ class Filter:
             raise OptionError(f"{self.name!r} cannot interpolate: its kernel is zero at the samples")
         if 2 * inside.size != roots.size or np.any(np.abs(np.abs(roots) - 1) < 1e-3):
             raise OptionError(f"{self.name!r} cannot interpolate: its prefilter has poles on the unit circle")
-        if np.any(np.abs(inside.imag) > 1e-9):
-            raise OptionError(f"{self.name!r} cannot interpolate: its prefilter has complex poles, {inside}")
 
     def _derivative(self, order: int) -> list[Polynomial]:
         rows = list(self.taps)
@@ -316,19 +398,76 @@ def _moment(taps: Sequence[Polynomial], m: int) -> list[Number]:
 # -- making rows -----------------------------------------------------------------------------------
 
 
-def bspline(degree: int, *, prefilter: bool = True) -> Filter:
+def bspline(
+    degree: int, *, prefilter: bool = True, smoothing: Smoothing | Sequence[float] = 0, length: float | None = None
+) -> Filter:
     """The B-spline of a degree 0 to 9, by the recursion of eqs (3) and (4) on a uniform knot sequence.
 
-    With `prefilter` it interpolates (section 4.2); without, it is the paper's approximation (4.1).
+    With `prefilter` it interpolates (section 4.2); without, it is the paper's approximation (4.1). Smoothing splines lie between
+    the two, and beyond.
+
+    Parameters
+    ----------
+    degree : int
+    prefilter : bool
+    smoothing : float, sequence of float, or "auto"
+        λ ≥ 0, the same for all axes or one for each, x first; 0 interpolates. "auto" takes it from the noise of the volume.
+        See `Filter`. Its name is "bspline3(0.1)", "bspline3(0.1,0.1,0.4)" or "bspline3(auto)".
+    length : float, optional
+        Instead, a length in world units. Its name is "bspline3(length=0.3)".
+
+    Raises
+    ------
+    OptionError
+        A degree outside 0 to 9; smoothing that is negative or more than 10⁵, which float32 could not follow, or given to a
+        filter without a prefilter (degrees 0 and 1 have none).
     """
     degree = whole("degree", degree, 0, 9)
+    made = _bspline(degree, prefilter is not False and degree >= 2)  # the first two interpolate as they are
+    given = _smoothing(smoothing)
+    return made if length is None and given == 0 else _smoothed(made, given, length)
+
+
+@lru_cache
+def _bspline(degree: int, prefilter: bool) -> Filter:
     # On the interval [0, 1), rows[m] is the spline that starts at knot -m.
     rows: list[list[Fraction]] = [[Fraction(1)]]
     for k in range(1, degree + 1):
         rows = [_next_degree(rows, k, m) for m in range(k + 1)]
-    prefilter = prefilter and degree >= 2  # the first two interpolate as they are
     name = {0: "nearest", 1: "linear"}.get(degree, f"bspline{degree}" + ("" if prefilter else "-approx"))
     return Filter(name, tuple(tuple(row) for row in reversed(rows)), prefilter=prefilter)
+
+
+@lru_cache(maxsize=1024)
+def _smoothed(filter: Filter, smoothing: Smoothing, length: float | None = None) -> Filter:
+    """A row with other smoothing, named after it."""
+    name = filter.name.rpartition("(")[0] if filter.smoothing != 0 or filter.length is not None else filter.name
+    if length is not None:
+        name += f"(length={_shortest(length)})"
+    elif smoothing != 0:
+        values = smoothing if isinstance(smoothing, tuple) else (smoothing,)
+        name += f"({','.join(v if isinstance(v, str) else _shortest(v) for v in values)})"
+    return replace(filter, name=name, smoothing=smoothing, length=length)
+
+
+def _shortest(value: float) -> str:
+    """The fewest digits that give the same number."""
+    short = f"{value:g}"
+    return short if float(short) == value else repr(value)
+
+
+def _smoothing(value: object) -> Smoothing:
+    """λ, one for each axis, or "auto", as a filter holds it: the same for all axes is one number."""
+    if isinstance(value, str):
+        if value == "auto":
+            return "auto"
+        raise OptionError(f'smoothing must be a number of at least 0, one for each axis, or "auto"; got {value!r}')
+    if not isinstance(value, (tuple, list, np.ndarray)):
+        return float(number("smoothing", value, minimum=0, maximum=_MOST_SMOOTHING))
+    values = tuple(float(number("smoothing along each axis", v, minimum=0, maximum=_MOST_SMOOTHING)) for v in value)
+    if len(values) not in (2, 3):
+        raise OptionError(f"smoothing must be one number, or one for each of 2 or 3 axes; got {value!r}")
+    return values[0] if len(set(values)) == 1 else values
 
 
 def _next_degree(rows: list[list[Fraction]], k: int, m: int) -> list[Fraction]:
@@ -522,6 +661,7 @@ def omoms3() -> Filter:
 _TABLE: dict[str, Filter] = {}
 _ALIASES = {"bspline": "bspline3", "trilinear": "linear", "cubic": "bspline3"}
 _FAMILIES: dict[str, Callable[..., Filter]] = {"bc": bc, "sinc": sinc, "lanczos": lanczos}
+_SMOOTHED = "bspline3(0.1), bspline3(auto), bspline3(length=0.5)"
 
 
 def register(new: Filter, *, replace_existing: bool = False) -> Filter:
@@ -565,7 +705,7 @@ class FilterTable(dict[str, Filter]):
                 str(f.order),
                 "no" if not f.interpolates else "yes" if f.interpolates_directly and not f.magnify else "prefiltered",
                 "yes" if f.sums_to_one else "nearly",
-                " ".join(f"{p:.4f}" for p in (f.magnified_by or f).poles) or "-",
+                _poles_in_words(f.magnified_by or f),
             )
             for name, f in self.items()
         ]
@@ -576,13 +716,23 @@ class FilterTable(dict[str, Filter]):
         return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines)
 
 
+def _poles_in_words(filter: Filter) -> str:
+    if not filter.settled:
+        return "the volume's"
+    if isinstance(filter.smoothing, tuple):
+        return "; ".join(_poles_in_words(filter.along(axis)) for axis in range(len(filter.smoothing)))
+    return " ".join(f"{p:.4f}" for p in filter.poles) or "-"
+
+
 def filters() -> FilterTable:
     """The table: every filter by name, in order; ``print(clvol.filters())`` shows what each has."""
     return FilterTable(_TABLE)
 
 
 def as_filter(choice: str | Filter) -> Filter:
-    """The row for a name, an alias, or a family with its parameters such as ``"bc(0, 1/2)"`` or ``"sinc(6)"``."""
+    """The row for a name, an alias, or a family with its parameters, such as ``"bc(0, 1/2)"``, ``"sinc(6)"``, ``"bspline3(0.1)"``,
+    ``"bspline3(0.1, 0.1, 0.4)"``, ``"bspline3(auto)"`` or ``"bspline3(length=0.5)"``.
+    """
     if isinstance(choice, Filter):
         return choice
     if not isinstance(choice, str):
@@ -600,7 +750,23 @@ def as_filter(choice: str | Filter) -> Filter:
             return bc(*values) if family == "bc" else _FAMILIES[family](*map(_whole, values))
         except (ValueError, TypeError, ZeroDivisionError):
             raise OptionError(f"filter {choice!r} has wrong parameters; write bc(B, C), sinc(radius) or lanczos(radius)") from None
-    raise one_of("filter", choice, [*_TABLE, "bc(B, C)", "sinc(radius)", "lanczos(radius)"])
+    if match := re.fullmatch(r"(?:bspline|cubic)\(([^()]*)\)|bspline(\d)\(([^()]*)\)", name):
+        return _smoothed_by_name(choice, int(match[2] or 3), match[1] or match[3] or "")
+    raise one_of("filter", choice, [*_TABLE, "bc(B, C)", "sinc(radius)", "lanczos(radius)", "bspline3(λ)", "bspline3(auto)"])
+
+
+def _smoothed_by_name(choice: str, degree: int, text: str) -> Filter:
+    try:
+        if text.strip() == "auto":
+            return bspline(degree, smoothing="auto")
+        key, given, value = text.partition("=")
+        if given and key.strip() == "length":
+            return bspline(degree, length=float(Fraction(value.strip())))
+        values = [float(Fraction(v.strip())) for v in text.split(",")]
+        return bspline(degree, smoothing=values[0] if len(values) == 1 else tuple(values))
+    except (ValueError, ZeroDivisionError, OverflowError) as error:
+        reason = f": {error}" if isinstance(error, OptionError) else ""
+        raise OptionError(f"filter {choice!r} has wrong parameters; write it as one of {_SMOOTHED}{reason}") from None
 
 
 def as_filters(choices: Sequence[str | Filter], maximum: int | None = None) -> list[Filter]:

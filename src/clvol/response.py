@@ -65,6 +65,8 @@ def frequency_response(filter: str | Filter, omega: ArrayLike) -> Array:
 def prefilter_response(filter: str | Filter, omega: ArrayLike) -> Array:
     """The response S(ω) of the prefilter, eq. (16): 1 without one, the magnifying filter's for a hybrid.
 
+    That of a smoothing spline has λ (2 - 2 cos ω)ᵐ added to the denominator.
+
     Parameters
     ----------
     filter : str or Filter
@@ -78,9 +80,8 @@ def prefilter_response(filter: str | Filter, omega: ArrayLike) -> Array:
     """
     chosen, w = as_filter(filter), _frequencies(omega)
     chosen = chosen.magnified_by or chosen
-    if not chosen.prefilter:
-        return np.ones_like(w)
-    return 1 / sum((2 * b * np.cos(k * w) for k, b in enumerate(chosen.samples) if k), np.full_like(w, chosen.samples[0]))
+    undone = chosen.undone
+    return 1 / sum((2 * b * np.cos(k * w) for k, b in enumerate(undone) if k), np.full_like(w, undone[0]))
 
 
 def _frequencies(omega: ArrayLike) -> Array:

@@ -14,7 +14,7 @@ from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.checks import instance
 from clvol.color import color_of
 from clvol.errors import GeometryError, OptionError
-from clvol.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.filter import Filter, as_filter
 from clvol.light import HEADLIGHT, Light, Material, lights_block
 from clvol.stored import AS_THEY_ARE, Stored
 from clvol.transfer import TransferFunction
@@ -45,8 +45,11 @@ class Medium:
         From values to colours and opacities; by default what the mode of the picture shows most volumes with.
     material : Material
         How its matter answers light.
-    filter, boundary : str, Filter, Boundary
-        How it is reconstructed.
+    filter : str or Filter, optional
+        How it is reconstructed between its samples; by default as suits the mode of the picture: "bspline3(auto)", or "bspline3"
+        in modes that show extremes (`Mode.smoothed`).
+    boundary : str or Boundary
+        What lies past its faces.
 
     Raises
     ------
@@ -61,8 +64,8 @@ class Medium:
     volume: Volume
     transfer: TransferFunction | None = None
     material: Material = Material()  # noqa: RUF009  # frozen
-    filter: Filter = DEFAULT_FILTER  # type: ignore[assignment]  # __post_init__ looks names up
-    boundary: Boundary = DEFAULT_BOUNDARY  # type: ignore[assignment]
+    filter: Filter | None = None
+    boundary: Boundary = DEFAULT_BOUNDARY  # type: ignore[assignment]  # __post_init__ looks names up
 
     BLOCK: ClassVar[Block] = Block(
         "geometry_block",
@@ -77,7 +80,8 @@ class Medium:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "volume", as_volume(self.volume))
-        object.__setattr__(self, "filter", as_filter(self.filter))
+        if self.filter is not None:
+            object.__setattr__(self, "filter", as_filter(self.filter))
         object.__setattr__(self, "boundary", as_boundary(self.boundary))
         if self.transfer is not None:
             instance("transfer", self.transfer, TransferFunction)

@@ -124,9 +124,11 @@ def differences(data: NDArray[Any], whole: int) -> NDArray[np.int64]:
 
 def _gain_exponent(filter: Filter) -> int:
     """Of a power of two that no number exceeds on the way from samples within ±1 to coefficients, along three axes."""
-    if not filter.poles.size:
+    if not filter.prefilter:
         return 0
-    return math.ceil(-3 * (math.log2(abs(filter.samples[-1])) + 2 * float(np.log2(1 - np.abs(filter.poles)).sum())))
+    rows = [filter.along(axis) for axis in range(len(filter.smoothing) if isinstance(filter.smoothing, tuple) else 1)]
+    gains = [math.log2(abs(row.undone[-1])) + 2 * float(np.log2(1 - np.abs(row.poles)).sum()) for row in rows]
+    return math.ceil(-3 * min(gains))
 
 
 def _may_be_far(data: NDArray[Any]) -> bool:

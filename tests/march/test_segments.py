@@ -20,6 +20,7 @@ from clvol.mode import modes
 from clvol.phantoms import marschner_lobb
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
+from tests.cases import SMOOTHED
 from tests.march.looks import TILES, suited
 
 MODES = [name for name, mode in modes().items() if mode.skips]
@@ -90,11 +91,11 @@ def test_skipping_changes_no_bit(
         same(device, volume, "bspline3", mode, view, boundary, shading=shading)
 
 
-@pytest.mark.parametrize("filter", filters())
+@pytest.mark.parametrize("filter", [*filters(), *SMOOTHED])
 @settings(deadline=None, max_examples=25, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
 @given(volume=volumes(), view=views())
 def test_skipping_changes_no_bit_of_any_filter(device: Device, filter: str, volume: Volume, view: dict[str, Any]) -> None:
-    mode = MODES[list(filters()).index(filter) % len(MODES)]
+    mode = MODES[[*filters(), *SMOOTHED].index(filter) % len(MODES)]
     same(device, volume, filter, mode, view)
 
 

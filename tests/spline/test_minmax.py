@@ -16,6 +16,7 @@ from clvol.spline.field import coefficients_of
 from clvol.spline.minmax import BLOCK, MinMax, bernstein
 from clvol.spline.points import sample_coefficients
 from clvol.volume import Volume
+from tests.cases import SMOOTHED
 
 TAPS = Evaluator(paired=False, image=False)
 
@@ -56,6 +57,7 @@ def test_bernstein_coefficients_of_a_cell_are_those_of_the_filter() -> None:
 
 ROWS: dict[str, Filter] = {
     **filters(),
+    **{name: as_filter(name) for name in SMOOTHED},
     # fits that sum to one nearly, that jump, and one that takes values below 0 everywhere
     "nearly one": from_callable("nearly-one", lambda x: np.sinc(x) * np.sinc(x / 4), 4, degree=2),
     "jumps": from_callable("jumps", lambda x: np.exp(-x * x / 0.98), 2, degree=0),

@@ -13,18 +13,20 @@ from clvol import reference
 from clvol.boundary import boundaries
 from clvol.device import Device
 from clvol.errors import DataError, OptionError
-from clvol.filter import bspline, filters
+from clvol.filter import as_filter, bspline, filters
 from clvol.spline.field import prefilter
 from clvol.volume import Volume
+from tests.cases import SMOOTHED
 
 # Greatest error allowed, in units of the greatest sample. float32 rounds at 6e-8; the prefilter gains
 # 1/(sum of (-1)^k b_k) an axis at Nyquist, 27 in 3-D for the cubic and far more for higher degrees, and
 # its rounding with it. Measured on normal noise, PoCL: about half of these.
 TOLERANCE = {"bspline2": 2e-6, "bspline3": 2e-6, "bspline4": 1e-5, "bspline5": 2e-5, "omoms3": 1e-5, "bspline7": 8e-4}
+TOLERANCE |= dict.fromkeys(SMOOTHED, 2e-6)
 # ... and in units of the greatest coefficient, for all.
 RELATIVE = 1e-6
 
-ROWS = {row.name: row for row in (*filters().values(), bspline(7)) if row.prefilter}
+ROWS = {row.name: row for row in (*filters().values(), bspline(7), *map(as_filter, SMOOTHED)) if row.prefilter}
 SHAPES = (
     *[(n,) for n in (1, 2, 3, 4, 5, 17, 64, 301)],
     (1, 1),
@@ -70,10 +72,47 @@ def test_coefficients(device: Device, name: str, rule: str) -> None:
 
 
 @pytest.mark.parametrize("rule", boundaries())
+@pytest.mark.parametrize(
+    "name",
+    [
+        "bspline2(3)",
+        "bspline3(1e-6)",
+        "bspline3(0.00694)",
+        "bspline3(1)",
+        "bspline4(0.3)",
+        "bspline3(0,0.1,3)",
+        "bspline5(0.2,0,1)",
+    ],
+)
+def test_coefficients_of_smoothing_splines(device: Device, name: str, rule: str) -> None:
+    """λ of real poles, of nearly equal ones (1/144) and of complex ones; from axis to axis, too."""
+    rng = np.random.default_rng(3)
+    for shape in SHAPES:
+        if "," in name and len(shape) < 3:
+            continue
+        data = rng.normal(size=shape).astype(np.float32)
+        wanted = reference.prefilter(data, name, rule)
+        np.testing.assert_allclose(prefilter(data, name, rule, device), wanted, rtol=0, atol=RELATIVE * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize(
+    ("name", "error"),
+    [("bspline2(30)", 2e-5), ("bspline3(100)", 2e-5), ("bspline3(1e5)", 1e-4), ("bspline5(1e3)", 2e-5), ("bspline5(1e5)", 5e-4)],
+)
+def test_coefficients_of_much_smoothing(device: Device, name: str, error: float) -> None:
+    """Poles near the unit circle add up rounding."""
+    worst = 0.0
+    for n, rule in itertools.product((4, 60, 800), boundaries()):
+        data = np.random.default_rng(n).normal(size=(n, 9)).astype(np.float32)
+        wanted = reference.prefilter(data, name, rule)
+        worst = max(worst, float(np.abs(prefilter(data, name, rule, device) - wanted).max() / np.abs(wanted).max()))
+    assert worst < error
+
+
+@pytest.mark.parametrize("rule", boundaries())
 def test_halo_is_the_extension(device: Device, rule: str) -> None:
     """What lies around the coefficients on the device is what numpy.pad makes of them."""
     from clvol.boundary import as_boundary
-    from clvol.filter import as_filter
     from clvol.spline.field import coefficients_of
 
     for shape in ((4, 3, 5), (1, 2, 1), (3, 4), (1, 1)):

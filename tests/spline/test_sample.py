@@ -19,6 +19,7 @@ from clvol.device import Device
 from clvol.filter import as_filter, filters
 from clvol.spline.field import sample
 from clvol.volume import Volume
+from tests.cases import SMOOTHED
 
 # Greatest error allowed, in units of the greatest coefficient (and, for derivatives, of the reciprocal
 # spacing and its square: the least is 0.7). Measured on PoCL, buffers: values 3.2e-7, gradients 9e-7,
@@ -28,7 +29,7 @@ TOLERANCE = {0: VALUES, 1: 5e-6, 2: 1.5e-5}
 # A texture unit has few bits of fraction (device.sampler_bits): it errs by that of the differences it blends.
 PATHS = (("taps", "buffer"), ("eight-fetch", "buffer"), ("eight-fetch", "image"), ("taps", "image"))
 RULES = tuple(boundaries())
-ROWS = (*filters(), "bc(0.2,0.4)", "sinc(8)")
+ROWS = (*filters(), "bc(0.2,0.4)", "sinc(8)", *SMOOTHED)
 
 
 def combinations() -> list[tuple[str, str, int, tuple[str, str], int]]:

@@ -16,7 +16,7 @@ from clvol.camera import Camera
 from clvol.checks import instance, number, one_of, whole
 from clvol.device import Device
 from clvol.errors import OptionError
-from clvol.filter import Filter
+from clvol.filter import DEFAULT_FILTER, PICTURE_FILTER, Filter, as_filter
 from clvol.light import Light, Material
 from clvol.march import launch
 from clvol.march.frame import Frame
@@ -48,8 +48,9 @@ class Renderer:
     scene : Scene, Medium, Volume, Field or array-like, 3-D
         What to draw. A Field's coefficients are used as they are, and stay when the renderer is closed.
     filter, boundary : str, Filter, Boundary, optional
-        How a volume is reconstructed between its samples, where `scene` is no more than a volume; default "bspline3" and
-        "mirror". A medium or a field says so itself.
+        How a volume is reconstructed between its samples, where `scene` is no more than a volume. By default the boundary is
+        "mirror", and the filter "bspline3(auto)", which takes from the volume how much noise there is to smooth, or "bspline3" in
+        modes that show extremes, such as "mip" (`filter_of` says which). A medium or a field says so itself.
     device : Device, str or int, optional
         See `as_device`.
 
@@ -81,7 +82,7 @@ class Renderer:
         given = {name: value for name, value in (("filter", filter), ("boundary", boundary)) if value is not None}
         self._own = not isinstance(scene, Field)
         if isinstance(scene, Field):
-            self.field = as_field(scene, filter, boundary, device)
+            field = as_field(scene, filter, boundary, device)
             if scene.closed:
                 raise OptionError("the field was closed, and its coefficients were released; make a new one")
             scene = Medium(scene.volume, filter=scene.filter, boundary=scene.boundary)
@@ -92,9 +93,11 @@ class Renderer:
         self.scene = as_scene(scene)
         (medium,) = self.scene.media
         if self._own:
-            self.field = Field(medium.volume, medium.filter, medium.boundary, device)
-        self.device = self.field.device
-        self._minmax: dict[Evaluator, MinMax] = {}
+            field = Field(medium.volume, PICTURE_FILTER if medium.filter is None else medium.filter, medium.boundary, device)
+        self.field = field
+        self.device = field.device
+        self._unsmoothed: Field | None = None
+        self._minmax: dict[tuple[Filter, Evaluator], MinMax] = {}
         self._lock = threading.Lock()
         self._closed = False
 
@@ -105,14 +108,22 @@ class Renderer:
 
     @property
     def filter(self) -> Filter:
-        """Of the medium."""
+        """How the medium is reconstructed, with its smoothing as it was settled for the volume."""
         return self.field.filter
+
+    def filter_of(self, mode: str | Mode) -> Filter:
+        """The filter of pictures in a mode: `filter`, unless none was given and the mode shows extremes, which stay as they are."""
+        chosen = as_mode(mode)
+        free = self.scene.media[0].filter is None and not chosen.smoothed
+        return as_filter(DEFAULT_FILTER) if free else self.filter
 
     def close(self) -> None:
         """Free the device's memory, except that of a Field which was given."""
         self._closed = True
         if self._own:
             self.field.close()
+        if self._unsmoothed is not None:
+            self._unsmoothed.close()
         while self._minmax:
             self._minmax.popitem()[1].release()
 
@@ -274,18 +285,19 @@ class Renderer:
             raise one_of("gradient", gradient, ("analytic", "central"))
         wanted = _outputs(outputs)
         samples, pixel_filter = whole("samples", samples, minimum=1, maximum=4096), as_pixel_filter(pixel_filter)
-        way = choose_evaluator(self.device, self.filter, evaluator, fetch, bits=_BITS)
+        field = self._field_of(chosen)
+        way = choose_evaluator(self.device, field.filter, evaluator, fetch, bits=_BITS)
         frame = Frame.of(
             scene,
-            self.field.coefficients,
-            self._pyramid(way) if skipping and chosen.skips else None,
+            field.coefficients,
+            self._pyramid(field, way) if skipping and chosen.skips else None,
             camera,
             chosen.settled(self.volume),
             _size(size),
             number("step", step, above=0),
             scene.media[0].transfer or chosen.transfer(self.volume),
             way,
-            central=gradient == "central" or not self.filter.has_gradient,
+            central=gradient == "central" or not field.filter.has_gradient,
             guides=wanted != ("rgba",),
         )
         pictures = launch.draw(frame, samples, pixel_filter, progress)
@@ -316,12 +328,23 @@ class Renderer:
             scene.clip if clip is ... else clip,
         )
 
-    def _pyramid(self, evaluator: Evaluator) -> MinMax:
+    def _field_of(self, mode: Mode) -> Field:
+        """What pictures of a mode show; that of modes which show extremes is made for the first of them."""
+        row = self.filter_of(mode)
+        if row == self.filter:
+            return self.field
+        with self._lock:
+            if self._unsmoothed is None:
+                self._unsmoothed = Field(self.volume, row, self.field.boundary, self.device)
+            return self._unsmoothed
+
+    def _pyramid(self, field: Field, evaluator: Evaluator) -> MinMax:
         """Minima and maxima, computed for the first picture."""
         with self._lock:
-            if evaluator not in self._minmax:
-                self._minmax[evaluator] = MinMax(self.field.coefficients, evaluator)
-            return self._minmax[evaluator]
+            key = field.filter, evaluator
+            if key not in self._minmax:
+                self._minmax[key] = MinMax(field.coefficients, evaluator)
+            return self._minmax[key]
 
 
 _KEYWORDS = tuple(name for name in inspect.signature(Renderer.render).parameters if name not in ("self", "options"))
@@ -381,9 +404,10 @@ def render(
     ndarray of float32, shape (height, width, 4)
         Red, green, blue and opacity in 0..1, or a dictionary for several `outputs`.
     """
-    as_mode(mode, {name: value for name, value in options.items() if name not in _KEYWORDS}, _KEYWORDS)  # before any work,
+    chosen = as_mode(mode, {name: value for name, value in options.items() if name not in _KEYWORDS}, _KEYWORDS)  # before any work,
     as_pixel_filter(options.get("pixel_filter", DEFAULT_PIXEL_FILTER))  # and so is this
-    with Renderer(scene, filter, boundary, device) as renderer:
+    unsmoothed = filter is None and not chosen.smoothed and not isinstance(scene, (Scene, Medium, Field))
+    with Renderer(scene, DEFAULT_FILTER if unsmoothed else filter, boundary, device) as renderer:
         return renderer.render(camera, mode, size, step, outputs=outputs, **options)  # type: ignore[arg-type]  # either
 
 

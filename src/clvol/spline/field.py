@@ -18,6 +18,7 @@ from clvol.errors import DataError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.interop import read_array
 from clvol.program import LANES
+from clvol.settling import settled
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, EvaluatorName, FetchName, choose_evaluator
 from clvol.spline.points import Floats, Progress, Reals, in_units_of_data, sample_coefficients
@@ -57,7 +58,8 @@ def coefficients_of(volume: Volume, filter: Filter, boundary: Boundary, device: 
     """
     volume.require_finite()
     device.require_room(4 * volume.data.size * filter.scale**volume.ndim)  # before integers may be looked at
-    return _filled(Coefficients(volume, filter, boundary, device, Stored.of(volume, filter, boundary)))
+    row = settled(filter, volume)
+    return _filled(Coefficients(volume, row, boundary, device, Stored.of(volume, row, boundary)))
 
 
 def _filled(made: Coefficients) -> Coefficients:
@@ -67,7 +69,7 @@ def _filled(made: Coefficients) -> Coefficients:
             _fill_hybrid(made, made.filter.magnified_by)
         else:
             made.copy_samples()
-            if made.filter.poles.size:
+            if made.filter.prefilter:
                 extent, size = made.extent.tolist(), made.size[:3].tolist()
                 prefilter_in_place(made.device, made.buffer, made.filter, made.boundary, extent, size, made.volume.ndim)
             made.fill_halo()
@@ -107,6 +109,7 @@ class Field:
     volume : Volume
         The samples.
     filter : Filter
+        Its smoothing settled for this volume.
     boundary : Boundary
     device : Device
     coefficients : Coefficients
@@ -152,10 +155,11 @@ class Field:
         device: Device | str | int | None = None,
     ) -> None:
         self.volume = as_volume(volume)
-        self.filter = as_filter(filter)
+        row = as_filter(filter)
         self.boundary = as_boundary(boundary)
         self.device = as_device(device)
-        self.coefficients = coefficients_of(self.volume, self.filter, self.boundary, self.device)
+        self.coefficients = coefficients_of(self.volume, row, self.boundary, self.device)
+        self.filter = self.coefficients.filter
 
     def __repr__(self) -> str:
         shape = " × ".join(map(str, self.volume.shape))
@@ -411,7 +415,7 @@ def as_field(
             volume, DEFAULT_FILTER if filter is None else filter, DEFAULT_BOUNDARY if boundary is None else boundary, device
         )
     for what, own, same, name in (
-        ("filter", volume.filter, filter is None or as_filter(filter) == volume.filter, filter),
+        ("filter", volume.filter, filter is None or settled(filter, volume.volume) == volume.filter, filter),
         ("boundary", volume.boundary, boundary is None or as_boundary(boundary) == volume.boundary, boundary),
         ("device", volume.device, device is None or as_device(device) is volume.device, device),
     ):
@@ -627,7 +631,7 @@ def prefilter(
     line = array.ndim == 1
     volume = Volume(array[None] if line else array)
     chosen, boundary, device = as_filter(filter), as_boundary(boundary), as_device(device)
-    chosen = chosen.magnified_by or chosen
+    chosen = settled(chosen.magnified_by or chosen, volume)
     if line:
         return np.asarray(_prefilter_line(volume, chosen, boundary, device)[0])
     with coefficients_of(volume, chosen, boundary, device) as made, device.mapped(made.buffer, made.shape, write=False) as stored:
@@ -644,7 +648,7 @@ def _prefilter_line(volume: Volume, filter: Filter, boundary: Boundary, device: 
     buffer = device.allocate(4 * pitch)
     with device.mapped(buffer, (1, pitch), write=True) as room:
         np.copyto(room[:, :n], stored.samples(volume.data), casting="unsafe")
-    if filter.poles.size:
+    if filter.prefilter:
         prefilter_in_place(device, buffer, filter, boundary, (pitch, 1, 1, 0), (n, 1, 1), 1)
     with device.mapped(buffer, (1, pitch), write=False) as room:
         result = np.array(room[:, :n])
@@ -654,7 +658,7 @@ def _prefilter_line(volume: Volume, filter: Filter, boundary: Boundary, device: 
 
 def _gain(filter: Filter) -> float:
     """The coefficients of samples that are all 1, along one axis."""
-    return 1 / float(filter.samples[0] + 2 * filter.samples[1:].sum()) if filter.poles.size else 1.0
+    return 1 / float(filter.samples[0] + 2 * filter.samples[1:].sum()) if filter.prefilter else 1.0
 
 
 # -- arguments -------------------------------------------------------------------------------------------------------

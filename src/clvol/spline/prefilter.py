@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -13,7 +15,7 @@ from numpy.typing import NDArray
 from clvol.boundary import Boundary
 from clvol.device import Device
 from clvol.filter import Filter
-from clvol.program import LANES, literal
+from clvol.program import LANES
 
 __all__ = ["prefilter_in_place"]
 
@@ -21,41 +23,77 @@ _CHAINS = 4  # vectors of lines that one work-item of a processor filters side b
 _START_ERROR = 1e-9  # what the starting values may leave out, relative to the data
 
 
-@lru_cache(maxsize=256)
-def _starts(filter: Filter, boundary: Boundary, n: int) -> tuple[NDArray[np.float32], int, int]:
-    """First values of the recursions of prefilter.cl on an axis of `n` samples, as sums over samples near the ends.
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """What prefilter.cl reads to filter the lines of one axis.
 
-    The coefficients solve the matrix of eq. (11), which the boundary rule determines. Undoing the stages of the later
-    poles on them gives what each stage must produce, hence its first value. All of this is linear in the samples, and
-    only samples near the ends matter, since the inverse decays like powers of the largest pole.
-
-    Returns
-    -------
-    weights : ndarray, shape (poles, 2, 2 * ends)
-        For each pole the causal and the anticausal sum; of each, weights from the first sample on, then from the last
-        one backwards.
+    Attributes
+    ----------
+    numbers : ndarray of float32
+        For each stage a1, a2 and the gain of its recursions, then the weights of the sums that start them:
+        [first values][ends from the first sample on, ends from the last one backwards].
+    ends : int
+        Room for weights of either end.
     head, tail : int
         How many samples of either end count.
     """
-    poles = filter.poles
-    reach = math.ceil(math.log(_START_ERROR) / math.log(float(np.abs(poles).max()))) + 2 * poles.size
+
+    numbers: NDArray[np.float32]
+    ends: int
+    head: int
+    tail: int
+
+
+@lru_cache(maxsize=256)
+def _plan(row: Filter, boundary: Boundary, n: int, order: int, count: int) -> _Plan:
+    """The recursions of `row`, which is the same along all axes, on an axis of `n` samples: `count` stages of `order` poles.
+
+    A stage has a causal recursion ``y[i] = gain x[i] + a1 y[i-1] + a2 y[i-2]`` and an anticausal one. Their first values are
+    sums over samples near the ends: the coefficients solve the matrix of eq. (11), which the boundary rule determines. Undoing
+    the later stages on them gives what each stage must produce, hence its first values. All of this is linear in the samples,
+    and only samples near the ends matter, since the inverse decays like powers of the largest pole.
+    """
+    poles, b = row.poles, row.undone
+    nearest = float(np.abs(poles).max(initial=_START_ERROR))
+    reach = math.ceil(math.log(_START_ERROR) / math.log(nearest)) + 2 * order * count
     m = min(n, 4 * reach)  # a longer axis has the same ends
-    inverse = np.linalg.inv(boundary.matrix(filter.samples, m))  # rows: coefficients as sums over samples
-    margin = 2 * poles.size
+    inverse = np.linalg.inv(boundary.matrix(b, m))  # rows: coefficients as sums over samples
+    stages = _stages(poles, order)
+    stages += [(0.0, 0.0)] * (count - len(stages))  # which change nothing: another axis has more poles
+    margin = 2 * order * len(stages)
     index = boundary.index(np.arange(-margin, m + margin), m)
-    stage = np.where(index[:, None] >= 0, inverse[index], 0.0)  # the coefficients and what lies past the edge
-    weights = np.zeros((poles.size, 2, m))
-    for p in range(poles.size - 1, -1, -1):
-        first = margin - (poles.size - 1 - p)  # where index 0 lies in `stage`, which loses one end a step
-        weights[p, 0] = stage[first + 1] - stage[first] / poles[p]
-        weights[p, 1] = stage[first + m - 1]
-        stage = stage[2:] + stage[:-2] - (poles[p] + 1 / poles[p]) * stage[1:-1]
+    output = np.where(index[:, None] >= 0, inverse[index], 0.0)  # the coefficients and what lies past the edge
+    starts = []  # of the last stage first
+    zero = margin  # where index 0 lies in `output`
+    for a1, a2 in reversed(stages):
+        if order == 1:
+            causal = output[1:] - output[:-1] / a1  # c[i] = a1 (c[i+1] - y[i])
+            starts.append([causal[zero], output[zero + m - 1]])
+            break
+        causal = output[:-2] - a1 * output[1:-1] - a2 * output[2:]
+        starts.append([causal[zero], causal[zero + 1], output[zero + m - 1], output[zero + m - 2]])
+        output = causal[2:] - a1 * causal[1:-1] - a2 * causal[:-2]
+        zero -= 2
+    weights = np.concatenate(starts[::-1])
     head = min(n, reach)
     tail = min(n - head, reach)
-    ends = np.zeros((poles.size, 2, 2 * reach), dtype=np.float32)
-    ends[:, :, :head] = weights[:, :, :head]
-    ends[:, :, reach : reach + tail] = weights[:, :, ::-1][:, :, :tail]
-    return ends, head, tail
+    ends = np.zeros((len(weights), 2, reach))
+    ends[:, 0, :head] = weights[:, :head]
+    ends[:, 1, :tail] = weights[:, ::-1][:, :tail]
+    # stages of two leave the gain of their anticausal recursion, the product of their poles, to the first causal one
+    gain = 1 / b[-1] if order == 1 else float(np.prod(-poles).real) / b[-1]
+    recursions = [[a1, a2, gain if i == 0 else 1.0] for i, (a1, a2) in enumerate(stages)]
+    return _Plan(np.concatenate([np.ravel(recursions), ends.ravel()]).astype(np.float32), reach, head, tail)
+
+
+def _stages(poles: NDArray[Any], order: int) -> list[tuple[float, float]]:
+    """(a1, a2) of the recursion of each stage: of one pole, or of two, which are real or conjugate."""
+    if order == 1:
+        return [(float(p), 0.0) for p in poles]
+    real = [complex(p) for p in poles if p.imag == 0]
+    pairs = [(p, p.conjugate()) for p in poles if p.imag > 0]
+    pairs += list(zip_longest(real[::2], real[1::2], fillvalue=0j))
+    return [(float((p + q).real), float(-(p * q).real)) for p, q in pairs]
 
 
 def prefilter_in_place(
@@ -81,20 +119,14 @@ def prefilter_in_place(
     pitch, area, halo = extent[0], extent[0] * extent[1], extent[3]
     nx, ny, nz = size
     chains = _CHAINS if device.kind == "cpu" else 1  # elsewhere other work-items fill the wait for a product
-    starts = [_starts(filter, boundary, n) for n in size]
+    rows = [filter.along(axis) for axis in range(dimensions)]
+    poles = max(row.poles.size for row in rows)
+    order, count = (1, 1) if poles == 1 else (2, max(1, -(-poles // 2)))  # without poles a stage divides alone
+    plans = [_plan(row, boundary, n, order, count) for row, n in zip(rows, size, strict=False)]
     built = device.build(
-        "spline/prefilter.cl",
-        {
-            "POLES": filter.poles.size,
-            "POLE_VALUES": "{" + ",".join(map(literal, filter.poles.tolist())) + "}",
-            "GAIN": float(1 / filter.samples[-1]),
-            "ENDS": starts[0][0].shape[2] // 2,
-            "CHAINS": chains,
-            "LANES": LANES,
-            "COORD_DOUBLE": 0,
-        },
+        "spline/prefilter.cl", {"ORDER": order, "STAGES": count, "CHAINS": chains, "LANES": LANES, "COORD_DOUBLE": 0}
     )
-    along_x, along_y, along_z = ((device.upload(weights), np.int32(head), np.int32(tail)) for weights, head, tail in starts)
+    along = [(device.upload(p.numbers), np.int32(p.ends), np.int32(p.head), np.int32(p.tail)) for p in plans]
 
     def launch(name: str, groups: int, lines: int, origin: int, stride: int, voxels: int, *arguments: Any) -> None:
         """Launches over `lines` lines or slices, `stride` apart, of so many voxels each."""
@@ -110,16 +142,16 @@ def prefilter_in_place(
             )
 
     first_row = (halo * area if extent[2] > 1 else 0) + halo * pitch  # its halo is filtered too, in vain
-    rows = np.int32(nx), np.uint64(pitch), np.int32(ny), np.uint64(area)
+    lines = np.int32(nx), np.uint64(pitch), np.int32(ny), np.uint64(area)
     wide = -(-pitch // (LANES * chains))
     with device.errors:
         if device.kind == "cpu" and dimensions > 1 and nz >= 4 * device.units:
-            launch("prefilter_slices", 1, nz, first_row + halo, area, area, *rows, np.int32(halo), *along_x, *along_y)
+            launch("prefilter_slices", 1, nz, first_row + halo, area, area, *lines, np.int32(halo), *along[0], *along[1])
         else:
-            launch("prefilter_rows", -(-ny // (2 * LANES)), nz, first_row + halo, area, area, *rows, *along_x)
+            launch("prefilter_rows", -(-ny // (2 * LANES)), nz, first_row + halo, area, area, *lines, *along[0])
             if dimensions > 1:
                 columns = np.int32(ny), np.uint64(pitch), np.int32(pitch), np.uint64(area)
-                launch("prefilter_columns", wide, nz, first_row, area, area, *columns, *along_y)
+                launch("prefilter_columns", wide, nz, first_row, area, area, *columns, *along[1])
         if dimensions > 2:
             columns = np.int32(nz), np.uint64(area), np.int32(pitch), np.uint64(pitch)
-            launch("prefilter_columns", wide, ny, first_row, pitch, nz * pitch, *columns, *along_z)
+            launch("prefilter_columns", wide, ny, first_row, pitch, nz * pitch, *columns, *along[2])

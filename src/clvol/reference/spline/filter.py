@@ -50,7 +50,7 @@ def _closed_form(filter: Filter) -> Closed | None:
     """The closed form of a filter, recognised by its name if its maker makes just these taps."""
     name = filter.name
     made, closed = None, None
-    if name in ("nearest", "linear", "hybrid") or re.fullmatch(r"bspline[2-9](-approx)?", name):
+    if name in ("nearest", "linear", "hybrid") or re.fullmatch(r"bspline[2-9](-approx|\(.*\))?", name):
         degree = {"nearest": 0, "linear": 1, "hybrid": 1}.get(name) if name[0] != "b" else int(name[7])
         assert degree is not None
         made, closed = bspline(degree), _bspline(degree)

@@ -42,7 +42,7 @@ def prefilter(data: ArrayLike, filter: str | Filter = DEFAULT_FILTER, boundary: 
     if chosen.prefilter:
         for axis in range(result.ndim):
             lines = np.moveaxis(result, axis, 0)
-            solved = _solve(lines.reshape(lines.shape[0], -1), kernel_samples(chosen), boundary)
+            solved = _solve(lines.reshape(lines.shape[0], -1), _denominator(chosen, result.ndim - 1 - axis), boundary)
             result = np.moveaxis(solved.reshape(lines.shape), 0, axis)
     return np.ascontiguousarray(result)
 
@@ -57,8 +57,8 @@ def prefilter_fft(data: ArrayLike, filter: str | Filter = DEFAULT_FILTER, bounda
         raise OptionError("boundary must be mirror, reflect or wrap, which have a period; got 'zero'")
     result, chosen = _arguments(data, filter)
     if chosen.prefilter:
-        b = kernel_samples(chosen)
         for axis in range(result.ndim):
+            b = _denominator(chosen, result.ndim - 1 - axis)
             lines = np.moveaxis(result, axis, -1)
             n = lines.shape[-1]
             if rule.name == "mirror":
@@ -72,6 +72,25 @@ def prefilter_fft(data: ArrayLike, filter: str | Filter = DEFAULT_FILTER, bounda
             solved = np.fft.ifft(np.fft.fft(cycle) / response).real
             result = np.moveaxis(solved[..., :n], -1, axis)
     return np.ascontiguousarray(result)
+
+
+def _denominator(filter: Filter, axis: int) -> Array:
+    """What a prefilter divides by along an axis, x being 0, at 0, 1, 2, ...: kernel samples, and smoothing's differences."""
+    b, smoothing = kernel_samples(filter), filter.smoothing
+    if isinstance(smoothing, tuple):
+        smoothing = smoothing[axis]
+    if isinstance(smoothing, str) or filter.length is not None:
+        raise OptionError(f"the smoothing of {filter.name!r} is decided for a volume: clvol.smoothing.settled(filter, volume)")
+    if not smoothing:
+        return b
+    penalty = np.ones(1)
+    for _ in range(filter.penalty):
+        penalty = np.convolve(penalty, [-1, 2, -1])  # second differences, negative: 2 - 2 cos ω
+    half = smoothing * penalty[filter.penalty :]
+    result = np.zeros(max(b.size, half.size))
+    result[: b.size] = b
+    result[: half.size] += half
+    return result
 
 
 def _arguments(data: ArrayLike, filter: str | Filter) -> tuple[Array, Filter]:
