@@ -130,12 +130,12 @@ def _blend(values: Array, kernel: Array) -> Array:
 
 
 def _prefilter_impulse(filter: Filter) -> Array:
-    """The inverse transform of eq. (16) at -K, ..., K: residues at the poles within the unit circle."""
+    """The inverse transform of eq. (16), or of that of a smoothing spline, at -K, ..., K: residues at the poles within the unit circle."""
     reach = math.ceil(math.log(_TAIL) / math.log(float(np.abs(filter.poles).max())))
     k = np.abs(np.arange(-reach, reach + 1))
-    total = np.zeros(k.size)
+    total, last = np.zeros(k.size, filter.poles.dtype), filter.undone[-1]
     every = np.concatenate([filter.poles, 1 / filter.poles])
     for i, z in enumerate(filter.poles):
         others = np.delete(every, i)
-        total += z ** (k + filter.poles.size - 1) / (filter.samples[-1] * np.prod(z - others))
-    return total
+        total += z ** (k + filter.poles.size - 1) / (last * np.prod(z - others))
+    return total.real  # complex poles come in conjugate pairs
