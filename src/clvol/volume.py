@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.checks import number, reals, whole
 from clvol.errors import DataError, GeometryError, OptionError
 from clvol.interop import read_array
+from clvol.noise import Noise, estimate
 
 __all__ = ["Volume", "as_volume"]
 
@@ -212,7 +213,26 @@ class Volume:
         """Of the sphere around the domain, in world units."""
         return float(np.linalg.norm(self.corners - self.center, axis=1).max())
 
+    @cached_property
+    def noise(self) -> Noise:
+        """What the samples tell of their noise, from at most about a million of them; see `clvol.noise.estimate`.
+
+        Raises
+        ------
+        DataError
+            Samples that were looked at are NaN or infinite.
+        """
+        return estimate(self.data)
+
     # -- making other volumes ----------------------------------------------------------------
+
+    def indicator(self, *labels: float) -> Volume:
+        """1 where a sample has one of these values and 0 elsewhere, as float32: a region of a label image, to draw its surface at 1/2."""
+        if not labels:
+            raise OptionError("indicator needs at least one value; got none")
+        for label in labels:
+            number("each value of indicator", label)
+        return self._with(np.isin(self.data, labels).astype(np.float32))
 
     def crop(self, low: Sequence[int], high: Sequence[int]) -> Volume:
         """The samples with index ``low <= index < high``, (x, y, z), at their place in the world."""

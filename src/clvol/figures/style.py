@@ -5,10 +5,11 @@ from __future__ import annotations
 import colorsys
 import math
 import os
+import re
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -104,6 +105,7 @@ _COLOURS = {
     "omoms3": "#d1495b",
     "bspline2": "#7fb2e5",
     "bspline3": "#1769c2",
+    "bspline3(auto)": "#d6006c",
     "bspline4": "#12508f",
     "bspline5": "#0b2f57",
     "bspline2-approx": "#7cc7bc",
@@ -152,7 +154,7 @@ def colour(name: str) -> str:
 
 
 def _same(a: Filter, b: Filter) -> bool:
-    return (a.taps, a.prefilter, a.magnify) == (b.taps, b.prefilter, b.magnify)
+    return replace(a, name=b.name) == b
 
 
 def _given(name: str) -> str:
@@ -179,6 +181,9 @@ def folded(text: str, width: int = 26) -> str:
 
 def title(name: str) -> str:
     """A filter's name as people read it."""
+    of_spline = re.fullmatch(r"bspline3\((.*)\)", name)
+    if of_spline:
+        return "B-spline, λ from the data" if of_spline[1] == "auto" else f"B-spline, λ = {of_spline[1]}"
     return _TITLES.get(name, name)
 
 

@@ -1,0 +1,358 @@
+"""The noise of a volume, estimated from its own samples.
+
+Noise is looked for in the highest octave along every axis, where a scan has the least of its content: in the band HHH of an
+orthonormal wavelet (Donoho and Johnstone, 1994: the median of the absolute values over 0.6745). Only places that are quiet in the
+neighbouring bands are looked at. For white noise these bands are independent of HHH, so this choice does not bias the
+estimate; edges and texture are in all of them.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, ndimage
+
+from clvol.errors import DataError
+
+__all__ = ["Noise", "estimate"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+_LOOKED_AT = 1 << 20  # samples: a larger volume is looked at in blocks
+_BLOCK = {2: 256, 3: 32}  # samples along each axis of such a block
+# Daubechies' extremal phase wavelet with four vanishing moments (Ten Lectures on Wavelets, table 6.1): the low-pass
+_LOW = np.array(
+    [
+        0.2303778133088964,
+        0.7148465705529154,
+        0.6308807679298587,
+        -0.0279837694168599,
+        -0.1870348117190931,
+        0.0308413818355607,
+        0.0328830116668852,
+        -0.0105974017850690,
+    ]
+)
+_HIGH = _LOW[::-1] * (-1.0) ** np.arange(len(_LOW))
+_MEDIAN_SQUARE = 0.45493642311957283  # of a normal variable with variance 1
+_STILL = 1e-6  # of the range of values: bands that hold no more are of equal samples, but for rounding
+_LEVELS = 8  # classes of the local mean in which the variance is estimated
+_CONFIDENT = 4.0  # standard errors by which the variance must grow with the value
+_GROWS = 1.5  # and the factor by which it does, at least, between the extreme classes
+_COLOURED = 1.3  # ratio of the powers of two octaves from which noise is said to be correlated
+_SIGNAL = 30.0  # and from which it is the signal
+_FEWEST = 100  # places from which something is estimated
+_GROUND = 0.05  # share of samples from which the commonest value is taken for a background
+_EVEN = 0.2  # share of samples equal to all their neighbours from which there is no noise
+_LABELS = 256  # values that a label image has, at most
+_ALONE = 0.1  # share, of the samples at edges between labels, that may be unlike their neighbours
+_CUTS = 0.25  # `Noise.jump` from which a background is said to cut through objects
+_CELLS = 32  # of frequencies along an axis, about
+_OMEGA = np.linspace(0, np.pi, 65)
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Where in frequency the power of a volume's samples is, and how much of it is noise; the range of their values is 1 here.
+
+    Parameters
+    ----------
+    power : ndarray, shape (kz, ky, kx) or (ky, kx)
+        The variance of the samples, noise included, by cells of frequencies; its sum is the variance.
+    frequencies : tuple of ndarray
+        Mean frequency of the cells along each axis of `power`, in radians per sample.
+    noise : tuple of ndarray
+        Their shares of the noise: its power in a cell is the product of the shares along the axes.
+    """
+
+    power: Array
+    frequencies: tuple[Array, ...]
+    noise: tuple[Array, ...]
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What is known of the noise of a volume.
+
+    Parameters
+    ----------
+    sigma : float
+        Standard deviation of additive noise, in units of the data: the root of the mean variance where it varies. Samples of a
+        `background` have no part in it. Of noise that is correlated along an axis, this is the level in the highest
+        octave alone, ``sigma`` being what white noise of that power there would have.
+    kind : str
+        "none", "white", "correlated", "signal-dependent", "binary", "labels".
+    gain : float
+        How much the variance grows with the value (of photon counts: the data's unit a photon); 0 where that is not seen.
+    colour : tuple of float
+        Power of the lower half of the band over that of the upper half along x, y[, z]; 1 for white noise.
+    step : float
+        The least difference between two values that occur, of integers or of what was rounded; 0 where values are continuous.
+    distinct : int
+        Number of values among the samples looked at.
+    background : float or None
+        The exact value of a surrounding that was masked out or cut off, if there is one.
+    background_share : float
+        Share of the samples that have it.
+    jump : float
+        Typical difference between samples that have the value of the background and their neighbours that don't, over the typical
+        difference of all that don't: near 1 at a mask that cuts through an object, near 0 where a threshold cut off noise.
+    clipped : (float, float)
+        Shares of the samples at the smallest and at the largest value.
+    spectrum : Spectrum
+        Of the samples that were looked at.
+    """
+
+    sigma: float
+    kind: str
+    gain: float = 0.0
+    colour: tuple[float, ...] = ()
+    step: float = 0.0
+    distinct: int = 0
+    background: float | None = None
+    background_share: float = 0.0
+    jump: float = 0.0
+    clipped: tuple[float, float] = (0.0, 0.0)
+    spectrum: Spectrum = field(default=None, compare=False, repr=False)  # type: ignore[assignment]  # `estimate` gives it
+
+    @property
+    def masked(self) -> bool:
+        """Whether there is a background whose edge cuts through objects."""
+        return self.background is not None and self.jump >= _CUTS
+
+
+
+def estimate(samples: NDArray[Any]) -> Noise:
+    """The noise of a volume or image, from at most about a million of its samples; `Volume.noise` remembers it.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (nz, ny, nx) or (ny, nx)
+        Integers, booleans or floating numbers in any byte order and layout.
+
+    Raises
+    ------
+    DataError
+        Samples that were looked at are NaN or infinite.
+    """
+    samples = _blocks(samples)
+    blocks, unit = _normalised(samples)
+    values, counts = np.unique(blocks, return_counts=True)
+    most = int(counts.argmax())
+    facts: dict[str, Any] = {
+        "distinct": len(values),
+        "clipped": (float(counts[0] / blocks.size), float(counts[-1] / blocks.size)),
+        "colour": (1.0,) * (blocks.ndim - 1),
+    }
+    if len(values) == 1:
+        return Noise(0.0, "none", spectrum=_spectrum(blocks, 0.0, facts["colour"]), **facts)
+    if len(values) < blocks.size / 2:
+        facts["step"] = float(np.diff(values.astype(np.float64)).min()) * unit
+    blocks -= values[most]  # a background is zero to the last bit, and so are bands of it
+    ground = (blocks == 0) & (counts[most] >= _GROUND * blocks.size)
+    if ground.any():
+        facts["background"] = float(samples.flat[int(ground.argmax())])
+        facts["background_share"] = float(counts[most] / blocks.size)
+        facts["jump"] = _jump(blocks, ground)
+    even, alone = _evenness(blocks, ground)
+    kind, variance, gain, colour = "none", 0.0, 0.0, facts["colour"]
+    if len(values) == 2:
+        kind = "binary"
+    elif len(values) <= _LABELS and alone < _ALONE:
+        kind = "labels"
+    elif even < _EVEN:
+        variance, gain, colour = _variance(blocks, ground)
+        if variance > 0:
+            kind = "correlated" if max(colour) > 1 else "signal-dependent" if gain > 0 else "white"
+    total = variance * math.prod(float(colour_power(ratio, _OMEGA).mean()) for ratio in colour)
+    spectrum = _spectrum(blocks, variance * (1 - float(ground.mean())), colour)
+    return Noise(math.sqrt(total) * unit, kind, **facts | {"gain": gain * unit, "colour": colour[::-1], "spectrum": spectrum})
+
+
+def colour_power(ratio: float, omega: Array) -> Array:
+    """Power along an axis of noise that has `ratio` times as much in the lower half of its band as in the upper, where it is 1.
+
+    Its logarithm falls as cos ω does, which in the mean is 2 / π over the lower half and − 2 / π over the upper.
+    """
+    return np.asarray(ratio ** (np.pi / 4 * np.cos(omega) + 0.5))
+
+
+# -- inner -------------------------------------------------------------------------------------------
+
+
+def _blocks(data: NDArray[Any]) -> NDArray[Any]:
+    """Blocks of samples, evenly spread, stacked along a first axis; all samples in one, where there are few."""
+    if data.size <= _LOOKED_AT:
+        return data[None]
+    edges = [min(n, _BLOCK[data.ndim]) for n in data.shape]
+    counts = [1] * data.ndim
+    while True:  # more along the axes that have the widest gaps; equal axes alike
+        gaps = [n / (e * c) for n, e, c in zip(data.shape, edges, counts, strict=True)]
+        more = [c + (gap == max(gaps)) for c, gap in zip(counts, gaps, strict=True)]
+        if max(gaps) < 2 or math.prod(more) * math.prod(edges) > _LOOKED_AT:
+            break
+        counts = more
+    starts = [[int((n - e) * (i + 0.5) / c) for i in range(c)] for n, e, c in zip(data.shape, edges, counts, strict=True)]
+    return np.stack([data[tuple(slice(s, s + e) for s, e in zip(at, edges, strict=True))] for at in itertools.product(*starts)])
+
+
+def _normalised(samples: NDArray[Any]) -> tuple[NDArray[np.float32], float]:
+    """Samples from 0 to 1, and what their range was."""
+    wide = samples.astype(np.result_type(samples.dtype, np.float64))
+    if not np.isfinite(wide).all():
+        raise DataError("samples must be finite for their noise to be estimated: replace them with Volume.filled(value)")
+    exponent = int(np.frexp(np.abs(wide).max())[1]) + 1
+    wide = np.ldexp(wide, -exponent)  # no difference overflows
+    low, high = wide.min(), wide.max()
+    with np.errstate(over="ignore"):
+        unit = min(float(np.ldexp(high - low, exponent)), float(np.finfo(np.float64).max))
+    return ((wide - low) / (high - low if low < high else 1)).astype(np.float32), unit
+
+
+def _spectrum(blocks: NDArray[np.float32], variance: float, colour: Sequence[float]) -> Spectrum:
+    """Mean spectrum of the blocks without their means, by the cosine transform."""
+    axes = tuple(range(1, blocks.ndim))
+    blocks = blocks - blocks.mean(axes, keepdims=True)
+    weight = float(blocks[0].size)
+    if len(blocks) > 1:  # a window, since the volume goes on at the edges of blocks
+        for axis in axes:
+            n = blocks.shape[axis]
+            window = np.sin(np.pi * (np.arange(n) + 0.5) / n).astype(np.float32)
+            blocks *= window.reshape([-1 if i == axis else 1 for i in range(blocks.ndim)])
+            weight *= float((window**2).mean())
+    power = (fft.dctn(blocks, axes=axes, norm="ortho") ** 2).mean(0, dtype=np.float64) / weight
+    frequencies, shares = [], []
+    for axis, n in enumerate(power.shape):
+        edges = np.arange(n)
+        if n > _CELLS:  # single ones below, wider cells above
+            edges = np.unique(np.geomspace(_CELLS // 2, n, _CELLS // 2, endpoint=False).astype(int))
+            edges = np.concatenate([np.arange(_CELLS // 2), edges])
+        counts = np.diff(np.append(edges, n))
+        power = np.add.reduceat(power, edges, axis)
+        omega = np.add.reduceat(np.pi * np.arange(n) / n, edges) / counts
+        frequencies.append(omega)
+        shares.append(counts / n * colour_power(colour[axis], omega))
+    shares[0] = shares[0] * variance
+    return Spectrum(power, tuple(frequencies), tuple(shares))
+
+
+def _pairs(array: NDArray[Any], axis: int) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Neighbours along an axis."""
+    before, after = [slice(None)] * array.ndim, [slice(None)] * array.ndim
+    before[axis], after[axis] = slice(None, -1), slice(1, None)
+    return array[tuple(before)], array[tuple(after)]
+
+
+def _jump(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> float:
+    """See `Noise.jump`; the background is zero."""
+    jumps = []
+    for axis in range(1, blocks.ndim):
+        a, b = _pairs(blocks, axis)
+        ground_a, ground_b = _pairs(ground, axis)
+        jumps.append(np.abs(b - a)[ground_a != ground_b])
+    every = np.concatenate(jumps)
+    return float(np.median(every) / np.median(np.abs(blocks[~ground]))) if every.size else 0.0
+
+
+def _evenness(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[float, float]:
+    """Share of the samples equal to all of their neighbours, the background apart; share of those that have unlike neighbours that
+    are equal to at most one of them."""
+    equal = np.zeros(blocks.shape, np.int8)
+    there = np.zeros(blocks.shape, np.int8)
+    for axis in range(1, blocks.ndim):
+        a, b = _pairs(blocks, axis)
+        same = a == b
+        for side in _pairs(equal, axis):
+            side += same
+        for side in _pairs(there, axis):
+            side += 1
+    objects = ~ground
+    differ = equal < there
+    even = float((objects & ~differ).sum() / max(1, int(objects.sum())))
+    alone = float((differ & (equal <= 1)).sum() / max(1, int(differ.sum())))
+    return even, alone
+
+
+def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[float, float, tuple[float, ...]]:
+    """Mean variance of the noise in the highest octave, how it grows with the value, its colour along each axis of the array.
+
+    0 where no place shows it.
+    """
+    axes = [axis for axis in range(1, blocks.ndim) if blocks.shape[axis] >= len(_LOW)]
+    white = (1.0,) * (blocks.ndim - 1)
+    if not axes:
+        return 0.0, 0.0, white
+    bands = _bands(blocks, axes)
+    highest = (1,) * len(axes)
+    level = bands.pop((0,) * len(axes)) / np.float32(math.sqrt(2) ** len(axes))
+    used = np.logical_or.reduce([np.abs(band) > _STILL for band in bands.values()])
+    if used.sum() < _FEWEST:
+        return 0.0, 0.0, white
+    squares = {key: band**2 for key, band in bands.items()}
+    # power of all bands round about
+    box = (1, *(3 if axis in axes else 1 for axis in range(1, blocks.ndim)))
+    around = ndimage.uniform_filter(np.sum(list(squares.values()), 0), box, mode="nearest") * math.prod(box)
+    level, around = level[used], around[used]
+    squares = {key: square[used] for key, square in squares.items()}
+    everywhere = np.arange(len(level))
+
+    def power(key: tuple[int, ...], places: NDArray[np.int64]) -> float:
+        """Of the noise in a band: half of the places, those that have the least power round about, and half of these ..."""
+        square = squares[key][places]
+        square = square[np.argsort(around[places] - square, kind="stable")]
+        count = max(len(square) // 2, min(len(square), _FEWEST))
+        found = float(np.median(square[:count]))
+        while count >= 2 * _FEWEST:
+            count //= 2
+            less = float(np.median(square[:count]))
+            if less > found * (1 - 2 * _error(count)):  # as long as that makes a difference
+                break
+            found = less
+        return found / _MEDIAN_SQUARE
+
+    classes = np.array_split(np.argsort(level, kind="stable"), min(_LEVELS, max(1, len(level) // (4 * _FEWEST))))
+    variances = np.array([power(highest, places) for places in classes])
+    levels = np.array([level[places].mean() for places in classes])
+    mean, gain = power(highest, everywhere), 0.0
+    if len(classes) > 2 and mean > 0:
+        i, j = np.triu_indices(len(classes), 1)
+        slope = float(np.median((variances[j] - variances[i]) / np.maximum(levels[j] - levels[i], _STILL)))  # Theil and Sen
+        at = float(np.median(variances - slope * levels))
+        ends = at + slope * levels[0], at + slope * levels[-1]
+        if ends[1] > _GROWS * ends[0] and ends[1] - ends[0] > _CONFIDENT * mean * _error(len(level) // (2 * len(classes))):
+            gain = slope
+            mean = max(0.0, at + slope * float(blocks[~ground].mean()))
+    colour = list(white)
+    if len(axes) > 1:
+        base = power(highest, everywhere)
+        for i, axis in enumerate(axes):
+            ratio = power((*highest[:i], 0, *highest[i + 1 :]), everywhere) / max(base, _STILL**2)
+            if max(_COLOURED, 1 + _CONFIDENT * _error(len(level) // 2)) < ratio < _SIGNAL:
+                colour[axis - 1] = ratio
+    return mean, gain, tuple(colour)
+
+
+def _error(count: int) -> float:
+    """Relative standard error of a variance from the median of so many squares of a normal variable."""
+    return 2.33 / math.sqrt(count)
+
+
+def _bands(blocks: NDArray[np.float32], axes: list[int]) -> dict[tuple[int, ...], NDArray[np.float32]]:
+    """The wavelet bands: 0 stands for the lower half along an axis, 1 for the upper one. Blocks' edges are left out."""
+    bands: dict[tuple[int, ...], NDArray[np.float32]] = {(): blocks}
+    for axis in axes:
+        count = (blocks.shape[axis] - len(_LOW)) // 2 + 1
+        split = {}
+        for key, band in bands.items():
+            for half, taps in enumerate((_LOW, _HIGH)):
+                split[(*key, half)] = sum(
+                    np.float32(tap) * band[(slice(None),) * axis + (slice(j, j + 2 * count - 1, 2),)] for j, tap in enumerate(taps)
+                )
+        bands = split
+    return bands
