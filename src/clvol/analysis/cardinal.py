@@ -130,7 +130,7 @@ def _blend(values: Array, kernel: Array) -> Array:
 
 
 def _prefilter_impulse(filter: Filter) -> Array:
-    """The inverse transform of eq. (16), or of that of a smoothing spline, at -K, ..., K: residues at the poles within the unit circle."""
+    """The inverse transform of eq. (16), or a smoothing spline's, at -K, ..., K: residues at the poles within the unit circle."""
     reach = math.ceil(math.log(_TAIL) / math.log(float(np.abs(filter.poles).max())))
     k = np.abs(np.arange(-reach, reach + 1))
     total, last = np.zeros(k.size, filter.poles.dtype), filter.undone[-1]

@@ -26,7 +26,9 @@ CLOUD = 0.05
 """Of the edge's height: the surface that shows clouds; as far below 1 is that which shows caves."""
 
 _HALF = 0.5  # of the cube's side, in the box [-1, 1)³
-_TURN = np.linalg.qr(np.array([[1.0, 0.35, 0.2], [-0.3, 1.0, 0.45], [0.15, -0.4, 1.0]]))[0]  # the cube's axes are none of the grid's
+_TURN = np.linalg.qr(np.array([[1.0, 0.35, 0.2], [-0.3, 1.0, 0.45], [0.15, -0.4, 1.0]]))[
+    0
+]  # the cube's axes are none of the grid's
 _SIGMA = 1.0  # samples
 _LINES, _REACH, _PLACES = 3000, 7, 71  # samples that a line is long, places on it
 _SEED = 1848  # Wilbraham
@@ -116,8 +118,8 @@ def draw(
             if progress is not None:
                 progress((column + 1) / len(LOWPASSES))
     lines = [
-        f"{LOWPASSES[n['lowpass']]}, {title(n['filter'])}: values rise again by {n['cloud']:.3f} outside, fall by {n['cave']:.3f} inside"
+        f"{LOWPASSES[n['lowpass']]}, {title(n['filter'])}: values rise again by {n['cloud']:.3f} outside, "
+        f"fall by {n['cave']:.3f} inside"
         for n in numbers
     ]
     return Drawing(figure, numbers, lines)
-

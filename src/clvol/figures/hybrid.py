@@ -126,14 +126,17 @@ def draw(
         )
     with styled():
         figure = _drawn(pictures, truth, numbers)
-    lines = [
-        f"{title(n['filter'])}: {1000 * n['seconds']:.3g} ms a frame (half of them "
-        f"{1000 * n['seconds_quartiles'][0]:.3g} to {1000 * n['seconds_quartiles'][1]:.3g}), "
-        f"{n['coefficients_bytes'] / 2**20:.2f} MiB of coefficients, RMS difference of shade to {n['compared_with']} {n['rms_difference']:.4f}"
-        + ("" if n["angle_mean"] is None else f", normals {n['angle_mean']:.1f}°")
-        for n in numbers
-    ]
-    return Drawing(figure, numbers, lines)
+    return Drawing(figure, numbers, [_line(n) for n in numbers])
+
+
+def _line(n: dict[str, Any]) -> str:
+    median, low, high = (1000 * seconds for seconds in (n["seconds"], *n["seconds_quartiles"]))
+    normals = "" if n["angle_mean"] is None else f", normals {n['angle_mean']:.1f}°"
+    return (
+        f"{title(n['filter'])}: {median:.3g} ms a frame (half of them {low:.3g} to {high:.3g}), "
+        f"{n['coefficients_bytes'] / 2**20:.2f} MiB of coefficients, "
+        f"RMS difference of shade to {n['compared_with']} {n['rms_difference']:.4f}{normals}"
+    )
 
 
 def _drawn(pictures: dict[str, NDArray[np.float64]], truth: NDArray[np.float64], numbers: list[dict[str, Any]]) -> Any:

@@ -83,7 +83,7 @@ def draw(
     inner = (slice(2 * _FACTOR, -2 * _FACTOR),) * 2
     numbers: list[dict[str, Any]] = []
     with styled():
-        figure, panels, times = tiles(4, len(chosen) + 1, original.shape[::-1], above=2, between=1)
+        figure, panels, times = tiles(4, len(chosen) + 1, (size, size), above=2, between=1)
         letters = int(LETTERS_A_PIXEL * times * size)
         for column, drawer in enumerate(chosen):
             name = drawer.name if isinstance(drawer, Filter) else drawer

@@ -36,6 +36,7 @@ FILTERS = ("nearest", "linear", "mitchell", "catmull-rom", "hybrid", *BETWEEN, "
 
 _WITHIN = 0.8  # of the faces' distance from the centre
 _RADIUS = 0.75  # of the sphere
+_SPAN = 1e-4  # of the largest error: none below is shown
 _SURFACE = 8000  # places on the surface at which normals are compared
 _SEED = 1993
 
@@ -119,10 +120,10 @@ def measure(
         for row in filters:
             own = settled(row, noisy)
             with Field(noisy, own, device=device) as field:
-                error = field.sample(case.points) - case.values
+                error = field(case.points) - case.values
                 angle = None
                 if own.has_gradient:
-                    angle = mean_angle(field.sample(case.surface, derivative=1), case.normals)
+                    angle = mean_angle(field.gradient(case.surface), case.normals)
             numbers.append(
                 {
                     "input": case.name,
@@ -171,27 +172,30 @@ def draw(
         panels = figure.subplots(2, 3, width_ratios=(1, 1, 0.9))
         for column, case in enumerate(known):
             mine = [n for n in numbers if n["input"] == case.name]
-            _curves(panels[0, column], mine, "rms", f"{case.name}: RMS error of the values")
-            _curves(panels[1, column], mine, "angle", f"{case.name}: mean angle of the normals, degrees")
+            _curves(panels[0, column], mine, "rms", f"{case.name}: RMS error")
+            _curves(panels[1, column], mine, "angle", f"{case.name}: normals, mean angle")
         panels[0, 0].set_ylabel("share of the range")
+        panels[1, 0].set_ylabel("degrees")
         handles, labels = panels[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=6)
         _responses(*panels[:, 2])
-    gains = [{"filter": row.name, "variance_gain": variance_gain(row)} for row in rows if row.settled]
-    lines = [
-        f"{title(g['filter'])}: {g['variance_gain']:.3f} of the noise's variance is left along an axis, {g['variance_gain'] ** 3:.3f} in 3-D"
-        for g in gains
-    ]
+    gains = {row.name: variance_gain(row) for row in rows if row.settled}
+    lines = [f"{title(name)}: keeps {g:.3f} of the noise's variance along an axis, {g**3:.3f} in 3-D" for name, g in gains.items()]
     for case in known:
         for level in LEVELS:
             mine = [n for n in numbers if (n["input"], n["noise"]) == (case.name, level)]
             best = min(mine, key=lambda n: n["rms"])
-            lines.append(f"{case.name}, noise {level:g}: smallest RMS error with {title(best['filter'])}, {best['rms']:.2g} of the range")
-    return Drawing(figure, numbers + gains, lines)
+            lines.append(
+                f"{case.name}, noise {level:g}: least RMS error with {title(best['filter'])}, {best['rms']:.2g} of the range"
+            )
+    kept: list[dict[str, Any]] = [{"filter": name, "variance_gain": gain} for name, gain in gains.items()]
+    return Drawing(figure, numbers + kept, lines)
 
 
 def _curves(axes: Any, numbers: Sequence[dict[str, Any]], key: str, heading: str) -> None:
     """A curve for each filter; levels are equally far apart, the first being none at all."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
     names = list(dict.fromkeys(n["filter"] for n in numbers if n[key] is not None))
     errors = {name: [n[key] for n in numbers if n["filter"] == name] for name in names}
     for name in names:
@@ -204,13 +208,16 @@ def _curves(axes: Any, numbers: Sequence[dict[str, Any]], key: str, heading: str
             linewidth=3 if bold else 1.5,
             zorder=3 if bold else 2,
         )
+    most = max(v for each in errors.values() for v in each)
+    least = min(v for each in errors.values() for v in each if v > most * _SPAN)
     axes.set_yscale("log")
-    if key == "rms":
-        positive = [v for each in errors.values() for v in each if v > 0]
-        axes.set_ylim(max(min(positive), max(positive) * 1e-4) / 2, max(positive) * 1.3)
+    axes.set_ylim(least / 2, most * 1.3)
+    axes.yaxis.set_major_locator(LogLocator(subs=(1,) if most > 100 * least else (1, 2, 5)))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_minor_locator(NullLocator())
     for level in range(len(LEVELS)):
         best = min(names, key=lambda name: errors[name][level])
-        axes.plot([level - 0.5, level + 0.5], [0.012] * 2, color=colour(best), linewidth=7, solid_capstyle="butt", transform=axes.get_xaxis_transform())
+        axes.hlines(0.012, level - 0.5, level + 0.5, color=colour(best), linewidth=7, transform=axes.get_xaxis_transform())
     axes.set_xticks(range(len(LEVELS)), [f"{level:g}" for level in LEVELS])
     axes.set_xlim(-0.5, len(LEVELS) - 0.5)
     axes.set_xlabel("noise, as a share of the range")

@@ -16,8 +16,8 @@ from clvol.device import Device
 from clvol.figures.style import GREY, INK, LINE, Drawing, colour, label_ends, new_figure, placed, show, styled, title
 from clvol.filter import as_filter
 from clvol.light import HEADLIGHT, Material
-from clvol.march.planes import Planes
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER
+from clvol.march.planes import Planes
 from clvol.march.renderer import Renderer
 from clvol.reference.march.march import camera_rays, flat_below, pixel_rays, shade
 from clvol.stored import Stored
@@ -139,7 +139,7 @@ def draw(samples: int = 21, pixels: int = 400, filter: str = "bspline3", device:
     width, height = times * size[0], times * size[1]
     with styled():
         figure = new_figure(11.5, 6.3 + (height + 4 * LINE) / 150)
-        top, _ = figure.subfigures(2, 1, height_ratios=(6.3, (height + 4 * LINE) / 150))
+        top = figure.subfigures(2, 1, squeeze=False, height_ratios=(6.3, (height + 4 * LINE) / 150))[0, 0]
         left, right = top.subfigures(1, 2, squeeze=False, width_ratios=(1, 1.5))[0]
         cut = left.subplots()
         profile, classified, gathered = right.subplots(3, 1, sharex=True, height_ratios=(2.1, 1, 1))
@@ -186,7 +186,9 @@ def _rays(axes: Any, pixel: tuple[int, ...], count: int) -> None:
     """Where the rays of a pixel are, and how much each counts under the filter of pixels."""
     for (x, y), weight in pixel_rays(count, DEFAULT_PIXEL_FILTER):
         if weight:
-            axes.plot(pixel[0] - 0.5 + x, pixel[1] - 0.5 + y, "o", color=INK, markersize=1.2 + 2 * np.sqrt(weight), markeredgewidth=0)
+            axes.plot(
+                pixel[0] - 0.5 + x, pixel[1] - 0.5 + y, "o", color=INK, markersize=1.2 + 2 * np.sqrt(weight), markeredgewidth=0
+            )
     axes.add_patch(_square(pixel))
 
 

@@ -21,6 +21,7 @@ from clvol.volume import Volume, as_volume
 __all__ = ["APART", "draw", "from_function", "from_scan"]
 
 Array: TypeAlias = NDArray[np.float64]
+_Table: TypeAlias = tuple[str, dict[int, dict[str, float]]]
 APART = (1, 2, 3, 4, 5, 6)
 """Pixels from slice to slice."""
 
@@ -114,17 +115,15 @@ def draw(
         figure = _drawn(rows, samples, tables, device)
     if progress is not None:
         progress(1)
-    lines = [
-        f"{what}, slices {k} pixels apart: smallest RMS error with {title(min(made, key=lambda name: made[name]))}, {min(made.values()):.4g}"
-        for what, table in tables
-        for k, made in table.items()
-    ]
+    lines = []
+    for what, table in tables:
+        for k, made in table.items():
+            best = min(made, key=lambda name: made[name])
+            lines.append(f"{what}, slices {k} pixels apart: smallest RMS error with {title(best)}, {made[best]:.4g}")
     return Drawing(figure, numbers, lines)
 
 
-def _drawn(
-    rows: Sequence[Filter], samples: int, tables: Sequence[tuple[str, dict[int, dict[str, float]]]], device: Device | str | int | None
-) -> Any:
+def _drawn(rows: Sequence[Filter], samples: int, tables: Sequence[_Table], device: Device | str | int | None) -> Any:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     size, high = _ZOOM * (samples - 1) + 1, 620

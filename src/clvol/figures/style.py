@@ -150,6 +150,9 @@ def colour(name: str) -> str:
     for other in _COLOURS:
         if other in table and _same(table[other], row):
             return _COLOURS[other]
+    if isinstance(row.smoothing, float) and row.smoothing > 0:  # greys, the lighter the smoother
+        grey = round(np.interp(math.log10(row.smoothing), (-3, 2), (40, 200)))
+        return f"#{grey:02x}{grey:02x}{grey:02x}"
     return _given(row.name)
 
 
@@ -293,8 +296,8 @@ def tiles(
     figure = Figure(figsize=((columns * (width + GAP) + GAP + right) / _DPI, total / _DPI), dpi=_DPI)
     axes = np.empty((rows, columns), object)
     for i, j in np.ndindex(rows, columns):
-        axes[i, j] = placed(figure, GAP + j * (width + GAP), start + i * (height + gap), width, height)
-        plain(axes[i, j])
+        one = axes[i, j] = placed(figure, GAP + j * (width + GAP), start + i * (height + gap), width, height)
+        plain(one)
     return figure, axes, times
 
 
