@@ -83,8 +83,6 @@ class Panel:
         The filter's name; "exact" for the function itself.
     picture : ndarray
         RGBA, float32.
-    error : ndarray or None
-        The difference of its shade to that of the true picture, of shape (height, width), where that is known.
     rms : float or None
         Root mean square error of the values at random points within 0.8 of the centre.
     angle : float or None
@@ -94,15 +92,17 @@ class Panel:
         For the exact sinc: the largest difference between it and what is drawn, at 2000 random points.
     letter : str
         The panel's letter in the figure, or empty.
+    error : ndarray or None
+        The difference of its shade to that of the true picture, of shape (height, width), where that is known.
     """
 
     filter: str
     picture: NDArray[np.float32]
-    error: NDArray[np.float32] | None = None
     rms: float | None = None
     angle: float | None = None
     residual: float | None = None
     letter: str = ""
+    error: NDArray[np.float32] | None = None
 
     @property
     def label(self) -> str:
@@ -178,7 +178,7 @@ def figure6(
         rms = float(np.sqrt(np.mean((values - truth) ** 2)))
         angle = mean_angle(shading_gradients(drawn_volume, surface, through, device), normals, faces=True) if surface.size else None
         error = np.abs(drawn - picture)[..., :3].mean(-1)
-        panels.append(Panel(row if isinstance(row, str) else row.name, drawn, error, rms, angle, residual, LETTERS[i]))
+        panels.append(Panel(row if isinstance(row, str) else row.name, drawn, rms, angle, residual, LETTERS[i], error))
     panels.append(Panel("exact", picture))
     below = [_key(pixels) if p.error is None else to_bytes(heat(p.error / _WORST)) for p in panels]
     tiles = [labelled(np.concatenate([to_bytes(p.picture[..., :3]), b]), p.label) for p, b in zip(panels, below, strict=True)]
