@@ -1,10 +1,11 @@
 // Kernels: from samples to B-spline coefficients, in place: along rows (x), along y or z, or along x and y together.
 //
-// The poles are undone in stages of ORDER, 1 or 2: a causal recursion y[i] = gain x[i] + a1 y[i-1] + a2 y[i-2] and an anticausal
-// one, c[i] = y[i] + a1 c[i+1] + a2 c[i+2] (Unser, Aldroubi and Eden, 1991 and 1993). A single pole z has c[i] = z (c[i+1] - y[i])
+// The poles are undone in stages of ORDER, 1 or 2: a causal recursion y[i] = x[i] + a1 y[i-1] + a2 y[i-2] and an anticausal one,
+// c[i] = y[i] + a1 c[i+1] + a2 c[i+2] (Unser, Aldroubi and Eden, 1991 and 1993). A single pole z has c[i] = z (c[i+1] - y[i])
 // instead. Complex poles, which smoothing brings, come in conjugate pairs, so that a stage of two is real. Each recursion needs
 // its first ORDER values, which the host gives as weighted sums of samples near the two ends. They follow from the matrix of
-// eq. (11) that belongs to the boundary rule (prefilter.py, _plan), in one way for every rule and length.
+// eq. (11) that belongs to the boundary rule (prefilter.py, _plan), in one way for every rule and length. Rows, which come first,
+// are multiplied by the gains of all axes.
 //
 // | what makes it fast                                                | where             |
 // |-------------------------------------------------------------------|-------------------|
@@ -13,68 +14,67 @@
 // | rows are transposed in blocks of eight, and stay so in between     | filter_rows       |
 // | memory is prefetched AHEAD of its use                              | filter_columns    |
 // | a slice stays in a processor's cache from x to y                   | prefilter_slices  |
+// | first values at one end take no sample near the other, if SPLIT    | add_to_starts     |
 //
-// Set by the host: ORDER; STAGES, how many; CHAINS, vectors side by side.
+// Set by the host: ORDER; STAGES, how many; CHAINS, vectors side by side; SPLIT, whether the sums for causal recursions need
+// samples near the first one alone, and those for anticausal ones near the last one: lines are long and do not wrap.
 
 #include "base/platform.cl"
 #include "base/transpose.cl"
 
 #define SUMS (2 * ORDER * STAGES)
 
-// Of the lines of one axis: {a1, a2, gain} of each stage, then the weights of the first values,
+// Of the lines of one axis: {a1, a2} of each stage, the gain, then the weights of the first values,
 // [stage][causal, then anticausal][ORDER, from the end on][ends from the first, ends from the last]; head and tail of them count.
 #define PLAN_PARAMS constant float *plan, const int ends, const int head, const int tail
 #define PLAN plan, ends, head, tail
 
 typedef struct {
     float8 a1, a2;
-    float gain;
 } stage_t;
 
 INLINE stage_t stage_of(constant float *plan, const int s)
 {
-    const stage_t stage = { (float8)(plan[3 * s]), (float8)(plan[3 * s + 1]), plan[3 * s + 2] };
+    const stage_t stage = { (float8)(plan[2 * s]), (float8)(plan[2 * s + 1]) };
     return stage;
 }
 
-INLINE void add_to_starts(float8 start[SUMS], constant float *plan, const int ends, const int place, float8 v)
+// end: 0 for a sample near the first one, 1 near the last.
+INLINE void add_to_starts(float8 start[SUMS], constant float *plan, const int ends, const int end, const int place, float8 v)
 {
-    constant float *weight = plan + 3 * STAGES + place;
+    constant float *weight = plan + 2 * STAGES + 1 + end * ends + place;
 #pragma unroll
     for (int p = 0; p < SUMS; ++p)
-        start[p] = madd((float8)(weight[p * 2 * ends]), v, start[p]);
+        if (!SPLIT || p / ORDER % 2 == end)
+            start[p] = madd((float8)(weight[p * 2 * ends]), v, start[p]);
 }
 
-// One step of a recursion; y holds its last ORDER values.
-INLINE float8 causal(float8 y[ORDER], const stage_t stage, const float8 x)
+// One step of a recursion, after its last value and the one before.
+INLINE float8 causal(float8 *last, float8 *before, const stage_t stage, const float8 x)
 {
 #if ORDER == 2
-    const float8 next = madd(stage.a1, y[0], madd(stage.a2, y[1], stage.gain * x));
-    y[1] = y[0];
-    return y[0] = next;
+    const float8 next = madd(stage.a1, *last, madd(stage.a2, *before, x));
+    *before = *last;
+    return *last = next;
 #else
-    return y[0] = madd(stage.a1, y[0], stage.gain * x);
+    return *last = madd(stage.a1, *last, x);
 #endif
 }
 
-INLINE float8 anticausal(float8 c[ORDER], const stage_t stage, const float8 y)
+INLINE float8 anticausal(float8 *last, float8 *before, const stage_t stage, const float8 y)
 {
 #if ORDER == 2
-    const float8 next = madd(stage.a1, c[0], madd(stage.a2, c[1], y));
-    c[1] = c[0];
-    return c[0] = next;
+    return causal(last, before, stage, y);
 #else
-    return c[0] = madd(stage.a1, c[0], -stage.a1 * y);
+    return *last = madd(stage.a1, *last, -stage.a1 * y);
 #endif
 }
 
-// The first values of a recursion take the place of what it would give there. first: number `at` of them.
-INLINE float8 started(float8 state[ORDER], const float8 *first, const int at)
+// A first value takes the place of what a recursion would give.
+INLINE float8 started(float8 *last, float8 *before, const float8 first)
 {
-#if ORDER == 2
-    state[1] = state[0];
-#endif
-    return state[0] = first[at];
+    *before = *last;
+    return *last = first;
 }
 
 // -- along y or z: lines lie side by side ---------------------------------------------------------------------
@@ -84,34 +84,40 @@ INLINE float8 started(float8 state[ORDER], const float8 *first, const int at)
 // 8 * chains lines of `count` samples, stride apart. A recursion waits for its last product: several at once do not.
 INLINE void filter_columns(global float *line, const int chains, const int count, const size_t stride, PLAN_PARAMS)
 {
-    float8 start[CHAINS][SUMS], v[CHAINS][ORDER];
-#define EACH_CHAIN _Pragma("unroll") for (int c = 0; c < chains; ++c)
+    float8 start[CHAINS][SUMS], last[CHAINS], before[CHAINS];
+#define EACH_CHAIN _Pragma("unroll") for (int c = 0; c < CHAINS; ++c) if (c < chains)   // counted by a constant, to be unrolled
 #define LANES_AT(p) (*(global float8_at *)((p) + LANES * c))
     EACH_CHAIN
 #pragma unroll
         for (int p = 0; p < SUMS; ++p)
             start[c][p] = (float8)(0.0f);
     for (int i = 0; i < head; ++i)
-        EACH_CHAIN add_to_starts(start[c], plan, ends, i, LANES_AT(line + i * stride));
+        EACH_CHAIN add_to_starts(start[c], plan, ends, 0, i, LANES_AT(line + i * stride));
     for (int i = 0; i < tail; ++i)
-        EACH_CHAIN add_to_starts(start[c], plan, ends, ends + i, LANES_AT(line + (count - 1 - i) * stride));
-    const int given = MIN(ORDER, count);
+        EACH_CHAIN add_to_starts(start[c], plan, ends, 1, i, LANES_AT(line + (count - 1 - i) * stride));
 #pragma unroll 1
     for (int s = 0; s < STAGES; ++s) {
         const stage_t stage = stage_of(plan, s);
-        for (int i = 0; i < given; ++i)
-            EACH_CHAIN LANES_AT(line + i * stride) = started(v[c], start[c] + 2 * ORDER * s, i);
-        for (int i = given; i < count; ++i) {
+        const int from = 2 * ORDER * s, back = from + ORDER;
+        EACH_CHAIN LANES_AT(line) = last[c] = start[c][from];
+#if ORDER == 2
+        if (count > 1)
+            EACH_CHAIN LANES_AT(line + stride) = started(last + c, before + c, start[c][from + 1]);
+#endif
+        for (int i = ORDER; i < count; ++i) {
             global float *at = line + i * stride;
             for (int k = 0; k < chains; k += 2)
                 PREFETCH(at + AHEAD * stride + k * LANES);
-            EACH_CHAIN LANES_AT(at) = causal(v[c], stage, LANES_AT(at));
+            EACH_CHAIN LANES_AT(at) = causal(last + c, before + c, stage, LANES_AT(at));
         }
-        for (int i = 0; i < given; ++i)
-            EACH_CHAIN LANES_AT(line + (count - 1 - i) * stride) = started(v[c], start[c] + 2 * ORDER * s + ORDER, i);
-        for (int i = count - 1 - given; i >= 0; --i) {
+        EACH_CHAIN LANES_AT(line + (count - 1) * stride) = last[c] = start[c][back];
+#if ORDER == 2
+        if (count > 1)
+            EACH_CHAIN LANES_AT(line + (count - 2) * stride) = started(last + c, before + c, start[c][back + 1]);
+#endif
+        for (int i = count - 1 - ORDER; i >= 0; --i) {
             global float *at = line + i * stride;
-            EACH_CHAIN LANES_AT(at) = anticausal(v[c], stage, LANES_AT(at));
+            EACH_CHAIN LANES_AT(at) = anticausal(last + c, before + c, stage, LANES_AT(at));
         }
     }
 }
@@ -162,25 +168,25 @@ INLINE void kept_columns(float8 v[LANES], global const float *block, const size_
 // One block of a recursion that goes on from `state`. first, last: the block's column that is the first or the last one of the
 // row; it may lie in another block. The recursion's first values stand from there on. Past the row's end lies its halo, for
 // which anything may be written.
-INLINE void causal_block(float8 state[ORDER], const stage_t stage, const float8 *given, const int first, global float *block,
-                         const size_t pitch, const int rows)
+INLINE void causal_block(float8 state[2], const stage_t stage, const float gain, const float8 *given, const int first,
+                         global float *block, const size_t pitch, const int rows)
 {
     float8 v[LANES];
     load_columns(v, block, pitch, rows);
 #pragma unroll
     for (int i = 0; i < LANES; ++i)
-        v[i] = i < first + ORDER ? started(state, given, i - first) : causal(state, stage, v[i]);
+        v[i] = i < first + ORDER ? started(state, state + 1, given[i - first]) : causal(state, state + 1, stage, gain * v[i]);
     keep_columns(v, block, pitch, rows);
 }
 
-INLINE void anticausal_block(float8 state[ORDER], const stage_t stage, const float8 *given, const int last,
+INLINE void anticausal_block(float8 state[2], const stage_t stage, const float8 *given, const int last,
                              global float *block, const size_t pitch, const int rows)
 {
     float8 v[LANES];
     kept_columns(v, block, pitch, rows);
 #pragma unroll
     for (int i = LANES - 1; i >= 0; --i)
-        v[i] = i > last - ORDER ? started(state, given, MAX(last - i, 0)) : anticausal(state, stage, v[i]);
+        v[i] = i > last - ORDER ? started(state, state + 1, given[MAX(last - i, 0)]) : anticausal(state, state + 1, stage, v[i]);
     store_columns(v, block, pitch, rows);
 }
 
@@ -189,7 +195,7 @@ INLINE void filter_rows(global float *line, const int bands, const int rows, con
                         PLAN_PARAMS)
 {
     float8 start[2][SUMS];
-#define EACH_BAND _Pragma("unroll") for (int g = 0; g < bands; ++g)
+#define EACH_BAND _Pragma("unroll") for (int g = 0; g < 2; ++g) if (g < bands)
 #define BAND_AT(column) (line + g * LANES * pitch + (column))
     EACH_BAND
 #pragma unroll
@@ -206,20 +212,21 @@ INLINE void filter_rows(global float *line, const int bands, const int rows, con
             for (int i = 0; i < LANES; ++i) {
                 const int left = b + i, right = count - 1 - left;
                 if (left < head)
-                    add_to_starts(start[g], plan, ends, left, v[i]);
+                    add_to_starts(start[g], plan, ends, 0, left, v[i]);
                 else if (right >= 0 && right < tail)
-                    add_to_starts(start[g], plan, ends, ends + right, v[i]);
+                    add_to_starts(start[g], plan, ends, 1, right, v[i]);
             }
         }
     }
 #pragma unroll 1
     for (int s = 0; s < STAGES; ++s) {
         const stage_t stage = stage_of(plan, s);
+        const float gain = s ? 1.0f : plan[2 * STAGES];
         const int from = 2 * ORDER * s, back = from + ORDER;
-        float8 v[2][ORDER];
-        EACH_BAND causal_block(v[g], stage, start[g] + from, 0, BAND_AT(0), pitch, rows);
+        float8 v[2][2];
+        EACH_BAND causal_block(v[g], stage, gain, start[g] + from, 0, BAND_AT(0), pitch, rows);
         for (int b = LANES; b < count; b += LANES)
-            EACH_BAND causal_block(v[g], stage, start[g] + from, -ORDER, BAND_AT(b), pitch, rows);
+            EACH_BAND causal_block(v[g], stage, gain, start[g] + from, -ORDER, BAND_AT(b), pitch, rows);
         EACH_BAND anticausal_block(v[g], stage, start[g] + back, count - 1 - last_block, BAND_AT(last_block), pitch, rows);
         int b = last_block - LANES;
 #if ORDER == 2   // its first values may lie in two blocks

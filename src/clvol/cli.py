@@ -28,9 +28,11 @@ from cyclopts import App, CoercionError, CycloptsError, Parameter, Token
 import clvol
 from clvol.errors import ClvolError, DataError, DeviceError, OptionError
 from clvol.files import require_folder, require_suffix
+from clvol.filter import Filter
 from clvol.formats import WRITTEN
 from clvol.mode import as_mode, every_option, mode_options
 from clvol.picture import heat
+from clvol.smoothing import choose
 
 app = App(
     name="clvol",
@@ -202,7 +204,7 @@ def render(
     /,
     *,
     output: Output,
-    filter: str = "bspline3",
+    filter: Annotated[str | None, Parameter(show_default=False)] = None,
     size: Size = (512, 512),
     device: DeviceName = None,
     input: Input | None = None,
@@ -217,7 +219,8 @@ def render(
     Parameters
     ----------
     filter
-        How it is reconstructed between its samples; see 'clvol filters'.
+        How it is reconstructed between its samples; see 'clvol filters'. [default: bspline3(auto), which smooths the noise that it
+        finds; bspline3 in modes that show extremes, such as mip]
     heat_map
         A second picture: the share of each ray's samples that was looked at, from black to pale yellow.
     verbose
@@ -232,7 +235,7 @@ def render(
     look = look or Look()
     options = _mode_options(look, own)
     volume = (input or Input()).read(source)
-    result: dict[str, Any] = {"output": str(output), "size": list(size), "filter": filter, "mode": look.mode}
+    result: dict[str, Any] = {"output": str(output), "size": list(size), "mode": look.mode}
     with _progress("rendering", json) as progress:
         options |= look.options(volume)
         begun = time.perf_counter()
@@ -241,6 +244,8 @@ def render(
             outputs: tuple[clvol.Output, ...] = ("rgba", "visited") if verbose or heat_map is not None else ("rgba",)
             pictures = renderer.render(size=size, progress=progress, outputs=outputs, **options)
             done = time.perf_counter()
+            drawn = renderer.filter_of(look.mode)
+    result["filter"] = drawn.name if json else _filter_text(drawn, filter, volume)
     clvol.save(pictures["rgba"], output)
     if heat_map is not None:
         result["heat_map"] = str(clvol.save(heat(pictures["visited"]), heat_map))
@@ -420,7 +425,7 @@ def figure6(
 
 @app.command
 def info(source: Source, /, *, input: Input | None = None, json: Json = False) -> None:
-    """Show what a volume file holds."""
+    """Show what a volume file holds, its noise, and the smoothing λ that "auto" chooses for cubic splines."""
     import numpy as np
 
     volume = (input or Input()).read(source)
@@ -429,6 +434,8 @@ def info(source: Source, /, *, input: Input | None = None, json: Json = False) -
         value_range = list(volume.value_range if volume.data.dtype.kind == "f" else map(int, volume.limits))
     except DataError:  # nothing is finite
         value_range = None
+    noise = volume.noise if finite else None
+    chosen = choose(volume) if finite else None
     _say(
         json,
         {
@@ -441,6 +448,10 @@ def info(source: Source, /, *, input: Input | None = None, json: Json = False) -
             "value_range": value_range if json or value_range is None else _range_text(*value_range),
             "finite": finite,
             "bytes": volume.data.nbytes,
+            "noise": noise.kind if noise else None,
+            "sigma": noise.sigma if noise else None,
+            "smoothing": list(chosen.values) if chosen else None,
+            "reason": chosen.reason if chosen else "",
         },
     )
 
@@ -638,6 +649,15 @@ def _say(as_json: bool, what: dict[str, Any], lines: Sequence[str] = ()) -> None
     for key, value in what.items():
         if not (lines and isinstance(value, list)) and value != "":
             print(f"{key.replace('_', ' ')}: {_text(value)}")
+
+
+def _filter_text(row: Filter, given: str | None, volume: clvol.Volume) -> str:
+    """A filter as people read it: its smoothing, and why it is so if it was chosen for the volume."""
+    if not row.smoothing:
+        return row.name
+    values = row.smoothing if isinstance(row.smoothing, tuple) else (row.smoothing,)
+    text = f"{row.name.partition('(')[0]}, λ = {', '.join(map(str, values))}"
+    return f"{text} ({choose(volume, row.degree).reason})" if given is None or "auto" in given else text
 
 
 def _range_text(low: float, high: float) -> str:

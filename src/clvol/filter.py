@@ -54,7 +54,7 @@ Smoothing: TypeAlias = float | tuple[float, ...] | Literal["auto"]
 Array: TypeAlias = NDArray[np.float64]
 
 DEFAULT_FILTER = "bspline3"
-PICTURE_FILTER = "bspline3"  # of pictures: data that are drawn should not show their noise
+PICTURE_FILTER = "bspline3(auto)"  # of pictures: data that are drawn should not show their noise
 MAX_TAPS = 16  # the widest row that one vector load of the device code covers
 _MAX_DEGREE = 20
 _FIT_TOLERANCE = 1e-10  # of the kernel's peak: its second derivative then errs by about 1e-6

@@ -42,17 +42,19 @@ _LOW = np.array(
 _HIGH = _LOW[::-1] * (-1.0) ** np.arange(len(_LOW))
 _MEDIAN_SQUARE = 0.45493642311957283  # of a normal variable with variance 1
 _STILL = 1e-6  # of the range of values: bands that hold no more are of equal samples, but for rounding
+_NOTHING = 1e-10  # of the range, squared: a variance that is not looked at further
 _LEVELS = 8  # classes of the local mean in which the variance is estimated
 _CONFIDENT = 4.0  # standard errors by which the variance must grow with the value
 _GROWS = 1.5  # and the factor by which it does, at least, between the extreme classes
 _COLOURED = 1.3  # ratio of the powers of two octaves from which noise is said to be correlated
-_SIGNAL = 30.0  # and from which it is the signal
+_SIGNAL = 8.0  # and from which that is the signal
+_MANY = 4096  # places from which that can be told
 _FEWEST = 100  # places from which something is estimated
 _GROUND = 0.05  # share of samples from which the commonest value is taken for a background
 _EVEN = 0.2  # share of samples equal to all their neighbours from which there is no noise
 _LABELS = 256  # values that a label image has, at most
 _ALONE = 0.1  # share, of the samples at edges between labels, that may be unlike their neighbours
-_CUTS = 0.25  # `Noise.jump` from which a background is said to cut through objects
+_CUTS = 2.0  # `Noise.jump` from which a background is said to cut through objects
 _CELLS = 32  # of frequencies along an axis, about
 _OMEGA = np.linspace(0, np.pi, 65)
 
@@ -101,8 +103,8 @@ class Noise:
     background_share : float
         Share of the samples that have it.
     jump : float
-        Typical difference between samples that have the value of the background and their neighbours that don't, over the typical
-        difference of all that don't: near 1 at a mask that cuts through an object, near 0 where a threshold cut off noise.
+        How far objects' outer samples differ from the background, over how far these differ from the next ones inside: far above 1
+        at a mask that cuts through an object, 1 or less where objects fade into what was cut off.
     clipped : (float, float)
         Shares of the samples at the smallest and at the largest value.
     spectrum : Spectrum
@@ -125,7 +127,6 @@ class Noise:
     def masked(self) -> bool:
         """Whether there is a background whose edge cuts through objects."""
         return self.background is not None and self.jump >= _CUTS
-
 
 
 def estimate(samples: NDArray[Any]) -> Noise:
@@ -162,10 +163,8 @@ def estimate(samples: NDArray[Any]) -> Noise:
         facts["jump"] = _jump(blocks, ground)
     even, alone = _evenness(blocks, ground)
     kind, variance, gain, colour = "none", 0.0, 0.0, facts["colour"]
-    if len(values) == 2:
-        kind = "binary"
-    elif len(values) <= _LABELS and alone < _ALONE:
-        kind = "labels"
+    if len(values) <= _LABELS and alone < _ALONE:
+        kind = "binary" if len(values) == 2 else "labels"
     elif even < _EVEN:
         variance, gain, colour = _variance(blocks, ground)
         if variance > 0:
@@ -251,18 +250,20 @@ def _pairs(array: NDArray[Any], axis: int) -> tuple[NDArray[Any], NDArray[Any]]:
 
 def _jump(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> float:
     """See `Noise.jump`; the background is zero."""
-    jumps = []
+    first, second = [], []
     for axis in range(1, blocks.ndim):
-        a, b = _pairs(blocks, axis)
-        ground_a, ground_b = _pairs(ground, axis)
-        jumps.append(np.abs(b - a)[ground_a != ground_b])
-    every = np.concatenate(jumps)
-    return float(np.median(every) / np.median(np.abs(blocks[~ground]))) if every.size else 0.0
+        for values, outside in ((blocks, ground), (np.flip(blocks, axis), np.flip(ground, axis))):
+            inside = _pairs(~outside, axis)[1]
+            enters = _pairs(_pairs(outside, axis)[0], axis)[0] & _pairs(inside, axis)[0] & _pairs(inside, axis)[1]
+            near, far = _pairs(_pairs(values, axis)[1], axis)
+            first.append(np.abs(near)[enters])
+            second.append(np.abs(far - near)[enters])
+    steps = np.concatenate(first)
+    return float(np.median(steps) / max(float(np.median(np.concatenate(second))), _STILL)) if steps.size else 0.0
 
 
 def _evenness(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[float, float]:
-    """Share of the samples equal to all of their neighbours, the background apart; share of those that have unlike neighbours that
-    are equal to at most one of them."""
+    """Two shares: of an object's samples, those equal to all neighbours; of samples that are not, those equal to at most one."""
     equal = np.zeros(blocks.shape, np.int8)
     there = np.zeros(blocks.shape, np.int8)
     for axis in range(1, blocks.ndim):
@@ -292,6 +293,8 @@ def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[f
     highest = (1,) * len(axes)
     level = bands.pop((0,) * len(axes)) / np.float32(math.sqrt(2) ** len(axes))
     used = np.logical_or.reduce([np.abs(band) > _STILL for band in bands.values()])
+    if ground.any():  # places that reach into a background have less noise than others
+        used &= _bands(ground.astype(np.float32), axes, (np.ones(len(_LOW)),))[(0,) * len(axes)] < 0.5
     if used.sum() < _FEWEST:
         return 0.0, 0.0, white
     squares = {key: band**2 for key, band in bands.items()}
@@ -300,7 +303,6 @@ def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[f
     around = ndimage.uniform_filter(np.sum(list(squares.values()), 0), box, mode="nearest") * math.prod(box)
     level, around = level[used], around[used]
     squares = {key: square[used] for key, square in squares.items()}
-    everywhere = np.arange(len(level))
 
     def power(key: tuple[int, ...], places: NDArray[np.int64]) -> float:
         """Of the noise in a band: half of the places, those that have the least power round about, and half of these ..."""
@@ -308,10 +310,10 @@ def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[f
         square = square[np.argsort(around[places] - square, kind="stable")]
         count = max(len(square) // 2, min(len(square), _FEWEST))
         found = float(np.median(square[:count]))
-        while count >= 2 * _FEWEST:
+        while count >= 2 * _FEWEST:  # as long as that makes a difference
             count //= 2
             less = float(np.median(square[:count]))
-            if less > found * (1 - 2 * _error(count)):  # as long as that makes a difference
+            if less > found * (1 - 2 * _error(count)):
                 break
             found = less
         return found / _MEDIAN_SQUARE
@@ -319,23 +321,24 @@ def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[f
     classes = np.array_split(np.argsort(level, kind="stable"), min(_LEVELS, max(1, len(level) // (4 * _FEWEST))))
     variances = np.array([power(highest, places) for places in classes])
     levels = np.array([level[places].mean() for places in classes])
-    mean, gain = power(highest, everywhere), 0.0
+    middle = np.sort(variances)[len(variances) // 4 : len(variances) - len(variances) // 4]
+    mean, gain = float(middle.mean()), 0.0
     if len(classes) > 2 and mean > 0:
-        i, j = np.triu_indices(len(classes), 1)
-        slope = float(np.median((variances[j] - variances[i]) / np.maximum(levels[j] - levels[i], _STILL)))  # Theil and Sen
+        a, b = np.triu_indices(len(classes), 1)
+        slope = float(np.median((variances[b] - variances[a]) / np.maximum(levels[b] - levels[a], _STILL)))  # Theil and Sen
         at = float(np.median(variances - slope * levels))
         ends = at + slope * levels[0], at + slope * levels[-1]
         if ends[1] > _GROWS * ends[0] and ends[1] - ends[0] > _CONFIDENT * mean * _error(len(level) // (2 * len(classes))):
             gain = slope
             mean = max(0.0, at + slope * float(blocks[~ground].mean()))
     colour = list(white)
-    if len(axes) > 1:
-        base = power(highest, everywhere)
+    if len(axes) > 1 and len(level) >= _MANY:
         for i, axis in enumerate(axes):
-            ratio = power((*highest[:i], 0, *highest[i + 1 :]), everywhere) / max(base, _STILL**2)
-            if max(_COLOURED, 1 + _CONFIDENT * _error(len(level) // 2)) < ratio < _SIGNAL:
+            lower = [power((*highest[:i], 0, *highest[i + 1 :]), places) for places in classes]
+            ratio = float(np.median(np.array(lower) / np.maximum(variances, _STILL**2)))
+            if _COLOURED < ratio < _SIGNAL:
                 colour[axis - 1] = ratio
-    return mean, gain, tuple(colour)
+    return (mean, gain, tuple(colour)) if mean > _NOTHING else (0.0, 0.0, white)
 
 
 def _error(count: int) -> float:
@@ -343,16 +346,23 @@ def _error(count: int) -> float:
     return 2.33 / math.sqrt(count)
 
 
-def _bands(blocks: NDArray[np.float32], axes: list[int]) -> dict[tuple[int, ...], NDArray[np.float32]]:
-    """The wavelet bands: 0 stands for the lower half along an axis, 1 for the upper one. Blocks' edges are left out."""
+def _bands(
+    blocks: NDArray[np.float32], axes: list[int], filters: Sequence[Array] = (_LOW, _HIGH)
+) -> dict[tuple[int, ...], NDArray[np.float32]]:
+    """Every second sample of blocks after each of some filters along each axis: 0 stands for the first filter, 1 for the second.
+
+    Blocks' edges are left out.
+    """
     bands: dict[tuple[int, ...], NDArray[np.float32]] = {(): blocks}
     for axis in axes:
         count = (blocks.shape[axis] - len(_LOW)) // 2 + 1
         split = {}
         for key, band in bands.items():
-            for half, taps in enumerate((_LOW, _HIGH)):
-                split[(*key, half)] = sum(
-                    np.float32(tap) * band[(slice(None),) * axis + (slice(j, j + 2 * count - 1, 2),)] for j, tap in enumerate(taps)
-                )
+            shifted = [band[(slice(None),) * axis + (slice(j, j + 2 * count - 1, 2),)] for j in range(len(_LOW))]
+            for half, taps in enumerate(filters):
+                total = np.zeros_like(shifted[0])
+                for tap, samples in zip(taps, shifted, strict=True):
+                    total += np.float32(tap) * samples
+                split[(*key, half)] = total
         bands = split
     return bands

@@ -1,43 +1,49 @@
 """How much smoothing pays for a volume: λ of a smoothing spline, from the volume's own spectrum and noise.
 
-A smoothing spline of samples that are a signal of power P(ω) and noise of power N(ω) errs, in the mean over all points, by
+At the samples a smoothing spline passes the share ``G(ω) = B(ω) / (B(ω) + λ (2 − 2 cos ω)^m)`` of each frequency, B being the
+transform of the B-spline's samples (Unser, Aldroubi and Eden, B-spline signal processing, 1993), in two and three dimensions the
+product over the axes. Of samples with power P(ω), in which there is noise of power N(ω), it leaves the mean square error
 
-    ∫ P(ω) (1 − 2 h(ω) + v(ω)) + N(ω) v(ω) dω       h = β(ω) / U(ω)    v = A(ω) / U(ω)²    U = B(ω) + λ (2 − 2 cos ω)^m
+    ∫ (P(ω) − N(ω)) (1 − G(ω))² + N(ω) G(ω)² dω  =  ∫ P (1 − G)² + 2 N G − N dω
 
-(Unser, Aldroubi and Eden, B-spline signal processing, 1993; Blu and Unser, Quantitative Fourier analysis of approximation
-techniques, 1999). β is the transform of the B-spline, B that of its samples, A that of its autocorrelation's samples; in two and three
-dimensions h and v are products over the axes. What is known is the power of the samples, P + N: with P = (P + N) − N the
-estimate is without bias (Stein, 1981), and it is exact for a signal without frequencies beyond the samples' Nyquist frequency.
+on the right without what is not known: Stein's unbiased estimate (1981), whose minimum is sought. Generalised cross-validation
+seeks that of the first term over the square of the mean of 1 − G: it needs no N, but takes what it cannot predict for noise, stairs
+and edges too.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import interpolate, optimize
 
 from clvol.checks import whole
-from clvol.noise import Noise, Spectrum
+from clvol.errors import OptionError
+from clvol.filter import Filter, as_filter, bspline
+from clvol.noise import Spectrum
 from clvol.volume import Volume, as_volume
 
-__all__ = ["PENALTY", "Smoothing", "choose", "predicted_error"]
+__all__ = ["Smoothing", "choose", "settled"]
 
 Array: TypeAlias = NDArray[np.float64]
 
-PENALTY = {2: 2, 3: 2, 4: 3, 5: 3}  # order of the differences that λ weighs, by the degree of the spline
-# Measured on voxelised spheres (radius 5 to 18 voxels), tori (tube 2 to 6) and planes whose surface is known, cubic splines: the
-# RMS distance to the surface falls from 0.20 voxels (λ = 0) to 0.08-0.12 at λ = 0.5 and rises again, that of the normals from 24° to 4.4°.
+# Measured with cubic splines on voxelised spheres (radius 5 to 18 voxels), tori (tube 3 to 6) and planes: the RMS distance to the
+# true surface falls from 0.20 voxels at λ = 0 to 0.08-0.12 at λ = 0.5, and then rises; the normals err by 24° and 4.4°.
 _STAIRS = 0.5
 # Beside an exact background there is an inside worth keeping: 0.10 voxels and 7° at the edge.
 _EDGE = 0.2
-_MOST = 100.0
+_GRID = 1e-4, 1e2  # λ that are tried, for cubic splines
+_UNSEEN = 0.01  # of the samples' standard deviation: noise below is not seen (rounding to 8 bits makes half of it)
 _PAYS = 0.98  # of the error of interpolation: what is gained below is not worth a change
-_APART = 0.95  # of the error with one λ: what λ along each axis must bring
+# Of the least predicted error: of all λ that err no more, the greatest. The error hardly changes about its minimum, but the
+# gradients do, and steps between regions, which no spectrum tells from waves, are the better for it.
+_ROOM = 1.02
+_APART = 0.9  # of the error with one λ: what λ along each axis must bring
 
 
 @dataclass(frozen=True)
@@ -62,14 +68,14 @@ class Smoothing:
 def choose(volume: Volume | ArrayLike, degree: int = 3) -> Smoothing:
     """λ of the smoothing spline that errs least for a volume, 0 where interpolation does.
 
-    Noise alone decides, as `Volume.noise` tells of it, but where noise cannot: binary volumes and labels have stairs for surfaces, and
-    so has an object cut out by a mask. There λ is at least what removes them (see the source for the measurements).
+    The noise decides, as `Volume.noise` tells of it, except where there is more to smooth than noise: surfaces of binary volumes
+    and of labels are stairs, and so are those of objects that were cut out by a mask. There λ is at least what removes the stairs.
 
     Parameters
     ----------
     volume : Volume or array-like
     degree : int
-        Of the spline, 2 to 5.
+        Of the spline, 2 to 9.
 
     Raises
     ------
@@ -77,16 +83,23 @@ def choose(volume: Volume | ArrayLike, degree: int = 3) -> Smoothing:
         Samples that were looked at are NaN or infinite.
     """
     volume = as_volume(volume)
-    degree = whole("degree", degree, 2, 5)
+    degree = whole("degree", degree, 2, 9)
+    known = _CHOSEN.setdefault(volume, {})
+    if degree not in known:
+        known[degree] = _choice(volume, degree)
+    return known[degree]
+
+
+def _choice(volume: Volume, degree: int) -> Smoothing:
     noise = volume.noise
     d = volume.ndim
     if noise.kind in ("binary", "labels"):
         value = _rounded(_equivalent(_STAIRS, degree))
         return Smoothing((value,) * d, f"{_KINDS[noise.kind]}: stairs are smoothed", 0.0)
     if noise.sigma > 0:
-        values, gain = _least(noise.spectrum, degree)
-        says = f"{_KINDS[noise.kind]} noise, σ = {noise.sigma:.3g}: "
-        says += f"{100 * (1 - gain):.0f} % less error predicted" if any(values) else "smoothing would lose as much as it removes"
+        values = _least(noise.spectrum, degree)
+        says = f"{_KINDS[noise.kind]} noise, σ = {noise.sigma:.3g}"
+        says += "" if any(values) else ": too little for smoothing to pay"
     else:
         values, says = (0.0,) * d, "no noise"
     if noise.masked:
@@ -97,12 +110,30 @@ def choose(volume: Volume | ArrayLike, degree: int = 3) -> Smoothing:
     return Smoothing(values, says, noise.sigma)
 
 
-def predicted_error(noise: Noise, degree: int, smoothing: Sequence[float]) -> float:
-    """Predicted RMS error of a spline, over the range of the values; λ along x, y[, z]."""
-    return math.sqrt(max(_Risk(noise.spectrum, whole("degree", degree, 2, 5))(smoothing[::-1]), 0.0))
+def settled(filter: str | Filter, volume: Volume) -> Filter:
+    """A row as it is for a volume: one whose smoothing is "auto" or a length has numbers instead, and its name says them.
+
+    Raises
+    ------
+    OptionError
+        Its smoothing has another number of axes than the volume, or is too much for float32.
+    """
+    row = as_filter(filter)
+    if row.magnified_by is not None and not row.magnified_by.settled:
+        row = replace(row, magnify=settled(row.magnified_by, volume).name)
+    if isinstance(row.smoothing, tuple) and len(row.smoothing) != volume.ndim:
+        raise OptionError(f"smoothing must be one number, or {volume.ndim} for a volume of {volume.ndim} axes; got {row.name!r}")
+    if row.settled:
+        return row
+    if row.length is not None:
+        length = row.length
+        return row.smoothed([float(f"{(length / s) ** (2 * row.penalty):.6g}") for s in volume.spacing])
+    return row.smoothed(choose(volume, row.degree).values)
 
 
 # -- inner -------------------------------------------------------------------------------------------
+
+_CHOSEN: WeakKeyDictionary[Volume, dict[int, Smoothing]] = WeakKeyDictionary()
 
 _KINDS = {
     "white": "white",
@@ -114,81 +145,63 @@ _KINDS = {
 
 
 class _Risk:
-    """The mean square error of the spline with λ along each axis of the array, predicted."""
+    """The mean square error at the samples with λ along each axis of the array, predicted; the range of the values is 1."""
 
     def __init__(self, spectrum: Spectrum, degree: int) -> None:
         self.spectrum = spectrum
-        self.axes = [
-            (np.sinc(w / (2 * np.pi)) ** (degree + 1), _sampled(degree, w), _sampled(2 * degree + 1, w), _penalty(degree, w))
-            for w in spectrum.frequencies
-        ]
+        self.axes = [_passing(degree, omega) for omega in spectrum.frequencies]
 
     def __call__(self, smoothing: Sequence[float]) -> float:
-        power, both = self.spectrum.power, self.spectrum.power
-        through = every = 1.0  # noise that h lets through, and all of it
-        for (kernel, samples, square, penalty), noise, value in zip(
-            self.axes[::-1], self.spectrum.noise[::-1], tuple(smoothing)[::-1], strict=True
-        ):
-            undone = samples + value * penalty
-            h = kernel / undone
-            power, both = power @ h, both @ (square / undone**2)
-            through, every = through * float(noise @ h), every * float(noise.sum())
-        return float(self.spectrum.power.sum() - 2 * power + both + 2 * through - every)
+        passed = squared = self.spectrum.power
+        through = every = 1.0  # noise that passes, and all of it
+        for (sampled, penalty), noise, value in reversed(list(zip(self.axes, self.spectrum.noise, smoothing, strict=True))):
+            g = sampled / (sampled + value * penalty)
+            passed, squared = passed @ g, squared @ g**2
+            through, every = through * float(noise @ g), every * float(noise.sum())
+        return float(self.spectrum.power.sum() - 2 * passed + squared + 2 * through - every)
 
 
-def _least(spectrum: Spectrum, degree: int) -> tuple[tuple[float, ...], float]:
-    """λ along x, y[, z] of the least predicted error, and its share of that of interpolation."""
-    risk = _Risk(spectrum, degree)
+def _least(spectrum: Spectrum, degree: int) -> tuple[float, ...]:
+    """λ along x, y[, z] of the least predicted error; 0 where interpolation does nearly as well."""
     d = len(spectrum.frequencies)
-    scale = _equivalent(1.0, degree)  # λ of equal strength
-    low, high = math.log(1e-4 * scale), math.log(_equivalent(_MOST, degree))
+    if math.prod(float(share.sum()) for share in spectrum.noise) < _UNSEEN**2 * float(spectrum.power.sum()):
+        return (0.0,) * d
+    risk = _Risk(spectrum, degree)
+    grid = _equivalent(1.0, degree) * np.geomspace(_GRID[0], _GRID[1], 151)
 
-    def best(of: Callable[[float], float]) -> float:
-        grid = np.linspace(low, high, 41)
-        found = [of(math.exp(x)) for x in grid]
-        i = int(np.argmin(found))
-        around = grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]
-        return math.exp(float(optimize.minimize_scalar(lambda x: of(math.exp(x)), bounds=around, method="bounded").x))
+    def best(of: Callable[[float], float]) -> tuple[float, float]:
+        """The greatest λ whose error is little more than the least, and the least."""
+        found = np.array([of(value) for value in grid])
+        least = float(found.min())
+        return float(grid[np.flatnonzero(found <= least + (_ROOM**2 - 1) * abs(least))[-1]]), least
 
-    nothing = risk((0.0,) * d)
-    one = best(lambda value: risk((value,) * d))
-    values, error = (one,) * d, risk((one,) * d)
-    several = list(values)
-    for _ in range(2):
-        for axis in range(d):
-            several[axis] = best(lambda value, axis=axis: risk([*several[:axis], value, *several[axis + 1 :]]))
-    if max(risk(several), 0.0) < _APART**2 * error:
-        values, error = tuple(several), risk(several)
-    if nothing <= 0 or error > _PAYS**2 * nothing:
-        return (0.0,) * d, 1.0
-    return tuple(_rounded(value) for value in values[::-1]), math.sqrt(max(error, 0.0) / nothing)
+    one, least = best(lambda value: risk((value,) * d))
+    if least > _PAYS**2 * risk((0.0,) * d):
+        return (0.0,) * d
+    several = [one] * d
+    for axis in [*range(d)] * 2:
+        several[axis], apart = best(lambda value, axis=axis: risk([*several[:axis], value, *several[axis + 1 :]]))  # type: ignore[misc]
+    differ = 0 < apart < _APART**2 * least and max(several) > 2 * min(several)
+    values = several if differ else [one] * d
+    return tuple(_rounded(value) for value in values[::-1])
 
 
-def _sampled(degree: int, omega: Array) -> Array:
-    """Transform of the samples of a B-spline, the denominator of eq. (16)."""
-    half = (degree + 1) / 2
-    spline = interpolate.BSpline.basis_element(np.arange(degree + 2) - half, extrapolate=False)
-    total = np.full_like(omega, float(spline(0.0)))
-    for k in range(1, math.ceil(half)):
-        total += 2 * float(spline(k)) * np.cos(k * omega)
-    return total
-
-
-def _penalty(degree: int, omega: Array) -> Array:
-    return np.asarray((2 - 2 * np.cos(omega)) ** PENALTY[degree])
+def _passing(degree: int, omega: Array) -> tuple[Array, Array]:
+    """B(ω) and (2 − 2 cos ω)^m."""
+    row = bspline(degree)
+    b = row.samples
+    return b[0] + 2 * np.cos(np.outer(omega, np.arange(1, len(b)))) @ b[1:], (2 - 2 * np.cos(omega)) ** row.penalty
 
 
 def _equivalent(value: float, degree: int) -> float:
     """λ for a degree that halves the same frequency as `value` does for cubic splines."""
-
-    def excess(omega: float) -> float:
-        at = np.array([omega])
-        return float((value * _penalty(3, at) - _sampled(3, at))[0])
-
     if degree == 3:
         return value
-    at = np.array([optimize.brentq(excess, 1e-3, np.pi)])
-    return float((_sampled(degree, at) / _penalty(degree, at))[0])
+    omega = np.linspace(1e-3, np.pi, 4096)
+    sampled, penalty = _passing(3, omega)
+    half = int(np.argmin(np.abs(sampled - value * penalty)))
+    sampled, penalty = _passing(degree, omega[half : half + 1])
+    return float((sampled / penalty)[0])
 
 
 def _rounded(value: float) -> float:

@@ -227,7 +227,7 @@ class Volume:
     # -- making other volumes ----------------------------------------------------------------
 
     def indicator(self, *labels: float) -> Volume:
-        """1 where a sample has one of these values and 0 elsewhere, as float32: a region of a label image, to draw its surface at 1/2."""
+        """1 where a sample has one of these values and 0 elsewhere, as float32: a region of labels, whose surface is at 1/2."""
         if not labels:
             raise OptionError("indicator needs at least one value; got none")
         for label in labels:

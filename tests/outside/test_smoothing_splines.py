@@ -10,7 +10,7 @@ import clvol
 from clvol import Volume, reference
 from clvol.errors import OptionError
 from clvol.filter import Filter, as_filter, bspline, from_pieces
-from clvol.settling import settled
+from clvol.smoothing import settled
 
 
 def noisy(n: int, seed: int = 0) -> np.ndarray:

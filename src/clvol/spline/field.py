@@ -18,7 +18,7 @@ from clvol.errors import DataError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.interop import read_array
 from clvol.program import LANES
-from clvol.settling import settled
+from clvol.smoothing import settled
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, EvaluatorName, FetchName, choose_evaluator
 from clvol.spline.points import Floats, Progress, Reals, in_units_of_data, sample_coefficients

@@ -25,33 +25,47 @@ _START_ERROR = 1e-9  # what the starting values may leave out, relative to the d
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """What prefilter.cl reads to filter the lines of one axis.
+    """How the lines of one axis are filtered.
 
     Attributes
     ----------
-    numbers : ndarray of float32
-        For each stage a1, a2 and the gain of its recursions, then the weights of the sums that start them:
-        [first values][ends from the first sample on, ends from the last one backwards].
-    ends : int
-        Room for weights of either end.
+    stages : list of (float, float)
+        a1 and a2 of the recursions of each stage.
+    gain : float
+        By which samples are multiplied on the way.
+    sums : ndarray, shape (stages, 2, order, 2, ends)
+        Weights of the first values of causal and anticausal recursions: of samples from the first one on, then from the last one
+        backwards.
     head, tail : int
         How many samples of either end count.
     """
 
-    numbers: NDArray[np.float32]
-    ends: int
+    stages: list[tuple[float, float]]
+    gain: float
+    sums: NDArray[np.float64]
     head: int
     tail: int
+
+    @property
+    def split(self) -> bool:
+        """Whether samples near the first one count for causal recursions alone, and those near the last for anticausal ones."""
+        return bool(max(np.abs(self.sums[:, 0, :, 1]).max(), np.abs(self.sums[:, 1, :, 0]).max()) < _START_ERROR)
+
+    def arguments(self, device: Device, gain: float, sums: float) -> tuple[Any, ...]:
+        """What prefilter.cl reads: the samples are multiplied by `gain`, and the sums by `sums`."""
+        numbers = np.concatenate([np.ravel(self.stages), [gain], sums * self.sums.ravel()])
+        return (device.upload(numbers.astype(np.float32)), *map(np.int32, (self.sums.shape[-1], self.head, self.tail)))
 
 
 @lru_cache(maxsize=256)
 def _plan(row: Filter, boundary: Boundary, n: int, order: int, count: int) -> _Plan:
     """The recursions of `row`, which is the same along all axes, on an axis of `n` samples: `count` stages of `order` poles.
 
-    A stage has a causal recursion ``y[i] = gain x[i] + a1 y[i-1] + a2 y[i-2]`` and an anticausal one. Their first values are
-    sums over samples near the ends: the coefficients solve the matrix of eq. (11), which the boundary rule determines. Undoing
-    the later stages on them gives what each stage must produce, hence its first values. All of this is linear in the samples,
-    and only samples near the ends matter, since the inverse decays like powers of the largest pole.
+    A stage has a causal recursion ``y[i] = x[i] + a1 y[i-1] + a2 y[i-2]`` and an anticausal one, the first of them of samples
+    multiplied by the gain. Their first values are sums over samples near the ends: the coefficients solve the matrix of eq. (11),
+    which the boundary rule determines. Undoing the later stages on them gives what each stage must produce, hence its first
+    values. All of this is linear in the samples, and only samples near the ends matter, since the inverse decays like powers of
+    the largest pole.
     """
     poles, b = row.poles, row.undone
     nearest = float(np.abs(poles).max(initial=_START_ERROR))
@@ -80,10 +94,8 @@ def _plan(row: Filter, boundary: Boundary, n: int, order: int, count: int) -> _P
     ends = np.zeros((len(weights), 2, reach))
     ends[:, 0, :head] = weights[:, :head]
     ends[:, 1, :tail] = weights[:, ::-1][:, :tail]
-    # stages of two leave the gain of their anticausal recursion, the product of their poles, to the first causal one
-    gain = 1 / b[-1] if order == 1 else float(np.prod(-poles).real) / b[-1]
-    recursions = [[a1, a2, gain if i == 0 else 1.0] for i, (a1, a2) in enumerate(stages)]
-    return _Plan(np.concatenate([np.ravel(recursions), ends.ravel()]).astype(np.float32), reach, head, tail)
+    gain = 1 / b[-1] * (1.0 if order == 1 else float(np.prod(-poles).real))  # two poles leave theirs to the causal recursion
+    return _Plan(stages, gain, ends.reshape(count, 2, order, 2, reach), head, tail)
 
 
 def _stages(poles: NDArray[Any], order: int) -> list[tuple[float, float]]:
@@ -124,9 +136,21 @@ def prefilter_in_place(
     order, count = (1, 1) if poles == 1 else (2, max(1, -(-poles // 2)))  # without poles a stage divides alone
     plans = [_plan(row, boundary, n, order, count) for row, n in zip(rows, size, strict=False)]
     built = device.build(
-        "spline/prefilter.cl", {"ORDER": order, "STAGES": count, "CHAINS": chains, "LANES": LANES, "COORD_DOUBLE": 0}
+        "spline/prefilter.cl",
+        {
+            "ORDER": order,
+            "STAGES": count,
+            "SPLIT": int(all(plan.split for plan in plans)),
+            "CHAINS": chains,
+            "LANES": LANES,
+            "COORD_DOUBLE": 0,
+        },
     )
-    along = [(device.upload(p.numbers), np.int32(p.ends), np.int32(p.head), np.int32(p.tail)) for p in plans]
+    others = math.prod(plan.gain for plan in plans[1:])  # taken by the rows, which come first
+    along = [
+        plan.arguments(device, 1.0, 1 / plan.gain) if axis else plan.arguments(device, plan.gain * others, others)
+        for axis, plan in enumerate(plans)
+    ]
 
     def launch(name: str, groups: int, lines: int, origin: int, stride: int, voxels: int, *arguments: Any) -> None:
         """Launches over `lines` lines or slices, `stride` apart, of so many voxels each."""
