@@ -18,7 +18,7 @@ from clvol.device import Device
 from clvol.figures.panels import ISOVALUE
 from clvol.figures.style import GREY, INK, Drawing, colour, new_figure, styled, title
 from clvol.filter import Filter, as_filters
-from clvol.settling import settled
+from clvol.smoothing import settled
 from clvol.spline.field import Field
 from clvol.volume import Volume
 
