@@ -104,6 +104,22 @@ def test_real_scan_draws_any_volume(tmp_path: Path, device: Device) -> None:
     assert device is not None
 
 
+def test_smoothing_draws_a_volume_before_and_after(tmp_path: Path, device: Device) -> None:
+    ramp = np.linspace(-1, 1, 24)
+    ball = ramp**2 + ramp[:, None] ** 2 + ramp[:, None, None] ** 2
+    np.save(tmp_path / "scan.npy", (ball + np.random.default_rng(0).normal(0, 0.1, ball.shape)).astype(np.float32))
+    done = run("smoothing.py", "scan.npy", "--pixels", 24, "--isovalue", 0.7, "--output", "a.png", folder=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    linear, interpolating, smoothing, output = done.stdout.splitlines()
+    assert (linear, interpolating, output) == ("linear", "bspline3", "a.png")
+    assert smoothing.startswith("bspline3(0.") or float(smoothing[9:-1]) >= 1
+    assert iio.imread(tmp_path / "a.png").shape[1] == 3 * 24 + 2 * 4
+    failed = run("smoothing.py", "missing.npy", folder=tmp_path)
+    assert failed.returncode == 1
+    assert failed.stderr == "FormatError: cannot read missing.npy: there is no such file or folder\n"
+    assert device is not None
+
+
 @pytest.mark.skipif(not TOOTH.is_file(), reason="the scan of a tooth is not here")
 def test_real_scan_draws_a_tooth(tmp_path: Path, device: Device) -> None:
     pytest.importorskip("SimpleITK")

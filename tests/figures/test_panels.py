@@ -29,7 +29,7 @@ def panel(drawn: tuple[list[Panel], np.ndarray], name: str) -> Panel:
 def test_panels_are_those_of_the_paper_and_the_function_itself(drawn: tuple[list[Panel], np.ndarray]) -> None:
     panels, _ = drawn
     assert [p.filter for p in panels] == [*PANELS, "exact"]
-    assert PANELS == (*FIGURE_6, "sinc")
+    assert (*FIGURE_6, "sinc") == PANELS
     for p in panels:
         assert p.picture.shape == (PIXELS, PIXELS, 4)
         assert p.picture.dtype == np.float32
@@ -224,6 +224,22 @@ def test_compare_draws_what_render_draws(device: Device) -> None:
                 volume, camera, filter=p.filter, boundary="wrap", size=(16, 16), device=device, **{"mode": "isosurface", **options}
             )
             np.testing.assert_array_equal(p.picture, alone)
+
+
+def test_compare_tells_the_smoothing_that_was_decided(device: Device) -> None:
+    noisy = phantoms.sphere(24).data + np.random.default_rng(0).normal(0, 0.1, (24, 24, 24))
+    names = ("bspline3", "bspline3(0.25)", "bspline3(auto)")
+    panels, sheet = compare(noisy, names, 40, device=device, mode="isosurface", isovalue=0.5)
+    assert [p.filter for p in panels[:2]] == ["bspline3", "bspline3(0.25)"]
+    assert panels[1].label == "B-spline, lambda = 0.25\n"
+    decided = as_filter(panels[2].filter).smoothing
+    assert isinstance(decided, float)
+    assert decided > 0.1
+    assert sheet.shape[1] == 3 * 40 + 2 * 4
+    # a smooth ball: the smoother one is nearer to what is drawn without noise
+    clean = compare(phantoms.sphere(24), names[:1], 40, device=device, mode="isosurface", isovalue=0.5)[0][0].picture
+    far = [np.abs(p.picture - clean).mean() for p in panels]
+    assert far[2] < far[1] < 0.7 * far[0]
 
 
 @pytest.mark.parametrize("rule", ["mirror", "reflect", "wrap"])

@@ -106,7 +106,8 @@ class Panel:
 
     @property
     def label(self) -> str:
-        heading = (f"{self.letter})  " if self.letter else "") + title(self.filter)
+        # Pillow's own font has no Greek letters
+        heading = (f"{self.letter})  " if self.letter else "") + title(self.filter).replace("λ", "lambda")
         heading += "" if self.residual is None else f" to about {self.residual:.0e}"
         measured = [] if self.rms is None else [f"RMS error {self.rms:.4f}"]
         measured += [] if self.angle is None else [f"normals {self.angle:.1f}°"]
@@ -240,7 +241,8 @@ def compare(
             drawn = renderer.render(
                 view, size=(pixels, pixels), step=step * finer, progress=_part(progress, i, len(chosen)), **look
             )
-        panels.append(Panel(row if isinstance(row, str) else row.name, drawn, residual=residual))
+            name = row if isinstance(row, str) else renderer.filter.name  # with its smoothing as it was settled for the volume
+        panels.append(Panel(name, drawn, residual=residual))
     columns = min(len(panels), 3 if len(panels) % 3 == 0 else 4)
     return panels, grid([labelled(p.picture, p.label.rstrip()) for p in panels], columns=columns)
 
