@@ -384,13 +384,11 @@ def test_the_gain_of_variance_is_what_is_left_of_noise(name: str) -> None:
     if name in closed:
         assert gain == pytest.approx(closed[name], rel=1e-12)
     if name != "nearest":  # whose |H|² falls too slowly to be integrated
-        w = np.linspace(0, 200 * np.pi, 200_001)
+        w = np.linspace(0, 40 * np.pi, 8001)
         assert gain == pytest.approx(np.trapezoid(analysis.frequency_response(name, w) ** 2, w) / np.pi, rel=1e-5)
-    line = np.random.default_rng(3).normal(size=(1, 40_000))
-    index = np.random.default_rng(4).uniform(0, 40_000, 40_000)
-    values = clvol.reference.sample(Volume(line), np.stack([index, 0 * index], -1), name, "wrap")
-    across = clvol.reference.sample(Volume(np.ones((1, 1))), [[0.0, 0.0]], name, "wrap")  # the other axis has one sample
-    assert values.var() / across**2 == pytest.approx(gain, rel=0.04)
+    image = Volume(np.random.default_rng(3).normal(size=(120, 120)))
+    values = clvol.reference.sample(image, np.random.default_rng(4).uniform(0, 120, (12_000, 2)), name, "wrap")
+    assert values.var() == pytest.approx(gain**2, rel=0.05)
 
 
 def test_noise_turns_the_order_of_filters_over(device: Device) -> None:
@@ -419,7 +417,7 @@ def test_places_on_surfaces_of_the_phantoms_of_noise_lie_on_them() -> None:
     np.testing.assert_allclose(cosine, 1)
     np.testing.assert_allclose(phantoms.marschner_lobb_function(waves.surface), 0.5, atol=1e-9)
     assert np.abs(waves.surface).max() <= 1
-    field = clvol.reference.sample(phantoms.sphere(17, 0.75), sphere.points, "bspline3")
+    field = clvol.reference.sample(phantoms.sphere(65, 0.75), sphere.points, "bspline3")
     np.testing.assert_allclose(sphere.values, field, atol=1e-3)
 
 

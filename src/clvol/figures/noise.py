@@ -38,6 +38,7 @@ _WITHIN = 0.8  # of the faces' distance from the centre
 _RADIUS = 0.75  # of the sphere
 _SPAN = 1e-4  # of the largest error: none below is shown
 _SURFACE = 8000  # places on the surface at which normals are compared
+_NEWTON = 8
 _SEED = 1993
 
 
@@ -72,7 +73,8 @@ def cases(samples: int = 41, points: int = 20_000) -> list[Case]:
     ball *= _RADIUS / np.linalg.norm(ball, axis=1, keepdims=True)
     field = 0.5 + (_RADIUS**2 - (within**2).sum(-1)) / (2 * _RADIUS)  # that of `phantoms.sphere`
     waves = random.uniform(-_WITHIN, _WITHIN, (_SURFACE, 3))
-    for _ in range(30):  # along z the function falls steeply and has one root
+    waves[:, 2] = 0
+    for _ in range(_NEWTON):  # along z the function falls from 1 to 0, and nearly straight where it is ISOVALUE
         slope = phantoms.marschner_lobb_gradient(waves)[:, 2]
         waves[:, 2] -= (phantoms.marschner_lobb_function(waves) - ISOVALUE) / slope
     return [

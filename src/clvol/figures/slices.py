@@ -127,7 +127,8 @@ def _drawn(rows: Sequence[Filter], samples: int, tables: Sequence[_Table], devic
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     size, high = _ZOOM * (samples - 1) + 1, 620
-    figure, panels, times = tiles(1, len(rows) + 1, (size, size), above=25, below=1)
+    wide = (len(rows) + 1) * max(size, 160)
+    figure, panels, times = tiles(1, len(rows) + 1, (size, size), above=25, below=1, right=max(0, 330 + 450 * len(tables) - wide))
     letters = int(0.08 * times * size)
     x = np.linspace(-1, 1, size)
     plane = np.stack([*np.meshgrid(x, x), np.zeros((size, size))], -1)[..., [0, 2, 1]]  # x across, z up
