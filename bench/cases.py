@@ -22,7 +22,7 @@ from bench.peers import Peer, Points, Shot
 from clvol.boundary import as_boundary
 from clvol.device import Device, as_device
 from clvol.errors import OutOfMemoryError
-from clvol.filter import as_filter
+from clvol.filter import Filter, as_filter
 from clvol.march.frame import BY_RAYS
 from clvol.march.planes import OBLIQUE, Planes
 from clvol.spline.coefficients import Coefficients
@@ -148,9 +148,10 @@ class Bench:
         self.n = 64 if quick else 256
         self.size = (128, 128) if quick else (512, 512)
         self.repeats = 2 if quick else 5
-        self.row, self.rule = as_filter("bspline3"), as_boundary("mirror")
+        self.row, self.smoothed = as_filter("bspline3"), as_filter("bspline3(0.1)")
+        self.rule = as_boundary("mirror")
         self.head = lru_cache(maxsize=2)(self._head)
-        self.renderer = lru_cache(maxsize=1)(self._renderer)  # of one volume at a time: the largest take most of the memory
+        self.renderer = lru_cache(maxsize=2)(self._renderer)  # of few at a time: the largest take most of the memory
 
     @property
     def device(self) -> Device:
@@ -159,19 +160,19 @@ class Bench:
     def _head(self, n: int, kind: str = "float32") -> Array:
         return scene.head(n, self.device, kind)
 
-    def _renderer(self, n: int, kind: str = "float32") -> clvol.Renderer:
-        return clvol.Renderer(self.head(n, kind))
+    def _renderer(self, n: int, kind: str = "float32", filter: str = "bspline3") -> clvol.Renderer:
+        return clvol.Renderer(self.head(n, kind), filter)
 
-    def coefficients(self, n: int) -> Coefficients:
-        return coefficients_of(clvol.Volume(self.head(n)), self.row, self.rule, self.device)
+    def coefficients(self, n: int, filter: Filter) -> Coefficients:
+        return coefficients_of(clvol.Volume(self.head(n)), filter, self.rule, self.device)
 
     # -- prefilter --
 
     def resident_prefilter(self, n: int) -> Work:
         """The kernels alone, on what is on the device already."""
-        resident, data = self.coefficients(n), self.head(n)
-        amount = float(n**3)
-        return Work(partial(_prefilter, resident), peers.of("prefilter", data), amount, "Mvoxel/s", PREFILTER, self.repeats)
+        resident, theirs = self.coefficients(n, self.row), peers.of("prefilter", self.head(n))
+        theirs["clvol, λ = 0.1"] = Peer(partial(_prefilter, self.coefficients(n, self.smoothed)))
+        return Work(partial(_prefilter, resident), theirs, float(n**3), "Mvoxel/s", PREFILTER, self.repeats)
 
     def array_prefilter(self, n: int) -> Work:
         data = self.head(n)
@@ -249,6 +250,7 @@ class Bench:
     def frame(self, shot: Shot) -> Work:
         renderer = self.renderer(shot.data.shape[0])
         theirs = peers.of("frame", shot)
+        theirs["clvol, λ = 0.1"] = Peer(partial(draw, self.renderer(shot.data.shape[0], filter=self.smoothed.name), shot))
         if shot.mode == "isosurface":
             theirs["clvol, stepped, 0.5 voxel"] = Peer(partial(draw, renderer, replace(shot, step=0.5), method="stepped"))
         amount = float(shot.size[0] * shot.size[1])

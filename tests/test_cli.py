@@ -3,6 +3,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -82,6 +83,20 @@ def files() -> list[str]:
 
 
 # -- render ---------------------------------------------------------------------------------------------------
+
+
+def test_render_says_what_it_smooths(clvol_command: Command, tmp_path: Path) -> None:
+    noisy = clvol.phantoms.sphere(32).data + np.random.default_rng(0).normal(0, 0.2, (32, 32, 32))
+    np.save(tmp_path / "noisy.npy", noisy.astype(np.float32))
+    done = clvol_command("render", "noisy.npy", "-o", "a.png", *SMALL)
+    assert re.search(r"filter: bspline3, λ = [\d.]+ \(white noise, σ = 0\.[12]\d*\)", done.out)
+    assert "filter: bspline3\n" in clvol_command("render", "noisy.npy", "-o", "a.png", "--mode", "mip", *SMALL).out
+    assert (
+        "filter: bspline3, λ = 0.5\n"
+        in clvol_command("render", "noisy.npy", "-o", "a.png", "--filter", "bspline3(0.5)", *SMALL).out
+    )
+    drawn = json.loads(clvol_command("render", "noisy.npy", "-o", "a.png", "--json", *SMALL).out)["filter"]
+    assert drawn == clvol.Renderer(noisy.astype(np.float32)).filter.name
 
 
 def test_render_writes_what_render_gives(clvol_command: Command) -> None:
@@ -309,6 +324,10 @@ def test_info_tells_of_every_kind_of_file(clvol_command: Command, name: str) -> 
         "value_range": [0, 23],
         "finite": True,
         "bytes": 48,
+        "noise": "none",
+        "sigma": 0.0,
+        "smoothing": [0.0, 0.0, 0.0],
+        "reason": "no noise",
     }
     lines = clvol_command("info", name).out.splitlines()
     assert lines[0] == "shape: 2 3 4"

@@ -235,7 +235,7 @@ def render(
     look = look or Look()
     options = _mode_options(look, own)
     volume = (input or Input()).read(source)
-    result: dict[str, Any] = {"output": str(output), "size": list(size), "mode": look.mode}
+    result: dict[str, Any] = {"output": str(output), "size": list(size), "filter": "", "mode": look.mode}
     with _progress("rendering", json) as progress:
         options |= look.options(volume)
         begun = time.perf_counter()

@@ -23,6 +23,8 @@ from clvol.march.planes import Planes
 from clvol.march.renderer import OUTPUTS, Renderer, render
 from clvol.mode import modes
 from clvol.reference.spline.points import sample as reference_sample
+from clvol.scene import Medium, Scene
+from clvol.smoothing import settled
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
 from tests.march.looks import TILES, suited
@@ -536,3 +538,53 @@ def test_spacings_that_float32_cannot_carry_are_refused(device: Device) -> None:
     for spacing in ((1e-7, 1, 1), (1e300, 1, 1), (1e-300,) * 3):
         with pytest.raises(GeometryError, match="differ by a factor"):
             render(Volume(np.ones((3, 4, 5)), spacing), size=(8, 8), device=device)
+
+
+# -- the filter that nobody chose ----------------------------------------------------------------------------------
+
+
+def noisy_ball() -> Volume:
+    noise = np.random.default_rng(0).normal(0, 0.2, (24, 24, 24))
+    return Volume((phantoms.sphere(24).data + noise).astype(np.float32))
+
+
+def test_pictures_smooth_the_noise_of_the_volume_unless_a_filter_is_given(device: Device) -> None:
+    volume = noisy_ball()
+    options: dict[str, Any] = {"size": (24, 20), "device": device}
+    row = settled("bspline3(auto)", volume)
+    assert not row.interpolates
+    for mode in ("composite", "isosurface", "mean"):
+        np.testing.assert_array_equal(render(volume, mode=mode, **options), render(volume, mode=mode, filter=row, **options))
+    for scene in (Medium(volume), Scene(volume)):
+        np.testing.assert_array_equal(render(scene, **options), render(volume, filter="bspline3(auto)", **options))
+    assert (render(volume, **options) != render(volume, filter="bspline3", **options)).any()
+
+
+def test_pictures_of_extremes_do_not_smooth_unless_they_are_told_to(device: Device) -> None:
+    volume = noisy_ball()
+    options: dict[str, Any] = {"size": (24, 20), "device": device}
+    for mode in ("mip", "minip", "attenuated"):
+        plain = render(volume, mode=mode, filter="bspline3", **options)
+        np.testing.assert_array_equal(render(volume, mode=mode, **options), plain)
+        np.testing.assert_array_equal(render(Medium(volume), mode=mode, **options), plain)
+        assert (render(volume, mode=mode, filter="bspline3(auto)", **options) != plain).any()
+
+
+def test_one_renderer_draws_both(device: Device) -> None:
+    volume = noisy_ball()
+    with Renderer(volume, device=device) as renderer:
+        assert renderer.filter == settled("bspline3(auto)", volume)
+        assert renderer.filter_of("mip").name == "bspline3"
+        assert renderer.filter_of("composite") == renderer.filter
+        for mode in ("composite", "mip", "composite", "mip"):
+            got = renderer.render(mode=mode, size=(20, 20))
+            np.testing.assert_array_equal(got, render(volume, mode=mode, size=(20, 20), device=device))
+    with pytest.raises(OptionError, match="closed"):
+        renderer.render(mode="mip")
+    with Renderer(volume, "bspline3(0.3)", device=device) as renderer:
+        assert {renderer.filter_of(mode).name for mode in modes()} == {"bspline3(0.3)"}
+
+
+def test_clean_volumes_are_drawn_through_their_samples(device: Device) -> None:
+    with Renderer(phantoms.marschner_lobb(24), device=device) as renderer:
+        assert renderer.filter.name == "bspline3"
