@@ -39,7 +39,7 @@ def test_figure6_draws_the_figure_and_prints_its_errors(tmp_path: Path, device: 
     assert all("RMS error 0." in line and line.endswith("°") for line in lines[:7])
     assert lines[7].startswith("sheet.png in ")
     sheet = iio.imread(tmp_path / "sheet.png")
-    assert sheet.shape[1:] == (4 * 24 + 2 * 4 + 12, 3)
+    assert sheet.shape[1:] == (4 * 24 + 3 * 4, 3)
     assert sheet.std() > 20
     assert device is not None
 

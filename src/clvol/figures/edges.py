@@ -61,14 +61,15 @@ def scanned(samples: int, lowpass: str) -> Volume:
 def strays(volume: Volume, filter: Filter, device: Device | str | int | None = None) -> dict[str, float]:
     """How far values rise again on the way out of the cube ("cloud"), and fall again on the way in ("cave"), at most.
 
-    On lines across its faces, from random places on them that are no nearer to an edge than a tenth of it, to 7 samples.
+    On lines across its faces, from random places on them that are no nearer to an edge than a tenth of it, to 7 samples or
+    two thirds of the way to its middle.
     What is low-passed without ringing falls all the way out, and both are 0.
     """
     random = np.random.default_rng(_SEED)
     start, axis = random.uniform(-0.8 * _HALF, 0.8 * _HALF, (_LINES, 3)), random.integers(0, 3, _LINES)
     normal = np.eye(3)[axis] * random.choice((-1, 1), _LINES)[:, None]
     start = np.where(normal != 0, _HALF * normal, start)
-    way = np.linspace(0, _REACH * volume.spacing[0], _PLACES)
+    way = np.linspace(0, min(_REACH * volume.spacing[0], 0.7 * _HALF), _PLACES)
     out, back = (
         sample(volume, (start[:, None] + sign * way[:, None] * normal[:, None]) @ _TURN.T, filter, "wrap", device=device)
         for sign in (1, -1)
