@@ -12,18 +12,26 @@ from clvol import reference
 from clvol.boundary import Boundary, as_boundary, boundaries
 from clvol.device import Device
 from clvol.errors import DataError, OptionError
-from clvol.filter import bspline, filters
+from clvol.filter import as_filter, bspline, filters
 from clvol.reference.spline.boundary import period as period_of
 from clvol.reference.spline.prefilter import kernel_samples
+from tests.cases import SMOOTHED
 
 RULES = tuple(boundaries())
-PREFILTERED = {row.name: row for row in (*filters().values(), bspline(7)) if row.prefilter}
+PREFILTERED = {row.name: row for row in (*filters().values(), bspline(7), *map(as_filter, SMOOTHED)) if row.prefilter}
 LENGTHS = (1, 2, 3, 4, 5, 6, 7, 8, 40)
 
 
 def dense(name: str, rule: str, n: int) -> np.ndarray:
-    """Eq. (11) written out: row i sums b_k over the samples at i + k, found by walking the rule by hand."""
-    b = kernel_samples(PREFILTERED[name])
+    """Eq. (11) written out: row i sums b_k over the samples at i + k, found by walking the rule by hand.
+
+    Smoothing adds λ times the differences of order 2m.
+    """
+    row = PREFILTERED[name]
+    m, b = row.penalty, kernel_samples(row)
+    if row.smoothing:
+        differences = float(row.smoothing) * np.poly([1] * 2 * m)[m:] * (-1) ** m
+        b = np.pad(b, (0, differences.size - b.size)) + differences
     matrix = np.zeros((n, n))
     for i in range(n):
         for k in range(1 - b.size, b.size):
@@ -79,7 +87,7 @@ def test_matrix_and_reference_prefilter_solve_the_dense_system(name: str, rule: 
     row, rng = PREFILTERED[name], np.random.default_rng(0)
     for n in LENGTHS:
         matrix = dense(name, rule, n)
-        np.testing.assert_allclose(as_boundary(rule).matrix(row.samples, n), matrix, atol=1e-12)
+        np.testing.assert_allclose(as_boundary(rule).matrix(row.undone, n), matrix, atol=1e-12)
         data = rng.normal(size=(n, 3))
         solved = reference.prefilter(data[:, :1], row, rule)[:, 0]
         # along the axis of length 1 the rule holds as well: undo it

@@ -12,7 +12,22 @@ from numpy.polynomial import legendre
 
 from clvol import reference
 from clvol.errors import OptionError
-from clvol.filter import Filter, as_filter, bc, bspline, filters, from_callable, from_pieces, lanczos, register, sinc, unregister
+from clvol.filter import (
+    Filter,
+    as_filter,
+    bc,
+    bspline,
+    filters,
+    from_callable,
+    from_pieces,
+    lanczos,
+    moms3,
+    omoms3,
+    quasi,
+    register,
+    sinc,
+    unregister,
+)
 from clvol.reference.spline import filter as reference_filter
 from clvol.reference.spline.prefilter import kernel_samples
 from clvol.volume import Volume
@@ -28,9 +43,15 @@ ROWS = {
         bc(1, 0),
         bc(0, 0),
         bc(0.2, 0.3),
+        moms3(0.03),
+        moms3(Fraction(1, 60)),
         sinc(2),
         sinc(8),
         lanczos(8),
+        *(sinc(radius, normalized=True) for radius in (1, 2, 7)),
+        lanczos(2, normalized=True),
+        lanczos(8, normalized=True),
+        quasi(5),
         *map(as_filter, SMOOTHED),
     )
 }
@@ -257,6 +278,55 @@ def test_truncated_sinc_misses_one_by_008_at_radius_4() -> None:
     assert 0.06 < miss < 0.08
 
 
+def test_a_normalized_sinc_is_berrut_s_rational_interpolant() -> None:
+    """Berrut (1988): the sines cancel, and what is left is ``(-1)**i / (x - x_i)`` over its sum."""
+    t = np.random.default_rng(0).uniform(0.001, 0.999, 500)
+    for radius in range(1, 9):
+        row = sinc(radius, normalized=True)
+        nodes = np.arange(2 * radius) - (radius - 1)
+        terms = (-1.0) ** nodes[:, None] / (t - nodes[:, None])
+        np.testing.assert_allclose(row.weights(t), terms / terms.sum(0), rtol=0, atol=1.5 * row.fit_error + 1e-14)
+        assert row.order == 2  # exact for lines, since the nodes are even in number
+    np.testing.assert_allclose(sinc(1, normalized=True)([-0.7, 0.0, 0.25]), [0.3, 1, 0.75], atol=1e-12)  # two nodes: linear
+
+
+@pytest.mark.parametrize("radius", range(1, 9))
+def test_normalized_rows_sum_to_one_and_pass_through_the_samples(radius: int) -> None:
+    t = np.linspace(0, 1, 501)
+    for make in (sinc, lanczos):
+        bare, row = make(radius), make(radius, normalized=True)
+        assert row.fit_error < (1e-6 if radius > 1 else 3e-5)
+        assert row.interpolates_directly
+        assert row.sums_to_one
+        np.testing.assert_allclose(row.weights(t).sum(0), 1, rtol=0, atol=1e-11)
+        wanted = bare.weights(t) / bare.weights(t).sum(0)
+        np.testing.assert_allclose(row.weights(t), wanted, rtol=0, atol=3 * (row.fit_error + bare.fit_error) + 1e-12)
+
+
+def test_moms3_of_minus_a_sixth_is_the_cubic_of_lagrange() -> None:
+    t = np.linspace(0, 1, 101)
+    row = moms3(Fraction(-1, 6))
+    nodes = (-1, 0, 1, 2)
+    wanted = [np.prod([(t - b) / (a - b) for b in nodes if b != a], 0) for a in nodes]
+    np.testing.assert_allclose(row.weights(t), wanted, rtol=0, atol=1e-15)
+    assert row.interpolates_directly
+    assert moms3(0).taps == bspline(3).taps
+    assert (moms3().taps, omoms3().taps) == (moms3(Fraction(1, 56)).taps, moms3(Fraction(1, 42)).taps)
+
+
+def test_quasi_interpolation_is_the_filter_published() -> None:
+    """Condat, Blu and Unser (2005): linear's prefilter is 12 / (z + 10 + 1/z); it need not pass through the samples."""
+    row = quasi(1)
+    assert row.taps == bspline(1).taps
+    np.testing.assert_allclose(row.undone, [10 / 12, 1 / 12], rtol=1e-15)
+    assert row.poles == pytest.approx([math.sqrt(24) - 5], rel=1e-12)
+    assert not row.interpolates
+    x = np.linspace(2.0, 9.0, 29)  # lines stay as they are, far from the ends of 161 samples
+    line = np.tile(3 - 0.5 * np.arange(161.0), (2, 1))
+    got = reference.sample(line, np.stack([x + 75, np.ones_like(x)], -1), row)
+    np.testing.assert_allclose(got, 3 - 0.5 * (x + 75), rtol=0, atol=1e-10)
+
+
 # -- making and registering rows ---------------------------------------------------------------------------
 
 
@@ -359,6 +429,10 @@ def test_filters_gives_a_copy() -> None:
         ("Catmull-Rom", "catmull-rom"),
         ("sinc(4)", "sinc"),
         ("lanczos(3)", "lanczos3"),
+        ("lanczosn(3)", "lanczos3n"),
+        ("SincN(4)", "sinc4n"),
+        ("moms3(1/42)", "omoms3"),
+        ("moms3( 1/56 )", "moms3"),
     ],
 )
 def test_names_and_aliases(name: str, wanted: str) -> None:
@@ -370,6 +444,9 @@ def test_families() -> None:
     assert as_filter("BC(0,0.5)").taps == as_filter("catmull-rom").taps
     assert as_filter("bc(0.2, 0.4)").exact
     assert as_filter("sinc(6)").support == 12
+    assert as_filter("sincn(6)") is sinc(6, normalized=True)
+    assert as_filter("lanczosn(2)").name == "lanczosn(2)"
+    assert as_filter("moms3(0.02)") is moms3(Fraction(1, 50))
     assert as_filter(bspline(7)).support == 8
 
 
@@ -387,6 +464,12 @@ def test_families() -> None:
         "sinc(9)",
         "lanczos(-1)",
         "lanczos()",
+        "lanczosn(9)",
+        "sincn(1/2)",
+        "moms3(1/12)",
+        "moms3(a)",
+        "moms3(1, 2)",
+        "bspline3(1)(2)",
         3,
         None,
         b"linear",
@@ -430,6 +513,10 @@ def test_unknown_filter_lists_what_is_known() -> None:
         lambda: reference.kernel("linear", 0.0, 3),
         *(lambda bad=bad: sinc(bad) for bad in (1.5, True, "a", [], None, 0, 9)),
         *(lambda bad=bad: lanczos(bad) for bad in (2.5, True, "a", [], None, 2.0)),
+        *(lambda bad=bad: moms3(bad) for bad in (Fraction(1, 12), 0.5, "a", None, True, math.nan)),
+        *(lambda bad=bad: quasi(bad) for bad in (0, 2, 7, 3.0, "a", None, True)),
+        lambda: bspline(3, smoothing=-1 / 720),
+        lambda: Filter("x", bspline(1).taps, prefilter=True, smoothing=-0.25),
         *(lambda bad=bad: bspline(bad) for bad in (3.0, 2.5, "a", None, True)),
         *(lambda bad=bad: bc(bad, 1) for bad in ([], None, True, "a", 1j, 1e308)),
         *(lambda bad=bad: from_pieces("x", bad) for bad in (3, "ab", [1], [("a",)], [(None,)], [(1j,)], None)),
@@ -479,6 +566,10 @@ def test_numbers_of_any_kind() -> None:
 
 
 @pytest.mark.usefixtures("own_table")
-@pytest.mark.parametrize("row", [bc(0, 1), bc(Fraction(1, 5), 0.25), bc(-0.1, 1e-9), sinc(6)], ids=lambda row: row.name)
+@pytest.mark.parametrize(
+    "row",
+    [bc(0, 1), bc(Fraction(1, 5), 0.25), bc(-0.1, 1e-9), sinc(6), sinc(6, normalized=True), moms3(-0.01)],
+    ids=lambda row: row.name,
+)
 def test_names_that_families_make_can_be_registered(row: Filter) -> None:
     assert as_filter(register(row).name) is row

@@ -35,6 +35,16 @@ def test_prefilter_is_eq_16(degree: int) -> None:
     np.testing.assert_allclose(prefilter_response(bspline(degree), OMEGA), eq16, rtol=1e-12)
 
 
+@pytest.mark.parametrize("degree", range(2, 6))
+def test_the_two_b_k_of_the_paper_are_two_functions(degree: int) -> None:
+    """Eq. (15) integrates the kernel, eqs (12), (13) and (16) sum its samples: by Poisson the sum of (15) over all images."""
+    one, both = frequency_response(bspline(degree, prefilter=False), OMEGA), 1 / prefilter_response(bspline(degree), OMEGA)
+    images = OMEGA[:, None] + 2 * np.pi * np.arange(-400, 401)
+    np.testing.assert_allclose(both, sinc_of(images, degree + 1).sum(-1), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(both, 1 / prefilter_response(bspline(degree), OMEGA + 2 * np.pi), rtol=1e-9)  # periodic
+    assert np.abs(one - both).max() > 0.9  # at 2 pi: 0 and 1
+
+
 def test_cubic_is_eq_17() -> None:
     eq17 = 3 * sinc_of(OMEGA, 4) / (2 + np.cos(OMEGA))
     np.testing.assert_allclose(frequency_response("bspline3", OMEGA), eq17, rtol=0, atol=1e-12)

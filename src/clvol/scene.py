@@ -25,7 +25,8 @@ __all__ = ["CLIP", "ROUNDING", "Medium", "Scene", "as_scene", "clip_block"]
 
 ROUNDING = 2.0**-19
 """Gradients up to this share of the function's value a voxel are rounding, and give no normal. In constant volumes they reach
-a third of it, whichever the filter of the table: the prefilter and the sum over taps round by a few units in the last place."""
+a third of it with every filter written in fractions: the prefilter and the sum over taps round by a few units in the last place.
+Those fitted by polynomials of degree 12 exceed it up to eight times."""
 
 CLIP = Block("clip_block", low=(FLOAT, 3), high=(FLOAT, 3), clipped=INT)
 _MAX_ANISOTROPY = 1e6  # of spacings: what float32 carries

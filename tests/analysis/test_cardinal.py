@@ -11,9 +11,10 @@ from clvol.analysis.cardinal import pieces
 from clvol.errors import OptionError
 from clvol.filter import as_filter, bspline, filters
 from clvol.volume import Volume
-from tests.cases import BAD_FILTERS, BAD_REALS, BAD_WHOLE
+from tests.cases import BAD_FILTERS, BAD_REALS, BAD_WHOLE, SMOOTHED
 
-ROWS = {row.name: row for row in (*filters().values(), bspline(7), bspline(9))}
+NEARLY_EQUAL = "bspline3(0.00694444)"  # poles
+ROWS = {row.name: row for row in (*filters().values(), bspline(7), bspline(9), *map(as_filter, (*SMOOTHED, NEARLY_EQUAL)))}
 
 
 @pytest.mark.parametrize("derivative", [0, 1, 2])
@@ -26,7 +27,10 @@ def test_it_is_what_the_reference_draws_of_an_impulse(name: str, derivative: int
     drawn = reference.sample(impulse, np.stack([x + n // 2, np.zeros_like(x)], -1), ROWS[name], "wrap", derivative)
     along = drawn if derivative == 0 else drawn[:, 0] if derivative == 1 else drawn[:, 0, 0]
     along = along / reference.sample(Volume([[1.0]]), [[0.0, 0.0]], name if name in filters() else ROWS[name], "wrap")
-    np.testing.assert_allclose(impulse_response(ROWS[name], x, derivative), along, rtol=0, atol=1e-10 * 400**derivative)
+    row = ROWS[name]
+    # the reference draws the kernel, the pieces its fit; a derivative's error may be 2 n² times as great (Markov)
+    tolerance = 1e-10 * 400**derivative + 2 * row.fit_error * (2 * row.degree**2) ** derivative
+    np.testing.assert_allclose(impulse_response(row, x, derivative), along, rtol=0, atol=tolerance)
 
 
 def test_the_kernel_alone_without_a_prefilter() -> None:

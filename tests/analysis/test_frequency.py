@@ -41,11 +41,46 @@ def test_every_row_has_bands_that_its_response_confirms(name: str) -> None:
     assert np.abs(frequency_response(name, outside)).max() == pytest.approx(got.stopband_peak, abs=2e-4)
 
 
-def test_the_direct_spline_has_the_better_bands_than_the_hybrid() -> None:
-    """Section 4.3: what Figure 2 of the paper shows."""
+def direct_by_eq_17(omega: np.ndarray) -> np.ndarray:
+    return 3 * np.sinc(omega / (2 * np.pi)) ** 4 / (2 + np.cos(omega))
+
+
+def hybrid_by_eq_18(omega: np.ndarray) -> np.ndarray:
+    return np.sinc(omega / (4 * np.pi)) ** 2 * np.cos(omega / 4) ** 4 * (2 + np.cos(omega / 2)) / (2 + np.cos(omega))
+
+
+def test_half_of_it_is_true_that_direct_has_the_better_bands() -> None:
+    """Section 4.3, of Figure 2: in the passband, yes; but beyond Nyquist the hybrid lets less through, up to 2.157 pi.
+
+    Computed from the paper's equations alone; test_response compares these with clvol's.
+    """
+
+    def more(omega: np.ndarray) -> np.ndarray:
+        return np.abs(hybrid_by_eq_18(omega)) - np.abs(direct_by_eq_17(omega))
+
+    edge = optimize.brentq(more, 2.1 * np.pi, 2.3 * np.pi, xtol=1e-12)
+    assert edge / np.pi == pytest.approx(2.1565, abs=1e-5)
+    passband = np.linspace(0.01, np.pi, 4000)
+    assert (hybrid_by_eq_18(passband) < direct_by_eq_17(passband)).all()
+    assert (direct_by_eq_17(passband) < 1).all()
+    below = np.linspace(np.pi, edge - 1e-3, 4001)
+    above = np.linspace(edge + 1e-3, 60 * np.pi, 200_001)
+    apart_from_zeros = 1e-12  # at multiples of 2 pi both are 0
+    assert (more(below)[np.abs(direct_by_eq_17(below)) > apart_from_zeros] < 0).all()
+    assert (more(above)[np.abs(hybrid_by_eq_18(above)) > apart_from_zeros] > 0).all()
+    assert more(below).min() < -0.08  # not by rounding: 0.405 against 0.493 at Nyquist
+    assert more(above).max() > 0.04
+
+
+def test_the_largest_response_to_aliases_is_that_of_the_equations() -> None:
+    """For data below half of Nyquist, aliases begin at 3 pi / 2: there direct peaks, the hybrid at 3.1 pi."""
     direct, hybrid = bands("bspline3"), bands("hybrid")
-    assert direct.passband_error < hybrid.passband_error / 4
-    assert direct.stopband_peak < hybrid.stopband_peak / 4
+    omega = np.linspace(1.5 * np.pi, 16 * np.pi, 400_001)
+    for got, response in ((direct, direct_by_eq_17), (hybrid, hybrid_by_eq_18)):
+        assert got.stopband_peak == pytest.approx(np.abs(response(omega)).max(), rel=1e-6)
+        assert got.passband_error == pytest.approx(1 - response(np.float64(np.pi / 2)), rel=1e-9)
+    assert direct.stopband_peak == pytest.approx(direct_by_eq_17(np.float64(1.5 * np.pi)), rel=1e-9)
+    assert hybrid_by_eq_18(np.float64(1.5 * np.pi)) < 0.71 * direct.stopband_peak < 0.25 * hybrid.stopband_peak
 
 
 def test_responses_are_those_of_clvol() -> None:

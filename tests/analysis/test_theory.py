@@ -7,13 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy import special
+from scipy import optimize, special
 
 from clvol import reference
 from clvol.analysis import approximation, error_kernel, frequency_response, impulse_response, taylor_coefficients
 from clvol.errors import OptionError
-from clvol.filter import as_filter, bspline, filters, from_callable, from_pieces
-from tests.cases import BAD_COUNTS, BAD_FILTERS, BAD_REALS, BAD_WHOLE, every
+from clvol.filter import Filter, as_filter, bspline, filters, from_callable, from_pieces, moms3, quasi
+from tests.cases import BAD_COUNTS, BAD_FILTERS, BAD_REALS, BAD_WHOLE, SMOOTHED, every
+
+NAMES = (*filters(), *SMOOTHED)
 
 
 def zeta_constant(degree: int) -> float:
@@ -50,7 +52,73 @@ def test_constants_by_hand(name: str, derivative: int, order: int, constant: flo
     assert got.constant == pytest.approx(constant, rel=1e-14)
 
 
-@pytest.mark.parametrize("name", filters())
+def spread(name: str | Filter, order: int) -> float:
+    """The asymptotic constant of least squares: what is left of that of interpolation without its mean over t."""
+    nodes, lengths = np.polynomial.legendre.leggauss(24)
+    halves = [(nodes + 1) / 4, (nodes + 3) / 4]  # where taps change at t = 1/2, too
+    a = np.stack([taylor_coefficients(name, t, order + 1)[order] for t in halves])
+    mean = (a @ lengths).mean() / 2
+    return math.sqrt(((a - mean) ** 2 @ lengths).mean() / 2)
+
+
+@pytest.mark.parametrize("degree", range(9))
+def test_least_squares_constants_of_splines_are_those_published(degree: int) -> None:
+    """Blu and Unser (1999): ``sqrt(|B_2L| / (2L)!)`` with Bernoulli's numbers; linear's is ``1 / (12 sqrt 5)``."""
+    order = degree + 1
+    wanted = math.sqrt(abs(special.bernoulli(2 * order)[-1]) / math.factorial(2 * order))
+    assert spread(bspline(degree), order) == pytest.approx(wanted, rel=1e-7)
+
+
+def test_constants_of_cubics_of_maximal_order_are_those_published() -> None:
+    """Blu, Thévenaz and Unser (2001): the least of least squares is ``L! / ((2L)! sqrt(2L + 1))``, that of O-MOMS."""
+    least = math.factorial(4) / (math.factorial(8) * 3)
+    assert spread("omoms3", 4) == pytest.approx(least, rel=1e-7)
+    assert all(spread(moms3(w), 4) > 1.001 * least for w in (0.02, 1 / 56, 0.027, 0.04))
+    assert spread("bspline3", 4) / least == pytest.approx(math.sqrt(21), rel=1e-7)
+
+
+def test_the_least_error_of_interpolation_is_that_of_moms3() -> None:
+    """From the spectrum alone: near 2 pi k the kernel with weight w is ``(1 - w (2 pi k)²) (omega / 2 pi k)⁴``."""
+    k = 2 * np.pi * np.arange(1, 20_001)
+
+    def constant(w: float) -> float:
+        images = (1 - w * k**2) / k**4
+        return math.sqrt(4 * images.sum() ** 2 + 2 * (images**2).sum())
+
+    for w in (-1 / 6, 0, 0.01, 1 / 60, 1 / 56, 1 / 42, 0.05):
+        assert approximation(moms3(w)).constant == pytest.approx(constant(w), rel=1e-3)
+    best = optimize.minimize_scalar(constant, bounds=(0, 0.05), options={"xatol": 1e-9})
+    assert best.x == pytest.approx(1 / 56, rel=1e-3)
+    assert approximation("moms3").constant == pytest.approx(best.fun, rel=1e-3)
+    assert approximation("moms3").constant == pytest.approx(3.14e-4, abs=5e-7)
+    assert approximation("omoms3").constant / approximation("moms3").constant == pytest.approx(2, rel=1e-3)
+
+
+@pytest.mark.parametrize("smoothing", [1e-3, 0.1, 2.0])
+def test_smoothing_adds_itself_to_the_mean_error(smoothing: float) -> None:
+    """Of the cubic: λ times the fourth derivative, beside the 1/720 of interpolation; and nothing to the gradient's order."""
+    row = bspline(3, smoothing=smoothing)
+    wanted = math.sqrt((1 / 720 + smoothing) ** 2 + 1 / 1_209_600)
+    assert (approximation(row).order, approximation(row).constant) == (4, pytest.approx(wanted, rel=1e-12))
+    assert approximation(row, 1).constant == approximation("bspline3", 1).constant
+
+
+@pytest.mark.parametrize("degree", [1, 3, 5])
+def test_quasi_interpolation_reaches_the_constant_of_least_squares(degree: int) -> None:
+    order = degree + 1
+    wanted = math.sqrt(abs(special.bernoulli(2 * order)[-1]) / math.factorial(2 * order))
+    got = approximation(quasi(degree))
+    assert (got.order, got.constant) == (order, pytest.approx(wanted, rel=1e-9))
+
+
+@pytest.mark.parametrize("name", ["bspline3(auto)", "bspline3(length=1)", "bspline3(0.1, 0.2)"])
+def test_smoothing_that_is_not_one_number_is_refused(name: str) -> None:
+    for call in (approximation, lambda n: error_kernel(n, 1.0), lambda n: taylor_coefficients(n, 0.5)):
+        with pytest.raises(OptionError, match=r"decided for a volume|filter\.along\(axis\)"):
+            call(name)
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_order_is_that_of_the_row(name: str) -> None:
     assert approximation(name).order == as_filter(name).order
 
@@ -73,7 +141,7 @@ def test_weights_that_miss_one_leave_an_error_that_stays(name: str) -> None:
     assert approximation(name, 1).order == -1
 
 
-@pytest.mark.parametrize("name", [*filters(), "bc(0.2,0.4)"])
+@pytest.mark.parametrize("name", [*NAMES, "bc(0.2,0.4)"])
 def test_error_kernel_is_the_sum_over_the_images(name: str) -> None:
     omega = np.array([0.0, 0.3, 1.0, 2.5, np.pi, 4.0, -1.0, 9.0])
     images = 2 * np.pi * np.concatenate([np.arange(-12, 0), np.arange(1, 13)])
@@ -86,7 +154,7 @@ def test_error_kernel_is_the_sum_over_the_images(name: str) -> None:
 
 
 @pytest.mark.parametrize("derivative", [0, 1])
-@pytest.mark.parametrize("name", [n for n in filters() if as_filter(n).order])
+@pytest.mark.parametrize("name", [n for n in NAMES if as_filter(n).order])
 def test_error_kernel_near_0_is_the_leading_error(name: str, derivative: int) -> None:
     leading = approximation(name, derivative)
     got = error_kernel(name, 0.05, derivative) / 0.05 ** (2 * derivative)
@@ -94,7 +162,9 @@ def test_error_kernel_near_0_is_the_leading_error(name: str, derivative: int) ->
 
 
 @pytest.mark.parametrize("derivative", [0, 1])
-@pytest.mark.parametrize("name", ["nearest", "linear", "mitchell", "bspline2", "bspline3", "omoms3", "sinc", "hybrid"])
+@pytest.mark.parametrize(
+    "name", ["nearest", "linear", "mitchell", "bspline2", "bspline3", "omoms3", "sinc", "sinc4n", "hybrid", *SMOOTHED]
+)
 def test_error_kernel_is_the_error_measured_on_a_wave(name: str, derivative: int) -> None:
     n, turns = 40, 7
     omega = 2 * np.pi * turns / n
@@ -108,10 +178,10 @@ def test_error_kernel_is_the_error_measured_on_a_wave(name: str, derivative: int
 
 
 @pytest.mark.parametrize("derivative", [0, 1])
-@pytest.mark.parametrize("name", filters())
+@pytest.mark.parametrize("name", NAMES)
 def test_taylor_coefficients_are_moments_of_the_impulse_response(name: str, derivative: int) -> None:
     t = np.array([0.013, 0.2, 0.4999, 0.51, 0.77])
-    k = np.arange(-70, 72)
+    k = np.arange(-200, 202)
     response = impulse_response(name, t[:, None] - k, derivative)
     got = taylor_coefficients(name, t, 7, derivative)
     for n in range(7):
@@ -119,7 +189,7 @@ def test_taylor_coefficients_are_moments_of_the_impulse_response(name: str, deri
         np.testing.assert_allclose(got[n], wanted, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", filters())
+@pytest.mark.parametrize("name", NAMES)
 def test_taylor_coefficients_below_the_order_are_those_of_no_error(name: str) -> None:
     order = as_filter(name).order
     got = taylor_coefficients(name, np.linspace(0, 0.99, 34), order + 1)

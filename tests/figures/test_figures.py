@@ -119,6 +119,16 @@ def test_figure_2_draws_eqs_17_and_18() -> None:
     assert direct["stopband_peak"] < magnified["stopband_peak"]
 
 
+def test_figure_2_marks_where_direct_begins_to_pass_less_than_the_hybrid() -> None:
+    drawing = responses.draw()
+    mark = axes_of(drawing)[1].get_lines()[-1]
+    np.testing.assert_allclose(mark.get_xdata(), 2.1565005, atol=1e-6)  # by eqs 17 and 18, computed without clvol
+    assert "hybrid\npasses less\nB-spline interpolation\npasses less beyond 2.157 π" in texts(drawing)
+    assert drawing.lines[-1].startswith("beyond π, hybrid, ×2 then linear passes less up to 2.157 π, B-spline interpolation")
+    for names in (("bspline3",), ("bspline3", "lanczos4"), ("bspline3", "bspline3")):  # never, or more than once
+        assert not any("beyond" in line for line in responses.draw(names).lines)
+
+
 # -- 3 ---------------------------------------------------------------------------------------------------------
 
 
@@ -308,8 +318,39 @@ def test_slopes_are_the_orders() -> None:
         assert n["gradient_slope"] == pytest.approx(n["order"] - 1, abs=0.15)
     left, right = axes_of(drawing)
     for axes, key in ((left, "rms"), (right, "gradient_rms")):
-        assert [list(line.get_ydata()) for line in axes.get_lines()] == [n[key] for n in drawing.numbers]
+        drawn = [list(line.get_ydata()) for line in axes.get_lines()]
+        theory = "theory" if key == "rms" else "gradient_theory"
+        assert drawn == [n[key] for n in drawing.numbers] + [n[theory] for n in drawing.numbers]
+        for line in axes.get_lines():  # cos(2 pi x) on [-1, 1] has two periods
+            assert list(line.get_xdata()) == [24, 36, 54]
     assert f"catmull-rom  {drawing.numbers[-1]['slope']:.1f}" in texts(drawing)
+
+
+def test_errors_measured_are_those_of_the_theory() -> None:
+    """Points at random and higher terms make up the difference: 2 % at a hundred samples a period."""
+    names = (
+        "nearest",
+        "linear",
+        "bspline3-approx",
+        "mitchell",
+        "catmull-rom",
+        "bspline2",
+        "bspline3",
+        "moms3",
+        "bspline5",
+        "hybrid",
+    )
+    drawing = convergence.draw(names, sizes=(181, 221), points=20_000)
+    for n in drawing.numbers:
+        assert n["rms"] == pytest.approx(n["theory"], rel=0.02), n["filter"]
+        if n["filter"] != "nearest":
+            assert n["gradient_rms"] == pytest.approx(n["gradient_theory"], rel=0.02), n["filter"]
+    # linear by hand: t (1 - t) / 2 along each axis, of mean square 1/120 and mean 1/12, times f_xx = f_yy = -(2 pi)² f, <f²> = 1/4
+    spacing = 2 / np.array([180, 220])
+    wanted = (2 * np.pi * spacing) ** 2 * np.sqrt((2 / 120 + 2 / 144) / 4)
+    assert drawing.numbers[1]["theory"] == pytest.approx(wanted, rel=1e-4)
+    # and its slope errs by t - 1/2 times f_xx along each axis
+    assert drawing.numbers[1]["gradient_theory"] == pytest.approx((2 * np.pi) ** 2 * spacing * np.sqrt(1 / 12 / 2), rel=0.02)
 
 
 @pytest.mark.parametrize("sizes", [(33,), (49, 33), (33, 33), (8, 33), (33.5, 49)])

@@ -21,7 +21,17 @@ from tests.cases import SMOOTHED
 # Greatest error allowed, in units of the greatest sample. float32 rounds at 6e-8; the prefilter gains
 # 1/(sum of (-1)^k b_k) an axis at Nyquist, 27 in 3-D for the cubic and far more for higher degrees, and
 # its rounding with it. Measured on normal noise, PoCL: about half of these.
-TOLERANCE = {"bspline2": 2e-6, "bspline3": 2e-6, "bspline4": 1e-5, "bspline5": 2e-5, "omoms3": 1e-5, "bspline7": 8e-4}
+TOLERANCE = {
+    "bspline2": 2e-6,
+    "bspline3": 2e-6,
+    "bspline4": 1e-5,
+    "bspline5": 2e-5,
+    "omoms3": 1e-5,
+    "moms3": 1e-5,
+    "linear-quasi": 1e-6,
+    "bspline3-quasi": 3e-6,
+    "bspline7": 8e-4,
+}
 TOLERANCE |= dict.fromkeys(SMOOTHED, 2e-6)
 # ... and in units of the greatest coefficient, for all.
 RELATIVE = 1e-6

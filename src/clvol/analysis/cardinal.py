@@ -130,12 +130,13 @@ def _blend(values: Array, kernel: Array) -> Array:
 
 
 def _prefilter_impulse(filter: Filter) -> Array:
-    """The inverse transform of eq. (16), or a smoothing spline's, at -K, ..., K: residues at the poles within the unit circle."""
+    """The inverse transform of eq. (16) at -K, ..., K: a convolution of one sequence for each pair of poles, z and 1/z.
+
+    ``1 / ((1 - z q) (1 - z / q))`` is the transform of ``z**|k| / (1 - z**2)``. Poles may be equal, or complex.
+    """
     reach = math.ceil(math.log(_TAIL) / math.log(float(np.abs(filter.poles).max())))
     k = np.abs(np.arange(-reach, reach + 1))
-    total, last = np.zeros(k.size, filter.poles.dtype), filter.undone[-1]
-    every = np.concatenate([filter.poles, 1 / filter.poles])
-    for i, z in enumerate(filter.poles):
-        others = np.delete(every, i)
-        total += z ** (k + filter.poles.size - 1) / (last * np.prod(z - others))
-    return total.real  # complex poles come in conjugate pairs
+    total = np.array([1 / filter.undone[-1]])
+    for z in filter.poles:
+        total = np.convolve(total, -z / (1 - z * z) * z**k, "same")
+    return np.asarray(total.real)

@@ -225,10 +225,15 @@ def _mixed(inverse: list[Number], filter: Filter, n: int) -> list[Number]:
 
 
 def _inverse_moments(filter: Filter, n: int) -> list[Number]:
-    """Moments ``sum of s_k k**m`` of the prefilter: with those of the kernel's samples they make 1, 0, 0, ..."""
+    """Moments ``sum of s_k k**m`` of the prefilter: with those of what it undoes they make 1, 0, 0, ..."""
     half = Fraction(filter.support, 2)
-    samples = {int(half - 1 - i + half % 1): _value(w, half % 1) for i, w in enumerate(filter.taps)}
-    own = [sum((b * k**m for k, b in samples.items()), Fraction(0)) for m in range(n + 1)]
+    undone: dict[int, Number] = {int(half - 1 - i + half % 1): _value(w, half % 1) for i, w in enumerate(filter.taps)}
+    if filter.undone is not filter.samples:  # there is smoothing: (2 - 2 cos w)**order, expanded
+        assert isinstance(filter.smoothing, float)
+        order = filter.penalty
+        for k in range(-order, order + 1):
+            undone[k] = undone.get(k, Fraction(0)) + Fraction(filter.smoothing) * (-1) ** abs(k) * math.comb(2 * order, order + k)
+    own = [sum((b * k**m for k, b in undone.items()), Fraction(0)) for m in range(n + 1)]
     result: list[Number] = []
     for m in range(n + 1):
         rest = sum((math.comb(m, j) * own[j] * result[m - j] for j in range(1, m + 1)), Fraction(0))

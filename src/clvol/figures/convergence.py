@@ -1,4 +1,4 @@
-"""Error against sampling rate: on log-log axes a line whose slope is the order of approximation."""
+"""Error against sampling rate: on log-log axes a line whose slope is the order of approximation, and the theory's beside it."""
 
 from __future__ import annotations
 
@@ -26,22 +26,24 @@ _SHOWN = (
     "bspline2",
     "bspline3",
     "omoms3",
+    "moms3",
     "bspline4",
     "bspline5",
 )
 _SIZES = (25, 37, 55, 81, 121, 181, 271)
-_WAVES = 2.0  # periods of the test function along each axis; whole, so that the function is even about the faces
+_WAVES = 2.0  # periods of the test function along each axis of [-1, 1]; whole, so that the function is even about the faces
+_OMEGA = np.pi * _WAVES
 _FITTED = 3  # finest grids from which a slope is measured
 
 
 def _waves(points: Array) -> Array:
     """A function that the mirror rule continues exactly: it is even about the faces."""
-    return np.asarray(np.prod(np.cos(np.pi * _WAVES * points), -1))
+    return np.asarray(np.prod(np.cos(_OMEGA * points), -1))
 
 
 def _slopes(points: Array) -> Array:
-    a, b = np.moveaxis(np.pi * _WAVES * points, -1, 0)
-    return np.asarray(-np.pi * _WAVES * np.stack([np.sin(a) * np.cos(b), np.cos(a) * np.sin(b)], -1))
+    a, b = np.moveaxis(_OMEGA * points, -1, 0)
+    return np.asarray(-_OMEGA * np.stack([np.sin(a) * np.cos(b), np.cos(a) * np.sin(b)], -1))
 
 
 def draw(
@@ -51,6 +53,8 @@ def draw(
     progress: Callable[[float], Any] | None = None,
 ) -> Drawing:
     """RMS error of values (left) and of gradients (right) of a smooth function on ever finer grids.
+
+    Beside each measured curve, dashed, is what `clvol.analysis.approximation` says of it.
 
     Parameters
     ----------
@@ -70,14 +74,15 @@ def draw(
     rows = as_filters(filters)
     tables = []
     for i, n in enumerate(counts):
-        tables.append(analysis.compare(_waves, rows, gradient=_slopes, size=n, dimensions=2, points=points, timing=False))
+        tables.append(analysis.compare(_waves, rows, gradient=_slopes, size=n, dimensions=2, points=points, margin=0, timing=False))
         if progress is not None:
             progress((i + 1) / len(counts))
-    spacing = 2 / (np.array(counts) - 1)
+    spacing = 2 / (np.array(counts, float) - 1)
     numbers: list[dict[str, Any]] = []
     for i, row in enumerate(rows):
         values = [t[i].rms for t in tables]
         gradients = [t[i].gradient_rms or 0.0 for t in tables] if row.has_gradient else None
+        theory, gradient_theory = _leading(row, spacing)
         numbers.append(
             {
                 "filter": row.name,
@@ -85,6 +90,8 @@ def draw(
                 "sizes": counts,
                 "rms": values,
                 "gradient_rms": gradients,
+                "theory": theory.tolist(),
+                "gradient_theory": None if gradients is None else gradient_theory.tolist(),
                 "slope": _slope(spacing, values),
                 "gradient_slope": None if gradients is None else _slope(spacing, gradients),
             }
@@ -92,24 +99,47 @@ def draw(
     with styled():
         figure = new_figure(12, 5.2)
         left, right = figure.subplots(1, 2)
-        rate = 2 / spacing / (2 * _WAVES)
-        _curves(left, rate, numbers, "rms", "slope", "RMS error of the values")
-        _curves(right, rate, numbers, "gradient_rms", "gradient_slope", "RMS error of the gradient")
+        rate = 2 / _WAVES / spacing
+        _curves(left, rate, numbers, ("rms", "theory", "slope"), "RMS error of the values")
+        _curves(right, rate, numbers, ("gradient_rms", "gradient_theory", "gradient_slope"), "RMS error of the gradient")
     lines = [f"{n['filter']}: the error falls with power {n['slope']:.2f} of the spacing; order {n['order']}" for n in numbers]
     return Drawing(figure, numbers, lines)
 
 
-def _curves(axes: Any, rate: Array, numbers: list[dict[str, Any]], key: str, slope: str, heading: str) -> None:
-    shown = [n for n in numbers if n[key] is not None]
+def _leading(row: Filter, spacing: Array) -> tuple[Array, Array]:
+    """Leading terms of the RMS errors of the values and of the gradients, by approximation theory.
+
+    The test function is a sum of four waves, each of which is reconstructed with a relative error e(t) along each axis. The
+    mean square of e tends to ``constant² (omega T)**(2 order)`` and its mean to that of the Taylor coefficient a_order. Those
+    along the two axes add: ``<|e + e'|²> = 2 <e²> + 2 <e>²``, and for a slope along x ``<|e_x' / omega + e|²>`` likewise.
+    """
+    value, slope = analysis.approximation(row), analysis.approximation(row, 1)
+    t = (np.arange(256) + 0.5) / 256
+    mean = float(np.mean(analysis.taylor_coefficients(row, t, value.order + 1)[value.order])) - (value.order == 0)
+    along = (_OMEGA * spacing) ** value.order
+    square, squared_mean = (value.constant * along) ** 2, (mean * along) ** 2
+    slope_square = (slope.constant * (_OMEGA * spacing) ** slope.order) ** 2
+    height = 1 / 4  # mean square of the function; and of each slope, over omega²
+    return np.sqrt(height * 2 * (square + squared_mean)), _OMEGA * np.sqrt(height * 2 * (slope_square + square + 2 * squared_mean))
+
+
+def _curves(axes: Any, rate: Array, numbers: list[dict[str, Any]], keys: tuple[str, str, str], heading: str) -> None:
+    measured, theory, slope = keys
+    shown = [n for n in numbers if n[measured] is not None]
     for n in shown:
-        axes.loglog(rate, n[key], "o-", color=colour(n["filter"]), markersize=3.2, linewidth=1.4)
+        axes.loglog(rate, n[measured], "o", color=colour(n["filter"]), markersize=3.6)
+    low, high = axes.get_ylim()
+    for n in shown:
+        axes.loglog(rate, n[theory], "--", color=colour(n["filter"]), linewidth=1.1)
+    axes.set_ylim(low, high)
     axes.set(xlabel="samples a period", title=heading)
     axes.set_xlim(rate[0] * 0.92, rate[-1] * 1.04)
     ticks = [float(r) for r in rate]
     axes.set_xticks(ticks, [f"{r:.3g}" for r in ticks])
     axes.set_xticks([], minor=True)
-    axes.annotate("number at each label: measured slope", (0.02, 0.02), xycoords="axes fraction", fontsize=8.5, color=GREY)
-    label_ends(axes, [(f"{n['filter']}  {n[slope]:.1f}", rate[-1], n[key][-1], colour(n["filter"])) for n in shown], 0.05)
+    note = "points: measured; dashed: theory\nnumber at each label: measured slope"
+    axes.annotate(note, (0.02, 0.02), xycoords="axes fraction", fontsize=8.5, color=GREY)
+    label_ends(axes, [(f"{n['filter']}  {n[slope]:.1f}", rate[-1], n[measured][-1], colour(n["filter"])) for n in shown], 0.05)
 
 
 def _slope(spacing: Array, errors: Sequence[float]) -> float:

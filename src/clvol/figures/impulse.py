@@ -13,7 +13,7 @@ from clvol.filter import Filter, as_filters
 
 __all__ = ["draw"]
 
-_SHOWN = ("nearest", "linear", "bspline3-approx", "mitchell", "catmull-rom", "bspline3", "hybrid", "lanczos3")
+_SHOWN = ("nearest", "linear", "bspline3-approx", "mitchell", "catmull-rom", "bspline3", "hybrid", "lanczos3n")
 _REACH = 5.0
 _SUPERSCRIPTS = "⁰¹²³⁴⁵⁶⁷⁸⁹"
 

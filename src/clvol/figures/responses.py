@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from dataclasses import asdict
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
 
 from clvol import analysis
-from clvol.figures.style import FAINT, GREY, Drawing, colour, legend_above, new_figure, styled, title
+from clvol.figures.style import FAINT, GREY, INK, Drawing, colour, legend_above, new_figure, styled, title
 from clvol.filter import Filter, as_filters
 
 __all__ = ["draw"]
@@ -16,6 +18,7 @@ __all__ = ["draw"]
 _BESIDE = ("linear", "mitchell")  # the hybrid is judged against these
 _REACH = 4  # multiples of pi
 _FLOOR = -80.0  # decibels
+_NOTHING = 1e-9  # of responses: near the zeros that both have, rounding decides which is the larger
 
 
 def draw(filters: Sequence[str | Filter] = ("bspline3", "hybrid")) -> Drawing:
@@ -24,7 +27,8 @@ def draw(filters: Sequence[str | Filter] = ("bspline3", "hybrid")) -> Drawing:
     Parameters
     ----------
     filters : sequence of str or Filter
-        Drawn in bold.
+        Drawn in bold. Of two, the frequency is marked up to which one, and beyond which the other lets less of the aliases
+        through, if there is one such frequency.
     """
     chosen = as_filters(filters)
     rows = [*(row for row in as_filters(_BESIDE) if row not in chosen), *chosen]
@@ -59,6 +63,14 @@ def draw(filters: Sequence[str | Filter] = ("bspline3", "hybrid")) -> Drawing:
             ylabel="|response|, decibels",
             title="stopband: the remaining aliases",
         )
+        turn = _turn(*chosen) if len(chosen) == 2 else None
+        if turn is not None:
+            names = [title(row.name) for row in (turn[0], turn[1])]
+            far.axvline(turn[2] / np.pi, color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
+            beyond = f" beyond {turn[2] / np.pi:.3f} π"
+            for name, where, place, side in ((names[0], "", -0.03, "right"), (names[1], beyond, 0.03, "left")):
+                text = f"{name.split(',')[0]}\npasses less{where}"
+                far.annotate(text, (turn[2] / np.pi + place, 3), ha=side, va="top", color=INK, fontsize=8.5)
         legend_above(figure, near)
     lines = [
         f"{title(n['filter'])}: error up to {n['passband_error']:.3f} below π/2; passes "
@@ -66,4 +78,25 @@ def draw(filters: Sequence[str | Filter] = ("bspline3", "hybrid")) -> Drawing:
         + " of its aliases"
         for n in numbers
     ]
+    if turn is not None:
+        lines.append(f"beyond π, {names[0]} passes less up to {turn[2] / np.pi:.3f} π, {names[1]} from there on")
     return Drawing(figure, numbers, lines)
+
+
+def _turn(one: Filter, other: Filter) -> tuple[Filter, Filter, float] | None:
+    """Beyond Nyquist, the filter that passes less, the other, and from where on that one does; None if they do not change once."""
+
+    def excess(omega: float | NDArray[np.float64]) -> NDArray[np.float64]:
+        """How much more `one` lets through."""
+        return np.abs(analysis.frequency_response(one, omega)) - np.abs(analysis.frequency_response(other, omega))
+
+    omega = np.linspace(np.pi, _REACH * np.pi, 4001)
+    difference = excess(omega)
+    told = np.flatnonzero(np.abs(difference) > _NOTHING)
+    turns = told[:-1][difference[told[:-1]] * difference[told[1:]] < 0]
+    if turns.size != 1:
+        return None
+    first = int(turns[0])
+    end = int(told[np.searchsorted(told, first) + 1])
+    at = float(optimize.brentq(lambda w: float(excess(w)), omega[first], omega[end], xtol=1e-12))
+    return (other, one, at) if difference[first] > 0 else (one, other, at)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.errors import OptionError
-from clvol.filter import Filter, as_filter, bc, bspline, lanczos, omoms3, sinc
+from clvol.filter import Filter, as_filter, bc, bspline, lanczos, moms3, sinc
 
 __all__ = ["kernel"]
 
@@ -50,22 +50,25 @@ def _closed_form(filter: Filter) -> Closed | None:
     """The closed form of a filter, recognised by its name if its maker makes just these taps."""
     name = filter.name
     made, closed = None, None
-    if name in ("nearest", "linear", "hybrid") or re.fullmatch(r"bspline[2-9](-approx|\(.*\))?", name):
-        degree = {"nearest": 0, "linear": 1, "hybrid": 1}.get(name) if name[0] != "b" else int(name[7])
-        assert degree is not None
+    if name in ("nearest", "linear", "linear-quasi", "hybrid") or re.fullmatch(r"bspline[2-9](-approx|-quasi|\(.*\))?", name):
+        degree = int(name[7]) if name[0] == "b" else int(name != "nearest")
         made, closed = bspline(degree), _bspline(degree)
     elif name in ("mitchell", "catmull-rom") or name.startswith("bc("):
         b, c = {"mitchell": (Fraction(1, 3), Fraction(1, 3)), "catmull-rom": (Fraction(0), Fraction(1, 2))}.get(name) or (
             Fraction(v) if "/" in v else Fraction(float(v)) for v in name[3:-1].split(",")
         )
         made, closed = bc(b, c), _bc(float(b), float(c))
-    elif name == "omoms3":
-        made, closed = omoms3(), _omoms3
-    elif match := re.fullmatch(r"(sinc|lanczos)\(?(\d*)\)?", name):
-        radius = int(match[2] or 4)
+    elif match := re.fullmatch(r"(o?moms3)(?:\((-?\d+/[1-9]\d*|-?[\d.]+(?:e-?\d+)?)\))?", name):
+        value = match[2] or {"omoms3": "1/42", "moms3": "1/56"}[match[1]]
+        weight = Fraction(value) if "/" in value else Fraction(float(value))
+        made, closed = moms3(weight), _moms3(float(weight))
+    elif match := re.fullmatch(r"(sinc|lanczos)(\d*)(n?)(?:\((\d+)\))?", name):
+        radius = int(match[2] or match[4] or 4)
         if not 1 <= radius <= 8:
             return None
-        made, closed = (sinc(radius), _sinc(radius)) if match[1] == "sinc" else (lanczos(radius), _lanczos(radius))
+        made = (sinc if match[1] == "sinc" else lanczos)(radius, normalized=bool(match[3]))
+        closed = (_sinc if match[1] == "sinc" else _lanczos)(radius)
+        closed = _normalized(closed, radius) if match[3] else closed
     return closed if made is not None and made.taps == filter.taps else None
 
 
@@ -110,9 +113,12 @@ def _bc(b: float, c: float) -> Closed:
     return closed
 
 
-def _omoms3(x: Array, derivative: int) -> Array:
-    """β3 + β3''/42 (Blu, Thévenaz and Unser, 2001)."""
-    return _bspline(3)(x, derivative) + _bspline(3)(x, derivative + 2) / 42
+def _moms3(weight: float) -> Closed:
+    def closed(x: Array, derivative: int) -> Array:
+        """β3 + weight β3'' (Blu, Thévenaz and Unser, 2001)."""
+        return _bspline(3)(x, derivative) + weight * _bspline(3)(x, derivative + 2)
+
+    return closed
 
 
 def _sinc_and_derivatives(x: Array) -> tuple[Array, Array, Array]:
@@ -144,5 +150,21 @@ def _lanczos(radius: int) -> Closed:
         w = [v / radius**m for m, v in enumerate(_sinc_and_derivatives(x / radius))]
         product = (s[0] * w[0], s[1] * w[0] + s[0] * w[1], s[2] * w[0] + 2 * s[1] * w[1] + s[0] * w[2])[derivative]
         return np.where((x >= -radius) & (x < radius), product, 0.0)
+
+    return closed
+
+
+def _normalized(kernel: Closed, radius: int) -> Closed:
+    def closed(x: Array, derivative: int) -> Array:
+        """The quotient of the kernel and its sum over the samples, by the quotient rule."""
+        inside = (x >= -radius) & (x < radius)
+        x = np.where(inside, x, 0.0)
+        taps = (x - np.floor(x))[..., None] + np.arange(-radius, radius)
+        total = [kernel(taps, m).sum(-1) for m in range(derivative + 1)]
+        drawn: list[Array] = []
+        for m in range(derivative + 1):  # from (drawn total)^(m) = kernel^(m)
+            rest = sum((math.comb(m, j) * drawn[j] * total[m - j] for j in range(m)), np.zeros_like(x))
+            drawn.append((kernel(x, m) - rest) / total[0])
+        return np.where(inside, drawn[derivative], 0.0)
 
     return closed
