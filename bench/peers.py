@@ -38,7 +38,7 @@ class Peer:
         What its time is to be multiplied with, where it does a part of the work only.
     """
 
-    run: Callable[[], Array]
+    run: Callable[[], Any]
     scale: float = 1.0
 
 

@@ -160,6 +160,19 @@ def test_render_tells_and_shows_what_was_looked_at(clvol_command: Command) -> No
     assert "b.png" not in files()
 
 
+def test_render_tells_and_shows_how_far_the_surface_may_be_off(clvol_command: Command) -> None:
+    options = (*SMALL, "--mode", "isosurface", "--isovalue", "-0.25", "--filter", "bspline3")
+    told = clvol_command("render", SPHERE, "-o", "a.png", *options, "--uncertainty", "within.png", "--json").json
+    assert told["uncertainty"] == "within.png"
+    look = {"mode": "isosurface", "isovalue": -0.25, "size": (16, 12)}
+    stated = clvol.render(clvol.phantoms.sphere(8), filter="bspline3", outputs="uncertainty", **look)
+    assert told["surface"] == clvol.march.uncertainty.in_words(stated)
+    title = "the true surface lies within ± (95 %)"
+    np.testing.assert_array_equal(iio.imread("within.png"), clvol.picture.heat_with_scale(stated[..., 0], "", title))
+    clvol_command("render", SPHERE, "-o", "b.png", *SMALL, "--uncertainty", "b2.png").fails(1, "mode must be isosurface")
+    assert files() == ["a.png", "within.png"]
+
+
 @pytest.mark.parametrize("mode", ["composite", "isosurface", "mip", "minip", "mean"])
 def test_render_knows_every_mode(clvol_command: Command, mode: str) -> None:
     assert clvol_command("render", SPHERE, "-o", "a.png", *SMALL, "--mode", mode, "--json").json["mode"] == mode

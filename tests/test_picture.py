@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from clvol import FormatError, OptionError
-from clvol.picture import grid, heat, labelled, save, to_bytes
+from clvol.picture import grid, heat, heat_with_scale, labelled, save, to_bytes
 from tests.cases import BAD_COUNTS, BAD_WHOLE
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".PNG", ".Tif")
@@ -175,3 +175,30 @@ def test_heat_rises_from_black_to_white_and_shows_where_there_is_none() -> None:
     assert brightness[0] < 0.05
     np.testing.assert_array_equal(colors[0, 4], colors[0, 5])
     assert colors[0, 6].argmax() == 2
+
+
+def test_a_heat_map_has_its_scale_beneath() -> None:
+    values = np.linspace(0, 0.019, 60 * 240).reshape(60, 240)
+    values[0, 0] = np.nan
+    picture = heat_with_scale(values, "mm", "within")
+    assert picture.dtype == np.uint8
+    assert picture.shape[1:] == (240, 3)
+    assert picture.shape[0] > 60
+    np.testing.assert_array_equal(picture[:60], to_bytes(heat(values / 0.02)))  # the next round number
+    bar = picture[68, 20:-20].astype(int).sum(-1)
+    assert (np.diff(bar) > -3).all()  # from black on the left to pale yellow on the right
+    assert bar[-1] - bar[0] > 500
+    assert (heat_with_scale(values, "mm", "within", top=1.0)[:60] == to_bytes(heat(values))).all()
+
+
+@pytest.mark.parametrize(
+    ("most", "top"), [(1.0, 1.0), (1.01, 2.0), (2.2, 5.0), (0.051, 0.1), (99.0, 100.0), (3e-7, 5e-7), (0.0, 1.0), (np.nan, 1.0)]
+)
+def test_scales_end_at_round_numbers(most: float, top: float) -> None:
+    np.testing.assert_array_equal(heat_with_scale(np.full((4, 48), most))[:4], to_bytes(heat(np.full((4, 48), most / top))))
+
+
+@pytest.mark.parametrize("values", [np.zeros(3), np.zeros((2, 2, 2)), np.zeros((0, 4))], ids=str)
+def test_a_heat_map_is_of_a_plane(values: np.ndarray) -> None:
+    with pytest.raises(OptionError, match=r"shape \(height, width\)"):
+        heat_with_scale(values)

@@ -30,8 +30,9 @@ from clvol.errors import ClvolError, DataError, DeviceError, OptionError
 from clvol.files import require_folder, require_suffix
 from clvol.filter import Filter
 from clvol.formats import WRITTEN
+from clvol.march.uncertainty import COVERAGE, in_words
 from clvol.mode import as_mode, every_option, mode_options
-from clvol.picture import heat
+from clvol.picture import heat, heat_with_scale
 from clvol.smoothing import choose
 
 app = App(
@@ -211,6 +212,7 @@ def render(
     look: Look | None = None,
     own: ModeOptions | None = None,
     heat_map: Path | None = None,
+    uncertainty: Path | None = None,
     verbose: Annotated[bool, Parameter(negative="")] = False,
     json: Json = False,
 ) -> None:
@@ -223,6 +225,8 @@ def render(
         finds; bspline3 in modes that show extremes, such as mip]
     heat_map
         A second picture: the share of each ray's samples that was looked at, from black to pale yellow.
+    uncertainty
+        Another picture, of an isosurface: within what of it the true surface lies in 95 % of places, with its scale.
     verbose
         Report the share of the samples that was looked at, and how long the parts took, kernels that are built first
         included.
@@ -230,8 +234,9 @@ def render(
     import numpy as np
 
     _require_picture(output)
-    if heat_map is not None:
-        _require_picture(heat_map)
+    for other in (heat_map, uncertainty):
+        if other is not None:
+            _require_picture(other)
     look = look or Look()
     options = _mode_options(look, own)
     volume = (input or Input()).read(source)
@@ -241,7 +246,9 @@ def render(
         begun = time.perf_counter()
         with clvol.Renderer(volume, filter, look.boundary, device) as renderer:
             ready = time.perf_counter()
-            outputs: tuple[clvol.Output, ...] = ("rgba", "visited") if verbose or heat_map is not None else ("rgba",)
+            outputs: list[clvol.Output] = ["rgba"]
+            outputs += ["visited"] if verbose or heat_map is not None else []
+            outputs += ["uncertainty"] if uncertainty is not None else []
             pictures = renderer.render(size=size, progress=progress, outputs=outputs, **options)
             done = time.perf_counter()
             drawn = renderer.filter_of(look.mode)
@@ -249,6 +256,11 @@ def render(
     clvol.save(pictures["rgba"], output)
     if heat_map is not None:
         result["heat_map"] = str(clvol.save(heat(pictures["visited"]), heat_map))
+    if uncertainty is not None:
+        within = pictures["uncertainty"]
+        title = f"the true surface lies within ± ({100 * COVERAGE:.0f} %)"
+        result["uncertainty"] = str(clvol.save(heat_with_scale(within[..., 0], volume.units, title), uncertainty))
+        result["surface"] = in_words(within, volume.units)
     if verbose:
         met = np.isfinite(pictures["visited"])
         result |= {

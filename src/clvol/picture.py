@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -10,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.checks import as_path, whole
+from clvol.checks import as_path, number, whole
 from clvol.errors import OptionError
 from clvol.files import require_suffix, staged
 
-__all__ = ["SUFFIXES", "grid", "heat", "labelled", "save", "to_bytes"]
+__all__ = ["SUFFIXES", "grid", "heat", "heat_with_scale", "labelled", "save", "to_bytes"]
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 _OPAQUE = (".jpg", ".jpeg", ".bmp")  # these hold no opacity
@@ -69,6 +70,52 @@ def heat(share: ArrayLike) -> NDArray[np.float32]:
     colors = np.asarray(cmap.Colormap("inferno")(np.clip(np.nan_to_num(array), 0, 1)), np.float32)[..., :3]
     colors[np.isnan(array)] = (0.28, 0.33, 0.42)
     return colors
+
+
+def heat_with_scale(values: ArrayLike, unit: str = "", title: str = "", top: float | None = None) -> NDArray[np.uint8]:
+    """Values from 0 up as colours, with their scale in a band beneath; (height + band, width, 3) uint8.
+
+    Parameters
+    ----------
+    values : array-like, shape (height, width)
+        NaN, where there are none, is a grey blue.
+    unit, title : str
+        What stands behind the numbers of the scale, and beneath it.
+    top : float, optional
+        The value of the brightest colour, which all above it have too; by default the first of 1, 2 or 5 times a power of ten
+        that 95 % of the values do not exceed.
+    """
+    from PIL import Image, ImageDraw, ImageFont
+
+    array = np.asarray(values, np.float64)
+    if array.ndim != 2 or 0 in array.shape:
+        raise OptionError(f"values of a heat map have shape (height, width); got {array.shape}")
+    top = _round_up(array[np.isfinite(array)]) if top is None else number("top", top, above=0)
+    width = array.shape[1]
+    size, margin = max(9, round(width / 24)), max(2, width // 12)
+    unit = f" {unit}" if unit not in ("", "°") else unit
+    font: Any = ImageFont.load_default(size)
+    band = np.empty((round(size * (4.2 if title else 2.8)), width, 3), np.uint8)
+    band[:] = _BAND
+    bar = np.linspace(0, 1, width - 2 * margin)
+    band[size // 2 : size // 2 + size, margin : width - margin] = to_bytes(heat(bar[None]))
+    image = Image.fromarray(band)
+    draw = ImageDraw.Draw(image)
+    for share, anchor in ((0.0, "lm"), (0.5, "mm"), (1.0, "rm")):
+        at = margin + share * (width - 2 * margin)
+        text = f"{share * top:.6g}" + (f"{unit}" if share == 1 else "")
+        draw.text((at, 2.1 * size), text, fill=_INK, font=font, anchor=anchor)
+    draw.text((width / 2, 3.4 * size), title, fill=_INK, font=font, anchor="mm")
+    return np.concatenate([to_bytes(heat(array / top)), np.asarray(image)], 0)
+
+
+def _round_up(values: NDArray[np.float64]) -> float:
+    """The first of 1, 2 or 5 times a power of ten which 95 % of the values do not exceed; 1 if they are zero."""
+    most = float(np.quantile(values, 0.95)) if values.size else 0.0
+    if not most > 0:
+        return 1.0
+    power = 10.0 ** math.floor(math.log10(most))
+    return next(float(f"{digit * power:.1g}") for digit in (1, 2, 5, 10) if digit * power >= most * (1 - 1e-6))
 
 
 def labelled(picture: ArrayLike, text: str) -> NDArray[np.uint8]:

@@ -322,7 +322,11 @@ WRONG: dict[str, tuple[dict[str, Any], type[ClvolError], str]] = {
     "evaluator": ({"evaluator": "magic"}, OptionError, "evaluator must be one of auto, taps, paired, eight-fetch; got 'magic'"),
     "fetch": ({"fetch": "disk"}, OptionError, "fetch must be one of auto, buffer, image; got 'disk'"),
     "gradient": ({"gradient": "sobel"}, OptionError, "gradient must be one of analytic, central; got 'sobel'"),
-    "outputs": ({"outputs": "z"}, OptionError, "outputs must be one of rgba, depth, normal, position, visited; got 'z'"),
+    "outputs": (
+        {"outputs": "z"},
+        OptionError,
+        "outputs must be one of rgba, depth, normal, position, visited, uncertainty; got 'z'",
+    ),
     "outputs, one of several": ({"outputs": ("rgba", "z")}, OptionError, "outputs must be one of .*; got 'z'"),
     "clip upside down": ({"clip": ((1, 1, 1), (0, 2, 2))}, GeometryError, "clip must be two corners"),
     "clip flat": ({"clip": ((1, 1, 1), (2, 1, 2))}, GeometryError, "each coordinate of the first less than of the second"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 import threading
 from collections.abc import Sequence
 from types import EllipsisType, TracebackType
@@ -22,7 +23,9 @@ from clvol.march import launch
 from clvol.march.frame import Frame
 from clvol.march.launch import Picture
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter
-from clvol.mode import DEFAULT_MODE, Mode, as_mode
+from clvol.march.uncertainty import Uncertainty
+from clvol.mode import DEFAULT_MODE, Isosurface, Mode, as_mode
+from clvol.noise import Noise
 from clvol.scene import Box, Medium, Scene, as_scene
 from clvol.spline.evaluator import Evaluator, EvaluatorName, FetchName, choose_evaluator
 from clvol.spline.field import Field, as_field
@@ -33,9 +36,11 @@ from clvol.volume import Volume
 
 __all__ = ["OUTPUTS", "Output", "Renderer", "render"]
 
-Output: TypeAlias = Literal["rgba", "depth", "normal", "position", "visited"]
+Output: TypeAlias = Literal["rgba", "depth", "normal", "position", "visited", "uncertainty"]
 
-OUTPUTS: tuple[Output, ...] = get_args(Output)
+OUTPUTS: tuple[Output, ...] = ("rgba", "depth", "normal", "position", "visited")
+"""Of every mode."""
+_ALL_OUTPUTS = get_args(Output)
 _BITS = 8.0  # of the sampler's fraction, before pictures are made by it: what texture units have
 _MAX_SIZE = 1 << 15
 
@@ -98,6 +103,7 @@ class Renderer:
         self.device = field.device
         self._unsmoothed: Field | None = None
         self._minmax: dict[tuple[Filter, Evaluator], MinMax] = {}
+        self._uncertainty: Uncertainty | None = None
         self._lock = threading.Lock()
         self._closed = False
 
@@ -126,6 +132,9 @@ class Renderer:
             self._unsmoothed.close()
         while self._minmax:
             self._minmax.popitem()[1].release()
+        if self._uncertainty is not None:
+            self._uncertainty.release()
+            self._uncertainty = None
 
     def __enter__(self) -> Self:
         return self
@@ -153,6 +162,7 @@ class Renderer:
         evaluator: EvaluatorName = ...,
         fetch: FetchName = ...,
         outputs: Output = ...,
+        sigma: float | None = ...,
         progress: Progress | None = ...,
         **options: Any,
     ) -> Picture: ...
@@ -177,6 +187,7 @@ class Renderer:
         evaluator: EvaluatorName = ...,
         fetch: FetchName = ...,
         outputs: list[Output] | tuple[Output, ...],
+        sigma: float | None = ...,
         progress: Progress | None = ...,
         **options: Any,
     ) -> dict[str, Picture]: ...
@@ -200,6 +211,7 @@ class Renderer:
         evaluator: EvaluatorName = "auto",
         fetch: FetchName = "auto",
         outputs: Output | Sequence[Output] = "rgba",
+        sigma: float | None = None,
         progress: Progress | None = None,
         **options: Any,
     ) -> Picture | dict[str, Picture]:
@@ -237,12 +249,16 @@ class Renderer:
         evaluator, fetch
             As for `clvol.sample`.
         outputs : str or sequence of str
-            Of "rgba", "depth", "normal", "position", "visited". Several give a dictionary. Depth is the world distance
-            from the eye along the ray (orthographic: from the camera's plane), inf where there is nothing;
+            Of "rgba", "depth", "normal", "position", "visited", "uncertainty". Several give a dictionary. Depth is the world
+            distance from the eye along the ray (orthographic: from the camera's plane), inf where there is nothing;
             normals face the viewer; NaN where there are none. Positions are in the world. These are of the ray through the
             pixel's middle. In "composite" they are where half of the light
             is stopped, in projections where the extreme lies; "mean" has none. "visited" is the share of a ray's
-            samples that was looked at, NaN where it has none.
+            samples that was looked at, NaN where it has none. "uncertainty", of "isosurface" alone, says within what of the
+            surface that is drawn the true one lies, and within how many degrees of its normal: see the notes.
+        sigma : float, optional
+            Standard deviation of the samples' noise, in units of the data, for "uncertainty"; it is then taken to be white. By
+            default it is estimated, with its spectrum (`Volume.noise`).
         progress : callable, optional
             Called with the fraction done.
         **options
@@ -251,9 +267,10 @@ class Renderer:
         Returns
         -------
         ndarray of float32, shape (height, width, 4), or a dictionary
-            Red, green, blue, opacity in 0..1; row 0 is the top. Depth and visited have shape (height, width),
-            normals and positions (height, width, 3). Positions are float64: exact to float32 as seen from the volume's
-            centre, however far that is from the world's origin.
+            Red, green, blue, opacity in 0..1; row 0 is the top. Depth and visited have shape (height, width), normals and
+            positions (height, width, 3), uncertainty (height, width, 2): world units and degrees, NaN where nothing was hit.
+            Positions are float64: exact to float32 as seen from the volume's centre, however far that is from the world's
+            origin.
 
         Raises
         ------
@@ -270,7 +287,16 @@ class Renderer:
             The device failed; ``fetch="image"`` on a device without images, or paired fetches from an image whose sampler does
             not interpolate.
         OutOfMemoryError
-            The device has no room for the picture, or for the pyramid of minima and maxima.
+            The device has no room for the picture, for the pyramid of minima and maxima, or for the copy of the samples that
+            "uncertainty" takes.
+
+        Notes
+        -----
+        "uncertainty" is what 95 % of the errors should lie within: 1.96 times the root of the mean square that is expected of them,
+        from what the filter does between samples and from the noise; `clvol.march.uncertainty` says how. It is to first order,
+        and knows of no more than the samples hold. Where noise alone makes surfaces, it says too little, and where smoothing
+        took away all of a detail, or where the samples were too far apart to hold it. Integers have at least the noise of
+        rounding, ``sqrt(1/12)``.
         """
         chosen = as_mode(mode, options, _KEYWORDS)
         if self._closed or self.field.closed:
@@ -284,9 +310,12 @@ class Renderer:
         if gradient not in ("analytic", "central"):
             raise one_of("gradient", gradient, ("analytic", "central"))
         wanted = _outputs(outputs)
+        sigma = None if sigma is None else number("sigma", sigma, minimum=0)
         samples, pixel_filter = whole("samples", samples, minimum=1, maximum=4096), as_pixel_filter(pixel_filter)
         field = self._field_of(chosen)
+        uncertain = self._uncertain(field, chosen) if "uncertainty" in wanted else None
         way = choose_evaluator(self.device, field.filter, evaluator, fetch, bits=_BITS)
+        central = gradient == "central" or not field.filter.has_gradient
         frame = Frame.of(
             scene,
             field.coefficients,
@@ -297,10 +326,12 @@ class Renderer:
             number("step", step, above=0),
             scene.media[0].transfer or chosen.transfer(self.volume),
             way,
-            central=gradient == "central" or not field.filter.has_gradient,
+            central=central,
             guides=wanted != ("rgba",),
         )
         pictures = launch.draw(frame, samples, pixel_filter, progress)
+        if uncertain is not None:
+            pictures["uncertainty"] = uncertain(pictures["position"], self._noise(sigma), central=central)
         return pictures[wanted[0]] if isinstance(outputs, str) else {name: pictures[name] for name in wanted}
 
     def _seen(
@@ -337,6 +368,23 @@ class Renderer:
             if self._unsmoothed is None:
                 self._unsmoothed = Field(self.volume, row, self.field.boundary, self.device)
             return self._unsmoothed
+
+    def _uncertain(self, field: Field, mode: Mode) -> Uncertainty:
+        """The errors of surfaces, made ready for the first picture."""
+        if not isinstance(mode, Isosurface):
+            raise OptionError(f'the output "uncertainty" is of surfaces: mode must be isosurface; got {mode.name!r}')
+        if not field.filter.has_gradient:
+            raise OptionError(f'the output "uncertainty" needs a filter that has slopes; got {field.filter.name!r}')
+        with self._lock:
+            if self._uncertainty is None:
+                self._uncertainty = Uncertainty(field)
+            return self._uncertainty
+
+    def _noise(self, sigma: float | None) -> Noise:
+        """Of the samples: white where its standard deviation is given; integers were rounded."""
+        noise = self.volume.noise if sigma is None else Noise(sigma, "white")
+        rounding = math.sqrt(1 / 12) if self.volume.data.dtype.kind in "iu" else 0.0
+        return noise if noise.sigma >= rounding else Noise(rounding, "white")
 
     def _pyramid(self, field: Field, evaluator: Evaluator) -> MinMax:
         """Minima and maxima, computed for the first picture."""
@@ -413,11 +461,11 @@ def render(
 
 def _outputs(outputs: object) -> tuple[str, ...]:
     if not isinstance(outputs, (str, Sequence)) or not outputs:
-        raise one_of("outputs", outputs, OUTPUTS)
+        raise one_of("outputs", outputs, _ALL_OUTPUTS)
     wanted = (outputs,) if isinstance(outputs, str) else tuple(outputs)
     for name in wanted:
-        if name not in OUTPUTS:
-            raise one_of("outputs", name, OUTPUTS)
+        if name not in _ALL_OUTPUTS:
+            raise one_of("outputs", name, _ALL_OUTPUTS)
     return wanted
 
 

@@ -1,0 +1,331 @@
+"""How far a surface that is drawn may be from the true one, and its normal, place by place: the host side of uncertainty.cl.
+
+What is drawn errs for two reasons.
+
+*Between the samples* the filter's error for a wave ``exp(i w x)`` is known at every place (the error kernel of Blu and Unser, 1999,
+is its mean square). Along an axis it is taken apart into its mean over all places, which adds up with those along the other axes,
+and what varies about the mean: of the value, and of the slope in phase with the wave and out of it. A stencil for each, with the
+response of that error, run over the samples of the function that is drawn, gives the error at every place, without any
+higher-degree spline.
+
+*Noise* of standard deviation sigma in the samples, if it is white, is in the value noise of variance ``sigma² sum of eta(x - k)²``,
+eta being the impulse response of the whole reconstruction, and likewise in slopes with its derivative; these sums depend on the
+place between samples. They are computed as integrals over frequencies, which are weighted by the power of noise that is not white.
+What noise alone gives in the stencils is taken off their squares.
+
+A surface lies off by the error of its value over the slope (to first order), and its normal is turned by the error of the slope
+across the normal over the slope.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.filter import Filter, bspline
+from clvol.noise import Noise, colour_power
+from clvol.spline.coefficients import Coefficients
+from clvol.spline.evaluator import DIRECT
+from clvol.spline.field import Field
+from clvol.uniform import FLOAT, Block, Values
+
+__all__ = ["COVERAGE", "Uncertainty", "in_words"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+COVERAGE = 0.95
+"""The share of places whose error should lie within what is stated."""
+
+_DEVIATIONS = 1.96  # of a normal distribution hold that share
+_REACH = 6  # of the stencils, in samples
+_TERMS = 4  # of a stencil's polynomial, where they fit
+_PLACES = 64  # between two samples, at which errors are tabulated
+_OMEGA = np.pi * (np.arange(64) + 0.5) / 64
+_BETWEEN = (np.arange(_PLACES) + 0.5) / _PLACES
+_NOTHING = 1e-12  # of a wave: float64's rounding
+_FITTED = (0.05 * np.pi, 0.9 * np.pi)  # beyond, a wave and its alias are one
+_ROUGH = np.pi * (np.arange(24) + 0.5) / 24  # frequencies along each of three axes
+_KEPT = 1 / 3  # of a wave, at least: what smoothing took away counts as if no more than the rest of it had gone
+_LEAST_SLOPE = 0.1  # of the slope that is drawn, how much is taken to be there at least, whatever noise may have made of it
+_ROUNDING = 2.0**-20  # of the values around, by which float32 errs
+_PLACED = 2.0**-22  # of the volume's radius, by which positions are rounded
+_WHITE = 1.0, 1.0, 1.0
+_ROOM = bspline(9, prefilter=False)  # a filter whose halo has room for the stencils
+
+
+def in_words(uncertainty: NDArray[np.floating[Any]], units: str = "") -> str:
+    """What a picture's uncertainty comes to, in one line.
+
+    Parameters
+    ----------
+    uncertainty : ndarray, shape (..., 2)
+        As `Renderer.render` gives it.
+    units : str
+        Of the world.
+    """
+    there = uncertainty[~np.isnan(uncertainty[..., 0])]
+    if not len(there):
+        return "no surface"
+    unit = f" {units}" if units else ""
+    (far, turned), (farther, more) = np.quantile(there, (0.5, 0.95), axis=0, method="nearest")
+    return (
+        f"half of the surface lies within ± {far:.2g}{unit} of the true one, its normals within ± {turned:.2g}°; "
+        f"95 % of it within ± {farther:.2g}{unit} and ± {more:.2g}°"
+    )
+
+
+UNCERTAINTY = Block(
+    "uncertainty_t",
+    stencils=(FLOAT, 12 * (2 * _REACH + 1)),
+    squares=(FLOAT, 3 * _PLACES),
+    slopes=(FLOAT, 3 * _PLACES),
+    noise=(FLOAT, 7),
+    to_index=(FLOAT, 9),
+    center=(FLOAT, 3),
+    steepest=FLOAT,
+    gain=FLOAT,
+    power=FLOAT,
+    rounding=FLOAT,
+    placed=FLOAT,
+    least=FLOAT,
+    distance=FLOAT,
+    degrees=FLOAT,
+)
+
+
+class Uncertainty:
+    """The errors of surfaces of a field.
+
+    Parameters
+    ----------
+    field : Field
+        In 3-D, of a filter that has a gradient. It must stay open.
+
+    Raises
+    ------
+    OutOfMemoryError
+        The device has no room for another copy of the volume.
+    """
+
+    def __init__(self, field: Field) -> None:
+        volume, made = field.volume, field.coefficients
+        drawn = volume if field.filter.interpolates else field.resample(shape=volume.shape)
+        self._field = field
+        self._magnitude = float(np.abs(made.stored(np.array(volume.limits, np.float64))).max()) or 1.0  # in stored units
+        self._samples = Coefficients(drawn, _ROOM, field.boundary, field.device, made.stored)
+        try:
+            self._samples.copy_samples()
+            self._samples.fill_halo()
+        except BaseException:
+            self._samples.release()
+            raise
+
+    def release(self) -> None:
+        """Free the device's memory."""
+        self._samples.release()
+
+    def __call__(self, positions: NDArray[np.floating[Any]], noise: Noise, *, central: bool = False) -> NDArray[np.float32]:
+        """Within what of a surface through each position the true one lies, and its normal.
+
+        Parameters
+        ----------
+        positions : ndarray, shape (..., 3)
+            In the world; NaN where there is nothing.
+        noise : Noise
+            Of the samples; its standard deviation and colour matter.
+        central : bool
+            Normals are those of central differences.
+
+        Returns
+        -------
+        ndarray of float32, shape (..., 2)
+            World distance along the normal, and degrees, at most 180; NaN where there is nothing.
+        """
+        device, made, samples = self._field.device, self._field.coefficients, self._samples
+        defines = {**made.defines(DIRECT), "LANES": 1, "STORED": 2 * _REACH + 1, "PLACES": _PLACES}
+        errors = _errors(self._field.filter, central, noise.colour or _WHITE)
+        defines |= errors.defines
+        generated = {"uncertainty.h": "// generated\n" + UNCERTAINTY.declaration()}
+        kernel = device.build("march/uncertainty.cl", defines, generated=generated).kernel("uncertainty")
+        block = device.upload(self._block(errors, noise.sigma)[None])
+        points = np.empty((positions.size // 3, 3), np.float32)
+        np.subtract(positions.reshape(-1, 3), self._field.volume.center, out=points, casting="same_kind")
+        points /= self._field.volume.mean_spacing
+        results = np.empty((len(points), 2), np.float32)
+        step = max(64, device.limits.launch_taps // (24 * (2 * _REACH + 1) + made.filter.support**3) // 64 * 64)
+        with device.lent(points, write=False) as given, device.lent(results, write=True) as wanted, device.errors:
+            for first in range(0, len(points), step):
+                count = min(len(points), first + step)
+                kernel(
+                    device.queue,
+                    (-(-(count - first) // 64) * 64,),
+                    (64,),
+                    made.argument(DIRECT),
+                    made.extent,
+                    samples.buffer,
+                    samples.extent,
+                    samples.size,
+                    block,
+                    given,
+                    np.int32(count),
+                    wanted,
+                    global_offset=(first,),
+                )
+                device.finish()
+        return results.reshape(*positions.shape[:-1], 2)
+
+    def _block(self, errors: _Errors, sigma: float) -> Values:
+        """What kernels read: lengths in mean spacings, values in units of the largest magnitude."""
+        volume = self._field.volume
+        unit, spacing = math.ldexp(self._magnitude, self._field.coefficients.stored.exponent), volume.mean_spacing
+        to_index = volume.world_to_index_matrix * spacing
+        return UNCERTAINTY(
+            stencils=errors.stencils.ravel() / self._magnitude,
+            squares=errors.squares.ravel(),
+            slopes=errors.slopes.ravel(),
+            noise=errors.noise,
+            to_index=to_index.ravel(),
+            center=(np.asarray(volume.size) - 1) / 2,
+            steepest=(to_index**2).sum(),
+            gain=1 / self._magnitude,
+            power=(sigma / unit) ** 2,
+            rounding=_ROUNDING**2,
+            placed=(_PLACED * volume.radius / spacing) ** 2,
+            least=_LEAST_SLOPE**2,
+            distance=_DEVIATIONS * spacing,
+            degrees=math.degrees(_DEVIATIONS),
+        )
+
+
+# -- errors of a filter ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Errors:
+    """Of a filter, along x, y and z.
+
+    Attributes
+    ----------
+    stencils : ndarray, shape (3, 4, 2 REACH + 1)
+        For each axis those of the mean error, of what varies of the value, and of the slope in phase and out of phase.
+    noise : ndarray, shape (7,)
+        What noise of variance 1 gives on average in the squares of what uncertainty.cl finds.
+    squares, slopes : ndarray, shape (3, PLACES)
+        The sums of ``eta²`` and ``eta'²`` along each axis between two samples, of noise that is white.
+    """
+
+    stencils: Array
+    noise: Array
+    squares: Array
+    slopes: Array
+
+    @cached_property
+    def defines(self) -> dict[str, int]:
+        """What the kernel needs to know of the stencils when it is built."""
+        used = np.flatnonzero(self.stencils.any((0, 1)))
+        value = self.stencils[:, 1]
+        odd = bool(np.abs(value + value[:, ::-1]).max() < np.abs(value - value[:, ::-1]).max())
+        return {"REACH": int(np.abs(used - _REACH).max(initial=0)), "VALUE_IS_ODD": int(odd)}
+
+
+@lru_cache(maxsize=64)
+def _errors(filter: Filter, central: bool = False, colour: tuple[float, ...] = _WHITE) -> _Errors:
+    parity = _order(_varying(_wave(filter, 0, _BETWEEN, _OMEGA))) % 2  # the same along all axes, whatever the smoothing
+    along = [_along(filter, axis, central, parity, colour[axis]) for axis in range(3)]
+    stencils, at_samples, squares, slopes = (np.array(parts) for parts in zip(*along, strict=True))
+    return _Errors(stencils, _noise(stencils, at_samples), squares, slopes)
+
+
+def _along(filter: Filter, axis: int, central: bool, parity: int, colour: float) -> tuple[Array, Array, Array, Array]:
+    """Along an axis: the stencils, what is drawn at samples of noise at the rough frequencies, and its variance between samples."""
+    value, slope = (_wave(filter, axis, _BETWEEN, _OMEGA, derivative) for derivative in (0, 1))
+    if central:
+        slope = 1j * np.sin(_OMEGA)[:, None] * value
+    mean = value.mean(1).real
+    error = slope - 1j * (_OMEGA * mean)[:, None]
+    kept = np.maximum(_wave(filter, axis, np.zeros(1), _OMEGA)[:, 0].real, _KEPT)
+    missing, varying = (1 - mean) / kept, _varying(value) / kept
+    even, odd = (np.sqrt((part**2).mean(1)) / kept for part in (error.real, error.imag))
+    off, turned = np.hypot(missing, varying), np.hypot(even, odd)
+    stencils = [_stencil(missing, off, 0), _stencil(varying, off, parity), _stencil(even, turned, 0), _stencil(odd, turned, 1)]
+    power, rough = (colour_power(colour, omega) / colour_power(colour, omega).mean() for omega in (_OMEGA, _ROUGH))
+    at_sample = _wave(filter, axis, np.zeros(1), _ROUGH)[:, 0].real * np.sqrt(rough)
+    return np.array(stencils), at_sample, power @ np.abs(value) ** 2 / power.size, power @ np.abs(slope) ** 2 / power.size
+
+
+def _varying(value: NDArray[np.complex128]) -> Array:
+    """Root mean square, over all places, of what is drawn of waves about its mean."""
+    return np.asarray(np.sqrt((np.abs(value - value.mean(1, keepdims=True).real) ** 2).mean(1)))
+
+
+def _wave(filter: Filter, axis: int, x: Array, omega: Array, derivative: int = 0) -> NDArray[np.complex128]:
+    """What samples of ``exp(i w k)`` become at places x, or the derivative, over ``exp(i w x)``; shape (omega, x)."""
+    base, t = filter.cell(x)
+    weights = filter.weights(t, derivative) * float(filter.scale) ** derivative
+    at = (base + np.arange(filter.support)[:, None]) / filter.scale  # of the taps; (taps, x)
+    terms = weights * np.exp(1j * omega[:, None, None] * (at - x))
+    if filter.magnified_by is not None:
+        fractions = np.arange(filter.scale) / filter.scale
+        coarse = _wave(filter.magnified_by, axis, fractions, omega)
+        terms *= coarse[:, np.rint((at % 1) * filter.scale).astype(np.int64) % filter.scale]
+    else:
+        b = filter.along(axis).undone
+        terms /= (b[0] + 2 * np.cos(omega[:, None] * np.arange(1, b.size)) @ b[1:])[:, None, None]
+    return np.asarray(terms.sum(1))
+
+
+def _stencil(response: Array, scale: Array, parity: int) -> Array:
+    """Weights at -REACH, ..., REACH whose response has this magnitude, with errors relative to `scale`.
+
+    It is ``u**(n / 2)`` times a polynomial in ``u = 4 sin²(w / 2)``, n being the order of the response at 0, or the next of this
+    parity. Of an odd order one root of u is ``sin(w)``, so that weights belong to samples.
+    """
+    fitted = slice(*np.searchsorted(_OMEGA, _FITTED))
+    taps = np.zeros(2 * _REACH + 1)
+    if (np.abs(response) < _NOTHING).all():
+        return taps
+    order = _order(response)
+    order = min(order + (order + parity) % 2, 2 * _REACH - parity)
+    u = 4 * np.sin(_OMEGA / 2) ** 2
+    first = np.sin(_OMEGA) if order % 2 else np.ones_like(u)
+    terms = min(_TERMS, _REACH + 1 - (order + 1) // 2)
+    columns = np.stack([first * u ** (order // 2 + j) for j in range(terms)], 1)
+    found = np.linalg.lstsq(columns[fitted] / scale[fitted, None], response[fitted] / scale[fitted], rcond=None)[0]
+    bend = np.array([-1.0, 2.0, -1.0])
+    power = np.array([0.5, 0.0, -0.5]) if order % 2 else np.ones(1)
+    for _ in range(order // 2):
+        power = np.convolve(power, bend)
+    for weight in found:
+        half = power.size // 2
+        taps[_REACH - half : _REACH + half + 1] += weight * power
+        power = np.convolve(power, bend)
+    return taps
+
+
+def _order(response: Array) -> int:
+    """The power of the frequency with which a response begins."""
+    low = int(np.argmax(np.abs(response[: _OMEGA.size // 2]) > _NOTHING))
+    high = 2 * low + 1
+    growth = abs(response[high]) / max(abs(response[low]), _NOTHING)
+    return max(0, round(math.log(max(growth, _NOTHING)) / math.log(_OMEGA[high] / _OMEGA[low])))
+
+
+def _noise(stencils: Array, at_sample: Array) -> Array:
+    """Mean squares of what uncertainty.cl finds in the function drawn of noise of variance 1."""
+    k = np.arange(-_REACH, _REACH + 1)
+    waves = np.exp(1j * _ROUGH[:, None] * k)
+    shapes = [[-1 if b == a else 1 for b in range(3)] for a in range(3)]
+    mean, value, even, odd = ([(waves @ stencils[a, which]).reshape(shapes[a]) for a in range(3)] for which in range(4))
+    bend = [(4 * np.sin(_ROUGH / 2) ** 2).reshape(shape) for shape in shapes]  # of differences, squared
+    blend = [((2 + np.cos(_ROUGH)) / 3).reshape(shape) for shape in shapes]  # of linear interpolation, squared
+    x, y, z = ((at_sample[a] ** 2).reshape(shapes[a]) for a in range(3))
+    drawn, total = x * y * z, np.abs(mean[0] + mean[1] + mean[2]) ** 2
+    varying = [np.abs(v) ** 2 for v in value]
+    own = [np.abs(even[a]) ** 2 + np.abs(odd[a]) ** 2 + bend[a] * sum(varying[b] for b in range(3) if b != a) for a in range(3)]
+    steep = [bend[a] * total * math.prod(blend[b] for b in range(3) if b != a) for a in range(3)]
+    return np.array([float((drawn * found).mean()) for found in (total + sum(varying), *own, *steep)])
