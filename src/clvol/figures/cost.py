@@ -39,7 +39,7 @@ def draw(
     Parameters
     ----------
     filters : sequence of str or Filter, optional
-        Default: the whole table.
+        Default: those of the table whose weights sum to one.
     samples : int
         Of the function along each axis.
     points : int
@@ -54,7 +54,7 @@ def draw(
     DeviceError
         No device is usable, so there are no times.
     """
-    rows, on = as_filters(list(all_filters()) if filters is None else filters), as_device(device)
+    rows, on = as_filters(_normalized() if filters is None else filters), as_device(device)
     on.require_usable()
     advance = progress or (lambda _: None)
     table = analysis.compare(
@@ -91,6 +91,11 @@ def draw(
         for n in numbers
     ]
     return Drawing(figure, numbers, [*lines, "* nothing is both faster and better"])
+
+
+def _normalized() -> list[Filter]:
+    """The table but for what nobody would use: the sinc and its windows without the division by their sum."""
+    return [row for row in all_filters().values() if row.sums_to_one]
 
 
 def plot(numbers: Sequence[dict[str, Any]], heading: str, note: str) -> Any:

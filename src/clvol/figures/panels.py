@@ -49,8 +49,8 @@ __all__ = [
     "shading_gradients",
 ]
 
-SIX = ("sinc", "nearest", "bspline3-approx", "linear", "mitchell", "bspline3")
-"""The six reconstructions of the paper as filters of the table: the sinc is truncated."""
+SIX = ("sinc4n", "nearest", "bspline3-approx", "linear", "mitchell", "bspline3")
+"""The six reconstructions of the paper as filters of the table: the sinc is cut off at four samples, its weights sum to one."""
 
 FIGURE_6 = (EXACT_SINC, *SIX[1:])
 """a) to f) of the paper's Figures 4 to 6: the sinc is exact."""
