@@ -384,8 +384,19 @@ def test_info_tells_of_images_phantoms_and_nan(clvol_command: Command) -> None:
     np.save("none.npy", np.full((2, 2, 2), np.nan, np.float32))
     told = clvol_command("info", "none.npy", "--json").json
     assert (told["finite"], told["value_range"]) == (False, None)
+    assert (told["noise"], told["sigma"], told["smoothing"]) == (None, None, None)
     assert "value range: none\nfinite: no\n" in clvol_command("info", "none.npy").out
     assert clvol_command("info", "none.npy", "--fill-nan", "2", "--json").json["value_range"] == [2, 2]
+
+
+def test_info_tells_of_noise_and_of_what_auto_chooses(clvol_command: Command) -> None:
+    np.save("noisy.npy", clvol.phantoms.sphere(32).data + 0.1 * np.random.default_rng(0).normal(size=(32, 32, 32)))
+    told = clvol_command("info", "noisy.npy", "--json").json
+    assert told["noise"] == "white"
+    assert told["sigma"] == pytest.approx(0.1, rel=0.1)
+    assert min(told["smoothing"]) > 0.1
+    assert "reason: white noise, σ = 0.0" in clvol_command("info", "noisy.npy").out
+    assert clvol_command("info", "phantom:box", "--json").json["noise"] == "binary"
 
 
 def test_info_tells_the_range_of_values_far_from_zero(clvol_command: Command) -> None:

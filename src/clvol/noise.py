@@ -46,15 +46,16 @@ _NOTHING = 1e-10  # of the range, squared: a variance that is not looked at furt
 _LEVELS = 8  # classes of the local mean in which the variance is estimated
 _CONFIDENT = 4.0  # standard errors by which the variance must grow with the value
 _GROWS = 1.5  # and the factor by which it does, at least, between the extreme classes
-_COLOURED = 1.3  # ratio of the powers of two octaves from which noise is said to be correlated
+_COLOURED = 1.5  # ratio of the powers of two octaves from which noise is said to be correlated
 _SIGNAL = 8.0  # and from which that is the signal
-_MANY = 4096  # places from which that can be told
+_MANY = 20_000  # places from which that can be told
 _FEWEST = 100  # places from which something is estimated
 _GROUND = 0.05  # share of samples from which the commonest value is taken for a background
 _EVEN = 0.2  # share of samples equal to all their neighbours from which there is no noise
 _LABELS = 256  # values that a label image has, at most
 _ALONE = 0.1  # share, of the samples at edges between labels, that may be unlike their neighbours
 _CUTS = 2.0  # `Noise.jump` from which a background is said to cut through objects
+_WINDOW = 3  # power of the sine that is a block's window: the higher, the less leaks from low frequencies to high ones
 _CELLS = 32  # of frequencies along an axis, about
 _OMEGA = np.linspace(0, np.pi, 65)
 
@@ -154,16 +155,20 @@ def estimate(samples: NDArray[Any]) -> Noise:
     if len(values) == 1:
         return Noise(0.0, "none", spectrum=_spectrum(blocks, 0.0, facts["colour"]), **facts)
     if len(values) < blocks.size / 2:
-        facts["step"] = float(np.diff(values.astype(np.float64)).min()) * unit
+        step = float(np.diff(values.astype(np.float64)).min() * unit)
+        facts["step"] = step if samples.dtype.kind == "f" else float(round(step))
     blocks -= values[most]  # a background is zero to the last bit, and so are bands of it
-    ground = (blocks == 0) & (counts[most] >= _GROUND * blocks.size)
+    same, alone = _surroundings(blocks)
+    outer = counts[~np.isin(values - values[most], blocks[same])].sum()  # samples of values that fill no region: parts of voxels
+    common = blocks == 0
+    ground = common & (common.mean() >= _GROUND) & ((same & common).sum() >= common.sum() / 2)
     if ground.any():
         facts["background"] = float(samples.flat[int(ground.argmax())])
-        facts["background_share"] = float(counts[most] / blocks.size)
+        facts["background_share"] = float(ground.mean())
         facts["jump"] = _jump(blocks, ground)
-    even, alone = _evenness(blocks, ground)
+    even = float(same[~ground].mean())
     kind, variance, gain, colour = "none", 0.0, 0.0, facts["colour"]
-    if len(values) <= _LABELS and alone < _ALONE:
+    if len(values) <= _LABELS and alone < _ALONE and outer < _ALONE * (~same).sum():
         kind = "binary" if len(values) == 2 else "labels"
     elif even < _EVEN:
         variance, gain, colour = _variance(blocks, ground)
@@ -171,7 +176,8 @@ def estimate(samples: NDArray[Any]) -> Noise:
             kind = "correlated" if max(colour) > 1 else "signal-dependent" if gain > 0 else "white"
     total = variance * math.prod(float(colour_power(ratio, _OMEGA).mean()) for ratio in colour)
     spectrum = _spectrum(blocks, variance * (1 - float(ground.mean())), colour)
-    return Noise(math.sqrt(total) * unit, kind, **facts | {"gain": gain * unit, "colour": colour[::-1], "spectrum": spectrum})
+    facts |= {"gain": float(gain * unit), "colour": colour[::-1], "spectrum": spectrum}
+    return Noise(float(math.sqrt(total) * unit), kind, **facts)
 
 
 def colour_power(ratio: float, omega: Array) -> Array:
@@ -201,16 +207,15 @@ def _blocks(data: NDArray[Any]) -> NDArray[Any]:
     return np.stack([data[tuple(slice(s, s + e) for s, e in zip(at, edges, strict=True))] for at in itertools.product(*starts)])
 
 
-def _normalised(samples: NDArray[Any]) -> tuple[NDArray[np.float32], float]:
-    """Samples from 0 to 1, and what their range was."""
+def _normalised(samples: NDArray[Any]) -> tuple[NDArray[np.float32], np.longdouble]:
+    """Samples from 0 to 1, and what their range was, which may be more than float64 holds."""
     wide = samples.astype(np.result_type(samples.dtype, np.float64))
     if not np.isfinite(wide).all():
         raise DataError("samples must be finite for their noise to be estimated: replace them with Volume.filled(value)")
     exponent = int(np.frexp(np.abs(wide).max())[1]) + 1
     wide = np.ldexp(wide, -exponent)  # no difference overflows
     low, high = wide.min(), wide.max()
-    with np.errstate(over="ignore"):
-        unit = min(float(np.ldexp(high - low, exponent)), float(np.finfo(np.float64).max))
+    unit = np.ldexp(np.longdouble(high - low), exponent)
     return ((wide - low) / (high - low if low < high else 1)).astype(np.float32), unit
 
 
@@ -222,7 +227,7 @@ def _spectrum(blocks: NDArray[np.float32], variance: float, colour: Sequence[flo
     if len(blocks) > 1:  # a window, since the volume goes on at the edges of blocks
         for axis in axes:
             n = blocks.shape[axis]
-            window = np.sin(np.pi * (np.arange(n) + 0.5) / n).astype(np.float32)
+            window = (np.sin(np.pi * (np.arange(n) + 0.5) / n) ** _WINDOW).astype(np.float32)
             blocks *= window.reshape([-1 if i == axis else 1 for i in range(blocks.ndim)])
             weight *= float((window**2).mean())
     power = (fft.dctn(blocks, axes=axes, norm="ortho") ** 2).mean(0, dtype=np.float64) / weight
@@ -259,25 +264,24 @@ def _jump(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> float:
             first.append(np.abs(near)[enters])
             second.append(np.abs(far - near)[enters])
     steps = np.concatenate(first)
-    return float(np.median(steps) / max(float(np.median(np.concatenate(second))), _STILL)) if steps.size else 0.0
+    if not steps.size:
+        return 0.0
+    least = np.median(np.abs(blocks[~ground])) / 10  # steps of rounding are none
+    return float(np.median(steps) / max(np.median(np.concatenate(second)), least))
 
 
-def _evenness(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[float, float]:
-    """Two shares: of an object's samples, those equal to all neighbours; of samples that are not, those equal to at most one."""
+def _surroundings(blocks: NDArray[np.float32]) -> tuple[NDArray[np.bool_], float]:
+    """Which samples are equal to all of their neighbours; the share, of the others, that are equal to at most one."""
     equal = np.zeros(blocks.shape, np.int8)
     there = np.zeros(blocks.shape, np.int8)
     for axis in range(1, blocks.ndim):
-        a, b = _pairs(blocks, axis)
-        same = a == b
+        same = np.equal(*_pairs(blocks, axis))
         for side in _pairs(equal, axis):
             side += same
         for side in _pairs(there, axis):
             side += 1
-    objects = ~ground
-    differ = equal < there
-    even = float((objects & ~differ).sum() / max(1, int(objects.sum())))
-    alone = float((differ & (equal <= 1)).sum() / max(1, int(differ.sum())))
-    return even, alone
+    differs = equal < there
+    return ~differs, float((equal[differs] <= 1).mean()) if differs.any() else 0.0
 
 
 def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[float, float, tuple[float, ...]]:
@@ -291,10 +295,13 @@ def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[f
         return 0.0, 0.0, white
     bands = _bands(blocks, axes)
     highest = (1,) * len(axes)
-    level = bands.pop((0,) * len(axes)) / np.float32(math.sqrt(2) ** len(axes))
+    lowest = (0,) * len(axes)
+    del bands[lowest]
+    # the mean with which noise has a part in the highest band
+    level = _bands(blocks, axes, (_HIGH**2,))[lowest]
     used = np.logical_or.reduce([np.abs(band) > _STILL for band in bands.values()])
     if ground.any():  # places that reach into a background have less noise than others
-        used &= _bands(ground.astype(np.float32), axes, (np.ones(len(_LOW)),))[(0,) * len(axes)] < 0.5
+        used &= _bands(ground.astype(np.float32), axes, (np.ones(len(_LOW)),))[lowest] < 0.5
     if used.sum() < _FEWEST:
         return 0.0, 0.0, white
     squares = {key: band**2 for key, band in bands.items()}
@@ -307,26 +314,37 @@ def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[f
     def power(key: tuple[int, ...], places: NDArray[np.int64]) -> float:
         """Of the noise in a band: half of the places, those that have the least power round about, and half of these ..."""
         square = squares[key][places]
-        square = square[np.argsort(around[places] - square, kind="stable")]
-        count = max(len(square) // 2, min(len(square), _FEWEST))
-        found = float(np.median(square[:count]))
+        others = around[places] - square
+        order = np.argsort(others, kind="stable")
+        count = max(len(order) // 2, min(len(order), _FEWEST))
+        found = float(np.median(square[order[:count]]))
         while count >= 2 * _FEWEST:  # as long as that makes a difference
-            count //= 2
-            less = float(np.median(square[:count]))
-            if less > found * (1 - 2 * _error(count)):
+            less = float(np.median(square[order[: count // 2]]))
+            if less > found * (1 - 2 * _error(count // 2)):
                 break
-            found = less
+            found, count = less, count // 2
         return found / _MEDIAN_SQUARE
 
-    classes = np.array_split(np.argsort(level, kind="stable"), min(_LEVELS, max(1, len(level) // (4 * _FEWEST))))
+    # classes of equal width in value, in which the variance is nearly one
+    least, most = np.quantile(level, (0.005, 0.995))
+    number = np.floor(_LEVELS * (level - least) / max(float(most - least), _STILL)).clip(0, _LEVELS - 1)
+    classes: list[NDArray[np.int64]] = []
+    few = np.zeros(0, np.int64)
+    for n in range(_LEVELS):
+        few = np.append(few, np.flatnonzero(number == n))
+        if len(few) >= 2 * _FEWEST:
+            classes, few = [*classes, few], few[:0]
+    classes = [*classes[:-1], np.concatenate([*classes[-1:], few])]
     variances = np.array([power(highest, places) for places in classes])
-    levels = np.array([level[places].mean() for places in classes])
-    middle = np.sort(variances)[len(variances) // 4 : len(variances) - len(variances) // 4]
-    mean, gain = float(middle.mean()), 0.0
-    if len(classes) > 2 and mean > 0:
+    counts = np.array([float(len(places)) for places in classes])
+    levels = np.array([float(level[places].mean()) for places in classes])
+    mean, gain = _middle(variances, counts), 0.0
+    if len(classes) > 1 and mean > 0:
         a, b = np.triu_indices(len(classes), 1)
-        slope = float(np.median((variances[b] - variances[a]) / np.maximum(levels[b] - levels[a], _STILL)))  # Theil and Sen
-        at = float(np.median(variances - slope * levels))
+        apart = levels[b] - levels[a]
+        # as Theil and Sen do, but from the lower slopes: edges between levels add to the variance of classes and never take off
+        slope = _middle((variances[b] - variances[a]) / apart, apart * counts[a] * counts[b], 0.1, 0.5)
+        at = _middle(variances - slope * levels, counts)
         ends = at + slope * levels[0], at + slope * levels[-1]
         if ends[1] > _GROWS * ends[0] and ends[1] - ends[0] > _CONFIDENT * mean * _error(len(level) // (2 * len(classes))):
             gain = slope
@@ -334,11 +352,20 @@ def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[f
     colour = list(white)
     if len(axes) > 1 and len(level) >= _MANY:
         for i, axis in enumerate(axes):
-            lower = [power((*highest[:i], 0, *highest[i + 1 :]), places) for places in classes]
-            ratio = float(np.median(np.array(lower) / np.maximum(variances, _STILL**2)))
+            lower = np.array([power((*highest[:i], 0, *highest[i + 1 :]), places) for places in classes])
+            ratio = _middle(lower / np.maximum(variances, _STILL**2), counts)
             if _COLOURED < ratio < _SIGNAL:
                 colour[axis - 1] = ratio
     return (mean, gain, tuple(colour)) if mean > _NOTHING else (0.0, 0.0, white)
+
+
+def _middle(values: Array, weights: Array, low: float = 0.25, high: float = 0.75) -> float:
+    """The weighted mean of what lies between two quantiles."""
+    order = np.argsort(values, kind="stable")
+    shares = weights[order] / weights.sum()
+    until = np.cumsum(shares)
+    inner = (np.minimum(until, high) - np.maximum(until - shares, low)).clip(0)
+    return float(inner @ values[order] / inner.sum())
 
 
 def _error(count: int) -> float:

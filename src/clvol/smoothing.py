@@ -37,12 +37,12 @@ Array: TypeAlias = NDArray[np.float64]
 _STAIRS = 0.5
 # Beside an exact background there is an inside worth keeping: 0.10 voxels and 7° at the edge.
 _EDGE = 0.2
-_GRID = 1e-4, 1e2  # λ that are tried, for cubic splines
+_GRID = 1e-4, 1e2, 151  # λ that are tried, for cubic splines: from, to, how many
 _UNSEEN = 0.01  # of the samples' standard deviation: noise below is not seen (rounding to 8 bits makes half of it)
 _PAYS = 0.98  # of the error of interpolation: what is gained below is not worth a change
-# Of the least predicted error: of all λ that err no more, the greatest. The error hardly changes about its minimum, but the
-# gradients do, and steps between regions, which no spectrum tells from waves, are the better for it.
-_ROOM = 1.02
+# Of the λ of least error: the error hardly changes about its minimum, while gradients do, and steps between regions, which no
+# spectrum tells from waves, are the better for more.
+_MORE = 1.2
 _APART = 0.9  # of the error with one λ: what λ along each axis must bring
 
 
@@ -167,23 +167,20 @@ def _least(spectrum: Spectrum, degree: int) -> tuple[float, ...]:
     if math.prod(float(share.sum()) for share in spectrum.noise) < _UNSEEN**2 * float(spectrum.power.sum()):
         return (0.0,) * d
     risk = _Risk(spectrum, degree)
-    grid = _equivalent(1.0, degree) * np.geomspace(_GRID[0], _GRID[1], 151)
+    grid = _equivalent(1.0, degree) * np.geomspace(*_GRID)
 
     def best(of: Callable[[float], float]) -> tuple[float, float]:
-        """The greatest λ whose error is little more than the least, and the least."""
-        found = np.array([of(value) for value in grid])
-        least = float(found.min())
-        return float(grid[np.flatnonzero(found <= least + (_ROOM**2 - 1) * abs(least))[-1]]), least
+        errors = np.array([of(value) for value in grid])
+        return float(grid[errors.argmin()]), float(errors.min())
 
     one, least = best(lambda value: risk((value,) * d))
-    if least > _PAYS**2 * risk((0.0,) * d):
-        return (0.0,) * d
-    several = [one] * d
+    several, apart = [one] * d, least  # near 0, the estimate may be below
     for axis in [*range(d)] * 2:
         several[axis], apart = best(lambda value, axis=axis: risk([*several[:axis], value, *several[axis + 1 :]]))  # type: ignore[misc]
-    differ = 0 < apart < _APART**2 * least and max(several) > 2 * min(several)
-    values = several if differ else [one] * d
-    return tuple(_rounded(value) for value in values[::-1])
+    differ = apart < _APART**2 * max(least, 0) and max(several) > 2 * min(several)
+    if min(least, apart) > _PAYS**2 * risk((0.0,) * d):
+        return (0.0,) * d
+    return tuple(_rounded(min(_MORE * value, grid[-1])) for value in (several[::-1] if differ else [one] * d))
 
 
 def _passing(degree: int, omega: Array) -> tuple[Array, Array]:

@@ -175,6 +175,8 @@ def allowance(filter: str, mode: str, device: Device, ways: dict[str, str] | Non
         base = replace(base, rgba=2e-4, rms=2e-5, depth=2e-4, position=2e-4, normal=1e-3, pixels=0.0025)
     if mode == "isosurface" and row.continuity == 0:
         base = replace(base, pixels=0.005)  # the normal jumps where the surface passes a cell's face
+    if mode == "attenuated":
+        base = replace(base, pixels=0.0025)  # one pixel: a normal that lies across the ray, by chance, may face either way
     return base
 
 

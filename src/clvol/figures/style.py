@@ -116,6 +116,11 @@ _COLOURS = {
     "lanczos3": "#cf6a52",
     "lanczos4": "#b04d36",
     "lanczos5": "#8c3521",
+    "lanczos3n": "#9c2f6f",
+    "sinc4n": "#6b7a3a",
+    "moms3": "#8b1e3f",
+    "linear-quasi": "#c9b458",
+    "bspline3-quasi": "#58c4e8",
 }
 _ACROSS = 4  # names in a row of a legend
 _GIVEN: dict[str, str] = {}  # colours of other filters
@@ -133,6 +138,11 @@ _TITLES = {
     "bspline3": "B-spline interpolation",
     "hybrid": "hybrid, ×2 then linear",
     "omoms3": "O-MOMS, cubic",
+    "moms3": "MOMS, cubic",
+    "lanczos3n": "Lanczos, 3 samples",
+    "sinc4n": "sinc, 4 samples, normalized",
+    "linear-quasi": "linear, quasi-interpolation",
+    "bspline3-quasi": "B-spline, quasi-interpolation",
     "exact": "the function itself",
 }
 
