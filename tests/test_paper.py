@@ -143,8 +143,14 @@ def test_noise_turns_the_order_of_the_six_over(page: str, device: Device) -> Non
     states(page, pattern, *(n["rms"] for n in made[:3]))
     smoothed = f"the sphere's error falls to {NUMBER}, and its normals are {NUMBER}° off instead of {NUMBER}°"
     states(page, smoothed, made[3]["rms"], made[3]["angle"], made[0]["angle"])
-    hard = noise.measure(waves, [as_filter(names[i]) for i in (3, 0)], (0.1,), device)
-    states(page, f"it is the best again, {NUMBER} against {NUMBER} by interpolation", *(n["rms"] for n in hard))
+    hard = noise.measure(waves, [as_filter(names[i]) for i in (3, 0)], (0.03, 0.1), device)
+    pattern = f"of the range by {NUMBER} against {NUMBER} by interpolation, at a tenth by {NUMBER} against {NUMBER}"
+    states(page, pattern, *(n["rms"] for n in hard))
+    single = noise.measure(waves, [as_filter(f"bspline3({value})") for value in (0.01, 0.1)], (0.1,), device)
+    states(page, f"0.01 and 0.1 err by more than {NUMBER} at a tenth", 0.05)
+    assert all(n["rms"] > 0.05 for n in single)
+    easy = noise.measure(sphere, [as_filter(name) for name in ("bspline3(1)", "bspline3(auto)")], (0.003,), device)
+    states(page, f"noise of three thousandths, {NUMBER} against {NUMBER}", *(n["rms"] for n in easy))
 
 
 def test_the_page_tells_what_noise_filters_keep(page: str) -> None:

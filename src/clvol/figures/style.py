@@ -96,7 +96,6 @@ _RC: Mapping[str, Any] = {
 _COLOURS = {
     EXACT_SINC: "#5b5b5b",
     "sinc": "#8a8a8a",
-    "sinc4n": "#a8a8a8",
     "nearest": "#b07d4f",
     "bspline3-approx": "#2a9d8f",
     "linear": "#e9a100",
@@ -129,7 +128,6 @@ _GOLDEN, _TRIED, _APART = 0.6180339887, 150, 0.22
 _TITLES = {
     EXACT_SINC: "sinc, exact",
     "sinc": "sinc, cut off at 4 samples",
-    "sinc4n": "sinc of 4 samples, normalized",
     "nearest": "nearest neighbour",
     "bspline3-approx": "B-spline approximation",
     "linear": "linear",
