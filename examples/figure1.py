@@ -13,7 +13,7 @@ from _script import make, options_for
 def main() -> None:
     options = options_for(__doc__, "figure1.png")
     options.add_argument("--samples", type=int, default=21, help="of the function along each axis")
-    options.add_argument("--pixels", type=int, default=240, help="width of the picture")
+    options.add_argument("--pixels", type=int, default=400, help="width of the picture")
     make("1", options)
 
 

@@ -13,7 +13,7 @@ from _script import make, options_for
 def main() -> None:
     options = options_for(__doc__, "figure3.png")
     options.add_argument("--samples", type=int, default=41, help="of the function along each axis")
-    options.add_argument("--pixels", type=int, default=400, help="width of the picture")
+    options.add_argument("--pixels", type=int, default=300, help="width of the picture")
     options.add_argument("--scan", help="a volume file: draw it in place of the function")
     make("3", options)
 

@@ -12,7 +12,7 @@ from _script import make, options_for
 
 def main() -> None:
     options = options_for(__doc__, "figure5.png")
-    options.add_argument("--samples", type=int, default=65, help="of the images along each axis")
+    options.add_argument("--samples", type=int, default=49, help="of the images along each axis")
     make("5", options)
 
 

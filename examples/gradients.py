@@ -13,7 +13,7 @@ from _script import make, options_for
 def main() -> None:
     options = options_for(__doc__, "gradients.png")
     options.add_argument("--samples", type=int, default=41, help="of the function along each axis")
-    options.add_argument("--pixels", type=int, default=320, help="width and height of a picture")
+    options.add_argument("--pixels", type=int, default=240, help="width and height of a picture")
     make("gradients", options)
 
 

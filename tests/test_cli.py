@@ -446,7 +446,7 @@ def test_compare_takes_the_six_of_the_figure(clvol_command: Command) -> None:
     done = clvol_command("compare", "phantom:marschner-lobb:8", "-o", "a.png", "--pixels", "8", "--json").json
     assert done["filters"] == list(clvol.figures.SIX)
     assert iio.imread("a.png").shape[1] == 3 * 8 + 2 * 4
-    assert clvol_command("compare", SPHERE, "-o", "b.png", "--pixels", "8").out.splitlines()[1].startswith("filters: sinc nearest ")
+    assert clvol_command("compare", SPHERE, "-o", "b.png", "--pixels", "8").out.splitlines()[1].startswith("filters: sinc4n ")
 
 
 def test_compare_tells_what_filters_there_are(clvol_command: Command) -> None:
@@ -511,13 +511,13 @@ def test_figure6_prints_its_errors(clvol_command: Command) -> None:
     assert done.code == 0
     *lines, output = done.out.splitlines()
     assert output == "output: figure6.png"
-    assert len(lines) == 6
-    assert lines[-1].startswith("f)  B-spline interpolation: RMS error 0.")
-    assert lines[-1].endswith("°")
+    assert len(lines) == 7
+    assert lines[-2].startswith("f)  B-spline interpolation: RMS error 0.")
+    assert lines[-2].endswith("°")
     assert files() == ["figure6.png"]
     told = clvol_command("figure6", "--samples", "12", "--pixels", "16", "-o", "b.png", "--json").json
     assert told["output"] == "b.png"
-    assert [p["filter"] for p in told["panels"]] == [*clvol.figures.FIGURE_6, "exact"]
+    assert [p["filter"] for p in told["panels"]] == [*clvol.figures.FIGURE_6, "sinc", "exact"]
     assert all(p["rms"] > 0 and p["angle"] > 0 for p in told["panels"][:-1])
     assert told["panels"][-1] == {"filter": "exact", "rms": None, "angle": None, "residual": None}
     assert told["panels"][0]["residual"] > 0
@@ -541,7 +541,7 @@ def test_figure_draws_prints_and_names_its_file(clvol_command: Command) -> None:
     assert [p["filter"] for p in told["panels"]] == ["linear", "mitchell"]
     clvol.write(clvol.phantoms.sphere(9), "scan.npz")
     told = clvol_command("figure", "4", "-o", "a.pdf", "--filters", "linear", "--samples", "9", "--scan", "scan.npz", "--json").json
-    assert told["panels"][-1]["input"] == "scan"
+    assert told["panels"][-1]["input"] == "scan, low-passed"
     assert files() == ["a.pdf", "a.svg", "figure2.png", "scan.npz"]
 
 

@@ -35,11 +35,11 @@ def test_figure6_draws_the_figure_and_prints_its_errors(tmp_path: Path, device: 
     done = run("figure6.py", "--pixels", 24, "--samples", 16, "--output", "sheet.png", folder=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     lines = done.stdout.splitlines()
-    assert len(lines) == 7
-    assert all("RMS error 0." in line and line.endswith("°") for line in lines[:6])
-    assert lines[6].startswith("sheet.png in ")
+    assert len(lines) == 8
+    assert all("RMS error 0." in line and line.endswith("°") for line in lines[:7])
+    assert lines[7].startswith("sheet.png in ")
     sheet = iio.imread(tmp_path / "sheet.png")
-    assert sheet.shape[1:] == (4 * 24 + 2 * 4 + 12, 3)
+    assert sheet.shape[1:] == (4 * 24 + 3 * 4, 3)
     assert sheet.std() > 20
     assert device is not None
 
@@ -65,6 +65,9 @@ def test_figure6_tells_what_is_wrong(tmp_path: Path, device: Device, arguments: 
         ("impulse", (), "B-spline interpolation: 1.000 at its own sample, smallest value -0.137"),
         ("gradients", ("--samples", 9, "--pixels", 24), "B-spline interpolation: mean error of the normals"),
         ("convergence", ("--points", 200), "bspline3: the error falls with power "),
+        ("noise", ("--samples", 9, "--points", 100), "linear: keeps 0.667 of the noise's variance along an axis"),
+        ("slices", ("--samples", 7), "slices 2 pixels apart: smallest RMS error with "),
+        ("edges", ("--samples", 12, "--pixels", 24), "ideal low-pass, nearest neighbour: values rise again by 0."),
         ("cost", ("--samples", 9, "--points", 200), "* nothing is both faster and better"),
     ],
 )
@@ -96,6 +99,22 @@ def test_real_scan_draws_any_volume(tmp_path: Path, device: Device) -> None:
     assert iio.imread(tmp_path / "a.png").shape[1] == 3 * 12 + 2 * 4
     assert iio.imread(tmp_path / "a-default.png").shape == (512, 512, 3)
     failed = run("real_scan.py", "missing.npy", folder=tmp_path)
+    assert failed.returncode == 1
+    assert failed.stderr == "FormatError: cannot read missing.npy: there is no such file or folder\n"
+    assert device is not None
+
+
+def test_smoothing_draws_a_volume_before_and_after(tmp_path: Path, device: Device) -> None:
+    ramp = np.linspace(-1, 1, 24)
+    ball = ramp**2 + ramp[:, None] ** 2 + ramp[:, None, None] ** 2
+    np.save(tmp_path / "scan.npy", (ball + np.random.default_rng(0).normal(0, 0.1, ball.shape)).astype(np.float32))
+    done = run("smoothing.py", "scan.npy", "--pixels", 24, "--isovalue", 0.7, "--output", "a.png", folder=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    linear, interpolating, smoothing, output = done.stdout.splitlines()
+    assert (linear, interpolating, output) == ("linear", "bspline3", "a.png")
+    assert smoothing.startswith("bspline3(0.") or float(smoothing[9:-1]) >= 1
+    assert iio.imread(tmp_path / "a.png").shape[1] == 3 * 24 + 2 * 4
+    failed = run("smoothing.py", "missing.npy", folder=tmp_path)
     assert failed.returncode == 1
     assert failed.stderr == "FormatError: cannot read missing.npy: there is no such file or folder\n"
     assert device is not None

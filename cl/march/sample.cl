@@ -55,15 +55,16 @@ RARE float value_one(COEFFICIENTS coefficients, const int4 extent, float x, floa
     return sample_value(coefficients, extent, locate_stored(extent, x, y, z));
 }
 
-// The value some samples away: the same fraction of another cell. (Adding to the position would round, and
-// where the function jumps the neighbour would at times be the wrong one.)
+// The value some stored coefficients away: the same fraction of another cell. (Adding to the position would round,
+// and where the function jumps the neighbour would at times be the wrong one.)
 RARE float value_beside(COEFFICIENTS coefficients, const int4 extent, cell_t c, int x, int y, int z)
 {
-    c.x += x * GRID_SCALE; c.y += y * GRID_SCALE; c.z += z * GRID_SCALE;
+    c.x += x; c.y += y; c.z += z;
     return sample_value(coefficients, extent, c);
 }
 
-// Per sample, not per stored coefficient.
+// Per sample, not per stored coefficient. Central differences step from coefficient to coefficient: on the hybrid's
+// magnified grid half a sample, as programs do that are given magnified volumes.
 RARE gradient_t gradient_one(COEFFICIENTS coefficients, const int4 extent, float x, float y, float z)
 {
     gradient_t g;
@@ -75,8 +76,8 @@ RARE gradient_t gradient_one(COEFFICIENTS coefficients, const int4 extent, float
 #else
     float value;
     g = sample_gradient(coefficients, extent, c, &value);
-    g.x *= GRID_SCALE; g.y *= GRID_SCALE; g.z *= GRID_SCALE;
 #endif
+    g.x *= GRID_SCALE; g.y *= GRID_SCALE; g.z *= GRID_SCALE;
     return g;
 }
 

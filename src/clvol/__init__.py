@@ -25,7 +25,7 @@ from clvol.errors import (
     OptionError,
     OutOfMemoryError,
 )
-from clvol.filter import Filter, bc, bspline, filters, from_callable, from_pieces, lanczos, register, sinc
+from clvol.filter import Filter, bc, bspline, filters, from_callable, from_pieces, lanczos, moms3, quasi, register, sinc
 from clvol.formats import read, write
 from clvol.light import Light, Material
 from clvol.march.renderer import Output, Renderer, render
@@ -83,9 +83,11 @@ __all__ = [
     "lanczos",
     "magnify",
     "modes",
+    "moms3",
     "phantoms",
     "prefilter",
     "prefilter_response",
+    "quasi",
     "read",
     "register",
     "render",

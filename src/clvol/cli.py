@@ -359,7 +359,7 @@ def compare(
 
 @app.command
 def figure(
-    name: Annotated[str, Parameter(help="1 to 6 as in the paper, impulse, gradients, convergence or cost.")],
+    name: Annotated[str, Parameter(help="1 to 6 as in the paper, impulse, gradients, convergence, noise, slices, edges or cost.")],
     /,
     *,
     output: Annotated[
@@ -368,11 +368,11 @@ def figure(
     samples: Whole | None = None,
     pixels: Whole | None = None,
     filters: Compared = (),
-    scan: Annotated[str | None, Parameter(help="A volume to measure (4) or draw (3) too.")] = None,
+    scan: Annotated[str | None, Parameter(help="A volume to measure (4, slices) or draw (3) too.")] = None,
     device: DeviceName = None,
     json: Json = False,
 ) -> None:
-    """Make a figure of the paper, or one beyond: impulse, gradients, convergence, cost. Each has defaults for its options.
+    """Make a figure of the paper, or one beyond: impulse, gradients, convergence, noise, slices, edges, cost. Each has defaults.
 
     Parameters
     ----------

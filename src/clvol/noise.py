@@ -16,7 +16,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, ndimage
 
 from clvol.errors import DataError
 
@@ -87,10 +86,11 @@ class Noise:
     ----------
     sigma : float
         Standard deviation of additive noise, in units of the data: the root of the mean variance where it varies. Samples of a
-        `background` have no part in it. Of noise that is correlated along an axis, this is the level in the highest
-        octave alone, ``sigma`` being what white noise of that power there would have.
+        `background` have no part in it. Noise that has nothing in the highest octave, such as that of a scan that was
+        magnified, is not found.
     kind : str
-        "none", "white", "correlated", "signal-dependent", "binary", "labels".
+        "none"; "white"; "correlated", where neighbours along an axis share it (`colour`); "signal-dependent", where it grows with
+        the value (`gain`), as that of counts does; "binary" and "labels", where few values fill regions without any.
     gain : float
         How much the variance grows with the value (of photon counts: the data's unit a photon); 0 where that is not seen.
     colour : tuple of float
@@ -159,7 +159,6 @@ def estimate(samples: NDArray[Any]) -> Noise:
         facts["step"] = step if samples.dtype.kind == "f" else float(round(step))
     blocks -= values[most]  # a background is zero to the last bit, and so are bands of it
     same, alone = _surroundings(blocks)
-    outer = counts[~np.isin(values - values[most], blocks[same])].sum()  # samples of values that fill no region: parts of voxels
     common = blocks == 0
     ground = common & (common.mean() >= _GROUND) & ((same & common).sum() >= common.sum() / 2)
     if ground.any():
@@ -168,7 +167,7 @@ def estimate(samples: NDArray[Any]) -> Noise:
         facts["jump"] = _jump(blocks, ground)
     even = float(same[~ground].mean())
     kind, variance, gain, colour = "none", 0.0, 0.0, facts["colour"]
-    if len(values) <= _LABELS and alone < _ALONE and outer < _ALONE * (~same).sum():
+    if len(values) <= _LABELS and alone < _ALONE and _fill_regions(values - values[most], counts, blocks, same):
         kind = "binary" if len(values) == 2 else "labels"
     elif even < _EVEN:
         variance, gain, colour = _variance(blocks, ground)
@@ -221,6 +220,8 @@ def _normalised(samples: NDArray[Any]) -> tuple[NDArray[np.float32], np.longdoub
 
 def _spectrum(blocks: NDArray[np.float32], variance: float, colour: Sequence[float]) -> Spectrum:
     """Mean spectrum of the blocks without their means, by the cosine transform."""
+    from scipy import fft
+
     axes = tuple(range(1, blocks.ndim))
     blocks = blocks - blocks.mean(axes, keepdims=True)
     weight = float(blocks[0].size)
@@ -284,11 +285,19 @@ def _surroundings(blocks: NDArray[np.float32]) -> tuple[NDArray[np.bool_], float
     return ~differs, float((equal[differs] <= 1).mean()) if differs.any() else 0.0
 
 
+def _fill_regions(values: Array, counts: NDArray[np.int64], blocks: NDArray[np.float32], same: NDArray[np.bool_]) -> bool:
+    """Whether the values at edges are those of regions; the means of voxels that edges cut are not."""
+    between = counts[~np.isin(values, blocks[same])].sum()
+    return bool(between < _ALONE * (same.size - same.sum()))
+
+
 def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[float, float, tuple[float, ...]]:
     """Mean variance of the noise in the highest octave, how it grows with the value, its colour along each axis of the array.
 
     0 where no place shows it.
     """
+    from scipy import ndimage
+
     axes = [axis for axis in range(1, blocks.ndim) if blocks.shape[axis] >= len(_LOW)]
     white = (1.0,) * (blocks.ndim - 1)
     if not axes:
@@ -339,16 +348,10 @@ def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[f
     counts = np.array([float(len(places)) for places in classes])
     levels = np.array([float(level[places].mean()) for places in classes])
     mean, gain = _middle(variances, counts), 0.0
-    if len(classes) > 1 and mean > 0:
-        a, b = np.triu_indices(len(classes), 1)
-        apart = levels[b] - levels[a]
-        # as Theil and Sen do, but from the lower slopes: edges between levels add to the variance of classes and never take off
-        slope = _middle((variances[b] - variances[a]) / apart, apart * counts[a] * counts[b], 0.1, 0.5)
-        at = _middle(variances - slope * levels, counts)
-        ends = at + slope * levels[0], at + slope * levels[-1]
-        if ends[1] > _GROWS * ends[0] and ends[1] - ends[0] > _CONFIDENT * mean * _error(len(level) // (2 * len(classes))):
-            gain = slope
-            mean = max(0.0, at + slope * float(blocks[~ground].mean()))
+    at, slope = _line(levels, variances, counts)
+    first, last = at + slope * levels[0], at + slope * levels[-1]
+    if last > _GROWS * first and last - first > _CONFIDENT * mean * _error(len(level) // (2 * len(classes))):
+        mean, gain = max(0.0, at + slope * float(blocks[~ground].mean())), slope
     colour = list(white)
     if len(axes) > 1 and len(level) >= _MANY:
         for i, axis in enumerate(axes):
@@ -357,6 +360,19 @@ def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[f
             if _COLOURED < ratio < _SIGNAL:
                 colour[axis - 1] = ratio
     return (mean, gain, tuple(colour)) if mean > _NOTHING else (0.0, 0.0, white)
+
+
+def _line(levels: Array, variances: Array, counts: Array) -> tuple[float, float]:
+    """The variance at level 0, and how it grows with the level.
+
+    From the lower of the slopes between classes, not the middle ones as Theil and Sen: edges add to variances, and never take off.
+    """
+    if len(levels) < 2:
+        return float(variances[0]), 0.0
+    a, b = np.triu_indices(len(levels), 1)
+    apart = levels[b] - levels[a]
+    slope = _middle((variances[b] - variances[a]) / apart, apart * counts[a] * counts[b], 0.1, 0.5)
+    return _middle(variances - slope * levels, counts), slope
 
 
 def _middle(values: Array, weights: Array, low: float = 0.25, high: float = 0.75) -> float:

@@ -77,6 +77,15 @@ def choose(volume: Volume | ArrayLike, degree: int = 3) -> Smoothing:
     degree : int
         Of the spline, 2 to 9.
 
+    Notes
+    -----
+    λ is 1.2 times that of the least predicted error, the same along all axes unless one for each errs less by a tenth; 0 where it
+    would gain less than 2 %, or the noise is less than a hundredth of the samples' own deviation. For stairs it is 0.5, for masks
+    at least 0.2, for cubic splines; for other degrees what halves the same frequency.
+
+    Modes that show extremes should draw with λ = 0: the peak of a vessel whose profile is a Gaussian of σ = 1 sample keeps 0.99 of
+    its height with λ = 0, 0.92 with 0.02, 0.79 with 0.1, 0.58 with 0.5.
+
     Raises
     ------
     DataError

@@ -17,7 +17,22 @@ from clvol import FormatError, MissingDependencyError, OptionError, TransferFunc
 from clvol.analysis import EXACT_SINC
 from clvol.analysis.timing import Effort
 from clvol.device import Device
-from clvol.figures import convergence, cost, errors, gradients, hybrid, images, impulse, inputs, pipeline, responses, style
+from clvol.figures import (
+    convergence,
+    cost,
+    edges,
+    errors,
+    gradients,
+    hybrid,
+    images,
+    impulse,
+    inputs,
+    noise,
+    pipeline,
+    responses,
+    slices,
+    style,
+)
 
 pytest.importorskip("matplotlib")
 
@@ -51,7 +66,10 @@ def test_figure_1_gathers_the_pixel_that_render_draws(device: Device) -> None:
     np.testing.assert_allclose(numbers["color"], numbers["rendered"], atol=3e-3)  # the table of colours, and early termination
     assert 0.3 < numbers["opacity"] < 1
     headings = titles(drawing)
-    assert [t[0] for t in sorted(headings)] == ["1", "2", "3", "4", "5"]
+    assert [t[0] for t in sorted(headings)] == ["1", "2", "3", "4", "5", "6", "6"]
+    one, sixteen = numbers["aliasing"]["1"], numbers["aliasing"]["16"]
+    assert 0 < 4 * sixteen < one  # pictures are reconstructed from rays
+    assert f"RMS aliasing {one:.4f}" in texts(drawing)
     assert "B-spline interpolation" in texts(drawing)
     assert "nearest neighbour" in texts(drawing)
 
@@ -116,25 +134,38 @@ def test_figure_2_marks_where_direct_begins_to_pass_less_than_the_hybrid() -> No
 
 def test_figure_3_shows_what_the_hybrid_costs_and_loses(device: Device) -> None:
     drawing = hybrid.draw(samples=21, pixels=48, device=device)
-    direct, magnified, linear = drawing.numbers
-    assert [n["filter"] for n in drawing.numbers] == ["bspline3", "hybrid", "linear"]
-    assert direct["rms_difference"] == 0
-    assert 0 < magnified["rms_difference"] < linear["rms_difference"]
+    magnified, direct, linear = drawing.numbers
+    assert [(n["filter"], n["gradient"]) for n in drawing.numbers] == [
+        ("hybrid", "central"),
+        ("bspline3", "analytic"),
+        ("linear", "central"),
+    ]
+    assert 0 < direct["rms_difference"] < magnified["rms_difference"] < linear["rms_difference"]
+    assert 0 < direct["angle_mean"] < magnified["angle_mean"] < linear["angle_mean"]
     assert magnified["coefficients_bytes"] == 8 * direct["coefficients_bytes"] == 8 * linear["coefficients_bytes"]
-    assert all(n["seconds"] > 0 for n in drawing.numbers)
+    for n in drawing.numbers:
+        low, high = n["seconds_quartiles"]
+        assert 0 < low <= n["seconds"] <= high
     axes = axes_of(drawing)
-    assert [a.get_title(loc="left").split(":")[0] for a in axes[:3]] == ["a)  hybrid", "b)  direct", "trilinear alone"]
-    mixed, exact, coarse = (image_of(a) for a in axes[:3])
-    assert np.sqrt(np.mean((mixed - exact) ** 2)) == pytest.approx(magnified["rms_difference"])
-    np.testing.assert_allclose(image_of(axes[3]), np.abs(mixed - exact).mean(-1))
-    np.testing.assert_allclose(image_of(axes[5]), np.abs(coarse - exact).mean(-1))
-    assert axes[3].get_title(loc="left") == "|hybrid − direct|"
-    assert {"time of a frame, ms", "coefficients, MiB"} <= set(texts(drawing).split("\n"))
+    assert [a.get_title(loc="left").split("\n")[0] for a in axes[:4]] == [
+        "a)  hybrid",
+        "b)  direct",
+        "trilinear alone",
+        "the function itself",
+    ]
+    *drawn, exact = (image_of(a) for a in axes[:4])
+    for picture, below, n in zip(drawn, axes[4:7], drawing.numbers, strict=True):
+        assert np.sqrt(np.mean((picture - exact) ** 2)) == pytest.approx(n["rms_difference"])
+        np.testing.assert_allclose(image_of(below), np.abs(picture - exact).mean(-1))
+    assert {"time of a frame, ms", "coefficients, MiB", "to the function itself"} <= set(texts(drawing).split("\n"))
 
 
 def test_figure_3_draws_a_scan(device: Device) -> None:
     drawing = hybrid.draw(pixels=24, scan=phantoms.sphere(9), device=device)
     assert image_of(axes_of(drawing)[0]).std() > 0.05
+    assert drawing.numbers[1]["rms_difference"] == 0
+    assert all(n["compared_with"] == "direct" and n["angle_mean"] is None for n in drawing.numbers)
+    assert "to direct" in texts(drawing)
     with pytest.raises(OptionError, match=r"scan must have 3 axes; got shape \(4, 5\)"):
         hybrid.draw(scan=clvol.Volume(np.zeros((4, 5))))
 
@@ -147,37 +178,31 @@ def test_figure_3_of_constant_data_is_refused(device: Device) -> None:
 # -- 4 ---------------------------------------------------------------------------------------------------------
 
 
-def test_figure_4_is_a_bar_for_each_filter_and_a_panel_for_each_input() -> None:
+def test_figure_4_is_a_dot_for_each_filter_and_a_panel_for_each_input() -> None:
     done: list[float] = []
     drawing = errors.draw(("linear", "bspline3"), samples=15, points=500, scan=phantoms.sphere(18), progress=done.append)
     assert [(n["input"], n["dimensions"]) for n in drawing.numbers] == [
         ("Marschner–Lobb, z = 0", 2),
         ("zone plate", 2),
-        ("photograph", 2),
-        ("slice of the scan", 2),
+        ("photograph, low-passed", 2),
+        ("slice of the scan, low-passed", 2),
         ("Marschner–Lobb", 3),
         ("zone plate", 3),
         ("box, hard edges", 3),
-        ("scan", 3),
+        ("scan, low-passed", 3),
     ]
     assert done == sorted(done)
     assert done[-1] == 1
     for axes, numbers in zip(axes_of(drawing), drawing.numbers, strict=True):
         made = numbers["mean_square_error"]
-        power = float(axes.get_xlabel().split("^{")[1].split("}")[0])
-        assert [bar.get_width() * 10**power for bar in axes.patches] == [
-            pytest.approx(made["linear"]),
-            pytest.approx(made["bspline3"]),
-        ]
-        assert [bar.get_facecolor() for bar in axes.patches] == [rgba(style.colour("linear")), rgba(style.colour("bspline3"))]
+        assert axes.get_xscale() == "log"
+        dots = axes.get_lines()
+        assert [float(dot.get_xdata()[0]) for dot in dots] == [pytest.approx(made["linear"]), pytest.approx(made["bspline3"])]
+        assert [dot.get_color() for dot in dots] == [style.colour("linear"), style.colour("bspline3")]
+        left, right = axes.get_xlim()
+        assert left < min(made.values()) < max(made.values()) < right
         bold = [t.get_text() for t in axes.texts if t.get_fontweight() == "bold"]
-        assert bold == [f"{min(made.values()) / 10**power:.3g}"]
-
-
-def rgba(name: str) -> tuple[float, ...]:
-    from matplotlib.colors import to_rgba
-
-    return to_rgba(name)
+        assert bold == [f"{min(made.values()):.3g}"]
 
 
 def test_errors_of_figure_4_are_those_known() -> None:
@@ -209,6 +234,12 @@ def test_figure_5_shows_the_six_on_two_inputs(device: Device) -> None:
     assert heads == [f"{letter})  {style.title(name)}" for letter, name in zip("abcdef", figures.FIGURE_6, strict=True)]
     for axes in axes_of(drawing):
         assert image_of(axes).shape == (129, 129)
+    rows = np.array([image_of(axes) for axes in axes_of(drawing)]).reshape(4, 7, 129, 129)
+    for column in range(7):
+        for picture, close, (x, y) in ((0, 1, images._COLLAR), (2, 3, images._CORNER)):  # close-ups are finer, of the same places
+            i, j = 4 * int(33 * y), 4 * int(33 * x)
+            far = rows[picture, column, i : i + 33, j : j + 33]
+            np.testing.assert_allclose(rows[close, column, ::4, ::4], far, atol=1e-4)
 
 
 def test_headings_of_figure_5_do_not_run_into_each_other(device: Device) -> None:
@@ -217,6 +248,7 @@ def test_headings_of_figure_5_do_not_run_into_each_other(device: Device) -> None
     boxes = [axes.title for axes in axes_of(drawing)] + [axes._left_title for axes in axes_of(drawing)]
     boxes = [text.get_window_extent() for text in boxes if text.get_text()]
     assert len(boxes) == 4
+    boxes += [axes.get_window_extent() for axes in axes_of(drawing)[:4]]
     for i, a in enumerate(boxes):
         assert not any(a.overlaps(b) for b in boxes[:i])
 
@@ -254,6 +286,7 @@ def test_gradient_errors_are_those_of_the_normals_drawn(device: Device) -> None:
     shown = image_of(axes[5])
     assert np.nanmax(shown) <= 90
     assert f"mean {fine['angle_mean']:.1f}°" in texts(drawing)
+    assert fine["angle_mean"] == pytest.approx(np.nanmean(shown), rel=0.02)  # nearly all of the surface is steep enough to count
     for n, axes_below in zip(drawing.numbers, axes[3:6], strict=True):
         assert np.isfinite(image_of(axes_below)).sum() == n["shown"]  # nothing is cut
 
@@ -331,7 +364,7 @@ def test_cost_puts_every_filter_on_the_plot(device: Device) -> None:
     names, little = ("nearest", "linear", "bspline3"), Effort(positions=1000, rounds=2)
     drawing = cost.draw(names, samples=15, points=500, device=device, progress=done.append, effort=little)
     assert [n["filter"] for n in drawing.numbers] == ["nearest", "linear", "bspline3"]
-    assert all(n["nanoseconds"] > 0 and n["rms"] > 0 for n in drawing.numbers)
+    assert all(0 < n["quartiles"][0] <= n["nanoseconds"] <= n["quartiles"][1] and n["rms"] > 0 for n in drawing.numbers)
     assert drawing.numbers[0]["angle_mean"] is None
     assert done == sorted(done)
     assert done[-1] == pytest.approx(1)
@@ -382,6 +415,106 @@ def test_many_filters_of_figure_2_have_a_legend_within_it() -> None:
         path = near.transData.transform(np.column_stack(line.get_data()))
         inside = (path[:, 0] > place.x0) & (path[:, 0] < place.x1) & (path[:, 1] > place.y0) & (path[:, 1] < place.y1)
         assert not inside.any(), line.get_label()
+
+
+@pytest.mark.parametrize("name", ["nearest", "linear", "bspline3", "bspline3-approx", "bspline3(0.1)", "bspline3(1)", "hybrid"])
+def test_the_gain_of_variance_is_what_is_left_of_noise(name: str) -> None:
+    """The closed forms; the integral of |H|²; and the variance of a reconstruction of noise itself."""
+    closed = {"nearest": 1.0, "linear": 2 / 3, "bspline3-approx": 151 / 315}  # β₃ * β₃ = β₇, and β₇(0) = 151 / 315
+    gain = noise.variance_gain(name)
+    if name in closed:
+        assert gain == pytest.approx(closed[name], rel=1e-12)
+    if name != "nearest":  # whose |H|² falls too slowly to be integrated
+        w = np.linspace(0, 40 * np.pi, 8001)
+        assert gain == pytest.approx(np.trapezoid(analysis.frequency_response(name, w) ** 2, w) / np.pi, rel=1e-5)
+    image = Volume(np.random.default_rng(3).normal(size=(120, 120)))
+    values = clvol.reference.sample(image, np.random.default_rng(4).uniform(0, 120, (12_000, 2)), name, "wrap")
+    assert values.var() == pytest.approx(gain**2, rel=0.05)
+
+
+def test_noise_turns_the_order_of_filters_over(device: Device) -> None:
+    names = ("bspline3", "bspline3-approx", "bspline3(1)", "bspline3(auto)")
+    drawing = noise.draw(names, samples=33, points=4000, device=device)
+    made = {(n["input"], n["noise"], n["filter"]): n for n in drawing.numbers if "noise" in n}
+    assert len(made) == 2 * len(noise.LEVELS) * len(names)
+    # where noise is all, its variance is what its gain says: for the sphere every cubic spline's truth is its own
+    for name in names[:3]:
+        expected = 0.1 * noise.variance_gain(name) ** 1.5
+        assert made["sphere", 0.1, name]["rms"] == pytest.approx(expected, rel=0.08)
+    for case in ("sphere", "Marschner–Lobb"):
+        assert made[case, 0.0, "bspline3"]["rms"] < made[case, 0.0, "bspline3-approx"]["rms"]
+        assert made[case, 0.1, "bspline3"]["rms"] > made[case, 0.1, "bspline3-approx"]["rms"]
+        for level in (0.03, 0.1, 0.3):
+            least = min(made[case, level, name]["rms"] for name in names[:2])
+            assert made[case, level, "bspline3(auto)"]["rms"] < least
+    assert all(n["smoothing"] == 0 for n in drawing.numbers if n.get("filter") == "bspline3" and "noise" in n)
+    assert "Marschner–Lobb: normals, mean angle" in texts(drawing)
+
+
+def test_places_on_surfaces_of_the_phantoms_of_noise_lie_on_them() -> None:
+    sphere, waves = noise.cases(9, 100)
+    np.testing.assert_allclose(np.linalg.norm(sphere.surface, axis=1), 0.75)
+    cosine = -(sphere.surface * sphere.normals).sum(1) / 0.75 / np.linalg.norm(sphere.normals, axis=1)
+    np.testing.assert_allclose(cosine, 1)
+    np.testing.assert_allclose(phantoms.marschner_lobb_function(waves.surface), 0.5, atol=1e-9)
+    assert np.abs(waves.surface).max() <= 1
+    field = clvol.reference.sample(phantoms.sphere(65, 0.75), sphere.points, "bspline3")
+    np.testing.assert_allclose(sphere.values, field, atol=1e-3)
+
+
+def test_between_slices_the_spline_errs_less_while_they_are_near_enough(device: Device) -> None:
+    drawing = slices.draw(("linear", "mitchell", "bspline3"), samples=61, device=device)
+    rms = {(n["apart"], n["filter"]): n["rms"] for n in drawing.numbers}
+    assert sorted({k for k, _ in rms}) == [1, 2, 3, 4, 5, 6]
+    for k in (1, 2, 3, 4):
+        assert rms[k, "bspline3"] < rms[k, "mitchell"] < rms[k, "linear"]
+    assert rms[2, "bspline3"] < 0.1 * rms[2, "linear"]
+    assert rms[6, "bspline3"] > rms[6, "linear"]  # beyond what so few slices hold
+    *drawn, exact = (image_of(axes) for axes in axes_of(drawing)[:4])
+    made = [np.sqrt(np.mean((picture - exact) ** 2)) for picture in drawn]
+    assert made == sorted(made, reverse=True)
+    assert f"RMS {made[-1]:.4f}" in texts(drawing)
+
+
+def test_slices_left_out_of_a_scan_are_compared_with_it(device: Device) -> None:
+    """Linear interpolation of a square: half-way between two slices a distance h apart it is too large by h² / 4."""
+    z = np.arange(40.0)
+    scan = Volume(np.broadcast_to((z**2)[:, None, None], (40, 6, 5)), (1, 1, 3.0))
+    rows = [clvol.filter.as_filter("linear")]
+    made = slices.from_scan(scan, rows, (2, 3), device)
+    assert made[2]["linear"] == pytest.approx(1, rel=1e-4)
+    assert made[3]["linear"] == pytest.approx(2, rel=1e-4)
+    drawing = slices.draw(("linear", "nearest"), samples=7, scan=scan, device=device)
+    assert len({n["input"] for n in drawing.numbers}) == 2
+    assert drawing.numbers[-1]["input"] == "slices of the scan that were left out"
+    for bad in (np.zeros((12, 5, 5)), np.zeros((40, 40))):
+        with pytest.raises(OptionError, match="scan must have 3 axes and more than 12 slices"):
+            slices.draw(("linear",), samples=7, scan=bad)
+    with pytest.raises(OptionError, match="samples must be one more than a multiple of 3; got 9"):
+        slices.draw(("linear",), samples=9)
+
+
+def test_clouds_and_caves_are_the_ideal_low_pass_s(device: Device) -> None:
+    drawing = edges.draw(samples=32, pixels=24, device=device)
+    made = {(n["lowpass"], n["filter"]): n for n in drawing.numbers}
+    for key in ("cloud", "cave"):
+        assert made["ideal", "bspline3"][key] > 0.13  # by 8.9 % below, then 4.9 % above, across a face that lies level
+        assert made["gaussian", "bspline3"][key] < 0.005
+        assert made["none", "nearest"][key] == 0
+    assert len(axes_of(drawing)) == 6
+
+
+def test_the_cube_is_sampled_as_said() -> None:
+    """The mean is that of the cube; the ideal low-pass of the finer samples is that of the coarse ones."""
+    for lowpass in edges.LOWPASSES:
+        volume = edges.scanned(24, lowpass)
+        assert volume.data.mean() == pytest.approx(1 / 8, rel=0.05 if lowpass == "none" else 1e-9)
+        assert volume.data[12, 12, 12] == pytest.approx(1, abs=0.1)
+    ideal, fine = edges.scanned(12, "ideal").data, edges.scanned(96, "none").data
+    spectrum = np.fft.fftn(fine)
+    waves = np.abs(np.fft.fftfreq(96, 1 / 96))
+    spectrum *= np.prod(np.meshgrid(*(waves < 6,) * 3, indexing="ij"), 0)
+    np.testing.assert_allclose(np.fft.ifftn(spectrum).real[::8, ::8, ::8], ideal, atol=0.02)
 
 
 # -- what they are drawn from, and how they look ---------------------------------------------------------------
@@ -452,6 +585,32 @@ def test_a_filter_has_one_colour_by_all_its_names() -> None:
     ):
         assert style.colour(one) == style.colour(other)
     assert style.colour("bspline3") != style.colour("bspline3-approx")  # they differ in the prefilter alone
+    smooth = [style.colour(f"bspline3({value})") for value in ("0", "0.01", "0.1", "1", "auto")]
+    assert smooth[0] == style.colour("bspline3")
+    assert len(set(smooth)) == 5
+    assert style.title("bspline3(0.1)") == "B-spline, λ = 0.1"
+
+
+def test_pictures_are_shown_pixel_for_pixel(tmp_path: Path) -> None:
+    """Figures of aliasing add none."""
+    pixels = np.random.default_rng(0).integers(0, 256, (2, 3, 170, 200, 3), np.uint8)
+    small = np.random.default_rng(1).integers(0, 256, (30, 40, 3), np.uint8)
+    with style.styled():
+        figure, axes, times = style.tiles(2, 3, (200, 170), above=2, below=1, between=1, right=50)
+        assert times == 1
+        for i, j in np.ndindex(2, 3):
+            style.show(axes[i, j], pixels[i, j], "a heading", "a note")
+        path = figures.Drawing(figure, []).save(tmp_path / "a.png")
+        figure, axes, times = style.tiles(1, 1, (40, 30))
+        style.show(axes[0, 0], small, "")
+        enlarged = figures.Drawing(figure, []).save(tmp_path / "b.png")
+    sheet = iio.imread(path)[..., :3]
+    for i, j in np.ndindex(2, 3):
+        y, x = 2 * style.LINE + style.GAP + i * (170 + style.LINE + style.GAP), style.GAP + j * (200 + style.GAP)
+        np.testing.assert_array_equal(sheet[y : y + 170, x : x + 200], pixels[i, j])
+    assert times == 4
+    shown = iio.imread(enlarged)[style.GAP : style.GAP + 120, style.GAP : style.GAP + 160, :3]
+    np.testing.assert_array_equal(shown, small.repeat(4, 0).repeat(4, 1))
 
 
 def test_headings_are_folded() -> None:
@@ -558,6 +717,9 @@ def test_a_figure_holds_as_many_panels_as_there_are_letters(name: str) -> None:
         ("gradients", {"samples": 9, "pixels": 16}),
         ("convergence", {"sizes": (17, 25), "points": 50}),
         ("cost", {"samples": 9, "points": 50}),
+        ("noise", {"samples": 9, "points": 50}),
+        ("slices", {"samples": 7}),
+        ("edges", {"samples": 9, "pixels": 8}),
     ],
 )
 def test_figures_take_filters_of_ones_own(name: str, options: dict[str, Any], device: Device) -> None:

@@ -3,11 +3,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clvol import Camera, OptionError, analysis, bspline, phantoms, reference, render
+from clvol import Camera, Light, OptionError, Volume, analysis, bspline, phantoms, reference, render
 from clvol.analysis import EXACT_SINC
 from clvol.device import Device
 from clvol.figures import FIGURE_6, SIX, Panel, compare, figure6
-from clvol.figures.panels import CAMERA, ISOVALUE, LIGHTS, MATERIAL, SURFACE, _mean_angle, fixed
+from clvol.figures.panels import BACKGROUND, BOX, CAMERA, ISOVALUE, LIGHTS, MATERIAL, PANELS, SURFACE, fixed, shading_gradients
+from clvol.filter import as_filter
+from clvol.reference.march.exact import draw_function
 from tests.cases import BAD_COUNTS, BAD_FILTER_LISTS
 
 # of the Marschner-Lobb function at 40³, within 0.8 of the centre
@@ -26,7 +28,8 @@ def panel(drawn: tuple[list[Panel], np.ndarray], name: str) -> Panel:
 
 def test_panels_are_those_of_the_paper_and_the_function_itself(drawn: tuple[list[Panel], np.ndarray]) -> None:
     panels, _ = drawn
-    assert [p.filter for p in panels] == [*FIGURE_6, "exact"]
+    assert [p.filter for p in panels] == [*PANELS, "exact"]
+    assert (*FIGURE_6, "sinc") == PANELS
     for p in panels:
         assert p.picture.shape == (PIXELS, PIXELS, 4)
         assert p.picture.dtype == np.float32
@@ -69,7 +72,7 @@ def test_the_exact_sinc_says_how_exact_it_is(drawn: tuple[list[Panel], np.ndarra
     sinc = panel(drawn, EXACT_SINC)
     assert sinc.residual == pytest.approx(9e-5, rel=0.2)
     assert sinc.label.startswith("a)  sinc, exact to about 9e-05\nRMS error 0.0145")
-    assert [p.letter for p in drawn[0]] == [*"abcdef", ""]
+    assert [p.letter for p in drawn[0]] == [*"abcdefg", ""]
     assert all(p.residual is None for p in drawn[0][1:])
 
 
@@ -101,7 +104,7 @@ def test_the_exact_panel_is_what_a_much_finer_sampled_volume_shows(drawn: tuple[
         color=SURFACE,
         lights=LIGHTS,
         material=MATERIAL,
-        background=(0.06, 0.07, 0.10),
+        background=BACKGROUND,
         clip=((-1, -1, -1), (1, 1, 1)),
         device=device,
     )
@@ -118,14 +121,60 @@ def test_the_sheet_holds_every_panel_under_its_label(drawn: tuple[list[Panel], n
     panels, sheet = drawn
     assert sheet.dtype == np.uint8
     height = (sheet.shape[0] - 4) // 2  # of a tile: two rows, a gap of 4
-    assert height > PIXELS
-    assert sheet.shape == (2 * height + 4, 3 * PIXELS + 2 * 4 + 12 + PIXELS, 3)
-    for i, p in enumerate(panels[:-1]):
-        y, x = i // 3 * (height + 4), i % 3 * (PIXELS + 4)
+    assert height > 2 * PIXELS
+    assert sheet.shape == (2 * height + 4, 4 * PIXELS + 3 * 4, 3)
+    for i, p in enumerate(panels):
+        y, x = i // 4 * (height + 4), i % 4 * (PIXELS + 4)
         tile = sheet[y : y + PIXELS, x : x + PIXELS]
         assert np.abs(tile - p.picture[..., :3] * 255).max() <= 0.51
-    y = (sheet.shape[0] - height) // 2
-    assert np.abs(sheet[y : y + PIXELS, -PIXELS:] - panels[-1].picture[..., :3] * 255).max() <= 0.51
+        below = sheet[y + PIXELS : y + 2 * PIXELS, x : x + PIXELS].astype(float)
+        if p.error is not None:  # black where it is drawn as the truth is, and the brighter the farther it is from that
+            np.testing.assert_allclose(p.error, np.abs(p.picture - panels[-1].picture)[..., :3].mean(-1))
+            assert below[p.error == 0].max() < 5
+            assert below[p.error > 0.4].mean() > 150
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_no_half_of_a_panel_is_black(drawn: tuple[list[Panel], np.ndarray], number: int) -> None:
+    """Each light reaches what the other does not: of what is seen of the surface hardly anything is as dark as without lights."""
+    exact = drawn[0][-1].picture[..., :3]
+    surface = (exact != np.float32(BACKGROUND)).any(-1)
+    dark = exact.max(-1) < 1.2 * MATERIAL.ambient * max(SURFACE)
+    assert (dark & surface).sum() < 0.05 * surface.sum()
+    assert len(LIGHTS) == 2
+    alone = shade_of(LIGHTS[number])
+    assert (alone.max(-1) < 1.2 * MATERIAL.ambient * max(SURFACE))[surface].mean() > 0.1
+
+
+def shade_of(light: Light) -> np.ndarray:
+    """The function itself by one of the lights."""
+    volume = phantoms.marschner_lobb(40)
+    _, picture = draw_function(
+        phantoms.marschner_lobb_function,
+        phantoms.marschner_lobb_gradient,
+        volume,
+        CAMERA.view(volume),
+        (PIXELS, PIXELS),
+        isovalue=ISOVALUE,
+        color=SURFACE,
+        lights=(light,),
+        material=MATERIAL,
+        background=BACKGROUND,
+        clip=BOX,
+    )
+    return picture[..., :3]
+
+
+def test_gradients_that_shade_the_hybrid_are_differences_of_the_magnified_grid() -> None:
+    """Of a wave the difference over a step h to either side is its slope times sin(ωh) / ωh."""
+    omega = 4 * np.pi / 21  # a wave that goes on beyond its mirrored ends
+    volume = Volume(np.broadcast_to(np.cos(omega * np.arange(22)), (5, 6, 22)))
+    points = np.array([[6.0, 2.0, 3.0], [9.5, 3.0, 2.0], [13.0, 2.5, 1.5]])
+    slope = -omega * np.sin(omega * points[:, 0])
+    for name, step in (("bspline5", 1.0), ("hybrid", 0.5)):
+        got = shading_gradients(volume, points, as_filter(name), gradient="central")
+        expected = slope * np.sin(omega * step) / (omega * step)
+        np.testing.assert_allclose(got, np.stack([expected, 0 * slope, 0 * slope], -1), atol=1e-3)
 
 
 def test_labels_tell_what_was_measured() -> None:
@@ -177,6 +226,22 @@ def test_compare_draws_what_render_draws(device: Device) -> None:
             np.testing.assert_array_equal(p.picture, alone)
 
 
+def test_compare_tells_the_smoothing_that_was_decided(device: Device) -> None:
+    noisy = phantoms.sphere(24).data + np.random.default_rng(0).normal(0, 0.1, (24, 24, 24))
+    names = ("bspline3", "bspline3(0.25)", "bspline3(auto)")
+    panels, sheet = compare(noisy, names, 40, device=device, mode="isosurface", isovalue=0.5)
+    assert [p.filter for p in panels[:2]] == ["bspline3", "bspline3(0.25)"]
+    assert panels[1].label == "B-spline, lambda = 0.25\n"
+    decided = as_filter(panels[2].filter).smoothing
+    assert isinstance(decided, float)
+    assert decided > 0.1
+    assert sheet.shape[1] == 3 * 40 + 2 * 4
+    # a smooth ball: the smoother one is nearer to what is drawn without noise
+    clean = compare(phantoms.sphere(24), names[:1], 40, device=device, mode="isosurface", isovalue=0.5)[0][0].picture
+    far = [np.abs(p.picture - clean).mean() for p in panels]
+    assert max(far[1:]) < 0.7 * far[0]
+
+
 @pytest.mark.parametrize("rule", ["mirror", "reflect", "wrap"])
 @pytest.mark.parametrize("mode", ["isosurface", "composite"])
 def test_compare_draws_the_exact_sinc(device: Device, rule: str, mode: str) -> None:
@@ -224,9 +289,3 @@ def test_filters_are_checked_first() -> None:
     ):
         with pytest.raises(OptionError, match=r"bspline3.*'bogus'"):
             make()
-
-
-def test_the_mean_angle() -> None:
-    a = np.array([[1.0, 0, 0], [0, 2, 0], [0, 0, 0]])
-    b = np.array([[3.0, 0, 0], [2, 2, 0], [1, 0, 0]])
-    assert _mean_angle(a, b) == pytest.approx((0 + 45 + 90) / 3)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 import clvol
 from clvol import Camera, Light, TransferFunction, Volume
@@ -98,3 +99,31 @@ def test_a_plateau_a_thousandth_above_another_has_normals_at_its_edge_beside_a_h
     there = np.isfinite(surface[..., 0])
     assert there.mean() > 0.2
     np.testing.assert_allclose(np.abs(surface[there]), np.broadcast_to([0.0, 0, 1], (there.sum(), 3)), atol=1e-3)
+
+
+def test_central_differences_on_the_hybrid_are_those_of_the_magnified_volume(device: Device) -> None:
+    """As programs do that are given a volume magnified by SciPy: differences of its voxels, interpolated linearly."""
+    spacing = np.array([1.0, 0.8, 1.3])
+    data = ndimage.gaussian_filter(np.random.default_rng(8).random((12, 14, 13)), 1.2)
+    places = np.meshgrid(*(np.arange(-2, 2 * n + 1) / 2 for n in data.shape), indexing="ij")
+    fine = ndimage.map_coordinates(data, places, order=3, mode="mirror")  # two more on either side: differences and the last cell
+    differences = np.stack(np.gradient(fine)[::-1], -1) / (spacing / 2)
+    seen = clvol.render(
+        Volume(data, tuple(spacing)),
+        Camera.orbit(25, 35),
+        "isosurface",
+        "hybrid",
+        "mirror",
+        size=(40, 40),
+        gradient="central",
+        isovalue=float(np.median(data)),
+        outputs=("normal", "position"),
+        device=device,
+    )
+    there = np.isfinite(seen["normal"]).all(-1)
+    assert there.sum() > 300
+    at = 2 * (seen["position"][there] / spacing)[:, ::-1].T.astype(float) + 2
+    expected = np.stack([ndimage.map_coordinates(differences[..., i], at, order=1) for i in range(3)], -1)
+    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+    cosine = np.abs((seen["normal"][there] * expected).sum(1))
+    assert np.degrees(np.arccos(np.clip(cosine, 0, 1))).max() < 0.05

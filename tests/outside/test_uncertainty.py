@@ -175,12 +175,13 @@ def test_neither_noise_nor_smoothing_need_be_known(device: Device) -> None:
 @pytest.mark.parametrize("filter", ["linear", "bspline3", "bspline3(0.1)"])
 def test_noise_that_is_correlated(device: Device, filter: str) -> None:
     """Blurred along x and y, as by a scanner's own filter, it is averaged away less by a smoothing spline than white noise is."""
-    normal = np.array([0.3, -0.4, 0.8])
-    plane = Phantom(lambda p: p @ normal / STEP, lambda p: np.broadcast_to(normal / STEP, p.shape), 0.3)
-    noise = np.random.default_rng(4).standard_normal((N, N, N))
+    n = 64  # enough places for the correlation to be told
+    step, normal = 2 / (n - 1), np.array([0.3, -0.4, 0.8])
+    plane = Phantom(lambda p: p @ normal / step, lambda p: np.broadcast_to(normal / step, p.shape), 0.3)
+    noise = np.random.default_rng(4).standard_normal((n, n, n))
     for axis in (1, 2):
         noise = (noise + 0.25 * (np.roll(noise, 1, axis) + np.roll(noise, -1, axis))) / np.sqrt(1.125)
-    volume = Volume((plane.value(places()) + 0.05 * noise).astype(np.float32), (STEP,) * 3, (-1,) * 3)
+    volume = Volume((plane.value(places(n)) + 0.05 * noise).astype(np.float32), (step,) * 3, (-1,) * 3)
     assert volume.noise.kind == "correlated"
     known = measure(volume, plane, filter, device, limit=0.8)
     white = measure(volume, plane, filter, device, limit=0.8, sigma=0.05)

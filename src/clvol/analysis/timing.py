@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clvol.boundary import Boundary
 from clvol.device import Device
@@ -19,7 +20,7 @@ from clvol.spline.field import coefficients_of
 from clvol.spline.points import sample_coefficients
 from clvol.volume import Volume
 
-__all__ = ["FULL", "Effort", "seconds_per_sample"]
+__all__ = ["FULL", "Effort", "seconds_per_sample", "times_per_sample"]
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,20 @@ def seconds_per_sample(
     *,
     effort: Effort = FULL,
 ) -> list[float]:
-    """The shortest time per sample of each filter at random positions of the volume, without the prefilter.
+    """The shortest of `times_per_sample` of each filter; parameters as there."""
+    return [float(times.min()) for times in times_per_sample(volume, filters, boundary, device, progress, effort=effort)]
+
+
+def times_per_sample(
+    volume: Volume,
+    filters: Sequence[Filter],
+    boundary: Boundary,
+    device: Device,
+    progress: Callable[[float], Any] | None = None,
+    *,
+    effort: Effort = FULL,
+) -> list[NDArray[np.float64]]:
+    """The time per sample of each filter at random positions of the volume, without the prefilter, in each round.
 
     The filters take turns, round by round, so that other load on the machine hits all of them alike.
 
@@ -69,26 +83,31 @@ def seconds_per_sample(
         Called with the fraction done.
     effort : Effort
         How much is measured.
+
+    Returns
+    -------
+    list of ndarray, each of shape (rounds,)
+        Seconds.
     """
     last, n = np.array(volume.size) - 1, effort.positions
     points = volume.index_to_world(np.random.default_rng(0).uniform(0, 1, (n, volume.ndim)) * last)
-    shortest: list[float] = []
+    times: list[NDArray[np.float64]] = []
     for group in _groups(volume, filters, effort.resident_bytes):
-        first, shortest = len(shortest), shortest + [np.inf] * len(group)
+        first, times = len(times), times + [np.empty(effort.rounds) for _ in group]
         with ExitStack() as stack:
             resident = [
                 (stack.enter_context(coefficients_of(volume, f, boundary, device)), choose_evaluator(device, f)) for f in group
             ]
             for coefficients, evaluator in resident:
                 sample_coefficients(coefficients, evaluator, points[:64])  # builds the kernel
-            for done in range(1, effort.rounds + 1):
+            for turn in range(effort.rounds):
                 for i, (coefficients, evaluator) in enumerate(resident, first):
                     started = time.perf_counter()
                     sample_coefficients(coefficients, evaluator, points)
-                    shortest[i] = min(shortest[i], (time.perf_counter() - started) / n)
+                    times[i][turn] = (time.perf_counter() - started) / n
                 if progress is not None:
-                    progress((first + len(group) * done / effort.rounds) / len(filters))
-    return shortest
+                    progress((first + len(group) * (turn + 1) / effort.rounds) / len(filters))
+    return times
 
 
 def _groups(volume: Volume, filters: Sequence[Filter], room: int) -> Iterator[list[Filter]]:

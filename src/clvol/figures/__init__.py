@@ -38,6 +38,9 @@ FIGURES = {
     "impulse": Kind("impulse", "impulse responses"),
     "gradients": Kind("gradients", "angle between drawn and true normals, beside each picture"),
     "convergence": Kind("convergence", "error against sampling rate: the slope is the order"),
+    "noise": Kind("noise", "errors against noise, and what lies between approximation and interpolation"),
+    "slices": Kind("slices", "interpolation between slices that lie far apart"),
+    "edges": Kind("edges", "clouds and caves: hard edges after an ideal low-pass and after a Gaussian one"),
     "cost": Kind("cost", "error against time a sample: which filter should I use"),
 }
 """Figures by name: those of the paper by number."""

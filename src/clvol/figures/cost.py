@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from clvol import analysis, phantoms
-from clvol.analysis.timing import FULL, Effort, seconds_per_sample
+from clvol.analysis.timing import FULL, Effort, times_per_sample
 from clvol.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.device import Device, as_device
 from clvol.figures.style import FAINT, GREY, Drawing, colour, new_figure, styled
@@ -34,10 +34,12 @@ def draw(
 ) -> Drawing:
     """Each filter's error on the Marschner-Lobb function against its time on a device: values left, gradients right.
 
+    Times are medians; half of those measured lie within the bars.
+
     Parameters
     ----------
     filters : sequence of str or Filter, optional
-        Default: the whole table.
+        Default: those of the table whose weights sum to one.
     samples : int
         Of the function along each axis.
     points : int
@@ -52,7 +54,7 @@ def draw(
     DeviceError
         No device is usable, so there are no times.
     """
-    rows, on = as_filters(list(all_filters()) if filters is None else filters), as_device(device)
+    rows, on = as_filters(_normalized() if filters is None else filters), as_device(device)
     on.require_usable()
     advance = progress or (lambda _: None)
     table = analysis.compare(
@@ -64,28 +66,43 @@ def draw(
         timing=False,
         progress=lambda done: advance(_SHARE * done),
     )
-    seconds = seconds_per_sample(
+    times = times_per_sample(
         table.samples, rows, as_boundary(DEFAULT_BOUNDARY), on, lambda done: advance(_SHARE + (1 - _SHARE) * done), effort=effort
     )
     numbers: list[dict[str, Any]] = [
-        {"filter": row.filter, "nanoseconds": 1e9 * took, "rms": row.rms, "angle_mean": row.angle_mean}
-        for row, took in zip(table, seconds, strict=True)
+        {
+            "filter": row.filter,
+            "nanoseconds": float(1e9 * np.median(took)),
+            "quartiles": [float(1e9 * q) for q in np.quantile(took, (0.25, 0.75))],
+            "rms": row.rms,
+            "angle_mean": row.angle_mean,
+        }
+        for row, took in zip(table, times, strict=True)
     ]
     figure = plot(
         numbers,
         "RMS error of the values",
-        f"Marschner–Lobb, {samples}³ samples; times on {on.name}. Line: nothing is both faster and better.",
+        f"Marschner–Lobb, {samples}³ samples; times on {on.name}, median and quartiles. Line: nothing is both faster and better.",
     )
     best = {name for name, _, _ in frontier([(n["filter"], n["nanoseconds"], n["rms"]) for n in numbers])}
     lines = [
-        f"{n['filter']}: RMS error {n['rms']:.4f}, {n['nanoseconds']:.0f} ns per sample" + (" *" if n["filter"] in best else "")
+        f"{n['filter']}: RMS error {n['rms']:.4f}, {n['nanoseconds']:.0f} ns per sample "
+        f"({n['quartiles'][0]:.0f} to {n['quartiles'][1]:.0f})" + (" *" if n["filter"] in best else "")
         for n in numbers
     ]
     return Drawing(figure, numbers, [*lines, "* nothing is both faster and better"])
 
 
+def _normalized() -> list[Filter]:
+    """The table but for what nobody would use: the sinc and its windows without the division by their sum."""
+    return [row for row in all_filters().values() if row.sums_to_one]
+
+
 def plot(numbers: Sequence[dict[str, Any]], heading: str, note: str) -> Any:
-    """A figure of errors ("rms") and angles ("angle_mean") against time ("nanoseconds"), each filter a point."""
+    """A figure of errors ("rms") and angles ("angle_mean") against time ("nanoseconds"), each filter a point.
+
+    Where `numbers` have them, "quartiles" of the time are bars.
+    """
     with styled():
         figure = new_figure(12, 5.6)
         left, right = figure.subplots(1, 2)
@@ -93,8 +110,9 @@ def plot(numbers: Sequence[dict[str, Any]], heading: str, note: str) -> Any:
         both = [(left, "rms", heading), (right, "angle_mean", "mean angle of the gradient, degrees")]
         shown = [_scatter(axes, numbers, key, text) for axes, key, text in both]
         figure.draw_without_rendering()  # from here on the axes stay in place
+        quartiles = {n["filter"]: n["quartiles"] for n in numbers if "quartiles" in n}
         for (axes, *_), points in zip(both, shown, strict=True):
-            _label(axes, points)
+            _label(axes, points, quartiles)
     return figure
 
 
@@ -110,12 +128,16 @@ def frontier(rows: Sequence[tuple[str, float, float]]) -> list[tuple[str, float,
 def _scatter(axes: Any, numbers: Sequence[dict[str, Any]], key: str, heading: str) -> list[tuple[str, float, float]]:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-    shown = [(n["filter"], n["nanoseconds"], n[key]) for n in numbers if n[key] is not None]
+    known = [n for n in numbers if n[key] is not None]
+    shown = [(n["filter"], n["nanoseconds"], n[key]) for n in known]
     axes.loglog()
     line = frontier(shown)
     axes.step([r[1] for r in line], [r[2] for r in line], where="post", color=FAINT, linewidth=5, solid_joinstyle="round", zorder=1)
     for name, nanoseconds, error in shown:
         axes.plot(nanoseconds, error, "o", color=colour(name), markersize=7, zorder=3)
+    for n in known:
+        if "quartiles" in n:
+            axes.hlines(n[key], *n["quartiles"], color=colour(n["filter"]), linewidth=1.5, zorder=2)
     axes.set(xlabel="time per sample, nanoseconds", title=heading)
     axes.margins(0.16, 0.08)
     for axis in (axes.xaxis, axes.yaxis):  # 1, 2, 5, 10, ... in plain digits
@@ -125,12 +147,14 @@ def _scatter(axes: Any, numbers: Sequence[dict[str, Any]], key: str, heading: st
     return shown
 
 
-def _label(axes: Any, shown: Sequence[tuple[str, float, float]]) -> None:
-    """A name beside each point, where it overlaps other names and points least."""
+def _label(axes: Any, shown: Sequence[tuple[str, float, float]], quartiles: dict[str, Sequence[float]]) -> None:
+    """A name beside each point, where it overlaps other names, points and bars least."""
     at = {name: axes.transData.transform((x, y)) for name, x, y in shown}
+    ends = {name: [axes.transData.transform((end, y))[0] for end in quartiles.get(name, (x, x))] for name, x, y in shown}
     em = axes.figure.dpi * _LETTER / 72
     # a dot is not quite an em wide
     taken = [(p[0] - 0.5 * em, p[1] - 0.5 * em, p[0] + 0.5 * em, p[1] + 0.5 * em) for p in at.values()]
+    taken += [(left, at[name][1] - 0.15 * em, right, at[name][1] + 0.15 * em) for name, (left, right) in ends.items()]
     for name, x, y in shown:
         label = axes.annotate(
             name, (x, y), (0, 0), textcoords="offset points", ha="center", va="center", fontsize=_LETTER, color=colour(name)
@@ -140,7 +164,8 @@ def _label(axes: Any, shown: Sequence[tuple[str, float, float]]) -> None:
         width, height = extent.width, extent.height
         boxes = []
         for dx, dy in _PLACES:
-            centre = at[name] + np.array([dx * (width / 2 + _GAP * em), dy * height])
+            beyond = ends[name][dx > 0] if dx and not dy else at[name][0]  # beside the bar, not on it
+            centre = np.array([beyond + dx * (width / 2 + _GAP * em), at[name][1] + dy * height])
             boxes.append((centre[0] - width / 2, centre[1] - height / 2, centre[0] + width / 2, centre[1] + height / 2))
         box = min(boxes, key=lambda b: sum(_overlap(b, other) for other in taken))
         taken.append(box)

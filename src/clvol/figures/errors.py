@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +19,7 @@ from clvol.checks import require_room, whole
 from clvol.errors import OptionError
 from clvol.figures.inputs import photograph, rings, zone_plate
 from clvol.figures.panels import FIGURE_6
-from clvol.figures.style import GREY, INK, Drawing, colour, new_figure, styled, title
+from clvol.figures.style import FAINT, GREY, INK, Drawing, colour, new_figure, styled, title
 from clvol.filter import Filter
 from clvol.volume import Volume, as_volume
 
@@ -66,31 +66,30 @@ def measure(
     known: list[tuple[str, int, Callable[[], list[ErrorTable]]]] = [
         ("Marschner–Lobb, z = 0", 2, lambda: [table(rings, size=samples, dimensions=2, points=points)]),
         ("zone plate", 2, lambda: [table(partial(zone_plate, size=samples), size=samples, dimensions=2, points=points)]),
-        (what, 2, lambda: every_shift(photo, filters)),
+        (f"{what}, low-passed", 2, lambda: every_shift(_lowpassed(photo), filters)),
         ("Marschner–Lobb", 3, lambda: [table(phantoms.marschner_lobb_function, size=samples, points=points)]),
         ("zone plate", 3, lambda: [table(partial(zone_plate, size=samples), size=samples, points=points)]),
-        ("box, hard edges", 3, lambda: every_shift(phantoms.box(2 * samples), filters, "none")),
+        ("box, hard edges", 3, lambda: every_shift(phantoms.box(2 * samples), filters)),
     ]
     if scan is not None:
         scan = as_volume(scan)
         if scan.ndim != 3:
             raise OptionError(f"scan must have 3 axes; got shape {scan.shape}")
-        middle = Volume(scan.data[scan.shape[0] // 2], scan.spacing[:2])
-        known.insert(3, ("slice of the scan", 2, lambda: every_shift(middle, filters)))
-        known.append(("scan", 3, lambda: [table(scan, points=_GRADIENTS)]))
+        soft = _lowpassed(scan)
+        middle = _lowpassed(Volume(scan.data[scan.shape[0] // 2], scan.spacing[:2]))
+        known.insert(3, ("slice of the scan, low-passed", 2, lambda: every_shift(middle, filters)))
+        known.append(("scan, low-passed", 3, lambda: [table(soft, lowpass="none", points=_GRADIENTS)]))
     cases = []
     for done, (name, dimensions, make) in enumerate(known, 1):
         tables = make()
-        how = "function" if tables[0].against.startswith("the function") else "original samples"
+        how = "function" if tables[0].against.startswith("the function") else "samples left out"
         cases.append(Case(name, how, dimensions, mean_square(tables)))
         if progress is not None:
             progress(done / len(known))
     return cases
 
 
-def every_shift(
-    volume: Volume, filters: Sequence[str | Filter], lowpass: Literal["gaussian", "none"] = "gaussian"
-) -> list[ErrorTable]:
+def every_shift(volume: Volume, filters: Sequence[str | Filter]) -> list[ErrorTable]:
     """Errors of a volume from every second sample, for each of the 2ᵈ samples that can be the first to be kept.
 
     Half of the positions along an axis lie half-way between kept samples, where `nearest` always takes the upper one. At
@@ -98,7 +97,12 @@ def every_shift(
     """
     firsts = itertools.product(*(range(min(2, n)) for n in volume.size))
     cropped = [volume.crop(first, volume.size) for first in firsts]
-    return [compare(part, filters, lowpass=lowpass, points=_GRADIENTS, boundary=DEFAULT_BOUNDARY, timing=False) for part in cropped]
+    return [compare(part, filters, lowpass="none", points=_GRADIENTS, boundary=DEFAULT_BOUNDARY, timing=False) for part in cropped]
+
+
+def _lowpassed(volume: Volume) -> Volume:
+    """As a scanner of every second sample would see it: what is lost by that is no error of a reconstruction."""
+    return volume.gaussian(volume.spacing)
 
 
 def mean_square(tables: Sequence[ErrorTable]) -> dict[str, float]:
@@ -117,7 +121,7 @@ def draw(
     scan: Volume | ArrayLike | None = None,
     progress: Callable[[float], Any] | None = None,
 ) -> Drawing:
-    """Figure 4: a bar for each filter, a panel for each input.
+    """Figure 4: a dot for each filter on a logarithmic axis, a panel for each input.
 
     Parameters
     ----------
@@ -129,17 +133,21 @@ def draw(
         Number of random positions at which functions are compared.
     scan : Volume or array-like, optional
         One more input, decimated by two from its first sample, and its middle slice. The slice, the photograph and the box
-        are decimated with every shift, see `every_shift`.
+        are decimated with every shift, see `every_shift`. All but the box are low-passed before, by a Gaussian of one sample
+        along each axis, and compared with what that left.
     progress : callable, optional
         Called with the fraction done.
     """
     cases = measure(filters, samples, points, scan, progress)
+    positive = [error for case in cases for error in case.errors.values() if error > 0]
+    least, most = (min(positive), max(positive)) if positive else (0.1, 1.0)
     with styled():
         across = len(cases) // 2
-        figure = new_figure(3.1 * across + 1.2, 0.34 * 2 * len(cases[0].errors) + 2.3)
-        panels = figure.subplots(2, across, sharey=True)
+        figure = new_figure(3.1 * across + 1.4, 0.34 * 2 * len(cases[0].errors) + 2.1)
+        panels = figure.subplots(2, across, sharex=True, sharey=True)
         for axes, case in zip(panels.flat, cases, strict=True):
-            _bars(axes, case)
+            _dots(axes, case, least / 2)
+        panels[0, 0].set_xlim(least / 2, most * 8)  # room for the numbers
         figure.suptitle("mean square error of the reconstruction, data scaled to 0…1; smallest in bold", fontsize=10, color=GREY)
     lines = []
     for case in cases:
@@ -148,26 +156,23 @@ def draw(
     return Drawing(figure, [case.numbers() for case in cases], lines)
 
 
-def _bars(axes: Any, case: Case) -> None:
+def _dots(axes: Any, case: Case, least: float) -> None:
+    """A dot for each filter on a logarithmic axis; an error of nothing lies at its end."""
     names, errors = list(case.errors), np.array(list(case.errors.values()))
-    top = float(errors.max()) or 1.0
-    power = int(np.floor(np.log10(top)))
     places = np.arange(len(names))[::-1]
-    axes.barh(places, errors / 10.0**power, color=[colour(n) for n in names], height=0.72)
-    for place, error in zip(places, errors, strict=True):
-        text = f"{error / 10.0**power:.3g}"
-        axes.text(
-            error / 10.0**power + 0.02 * top / 10.0**power,
-            place,
-            text,
-            va="center",
-            fontsize=9,
-            color=INK,
-            fontweight="bold" if error == errors.min() else "normal",
+    shown = np.maximum(errors, least)
+    axes.set_xscale("log")
+    axes.hlines(places, least, shown, color=FAINT, linewidth=1)
+    for name, place, at, error in zip(names, places, shown, errors, strict=True):
+        axes.plot(at, place, "o", color=colour(name), markersize=7)
+        weight = "bold" if error == errors.min() else "normal"
+        axes.annotate(
+            f"{error:.3g}", (at, place), (7, 0), textcoords="offset points", va="center", fontsize=8.5, color=INK, fontweight=weight
         )
-    axes.set(xlim=(0, 1.2 * top / 10.0**power), xlabel=f"× $10^{{{power}}}$, against the {case.how}")
+    axes.set(xlabel=f"against the {case.how}", ylim=(-0.6, len(names) - 0.4))
     axes.set_yticks(places, [title(n) for n in names])
     axes.tick_params(axis="y", length=0)
+    axes.tick_params(axis="x", which="minor", length=0)
     axes.grid(visible=False, axis="y")
     axes.spines["left"].set_visible(False)
     axes.set_title(f"{case.dimensions}-D  {case.name}")

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from clvol import phantoms
+from clvol.analysis.angles import angles, mean_angle
 from clvol.checks import whole
 from clvol.device import Device
 from clvol.figures.panels import BOX, CAMERA, ISOVALUE, LIGHTS, MATERIAL, SURFACE
-from clvol.figures.style import LETTERS, Drawing, folded, new_figure, show, styled, title
+from clvol.figures.style import GAP, LETTERS, LETTERS_A_PIXEL, LINE, Drawing, folded, placed, show, styled, tiles, title
 from clvol.filter import Filter, as_filters
 from clvol.march.renderer import Renderer
 
@@ -19,6 +20,8 @@ __all__ = ["draw"]
 
 _SHOWN = ("linear", "bspline3-approx", "mitchell", "catmull-rom", "bspline3", "bspline5")
 _MAX_ANGLE = 45.0  # degrees that the colours span
+_RAYS = 4  # a pixel
+_RIGHT = 130  # pixels for the scale of colours
 _MARGIN = 50  # this fraction of the height stays around what is visible
 _WHITE = (1.0, 1.0, 1.0)
 
@@ -26,7 +29,7 @@ _WHITE = (1.0, 1.0, 1.0)
 def draw(
     filters: Sequence[str | Filter] = _SHOWN,
     samples: int = 41,
-    pixels: int = 320,
+    pixels: int = 240,
     device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
 ) -> Drawing:
@@ -60,25 +63,29 @@ def draw(
                 material=MATERIAL,
                 background=_WHITE,
                 clip=BOX,
+                samples=_RAYS,
                 outputs=("rgba", "normal", "position"),
             )
         pictures.append(seen["rgba"][..., :3])
         errors.append(_angles(seen["normal"], seen["position"]))
-        there = errors[-1][np.isfinite(errors[-1])]
-        mean = float(there.mean()) if there.size else None
-        numbers.append({"filter": row.name, "analytic": row.has_gradient, "angle_mean": mean, "shown": int(there.size)})
+        there = np.isfinite(errors[-1])
+        true = phantoms.marschner_lobb_gradient(seen["position"][there].astype(np.float64))
+        mean = mean_angle(seen["normal"][there], true, faces=True) if there.any() else None
+        numbers.append({"filter": row.name, "analytic": row.has_gradient, "angle_mean": mean, "shown": int(there.sum())})
         if progress is not None:
             progress(done / len(rows))
     shown = _filled(errors)
     with styled():
-        share = (shown.stop - shown.start) / pixels
-        figure = new_figure(2.1 * len(rows) + 0.9, 4.0 * share + 0.8)
-        panels = figure.subplots(2, len(rows), squeeze=False)
-        for column, (picture, angles, n) in enumerate(zip(pictures, errors, numbers, strict=True)):
-            show(panels[0, column], picture[shown], folded(title(n["filter"])))
+        size = (pixels, shown.stop - shown.start)
+        figure, panels, times = tiles(2, len(rows), size, above=2, below=1, right=_RIGHT)
+        for column, (picture, between, n) in enumerate(zip(pictures, errors, numbers, strict=True)):
+            show(panels[0, column], picture[shown], folded(title(n["filter"]), int(LETTERS_A_PIXEL * times * pixels)))
             note = "nothing shows" if n["angle_mean"] is None else f"mean {n['angle_mean']:.1f}°"
-            drawn = show(panels[1, column], angles[shown], "", note, cmap="turbo", vmin=0, vmax=_MAX_ANGLE)
-        figure.colorbar(drawn, ax=list(panels[1]), shrink=0.85, pad=0.01, extend="max", label="degrees to the true normal")
+            drawn = show(panels[1, column], between[shown], "", note, cmap="turbo", vmin=0, vmax=_MAX_ANGLE)
+        width, height = (round(figure.dpi * inches) for inches in figure.get_size_inches())
+        high = times * size[1]
+        scale = placed(figure, width - _RIGHT + GAP, height - GAP - LINE - high, 18, high)
+        figure.colorbar(drawn, cax=scale, label="degrees to the\ntrue normal")
     lines = [f"{title(n['filter'])}: mean error of the normals {n['angle_mean']:.1f}°" for n in numbers if n["shown"]]
     return Drawing(figure, numbers, lines)
 
@@ -95,7 +102,7 @@ def _filled(errors: Sequence[Any]) -> slice:
 def _angles(normals: Any, positions: Any) -> Any:
     """Degrees between the drawn normals and the true gradient; NaN where nothing is drawn."""
     there = np.isfinite(normals).all(-1) & np.isfinite(positions).all(-1)
-    true = phantoms.marschner_lobb_gradient(np.where(there[..., None], positions, 0.5).astype(np.float64))
-    # both faces of a surface are lit alike: a normal and its opposite are the same
-    cosine = np.abs((true * np.where(there[..., None], normals, 0)).sum(-1)) / np.linalg.norm(true, axis=-1)
-    return np.where(there, np.degrees(np.arccos(np.clip(cosine, 0, 1))), np.nan)
+    between = np.full(there.shape, np.nan)
+    # both faces of a surface are lit alike
+    between[there] = angles(normals[there], phantoms.marschner_lobb_gradient(positions[there].astype(np.float64)), faces=True)
+    return between

@@ -5,36 +5,47 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from clvol import phantoms
+from clvol.analysis.angles import mean_angle
 from clvol.camera import Camera
 from clvol.checks import whole
 from clvol.device import Device
 from clvol.errors import OptionError
-from clvol.figures.panels import BOX, CAMERA, ISOVALUE, LIGHTS, MATERIAL, SURFACE
-from clvol.figures.style import GREY, Drawing, colour, new_figure, plain, show, styled, title
+from clvol.figures.panels import BOX, CAMERA, ISOVALUE, LIGHTS, MATERIAL, SURFACE, shading_gradients
+from clvol.figures.style import GAP, GREY, LINE, Drawing, colour, placed, show, styled, tiles, title
 from clvol.march.renderer import Renderer
+from clvol.reference.march.exact import draw_function
 from clvol.volume import Volume, as_volume
 
 __all__ = ["draw"]
 
-_FILTERS = ("bspline3", "hybrid", "linear")
-_ROUNDS = 7  # frames of each that are timed
+_GRADIENTS: dict[str, Literal["analytic", "central"]] = {"hybrid": "central", "bspline3": "analytic", "linear": "central"}
+"""What is drawn, and the gradient that shades it: programs that draw by trilinear fetches difference the voxels they are given."""
+
+_HEADINGS = {"hybrid": "a)  hybrid\n8 taps, ×8 memory", "bspline3": "b)  direct\n64 taps", "linear": "trilinear alone\n8 taps"}
+_NAMES = {"hybrid": "hybrid", "bspline3": "direct", "linear": "trilinear"}
+_RAYS = 4  # a pixel, of the pictures; frames that are timed have one
+_ROUNDS = 15  # frames of each that are timed
+_RIGHT = 125  # pixels for the scale of the differences
 _WHITE = (1.0, 1.0, 1.0)
 
 
 def draw(
     samples: int = 41,
-    pixels: int = 400,
+    pixels: int = 300,
     scan: Volume | ArrayLike | None = None,
     device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
 ) -> Drawing:
-    """Figure 3: the same surface direct, by the hybrid, and by trilinear interpolation alone; differences; frame times.
+    """Figure 3: the same surface by the hybrid, direct, and by trilinear interpolation alone; their errors and frame times.
+
+    The hybrid and trilinear interpolation are shaded by central differences of the voxels that they are given, direct
+    evaluation by its own derivative.
 
     Parameters
     ----------
@@ -43,7 +54,7 @@ def draw(
     pixels : int
         Width and height of each picture.
     scan : Volume or array-like, optional
-        An object in place of that function.
+        An object in place of that function. Its truth is not known: the others are compared with the direct picture.
     device, progress
         As for `clvol.render`.
 
@@ -63,59 +74,106 @@ def draw(
     if scan is None:
         look = {"camera": CAMERA, "isovalue": ISOVALUE, "color": SURFACE, "lights": LIGHTS, "material": MATERIAL, "clip": BOX}
     look |= {"mode": "isosurface", "size": (pixels, pixels), "background": _WHITE}
-    numbers: list[dict[str, Any]] = []
     with ExitStack() as stack:
-        renderers = [stack.enter_context(Renderer(volume, name, device=device)) for name in _FILTERS]
-        pictures = [r.render(**look)[..., :3].astype(np.float64) for r in renderers]  # builds the kernels, too
-        shortest = [np.inf] * len(renderers)
+        renderers = [stack.enter_context(Renderer(volume, name, device=device)) for name in _GRADIENTS]
+        pairs = list(zip(renderers, _GRADIENTS.values(), strict=True))
+        pictures = {r.filter.name: r.render(**look, gradient=g, samples=_RAYS)[..., :3].astype(np.float64) for r, g in pairs}
+        taken: list[list[float]] = [[] for _ in pairs]
         for done in range(1, _ROUNDS + 1):  # in turns, so that other load on the machine hits all of them alike
-            for i, renderer in enumerate(renderers):
+            for mine, (renderer, gradient) in zip(taken, pairs, strict=True):
                 started = time.perf_counter()
-                renderer.render(**look)
-                shortest[i] = min(shortest[i], time.perf_counter() - started)
+                renderer.render(**look, gradient=gradient)
+                mine.append(time.perf_counter() - started)
             if progress is not None:
                 progress(done / _ROUNDS)
-    for renderer, picture, seconds in zip(renderers, pictures, shortest, strict=True):
-        kept = int(np.prod([n * renderer.filter.scale for n in volume.shape])) * 4
-        difference = float(np.sqrt(np.mean((picture - pictures[0]) ** 2)))
+    surface = None
+    if scan is None:
+        surface, exact = draw_function(
+            phantoms.marschner_lobb_function,
+            phantoms.marschner_lobb_gradient,
+            volume,
+            CAMERA.view(volume),
+            (pixels, pixels),
+            clip=BOX,
+            isovalue=ISOVALUE,
+            color=SURFACE,
+            lights=LIGHTS,
+            material=MATERIAL,
+            background=_WHITE,
+            samples=_RAYS,
+        )
+        pictures["exact"] = exact[..., :3].astype(np.float64)
+    truth = pictures["bspline3" if surface is None else "exact"]
+    numbers: list[dict[str, Any]] = []
+    for (renderer, gradient), seconds in zip(pairs, taken, strict=True):
+        row = renderer.filter
+        angle = None
+        if surface is not None and surface.size:
+            drawn = shading_gradients(volume, surface, row, device, gradient)
+            angle = mean_angle(drawn, phantoms.marschner_lobb_gradient(surface), faces=True)
+        quarter, median, three_quarters = (float(q) for q in np.quantile(seconds, (0.25, 0.5, 0.75)))
         numbers.append(
-            {"filter": renderer.filter.name, "seconds": seconds, "coefficients_bytes": kept, "rms_difference": difference}
+            {
+                "filter": row.name,
+                "gradient": gradient,
+                "seconds": median,
+                "seconds_quartiles": [quarter, three_quarters],
+                "coefficients_bytes": int(np.prod([n * row.scale for n in volume.shape])) * 4,
+                "compared_with": "direct" if surface is None else "the function itself",
+                "rms_difference": float(np.sqrt(np.mean((pictures[row.name] - truth) ** 2))),
+                "angle_mean": angle,
+            }
         )
     with styled():
-        figure = _drawn(pictures, numbers)
-    lines = [
-        f"{title(n['filter'])}: {1000 * n['seconds']:.0f} ms a frame, {n['coefficients_bytes'] / 2**20:.2f} MiB of coefficients, "
-        f"RMS difference to direct {n['rms_difference']:.4f}"
-        for n in numbers
-    ]
-    return Drawing(figure, numbers, lines)
+        figure = _drawn(pictures, truth, numbers)
+    return Drawing(figure, numbers, [_line(n) for n in numbers])
 
 
-def _drawn(pictures: list[Any], numbers: list[dict[str, Any]]) -> Any:
-    figure = new_figure(10.2, 7.1)
-    panels = figure.subplots(2, 3)
-    direct, hybrid, linear = pictures  # shown in the order of the paper, each difference below its picture
-    headings = ("a)  hybrid: 8 taps, ×8 the memory", "b)  direct: 64 taps a sample", "trilinear alone: 8 taps")
-    for axes, picture, heading in zip(panels[0], (hybrid, direct, linear), headings, strict=True):
-        show(axes, picture, heading)
-    differences = [np.abs(p - direct).mean(-1) for p in (hybrid, linear)]
-    largest = max(float(np.quantile(d, 0.995)) for d in differences) or 1.0
-    for axes, difference, n, name in zip(panels[1, ::2], differences, numbers[1:], ("hybrid", "trilinear"), strict=True):
-        image = show(axes, difference, f"|{name} − direct|", f"RMS {n['rms_difference']:.4f}", cmap="Reds", vmin=0, vmax=largest)
-    figure.colorbar(image, cax=panels[1, 2].inset_axes((1.04, 0.1, 0.05, 0.8)), label="difference of shade")
-    middle = panels[1, 1]
-    times, memory = middle.inset_axes((0.3, 0.62, 0.6, 0.3)), middle.inset_axes((0.3, 0.12, 0.6, 0.3))
-    plain(middle)
+def _line(n: dict[str, Any]) -> str:
+    median, low, high = (1000 * seconds for seconds in (n["seconds"], *n["seconds_quartiles"]))
+    normals = "" if n["angle_mean"] is None else f", normals {n['angle_mean']:.1f}°"
+    return (
+        f"{title(n['filter'])}: {median:.3g} ms a frame (half of them {low:.3g} to {high:.3g}), "
+        f"{n['coefficients_bytes'] / 2**20:.2f} MiB of coefficients, "
+        f"RMS difference of shade to {n['compared_with']} {n['rms_difference']:.4f}{normals}"
+    )
+
+
+def _drawn(pictures: dict[str, NDArray[np.float64]], truth: NDArray[np.float64], numbers: list[dict[str, Any]]) -> Any:
+    pixels = truth.shape[0]
+    figure, panels, times = tiles(2, 4, (pixels, pixels), above=2, below=1, between=1, right=_RIGHT)
+    against = numbers[0]["compared_with"]
+    differences = {n["filter"]: np.abs(pictures[n["filter"]] - truth).mean(-1) for n in numbers}
+    largest = max(float(np.quantile(d, 0.98)) for d in differences.values()) or 1.0
+    for column, n in enumerate(numbers):
+        name = n["filter"]
+        shaded = "analytic gradient" if n["gradient"] == "analytic" else "central differences"
+        show(panels[0, column], pictures[name], _HEADINGS[name], shaded)
+        measured = f"RMS {n['rms_difference']:.4f}" + ("" if n["angle_mean"] is None else f", normals {n['angle_mean']:.1f}°")
+        image = show(panels[1, column], differences[name], "", measured, cmap="Reds", vmin=0, vmax=largest)
+    if "exact" in pictures:
+        show(panels[0, 3], pictures["exact"], title("exact"))
+    size, (left, top) = times * pixels, (figure.dpi * figure.get_size_inches()).round().astype(int)
+    x, y = left - _RIGHT - size, top - LINE - GAP - size
+    scale = placed(figure, left - _RIGHT + 10, y, 18, size)
+    figure.colorbar(image, cax=scale, label=f"difference of shade\nto {against}")
+    bars = [placed(figure, x + size // 4, y + size * k // 20, size // 2, size * 7 // 20) for k in (2, 12)]
+    names = [_NAMES[n["filter"]] for n in numbers]
     for axes, key, unit, heading in (
-        (times, "seconds", 1e-3, "time of a frame, ms"),
-        (memory, "coefficients_bytes", 2**20, "coefficients, MiB"),
+        (bars[0], "seconds", 1e-3, "time of a frame, ms"),
+        (bars[1], "coefficients_bytes", 2**20, "coefficients, MiB"),
     ):
         values = [n[key] / unit for n in numbers]
         axes.barh(range(3)[::-1], values, color=[colour(n["filter"]) for n in numbers], height=0.7)
-        axes.set_yticks(range(3)[::-1], ["direct", "hybrid", "trilinear"])
-        for place, value in zip(range(3)[::-1], values, strict=True):
-            axes.text(value + 0.02 * max(values), place, f"{value:.3g}", va="center", fontsize=8.5)
-        axes.set_xlim(0, 1.2 * max(values))
+        ends = values
+        if key == "seconds":
+            quartiles = np.array([n["seconds_quartiles"] for n in numbers]) / unit
+            axes.hlines(range(3)[::-1], *quartiles.T, color=GREY, linewidth=2)
+            ends = list(quartiles[:, 1])
+        axes.set_yticks(range(3)[::-1], names)
+        for place, value, end in zip(range(3)[::-1], values, ends, strict=True):
+            axes.text(end + 0.03 * max(ends), place, f"{value:.3g}", va="center", fontsize=8.5)
+        axes.set_xlim(0, 1.25 * max(ends))
         axes.set_title(heading, fontsize=9, fontweight="normal", color=GREY)
         axes.set_xticks([])
         axes.tick_params(axis="y", length=0)

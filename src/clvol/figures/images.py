@@ -1,4 +1,4 @@
-"""Figure 5 of the paper: the six reconstructions in 2-D."""
+"""Figure 5 of the paper: the six reconstructions in 2-D, and close-ups of them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from clvol.checks import require_room, whole
 from clvol.device import Device
 from clvol.figures.inputs import photograph, zone_plate
 from clvol.figures.panels import FIGURE_6
-from clvol.figures.style import LETTERS, Drawing, folded, new_figure, show, styled, title
+from clvol.figures.style import LETTERS, LETTERS_A_PIXEL, Drawing, folded, show, styled, tiles, title
 from clvol.filter import Filter
 from clvol.spline.field import sample
 from clvol.volume import Volume
@@ -22,25 +22,38 @@ from clvol.volume import Volume
 __all__ = ["draw", "finer"]
 
 Array: TypeAlias = NDArray[np.float64]
-_FACTOR = 4
+_FACTOR, _NEAR = 4, 16  # pixels a sample, of pictures and of their close-ups
+_COLLAR, _CORNER = (0.36, 0.73), (0.06, 0.06)  # where close-ups begin, along x and y of the picture
 
 
-def finer(image: Volume, factor: int, filter: str | Filter, device: Device | str | int | None = None) -> Array:
-    """An image at every 1 / `factor` of a sample, from the first to the last; "exact-sinc" is the exact sinc."""
+def finer(
+    image: Volume,
+    factor: int,
+    filter: str | Filter,
+    device: Device | str | int | None = None,
+    first: tuple[int, int] = (0, 0),
+    count: tuple[int, int] | None = None,
+) -> Array:
+    """An image at every 1 / `factor` of a sample from sample `first` (x, y); "exact-sinc" is the exact sinc.
+
+    `count` positions along x and y; by default as far as the last sample.
+    """
+    (x, y), (width, height) = first, count or tuple(factor * (n - 1 - f) + 1 for n, f in zip(image.size, first, strict=True))
     if filter == EXACT_SINC:
-        return dirichlet_magnify(image.data, factor)
-    axes = [np.arange(factor * (n - 1) + 1) / factor for n in image.shape]
-    index = np.stack(np.meshgrid(*axes, indexing="ij")[::-1], -1)
+        return dirichlet_magnify(image.data, factor)[factor * y : factor * y + height, factor * x : factor * x + width]
+    index = np.stack(np.meshgrid(x + np.arange(width) / factor, y + np.arange(height) / factor), -1)
     return sample(image, image.index_to_world(index), filter, device=device).astype(np.float64)
 
 
 def draw(
     filters: Sequence[str | Filter] = FIGURE_6,
-    samples: int = 65,
+    samples: int = 49,
     device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
 ) -> Drawing:
-    """Figure 5: a photograph and a zone plate of few samples, magnified four times by each filter.
+    """Figure 5: a photograph and a zone plate of few samples, magnified 4 times by each filter, and parts of them 16 times.
+
+    The photograph is low-passed by a Gaussian before it is decimated, as a camera would. Errors are those to what was decimated.
 
     Parameters
     ----------
@@ -52,29 +65,42 @@ def draw(
         As for `clvol.sample`.
     """
     samples, chosen = whole("samples", samples, 8), as_compared(filters, len(LETTERS))
-    require_room("samples", (_FACTOR * samples) ** 2, samples)
+    require_room("samples", (_NEAR * samples) ** 2, samples)
     size = _FACTOR * (samples - 1) + 1
-    original, what = photograph(size)
-    plate = Volume(zone_plate(_square(size), samples))
-    # the photograph is low-passed before it is decimated, as a camera would; the plate holds nothing beyond Nyquist
-    coarse = [original.gaussian(_FACTOR / 2).downsample(_FACTOR), plate.downsample(_FACTOR)]
+    photo, what = photograph(2 * size)
+    # as sharp as its pixels, and then as a camera of so few would see it
+    original = photo.gaussian(1).downsample(2)
+    soft, plate = original.gaussian(_FACTOR), Volume(zone_plate(_square(size), samples))
+    starts = [(int(x * samples), int(y * samples)) for x, y in (_COLLAR, _CORNER)]
+    x, y = starts[0]
+    collar = finer(soft, _NEAR // _FACTOR, "bspline3", device, (_FACTOR * x, _FACTOR * y), (size, size))
+    x, y = starts[1]
+    corner = np.stack(np.meshgrid(*(2 * (first + np.arange(size) / _NEAR) / (samples - 1) - 1 for first in (x, y))), -1)
+    inputs = [  # name, what was sampled, its samples, where the close-up begins, the truth in it
+        (what, soft.data, soft.downsample(_FACTOR), starts[0], collar),
+        ("zone plate", plate.data, plate.downsample(_FACTOR), starts[1], zone_plate(corner, samples)),
+    ]
     inner = (slice(2 * _FACTOR, -2 * _FACTOR),) * 2
     numbers: list[dict[str, Any]] = []
     with styled():
-        figure = new_figure(2.05 * (len(chosen) + 1), 4.9)
-        panels = figure.subplots(2, len(chosen) + 1)
+        figure, panels, times = tiles(4, len(chosen) + 1, (size, size), above=2, between=1)
+        letters = int(LETTERS_A_PIXEL * times * size)
         for column, drawer in enumerate(chosen):
             name = drawer.name if isinstance(drawer, Filter) else drawer
-            for row, (kind, truth, few) in enumerate(((what, original, coarse[0]), ("zone plate", plate, coarse[1]))):
+            for row, (kind, truth, few, start, _) in enumerate(inputs):
                 drawn = finer(few, _FACTOR, drawer, device)
-                rms = float(np.sqrt(np.mean((drawn[inner] - truth.data[inner]) ** 2)))
+                rms = float(np.sqrt(np.mean((drawn[inner] - truth[inner]) ** 2)))
                 numbers.append({"input": kind, "filter": name, "rms": rms})
-                heading = folded(f"{LETTERS[column]})  {title(name)}") if row == 0 else ""
-                show(panels[row, column], drawn, heading, f"RMS {rms:.4f}", vmin=0, vmax=1)
+                heading = folded(f"{LETTERS[column]})  {title(name)}", letters) if row == 0 else ""
+                show(panels[2 * row, column], drawn, heading, f"RMS {rms:.4f}", vmin=0, vmax=1)
+                show(panels[2 * row + 1, column], finer(few, _NEAR, drawer, device, start, (size, size)), "", vmin=0, vmax=1)
             if progress is not None:
                 progress((column + 1) / len(chosen))
-        show(panels[0, -1], original.data, f"the {what}", f"{size}², given as {samples}²", vmin=0, vmax=1)
-        show(panels[1, -1], plate.data, "", "the zone plate itself", vmin=0, vmax=1)
+        headings = [folded(f"{what}, low-passed", letters), ""]
+        notes = [f"{size}², given {samples}²", "the function itself"]
+        for row, (_, truth, _, _, close) in enumerate(inputs):
+            show(panels[2 * row, -1], truth, headings[row], notes[row], vmin=0, vmax=1)
+            show(panels[2 * row + 1, -1], close, "", vmin=0, vmax=1)
     lines = [f"{n['input']}, {title(n['filter'])}: RMS error {n['rms']:.4f}" for n in numbers]
     return Drawing(figure, numbers, lines)
 

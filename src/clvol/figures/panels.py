@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol import phantoms
 from clvol.analysis import EXACT_SINC, sinc_volume
+from clvol.analysis.angles import mean_angle
 from clvol.analysis.comparison import as_compared
 from clvol.analysis.dirichlet import periodic
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary
@@ -23,7 +24,7 @@ from clvol.filter import Filter, as_filter
 from clvol.light import Light, Material
 from clvol.march.renderer import Renderer
 from clvol.mode import DEFAULT_MODE, as_mode, every_option
-from clvol.picture import grid, labelled
+from clvol.picture import grid, heat, labelled, to_bytes
 from clvol.reference.march.exact import draw_function
 from clvol.spline.field import Progress, sample
 from clvol.transfer import TransferFunction
@@ -36,6 +37,7 @@ __all__ = [
     "ISOVALUE",
     "LIGHTS",
     "MATERIAL",
+    "PANELS",
     "SIX",
     "SURFACE",
     "Panel",
@@ -44,23 +46,29 @@ __all__ = [
     "figure6",
     "fixed",
     "settled",
+    "shading_gradients",
 ]
 
-SIX = ("sinc", "nearest", "bspline3-approx", "linear", "mitchell", "bspline3")
-"""The six reconstructions of the paper as filters of the table: the sinc is truncated."""
+SIX = ("sinc4n", "nearest", "bspline3-approx", "linear", "mitchell", "bspline3")
+"""The six reconstructions of the paper as filters of the table: the sinc is cut off at four samples, its weights sum to one."""
 
 FIGURE_6 = (EXACT_SINC, *SIX[1:])
 """a) to f) of the paper's Figures 4 to 6: the sinc is exact."""
 
+PANELS = (*FIGURE_6, "sinc")
+"""What Figure 6 shows: also the sinc that a program can afford, cut off at four samples, whose weights do not sum to one."""
+
 _FINER = 4  # magnification that stands for the exact sinc
+_WORST = 0.4  # difference of shade that is drawn in the brightest colour
 # a view that shows the Marschner-Lobb function well, in every figure
 ISOVALUE = 0.5
 BOX = ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
 CAMERA = Camera.orbit(20, 52, zoom=1.27)
-LIGHTS = (Light((-0.6, -0.35, 0.75)),)
-MATERIAL = Material(ambient=0.18, diffuse=0.82, specular=0.12, shininess=25)
+LIGHTS = (Light((-0.6, -0.35, 0.75)), Light((0.8, 0.5, 0.35), (0.36, 0.42, 0.52)))  # the second where the first does not reach
+MATERIAL = Material(ambient=0.16, diffuse=0.84, specular=0.12, shininess=25)
 SURFACE = (0.86, 0.86, 0.84)
-BACKGROUND = (0.06, 0.07, 0.10)
+BACKGROUND = (0.16, 0.18, 0.22)
+_INK = (235, 235, 235)
 _POINTS = 200_000
 _SEED = 1999
 
@@ -78,12 +86,14 @@ class Panel:
     rms : float or None
         Root mean square error of the values at random points within 0.8 of the centre.
     angle : float or None
-        Mean angle in degrees between the reconstruction's gradient and the true one, at the visible points of the true
-        surface; None if there are none.
+        Mean angle in degrees between the reconstruction's gradient and the true one (`clvol.analysis.angles.mean_angle`), at
+        the visible points of the true surface; None if there are none.
     residual : float or None
         For the exact sinc: the largest difference between it and what is drawn, at 2000 random points.
     letter : str
         The panel's letter in the figure, or empty.
+    error : ndarray or None
+        The difference of its shade to that of the true picture, of shape (height, width), where that is known.
     """
 
     filter: str
@@ -92,27 +102,29 @@ class Panel:
     angle: float | None = None
     residual: float | None = None
     letter: str = ""
+    error: NDArray[np.float32] | None = None
 
     @property
     def label(self) -> str:
-        heading = (f"{self.letter})  " if self.letter else "") + title(self.filter)
+        # Pillow's own font has no Greek letters
+        heading = (f"{self.letter})  " if self.letter else "") + title(self.filter).replace("λ", "lambda")
         heading += "" if self.residual is None else f" to about {self.residual:.0e}"
         measured = [] if self.rms is None else [f"RMS error {self.rms:.4f}"]
         measured += [] if self.angle is None else [f"normals {self.angle:.1f}°"]
         return f"{heading}\n{'   '.join(measured)}"  # always two lines, so that all labels have one height
 
     def numbers(self) -> dict[str, Any]:
-        """What a program would read: everything but the picture and its letter."""
-        return {key: value for key, value in asdict(self).items() if key not in ("picture", "letter")}
+        """What a program would read: everything but pictures and the letter."""
+        return {key: value for key, value in asdict(self).items() if key not in ("picture", "error", "letter")}
 
 
 def figure6(
     size: int = 40,
     pixels: int = 512,
-    filters: Sequence[str | Filter] = FIGURE_6,
+    filters: Sequence[str | Filter] = PANELS,
     *,
     camera: Camera = CAMERA,
-    samples: int = 2,
+    samples: int = 4,
     step: float = 0.25,
     device: Device | str | int | None = None,
     progress: Progress | None = None,
@@ -126,8 +138,9 @@ def figure6(
     pixels : int
         Width and height of each panel.
     filters : sequence of str or Filter
-        One panel each; the exact function is added at the end. "exact-sinc" is the exact sinc: the samples are
-        magnified by the FFT and drawn through `bspline3`, and the panel says how far that is from exact.
+        One panel each, and below it the difference of its shade to the truth; the exact function is added at the end.
+        "exact-sinc" is the exact sinc: the samples are magnified by the FFT and drawn through `bspline3`, and the panel
+        says how far that is from exact.
     camera, samples, step, device, progress
         As for `Renderer.render`.
 
@@ -164,15 +177,29 @@ def figure6(
             )
         values = sample(drawn_volume, points, through, device=device)
         rms = float(np.sqrt(np.mean((values - truth) ** 2)))
-        angle = _mean_angle(_gradients(drawn_volume, surface, through, device), normals) if surface.size else None
-        panels.append(Panel(row if isinstance(row, str) else row.name, drawn, rms, angle, residual, LETTERS[i]))
+        angle = mean_angle(shading_gradients(drawn_volume, surface, through, device), normals, faces=True) if surface.size else None
+        error = np.abs(drawn - picture)[..., :3].mean(-1)
+        panels.append(Panel(row if isinstance(row, str) else row.name, drawn, rms, angle, residual, LETTERS[i], error))
     panels.append(Panel("exact", picture))
-    *tiles, truth_tile = [labelled(p.picture, p.label) for p in panels]
-    sheet = grid(tiles, columns=min(3, len(tiles)))
-    # the function itself stands beside them, half-way up
-    room = sheet.shape[0] - truth_tile.shape[0]
-    beside = np.pad(truth_tile, ((room // 2, room - room // 2), (12, 0), (0, 0)))
-    return panels, np.concatenate([sheet, beside], 1)
+    below = [_key(pixels) if p.error is None else to_bytes(heat(p.error / _WORST)) for p in panels]
+    tiles = [labelled(np.concatenate([to_bytes(p.picture[..., :3]), b]), p.label) for p, b in zip(panels, below, strict=True)]
+    return panels, grid(tiles, columns=min(4, len(tiles)))
+
+
+def _key(pixels: int) -> NDArray[np.uint8]:
+    """What the colours of the errors mean, in a panel's room below the true picture."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    size, bar = max(9, pixels // 24), max(1, pixels // 16)
+    scale = np.zeros((pixels, pixels, 3), np.float32)
+    left, top, width = pixels // 8, (pixels - bar) // 2, max(1, 3 * pixels // 4)
+    scale[top : top + bar, left : left + width] = heat(np.linspace(0, 1, width)[None])
+    image = Image.fromarray(to_bytes(scale))
+    draw, font = ImageDraw.Draw(image), ImageFont.load_default(size)
+    draw.text((pixels / 2, top - size), "difference of shade to the function itself", fill=_INK, font=font, anchor="mm")
+    for share in (0, 0.5, 1):
+        draw.text((left + share * width, top + bar + size), f"{share * _WORST:g}", fill=_INK, font=font, anchor="mm")
+    return np.asarray(image)
 
 
 def compare(
@@ -214,7 +241,8 @@ def compare(
             drawn = renderer.render(
                 view, size=(pixels, pixels), step=step * finer, progress=_part(progress, i, len(chosen)), **look
             )
-        panels.append(Panel(row if isinstance(row, str) else row.name, drawn, residual=residual))
+            name = row if isinstance(row, str) else renderer.filter.name  # with its smoothing as it was settled for the volume
+        panels.append(Panel(name, drawn, residual=residual))
     columns = min(len(panels), 3 if len(panels) % 3 == 0 else 4)
     return panels, grid([labelled(p.picture, p.label.rstrip()) for p in panels], columns=columns)
 
@@ -222,7 +250,7 @@ def compare(
 def draw(
     samples: int = 40,
     pixels: int = 512,
-    filters: Sequence[str | Filter] = FIGURE_6,
+    filters: Sequence[str | Filter] = PANELS,
     device: Device | str | int | None = None,
     progress: Progress | None = None,
 ) -> Drawing:
@@ -268,25 +296,22 @@ def _part(progress: Progress | None, i: int, n: int) -> Progress | None:
     return None if progress is None else lambda done: progress((i + done) / n)
 
 
-def _gradients(
-    volume: Volume, points: NDArray[np.float64], filter: Filter, device: Device | str | int | None
+def shading_gradients(
+    volume: Volume,
+    points: NDArray[np.float64],
+    filter: Filter,
+    device: Device | str | int | None = None,
+    gradient: Literal["analytic", "central"] = "analytic",
 ) -> NDArray[np.float64]:
-    """The gradient that shades the picture: analytic, or central differences if there is none."""
-    if filter.has_gradient:
+    """The gradient that shades the picture: analytic, or central differences if they are asked for or there is none."""
+    if gradient == "analytic" and filter.has_gradient:
         return sample(volume, points, filter, derivative=1, device=device).astype(np.float64)
     columns = []
     for axis in range(3):
-        shift = volume.direction[:, axis] * volume.spacing[axis]
-        ahead, behind = (sample(volume, points + sign * shift, filter, device=device) for sign in (1, -1))
-        columns.append((ahead.astype(np.float64) - behind) / (2 * volume.spacing[axis]))
+        length = volume.spacing[axis] / filter.scale
+        ahead, behind = (sample(volume, points + s * volume.direction[:, axis], filter, device=device) for s in (length, -length))
+        columns.append((ahead.astype(np.float64) - behind) / (2 * length))
     return np.stack(columns, -1) @ volume.direction.T
-
-
-def _mean_angle(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """Mean angle in degrees; a gradient of length zero has no direction and counts as 90°."""
-    lengths = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
-    cosine = np.divide((a * b).sum(-1), lengths, out=np.zeros(lengths.shape), where=lengths > 0)
-    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean())
 
 
 # -- the exact function, drawn without any samples --------------------------------------------------------

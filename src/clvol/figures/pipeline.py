@@ -13,12 +13,13 @@ from clvol.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.camera import Camera
 from clvol.checks import whole
 from clvol.device import Device
-from clvol.figures.style import GREY, INK, Drawing, colour, label_ends, new_figure, show, styled, title
+from clvol.figures.style import GREY, INK, LINE, Drawing, colour, label_ends, new_figure, placed, show, styled, title
 from clvol.filter import as_filter
 from clvol.light import HEADLIGHT, Material
+from clvol.march.pixels import DEFAULT_PIXEL_FILTER
 from clvol.march.planes import Planes
-from clvol.march.renderer import render
-from clvol.reference.march.march import camera_rays, flat_below, shade
+from clvol.march.renderer import Renderer
+from clvol.reference.march.march import camera_rays, flat_below, pixel_rays, shade
 from clvol.stored import Stored
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
@@ -27,13 +28,16 @@ __all__ = ["Ray", "draw", "follow"]
 
 Array: TypeAlias = NDArray[np.float64]
 _WAVES = 2.5  # of the Marschner-Lobb function: few enough for visible samples
-_CAMERA = Camera.orbit(18, 0, projection="orthographic", zoom=1.2)
+_CAMERA = Camera.orbit(18, 0, projection="orthographic", zoom=2.05)
 _TRANSFER = TransferFunction(
     ((0.30, (0.17, 0.42, 0.69)), (0.48, (0.87, 0.54, 0.24)), (0.62, (0.97, 0.93, 0.84))),
     ((0.0, 0.0), (0.42, 0.0), (0.50, 0.16), (0.62, 0.30)),
 )
 _STEP = 0.5
 _PROFILE = 1201
+_FEWER = 10  # pixels of the picture in one of those that are made from one ray, and from several
+_RAYS, _MANY = (1, 16), 1024  # a pixel; the last stand for all
+_LEAST_WIDTH = 300  # of a picture in the file
 
 
 @dataclass(frozen=True)
@@ -106,15 +110,15 @@ def follow(volume: Volume, filter: str, size: tuple[int, int], pixel: tuple[int,
     )
 
 
-def draw(samples: int = 21, pixels: int = 240, filter: str = "bspline3", device: Device | str | int | None = None) -> Drawing:
-    """Figure 1: a ray through a volume, what is reconstructed along it, and how that becomes a pixel.
+def draw(samples: int = 21, pixels: int = 400, filter: str = "bspline3", device: Device | str | int | None = None) -> Drawing:
+    """Figure 1: a ray through a volume, what is reconstructed along it, how that becomes a pixel, and how rays become a picture.
 
     Parameters
     ----------
     samples : int
         Of the function along each axis.
     pixels : int
-        Width of the picture.
+        Width of the picture; the last panels show one of a tenth of them.
     filter : str
         Filter of the picture.
     device
@@ -122,34 +126,46 @@ def draw(samples: int = 21, pixels: int = 240, filter: str = "bspline3", device:
     """
     pixels = whole("pixels", pixels, 8)
     volume = phantoms.marschner_lobb(samples, f_m=_WAVES)
-    size = (pixels, round(0.8 * pixels))
-    pixel = (round(0.47 * size[0]), round(0.47 * size[1]))
-    picture = render(
-        volume, _CAMERA, "composite", filter, size=size, step=_STEP, transfer=_TRANSFER, background=(1.0, 1.0, 1.0), device=device
-    )
+    size = (pixels, round(0.55 * pixels))
+    pixel = (round(0.45 * size[0]), round(0.42 * size[1]))
+    few = (-(-size[0] // _FEWER), -(-size[1] // _FEWER))
+    look: dict[str, Any] = {"step": _STEP, "transfer": _TRANSFER, "background": (1.0, 1.0, 1.0)}
+    with Renderer(volume, filter, device=device) as renderer:
+        picture = renderer.render(_CAMERA, "composite", size, **look)
+        coarse = {rays: renderer.render(_CAMERA, "composite", few, samples=rays, **look)[..., :3] for rays in (*_RAYS, _MANY)}
     ray = follow(volume, filter, size, pixel)
+    aliases = {rays: float(np.sqrt(np.mean((coarse[rays] - coarse[_MANY]) ** 2))) for rays in _RAYS}
+    times = -(-_LEAST_WIDTH // size[0])
+    width, height = times * size[0], times * size[1]
     with styled():
-        figure = new_figure(11.5, 7.2)
-        left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(1, 1.7))[0]
-        cut, shown = left.subplots(2, 1, height_ratios=(1.15, 1))
+        figure = new_figure(11.5, 6.3 + (height + 4 * LINE) / 150)
+        top = figure.subfigures(2, 1, squeeze=False, height_ratios=(6.3, (height + 4 * LINE) / 150))[0, 0]
+        left, right = top.subfigures(1, 2, squeeze=False, width_ratios=(1, 1.5))[0]
+        cut = left.subplots()
         profile, classified, gathered = right.subplots(3, 1, sharex=True, height_ratios=(2.1, 1, 1))
+        room = (round(11.5 * 150) - 3 * width) // 4
+        shown, *others = [placed(figure, room + i * (width + room), round(6.3 * 150) + 2 * LINE, width, height) for i in range(3)]
         _cut(cut, volume, ray, filter)
         _profile(profile, volume, ray, filter)
         _classified(classified, ray)
         _gathered(gathered, ray)
-        show(shown, picture[..., :3], "5  the pixel: every ray gives one")
+        show(shown, picture[..., :3], "5  the pixel of this ray")
         final = np.clip(ray.colour[-1] + 1 - ray.opacity[-1], 0, 1)
         shown.plot(*pixel, "s", markersize=9, markerfacecolor=final, markeredgecolor=INK, markeredgewidth=1.2)
         red, green, blue = final
         shown.annotate(
             f"red {red:.2f}\ngreen {green:.2f}\nblue {blue:.2f}",
             pixel,
-            (0.02, 0.82),
+            (0.02, 0.75),
             textcoords="axes fraction",
             color=INK,
             fontsize=8.5,
             arrowprops={"arrowstyle": "-", "color": INK, "linewidth": 0.8},
         )
+        for axes, rays in zip(others, _RAYS, strict=True):
+            words = "one ray a pixel" if rays == 1 else f"{rays} rays a pixel"
+            show(axes, coarse[rays], f"6  the picture from {words}", f"RMS aliasing {aliases[rays]:.4f}")
+            _rays(axes, tuple(p // _FEWER for p in pixel), rays)
     made = [float(v) for v in picture[pixel[1], pixel[0], :3]]
     numbers = [
         {
@@ -158,10 +174,28 @@ def draw(samples: int = 21, pixels: int = 240, filter: str = "bspline3", device:
             "color": [float(v) for v in final],
             "rendered": made,
             "opacity": float(ray.opacity[-1]),
+            "aliasing": {str(rays): error for rays, error in aliases.items()},
         }
     ]
     line = f"{ray.t.size} samples along the ray of pixel {pixel[0]}, {pixel[1]} gather {100 * ray.opacity[-1]:.0f} % opacity"
-    return Drawing(figure, numbers, [line])
+    more = [f"{few[0]} x {few[1]} pixels of {r} rays each: RMS error {e:.4f} to {_MANY} rays each" for r, e in aliases.items()]
+    return Drawing(figure, numbers, [line, *more])
+
+
+def _rays(axes: Any, pixel: tuple[int, ...], count: int) -> None:
+    """Where the rays of a pixel are, and how much each counts under the filter of pixels."""
+    for (x, y), weight in pixel_rays(count, DEFAULT_PIXEL_FILTER):
+        if weight:
+            axes.plot(
+                pixel[0] - 0.5 + x, pixel[1] - 0.5 + y, "o", color=INK, markersize=1.2 + 2 * np.sqrt(weight), markeredgewidth=0
+            )
+    axes.add_patch(_square(pixel))
+
+
+def _square(pixel: tuple[int, ...]) -> Any:
+    from matplotlib.patches import Rectangle
+
+    return Rectangle((pixel[0] - 0.5, pixel[1] - 0.5), 1, 1, fill=False, edgecolor=INK, linewidth=1)
 
 
 def _cut(axes: Any, volume: Volume, ray: Ray, filter: str) -> None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import colorsys
 import math
 import os
+import re
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -28,9 +29,12 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FAINT",
+    "GAP",
     "GREY",
     "INK",
     "LETTERS",
+    "LETTERS_A_PIXEL",
+    "LINE",
     "SUFFIXES",
     "Drawing",
     "colour",
@@ -38,11 +42,13 @@ __all__ = [
     "label_ends",
     "legend_above",
     "new_figure",
+    "placed",
     "plain",
     "require_matplotlib",
     "show",
     "spread",
     "styled",
+    "tiles",
     "title",
 ]
 
@@ -52,8 +58,15 @@ INK, GREY, FAINT = "#222222", "#6f6f6f", "#d9d9d9"
 LETTERS = "abcdefghijklmnopqrstuvwxyz"
 """Names of the panels, one for each filter: a figure holds no more."""
 
+LINE, GAP = 27, 8
+"""Pixels of the file: a line of text; between pictures (`tiles`)."""
+
+LETTERS_A_PIXEL = 0.08
+"""Of a heading above a picture, per pixel of its width."""
+
 SUFFIXES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".tif", ".tiff")
 _DPI = 150
+_LEAST_TILE = 160  # pixels of the file across
 _RC: Mapping[str, Any] = {
     "font.size": 9.5,
     "axes.titlesize": 10.5,
@@ -92,6 +105,7 @@ _COLOURS = {
     "omoms3": "#d1495b",
     "bspline2": "#7fb2e5",
     "bspline3": "#1769c2",
+    "bspline3(auto)": "#d6006c",
     "bspline4": "#12508f",
     "bspline5": "#0b2f57",
     "bspline2-approx": "#7cc7bc",
@@ -146,11 +160,14 @@ def colour(name: str) -> str:
     for other in _COLOURS:
         if other in table and _same(table[other], row):
             return _COLOURS[other]
+    if isinstance(row.smoothing, float) and row.smoothing > 0:  # greys, the lighter the smoother
+        grey = round(np.interp(math.log10(row.smoothing), (-3, 2), (40, 200)))
+        return f"#{grey:02x}{grey:02x}{grey:02x}"
     return _given(row.name)
 
 
 def _same(a: Filter, b: Filter) -> bool:
-    return (a.taps, a.prefilter, a.magnify) == (b.taps, b.prefilter, b.magnify)
+    return replace(a, name=b.name) == b
 
 
 def _given(name: str) -> str:
@@ -177,6 +194,9 @@ def folded(text: str, width: int = 26) -> str:
 
 def title(name: str) -> str:
     """A filter's name as people read it."""
+    of_spline = re.fullmatch(r"bspline3\((.*)\)", name)
+    if of_spline:
+        return "B-spline, λ from the data" if of_spline[1] == "auto" else f"B-spline, λ = {of_spline[1]}"
     return _TITLES.get(name, name)
 
 
@@ -250,12 +270,56 @@ def legend_above(figure: Figure, axes: Axes) -> None:
     figure.legend(handles, labels, loc="outside upper center", ncols=across)
 
 
+def placed(figure: Figure, x: int, y: int, width: int, height: int) -> Axes:
+    """Axes of a size in pixels of the file, at a place from its top left corner: a picture that large is shown as it is."""
+    across, down = (round(inches * _DPI) for inches in figure.get_size_inches())
+    return figure.add_axes((x / across, 1 - (y + height) / down, width / across, height / down))
+
+
+def tiles(
+    rows: int, columns: int, size: tuple[int, int], *, above: int = 0, below: int = 0, between: int = 0, right: int = 0
+) -> tuple[Figure, NDArray[Any], int]:
+    """A figure of axes in which pictures of a size (width, height) are shown pixel for pixel.
+
+    Parameters
+    ----------
+    rows, columns : int
+    size : (int, int)
+        Of a picture. One narrower than 160 pixels is shown a whole number of times as large.
+    above, below, between, right : int
+        Lines of text above the first row, below the last one and after each other, and pixels right of the last column.
+
+    Returns
+    -------
+    figure : Figure
+    axes : ndarray of Axes, shape (rows, columns)
+    times : int
+        How many times as large as they are pictures are shown.
+    """
+    require_matplotlib()
+    from matplotlib.figure import Figure
+
+    times = -(-_LEAST_TILE // size[0])
+    width, height = (times * n for n in size)
+    gap, start = LINE * between + GAP, LINE * above + GAP
+    total = start + rows * (height + gap) - gap + LINE * below + GAP
+    figure = Figure(figsize=((columns * (width + GAP) + GAP + right) / _DPI, total / _DPI), dpi=_DPI)
+    axes = np.empty((rows, columns), object)
+    for i, j in np.ndindex(rows, columns):
+        one = axes[i, j] = placed(figure, GAP + j * (width + GAP), start + i * (height + gap), width, height)
+        plain(one)
+    return figure, axes, times
+
+
 def show(axes: Axes, pixels: ArrayLike, heading: str, note: str = "", **options: Any) -> Any:
-    """A picture with a heading above and a note below; arrays with two axes are shown in grey."""
+    """A picture with a heading above and a note below; arrays with two axes are shown in grey.
+
+    Where the axes have its size (`tiles`) it is drawn pixel for pixel, and filtered wherever a file has fewer pixels.
+    """
     array = np.asarray(pixels)
     if array.ndim == 2:
         options.setdefault("cmap", "gray")
-    drawn = axes.imshow(array, interpolation="nearest", **options)
+    drawn = axes.imshow(array, interpolation="antialiased", **options)
     plain(axes)
     axes.set_title(heading, fontsize=9)
     if note:

@@ -234,8 +234,8 @@ class Renderer:
             Instead of the scene's: see `Scene`.
         gradient : {"analytic", "central"}
             "analytic" is the exact derivative of the function drawn. "central" takes differences of one voxel
-            to either side, as many others do. `nearest` has no useful derivative and is always
-            shaded by central differences.
+            to either side, as many others do; with `hybrid` one voxel of the magnified grid, half of the volume's.
+            `nearest` has no useful derivative and is always shaded by central differences.
         samples : int
             Rays a pixel, 1 to 4096. A single one goes through its middle.
         pixel_filter : str or Filter

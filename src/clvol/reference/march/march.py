@@ -235,14 +235,14 @@ def render(
         return sample(volume, points, row, boundary)
 
     def slope(points: Array) -> Array:
-        """Differences of one voxel to either side, or the exact derivative; per world unit.
+        """Differences of one voxel of the grid that is stored to either side, or the exact derivative; per world unit.
 
         ``df/dw_i = Σ_j df/dx_j dx_j/dw_i`` with index positions x and world positions w.
         """
         if not central:
             return sample(volume, points, row, boundary, 1)
-        columns = volume.index_to_world_matrix.T  # row j: one voxel along axis j
-        differences = np.stack([(value(points + c) - value(points - c)) / 2 for c in columns], -1)
+        columns = volume.index_to_world_matrix.T / row.scale  # row j: one voxel along axis j, of the magnified grid if there is one
+        differences = np.stack([(value(points + c) - value(points - c)) / 2 for c in columns], -1) * row.scale
         return np.asarray(differences @ volume.world_to_index_matrix)
 
     width, height = size

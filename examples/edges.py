@@ -1,0 +1,21 @@
+"""Clouds and caves: a cube with hard edges, sampled as it is, after an ideal low-pass, and after a Gaussian one.
+
+What is drawn around it is the paper's clouds, what is drawn in its faces the paper's caves (section 3).
+
+    python examples/edges.py --output edges.png
+"""
+
+from __future__ import annotations
+
+from _script import make, options_for
+
+
+def main() -> None:
+    options = options_for(__doc__, "edges.png")
+    options.add_argument("--samples", type=int, default=40, help="along each axis of the box, twice as wide as the cube")
+    options.add_argument("--pixels", type=int, default=300, help="width of each picture")
+    make("edges", options)
+
+
+if __name__ == "__main__":
+    main()
