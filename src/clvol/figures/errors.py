@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -23,7 +22,7 @@ from clvol.figures.style import FAINT, GREY, INK, Drawing, colour, new_figure, s
 from clvol.filter import Filter
 from clvol.volume import Volume, as_volume
 
-__all__ = ["Case", "draw", "every_shift", "mean_square", "measure"]
+__all__ = ["Case", "draw", "mean_square", "measure"]
 
 _GRADIENTS = 64  # nobody looks at the gradients' errors: a few positions
 
@@ -62,14 +61,15 @@ def measure(
     samples, filters = whole("samples", samples, 4), as_compared(filters)
     require_room("samples", (12 * samples) ** 3, samples)
     table = partial(compare, filters=filters, boundary=DEFAULT_BOUNDARY, timing=False)
+    held_back = partial(table, lowpass="none", points=_GRADIENTS)  # with every choice of the first sample that is kept
     photo, what = photograph(max(16, 12 * samples))
     known: list[tuple[str, int, Callable[[], list[ErrorTable]]]] = [
         ("Marschner–Lobb, z = 0", 2, lambda: [table(rings, size=samples, dimensions=2, points=points)]),
         ("zone plate", 2, lambda: [table(partial(zone_plate, size=samples), size=samples, dimensions=2, points=points)]),
-        (f"{what}, low-passed", 2, lambda: every_shift(_lowpassed(photo), filters)),
+        (f"{what}, low-passed", 2, lambda: [held_back(_lowpassed(photo))]),
         ("Marschner–Lobb", 3, lambda: [table(phantoms.marschner_lobb_function, size=samples, points=points)]),
         ("zone plate", 3, lambda: [table(partial(zone_plate, size=samples), size=samples, points=points)]),
-        ("box, hard edges", 3, lambda: every_shift(phantoms.box(2 * samples), filters)),
+        ("box, hard edges", 3, lambda: [held_back(phantoms.box(2 * samples))]),
     ]
     if scan is not None:
         scan = as_volume(scan)
@@ -77,8 +77,8 @@ def measure(
             raise OptionError(f"scan must have 3 axes; got shape {scan.shape}")
         soft = _lowpassed(scan)
         middle = _lowpassed(Volume(scan.data[scan.shape[0] // 2], scan.spacing[:2]))
-        known.insert(3, ("slice of the scan, low-passed", 2, lambda: every_shift(middle, filters)))
-        known.append(("scan, low-passed", 3, lambda: [table(soft, lowpass="none", points=_GRADIENTS)]))
+        known.insert(3, ("slice of the scan, low-passed", 2, lambda: [held_back(middle)]))
+        known.append(("scan, low-passed", 3, lambda: [held_back(soft)]))
     cases = []
     for done, (name, dimensions, make) in enumerate(known, 1):
         tables = make()
@@ -87,17 +87,6 @@ def measure(
         if progress is not None:
             progress(done / len(known))
     return cases
-
-
-def every_shift(volume: Volume, filters: Sequence[str | Filter]) -> list[ErrorTable]:
-    """Errors of a volume from every second sample, for each of the 2ᵈ samples that can be the first to be kept.
-
-    Half of the positions along an axis lie half-way between kept samples, where `nearest` always takes the upper one. At
-    hard edges its error depends on where the edges lie, so only the mean over all shifts is a property of the filter.
-    """
-    firsts = itertools.product(*(range(min(2, n)) for n in volume.size))
-    cropped = [volume.crop(first, volume.size) for first in firsts]
-    return [compare(part, filters, lowpass="none", points=_GRADIENTS, boundary=DEFAULT_BOUNDARY, timing=False) for part in cropped]
 
 
 def _lowpassed(volume: Volume) -> Volume:
@@ -133,7 +122,7 @@ def draw(
         Number of random positions at which functions are compared.
     scan : Volume or array-like, optional
         One more input, decimated by two from its first sample, and its middle slice. The slice, the photograph and the box
-        are decimated with every shift, see `every_shift`. All but the box are low-passed before, by a Gaussian of one sample
+        are decimated with every shift. All but the box are low-passed before, by a Gaussian of one sample
         along each axis, and compared with what that left.
     progress : callable, optional
         Called with the fraction done.
