@@ -266,7 +266,7 @@ def test_every_view(device: Device, keep: dict[Any, Renderer], view: str, mode: 
     allowed = allowance("bspline3", mode, device)
     away = float(np.abs(volume.origin).max())
     allowed = replace(allowed, position=allowed.position + away * 1.2e-7)  # what float32 holds of a position
-    if options.get("samples"):
+    if options.get("samples") or view == "larger":  # its crests are grazed, where rounding turns the normal
         allowed = replace(allowed, pixels=2 * allowed.pixels)
     check(
         held(keep, device, volume, "bspline3"),
