@@ -12,7 +12,7 @@ import pytest
 from scipy import ndimage, optimize, signal
 
 from clvol import Volume, analysis, filters, phantoms, read, reference
-from clvol.analysis.angles import mean_angle
+from clvol.analysis.angle import mean_angle
 from clvol.device import Device
 from clvol.figures import FIGURE_6, edges, figure6, noise, pipeline, slices
 from clvol.figures.errors import mean_square, measure

@@ -9,7 +9,7 @@ NumPy and SciPy in float64; a device is used only on request, and to measure tim
 
 from __future__ import annotations
 
-from clvol.analysis.angles import angles, mean_angle
+from clvol.analysis.angle import angles, mean_angle
 from clvol.analysis.cardinal import impulse_response
 from clvol.analysis.comparison import COMPARED, EXACT_SINC, ErrorRow, ErrorTable, compare
 from clvol.analysis.dirichlet import SincVolume, dirichlet_kernel, dirichlet_magnify, dirichlet_sample, sinc_volume

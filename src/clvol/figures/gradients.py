@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from clvol import phantoms
-from clvol.analysis.angles import angles, mean_angle
+from clvol.analysis.angle import angles, mean_angle
 from clvol.checks import whole
 from clvol.device import Device
 from clvol.figures.panels import BOX, CAMERA, ISOVALUE, LIGHTS, MATERIAL, SURFACE

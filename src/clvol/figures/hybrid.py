@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol import phantoms
-from clvol.analysis.angles import mean_angle
+from clvol.analysis.angle import mean_angle
 from clvol.camera import Camera
 from clvol.checks import whole
 from clvol.device import Device

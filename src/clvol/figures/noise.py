@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clvol import phantoms
 from clvol.analysis import frequency_response, impulse_response
-from clvol.analysis.angles import mean_angle
+from clvol.analysis.angle import mean_angle
 from clvol.analysis.cardinal import pieces
 from clvol.checks import whole
 from clvol.device import Device

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clvol.analysis.angles import angle_weights, angles, mean_angle, weighted_quantile
+from clvol.analysis.angle import angle_weights, angles, mean_angle, weighted_quantile
 from clvol.errors import OptionError
 
 
