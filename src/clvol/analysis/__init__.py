@@ -15,13 +15,13 @@ from clvol.analysis.comparison import COMPARED, EXACT_SINC, ErrorRow, ErrorTable
 from clvol.analysis.dirichlet import SincVolume, dirichlet_kernel, dirichlet_magnify, dirichlet_sample, sinc_volume
 from clvol.analysis.frequency import Bands, bands, frequency_response, prefilter_response
 from clvol.analysis.gibbs import WILBRAHAM_GIBBS, StepResponse, lowpass_step, step_response
-from clvol.analysis.leave_out import LeftOutRow, LeftOutTable, leave_out
+from clvol.analysis.left_out import LeftOutRow, LeftOutTable, leave_out
 from clvol.analysis.marschner_lobb import Metrics, metrics
 from clvol.analysis.predicted import PredictedRow, PredictedTable, jump_error, predict, variance_gain
-from clvol.analysis.rotations import RotationRow, RotationTable, rotations
 from clvol.analysis.similarity import ssim
 from clvol.analysis.table import Table
 from clvol.analysis.theory import Approximation, approximation, error_kernel, taylor_coefficients
+from clvol.analysis.turned import RotationRow, RotationTable, rotations
 
 __all__ = [
     "COMPARED",
