@@ -195,8 +195,8 @@ def _least(spectrum: Spectrum, degree: int) -> tuple[float, ...]:
     risk = _Risk(spectrum, degree)
     grid = np.geomspace(_GRID[0], min(_equivalent(_GRID[1], degree), MOST_SMOOTHING), _GRID[2])
 
-    errors = np.array([risk((value,) * d) for value in grid])
-    one, least = float(grid[errors.argmin()]), float(errors.min())
+    rough = 4 * int(np.argmin([risk((value,) * d) for value in grid[::4]]))
+    least, one = min((risk((value,) * d), value) for value in grid[max(rough - 3, 0) : rough + 4].tolist())
     several, apart = [one] * d, least  # near 0, the estimate may be below
     for axis in [axis for axis in range(d) if len(spectrum.frequencies[axis]) > 1] * 2:
         errors = risk.along(axis, several, grid)
