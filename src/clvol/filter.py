@@ -846,6 +846,8 @@ def as_filter(choice: str | Filter) -> Filter:
             return _FAMILIES[match[1]][1](*(Fraction(v.strip()) for v in match[2].split(",")))
         except (ValueError, TypeError, ZeroDivisionError):
             raise OptionError(f"filter {choice!r} has wrong parameters; write {', '.join(written[:-1])} or {written[-1]}") from None
+    if match := re.fullmatch(r"bspline([6-9])", name):  # what one that smooths is called where there is nothing to smooth
+        return bspline(int(match[1]))
     if match := re.fullmatch(r"(?:bspline|cubic)\(([^()]*)\)|bspline(\d)\(([^()]*)\)", name):
         return _smoothed_by_name(choice, int(match[2] or 3), match[1] or match[3] or "")
     raise one_of("filter", choice, [*_TABLE, *written, "bspline3(λ)", "bspline3(auto)"])
