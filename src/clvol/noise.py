@@ -213,7 +213,8 @@ def _places(shape: tuple[int, ...], factors: Sequence[int]) -> list[tuple[slice,
         if max(gaps) < 2 or math.prod(more) * math.prod(edges) > most:
             break
         counts = more
-    starts = [[int((n - e) * (i + 0.5) / c) for i in range(c)] for n, e, c in zip(shape, edges, counts, strict=True)]
+    # each in the middle of an equal share of the axis
+    starts = [[int(n * (i + 0.5) / c - e / 2) for i in range(c)] for n, e, c in zip(shape, edges, counts, strict=True)]
     return [tuple(slice(s, s + e) for s, e in zip(at, edges, strict=True)) for at in itertools.product(*starts)]
 
 
