@@ -180,7 +180,10 @@ def test_what_is_told_is_plain() -> None:
         noise.sigma = 1.0  # type: ignore[misc]
 
 
-@pytest.mark.parametrize(("dtype", "offset"), [(np.int64, -(2**63)), (np.int64, 2**62), (np.uint64, 2**63 + 2**62)])
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("dtype", "offset"), [(np.int64, -50), (np.int64, -(2**63)), (np.int64, 2**62), (np.uint64, 2**63 + 2**62)]
+)
 def test_integers_far_from_zero_keep_their_noise(dtype: type[np.integer[Any]], offset: int) -> None:
     data = np.rint(50 + 5 * gaussian(24, 24, 24)).astype(np.int64)
     there = estimate(data)

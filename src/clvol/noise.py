@@ -221,8 +221,8 @@ def _places(shape: tuple[int, ...], factors: Sequence[int]) -> list[tuple[slice,
 def _normalised(samples: NDArray[Any], low: Any, high: Any) -> tuple[NDArray[np.float32], np.longdouble]:
     """Samples from 0 at `low` to 1 at `high`, and what that range is, which may be more than float64 holds."""
     if samples.dtype.kind in "iu" and samples.dtype.itemsize == 8:  # differences of large ones are exact modulo 2**64
-        samples = samples.astype(np.uint64) - low.astype(np.uint64)
-        low, high = np.uint64(0), high.astype(np.uint64) - low.astype(np.uint64)
+        samples = samples.astype(np.uint64) - np.uint64(int(low) % 2**64)
+        low, high = np.uint64(0), np.uint64(int(high) - int(low))
     kind = np.result_type(samples.dtype, np.float64)
     wide, low, high = samples.astype(kind), kind.type(low), kind.type(high)
     if not np.isfinite(wide).all():
