@@ -450,6 +450,12 @@ def test_families() -> None:
     assert as_filter(bspline(7)).support == 8
 
 
+@pytest.mark.parametrize("degree", range(2, 10))
+def test_a_degree_without_smoothing_can_be_named(degree: int) -> None:
+    assert as_filter(f"bspline{degree}(0)").name == f"bspline{degree}"
+    assert as_filter(f"bspline{degree}") == bspline(degree)
+
+
 @pytest.mark.parametrize(
     "bad",
     [

@@ -30,6 +30,7 @@ from clvol.errors import ClvolError, OptionError
 
 __all__ = [
     "DEFAULT_FILTER",
+    "MOST_SMOOTHING",
     "PICTURE_FILTER",
     "Filter",
     "FilterTable",
@@ -64,7 +65,7 @@ _MISFIT = 0.1  # of the kernel's peak: a fit that errs by more is another kernel
 _SINC_DEGREE = 12  # of the fits to sinc and its windowed forms: more would cost derivatives in float32 what the fit gains
 _ROUNDING = 1e-9  # floating rows are taken as zero, one or equal within this
 _LEAST_SMOOTHING = -0.25  # of quasi-interpolators, which sharpen: linear's prefilter ends to exist there
-_MOST_SMOOTHING = 1e5  # beyond it poles lie so near to the unit circle that float32 cannot follow
+MOST_SMOOTHING = 1e5  # beyond it poles lie so near to the unit circle that float32 cannot follow
 
 
 @dataclass(frozen=True)
@@ -429,6 +430,7 @@ def bspline(
     degree = whole("degree", degree, 0, 9)
     made = _bspline(degree, prefilter is not False and degree >= 2)  # the first two interpolate as they are
     given = _smoothing(smoothing)
+    length = None if length is None else float(number("length", length, minimum=0))
     return made if length is None and given == 0 else _smoothed(made, given, length)
 
 
@@ -467,8 +469,8 @@ def _smoothing(value: object, least: float = 0.0) -> Smoothing:
             return "auto"
         raise OptionError(f'smoothing must be a number of at least 0, one for each axis, or "auto"; got {value!r}')
     if not isinstance(value, (tuple, list, np.ndarray)):
-        return float(number("smoothing", value, minimum=least, maximum=_MOST_SMOOTHING))
-    values = tuple(float(number("smoothing along each axis", v, minimum=least, maximum=_MOST_SMOOTHING)) for v in value)
+        return float(number("smoothing", value, minimum=least, maximum=MOST_SMOOTHING))
+    values = tuple(float(number("smoothing along each axis", v, minimum=least, maximum=MOST_SMOOTHING)) for v in value)
     if len(values) not in (2, 3):
         raise OptionError(f"smoothing must be one number, or one for each of 2 or 3 axes; got {value!r}")
     return values[0] if len(set(values)) == 1 else values
@@ -844,6 +846,8 @@ def as_filter(choice: str | Filter) -> Filter:
             return _FAMILIES[match[1]][1](*(Fraction(v.strip()) for v in match[2].split(",")))
         except (ValueError, TypeError, ZeroDivisionError):
             raise OptionError(f"filter {choice!r} has wrong parameters; write {', '.join(written[:-1])} or {written[-1]}") from None
+    if match := re.fullmatch(r"bspline([6-9])", name):  # what one that smooths is called where there is nothing to smooth
+        return bspline(int(match[1]))
     if match := re.fullmatch(r"(?:bspline|cubic)\(([^()]*)\)|bspline(\d)\(([^()]*)\)", name):
         return _smoothed_by_name(choice, int(match[2] or 3), match[1] or match[3] or "")
     raise one_of("filter", choice, [*_TABLE, *written, "bspline3(λ)", "bspline3(auto)"])

@@ -55,6 +55,7 @@ _LABELS = 256  # values that a label image has, at most
 _ALONE = 0.1  # share, of the samples at edges between labels, that may be unlike their neighbours
 _CUTS = 2.0  # `Noise.jump` from which a background is said to cut through objects
 _WINDOW = 3  # power of the sine that is a block's window: the higher, the less leaks from low frequencies to high ones
+_AVERAGED = 2, 4  # samples along an axis, at most, of which means tell of low frequencies, and of lower ones
 _CELLS = 32  # of frequencies along an axis, about
 _OMEGA = np.linspace(0, np.pi, 65)
 
@@ -109,7 +110,7 @@ class Noise:
     clipped : (float, float)
         Shares of the samples at the smallest and at the largest value.
     spectrum : Spectrum
-        Of the samples that were looked at.
+        Of the samples that were looked at and, where there is noise, of means of their surroundings.
     """
 
     sigma: float
@@ -131,7 +132,10 @@ class Noise:
 
 
 def estimate(samples: NDArray[Any]) -> Noise:
-    """The noise of a volume or image, from at most about a million of its samples; `Volume.noise` remembers it.
+    """The noise of a volume or image, from about a million of its samples at most; `Volume.noise` remembers it.
+
+    Where there is noise, the low frequencies of its spectrum are told by means of two and of four samples along each axis, each
+    about a million at most.
 
     Parameters
     ----------
@@ -143,8 +147,10 @@ def estimate(samples: NDArray[Any]) -> Noise:
     DataError
         Samples that were looked at are NaN or infinite.
     """
-    samples = _blocks(samples)
-    blocks, unit = _normalised(samples)
+    data = samples
+    samples = np.stack([data[place] for place in _places(data.shape, (1,) * data.ndim)])
+    low, high = samples.min(), samples.max()
+    blocks, unit = _normalised(samples, low, high)
     values, counts = np.unique(blocks, return_counts=True)
     most = int(counts.argmax())
     facts: dict[str, Any] = {
@@ -153,7 +159,7 @@ def estimate(samples: NDArray[Any]) -> Noise:
         "colour": (1.0,) * (blocks.ndim - 1),
     }
     if len(values) == 1:
-        return Noise(0.0, "none", spectrum=_spectrum(blocks, 0.0, facts["colour"]), **facts)
+        return Noise(0.0, "none", spectrum=_spectrum(_cells(blocks), 0.0, facts["colour"]), **facts)
     if len(values) < blocks.size / 2:
         step = float(np.diff(values.astype(np.float64)).min() * unit)
         facts["step"] = step if samples.dtype.kind == "f" else float(round(step))
@@ -174,7 +180,11 @@ def estimate(samples: NDArray[Any]) -> Noise:
         if variance > 0:
             kind = "correlated" if max(colour) > 1 else "signal-dependent" if gain > 0 else "white"
     total = variance * math.prod(float(colour_power(ratio, _OMEGA).mean()) for ratio in colour)
-    spectrum = _spectrum(blocks, variance * (1 - float(ground.mean())), colour)
+    cells, part = _cells(blocks), variance * (1 - float(ground.mean()))
+    for factor in _AVERAGED if part > 0 and len(blocks) > 1 else ():
+        factors = [min(factor, max(n // _BLOCK[data.ndim], 1)) for n in data.shape]
+        cells = _finer(cells, _averages(data, factors, low, high), factors, part, colour)
+    spectrum = _spectrum(cells, part, colour)
     facts |= {"gain": float(gain * unit), "colour": colour[::-1], "spectrum": spectrum}
     return Noise(float(math.sqrt(total) * unit), kind, **facts)
 
@@ -190,35 +200,66 @@ def colour_power(ratio: float, omega: Array) -> Array:
 # -- inner -------------------------------------------------------------------------------------------
 
 
-def _blocks(data: NDArray[Any]) -> NDArray[Any]:
-    """Blocks of samples, evenly spread, stacked along a first axis; all samples in one, where there are few."""
-    if data.size <= _LOOKED_AT:
-        return data[None]
-    edges = [min(n, _BLOCK[data.ndim]) for n in data.shape]
-    counts = [1] * data.ndim
+def _places(shape: tuple[int, ...], factors: Sequence[int]) -> list[tuple[slice, ...]]:
+    """Blocks, evenly spread, of which averages over `factors` samples are few enough; one of all samples if these are."""
+    most = _LOOKED_AT * math.prod(factors)
+    if math.prod(shape) <= most:
+        return [tuple(slice(0, n) for n in shape)]
+    edges = [min(n, _BLOCK[len(shape)] * factor) for n, factor in zip(shape, factors, strict=True)]
+    counts = [1] * len(shape)
     while True:  # more along the axes that have the widest gaps; equal axes alike
-        gaps = [n / (e * c) for n, e, c in zip(data.shape, edges, counts, strict=True)]
+        gaps = [n / (e * c) for n, e, c in zip(shape, edges, counts, strict=True)]
         more = [c + (gap == max(gaps)) for c, gap in zip(counts, gaps, strict=True)]
-        if max(gaps) < 2 or math.prod(more) * math.prod(edges) > _LOOKED_AT:
+        if max(gaps) < 2 or math.prod(more) * math.prod(edges) > most:
             break
         counts = more
-    starts = [[int((n - e) * (i + 0.5) / c) for i in range(c)] for n, e, c in zip(data.shape, edges, counts, strict=True)]
-    return np.stack([data[tuple(slice(s, s + e) for s, e in zip(at, edges, strict=True))] for at in itertools.product(*starts)])
+    # each in the middle of an equal share of the axis
+    starts = [[int(n * (i + 0.5) / c - e / 2) for i in range(c)] for n, e, c in zip(shape, edges, counts, strict=True)]
+    return [tuple(slice(s, s + e) for s, e in zip(at, edges, strict=True)) for at in itertools.product(*starts)]
 
 
-def _normalised(samples: NDArray[Any]) -> tuple[NDArray[np.float32], np.longdouble]:
-    """Samples from 0 to 1, and what their range was, which may be more than float64 holds."""
-    wide = samples.astype(np.result_type(samples.dtype, np.float64))
+def _normalised(samples: NDArray[Any], low: Any, high: Any) -> tuple[NDArray[np.float32], np.longdouble]:
+    """Samples from 0 at `low` to 1 at `high`, and what that range is, which may be more than float64 holds."""
+    if samples.dtype.kind in "iu" and samples.dtype.itemsize == 8:  # differences of large ones are exact modulo 2**64
+        samples = samples.astype(np.uint64) - np.uint64(int(low) % 2**64)
+        low, high = np.uint64(0), np.uint64(int(high) - int(low))
+    kind = np.result_type(samples.dtype, np.float64)
+    wide, low, high = samples.astype(kind), kind.type(low), kind.type(high)
     if not np.isfinite(wide).all():
         raise DataError("samples must be finite for their noise to be estimated: replace them with Volume.filled(value)")
-    exponent = int(np.frexp(np.abs(wide).max())[1]) + 1
-    wide = np.ldexp(wide, -exponent)  # no difference overflows
-    low, high = wide.min(), wide.max()
+    exponent = int(np.frexp(max(abs(low), abs(high)))[1]) + 1
+    wide, low, high = np.ldexp(wide, -exponent), np.ldexp(low, -exponent), np.ldexp(high, -exponent)  # no difference overflows
     unit = np.ldexp(np.longdouble(high - low), exponent)
     return ((wide - low) / (high - low if low < high else 1)).astype(np.float32), unit
 
 
-def _spectrum(blocks: NDArray[np.float32], variance: float, colour: Sequence[float]) -> Spectrum:
+def _averages(data: NDArray[Any], factors: Sequence[int], low: Any, high: Any) -> NDArray[np.float32]:
+    """Blocks of the means of `factors` samples along each axis; what lies outside the range of those looked at is clipped."""
+    result = []
+    for place in _places(data.shape, factors):
+        block = data[place]
+        counts = [n // factor for n, factor in zip(block.shape, factors, strict=True)]
+        inner = [length for pair in zip(counts[1:], factors[1:], strict=True) for length in pair]
+        whole = [slice(c * f) for c, f in zip(counts[1:], factors[1:], strict=True)]
+        means = np.empty(counts, np.float32)
+        for i in range(counts[0]):  # no copy of all samples
+            layer = block[(slice(factors[0] * i, factors[0] * (i + 1)), *whole)]
+            values = _normalised(np.clip(layer, low, high), low, high)[0]
+            means[i] = values.mean(0).reshape(inner).mean(tuple(range(1, len(inner), 2)))
+        result.append(means)
+    return np.stack(result)
+
+
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """The power of blocks by cells of frequencies: their edges along each axis, and the distance of two waves."""
+
+    power: Array
+    edges: tuple[Array, ...]
+    distance: tuple[float, ...]
+
+
+def _cells(blocks: NDArray[np.float32]) -> _Cells:
     """Mean spectrum of the blocks without their means, by the cosine transform."""
     from scipy import fft
 
@@ -232,19 +273,56 @@ def _spectrum(blocks: NDArray[np.float32], variance: float, colour: Sequence[flo
             blocks *= window.reshape([-1 if i == axis else 1 for i in range(blocks.ndim)])
             weight *= float((window**2).mean())
     power = (fft.dctn(blocks, axes=axes, norm="ortho") ** 2).mean(0, dtype=np.float64) / weight
-    frequencies, shares = [], []
+    edges = []
     for axis, n in enumerate(power.shape):
-        edges = np.arange(n)
+        first = np.arange(n)
         if n > _CELLS:  # single ones below, wider cells above
-            edges = np.unique(np.geomspace(_CELLS // 2, n, _CELLS // 2, endpoint=False).astype(int))
-            edges = np.concatenate([np.arange(_CELLS // 2), edges])
-        counts = np.diff(np.append(edges, n))
-        power = np.add.reduceat(power, edges, axis)
-        omega = np.add.reduceat(np.pi * np.arange(n) / n, edges) / counts
-        frequencies.append(omega)
-        shares.append(counts / n * colour_power(colour[axis], omega))
+            first = np.unique(np.geomspace(_CELLS // 2, n, _CELLS // 2, endpoint=False).astype(int))
+            first = np.concatenate([np.arange(_CELLS // 2), first])
+        power = np.add.reduceat(power, first, axis)
+        edges.append(np.pi / n * np.append(first, n))
+    return _Cells(power, tuple(edges), tuple(np.pi / n for n in blocks.shape[1:]))
+
+
+def _finer(
+    cells: _Cells, averages: NDArray[np.float32], factors: Sequence[int], variance: float, colour: Sequence[float]
+) -> _Cells:
+    """Cells whose low frequencies are told apart by averages of a wider surrounding: blocks spread them over several cells.
+
+    Means of s samples pass ``sin(s ω / 2) / (s sin(ω / 2))``, also of the s - 1 frequencies ``ω + 2 π k / s``, in which the signal
+    has little and the noise, which is known, as much as elsewhere.
+    """
+    wide = _cells(averages)
+    low = wide.power
+    edges, folded, shares, passed = [], np.ones(()), np.ones(()), np.ones(())
+    for axis, (below, above, factor) in enumerate(zip(wide.edges, cells.edges, factors, strict=True)):
+        count = int(np.searchsorted(below, np.pi / 2 + 1e-9)) - 1 if factor > 1 else len(below) - 1
+        below = below[: count + 1] / factor
+        edges.append(np.concatenate([below, above[above > below[-1] + 1e-9]]))
+        low = np.take(low, np.arange(count), axis)
+        omega = (below[1:] + below[:-1] - wide.distance[axis] / factor) / 2
+        aliases = omega + 2 * np.pi / factor * np.arange(factor)[:, None]
+        half = np.where(aliases, aliases / 2, 1e-9)
+        squares = (np.sin(factor * half) / (factor * np.sin(half))) ** 2
+        noise = squares * colour_power(colour[axis], aliases) * np.diff(below) / np.pi
+        folded, shares, passed = (
+            np.multiply.outer(a, b) for a, b in ((folded, noise.sum(0)), (shares, noise[0]), (passed, squares[0]))
+        )
+    power = cells.power
+    for axis, (old, new) in enumerate(zip(cells.edges, edges, strict=True)):
+        overlap = np.minimum(new[1:, None], old[1:]) - np.maximum(new[:-1, None], old[:-1])
+        power = np.moveaxis(np.tensordot(overlap.clip(0) / np.diff(old), power, (1, axis)), 0, axis)
+    power[tuple(map(slice, low.shape))] = (low - variance * (folded - shares)) / passed
+    return _Cells(power, tuple(edges), cells.distance)
+
+
+def _spectrum(cells: _Cells, variance: float, colour: Sequence[float]) -> Spectrum:
+    frequencies, shares = [], []
+    for edges, distance, ratio in zip(cells.edges, cells.distance, colour, strict=True):
+        frequencies.append((edges[1:] + edges[:-1] - np.minimum(np.diff(edges), distance)) / 2)
+        shares.append(np.diff(edges) / np.pi * colour_power(ratio, frequencies[-1]))
     shares[0] = shares[0] * variance
-    return Spectrum(power, tuple(frequencies), tuple(shares))
+    return Spectrum(cells.power, tuple(frequencies), tuple(shares))
 
 
 def _pairs(array: NDArray[Any], axis: int) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -14,7 +14,7 @@ and edges too.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 from weakref import WeakKeyDictionary
@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.checks import whole
 from clvol.errors import OptionError
-from clvol.filter import Filter, as_filter, bspline
+from clvol.filter import MOST_SMOOTHING, Filter, as_filter, bspline
 from clvol.noise import Spectrum
 from clvol.volume import Volume, as_volume
 
@@ -37,7 +37,7 @@ Array: TypeAlias = NDArray[np.float64]
 _STAIRS = 0.5
 # Beside an exact background there is an inside worth keeping: 0.10 voxels and 7° at the edge.
 _EDGE = 0.2
-_GRID = 1e-4, 1e2, 151  # λ that are tried, for cubic splines: from, to, how many
+_GRID = 1e-4, 1e3, 176  # λ that are tried: from, to (for cubic splines), how many
 _UNSEEN = 0.01  # of the samples' standard deviation: noise below is not seen (rounding to 8 bits makes half of it)
 _PAYS = 0.98  # of the error of interpolation: what is gained below is not worth a change
 # Of the λ of least error: the error hardly changes about its minimum, while gradients do, and steps between regions, which no
@@ -125,7 +125,7 @@ def settled(filter: str | Filter, volume: Volume) -> Filter:
     Raises
     ------
     OptionError
-        Its smoothing has another number of axes than the volume, or is too much for float32.
+        Its smoothing has another number of axes than the volume, or its length is too much for float32.
     """
     row = as_filter(filter)
     if row.magnified_by is not None and not row.magnified_by.settled:
@@ -135,8 +135,13 @@ def settled(filter: str | Filter, volume: Volume) -> Filter:
     if row.settled:
         return row
     if row.length is not None:
-        length = row.length
-        return row.smoothed([float(f"{(length / s) ** (2 * row.penalty):.6g}") for s in volume.spacing])
+        length, power = row.length, 2 * row.penalty
+        most = MOST_SMOOTHING ** (1 / power) * min(volume.spacing)
+        if length > most:
+            raise OptionError(
+                f"the length of {row.name!r} must be at most {most:.4g} for the spacings of this volume; got {length:g}"
+            )
+        return row.smoothed([min(float(f"{(length / s) ** power:.6g}"), MOST_SMOOTHING) for s in volume.spacing])
     return row.smoothed(choose(volume, row.degree).values)
 
 
@@ -161,13 +166,25 @@ class _Risk:
         self.axes = [_passing(degree, omega) for omega in spectrum.frequencies]
 
     def __call__(self, smoothing: Sequence[float]) -> float:
+        return float(self.along(0, smoothing, smoothing[:1])[0])
+
+    def along(self, axis: int, smoothing: Sequence[float], values: ArrayLike) -> Array:
+        """With each of some values along one axis, and what `smoothing` says along the others."""
         passed = squared = self.spectrum.power
         through = every = 1.0  # noise that passes, and all of it
-        for (sampled, penalty), noise, value in reversed(list(zip(self.axes, self.spectrum.noise, smoothing, strict=True))):
-            g = sampled / (sampled + value * penalty)
-            passed, squared = passed @ g, squared @ g**2
-            through, every = through * float(noise @ g), every * float(noise.sum())
-        return float(self.spectrum.power.sum() - 2 * passed + squared + 2 * through - every)
+        for i in reversed(range(len(smoothing))):  # the last first, so that the places of those before stay
+            if i != axis:
+                g, noise = self._passes(i, smoothing[i]), self.spectrum.noise[i]
+                passed, squared = np.tensordot(passed, g, (i, 0)), np.tensordot(squared, g**2, (i, 0))
+                through, every = through * float(noise @ g), every * float(noise.sum())
+        g, noise = self._passes(axis, values), self.spectrum.noise[axis]
+        total = float(self.spectrum.power.sum()) - every * float(noise.sum())
+        return np.asarray(total - 2 * g @ passed + g**2 @ squared + 2 * through * (g @ noise))
+
+    def _passes(self, axis: int, values: ArrayLike) -> Array:
+        """The share of each frequency that passes along an axis, for each λ."""
+        sampled, penalty = self.axes[axis]
+        return np.asarray(sampled / (sampled + np.multiply.outer(values, penalty)))
 
 
 def _least(spectrum: Spectrum, degree: int) -> tuple[float, ...]:
@@ -176,20 +193,18 @@ def _least(spectrum: Spectrum, degree: int) -> tuple[float, ...]:
     if math.prod(float(share.sum()) for share in spectrum.noise) < _UNSEEN**2 * float(spectrum.power.sum()):
         return (0.0,) * d
     risk = _Risk(spectrum, degree)
-    grid = _equivalent(1.0, degree) * np.geomspace(*_GRID)
+    grid = np.geomspace(_GRID[0], min(_equivalent(_GRID[1], degree), MOST_SMOOTHING), _GRID[2])
 
-    def best(of: Callable[[float], float]) -> tuple[float, float]:
-        errors = np.array([of(value) for value in grid])
-        return float(grid[errors.argmin()]), float(errors.min())
-
-    one, least = best(lambda value: risk((value,) * d))
+    rough = 4 * int(np.argmin([risk((value,) * d) for value in grid[::4]]))
+    least, one = min((risk((value,) * d), value) for value in grid[max(rough - 3, 0) : rough + 4].tolist())
     several, apart = [one] * d, least  # near 0, the estimate may be below
-    for axis in [*range(d)] * 2:
-        several[axis], apart = best(lambda value, axis=axis: risk([*several[:axis], value, *several[axis + 1 :]]))  # type: ignore[misc]
+    for axis in [axis for axis in range(d) if len(spectrum.frequencies[axis]) > 1] * 2:
+        errors = risk.along(axis, several, grid)
+        several[axis], apart = float(grid[errors.argmin()]), float(errors.min())
     differ = apart < _APART**2 * max(least, 0) and max(several) > 2 * min(several)
     if min(least, apart) > _PAYS**2 * risk((0.0,) * d):
         return (0.0,) * d
-    return tuple(_rounded(min(_MORE * value, grid[-1])) for value in (several[::-1] if differ else [one] * d))
+    return tuple(_rounded(min(_MORE * value, float(grid[-1]))) for value in (several[::-1] if differ else [one] * d))
 
 
 def _passing(degree: int, omega: Array) -> tuple[Array, Array]:

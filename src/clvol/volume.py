@@ -215,7 +215,7 @@ class Volume:
 
     @cached_property
     def noise(self) -> Noise:
-        """What the samples tell of their noise, from at most about a million of them; see `clvol.noise.estimate`.
+        """What the samples tell of their noise, from about a million of them at most; see `clvol.noise.estimate`.
 
         Raises
         ------

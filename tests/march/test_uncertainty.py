@@ -144,6 +144,14 @@ def test_other_modes_have_none(device: Device, mode: str) -> None:
         renderer.render(mode=mode, outputs=("rgba", "uncertainty"))
 
 
+@pytest.mark.parametrize("sigma", [1e25, 1e300])
+def test_noise_beyond_all_values_leaves_nothing_sure(device: Device, sigma: float) -> None:
+    stated = shown(bumps(), device, sigma=sigma)
+    hit = ~np.isnan(stated[..., 0])
+    assert 0.1 < hit.mean() < 0.9
+    assert (stated[hit] >= [1e6, 180]).all()
+
+
 def test_nor_has_a_filter_without_slopes(device: Device) -> None:
     with pytest.raises(OptionError, match="needs a filter that has slopes; got 'nearest'"):
         shown(bumps(), device, "nearest")

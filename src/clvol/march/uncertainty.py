@@ -52,6 +52,7 @@ _FITTED = (0.05 * np.pi, 0.9 * np.pi)  # beyond, a wave and its alias are one
 _ROUGH = np.pi * (np.arange(24) + 0.5) / 24  # frequencies along each of three axes
 _KEPT = 1 / 3  # of a wave, at least: what smoothing took away counts as if no more than the rest of it had gone
 _LEAST_SLOPE = 0.1  # of the slope that is drawn, how much is taken to be there at least, whatever noise may have made of it
+_MOST_NOISE = 2.0**40  # in units of the largest magnitude: its square is a float32
 _ROUNDING = 2.0**-20  # of the values around, by which float32 errs
 _PLACED = 2.0**-22  # of the volume's radius, by which positions are rounded
 _WHITE = 1.0, 1.0, 1.0
@@ -193,7 +194,7 @@ class Uncertainty:
             center=(np.asarray(volume.size) - 1) / 2,
             steepest=(to_index**2).sum(),
             gain=1 / self._magnitude,
-            power=(sigma / unit) ** 2,
+            power=min(sigma / unit, _MOST_NOISE) ** 2,
             rounding=_ROUNDING**2,
             placed=(_PLACED * volume.radius / spacing) ** 2,
             least=_LEAST_SLOPE**2,
