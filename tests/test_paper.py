@@ -158,7 +158,7 @@ def test_the_page_tells_what_noise_filters_keep(page: str) -> None:
     lines = re.findall(rf"^\| (nearest|`[^`]+`) \| {NUMBER} \| {NUMBER} \|$", page, re.MULTILINE)
     assert len(lines) == 10
     for name, along, within in lines:
-        gain = noise.variance_gain(name.strip("`"))
+        gain = analysis.variance_gain(name.strip("`"))
         assert (float(along), float(within)) == (pytest.approx(gain, abs=5.1e-4), pytest.approx(gain**3, abs=5.1e-4))
     assert [float(within) for _, _, within in lines] == sorted((float(within) for _, _, within in lines), reverse=True)
 
@@ -368,3 +368,12 @@ def test_the_page_of_claims_names_what_is_there(page: str) -> None:
     assert all(0 < (ROOT / "docs" / name).stat().st_size < 300_000 for name in pictures)
     rows = re.findall(r"^\| (\d+(?:, \d+)*) \|", page, re.MULTILINE)
     assert [int(n) for row in rows for n in row.split(", ")] == list(range(1, 19))
+
+
+@pytest.mark.skipif(not TOOTH.is_file(), reason="the scan of a tooth is not here")
+def test_most_of_what_was_called_an_error_on_a_tooth_is_the_low_pass() -> None:
+    pytest.importorskip("SimpleITK")
+    table = analysis.compare(read(TOOTH), ["bspline3"], timing=False, points=100, max_samples=1 << 20)
+    told = re.search(r"on a CT scan of a tooth (\d+) % of the squared error", (ROOT / "README.md").read_text(encoding="utf-8"))
+    assert told
+    assert float(told[1]) == round(100 * (table.lost / (table[0].original or 0)) ** 2)

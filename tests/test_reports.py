@@ -322,6 +322,24 @@ def test_smoothing_that_is_auto_is_settled_once(tmp_path: Path, device: Device) 
     assert [row.filter for row in done.table] == ["linear", "bspline3", EXACT_SINC]  # λ is 0 there: one row
 
 
+def test_smoothing_may_differ_from_axis_to_axis(tmp_path: Path, device: Device) -> None:
+    """A noisy plate: smoothed along it, and hardly across it."""
+    z = np.arange(32.0)[:, None, None]
+    noise = np.random.default_rng(0).normal(0, 0.1, (32, 32, 32))
+    plate = Volume((np.exp(-((z - 15.3) ** 2)) + noise).astype(np.float32))
+    done = reports.report(plate, tmp_path / "a.html", filters=("linear", "bspline3(auto)"), pixels=16, device=device)
+    row = done.table.filters[1]
+    assert isinstance(row.smoothing, tuple)
+    assert len(set(row.smoothing)) > 1
+    assert done.advice.filter == row.name
+    assert done.turned is not None
+    assert [turned.filter for turned in done.turned] == ["linear", row.name]
+    drawn = spectrum.plot([], [row, as_filters(["linear"])[0]]).axes[0].get_lines()[1:]
+    assert len(drawn) == len(set(row.smoothing)) + 1
+    assert "along z" in drawn[-2].get_label()
+    assert "along" not in drawn[-1].get_label()
+
+
 # -- spectra and pictures ------------------------------------------------------------------------------------------
 
 

@@ -421,7 +421,7 @@ def test_many_filters_of_figure_2_have_a_legend_within_it() -> None:
 def test_the_gain_of_variance_is_what_is_left_of_noise(name: str) -> None:
     """The closed forms; the integral of |H|²; and the variance of a reconstruction of noise itself."""
     closed = {"nearest": 1.0, "linear": 2 / 3, "bspline3-approx": 151 / 315}  # β₃ * β₃ = β₇, and β₇(0) = 151 / 315
-    gain = noise.variance_gain(name)
+    gain = analysis.variance_gain(name)
     if name in closed:
         assert gain == pytest.approx(closed[name], rel=1e-12)
     if name != "nearest":  # whose |H|² falls too slowly to be integrated
@@ -439,7 +439,7 @@ def test_noise_turns_the_order_of_filters_over(device: Device) -> None:
     assert len(made) == 2 * len(noise.LEVELS) * len(names)
     # where noise is all, its variance is what its gain says: for the sphere every cubic spline's truth is its own
     for name in names[:3]:
-        expected = 0.1 * noise.variance_gain(name) ** 1.5
+        expected = 0.1 * analysis.variance_gain(name) ** 1.5
         assert made["sphere", 0.1, name]["rms"] == pytest.approx(expected, rel=0.08)
     for case in ("sphere", "Marschner–Lobb"):
         assert made[case, 0.0, "bspline3"]["rms"] < made[case, 0.0, "bspline3-approx"]["rms"]

@@ -48,7 +48,9 @@ def _alike(row: Filter) -> dict[str, str]:
     """Styles of line, and the axes along which a filter has the response drawn in them: none named where it is the same."""
     if not isinstance(row.smoothing, tuple):
         return {"-": ""}
-    axes = {value: "".join(name for name, own in zip("xyz", row.smoothing, strict=False) if own == value) for value in row.smoothing}
+    axes = {
+        value: "".join(name for name, own in zip("xyz", row.smoothing, strict=False) if own == value) for value in row.smoothing
+    }
     return dict(zip(_STYLES, axes.values(), strict=False))
 
 
