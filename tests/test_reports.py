@@ -284,6 +284,12 @@ def test_the_best_of_each_column_is_bold() -> None:
     assert "The best of each column is bold." in html._BEST
 
 
+def test_the_two_sincs_have_two_names() -> None:
+    rows = [LeftOutRow(name, 1.5, 1.0, 2.5) for name in ("sinc", EXACT_SINC)]
+    named = re.findall(r"</span>([^<]+)<br>", html._table(LeftOutTable(rows, sigma=0.0, spacing=(1, 1, 1)), "sinc"))
+    assert named == ["sinc", EXACT_SINC]
+
+
 def test_columns_that_nothing_has_are_left_out() -> None:
     rows = LeftOutTable([LeftOutRow("linear", 1.5, None, 2.5)], sigma=0.0, spacing=(1, 1, 1))
     text = html._table(rows, "linear")
