@@ -14,7 +14,7 @@ from scipy import ndimage, optimize, signal
 from clvol import Volume, analysis, filters, phantoms, read, reference
 from clvol.analysis.angles import mean_angle
 from clvol.device import Device
-from clvol.figures import FIGURE_6, edges, figure6, noise, pipeline, slices
+from clvol.figures import FIGURE_6, edges, figure6, noise, panels, pipeline, slices
 from clvol.figures.errors import mean_square, measure
 from clvol.filter import as_filter
 
@@ -96,6 +96,19 @@ def test_gradients_of_the_hybrid_are_as_good_as_direct_ones_by_central_differenc
     pattern = f"{NUMBER}° from the true ones in the mean, where the derivative of the direct spline is {NUMBER}° off"
     states(page, rf"{pattern}\. .* itself would be {NUMBER}° off, .* interpolation alone, {NUMBER}°", *made)
     assert made[0] < made[1] < made[2] < made[3]
+
+
+def test_normals_of_figure_3(page: str, device: Device) -> None:
+    volume = phantoms.marschner_lobb(41)
+    surface, _ = panels._exact(volume, panels.CAMERA, 300, 1)
+    truth = phantoms.marschner_lobb_gradient(surface)
+    drawn = (("hybrid", "central"), ("bspline3", "analytic"), ("linear", "central"))
+    made = [
+        mean_angle(panels.shading_gradients(volume, surface, as_filter(n), device, g), truth, faces=True) or 0 for n, g in drawn
+    ]
+    states(
+        page, f"normals of the hybrid are {NUMBER}° off, direct ones {NUMBER}°, those of trilinear interpolation {NUMBER}°", *made
+    )
 
 
 def test_pictures_are_reconstructed_from_rays(page: str, device: Device) -> None:

@@ -327,7 +327,7 @@ def test_slopes_are_the_orders() -> None:
 
 
 def test_errors_measured_are_those_of_the_theory() -> None:
-    """Points at random and higher terms make up the difference: 2 % at a hundred samples a period."""
+    """Points at random and higher terms make up the difference: 1 % on the finest grid of the figure, as the page says."""
     names = (
         "nearest",
         "linear",
@@ -340,13 +340,14 @@ def test_errors_measured_are_those_of_the_theory() -> None:
         "bspline5",
         "hybrid",
     )
-    drawing = convergence.draw(names, sizes=(181, 221), points=20_000)
+    drawing = convergence.draw(names, sizes=(181, 271), points=20_000)
     for n in drawing.numbers:
-        assert n["rms"] == pytest.approx(n["theory"], rel=0.02), n["filter"]
-        if n["filter"] != "nearest":
-            assert n["gradient_rms"] == pytest.approx(n["gradient_theory"], rel=0.02), n["filter"]
+        for key, theory in (("rms", "theory"), ("gradient_rms", "gradient_theory")):
+            if n[key] is not None:
+                assert n[key] == pytest.approx(n[theory], rel=0.02), n["filter"]
+                assert n[key][-1] == pytest.approx(n[theory][-1], rel=0.01), n["filter"]
     # linear by hand: t (1 - t) / 2 along each axis, of mean square 1/120 and mean 1/12, times f_xx = f_yy = -(2 pi)² f, <f²> = 1/4
-    spacing = 2 / np.array([180, 220])
+    spacing = 2 / np.array([180, 270])
     wanted = (2 * np.pi * spacing) ** 2 * np.sqrt((2 / 120 + 2 / 144) / 4)
     assert drawing.numbers[1]["theory"] == pytest.approx(wanted, rel=1e-4)
     # and its slope errs by t - 1/2 times f_xx along each axis
