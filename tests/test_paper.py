@@ -278,7 +278,7 @@ def test_the_page_tells_what_the_six_were_measured_to_do(
     hard = errors["box, hard edges", 3]
     states(page, f"{NUMBER} % more than the interpolating B-spline", 100 * (hard[analysis.EXACT_SINC] / hard["bspline3"] - 1))
     single = [nearest_of_every_second(phantoms.box(82).data, first) for first in itertools.product((0, 1), repeat=3)]
-    states(page, f"neighbour errs by anything from {NUMBER} to {NUMBER} ", min(single), max(single))
+    states(page, f"neighbour errs on the box by anything from {NUMBER} to {NUMBER} ", min(single), max(single))
     times = [errors["zone plate", d][analysis.EXACT_SINC] / errors["zone plate", d]["bspline3"] for d in (2, 3)]
     assert "errs seven to nine times as much as the interpolating B-spline" in " ".join(page.split())
     assert [round(t) for t in sorted(times)] == [7, 9]
