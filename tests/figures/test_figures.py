@@ -433,6 +433,15 @@ def test_the_gain_of_variance_is_what_is_left_of_noise(name: str) -> None:
     assert values.var() == pytest.approx(gain**2, rel=0.05)
 
 
+def test_noise_is_measured_of_any_smoothing(device: Device) -> None:
+    names = ("linear", "bspline3(length=0.05)", "bspline3(0.1,0.1,0.4)")
+    drawing = noise.draw(names, samples=9, points=50, device=device)
+    assert {n["filter"] for n in drawing.numbers if "noise" in n} == set(names)
+    assert [n["filter"] for n in drawing.numbers if "variance_gain" in n] == [
+        "linear"
+    ]  # of the others it differs by axis or volume
+
+
 def test_noise_turns_the_order_of_filters_over(device: Device) -> None:
     names = ("bspline3", "bspline3-approx", "bspline3(1)", "bspline3(auto)")
     drawing = noise.draw(names, samples=33, points=4000, device=device)

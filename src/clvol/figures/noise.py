@@ -171,7 +171,7 @@ def draw(
         handles, labels = panels[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=6)
         _responses(*panels[:, 2])
-    gains = {row.name: variance_gain(row) for row in rows if row.settled}
+    gains = {row.name: variance_gain(row) for row in rows if row.settled and not isinstance(row.smoothing, tuple)}
     lines = [f"{title(name)}: keeps {g:.3f} of the noise's variance along an axis, {g**3:.3f} in 3-D" for name, g in gains.items()]
     for case in known:
         for level in LEVELS:

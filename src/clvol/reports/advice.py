@@ -180,7 +180,7 @@ def _noise(expected: PredictedTable, known: Noise | float, best: str, rows: dict
     share = _percent(expected.sigma / span)
     says = [f"The samples hold noise{kind}: its standard deviation is {expected.sigma:.3g}, {share} of their range."]
     if expected.detail is None:
-        says.append("Noise is nearly all by which neighbouring samples differ.")
+        says.append("It explains nearly all of the differences between neighbouring samples.")
     row = expected.row(best)
     through = min((name for name in rows if rows[name].interpolates), key=lambda name: expected.row(name).rms, default=None)
     if not rows[best].interpolates and through is not None and expected.surely_less(best, through, 1 - _LITTLE):
@@ -244,8 +244,8 @@ def _edges(expected: PredictedTable, known: Noise | float, best: str, rows: dict
     says = []
     if expected.jumps >= _STEPS:
         says.append(
-            "Most edges go from one sample to the next between level ones, and where between them they lie no filter can tell: "
-            "the smoother ones blur or ring there."
+            "Most edges go from one sample to the next, with level ones on either side, and no filter can tell where between the "
+            "two they lie: the smoother ones blur or ring there."
         )
     elif expected.detail is not None:
         kind = next(words for least, words in _DETAIL if expected.detail >= least)

@@ -64,7 +64,7 @@ def plot(found: Spectra, filters: Sequence[Filter]) -> Figure:
         left.plot([0, 1, 1, 2], [1, 1, 0, 0], color=FAINT, linewidth=1.2)
         for row in filters:
             for style, axes in _alike(row).items():
-                label = title(row.name) + (f", along {axes}" if axes else "")
+                label = title(row.name) + (f", along {' and '.join(axes)}" if axes else "")
                 response = frequency_response(row.along("xyz".index(axes[0]) if axes else 0), omega)
                 left.plot(omega / np.pi, response, style, color=colour(row.name), label=label, linewidth=1.5)
         left.set(
