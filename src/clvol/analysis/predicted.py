@@ -135,7 +135,7 @@ class PredictedTable(Table[PredictedRow]):
     @property
     def enough(self) -> bool:
         """Whether there are so many blocks that they can tell an order from chance: six."""
-        return self.blocks.shape[1] >= _FEWEST
+        return int(self.blocks.shape[1]) >= _FEWEST
 
     def surely_less(self, filter: str, than: str, times: float = 1.0, key: str = "rms") -> bool:
         """Whether the error of `filter` is less than `times` that of `than` in 97.5 % of resampled volumes.

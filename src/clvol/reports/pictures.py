@@ -98,7 +98,7 @@ def cards(
         camera = _filling(camera, volume, _rgb(first))
     drawn = {row.name: draw(volume, row, [camera], step) for row in (best, linear)}
     near = _closer(camera, volume, drawn[best.name][0], drawn[linear.name][0])
-    made = {}
+    made: dict[str, Card] = {}
     for row in sorted(filters, key=lambda row: row.name != best.name):  # the others differ from it
         first = drawn.get(row.name, [])
         whole, closer = [_rgb(one) for one in first + draw(volume, row, [camera, near][len(first) :], step)]
