@@ -14,7 +14,7 @@ from scipy import ndimage, optimize, signal
 from clvol import Volume, analysis, filters, phantoms, read, reference
 from clvol.analysis.angle import mean_angle
 from clvol.device import Device
-from clvol.figures import FIGURE_6, edges, figure6, noise, pipeline, slices
+from clvol.figures import FIGURE_6, edges, figure6, noise, panels, pipeline, slices
 from clvol.figures.errors import mean_square, measure
 from clvol.filter import as_filter
 
@@ -98,6 +98,19 @@ def test_gradients_of_the_hybrid_are_as_good_as_direct_ones_by_central_differenc
     assert made[0] < made[1] < made[2] < made[3]
 
 
+def test_normals_of_figure_3(page: str, device: Device) -> None:
+    volume = phantoms.marschner_lobb(41)
+    surface, _ = panels._exact(volume, panels.CAMERA, 300, 1)
+    truth = phantoms.marschner_lobb_gradient(surface)
+    drawn = (("hybrid", "central"), ("bspline3", "analytic"), ("linear", "central"))
+    made = [
+        mean_angle(panels.shading_gradients(volume, surface, as_filter(n), device, g), truth, faces=True) or 0 for n, g in drawn
+    ]
+    states(
+        page, f"normals of the hybrid are {NUMBER}° off, direct ones {NUMBER}°, those of trilinear interpolation {NUMBER}°", *made
+    )
+
+
 def test_pictures_are_reconstructed_from_rays(page: str, device: Device) -> None:
     pytest.importorskip("matplotlib")
     (numbers,) = pipeline.draw(device=device).numbers
@@ -130,10 +143,13 @@ def test_between_slices_the_spline_errs_least_while_they_hold_the_waves(page: st
 @pytest.mark.skipif(not TOOTH.is_file(), reason="the scan of a tooth is not here")
 def test_slices_left_out_of_a_tooth(page: str, device: Device) -> None:
     pytest.importorskip("SimpleITK")
-    made = slices.from_scan(read(TOOTH), [as_filter(name) for name in ("mitchell", "linear", "bspline3")], (2, 4), device)
-    states(page, f"Mitchell's errs by {NUMBER}, linear interpolation by {NUMBER}, the B-spline by {NUMBER}", *made[2].values())
+    made = slices.from_scan(read(TOOTH), [as_filter(name) for name in ("mitchell", "linear", "bspline3", "hybrid")], (2, 4), device)
+    states(
+        page, f"Mitchell's errs by {NUMBER}, linear interpolation by {NUMBER}, the B-spline by {NUMBER}", *[*made[2].values()][:3]
+    )
     order = ("bspline3", "mitchell", "linear")
-    states(page, f"three of four left out, {NUMBER}, against {NUMBER} and {NUMBER} ", *(made[4][name] for name in order))
+    states(page, f"three of four left out, {NUMBER}, against {NUMBER} and {NUMBER};", *(made[4][name] for name in order))
+    assert made[4]["hybrid"] == pytest.approx(made[4]["bspline3"], rel=0.005)
 
 
 def test_noise_turns_the_order_of_the_six_over(page: str, device: Device) -> None:
@@ -158,7 +174,7 @@ def test_the_page_tells_what_noise_filters_keep(page: str) -> None:
     lines = re.findall(rf"^\| (nearest|`[^`]+`) \| {NUMBER} \| {NUMBER} \|$", page, re.MULTILINE)
     assert len(lines) == 10
     for name, along, within in lines:
-        gain = noise.variance_gain(name.strip("`"))
+        gain = analysis.variance_gain(name.strip("`"))
         assert (float(along), float(within)) == (pytest.approx(gain, abs=5.1e-4), pytest.approx(gain**3, abs=5.1e-4))
     assert [float(within) for _, _, within in lines] == sorted((float(within) for _, _, within in lines), reverse=True)
 
@@ -265,7 +281,7 @@ def test_the_page_tells_what_the_six_were_measured_to_do(
     hard = errors["box, hard edges", 3]
     states(page, f"{NUMBER} % more than the interpolating B-spline", 100 * (hard[analysis.EXACT_SINC] / hard["bspline3"] - 1))
     single = [nearest_of_every_second(phantoms.box(82).data, first) for first in itertools.product((0, 1), repeat=3)]
-    states(page, f"neighbour errs by anything from {NUMBER} to {NUMBER} ", min(single), max(single))
+    states(page, f"neighbour errs on the box by anything from {NUMBER} to {NUMBER} ", min(single), max(single))
     times = [errors["zone plate", d][analysis.EXACT_SINC] / errors["zone plate", d]["bspline3"] for d in (2, 3)]
     assert "errs seven to nine times as much as the interpolating B-spline" in " ".join(page.split())
     assert [round(t) for t in sorted(times)] == [7, 9]
@@ -368,3 +384,12 @@ def test_the_page_of_claims_names_what_is_there(page: str) -> None:
     assert all(0 < (ROOT / "docs" / name).stat().st_size < 300_000 for name in pictures)
     rows = re.findall(r"^\| (\d+(?:, \d+)*) \|", page, re.MULTILINE)
     assert [int(n) for row in rows for n in row.split(", ")] == list(range(1, 19))
+
+
+@pytest.mark.skipif(not TOOTH.is_file(), reason="the scan of a tooth is not here")
+def test_most_of_what_was_called_an_error_on_a_tooth_is_the_low_pass() -> None:
+    pytest.importorskip("SimpleITK")
+    table = analysis.compare(read(TOOTH), ["bspline3"], timing=False, points=100, max_samples=1 << 20)
+    told = re.search(r"on a CT scan of a tooth (\d+) % of the squared error", (ROOT / "README.md").read_text(encoding="utf-8"))
+    assert told
+    assert float(told[1]) == round(100 * (table.lost / (table[0].original or 0)) ** 2)

@@ -284,6 +284,12 @@ def test_the_best_of_each_column_is_bold() -> None:
     assert "The best of each column is bold." in html._BEST
 
 
+def test_the_two_sincs_have_two_names() -> None:
+    rows = [LeftOutRow(name, 1.5, 1.0, 2.5) for name in ("sinc", EXACT_SINC)]
+    named = re.findall(r"</span>([^<]+)<br>", html._table(LeftOutTable(rows, sigma=0.0, spacing=(1, 1, 1)), "sinc"))
+    assert named == ["sinc", EXACT_SINC]
+
+
 def test_columns_that_nothing_has_are_left_out() -> None:
     rows = LeftOutTable([LeftOutRow("linear", 1.5, None, 2.5)], sigma=0.0, spacing=(1, 1, 1))
     text = html._table(rows, "linear")
@@ -320,6 +326,24 @@ def test_smoothing_that_is_auto_is_settled_once(tmp_path: Path, device: Device) 
     assert done.advice.filter == settled
     done = reports.report(phantoms.sphere(24), tmp_path / "b.html", filters=names, pixels=16, device=device)
     assert [row.filter for row in done.table] == ["linear", "bspline3", EXACT_SINC]  # λ is 0 there: one row
+
+
+def test_smoothing_may_differ_from_axis_to_axis(tmp_path: Path, device: Device) -> None:
+    """A noisy plate: smoothed along it, and hardly across it."""
+    z = np.arange(32.0)[:, None, None]
+    noise = np.random.default_rng(0).normal(0, 0.1, (32, 32, 32))
+    plate = Volume((np.exp(-((z - 15.3) ** 2)) + noise).astype(np.float32))
+    done = reports.report(plate, tmp_path / "a.html", filters=("linear", "bspline3(auto)"), pixels=16, device=device)
+    row = done.table.filters[1]
+    assert isinstance(row.smoothing, tuple)
+    assert len(set(row.smoothing)) > 1
+    assert done.advice.filter == row.name
+    assert done.turned is not None
+    assert [turned.filter for turned in done.turned] == ["linear", row.name]
+    drawn = spectrum.plot([], [row, as_filters(["linear"])[0]]).axes[0].get_lines()[1:]
+    assert len(drawn) == len(set(row.smoothing)) + 1
+    assert "along z" in drawn[-2].get_label()
+    assert "along" not in drawn[-1].get_label()
 
 
 # -- spectra and pictures ------------------------------------------------------------------------------------------

@@ -112,6 +112,13 @@ def test_of_a_large_image_the_middle_is_turned() -> None:
     np.testing.assert_array_equal(table.image.data, rotations(np.stack([image] * 3), ["linear"], max_pixels=2500).image.data)
 
 
+def test_a_slice_is_turned_by_the_smoothing_along_x_and_y() -> None:
+    data = smooth((9, 60, 64))
+    whole, plain = rotations(data, ["bspline3(0.1,0.3,5)"]), rotations(data[4], ["bspline3(0.1,0.3)"])
+    assert whole[0].filter == "bspline3(0.1,0.3,5)"
+    assert (whole[0].rms, whole[0].ssim) == (plain[0].rms, plain[0].ssim)
+
+
 BAD: list[tuple[Any, dict[str, Any], type[ClvolError], str]] = [
     *(
         (call, {"filters": bad}, OptionError, "filters must be one or more names")

@@ -147,6 +147,41 @@ def test_small_data_have_an_error_too(shape: tuple[int, ...]) -> None:
             assert number >= 0
 
 
+def test_what_is_slower_than_blocks_is_flattened_too() -> None:
+    """A noisy ball by splines that smooth more and more: met at random places, of a volume no longer than a block or two."""
+    n = 24
+    field = 0.5 + (0.75**2 - (np.stack(np.meshgrid(*[np.linspace(-1, 1, n)] * 3)) ** 2).sum(0)) / 1.5
+    noisy = field + np.random.default_rng(0).normal(0, 0.1, field.shape)
+    points = np.random.default_rng(1).uniform(4, n - 5, (20_000, 3))
+    truth = reference.sample(Volume(field), points, "bspline5")
+    names = ["bspline3(0.3)", "bspline3(2000)", "bspline3(20000)", "bspline3(100000)"]
+    expected = [row.rms for row in predict(noisy, names)]
+    found = [float(np.sqrt(np.mean((reference.sample(Volume(noisy), points, name) - truth) ** 2))) for name in names]
+    assert expected == sorted(expected)
+    assert expected[1:] == pytest.approx(found[1:], rel=0.35)
+    # and nothing is added where all of a wave passes
+    [plain, little] = predict(field, ["bspline3", "bspline3(0.0001)"], 0.0)
+    assert little.rms < plain.rms + 1e-4
+
+
+def test_of_few_blocks_nothing_is_sure() -> None:
+    data = np.cos(0.9 * np.arange(20))[:, None, None] + np.zeros((1, 20, 12))
+    table = predict(data, ["linear", "bspline5"], 0.0)
+    assert table.blocks.shape[1] == 4
+    assert not table.enough
+    assert table.row("bspline5").rms < 0.2 * table.row("linear").rms
+    assert not table.surely_less("bspline5", "linear")
+    assert table.detail is None
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_planes_hold_no_detail(kind: type[np.floating]) -> None:
+    z, y, x = np.indices((40, 40, 40))
+    table = predict(Volume((0.1 + 0.3 * x + 0.7 * y + 0.5 * z).astype(kind), (0.5, 1, 1)), ["linear"], 0.0)
+    assert table.detail is None
+    assert table.steepness == pytest.approx(0.6**2 + 0.7**2 + 0.5**2, rel=1e-3)
+
+
 BAD: list[tuple[dict[str, Any], type[ClvolError], str]] = [
     *(({"filters": bad}, OptionError, "filters must be one or more names; got ") for bad in BAD_FILTER_LISTS),
     *(({"filters": [bad]}, OptionError, "filter") for bad in BAD_FILTERS),

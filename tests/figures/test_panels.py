@@ -289,3 +289,9 @@ def test_filters_are_checked_first() -> None:
     ):
         with pytest.raises(OptionError, match=r"bspline3.*'bogus'"):
             make()
+
+
+def test_figure_6_names_smoothing_as_it_was_settled(device: Device) -> None:
+    panels, _ = figure6(12, 8, ("bspline3(length=0.1)",), samples=1, device=device)
+    spacing = 2 / 11
+    assert panels[0].filter == f"bspline3({(0.1 / spacing) ** 4:.6g})"

@@ -6,6 +6,7 @@ The truth is a function written here. Every compared filter draws the samples at
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from typing import TypeAlias
 
@@ -272,3 +273,50 @@ def test_the_unit_of_the_data_does_not_matter(unit: float) -> None:
     assert plain.expected is not None
     for a, b in zip(scaled.expected, plain.expected, strict=True):
         assert a.rms == pytest.approx(unit * b.rms, rel=1e-3)
+
+
+def test_of_few_samples_no_order_is_told() -> None:
+    """Noise of 8³ and of 16³ samples: one block, of which any resampling has the same order."""
+    for n in (8, 16):
+        given = advise(np.random.default_rng(n).normal(size=(n, n, n)))
+        said = " ".join(given.sentences)
+        assert not re.search("smaller than|errs less|errs still less|pays|fine as the samples", said)
+        assert "too few to tell" in said or "These data are noise" in said
+
+
+@pytest.mark.parametrize("slopes", [(1, 0, 0), (0.1, 10, 3)])
+def test_planes_need_no_more_than_linear_interpolation(slopes: tuple[float, float, float]) -> None:
+    given = advise((np.tensordot(slopes, np.indices((32, 32, 32)), 1) + 0.1).astype(np.float32))
+    assert given.filter == "linear"
+    assert given.sentences[1:] == ["It cannot leave the range of the samples."]
+
+
+def test_no_noise_is_told_of_clean_data() -> None:
+    """Sharp ellipsoids by their formula: what is in the highest octave there is no noise, and none is told."""
+    from scipy import special
+
+    def ellipsoids(points: np.ndarray) -> np.ndarray:
+        total = np.zeros(points.shape[:-1])
+        for height, axes in ((1.0, (0.55, 0.7, 0.83)), (-0.8, (0.5, 0.62, 0.77)), (0.3, (0.17, 0.12, 0.21))):
+            total += height * special.erfc((np.linalg.norm(points / axes, axis=-1) - 1) * min(axes) * 20) / 2
+        return total
+
+    volume = sampled(ellipsoids)
+    given = advise(volume)
+    assert not re.search("hold noise|pays", " ".join(given.sentences))
+    assert loses(given, errors(volume, ellipsoids), 1.0) < 1.08
+
+
+def test_an_error_that_cannot_be_told_from_none_is_not_called_nothing() -> None:
+    z, y, x = np.indices((48, 48, 48))
+    given = advise(np.sin(0.7 * z) * np.sin(0.5 * y) + 0 * x)
+    said = " ".join(given.sentences)
+    assert "more than 99 % smaller than that of linear" in said
+    assert "100 % smaller" not in said
+    assert "by 100 %" not in said
+
+
+def test_what_flattens_the_object_is_not_recommended() -> None:
+    names = ["linear", "bspline3(auto)", "bspline3(20000)"]
+    volume = sampled(ball, 24, 0.1)
+    assert loses(advise(volume, names), errors(volume, ball, names), 1.0) == 1

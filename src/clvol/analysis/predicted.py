@@ -52,6 +52,8 @@ _NODES = 256  # frequencies in (0, pi), of quantities that are periodic and smoo
 _SLOW = 1e-3  # a frequency at which a wave is a plane
 _ALIASES = 4  # on either side: those of a jump fall at least with the cube of the frequency
 _UNSURE = 0.1  # of the noise's variance: how far its estimate may be wrong
+_ROUNDING = 1e-12  # of the squared half of the range: differences of float32 from a plane are as large
+_FEWEST = 6  # blocks: if fewer agree, that may be chance more often than once in forty
 _RESAMPLES = 2000
 _SURE = 0.975  # of the resampled volumes
 
@@ -95,10 +97,10 @@ class PredictedTable(Table[PredictedRow]):
     variance : float
         Mean square, without the noise, of what is to be reconstructed: the samples less a plane fitted to each block.
     steepness : float
-        The same of its gradient, per squared world unit.
+        Mean square of its gradient, the planes' too, per squared world unit.
     detail : float or None
         Share above half of Nyquist of the mean squared difference between neighbours, without the noise; None if there is
-        no difference that noise does not explain. It does not depend on the volume's length.
+        no difference that noise does not explain, or there are not `enough` blocks. It does not depend on the volume's length.
     jumps : float
         Share of the mean squared difference between neighbours that lies in jumps.
     """
@@ -130,10 +132,16 @@ class PredictedTable(Table[PredictedRow]):
         """The row of a filter; `OptionError` if it has none."""
         return self[self._place(filter)]
 
+    @property
+    def enough(self) -> bool:
+        """Whether there are so many blocks that they can tell an order from chance: six."""
+        return int(self.blocks.shape[1]) >= _FEWEST
+
     def surely_less(self, filter: str, than: str, times: float = 1.0, key: str = "rms") -> bool:
         """Whether the error of `filter` is less than `times` that of `than` in 97.5 % of resampled volumes.
 
-        A resampled volume has as many blocks, drawn with replacement, the same for both filters (Efron's bootstrap).
+        A resampled volume has as many blocks, drawn with replacement, the same for both filters (Efron's bootstrap). Where there
+        are not `enough` blocks nothing is sure.
 
         Parameters
         ----------
@@ -152,7 +160,7 @@ class PredictedTable(Table[PredictedRow]):
             raise OptionError(f"key must be one of rms, gradient_rms; got {key!r}")
         squares = self.blocks if key == "rms" else self.slopes
         gap = number("times", times, above=0) ** 2 * squares[self._place(than)] - squares[self._place(filter)]
-        if not np.isfinite(gap).all() or not gap.any():
+        if not self.enough or not np.isfinite(gap).all() or not gap.any():
             return False
         return float((_draws(gap.size, self._seed) @ gap > 0).mean()) >= _SURE
 
@@ -225,10 +233,14 @@ def predict(
     colours = known.colour[::-1]
     power, white, tilts = _spectra(parts)
     white *= _product([_coloured(ratio, w) for ratio, w in zip(colours, omega, strict=True)])
-    if not isinstance(noise, float | int):
+    if isinstance(given, Noise):
         variance *= _refined(power, np.multiply.outer(variance, white), omega)
     power -= np.multiply.outer(variance, white)
     steps = _steps(parts, np.sqrt(variance))
+    # what changes from block to block, or is a plane in each
+    seen = float(power.mean(0).sum()) + float(variance.mean() * white.sum())
+    slower = max(0.0, float(parts.var()) - seen)
+    sloping = tilts @ np.array([1 / s**2 for s in volume.spacing[::-1]])
     rows, squares, slopes = [], [], []
     for row in chosen:
         along = [row.along(a) if isinstance(row, Filter) else row for a in reversed(range(len(shape)))]  # x is 0
@@ -236,12 +248,14 @@ def predict(
         bias = power @ _unsmeared(_kernel(tables), shape) + sum(
             steps[:, a] * _beyond(part) + tilts[:, a] * _on_slopes(part) for a, part in enumerate(along)
         )
+        flattened = _flattened(along, volume.shape)
+        bias += flattened * slower
         left = variance * math.prod(_gain(part, ratio) for part, ratio in zip(along, colours, strict=True))
         squares.append(unit**2 * (bias + left))
         slope, gain = np.full(bias.size, np.nan), math.nan
         if row == EXACT_SINC or (isinstance(row, Filter) and row.has_gradient):
             kernel, gain = _slope_kernel(along, tables, omega, volume.spacing[::-1], colours)
-            slope = power @ _unsmeared(kernel, shape)
+            slope = power @ _unsmeared(kernel, shape) + flattened * sloping
         square, noisy = max(0.0, float(bias.mean())), float(left.mean())
         steep = max(0.0, float(slope.mean())) + float(variance.mean()) * gain
         slopes.append(unit**2 * (slope + variance * gain))
@@ -261,7 +275,7 @@ def predict(
         blocks=np.array(squares),
         slopes=np.array(slopes),
         variance=unit**2 * max(0.0, float(power.mean(0).sum())),
-        steepness=unit**2 * max(0.0, float(power.mean(0) @ _squares(omega, volume.spacing[::-1]))),
+        steepness=unit**2 * max(0.0, float(power.mean(0) @ _squares(omega, volume.spacing[::-1]) + sloping.mean())),
         detail=detail,
         jumps=min(1.0, float(steps.sum(1).mean()) / total) if total > 0 else 0.0,
         seed=seed,
@@ -412,7 +426,7 @@ def _detail(power: Array, noise: Array, omega: Sequence[Array]) -> tuple[float |
 
     (every, hidden), (high, _) = squares(0.0), squares(np.pi / 2)
     total, doubt = float(every.mean()), 2 * float(every.std()) / math.sqrt(len(power))
-    if total <= max(doubt, _UNSURE * hidden):
+    if len(power) < _FEWEST or total <= max(doubt, _UNSURE * hidden, _ROUNDING):
         return None, max(total, 0.0)
     return min(1.0, max(0.0, float(high.mean()) / total)), total
 
@@ -460,6 +474,17 @@ def _slope_kernel(
         gains = (_gain(row, ratio, int(a == axis)) for a, (row, ratio) in enumerate(zip(along, colours, strict=True)))
         gain += math.prod(gains) / step**2
     return total, gain
+
+
+def _flattened(along: Sequence[str | Filter], shape: Sequence[int]) -> float:
+    """The squared error of the slowest wave that so many samples hold, half a period; 0 without smoothing.
+
+    Blocks do not see that a spline with a large λ flattens what is slower than they are long.
+    """
+    if not any(isinstance(row, Filter) and row.smoothing for row in along):
+        return 0.0
+    keeps = math.prod(float(frequency_response(row, np.pi / n)) for row, n in zip(along, shape, strict=True) if n > 1)
+    return (1 - keeps) ** 2
 
 
 def _squares(omega: Sequence[Array], spacing: Sequence[float]) -> Array:

@@ -93,7 +93,8 @@ def rotations(
     source : Volume or array-like
         An image, or a volume, of which the middle slice is taken, its first axis across.
     filters : sequence of str or Filter
-        One row each. The exact sinc takes a time that grows with the square of the pixels.
+        One row each; smoothing that is "auto" is that of the volume. The exact sinc takes a time that grows with the square of
+        the pixels.
     turns : int
         2 to 360.
     boundary : str or Boundary
@@ -120,7 +121,7 @@ def rotations(
         raise OptionError(f"boundary must be mirror, reflect or wrap for {EXACT_SINC!r}; got {rule.name!r}")
     image = _middle(volume, whole("max_pixels", max_pixels, 1))
     image.require_finite()
-    chosen = [settled(row, image) if isinstance(row, Filter) else row for row in chosen]
+    chosen = [settled(row, volume) if isinstance(row, Filter) else row for row in chosen]
     low, high = image.value_range
     unit = max(abs(low), abs(high)) or 1.0  # so that no square over- or underflows
     start = replace(image, data=image.data.astype(np.float64) / unit)
@@ -137,9 +138,9 @@ def rotations(
     square = np.ix_(rows_of, columns_of)
     report, rows = progress or (lambda _: None), []
     for done, row in enumerate(chosen):
-        now = start
+        now, drawer = start, _in_a_slice(row) if isinstance(row, Filter) else None
         for turn in range(turns):
-            drawn = reference.sample(now, turned, row, rule) if isinstance(row, Filter) else dirichlet_sample(now, turned, rule)
+            drawn = dirichlet_sample(now, turned, rule) if drawer is None else reference.sample(now, turned, drawer, rule)
             now = replace(now, data=drawn)
             report((done + (turn + 1) / turns) / len(chosen))
         error = (now.data - start.data)[disc]
@@ -152,6 +153,11 @@ def rotations(
             )
         )
     return RotationTable(rows, image=image, turns=turns, pixels=int(disc.sum()), boundary=rule.name)
+
+
+def _in_a_slice(row: Filter) -> Filter:
+    """What a filter of a volume does in a slice of it: of λ along each axis, those along x and y."""
+    return row.smoothed(row.smoothing[:2]) if isinstance(row.smoothing, tuple) else row
 
 
 def _middle(volume: Volume, max_pixels: int) -> Volume:

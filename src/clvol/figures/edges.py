@@ -26,9 +26,8 @@ CLOUD = 0.05
 """Of the edge's height: the surface that shows clouds; as far below 1 is that which shows caves."""
 
 _HALF = 0.5  # of the cube's side, in the box [-1, 1)³
-_TURN = np.linalg.qr(np.array([[1.0, 0.35, 0.2], [-0.3, 1.0, 0.45], [0.15, -0.4, 1.0]]))[
-    0
-]  # the cube's axes are none of the grid's
+# the cube's axes are none of the grid's
+_TURN = np.linalg.qr(np.array([[1.0, 0.35, 0.2], [-0.3, 1.0, 0.45], [0.15, -0.4, 1.0]])).Q
 _SIGMA = 1.0  # samples
 _LINES, _REACH, _PLACES = 3000, 7, 71  # samples that a line is long, places on it
 _SEED = 1848  # Wilbraham

@@ -61,24 +61,23 @@ def measure(
     samples, filters = whole("samples", samples, 4), as_compared(filters)
     require_room("samples", (12 * samples) ** 3, samples)
     table = partial(compare, filters=filters, boundary=DEFAULT_BOUNDARY, timing=False)
-    held_back = partial(table, lowpass="none", points=_GRADIENTS)  # with every choice of the first sample that is kept
+    held_back = partial(table, points=_GRADIENTS)  # with every choice of the first sample that is kept, and places between
     photo, what = photograph(max(16, 12 * samples))
     known: list[tuple[str, int, Callable[[], list[ErrorTable]]]] = [
         ("Marschner–Lobb, z = 0", 2, lambda: [table(rings, size=samples, dimensions=2, points=points)]),
         ("zone plate", 2, lambda: [table(partial(zone_plate, size=samples), size=samples, dimensions=2, points=points)]),
-        (f"{what}, low-passed", 2, lambda: [held_back(_lowpassed(photo))]),
+        (f"{what}, low-passed", 2, lambda: [held_back(photo)]),
         ("Marschner–Lobb", 3, lambda: [table(phantoms.marschner_lobb_function, size=samples, points=points)]),
         ("zone plate", 3, lambda: [table(partial(zone_plate, size=samples), size=samples, points=points)]),
-        ("box, hard edges", 3, lambda: [held_back(phantoms.box(2 * samples))]),
+        ("box, hard edges", 3, lambda: [held_back(phantoms.box(2 * samples), lowpass="none")]),
     ]
     if scan is not None:
         scan = as_volume(scan)
         if scan.ndim != 3:
             raise OptionError(f"scan must have 3 axes; got shape {scan.shape}")
-        soft = _lowpassed(scan)
-        middle = _lowpassed(Volume(scan.data[scan.shape[0] // 2], scan.spacing[:2]))
+        volume, middle = scan, Volume(scan.data[scan.shape[0] // 2], scan.spacing[:2])
         known.insert(3, ("slice of the scan, low-passed", 2, lambda: [held_back(middle)]))
-        known.append(("scan, low-passed", 3, lambda: [held_back(soft)]))
+        known.append(("scan, low-passed", 3, lambda: [held_back(volume)]))
     cases = []
     for done, (name, dimensions, make) in enumerate(known, 1):
         tables = make()
@@ -87,11 +86,6 @@ def measure(
         if progress is not None:
             progress(done / len(known))
     return cases
-
-
-def _lowpassed(volume: Volume) -> Volume:
-    """As a scanner of every second sample would see it: what is lost by that is no error of a reconstruction."""
-    return volume.gaussian(volume.spacing)
 
 
 def mean_square(tables: Sequence[ErrorTable]) -> dict[str, float]:
@@ -121,9 +115,9 @@ def draw(
     points : int
         Number of random positions at which functions are compared.
     scan : Volume or array-like, optional
-        One more input, decimated by two from its first sample, and its middle slice. The slice, the photograph and the box
-        are decimated with every shift. All but the box are low-passed before, by a Gaussian of one sample
-        along each axis, and compared with what that left.
+        One more input, and its middle slice. These, the photograph and the box are decimated by two, beginning at each of the
+        first two samples along every axis. All but the box are low-passed before, by a Gaussian of one sample along each
+        axis, and compared with what that left, also from places between samples: see `clvol.analysis.compare`.
     progress : callable, optional
         Called with the fraction done.
     """

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol import phantoms
-from clvol.analysis import frequency_response, impulse_response
+from clvol.analysis import frequency_response, impulse_response, variance_gain
 from clvol.analysis.angle import mean_angle
-from clvol.analysis.cardinal import pieces
 from clvol.checks import whole
 from clvol.device import Device
 from clvol.figures.panels import ISOVALUE
@@ -22,7 +21,7 @@ from clvol.smoothing import settled
 from clvol.spline.field import Field
 from clvol.volume import Volume
 
-__all__ = ["BETWEEN", "FILTERS", "LEVELS", "Case", "cases", "draw", "measure", "variance_gain"]
+__all__ = ["BETWEEN", "FILTERS", "LEVELS", "Case", "cases", "draw", "measure"]
 
 Array: TypeAlias = NDArray[np.float64]
 LEVELS = (0.0, 0.003, 0.01, 0.03, 0.1, 0.3)
@@ -88,15 +87,6 @@ def cases(samples: int = 41, points: int = 20_000) -> list[Case]:
             phantoms.marschner_lobb_gradient(waves),
         ),
     ]
-
-
-def variance_gain(filter: str | Filter) -> float:
-    """The share of white noise's variance that is left along an axis: the integral of the squared impulse response.
-
-    That is the mean over all positions of the sum of the squared weights that samples have there, and the integral of
-    ``|H(ω)|² / 2π``; of a volume it is the product over the axes.
-    """
-    return pieces(as_filters([filter])[0]).energy()
 
 
 def measure(
@@ -181,7 +171,7 @@ def draw(
         handles, labels = panels[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=6)
         _responses(*panels[:, 2])
-    gains = {row.name: variance_gain(row) for row in rows if row.settled}
+    gains = {row.name: variance_gain(row) for row in rows if row.settled and not isinstance(row.smoothing, tuple)}
     lines = [f"{title(name)}: keeps {g:.3f} of the noise's variance along an axis, {g**3:.3f} in 3-D" for name, g in gains.items()]
     for case in known:
         for level in LEVELS:

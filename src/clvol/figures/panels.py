@@ -175,11 +175,12 @@ def figure6(
                 samples=samples,
                 progress=report,
             )
+            name = row if isinstance(row, str) else renderer.filter.name  # with its smoothing as it was settled
         values = sample(drawn_volume, points, through, device=device)
         rms = float(np.sqrt(np.mean((values - truth) ** 2)))
         angle = mean_angle(shading_gradients(drawn_volume, surface, through, device), normals, faces=True) if surface.size else None
         error = np.abs(drawn - picture)[..., :3].mean(-1)
-        panels.append(Panel(row if isinstance(row, str) else row.name, drawn, rms, angle, residual, LETTERS[i], error))
+        panels.append(Panel(name, drawn, rms, angle, residual, LETTERS[i], error))
     panels.append(Panel("exact", picture))
     below = [_key(pixels) if p.error is None else to_bytes(heat(p.error / _WORST)) for p in panels]
     tiles = [labelled(np.concatenate([to_bytes(p.picture[..., :3]), b]), p.label) for p, b in zip(panels, below, strict=True)]
@@ -241,7 +242,7 @@ def compare(
             drawn = renderer.render(
                 view, size=(pixels, pixels), step=step * finer, progress=_part(progress, i, len(chosen)), **look
             )
-            name = row if isinstance(row, str) else renderer.filter.name  # with its smoothing as it was settled for the volume
+            name = row if isinstance(row, str) else renderer.filter.name  # as above
         panels.append(Panel(name, drawn, residual=residual))
     columns = min(len(panels), 3 if len(panels) % 3 == 0 else 4)
     return panels, grid([labelled(p.picture, p.label.rstrip()) for p in panels], columns=columns)

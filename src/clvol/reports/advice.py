@@ -44,6 +44,7 @@ _LITTLE = 0.05  # share of the error: a smaller gain is not worth a sentence
 _BASE = "linear"  # what most programs do
 _UNSEEN = 1e-4  # of the range: noise and errors that nobody would see
 _UNSEEN_SLOPE = 0.01  # of the gradients: half a degree
+_SLIGHT = 1e-3  # of the range: noise that eight bits would not show
 _ROUNDING = 1e-6  # of the range: errors of float32 are as large
 _DETAIL = (  # share of the squared differences above half of Nyquist; at a step from one sample to the next it is a half
     (0.4, "their detail is as fine as the samples, and some of it is lost between them"),
@@ -173,13 +174,13 @@ def _pure_noise(smooth: str, expected: PredictedTable) -> list[str]:
 
 
 def _noise(expected: PredictedTable, known: Noise | float, best: str, rows: dict[str, Filter], span: float) -> list[str]:
-    if expected.sigma < _UNSEEN * span:
+    if expected.sigma < (_SLIGHT if rows[best].interpolates else _UNSEEN) * span:
         return []
     kind = _KINDS.get(known.kind, "") if isinstance(known, Noise) else ""
     share = _percent(expected.sigma / span)
     says = [f"The samples hold noise{kind}: its standard deviation is {expected.sigma:.3g}, {share} of their range."]
     if expected.detail is None:
-        says.append("Noise is nearly all by which neighbouring samples differ.")
+        says.append("It explains nearly all of the differences between neighbouring samples.")
     row = expected.row(best)
     through = min((name for name in rows if rows[name].interpolates), key=lambda name: expected.row(name).rms, default=None)
     if not rows[best].interpolates and through is not None and expected.surely_less(best, through, 1 - _LITTLE):
@@ -194,6 +195,8 @@ def _noise(expected: PredictedTable, known: Noise | float, best: str, rows: dict
 
 
 def _gains(expected: PredictedTable, best: str, rows: dict[str, Filter], span: float) -> list[str]:
+    if not expected.enough:
+        return ["The samples are too few to tell how sure that is."]
     says = []
     row = expected.row(best)
     if _BASE in rows and best != _BASE:
@@ -202,23 +205,24 @@ def _gains(expected: PredictedTable, best: str, rows: dict[str, Filter], span: f
             says.append(f"The choice matters little: even {_BASE} interpolation errs by less than a ten-thousandth of their range.")
         elif expected.surely_less(best, _BASE, 1 - _LITTLE):
             says.append(
-                f"Its expected error is {_percent(1 - row.rms / base.rms)} smaller than that of {_BASE} interpolation "
-                f"(RMS {row.rms:.3g} against {base.rms:.3g})."
+                f"Its expected error is {_gain(row.rms / base.rms)} smaller than that of {_BASE} interpolation "
+                f"(RMS {_error(row.rms, span)} against {base.rms:.3g})."
             )
         elif expected.surely_less(best, _BASE):
             says.append(f"It errs less than {_BASE} interpolation, but by little.")
         else:
             says.append(f"For the values alone it matters little: {_BASE} interpolation may err as little.")
-        gradients = row.gradient_rms is not None and base.gradient_rms and expected.jumps < _STEPS
+        seen = (base.gradient_rms or 0.0) > _UNSEEN_SLOPE * math.sqrt(expected.steepness)
+        gradients = row.gradient_rms is not None and seen and expected.jumps < _STEPS
         if gradients and expected.surely_less(best, _BASE, key="gradient_rms"):
-            gain = _percent(1 - (row.gradient_rms or 0.0) / (base.gradient_rms or 1.0))
+            gain = _gain((row.gradient_rms or 0.0) / (base.gradient_rms or 1.0))
             says.append(f"The error of its gradients, which shade surfaces, is {gain} smaller than with {_BASE} interpolation.")
     others = [r for r in expected if r.filter in rows and r.filter != best]
     least = min(others, key=lambda r: r.rms, default=None)
-    if least is not None and row.rms > _UNSEEN * span and expected.surely_less(least.filter, best):
+    if least is not None and min(row.rms, least.rms) > _UNSEEN * span and expected.surely_less(least.filter, best):
         more = f", with {_taps(rows[least.filter])} taps a sample along each axis instead of {_taps(rows[best])}"
         says.append(
-            f"{least.filter} errs still less, by {_percent(1 - least.rms / row.rms)}"
+            f"{least.filter} errs still less, by {_gain(least.rms / row.rms)}"
             f"{more if _taps(rows[least.filter]) > _taps(rows[best]) else ''}."
         )
     return says
@@ -240,8 +244,8 @@ def _edges(expected: PredictedTable, known: Noise | float, best: str, rows: dict
     says = []
     if expected.jumps >= _STEPS:
         says.append(
-            "Most edges go from one sample to the next between level ones, and where between them they lie no filter can tell: "
-            "the smoother ones blur or ring there."
+            "Most edges go from one sample to the next, with level ones on either side, and no filter can tell where between the "
+            "two they lie: the smoother ones blur or ring there."
         )
     elif expected.detail is not None:
         kind = next(words for least, words in _DETAIL if expected.detail >= least)
@@ -270,6 +274,15 @@ def _in_words(name: str) -> str:
 
 def _listed(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def _gain(ratio: float) -> str:
+    """How much smaller an error is; none is known to be nothing."""
+    return "more than 99 %" if ratio < 0.01 else _percent(1 - ratio)
+
+
+def _error(rms: float, span: float) -> str:
+    return f"{rms:.3g}" if rms > _UNSEEN * span else f"less than {_UNSEEN * span:.1g}"
 
 
 def _percent(share: float) -> str:

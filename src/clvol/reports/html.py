@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clvol.analysis import EXACT_SINC, ErrorTable, LeftOutTable, PredictedRow, PredictedTable, RotationTable, Table
+from clvol.analysis import ErrorTable, LeftOutTable, PredictedRow, PredictedTable, RotationTable, Table
 from clvol.analysis.table import column
 from clvol.figures.style import colour, styled, title
 from clvol.picture import to_bytes
@@ -212,8 +212,7 @@ class _Measured:
 
 def _named(name: str) -> str:
     in_words = "" if title(name) == name else f'<br><span class="note">{escape(title(name))}</span>'
-    shown = "sinc" if name == EXACT_SINC else name
-    return f'<span class="dot" style="background:{colour(name)}"></span>{escape(shown)}{in_words}'
+    return f'<span class="dot" style="background:{colour(name)}"></span>{escape(name)}{in_words}'
 
 
 def _cards(drawn: Cards) -> str:

@@ -79,7 +79,8 @@ def cards(
     camera: Camera = look.pop("camera")
     few = volume.gaussian([factor / 2 * s for s in volume.spacing]).downsample(factor)
     step = look.pop("step", 0.5)
-    done, total = 0, 2 * len(filters) + 2 + fill
+    linear = as_filter("linear")
+    done, total = 0, 2 * len(filters) + len({best.name, linear.name}) + fill
 
     def draw(data: Volume, filter: Filter, views: Sequence[Camera], step: float) -> list[Any]:
         nonlocal done
@@ -95,20 +96,16 @@ def cards(
     if fill:
         (first,) = draw(volume, best, [camera], step)
         camera = _filling(camera, volume, _rgb(first))
-    (first,) = draw(volume, best, [camera], step)
-    (other,) = draw(volume, as_filter("linear"), [camera], step)
-    views = [camera, _closer(camera, volume, first, other)]
-    truth = _rgb(draw(volume, best, views, step)[1])
-    made = []
-    for row in filters:
-        whole, closer = draw(volume, row, views, step)
-        (fewer,) = draw(few, row, views[1:], step / factor)
-        made.append(
-            Card(
-                row.name, _rgb(whole), _rgb(closer), _difference(_rgb(closer), truth), _rgb(fewer), _difference(_rgb(fewer), truth)
-            )
-        )
-    return Cards(made, best.name, as_mode(look["mode"]).name)
+    drawn = {row.name: draw(volume, row, [camera], step) for row in (best, linear)}
+    near = _closer(camera, volume, drawn[best.name][0], drawn[linear.name][0])
+    made: dict[str, Card] = {}
+    for row in sorted(filters, key=lambda row: row.name != best.name):  # the others differ from it
+        first = drawn.get(row.name, [])
+        whole, closer = [_rgb(one) for one in first + draw(volume, row, [camera, near][len(first) :], step)]
+        fewer = _rgb(draw(few, row, [near], step / factor)[0])
+        truth = made[best.name].closer if made else closer
+        made[row.name] = Card(row.name, whole, closer, _difference(closer, truth), fewer, _difference(fewer, truth))
+    return Cards([made[row.name] for row in filters], best.name, as_mode(look["mode"]).name)
 
 
 def _filling(camera: Camera, volume: Volume, picture: Picture) -> Camera:

@@ -24,6 +24,7 @@ Spectra: TypeAlias = list[tuple[str, Array, Array]]
 """Axis, frequencies up to Nyquist in radians per sample, and the variance at each: its sum is 1 (0 for constant data)."""
 
 _FLOOR = -80.0  # decibels
+_STYLES = ("-", "--", ":")  # of lines, one for each axis
 
 
 def spectra(volume: Volume) -> Spectra:
@@ -43,6 +44,16 @@ def spectra(volume: Volume) -> Spectra:
     return result
 
 
+def _alike(row: Filter) -> dict[str, str]:
+    """Styles of line, and the axes along which a filter has the response drawn in them: none named where it is the same."""
+    if not isinstance(row.smoothing, tuple):
+        return {"-": ""}
+    axes = {
+        value: "".join(name for name, own in zip("xyz", row.smoothing, strict=False) if own == value) for value in row.smoothing
+    }
+    return dict(zip(_STYLES, axes.values(), strict=False))
+
+
 def plot(found: Spectra, filters: Sequence[Filter]) -> Figure:
     """The filters' responses (left) and the power of the data at each frequency (right)."""
     omega = np.linspace(0, 2 * np.pi, 601)
@@ -52,8 +63,10 @@ def plot(found: Spectra, filters: Sequence[Filter]) -> Figure:
         left, right = figure.subplots(1, 2)
         left.plot([0, 1, 1, 2], [1, 1, 0, 0], color=FAINT, linewidth=1.2)
         for row in filters:
-            response = frequency_response(row, omega)
-            left.plot(omega / np.pi, response, color=colour(row.name), label=title(row.name), linewidth=1.5)
+            for style, axes in _alike(row).items():
+                label = title(row.name) + (f", along {' and '.join(axes)}" if axes else "")
+                response = frequency_response(row.along("xyz".index(axes[0]) if axes else 0), omega)
+                left.plot(omega / np.pi, response, style, color=colour(row.name), label=label, linewidth=1.5)
         left.set(
             xlim=(0, 2),
             ylim=(-0.15, 1.2),
@@ -62,7 +75,7 @@ def plot(found: Spectra, filters: Sequence[Filter]) -> Figure:
             title="what the filters keep (below 1) and let through (above)",
         )
         legend_above(figure, left)
-        for (name, w, power), style in zip(shown, ("-", "--", ":"), strict=False):
+        for (name, w, power), style in zip(shown, _STYLES, strict=False):
             level = 10 * np.log10(np.maximum(power / max(power.max(initial=0), 1e-300), 1e-12))
             right.plot(w / np.pi, np.maximum(level, _FLOOR), style, color=INK, linewidth=1.3, label=f"along {name}")
         if not shown:
