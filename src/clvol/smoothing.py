@@ -139,7 +139,8 @@ def settled(filter: str | Filter, volume: Volume) -> Filter:
         most = MOST_SMOOTHING ** (1 / power) * min(volume.spacing)
         if length > most:
             raise OptionError(
-                f"the length of {row.name!r} must be at most {most:.4g} for the spacings of this volume; got {length:g}"
+                f"the length of {row.name!r} must be at most {most:.4g} for the spacings of this volume, "
+                f"where λ is {MOST_SMOOTHING:g}; got {length:g}"
             )
         return row.smoothed([min(float(f"{(length / s) ** power:.6g}"), MOST_SMOOTHING) for s in volume.spacing])
     return row.smoothed(choose(volume, row.degree).values)

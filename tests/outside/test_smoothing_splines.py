@@ -150,7 +150,7 @@ def test_lengths_are_lengths_of_the_world() -> None:
         (lambda: clvol.frequency_response("bspline3(0.1,0.2)", 1.0), "along"),
         (lambda: reference.prefilter(np.ones(4), "bspline3(length=2)"), "decided for a volume"),
         (lambda: clvol.sample(np.ones((3, 3)), [[0, 0]], "bspline3(1,2,3)"), "2 for a volume of 2 axes"),
-        (lambda: clvol.Field(Volume(np.ones((3, 3)), (1e-3, 1)), "bspline3(length=1)"), "at most 100000"),
+        (lambda: clvol.Field(Volume(np.ones((3, 3)), (1e-3, 1)), "bspline3(length=1)"), "must be at most 0.01778 .* λ is 100000"),
     ],
 )
 def test_what_is_refused(call: object, says: str) -> None:

@@ -116,6 +116,7 @@ class PredictedTable(Table[PredictedRow]):
         steepness: float,
         detail: float | None,
         jumps: float,
+        apart: int,
         seed: int,
     ) -> None:
         super().__init__(rows)
@@ -126,6 +127,7 @@ class PredictedTable(Table[PredictedRow]):
         self.steepness = steepness
         self.detail = detail
         self.jumps = jumps
+        self._apart = apart
         self._seed = seed
 
     def row(self, filter: str) -> PredictedRow:
@@ -140,8 +142,8 @@ class PredictedTable(Table[PredictedRow]):
     def surely_less(self, filter: str, than: str, times: float = 1.0, key: str = "rms") -> bool:
         """Whether the error of `filter` is less than `times` that of `than` in 97.5 % of resampled volumes.
 
-        A resampled volume has as many blocks, drawn with replacement, the same for both filters (Efron's bootstrap). Where there
-        are not `enough` blocks nothing is sure.
+        A resampled volume has as many blocks as fit beside each other, drawn with replacement, the same for both filters (Efron's
+        bootstrap; those that overlap are not independent). Where there are not `enough` blocks nothing is sure.
 
         Parameters
         ----------
@@ -162,7 +164,7 @@ class PredictedTable(Table[PredictedRow]):
         gap = number("times", times, above=0) ** 2 * squares[self._place(than)] - squares[self._place(filter)]
         if not self.enough or not np.isfinite(gap).all() or not gap.any():
             return False
-        return float((_draws(gap.size, self._seed) @ gap > 0).mean()) >= _SURE
+        return float((_draws(gap.size, self._apart, self._seed) @ gap > 0).mean()) >= _SURE
 
     def _place(self, filter: str) -> int:
         names = [row.filter for row in self]
@@ -172,9 +174,9 @@ class PredictedTable(Table[PredictedRow]):
 
 
 @lru_cache(maxsize=4)
-def _draws(count: int, seed: int) -> Array:
-    """How often each block is drawn, for each resampled volume; (volumes, blocks)."""
-    return np.random.default_rng(seed).multinomial(count, np.full(count, 1 / count), _RESAMPLES).astype(np.float64)
+def _draws(count: int, apart: int, seed: int) -> Array:
+    """How often each of `count` blocks is among the `apart` that are drawn, for each resampled volume; (volumes, blocks)."""
+    return np.random.default_rng(seed).multinomial(apart, np.full(count, 1 / count), _RESAMPLES).astype(np.float64)
 
 
 @enough_memory("what is predicted")
@@ -278,6 +280,7 @@ def predict(
         steepness=unit**2 * max(0.0, float(power.mean(0) @ _squares(omega, volume.spacing[::-1]) + sloping.mean())),
         detail=detail,
         jumps=min(1.0, float(steps.sum(1).mean()) / total) if total > 0 else 0.0,
+        apart=min(len(parts), round(math.prod(n / m for n, m in zip(volume.shape, shape, strict=True)))),
         seed=seed,
     )
 
