@@ -223,3 +223,14 @@ def test_blocks_represent_a_large_volume() -> None:
     assert noise.sigma**2 == pytest.approx(20 + 200 * inside.mean(), rel=0.2)
     masked = estimate(np.where(inside, data, 0))
     assert masked.background_share == pytest.approx(1 - inside.mean(), abs=0.08)
+
+
+@pytest.mark.parametrize("levels", [4, 8])
+def test_smooth_data_of_few_values_are_no_labels(levels: int) -> None:
+    z, y, x = np.mgrid[:40, :40, :40]
+    wave = np.sin(x / 4 + y / 7) * np.cos(z / 5)
+    rounded = np.round((wave + 1) / 2 * (levels - 1)).astype(np.uint8)
+    assert clvol.Volume(rounded).noise.kind == "rounded"
+    # the same regions under other names are labels: neighbours then differ by any number
+    names = np.random.default_rng(0).permutation(levels).astype(np.uint8)
+    assert clvol.Volume(names[rounded]).noise.kind == "labels"

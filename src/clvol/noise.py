@@ -52,6 +52,8 @@ _FEWEST = 100  # places from which something is estimated
 _GROUND = 0.05  # share of samples from which the commonest value is taken for a background
 _EVEN = 0.2  # share of samples equal to all their neighbours from which there is no noise
 _LABELS = 256  # values that a label image has, at most
+_ROUNDED = 4  # values that rounding leaves of smooth data, at least: of fewer it cannot be told from labels
+_EDGES_BEYOND = 0.02  # share of neighbours of different values that may be further than one value apart
 _ALONE = 0.1  # share, of the samples at edges between labels, that may be unlike their neighbours
 _CUTS = 2.0  # `Noise.jump` from which a background is said to cut through objects
 _WINDOW = 3  # power of the sine that is a block's window: the higher, the less leaks from low frequencies to high ones
@@ -91,7 +93,8 @@ class Noise:
         magnified, is not found.
     kind : str
         "none"; "white"; "correlated", where neighbours along an axis share it (`colour`); "signal-dependent", where it grows with
-        the value (`gain`), as that of counts does; "binary" and "labels", where few values fill regions without any.
+        the value (`gain`), as that of counts does; "binary", "labels" and "rounded", where few values fill regions without
+        any: neighbouring regions of rounded data are one step apart, labels are names.
     gain : float
         How much the variance grows with the value (of photon counts: the data's unit a photon); 0 where that is not seen.
     colour : tuple of float
@@ -174,7 +177,7 @@ def estimate(samples: NDArray[Any]) -> Noise:
     even = float(same[~ground].mean())
     kind, variance, gain, colour = "none", 0.0, 0.0, facts["colour"]
     if len(values) <= _LABELS and alone < _ALONE and _fill_regions(values - values[most], counts, blocks, same):
-        kind = "binary" if len(values) == 2 else "labels"
+        kind = "binary" if len(values) == 2 else "rounded" if _by_steps(values - values[most], blocks) else "labels"
     elif even < _EVEN:
         variance, gain, colour = _variance(blocks, ground)
         if variance > 0:
@@ -367,6 +370,18 @@ def _fill_regions(values: Array, counts: NDArray[np.int64], blocks: NDArray[np.f
     """Whether the values at edges are those of regions; the means of voxels that edges cut are not."""
     between = counts[~np.isin(values, blocks[same])].sum()
     return bool(between < _ALONE * (same.size - same.sum()))
+
+
+def _by_steps(values: Array, blocks: NDArray[np.float32]) -> bool:
+    """Whether neighbours are of the same value or the next one, as in smooth data, rounded; labels need not be."""
+    if len(values) < _ROUNDED:
+        return False
+    differs = nexts = 0
+    for axis in range(1, blocks.ndim):
+        before, after = (np.searchsorted(values, side).astype(np.int64) for side in _pairs(blocks, axis))
+        apart = np.abs(before - after)
+        differs, nexts = differs + int((apart > 0).sum()), nexts + int((apart == 1).sum())
+    return nexts >= (1 - _EDGES_BEYOND) * differs
 
 
 def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[float, float, tuple[float, ...]]:

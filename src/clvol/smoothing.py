@@ -102,7 +102,7 @@ def choose(volume: Volume | ArrayLike, degree: int = 3) -> Smoothing:
 def _choice(volume: Volume, degree: int) -> Smoothing:
     noise = volume.noise
     d = volume.ndim
-    if noise.kind in ("binary", "labels"):
+    if noise.kind in ("binary", "labels", "rounded"):
         value = _rounded(_equivalent(_STAIRS, degree))
         return Smoothing((value,) * d, f"{_KINDS[noise.kind]}: stairs are smoothed", 0.0)
     if noise.sigma > 0:
@@ -156,6 +156,7 @@ _KINDS = {
     "signal-dependent": "signal-dependent",
     "binary": "two values",
     "labels": "few values in even regions",
+    "rounded": "few values, one beside the next",
 }
 
 

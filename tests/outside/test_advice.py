@@ -320,3 +320,20 @@ def test_what_flattens_the_object_is_not_recommended() -> None:
     names = ["linear", "bspline3(auto)", "bspline3(20000)"]
     volume = sampled(ball, 24, 0.1)
     assert loses(advise(volume, names), errors(volume, ball, names), 1.0) == 1
+
+
+def test_smooth_data_of_few_values_are_advised_to_be_smoothed() -> None:
+    """Nearest, which suits labels, errs several times as much."""
+
+    def wave(points: np.ndarray) -> np.ndarray:
+        x, y, z = np.moveaxis(points, -1, 0)
+        return np.asarray(3.5 * (1 + np.sin(x / 4 + y / 7) * np.cos(z / 5)))
+
+    index = np.stack(np.meshgrid(*[np.arange(32.0)] * 3, indexing="ij")[::-1], -1)
+    volume = Volume(np.round(wave(index)).astype(np.uint8))
+    points = np.random.default_rng(0).uniform(4, 27, (20_000, 3))
+    errors = {
+        name: float(np.sqrt(np.mean((reference.sample(volume, points, name) - wave(points)) ** 2)))
+        for name in ("nearest", "linear", "bspline3", advise(volume).filter)
+    }
+    assert errors[advise(volume).filter] < 0.5 * min(errors["nearest"], errors["linear"], errors["bspline3"])

@@ -18,7 +18,7 @@ from clvol.analysis.comparison import as_compared, keeps_range, overshoot
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.errors import OptionError
 from clvol.figures.style import title
-from clvol.filter import Filter
+from clvol.filter import PICTURE_FILTER, Filter
 from clvol.noise import Noise
 from clvol.smoothing import settled
 from clvol.volume import Volume, as_volume
@@ -118,6 +118,9 @@ def advise(
     known = volume.noise if noise is None else noise
     if isinstance(known, Noise) and known.kind == "labels" and "nearest" in by_name:
         return Advice("nearest", _labels(known))
+    smooth = settled(PICTURE_FILTER, volume).name
+    if isinstance(known, Noise) and known.kind == "rounded" and smooth in by_name:
+        return Advice(smooth, _rounded(smooth, known))
     sinc = [EXACT_SINC] if EXACT_SINC in named and rule.period is not None else []
     expected = predict(volume, [*rows, *sinc], known)
     best = _choice(expected, by_name, high - low)
@@ -162,6 +165,13 @@ def _labels(noise: Noise) -> list[str]:
     return [
         f"These data are labels: {noise.distinct} values in even regions. Use nearest: between two labels there is no third one.",
         "To draw a region's surface without stairs, draw its indicator, volume.indicator(label), at 1/2 by bspline3(auto).",
+    ]
+
+
+def _rounded(smooth: str, noise: Noise) -> list[str]:
+    return [
+        f"These data are smooth ones, rounded to {noise.distinct} values, which stand side by side in terraces. Use "
+        f"{smooth}{_in_words(smooth)}, which goes between them; a spline through the samples rings at every step."
     ]
 
 
