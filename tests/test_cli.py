@@ -483,8 +483,8 @@ def test_compare_writes_errors_found_in_other_ways(clvol_command: Command) -> No
     told = clvol_command(*few, "--expected", "e.json", "--left-out", "l.csv", "--turned", "t.md", "--json").json
     assert (told["expected"], told["left_out"], told["turned"]) == ("e.json", "l.csv", "t.md")
     assert told["expected_errors"] == clvol.analysis.predict(volume, names).records()
-    assert told["left_out_errors"] == clvol.analysis.left_out(volume, names).records()
-    assert told["turned_errors"] == clvol.analysis.turned(volume, names).records()
+    assert told["left_out_errors"] == clvol.analysis.leave_out(volume, names).records()
+    assert told["turned_errors"] == clvol.analysis.rotations(volume, names).records()
     assert json.loads(Path("e.json").read_text(encoding="utf-8")) == told["expected_errors"]
     assert Path("l.csv").read_text(encoding="utf-8").startswith("filter,x,y,z\nlinear,")
     assert Path("t.md").read_text(encoding="utf-8").startswith("| filter | RMS error |")

@@ -95,7 +95,7 @@ class ErrorRow:
         Root mean square length of the gradient's error, per world unit; None if the filter has no gradient.
     angle_mean, angle_median, angle_95 : float or None
         Angle between the gradient and the true one in degrees: mean, median, 95th percentile, where there is a true
-        gradient that is more than noise: see `clvol.analysis.angle`.
+        gradient that is more than noise: see `clvol.analysis.mean_angle`.
     overshoot : float
         How far the values leave the range of the samples, in the data's units; 0 if they do not. Of a volume without its
         truth: drawn from all samples of the original, half-way between those where it is likeliest.

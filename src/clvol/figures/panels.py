@@ -86,7 +86,7 @@ class Panel:
     rms : float or None
         Root mean square error of the values at random points within 0.8 of the centre.
     angle : float or None
-        Mean angle in degrees between the reconstruction's gradient and the true one (`clvol.analysis.angle.mean_angle`), at
+        Mean angle in degrees between the reconstruction's gradient and the true one (`clvol.analysis.mean_angle`), at
         the visible points of the true surface; None if there are none.
     residual : float or None
         For the exact sinc: the largest difference between it and what is drawn, at 2000 random points.
