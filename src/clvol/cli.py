@@ -28,7 +28,7 @@ from cyclopts import App, CoercionError, CycloptsError, Parameter, Token
 import clvol
 from clvol.errors import ClvolError, DataError, DeviceError, OptionError
 from clvol.files import require_folder, require_suffix
-from clvol.filter import DEFAULT_FILTER, Filter
+from clvol.filter import Filter
 from clvol.formats import WRITTEN
 from clvol.march.uncertainty import COVERAGE, in_words
 from clvol.mode import as_mode, every_option, mode_options
@@ -257,7 +257,7 @@ def render(
     with _progress("rendering", json) as progress:
         options |= look.options(volume)
         begun = time.perf_counter()
-        wanted = DEFAULT_FILTER if filter is None and not as_mode(look.mode).smoothed else filter
+        wanted = as_mode(look.mode).picture_filter if filter is None else filter
         with clvol.Renderer(volume, wanted, look.boundary, device) as renderer:
             ready = time.perf_counter()
             outputs: list[clvol.Output] = ["rgba"]
@@ -265,7 +265,7 @@ def render(
             outputs += ["uncertainty"] if uncertainty is not None else []
             pictures = renderer.render(size=size, progress=progress, outputs=outputs, **options)
             done = time.perf_counter()
-            drawn = renderer.filter_of(look.mode)
+            drawn = renderer.filter
     result["filter"] = drawn.name if json else _filter_text(drawn, filter, volume)
     clvol.save(pictures["rgba"], output)
     if heat_map is not None:

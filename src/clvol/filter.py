@@ -428,7 +428,7 @@ def bspline(
         filter without a prefilter (degrees 0 and 1 have none).
     """
     degree = whole("degree", degree, 0, 9)
-    made = _bspline(degree, prefilter is not False and degree >= 2)  # the first two interpolate as they are
+    made = _bspline(degree, bool(prefilter) and degree >= 2)  # the first two interpolate as they are
     given = _smoothing(smoothing)
     length = None if length is None else float(number("length", length, minimum=0))
     return made if length is None and given == 0 else _smoothed(made, given, length)

@@ -19,6 +19,7 @@ import numpy as np
 from clvol.checks import number, one_of
 from clvol.color import color_of
 from clvol.errors import OptionError
+from clvol.filter import DEFAULT_FILTER, PICTURE_FILTER
 from clvol.stored import AS_THEY_ARE, Stored
 from clvol.transfer import TransferFunction, otsu_threshold, share_of
 from clvol.uniform import FLOAT, Block, Values
@@ -59,9 +60,9 @@ class Mode:
         more, a thousandth of a step inside.
     skips : bool
         Whether values can be irrelevant to it, so that space is skipped.
-    smoothed : bool
-        Whether noise is smoothed out of what it shows, unless a filter is given. It is not where extremes are shown: smoothing
-        lowers those of thin vessels.
+    picture_filter : str
+        The filter of its pictures where none is given. Noise is smoothed, but not where extremes are shown: smoothing lowers
+        those of thin vessels.
     ramp : float or None
         The share of the volume's range of values over which the default transfer function runs from black to white; None:
         that is one of opacities instead.
@@ -72,7 +73,7 @@ class Mode:
     state_fields: ClassVar[int]
     endpoints: ClassVar[bool] = False
     skips: ClassVar[bool] = True
-    smoothed: ClassVar[bool] = True
+    picture_filter: ClassVar[str] = PICTURE_FILTER
     ramp: ClassVar[float | None] = 1.0
     BLOCK: ClassVar[Block] = Block("mode_block")
 
@@ -203,7 +204,7 @@ class Mip(Mode):
     """The maximum along the ray."""
 
     name: ClassVar[str] = "mip"
-    smoothed: ClassVar[bool] = False
+    picture_filter: ClassVar[str] = DEFAULT_FILTER
     description: ClassVar[str] = "the maximum along the ray"
     state_fields: ClassVar[int] = 2
 
@@ -222,7 +223,7 @@ class Attenuated(Mode):
     attenuation: float = 2.0
 
     name: ClassVar[str] = "attenuated"
-    smoothed: ClassVar[bool] = False
+    picture_filter: ClassVar[str] = DEFAULT_FILTER
     description: ClassVar[str] = "the maximum along the ray, dimmed by depth"
     state_fields: ClassVar[int] = 2
     ramp: ClassVar[float | None] = 0.5  # even the nearest values have faded
@@ -241,7 +242,7 @@ class Minip(Mode):
     """The minimum along the ray."""
 
     name: ClassVar[str] = "minip"
-    smoothed: ClassVar[bool] = False
+    picture_filter: ClassVar[str] = DEFAULT_FILTER
     description: ClassVar[str] = "the minimum along the ray"
     state_fields: ClassVar[int] = 2
 

@@ -48,7 +48,7 @@ class Medium:
         How its matter answers light.
     filter : str or Filter, optional
         How it is reconstructed between its samples; by default as suits the mode of the picture: "bspline3(auto)", or "bspline3"
-        in modes that show extremes (`Mode.smoothed`).
+        in modes that show extremes (`Mode.picture_filter`).
     boundary : str or Boundary
         What lies past its faces.
 

@@ -34,7 +34,7 @@ from clvol.spline.field import coefficients_of, sample
 from clvol.spline.points import sample_coefficients
 from clvol.volume import Volume, as_volume
 
-__all__ = ["COMPARED", "EXACT_SINC", "ErrorRow", "ErrorTable", "as_compared", "compare"]
+__all__ = ["COMPARED", "EXACT_SINC", "ErrorRow", "ErrorTable", "as_compared", "compare", "require_period", "settled_compared"]
 
 Array: TypeAlias = NDArray[np.float64]
 Function: TypeAlias = Callable[[Array], ArrayLike]
@@ -292,8 +292,7 @@ def compare(
     margin, max_samples = number("margin", margin, minimum=0), whole("max_samples", max_samples, 1)
     on = None if device is None else as_device(device)
     clock = _clock(timing_device, on) if timing else None
-    if EXACT_SINC in chosen and rule.period is None:
-        raise OptionError(f"boundary must be mirror, reflect or wrap for {EXACT_SINC!r}; got {rule.name!r}")
+    require_period(chosen, rule)
     if callable(source):
         if truth is not None:
             raise OptionError("truth must be given with a volume only; got it with a function, which is its own")
@@ -305,7 +304,7 @@ def compare(
     low, high = volume.value_range
     if max(-low, high) > _LARGEST:
         raise DataError(f"samples must lie within ±{_LARGEST:g}, to leave room for splines; got {low:g} to {high:g}")
-    chosen = [settled(row, volume) if isinstance(row, Filter) else row for row in chosen]
+    chosen = settled_compared(chosen, volume)
     if truth is None:
         if gradient is not None:
             raise OptionError("gradient must be that of a function; got it with a volume without its truth")
@@ -355,6 +354,17 @@ def as_compared(filters: Sequence[str | Filter], maximum: int | None = None) -> 
     """One or more filters, at most `maximum`; the name of the exact sinc stays a name."""
     chosen = several_names(filters, maximum)
     return [EXACT_SINC if isinstance(f, str) and f.strip().lower() == EXACT_SINC else as_filter(f) for f in chosen]
+
+
+def settled_compared(chosen: Sequence[str | Filter], volume: Volume) -> list[str | Filter]:
+    """What `as_compared` gave, the smoothing of filters settled for a volume."""
+    return [settled(row, volume) if isinstance(row, Filter) else row for row in chosen]
+
+
+def require_period(chosen: Sequence[str | Filter], rule: Boundary) -> None:
+    """Raise `OptionError` if the exact sinc is among the compared under a boundary rule without a period."""
+    if EXACT_SINC in chosen and rule.period is None:
+        raise OptionError(f"boundary must be mirror, reflect or wrap for {EXACT_SINC!r}; got {rule.name!r}")
 
 
 # -- the truth ----------------------------------------------------------------------------------------------

@@ -10,13 +10,11 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.analysis.comparison import EXACT_SINC, as_compared, lattice_of
+from clvol.analysis.comparison import as_compared, lattice_of, require_period, settled_compared
 from clvol.analysis.table import Table, column
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.checks import enough_memory, number
-from clvol.errors import OptionError
 from clvol.filter import Filter
-from clvol.smoothing import settled
 from clvol.volume import Volume, as_volume
 
 __all__ = ["LeftOutRow", "LeftOutTable", "leave_out"]
@@ -105,10 +103,9 @@ def leave_out(
     """
     chosen, volume, rule = as_compared(filters), as_volume(volume), as_boundary(boundary)
     margin = number("margin", margin, minimum=0)
-    if EXACT_SINC in chosen and rule.period is None:
-        raise OptionError(f"boundary must be mirror, reflect or wrap for {EXACT_SINC!r}; got {rule.name!r}")
+    require_period(chosen, rule)
     volume.require_finite()
-    chosen = [settled(row, volume) if isinstance(row, Filter) else row for row in chosen]
+    chosen = settled_compared(chosen, volume)
     if sigma is None:
         noise = volume.noise
         share = 1.0 if noise.background is None else 1 - noise.background_share

@@ -29,7 +29,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.analysis.comparison import EXACT_SINC, as_compared
+from clvol.analysis.comparison import EXACT_SINC, as_compared, settled_compared
 from clvol.analysis.table import Table, column
 from clvol.analysis.theory import error_kernel
 from clvol.checks import enough_memory, number, whole
@@ -37,7 +37,6 @@ from clvol.errors import OptionError
 from clvol.filter import Filter
 from clvol.noise import Noise, colour_power
 from clvol.response import frequency_response
-from clvol.smoothing import settled
 from clvol.volume import Volume, as_volume
 
 __all__ = ["PredictedRow", "PredictedTable", "jump_error", "predict", "variance_gain"]
@@ -220,7 +219,7 @@ def predict(
     chosen, volume = as_compared(filters), as_volume(volume)
     count, seed = whole("blocks", blocks, 1), whole("seed", seed, 0)
     volume.require_finite()
-    chosen = [settled(row, volume) if isinstance(row, Filter) else row for row in chosen]
+    chosen = settled_compared(chosen, volume)
     given = volume.noise if noise is None else noise
     known = given if isinstance(given, Noise) else Noise(number("noise", given, minimum=0), "white", colour=(1.0,) * volume.ndim)
     low, high = volume.value_range

@@ -13,15 +13,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol import reference
-from clvol.analysis.comparison import EXACT_SINC, as_compared
+from clvol.analysis.comparison import as_compared, require_period, settled_compared
 from clvol.analysis.dirichlet import dirichlet_sample
 from clvol.analysis.similarity import ssim
 from clvol.analysis.table import Table, column
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.checks import enough_memory, number, whole
-from clvol.errors import DataError, OptionError
+from clvol.errors import DataError
 from clvol.filter import Filter
-from clvol.smoothing import settled
 from clvol.volume import Volume, as_volume
 
 __all__ = ["RotationRow", "RotationTable", "rotations"]
@@ -117,11 +116,10 @@ def rotations(
     """
     chosen, volume, rule = as_compared(filters), as_volume(source), as_boundary(boundary)
     turns, margin = whole("turns", turns, 2, 360), number("margin", margin, minimum=0)
-    if EXACT_SINC in chosen and rule.period is None:
-        raise OptionError(f"boundary must be mirror, reflect or wrap for {EXACT_SINC!r}; got {rule.name!r}")
+    require_period(chosen, rule)
     image = _middle(volume, whole("max_pixels", max_pixels, 1))
     image.require_finite()
-    chosen = [settled(row, volume) if isinstance(row, Filter) else row for row in chosen]
+    chosen = settled_compared(chosen, volume)
     low, high = image.value_range
     unit = max(abs(low), abs(high)) or 1.0  # so that no square over- or underflows
     start = replace(image, data=image.data.astype(np.float64) / unit)

@@ -16,10 +16,9 @@ from clvol.camera import Camera
 from clvol.checks import whole
 from clvol.device import Device
 from clvol.errors import OptionError
-from clvol.figures.panels import BOX, CAMERA, ISOVALUE, LIGHTS, MATERIAL, SURFACE, shading_gradients
+from clvol.figures.panels import BOX, CAMERA, ISOVALUE, LIGHTS, MATERIAL, SURFACE, exact, shading_gradients
 from clvol.figures.style import GAP, GREY, LINE, Drawing, colour, placed, show, styled, tiles, title
 from clvol.march.renderer import Renderer
-from clvol.reference.march.exact import draw_function
 from clvol.volume import Volume, as_volume
 
 __all__ = ["draw"]
@@ -88,21 +87,8 @@ def draw(
                 progress(done / _ROUNDS)
     surface = None
     if scan is None:
-        surface, exact = draw_function(
-            phantoms.marschner_lobb_function,
-            phantoms.marschner_lobb_gradient,
-            volume,
-            CAMERA.view(volume),
-            (pixels, pixels),
-            clip=BOX,
-            isovalue=ISOVALUE,
-            color=SURFACE,
-            lights=LIGHTS,
-            material=MATERIAL,
-            background=_WHITE,
-            samples=_RAYS,
-        )
-        pictures["exact"] = exact[..., :3].astype(np.float64)
+        surface, picture = exact(volume, CAMERA, pixels, _RAYS, _WHITE)
+        pictures["exact"] = picture[..., :3].astype(np.float64)
     truth = pictures["bspline3" if surface is None else "exact"]
     numbers: list[dict[str, Any]] = []
     for (renderer, gradient), seconds in zip(pairs, taken, strict=True):

@@ -43,6 +43,7 @@ __all__ = [
     "Panel",
     "compare",
     "draw",
+    "exact",
     "figure6",
     "fixed",
     "settled",
@@ -153,7 +154,7 @@ def figure6(
     whole("pixels", pixels, 1)
     chosen = as_compared(filters, len(LETTERS))
     volume = phantoms.marschner_lobb(size)
-    surface, picture = _exact(volume, camera, pixels, samples)
+    surface, picture = exact(volume, camera, pixels, samples)
     points = np.random.default_rng(_SEED).uniform(-0.8, 0.8, (_POINTS, 3))
     truth, normals = phantoms.marschner_lobb_function(points), phantoms.marschner_lobb_gradient(surface)
     panels = []
@@ -318,7 +319,9 @@ def shading_gradients(
 # -- the exact function, drawn without any samples --------------------------------------------------------
 
 
-def _exact(volume: Volume, camera: Camera, pixels: int, samples: int) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+def exact(
+    volume: Volume, camera: Camera, pixels: int, samples: int, background: tuple[float, float, float] = BACKGROUND
+) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
     """The visible points of the true surface, (N, 3), and the picture."""
     return draw_function(
         phantoms.marschner_lobb_function,
@@ -331,6 +334,6 @@ def _exact(volume: Volume, camera: Camera, pixels: int, samples: int) -> tuple[N
         color=SURFACE,
         lights=LIGHTS,
         material=MATERIAL,
-        background=BACKGROUND,
+        background=background,
         samples=samples,
     )

@@ -17,7 +17,7 @@ from clvol.camera import Camera
 from clvol.checks import instance, number, one_of, whole
 from clvol.device import Device
 from clvol.errors import OptionError
-from clvol.filter import DEFAULT_FILTER, PICTURE_FILTER, Filter, as_filter
+from clvol.filter import PICTURE_FILTER, Filter, as_filter
 from clvol.light import Light, Material
 from clvol.march import launch
 from clvol.march.frame import Frame
@@ -120,8 +120,8 @@ class Renderer:
     def filter_of(self, mode: str | Mode) -> Filter:
         """The filter of pictures in a mode: `filter`, unless none was given and the mode shows extremes, which stay as they are."""
         chosen = as_mode(mode)
-        free = self.scene.media[0].filter is None and not chosen.smoothed
-        return as_filter(DEFAULT_FILTER) if free else self.filter
+        free = self.scene.media[0].filter is None and chosen.picture_filter != PICTURE_FILTER
+        return as_filter(chosen.picture_filter) if free else self.filter
 
     def close(self) -> None:
         """Free the device's memory, except that of a Field which was given."""
@@ -454,8 +454,8 @@ def render(
     """
     chosen = as_mode(mode, {name: value for name, value in options.items() if name not in _KEYWORDS}, _KEYWORDS)  # before any work,
     as_pixel_filter(options.get("pixel_filter", DEFAULT_PIXEL_FILTER))  # and so is this
-    unsmoothed = filter is None and not chosen.smoothed and not isinstance(scene, (Scene, Medium, Field))
-    with Renderer(scene, DEFAULT_FILTER if unsmoothed else filter, boundary, device) as renderer:
+    free = filter is None and not isinstance(scene, (Scene, Medium, Field))
+    with Renderer(scene, chosen.picture_filter if free else filter, boundary, device) as renderer:
         return renderer.render(camera, mode, size, step, outputs=outputs, **options)  # type: ignore[arg-type]  # either
 
 
