@@ -100,7 +100,7 @@ def test_gradients_of_the_hybrid_are_as_good_as_direct_ones_by_central_differenc
 
 def test_normals_of_figure_3(page: str, device: Device) -> None:
     volume = phantoms.marschner_lobb(41)
-    surface, _ = panels._exact(volume, panels.CAMERA, 300, 1)
+    surface, _ = panels.exact(volume, panels.CAMERA, 300, 1)
     truth = phantoms.marschner_lobb_gradient(surface)
     drawn = (("hybrid", "central"), ("bspline3", "analytic"), ("linear", "central"))
     made = [
