@@ -1,0 +1,1 @@
+"""SciPy's interpolation of arrays, on OpenCL."""
