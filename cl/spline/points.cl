@@ -79,9 +79,9 @@ kernel void sample_points(COEFFICIENTS coefficients, const int4 extent, const in
 
 // grid: the number of points along x and y, and the first row and slice of this launch.
 kernel void sample_grid(COEFFICIENTS coefficients, const int4 extent, const int4 size, const int4 period, constant coord *transform,
-                           const int4 grid, const float fill, global float *results)
+                           const int4 grid, const float fill, global float *results CHAIN_ARGUMENTS)
 {
-    source_t source = { get_global_id(0) * RUN, (int)get_global_id(1) + grid.z, (int)get_global_id(2) + grid.w, 0 };
+    source_t source = { get_global_id(0) * RUN, (int)get_global_id(1) + grid.z, (int)get_global_id(2) + grid.w, 0 CHAIN_GIVEN };
     source.first = ((size_t)source.k * grid.y + source.j) * grid.x + source.i;
     if (source.i < grid.x && source.j < grid.y)
         run_into(coefficients, extent, source, MIN(RUN, grid.x - source.i), size, period, transform, fill, results);

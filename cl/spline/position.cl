@@ -1,13 +1,27 @@
 // Where points come from, where their results belong, and where in the volume they lie.
 //
 // Set by the host: ON_GRID, whether points are those of a grid and not read; POINT, the type of those that are read, and
-// POINT_BITS, its size; SORTED, whether each of these is followed by its place in the list that it came from (sort.cl).
+// POINT_BITS, its size; SORTED, whether each of these is followed by its place in the list that it came from (sort.cl); CHAIN,
+// whether transforms bring points to other places first (chain.cl).
 
 #include "base/platform.cl"
 
+#if CHAIN
+#include "spline/chain.cl"
+#else
+#define CHAIN_ARGUMENTS
+#define CHAIN_GIVEN
+#endif
+
 #if ON_GRID
 // (i, j, k), and those that follow along i
-typedef struct { int i, j, k; size_t first; } source_t;
+typedef struct {
+    int i, j, k;
+    size_t first;
+#if CHAIN
+    chain_t chain;
+#endif
+} source_t;
 INLINE size_t place_of(source_t source, int n) { return source.first + n; }
 #else
 typedef struct { global const POINT *points; size_t first; } source_t;
@@ -38,7 +52,7 @@ INLINE size_t place_of(source_t source, int n)
 
 typedef struct { coord x, y, z; } position_t;
 
-INLINE position_t point_of(source_t source, int n)
+INLINE position_t given_point(source_t source, int n)
 {
 #if ON_GRID
     const position_t p = { source.i + n, source.j, source.k };
@@ -51,6 +65,23 @@ INLINE position_t point_of(source_t source, int n)
 #endif
 #endif
     return p;
+}
+
+INLINE position_t point_of(source_t source, int n)
+{
+    const position_t p = given_point(source, n);
+#if CHAIN
+#if DIMENSIONS == 3
+    const place_t place = through_chain(source.chain, (place_t)(p.x, p.y, p.z, 0));
+    const position_t q = { place.x, place.y, place.z };
+#else
+    const place_t place = through_chain(source.chain, (place_t)(p.x, p.y));
+    const position_t q = { place.x, place.y, 0 };
+#endif
+    return q;
+#else
+    return p;
+#endif
 }
 
 // transform: 9 entries of a matrix, row by row, then 3 of an offset: index = matrix position + offset,

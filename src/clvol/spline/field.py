@@ -19,12 +19,14 @@ from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.interop import read_array
 from clvol.program import LANES
 from clvol.smoothing import settled
+from clvol.spline.chain import Chain
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, EvaluatorName, FetchName, choose_evaluator
 from clvol.spline.points import Floats, Progress, Reals, in_units_of_data, sample_coefficients
 from clvol.spline.prefilter import prefilter_in_place
 from clvol.spline.resample import resample_coefficients
 from clvol.stored import Stored
+from clvol.transform import Transforms, as_chain
 from clvol.volume import Volume, as_volume
 
 __all__ = [
@@ -289,6 +291,7 @@ class Field:
         spacing: Sequence[float] | float | None = None,
         like: Volume | None = None,
         *,
+        transform: Transforms | None = None,
         evaluator: EvaluatorName = "auto",
         fetch: FetchName = "auto",
         fill: float | None = None,
@@ -306,6 +309,11 @@ class Field:
             New spacing along (x, y[, z]) in world units. The domain's centre stays, and its size to within half a voxel.
         like : Volume, optional
             Take the grid of this volume, wherever it lies.
+        transform : transform, array, SimpleITK transform, or a list of these, optional
+            From points of the grid's world (the fixed one) to points of this volume's (the moving one), as ITK resamples: the
+            function is taken there. In a list the last transform is applied first, as in ITK's CompositeTransform. An array
+            holds a homogeneous matrix. See `clvol.AffineTransform`, `clvol.DisplacementField`, `clvol.BSplineTransform` and
+            `clvol.read_transform`.
         evaluator, fetch, fill, progress
             As in a call.
 
@@ -318,7 +326,9 @@ class Field:
         OptionError
             None or several of `shape`, `spacing` and `like` are given; `shape` is not one whole number of at least 1 for
             each axis; `spacing` is not positive and finite, or needs more than 2³¹ − 1 samples along an axis; `like` is
-            no Volume of as many axes; `fill`, `evaluator` or `fetch` as in a call; the field is closed.
+            no Volume of as many axes; `transform` is none; `fill`, `evaluator` or `fetch` as in a call; the field is closed.
+        GeometryError
+            A transform is singular, or of another number of dimensions.
         DeviceError
             As in a call.
         OutOfMemoryError
@@ -326,10 +336,9 @@ class Field:
         """
         volume = self.volume
         grid = _grid_for(volume, shape, spacing, like)
-        inverse = volume.world_to_index_matrix
-        matrix = inverse @ grid.index_to_world_matrix
-        offset = inverse @ (np.asarray(grid.origin) - np.asarray(volume.origin))
-        data = self._on_grid(matrix, offset, grid.shape, evaluator, fetch, fill, progress)
+        chain = Chain(as_chain(transform, volume.ndim), grid, self.device)
+        matrix, offset = self.indices_after(chain)
+        data = self._on_grid(matrix, offset, grid.shape, evaluator, fetch, fill, progress, chain)
         return Volume(data, grid.spacing, grid.origin, grid.direction, grid.units or volume.units)
 
     def magnify(
@@ -366,6 +375,11 @@ class Field:
         data = self._on_grid(np.eye(d) / factor, np.zeros(d), shape, evaluator, fetch, None, progress)
         return Volume(data, tuple(s / factor for s in volume.spacing), volume.origin, volume.direction, volume.units)
 
+    def indices_after(self, chain: Chain) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The map to this volume's indices that follows a chain's stages: a matrix and an offset."""
+        inverse = self.volume.world_to_index_matrix
+        return inverse @ chain.end.matrix, inverse @ (chain.end.offset - np.asarray(self.volume.origin))
+
     def _on_grid(
         self,
         matrix: NDArray[np.float64],
@@ -375,6 +389,7 @@ class Field:
         fetch: str,
         fill: float | None,
         progress: Progress | None,
+        chain: Chain | None = None,
     ) -> Reals:
         device = self.device
         chosen, fill = choose_evaluator(device, self.filter, evaluator, fetch), _fill_value(fill)
@@ -382,7 +397,7 @@ class Field:
         self.coefficients.argument(chosen)  # a closed field is refused before the result is made
         result = np.empty(shape, np.float32)
         with device.lent(result, write=True) as buffer:
-            resample_coefficients(self.coefficients, chosen, matrix, offset, (1, *shape)[-3:], buffer, fill, progress)
+            resample_coefficients(self.coefficients, chosen, matrix, offset, (1, *shape)[-3:], buffer, fill, progress, chain)
         return in_units_of_data(self.coefficients.stored, result, 0, fill)
 
 
@@ -511,6 +526,7 @@ def resample(
     filter: str | Filter | None = None,
     boundary: str | Boundary | None = None,
     *,
+    transform: Transforms | None = None,
     evaluator: EvaluatorName = "auto",
     fetch: FetchName = "auto",
     fill: float | None = None,
@@ -523,7 +539,7 @@ def resample(
     ----------
     volume : Volume, array-like or Field
         2-D or 3-D samples; an array has spacing 1 and origin 0.
-    shape, spacing, like, fill
+    shape, spacing, like, transform, fill
         As in `Field.resample`. No low-pass is applied: see `Volume.gaussian` before making voxels larger.
     filter, boundary, device
         As in `sample`.
@@ -544,8 +560,11 @@ def resample(
     if not isinstance(volume, Field):
         volume = as_volume(volume)
         _grid_for(volume, shape, spacing, like)  # before the volume is prefiltered
+        transform = as_chain(transform, volume.ndim)
     with opened(volume, filter, boundary, device) as field:
-        return field.resample(shape, spacing, like, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress)
+        return field.resample(
+            shape, spacing, like, transform=transform, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress
+        )
 
 
 def magnify(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import nullcontext
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from clvol.device import Device
 from clvol.program import LANES, Program
 from clvol.spline.build import point_defines
+from clvol.spline.chain import Chain
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, Evaluator
 from clvol.spline.sort import Sorter, scattered
@@ -125,19 +127,22 @@ def sample_grid(
     buffer: Any,
     fill: float | None = None,
     progress: Progress | None = None,
+    derivative: int = 0,
+    chain: Chain | None = None,
 ) -> None:
-    """`resample_coefficients`, point by point."""
+    """`resample_coefficients`, or its gradient, point by point; `chain` maps the grid's indices before the matrix does."""
     device = coefficients.device
-    built = _build(coefficients, evaluator, 0, fill, np.float32, on_grid=True, sorted=False)
+    staged = chain if chain and chain.stages else None
+    built = _build(coefficients, evaluator, derivative, fill, np.float32, on_grid=True, sorted=False, chain=staged)
     transform = _transform(device, matrix, offset, coefficients.volume.world_to_index_matrix)
     kernel = built.kernel("sample_grid")
     nz, ny, nx = shape
     points = _launch_points(coefficients, evaluator)
     rows, slices = max(1, min(ny, points // nx)), max(1, points // (nx * ny))
-    items, together = (-(-nx // _RUN), 1) if _in_lanes(coefficients, evaluator, 0) else (-(-nx // 8) * 8, 8)
+    items, together = (-(-nx // _RUN), 1) if _in_lanes(coefficients, evaluator, derivative) else (-(-nx // 8) * 8, 8)
     parts = [(z, y) for z in range(0, nz, slices) for y in range(0, ny, rows)]
     for done, (z, y) in enumerate(parts, 1):
-        with device.errors:
+        with staged.arguments() if staged else nullcontext(()) as mapped, device.errors:
             kernel(
                 device.queue,
                 (items, min(rows, ny - y), min(slices, nz - z)),
@@ -148,8 +153,9 @@ def sample_grid(
                 coefficients.period,
                 transform,
                 np.array([nx, ny, y, z], np.int32),
-                kernel_fill(coefficients.stored, 0, fill),
+                kernel_fill(coefficients.stored, derivative, fill),
                 buffer,
+                *mapped,
             )
         device.finish()
         if progress:
@@ -175,6 +181,7 @@ def _build(
     *,
     on_grid: bool,
     sorted: bool,
+    chain: Chain | None = None,
 ) -> Program:
     lanes, run = (LANES, _RUN) if _in_lanes(coefficients, evaluator, derivative) else (1, 1)
     defines = {
@@ -186,6 +193,7 @@ def _build(
         "RUN": run,
         "ON_GRID": int(on_grid),
         "SORTED": int(sorted),
+        **(chain.defines() if chain else {}),
     }
     return coefficients.device.build("spline/points.cl", defines)
 

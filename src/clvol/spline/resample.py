@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.program import LANES
+from clvol.spline.chain import Chain
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, Evaluator
 from clvol.spline.points import Progress, kernel_fill, sample_grid
@@ -28,6 +29,7 @@ def resample_coefficients(
     buffer: Any,
     fill: float | None = None,
     progress: Progress | None = None,
+    chain: Chain | None = None,
 ) -> None:
     """Values in stored units at index positions ``matrix @ (i, j, k) + offset`` into a float32 buffer.
 
@@ -47,11 +49,14 @@ def resample_coefficients(
         What belongs outside the domain, where `kernel_fill` of it is written; None: the boundary rule goes on.
     progress : callable, optional
         Called with the fraction done.
+    chain : Chain, optional
+        What maps the grid's indices before the matrix does.
     """
-    if coefficients.device.kind == "cpu" and evaluator == DIRECT and _along_axes(matrix, shape):
+    straight = not (chain and chain.stages) and _along_axes(matrix, shape)
+    if coefficients.device.kind == "cpu" and evaluator == DIRECT and straight:
         _resample_axes(coefficients, np.diag(matrix), offset, shape, buffer, fill, progress)
     else:
-        sample_grid(coefficients, evaluator, matrix, offset, shape, buffer, fill, progress)
+        sample_grid(coefficients, evaluator, matrix, offset, shape, buffer, fill, progress, chain=chain)
 
 
 def _along_axes(matrix: NDArray[np.float64], shape: tuple[int, ...]) -> bool:

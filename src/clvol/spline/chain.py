@@ -1,0 +1,166 @@
+"""A chain of transforms as kernels apply it, point by point: the host side of chain.cl and jacobian.cl."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.boundary import as_boundary
+from clvol.device import Device
+from clvol.program import LANES
+from clvol.spline.build import DefineDict
+from clvol.spline.prefilter import prefilter_in_place
+from clvol.transform import AffineTransform, BSplineTransform, DisplacementField, Transform, split_at_grids
+from clvol.volume import Volume
+
+__all__ = ["Chain"]
+
+_MOST_TAPS = 6  # of chain.cl
+_RUN = 512  # points that a work-item of a processor takes
+_POINTS = 1 << 20  # of a launch
+_EDGE = {np.float64: 1e-9, np.float32: 1e-4}  # of a grid's cell: positions this far past the domain are rounded, not outside
+
+
+class Chain:
+    """A chain of transforms of the points of a grid, in the form that kernels read.
+
+    Neighbouring affine maps are one, and the first begins with the map from the grid's indices to the world. A chain without
+    grids is `end` alone, and needs no kernel of its own.
+
+    Parameters
+    ----------
+    transforms : sequence of transforms
+        As `clvol.transform.as_chain` gives them: the last one is applied first.
+    grid : Volume
+        Whose points are mapped.
+    device : Device
+
+    Attributes
+    ----------
+    end : AffineTransform
+        What remains to be applied after the stages of the kernel.
+    stages : int
+        How many grids there are.
+    """
+
+    def __init__(self, transforms: Sequence[Transform], grid: Volume, device: Device) -> None:
+        affine, grids = split_at_grids(transforms, grid.ndim)
+        affine[0] = affine[0].after(AffineTransform(grid.index_to_world_matrix, grid.origin))
+        self.grid, self.device, self.end, self.stages = grid, device, affine[-1], len(grids)
+        self._taps = sum({1 << one.filter.support for one in grids})
+        self._coord = np.float64 if device.has_double else np.float32
+        maps: list[NDArray[np.float64]] = []
+        weights = np.zeros((max(1, len(grids)), _MOST_TAPS**2), np.float32)
+        tables = np.zeros((max(1, len(grids)), 5), np.int64)
+        values: list[NDArray[np.float32]] = []
+        first = 0
+        for n, (before, one) in enumerate(zip(affine[:-1], grids, strict=True)):
+            taps, (stored, halo) = one.filter.support, _stored(one, device)
+            inverse = one.grid.world_to_index_matrix
+            shift = halo - (taps / 2 - 1)  # a position's first tap is the whole part of its index plus this
+            maps += [*self._map(before.matrix, before.offset), *self._map(inverse, shift - inverse @ np.asarray(one.grid.origin))]
+            low, high = one.domain
+            edge = _EDGE[self._coord]
+            maps += [self._padded(low + shift - edge), self._padded(high + shift + edge)]
+            polynomials = one.filter.matrix  # of a degree below the number of taps
+            weights[n, : taps * taps] = np.pad(polynomials, ((0, 0), (0, taps - polynomials.shape[1]))).ravel()
+            tables[n] = taps, *(*stored.shape[-2::-1], 1)[:3], first
+            values.append(stored.ravel())
+            first += stored.size
+        self._values = np.concatenate([*values, np.zeros(1, np.float32)])  # vectors of three are read as four
+        self._tables = [
+            device.upload(np.array(maps or [0.0], self._coord)),
+            device.upload(tables),
+            device.upload(weights),
+        ]
+
+    def defines(self) -> DefineDict:
+        """What chain.cl needs to know."""
+        return {"CHAIN": 1, "CHAIN_TAPS": self._taps}
+
+    @contextmanager
+    def arguments(self) -> Iterator[tuple[Any, ...]]:
+        """CHAIN_ARGUMENTS of a kernel."""
+        with self.device.lent(self._values, write=False) as values:
+            yield (*self._tables, values, np.int32(self.stages))
+
+    def determinants(self) -> NDArray[np.float32]:
+        """Of the chain's Jacobian at the points of the grid, [z, y, x]: of the moving position by the fixed one."""
+        results = np.empty(self.grid.shape, np.float32)
+        self._jacobian(results, pull_back=False)
+        return results
+
+    def pull_back(self, gradients: NDArray[np.float32]) -> None:
+        """Turn gradients with respect to the moving world, [z, y, x, component], into those with respect to the fixed one."""
+        self._jacobian(gradients, pull_back=True)
+
+    def _jacobian(self, results: NDArray[np.float32], *, pull_back: bool) -> None:
+        device, d = self.device, self.grid.ndim
+        nz, ny, nx = (1, *self.grid.shape)[-3:]
+        ends = self._map(self.grid.world_to_index_matrix, np.zeros(d)) + self._map(self.end.matrix, np.zeros(d))
+        run = _RUN if device.kind == "cpu" else 1
+        built = device.build(
+            "spline/jacobian.cl",
+            {
+                **self.defines(),
+                "DIMENSIONS": d,
+                "COORD_DOUBLE": int(device.has_double),
+                "TAPS": 1,
+                "PULL_BACK": int(pull_back),
+                "RUN": run,
+            },
+        )
+        kernel, uploaded = built.kernel("jacobian_grid"), device.upload(np.array(ends, self._coord))
+        rows, slices = max(1, min(ny, _POINTS // nx)), max(1, _POINTS // (nx * ny))
+        with self.arguments() as chain, device.lent(results, write=True) as target:
+            for z in range(0, nz, slices):
+                for y in range(0, ny, rows):
+                    size = (-(-nx // run), min(rows, ny - y), min(slices, nz - z))
+                    with device.errors:
+                        kernel(device.queue, size, None, uploaded, np.array([nx, ny, y, z], np.int32), target, *chain)
+                    device.finish()
+
+    def _map(self, matrix: NDArray[np.float64], offset: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+        """The columns of a map and its offset."""
+        return [self._padded(column) for column in (*matrix.T, offset)]
+
+    def _padded(self, vector: NDArray[np.float64]) -> NDArray[np.float64]:
+        """As the vectors of chain.cl: three numbers lie in four."""
+        return np.pad(vector, (0, vector.size - 2))
+
+
+def _stored(one: DisplacementField | BSplineTransform, device: Device) -> tuple[NDArray[np.float32], int]:
+    """Coefficients as chain.cl reads them, [z, y, x, component], and how many of them precede the first along each axis.
+
+    A B-spline grid has all that its domain needs. A displacement field is continued to half a voxel past its samples: by the outer
+    ones if it is linear, which is ITK's rule, else by reflecting it about them.
+    """
+    if isinstance(one, BSplineTransform):
+        return np.ascontiguousarray(one.coefficients, np.float32), 0
+    halo, mirror = one.filter.support // 2 + 1, as_boundary("mirror")
+    stored = np.asarray(one.displacements, np.float32)
+    if one.filter.prefilter:
+        stored = np.stack([_prefiltered(component, one, device) for component in np.moveaxis(stored, -1, 0)], axis=-1)
+    for axis, n in enumerate(stored.shape[:-1]):
+        places = np.arange(-halo, n + halo)
+        inner = np.clip(places, 0, n - 1) if one.filter.name == "linear" else mirror.index(places, n)
+        stored = np.take(stored, inner, axis)
+    return np.ascontiguousarray(stored), halo
+
+
+def _prefiltered(component: NDArray[np.float32], one: DisplacementField, device: Device) -> NDArray[np.float32]:
+    nx, ny, nz = (*component.shape[::-1], 1)[:3]
+    pitch = -(-nx // LANES) * LANES
+    buffer = device.allocate(4 * nz * ny * pitch)
+    with device.mapped(buffer, (nz, ny, pitch), write=True) as room:
+        room[..., :nx] = component.reshape(nz, ny, nx)
+        room[..., nx:] = 0
+    prefilter_in_place(device, buffer, one.filter, as_boundary("mirror"), (pitch, ny, nz, 0), (nx, ny, nz), one.ndim)
+    with device.mapped(buffer, (nz, ny, pitch), write=False) as room:
+        result = np.array(room[..., :nx]).reshape(component.shape)
+    buffer.release()
+    return result
