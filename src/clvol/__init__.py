@@ -27,6 +27,7 @@ from clvol.errors import (
 )
 from clvol.filter import Filter, bc, bspline, filters, from_callable, from_pieces, lanczos, moms3, quasi, register, sinc
 from clvol.formats import read, write
+from clvol.formats.transforms import read_transform
 from clvol.light import Light, Material
 from clvol.march.renderer import Output, Renderer, render
 from clvol.mode import Attenuated, Composite, Isosurface, Mean, Minip, Mip, Mode, modes
@@ -35,7 +36,9 @@ from clvol.picture import save
 from clvol.response import frequency_response, prefilter_response
 from clvol.scene import Medium, Scene
 from clvol.spline.field import Field, magnify, prefilter, resample, sample
+from clvol.spline.warp import Warped, resample_series, warp
 from clvol.transfer import TransferFunction
+from clvol.transform import AffineTransform, BSplineTransform, DisplacementField
 from clvol.volume import Volume
 
 callable_as_before("clvol.spline.prefilter", "clvol.spline.resample")
@@ -43,7 +46,9 @@ callable_as_before("clvol.spline.prefilter", "clvol.spline.resample")
 __version__ = "0.1.0"
 
 __all__ = [
+    "AffineTransform",
     "Attenuated",
+    "BSplineTransform",
     "Boundary",
     "Camera",
     "ClvolError",
@@ -51,6 +56,7 @@ __all__ = [
     "DataError",
     "Device",
     "DeviceError",
+    "DisplacementField",
     "Field",
     "Filter",
     "FormatError",
@@ -71,6 +77,7 @@ __all__ = [
     "Scene",
     "TransferFunction",
     "Volume",
+    "Warped",
     "bc",
     "boundaries",
     "bspline",
@@ -89,11 +96,14 @@ __all__ = [
     "prefilter_response",
     "quasi",
     "read",
+    "read_transform",
     "register",
     "render",
     "resample",
+    "resample_series",
     "sample",
     "save",
     "sinc",
+    "warp",
     "write",
 ]

@@ -7,7 +7,6 @@ of the transforms that ITK, SimpleITK, elastix and ANTs write. Worlds are ITK's 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -295,7 +294,9 @@ def as_chain(transform: Transforms | None, ndim: int) -> list[Transform]:
     return chain
 
 
-def split_at_grids(chain: Sequence[Transform], ndim: int) -> tuple[list[AffineTransform], list[DisplacementField | BSplineTransform]]:
+def split_at_grids(
+    chain: Sequence[Transform], ndim: int
+) -> tuple[list[AffineTransform], list[DisplacementField | BSplineTransform]]:
     """The n grids of a chain in the order in which points meet them, and the n + 1 affine maps before, between and after them."""
     still = AffineTransform(np.eye(ndim))
     affine, grids = [still], []
@@ -348,8 +349,8 @@ def from_simpleitk(transform: Any) -> list[Transform]:
         ends = np.array([one.TransformPoint(tuple(end)) for end in _FAR * np.eye(d)])
         return [AffineTransform((ends - offset).T / _FAR, offset)]
     raise OptionError(
-        "a transform of SimpleITK must be linear (affine, Euler, versor, rigid, similarity, scale, translation), a BSplineTransform, "
-        f"a DisplacementFieldTransform, or a CompositeTransform of these; got a {one.GetName()}"
+        "a transform of SimpleITK must be linear (affine, Euler, versor, similarity, scale, translation), a BSplineTransform, a "
+        f"DisplacementFieldTransform, or a CompositeTransform of these; got a {one.GetName()}"
     )
 
 

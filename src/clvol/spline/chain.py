@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,9 @@ from clvol.spline.prefilter import prefilter_in_place
 from clvol.transform import AffineTransform, BSplineTransform, DisplacementField, Transform, split_at_grids
 from clvol.volume import Volume
 
-__all__ = ["Chain"]
+__all__ = ["Chain", "Progress"]
+
+Progress: TypeAlias = Callable[[float], None]
 
 _MOST_TAPS = 6  # of chain.cl
 _RUN = 512  # points that a work-item of a processor takes
@@ -72,11 +74,7 @@ class Chain:
             values.append(stored.ravel())
             first += stored.size
         self._values = np.concatenate([*values, np.zeros(1, np.float32)])  # vectors of three are read as four
-        self._tables = [
-            device.upload(np.array(maps or [0.0], self._coord)),
-            device.upload(tables),
-            device.upload(weights),
-        ]
+        self._tables = [device.upload(np.array(maps or [np.zeros(1)], self._coord)), device.upload(tables), device.upload(weights)]
 
     def defines(self) -> DefineDict:
         """What chain.cl needs to know."""
@@ -88,17 +86,22 @@ class Chain:
         with self.device.lent(self._values, write=False) as values:
             yield (*self._tables, values, np.int32(self.stages))
 
-    def determinants(self) -> NDArray[np.float32]:
+    def to_indices(self, moving: Volume) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The map to a volume's indices that follows the stages: a matrix and an offset."""
+        inverse = moving.world_to_index_matrix
+        return inverse @ self.end.matrix, inverse @ (self.end.offset - np.asarray(moving.origin))
+
+    def determinants(self, progress: Progress | None = None) -> NDArray[np.float32]:
         """Of the chain's Jacobian at the points of the grid, [z, y, x]: of the moving position by the fixed one."""
         results = np.empty(self.grid.shape, np.float32)
-        self._jacobian(results, pull_back=False)
+        self._jacobian(results, progress, pull_back=False)
         return results
 
-    def pull_back(self, gradients: NDArray[np.float32]) -> None:
+    def pull_back(self, gradients: NDArray[np.float32], progress: Progress | None = None) -> None:
         """Turn gradients with respect to the moving world, [z, y, x, component], into those with respect to the fixed one."""
-        self._jacobian(gradients, pull_back=True)
+        self._jacobian(gradients, progress, pull_back=True)
 
-    def _jacobian(self, results: NDArray[np.float32], *, pull_back: bool) -> None:
+    def _jacobian(self, results: NDArray[np.float32], progress: Progress | None, *, pull_back: bool) -> None:
         device, d = self.device, self.grid.ndim
         nz, ny, nx = (1, *self.grid.shape)[-3:]
         ends = self._map(self.grid.world_to_index_matrix, np.zeros(d)) + self._map(self.end.matrix, np.zeros(d))
@@ -123,6 +126,8 @@ class Chain:
                     with device.errors:
                         kernel(device.queue, size, None, uploaded, np.array([nx, ny, y, z], np.int32), target, *chain)
                     device.finish()
+                if progress:
+                    progress(min(1.0, (z + slices) / nz))
 
     def _map(self, matrix: NDArray[np.float64], offset: NDArray[np.float64]) -> list[NDArray[np.float64]]:
         """The columns of a map and its offset."""

@@ -36,6 +36,7 @@ __all__ = [
     "Reals",
     "as_field",
     "coefficients_of",
+    "fill_value",
     "magnify",
     "opened",
     "prefilter",
@@ -280,7 +281,7 @@ class Field:
         d = self.volume.ndim
         array = _points(points, d)
         chosen = choose_evaluator(self.device, self.filter, evaluator, fetch)
-        flat = sample_coefficients(self.coefficients, chosen, array.reshape(-1, d), derivative, _fill_value(fill), progress)
+        flat = sample_coefficients(self.coefficients, chosen, array.reshape(-1, d), derivative, fill_value(fill), progress)
         return flat.reshape(array.shape[:-1] + (d,) * derivative)
 
     # -- on other grids ----------------------------------------------------------------------------------------
@@ -337,7 +338,7 @@ class Field:
         volume = self.volume
         grid = _grid_for(volume, shape, spacing, like)
         chain = Chain(as_chain(transform, volume.ndim), grid, self.device)
-        matrix, offset = self.indices_after(chain)
+        matrix, offset = chain.to_indices(volume)
         data = self._on_grid(matrix, offset, grid.shape, evaluator, fetch, fill, progress, chain)
         return Volume(data, grid.spacing, grid.origin, grid.direction, grid.units or volume.units)
 
@@ -375,11 +376,6 @@ class Field:
         data = self._on_grid(np.eye(d) / factor, np.zeros(d), shape, evaluator, fetch, None, progress)
         return Volume(data, tuple(s / factor for s in volume.spacing), volume.origin, volume.direction, volume.units)
 
-    def indices_after(self, chain: Chain) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The map to this volume's indices that follows a chain's stages: a matrix and an offset."""
-        inverse = self.volume.world_to_index_matrix
-        return inverse @ chain.end.matrix, inverse @ (chain.end.offset - np.asarray(self.volume.origin))
-
     def _on_grid(
         self,
         matrix: NDArray[np.float64],
@@ -392,7 +388,7 @@ class Field:
         chain: Chain | None = None,
     ) -> Reals:
         device = self.device
-        chosen, fill = choose_evaluator(device, self.filter, evaluator, fetch), _fill_value(fill)
+        chosen, fill = choose_evaluator(device, self.filter, evaluator, fetch), fill_value(fill)
         device.require_room(4 * math.prod(shape))
         self.coefficients.argument(chosen)  # a closed field is refused before the result is made
         result = np.empty(shape, np.float32)
@@ -694,7 +690,7 @@ def _points(points: ArrayLike, d: int) -> NDArray[np.generic]:
     return array
 
 
-def _fill_value(fill: float | None) -> float | None:
+def fill_value(fill: float | None) -> float | None:
     """A real number, NaN and infinities included, or None."""
     if fill is not None and (isinstance(fill, (bool, str)) or not isinstance(fill, (int, float, np.number))):
         raise OptionError(f"fill must be a number or None; got {fill!r}")

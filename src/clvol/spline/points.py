@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from contextlib import nullcontext
 from typing import Any, TypeAlias
 
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from clvol.device import Device
 from clvol.program import LANES, Program
 from clvol.spline.build import point_defines
-from clvol.spline.chain import Chain
+from clvol.spline.chain import Chain, Progress
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, Evaluator
 from clvol.spline.sort import Sorter, scattered
@@ -22,7 +21,6 @@ from clvol.stored import Reals, Stored
 __all__ = ["Floats", "Progress", "Reals", "in_units_of_data", "kernel_fill", "sample_coefficients", "sample_grid"]
 
 Floats: TypeAlias = NDArray[np.float32]
-Progress: TypeAlias = Callable[[float], None]
 
 _RUN = 512  # points that a work-item of a processor takes, a multiple of LANES
 _MIN_LAUNCH = 1 << 10  # points
