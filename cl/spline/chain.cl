@@ -8,7 +8,7 @@
 
 #include "base/platform.cl"
 
-// Positions, and what is added to them: (x, y, z, unused) or (x, y).
+// Positions, and what is added to them: (x, y, z, unused) or (x, y), in the type of positions.
 #if DIMENSIONS == 3
 #define VECTOR 4
 #else
@@ -19,10 +19,8 @@
 #else
 #define PLACE PASTE(float, VECTOR)
 #endif
-#define SHIFT PASTE(float, VECTOR)
 typedef PLACE place_t;
-typedef SHIFT shift_t;
-typedef shift_t shift_at AT_ANY_ADDRESS;
+typedef place_t place_at __attribute__((aligned(sizeof(coord))));
 
 // maps: for each stage the affine map, the map from the world to the grid's coefficients, each by its columns and its offset, and
 // the domain among the coefficients, from and to.
@@ -38,13 +36,13 @@ typedef shift_t shift_at AT_ANY_ADDRESS;
 typedef struct {
     constant place_t *maps;
     constant long *grids;
-    constant float *weights;
-    global const float *values;   // a vector for each coefficient, x fastest, and a number more
+    constant coord *weights;
+    global const coord *values;   // a vector for each coefficient, x fastest, and a number more
     int stages;
 } chain_t;
 
 #define CHAIN_ARGUMENTS \
-    , constant place_t *chain_maps, constant long *chain_grids, constant float *chain_weights, global const float *chain_values, \
+    , constant place_t *chain_maps, constant long *chain_grids, constant coord *chain_weights, global const coord *chain_values, \
         const int stages
 #define CHAIN_GIVEN , { chain_maps, chain_grids, chain_weights, chain_values, stages }
 
@@ -69,14 +67,14 @@ INLINE place_t moved(constant place_t *m, place_t p)
 
 // A displacement at the fractions t past the first coefficient, and, if `slopes` is set, its derivatives along x, y and z of the
 // grid: sums[1] and on. `taps` and `slopes` are literals.
-INLINE void grid_sums(const int taps, const int slopes, constant float *m, global const float *first, const long row,
-                      const long slice, const shift_t t, shift_t sums[MAP])
+INLINE void grid_sums(const int taps, const int slopes, constant coord *m, global const coord *first, const long row,
+                      const long slice, const place_t t, place_t sums[MAP])
 {
-    shift_t w[MOST_TAPS], s[MOST_TAPS];
+    place_t w[MOST_TAPS], s[MOST_TAPS];
 #pragma unroll
     for (int i = 0; i < taps; ++i) {
         w[i] = m[i * taps + taps - 1];
-        s[i] = 0.0f;
+        s[i] = 0;
 #pragma unroll
         for (int k = taps - 2; k >= 0; --k) {
             if (slopes)
@@ -86,16 +84,16 @@ INLINE void grid_sums(const int taps, const int slopes, constant float *m, globa
     }
 #pragma unroll
     for (int i = 0; i < MAP; ++i)
-        sums[i] = 0.0f;
+        sums[i] = 0;
 #pragma unroll
     for (int k = 0; k < (DIMENSIONS == 3 ? taps : 1); ++k) {
-        shift_t plane = 0.0f, plane_x = 0.0f, plane_y = 0.0f;
+        place_t plane = 0, plane_x = 0, plane_y = 0;
 #pragma unroll
         for (int j = 0; j < taps; ++j) {
-            shift_t line = 0.0f, line_x = 0.0f;
+            place_t line = 0, line_x = 0;
 #pragma unroll
             for (int i = 0; i < taps; ++i) {
-                const shift_t c = *(global const shift_at *)(first + k * slice + j * row + DIMENSIONS * i);
+                const place_t c = *(global const place_at *)(first + k * slice + j * row + DIMENSIONS * i);
                 line = madd(w[i].x, c, line);
                 if (slopes)
                     line_x = madd(s[i].x, c, line_x);
@@ -142,17 +140,17 @@ INLINE place_t through_stage(chain_t chain, int n, place_t p, const int slopes, 
     // the domain may end where the next cell would begin, which lacks a coefficient
 #define FIRST(axis, i) MIN((int)u.axis, (int)grid[i] - taps)
     const long x = FIRST(x, 1), y = FIRST(y, 2), row = DIMENSIONS * grid[1], slice = row * grid[2];
-    global const float *first = chain.values + grid[4] + y * row + x * DIMENSIONS;
+    global const coord *first = chain.values + grid[4] + y * row + x * DIMENSIONS;
 #if DIMENSIONS == 3
     const long z = FIRST(z, 3);
     first += z * slice;
-    const shift_t t = (shift_t)((float)(u.x - x), (float)(u.y - y), (float)(u.z - z), 0.0f);
+    const place_t t = (place_t)(u.x - x, u.y - y, u.z - z, 0);
 #else
-    const shift_t t = (shift_t)((float)(u.x - x), (float)(u.y - y));
+    const place_t t = (place_t)(u.x - x, u.y - y);
 #endif
 #undef FIRST
-    constant float *weights = chain.weights + n * MOST_TAPS * MOST_TAPS;
-    shift_t sums[MAP];
+    constant coord *weights = chain.weights + n * MOST_TAPS * MOST_TAPS;
+    place_t sums[MAP];
     switch (taps) {
 #define CASE(number)                                                        \
     case number:                                                            \
@@ -180,12 +178,12 @@ INLINE place_t through_stage(chain_t chain, int n, place_t p, const int slopes, 
     if (slopes)
         for (int i = 0; i < DIMENSIONS; ++i) {
             const place_t along = turned(m, columns[i]);
-            columns[i] = madd(CONVERT(sums[1], PLACE), along.x, madd(CONVERT(sums[2], PLACE), along.y, columns[i]));
+            columns[i] = madd(sums[1], along.x, madd(sums[2], along.y, columns[i]));
 #if DIMENSIONS == 3
-            columns[i] = madd(CONVERT(sums[3], PLACE), along.z, columns[i]);
+            columns[i] = madd(sums[3], along.z, columns[i]);
 #endif
         }
-    return p + CONVERT(sums[0], PLACE);
+    return p + sums[0];
 }
 
 // Where the chain brings a point.

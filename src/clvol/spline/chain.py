@@ -14,6 +14,7 @@ from clvol.device import Device
 from clvol.program import LANES
 from clvol.spline.build import DefineDict
 from clvol.spline.prefilter import prefilter_in_place
+from clvol.stored import Reals
 from clvol.transform import AffineTransform, BSplineTransform, DisplacementField, Transform, split_at_grids
 from clvol.volume import Volume
 
@@ -56,12 +57,12 @@ class Chain:
         self._taps = sum({1 << one.filter.support for one in grids})
         self._coord = np.float64 if device.has_double else np.float32
         maps: list[NDArray[np.float64]] = []
-        weights = np.zeros((max(1, len(grids)), _MOST_TAPS**2), np.float32)
+        weights = np.zeros((max(1, len(grids)), _MOST_TAPS**2), self._coord)
         tables = np.zeros((max(1, len(grids)), 5), np.int64)
-        values: list[NDArray[np.float32]] = []
+        values: list[Reals] = []
         first = 0
         for n, (before, one) in enumerate(zip(affine[:-1], grids, strict=True)):
-            taps, (stored, halo) = one.filter.support, _stored(one, device)
+            taps, (stored, halo) = one.filter.support, _stored(one, device, self._coord)
             inverse = one.grid.world_to_index_matrix
             shift = halo - (taps / 2 - 1)  # a position's first tap is the whole part of its index plus this
             maps += [*self._map(before.matrix, before.offset), *self._map(inverse, shift - inverse @ np.asarray(one.grid.origin))]
@@ -73,7 +74,7 @@ class Chain:
             tables[n] = taps, *(*stored.shape[-2::-1], 1)[:3], first
             values.append(stored.ravel())
             first += stored.size
-        self._values = np.concatenate([*values, np.zeros(1, np.float32)])  # vectors of three are read as four
+        self._values = np.concatenate([*values, np.zeros(1, self._coord)])  # vectors of three are read as four
         self._tables = [device.upload(np.array(maps or [np.zeros(1)], self._coord)), device.upload(tables), device.upload(weights)]
 
     def defines(self) -> DefineDict:
@@ -138,23 +139,23 @@ class Chain:
         return np.pad(vector, (0, vector.size - 2))
 
 
-def _stored(one: DisplacementField | BSplineTransform, device: Device) -> tuple[NDArray[np.float32], int]:
+def _stored(one: DisplacementField | BSplineTransform, device: Device, kind: type[Any]) -> tuple[Reals, int]:
     """Coefficients as chain.cl reads them, [z, y, x, component], and how many of them precede the first along each axis.
 
     A B-spline grid has all that its domain needs. A displacement field is continued to half a voxel past its samples: by the outer
     ones if it is linear, which is ITK's rule, else by reflecting it about them.
     """
     if isinstance(one, BSplineTransform):
-        return np.ascontiguousarray(one.coefficients, np.float32), 0
+        return np.ascontiguousarray(one.coefficients, kind), 0
     halo, mirror = one.filter.support // 2 + 1, as_boundary("mirror")
-    stored = np.asarray(one.displacements, np.float32)
+    stored = np.asarray(one.displacements, kind)
     if one.filter.prefilter:
         stored = np.stack([_prefiltered(component, one, device) for component in np.moveaxis(stored, -1, 0)], axis=-1)
     for axis, n in enumerate(stored.shape[:-1]):
         places = np.arange(-halo, n + halo)
         inner = np.clip(places, 0, n - 1) if one.filter.name == "linear" else mirror.index(places, n)
         stored = np.take(stored, inner, axis)
-    return np.ascontiguousarray(stored), halo
+    return np.ascontiguousarray(stored, kind), halo
 
 
 def _prefiltered(component: NDArray[np.float32], one: DisplacementField, device: Device) -> NDArray[np.float32]:
