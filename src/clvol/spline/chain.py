@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+import math
+from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -14,7 +14,6 @@ from clvol.device import Device
 from clvol.program import LANES
 from clvol.spline.build import DefineDict
 from clvol.spline.prefilter import prefilter_in_place
-from clvol.stored import Reals
 from clvol.transform import AffineTransform, BSplineTransform, DisplacementField, Transform, split_at_grids
 from clvol.volume import Volume
 
@@ -56,36 +55,38 @@ class Chain:
         self.grid, self.device, self.end, self.stages = grid, device, affine[-1], len(grids)
         self._taps = sum({1 << one.filter.support for one in grids})
         self._coord = np.float64 if device.has_double else np.float32
-        maps: list[NDArray[np.float64]] = []
+        maps = [np.zeros(1)]
         weights = np.zeros((max(1, len(grids)), _MOST_TAPS**2), self._coord)
         tables = np.zeros((max(1, len(grids)), 5), np.int64)
-        values: list[Reals] = []
-        first = 0
+        first, edge, places = 0, _EDGE[self._coord], []
         for n, (before, one) in enumerate(zip(affine[:-1], grids, strict=True)):
-            taps, (stored, halo) = one.filter.support, _stored(one, device, self._coord)
+            taps, halo, size = one.filter.support, _halo(one), np.asarray(one.grid.size)
             inverse = one.grid.world_to_index_matrix
             shift = halo - (taps / 2 - 1)  # a position's first tap is the whole part of its index plus this
             maps += [*self._map(before.matrix, before.offset), *self._map(inverse, shift - inverse @ np.asarray(one.grid.origin))]
             low, high = one.domain
-            edge = _EDGE[self._coord]
             maps += [self._padded(low + shift - edge), self._padded(high + shift + edge)]
             polynomials = one.filter.matrix  # of a degree below the number of taps
             weights[n, : taps * taps] = np.pad(polynomials, ((0, 0), (0, taps - polynomials.shape[1]))).ravel()
-            tables[n] = taps, *(*stored.shape[-2::-1], 1)[:3], first
-            values.append(stored.ravel())
-            first += stored.size
-        self._values = np.concatenate([*values, np.zeros(1, self._coord)])  # vectors of three are read as four
-        self._tables = [device.upload(np.array(maps or [np.zeros(1)], self._coord)), device.upload(tables), device.upload(weights)]
+            tables[n] = taps, *(*(size + 2 * halo), 1)[:3], first
+            places.append((one, first, (*(size + 2 * halo)[::-1], one.ndim)))
+            first += math.prod(places[-1][-1])
+        count = first + 1  # vectors of three are read as four
+        self._values = device.allocate(count * np.dtype(self._coord).itemsize)
+        with device.mapped(self._values, (count,), write=True, kind=self._coord) as room:
+            for one, first, shape in places:
+                _fill(room[first : first + math.prod(shape)].reshape(shape), one, device)
+            room[-1] = 0
+        self._tables = [device.upload(np.concatenate(maps[1:] or maps).astype(self._coord)), device.upload(tables), device.upload(weights)]
 
     def defines(self) -> DefineDict:
         """What chain.cl needs to know."""
         return {"CHAIN": 1, "CHAIN_TAPS": self._taps}
 
-    @contextmanager
-    def arguments(self) -> Iterator[tuple[Any, ...]]:
+    @property
+    def arguments(self) -> tuple[Any, ...]:
         """CHAIN_ARGUMENTS of a kernel."""
-        with self.device.lent(self._values, write=False) as values:
-            yield (*self._tables, values, np.int32(self.stages))
+        return (*self._tables, self._values, np.int32(self.stages))
 
     def to_indices(self, moving: Volume) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The map to a volume's indices that follows the stages: a matrix and an offset."""
@@ -120,12 +121,12 @@ class Chain:
         )
         kernel, uploaded = built.kernel("jacobian_grid"), device.upload(np.array(ends, self._coord))
         rows, slices = max(1, min(ny, _POINTS // nx)), max(1, _POINTS // (nx * ny))
-        with self.arguments() as chain, device.lent(results, write=True) as target:
+        with device.lent(results, write=True) as target:
             for z in range(0, nz, slices):
                 for y in range(0, ny, rows):
                     size = (-(-nx // run), min(rows, ny - y), min(slices, nz - z))
                     with device.errors:
-                        kernel(device.queue, size, None, uploaded, np.array([nx, ny, y, z], np.int32), target, *chain)
+                        kernel(device.queue, size, None, uploaded, np.array([nx, ny, y, z], np.int32), target, *self.arguments)
                     device.finish()
                 if progress:
                     progress(min(1.0, (z + slices) / nz))
@@ -139,34 +140,43 @@ class Chain:
         return np.pad(vector, (0, vector.size - 2))
 
 
-def _stored(one: DisplacementField | BSplineTransform, device: Device, kind: type[Any]) -> tuple[Reals, int]:
-    """Coefficients as chain.cl reads them, [z, y, x, component], and how many of them precede the first along each axis.
+def _halo(one: DisplacementField | BSplineTransform) -> int:
+    """How many coefficients precede the first along each axis: a B-spline grid has all that its domain needs."""
+    return 0 if isinstance(one, BSplineTransform) else one.filter.support // 2 + 1
 
-    A B-spline grid has all that its domain needs. A displacement field is continued to half a voxel past its samples: by the outer
-    ones if it is linear, which is ITK's rule, else by reflecting it about them.
+
+def _fill(room: NDArray[Any], one: DisplacementField | BSplineTransform, device: Device) -> None:
+    """Put coefficients where chain.cl reads them, [z, y, x, component].
+
+    A displacement field is continued to half a voxel past its samples: by the outer ones if it is linear, which is ITK's rule,
+    else by reflecting it about them.
     """
     if isinstance(one, BSplineTransform):
-        return np.ascontiguousarray(one.coefficients, kind), 0
-    halo, mirror = one.filter.support // 2 + 1, as_boundary("mirror")
-    stored = np.asarray(one.displacements, kind)
+        room[...] = one.coefficients
+        return
+    halo, mirror = _halo(one), as_boundary("mirror")
+    inner = room[(slice(halo, -halo),) * one.ndim]
     if one.filter.prefilter:
-        stored = np.stack([_prefiltered(component, one, device) for component in np.moveaxis(stored, -1, 0)], axis=-1)
-    for axis, n in enumerate(stored.shape[:-1]):
-        places = np.arange(-halo, n + halo)
-        inner = np.clip(places, 0, n - 1) if one.filter.name == "linear" else mirror.index(places, n)
-        stored = np.take(stored, inner, axis)
-    return np.ascontiguousarray(stored, kind), halo
+        for component in range(one.ndim):
+            _prefilter(one.displacements[..., component], inner[..., component], one, device)
+    else:
+        inner[...] = one.displacements
+    for axis, n in enumerate(one.grid.shape):
+        layers = np.moveaxis(room, axis, 0)
+        for place in (*range(-halo, 0), *range(n, n + halo)):
+            source = np.clip(place, 0, n - 1) if one.filter.name == "linear" else mirror.index(place, n)
+            layers[place + halo] = layers[source + halo]
 
 
-def _prefiltered(component: NDArray[np.float32], one: DisplacementField, device: Device) -> NDArray[np.float32]:
-    nx, ny, nz = (*component.shape[::-1], 1)[:3]
-    pitch = -(-nx // LANES) * LANES
-    buffer = device.allocate(4 * nz * ny * pitch)
-    with device.mapped(buffer, (nz, ny, pitch), write=True) as room:
-        room[..., :nx] = component.reshape(nz, ny, nx)
+def _prefilter(samples: NDArray[Any], coefficients: NDArray[Any], one: DisplacementField, device: Device) -> None:
+    nx, ny, nz = (*samples.shape[::-1], 1)[:3]
+    pitch, kind = -(-nx // LANES) * LANES, coefficients.dtype.type
+    shape = (nz, ny, pitch)
+    buffer = device.allocate(math.prod(shape) * coefficients.itemsize)
+    with device.mapped(buffer, shape, write=True, kind=kind) as room:
+        room[..., :nx] = samples.reshape(nz, ny, nx)
         room[..., nx:] = 0
-    prefilter_in_place(device, buffer, one.filter, as_boundary("mirror"), (pitch, ny, nz, 0), (nx, ny, nz), one.ndim)
-    with device.mapped(buffer, (nz, ny, pitch), write=False) as room:
-        result = np.array(room[..., :nx]).reshape(component.shape)
+    prefilter_in_place(device, buffer, one.filter, as_boundary("mirror"), (pitch, ny, nz, 0), (nx, ny, nz), one.ndim, kind)
+    with device.mapped(buffer, shape, write=False, kind=kind) as room:
+        coefficients[...] = room[..., :nx].reshape(samples.shape)
     buffer.release()
-    return result

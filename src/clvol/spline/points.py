@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from contextlib import nullcontext
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -140,7 +139,7 @@ def sample_grid(
     items, together = (-(-nx // _RUN), 1) if _in_lanes(coefficients, evaluator, derivative) else (-(-nx // 8) * 8, 8)
     parts = [(z, y) for z in range(0, nz, slices) for y in range(0, ny, rows)]
     for done, (z, y) in enumerate(parts, 1):
-        with staged.arguments() if staged else nullcontext(()) as mapped, device.errors:
+        with device.errors:
             kernel(
                 device.queue,
                 (items, min(rows, ny - y), min(slices, nz - z)),
@@ -153,7 +152,7 @@ def sample_grid(
                 np.array([nx, ny, y, z], np.int32),
                 kernel_fill(coefficients.stored, derivative, fill),
                 buffer,
-                *mapped,
+                *(staged.arguments if staged else ()),
             )
         device.finish()
         if progress:
