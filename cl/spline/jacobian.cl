@@ -1,5 +1,5 @@
 // Kernel: the Jacobian of a chain of transforms at the points of a grid: its determinants; or gradients with respect to the moving
-// world, in place, become those with respect to the fixed one.
+// world, each behind a value, become those with respect to the fixed one, in place.
 //
 // Set by the host: PULL_BACK, whether it is gradients that are wanted; RUN, points of a work-item.
 
@@ -8,7 +8,7 @@
 
 // ends: the map from the grid to the world, and the linear maps by which the chain's derivative begins and ends.
 // grid: the number of points along x and y, and the first row and slice of this launch.
-kernel void jacobian_grid(constant place_t *ends, const int4 grid, global float *results CHAIN_ARGUMENTS)
+kernel void jacobian_grid(constant place_t *ends, const int4 grid, global scalar *results CHAIN_ARGUMENTS)
 {
     const chain_t chain = { chain_maps, chain_grids, chain_weights, chain_values, stages };
     const int j = (int)get_global_id(1) + grid.z, k = (int)get_global_id(2) + grid.w;
@@ -30,7 +30,7 @@ kernel void jacobian_grid(constant place_t *ends, const int4 grid, global float 
         for (int n = 0; n < DIMENSIONS; ++n)
             columns[n] = turned(ends + MAP, columns[n]);
 #if PULL_BACK
-        global float *g = results + DIMENSIONS * at;
+        global scalar *g = results + (1 + DIMENSIONS) * at + 1;
         coord sums[DIMENSIONS];
         for (int n = 0; n < DIMENSIONS; ++n) {
             sums[n] = columns[n].x * g[0] + columns[n].y * g[1];

@@ -19,7 +19,7 @@ from clvol.transform import AffineTransform, BSplineTransform, DisplacementField
 sitk = pytest.importorskip("SimpleITK")
 
 Array = NDArray[np.float64]
-WITHIN = 1e-6  # of the range of the samples
+WITHIN = {"single": 1e-6, "double": 1e-10}  # of the range of the samples
 
 
 def moving(d: int) -> Volume:
@@ -104,16 +104,20 @@ CHAINS: dict[str, Any] = {
 
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize("name", CHAINS)
-def test_resample(device: Device, name: str, d: int) -> None:
+@pytest.mark.parametrize("precision", WITHIN)
+def test_resample(device: Device, precision: Any, name: str, d: int) -> None:
     """Values, and where they are missing, are ITK's: both the whole composite transform and its parts in a list."""
+    if precision == "double" and not device.has_double:
+        pytest.skip("the device has no float64")
     parts = CHAINS[name](d)
+    options = {"boundary": "mirror", "fill": np.nan, "precision": precision, "device": device}
     whole, volume, like = sitk.CompositeTransform(parts), moving(d), fixed(d)
     resampled = sitk.Resample(image_of(volume), image_of(like), whole, sitk.sitkBSpline3, np.nan, sitk.sitkFloat64)
     theirs = sitk.GetArrayFromImage(resampled)
-    ours = clvol.resample(volume, like=like, transform=parts, boundary="mirror", fill=np.nan, device=device).data
+    ours = clvol.resample(volume, like=like, transform=parts, **options).data
     assert np.isfinite(theirs).mean() > 0.3
-    np.testing.assert_allclose(ours, theirs, rtol=0, atol=WITHIN * np.ptp(volume.data))
-    got = clvol.resample(volume, like=like, transform=whole, boundary="mirror", fill=np.nan, device=device).data
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=WITHIN[precision] * np.ptp(volume.data))
+    got = clvol.resample(volume, like=like, transform=whole, **options).data
     np.testing.assert_array_equal(got, ours)
 
 

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from clvol.boundary import as_boundary
 from clvol.device import Device
 from clvol.program import LANES
-from clvol.spline.build import DefineDict
+from clvol.spline.build import DefineDict, scalar_defines
 from clvol.spline.prefilter import prefilter_in_place
+from clvol.stored import Reals
 from clvol.transform import AffineTransform, BSplineTransform, DisplacementField, Transform, split_at_grids
 from clvol.volume import Volume
 
@@ -77,7 +78,11 @@ class Chain:
             for one, first, shape in places:
                 _fill(room[first : first + math.prod(shape)].reshape(shape), one, device)
             room[-1] = 0
-        self._tables = [device.upload(np.concatenate(maps[1:] or maps).astype(self._coord)), device.upload(tables), device.upload(weights)]
+        self._tables = [
+            device.upload(np.concatenate(maps[1:] or maps).astype(self._coord)),
+            device.upload(tables),
+            device.upload(weights),
+        ]
 
     def defines(self) -> DefineDict:
         """What chain.cl needs to know."""
@@ -93,17 +98,20 @@ class Chain:
         inverse = moving.world_to_index_matrix
         return inverse @ self.end.matrix, inverse @ (self.end.offset - np.asarray(moving.origin))
 
-    def determinants(self, progress: Progress | None = None) -> NDArray[np.float32]:
-        """Of the chain's Jacobian at the points of the grid, [z, y, x]: of the moving position by the fixed one."""
-        results = np.empty(self.grid.shape, np.float32)
+    def determinants(self, kind: type[Any], progress: Progress | None = None) -> Reals:
+        """Of the chain's Jacobian at the points of the grid, [z, y, x], in this type: of the moving position by the fixed one."""
+        results = np.empty(self.grid.shape, kind)
         self._jacobian(results, progress, pull_back=False)
         return results
 
-    def pull_back(self, gradients: NDArray[np.float32], progress: Progress | None = None) -> None:
-        """Turn gradients with respect to the moving world, [z, y, x, component], into those with respect to the fixed one."""
-        self._jacobian(gradients, progress, pull_back=True)
+    def pull_back(self, results: Reals, progress: Progress | None = None) -> None:
+        """Turn gradients with respect to the moving world into those with respect to the fixed one, in place.
 
-    def _jacobian(self, results: NDArray[np.float32], progress: Progress | None, *, pull_back: bool) -> None:
+        `results` are [z, y, x, component], a value and then its gradient.
+        """
+        self._jacobian(results, progress, pull_back=True)
+
+    def _jacobian(self, results: Reals, progress: Progress | None, *, pull_back: bool) -> None:
         device, d = self.device, self.grid.ndim
         nz, ny, nx = (1, *self.grid.shape)[-3:]
         ends = self._map(self.grid.world_to_index_matrix, np.zeros(d)) + self._map(self.end.matrix, np.zeros(d))
@@ -114,7 +122,7 @@ class Chain:
                 **self.defines(),
                 "DIMENSIONS": d,
                 "COORD_DOUBLE": int(device.has_double),
-                "TAPS": 1,
+                **scalar_defines(results.dtype.type),
                 "PULL_BACK": int(pull_back),
                 "RUN": run,
             },

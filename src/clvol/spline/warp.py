@@ -17,8 +17,8 @@ from clvol.errors import DataError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter
 from clvol.spline.chain import Chain
 from clvol.spline.evaluator import choose_evaluator
-from clvol.spline.field import Field, fill_value, opened, resample
-from clvol.spline.points import Floats, Progress, Reals, in_units_of_data, sample_grid
+from clvol.spline.field import Field, Precision, fill_value, opened, resample
+from clvol.spline.points import NOTHING_GIVEN, Given, Progress, Reals, Transform, sample_grid
 from clvol.spline.resample import resample_coefficients
 from clvol.transform import Transforms, as_chain
 from clvol.volume import Volume, as_volume
@@ -56,6 +56,7 @@ def warp(
     jacobian: bool = False,
     fill: float | None = None,
     device: Device | str | int | None = None,
+    precision: Precision | None = None,
     progress: Progress | None = None,
 ) -> Warped:
     """A moving image in the space of a fixed one, its gradient there, and the Jacobian of the transform.
@@ -72,7 +73,7 @@ def warp(
         The grid of the fixed image.
     transform
         As of `Field.resample`: from the fixed world to the moving one, the last of a list first.
-    filter, boundary, device
+    filter, boundary, device, precision
         As in `clvol.sample`.
     derivative : {0, 1}
         1: the gradient comes too.
@@ -82,7 +83,7 @@ def warp(
     jacobian : bool
         Whether determinants are wanted.
     fill, progress
-        As in a call of `Field`. Where values are filled, gradients are those of a constant: 0, or NaN where `fill` is not finite.
+        As in a call of `Field`. Where values are filled, gradients are 0.
 
     Returns
     -------
@@ -108,40 +109,41 @@ def warp(
     if not isinstance(like, Volume) or like.ndim != moving.ndim:
         raise OptionError(f"like must be a Volume of {moving.ndim} axes, as the volume has; got {like!r}")
     transforms = as_chain(transform, moving.ndim)
-    steps = _steps(progress, 1 + derivative * (2 if wrt == "fixed" else 1) + int(jacobian))
+    steps = _steps(progress, 1 + derivative * (wrt == "fixed") + int(jacobian))
     gradient, determinants = None, None
-    with opened(volume, filter, boundary, device) as field:
-        chain, stored = Chain(transforms, like, field.device), field.coefficients.stored
-        values = in_units_of_data(stored, _on_chain(field, chain, 0, fill, next(steps)), 0, fill)
+    with opened(volume, filter, boundary, device, precision) as field:
+        chain, made, given = Chain(transforms, like, field.device), field.coefficients, Given(fill)
+        results = _on_chain(field, chain, derivative, given, next(steps))
+        values = given.in_units_of_data(made, results[..., 0], 0)
         if derivative:
-            flat = None if fill is None else 0.0 * fill  # a constant's derivative, or NaN
-            slopes = _on_chain(field, chain, 1, flat, next(steps))
-            if flat is not None and stored.alters(1):
-                slopes[np.isinf(slopes)] = flat
             if wrt == "fixed":
-                chain.pull_back(slopes, next(steps))
-            gradient = stored.derivatives(slopes)
+                chain.pull_back(results, next(steps))
+            gradient = NOTHING_GIVEN.in_units_of_data(made, results[..., 1:], 1)
         if jacobian:
-            determinants = chain.determinants(next(steps))
+            determinants = chain.determinants(made.kind, next(steps))
     place = (like.spacing, like.origin, like.direction)
     return Warped(
-        Volume(values, *place, like.units or moving.units),
+        Volume(np.ascontiguousarray(values), *place, like.units or moving.units),
         gradient,
         None if determinants is None else Volume(determinants, *place, like.units or moving.units),
     )
 
 
-def _on_chain(field: Field, chain: Chain, derivative: int, fill: float | None, progress: Progress | None) -> Floats:
-    """The field or its gradient where a chain brings the points of its grid, in stored units."""
-    device, grid = field.device, chain.grid
-    evaluator = choose_evaluator(device, field.filter)
-    field.coefficients.argument(evaluator)  # a closed field is refused before the result is made
+def _on_chain(field: Field, chain: Chain, derivative: int, given: Given, progress: Progress | None) -> Reals:
+    """Values where a chain brings the points of its grid, each followed by the gradient if that is wanted, in stored units."""
+    device, made, grid = field.device, field.coefficients, chain.grid
+    evaluator = choose_evaluator(device, field.filter, fetch="auto" if field.precision == "single" else "buffer")
+    made.argument(evaluator)  # a closed field is refused before the result is made
     matrix, offset = chain.to_indices(field.volume)
-    device.require_room(4 * math.prod(grid.shape) * grid.ndim**derivative)
-    result = np.empty(grid.shape + (grid.ndim,) * derivative, np.float32)
+    shape = (*grid.shape, 1 + derivative * grid.ndim)
+    device.require_room(np.dtype(made.kind).itemsize * math.prod(shape))
+    result = np.empty(shape, made.kind)
+    last, slices = Transform(matrix, offset, field.volume.world_to_index_matrix), (1, *grid.shape)[-3:]
     with device.lent(result, write=True) as buffer:
-        make = partial(sample_grid, derivative=1) if derivative else resample_coefficients
-        make(field.coefficients, evaluator, matrix, offset, (1, *grid.shape)[-3:], buffer, fill, progress, chain=chain)
+        if derivative or chain.stages:
+            sample_grid(made, evaluator, last, slices, buffer, given, progress, None, derivative, chain)
+        else:
+            resample_coefficients(made, evaluator, matrix, offset, slices, buffer, given, progress)
     return result
 
 
@@ -167,6 +169,7 @@ def resample_series(
     direction: ArrayLike | None = None,
     fill: float | None = None,
     device: Device | str | int | None = None,
+    precision: Precision = "single",
     progress: Progress | None = None,
 ) -> Reals:
     """Frames of a series, each through a transform of its own, on one grid: motion correction in one interpolation.
@@ -181,7 +184,7 @@ def resample_series(
         One for each frame, as `transform` of `Field.resample`; None leaves points where they are.
     like : Volume, optional
         The grid of the results; default that of the first frame.
-    filter, boundary, fill, device
+    filter, boundary, fill, device, precision
         As in `clvol.resample`.
     spacing, origin, direction : optional
         Of the frames of an array, as those of a `Volume`.
@@ -191,7 +194,7 @@ def resample_series(
     Returns
     -------
     ndarray of float32, shape (t, nz, ny, nx) or (t, ny, nx)
-        float64 where a frame's results are, see the notes of `Field`.
+        float64 in double precision, and where a frame's results are, see the notes of `Field`.
 
     Raises
     ------
@@ -229,7 +232,17 @@ def resample_series(
     steps = _steps(progress, len(frames))
     result: Reals | None = None
     for n, (frame, chain) in enumerate(zip(frames, chains, strict=True)):
-        made = resample(frame, None, None, grid, filter, boundary, transform=chain, fill=fill, device=chosen, progress=next(steps))
+        made = resample(
+            frame,
+            like=grid,
+            filter=filter,
+            boundary=boundary,
+            transform=chain,
+            fill=fill,
+            device=chosen,
+            precision=precision,
+            progress=next(steps),
+        )
         if result is None:
             result = np.empty((len(frames), *grid.shape), made.data.dtype)
         if made.data.dtype != result.dtype:
