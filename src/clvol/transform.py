@@ -85,6 +85,13 @@ class AffineTransform:
             )
         return cls(whole[:-1, :-1], whole[:-1, -1])
 
+    @classmethod
+    def unchecked(cls, matrix: NDArray[np.float64], offset: NDArray[np.float64]) -> AffineTransform:
+        """``y = matrix x + offset`` of numbers that are known to be sound."""
+        made = cls.__new__(cls)
+        made.matrix, made.offset = matrix, offset
+        return made
+
     def __repr__(self) -> str:
         return f"AffineTransform({self.matrix.tolist()}, {self.offset.tolist()})"
 
@@ -95,7 +102,7 @@ class AffineTransform:
 
     def after(self, first: AffineTransform) -> AffineTransform:
         """The map that applies `first`, and then this one."""
-        return AffineTransform(self.matrix @ first.matrix, self.matrix @ first.offset + self.offset)
+        return AffineTransform.unchecked(self.matrix @ first.matrix, self.matrix @ first.offset + self.offset)
 
 
 class _Grid:
@@ -298,7 +305,7 @@ def split_at_grids(
     chain: Sequence[Transform], ndim: int
 ) -> tuple[list[AffineTransform], list[DisplacementField | BSplineTransform]]:
     """The n grids of a chain in the order in which points meet them, and the n + 1 affine maps before, between and after them."""
-    still = AffineTransform(np.eye(ndim))
+    still = AffineTransform.unchecked(np.eye(ndim), np.zeros(ndim))
     affine, grids = [still], []
     for one in reversed(chain):
         if isinstance(one, AffineTransform):

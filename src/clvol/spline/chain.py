@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -52,46 +53,42 @@ class Chain:
 
     def __init__(self, transforms: Sequence[Transform], grid: Volume, device: Device) -> None:
         affine, grids = split_at_grids(transforms, grid.ndim)
-        affine[0] = affine[0].after(AffineTransform(grid.index_to_world_matrix, grid.origin))
+        affine[0] = affine[0].after(AffineTransform.unchecked(grid.index_to_world_matrix, np.asarray(grid.origin)))
         self.grid, self.device, self.end, self.stages = grid, device, affine[-1], len(grids)
-        self._taps = sum({1 << one.filter.support for one in grids})
+        self._rows = list(zip(affine[:-1], grids, strict=True))
         self._coord = np.float64 if device.has_double else np.float32
-        maps = [np.zeros(1)]
-        weights = np.zeros((max(1, len(grids)), _MOST_TAPS**2), self._coord)
-        tables = np.zeros((max(1, len(grids)), 5), np.int64)
-        first, edge, places = 0, _EDGE[self._coord], []
-        for n, (before, one) in enumerate(zip(affine[:-1], grids, strict=True)):
-            taps, halo, size = one.filter.support, _halo(one), np.asarray(one.grid.size)
-            inverse = one.grid.world_to_index_matrix
+
+    def defines(self) -> DefineDict:
+        """What chain.cl needs to know."""
+        return {"CHAIN": 1, "CHAIN_TAPS": sum({1 << one.filter.support for _, one in self._rows})}
+
+    @cached_property
+    def arguments(self) -> tuple[Any, ...]:
+        """CHAIN_ARGUMENTS of a kernel, made at the first use."""
+        device, kind, edge, rows = self.device, self._coord, _EDGE[self._coord], max(1, self.stages)
+        weights, tables = np.zeros((rows, _MOST_TAPS**2), kind), np.zeros((rows, 5), np.int64)
+        maps: list[NDArray[np.float64]] = []
+        places, first = [], 0
+        for n, (before, one) in enumerate(self._rows):
+            taps, halo, inverse = one.filter.support, _halo(one), one.grid.world_to_index_matrix
             shift = halo - (taps / 2 - 1)  # a position's first tap is the whole part of its index plus this
             maps += [*self._map(before.matrix, before.offset), *self._map(inverse, shift - inverse @ np.asarray(one.grid.origin))]
             low, high = one.domain
             maps += [self._padded(low + shift - edge), self._padded(high + shift + edge)]
             polynomials = one.filter.matrix  # of a degree below the number of taps
             weights[n, : taps * taps] = np.pad(polynomials, ((0, 0), (0, taps - polynomials.shape[1]))).ravel()
-            tables[n] = taps, *(*(size + 2 * halo), 1)[:3], first
-            places.append((one, first, (*(size + 2 * halo)[::-1], one.ndim)))
-            first += math.prod(places[-1][-1])
+            shape = *(size + 2 * halo for size in one.grid.shape), one.ndim
+            tables[n] = taps, *(*shape[-2::-1], 1)[:3], first
+            places.append((one, first, shape))
+            first += math.prod(shape)
         count = first + 1  # vectors of three are read as four
-        self._values = device.allocate(count * np.dtype(self._coord).itemsize)
-        with device.mapped(self._values, (count,), write=True, kind=self._coord) as room:
+        values = device.allocate(count * np.dtype(kind).itemsize)
+        with device.mapped(values, (count,), write=True, kind=kind) as room:
             for one, first, shape in places:
                 _fill(room[first : first + math.prod(shape)].reshape(shape), one, device)
             room[-1] = 0
-        self._tables = [
-            device.upload(np.concatenate(maps[1:] or maps).astype(self._coord)),
-            device.upload(tables),
-            device.upload(weights),
-        ]
-
-    def defines(self) -> DefineDict:
-        """What chain.cl needs to know."""
-        return {"CHAIN": 1, "CHAIN_TAPS": self._taps}
-
-    @property
-    def arguments(self) -> tuple[Any, ...]:
-        """CHAIN_ARGUMENTS of a kernel."""
-        return (*self._tables, self._values, np.int32(self.stages))
+        uploaded = [device.upload(table) for table in (np.array(maps or [np.zeros(1)], kind), tables, weights)]
+        return (*uploaded, values, np.int32(self.stages))
 
     def to_indices(self, moving: Volume) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The map to a volume's indices that follows the stages: a matrix and an offset."""
