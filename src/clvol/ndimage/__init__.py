@@ -22,11 +22,14 @@ from clvol.ndimage.interpolation import (
     spline_filter1d,
     zoom,
 )
+from clvol.ndimage.patch import Report, patched
 
 __all__ = [
+    "Report",
     "affine_transform",
     "geometric_transform",
     "map_coordinates",
+    "patched",
     "rotate",
     "shift",
     "spline_filter",

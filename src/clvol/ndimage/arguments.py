@@ -1,4 +1,4 @@
-"""The arguments of the functions of `clvol.ndimage`, checked and in one form; what is refused is refused with SciPy's exceptions too."""
+"""The arguments of the functions of `clvol.ndimage`, checked and in one form; refused with the exceptions that SciPy raises."""
 
 from __future__ import annotations
 
@@ -15,16 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.checks import enough_memory, one_of
 from clvol.device import Device, as_device
-from clvol.errors import (
-    AxisError,
-    DataError,
-    DtypeError,
-    NotFiniteError,
-    OptionError,
-    OptionTypeError,
-    RefusedError,
-    UnsupportedError,
-)
+from clvol.errors import AxisError, DataError, DtypeError, NotFiniteError, OptionError, OptionTypeError, RefusedError
 from clvol.ndimage.engine import Precision
 
 __all__ = [
@@ -232,10 +223,8 @@ def finite(what: str, value: object) -> float:
 
 def per_axis(what: str, value: object, ndim: int) -> list[Any]:
     """One finite number for each axis, as it was given, or the same for all."""
-    if isinstance(value, (str, bytes)) or not np.iterable(value):
-        values = [value] * ndim
-    else:
-        values = list(value)  # type: ignore[call-overload]  # it can be iterated
+    alone = isinstance(value, (str, bytes)) or not np.iterable(value)
+    values: list[Any] = [value] * ndim if alone else list(value)  # type: ignore[call-overload]  # it can be iterated
     if len(values) != ndim:
         raise RefusedError(f"{what} must be a number, or one for each of the {ndim} axes of input; got {len(values)}")
     for one in values:
@@ -312,7 +301,7 @@ def as_output(output: Any, data: Array, shape: Sequence[int], *, copied: bool = 
 
 def _as_dtype(output: Any, data: Array, copied: bool) -> np.dtype[Any]:
     try:
-        dtype = np.dtype(output)
+        dtype: np.dtype[Any] = np.dtype(output)
     except TypeError:
         raise OptionTypeError(f"output must be an array or a dtype; got {output!r}") from None
     if isinstance(output, str):
@@ -341,13 +330,13 @@ def _empty(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
             raise OptionError(f"the result must have a size that can be addressed; got shape {shape}") from None
 
 
-def _as_cval(cval: object, complex_: bool) -> float | complex:
+def _as_cval(cval: Any, complex_: bool) -> float | complex:
     if isinstance(cval, np.ndarray) and cval.ndim == 0:
         cval = cval[()]
     refused = isinstance(cval, (str, bytes, np.ndarray)) or (isinstance(cval, np.complexfloating) and not complex_)
     try:
         if not refused:
-            return complex(cval) if complex_ else float(cval)  # type: ignore[call-overload,no-any-return]  # that is the question
+            return complex(cval) if complex_ else float(cval)
     except OverflowError:
         raise NotFiniteError(f"cval must be a number that float64 can hold; got {cval!r}") from None
     except TypeError:

@@ -321,10 +321,8 @@ def affine_transform(
     """
     number = as_order(order)
     data = as_array(input)
-    if output_shape is None:
-        shape = output.shape if isinstance(output, np.ndarray) else data.shape
-    else:
-        shape = as_shape(output_shape)
+    like = output if isinstance(output, np.ndarray) else data
+    shape = like.shape if output_shape is None else as_shape(output_shape)
     _require_rank(data, shape)
     result = as_output(output, data, shape)
     spline = Spline.of(data, number, mode, cval, prefilter, precision, device, nan, progress)
@@ -445,7 +443,7 @@ def zoom(
     number = as_order(order)
     data = as_array(input)
     factors = per_axis("zoom", zoom, data.ndim)
-    shape = tuple(int(round(n * factor)) for n, factor in zip(data.shape, factors, strict=True))
+    shape = tuple(round(n * factor) for n, factor in zip(data.shape, factors, strict=True))
     _require_rank(data, shape)
     if any(n < 0 for n in shape):
         raise OptionError(f"zoom must be at least 0; got {zoom!r}")

@@ -1,4 +1,4 @@
-"""From a call to calls of the engine: real and imaginary parts, axes that stay as they are, more axes than three, points by pieces."""
+"""From a call to calls of the engine: real and imaginary parts, axes left as they are, more axes than three, points by pieces."""
 
 from __future__ import annotations
 
@@ -40,7 +40,11 @@ def along_axes(data: Array, positions: Sequence[_Floats | None], output: Array, 
     """
     if not spline.interpolates:
         positions = [_samples(n) if p is None else p for p, n in zip(positions, data.shape, strict=True)]
-    moved = {axis: p for axis, p in enumerate(positions) if p is not None}
+    _along({axis: p for axis, p in enumerate(positions) if p is not None}, data, output, spline)
+
+
+def _along(moved: dict[int, _Floats], data: Array, output: Array, spline: Spline) -> None:
+    """The spline on a grid along some axes, the others being left as they are."""
     if moved:
         _grids(data, _separately(moved, data.shape), output, spline)
     elif output.dtype.kind in "fc" or output.dtype == data.dtype:
@@ -70,36 +74,27 @@ def affinely(data: Array, axes: Sequence[int], matrix: _Floats, offset: _Floats,
     if columns < rows:  # the result gets axes of one sample
         matrix = np.hstack([matrix, np.zeros((rows, rows - columns))])
         output = output[(..., *[np.newaxis] * (rows - columns))]
-    coupled = [
-        [axis for axis, entry in zip(axes, row, strict=True) if entry != 0 and axis != own]
-        for own, row in zip(axes, matrix.tolist(), strict=True)
-    ]
-    if not any(coupled):
-        positions: list[_Floats | None] = [None] * data.ndim
-        for axis, scale, start in zip(axes, np.diagonal(matrix).tolist(), offset.tolist(), strict=True):
-            if (scale, start, output.shape[axis]) != (1, 0, data.shape[axis]):
-                positions[axis] = np.arange(output.shape[axis]) * scale + start
-        along_axes(data, positions, output, spline)
-        return
-    groups = _groups(axes, coupled)
-    passes: list[_Pass] = []
+    number = {axis: k for k, axis in enumerate(axes)}
+    table, starts, shape = matrix.tolist(), offset.tolist(), output.shape
+    mixed: list[list[int]] = []
     alone: dict[int, _Floats] = {}
-    for group in groups:
-        rows_of = [axes.index(axis) for axis in group]
-        block, start = matrix[np.ix_(rows_of, rows_of)], offset[rows_of]
-        shape = tuple(output.shape[axis] for axis in group)
+    for group in _groups(axes, table):
+        axis, k = group[0], number[group[0]]
         if len(group) > 1:
-            passes.append((group, Affine(block, start, shape)))
-        elif not (spline.interpolates and (block[0, 0], start[0], shape[0]) == (1, 0, data.shape[group[0]])):
-            alone[group[0]] = np.arange(shape[0]) * block[0, 0] + start[0]
-    resampled = sorted([axis for group, _ in passes for axis in group] + list(alone))
-    if len(resampled) <= _NATIVE:
-        at = [axes.index(axis) for axis in resampled]
-        shape = tuple(output.shape[axis] for axis in resampled)
-        passes = [(resampled, Affine(matrix[np.ix_(at, at)], offset[at], shape))]
-    else:
-        passes += _separately(alone, data.shape)
-    _grids(data, passes, output, spline)
+            mixed.append(group)
+        elif not (spline.interpolates and (table[k][k], starts[k], shape[axis]) == (1, 0, data.shape[axis])):
+            alone[axis] = np.arange(shape[axis]) * table[k][k] + starts[k]
+    if not mixed:
+        _along(alone, data, output, spline)
+        return
+    together = sorted([axis for group in mixed for axis in group] + list(alone))
+    if len(together) <= _NATIVE:
+        mixed, alone = [together], {}
+    passes: list[_Pass] = []
+    for group in mixed:
+        at = [number[axis] for axis in group]
+        passes.append((group, Affine(matrix[np.ix_(at, at)], offset[at], tuple(shape[axis] for axis in group))))
+    _grids(data, passes + _separately(alone, data.shape), output, spline)
 
 
 def at_points(data: Array, axes: Sequence[int], coordinates: Array, output: Array, spline: Spline) -> None:
@@ -225,13 +220,14 @@ def _separately(positions: dict[int, _Floats], shape: Sequence[int]) -> list[_Pa
     return [(group, Axes(tuple(positions[axis] for axis in group))) for group in groups]
 
 
-def _groups(axes: Sequence[int], coupled: Sequence[Sequence[int]]) -> list[list[int]]:
-    """The axes in groups that the matrix does not mix."""
+def _groups(axes: Sequence[int], matrix: Sequence[Sequence[float]]) -> list[list[int]]:
+    """The axes in groups that the matrix does not mix with each other."""
     label = {axis: axis for axis in axes}
-    for axis, others in zip(axes, coupled, strict=True):
-        for other in others:
-            old, new = label[axis], label[other]
-            label = {key: new if value == old else value for key, value in label.items()}
+    for axis, row in zip(axes, matrix, strict=True):
+        for other, entry in zip(axes, row, strict=True):
+            if entry != 0 and label[other] != label[axis]:
+                old, new = label[axis], label[other]
+                label = {key: new if value == old else value for key, value in label.items()}
     return [[axis for axis in axes if label[axis] == one] for one in dict.fromkeys(label.values())]
 
 
@@ -242,10 +238,10 @@ def _outside(grid: Axes | Affine, shape: Sequence[int]) -> NDArray[np.bool_]:
     else:
         size = math.prod(grid.shape)
         at = tuple(row.reshape(grid.shape) for row in _positions(grid.matrix, grid.offset, grid.shape, 0, size))
-    inside = np.True_
+    inside: NDArray[np.bool_] = np.ones((), bool)
     for along, n in zip(at, shape, strict=True):
         inside = inside & (along >= 0) & (along <= n - 1)
-    return ~np.asarray(inside)
+    return ~inside
 
 
 def _beyond(output: Array, axes: Sequence[int]) -> Array:
