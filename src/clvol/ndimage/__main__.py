@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from clvol.ndimage.patch import run
 
@@ -17,6 +18,8 @@ def main() -> None:
     parser.add_argument("script")
     parser.add_argument("arguments", nargs=argparse.REMAINDER)
     given = parser.parse_args()
+    if not Path(given.script).is_file():
+        parser.error(f"script must be a file; got {given.script!r}")
     run(given.script, given.arguments, fallback=given.fallback, verbose=given.verbose)
 
 

@@ -247,15 +247,12 @@ def run(script: str, arguments: Sequence[str], *, fallback: bool = False, verbos
 
     Raises
     ------
-    OptionError
+    OSError
         There is no such file.
     BaseException
         Whatever the script raises; its traceback begins in the script, and is printed here.
     """
-    try:
-        source = Path(script).read_bytes()
-    except OSError as error:
-        raise OptionError(f"the script must be a file that can be read; got {script!r}: {error.strerror}") from None
+    source = Path(script).read_bytes()
     file = str(Path(script).absolute())
     main = ModuleType("__main__")
     main.__file__ = file
