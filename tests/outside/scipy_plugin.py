@@ -6,22 +6,32 @@ their tolerances; they compute in float64, so everything does.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
-from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 from scipy import ndimage
 
 import clvol.ndimage
+from clvol.ndimage import interpolation
 
 
 class InDouble:
-    """What the tests find under the name `ndimage`."""
+    """What the tests find under the name `ndimage`; counts calls."""
+
+    calls: ClassVar[Counter[str]] = Counter()
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
         function: Callable[..., Any] = getattr(clvol.ndimage, name)
-        return partial(function, precision="double") if name in clvol.ndimage.__all__ else function
+        if name not in interpolation.__all__:
+            return function
+
+        def computed(*arguments: Any, **options: Any) -> Any:
+            self.calls[name] += 1
+            return function(*arguments, precision="double", **options)
+
+        return computed
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
@@ -31,3 +41,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     for module in modules:
         assert module.ndimage is ndimage, f"{module.__name__} does not call scipy.ndimage by this name"
         module.ndimage = InDouble()
+
+
+def pytest_sessionfinish() -> None:
+    assert set(InDouble.calls) == set(interpolation.__all__), f"the tests called {InDouble.calls}"

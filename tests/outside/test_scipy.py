@@ -34,4 +34,5 @@ def test_scipys_own_tests_pass(device: Device, tmp_path: Path) -> None:
     failed = [case.get("name") for case in cases if case.find("failure") is not None or case.find("error") is not None]
     skipped = [case.get("name") for case in cases if case.find("skipped") is not None]
     assert {str(name).partition("[")[0] for name in failed} == set(DEPARTURES), run.stdout[-4000:]
+    assert run.returncode == bool(DEPARTURES), run.stdout + run.stderr
     assert len(cases) - len(skipped) >= AT_LEAST, (len(cases), skipped[:9])
