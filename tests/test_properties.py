@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from clvol import reference
-from clvol.boundary import boundaries
+from clvol.boundary import as_boundary, boundaries
 from clvol.filter import Filter, as_filter, bspline, filters
 from tests.cases import SMOOTHED
 
@@ -46,7 +46,8 @@ def largest(samples: np.ndarray, name: str | Filter, rule: str) -> float:
 @given(data, degrees, rules, st.integers(0, 2**32 - 1))
 def test_convex_hull(coefficients: np.ndarray, degree: int, rule: str, seed: int) -> None:
     """A value lies within the k + 1 coefficients along each axis that are near: those of the boundary rule included."""
-    points = somewhere(coefficients.shape, seed)
+    moves = as_boundary(rule).outside in ("constant", "overlap")  # positions past the outer samples are others, or none
+    points = somewhere(coefficients.shape, seed, 0 if moves else 0.5)
     values = reference.sample(coefficients, points, bspline(degree, prefilter=False), rule)
     margin = degree + 2
     near = reference.extend(coefficients, margin, rule)

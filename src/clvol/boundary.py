@@ -7,7 +7,7 @@ or nothing. Everything else follows from it: the matrix of eq. (11) has row ``i`
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -59,6 +59,8 @@ class Boundary:
     period: tuple[int, int] | None
     fold: int | None
     description: str
+    outside: str = "rule"
+    cval: float = 0.0
 
     def __post_init__(self) -> None:
         for what in ("name", "description"):
@@ -132,6 +134,10 @@ _TABLE = {
         Boundary("reflect", (2, 0), 1, "reflected about the volume's faces: c b a | a b c d | d c b"),
         Boundary("wrap", (1, 0), None, "repeated, the paper's closed curve (eq. 11): b c d | a b c d | a b c"),
         Boundary("zero", None, None, "coefficients are zero outside: 0 0 0 | a b c d | 0 0 0"),
+        Boundary("nearest", (2, 0), 1, "the outer samples go on: a a a | a b c d | d d d", "clamp"),
+        Boundary("constant", (2, -2), 0, "cval outside the outer samples: k k k | a b c d | k k k", "constant"),
+        Boundary("grid-constant", (2, -2), 0, "samples are cval outside: k k k | a b c d | k k k", "grid-constant"),
+        Boundary("overlap", (2, -2), 0, "repeated, the first sample upon the last: b c d | a b c d | b c d", "overlap"),
     )
 }
 
@@ -145,6 +151,10 @@ def as_boundary(choice: str | Boundary) -> Boundary:
     """The rule for a name."""
     if isinstance(choice, Boundary):
         return choice
+    if isinstance(choice, str) and choice.endswith(")"):
+        name, _, cval = choice[:-1].partition("(")
+        if name in ("constant", "grid-constant"):
+            return replace(_TABLE[name], name=choice, cval=float(cval))
     if not isinstance(choice, str) or choice not in _TABLE:
         raise one_of("boundary", choice, _TABLE)
     return _TABLE[choice]
