@@ -158,7 +158,7 @@ def _near_valid(missing: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _block_means(data: NDArray[Any], missing: NDArray[np.bool_], at: tuple[NDArray[np.intp], ...]) -> NDArray[np.float64]:
-    """At missing samples, linearly interpolated means of the valid ones in blocks of two, or in larger ones where these have none."""
+    """At missing samples, linearly interpolated means of valid ones in blocks of two, or larger ones where these have none."""
     from scipy import ndimage
 
     shape = tuple(-(-n // 2) for n in data.shape)
