@@ -79,6 +79,11 @@ class Boundary:
                 f"length: {allowed}; got {self.period} and {self.fold}"
             )
 
+    @property
+    def edge(self) -> float:
+        """How far past the outer samples the function inside goes: half a sample, or nothing where another one begins there."""
+        return 0.0 if self.outside in ("constant", "overlap") else 0.5
+
     def length(self, n: int) -> int:
         """The period in samples on an axis of `n`; at least 1, and 0 if the rule has none."""
         return max(1, self.period[0] * n + self.period[1]) if self.period else 0
