@@ -80,6 +80,11 @@ class Boundary:
             )
 
     @property
+    def repeats(self) -> bool:
+        """Whether the coefficients repeat with the period, as far as one goes."""
+        return self.period is not None and self.outside == "rule"
+
+    @property
     def edge(self) -> float:
         """How far past the outer samples the function inside goes: half a sample, or nothing where another one begins there."""
         return 0.0 if self.outside in ("constant", "overlap") else 0.5
