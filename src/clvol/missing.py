@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
@@ -74,7 +73,7 @@ class Missing:
             object.__setattr__(self, "mask", mask)
 
     def of(self, data: NDArray[Any]) -> NDArray[np.bool_] | None:
-        """Where samples are missing; None where none is, or where the rule is to refuse them.
+        """Where samples are missing; None if none is, or if the rule is to refuse them.
 
         Raises
         ------
@@ -91,10 +90,18 @@ class Missing:
                 raise DataError('the mask excludes samples, which nan="error" refuses; nan may be "propagate" or "local"')
             return None
         if data.dtype.kind == "f":
+            kind = np.float64 if data.dtype.itemsize > 8 else data.dtype
             with np.errstate(over="ignore"):  # longdouble reaches further than float64
-                lost = ~np.isfinite(data.astype(np.float64, copy=False))
+                lost = ~np.isfinite(data.astype(kind, copy=False))
             missing = lost if missing is None else missing | lost
         return missing if missing is not None and missing.any() else None
+
+    def filled(self, data: NDArray[Any], missing: NDArray[np.bool_]) -> NDArray[Any]:
+        """Samples to compute with: where they are missing the fill, or any valid one where nothing is seen of it."""
+        if self.rule == "local":
+            return filled_smoothly(data, missing)
+        valid = data[np.unravel_index(missing.argmin(), data.shape)]
+        return np.where(missing, np.zeros_like(valid) if missing.all() else valid, data)
 
 
 def as_missing(nan: str | Missing) -> Missing:
@@ -153,28 +160,36 @@ def filled_smoothly(data: NDArray[Any], missing: NDArray[np.bool_]) -> NDArray[n
 def _near_valid(missing: NDArray[np.bool_]) -> NDArray[np.bool_]:
     from scipy import ndimage
 
+    if not _in_pairs(np.logical_and, missing).any():  # nothing lies deep
+        return missing
     deep = ndimage.minimum_filter(missing.view(np.uint8), 2 * _BAND + 1, mode="nearest")
     return np.asarray(missing & (deep == 0))
 
 
-def _block_means(data: NDArray[Any], missing: NDArray[np.bool_], at: tuple[NDArray[np.intp], ...]) -> NDArray[np.float64]:
-    """At missing samples, linearly interpolated means of valid ones in blocks of two, or larger ones where these have none."""
+def _in_pairs(combine: np.ufunc, data: NDArray[Any]) -> NDArray[Any]:
+    """Blocks of two along each axis, combined; the last one of an odd axis is a sample by itself."""
+    for axis in range(data.ndim):
+        lines = np.moveaxis(data, axis, 0)
+        first = lines[::2].copy()
+        pairs = first[: len(lines) // 2]
+        combine(pairs, lines[1::2], out=pairs)
+        data = np.moveaxis(first, 0, axis)
+    return data
+
+
+def _block_means(
+    data: NDArray[np.floating[Any]], missing: NDArray[np.bool_], at: tuple[NDArray[np.intp], ...]
+) -> NDArray[np.float64]:
+    """At missing samples, which are 0, linearly interpolated means of valid ones in blocks of two, or larger ones without any."""
     from scipy import ndimage
 
-    shape = tuple(-(-n // 2) for n in data.shape)
-    sums, counts = np.zeros(shape), np.zeros(shape, np.int64)
-    for first in itertools.product((0, 1), repeat=data.ndim):
-        every = tuple(slice(f, None, 2) for f in first)
-        part = tuple(slice(n) for n in data[every].shape)
-        valid = ~missing[every]
-        sums[part] += np.where(valid, data[every], 0)
-        counts[part] += valid
+    counts = _in_pairs(np.add, (~missing).astype(np.uint8))
+    means = _in_pairs(np.add, data) / np.maximum(counts, 1).astype(data.dtype)
     empty = counts == 0
-    means = sums / np.maximum(counts, 1)
     if empty.any():
         means[empty] = _block_means(means, empty, np.nonzero(empty))
     middles = (np.stack(at) - 0.5) / 2
-    return np.asarray(ndimage.map_coordinates(means, middles, order=1, mode="nearest"))
+    return np.asarray(ndimage.map_coordinates(means, middles, np.float64, order=1, mode="nearest"))
 
 
 def _least_bent(data: NDArray[Any], unknown: NDArray[np.intp], exponent: int, start: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -18,7 +18,7 @@ from clvol.device import Device, as_device
 from clvol.errors import DataError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.interop import read_array
-from clvol.missing import Missing, as_missing, filled_smoothly, touching
+from clvol.missing import Missing, as_missing, touching
 from clvol.program import LANES
 from clvol.smoothing import settled
 from clvol.spline.coefficients import Coefficients
@@ -173,7 +173,7 @@ class Field:
         self.device = as_device(device)
         self.missing = as_missing(nan)
         where = self.missing.of(self.volume.data)
-        present = self.volume if where is None else replace(self.volume, data=filled_smoothly(self.volume.data, where))
+        present = self.volume if where is None else replace(self.volume, data=self.missing.filled(self.volume.data, where))
         self.coefficients = coefficients_of(present, row, self.boundary, self.device)
         self.filter = self.coefficients.filter
         self.gaps = None if where is None else self._gaps_at(where)
