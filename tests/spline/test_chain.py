@@ -137,6 +137,25 @@ def test_data_far_from_one(device: Device, factor: float) -> None:
     np.testing.assert_allclose(got.gradient / factor, plain.gradient, rtol=0, atol=1e-4)
 
 
+@pytest.mark.parametrize("rule", ["local", "propagate"])
+def test_missing_samples_spoil_what_touches_them(device: Device, rule: str) -> None:
+    volume, like, chain = moving(3), fixed(3), CHAINS["all"](3)
+    data = volume.data.copy()
+    data[8, 9, 10] = np.nan
+    holed = Volume(data, volume.spacing, volume.origin, volume.direction)
+    places, _ = reference.map_points(points_of(like), chain)
+    index = holed.world_to_index(places)
+    reached = (np.abs(index - (10, 9, 8)) < 2).all(axis=-1)
+    within = ((index >= -0.5) & (index <= np.array(volume.size) - 0.5)).all(axis=-1)
+    expected = reached if rule == "local" else within
+    assert 10 < reached.sum() < 0.2 * reached.size
+    got = clvol.warp(holed, like, chain, derivative=1, fill=0, nan=rule, device=device)
+    np.testing.assert_array_equal(np.isnan(got.values.data), expected)
+    np.testing.assert_array_equal(np.isnan(got.gradient), expected[..., None].repeat(3, axis=-1))
+    alone = clvol.resample(holed, like=like, transform=chain, fill=0, nan=rule, device=device)
+    np.testing.assert_array_equal(np.isnan(alone.data), expected)
+
+
 def test_launches_and_neighbours_change_nothing(device: Device) -> None:
     volume, like, chain = moving(3), fixed(3), CHAINS["all"](3)
     whole = clvol.warp(volume, like, chain, derivative=1, jacobian=True, device=device)

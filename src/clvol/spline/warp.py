@@ -15,6 +15,7 @@ from clvol.checks import instance, one_of, several, whole
 from clvol.device import Device, as_device
 from clvol.errors import DataError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter
+from clvol.missing import Missing
 from clvol.spline.chain import Chain
 from clvol.spline.evaluator import choose_evaluator
 from clvol.spline.field import Field, Precision, fill_value, opened, resample
@@ -57,6 +58,7 @@ def warp(
     fill: float | None = None,
     device: Device | str | int | None = None,
     precision: Precision | None = None,
+    nan: str | Missing | None = None,
     progress: Progress | None = None,
 ) -> Warped:
     """A moving image in the space of a fixed one, its gradient there, and the Jacobian of the transform.
@@ -73,7 +75,7 @@ def warp(
         The grid of the fixed image.
     transform
         As of `Field.resample`: from the fixed world to the moving one, the last of a list first.
-    filter, boundary, device, precision
+    filter, boundary, device, precision, nan
         As in `clvol.sample`.
     derivative : {0, 1}
         1: the gradient comes too.
@@ -111,9 +113,12 @@ def warp(
     transforms = as_chain(transform, moving.ndim)
     steps = _steps(progress, 1 + derivative * (wrt == "fixed") + int(jacobian))
     gradient, determinants = None, None
-    with opened(volume, filter, boundary, device, precision) as field:
+    with opened(volume, filter, boundary, device, precision, nan) as field:
         chain, made, given = Chain(transforms, like, field.device), field.coefficients, Given(fill)
         results = _on_chain(field, chain, derivative, given, next(steps))
+        if field.gaps:
+            share = _on_chain(field.gaps, chain, 0, Given(None if fill is None else 0.0), None)[..., 0]
+            results[share > field.missing.most] = np.nan
         values = given.in_units_of_data(made, results[..., 0], 0)
         if derivative:
             if wrt == "fixed":
@@ -132,7 +137,7 @@ def warp(
 def _on_chain(field: Field, chain: Chain, derivative: int, given: Given, progress: Progress | None) -> Reals:
     """Values where a chain brings the points of its grid, each followed by the gradient if that is wanted, in stored units."""
     device, made, grid = field.device, field.coefficients, chain.grid
-    evaluator = choose_evaluator(device, field.filter, fetch="auto" if field.precision == "single" else "buffer")
+    evaluator = choose_evaluator(device, field.filter, "taps", "buffer")
     made.argument(evaluator)  # a closed field is refused before the result is made
     matrix, offset = chain.to_indices(field.volume)
     shape = (*grid.shape, 1 + derivative * grid.ndim)
@@ -170,6 +175,7 @@ def resample_series(
     fill: float | None = None,
     device: Device | str | int | None = None,
     precision: Precision = "single",
+    nan: str | Missing = "error",
     progress: Progress | None = None,
 ) -> Reals:
     """Frames of a series, each through a transform of its own, on one grid: motion correction in one interpolation.
@@ -184,7 +190,7 @@ def resample_series(
         One for each frame, as `transform` of `Field.resample`; None leaves points where they are.
     like : Volume, optional
         The grid of the results; default that of the first frame.
-    filter, boundary, fill, device, precision
+    filter, boundary, fill, device, precision, nan
         As in `clvol.resample`.
     spacing, origin, direction : optional
         Of the frames of an array, as those of a `Volume`.
@@ -241,6 +247,7 @@ def resample_series(
             fill=fill,
             device=chosen,
             precision=precision,
+            nan=nan,
             progress=next(steps),
         )
         if result is None:
