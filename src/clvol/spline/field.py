@@ -620,7 +620,7 @@ def resample(
     Raises
     ------
     OptionError
-        A Field is given with another filter, boundary, device, precision or nan than its own; or for the reasons of `Field.resample`.
+        A Field is given with another filter, boundary, device, precision or nan; or for the reasons of `Field.resample`.
     DataError, DeviceError, OutOfMemoryError
         As `Field` and `Field.resample` raise them.
     """
@@ -664,7 +664,7 @@ def magnify(
     Raises
     ------
     OptionError
-        A Field is given with another filter, boundary, device, precision or nan than its own; or for the reasons of `Field.magnify`.
+        A Field is given with another filter, boundary, device, precision or nan; or for the reasons of `Field.magnify`.
     DataError, DeviceError, OutOfMemoryError
         As `Field` and `Field.magnify` raise them.
     """
