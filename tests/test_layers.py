@@ -15,6 +15,7 @@ LAYERS = [
     "reference response phantoms formats",
     "processor opencl program device",
     "spline",
+    "ndimage",
     "march",
     "picture images analysis",
     "figures",

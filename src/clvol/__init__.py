@@ -11,7 +11,7 @@ Importing it needs no OpenCL; a device is looked for when something is computed 
 
 from __future__ import annotations
 
-from clvol import images, phantoms
+from clvol import images, ndimage, phantoms
 from clvol.boundary import Boundary, boundaries
 from clvol.camera import Camera
 from clvol.device import Device, devices
@@ -86,6 +86,7 @@ __all__ = [
     "magnify",
     "modes",
     "moms3",
+    "ndimage",
     "phantoms",
     "prefilter",
     "prefilter_response",

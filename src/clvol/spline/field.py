@@ -570,8 +570,8 @@ def sample(
     Raises
     ------
     OptionError
-        `derivative` is not 0, 1 or 2; a Field is given with another filter, boundary, device, precision or nan than its own; or for the
-        reasons of a call of `Field`.
+        `derivative` is not 0, 1 or 2; a Field is given with another filter, boundary, device, precision or nan than its own; or
+        as of a call of `Field`.
     DataError, DeviceError, OutOfMemoryError
         As `Field` and a call of it raise them.
     """
@@ -620,7 +620,7 @@ def resample(
     Raises
     ------
     OptionError
-        A Field is given with another filter, boundary, device, precision or nan; or for the reasons of `Field.resample`.
+        A Field is given with another filter, boundary, device, precision or nan than its own; or as of `Field.resample`.
     DataError, DeviceError, OutOfMemoryError
         As `Field` and `Field.resample` raise them.
     """
@@ -664,7 +664,7 @@ def magnify(
     Raises
     ------
     OptionError
-        A Field is given with another filter, boundary, device, precision or nan; or for the reasons of `Field.magnify`.
+        A Field is given with another filter, boundary, device, precision or nan than its own; or as of `Field.magnify`.
     DataError, DeviceError, OutOfMemoryError
         As `Field` and `Field.magnify` raise them.
     """
