@@ -184,10 +184,14 @@ def test_linear_transforms(name: str) -> None:
 # -- files --------------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("suffix", [".tfm", ".txt", ".h5"])
-@pytest.mark.parametrize("name", ["affine", "B-spline", "affine, field, B-spline"])
+NAMES = ("affine", "B-spline", "affine, field, B-spline")
+FILES = [(name, suffix) for name in NAMES for suffix in (".tfm", ".txt", ".h5")] + [("affine", ".mat"), ("affine", ".xfm")]
+
+
+@pytest.mark.parametrize(("name", "suffix"), FILES)
 def test_transform_files(tmp_path: Path, name: str, suffix: str) -> None:
-    whole = sitk.CompositeTransform(CHAINS[name](3))
+    parts = CHAINS[name](3)
+    whole = parts[0] if len(parts) == 1 else sitk.CompositeTransform(parts)
     path = tmp_path / f"transform{suffix}"
     sitk.WriteTransform(whole, str(path))
     points = places(fixed(3))[::97] + 0.01
