@@ -121,22 +121,30 @@ def mapped(data: Array, mapping: Callable[[tuple[int, ...]], Sequence[float]], o
 
 
 def filtered(data: Array, axes: Sequence[int], output: Array, spline: Spline) -> None:
-    """The coefficients along some axes, into `output`, in whose type they are between one axis and the next if it is whole."""
-    count = 1 if output.dtype.kind not in "fc" else _NATIVE
+    """The coefficients along some axes, into `output`.
+
+    Whole numbers are cut off, not rounded, and after each axis, as in SciPy.
+    """
+    exact = output.dtype.kind in "fc"
+    count = _NATIVE if exact else 1
     groups = [list(axes[k : k + count]) for k in range(0, len(axes), count)]
 
     def compute(source: Array, target: Array, spline: Spline) -> None:
+        onto = target if exact else np.empty(target.shape)
         for number, group in enumerate(groups):
             engine.coefficients(
                 source,
                 group,
-                target,
+                onto,
                 order=spline.order,
                 mode=spline.mode,
                 precision=spline.precision,
                 device=spline.device,
                 progress=spline.stage(number, len(groups)).progress,
             )
+            if not exact:
+                with np.errstate(invalid="ignore"):
+                    target[...] = np.trunc(onto)
             source = target
 
     if output.size:
