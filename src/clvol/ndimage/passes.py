@@ -22,6 +22,8 @@ _NATIVE = 3
 """Axes that the engine resamples at a time."""
 _PIECE = 1 << 20
 """Points whose positions are in memory at a time, at least."""
+_SMALL = 1 << 17
+"""Results of one index of the axes that are left alone: below, one index after the other takes longer than all with one more axis."""
 
 _Floats = NDArray[np.float64]
 _Pass = tuple[list[int], Axes | Affine]
@@ -193,7 +195,8 @@ def _grids(data: Array, passes: Sequence[_Pass], output: Array, spline: Spline) 
             f"a matrix must not mix more than {_NATIVE} axes of input with each other; got one that mixes axes {large}"
         )
     if len(passes) == 1:
-        _in_parts(data, output, spline, lambda *parts: _evaluate(parts[0], *passes[0], *parts[1:]))
+        axes, grid = _joined(data, *passes[0], output.shape, spline)
+        _in_parts(data, output, spline, lambda *parts: _evaluate(parts[0], axes, grid, *parts[1:]))
         return
 
     def compute(source: Array, target: Array, spline: Spline) -> None:
@@ -211,6 +214,28 @@ def _grids(data: Array, passes: Sequence[_Pass], output: Array, spline: Spline) 
                 _beyond(target, axes)[_outside(grid, [data.shape[axis] for axis in axes])] = value
 
     _in_parts(data, output, spline, compute)
+
+
+def _joined(data: Array, axes: list[int], grid: Axes | Affine, shape: Sequence[int], spline: Spline) -> _Pass:
+    """A pass that takes axes along that are left alone, at their samples, where that is sooner done.
+
+    A sample that is not finite would spread along them.
+    """
+    others = sorted((axis for axis in range(data.ndim) if axis not in axes), key=lambda axis: -data.shape[axis])
+    others = [axis for axis in others[: _NATIVE - len(axes)] if data.shape[axis] > 1]
+    if not others or not spline.interpolates or math.prod(shape[axis] for axis in axes) > _SMALL:
+        return axes, grid
+    with np.errstate(all="ignore"):
+        if not np.isfinite(data.sum()):
+            return axes, grid
+    together = sorted(axes + others)
+    if isinstance(grid, Axes):
+        along = dict(zip(axes, grid.positions, strict=True)) | {axis: _samples(data.shape[axis]) for axis in others}
+        return together, Axes(tuple(along[axis] for axis in together))
+    matrix, offset = np.eye(len(together)), np.zeros(len(together))
+    at = [together.index(axis) for axis in axes]
+    matrix[np.ix_(at, at)], offset[at] = grid.matrix, grid.offset
+    return together, Affine(matrix, offset, tuple(shape[axis] for axis in together))
 
 
 def _require_few(count: int) -> None:
