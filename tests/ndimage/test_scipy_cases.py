@@ -245,6 +245,43 @@ def test_axes_of_points_may_be_named(device: Device, order: int) -> None:
     assert one.shape == (3, 2, 6, 9)
 
 
+@pytest.mark.parametrize("order", range(6))
+@pytest.mark.parametrize("mode", ["mirror", "wrap", "nearest", "grid-constant"])
+def test_a_few_points_need_only_the_samples_around_them(
+    device: Device, monkeypatch: pytest.MonkeyPatch, mode: str, order: int
+) -> None:
+    from clvol.ndimage import engine
+
+    seen = []
+    evaluate = engine.evaluate
+    monkeypatch.setattr(
+        engine, "evaluate", lambda data, *rest, **options: (seen.append(data.shape), evaluate(data, *rest, **options))
+    )
+    data, rng = samples(11, "d", (180, 120, 14), "c"), np.random.default_rng(2)
+    at = np.stack([rng.uniform(90, 95, 20), rng.uniform(-5, 60, 20), rng.uniform(3, 9, 20)]).astype(np.float32)
+    at[1, 0] = -5
+    result = ndimage.map_coordinates(data, at, order=order, mode=mode, cval=2, device=device)
+    assert_holds(result, truth("map_coordinates", data, at, order=order, mode=mode, cval=2), tolerance(data, order, None, 3))
+    assert [shape[1] for shape in seen] == [120]  # some points are beyond the edge
+    assert seen[0][0] <= 7 + 2 * 47
+    assert seen[0][2] == 14 or order < 2
+
+
+@pytest.mark.parametrize("order", [1, 3])
+@pytest.mark.parametrize("axis", range(3))
+def test_planes_hear_nothing_of_each_other(device: Device, axis: int, order: int) -> None:
+    """Whether they are computed one by one, as where a sample is missing, or together."""
+    data = samples(12, "d", (5, 6, 7), "c")
+    hurt = data.copy()
+    hurt[2, 2, 2] = np.nan
+    plane = tuple(k for k in range(3) if k != axis)
+    together = np.moveaxis(ndimage.rotate(data, 25, plane, order=order, device=device), axis, 0)
+    one_by_one = np.moveaxis(ndimage.rotate(hurt, 25, plane, order=order, device=device), axis, 0)
+    assert np.isnan(one_by_one[2]).any()
+    others = [k for k in range(len(together)) if k != 2]
+    np.testing.assert_allclose(together[others], one_by_one[others], rtol=0, atol=1e-13)
+
+
 @pytest.mark.parametrize("order", [1, 3])
 def test_axes_left_alone_pass_through_exactly(device: Device, order: int) -> None:
     """And a sample that is missing in one image is missing in no other."""
