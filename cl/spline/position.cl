@@ -71,7 +71,7 @@ INLINE position_t point_of(source_t source, int n)
 INLINE coord index_along(position_t p, constant coord *m, const coord offset)
 {
 #pragma OPENCL FP_CONTRACT OFF
-    return ((m[2] * p.z + m[1] * p.y) + m[0] * p.x) + offset;
+    return ((offset + m[2] * p.z) + m[1] * p.y) + m[0] * p.x;
 }
 
 INLINE position_t index_of(position_t p, constant coord *m)

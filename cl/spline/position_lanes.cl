@@ -78,16 +78,17 @@ INLINE positions_t points_of(source_t source, int n, int count)
 INLINE coords_t index_row(positions_t p, constant coord *m, coord offset)
 {
 #pragma OPENCL FP_CONTRACT OFF
-    coords_t c = { m[0] * p.x.low, m[0] * p.x.high };
+    coords_t c = { offset, offset };
 #if DIMENSIONS == 3
-    c.low = (m[2] * p.z.low + m[1] * p.y.low) + c.low;
-    c.high = (m[2] * p.z.high + m[1] * p.y.high) + c.high;
-#elif DIMENSIONS == 2
-    c.low = m[1] * p.y.low + c.low;
-    c.high = m[1] * p.y.high + c.high;
+    c.low += m[2] * p.z.low;
+    c.high += m[2] * p.z.high;
 #endif
-    c.low += offset;
-    c.high += offset;
+#if DIMENSIONS >= 2
+    c.low += m[1] * p.y.low;
+    c.high += m[1] * p.y.high;
+#endif
+    c.low += m[0] * p.x.low;
+    c.high += m[0] * p.x.high;
     return c;
 }
 

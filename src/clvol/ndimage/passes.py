@@ -322,13 +322,12 @@ def _by_pieces(data: Array, output: Array, spline: Spline, positions: Callable[[
 
 
 def _positions(matrix: _Floats, offset: _Floats, shape: Sequence[int], first: int, last: int) -> _Floats:
-    """Of elements of the result by their number; added up as SciPy does, from the first axis to the last and then the offset."""
+    """Of elements of the result by their number; added up as SciPy does: the offset, then from the first axis to the last."""
     index = np.unravel_index(np.arange(first, last), tuple(shape))
-    found = np.zeros((len(matrix), last - first))
-    for along, row, start in zip(found, matrix, offset, strict=True):
+    found = np.repeat(offset[:, np.newaxis], last - first, axis=1)
+    for along, row in zip(found, matrix, strict=True):
         for entry, number in zip(row, index, strict=True):
             along += number * entry
-        along += start
     return found
 
 
