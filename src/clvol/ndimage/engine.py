@@ -63,7 +63,7 @@ class Affine:
     Attributes
     ----------
     matrix, offset : ndarray of float64, shapes (k, k) and (k,)
-        To the offset products are added from the first axis to the last, each rounded, as SciPy does.
+        Products are added to the offset from the first axis to the last, each rounded, as SciPy does.
     shape : tuple of int
         Of the result, for each resampled axis.
     """
@@ -174,8 +174,7 @@ def _evaluated(made: Coefficients, target: Target, output: Array, store: _Store,
                 resample_axes(made, (target.positions[0][part], *target.positions[1:])[::-1], buffer, given)
             else:
                 transform = Transform(target.matrix[::-1, ::-1], target.offset[::-1], np.eye(made.ndim))
-                rows = None if len(target.shape) == 3 and target.shape[0] == 1 else part  # of the first axis that has several
-                sample_grid(made, DIRECT, transform, (1, *target.shape)[-3:], buffer, given, part=rows)
+                sample_grid(made, DIRECT, transform, (1, *target.shape)[-3:], buffer, given, part=part)
         yield part.stop / max(1, len(output))
 
 
