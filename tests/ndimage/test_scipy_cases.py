@@ -282,6 +282,22 @@ def test_planes_hear_nothing_of_each_other(device: Device, axis: int, order: int
     np.testing.assert_allclose(together[others], one_by_one[others], rtol=0, atol=1e-13)
 
 
+@pytest.mark.parametrize("shape", [(9, 9), (5, 7, 9), (1, 9, 9)])
+@pytest.mark.parametrize("mode", ["constant", "mirror"])
+def test_positions_are_rounded_as_scipy_rounds_them(device: Device, shape: tuple[int, ...], mode: str) -> None:
+    """Which of two samples is nearest to a point halfway between them depends on the order in which sums are made."""
+    rng, n, halves = np.random.default_rng(3), len(shape), 0
+    data = np.arange(float(np.prod(shape))).reshape(shape)
+    for _ in range(40):
+        matrix, offset = np.round(rng.uniform(-1, 1, (n, n)), 1), np.round(rng.uniform(0, 6, n), 1)
+        exact = scipy_ndimage.affine_transform(data, matrix, offset, order=0, mode=mode)
+        result = ndimage.affine_transform(data, matrix, offset, order=0, mode=mode, device=device)
+        np.testing.assert_array_equal(result, exact)
+        at = np.tensordot(matrix, np.indices(shape), 1) + offset.reshape(-1, *[1] * n)
+        halves += int((np.abs(at % 1 - 0.5) < 1e-9).sum())
+    assert halves > 99
+
+
 @pytest.mark.parametrize("order", [1, 3])
 def test_axes_left_alone_pass_through_exactly(device: Device, order: int) -> None:
     """And a sample that is missing in one image is missing in no other."""
