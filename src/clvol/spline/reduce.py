@@ -1,0 +1,327 @@
+"""Fewer samples: what a low-pass and the least-squares reduction make of an axis, as sums of weighted samples; the host side of
+reduce.cl, which adds them up.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+
+from clvol.boundary import Boundary
+from clvol.checks import one_of
+from clvol.device import Device
+from clvol.errors import DeviceError, OptionError
+from clvol.filter import Filter
+
+__all__ = ["AntiAliasing", "Continuation", "Sums", "as_anti_aliasing", "gaussian", "least_squares", "sum_along"]
+
+Array: TypeAlias = NDArray[np.float64]
+Continuation: TypeAlias = Boundary | Literal["nearest", "constant", "overlap"]
+"""What samples lie past the edge: those of a boundary rule, the outer one, none, or those of a period of n - 1."""
+
+AntiAliasing: TypeAlias = Literal["gaussian", "least-squares"] | None
+
+TRUNCATE = 4.0  # standard deviations at which a Gaussian is cut, as SciPy does
+_LEFT_OUT = {"single": 1e-8, "double": 1e-15}  # of an impulse response's peak, what its tails may be
+_CIRCLE = 1 << 13  # samples of an impulse response before it is cut
+_WIDTH = 32  # lines that reduce.cl takes side by side
+_ITEMS_A_CORE = 8
+_SLAB = 1 << 22  # samples that are converted at a time
+_NO_STEP = 1e-9  # samples
+
+
+@dataclass(frozen=True, eq=False)
+class Sums:
+    """What becomes of an axis of `n` samples: as many sums as there are rows.
+
+    Attributes
+    ----------
+    n : int
+    places : ndarray of int32, shape (m, taps)
+        The samples of each sum; `n` stands for a constant that the samples are outside.
+    weights : ndarray of float64, shape (m, taps)
+    """
+
+    n: int
+    places: NDArray[np.int32]
+    weights: Array
+
+    @classmethod
+    def of(cls, first: NDArray[np.int64], weights: Array, n: int, rule: Continuation) -> Sums:
+        """Sums of neighbouring samples from `first` on, wherever these lie."""
+        places = continued(first[:, None] + np.arange(weights.shape[1]), n, rule)
+        made = cls(n, np.where(places < 0, n, places).astype(np.int32), weights)
+        if weights.shape[1] <= n + 1:
+            return made
+        return cls(n, np.tile(np.arange(n + 1, dtype=np.int32), (len(first), 1)), made.matrix())
+
+    def matrix(self) -> Array:
+        """The same as a matrix, shape (m, n + 1); the last column is that of what lies nowhere."""
+        result = np.zeros((len(self.places), self.n + 1))
+        np.add.at(result, (np.arange(len(self.places))[:, None], self.places), self.weights)
+        return result
+
+
+def continued(i: NDArray[np.int64], n: int, rule: Continuation) -> NDArray[np.int64]:
+    """Which of `n` samples stands at index `i`; -1 where none does."""
+    if isinstance(rule, Boundary):
+        return rule.index(i, n)
+    if rule == "nearest":
+        return np.clip(i, 0, n - 1)
+    if rule == "overlap":
+        return np.where((i >= 0) & (i < n), i, i % max(1, n - 1))
+    return np.where((i >= 0) & (i < n), i, -1)
+
+
+def as_anti_aliasing(choice: object) -> AntiAliasing:
+    """What `anti_aliasing` means: None, "gaussian" (also True) or "least-squares"."""
+    if choice is None or (isinstance(choice, (bool, np.bool_)) and not choice):
+        return None
+    if isinstance(choice, (bool, np.bool_)):
+        return "gaussian"
+    if choice == "gaussian" or choice == "least-squares":
+        return choice
+    raise one_of("anti_aliasing", choice, ["False", "True", "'gaussian'", "'least-squares'"])
+
+
+# -- the weights -------------------------------------------------------------------------------------------------------
+
+
+@lru_cache(maxsize=64)
+def gaussian(sigma: float, n: int, rule: Continuation) -> Sums:
+    """A Gaussian of standard deviation `sigma` in samples, cut off as `scipy.ndimage.gaussian_filter` does."""
+    radius = int(TRUNCATE * sigma + 0.5)
+    x = np.arange(-radius, radius + 1)
+    kernel = np.exp(-0.5 / max(sigma, 1e-9) ** 2 * x.astype(np.float64) ** 2)
+    return Sums.of(np.arange(n) - radius, np.tile(kernel / kernel.sum(), (n, 1)), n, rule)
+
+
+@lru_cache(maxsize=64)
+def least_squares(
+    filter: Filter, start: float, step: float, m: int, n: int, rule: Continuation, precision: str = "single", prefilter: bool = True
+) -> Sums:
+    """The spline of a coarser grid that is nearest to the spline of the samples, at its grid's points.
+
+    Parameters
+    ----------
+    filter : Filter
+        Of the samples and of the result: any that is settled for this axis and no hybrid; the result has no smoothing of its own.
+    start, step : float
+        Sample j of the result lies at ``start + step j``, in samples of the input.
+    m, n : int
+        Samples of the result and of the input.
+    rule : Continuation
+        What stands past the samples; both functions go on there for ever.
+    precision : {"single", "double"}
+        How far down impulse responses count.
+    prefilter : bool
+        Whether the input is samples; else it is coefficients.
+
+    Returns
+    -------
+    Sums
+        For every sample of the result. A filter without a prefilter has the coefficients of the nearest function there.
+
+    Raises
+    ------
+    OptionError
+        The filter is a hybrid, or its kernel's translates can't be told apart, so that none is the nearest.
+
+    Notes
+    -----
+    With φ the kernel, s the spline of the samples and h = ``|step|``, the function ``sum over j of d_j φ((x - x_j) / h)`` is
+    nearest to s in the mean square where its distance from s is orthogonal to every kernel:
+    ``sum over l of a(j - l) d_l = ∫ s(x_j + h u) φ(u) du``, with a(k) = ∫ φ(u) φ(u - k) du, for B-splines of degree n the
+    B-spline of degree 2n + 1 (M. Unser, A. Aldroubi and M. Eden, *Enlargement or reduction of digital images with minimum loss of
+    information*, IEEE Trans. Image Processing 4, 1995; for any h A. Muñoz, T. Blu and M. Unser, *Least-squares image resizing
+    using finite differences*, IEEE Trans. Image Processing 10, 2001). The integrals are exact: between knots of either grid the
+    integrand is a polynomial. A step of one sample or less is no reduction: there the result is s itself.
+    """
+    if filter.magnified_by is not None:
+        raise OptionError(f"least-squares reduction takes a filter with one kernel; got the hybrid {filter.name!r}")
+    left_out, h = _LEFT_OUT[precision], abs(step)
+    if h <= 1 + _NO_STEP:
+        base, t = filter.cell(start + step * np.arange(m))
+        first, weights = base.astype(np.int64), filter.weights(t).T
+    else:
+        own = filter.samples if filter.prefilter else np.ones(1)
+        response = _impulse_response(own, _autocorrelation(filter), left_out, filter.name)
+        reach = len(response) // 2
+        first, weights = _inner_products(filter, start + step * np.arange(-reach, m + reach), h)
+        first, weights = _mixed(first, weights, response)
+    if filter.prefilter and prefilter:
+        response = _impulse_response(np.ones(1), filter.undone, left_out, filter.name)
+        first = first - len(response) // 2
+        spread = np.zeros((m, weights.shape[1] + len(response) - 1))
+        for i, value in enumerate(response):
+            spread[:, i : i + weights.shape[1]] += value * weights
+        weights = spread
+    return Sums.of(first, np.ascontiguousarray(weights), n, rule)
+
+
+def _autocorrelation(filter: Filter) -> Array:
+    """∫ φ(u) φ(u - k) du at k = 0, 1, 2, ..."""
+    nodes, lengths = legendre.leggauss(filter.degree + 1)
+    w = filter.weights((nodes + 1) / 2)
+    return np.array([(w[k:] * w[: len(w) - k] @ lengths).sum() / 2 for k in range(filter.support)])
+
+
+def _impulse_response(numerator: Array, denominator: Array, left_out: float, name: str) -> Array:
+    """That of a quotient of symmetric sequences, each given from its middle on; cut where it is as small as `left_out`."""
+    omega = 2 * np.pi * np.fft.rfftfreq(_CIRCLE)
+    above, below = (2 * np.cos(np.outer(omega, np.arange(b.size))) @ b - b[0] for b in (numerator, denominator))
+    if np.abs(below).min() < 1e-6 * np.abs(below).max():
+        raise OptionError(f"least-squares reduction needs a kernel whose translates differ; those of {name!r} do not")
+    half = np.fft.irfft(above / below, _CIRCLE)[: _CIRCLE // 2]
+    half = half[: int(np.flatnonzero(np.abs(half) > left_out * np.abs(half).max())[-1]) + 1]
+    return np.concatenate([half[:0:-1], half])
+
+
+def _inner_products(filter: Filter, x: Array, h: float) -> tuple[NDArray[np.int64], Array]:
+    """∫ s(x_j + h u) φ(u) du as sums over coefficients of s: the first, and the weights; (m,) and (m, taps)."""
+    half = filter.support / 2
+    left = x - h * half
+    knot = np.ceil(left - half) + half  # those of s lie at whole numbers, or between them
+    wide = int(math.ceil(h * filter.support)) + 1
+    ends = [left[:, None] + h * np.arange(filter.support + 1), np.minimum(knot[:, None] + np.arange(wide), (x + h * half)[:, None])]
+    knots = np.sort(np.concatenate(ends, 1), 1)
+    lengths = np.diff(knots, axis=1)
+    nodes, shares = legendre.leggauss(filter.degree + 1)
+    at = knots[:, :-1, None] + lengths[..., None] * ((nodes + 1) / 2)
+    mass = lengths[..., None] * shares / 2 * filter((at - x[:, None, None]) / h) / h
+    base, t = filter.cell(at)
+    first = base.min((1, 2)).astype(np.int64)
+    place = (base.astype(np.int64) - first[:, None, None])[..., None] + np.arange(filter.support)
+    taps = int(place.max()) + 1
+    flat = (np.arange(x.size)[:, None, None, None] * taps + place).ravel()
+    terms = (mass[..., None] * np.moveaxis(filter.weights(t), 0, -1)).ravel()
+    return first, np.bincount(flat, terms, x.size * taps).reshape(x.size, taps)
+
+
+def _mixed(first: NDArray[np.int64], weights: Array, response: Array) -> tuple[NDArray[np.int64], Array]:
+    """Sums of sums: row j of the result is the sum of rows j, j + 1, ..., each times its number of `response`."""
+    m, taps = len(first) - len(response) + 1, weights.shape[1]
+    rows = np.arange(m)
+    lowest = np.min([first[i : i + m] for i in (0, len(response) - 1)], 0)
+    wide = int(max((first[i : i + m] - lowest).max() for i in (0, len(response) - 1))) + taps
+    result = np.zeros((m, wide))
+    for i, value in enumerate(response):
+        columns = (first[i : i + m] - lowest)[:, None] + np.arange(taps)
+        result[rows[:, None], columns] += value * weights[i : i + m]
+    return lowest, result
+
+
+# -- adding up ---------------------------------------------------------------------------------------------------------
+
+
+def sum_along(
+    data: NDArray[Any],
+    sums: Mapping[int, Sums],
+    precision: str,
+    device: Device,
+    outside: float = 0.0,
+    progress: Callable[[float], Any] | None = None,
+) -> NDArray[Any]:
+    """What becomes of an array whose axes are replaced by sums along them, in float32 or float64 ("double").
+
+    Parameters
+    ----------
+    data : ndarray of real numbers
+        Of any number of axes, any layout and byte order.
+    sums : mapping from axes to Sums
+    precision : {"single", "double"}
+    device : Device
+    outside : float
+        The samples where a rule puts none.
+    progress : callable, optional
+        Called with the fraction done.
+
+    Raises
+    ------
+    DeviceError
+        Double precision on a device without it.
+    OutOfMemoryError
+        The device has no room.
+    """
+    if precision == "double" and not device.has_double:
+        raise DeviceError(f"precision 'double' needs a device with double precision, which {device.name!r} has not: use 'single'")
+    kind = np.dtype(np.float64 if precision == "double" else np.float32)
+    # what shrinks most goes first
+    order = sorted(sums, key=lambda axis: len(sums[axis].places) / sums[axis].n)
+    for done, axis in enumerate(order, 1):
+        data = _sum_axis(data, axis, sums[axis], kind, outside, device)
+        if progress is not None:
+            progress(done / len(order))
+    return np.ascontiguousarray(data, kind)
+
+
+def _sum_axis(data: NDArray[Any], axis: int, sums: Sums, kind: np.dtype[Any], outside: float, device: Device) -> NDArray[Any]:
+    m, n = sums.places.shape[0], sums.n
+    shape = (*data.shape[:axis], m, *data.shape[axis + 1 :])
+    result = np.empty(shape, kind)
+    if result.size == 0:
+        return result
+    tables = device.upload(sums.places), device.upload(sums.weights.astype(kind))
+    along = math.prod(data.shape[axis + 1 :]) == 1
+    if data.dtype == kind and data.flags.c_contiguous:
+        _launch(data, axis, result, sums, tables, along, outside, device)
+        return result
+    # converted in parts, so that no second array of the input's size is made
+    across = next((i for i in range(data.ndim) if i != axis and data.shape[i] > 1), axis)
+    some = data.shape[across] if across == axis else max(1, _SLAB * data.shape[across] // data.size)
+    for start in range(0, data.shape[across], some):
+        window = (slice(None),) * across + (slice(start, start + some),)
+        part = np.ascontiguousarray(data[window], kind)
+        made = np.empty((*part.shape[:axis], m, *part.shape[axis + 1 :]), kind)
+        _launch(part, axis, made, sums, tables, along, outside, device)
+        result[window if across != axis else ...] = made
+    return result
+
+
+def _launch(
+    data: NDArray[Any],
+    axis: int,
+    result: NDArray[Any],
+    sums: Sums,
+    tables: tuple[Any, Any],
+    along: bool,
+    outside: float,
+    device: Device,
+) -> None:
+    """The kernel on a contiguous array."""
+    m, taps = sums.places.shape
+    n, outer, inner = sums.n, math.prod(data.shape[:axis]), math.prod(data.shape[axis + 1 :])
+    units = -(-outer // _WIDTH) if along else outer * -(-inner // _WIDTH)
+    items = min(units, _ITEMS_A_CORE * device.units)
+    double = int(data.dtype.itemsize == 8)
+    scratch = device.allocate(data.dtype.itemsize * items * (n + 1) * _WIDTH)
+    built = device.build("spline/reduce.cl", {"SCALAR_DOUBLE": double, "ALONG": int(along), "WIDTH": _WIDTH, "COORD_DOUBLE": 0})
+    some = max(1, device.limits.launch_taps * 32 // (m * taps * _WIDTH))
+    try:
+        with device.lent(data, write=False) as given, device.lent(result, write=True) as made:
+            for first in range(0, units, some):
+                count = min(some, units - first)
+                with device.errors:
+                    built.kernel("sum_along_axis")(
+                        device.queue,
+                        (min(items, count),),
+                        (1,),
+                        given,
+                        *map(np.int32, (outer, n, inner, m, taps)),
+                        *tables,
+                        data.dtype.type(outside),
+                        np.int32(first),
+                        np.int32(count),
+                        scratch,
+                        made,
+                    )
+                device.finish()
+    finally:
+        scratch.release()
