@@ -154,7 +154,7 @@ def least_squares(
         own = filter.samples if filter.prefilter else np.ones(1)
         response = _impulse_response(own, _autocorrelation(filter), left_out, filter.name)
         reach = len(response) // 2
-        first, weights = _inner_products(filter, start + step * np.arange(-reach, m + reach), h)
+        first, weights = _inner_products(filter, start + step * np.arange(-reach, m + reach, dtype=np.float64), h)
         first, weights = _mixed(first, weights, response)
     if filter.prefilter and prefilter:
         response = _impulse_response(np.ones(1), filter.undone, left_out, filter.name)
@@ -189,7 +189,7 @@ def _inner_products(filter: Filter, x: Array, h: float) -> tuple[NDArray[np.int6
     half = filter.support / 2
     left = x - h * half
     knot = np.ceil(left - half) + half  # those of s lie at whole numbers, or between them
-    wide = int(math.ceil(h * filter.support)) + 1
+    wide = math.ceil(h * filter.support) + 1
     ends = [left[:, None] + h * np.arange(filter.support + 1), np.minimum(knot[:, None] + np.arange(wide), (x + h * half)[:, None])]
     knots = np.sort(np.concatenate(ends, 1), 1)
     lengths = np.diff(knots, axis=1)
@@ -202,7 +202,7 @@ def _inner_products(filter: Filter, x: Array, h: float) -> tuple[NDArray[np.int6
     taps = int(place.max()) + 1
     flat = (np.arange(x.size)[:, None, None, None] * taps + place).ravel()
     terms = (mass[..., None] * np.moveaxis(filter.weights(t), 0, -1)).ravel()
-    return first, np.bincount(flat, terms, x.size * taps).reshape(x.size, taps)
+    return first, np.bincount(flat, terms, x.size * taps).astype(np.float64).reshape(x.size, taps)
 
 
 def _mixed(first: NDArray[np.int64], weights: Array, response: Array) -> tuple[NDArray[np.int64], Array]:
@@ -263,7 +263,7 @@ def sum_along(
 
 
 def _sum_axis(data: NDArray[Any], axis: int, sums: Sums, kind: np.dtype[Any], outside: float, device: Device) -> NDArray[Any]:
-    m, n = sums.places.shape[0], sums.n
+    m = len(sums.places)
     shape = (*data.shape[:axis], m, *data.shape[axis + 1 :])
     result = np.empty(shape, kind)
     if result.size == 0:

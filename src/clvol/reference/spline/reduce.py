@@ -50,7 +50,7 @@ def reduce(
 
 def _reduced(lines: Array, places: tuple[float, float, int], filter: Filter, boundary: str | Boundary) -> Array:
     start, step, m = places
-    x = start + step * np.arange(-_MARGIN, m + _MARGIN)
+    x = start + step * np.arange(-_MARGIN, m + _MARGIN, dtype=np.float64)
     reach = filter.support / 2
     # the fine spline on all that the coarse one covers
     before = int(np.ceil(max(0, -min(x[0], x[-1]) + abs(step) * reach))) + filter.support
