@@ -15,6 +15,8 @@ LAYERS = [
     "reference response phantoms formats",
     "processor opencl program device",
     "spline",
+    "ndimage interpolator",
+    "resizing",
     "march",
     "picture images analysis",
     "figures",

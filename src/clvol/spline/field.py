@@ -23,6 +23,7 @@ from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, EvaluatorName, FetchName, choose_evaluator
 from clvol.spline.points import Floats, Progress, Reals, in_units_of_data, sample_coefficients
 from clvol.spline.prefilter import prefilter_in_place
+from clvol.spline.reduce import AntiAliasing, as_anti_aliasing, low_passed, nearest_spline, steps_along
 from clvol.spline.resample import resample_coefficients
 from clvol.stored import Stored
 from clvol.volume import Volume, as_volume
@@ -289,6 +290,7 @@ class Field:
         spacing: Sequence[float] | float | None = None,
         like: Volume | None = None,
         *,
+        anti_aliasing: AntiAliasing | bool = False,
         evaluator: EvaluatorName = "auto",
         fetch: FetchName = "auto",
         fill: float | None = None,
@@ -296,7 +298,7 @@ class Field:
     ) -> Volume:
         """The function on another grid; give exactly one of `shape`, `spacing` and `like`.
 
-        No low-pass is applied: see `Volume.gaussian` before making voxels larger.
+        Where voxels become larger, what is finer than they can hold comes back as aliases, unless `anti_aliasing` is given.
 
         Parameters
         ----------
@@ -306,6 +308,10 @@ class Field:
             New spacing along (x, y[, z]) in world units. The domain's centre stays, and its size to within half a voxel.
         like : Volume, optional
             Take the grid of this volume, wherever it lies.
+        anti_aliasing : {False, True, "gaussian", "least-squares"}
+            "gaussian" (and True): the samples go through a Gaussian first, whose standard deviation is (f - 1) / 2 samples along
+            an axis where voxels become f times as large. "least-squares": the result is the spline of the new grid, of the same
+            filter, that is nearest to this function in the mean square (`clvol.spline.reduce`), for grids along the volume's axes.
         evaluator, fetch, fill, progress
             As in a call.
 
@@ -318,7 +324,8 @@ class Field:
         OptionError
             None or several of `shape`, `spacing` and `like` are given; `shape` is not one whole number of at least 1 for
             each axis; `spacing` is not positive and finite, or needs more than 2³¹ − 1 samples along an axis; `like` is
-            no Volume of as many axes; `fill`, `evaluator` or `fetch` as in a call; the field is closed.
+            no Volume of as many axes; `anti_aliasing` is none of these, or "least-squares" for a turned grid, with a hybrid or
+            under the boundary rule "zero"; `fill`, `evaluator` or `fetch` as in a call; the field is closed.
         DeviceError
             As in a call.
         OutOfMemoryError
@@ -326,9 +333,10 @@ class Field:
         """
         volume = self.volume
         grid = _grid_for(volume, shape, spacing, like)
-        inverse = volume.world_to_index_matrix
-        matrix = inverse @ grid.index_to_world_matrix
-        offset = inverse @ (np.asarray(grid.origin) - np.asarray(volume.origin))
+        if chosen := as_anti_aliasing(anti_aliasing):
+            self.coefficients.argument(DIRECT)  # a closed field is refused
+            return _coarser(volume, self.filter, self.boundary, self.device, grid, chosen, evaluator, fetch, fill, progress)
+        matrix, offset = _between(volume, grid)
         data = self._on_grid(matrix, offset, grid.shape, evaluator, fetch, fill, progress)
         return Volume(data, grid.spacing, grid.origin, grid.direction, grid.units or volume.units)
 
@@ -384,6 +392,37 @@ class Field:
         with device.lent(result, write=True) as buffer:
             resample_coefficients(self.coefficients, chosen, matrix, offset, (1, *shape)[-3:], buffer, fill, progress)
         return in_units_of_data(self.coefficients.stored, result, 0, fill)
+
+
+def _between(volume: Volume, grid: Volume) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Matrix and offset from the indices of a grid, x first, to those of a volume."""
+    inverse = volume.world_to_index_matrix
+    return inverse @ grid.index_to_world_matrix, inverse @ (np.asarray(grid.origin) - np.asarray(volume.origin))
+
+
+def _coarser(
+    volume: Volume,
+    filter: Filter,
+    boundary: Boundary,
+    device: Device,
+    grid: Volume,
+    chosen: AntiAliasing,
+    evaluator: EvaluatorName,
+    fetch: FetchName,
+    fill: float | None,
+    progress: Progress | None,
+) -> Volume:
+    """A volume on another grid without the aliases of what that cannot hold."""
+    matrix, offset = _between(volume, grid)
+    if chosen == "gaussian":
+        with Field(low_passed(volume, steps_along(matrix), boundary, device), filter, boundary, device) as field:
+            return field.resample(like=grid, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress)
+    data = nearest_spline(volume, filter, boundary, device, matrix, offset, grid.shape, progress)
+    if (outside := _fill_value(fill)) is not None:
+        for axis, (n, m) in enumerate(zip(volume.size, grid.size, strict=True)):
+            x = offset[axis] + matrix[axis, axis] * np.arange(m)
+            np.moveaxis(data, volume.ndim - 1 - axis, 0)[(x < -0.5) | (x > n - 0.5)] = outside
+    return Volume(data, grid.spacing, grid.origin, grid.direction, grid.units or volume.units)
 
 
 # -- a Field, or what one is made of -----------------------------------------------------------------------------
@@ -511,6 +550,7 @@ def resample(
     filter: str | Filter | None = None,
     boundary: str | Boundary | None = None,
     *,
+    anti_aliasing: AntiAliasing | bool = False,
     evaluator: EvaluatorName = "auto",
     fetch: FetchName = "auto",
     fill: float | None = None,
@@ -523,8 +563,8 @@ def resample(
     ----------
     volume : Volume, array-like or Field
         2-D or 3-D samples; an array has spacing 1 and origin 0.
-    shape, spacing, like, fill
-        As in `Field.resample`. No low-pass is applied: see `Volume.gaussian` before making voxels larger.
+    shape, spacing, like, anti_aliasing, fill
+        As in `Field.resample`; without `anti_aliasing` larger voxels bring aliases of what is finer.
     filter, boundary, device
         As in `sample`.
     evaluator, fetch, progress
@@ -543,9 +583,14 @@ def resample(
     """
     if not isinstance(volume, Field):
         volume = as_volume(volume)
-        _grid_for(volume, shape, spacing, like)  # before the volume is prefiltered
+        grid = _grid_for(volume, shape, spacing, like)  # before the volume is prefiltered
+        if chosen := as_anti_aliasing(anti_aliasing):
+            row, rule = as_filter(DEFAULT_FILTER if filter is None else filter), as_boundary(boundary or DEFAULT_BOUNDARY)
+            return _coarser(volume, row, rule, as_device(device), grid, chosen, evaluator, fetch, fill, progress)
     with opened(volume, filter, boundary, device) as field:
-        return field.resample(shape, spacing, like, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress)
+        return field.resample(
+            shape, spacing, like, anti_aliasing=anti_aliasing, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress
+        )
 
 
 def magnify(

@@ -18,9 +18,23 @@ from clvol.boundary import Boundary
 from clvol.checks import one_of
 from clvol.device import Device
 from clvol.errors import DeviceError, OptionError
-from clvol.filter import Filter
+from clvol.filter import Filter, bspline
+from clvol.smoothing import settled
+from clvol.stored import Stored
+from clvol.volume import Volume
 
-__all__ = ["AntiAliasing", "Continuation", "Sums", "as_anti_aliasing", "gaussian", "least_squares", "sum_along"]
+__all__ = [
+    "AntiAliasing",
+    "Continuation",
+    "Sums",
+    "as_anti_aliasing",
+    "gaussian",
+    "least_squares",
+    "low_passed",
+    "nearest_spline",
+    "steps_along",
+    "sum_along",
+]
 
 Array: TypeAlias = NDArray[np.float64]
 Continuation: TypeAlias = Boundary | Literal["nearest", "constant", "overlap"]
@@ -216,6 +230,78 @@ def _mixed(first: NDArray[np.int64], weights: Array, response: Array) -> tuple[N
         columns = (first[i : i + m] - lowest)[:, None] + np.arange(taps)
         result[rows[:, None], columns] += value * weights[i : i + m]
     return lowest, result
+
+
+# -- of volumes --------------------------------------------------------------------------------------------------------
+
+
+def low_passed(volume: Volume, steps: Array, boundary: Boundary, device: Device) -> Volume:
+    """A volume after the Gaussian that suits a grid whose points lie `steps` samples apart along its axes, x first.
+
+    Its standard deviation is (step - 1) / 2 samples along an axis with a step of more than one: scikit-image's rule.
+    """
+    volume.require_finite()
+    sigma = np.maximum(0, (steps[::-1] - 1) / 2)
+    sums = {axis: gaussian(float(s), volume.shape[axis], boundary) for axis, s in enumerate(sigma) if s > 0}
+    data = sum_along(volume.data, sums, _precision(volume, None, boundary), device) if sums else volume.data
+    return Volume(data, volume.spacing, volume.origin, volume.direction, volume.units)
+
+
+def nearest_spline(
+    volume: Volume,
+    filter: Filter,
+    boundary: Boundary,
+    device: Device,
+    matrix: Array,
+    offset: Array,
+    shape: tuple[int, ...],
+    progress: Callable[[float], Any] | None = None,
+) -> NDArray[Any]:
+    """Samples of the spline on a grid along the volume's axes that is nearest to the volume's; `least_squares` along each.
+
+    Parameters
+    ----------
+    volume, filter, boundary, device
+        What is reconstructed, and how.
+    matrix, offset : ndarray, shapes (d, d) and (d,)
+        From the grid's indices, x first, to those of the volume.
+    shape : tuple of int
+        Of the grid, as arrays are indexed.
+    progress : callable, optional
+
+    Raises
+    ------
+    OptionError
+        The grid's axes are not the volume's; the boundary rule is "zero", which continues no samples; or as `least_squares`.
+    """
+    volume.require_finite()
+    row, d = settled(filter, volume), volume.ndim
+    if (np.abs(matrix - np.diag(np.diag(matrix))) * shape[::-1]).max() >= _NO_STEP:
+        raise OptionError(
+            "least-squares reduction takes a grid along the volume's axes, and this one is turned: "
+            "resample along them first, or take anti_aliasing='gaussian'"
+        )
+    if row.prefilter and boundary.period is None:
+        raise OptionError(f"least-squares reduction takes a boundary rule that continues the samples; got {boundary.name!r}")
+    precision = _precision(volume, row, boundary)
+    sums = {
+        d - 1 - axis: least_squares(
+            row.along(axis), float(offset[axis]), float(matrix[axis, axis]), shape[d - 1 - axis], n, boundary, precision
+        )
+        for axis, n in enumerate(volume.size)
+    }
+    return sum_along(volume.data, sums, precision, device, progress=progress)
+
+
+def steps_along(matrix: Array) -> Array:
+    """How far apart a grid's points lie along each axis of a volume, in samples: of a turned grid the root sum of squares."""
+    return np.asarray(np.linalg.norm(matrix, axis=1))
+
+
+def _precision(volume: Volume, filter: Filter | None, boundary: Boundary) -> str:
+    """Double where float32 would lose digits of the samples: where a Field stores them less an offset or a power of two."""
+    row = filter if filter is not None else bspline(1)
+    return "single" if Stored.of(volume, row, boundary).identity else "double"
 
 
 # -- adding up ---------------------------------------------------------------------------------------------------------

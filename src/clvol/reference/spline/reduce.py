@@ -15,13 +15,13 @@ from clvol.reference.spline.boundary import extend
 from clvol.reference.spline.filter import kernel
 from clvol.reference.spline.prefilter import prefilter
 
-__all__ = ["reduce"]
+__all__ = ["nearest_spline"]
 
 Array: TypeAlias = NDArray[np.float64]
 _MARGIN = 45  # coarse samples past the ends: their influence falls by about a half from one to the next
 
 
-def reduce(
+def nearest_spline(
     data: ArrayLike,
     grid: Sequence[tuple[float, float, int] | None],
     filter: str | Filter = DEFAULT_FILTER,
