@@ -8,6 +8,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
+from scipy import linalg
 
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
@@ -59,13 +60,19 @@ def _reduced(lines: Array, places: tuple[float, float, int], filter: Filter, bou
     widths = [(before, after), (0, 0)]
     fine = extend(coefficients, widths, boundary)
     at, mass = _quadrature(filter, x, abs(step), len(fine), before)
-    values = kernel(filter, at[:, None] + before - np.arange(len(fine))) @ fine
-    basis = kernel(filter, (at[:, None] - x) / abs(step))
+    values = _kernels(filter, at[:, None] + before - np.arange(len(fine))) @ fine
     weight = np.sqrt(mass)[:, None]
-    nearest = np.linalg.lstsq(weight * basis, weight * values, rcond=None)[0]
+    nearest = linalg.lstsq(weight * _kernels(filter, (at[:, None] - x) / abs(step)), weight * values, lapack_driver="gelsy")[0]
     if filter.prefilter:
-        nearest = kernel(filter, np.subtract.outer(np.arange(x.size), np.arange(x.size)).astype(float)) @ nearest
+        nearest = _kernels(filter, np.subtract.outer(np.arange(float(x.size)), np.arange(x.size))) @ nearest
     return np.asarray(nearest[_MARGIN:-_MARGIN])
+
+
+def _kernels(filter: Filter, distance: Array) -> Array:
+    """The kernel at many distances, most of them beyond its support."""
+    result, near = np.zeros_like(distance), np.abs(distance) <= filter.support / 2
+    result[near] = kernel(filter, distance[near])
+    return result
 
 
 def _quadrature(filter: Filter, x: Array, step: float, n: int, before: int) -> tuple[Array, Array]:
