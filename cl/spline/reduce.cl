@@ -6,33 +6,23 @@
 // | they are first brought together, however far apart they lie in the array: | bring_lines |
 // | neighbouring sums take much the same samples, which are then in the cache |             |
 //
-// Set by the host: SCALAR_DOUBLE, whether numbers are doubles; ALONG, whether lines run along the last axis; WIDTH, a multiple
+// Set by the host: ALONG, whether lines run along the last axis; WIDTH, a multiple
 // of 8. The host also computes which samples make a sum, and with what weights (reduce.py).
 
 #include "base/platform.cl"
 
-#if SCALAR_DOUBLE
-#pragma OPENCL EXTENSION cl_khr_fp64 : enable
-typedef double number;
-typedef double8 number8;
-#else
-typedef float number;
-typedef float8 number8;
-#endif
-
 #define VECTORS (WIDTH / 8)
-typedef number8 number8_at __attribute__((aligned(sizeof(number))));
 
 // `count` lines of `n` samples, side by side, and a row of what they are outside.
-INLINE void bring_lines(global number *restrict lines, global const number *restrict data, const size_t next_line,
-                        const size_t next_sample, const int n, const int count, const number outside)
+INLINE void bring_lines(global scalar *restrict lines, global const scalar *restrict data, const size_t next_line,
+                        const size_t next_sample, const int n, const int count, const scalar outside)
 {
     for (int i = 0; i < n; ++i) {
-        global number *row = lines + (size_t)i * WIDTH;
-        global const number *from = data + i * next_sample;
+        global scalar *row = lines + (size_t)i * WIDTH;
+        global const scalar *from = data + i * next_sample;
         if (count == WIDTH && next_line == 1)
             for (int v = 0; v < VECTORS; ++v)
-                *(global number8_at *)(row + 8 * v) = *(global const number8_at *)(from + 8 * v);
+                *(global scalar8_at *)(row + 8 * v) = *(global const scalar8_at *)(from + 8 * v);
         else
             for (int r = 0; r < WIDTH; ++r)
                 row[r] = from[MIN(r, count - 1) * next_line];
@@ -41,29 +31,29 @@ INLINE void bring_lines(global number *restrict lines, global const number *rest
         lines[(size_t)n * WIDTH + r] = outside;
 }
 
-INLINE void sum_lines(global number *restrict result, const size_t next_line, const size_t next_sample, const int sums,
-                      const int count, global const number *restrict lines, const int taps, global const int *restrict places,
-                      global const number *restrict weights)
+INLINE void sum_lines(global scalar *restrict result, const size_t next_line, const size_t next_sample, const int sums,
+                      const int count, global const scalar *restrict lines, const int taps, global const int *restrict places,
+                      global const scalar *restrict weights)
 {
     for (int j = 0; j < sums; ++j) {
-        number8 sum[VECTORS];
+        scalar8 sum[VECTORS];
 #pragma unroll
         for (int v = 0; v < VECTORS; ++v)
-            sum[v] = (number8)(0);
+            sum[v] = (scalar8)(0);
         for (size_t t = (size_t)j * taps; t < (size_t)(j + 1) * taps; ++t) {
-            global const number *row = lines + (size_t)places[t] * WIDTH;
-            const number8 weight = (number8)(weights[t]);
+            global const scalar *row = lines + (size_t)places[t] * WIDTH;
+            const scalar8 weight = (scalar8)(weights[t]);
 #pragma unroll
             for (int v = 0; v < VECTORS; ++v)
-                sum[v] = madd(weight, *(global const number8_at *)(row + 8 * v), sum[v]);
+                sum[v] = madd(weight, *(global const scalar8_at *)(row + 8 * v), sum[v]);
         }
-        global number *to = result + j * next_sample;
+        global scalar *to = result + j * next_sample;
         if (count == WIDTH && next_line == 1) {
 #pragma unroll
             for (int v = 0; v < VECTORS; ++v)
-                *(global number8_at *)(to + 8 * v) = sum[v];
+                *(global scalar8_at *)(to + 8 * v) = sum[v];
         } else {
-            union { number8 all[VECTORS]; number each[WIDTH]; } out;
+            union { scalar8 all[VECTORS]; scalar each[WIDTH]; } out;
 #pragma unroll
             for (int v = 0; v < VECTORS; ++v)
                 out.all[v] = sum[v];
@@ -77,12 +67,12 @@ INLINE void sum_lines(global number *restrict result, const size_t next_line, co
 // side by side; if they run ALONG the last axis, inner is 1 and they are WIDTH of the outer ones.
 //
 // scratch: (n + 1) WIDTH numbers for each work-item. Place n stands for `outside`.
-kernel void sum_along_axis(global const number *restrict data, const int outer, const int n, const int inner, const int sums,
-                           const int taps, global const int *restrict places, global const number *restrict weights,
-                           const number outside, const int first, const int units, global number *restrict scratch, global number *restrict results)
+kernel void sum_along_axis(global const scalar *restrict data, const int outer, const int n, const int inner, const int sums,
+                           const int taps, global const int *restrict places, global const scalar *restrict weights,
+                           const scalar outside, const int first, const int units, global scalar *restrict scratch, global scalar *restrict results)
 {
     const size_t item = get_global_id(0), items = get_global_size(0);
-    global number *lines = scratch + item * (size_t)(n + 1) * WIDTH;
+    global scalar *lines = scratch + item * (size_t)(n + 1) * WIDTH;
     const int end = first + (size_t)units * (item + 1) / items;
     for (int unit = first + (size_t)units * item / items; unit < end; ++unit) {
 #if ALONG

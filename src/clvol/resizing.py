@@ -15,7 +15,8 @@ from clvol.device import Device
 from clvol.errors import DataError, OptionError
 from clvol.interop import read_array
 from clvol.ndimage.antialiasing import evaluate, low_passed
-from clvol.ndimage.engine import Axes, Precision
+from clvol.ndimage.engine import Axes
+from clvol.spline.field import Precision
 from clvol.spline.reduce import AntiAliasing, as_anti_aliasing
 
 __all__ = ["resize"]

@@ -11,7 +11,7 @@ from scipy.interpolate import make_interp_spline
 
 import clvol
 from clvol import DataError, DeviceError, OptionError, Volume, reference
-from clvol.boundary import Boundary, as_boundary
+from clvol.boundary import as_boundary
 from clvol.device import Device
 from clvol.filter import as_filter
 from clvol.spline.reduce import Sums, gaussian, least_squares, sum_along
@@ -33,8 +33,8 @@ GRIDS = ((17, 8, 0.3, 2.0), (23, 7, 1.2, 3.37), (9, 5, 7.9, -1.7), (4, 1, 1.5, 4
 ALLOWED = {"bspline4": 1e-9, "bspline5": 1e-7, "omoms3": 1e-10}  # the margin of the reference, whose influence falls slowest there
 
 
-def matrix(filter: str, boundary: str, n: int, m: int, start: float, step: float, precision: str = "double") -> Array:
-    return least_squares(as_filter(filter), start, step, m, n, as_boundary(boundary), precision).matrix()[:, :n]
+def matrix(filter: str, boundary: str, n: int, m: int, start: float, step: float, kind: type[np.generic] = np.float64) -> Array:
+    return least_squares(as_filter(filter), start, step, m, n, as_boundary(boundary), kind).matrix()[:, :n]
 
 
 # -- the weights -------------------------------------------------------------------------------------------------------
@@ -109,23 +109,18 @@ def test_no_fewer_samples_are_the_spline_itself() -> None:
 
 def test_a_gaussian_is_scipys() -> None:
     samples = np.random.default_rng(3).normal(size=9)
-    rules: dict[str, Boundary | str] = {
-        "mirror": as_boundary("mirror"),
-        "reflect": as_boundary("reflect"),
-        "wrap": as_boundary("wrap"),
-    }
-    for mode, rule in (rules | {"nearest": "nearest"}).items():
+    for mode, boundary in {"mirror": "mirror", "reflect": "reflect", "wrap": "wrap", "nearest": "nearest"}.items():
         for sigma in (0.1, 0.5, 1.3, 7.0):
-            got = gaussian(sigma, 9, rule).matrix()[:, :9] @ samples  # type: ignore[arg-type]
+            got = gaussian(sigma, 9, as_boundary(boundary)).matrix()[:, :9] @ samples
             np.testing.assert_allclose(got, ndimage.gaussian_filter1d(samples, sigma, mode=mode), atol=1e-14)
-    constant = gaussian(1.3, 9, "constant").matrix() @ np.append(samples, 2.5)
+    constant = gaussian(1.3, 9, as_boundary("grid-constant")).matrix() @ np.append(samples, 2.5)
     np.testing.assert_allclose(constant, ndimage.gaussian_filter1d(samples, 1.3, mode="constant", cval=2.5), atol=1e-14)
 
 
 def test_single_precision_leaves_out_no_more_than_float32_does() -> None:
     """Of samples within ±1, whatever they are: the sum of what is left out of a row."""
     for name in ("linear", "bspline3", "bspline5"):
-        short, long = (matrix(name, "reflect", 200, 71, 0.9, 2.8, precision) for precision in ("single", "double"))
+        short, long = (matrix(name, "reflect", 200, 71, 0.9, 2.8, kind) for kind in (np.float32, np.float64))
         assert np.abs(short - long).sum(1).max() < 2e-7
 
 
@@ -137,23 +132,23 @@ def test_what_has_no_nearest_spline_is_refused() -> None:
 # -- adding up ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("precision", ["single", "double"])
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
 @pytest.mark.parametrize(
     "shape", [(1,), (5,), (200,), (3, 70), (70, 3), (1, 9, 1), (4, 33, 65), (5, 32, 31), (2, 3, 4, 5), (33, 1, 40, 1)]
 )
-def test_sums_are_products_with_matrices(shape: tuple[int, ...], precision: str, device: Device) -> None:
-    if precision == "double" and not device.has_double:
+def test_sums_are_products_with_matrices(shape: tuple[int, ...], kind: type[np.generic], device: Device) -> None:
+    if kind == np.float64 and not device.has_double:
         pytest.skip("no double precision")
     random = np.random.default_rng(sum(shape))
     for axis, n in enumerate(shape):
         data = random.normal(size=shape)
         m, taps = int(random.integers(1, 9)), int(random.integers(1, 7))
         sums = Sums(n, random.integers(0, n + 1, (m, taps)).astype(np.int32), random.normal(size=(m, taps)))
-        got = sum_along(data, {axis: sums}, precision, device, outside=1.5)
+        got = sum_along(data, {axis: sums}, kind, device, outside=1.5)
         moved = np.concatenate([np.moveaxis(data, axis, 0), np.full((1, *np.delete(shape, axis)), 1.5)])
         wanted = np.moveaxis(np.tensordot(sums.matrix(), moved, 1), 0, axis)
-        assert got.dtype == (np.float64 if precision == "double" else np.float32)
-        np.testing.assert_allclose(got, wanted, atol=1e-13 if precision == "double" else 1e-5)
+        assert got.dtype == kind
+        np.testing.assert_allclose(got, wanted, atol=1e-13 if kind == np.float64 else 1e-5)
 
 
 @pytest.mark.parametrize("kind", ["?", "u1", ">i2", "<u4", ">f4", "<f8", "f2", "longdouble"])
@@ -162,19 +157,19 @@ def test_any_type_and_layout_is_summed(kind: str, device: Device) -> None:
     data = np.asarray(random.integers(0, 2 if kind == "?" else 200, (7, 12, 10)), kind)
     sums = {axis: gaussian(1.1, data.shape[axis], as_boundary("reflect")) for axis in range(3)}
     wanted = ndimage.gaussian_filter(data.astype(np.float64), 1.1, mode="reflect")
-    np.testing.assert_allclose(sum_along(data, sums, "single", device), wanted, atol=1e-4)
+    np.testing.assert_allclose(sum_along(data, sums, np.float32, device), wanted, atol=1e-4)
     turned = np.asfortranarray(data[::-1])
     turned.flags.writeable = False
-    np.testing.assert_allclose(sum_along(turned, sums, "single", device), wanted[::-1], atol=1e-4)
+    np.testing.assert_allclose(sum_along(turned, sums, np.float32, device), wanted[::-1], atol=1e-4)
 
 
 def test_results_do_not_depend_on_launches(device: Device) -> None:
     data = np.random.default_rng(0).random((20, 40, 50), np.float32)
     sums = {axis: gaussian(0.8, n, as_boundary("wrap")) for axis, n in enumerate(data.shape)}
-    whole = sum_along(data, sums, "single", device)
+    whole = sum_along(data, sums, np.float32, device)
     told: list[float] = []
     with device.limited(launch_taps=1):
-        np.testing.assert_array_equal(sum_along(data, sums, "single", device, progress=told.append), whole)
+        np.testing.assert_array_equal(sum_along(data, sums, np.float32, device, progress=told.append), whole)
     assert told[-1] == 1
     assert told == sorted(told)
 
@@ -182,7 +177,7 @@ def test_results_do_not_depend_on_launches(device: Device) -> None:
 def test_double_precision_is_refused_where_there_is_none(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(device.__dict__, "has_double", False)
     with pytest.raises(DeviceError, match="double"):
-        sum_along(np.zeros(3), {0: gaussian(1.0, 3, "nearest")}, "double", device)
+        sum_along(np.zeros(3), {0: gaussian(1.0, 3, as_boundary("nearest"))}, np.float64, device)
 
 
 # -- volumes -----------------------------------------------------------------------------------------------------------

@@ -9,26 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.boundary import as_boundary
-from clvol.checks import one_of
 from clvol.device import Device, as_device
 from clvol.errors import OptionError
 from clvol.filter import bspline
 from clvol.ndimage import engine
-from clvol.ndimage.engine import Affine, Axes, Precision, Target
-from clvol.spline.reduce import AntiAliasing, Continuation, as_anti_aliasing, gaussian, least_squares, sum_along
+from clvol.ndimage.engine import Affine, Axes, Target
+from clvol.spline.field import Precision
+from clvol.spline.reduce import AntiAliasing, as_anti_aliasing, gaussian, least_squares, sum_along
 
 __all__ = ["evaluate", "low_passed", "steps_of"]
 
-_RULES: Mapping[str, Continuation] = {
-    "mirror": as_boundary("mirror"),
-    "reflect": as_boundary("reflect"),
-    "grid-mirror": as_boundary("reflect"),
-    "grid-wrap": as_boundary("wrap"),
-    "wrap": "overlap",
-    "nearest": "nearest",
-    "constant": "constant",
-    "grid-constant": "constant",
-}
 _UNEVEN = 1e-6  # of a step
 
 
@@ -86,14 +76,13 @@ def evaluate(
             raise OptionError(f"sigma is for the Gaussian, least squares has none; got {sigma!r}")
         if not isinstance(target, Axes):
             raise OptionError("least-squares reduction takes a grid along the array's axes: turn afterwards, or take 'gaussian'")
-        sums = {}
+        boundary, own, sums = as_boundary(engine._BOUNDARIES[mode]), as_device(device), {}
+        kind = engine._kind(precision, data, output, own)
         for axis, x in zip(axes, target.positions, strict=True):
             n = data.shape[axis]
             step = _even_step(x, n)
-            sums[axis] = least_squares(
-                bspline(order), float(x[0]), step, x.size, n, _rule(mode), precision, prefilter=bool(prefilter)
-            )
-        _store(sum_along(data, sums, precision, as_device(device), cval, progress), output)
+            sums[axis] = least_squares(bspline(order), float(x[0]), step, x.size, n, boundary, kind, prefilter=bool(prefilter))
+        output[...] = engine._converted(sum_along(data, sums, kind, own, cval, progress), output.dtype)
         return None
     if sigma is None:
         sigma = [max(0.0, (step - 1) / 2) for step in steps_of(data.shape, axes, target)]
@@ -132,8 +121,9 @@ def low_passed(
     mode, cval, precision, device
         As of `engine.evaluate`.
     """
-    sums = {axis: gaussian(float(s), data.shape[axis], _rule(mode)) for axis, s in sigma.items() if s > 0}
-    return sum_along(data, sums, precision, as_device(device), cval) if sums else data
+    boundary, own = as_boundary(engine._BOUNDARIES[mode]), as_device(device)
+    sums = {axis: gaussian(float(s), data.shape[axis], boundary) for axis, s in sigma.items() if s > 0}
+    return sum_along(data, sums, engine._kind(precision, data, data, own), own, cval) if sums else data
 
 
 def steps_of(shape: Sequence[int], axes: Sequence[int], target: Target) -> list[float]:
@@ -155,24 +145,3 @@ def _even_step(x: NDArray[np.float64], n: int) -> float:
     if not np.abs(np.diff(x) - step).max() <= _UNEVEN * max(1.0, abs(step)):
         raise OptionError("anti_aliasing takes a grid whose samples lie at even distances")
     return step
-
-
-def _rule(mode: str) -> Continuation:
-    if mode not in _RULES:
-        raise one_of("mode", mode, _RULES)
-    return _RULES[mode]
-
-
-def _store(values: NDArray[Any], output: NDArray[Any]) -> None:
-    """In the type of `output`: whole numbers are rounded, halves away from zero, and clipped."""
-    kind = output.dtype
-    if kind.kind in "iu":
-        limits = np.iinfo(kind)
-        top = float(limits.max)
-        values = np.trunc(values + np.copysign(0.5, values))
-        # a whole number that float64 does not hold is rounded up: the type's largest takes its place
-        output[...] = np.where(values >= top, limits.max, np.clip(values, limits.min, np.nextafter(top, 0)).astype(kind))
-    elif kind.kind == "b":
-        output[...] = values >= 0.5
-    else:
-        output[...] = values

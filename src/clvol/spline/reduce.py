@@ -20,12 +20,12 @@ from clvol.device import Device
 from clvol.errors import DeviceError, OptionError
 from clvol.filter import Filter, bspline
 from clvol.smoothing import settled
+from clvol.spline.build import scalar_defines
 from clvol.stored import Stored
 from clvol.volume import Volume
 
 __all__ = [
     "AntiAliasing",
-    "Continuation",
     "Sums",
     "as_anti_aliasing",
     "gaussian",
@@ -37,13 +37,10 @@ __all__ = [
 ]
 
 Array: TypeAlias = NDArray[np.float64]
-Continuation: TypeAlias = Boundary | Literal["nearest", "constant", "overlap"]
-"""What samples lie past the edge: those of a boundary rule, the outer one, none, or those of a period of n - 1."""
-
 AntiAliasing: TypeAlias = Literal["gaussian", "least-squares"] | None
 
 TRUNCATE = 4.0  # standard deviations at which a Gaussian is cut, as SciPy does
-_LEFT_OUT = {"single": 1e-8, "double": 1e-15}  # of an impulse response's peak, what its tails may be
+_LEFT_OUT = {np.float32: 1e-8, np.float64: 1e-15}  # of an impulse response's peak, what its tails may be
 _CIRCLE = 1 << 13  # samples of an impulse response before it is cut
 _WIDTH = 32  # lines that reduce.cl takes side by side
 _ITEMS_A_CORE = 8
@@ -68,9 +65,9 @@ class Sums:
     weights: Array
 
     @classmethod
-    def of(cls, first: NDArray[np.int64], weights: Array, n: int, rule: Continuation) -> Sums:
+    def of(cls, first: NDArray[np.int64], weights: Array, n: int, boundary: Boundary) -> Sums:
         """Sums of neighbouring samples from `first` on, wherever these lie."""
-        places = continued(first[:, None] + np.arange(weights.shape[1]), n, rule)
+        places = continued(first[:, None] + np.arange(weights.shape[1]), n, boundary)
         made = cls(n, np.where(places < 0, n, places).astype(np.int32), weights)
         if weights.shape[1] <= n + 1:
             return made
@@ -83,15 +80,14 @@ class Sums:
         return result
 
 
-def continued(i: NDArray[np.int64], n: int, rule: Continuation) -> NDArray[np.int64]:
-    """Which of `n` samples stands at index `i`; -1 where none does."""
-    if isinstance(rule, Boundary):
-        return rule.index(i, n)
-    if rule == "nearest":
+def continued(i: NDArray[np.int64], n: int, boundary: Boundary) -> NDArray[np.int64]:
+    """Which of `n` samples stands at index `i`; -1 where none does, but a constant."""
+    if boundary.outside == "rule":
+        return boundary.folded(i, n)
+    if boundary.outside == "clamp":
         return np.clip(i, 0, n - 1)
-    if rule == "overlap":
-        return np.where((i >= 0) & (i < n), i, i % max(1, n - 1))
-    return np.where((i >= 0) & (i < n), i, -1)
+    inside = (i >= 0) & (i < n)
+    return np.where(inside, i, i % max(1, n - 1) if boundary.outside == "overlap" else -1)
 
 
 def as_anti_aliasing(choice: object) -> AntiAliasing:
@@ -109,17 +105,24 @@ def as_anti_aliasing(choice: object) -> AntiAliasing:
 
 
 @lru_cache(maxsize=64)
-def gaussian(sigma: float, n: int, rule: Continuation) -> Sums:
+def gaussian(sigma: float, n: int, boundary: Boundary) -> Sums:
     """A Gaussian of standard deviation `sigma` in samples, cut off as `scipy.ndimage.gaussian_filter` does."""
     radius = int(TRUNCATE * sigma + 0.5)
     x = np.arange(-radius, radius + 1)
     kernel = np.exp(-0.5 / max(sigma, 1e-9) ** 2 * x.astype(np.float64) ** 2)
-    return Sums.of(np.arange(n) - radius, np.tile(kernel / kernel.sum(), (n, 1)), n, rule)
+    return Sums.of(np.arange(n) - radius, np.tile(kernel / kernel.sum(), (n, 1)), n, boundary)
 
 
 @lru_cache(maxsize=64)
 def least_squares(
-    filter: Filter, start: float, step: float, m: int, n: int, rule: Continuation, precision: str = "single", prefilter: bool = True
+    filter: Filter,
+    start: float,
+    step: float,
+    m: int,
+    n: int,
+    boundary: Boundary,
+    kind: type[np.generic] = np.float32,
+    prefilter: bool = True,
 ) -> Sums:
     """The spline of a coarser grid that is nearest to the spline of the samples, at its grid's points.
 
@@ -131,10 +134,11 @@ def least_squares(
         Sample j of the result lies at ``start + step j``, in samples of the input.
     m, n : int
         Samples of the result and of the input.
-    rule : Continuation
-        What stands past the samples; both functions go on there for ever.
-    precision : {"single", "double"}
-        How far down impulse responses count.
+    boundary : Boundary
+        What stands past the samples, where both functions go on for ever: those of the rule's period; the outer ones under
+        "nearest"; a constant, under those that have one.
+    kind : type
+        np.float32 or np.float64, of the sums: how far down impulse responses count.
     prefilter : bool
         Whether the input is samples; else it is coefficients.
 
@@ -160,7 +164,7 @@ def least_squares(
     """
     if filter.magnified_by is not None:
         raise OptionError(f"least-squares reduction takes a filter with one kernel; got the hybrid {filter.name!r}")
-    left_out, h = _LEFT_OUT[precision], abs(step)
+    left_out, h = _LEFT_OUT[kind], abs(step)
     if h <= 1 + _NO_STEP:
         base, t = filter.cell(start + step * np.arange(m))
         first, weights = base.astype(np.int64), filter.weights(t).T
@@ -177,7 +181,7 @@ def least_squares(
         for i, value in enumerate(response):
             spread[:, i : i + weights.shape[1]] += value * weights
         weights = spread
-    return Sums.of(first, np.ascontiguousarray(weights), n, rule)
+    return Sums.of(first, np.ascontiguousarray(weights), n, boundary)
 
 
 def _autocorrelation(filter: Filter) -> Array:
@@ -235,7 +239,7 @@ def _mixed(first: NDArray[np.int64], weights: Array, response: Array) -> tuple[N
 # -- of volumes --------------------------------------------------------------------------------------------------------
 
 
-def low_passed(volume: Volume, steps: Array, boundary: Boundary, device: Device) -> Volume:
+def low_passed(volume: Volume, steps: Array, boundary: Boundary, kind: type[np.generic], device: Device) -> Volume:
     """A volume after the Gaussian that suits a grid whose points lie `steps` samples apart along its axes, x first.
 
     Its standard deviation is (step - 1) / 2 samples along an axis with a step of more than one: scikit-image's rule.
@@ -243,14 +247,17 @@ def low_passed(volume: Volume, steps: Array, boundary: Boundary, device: Device)
     volume.require_finite()
     sigma = np.maximum(0, (steps[::-1] - 1) / 2)
     sums = {axis: gaussian(float(s), volume.shape[axis], boundary) for axis, s in enumerate(sigma) if s > 0}
-    data = sum_along(volume.data, sums, _precision(volume, None, boundary), device) if sums else volume.data
-    return Volume(data, volume.spacing, volume.origin, volume.direction, volume.units)
+    if not sums:
+        return volume
+    made = sum_along(volume.data, sums, _wide_enough(kind, volume, bspline(1), boundary), device, boundary.cval)
+    return Volume(made, volume.spacing, volume.origin, volume.direction, volume.units)
 
 
 def nearest_spline(
     volume: Volume,
     filter: Filter,
     boundary: Boundary,
+    kind: type[np.generic],
     device: Device,
     matrix: Array,
     offset: Array,
@@ -261,8 +268,11 @@ def nearest_spline(
 
     Parameters
     ----------
-    volume, filter, boundary, device
+    volume, filter, boundary
         What is reconstructed, and how.
+    kind : type
+        np.float32, or np.float64, which is taken also where float32 would lose digits of the samples.
+    device : Device
     matrix, offset : ndarray, shapes (d, d) and (d,)
         From the grid's indices, x first, to those of the volume.
     shape : tuple of int
@@ -283,14 +293,14 @@ def nearest_spline(
         )
     if row.prefilter and boundary.period is None:
         raise OptionError(f"least-squares reduction takes a boundary rule that continues the samples; got {boundary.name!r}")
-    precision = _precision(volume, row, boundary)
+    kind = _wide_enough(kind, volume, row, boundary)
     sums = {
         d - 1 - axis: least_squares(
-            row.along(axis), float(offset[axis]), float(matrix[axis, axis]), shape[d - 1 - axis], n, boundary, precision
+            row.along(axis), float(offset[axis]), float(matrix[axis, axis]), shape[d - 1 - axis], n, boundary, kind
         )
         for axis, n in enumerate(volume.size)
     }
-    return sum_along(volume.data, sums, precision, device, progress=progress)
+    return sum_along(volume.data, sums, kind, device, boundary.cval, progress)
 
 
 def steps_along(matrix: Array) -> Array:
@@ -298,10 +308,9 @@ def steps_along(matrix: Array) -> Array:
     return np.asarray(np.linalg.norm(matrix, axis=1))
 
 
-def _precision(volume: Volume, filter: Filter | None, boundary: Boundary) -> str:
-    """Double where float32 would lose digits of the samples: where a Field stores them less an offset or a power of two."""
-    row = filter if filter is not None else bspline(1)
-    return "single" if Stored.of(volume, row, boundary).identity else "double"
+def _wide_enough(kind: type[np.generic], volume: Volume, filter: Filter, boundary: Boundary) -> type[np.generic]:
+    """float64 where a Field of float32 would take an offset or a power of two off the samples."""
+    return kind if Stored.of(volume, filter, boundary).identity else np.float64
 
 
 # -- adding up ---------------------------------------------------------------------------------------------------------
@@ -310,19 +319,20 @@ def _precision(volume: Volume, filter: Filter | None, boundary: Boundary) -> str
 def sum_along(
     data: NDArray[Any],
     sums: Mapping[int, Sums],
-    precision: str,
+    kind: type[np.generic],
     device: Device,
     outside: float = 0.0,
     progress: Callable[[float], Any] | None = None,
 ) -> NDArray[Any]:
-    """What becomes of an array whose axes are replaced by sums along them, in float32 or float64 ("double").
+    """What becomes of an array whose axes are replaced by sums along them.
 
     Parameters
     ----------
     data : ndarray of real numbers
         Of any number of axes, any layout and byte order.
     sums : mapping from axes to Sums
-    precision : {"single", "double"}
+    kind : type
+        np.float32 or np.float64, of the result and of all on the way.
     device : Device
     outside : float
         The samples where a rule puts none.
@@ -332,13 +342,12 @@ def sum_along(
     Raises
     ------
     DeviceError
-        Double precision on a device without it.
+        Sums of float64 on a device without it.
     OutOfMemoryError
         The device has no room.
     """
-    if precision == "double" and not device.has_double:
-        raise DeviceError(f"precision 'double' needs a device with double precision, which {device.name!r} has not: use 'single'")
-    kind = np.dtype(np.float64 if precision == "double" else np.float32)
+    if kind == np.float64 and not device.has_double:
+        raise DeviceError(f"sums of float64 need a device with double precision; got {device.name!r}, which has none")
     # what shrinks most goes first
     order = sorted(sums, key=lambda axis: len(sums[axis].places) / sums[axis].n)
     for done, axis in enumerate(order, 1):
@@ -348,7 +357,7 @@ def sum_along(
     return np.ascontiguousarray(data, kind)
 
 
-def _sum_axis(data: NDArray[Any], axis: int, sums: Sums, kind: np.dtype[Any], outside: float, device: Device) -> NDArray[Any]:
+def _sum_axis(data: NDArray[Any], axis: int, sums: Sums, kind: type[np.generic], outside: float, device: Device) -> NDArray[Any]:
     m = len(sums.places)
     shape = (*data.shape[:axis], m, *data.shape[axis + 1 :])
     result = np.empty(shape, kind)
@@ -386,9 +395,10 @@ def _launch(
     n, outer, inner = sums.n, math.prod(data.shape[:axis]), math.prod(data.shape[axis + 1 :])
     units = -(-outer // _WIDTH) if along else outer * -(-inner // _WIDTH)
     items = min(units, _ITEMS_A_CORE * device.units)
-    double = int(data.dtype.itemsize == 8)
     scratch = device.allocate(data.dtype.itemsize * items * (n + 1) * _WIDTH)
-    built = device.build("spline/reduce.cl", {"SCALAR_DOUBLE": double, "ALONG": int(along), "WIDTH": _WIDTH, "COORD_DOUBLE": 0})
+    built = device.build(
+        "spline/reduce.cl", {"ALONG": int(along), "WIDTH": _WIDTH, "COORD_DOUBLE": 0, **scalar_defines(data.dtype.type)}
+    )
     some = max(1, device.limits.launch_taps * 32 // (m * taps * _WIDTH))
     try:
         with device.lent(data, write=False) as given, device.lent(result, write=True) as made:
