@@ -104,9 +104,9 @@ def resize(
 
     Notes
     -----
-    It differs from scikit-image in this: integers of order 0 that are low-passed are rounded once, not cut off after each axis; an
-    axis that keeps its length is left as it is, where SciPy's spline errs by up to 0.5 % of the range on axes of 3 samples; NaN and
-    infinities are refused where they would spread; and a shape must be whole numbers.
+    It differs from scikit-image in this: integers of order 0 that are low-passed are rounded once, not cut off after each axis;
+    "symmetric" is exact on short axes, too, where SciPy's prefilter errs (by 0.3 % of the range on 3 samples at order 3, by 4 % at
+    order 5); NaN and infinities are refused where they would spread; and a shape must be whole numbers.
 
     Examples
     --------

@@ -4,7 +4,8 @@ Departures, each with its test below:
 
 - integers of order 0 that are low-passed are rounded once; scikit-image cuts digits off after each axis, and gives up to 1 less for
   each;
-- an axis that keeps its length is left as it is; SciPy's spline is run over it there, and errs by up to 0.5 % on axes of 3 samples;
+- "symmetric" from order 2 on is exact on short axes, too; SciPy's prefilter starts there with a sum that is cut off, so that values
+  err by 0.3 % of the range on axes of 3 samples at order 3, by 4 % at order 5, and even an axis that keeps its length does not keep its values;
 - NaN and infinities are refused for orders of 2 and more, where scikit-image gives an array of NaN;
 - a shape must be whole numbers; scikit-image rounds.
 """
@@ -72,15 +73,16 @@ def test_values_types_and_shapes_are_the_same(kind: str, device: Device) -> None
             continue  # refused by both: below
         if np.dtype(kind).kind in "iu" and order == 0 and chosen:
             continue  # rounded otherwise: below
+        if options["mode"] == "symmetric" and (order or 1) > 1:  # on short axes SciPy errs: below
+            if len(old) > 3:
+                continue
+            old, new = tuple(8 * n for n in old), tuple(8 * n for n in new)
         data = image(kind, old, seed)
         wanted = transform.resize(data, new, **options)
         got = clvol.resize(data, new, device=device, **options)
         assert (got.shape, got.dtype) == (wanted.shape, wanted.dtype.newbyteorder("=")), options
         span = float(np.abs(wanted.astype(np.float64)).max()) or 1.0
-        left = 2e-6
-        if options["mode"] == "symmetric" and (order or 1) > 1:  # where SciPy's splines err along the axis that stays: see above
-            left = {(9, 8, 3): 8e-3, (6, 7): 1e-5}.get(old, left)
-        np.testing.assert_allclose(got, wanted, rtol=0, atol=left * span, err_msg=f"{old} {new} {options}")
+        np.testing.assert_allclose(got, wanted, rtol=0, atol=4e-6 * span, err_msg=f"{old} {new} {options}")
         compared += 1
     assert compared > (15 if kind == "?" else 60)
 
@@ -149,12 +151,15 @@ def test_low_passed_integers_are_rounded_once(device: Device) -> None:
     assert (theirs <= got).all()
 
 
-def test_an_axis_that_stays_is_not_touched(device: Device) -> None:
-    data = np.random.default_rng(0).random((8, 3))
-    alone = [
-        transform.resize(np.ascontiguousarray(data[:, i]), (5,), 5, "symmetric", anti_aliasing=False, clip=False) for i in range(3)
-    ]
-    got = clvol.resize(data, (5, 3), 5, "symmetric", anti_aliasing=False, clip=False, device=device)
-    np.testing.assert_allclose(got, np.stack(alone, -1), atol=1e-12)
-    theirs = transform.resize(data, (5, 3), 5, "symmetric", anti_aliasing=False, clip=False)
-    assert np.abs(theirs - np.stack(alone, -1)).max() > 1e-4
+@pytest.mark.parametrize("order", [2, 3, 4, 5])
+def test_symmetric_ends_are_exact_on_short_axes(order: int, device: Device) -> None:
+    """The same as in the middle of so many copies that nothing of an end is left."""
+    data = np.random.default_rng(0).random(3)
+    copies = np.tile(np.append(data, data[::-1]), 21)
+    truth = transform.resize(copies, (copies.size // 3 * 5,), order, "wrap", anti_aliasing=False, clip=False)[100:105]
+    got = clvol.resize(data, (5,), order, "symmetric", anti_aliasing=False, clip=False, device=device)
+    np.testing.assert_allclose(got, truth, atol=1e-12)
+    theirs = transform.resize(data, (5,), order, "symmetric", anti_aliasing=False, clip=False)
+    assert np.abs(theirs - truth).max() > 1e-6
+    kept = transform.resize(np.stack([data] * 8), (5, 3), order, "symmetric", anti_aliasing=False, clip=False)
+    assert np.abs(kept - data).max() > 1e-6
