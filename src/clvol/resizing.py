@@ -11,18 +11,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.checks import one_of, whole
-from clvol.device import Device
+from clvol.device import Device, as_device
 from clvol.errors import DataError, OptionError
 from clvol.interop import read_array
-from clvol.ndimage.antialiasing import evaluate, low_passed
-from clvol.ndimage.engine import Axes
+from clvol.ndimage.antialiasing import low_passed, nearest_splines, widths
+from clvol.ndimage.arguments import Spline
+from clvol.ndimage.passes import along_axes
 from clvol.spline.field import Precision
 from clvol.spline.reduce import AntiAliasing, as_anti_aliasing
 
 __all__ = ["resize"]
 
 _MODES = {"constant": "grid-constant", "edge": "nearest", "symmetric": "reflect", "reflect": "mirror", "wrap": "grid-wrap"}
-_AT_A_TIME = 3  # axes that the engine resamples at a time
 
 
 def resize(
@@ -136,12 +136,13 @@ def resize(
         scale = 1.0 / top
         if given.kind == "i" and array.min() < -top:
             array = np.maximum(array, -top, dtype=given)
-    if given.kind == "f" and given.itemsize not in (4, 8):  # neither SciPy nor a device computes with other types
+    if given.kind == "f" and given.itemsize > 8:  # devices do not compute with these
         array = array.astype(kind)
     low, high = _range(array, order > 1 or chosen == "least-squares")
     sigma = _sigma(anti_aliasing_sigma, chosen, array.shape, shape, spatial)
-    outside = float(cval) / scale
-    result = _resized(array, shape, kind, order, _MODES[mode], outside, precision, device, chosen, sigma, progress)
+    chosen_device = None if device is None else as_device(device)
+    spline = Spline(order, _MODES[mode], float(cval) / scale, True, precision, chosen_device, progress)
+    result = _resized(array, shape, kind, spline, chosen, sigma)
     if scale != 1:
         result *= scale
     if clip:
@@ -204,72 +205,39 @@ def _range(array: NDArray[Any], spreads: bool) -> tuple[Any, Any]:
 
 def _sigma(
     given: float | Sequence[float] | None, chosen: AntiAliasing, old: tuple[int, ...], new: tuple[int, ...], spatial: list[bool]
-) -> list[float] | None:
-    """Standard deviation of the Gaussian along each axis; None without one."""
+) -> dict[int, float]:
+    """Standard deviation of the Gaussian along each axis; none without one."""
     if chosen != "gaussian":
         if chosen and given is not None:
             raise OptionError(f"anti_aliasing_sigma is for the Gaussian, least squares has none; got {given!r}")
-        return None
-    factors = [n / m for n, m in zip(old, new, strict=True)]
+        return {}
     if given is None:
-        return [max(0.0, (f - 1) / 2) for f in factors]
+        return widths(new, old)
     values = np.atleast_1d(np.asarray(given, np.float64))
-    if values.shape not in ((1,), (sum(spatial),)) or not np.isfinite(values).all() or (values < 0).any():
+    axes = [axis for axis, own in enumerate(spatial) if own]
+    if values.shape not in ((1,), (len(axes),)) or not np.isfinite(values).all() or (values < 0).any():
         raise OptionError(
-            f"anti_aliasing_sigma must be a number of at least 0, or {sum(spatial)} of them, one for each axis; got {given!r}"
+            f"anti_aliasing_sigma must be a number of at least 0, or {len(axes)} of them, one for each axis; got {given!r}"
         )
-    each = iter(np.broadcast_to(values, (sum(spatial),)))
-    sigma = [float(next(each)) if own else 0.0 for own in spatial]
-    if any(s > 0 and f <= 1 for s, f in zip(sigma, factors, strict=True)):
+    sigma = dict(zip(axes, np.broadcast_to(values, (len(axes),)).tolist(), strict=True))
+    if any(s > 0 and old[axis] <= new[axis] for axis, s in sigma.items()):
         warnings.warn("anti_aliasing_sigma is greater than zero along an axis that does not get shorter", UserWarning, stacklevel=3)
     return sigma
 
 
 def _resized(
-    array: NDArray[Any],
-    shape: tuple[int, ...],
-    kind: np.dtype[Any],
-    order: int,
-    mode: str,
-    cval: float,
-    precision: Precision,
-    device: Device | str | int | None,
-    chosen: AntiAliasing,
-    sigma: list[float] | None,
-    progress: Callable[[float], Any] | None,
+    array: NDArray[Any], shape: tuple[int, ...], kind: np.dtype[Any], spline: Spline, chosen: AntiAliasing, sigma: dict[int, float]
 ) -> NDArray[Any]:
-    """Values in the array's units; the axes that change, some at a time, those that shrink first."""
-    axes = [axis for axis in range(array.ndim) if array.shape[axis] != shape[axis]]
-    axes.sort(key=lambda axis: shape[axis] / array.shape[axis])
-    between = np.dtype(np.float32 if precision == "single" else np.float64) if order > 0 or array.dtype.kind == "f" else kind
-    if sigma is not None:
-        array = low_passed(array, dict(enumerate(sigma)), mode=mode, cval=cval, precision=precision, device=device)
-        if order == 0 and kind.kind in "iu" and any(sigma):
-            array = np.rint(array).astype(kind)
-    groups = [sorted(axes[i : i + _AT_A_TIME]) for i in range(0, len(axes), _AT_A_TIME)]
-    for done, group in enumerate(groups):
-        here = list(array.shape)
-        for axis in group:
-            here[axis] = shape[axis]
-        made = np.empty(here, kind if group is groups[-1] else between)
-        positions = tuple((np.arange(shape[axis]) + 0.5) * (array.shape[axis] / shape[axis]) - 0.5 for axis in group)
-        report = None if progress is None else lambda part, done=done: progress((done + part) / len(groups))
-        evaluate(
-            array,
-            group,
-            Axes(positions),
-            made,
-            order=order,
-            mode=mode,
-            cval=cval,
-            prefilter=True,
-            precision=precision,
-            device=device,
-            progress=report,
-            anti_aliasing="least-squares" if chosen == "least-squares" else False,
-        )
-        array = made
-    return array if groups else array.astype(kind)
+    """Values in the array's units."""
+    positions = {
+        axis: (np.arange(m) + 0.5) * (n / m) - 0.5 for axis, (n, m) in enumerate(zip(array.shape, shape, strict=True)) if n != m
+    }
+    result = np.empty(shape, kind)
+    if chosen == "least-squares" and positions:
+        nearest_splines(array, positions, result, spline)
+    else:
+        along_axes(low_passed(array, sigma, spline), [positions.get(axis) for axis in range(array.ndim)], result, spline)
+    return result
 
 
 def _clip(result: NDArray[Any], low: Any, high: Any, mode: str, cval: float) -> None:

@@ -158,13 +158,15 @@ def evaluate(
 def _evaluated(made: Coefficients, target: Target, output: Array, store: _Store, given: Given) -> Iterator[float]:
     """Write one volume's values at a target, part by part; the fraction done after each."""
     if isinstance(target, Points):
-        planes, flat = target.coordinates.reshape(made.ndim, -1), output.reshape(-1) if output.flags.c_contiguous else output
+        planes = target.coordinates.reshape(made.ndim, -1)
         if planes.dtype not in (np.float32, np.float64) or not planes.dtype.isnative:
             planes = planes.astype(np.float64)
-        for part in store.parts(flat):
-            with store.into(flat[part]) as results:
+        count = planes.shape[1]
+        plain = output.flags.c_contiguous  # else points and results do not follow each other alike, and are taken at once
+        for part in store.parts(output.reshape(-1)) if plain else [slice(0, count)]:
+            with store.into(output.reshape(-1)[part] if plain else output) as results:
                 sample_into(made, DIRECT, planes[:, part], results.reshape(-1), given=given)
-            yield part.stop / max(1, len(flat))
+            yield part.stop / max(1, count)
         return
     for part in store.parts(output):
         with store.into(output[part]) as results, made.device.lent(results, write=True) as buffer:
