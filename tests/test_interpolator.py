@@ -14,7 +14,7 @@ from clvol import ClvolError, DataError, GeometryError, Interpolator, OptionErro
 from clvol.device import Device
 
 Array = NDArray[Any]
-SINGLE = 2e-6  # of the range of the values
+ALLOWED = {"single": 2e-6, "double": 4e-15}  # of the largest value
 
 
 def grid_and_points(d: int, seed: int = 0) -> tuple[tuple[Array, ...], Array]:
@@ -24,26 +24,29 @@ def grid_and_points(d: int, seed: int = 0) -> tuple[tuple[Array, ...], Array]:
     return axes, np.random.default_rng(seed).uniform(low, high, (60, d))
 
 
-@pytest.mark.parametrize("trailing", [(), (2,), (2, 3)])
+@pytest.mark.parametrize("precision", ALLOWED)
+@pytest.mark.parametrize("trailing", [(), (2, 3)])
 @pytest.mark.parametrize("d", [1, 2, 3])
-def test_linear_is_scipys(d: int, trailing: tuple[int, ...], device: Device) -> None:
+def test_linear_is_scipys(d: int, trailing: tuple[int, ...], precision: Any, device: Device) -> None:
     axes, points = grid_and_points(d)
     values = np.random.default_rng(1).normal(size=tuple(x.size for x in axes) + trailing)
     wanted = RegularGridInterpolator(axes, values)
-    with Interpolator(axes, values, "linear", device=device) as at:
-        got = at(points)
+    with Interpolator(axes, values, "linear", precision=precision, device=device) as at:
+        got, allowed = at(points), 4 * ALLOWED[precision]
+        assert got.dtype == {"single": np.float32, "double": np.float64}[precision]
         assert got.shape == wanted(points).shape
-        np.testing.assert_allclose(got, wanted(points), atol=8 * SINGLE)
+        np.testing.assert_allclose(got, wanted(points), atol=allowed)
         # the forms in which points may come
-        np.testing.assert_allclose(at(points[0]), wanted(points[0]), atol=8 * SINGLE)
+        np.testing.assert_allclose(at(points[0]), wanted(points[0]), atol=allowed)
         assert at(points.reshape(6, 10, d)).shape == (6, 10, *trailing)
         several = tuple(np.moveaxis(points.reshape(6, 10, d), -1, 0)) if d > 1 else (points[:, 0],)
-        np.testing.assert_allclose(at(several), wanted(several), atol=8 * SINGLE)
+        np.testing.assert_allclose(at(several), wanted(several), atol=allowed)
 
 
+@pytest.mark.parametrize("precision", ALLOWED)
 @pytest.mark.parametrize("order", [2, 3, 5])
 @pytest.mark.parametrize("d", [1, 2, 3])
-def test_periodic_splines_and_their_derivatives_are_scipys(d: int, order: int, device: Device) -> None:
+def test_periodic_splines_and_their_derivatives_are_scipys(d: int, order: int, precision: Any, device: Device) -> None:
     """Tensor products of SciPy's splines along each axis, on closed curves, where both mean the same spline."""
     sizes, periods = (9, 8, 11)[:d], (2.0, 30.0, 0.5)[:d]
     axes = [p * np.arange(n) / n for n, p in zip(sizes, periods, strict=True)]
@@ -63,12 +66,12 @@ def test_periodic_splines_and_their_derivatives_are_scipys(d: int, order: int, d
         basis = sum(kernel(distance + shift * n, nu) for shift in (-1, 0, 1)) / step**nu
         return np.asarray(basis @ np.linalg.inv(matrix))
 
-    with Interpolator(axes, values, f"bspline{order}", False, None, boundary="wrap", device=device) as at:
+    with Interpolator(axes, values, f"bspline{order}", False, None, boundary="wrap", precision=precision, device=device) as at:
         for nu in np.ndindex((3,) * d):
             if sum(nu) <= 2:
                 weights = [along(axis, n) for axis, n in enumerate(nu)]
                 wanted = np.einsum(values, range(d), *(v for i, w in enumerate(weights) for v in (w, [d, i])), [d])
-                np.testing.assert_allclose(at(points, nu=nu), wanted, atol=4 * SINGLE * np.abs(wanted).max())
+                np.testing.assert_allclose(at(points, nu=nu), wanted, atol=20 * ALLOWED[precision] * np.abs(wanted).max())
 
 
 def test_polynomials_have_their_derivatives(device: Device) -> None:
@@ -88,7 +91,7 @@ def test_polynomials_have_their_derivatives(device: Device) -> None:
             ((1, 0, 1), -4 * c),
             ((0, 0, 2), -4 * a),
         ):
-            np.testing.assert_allclose(at(points, nu=nu), wanted, atol=3e-6 * 60 ** sum(nu))
+            np.testing.assert_allclose(at(points, nu=nu), wanted, atol=1e-12 * 60 ** sum(nu))
 
 
 def test_complex_values_go_by_parts(device: Device) -> None:
@@ -104,7 +107,7 @@ def test_complex_values_go_by_parts(device: Device) -> None:
         np.testing.assert_array_equal(at(points), real(points) + 1j * imaginary(points))
         np.testing.assert_array_equal(at(points, nu=(1, 0)), real(points, nu=(1, 0)) + 1j * imaginary(points, nu=(1, 0)))
         wanted = RegularGridInterpolator(axes, values)(points)
-    np.testing.assert_allclose(Interpolator(axes, values, "slinear", device=device)(points), wanted, atol=8 * SINGLE)
+    np.testing.assert_allclose(Interpolator(axes, values, "slinear", device=device)(points), wanted, atol=1e-13)
 
 
 def test_points_outside_are_refused_filled_or_continued(device: Device) -> None:
@@ -118,9 +121,9 @@ def test_points_outside_are_refused_filled_or_continued(device: Device) -> None:
         with np.errstate(invalid="ignore"):
             wanted = RegularGridInterpolator((x,), values, bounds_error=False, fill_value=fill)(points)
         got = Interpolator((x,), values, "linear", False, fill, device=device)(points)
-        np.testing.assert_allclose(got, wanted, atol=4 * SINGLE)
+        np.testing.assert_allclose(got, wanted, atol=1e-14)
     beyond = Interpolator((x,), values, "linear", False, None, boundary="mirror", device=device)(points[:5])
-    np.testing.assert_allclose(beyond, [1.25, 1.0, 0.0, 1.5, np.nan], atol=4 * SINGLE)
+    np.testing.assert_allclose(beyond, [1.25, 1.0, 0.0, 1.5, np.nan], atol=1e-14)
 
 
 @pytest.mark.parametrize("boundary", ["mirror", "reflect", "wrap", "zero"])
@@ -128,25 +131,25 @@ def test_points_outside_are_refused_filled_or_continued(device: Device) -> None:
 def test_a_single_axis_goes_through_its_values(filter: str, boundary: str, device: Device) -> None:
     values = np.array([3, -1, 4, 1, -5, 9])
     with Interpolator(([10, 8, 6, 4, 2, 0],), values, filter, boundary=boundary, device=device) as at:
-        np.testing.assert_allclose(at([10, 8, 6, 4, 2, 0]), values, atol=14 * SINGLE)
+        np.testing.assert_allclose(at([10, 8, 6, 4, 2, 0]), values, atol=1e-9)
 
 
 def test_without_a_prefilter_a_single_axis_is_the_sum_of_kernels(device: Device) -> None:
     values, x = np.array([3.0, -1, 4, 1]), np.linspace(0, 3, 7)
     wanted = clvol.bspline(3)(x[:, None] - np.arange(4)) @ values
     with Interpolator((np.arange(4),), values, "bspline3-approx", boundary="zero", device=device) as at:
-        np.testing.assert_allclose(at(x), wanted, atol=5 * SINGLE)
+        np.testing.assert_allclose(at(x), wanted, atol=1e-14)
 
 
 def test_odd_but_good_input(device: Device) -> None:
     values = np.arange(12, dtype=">i2").reshape(3, 4)
     values.flags.writeable = False
     with Interpolator(([0, 1, 2], [0, 1, 2, 3]), values, "linear", device=device) as at:
-        np.testing.assert_allclose(at([[1.5, 2.5]]), [8.5], atol=1e-5)
+        np.testing.assert_allclose(at([[1.5, 2.5]]), [8.5], atol=1e-12)
     single = np.linspace(0, 1, 11, dtype=np.float32)  # whose steps differ by their rounding
     assert Interpolator((single + np.float32(100),), np.ones(11), device=device)([100.5])[0] == pytest.approx(1)
     with Interpolator(([5.0], [0, 1]), [[2.0, 4.0]], "linear", device=device) as at:  # an axis of one sample
-        np.testing.assert_allclose(at([5.0, 0.25]), [2.5], atol=1e-5)
+        np.testing.assert_allclose(at([5.0, 0.25]), [2.5], atol=1e-12)
     assert Interpolator(([0, 1],), [1.0, 2.0], device=device)(np.empty((0, 1))).shape == (0,)
 
 
@@ -200,7 +203,7 @@ def test_a_filter_without_slopes_has_none(device: Device) -> None:
         with Interpolator(GRID, np.ones((4, 5)), name, device=device) as at, pytest.raises(OptionError, match="degree"):
             at([1.0, 1.0], nu=nu)
     with Interpolator(GRID, np.ones((4, 5)), "linear", device=device) as at:
-        assert at([1.5, 1.5], nu=(1, 1))[0] == pytest.approx(0, abs=1e-5)
+        assert at([1.5, 1.5], nu=(1, 1))[0] == pytest.approx(0, abs=1e-12)
 
 
 @pytest.mark.parametrize("xi", [1.0, [1.0], [[1.0, 2.0, 3.0]], "a", (np.ones(2), np.ones(3)), [[1j, 0]]])

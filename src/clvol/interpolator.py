@@ -14,7 +14,8 @@ from clvol.checks import reals, several, whole
 from clvol.device import Device
 from clvol.errors import DataError, GeometryError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
-from clvol.spline.field import Field
+from clvol.ndimage.arguments import as_precision
+from clvol.spline.field import Field, Precision
 from clvol.volume import Volume
 
 __all__ = ["Interpolator"]
@@ -45,6 +46,8 @@ class Interpolator:
     boundary : str or Boundary
         What the ends of a spline do, see `clvol.boundaries`. SciPy's "cubic" ends in not-a-knot conditions instead, which differ
         within a few samples of the ends.
+    precision : {"single", "double"}, optional
+        Of the coefficients and results; default "single" for values of up to 16 bits, float32 and complex64, else "double".
     device : Device, str or int, optional
         See `clvol.device.as_device`.
 
@@ -79,6 +82,7 @@ class Interpolator:
         fill_value: complex | None = np.nan,
         *,
         boundary: str | Boundary = DEFAULT_BOUNDARY,
+        precision: Precision | None = None,
         device: Device | str | int | None = None,
     ) -> None:
         axes = several("points", points, "1 to 3 arrays of coordinates, one for each axis", 3)
@@ -95,6 +99,7 @@ class Interpolator:
         self.fill_value = fill_value
         if fill_value is not None and np.asarray(fill_value).dtype.kind not in "biuf" + data.dtype.kind:
             raise OptionError(f"fill_value must be None or a number as values are; got {fill_value!r}")
+        chosen_precision = as_precision(precision, data.dtype)
         chosen = _METHODS.get(filter, filter) if isinstance(filter, str) else filter
         row, self.boundary = as_filter(chosen), as_boundary(boundary)
         # rising coordinates, and the axes of the values behind them flat
@@ -109,9 +114,8 @@ class Interpolator:
         try:
             for i in range(flat.shape[-1]):
                 parts = (flat[..., i].real, flat[..., i].imag) if data.dtype.kind == "c" else (flat[..., i],)
-                self._fields.append(
-                    tuple(Field(Volume(part, tuple(step[::-1]), tuple(low[::-1])), row, self.boundary, device) for part in parts)
-                )
+                grids = [Volume(part, tuple(step[::-1]), tuple(low[::-1])) for part in parts]
+                self._fields.append(tuple(Field(grid, row, self.boundary, device, precision=chosen_precision) for grid in grids))
         except BaseException:
             self.close()
             raise
@@ -166,7 +170,7 @@ class Interpolator:
         Returns
         -------
         ndarray, shape (...) and then the axes of `values` behind those of the grid
-            float32 or float64 as a call of `Field` gives it, complex for complex values.
+            float32 or float64 as a call of a `Field` of this precision gives it, complex for complex values.
 
         Raises
         ------

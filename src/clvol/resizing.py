@@ -15,7 +15,7 @@ from clvol.device import Device, as_device
 from clvol.errors import DataError, OptionError
 from clvol.interop import read_array
 from clvol.ndimage.antialiasing import low_passed, nearest_splines, widths
-from clvol.ndimage.arguments import Spline
+from clvol.ndimage.arguments import Spline, as_precision
 from clvol.ndimage.passes import along_axes
 from clvol.spline.field import Precision
 from clvol.spline.reduce import AntiAliasing, as_anti_aliasing
@@ -124,10 +124,7 @@ def resize(
     order = _order(order, given)
     if mode not in _MODES:
         raise one_of("mode", mode, _MODES)
-    if precision not in (None, "single", "double"):
-        raise one_of("precision", precision, ["single", "double"])
-    if precision is None:
-        precision = "single" if given.itemsize <= (4 if given.kind == "f" else 2) else "double"
+    precision = as_precision(precision, given)
     single = given.kind == "f" and given.itemsize <= 4
     kind = np.dtype(np.float32 if single else np.float64) if order > 0 or given.kind == "f" else given.newbyteorder("=")
     scale = 1.0
