@@ -34,7 +34,7 @@ ALLOWED = {"bspline4": 1e-9, "bspline5": 1e-7, "omoms3": 1e-10}  # the margin of
 
 
 def matrix(filter: str, boundary: str, n: int, m: int, start: float, step: float, kind: type[np.generic] = np.float64) -> Array:
-    return least_squares(as_filter(filter), start, step, m, n, as_boundary(boundary), kind).matrix()[:, :n]
+    return least_squares(as_filter(filter), start, step, m, n, as_boundary(boundary), kind == np.float64).matrix()[:, :n]
 
 
 # -- the weights -------------------------------------------------------------------------------------------------------

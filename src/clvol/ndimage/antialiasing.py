@@ -69,6 +69,6 @@ def nearest_splines(data: Array, positions: Mapping[int, NDArray[np.float64]], o
     for axis, x in positions.items():
         n, m = data.shape[axis], len(x)
         step = float(x[-1] - x[0]) / (m - 1) if m > 1 else float(n)
-        sums[axis] = least_squares(bspline(spline.order), float(x[0]), step, m, n, boundary, kind, spline.prefilter)
+        sums[axis] = least_squares(bspline(spline.order), float(x[0]), step, m, n, boundary, kind == np.float64, spline.prefilter)
     made = sum_along(data, sums, kind, device, float(spline.cval.real), spline.progress)
     output[...] = engine._converted(made, output.dtype)

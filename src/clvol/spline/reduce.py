@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Literal, TypeAlias
@@ -40,7 +41,7 @@ Array: TypeAlias = NDArray[np.float64]
 AntiAliasing: TypeAlias = Literal["gaussian", "least-squares"] | None
 
 TRUNCATE = 4.0  # standard deviations at which a Gaussian is cut, as SciPy does
-_LEFT_OUT = {np.float32: 1e-8, np.float64: 1e-15}  # of an impulse response's peak, what its tails may be
+_LEFT_OUT = (1e-8, 1e-15)  # for float32 and float64, of an impulse response's peak, what its tails may be
 _CIRCLE = 1 << 13  # samples of an impulse response before it is cut
 _WIDTH = 32  # lines that reduce.cl takes side by side
 _ITEMS_A_CORE = 8
@@ -115,14 +116,7 @@ def gaussian(sigma: float, n: int, boundary: Boundary) -> Sums:
 
 @lru_cache(maxsize=64)
 def least_squares(
-    filter: Filter,
-    start: float,
-    step: float,
-    m: int,
-    n: int,
-    boundary: Boundary,
-    kind: type[np.generic] = np.float32,
-    prefilter: bool = True,
+    filter: Filter, start: float, step: float, m: int, n: int, boundary: Boundary, double: bool = False, prefilter: bool = True
 ) -> Sums:
     """The spline of a coarser grid that is nearest to the spline of the samples, at its grid's points.
 
@@ -137,8 +131,8 @@ def least_squares(
     boundary : Boundary
         What stands past the samples, where both functions go on for ever: those of the rule's period; the outer ones under
         "nearest"; a constant, under those that have one.
-    kind : type
-        np.float32 or np.float64, of the sums: how far down impulse responses count.
+    double : bool
+        Whether sums are to be made in float64: how far down impulse responses count.
     prefilter : bool
         Whether the input is samples; else it is coefficients.
 
@@ -164,7 +158,7 @@ def least_squares(
     """
     if filter.magnified_by is not None:
         raise OptionError(f"least-squares reduction takes a filter with one kernel; got the hybrid {filter.name!r}")
-    left_out, h = _LEFT_OUT[kind], abs(step)
+    left_out, h = _LEFT_OUT[double], abs(step)
     if h <= 1 + _NO_STEP:
         base, t = filter.cell(start + step * np.arange(m))
         first, weights = base.astype(np.int64), filter.weights(t).T
@@ -296,7 +290,7 @@ def nearest_spline(
     kind = _wide_enough(kind, volume, row, boundary)
     sums = {
         d - 1 - axis: least_squares(
-            row.along(axis), float(offset[axis]), float(matrix[axis, axis]), shape[d - 1 - axis], n, boundary, kind
+            row.along(axis), float(offset[axis]), float(matrix[axis, axis]), shape[d - 1 - axis], n, boundary, kind == np.float64
         )
         for axis, n in enumerate(volume.size)
     }
@@ -351,7 +345,10 @@ def sum_along(
     # what shrinks most goes first
     order = sorted(sums, key=lambda axis: len(sums[axis].places) / sums[axis].n)
     for done, axis in enumerate(order, 1):
-        data = _sum_axis(data, axis, sums[axis], kind, outside, device)
+        if done > 1 and device.shares_memory and len(sums[axis].places) == sums[axis].n:  # lines are brought to the scratch first
+            _launch(data, axis, data, sums[axis], kind, outside, device)
+        else:
+            data = _sum_axis(data, axis, sums[axis], kind, outside, device)
         if progress is not None:
             progress(done / len(order))
     return np.ascontiguousarray(data, kind)
@@ -359,60 +356,55 @@ def sum_along(
 
 def _sum_axis(data: NDArray[Any], axis: int, sums: Sums, kind: type[np.generic], outside: float, device: Device) -> NDArray[Any]:
     m = len(sums.places)
-    shape = (*data.shape[:axis], m, *data.shape[axis + 1 :])
-    result = np.empty(shape, kind)
-    if result.size == 0:
-        return result
-    tables = device.upload(sums.places), device.upload(sums.weights.astype(kind))
-    along = math.prod(data.shape[axis + 1 :]) == 1
+    result = np.empty((*data.shape[:axis], m, *data.shape[axis + 1 :]), kind)
     if data.dtype == kind and data.flags.c_contiguous:
-        _launch(data, axis, result, sums, tables, along, outside, device)
+        _launch(data, axis, result, sums, kind, outside, device)
         return result
     # converted in parts, so that no second array of the input's size is made
-    across = next((i for i in range(data.ndim) if i != axis and data.shape[i] > 1), axis)
-    some = data.shape[across] if across == axis else max(1, _SLAB * data.shape[across] // data.size)
+    across = next((i for i in range(data.ndim) if i != axis and data.shape[i] > 1), None)
+    if across is None:
+        _launch(np.ascontiguousarray(data, kind), axis, result, sums, kind, outside, device)
+        return result
+    some = max(1, _SLAB * data.shape[across] // max(1, data.size))
     for start in range(0, data.shape[across], some):
         window = (slice(None),) * across + (slice(start, start + some),)
         part = np.ascontiguousarray(data[window], kind)
         made = np.empty((*part.shape[:axis], m, *part.shape[axis + 1 :]), kind)
-        _launch(part, axis, made, sums, tables, along, outside, device)
-        result[window if across != axis else ...] = made
+        _launch(part, axis, made, sums, kind, outside, device)
+        result[window] = made
     return result
 
 
 def _launch(
-    data: NDArray[Any],
-    axis: int,
-    result: NDArray[Any],
-    sums: Sums,
-    tables: tuple[Any, Any],
-    along: bool,
-    outside: float,
-    device: Device,
+    data: NDArray[Any], axis: int, result: NDArray[Any], sums: Sums, kind: type[np.generic], outside: float, device: Device
 ) -> None:
-    """The kernel on a contiguous array."""
+    """The kernel on a contiguous array; `result` may be the same one, if it has as many sums as samples."""
+    if not result.size:
+        return
     m, taps = sums.places.shape
     n, outer, inner = sums.n, math.prod(data.shape[:axis]), math.prod(data.shape[axis + 1 :])
-    units = -(-outer // _WIDTH) if along else outer * -(-inner // _WIDTH)
+    units = -(-outer // _WIDTH) if inner == 1 else outer * -(-inner // _WIDTH)
     items = min(units, _ITEMS_A_CORE * device.units)
     scratch = device.allocate(data.dtype.itemsize * items * (n + 1) * _WIDTH)
-    built = device.build(
-        "spline/reduce.cl", {"ALONG": int(along), "WIDTH": _WIDTH, "COORD_DOUBLE": 0, **scalar_defines(data.dtype.type)}
-    )
+    tables = device.upload(sums.places), device.upload(sums.weights.astype(kind))
+    defines = {"ALONG": int(inner == 1), "WIDTH": _WIDTH, "COORD_DOUBLE": 0, **scalar_defines(kind)}
+    kernel = device.build("spline/reduce.cl", defines).kernel("sum_along_axis")
     some = max(1, device.limits.launch_taps * 32 // (m * taps * _WIDTH))
     try:
-        with device.lent(data, write=False) as given, device.lent(result, write=True) as made:
+        with ExitStack() as lent:
+            made = lent.enter_context(device.lent(result, write=True))
+            given = made if result is data else lent.enter_context(device.lent(data, write=False))
             for first in range(0, units, some):
                 count = min(some, units - first)
                 with device.errors:
-                    built.kernel("sum_along_axis")(
+                    kernel(
                         device.queue,
                         (min(items, count),),
                         (1,),
                         given,
                         *map(np.int32, (outer, n, inner, m, taps)),
                         *tables,
-                        data.dtype.type(outside),
+                        kind(outside),
                         np.int32(first),
                         np.int32(count),
                         scratch,
