@@ -147,5 +147,6 @@ def _drawn(
         axes.set(xlabel="times fewer samples", ylabel="RMS error, of the range" if i == 0 else "")
         axes.set_title(case.name)
         axes.set_xticks([1, 2, 3, 4] if max(factors) <= 4 else sorted(set(factors)))
-    axes.legend(loc="center right", bbox_to_anchor=(1.02, 0.58), fontsize=8)
+        if i == 0:
+            axes.legend(loc="lower right", fontsize=8, handlelength=1.2, borderaxespad=0.2)
     return figure
