@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from typing import Any
 
 import numpy as np
@@ -122,6 +123,21 @@ def test_progress_ends_with_all(device: Device) -> None:
     clvol.resize(np.ones((8, 8)), (4, 4), anti_aliasing="least-squares", device=device, progress=told.append)
     assert told[-1] == 1
     assert told == sorted(told)
+
+
+@pytest.mark.parametrize("chosen", [False, "gaussian", "least-squares"])
+def test_integers_are_read_as_they_are(chosen: Any, device: Device) -> None:
+    """In float64 the image alone would be 64 MB; in float32, of which the Gaussian needs one, 32."""
+    data = np.zeros((200, 200, 200), np.uint8)
+    options: dict[str, Any] = {"order": 3, "anti_aliasing": chosen, "device": device}
+    clvol.resize(data[:20, :20, :20].copy(), (10, 10, 10), **options)  # kernels and tables
+    tracemalloc.start()
+    try:
+        got = clvol.resize(data, (100, 100, 100), **options)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < got.nbytes + {False: 8, "gaussian": 60, "least-squares": 34}[chosen] * 2**20
 
 
 IMAGE = np.ones((6, 5))

@@ -45,7 +45,7 @@ _LEFT_OUT = (1e-8, 1e-15)  # for float32 and float64, of an impulse response's p
 _CIRCLE = 1 << 13  # samples of an impulse response before it is cut
 _WIDTH = 32  # lines that reduce.cl takes side by side
 _ITEMS_A_CORE = 8
-_SLAB = 1 << 22  # samples that are converted at a time
+_SLAB = 1 << 20  # samples that are converted at a time
 _NO_STEP = 1e-9  # samples
 
 
