@@ -4,8 +4,8 @@ Departures, each with its test below:
 
 - integers of order 0 that are low-passed are rounded once; scikit-image cuts digits off after each axis, and gives up to 1 less for
   each;
-- "symmetric" from order 2 on is exact on short axes, too; SciPy's prefilter starts there with a sum that is cut off, so that values
-  err by 0.3 % of the range on axes of 3 samples at order 3, by 4 % at order 5, and even an axis that keeps its length does not keep its values;
+- "symmetric" from order 2 on is exact on short axes, too. SciPy's prefilter begins there with a sum that is cut off: values err by
+  0.3 % of the range on axes of 3 samples at order 3, by 4 % at order 5, and an axis that keeps its length does not keep its values;
 - NaN and infinities are refused for orders of 2 and more, where scikit-image gives an array of NaN;
 - a shape must be whole numbers; scikit-image rounds.
 """

@@ -184,8 +184,6 @@ def sample_into(
     """
     device, d, planar = coefficients.device, coefficients.ndim, transform is None
     count = points.shape[1 if planar else 0]
-    if not count:
-        return
     kind = np.float64 if device.has_double and points.dtype != np.float32 else np.float32
     lanes = _in_lanes(coefficients, evaluator, derivative)
     steps = None if transform is None else transform.matrix
