@@ -16,6 +16,7 @@ LAYERS = [
     "processor opencl program device",
     "spline",
     "ndimage",
+    "interpolator resizing",
     "march",
     "picture images analysis",
     "figures",

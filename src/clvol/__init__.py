@@ -28,12 +28,14 @@ from clvol.errors import (
 from clvol.filter import Filter, bc, bspline, filters, from_callable, from_pieces, lanczos, moms3, quasi, register, sinc
 from clvol.formats import read, write
 from clvol.formats.transforms import read_transform
+from clvol.interpolator import Interpolator
 from clvol.light import Light, Material
 from clvol.march.renderer import Output, Renderer, render
 from clvol.missing import Missing
 from clvol.mode import Attenuated, Composite, Isosurface, Mean, Minip, Mip, Mode, modes
 from clvol.moved import callable_as_before
 from clvol.picture import save
+from clvol.resizing import resize
 from clvol.response import frequency_response, prefilter_response
 from clvol.scene import Medium, Scene
 from clvol.spline.field import Field, magnify, prefilter, resample, sample
@@ -62,6 +64,7 @@ __all__ = [
     "Filter",
     "FormatError",
     "GeometryError",
+    "Interpolator",
     "Isosurface",
     "Light",
     "Material",
@@ -104,6 +107,7 @@ __all__ = [
     "render",
     "resample",
     "resample_series",
+    "resize",
     "sample",
     "save",
     "sinc",

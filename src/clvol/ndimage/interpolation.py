@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from clvol.errors import OptionError, OptionTypeError, RefusedError, UnsupportedError
+from clvol.ndimage.antialiasing import low_passed, nearest_splines, widths
 from clvol.ndimage.arguments import (
     AnyDevice,
     Array,
@@ -29,6 +30,7 @@ from clvol.ndimage.arguments import (
 )
 from clvol.ndimage.passes import affinely, along_axes, at_points, filtered, mapped
 from clvol.spline.field import Precision
+from clvol.spline.reduce import AntiAliasing, as_anti_aliasing
 
 __all__ = [
     "affine_transform",
@@ -408,6 +410,7 @@ def zoom(
     prefilter: bool = True,
     *,
     grid_mode: bool = False,
+    anti_aliasing: AntiAliasing | bool = False,
     precision: Precision | None = None,
     device: AnyDevice = None,
     nan: Nan = "propagate",
@@ -420,6 +423,9 @@ def zoom(
     input, zoom, output, order, mode, cval, prefilter, grid_mode
         As in SciPy. Axes whose length stays as it is are not interpolated along; each index of them is computed on its own.
         (SciPy ignores `grid_mode` where `input` is complex.)
+    anti_aliasing : {False, True, "gaussian", "least-squares"}
+        Where axes get shorter. "gaussian" (and True): a Gaussian first, of standard deviation (n / m - 1) / 2 samples along an
+        axis that goes from n samples to m. "least-squares": the spline of the new samples that is nearest to that of `input`.
     precision, device, nan, progress
         As for `spline_filter1d`.
 
@@ -460,6 +466,12 @@ def zoom(
             f"It is recommended to use mode = grid-{mode} instead of {mode} when grid_mode is True.", UserWarning, stacklevel=2
         )
     positions = [None if m == n else _magnified(n, m, grid_mode) for n, m in zip(data.shape, shape, strict=True)]
+    chosen = as_anti_aliasing(anti_aliasing)
+    if chosen == "least-squares" and data.size and result.size:
+        nearest_splines(data, {axis: p for axis, p in enumerate(positions) if p is not None}, result, spline)
+        return result
+    if chosen == "gaussian":
+        data = low_passed(data, widths(shape, data.shape), spline)
     along_axes(data, positions, result, spline)
     return result
 

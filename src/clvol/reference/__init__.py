@@ -12,6 +12,18 @@ from clvol.reference.spline.chain import map_points
 from clvol.reference.spline.filter import kernel
 from clvol.reference.spline.points import magnify, resample, sample
 from clvol.reference.spline.prefilter import prefilter, prefilter_fft
+from clvol.reference.spline.reduce import nearest_spline
 from clvol.reference.spline.resample import lattice
 
-__all__ = ["extend", "kernel", "lattice", "magnify", "map_points", "prefilter", "prefilter_fft", "resample", "sample"]
+__all__ = [
+    "extend",
+    "kernel",
+    "lattice",
+    "magnify",
+    "map_points",
+    "nearest_spline",
+    "prefilter",
+    "prefilter_fft",
+    "resample",
+    "sample",
+]

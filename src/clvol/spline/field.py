@@ -24,6 +24,7 @@ from clvol.spline.chain import Chain
 from clvol.spline.coefficients import Coefficients, Lattice
 from clvol.spline.evaluator import DIRECT, Evaluator, EvaluatorName, FetchName, choose_evaluator
 from clvol.spline.points import Floats, Given, Progress, Reals, Transform, sample_coefficients, sample_grid
+from clvol.spline.reduce import AntiAliasing, as_anti_aliasing, low_passed, nearest_spline, steps_along
 from clvol.spline.resample import resample_coefficients
 from clvol.stored import AS_THEY_ARE, Stored
 from clvol.transform import Transforms, as_chain
@@ -343,6 +344,7 @@ class Field:
         like: Volume | None = None,
         *,
         transform: Transforms | None = None,
+        anti_aliasing: AntiAliasing | bool = False,
         evaluator: EvaluatorName = "auto",
         fetch: FetchName = "auto",
         fill: float | None = None,
@@ -350,7 +352,7 @@ class Field:
     ) -> Volume:
         """The function on another grid; give exactly one of `shape`, `spacing` and `like`.
 
-        No low-pass is applied: see `Volume.gaussian` before making voxels larger.
+        Where voxels become larger, what is finer than they can hold comes back as aliases, unless `anti_aliasing` is given.
 
         Parameters
         ----------
@@ -365,6 +367,10 @@ class Field:
             function is taken there. In a list the last transform is applied first, as in ITK's CompositeTransform. An array
             holds a homogeneous matrix. See `clvol.AffineTransform`, `clvol.DisplacementField`, `clvol.BSplineTransform` and
             `clvol.read_transform`; `clvol.warp` gives gradients and Jacobians too.
+        anti_aliasing : {False, True, "gaussian", "least-squares"}
+            "gaussian" (and True): the samples go through a Gaussian first, whose standard deviation is (f - 1) / 2 samples along
+            an axis where voxels become f times as large. "least-squares": the result is the spline of the new grid, of the same
+            filter, that is nearest to this function in the mean square (`clvol.spline.reduce`), for grids along the volume's axes.
         evaluator, fetch, fill, progress
             As in a call.
 
@@ -377,7 +383,9 @@ class Field:
         OptionError
             None or several of `shape`, `spacing` and `like` are given; `shape` is not one whole number of at least 1 for
             each axis; `spacing` is not positive and finite, or needs more than 2³¹ − 1 samples along an axis; `like` is
-            no Volume of as many axes; `transform` is none; `fill`, `evaluator` or `fetch` as in a call; the field is closed.
+            no Volume of as many axes; `transform` is none, or given with `anti_aliasing`; `anti_aliasing` is none of these, or
+            "least-squares" for a turned grid, with a hybrid or under the boundary rule "zero"; `fill`, `evaluator` or `fetch` as
+            in a call; the field is closed.
         GeometryError
             A transform is singular, or of another number of dimensions.
         DeviceError
@@ -387,7 +395,13 @@ class Field:
         """
         volume = self.volume
         grid = _grid_for(volume, shape, spacing, like)
-        chain = Chain(as_chain(transform, volume.ndim), grid, self.device)
+        chosen, stages = as_anti_aliasing(anti_aliasing), as_chain(transform, volume.ndim)
+        if chosen:
+            _require_no_transform(stages)
+            self.coefficients.argument(DIRECT)  # a closed field is refused
+            own = self.filter, self.boundary, self.device, self.precision
+            return _coarser(volume, *own, grid, chosen, evaluator, fetch, fill, progress)
+        chain = Chain(stages, grid, self.device)
         data = self._on_grid(*chain.to_indices(volume), grid.shape, evaluator, fetch, fill, progress, chain)
         return Volume(data, grid.spacing, grid.origin, grid.direction, grid.units or volume.units)
 
@@ -461,6 +475,39 @@ class Field:
         if fetch == "image":
             raise OptionError("fetch must be 'buffer' or 'auto' where precision is 'double': images hold float32; got 'image'")
         return choose_evaluator(self.device, self.filter, evaluator, "buffer")
+
+
+def _between(volume: Volume, grid: Volume) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Matrix and offset from the indices of a grid, x first, to those of a volume."""
+    inverse = volume.world_to_index_matrix
+    return inverse @ grid.index_to_world_matrix, inverse @ (np.asarray(grid.origin) - np.asarray(volume.origin))
+
+
+def _coarser(
+    volume: Volume,
+    filter: Filter,
+    boundary: Boundary,
+    device: Device,
+    precision: Precision,
+    grid: Volume,
+    chosen: AntiAliasing,
+    evaluator: EvaluatorName,
+    fetch: FetchName,
+    fill: float | None,
+    progress: Progress | None,
+) -> Volume:
+    """A volume on another grid without the aliases of what that cannot hold."""
+    (matrix, offset), kind = _between(volume, grid), precision_kind(precision)
+    if chosen == "gaussian":
+        smooth = low_passed(volume, steps_along(matrix), boundary, kind, device)
+        with Field(smooth, filter, boundary, device, precision=precision) as field:
+            return field.resample(like=grid, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress)
+    data = nearest_spline(volume, filter, boundary, kind, device, matrix, offset, grid.shape, progress)
+    if (outside := fill_value(fill)) is not None:
+        for axis, (n, m) in enumerate(zip(volume.size, grid.size, strict=True)):
+            x = offset[axis] + matrix[axis, axis] * np.arange(m)
+            np.moveaxis(data, volume.ndim - 1 - axis, 0)[(x < -boundary.edge) | (x > n - 1 + boundary.edge)] = outside
+    return Volume(data, grid.spacing, grid.origin, grid.direction, grid.units or volume.units)
 
 
 # -- a Field, or what one is made of -----------------------------------------------------------------------------
@@ -607,6 +654,7 @@ def resample(
     boundary: str | Boundary | None = None,
     *,
     transform: Transforms | None = None,
+    anti_aliasing: AntiAliasing | bool = False,
     evaluator: EvaluatorName = "auto",
     fetch: FetchName = "auto",
     fill: float | None = None,
@@ -621,8 +669,8 @@ def resample(
     ----------
     volume : Volume, array-like or Field
         2-D or 3-D samples; an array has spacing 1 and origin 0.
-    shape, spacing, like, transform, fill
-        As in `Field.resample`. No low-pass is applied: see `Volume.gaussian` before making voxels larger.
+    shape, spacing, like, transform, anti_aliasing, fill
+        As in `Field.resample`; without `anti_aliasing` larger voxels bring aliases of what is finer. With it no sample may be NaN.
     filter, boundary, device, precision, nan
         As in `sample`.
     evaluator, fetch, progress
@@ -643,11 +691,24 @@ def resample(
     """
     if not isinstance(volume, Field):
         volume = as_volume(volume)
-        _grid_for(volume, shape, spacing, like)  # before the volume is prefiltered
+        grid = _grid_for(volume, shape, spacing, like)  # before the volume is prefiltered
         transform = as_chain(transform, volume.ndim)
+        if chosen := as_anti_aliasing(anti_aliasing):
+            _require_no_transform(transform)
+            row, rule = as_filter(DEFAULT_FILTER if filter is None else filter), as_boundary(boundary or DEFAULT_BOUNDARY)
+            own = row, rule, as_device(device), precision or "single"
+            return _coarser(volume, *own, grid, chosen, evaluator, fetch, fill, progress)
     with opened(volume, filter, boundary, device, precision, nan) as field:
         return field.resample(
-            shape, spacing, like, transform=transform, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress
+            shape,
+            spacing,
+            like,
+            transform=transform,
+            anti_aliasing=anti_aliasing,
+            evaluator=evaluator,
+            fetch=fetch,
+            fill=fill,
+            progress=progress,
         )
 
 
@@ -784,6 +845,12 @@ def precision_kind(precision: str) -> type[np.generic]:
     if precision not in _PRECISIONS:
         raise one_of("precision", precision, _PRECISIONS)
     return _PRECISIONS[precision]
+
+
+def _require_no_transform(stages: Sequence[object]) -> None:
+    """Refuse a low-pass before transforms, which do not make voxels larger alike everywhere."""
+    if stages:
+        raise OptionError("resample takes transform or anti_aliasing, not both: low-pass the volume first, by Volume.gaussian")
 
 
 def fill_value(fill: float | None) -> float | None:
