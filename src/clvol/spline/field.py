@@ -16,7 +16,7 @@ from clvol.checks import whole
 from clvol.device import Device, as_device
 from clvol.errors import DataError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
-from clvol.interop import read_array
+from clvol.interop import as_array, read_array
 from clvol.program import LANES
 from clvol.smoothing import settled
 from clvol.spline.coefficients import Coefficients
@@ -624,10 +624,7 @@ def prefilter(
     OutOfMemoryError
         The device has no room for the coefficients.
     """
-    try:
-        array, _ = read_array(data)  # coefficients have no geometry
-    except ValueError as error:
-        raise DataError(f"data must be a regular array of numbers: {error}") from None
+    array, _ = read_array(data)  # coefficients have no geometry
     line = array.ndim == 1
     volume = Volume(array[None] if line else array)
     chosen, boundary, device = as_filter(filter), as_boundary(boundary), as_device(device)
@@ -666,10 +663,7 @@ def _gain(filter: Filter) -> float:
 
 def _points(points: ArrayLike, d: int) -> NDArray[np.generic]:
     """`points` as an array, if they are real numbers of shape (..., d)."""
-    try:
-        array = np.asarray(points)
-    except ValueError as error:
-        raise OptionError(f"points must be numbers of shape (..., {d}): {error}") from None
+    array = as_array(points, "points", OptionError, f"numbers of shape (..., {d})")
     if array.dtype.kind not in "biuf" or array.ndim == 0 or array.shape[-1] != d:
         raise OptionError(f"points must be numbers of shape (..., {d}); got {array.dtype} of shape {array.shape}")
     return array
