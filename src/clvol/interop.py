@@ -136,12 +136,11 @@ def as_output(out: Any, shape: tuple[int, ...], what: str = "out") -> NDArray[An
         raise OptionError(f"{what} must be float32 or float64; got {array.dtype}")
     if array.shape != shape:
         raise OptionError(f"{what} must have shape {shape}; got {array.shape}")
+    written = f"{what} must be an array that can be written into; got {type(out).__qualname__}"
     if array.size and not np.may_share_memory(array, as_array(out, what, OptionError)):
-        raise OptionError(
-            f"{what} must be an array that can be written into; got {type(out).__qualname__}, of which NumPy makes a copy"
-        )
+        raise OptionError(f"{written}, of which NumPy makes a copy")
     if not array.flags.writeable:
-        raise OptionError(f"{what} must be an array that can be written into; got a {type(out).__qualname__} that may only be read")
+        raise OptionError(f"{written} that may only be read")
     return array
 
 

@@ -165,7 +165,7 @@ def test_arrays_on_a_device_are_refused_with_the_way_out(kind: str) -> None:
 
 
 def test_masked_points_are_refused() -> None:
-    with pytest.raises(OptionError, match="points must be .* no masked element"):
+    with pytest.raises(OptionError, match=r"points must be .* no masked element"):
         clvol.sample(np.ones((3, 3)), np.ma.array([[1.0, 2.0]], mask=[[True, False]]))
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.checks import whole
 from clvol.device import Device, as_device
-from clvol.errors import DataError, OptionError
+from clvol.errors import OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.interop import as_array, read_array
 from clvol.program import LANES
