@@ -105,7 +105,7 @@ def sample(
     each = [_functions().Value.apply(function, at, grid, _Kept()) for function in functions]
     result = torch.stack(each) if each else values.new_zeros((0, *points.shape[:-1]))
     result = result.reshape(*values.shape[:-d], *points.shape[:-1])
-    return result if fill is None else torch.where(inside, result, float(fill))  # type: ignore[no-any-return]
+    return result if fill is None else torch.where(inside, result, float(fill))
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,6 @@ def _functions() -> SimpleNamespace:
     them be differentiated again.
     """
     torch = _torch()
-    once = torch.autograd.function.once_differentiable
 
     def tensor(array: Any, like: Tensor) -> Any:
         return torch.from_numpy(np.ascontiguousarray(array)).to(like.dtype)
@@ -205,8 +204,7 @@ def _functions() -> SimpleNamespace:
             return tensor(kept.of(grid, values).gradient(points), values)
 
         @staticmethod
-        @once  # type: ignore[misc]
-        def backward(ctx: Any, given: Tensor) -> Any:
+        def _backward(ctx: Any, given: Tensor) -> Any:
             (values, points), grid, for_values, for_points = ctx.saved_tensors, ctx.grid, None, None
             if ctx.needs_input_grad[0]:
                 for_values = _spread(grid, given, points, tuple(values.shape), 1)
@@ -214,6 +212,8 @@ def _functions() -> SimpleNamespace:
                 hessian = tensor(ctx.kept.of(grid, values).hessian(points), values)
                 for_points = (hessian @ given[..., None])[..., 0].to(points.dtype)
             return for_values, for_points, None, None
+
+        backward = staticmethod(torch.autograd.function.once_differentiable(_backward))
 
     def _spread(grid: _Grid, given: Tensor, points: Tensor, shape: tuple[int, ...], derivative: int) -> Any:
         like = grid.volume(np.broadcast_to(np.float32(0), shape))

@@ -90,7 +90,9 @@ def adjoint(
     added = as_array(values, "values", OptionError, "real numbers")
     expected = at.shape[:-1] + (d,) * derivative
     if added.dtype.kind not in "biuf" or added.shape != expected:
-        raise OptionError(f"values must be real numbers of shape {expected}, as points are; got {added.dtype} of shape {added.shape}")
+        raise OptionError(
+            f"values must be real numbers of shape {expected}, as points are; got {added.dtype} of shape {added.shape}"
+        )
     if not np.isfinite(added).all():
         raise OptionError("values must be finite; got NaN or infinite ones")
     row, rule, chosen = linear(filter), as_boundary(boundary), as_device(device)
