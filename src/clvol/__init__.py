@@ -35,6 +35,7 @@ from clvol.picture import save
 from clvol.response import frequency_response, prefilter_response
 from clvol.scene import Medium, Scene
 from clvol.spline.field import Field, magnify, prefilter, resample, sample
+from clvol.spline.scatter import adjoint
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
 
@@ -71,6 +72,7 @@ __all__ = [
     "Scene",
     "TransferFunction",
     "Volume",
+    "adjoint",
     "bc",
     "boundaries",
     "bspline",

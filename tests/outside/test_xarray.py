@@ -14,10 +14,10 @@ from scipy import ndimage
 from clvol.errors import DataError, GeometryError, OptionError
 
 xarray = pytest.importorskip("xarray")
-import clvol.xarray  # noqa: E402  # it registers the accessor
+pytest.importorskip("clvol.xarray")  # it registers the accessor
 
 Array = NDArray[Any]
-SAME = dict(rtol=0, atol=1e-12)
+SAME: dict[str, Any] = {"rtol": 0, "atol": 1e-12}
 
 
 def cube() -> Any:
@@ -171,7 +171,7 @@ def test_missing_samples_matter_where_they_are_near() -> None:
     values[150] = np.nan
     data = xarray.DataArray(values, {"x": np.arange(200)}, "x")
     assert_allclose(data.clvol.interp(x=[3.5]), ndimage.map_coordinates(values[:100], [[3.5]], mode="mirror"), **SAME)
-    with pytest.raises(DataError, match="samples must be finite.*fillna"):
+    with pytest.raises(DataError, match=r"samples must be finite.*fillna"):
         data.clvol.interp(x=[140.5])
 
 
