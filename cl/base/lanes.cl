@@ -6,18 +6,18 @@
 
 #if LANES == 1
 
-typedef float real;
+typedef scalar real;
 typedef int mask;
 INLINE int any_lane(mask m) { return m; }
-INLINE real to_real(mask i) { return (float)i; }
+INLINE real to_real(mask i) { return (scalar)i; }
 INLINE mask to_mask(real x) { return (int)x; }
-INLINE float min_lane(real v) { return v; }
+INLINE scalar min_lane(real v) { return v; }
 
 #else
 
-typedef PASTE(float, LANES) real;
+typedef PASTE(SCALAR_TYPE, LANES) real;
 typedef PASTE(int, LANES) mask;
-INLINE real to_real(mask i) { return CONVERT(i, PASTE(float, LANES)); }
+INLINE real to_real(mask i) { return CONVERT(i, PASTE(SCALAR_TYPE, LANES)); }
 INLINE mask to_mask(real x) { return CONVERT(x, PASTE(int, LANES)); }
 
 // Halves of sixteen lanes, or the eight.
@@ -36,19 +36,21 @@ INLINE int any_lane(mask m)
     return two.x | two.y;
 }
 
-INLINE float min_lane(real v)
+INLINE scalar min_lane(real v)
 {
-    const float8 eight = HALVES(v, MIN);
-    const float4 four = MIN(eight.lo, eight.hi);
-    const float2 two = MIN(four.lo, four.hi);
+    const scalar8 eight = HALVES(v, MIN);
+    const scalar4 four = MIN(eight.lo, eight.hi);
+    const scalar2 two = MIN(four.lo, four.hi);
     return MIN(two.x, two.y);
 }
 
 #endif
 
-INLINE float max_lane(real v) { return -min_lane(-v); }
+INLINE scalar max_lane(real v) { return -min_lane(-v); }
 
+#if !SCALAR_DOUBLE   // a mask has the width of float
 INLINE real choose(mask m, real yes, real no) { return m ? yes : no; }
+#endif
 INLINE mask choose_whole(mask m, mask yes, mask no) { return m ? yes : no; }
 INLINE real magnitude(real a) { return a < 0.0f ? -a : a; }
 
@@ -56,7 +58,7 @@ INLINE real magnitude(real a) { return a < 0.0f ? -a : a; }
 #define NOWHERE ((real)(INFINITY))
 
 // All lanes as an array, and back.
-typedef union { real all; float each[LANES]; } lanes_u;
+typedef union { real all; scalar each[LANES]; } lanes_u;
 typedef union { mask all; int each[LANES]; } lane_masks_u;
 // Indices, never negative: as unsigned numbers they take no instruction to become addresses.
 typedef union { mask all; uint each[LANES]; } lane_indices_u;

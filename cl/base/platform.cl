@@ -1,6 +1,7 @@
-// What every kernel file needs first: what compilers and devices differ in, and the type of positions.
+// What every kernel file needs first: what compilers and devices differ in, and the types of numbers: `scalar`, of
+// coefficients, weights and results, and `coord`, of positions.
 //
-// Set by the host: COORD_DOUBLE, whether positions are doubles.
+// Set by the host: COORD_DOUBLE, whether positions are doubles; SCALAR_DOUBLE, if coefficients are.
 
 // One rounding where the device has it. Not fma(): PoCL 3.0 cannot compile it for float16.
 #pragma OPENCL FP_CONTRACT ON
@@ -18,10 +19,30 @@
 #define MIN(a, b) ((a) < (b) ? (a) : (b))
 #define MAX(a, b) ((a) > (b) ? (a) : (b))
 
+#if COORD_DOUBLE || SCALAR_DOUBLE
+#pragma OPENCL EXTENSION cl_khr_fp64 : enable
+#endif
+
+#if SCALAR_DOUBLE
+#define SCALAR_TYPE double
+#else
+#define SCALAR_TYPE float
+#endif
+typedef SCALAR_TYPE scalar;
+typedef PASTE(SCALAR_TYPE, 2) scalar2;
+typedef PASTE(SCALAR_TYPE, 4) scalar4;
+typedef PASTE(SCALAR_TYPE, 8) scalar8;
+
+#if COORD_DOUBLE
+typedef double coord;
+#else
+typedef float coord;
+#endif
+
 // A type as it may lie at any address that is a multiple of four.
 #define AT_ANY_ADDRESS __attribute__((aligned(4)))
-typedef float4 float4_at AT_ANY_ADDRESS;
-typedef float8 float8_at AT_ANY_ADDRESS;
+typedef scalar4 scalar4_at AT_ANY_ADDRESS;
+typedef scalar8 scalar8_at AT_ANY_ADDRESS;
 
 // From one type of vector to another, without a call.
 #ifdef __clang__
@@ -43,11 +64,4 @@ typedef float8 float8_at AT_ANY_ADDRESS;
 #define UNROLL_TAPS _Pragma("unroll 1")
 #else
 #define UNROLL_TAPS _Pragma("unroll")
-#endif
-
-#if COORD_DOUBLE
-#pragma OPENCL EXTENSION cl_khr_fp64 : enable
-typedef double coord;
-#else
-typedef float coord;
 #endif

@@ -47,9 +47,9 @@ INLINE void transpose_fourths(const real rows[4], real lanes[4])
 // -- blocks of eight rows and eight columns -------------------------------------------------------------------
 
 // v[i] becomes column i of the block. Rows past the last of `rows` repeat that.
-INLINE void load_columns(real v[8], global const float *block, const size_t pitch, const int rows)
+INLINE void load_columns(real v[8], global const scalar *block, const size_t pitch, const int rows)
 {
-#define HALF_AT(row, column) (*(global const float4_at *)(block + ((row) < rows ? (row) : rows - 1) * pitch + (column)))
+#define HALF_AT(row, column) (*(global const scalar4_at *)(block + ((row) < rows ? (row) : rows - 1) * pitch + (column)))
 #pragma unroll
     for (int i = 0; i < 4; ++i) {
         v[i] = (real)(HALF_AT(i, 0), HALF_AT(i + 4, 0));
@@ -59,14 +59,14 @@ INLINE void load_columns(real v[8], global const float *block, const size_t pitc
     transpose_fourths(v + 4, v + 4);
 }
 
-INLINE void store_columns(real v[8], global float *block, const size_t pitch, const int rows)
+INLINE void store_columns(real v[8], global scalar *block, const size_t pitch, const int rows)
 {
     transpose_fourths(v, v);
     transpose_fourths(v + 4, v + 4);
 #define STORE_ROW(row, half)                                               \
     {                                                                      \
-        *(global float4_at *)(block + (row) * pitch) = v[i].half;          \
-        *(global float4_at *)(block + (row) * pitch + 4) = v[i + 4].half;  \
+        *(global scalar4_at *)(block + (row) * pitch) = v[i].half;          \
+        *(global scalar4_at *)(block + (row) * pitch + 4) = v[i + 4].half;  \
     }
 #pragma unroll
     for (int i = 0; i < 4; ++i)

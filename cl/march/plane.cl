@@ -48,8 +48,8 @@ OUT_OF_LINE void plane_blend(const plane_t *plane, global const float *coefficie
                 float8 sum = (float8)(0.0f);
 #pragma unroll
                 for (int k = 0; k < TAPS; ++k)
-                    sum = madd(w[k], *(global const float8_at *)(p + k * plane->across), sum);
-                *(float8_at *)(blend + j * PLANE_EDGE + i) = sum;
+                    sum = madd(w[k], *(global const scalar8_at *)(p + k * plane->across), sum);
+                *(scalar8_at *)(blend + j * PLANE_EDGE + i) = sum;
             }
     } else {
         // the planes are perpendicular to x: the taps to blend lie side by side

@@ -1,40 +1,51 @@
-// What lies past the edge: the index rule of the current boundary (Boundary in boundary.py), on a grid of GRID_SCALE
-// coefficients a sample.
+// What lies past the edge: a position anywhere is brought to one whose taps are all stored (Boundary in boundary.py).
 //
-// Set by the host (build.py, boundary_defines): BOUNDARY_PERIODIC, BOUNDARY_FOLDED and BOUNDARY_FOLD: index i equals
-// -FOLD - i.
+// Set by the host (build.py, boundary_defines): BOUNDARY, one of the numbers below; BOUNDARY_FOLDED and BOUNDARY_FOLD, whether
+// index i equals -FOLD - i; BOUNDARY_PAD, samples that were put around the volume's before it was filtered; BOUNDARY_REACH,
+// samples past these at which no tap differs from the next one.
 
 #include "base/platform.cl"
 
-#define MISSING INT_MIN
+#define REPEATED 0   // with a period, whose second half may be folded back
+#define CONSTANT 1   // as REPEATED between the outer samples, and one value elsewhere
+#define OVERLAP 2    // repeated from outer sample to outer sample
+#define ENDING 3     // the last coefficients go on, whatever they are
 
-// Where coefficient i is stored on an axis that stores those from -halo to end - 1, or MISSING if it is zero. period: see
-// Boundary.length.
-INLINE int boundary_index(int i, int halo, int end, int period)
+// n: samples along the axis. period: see Boundary.length. along: the sign that derivatives along the axis get.
+INLINE coord boundary_position(coord x, const int n, const int period, int *along)
 {
-#if BOUNDARY_PERIODIC
-    const int p = period * GRID_SCALE;
-    i -= p * (int)floor((float)i / (float)p);
-    i = i < 0 ? i + p : (i >= p ? i - p : i);   // the float quotient may be off by one
-#if BOUNDARY_FOLDED
-    const int folded = p - BOUNDARY_FOLD * GRID_SCALE - i;
-    i = folded < i ? folded : i;
-#endif
-    return i;
+    const coord last = n - 1;
+    *along = 1;
+#if BOUNDARY == ENDING
+    const coord low = -(coord)(BOUNDARY_PAD + BOUNDARY_REACH), high = last - low;
+    *along = x > low && x < high;
+    return clamp(x, low, high);
+#elif BOUNDARY == CONSTANT
+    return x;   // what is outside has its value already
 #else
-    return (i >= -halo && i < end) ? i : MISSING;
-#endif
-}
-
-// A position in samples, brought to within one period of the axis. Where the rule does not repeat, it is clipped to where
-// all taps are zero. The result is finite.
-INLINE coord boundary_position(coord x, int n, int period)
-{
-#if BOUNDARY_PERIODIC
-    // clamped, for so far out that rounding exceeds a period the difference may be anything
-    return (x >= (coord)(-n) && x <= (coord)(2 * n)) ? x
-        : clamp(x - period * floor(x / period), (coord)0, (coord)period);
+    if (n == 1) {
+        *along = 0;
+        return 0;
+    }
+    // as scipy.ndimage does it, to the last bit: it tells on which side of a jump a position lies
+#if BOUNDARY == OVERLAP
+    x = x < 0 ? x + last * (floor(-x / last) + 1) : x > last ? x - last * floor(x / last) : x;
+#elif BOUNDARY_FOLDED
+    const coord middle = 0.5f * period;
+    int folded = 0;
+    if (x < 0) {
+        x = x + period * floor(-x / period);
+        folded = x > -middle;
+        x = folded ? -x - BOUNDARY_FOLD : x + period;
+    } else if (x > last) {
+        x = x - period * floor(x / period);
+        folded = x >= n;
+        x = folded ? period - x - BOUNDARY_FOLD : x;
+    }
+    *along = folded ? -1 : 1;
 #else
-    return clamp(x, (coord)(-2 * TAPS - 2), (coord)(n + 2 * TAPS + 2));
+    x = x < 0 ? x + period * (floor(MAX(-1 - x, (coord)0) / period) + 1) : x > last ? x - period * floor(x / period) : x;
+#endif
+    return clamp(x, (coord)-1, (coord)n);   // so far out that rounding exceeds a period, it may be anything
 #endif
 }

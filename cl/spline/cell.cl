@@ -15,13 +15,13 @@
 #include "base/coords.cl"
 
 // Where a point lies among the stored coefficients: the first tap, and the fraction past it.
-typedef struct { int x, y, z; float tx, ty, tz; } cell_t;
+typedef struct { int x, y, z; scalar tx, ty, tz; } cell_t;
 
 // The position u, of any type, that counts from `origin` coefficients before the volume's first; see cell_origin.
 #define GRID_POSITION(x, origin) ((x) * GRID_SCALE - (origin))
 
 // For GRID_POSITION: counts from the coefficient that lies `before` the volume's first, for instance by the halo.
-INLINE float cell_origin(int before) { return LEFT - (float)before; }
+INLINE scalar cell_origin(int before) { return LEFT - (scalar)before; }
 
 // The largest whole number that is not above x, for what fits an int.
 INLINE coord whole_below(coord x)
@@ -30,10 +30,10 @@ INLINE coord whole_below(coord x)
     return x < i ? i - 1 : i;
 }
 
-INLINE int locate_axis(coord x, float *t)
+INLINE int locate_axis(coord x, scalar *t)
 {
     const coord u = GRID_POSITION(x, (coord)LEFT), base = whole_below(u);
-    *t = (float)(u - base);
+    *t = (scalar)(u - base);
     return (int)base;
 }
 
@@ -41,7 +41,12 @@ INLINE cell_t locate(coord x, coord y, coord z, int halo)
 {
     cell_t c;
     c.x = locate_axis(x, &c.tx) + halo;
+#if DIMENSIONS >= 2
     c.y = locate_axis(y, &c.ty) + halo;
+#else
+    c.y = 0;
+    c.ty = 0.0f;
+#endif
 #if DIMENSIONS == 3
     c.z = locate_axis(z, &c.tz) + halo;
 #else
@@ -52,11 +57,11 @@ INLINE cell_t locate(coord x, coord y, coord z, int halo)
 }
 
 // The same within the domain, where no stored coefficient that is needed has a negative index.
-INLINE int locate_inner_axis(coord x, int halo, float *t)
+INLINE int locate_inner_axis(coord x, int halo, scalar *t)
 {
     const coord u = GRID_POSITION(x, (coord)LEFT - (coord)halo);
     const int base = (int)u;
-    *t = (float)(u - base);
+    *t = (scalar)(u - base);
     return base;
 }
 
@@ -64,7 +69,12 @@ INLINE cell_t locate_inner(coord x, coord y, coord z, int halo)
 {
     cell_t c;
     c.x = locate_inner_axis(x, halo, &c.tx);
+#if DIMENSIONS >= 2
     c.y = locate_inner_axis(y, halo, &c.ty);
+#else
+    c.y = 0;
+    c.ty = 0.0f;
+#endif
 #if DIMENSIONS == 3
     c.z = locate_inner_axis(z, halo, &c.tz);
 #else
@@ -83,7 +93,7 @@ INLINE mask locate_inner_lanes(coords_t x, int halo, real *t)
     const coord4 low = GRID_POSITION(x.low, origin), high = GRID_POSITION(x.high, origin);
     const mask base = (mask)(CONVERT(low, int4), CONVERT(high, int4));
     const coords_t whole = to_coords(base);
-    *t = (real)(CONVERT(low - whole.low, float4), CONVERT(high - whole.high, float4));
+    *t = (real)(CONVERT(low - whole.low, scalar4), CONVERT(high - whole.high, scalar4));
     return base;
 }
 #endif

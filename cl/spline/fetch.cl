@@ -5,7 +5,7 @@
 // extent = (row pitch, rows, slices, halo).
 //
 // Functions that read coefficients take (COEFFICIENTS coefficients, const int4 extent, ...): an image may not be the member
-// of a struct.
+// of a struct. Images hold float alone.
 //
 // Set by the host: FETCH_IMAGE, whether coefficients are an image.
 
@@ -18,7 +18,7 @@
 constant sampler_t texel_sampler = CLK_NORMALIZED_COORDS_FALSE | CLK_ADDRESS_CLAMP_TO_EDGE | CLK_FILTER_NEAREST;
 constant sampler_t linear_sampler = CLK_NORMALIZED_COORDS_FALSE | CLK_ADDRESS_CLAMP_TO_EDGE | CLK_FILTER_LINEAR;
 
-INLINE float fetch_one(COEFFICIENTS coefficients, const int4 extent, int x, int y, int z)
+INLINE scalar fetch_one(COEFFICIENTS coefficients, const int4 extent, int x, int y, int z)
 {
     return read_imagef(coefficients, texel_sampler, (int4)(x, y, z, 0)).x;
 }
@@ -37,27 +37,27 @@ INLINE row_t fetch_row(COEFFICIENTS coefficients, const int4 extent, cursor_t c,
     return taps.row;
 }
 
-INLINE float fetch_linear(COEFFICIENTS coefficients, const int4 extent, float x, float y, float z)
+INLINE scalar fetch_linear(COEFFICIENTS coefficients, const int4 extent, scalar x, scalar y, scalar z)
 {
     return read_imagef(coefficients, linear_sampler, (float4)(x + 0.5f, y + 0.5f, z + 0.5f, 0.0f)).x;
 }
 
 #else
 
-#define COEFFICIENTS global const float *restrict
+#define COEFFICIENTS global const scalar *restrict
 
 INLINE size_t offset_of(const int4 extent, int x, int y, int z)
 {
     return ((size_t)z * extent.y + y) * extent.x + x;
 }
 
-INLINE float fetch_one(COEFFICIENTS coefficients, const int4 extent, int x, int y, int z)
+INLINE scalar fetch_one(COEFFICIENTS coefficients, const int4 extent, int x, int y, int z)
 {
     return coefficients[offset_of(extent, x, y, z)];
 }
 
 // Where a block of taps begins, so that additions alone reach its rows.
-typedef global const float *cursor_t;
+typedef global const scalar *cursor_t;
 INLINE cursor_t cursor_at(COEFFICIENTS coefficients, const int4 extent, int x, int y, int z) { return coefficients + offset_of(extent, x, y, z); }
 
 INLINE cursor_t next_slice(COEFFICIENTS coefficients, const int4 extent, cursor_t c) { return c + (size_t)extent.x * extent.y; }
@@ -67,19 +67,19 @@ INLINE row_t fetch_row(COEFFICIENTS coefficients, const int4 extent, cursor_t c,
     return *(global const row_at_t *)(c + (j * (size_t)extent.x + i));
 }
 
-INLINE float fetch_linear(COEFFICIENTS coefficients, const int4 extent, float x, float y, float z)
+INLINE scalar fetch_linear(COEFFICIENTS coefficients, const int4 extent, scalar x, scalar y, scalar z)
 {
-    const float fx = (float)(int)x, fy = (float)(int)y, fz = (float)(int)z;   // never negative
-    const float tx = x - fx, ty = y - fy;
-    global const float *p = coefficients + offset_of(extent, (int)fx, (int)fy, (int)fz);
-    global const float *q = p + extent.x;
+    const scalar fx = (scalar)(int)x, fy = (scalar)(int)y, fz = (scalar)(int)z;   // never negative
+    const scalar tx = x - fx, ty = y - fy;
+    global const scalar *p = coefficients + offset_of(extent, (int)fx, (int)fy, (int)fz);
+    global const scalar *q = DIMENSIONS >= 2 ? p + extent.x : p;
 #define MIX(a, b, t) madd(t, (b) - (a), a)
 #define MIX_PLANE MIX(MIX(p[0], p[1], tx), MIX(q[0], q[1], tx), ty)
-    float plane = MIX_PLANE;
+    scalar plane = MIX_PLANE;
 #if DIMENSIONS == 3
     p += (size_t)extent.x * extent.y;
     q = p + extent.x;
-    const float above = MIX_PLANE;
+    const scalar above = MIX_PLANE;
     plane = MIX(plane, above, z - fz);
 #endif
 #undef MIX_PLANE

@@ -13,18 +13,18 @@
 #include "base/transpose.cl"
 
 #if ROW == 1
-typedef float row_t;
+typedef scalar row_t;
 #else
-typedef PASTE(float, ROW) row_t;
+typedef PASTE(SCALAR_TYPE, ROW) row_t;
 #endif
 typedef row_t row_at_t AT_ANY_ADDRESS;
-typedef union { row_t row; float each[ROW]; } row_u;
+typedef union { row_t row; scalar each[ROW]; } row_u;
 
 constant row_t filter_columns[DEGREE + 1][CHUNKS] = FILTER_COLUMNS;
-constant float filter_taps[TAPS][DEGREE + 1] = FILTER_TAPS;
+constant scalar filter_taps[TAPS][DEGREE + 1] = FILTER_TAPS;
 
 // One chunk of the taps, by Horner's rule in the fractional position t.
-INLINE row_t tap_weights(float t, int chunk)
+INLINE row_t tap_weights(scalar t, int chunk)
 {
     row_t w = filter_columns[DEGREE][chunk];
 #pragma unroll
@@ -34,13 +34,13 @@ INLINE row_t tap_weights(float t, int chunk)
 }
 
 // Their first derivatives ...
-INLINE row_t tap_slopes(float t, int chunk)
+INLINE row_t tap_slopes(scalar t, int chunk)
 {
 #if DEGREE >= 1
-    row_t w = filter_columns[DEGREE][chunk] * (float)DEGREE;
+    row_t w = filter_columns[DEGREE][chunk] * (scalar)DEGREE;
 #pragma unroll
     for (int k = DEGREE - 1; k >= 1; --k)
-        w = madd(w, (row_t)(t), filter_columns[k][chunk] * (float)k);
+        w = madd(w, (row_t)(t), filter_columns[k][chunk] * (scalar)k);
     return w;
 #else
     return (row_t)(0.0f);
@@ -48,13 +48,13 @@ INLINE row_t tap_slopes(float t, int chunk)
 }
 
 // ... and their second ones.
-INLINE row_t tap_bends(float t, int chunk)
+INLINE row_t tap_bends(scalar t, int chunk)
 {
 #if DEGREE >= 2
-    row_t w = filter_columns[DEGREE][chunk] * (float)(DEGREE * (DEGREE - 1));
+    row_t w = filter_columns[DEGREE][chunk] * (scalar)(DEGREE * (DEGREE - 1));
 #pragma unroll
     for (int k = DEGREE - 1; k >= 2; --k)
-        w = madd(w, (row_t)(t), filter_columns[k][chunk] * (float)(k * (k - 1)));
+        w = madd(w, (row_t)(t), filter_columns[k][chunk] * (scalar)(k * (k - 1)));
     return w;
 #else
     return (row_t)(0.0f);
@@ -62,7 +62,7 @@ INLINE row_t tap_bends(float t, int chunk)
 }
 
 // The sum of a row. It is added by halves, in the same order on every device.
-INLINE float row_sum(row_t v)
+INLINE scalar row_sum(row_t v)
 {
 #if ROW == 1
     return v;
@@ -70,11 +70,11 @@ INLINE float row_sum(row_t v)
     return v.s0 + v.s1;
 #else
 #if ROW == 8
-    float4 q = v.lo + v.hi;
+    scalar4 q = v.lo + v.hi;
 #else
-    float4 q = v;
+    scalar4 q = v;
 #endif
-    float2 p = q.lo + q.hi;
+    scalar2 p = q.lo + q.hi;
     return p.x + p.y;
 #endif
 }
@@ -83,7 +83,7 @@ INLINE float row_sum(row_t v)
 
 // The weights of all taps one by one, and their derivatives.
 #define UNPACK(name, of)                                     \
-    INLINE void name(float t, float w[WEIGHTS])              \
+    INLINE void name(scalar t, scalar w[WEIGHTS])              \
     {                                                        \
         _Pragma("unroll") for (int i = 0; i < CHUNKS; ++i) { \
             row_u taps;                                      \

@@ -80,7 +80,7 @@ INLINE void control_lines(lines_t lines, global const float *restrict coefficien
             float8 taps[TAPS];
 #pragma unroll
             for (int i = 0; i < TAPS; ++i) {
-                taps[i] = *(global const float8_at *)(p + i);
+                taps[i] = *(global const scalar8_at *)(p + i);
                 *tap_min = MIN(taps[i], *tap_min);
                 *tap_max = MAX(taps[i], *tap_max);
             }

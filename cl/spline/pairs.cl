@@ -13,40 +13,40 @@
 #define PAIRS ((TAPS + 1) / 2)
 
 // w0 f(0) + w1 f(1) = (w0 + w1) times a linear fetch at w1 / (w0 + w1), if the two share their sign.
-INLINE void pair_up(const float w[WEIGHTS], float weight[PAIRS], float place[PAIRS])
+INLINE void pair_up(const scalar w[WEIGHTS], scalar weight[PAIRS], scalar place[PAIRS])
 {
 #pragma unroll
     for (int i = 0; i < PAIRS; ++i) {
-        const float second = 2 * i + 1 < TAPS ? w[2 * i + 1] : 0.0f;
+        const scalar second = 2 * i + 1 < TAPS ? w[2 * i + 1] : 0.0f;
         weight[i] = w[2 * i] + second;
         place[i] = 2 * i + (weight[i] != 0.0f ? second / weight[i] : 0.0f);
     }
 }
 
-INLINE void weight_pairs(float t, float weight[PAIRS], float place[PAIRS])
+INLINE void weight_pairs(scalar t, scalar weight[PAIRS], scalar place[PAIRS])
 {
-    float w[WEIGHTS];
+    scalar w[WEIGHTS];
     unpack_weights(t, w);
     pair_up(w, weight, place);
 }
 
-INLINE void slope_pairs(float t, float weight[PAIRS], float place[PAIRS])
+INLINE void slope_pairs(scalar t, scalar weight[PAIRS], scalar place[PAIRS])
 {
-    float w[WEIGHTS];
+    scalar w[WEIGHTS];
     unpack_slopes(t, w);
     pair_up(w, weight, place);
 }
 
-INLINE float pairs_sum(COEFFICIENTS coefficients, const int4 extent, cell_t c, const float *ax, const float *ay, const float *az,
-                         const float *px, const float *py, const float *pz)
+INLINE scalar pairs_sum(COEFFICIENTS coefficients, const int4 extent, cell_t c, const scalar *ax, const scalar *ay, const scalar *az,
+                         const scalar *px, const scalar *py, const scalar *pz)
 {
-    float sum = 0.0f;
+    scalar sum = 0.0f;
 #pragma unroll
     for (int k = 0; k < (DIMENSIONS == 3 ? PAIRS : 1); ++k) {
-        float plane = 0.0f;
+        scalar plane = 0.0f;
 #pragma unroll
-        for (int j = 0; j < PAIRS; ++j) {
-            float line = 0.0f;
+        for (int j = 0; j < (DIMENSIONS >= 2 ? PAIRS : 1); ++j) {
+            scalar line = 0.0f;
 #pragma unroll
             for (int i = 0; i < PAIRS; ++i)
                 line = madd(ax[i], fetch_linear(coefficients, extent, c.x + px[i], c.y + py[j], c.z + pz[k]), line);
@@ -57,11 +57,15 @@ INLINE float pairs_sum(COEFFICIENTS coefficients, const int4 extent, cell_t c, c
     return sum;
 }
 
-INLINE float pairs_value(COEFFICIENTS coefficients, const int4 extent, cell_t c)
+INLINE scalar pairs_value(COEFFICIENTS coefficients, const int4 extent, cell_t c)
 {
-    float ax[PAIRS], ay[PAIRS], az[PAIRS], px[PAIRS], py[PAIRS], pz[PAIRS];
+    scalar ax[PAIRS], ay[PAIRS], az[PAIRS], px[PAIRS], py[PAIRS], pz[PAIRS];
     weight_pairs(c.tx, ax, px);
+#if DIMENSIONS >= 2
     weight_pairs(c.ty, ay, py);
+#else
+    ay[0] = 1.0f; py[0] = 0.0f;
+#endif
 #if DIMENSIONS == 3
     weight_pairs(c.tz, az, pz);
 #else
@@ -70,12 +74,16 @@ INLINE float pairs_value(COEFFICIENTS coefficients, const int4 extent, cell_t c)
     return pairs_sum(coefficients, extent, c, ax, ay, az, px, py, pz);
 }
 
-INLINE gradient_t pairs_gradient(COEFFICIENTS coefficients, const int4 extent, cell_t c, float *value)
+INLINE gradient_t pairs_gradient(COEFFICIENTS coefficients, const int4 extent, cell_t c, scalar *value)
 {
-    float ax[PAIRS], ay[PAIRS], az[PAIRS], px[PAIRS], py[PAIRS], pz[PAIRS], s[PAIRS], q[PAIRS];
+    scalar ax[PAIRS], ay[PAIRS], az[PAIRS], px[PAIRS], py[PAIRS], pz[PAIRS], s[PAIRS], q[PAIRS];
     gradient_t g;
     weight_pairs(c.tx, ax, px);
+#if DIMENSIONS >= 2
     weight_pairs(c.ty, ay, py);
+#else
+    ay[0] = 1.0f; py[0] = 0.0f;
+#endif
 #if DIMENSIONS == 3
     weight_pairs(c.tz, az, pz);
     slope_pairs(c.tz, s, q);
@@ -86,14 +94,18 @@ INLINE gradient_t pairs_gradient(COEFFICIENTS coefficients, const int4 extent, c
     *value = pairs_sum(coefficients, extent, c, ax, ay, az, px, py, pz);
     slope_pairs(c.tx, s, q);
     g.x = pairs_sum(coefficients, extent, c, s, ay, az, q, py, pz);
+#if DIMENSIONS >= 2
     slope_pairs(c.ty, s, q);
     g.y = pairs_sum(coefficients, extent, c, ax, s, az, px, q, pz);
+#else
+    g.y = 0.0f;
+#endif
     return g;
 }
 
 // -- by either way --------------------------------------------------------------------------------------------
 
-INLINE float sample_value(COEFFICIENTS coefficients, const int4 extent, cell_t c)
+INLINE scalar sample_value(COEFFICIENTS coefficients, const int4 extent, cell_t c)
 {
 #if PAIRED_VALUE
     return pairs_value(coefficients, extent, c);
@@ -103,7 +115,7 @@ INLINE float sample_value(COEFFICIENTS coefficients, const int4 extent, cell_t c
 }
 
 // The gradient per stored coefficient, and the value beside it.
-INLINE gradient_t sample_gradient(COEFFICIENTS coefficients, const int4 extent, cell_t c, float *value)
+INLINE gradient_t sample_gradient(COEFFICIENTS coefficients, const int4 extent, cell_t c, scalar *value)
 {
 #if PAIRED_VALUE && PAIRED_GRADIENT
     return pairs_gradient(coefficients, extent, c, value);

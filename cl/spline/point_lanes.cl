@@ -1,55 +1,87 @@
 // LANES points at once: positions, cells and weights of all are computed in vectors, rows of taps are summed point by point,
 // and what is left along x is summed in vectors again.
 //
-// A point in the domain is always computed with LANES - 1 others, even if they are itself again, and a point outside always
-// alone, afterwards: the result of a point does not depend on its neighbours. AHEAD vectors of points are located before any
-// of them is sampled, so that sampling does not wait for it.
+// A point is always computed with LANES - 1 others, even if they are itself again: its result does not depend on its neighbours.
+// AHEAD vectors of points are located before any of them is sampled, so that sampling does not wait for it.
 
 #define AHEAD 4
 
-#include "base/math.cl"
 #include "base/vector.cl"
 #include "base/transpose.cl"
 #include "spline/cell.cl"
 #include "spline/filter.cl"
 #include "spline/position_lanes.cl"
 
-// The first of each point's taps among the coefficients, and the fractions past it. Bit i of `outer` is set if
-// point i is outside the domain, and its cell is meaningless.
-typedef struct { union { long4 halves[2]; long each[LANES]; } first; real tx, ty, tz; int outer; } cells_t;
+// The first of each point's taps among the coefficients, and the fractions past it. Bit i of `valued` is set if point i is not
+// sampled, but has a value of its own; its cell is meaningless. along: the signs of derivatives.
+typedef struct {
+    union { long4 halves[2]; long each[LANES]; } first;
+    real tx, ty, tz;
+    int valued;
+#if DERIVATIVE
+    struct { real x, y, z; } along;
+#endif
+} cells_t;
 
 INLINE mask4 within_axis(coord4 x, int size)
 {
-    return x >= (coord)-0.5f & x <= size - (coord)0.5f;   // NaN and infinities are not
+    return x >= -(coord)(EDGE) & x <= size - 1 + (coord)(EDGE);   // NaN and infinities are not
+}
+
+typedef union { coords_t all; coord each[LANES]; } lane_coords_u;
+
+// Point by point, for those that lie outside.
+OUT_OF_LINE void bring_lanes(positions_t *at, const int4 size, const int4 period, cells_t *c)
+{
+    lane_coords_u x, y, z;
+    x.all = at->x; y.all = at->y; z.all = at->z;
+    for (int i = 0; i < LANES; ++i) {
+        position_t p = { x.each[i], y.each[i], z.each[i] };
+        along_t along = { 1, 1, 1 };
+        if (!within_volume(p, size)) {
+            if (bring(&p, size, period, &along) != SAMPLED) {
+                c->valued |= 1 << i;
+                p.x = p.y = p.z = 0;
+            }
+            x.each[i] = p.x; y.each[i] = p.y; z.each[i] = p.z;
+        }
+#if DERIVATIVE
+        ((private scalar *)&c->along.x)[i] = along.x;
+        ((private scalar *)&c->along.y)[i] = along.y;
+        ((private scalar *)&c->along.z)[i] = along.z;
+#endif
+    }
+    at->x = x.all; at->y = y.all; at->z = z.all;
 }
 
 // As locate_inner and offset_of. The host takes care that an int can count the rows.
-INLINE cells_t locate_points(positions_t p, constant coord *m, int4 size, int4 extent)
+INLINE cells_t locate_points(positions_t p, constant coord *m, int4 size, int4 period, int4 extent)
 {
     cells_t c;
     positions_t at = indices_of(p, m);
-    mask4 low = within_axis(at.x.low, size.x) & within_axis(at.y.low, size.y);
-    mask4 high = within_axis(at.x.high, size.x) & within_axis(at.y.high, size.y);
+    mask4 low = within_axis(at.x.low, size.x), high = within_axis(at.x.high, size.x);
+#if DIMENSIONS >= 2
+    low &= within_axis(at.y.low, size.y);
+    high &= within_axis(at.y.high, size.y);
+#endif
 #if DIMENSIONS == 3
     low &= within_axis(at.z.low, size.z);
     high &= within_axis(at.z.high, size.z);
 #endif
     const mask4 both = low & high;
-    c.outer = 0;
-    if (!(both.x & both.y & both.z & both.w)) {
-        const union { mask4 halves[2]; mask_each each[LANES]; } inside = { { low, high } };
-        for (int i = 0; i < LANES; ++i)
-            c.outer |= !inside.each[i] << i;
-#define BRING(axis) axis.low = low ? axis.low : 0, axis.high = high ? axis.high : 0
-        BRING(at.x);
-        BRING(at.y);
-#if DIMENSIONS == 3
-        BRING(at.z);
+    c.valued = 0;
+#if DERIVATIVE
+    c.along.x = c.along.y = c.along.z = (real)(1.0f);
 #endif
-#undef BRING
-    }
+    if (!(both.x & both.y & both.z & both.w))
+        bring_lanes(&at, size, period, &c);
     const mask x = locate_inner_lanes(at.x, extent.w, &c.tx);
+#if DIMENSIONS >= 2
     mask row = locate_inner_lanes(at.y, extent.w, &c.ty);
+#else
+    mask row = NONE;
+    c.ty = (real)(0.0f);
+#endif
 #if DIMENSIONS == 3
     row += locate_inner_lanes(at.z, extent.w, &c.tz) * extent.y;
 #else
@@ -110,13 +142,13 @@ INLINE real lanes_value(COEFFICIENTS coefficients, const int4 extent, const cell
     real wx[TAPS], wy[TAPS], wz[TAPS], taps[WEIGHTS];
     rows_t rows[CHUNKS][LANES / SIDE];
     lane_weights(c->tx, wx);
-    lane_weights(c->ty, wy);
+    LINE(lane_weights, c->ty, wy, (real)(1.0f));
     SLICE(lane_weights, c->tz, wz, (real)(1.0f));
     UNROLL_LANES
     for (int i = 0; i < LANES / SIDE; ++i) {
         const cursors_t first = cursors_at(coefficients, extent, c, i);
-        weight_t y[TAPS], z[SLICES];
-        SPREAD(TAPS, y, wy, i)
+        weight_t y[LINES], z[SLICES];
+        SPREAD(LINES, y, wy, i)
         SPREAD(SLICES, z, wz, i)
 #pragma unroll
         for (int h = 0; h < CHUNKS; ++h)
@@ -135,16 +167,16 @@ INLINE real3 lanes_gradient(COEFFICIENTS coefficients, const int4 extent, const 
     rows_t rows[3][CHUNKS][LANES / SIDE];
     lane_weights(c->tx, wx);
     lane_slopes(c->tx, sx);
-    lane_weights(c->ty, wy);
-    lane_slopes(c->ty, sy);
+    LINE(lane_weights, c->ty, wy, (real)(1.0f));
+    LINE(lane_slopes, c->ty, sy, (real)(0.0f));
     SLICE(lane_weights, c->tz, wz, (real)(1.0f));
     SLICE(lane_slopes, c->tz, sz, (real)(0.0f));
     UNROLL_LANES
     for (int i = 0; i < LANES / SIDE; ++i) {
         const cursors_t first = cursors_at(coefficients, extent, c, i);
-        weight_t y[TAPS], by[TAPS], z[SLICES], bz[SLICES];
-        SPREAD(TAPS, y, wy, i)
-        SPREAD(TAPS, by, sy, i)
+        weight_t y[LINES], by[LINES], z[SLICES], bz[SLICES];
+        SPREAD(LINES, y, wy, i)
+        SPREAD(LINES, by, sy, i)
         SPREAD(SLICES, z, wz, i)
         SPREAD(SLICES, bz, sz, i)
 #pragma unroll
@@ -169,17 +201,18 @@ INLINE real3 lanes_gradient(COEFFICIENTS coefficients, const int4 extent, const 
 
 // Results of up to LANES points from the n-th.
 INLINE void lanes_into(COEFFICIENTS coefficients, const int4 extent, const cells_t *cells, source_t source, int n, int count, constant coord *w,
-                       global float *results)
+                       global scalar *results)
 {
-    union { real all[COMPONENTS]; float each[COMPONENTS * LANES]; } u;
+    union { real all[COMPONENTS]; scalar each[COMPONENTS * LANES]; } u;
 #if DERIVATIVE == 0
     u.all[0] = lanes_value(coefficients, extent, cells);
 #else
-    const real3 g = lanes_gradient(coefficients, extent, cells);
+    real3 g = lanes_gradient(coefficients, extent, cells);
+    g.x *= cells->along.x, g.y *= cells->along.y, g.z *= cells->along.z;
 #pragma unroll
     for (int k = 0; k < DIMENSIONS; ++k) {
         lanes_u along;
-        along.all = GRID_SCALE * ((float)w[k] * g.x + (float)w[3 + k] * g.y + (float)w[6 + k] * g.z);
+        along.all = GRID_SCALE * ((scalar)w[k] * g.x + (scalar)w[3 + k] * g.y + (scalar)w[6 + k] * g.z);
 #pragma unroll
         for (int i = 0; i < LANES; ++i)
             u.each[DIMENSIONS * i + k] = along.each[i];
@@ -200,24 +233,26 @@ INLINE void lanes_into(COEFFICIENTS coefficients, const int4 extent, const cells
 }
 
 INLINE void run_into(COEFFICIENTS coefficients, const int4 extent, source_t source, int count, const int4 size, const int4 period,
-                     constant coord *transform, const float fill, global float *results)
+                     constant coord *transform, const scalar2 given, global scalar *results)
 {
     cells_t cells[AHEAD];
     for (int first = 0; first < count; first += AHEAD * LANES) {
         const int end = MIN(first + AHEAD * LANES, count);
-        int outer = 0;
+        int valued = 0;
 #pragma unroll 1
         for (int i = first, n = 0; i < end; i += LANES, ++n) {
-            cells[n] = locate_points(points_of(source, i, end - i), transform, size, extent);
-            outer |= cells[n].outer;
+            cells[n] = locate_points(points_of(source, i, end - i), transform, size, period, extent);
+            valued |= cells[n].valued;
         }
 #pragma unroll 1
         for (int i = first, n = 0; i < end; i += LANES, ++n)
             lanes_into(coefficients, extent, &cells[n], source, i, end - i, transform + 12, results);
-        if (outer)
+        if (valued)
             for (int i = first; i < end; ++i)
-                if (cells[(i - first) / LANES].outer >> (i - first) % LANES & 1)
-                    outer_into(coefficients, extent, index_of(point_of(source, i), transform), size, period, transform + 12, fill,
-                               results + COMPONENTS * place_of(source, i));
+                if (cells[(i - first) / LANES].valued >> (i - first) % LANES & 1) {
+                    position_t at = index_of(point_of(source, i), transform);
+                    along_t along;
+                    value_into(bring(&at, size, period, &along), given, results + COMPONENTS * place_of(source, i));
+                }
     }
 }

@@ -7,6 +7,7 @@
 // | positions, cells and weights of LANES points in vectors | point_lanes.cl |
 // | rows of four taps of two points side by side (SIDE 2)   | taps.cl        |
 // | the boundary rule is not needed inside the domain       | coefficients.cl |
+// | points outside are brought inside, and sampled as others | outside.cl     |
 // | points in no order are sorted first                     | sort.cl        |
 //
 // Set by the host: DERIVATIVE, 0, 1 or 2; LANES, points that are computed at once, 1 or 8; RUN, points of a work-item; and
@@ -19,41 +20,65 @@
 #endif
 #include "spline/taps.cl"
 #include "spline/pairs.cl"
-#include "spline/position.cl"
 #include "spline/outside.cl"
 
 // -- results of `count` points ----------------------------------------------------------------------------
 
 #if LANES == 1
 
-INLINE void sample_into(COEFFICIENTS coefficients, const int4 extent, position_t at, const int4 size, const int4 period, constant coord *w, const float fill,
-                        global float *result)
+// One result, in world units. w: the rows of world_to_index, so index_j = sum_i w[3 j + i] world_i.
+INLINE void to_world(scalar value, gradient_t g, hessian_t h, constant coord *w, global scalar *result)
 {
-    float value = 0.0f;
+    const scalar s = GRID_SCALE;
+#if DERIVATIVE == 0
+    result[0] = value;
+#elif DERIVATIVE == 1
+    for (int i = 0; i < DIMENSIONS; ++i)
+        result[i] = s * ((scalar)w[i] * g.x + (scalar)w[3 + i] * g.y + (scalar)w[6 + i] * g.z);
+#else
+    for (int i = 0; i < DIMENSIONS; ++i) {
+        const scalar a = w[i], b = w[3 + i], c = w[6 + i];
+        const scalar rx = a * h.xx + b * h.xy + c * h.xz, ry = a * h.xy + b * h.yy + c * h.yz,
+                     rz = a * h.xz + b * h.yz + c * h.zz;
+        for (int j = 0; j < DIMENSIONS; ++j)
+            result[i * DIMENSIONS + j] = s * s * (rx * (scalar)w[j] + ry * (scalar)w[3 + j] + rz * (scalar)w[6 + j]);
+    }
+#endif
+}
+
+INLINE void sample_into(COEFFICIENTS coefficients, const int4 extent, position_t at, const int4 size, const int4 period,
+                        constant coord *w, const scalar2 given, global scalar *result)
+{
+    scalar value = 0.0f;
     gradient_t g = { 0.0f, 0.0f, 0.0f };
     hessian_t h = { 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f };
-    const int inside = at.x >= -0.5f && at.x <= size.x - 0.5f && at.y >= -0.5f && at.y <= size.y - 0.5f
-        && at.z >= -0.5f && at.z <= size.z - 0.5f;   // z is 0 in 2-D; NaN and infinities are not inside
-    if (!inside) {
-        outer_into(coefficients, extent, at, size, period, w, fill, result);
-        return;
+    along_t along = { 1, 1, 1 };
+    if (!within_volume(at, size)) {
+        const int kind = bring(&at, size, period, &along);
+        if (kind != SAMPLED) {
+            value_into(kind, given, result);
+            return;
+        }
     }
     const cell_t c = locate_inner(at.x, at.y, at.z, extent.w);
 #if DERIVATIVE == 0
     value = sample_value(coefficients, extent, c);
 #elif DERIVATIVE == 1
     g = sample_gradient(coefficients, extent, c, &value);
+    g.x *= along.x, g.y *= along.y, g.z *= along.z;
 #else
     h = taps_hessian(coefficients, extent, c);
+    h.xx *= along.x * along.x, h.yy *= along.y * along.y, h.zz *= along.z * along.z;
+    h.xy *= along.x * along.y, h.xz *= along.x * along.z, h.yz *= along.y * along.z;
 #endif
     to_world(value, g, h, w, result);
 }
 
 INLINE void run_into(COEFFICIENTS coefficients, const int4 extent, source_t source, int count, const int4 size, const int4 period,
-                     constant coord *transform, const float fill, global float *results)
+                     constant coord *transform, const scalar2 given, global scalar *results)
 {
     for (int i = 0; i < count; ++i)
-        sample_into(coefficients, extent, index_of(point_of(source, i), transform), size, period, transform + 12, fill,
+        sample_into(coefficients, extent, index_of(point_of(source, i), transform), size, period, transform + 12, given,
                     results + COMPONENTS * place_of(source, i));
 }
 
@@ -65,26 +90,29 @@ INLINE void run_into(COEFFICIENTS coefficients, const int4 extent, source_t sour
 
 // -- kernels: a work-item takes RUN points ----------------------------------------------------------------
 
+// given: see value_into.
+
 #if !ON_GRID
 
 kernel void sample_points(COEFFICIENTS coefficients, const int4 extent, const int4 size, const int4 period, constant coord *transform,
-                          global const POINT *points, const ulong count, const float fill, global float *results)
+                          global const POINT *points, const ulong planes, const ulong count, const scalar2 given,
+                          global scalar *results)
 {
-    const source_t source = { points, get_global_id(0) * RUN };
+    const source_t source = { points, get_global_id(0) * RUN, planes };
     if (source.first < count)
-        run_into(coefficients, extent, source, count - source.first < RUN ? count - source.first : RUN, size, period, transform, fill, results);
+        run_into(coefficients, extent, source, count - source.first < RUN ? count - source.first : RUN, size, period, transform, given, results);
 }
 
 #else
 
-// grid: the number of points along x and y, and the first row and slice of this launch.
+// grid: the number of points along x and y, and the first row and slice of this launch. base: the point that `results` begin with.
 kernel void sample_grid(COEFFICIENTS coefficients, const int4 extent, const int4 size, const int4 period, constant coord *transform,
-                           const int4 grid, const float fill, global float *results)
+                           const int4 grid, const ulong base, const scalar2 given, global scalar *results)
 {
     source_t source = { get_global_id(0) * RUN, (int)get_global_id(1) + grid.z, (int)get_global_id(2) + grid.w, 0 };
-    source.first = ((size_t)source.k * grid.y + source.j) * grid.x + source.i;
+    source.first = ((size_t)source.k * grid.y + source.j) * grid.x + source.i - base;
     if (source.i < grid.x && source.j < grid.y)
-        run_into(coefficients, extent, source, MIN(RUN, grid.x - source.i), size, period, transform, fill, results);
+        run_into(coefficients, extent, source, MIN(RUN, grid.x - source.i), size, period, transform, given, results);
 }
 
 #endif

@@ -1,7 +1,8 @@
 // Where points come from, where their results belong, and where in the volume they lie.
 //
 // Set by the host: ON_GRID, whether points are those of a grid and not read; POINT, the type of those that are read, and
-// POINT_BITS, its size; SORTED, whether each of these is followed by its place in the list that it came from (sort.cl).
+// POINT_BITS, its size; PLANAR, whether all coordinates along an axis follow each other, the last axis (x) last; SORTED, whether
+// each point is followed by its place in the list that it came from (sort.cl); INDICES, whether positions are indices already.
 
 #include "base/platform.cl"
 
@@ -10,7 +11,8 @@
 typedef struct { int i, j, k; size_t first; } source_t;
 INLINE size_t place_of(source_t source, int n) { return source.first + n; }
 #else
-typedef struct { global const POINT *points; size_t first; } source_t;
+// planes: how far apart axes lie, if PLANAR
+typedef struct { global const POINT *points; size_t first, planes; } source_t;
 #if SORTED
 #define STRIDE 4
 #else
@@ -43,22 +45,41 @@ INLINE position_t point_of(source_t source, int n)
 #if ON_GRID
     const position_t p = { source.i + n, source.j, source.k };
 #else
-    global const POINT *point = source.points + STRIDE * (source.first + n);
-#if DIMENSIONS == 3
-    const position_t p = { point[0], point[1], point[2] };
+#if PLANAR && !SORTED
+    global const POINT *point = source.points + source.first + n + (DIMENSIONS - 1) * source.planes;
+#define ALONG(axis) point[-(axis) * (long)source.planes]
 #else
-    const position_t p = { point[0], point[1], 0 };
+    global const POINT *point = source.points + STRIDE * (source.first + n);
+#define ALONG(axis) point[axis]
 #endif
+    position_t p = { ALONG(0), 0, 0 };
+#if DIMENSIONS >= 2
+    p.y = ALONG(1);
+#endif
+#if DIMENSIONS == 3
+    p.z = ALONG(2);
+#endif
+#undef ALONG
 #endif
     return p;
 }
 
 // transform: 9 entries of a matrix, row by row, then 3 of an offset: index = matrix position + offset,
 // from world positions, or from the grid's own indices; then 9 of world_to_index.
+// The order of additions, and that each product is rounded, are those of scipy.ndimage: on which side of a jump a position lies
+// depends on them.
+INLINE coord index_along(position_t p, constant coord *m, const coord offset)
+{
+#pragma OPENCL FP_CONTRACT OFF
+    return ((m[2] * p.z + m[1] * p.y) + m[0] * p.x) + offset;
+}
+
 INLINE position_t index_of(position_t p, constant coord *m)
 {
-    const position_t at = { madd(m[0], p.x, madd(m[1], p.y, madd(m[2], p.z, m[9]))),
-                            madd(m[3], p.x, madd(m[4], p.y, madd(m[5], p.z, m[10]))),
-                            madd(m[6], p.x, madd(m[7], p.y, madd(m[8], p.z, m[11]))) };
+#if INDICES
+    return p;
+#else
+    const position_t at = { index_along(p, m, m[9]), index_along(p, m + 3, m[10]), index_along(p, m + 6, m[11]) };
     return at;
+#endif
 }

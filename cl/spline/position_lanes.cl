@@ -16,6 +16,32 @@ INLINE positions_t points_of(source_t source, int n, int count)
 #else
     typedef PASTE(POINT, 4) point4;
     typedef point4 point4_at AT_ANY_ADDRESS;
+#if PLANAR && !SORTED
+    global const POINT *points = source.points + source.first + n + (DIMENSIONS - 1) * source.planes;
+    union { point4 four[2]; POINT each[LANES]; } u;
+#define ALONG(coords)                                                  \
+    if (count >= LANES) {                                              \
+        u.four[0] = *(global const point4_at *)points;                 \
+        u.four[1] = *(global const point4_at *)(points + 4);           \
+    } else {                                                           \
+        for (int i = 0; i < LANES; ++i)                                \
+            u.each[i] = points[MIN(i, count - 1)];                     \
+    }                                                                  \
+    coords.low = COORDS(u.four[0]), coords.high = COORDS(u.four[1]);   \
+    points -= source.planes;
+    ALONG(p.x)
+#if DIMENSIONS >= 2
+    ALONG(p.y)
+#else
+    p.y = to_coords(NONE);
+#endif
+#if DIMENSIONS == 3
+    ALONG(p.z)
+#else
+    p.z = to_coords(NONE);
+#endif
+#undef ALONG
+#else
     union { point4 four[LANES / 4 * STRIDE]; POINT each[LANES * STRIDE]; } u;
     global const POINT *points = source.points + STRIDE * (source.first + n);
     if (count >= LANES) {
@@ -31,7 +57,11 @@ INLINE positions_t points_of(source_t source, int n, int count)
 #define ALONG(axis, i) \
     COORDS(((point4)(COMPONENT(i, axis), COMPONENT(i + 1, axis), COMPONENT(i + 2, axis), COMPONENT(i + 3, axis))))
     p.x.low = ALONG(0, 0); p.x.high = ALONG(0, 4);
+#if DIMENSIONS >= 2
     p.y.low = ALONG(1, 0); p.y.high = ALONG(1, 4);
+#else
+    p.y = to_coords(NONE);
+#endif
 #if DIMENSIONS == 3
     p.z.low = ALONG(2, 0); p.z.high = ALONG(2, 4);
 #else
@@ -40,32 +70,44 @@ INLINE positions_t points_of(source_t source, int n, int count)
 #undef ALONG
 #undef COMPONENT
 #endif
+#endif
     return p;
 }
 
-// One row of the transform, as in index_of.
+// One row of the transform, as index_along.
 INLINE coords_t index_row(positions_t p, constant coord *m, coord offset)
 {
-    coords_t c;
+#pragma OPENCL FP_CONTRACT OFF
+    coords_t c = { m[0] * p.x.low, m[0] * p.x.high };
 #if DIMENSIONS == 3
-    c.low = madd(m[0], p.x.low, madd(m[1], p.y.low, madd(m[2], p.z.low, offset)));
-    c.high = madd(m[0], p.x.high, madd(m[1], p.y.high, madd(m[2], p.z.high, offset)));
-#else
-    c.low = madd(m[0], p.x.low, madd(m[1], p.y.low, offset));
-    c.high = madd(m[0], p.x.high, madd(m[1], p.y.high, offset));
+    c.low = (m[2] * p.z.low + m[1] * p.y.low) + c.low;
+    c.high = (m[2] * p.z.high + m[1] * p.y.high) + c.high;
+#elif DIMENSIONS == 2
+    c.low = m[1] * p.y.low + c.low;
+    c.high = m[1] * p.y.high + c.high;
 #endif
+    c.low += offset;
+    c.high += offset;
     return c;
 }
 
 INLINE positions_t indices_of(positions_t p, constant coord *m)
 {
+#if INDICES
+    return p;
+#else
     positions_t at;
     at.x = index_row(p, m, m[9]);
+#if DIMENSIONS >= 2
     at.y = index_row(p, m + 3, m[10]);
+#else
+    at.y = to_coords(NONE);
+#endif
 #if DIMENSIONS == 3
     at.z = index_row(p, m + 6, m[11]);
 #else
     at.z = to_coords(NONE);
 #endif
     return at;
+#endif
 }

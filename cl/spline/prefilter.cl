@@ -26,34 +26,34 @@
 
 // Of the lines of one axis: {a1, a2} of each stage, the gain, then the weights of the first values,
 // [stage][causal, then anticausal][ORDER, from the end on][ends from the first, ends from the last]; head and tail of them count.
-#define PLAN_PARAMS constant float *plan, const int ends, const int head, const int tail
+#define PLAN_PARAMS constant scalar *plan, const int ends, const int head, const int tail
 #define PLAN plan, ends, head, tail
 
 typedef struct {
-    float8 a1, a2;
+    scalar8 a1, a2;
 } stage_t;
 
-INLINE stage_t stage_of(constant float *plan, const int s)
+INLINE stage_t stage_of(constant scalar *plan, const int s)
 {
-    const stage_t stage = { (float8)(plan[2 * s]), (float8)(plan[2 * s + 1]) };
+    const stage_t stage = { (scalar8)(plan[2 * s]), (scalar8)(plan[2 * s + 1]) };
     return stage;
 }
 
 // end: 0 for a sample near the first one, 1 near the last.
-INLINE void add_to_starts(float8 start[SUMS], constant float *plan, const int ends, const int end, const int place, float8 v)
+INLINE void add_to_starts(scalar8 start[SUMS], constant scalar *plan, const int ends, const int end, const int place, scalar8 v)
 {
-    constant float *weight = plan + 2 * STAGES + 1 + end * ends + place;
+    constant scalar *weight = plan + 2 * STAGES + 1 + end * ends + place;
 #pragma unroll
     for (int p = 0; p < SUMS; ++p)
         if (!SPLIT || p / ORDER % 2 == end)
-            start[p] = madd((float8)(weight[p * 2 * ends]), v, start[p]);
+            start[p] = madd((scalar8)(weight[p * 2 * ends]), v, start[p]);
 }
 
 // One step of a recursion, after its last value and the one before.
-INLINE float8 causal(float8 *last, float8 *before, const stage_t stage, const float8 x)
+INLINE scalar8 causal(scalar8 *last, scalar8 *before, const stage_t stage, const scalar8 x)
 {
 #if ORDER == 2
-    const float8 next = madd(stage.a1, *last, madd(stage.a2, *before, x));
+    const scalar8 next = madd(stage.a1, *last, madd(stage.a2, *before, x));
     *before = *last;
     return *last = next;
 #else
@@ -61,7 +61,7 @@ INLINE float8 causal(float8 *last, float8 *before, const stage_t stage, const fl
 #endif
 }
 
-INLINE float8 anticausal(float8 *last, float8 *before, const stage_t stage, const float8 y)
+INLINE scalar8 anticausal(scalar8 *last, scalar8 *before, const stage_t stage, const scalar8 y)
 {
 #if ORDER == 2
     return causal(last, before, stage, y);
@@ -71,7 +71,7 @@ INLINE float8 anticausal(float8 *last, float8 *before, const stage_t stage, cons
 }
 
 // A first value takes the place of what a recursion would give.
-INLINE float8 started(float8 *last, float8 *before, const float8 first)
+INLINE scalar8 started(scalar8 *last, scalar8 *before, const scalar8 first)
 {
     *before = *last;
     return *last = first;
@@ -82,15 +82,15 @@ INLINE float8 started(float8 *last, float8 *before, const float8 first)
 #define AHEAD 8   // samples of a line, each of which lies in a page of its own
 
 // 8 * chains lines of `count` samples, stride apart. A recursion waits for its last product: several at once do not.
-INLINE void filter_columns(global float *line, const int chains, const int count, const size_t stride, PLAN_PARAMS)
+INLINE void filter_columns(global scalar *line, const int chains, const int count, const size_t stride, PLAN_PARAMS)
 {
-    float8 start[CHAINS][SUMS], last[CHAINS], before[CHAINS];
+    scalar8 start[CHAINS][SUMS], last[CHAINS], before[CHAINS];
 #define EACH_CHAIN _Pragma("unroll") for (int c = 0; c < CHAINS; ++c) if (c < chains)   // counted by a constant, to be unrolled
-#define LANES_AT(p) (*(global float8_at *)((p) + LANES * c))
+#define LANES_AT(p) (*(global scalar8_at *)((p) + LANES * c))
     EACH_CHAIN
 #pragma unroll
         for (int p = 0; p < SUMS; ++p)
-            start[c][p] = (float8)(0.0f);
+            start[c][p] = (scalar8)(0.0f);
     for (int i = 0; i < head; ++i)
         EACH_CHAIN add_to_starts(start[c], plan, ends, 0, i, LANES_AT(line + i * stride));
     for (int i = 0; i < tail; ++i)
@@ -105,7 +105,7 @@ INLINE void filter_columns(global float *line, const int chains, const int count
             EACH_CHAIN LANES_AT(line + stride) = started(last + c, before + c, start[c][from + 1]);
 #endif
         for (int i = ORDER; i < count; ++i) {
-            global float *at = line + i * stride;
+            global scalar *at = line + i * stride;
             for (int k = 0; k < chains; k += 2)
                 PREFETCH(at + AHEAD * stride + k * LANES);
             EACH_CHAIN LANES_AT(at) = causal(last + c, before + c, stage, LANES_AT(at));
@@ -116,14 +116,14 @@ INLINE void filter_columns(global float *line, const int chains, const int count
             EACH_CHAIN LANES_AT(line + (count - 2) * stride) = started(last + c, before + c, start[c][back + 1]);
 #endif
         for (int i = count - 1 - ORDER; i >= 0; --i) {
-            global float *at = line + i * stride;
+            global scalar *at = line + i * stride;
             EACH_CHAIN LANES_AT(at) = anticausal(last + c, before + c, stage, LANES_AT(at));
         }
     }
 }
 
 // Up to 8 * CHAINS lines, a multiple of 8.
-INLINE void filter_some_columns(global float *line, const int lines, const int count, const size_t stride, PLAN_PARAMS)
+INLINE void filter_some_columns(global scalar *line, const int lines, const int count, const size_t stride, PLAN_PARAMS)
 {
     if (lines >= LANES * CHAINS)
         filter_columns(line, CHAINS, count, stride, PLAN);
@@ -133,7 +133,7 @@ INLINE void filter_some_columns(global float *line, const int lines, const int c
 }
 
 // `lines` lines side by side, 8 * CHAINS for a work-item along id 0; repeated along id 1, outer_stride apart.
-kernel void prefilter_columns(global float *data, const ulong origin, const int count, const ulong stride,
+kernel void prefilter_columns(global scalar *data, const ulong origin, const int count, const ulong stride,
                               const int lines, const ulong outer_stride, PLAN_PARAMS)
 {
     const int first = get_global_id(0) * LANES * CHAINS;
@@ -143,7 +143,7 @@ kernel void prefilter_columns(global float *data, const ulong origin, const int 
 // -- along x: eight rows at once, in blocks of eight columns ----------------------------------------------------
 
 // Between the two recursions a block of eight rows stays as it is, column i in the place of row i.
-INLINE void keep_columns(float8 v[LANES], global float *block, const size_t pitch, const int rows)
+INLINE void keep_columns(scalar8 v[LANES], global scalar *block, const size_t pitch, const int rows)
 {
     if (rows < LANES) {
         store_columns(v, block, pitch, rows);
@@ -151,10 +151,10 @@ INLINE void keep_columns(float8 v[LANES], global float *block, const size_t pitc
     }
 #pragma unroll
     for (int i = 0; i < LANES; ++i)
-        *(global float8_at *)(block + i * pitch) = v[i];
+        *(global scalar8_at *)(block + i * pitch) = v[i];
 }
 
-INLINE void kept_columns(float8 v[LANES], global const float *block, const size_t pitch, const int rows)
+INLINE void kept_columns(scalar8 v[LANES], global const scalar *block, const size_t pitch, const int rows)
 {
     if (rows < LANES) {
         load_columns(v, block, pitch, rows);
@@ -162,16 +162,16 @@ INLINE void kept_columns(float8 v[LANES], global const float *block, const size_
     }
 #pragma unroll
     for (int i = 0; i < LANES; ++i)
-        v[i] = *(global const float8_at *)(block + i * pitch);
+        v[i] = *(global const scalar8_at *)(block + i * pitch);
 }
 
 // One block of a recursion that goes on from `state`. first, last: the block's column that is the first or the last one of the
 // row; it may lie in another block. The recursion's first values stand from there on. Past the row's end lies its halo, for
 // which anything may be written.
-INLINE void causal_block(float8 state[2], const stage_t stage, const float gain, const float8 *given, const int first,
-                         global float *block, const size_t pitch, const int rows)
+INLINE void causal_block(scalar8 state[2], const stage_t stage, const scalar gain, const scalar8 *given, const int first,
+                         global scalar *block, const size_t pitch, const int rows)
 {
-    float8 v[LANES];
+    scalar8 v[LANES];
     load_columns(v, block, pitch, rows);
 #pragma unroll
     for (int i = 0; i < LANES; ++i)
@@ -179,10 +179,10 @@ INLINE void causal_block(float8 state[2], const stage_t stage, const float gain,
     keep_columns(v, block, pitch, rows);
 }
 
-INLINE void anticausal_block(float8 state[2], const stage_t stage, const float8 *given, const int last,
-                             global float *block, const size_t pitch, const int rows)
+INLINE void anticausal_block(scalar8 state[2], const stage_t stage, const scalar8 *given, const int last,
+                             global scalar *block, const size_t pitch, const int rows)
 {
-    float8 v[LANES];
+    scalar8 v[LANES];
     kept_columns(v, block, pitch, rows);
 #pragma unroll
     for (int i = LANES - 1; i >= 0; --i)
@@ -191,22 +191,22 @@ INLINE void anticausal_block(float8 state[2], const stage_t stage, const float8 
 }
 
 // `bands` times eight rows, or fewer than eight if `rows` says so.
-INLINE void filter_rows(global float *line, const int bands, const int rows, const int count, const size_t pitch,
+INLINE void filter_rows(global scalar *line, const int bands, const int rows, const int count, const size_t pitch,
                         PLAN_PARAMS)
 {
-    float8 start[2][SUMS];
+    scalar8 start[2][SUMS];
 #define EACH_BAND _Pragma("unroll") for (int g = 0; g < 2; ++g) if (g < bands)
 #define BAND_AT(column) (line + g * LANES * pitch + (column))
     EACH_BAND
 #pragma unroll
         for (int p = 0; p < SUMS; ++p)
-            start[g][p] = (float8)(0.0f);
+            start[g][p] = (scalar8)(0.0f);
     const int last_block = (count - 1) / LANES * LANES;
     for (int b = 0; b < count; b += LANES) {
         if (b >= head && b < (count - tail) / LANES * LANES)
             b = (count - tail) / LANES * LANES;
         EACH_BAND {
-            float8 v[LANES];
+            scalar8 v[LANES];
             load_columns(v, BAND_AT(b), pitch, rows);
 #pragma unroll
             for (int i = 0; i < LANES; ++i) {
@@ -221,9 +221,9 @@ INLINE void filter_rows(global float *line, const int bands, const int rows, con
 #pragma unroll 1
     for (int s = 0; s < STAGES; ++s) {
         const stage_t stage = stage_of(plan, s);
-        const float gain = s ? 1.0f : plan[2 * STAGES];
+        const scalar gain = s ? 1.0f : plan[2 * STAGES];
         const int from = 2 * ORDER * s, back = from + ORDER;
-        float8 v[2][2];
+        scalar8 v[2][2];
         EACH_BAND causal_block(v[g], stage, gain, start[g] + from, 0, BAND_AT(0), pitch, rows);
         for (int b = LANES; b < count; b += LANES)
             EACH_BAND causal_block(v[g], stage, gain, start[g] + from, -ORDER, BAND_AT(b), pitch, rows);
@@ -241,7 +241,7 @@ INLINE void filter_rows(global float *line, const int bands, const int rows, con
 }
 
 // Up to sixteen rows.
-INLINE void filter_some_rows(global float *line, const int rows, const int count, const size_t pitch, PLAN_PARAMS)
+INLINE void filter_some_rows(global scalar *line, const int rows, const int count, const size_t pitch, PLAN_PARAMS)
 {
     if (rows >= 2 * LANES)
         filter_rows(line, 2, LANES, count, pitch, PLAN);
@@ -251,7 +251,7 @@ INLINE void filter_some_rows(global float *line, const int rows, const int count
 }
 
 // Sixteen rows of `rows` along id 0, slices along id 1.
-kernel void prefilter_rows(global float *data, const ulong origin, const int count, const ulong pitch, const int rows,
+kernel void prefilter_rows(global scalar *data, const ulong origin, const int count, const ulong pitch, const int rows,
                            const ulong slice, PLAN_PARAMS)
 {
     const int first = get_global_id(0) * 2 * LANES;
@@ -260,11 +260,11 @@ kernel void prefilter_rows(global float *data, const ulong origin, const int cou
 
 // Along x and then along y, one slice a work-item along id 1: on a processor the slice stays in its cache in between.
 // halo: of the rows, which begin at `origin`.
-kernel void prefilter_slices(global float *data, const ulong origin, const int count, const ulong pitch, const int rows,
+kernel void prefilter_slices(global scalar *data, const ulong origin, const int count, const ulong pitch, const int rows,
                              const ulong slice, const int halo, PLAN_PARAMS,
-                             constant float *plan_y, const int ends_y, const int head_y, const int tail_y)
+                             constant scalar *plan_y, const int ends_y, const int head_y, const int tail_y)
 {
-    global float *first = data + origin + get_global_id(1) * slice;
+    global scalar *first = data + origin + get_global_id(1) * slice;
     for (int j = 0; j < rows; j += 2 * LANES)
         filter_some_rows(first + j * pitch, rows - j, count, pitch, PLAN);
     for (int i = 0; i < pitch; i += LANES * CHAINS)

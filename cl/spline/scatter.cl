@@ -30,32 +30,10 @@
 #define COMPONENTS DIMENSIONS
 #endif
 
-typedef float scalar;
-
 #define NO_BRICK UINT_MAX
 
-// A position outside the domain, brought into it by the boundary rule; `sign` turns with a slope along the axis. Without a
-// period it stays where it is.
-INLINE coord brought_inside(coord x, int n, int period, scalar *sign)
-{
-    *sign = 1;
-#if BOUNDARY_PERIODIC
-    if (x < (coord)-0.5 || x > n - (coord)0.5) {
-        const coord start = BOUNDARY_FOLDED ? (coord)(-0.5) * BOUNDARY_FOLD : (coord)-0.5;
-        x = clamp(x - period * floor((x - start) / period), start, start + period);
-#if BOUNDARY_FOLDED
-        if (x > start + period * (coord)0.5) {
-            x = 2 * start + period - x;
-            *sign = -1;
-        }
-#endif
-    }
-#endif
-    return x;
-}
-
-// grid: what is stored along x, y and z, a margin of TAPS coefficients on either side of the volume's included, and bricks
-// along x, y, z; m: as for points.cl.
+// stored, bricks: coefficients along x, y and z, with a margin of TAPS on either side of the volume's, which holds all taps of
+// points in the domain and close by; and bricks. m: as for points.cl.
 kernel void locate_points(const int4 size, const int4 period, const int4 stored, const int4 bricks, constant coord *m,
                           global const POINT *points, global const scalar *values, const ulong count,
                           global ulong *places, global scalar *fractions, global scalar *added, global uint *brick_of)
@@ -77,14 +55,11 @@ kernel void locate_points(const int4 size, const int4 period, const int4 stored,
             brick_of[n] = NO_BRICK;
             return;
         }
-        scalar sign, t;
-        x = brought_inside(x, sizes[axis], periods[axis], &sign);
-        x = clamp(x, (coord)(-4 * TAPS), (coord)(sizes[axis] + 4 * TAPS));   // an int holds it
+        int sign = 1;
+        if (x < (coord)-0.5 || x > sizes[axis] - (coord)0.5)
+            x = boundary_position(x, sizes[axis], periods[axis], &sign);
+        scalar t;
         const int base = locate_axis(x, &t) + TAPS;
-        if (base < 0 || base + TAPS > limits[axis]) {   // all of its taps are zero
-            brick_of[n] = NO_BRICK;
-            return;
-        }
         place += row * base;
         row *= limits[axis];
         brick += bricks_before * (base / BRICK);

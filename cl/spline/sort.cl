@@ -22,10 +22,10 @@ INLINE mask bricks_along(coords_t x, int size, int bits)
 
 // grid: bricks along x and y, and the logarithm of their edge. counts: points of each stretch in each brick.
 kernel void count_bricks(constant coord *transform, const int4 size, const int4 grid, global const POINT *points,
-                         const ulong count, global ushort *bricks, global uint *counts)
+                         const ulong planes, const ulong count, global ushort *bricks, global uint *counts)
 {
     const size_t item = get_global_id(0), end = stretch(count, item + 1);
-    source_t source = { points, stretch(count, item) };
+    source_t source = { points, stretch(count, item), planes };
     uint points_in[BRICKS];
     for (int i = 0; i < BRICKS; ++i)
         points_in[i] = 0;
@@ -48,7 +48,7 @@ kernel void count_bricks(constant coord *transform, const int4 size, const int4 
 }
 
 // starts: where the first point of each stretch in each brick goes. Results: x, y, z and the place in `points`.
-kernel void sort_points(global const POINT *points, const ulong count, global const ushort *bricks, global const uint *starts,
+kernel void sort_points(global const POINT *points, const ulong planes, const ulong count, global const ushort *bricks, global const uint *starts,
                         global POINT *sorted)
 {
     typedef PASTE(POINT, 4) point4;
@@ -57,12 +57,9 @@ kernel void sort_points(global const POINT *points, const ulong count, global co
     for (int i = 0; i < BRICKS; ++i)
         next[i] = starts[item * BRICKS + i];
     for (size_t i = stretch(count, item); i < end; ++i) {
-        global const POINT *p = points + DIMENSIONS * i;
-#if DIMENSIONS == 3
-        const point4 record = { p[0], p[1], p[2], AS_PLACE(i) };
-#else
-        const point4 record = { p[0], p[1], 0, AS_PLACE(i) };
-#endif
+        const source_t source = { points, i, planes };
+        const position_t p = point_of(source, 0);
+        const point4 record = { p.x, p.y, p.z, AS_PLACE(i) };
         ((global point4 *)sorted)[next[bricks[i]]++] = record;
     }
 }

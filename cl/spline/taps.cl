@@ -4,21 +4,24 @@
 // SIDE, set before this file is included, is how many points are summed at once. With 2, for rows of four taps, the rows of
 // two points lie side by side in a vector of eight: point_lanes.cl. It is 1 if it was not set.
 //
-// Set by the host: DIMENSIONS, 2 or 3, besides what is included.
+// Set by the host: DIMENSIONS, 1, 2 or 3, besides what is included.
 
 #include "spline/cell.cl"
 #include "spline/fetch.cl"
 
+// Rows and slices of taps; and their weights, where the only one has weight `flat`.
+#if DIMENSIONS >= 2
+#define LINES TAPS
+#define LINE(unpack, t, w, flat) unpack(t, w)
+#else
+#define LINES 1
+#define LINE(unpack, t, w, flat) ((w)[0] = (flat))
+#endif
 #if DIMENSIONS == 3
 #define SLICES TAPS
-#else
-#define SLICES 1
-#endif
-
-// Weights along z, where one slice has weight `flat` in 2-D.
-#if DIMENSIONS == 3
 #define SLICE(unpack, t, w, flat) unpack(t, w)
 #else
+#define SLICES 1
 #define SLICE(unpack, t, w, flat) ((w)[0] = (flat))
 #endif
 
@@ -31,7 +34,7 @@
 #if SIDE == 1
 
 typedef row_t rows_t;
-typedef float weight_t;
+typedef scalar weight_t;
 typedef cursor_t cursors_t;
 
 INLINE rows_t fetch_rows(COEFFICIENTS coefficients, const int4 extent, cursors_t c, int i, int j)
@@ -43,7 +46,7 @@ INLINE cursors_t next_slices(COEFFICIENTS coefficients, const int4 extent, curso
 
 #else
 
-typedef float8 rows_t, weight_t;
+typedef scalar8 rows_t, weight_t;
 typedef struct { cursor_t low, high; } cursors_t;
 
 INLINE rows_t fetch_rows(COEFFICIENTS coefficients, const int4 extent, cursors_t c, int i, int j)
@@ -59,14 +62,14 @@ INLINE cursors_t next_slices(COEFFICIENTS coefficients, const int4 extent, curso
 
 #endif
 
-INLINE rows_t sum_rows(COEFFICIENTS coefficients, const int4 extent, cursors_t slice, int first, const weight_t wy[TAPS], const weight_t wz[SLICES])
+INLINE rows_t sum_rows(COEFFICIENTS coefficients, const int4 extent, cursors_t slice, int first, const weight_t wy[LINES], const weight_t wz[SLICES])
 {
     rows_t sum = (rows_t)(0.0f);
     UNROLL_TAPS
     for (int k = 0; k < SLICES; ++k) {
         rows_t plane = (rows_t)(0.0f);
 #pragma unroll
-        for (int j = 0; j < TAPS; ++j)
+        for (int j = 0; j < LINES; ++j)
             plane = madd(wy[j], fetch_rows(coefficients, extent, slice, first, j), plane);
         sum = madd(wz[k], plane, sum);
         slice = next_slices(coefficients, extent, slice);
@@ -77,7 +80,7 @@ INLINE rows_t sum_rows(COEFFICIENTS coefficients, const int4 extent, cursors_t s
 // The same, and the sums with derivatives of the weights along y, and along z.
 typedef struct { rows_t sum, sum_y, sum_z; } slopes_t;
 
-INLINE slopes_t sum_slopes(COEFFICIENTS coefficients, const int4 extent, cursors_t slice, int first, const weight_t wy[TAPS], const weight_t sy[TAPS],
+INLINE slopes_t sum_slopes(COEFFICIENTS coefficients, const int4 extent, cursors_t slice, int first, const weight_t wy[LINES], const weight_t sy[LINES],
                              const weight_t wz[SLICES], const weight_t sz[SLICES])
 {
     slopes_t s = { (rows_t)(0.0f), (rows_t)(0.0f), (rows_t)(0.0f) };
@@ -85,7 +88,7 @@ INLINE slopes_t sum_slopes(COEFFICIENTS coefficients, const int4 extent, cursors
     for (int k = 0; k < SLICES; ++k) {
         rows_t plane = (rows_t)(0.0f), plane_y = plane;
 #pragma unroll
-        for (int j = 0; j < TAPS; ++j) {
+        for (int j = 0; j < LINES; ++j) {
             const rows_t rows = fetch_rows(coefficients, extent, slice, first, j);
             plane = madd(wy[j], rows, plane);
             plane_y = madd(sy[j], rows, plane_y);
@@ -100,16 +103,16 @@ INLINE slopes_t sum_slopes(COEFFICIENTS coefficients, const int4 extent, cursors
 
 // -- one point -------------------------------------------------------------------------------------------------
 
-typedef struct { float x, y, z; } gradient_t;
-typedef struct { float xx, yy, zz, xy, xz, yz; } hessian_t;
+typedef struct { scalar x, y, z; } gradient_t;
+typedef struct { scalar xx, yy, zz, xy, xz, yz; } hessian_t;
 
 #if SIDE == 1
 
-INLINE float taps_value(COEFFICIENTS coefficients, const int4 extent, cell_t c)
+INLINE scalar taps_value(COEFFICIENTS coefficients, const int4 extent, cell_t c)
 {
     const cursor_t first = cursor_at(coefficients, extent, c.x, c.y, c.z);
-    float wy[WEIGHTS], wz[WEIGHTS], value = 0.0f;
-    unpack_weights(c.ty, wy);
+    scalar wy[WEIGHTS], wz[WEIGHTS], value = 0.0f;
+    LINE(unpack_weights, c.ty, wy, 1.0f);
     SLICE(unpack_weights, c.tz, wz, 1.0f);
 #pragma unroll
     for (int i = 0; i < CHUNKS; ++i)
@@ -117,13 +120,13 @@ INLINE float taps_value(COEFFICIENTS coefficients, const int4 extent, cell_t c)
     return value;
 }
 
-INLINE gradient_t taps_gradient(COEFFICIENTS coefficients, const int4 extent, cell_t c, float *value)
+INLINE gradient_t taps_gradient(COEFFICIENTS coefficients, const int4 extent, cell_t c, scalar *value)
 {
     const cursor_t first = cursor_at(coefficients, extent, c.x, c.y, c.z);
-    float wy[WEIGHTS], wz[WEIGHTS], sy[WEIGHTS], sz[WEIGHTS];
+    scalar wy[WEIGHTS], wz[WEIGHTS], sy[WEIGHTS], sz[WEIGHTS];
     gradient_t g = { 0.0f, 0.0f, 0.0f };
-    unpack_weights(c.ty, wy);
-    unpack_slopes(c.ty, sy);
+    LINE(unpack_weights, c.ty, wy, 1.0f);
+    LINE(unpack_slopes, c.ty, sy, 0.0f);
     SLICE(unpack_weights, c.tz, wz, 1.0f);
     SLICE(unpack_slopes, c.tz, sz, 0.0f);
     *value = 0.0f;
@@ -142,11 +145,11 @@ INLINE gradient_t taps_gradient(COEFFICIENTS coefficients, const int4 extent, ce
 INLINE hessian_t taps_hessian(COEFFICIENTS coefficients, const int4 extent, cell_t c)
 {
     const cursor_t first = cursor_at(coefficients, extent, c.x, c.y, c.z);
-    float wy[WEIGHTS], wz[WEIGHTS], sy[WEIGHTS], sz[WEIGHTS], by[WEIGHTS], bz[WEIGHTS];
+    scalar wy[WEIGHTS], wz[WEIGHTS], sy[WEIGHTS], sz[WEIGHTS], by[WEIGHTS], bz[WEIGHTS];
     hessian_t h = { 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f };
-    unpack_weights(c.ty, wy);
-    unpack_slopes(c.ty, sy);
-    unpack_bends(c.ty, by);
+    LINE(unpack_weights, c.ty, wy, 1.0f);
+    LINE(unpack_slopes, c.ty, sy, 0.0f);
+    LINE(unpack_bends, c.ty, by, 0.0f);
     SLICE(unpack_weights, c.tz, wz, 1.0f);
     SLICE(unpack_slopes, c.tz, sz, 0.0f);
     SLICE(unpack_bends, c.tz, bz, 0.0f);
@@ -158,7 +161,7 @@ INLINE hessian_t taps_hessian(COEFFICIENTS coefficients, const int4 extent, cell
         for (int k = 0; k < SLICES; ++k, slice = next_slice(coefficients, extent, slice)) {
             row_t plane = (row_t)(0.0f), plane_y = plane, plane_yy = plane;
 #pragma unroll
-            for (int j = 0; j < TAPS; ++j) {
+            for (int j = 0; j < LINES; ++j) {
                 const row_t row = fetch_row(coefficients, extent, slice, i * ROW, j);
                 plane = madd(wy[j], row, plane);
                 plane_y = madd(sy[j], row, plane_y);

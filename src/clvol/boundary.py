@@ -7,7 +7,9 @@ or nothing. Everything else follows from it: the matrix of eq. (11) has row ``i`
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,9 +17,13 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.checks import one_of, several, whole
 from clvol.errors import OptionError
 
-__all__ = ["DEFAULT_BOUNDARY", "Boundary", "as_boundary", "boundaries"]
+__all__ = ["DEFAULT_BOUNDARY", "Boundary", "Outside", "as_boundary", "boundaries"]
 
 DEFAULT_BOUNDARY = "mirror"
+
+Outside: TypeAlias = Literal["rule", "clamp", "constant", "grid-constant", "overlap"]
+_OUTSIDE = ("rule", "clamp", "constant", "grid-constant", "overlap")
+_PAD = 12  # samples that scipy.ndimage puts around an array where a rule has no exact prefilter
 
 # Every rule of this kind that leaves the samples what they are and gives each index past the edge one of them, on axes of
 # any length. Without a fold the period is n. A fold -s/2 must lie between the last sample before the volume and its first
@@ -40,6 +46,13 @@ class Boundary:
         ``s``: index ``i`` equals index ``-s - i``, a reflection about ``-s/2``. None: no reflection.
     description : str
         What it means, for listings.
+    outside : {"rule", "clamp", "constant", "grid-constant", "overlap"}
+        What the function is outside. "rule": the index rule goes on. The others are those of `scipy.ndimage`, and the period and
+        fold are then those that the prefilter ends its recursions with. "clamp": outer samples are repeated, some before the
+        prefilter; "grid-constant": so is `cval`; "constant": `cval` past the outer samples; "overlap": the function between the
+        outer samples is repeated, so that the last sample is the first one again.
+    cval : float
+        The value outside, of "constant" and "grid-constant"; it may be NaN.
 
     Raises
     ------
@@ -59,8 +72,17 @@ class Boundary:
     period: tuple[int, int] | None
     fold: int | None
     description: str
+    outside: Outside = "rule"
+    cval: float = 0.0
 
     def __post_init__(self) -> None:
+        if self.outside not in _OUTSIDE:
+            raise one_of("a boundary's outside", self.outside, _OUTSIDE)
+        if isinstance(self.cval, (bool, str)) or not isinstance(self.cval, (int, float, np.number)):
+            raise OptionError(f"a boundary's cval must be a number; got {self.cval!r}")
+        object.__setattr__(self, "cval", float(self.cval))
+        if self.outside != "rule" and self.period is None:
+            raise OptionError(f"a boundary whose outside is {self.outside!r} must have a period for its prefilter; got None")
         for what in ("name", "description"):
             if not isinstance(getattr(self, what), str):
                 raise OptionError(f"a boundary's {what} must be a string; got {getattr(self, what)!r}")
@@ -77,41 +99,76 @@ class Boundary:
                 f"length: {allowed}; got {self.period} and {self.fold}"
             )
 
+    @property
+    def ends(self) -> Boundary:
+        """The period and fold alone, by which the prefilter ends; the same for all rules that have them."""
+        return replace(self, name="", description="", outside="rule", cval=0.0)
+
+    @property
+    def repeats(self) -> bool:
+        """Whether the coefficients repeat with the period, as far as one goes."""
+        return self.period is not None and self.outside == "rule"
+
+    @property
+    def edge(self) -> float:
+        """How far past the outer samples the function inside goes: half a sample, or nothing where another one begins there."""
+        return 0.0 if self.outside in ("constant", "overlap") else 0.5
+
+    def padding(self, prefilter: bool, support: int) -> int:
+        """How many samples are put around an axis before it is filtered."""
+        return max(_PAD, support) if prefilter and self.outside in ("clamp", "grid-constant") else 0
+
+    def reach(self, support: int) -> int:
+        """How far past the padded samples the function may differ from what it is further out."""
+        return support // 2 + 1 if self.outside in ("clamp", "grid-constant") or self.period is None else 0
+
     def length(self, n: int) -> int:
         """The period in samples on an axis of `n`; at least 1, and 0 if the rule has none."""
         return max(1, self.period[0] * n + self.period[1]) if self.period else 0
 
-    def index(self, i: ArrayLike, n: int) -> NDArray[np.int64]:
-        """The index within ``0 .. n - 1`` that stands for `i`; -1 where nothing does."""
+    def index(self, i: ArrayLike, n: int, pad: int = 0) -> NDArray[np.int64]:
+        """The index that stands for `i`, within ``0 .. n - 1``, or as far outside as was padded; -pad - 1 where nothing does."""
         i = np.asarray(i, dtype=np.int64)
-        if not self.period:
-            return np.where((i >= 0) & (i < n), i, -1)
+        if self.outside == "clamp":
+            return np.asarray(np.clip(i, -pad, n - 1 + pad))
+        if not self.period or self.outside == "grid-constant":
+            return np.asarray(np.where((i >= -pad) & (i < n + pad), i, -pad - 1))
         return self.folded(i, n)
 
-    def folded(self, i: ArrayLike, n: int, scale: int = 1) -> NDArray[np.int64]:
-        """The index that stands for `i` where the rule has a period, on a grid of `scale` coefficients a sample.
-
-        It lies in ``0 .. scale * n - 1``, or next to it: a fold that lies between samples has coefficients of the finer
-        grid in its middle, which stand for themselves and are stored in the halo. `boundary_index` in boundary.cl is the
-        same rule for kernels.
-        """
-        period = scale * self.length(n)
-        i = np.asarray(i, dtype=np.int64) % period
-        return i if self.fold is None else np.asarray(np.minimum(i, period - scale * self.fold - i))
-
-    def position(self, x: ArrayLike, n: int, margin: float) -> NDArray[np.float64]:
-        """Positions in samples, brought to where their taps are cheap to find; the function there is the same.
-
-        A position further out than one length of the axis comes to within one period. It is left alone nearer by, so
-        that nothing is rounded there. Without a period it is clipped to `margin` samples past the ends, which must be
-        so far out that all taps are zero. `boundary_position` in boundary.cl is the same rule for kernels.
-        """
-        x = np.asarray(x, dtype=np.float64)
+    def folded(self, i: ArrayLike, n: int) -> NDArray[np.int64]:
+        """The index within ``0 .. n - 1`` that stands for `i` under the period and fold alone, by which the prefilter ends."""
+        i = np.asarray(i, dtype=np.int64)
+        if not self.period:
+            return np.asarray(np.where((i >= 0) & (i < n), i, -1))
         period = self.length(n)
-        if not period:
-            return np.asarray(np.clip(x, -margin, n + margin))
-        far = (x < -n) | (x > 2 * n)
-        return np.where(far, np.clip(x - period * np.floor(x / period), 0, period), x)
+        i = i % period
+        return i if self.fold is None else np.asarray(np.minimum(i, period - self.fold - i))
+
+    def position(self, x: ArrayLike, n: int, pad: int = 0, reach: int = 0) -> NDArray[np.float64]:
+        """Positions in samples, brought to where all taps are stored; the function there is the same.
+
+        Under "constant" what lies outside keeps its place: it has its value already. `boundary_position` in boundary.cl is the same
+        rule for kernels, and both are that of `scipy.ndimage`, to the last bit.
+        """
+        x, last = np.asarray(x, dtype=np.float64), n - 1
+        if self.outside in ("clamp", "grid-constant") or not self.period:
+            return np.asarray(np.clip(x, -(pad + reach), last + pad + reach))
+        if self.outside == "constant":
+            return x
+        if n == 1:
+            return np.zeros_like(x)
+        if self.outside == "overlap":
+            low, high = x + last * (np.floor(-x / last) + 1), x - last * np.floor(x / last)
+        else:
+            period = self.length(n)
+            high = x - period * np.floor(x / period)
+            if self.fold is None:
+                low = x + period * (np.floor(np.maximum(-1 - x, 0) / period) + 1)
+            else:
+                low = x + period * np.floor(-x / period)
+                low = np.where(low > -0.5 * period, -low - self.fold, low + period)
+                high = np.where(high >= n, period - high - self.fold, high)
+        return np.asarray(np.clip(np.where(x < 0, low, np.where(x > last, high, x)), -1, n))
 
     def matrix(self, samples: ArrayLike, n: int) -> NDArray[np.float64]:
         """The matrix of eq. (11) on an axis of `n`, for a kernel with these samples at 0, 1, 2, ...; (n, n)."""
@@ -119,7 +176,7 @@ class Boundary:
         result = np.zeros((n, n))
         rows = np.arange(n)
         for k in range(-b.size + 1, b.size):
-            columns = self.index(rows + k, n)
+            columns = self.folded(rows + k, n)
             known = columns >= 0
             np.add.at(result, (rows[known], columns[known]), b[abs(k)])
         return result
@@ -132,8 +189,13 @@ _TABLE = {
         Boundary("reflect", (2, 0), 1, "reflected about the volume's faces: c b a | a b c d | d c b"),
         Boundary("wrap", (1, 0), None, "repeated, the paper's closed curve (eq. 11): b c d | a b c d | a b c"),
         Boundary("zero", None, None, "coefficients are zero outside: 0 0 0 | a b c d | 0 0 0"),
+        Boundary("nearest", (2, 0), 1, "outer samples are repeated: a a a | a b c d | d d d", "clamp"),
+        Boundary("constant", (2, -2), 0, "one value past the outer samples, 0 or constant(v): v v v | a b c d | v v v", "constant"),
+        Boundary("grid-constant", (2, -2), 0, "samples of one value outside, 0 or grid-constant(v)", "grid-constant"),
+        Boundary("overlap", (2, -2), 0, "repeated, the last sample being the first one again: b c d | a b c d | b c d", "overlap"),
     )
 }
+_WITH_VALUE = re.compile(r"(constant|grid-constant)\(([^()]+)\)")
 
 
 def boundaries() -> dict[str, Boundary]:
@@ -142,9 +204,14 @@ def boundaries() -> dict[str, Boundary]:
 
 
 def as_boundary(choice: str | Boundary) -> Boundary:
-    """The rule for a name."""
+    """The rule for a name; "constant(v)" and "grid-constant(v)" have the value v outside."""
     if isinstance(choice, Boundary):
         return choice
+    if isinstance(choice, str) and (given := _WITH_VALUE.fullmatch(choice)):
+        try:
+            return replace(_TABLE[given[1]], name=choice, cval=float(given[2]))
+        except ValueError:
+            raise OptionError(f"the value of a boundary must be a number, as in {given[1]}(5); got {choice!r}") from None
     if not isinstance(choice, str) or choice not in _TABLE:
         raise one_of("boundary", choice, _TABLE)
     return _TABLE[choice]

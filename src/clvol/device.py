@@ -251,10 +251,11 @@ class Device:
         with _errors(self):
             return cl.Buffer(self.context, cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR, hostbuf=array)
 
-    def clear(self, buffer: Any, first: int, count: int) -> None:
-        """Set `count` float32 numbers of a buffer, from number `first` on, to zero."""
+    def clear(self, buffer: Any, first: int, count: int, kind: type[np.generic] = np.float32) -> None:
+        """Set `count` numbers of a buffer, from number `first` on, to zero."""
+        width = np.dtype(kind).itemsize
         with _errors(self):
-            opencl().enqueue_fill_buffer(self.queue, buffer, np.float32(0), 4 * first, 4 * count)
+            opencl().enqueue_fill_buffer(self.queue, buffer, np.float32(0), width * first, width * count)
 
     @contextlib.contextmanager
     def lent(self, array: np.ndarray[Any, Any], *, write: bool) -> Iterator[Any]:
@@ -285,6 +286,23 @@ class Device:
                     self.queue.finish()  # after an error too: a kernel may still be writing to the array
                 buffer.release()
 
+    @contextlib.contextmanager
+    def lent_span(self, array: np.ndarray[Any, Any], *, write: bool) -> Iterator[tuple[Any, np.int64, NDArray[np.int64]]]:
+        """The memory that an array [z, y, x] of any layout lies in, as `lent`; where it starts there; its strides along x, y, z.
+
+        Where it starts and its strides count elements, and must be whole numbers of them. A device that does not share the host's
+        memory writes all of it back, gaps included.
+        """
+        width = array.itemsize
+        reaches = [(n - 1) * stride for n, stride in zip(array.shape, array.strides, strict=True)]
+        before = -sum(reach for reach in reaches if reach < 0)
+        length = (before + sum(reach for reach in reaches if reach > 0)) // width + 1
+        lowest = array[tuple(slice(-1, None) if reach < 0 else slice(0, 1) for reach in reaches)]
+        span = np.lib.stride_tricks.as_strided(lowest, (length,), (width,))
+        with self.lent(span, write=write) as buffer:
+            strides = [stride // width for stride in array.strides[::-1]]
+            yield buffer, np.int64(before // width), np.array([*strides, 0], np.int64)
+
     def image_of(self, buffer: Any, shape: tuple[int, int, int]) -> Any:
         """A float image with the first numbers of `buffer`, of shape (z, y, x)."""
         cl = opencl()
@@ -303,12 +321,14 @@ class Device:
             opencl().enqueue_copy(self.queue, array, buffer)
 
     @contextlib.contextmanager
-    def mapped(self, buffer: Any, shape: tuple[int, ...], *, write: bool) -> Iterator[np.ndarray[Any, Any]]:
-        """A float32 buffer as an array: no copy where the device shares the host's memory."""
+    def mapped(
+        self, buffer: Any, shape: tuple[int, ...], *, write: bool, kind: type[np.generic] = np.float32
+    ) -> Iterator[np.ndarray[Any, Any]]:
+        """A buffer of numbers of `kind` as an array: no copy where the device shares the host's memory."""
         cl = opencl()
         flags = cl.map_flags.WRITE if write else cl.map_flags.READ
         with _errors(self):
-            array, _ = cl.enqueue_map_buffer(self.queue, buffer, flags, 0, shape, np.float32, is_blocking=True)
+            array, _ = cl.enqueue_map_buffer(self.queue, buffer, flags, 0, shape, kind, is_blocking=True)
         try:
             yield array
         finally:

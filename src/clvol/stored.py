@@ -48,11 +48,11 @@ class Stored:
         """What suits a volume's samples, which are finite.
 
         An offset, about the middle of the range, is taken off samples that lie further than 8 times their range from zero, if
-        the filter's weights sum to one and the boundary rule puts no zeros outside. Samples that float32 holds and that are all
-        the same need none. An exponent brings the largest magnitude that is left to 1/2..1 if it is beyond 2**-90..2**90, or if a
-        filter's prefilter gains so much that it would overflow.
+        the filter's weights sum to one and the boundary rule puts no values of its own outside. Samples that float32 holds and
+        that are all the same need none. An exponent brings the largest magnitude that is left to 1/2..1 if it is beyond
+        2**-90..2**90, or if a filter's prefilter gains so much that it would overflow.
         """
-        movable = filter.sums_to_one and boundary.period is not None
+        movable = filter.sums_to_one and boundary.period is not None and boundary.outside != "grid-constant"
         if volume.data.dtype.kind in "biu":
             # the type bounds their magnitude; so samples are looked at only where an offset may come out
             if not movable or not _may_be_far(volume.data):

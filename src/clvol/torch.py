@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.boundary import DEFAULT_BOUNDARY, Boundary
 from clvol.checks import number
 from clvol.device import Device, as_device
 from clvol.errors import MissingDependencyError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter
-from clvol.spline.field import Field
+from clvol.spline.field import Field, Precision
 from clvol.spline.scatter import adjoint, linear
 from clvol.volume import Volume
 
@@ -93,7 +93,8 @@ def sample(
         raise OptionError(f"points must have shape (..., 2) or (..., 3); got {tuple(points.shape)}")
     if values.ndim < d:
         raise OptionError(f"values must have at least the {d} axes that points have coordinates; got shape {tuple(values.shape)}")
-    grid = _Grid(linear(filter), as_boundary(boundary), as_device(device), _along(spacing, d), _along(origin, d))
+    precision: Precision = "double" if values.dtype == torch.float64 else "single"
+    grid = _Grid(*linear(filter, boundary), as_device(device), _along(spacing, d), _along(origin, d), precision)
     at = points
     if fill is not None:
         index = (points.detach().double() - torch.tensor(grid.origin)) / torch.tensor(grid.spacing)
@@ -117,12 +118,13 @@ class _Grid:
     device: Device
     spacing: tuple[float, ...]
     origin: tuple[float, ...]
+    precision: Precision
 
     def volume(self, data: Any) -> Volume:
         return Volume(data, self.spacing, self.origin)
 
     def field(self, values: Tensor) -> Field:
-        return Field(self.volume(values), self.filter, self.boundary, self.device)
+        return Field(self.volume(values), self.filter, self.boundary, self.device, precision=self.precision)
 
 
 class _Kept:
@@ -217,7 +219,8 @@ def _functions() -> SimpleNamespace:
 
     def _spread(grid: _Grid, given: Tensor, points: Tensor, shape: tuple[int, ...], derivative: int) -> Any:
         like = grid.volume(np.broadcast_to(np.float32(0), shape))
-        return tensor(adjoint(given, points, like, grid.filter, grid.boundary, derivative, device=grid.device), given)
+        chosen = {"device": grid.device, "precision": grid.precision}
+        return tensor(adjoint(given, points, like, grid.filter, grid.boundary, derivative, **chosen), given)
 
     return SimpleNamespace(Value=Value, Spread=Spread, Gradient=Gradient)
 

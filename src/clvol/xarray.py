@@ -25,7 +25,8 @@ from clvol.device import Device, as_device
 from clvol.errors import DataError, GeometryError, MissingDependencyError, OptionError
 from clvol.filter import DEFAULT_FILTER, as_filter
 from clvol.interop import as_array
-from clvol.ndimage.engine import Axes, Points, Precision, evaluate
+from clvol.ndimage.engine import Axes, Points, evaluate
+from clvol.spline.field import Precision
 
 try:
     import xarray
@@ -39,7 +40,7 @@ Positions = NDArray[np.float64]
 Labelled = TypeVar("Labelled", xarray.DataArray, xarray.Dataset)
 
 _ORDERS = {"nearest": 0, "linear": 1, "bspline2": 2, "bspline3": 3, "bspline4": 4, "bspline5": 5}
-_MODES = {"mirror": "mirror", "reflect": "reflect", "wrap": "grid-wrap"}  # SciPy's names
+_MODES = {"mirror": "mirror", "reflect": "reflect", "wrap": "grid-wrap", "nearest": "nearest"}  # SciPy's names
 _UNIFORM = 1e-3  # of a step: float32 coordinates are off by less
 _AT_ONCE = 3  # axes that the kernels take
 _LEFT_OUT = {"single": 2e-7, "double": 2e-14}  # of what lies beyond the margin of a block; 12 and 24 samples for cubic splines
@@ -73,7 +74,7 @@ class _Accessor(Generic[Labelled]):
         coords : mapping of dimension to number, array-like or DataArray, optional
             New coordinates; datetimes where the old ones are. Along at most 3 dimensions at points, any number on grids.
         filter : {"bspline3", "nearest", "linear", "bspline2", "bspline4", "bspline5"}
-        boundary : {"mirror", "reflect", "wrap"}
+        boundary : {"mirror", "reflect", "wrap", "nearest"}
             What lies past the outer samples; it matters near them, and beyond them if `fill` is None.
         fill : float or None
             The result where a coordinate is beyond the outer samples or is not a number; None: the boundary rule goes on.

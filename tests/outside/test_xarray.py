@@ -74,7 +74,7 @@ def test_linear_interpolation_is_that_of_xarray(name: str, lazy: bool) -> None:
         xarray.testing.assert_identical(got.coords.to_dataset(), expected.coords.to_dataset())
 
 
-@pytest.mark.parametrize(("boundary", "mode"), [("mirror", "mirror"), ("reflect", "reflect"), ("wrap", "grid-wrap")])
+@pytest.mark.parametrize(("boundary", "mode"), [("mirror", "mirror"), ("reflect", "reflect"), ("wrap", "grid-wrap"), ("nearest", "nearest")])
 @pytest.mark.parametrize(("name", "order"), [("linear", 1), ("bspline2", 2), ("bspline3", 3), ("bspline4", 4), ("bspline5", 5)])
 def test_splines_are_those_of_scipy(name: str, order: int, boundary: str, mode: str) -> None:
     data = cube()
@@ -149,7 +149,7 @@ def test_arguments_that_are_refused() -> None:
     for call, rule in (
         (lambda: data.clvol.interp(q=1), "dimension .* must be one of t, y, x; got 'q'"),
         (lambda: data.clvol.interp(x=3.1, filter="cubic"), "filter must be one of .*bspline3.*; got 'cubic'"),
-        (lambda: data.clvol.interp(x=3.1, boundary="zero"), "boundary must be one of mirror, reflect, wrap; got 'zero'"),
+        (lambda: data.clvol.interp(x=3.1, boundary="zero"), "boundary must be one of mirror, reflect, wrap, nearest; got 'zero'"),
         (lambda: data.clvol.interp(x=3.1, precision="half"), "precision must be one of single, double; got 'half'"),
         (lambda: data.clvol.interp({"x": 3.1}, y=2), "as a mapping or as keywords, not both"),
         (lambda: data.clvol.interp(x=[[3.1]]), r"'x' with several axes must be a DataArray.*\(1, 1\)"),

@@ -120,7 +120,7 @@ class Uncertainty:
         self._magnitude = float(np.abs(made.stored(np.array(volume.limits, np.float64))).max()) or 1.0  # in stored units
         self._samples = Coefficients(drawn, _ROOM, field.boundary, field.device, made.stored)
         try:
-            self._samples.copy_samples()
+            self._samples.copy_samples(drawn.data)
             self._samples.fill_halo()
         except BaseException:
             self._samples.release()

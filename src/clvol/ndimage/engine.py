@@ -1,20 +1,46 @@
-"""What the functions of `clvol.ndimage` stand on: coefficients of arrays, and their spline on grids and at points, by SciPy's rules."""
+"""What `clvol.ndimage` stands on: coefficients of arrays, and their spline on grids and at points, as SciPy has them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.device import Device
+from clvol.boundary import as_boundary
+from clvol.device import Device, as_device
+from clvol.filter import Filter, as_filter
+from clvol.spline.build import DefineDict, scalar_defines
+from clvol.spline.coefficients import OPENCL_TYPES, Coefficients, Lattice, regular
+from clvol.spline.evaluator import DIRECT
+from clvol.spline.field import Precision, precision_kind
+from clvol.spline.points import Given, Transform, sample_grid, sample_into
+from clvol.spline.prefilter import gain_along, prefilter_in_place
+from clvol.spline.resample import resample_axes
 
-__all__ = ["Affine", "Axes", "Points", "Precision", "Target", "coefficients", "evaluate"]
+__all__ = ["Affine", "Axes", "Points", "Target", "coefficients", "evaluate"]
 
 Array: TypeAlias = NDArray[Any]
-Precision: TypeAlias = Literal["single", "double"]
+
+_BOUNDARIES = {
+    "mirror": "mirror",
+    "reflect": "reflect",
+    "grid-mirror": "reflect",
+    "wrap": "overlap",
+    "grid-wrap": "wrap",
+    "nearest": "nearest",
+    "constant": "constant",
+    "grid-constant": "grid-constant",
+}
+_PART = 1 << 25  # bytes of results that are made before they are converted
+_PROBES = 8  # along each axis, of samples that are looked at
+_FAR = 8  # times their range from zero samples lie for which float32 is not enough
+_LEAST, _MOST = 2.0**-90, 2.0**90  # magnitudes that float32 holds through the prefilter and derivatives
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,26 +129,79 @@ def evaluate(
     progress : callable, optional
         Called with the fraction done.
     """
-    import itertools
-
-    from scipy import ndimage
-
-    data, axes = np.asarray(data), list(axes)
-    kept = [axis for axis in range(data.ndim) if axis not in axes]
-    moved = data.transpose(kept + axes)
-    if isinstance(target, Axes):
-        at: Array = np.stack(np.meshgrid(*target.positions, indexing="ij"))
-    elif isinstance(target, Affine):
-        index = np.indices(target.shape, np.float64)
-        at = np.stack(
-            [sum(m * i for m, i in zip(row, index, strict=True)) + o for row, o in zip(target.matrix, target.offset, strict=True)]
-        )
-    else:
-        at = target.coordinates
+    chosen = as_device(device)
+    axes = tuple(axes)
+    kept = tuple(axis for axis in range(data.ndim) if axis not in axes)
     onto = output if isinstance(target, Points) else output.transpose(kept + axes)
-    for index in itertools.product(*(range(data.shape[axis]) for axis in kept)):
-        part = onto[index]
-        part[...] = ndimage.map_coordinates(moved[index], at, output.dtype, order, mode, cval, prefilter)
+    if isinstance(target, Affine) and len(axes) == 1:
+        target = Axes((np.arange(target.shape[0]) * target.matrix[0, 0] + target.offset[0],))
+    if isinstance(target, Axes) and len(axes) > 1:  # rows of coefficients along the axis that is closest in memory
+        closest = sorted(range(len(axes)), key=lambda i: -abs(data.strides[axes[i]]))
+        axes = tuple(axes[i] for i in closest)
+        target = Axes(tuple(target.positions[i] for i in closest))
+        onto = onto.transpose((*range(len(kept)), *(len(kept) + i for i in closest)))
+    moved = data.transpose(kept + axes)
+    batch = moved.shape[: len(kept)]
+    kind = _kind(precision, data, output, chosen)
+    boundary = as_boundary(_BOUNDARIES[mode])
+    boundary = boundary if cval == boundary.cval else replace(boundary, cval=cval)
+    given, store = Given(cval, missing=True, edge=0.0), _Store(chosen, kind)
+    made = Coefficients(Lattice(moved.shape[len(kept) :][::-1]), _row(order, prefilter), boundary, chosen, kind=kind)
+    with made:
+        for number, index in enumerate(np.ndindex(batch)):
+            made.fill(moved[index])
+            for done in _evaluated(made, target, onto[index], store, given):
+                if progress:
+                    progress((number + done) / math.prod(batch))
+
+
+def _evaluated(made: Coefficients, target: Target, output: Array, store: _Store, given: Given) -> Iterator[float]:
+    """Write one volume's values at a target, part by part; the fraction done after each."""
+    if isinstance(target, Points):
+        planes = target.coordinates.reshape(made.ndim, -1)
+        if planes.dtype not in (np.float32, np.float64) or not planes.dtype.isnative:
+            planes = planes.astype(np.float64)
+        count = planes.shape[1]
+        plain = output.flags.c_contiguous  # else points and results do not follow each other alike, and are taken at once
+        for part in store.parts(output.reshape(-1)) if plain else [slice(0, count)]:
+            with store.into(output.reshape(-1)[part] if plain else output) as results:
+                sample_into(made, DIRECT, planes[:, part], results.reshape(-1), given=given)
+            yield part.stop / max(1, count)
+        return
+    for part in store.parts(output):
+        with store.into(output[part]) as results, made.device.lent(results, write=True) as buffer:
+            if isinstance(target, Axes):
+                resample_axes(made, (target.positions[0][part], *target.positions[1:])[::-1], buffer, given)
+            else:
+                transform = Transform(target.matrix[::-1, ::-1], target.offset[::-1], np.eye(made.ndim))
+                sample_grid(made, DIRECT, transform, (1, *target.shape)[-3:], buffer, given, part=part)
+        yield part.stop / max(1, len(output))
+
+
+def _kind(precision: str, data: Array, output: Array, device: Device) -> type[np.generic]:
+    """The type of coefficients.
+
+    That of double precision also stands in where float32 would lose what the samples hold: if they lie far from zero compared
+    with their range, or are very large or small, as some of them tell; and for booleans, to which results are cut off.
+    """
+    if precision == "single" and device.has_double and (output.dtype.kind == "b" or _beyond_float32(data)):
+        return np.float64
+    return precision_kind(precision)
+
+
+def _beyond_float32(data: Array) -> bool:
+    some = data[tuple(slice(None, None, max(1, n // _PROBES)) for n in data.shape)]
+    low, high = float(some.min()), float(some.max())
+    most = max(-low, high)
+    if not math.isfinite(most) or most == 0 or data.dtype.kind == "b":
+        return False
+    return ((low > 0 or high < 0) and most > _FAR * (high - low)) or not _LEAST < most < _MOST
+
+
+@lru_cache
+def _row(order: int, prefilter: bool) -> Filter:
+    """The filter of an order of SciPy's."""
+    return as_filter({0: "nearest", 1: "linear"}.get(order, f"bspline{order}" if prefilter else f"bspline{order}-approx"))
 
 
 def coefficients(
@@ -138,11 +217,133 @@ def coefficients(
 ) -> None:
     """The spline coefficients of an array along some of its axes, up to three, into `output` (which may be `data`).
 
-    Parameters are those of `evaluate`; `output` has the shape of `data` and any real dtype.
+    Parameters are those of `evaluate`; `output` has the shape of `data` and any real dtype. An axis of one sample stays as it is.
     """
-    from scipy import ndimage
+    chosen, kind, row = as_device(device), _kind(precision, data, output, as_device(device)), _row(order, True)
+    boundary = as_boundary(_FILTERED_AS.get(mode, _BOUNDARIES[mode])).ends
+    filtered = [axis for axis in axes if data.shape[axis] > 1]
+    others = sorted((axis for axis in range(data.ndim) if axis not in filtered), key=lambda axis: -data.shape[axis])
+    held = sorted(filtered + others[: 3 - len(filtered)], key=lambda axis: -abs(data.strides[axis]))
+    kept = tuple(axis for axis in range(data.ndim) if axis not in held)
+    moved, onto = data.transpose((*kept, *held)), output.transpose((*kept, *held))
+    size = moved.shape[len(kept) :][::-1]
+    along = sorted(len(held) - 1 - held.index(axis) for axis in filtered)
+    gain = gain_along(row, boundary, size, along, kind) if row.prefilter and along else 1.0
+    store, batch = _Store(chosen, kind), moved.shape[: len(kept)]
+    with Coefficients(Lattice(size), row, boundary, chosen, kind=kind) as made:
+        extent = made.extent.tolist()
+        for number, index in enumerate(np.ndindex(batch), 1):
+            made.copy_samples(moved[index], gain)
+            if row.prefilter and along:
+                prefilter_in_place(chosen, made.buffer, row, boundary, extent, made.size[:3].tolist(), made.ndim, kind, along)
+            store.inner(made, onto[index])
+            if progress:
+                progress(number / math.prod(batch))
 
-    result = np.asarray(data)
-    for axis in axes:
-        result = ndimage.spline_filter1d(result, order, axis, np.float64, mode)
-    output[...] = result.astype(output.dtype)
+
+_FILTERED_AS = {"nearest": "reflect", "constant": "mirror", "grid-constant": "mirror", "wrap": "mirror"}
+"""The rules that SciPy's prefilter ends with where its mode has none: those of the interpolation are made so by padding."""
+
+
+class _Store:
+    """Puts results of kernels into arrays of any type and layout, whole numbers as SciPy rounds them.
+
+    Parameters
+    ----------
+    device : Device
+        Where results are made.
+    kind : type
+        np.float32 or np.float64, of results.
+    """
+
+    def __init__(self, device: Device, kind: type[np.generic]) -> None:
+        self._device, self._kind = device, kind
+        self._scratch = np.empty(0, kind)
+
+    def parts(self, output: Array) -> list[slice]:
+        """What is made of an array at a time, along its first axis: all of it where nothing is converted."""
+        length, row = len(output), np.dtype(self._kind).itemsize * math.prod(output.shape[1:])
+        if not output.size:
+            return []
+        if self._direct(output):
+            return [slice(0, length)]
+        step = max(1, _PART // row)
+        return [slice(first, min(first + step, length)) for first in range(0, length, step)]
+
+    @contextmanager
+    def into(self, output: Array) -> Iterator[Array]:
+        """A contiguous array for the results that belong into `output`, which they are put into after the block."""
+        if self._direct(output):
+            yield output
+            return
+        if self._scratch.size < output.size:
+            self._scratch = np.empty(output.size, self._kind)
+        results = self._scratch[: output.size].reshape(output.shape)
+        yield results
+        if output.ndim > 3 or not self._by_kernel(output):
+            output[...] = _converted(results, output.dtype)
+            return
+        with self._device.lent(results, write=False) as buffer:
+            sizes = (1, 1, *output.shape)[-3:]
+            self._convert(buffer, 0, sizes[2], sizes[1] * sizes[2], output)
+
+    def inner(self, made: Coefficients, output: Array) -> None:
+        """Coefficients proper into an array of their shape."""
+        if self._by_kernel(output):
+            pitch, area = int(made.extent[0]), int(made.extent[0]) * int(made.extent[1])
+            origin = sum(inside.start * step for inside, step in zip(made.inner, (area, pitch, 1), strict=True))
+            self._convert(made.buffer, origin, pitch, area, output)
+            return
+        with self._device.mapped(made.buffer, made.shape, write=False, kind=self._kind) as held:
+            output[...] = _converted(held[made.inner].reshape(output.shape), output.dtype)
+
+    def _direct(self, output: Array) -> bool:
+        return output.dtype == self._kind and output.dtype.isnative and output.flags.c_contiguous and output.flags.aligned
+
+    def _by_kernel(self, output: Array) -> bool:
+        name = OPENCL_TYPES.get(output.dtype.str[1:])
+        known = name is not None and (name != "double" or self._device.has_double)
+        return self._device.shares_memory and known and regular(output)
+
+    def _convert(self, buffer: Any, origin: int, pitch: int, area: int, output: Array) -> None:
+        device, kind = self._device, output.dtype
+        output = output[(None,) * (3 - output.ndim)]
+        name = OPENCL_TYPES[kind.str[1:]]
+        low, high = (0.0, 0.0) if kind.kind == "f" else _limits(kind, self._kind)
+        defines: DefineDict = {"RESULT": name, "WHOLE": {"f": 0, "b": 2}.get(kind.kind, 1), "COORD_DOUBLE": int(name == "double")}
+        kernel = device.build("spline/store.cl", {**defines, **scalar_defines(self._kind)}).kernel("store_results")
+        nz, ny, nx = output.shape
+        with device.lent_span(output, write=True) as (array, first, strides), device.errors:
+            kernel(
+                device.queue,
+                (ny, nz),
+                (1, 1),
+                buffer,
+                *map(np.uint64, (origin, pitch, area)),
+                np.int32(nx),
+                array,
+                first,
+                strides,
+                self._kind(low),
+                self._kind(high),
+            )
+
+
+def _limits(kind: np.dtype[Any], held: type[np.generic]) -> tuple[float, float]:
+    """The smallest and the largest number of a type of whole numbers that float32 or float64 holds."""
+    if kind.kind == "b":
+        return 0.0, 1.0
+    low, high = int(np.iinfo(kind).min), int(np.iinfo(kind).max)
+    below = held(high)
+    return float(low), float(below if int(below) <= high else np.nextafter(below, held(0)))
+
+
+def _converted(values: Array, kind: np.dtype[Any]) -> Array:
+    """Values of kernels in a type; whole numbers are rounded, halves away from zero, and clipped, as SciPy does."""
+    if kind.kind not in "biu":
+        with np.errstate(over="ignore"):
+            return values.astype(kind)
+    wide = values.astype(np.float64) if kind.kind == "b" else values + np.copysign(0.5, values)
+    low, high = _limits(kind, values.dtype.type)
+    with np.errstate(invalid="ignore"):
+        return np.where(np.isnan(wide), low, np.clip(np.trunc(wide), low, high)).astype(kind)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
@@ -23,6 +25,7 @@ __all__ = [
     "point_defines",
     "row_reach",
     "row_width",
+    "scalar_defines",
 ]
 
 DefineDict: TypeAlias = dict[str, str | int | float]
@@ -38,19 +41,25 @@ def row_reach(filter: Filter) -> int:
     return -(-filter.support // row_width(filter)) * row_width(filter)
 
 
-def literals(table: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> str:
+def literals(table: np.ndarray[tuple[int, int], np.dtype[np.float64]], write: Callable[[float], str] = literal) -> str:
     """A two-dimensional array as OpenCL C initialises one."""
-    return "{" + ",".join("{" + ",".join(map(literal, row)) + "}" for row in table.tolist()) + "}"
+    return "{" + ",".join("{" + ",".join(map(write, row)) + "}" for row in table.tolist()) + "}"
 
 
-def filter_defines(filter: Filter) -> DefineDict:
-    """What filter.cl and cell.cl need to know of a filter."""
+def filter_defines(filter: Filter, kind: type[np.generic] = np.float32) -> DefineDict:
+    """What filter.cl and cell.cl need to know of a filter that weighs coefficients of this type."""
+    return _filter_defines(filter, kind == np.float64)
+
+
+@lru_cache(maxsize=256)
+def _filter_defines(filter: Filter, double: bool) -> DefineDict:
     width, reach = row_width(filter), row_reach(filter)
     columns = np.zeros((filter.degree + 1, reach))
     columns[:, : filter.support] = filter.matrix.T
-    vector = "float" if width == 1 else f"float{width}"
+    number, write = ("double", repr) if double else ("float", literal)
+    vector = number if width == 1 else f"{number}{width}"
     rows = [
-        "{" + ",".join(f"({vector})({','.join(map(literal, part))})" for part in np.split(column, reach // width)) + "}"
+        "{" + ",".join(f"({vector})({','.join(map(write, part.tolist()))})" for part in np.split(column, reach // width)) + "}"
         for column in columns
     ]
     return {
@@ -59,10 +68,16 @@ def filter_defines(filter: Filter) -> DefineDict:
         "ROW": width,
         "CHUNKS": reach // width,
         "FILTER_COLUMNS": "{" + ",".join(rows) + "}",
-        "FILTER_TAPS": literals(filter.matrix),
+        "FILTER_TAPS": literals(filter.matrix, write),
         "LEFT": filter.support / 2 - 1,
         "GRID_SCALE": filter.scale,
+        **({"SCALAR_DOUBLE": 1} if double else {}),
     }
+
+
+def scalar_defines(kind: type[np.generic]) -> DefineDict:
+    """What platform.cl needs to know of the type of coefficients; nothing for float32."""
+    return {"SCALAR_DOUBLE": 1} if kind == np.float64 else {}
 
 
 def along_defines(filter: Filter) -> DefineDict:
@@ -78,12 +93,17 @@ def along_defines(filter: Filter) -> DefineDict:
     }
 
 
-def boundary_defines(boundary: Boundary) -> DefineDict:
-    """What boundary.cl needs to know of a rule."""
+_BOUNDARIES = {"rule": "REPEATED", "constant": "CONSTANT", "overlap": "OVERLAP", "clamp": "ENDING", "grid-constant": "ENDING"}
+
+
+def boundary_defines(boundary: Boundary, pad: int = 0, reach: int = 0) -> DefineDict:
+    """What boundary.cl needs to know of a rule, whose padding and reach are those of the coefficients."""
     return {
-        "BOUNDARY_PERIODIC": int(boundary.period is not None),
+        "BOUNDARY": _BOUNDARIES[boundary.outside] if boundary.period else "ENDING",
         "BOUNDARY_FOLDED": int(boundary.fold is not None),
         "BOUNDARY_FOLD": boundary.fold or 0,
+        "BOUNDARY_PAD": pad,
+        "BOUNDARY_REACH": reach,
     }
 
 
@@ -103,6 +123,11 @@ def evaluator_defines(evaluator: Evaluator, filter: Filter, dimensions: int, dev
     }
 
 
-def point_defines(kind: type[np.generic]) -> DefineDict:
+def point_defines(kind: type[np.generic], *, planar: bool = False, indices: bool = False) -> DefineDict:
     """What position.cl needs to know of points of this type."""
-    return {"POINT": "double" if kind == np.float64 else "float", "POINT_BITS": 8 * np.dtype(kind).itemsize}
+    return {
+        "POINT": "double" if kind == np.float64 else "float",
+        "POINT_BITS": 8 * np.dtype(kind).itemsize,
+        "PLANAR": int(planar),
+        "INDICES": int(indices),
+    }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Self
 
@@ -12,17 +13,18 @@ from numpy.typing import NDArray
 
 from clvol.boundary import Boundary
 from clvol.device import Device
-from clvol.errors import OptionError
+from clvol.errors import DeviceError, OptionError
 from clvol.filter import Filter
 from clvol.program import LANES, Program
-from clvol.spline.build import DefineDict, boundary_defines, evaluator_defines, filter_defines, row_reach
+from clvol.spline.build import DefineDict, boundary_defines, evaluator_defines, filter_defines, row_reach, scalar_defines
 from clvol.spline.evaluator import Evaluator
+from clvol.spline.prefilter import prefilter_in_place
 from clvol.stored import AS_THEY_ARE, Stored
 from clvol.volume import Volume
 
-__all__ = ["Coefficients"]
+__all__ = ["OPENCL_TYPES", "Coefficients", "Lattice", "regular"]
 
-_SAMPLES = {  # OpenCL's names of NumPy's types
+OPENCL_TYPES = {  # OpenCL's names of NumPy's types
     "b1": "uchar",
     "u1": "uchar",
     "i1": "char",
@@ -37,6 +39,29 @@ _SAMPLES = {  # OpenCL's names of NumPy's types
 }
 
 
+def regular(array: NDArray[Any]) -> bool:
+    """Whether kernels can address the elements of an array: they are native and lie whole numbers of them apart."""
+    return array.dtype.isnative and array.flags.aligned and not any(stride % array.itemsize for stride in array.strides)
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """The shape of samples that have no place in the world.
+
+    Attributes
+    ----------
+    size : tuple of int
+        Samples along x, y and z: one to three numbers.
+    """
+
+    size: tuple[int, ...]
+
+    @property
+    def ndim(self) -> int:
+        """1 to 3."""
+        return len(self.size)
+
+
 class Coefficients:
     """Room on a device for a volume's coefficients and the halo around them.
 
@@ -44,51 +69,82 @@ class Coefficients:
 
     Parameters
     ----------
-    volume : Volume
-        2-D or 3-D samples.
+    volume : Volume or Lattice
+        Of 1 to 3 axes.
     filter, boundary : Filter, Boundary
         They determine how wide the halo is and what belongs into it.
     device : Device
         Where the coefficients are stored.
     stored : Stored
         What stands for the volume's values: the coefficients are those of ``(sample - offset) * 2**-exponent``.
+    kind : type
+        np.float32 or np.float64, of the coefficients.
+    pad : int, optional
+        Samples that are put around the volume's before the prefilter; by default as many as the boundary rule says.
 
     Attributes
     ----------
     buffer : Buffer
-        float32, [z, y, x], halo included; None once released.
+        Numbers of `kind`, [z, y, x], halo included; None once released.
     extent : ndarray of int32, shape (4,)
         Row pitch, rows, slices and halo: the argument of every kernel that reads coefficients.
     size : ndarray of int32, shape (4,)
         Samples along (x, y, z), then 0.
     period : ndarray of int32, shape (4,)
         The period of the boundary rule along (x, y, z), 0 where it has none, then 0.
+    reach : int
+        How far past the padded samples the function may differ from what it is further out.
 
     Raises
     ------
+    DeviceError
+        Coefficients of float64 on a device without it.
     OutOfMemoryError
         The device has no room for them.
     """
 
-    def __init__(self, volume: Volume, filter: Filter, boundary: Boundary, device: Device, stored: Stored = AS_THEY_ARE) -> None:
-        self.volume = volume
+    def __init__(
+        self,
+        volume: Volume | Lattice,
+        filter: Filter,
+        boundary: Boundary,
+        device: Device,
+        stored: Stored = AS_THEY_ARE,
+        kind: type[np.generic] = np.float32,
+        pad: int | None = None,
+    ) -> None:
+        if kind == np.float64 and not device.has_double:
+            raise DeviceError(f"precision 'double' needs a device with float64 (cl_khr_fp64); {device.name} has none: use 'single'")
+        self._volume = volume
         self.filter = filter
         self.boundary = boundary
         self.device = device
         self.stored = stored
-        sizes = (*volume.size, 1)[:3]
+        self.kind = kind
+        self.ndim = volume.ndim
+        sizes = (*volume.size, 1, 1)[:3]
+        prefiltered = (filter.magnified_by or filter).prefilter
+        self.pad = boundary.padding(prefiltered, filter.support) if pad is None else pad
+        self.reach = boundary.reach(filter.support)
         self.size = np.array([*sizes, 0], np.int32)
         self.period = np.array([*(boundary.length(n) for n in sizes), 0], np.int32)
-        self.extent = _extent(filter, volume.ndim, tuple(filter.scale * n for n in sizes))
+        past = filter.scale * (self.pad + self.reach)
+        self.extent = _extent(filter, self.ndim, tuple(filter.scale * n for n in sizes), past)
         self.buffer: Any = device.allocate(self.nbytes)
-        device.clear(self.buffer, math.prod(self.shape), LANES)  # vectors past the last row enter bounds
+        device.clear(self.buffer, math.prod(self.shape), LANES, kind)  # vectors past the last row enter bounds
         self._image: Any = None
         self._lock = threading.Lock()
 
     @property
+    def volume(self) -> Volume:
+        """The volume that these are the coefficients of."""
+        assert isinstance(self._volume, Volume)  # nobody asks a lattice for its place in the world
+        return self._volume
+
+    @property
     def nbytes(self) -> int:
         """Size of the buffer in bytes."""
-        return 4 * (math.prod(self.shape) + LANES)  # vectors may read past the last row
+        return np.dtype(self.kind).itemsize * (math.prod(self.shape) + LANES)  # vectors may read past the last row
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -98,63 +154,90 @@ class Coefficients:
     @property
     def inner(self) -> tuple[slice, ...]:
         """Where the coefficients proper lie among those stored: [z, y, x]."""
-        halo = int(self.extent[3])
-        flat = self.volume.ndim < 3
+        return self._within(0)
+
+    def _within(self, pad: int) -> tuple[slice, ...]:
+        """`inner`, and as many more on either side."""
+        halo, d = int(self.extent[3]), self.ndim
         return tuple(
-            slice(0, 1) if axis == 2 and flat else slice(halo, halo + self.filter.scale * int(self.size[axis]))
+            slice(halo - pad, halo + self.filter.scale * int(self.size[axis]) + pad) if axis < d else slice(0, 1)
             for axis in (2, 1, 0)
         )
 
+    def reached(self, axis: int) -> tuple[float, float]:
+        """Positions along an axis, in samples, between which all taps are stored."""
+        past = float(1 + self.pad + self.reach)
+        return -past, float(self.size[axis]) - 1 + past
+
     # -- filling -----------------------------------------------------------------------------------------------
 
-    def copy_samples(self) -> None:
-        """Put the volume's samples where their coefficients will be.
+    def fill(self, data: NDArray[Any]) -> None:
+        """Make these the coefficients of samples [z, y, x] of any layout: copied, padded, prefiltered, surrounded by their halo."""
+        self.copy_samples(data)
+        if self.pad:
+            self.fill_halo()
+        if self.filter.prefilter:
+            extent, size = self.extent.copy(), self.size[:3].copy()
+            extent[3] -= self.pad
+            size[: self.ndim] += 2 * self.pad
+            prefilter_in_place(
+                self.device, self.buffer, self.filter, self.boundary, extent.tolist(), size.tolist(), self.ndim, self.kind
+            )
+        self.fill_halo(self.pad)
+
+    def copy_samples(self, data: NDArray[Any], gain: float = 1.0) -> None:
+        """Put samples, times `gain`, where their coefficients will be.
 
         All cores of a processor copy if kernels can read the samples and store them as they are; otherwise NumPy does.
         """
-        device, data, sizes = self.device, self.volume.data, self.size[:3].tolist()
-        kind = _SAMPLES.get(data.dtype.str[1:])
-        plain = data.flags.c_contiguous and data.dtype.isnative and data.flags.aligned
-        readable = plain and kind is not None and (kind != "double" or device.has_double)
+        device, sizes = self.device, self.size[:3].tolist()
+        data = data[(None,) * (3 - data.ndim)]
+        name = OPENCL_TYPES.get(data.dtype.str[1:])
+        readable = name is not None and regular(data) and (name != "double" or device.has_double)
         if device.kind != "cpu" or not readable or not self.stored.identity:
-            with device.mapped(self.buffer, self.shape, write=True) as room:
-                samples, inner = data.reshape(sizes[::-1]), room[self.inner]
-                if self.stored.identity:
-                    np.copyto(inner, samples, casting="unsafe")
+            with device.mapped(self.buffer, self.shape, write=True, kind=self.kind) as room:
+                inner = room[self.inner]
+                if self.stored.identity and gain == 1.0:
+                    np.copyto(inner, data, casting="unsafe")
+                elif self.stored.identity:
+                    np.multiply(data, self.kind(gain), out=inner, casting="unsafe")
                 else:  # slice by slice, for each is made anew and wider
-                    for target, slice_ in zip(inner, samples, strict=True):
+                    for target, slice_ in zip(inner, data, strict=True):
                         np.copyto(target, self.stored.samples(slice_), casting="unsafe")
             return
-        assert kind is not None  # it is readable
-        kernel = self._build(kind).kernel("copy_samples")
+        assert name is not None  # it is readable
+        kernel = self._build(name).kernel("copy_samples")
         pitch, area = int(self.extent[0]), int(self.extent[0]) * int(self.extent[1])
         origin = sum(inside.start * step for inside, step in zip(self.inner, (area, pitch, 1), strict=True))
         nx, ny, nz = sizes
-        slices = data.reshape(nz, ny, nx)
         some = max(1, device.limits.launch_voxels // (nx * ny))
         for first in range(0, nz, some):  # in parts, for samples of a wide type may exceed the largest allocation
-            part = slices[first : first + some]
-            with device.lent(part, write=False) as samples, device.errors:
+            part = data[first : first + some]
+            with device.lent_span(part, write=False) as (samples, start, strides), device.errors:
                 kernel(
                     device.queue,
                     (ny, len(part)),
                     (1, 1),
                     samples,
+                    start,
+                    strides,
                     self.buffer,
                     np.uint64(origin + first * area),
                     np.int32(nx),
                     np.uint64(pitch),
                     np.uint64(area),
+                    self.kind(gain),
                 )
 
-    def fill_halo(self) -> None:
-        """Surround the coefficients by what the boundary rule says lies there."""
+    def fill_halo(self, kept: int = 0) -> None:
+        """Surround the coefficients, and `kept` more on either side, by what the boundary rule says lies there."""
         device, sizes = self.device, self.size[:3].tolist()
-        halos = [inside.start for inside in self.inner[::-1]]
-        places = [
-            np.where((i := self.boundary.index(np.arange(stored) - halo, n)) < 0, -1, i + halo)
-            for stored, n, halo in zip(self.shape[::-1], sizes, halos, strict=True)
-        ]
+        known = self._within(kept)[::-1]
+        places = [np.zeros(stored, np.int64) for stored in self.shape[::-1]]
+        halo = int(self.extent[3])
+        for axis in range(self.ndim):
+            place = self.boundary.index(np.arange(self.shape[2 - axis]) - halo, sizes[axis], kept)
+            places[axis] = np.where(place < -kept, -1, place + halo)
         with device.errors:
             self._build("float").kernel("fill_halo")(
                 device.queue,
@@ -162,14 +245,26 @@ class Coefficients:
                 None,
                 self.buffer,
                 self.extent,
-                np.int32(sizes[0]),
+                np.int32(known[0].start),
+                np.int32(known[0].stop - known[0].start),
                 device.upload(np.concatenate(places).astype(np.int32)),
+                self.kind(self._beyond),
             )
         device.finish()
 
+    @property
+    def _beyond(self) -> float:
+        """The coefficient that stands where the rule gives none, in stored units."""
+        return float(self.stored(self.boundary.cval)) if self.boundary.outside == "grid-constant" else 0.0
+
     def _build(self, samples: str) -> Program:
         return self.device.build(
-            "spline/coefficients.cl", {"SAMPLE": samples, "SAMPLE_DOUBLE": int(samples == "double"), "COORD_DOUBLE": 0}
+            "spline/coefficients.cl",
+            {
+                "SAMPLE": samples,
+                "COORD_DOUBLE": int(samples == "double"),  # that doubles are known
+                **scalar_defines(self.kind),
+            },
         )
 
     # -- reading -----------------------------------------------------------------------------------------------
@@ -199,9 +294,9 @@ class Coefficients:
     def defines(self, evaluator: Evaluator) -> DefineDict:
         """What every kernel that samples these coefficients needs to know."""
         return {
-            **filter_defines(self.filter),
-            **boundary_defines(self.boundary),
-            **evaluator_defines(evaluator, self.filter, self.volume.ndim, self.device),
+            **filter_defines(self.filter, self.kind),
+            **boundary_defines(self.boundary, self.pad, self.reach),
+            **evaluator_defines(evaluator, self.filter, self.ndim, self.device),
         }
 
     def release(self) -> None:
@@ -218,13 +313,13 @@ class Coefficients:
         self.release()
 
 
-def _extent(filter: Filter, dimensions: int, sizes: tuple[int, ...]) -> NDArray[np.int32]:
+def _extent(filter: Filter, dimensions: int, sizes: tuple[int, ...], past: int) -> NDArray[np.int32]:
     """(row pitch, rows, slices, halo) of what is stored for so many coefficients along x, y and z.
 
-    The halo covers the taps of every point of the domain, and of points a sample beyond it, for central differences.
-    Rows are longer by what a vector load reads past the last tap.
+    The halo covers the taps of every point of the domain, and of points a sample beyond it, for central differences; and `past`
+    more. Rows are longer by what a vector load reads past the last tap.
     """
-    halo = filter.support // 2 + 1 + filter.scale
+    halo = filter.support // 2 + 1 + filter.scale + past
     x, y, z = sizes
     pitch = -(-(x + 2 * halo + row_reach(filter) - filter.support) // LANES) * LANES
-    return np.array([pitch, y + 2 * halo, z + 2 * halo if dimensions == 3 else 1, halo], np.int32)
+    return np.array([pitch, y + 2 * halo if dimensions > 1 else 1, z + 2 * halo if dimensions > 2 else 1, halo], np.int32)

@@ -6,60 +6,68 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import TracebackType
-from typing import Self
+from typing import Literal, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.checks import whole
+from clvol.checks import one_of, whole
 from clvol.device import Device, as_device
 from clvol.errors import OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.interop import as_array, read_array
-from clvol.program import LANES
 from clvol.smoothing import settled
-from clvol.spline.coefficients import Coefficients
-from clvol.spline.evaluator import DIRECT, EvaluatorName, FetchName, choose_evaluator
-from clvol.spline.points import Floats, Progress, Reals, in_units_of_data, sample_coefficients
-from clvol.spline.prefilter import prefilter_in_place
+from clvol.spline.coefficients import Coefficients, Lattice
+from clvol.spline.evaluator import DIRECT, Evaluator, EvaluatorName, FetchName, choose_evaluator
+from clvol.spline.points import Floats, Given, Progress, Reals, sample_coefficients
 from clvol.spline.resample import resample_coefficients
-from clvol.stored import Stored
+from clvol.stored import AS_THEY_ARE, Stored
 from clvol.volume import Volume, as_volume
 
 __all__ = [
     "Field",
     "Floats",
+    "Precision",
     "Progress",
     "Reals",
     "as_field",
     "coefficients_of",
     "magnify",
     "opened",
+    "precision_kind",
     "prefilter",
     "resample",
     "sample",
 ]
 
+Precision: TypeAlias = Literal["single", "double"]
+_PRECISIONS: dict[str, type[np.generic]] = {"single": np.float32, "double": np.float64}
 _CHANNELS = 4  # of an image in colour, at most
 
 
-def coefficients_of(volume: Volume, filter: Filter, boundary: Boundary, device: Device) -> Coefficients:
+def coefficients_of(
+    volume: Volume, filter: Filter, boundary: Boundary, device: Device, kind: type[np.generic] = np.float32
+) -> Coefficients:
     """A volume's coefficients on a device: prefiltered, surrounded by their halo, ready to be sampled.
 
-    Those of a hybrid (section 4.3) are samples of the spline on a grid of twice the density.
+    Those of a hybrid (section 4.3) are samples of the spline on a grid of twice the density. They are numbers of `kind`, float32 or
+    float64.
 
     Raises
     ------
     DataError
         A sample is NaN, infinite or too large for float64.
+    DeviceError
+        Coefficients of float64 on a device without it.
     OutOfMemoryError
         The device has no room for them.
     """
     volume.require_finite()
-    device.require_room(4 * volume.data.size * filter.scale**volume.ndim)  # before integers may be looked at
+    device.require_room(np.dtype(kind).itemsize * volume.data.size * filter.scale**volume.ndim)  # before integers may be looked at
     row = settled(filter, volume)
-    return _filled(Coefficients(volume, row, boundary, device, Stored.of(volume, row, boundary)))
+    stored = Stored.of(volume, row, boundary) if kind == np.float32 else AS_THEY_ARE
+    return _filled(Coefficients(volume, row, boundary, device, stored, kind))
 
 
 def _filled(made: Coefficients) -> Coefficients:
@@ -68,11 +76,7 @@ def _filled(made: Coefficients) -> Coefficients:
         if made.filter.magnified_by is not None:
             _fill_hybrid(made, made.filter.magnified_by)
         else:
-            made.copy_samples()
-            if made.filter.prefilter:
-                extent, size = made.extent.tolist(), made.size[:3].tolist()
-                prefilter_in_place(made.device, made.buffer, made.filter, made.boundary, extent, size, made.volume.ndim)
-            made.fill_halo()
+            made.fill(made.volume.data)
     except BaseException:
         made.release()
         raise
@@ -81,10 +85,10 @@ def _filled(made: Coefficients) -> Coefficients:
 
 def _fill_hybrid(made: Coefficients, by: Filter) -> None:
     """Fill the coefficients of a hybrid, halo included, by samples of the spline of `by`."""
-    scale, halo, d = made.filter.scale, int(made.extent[3]), made.volume.ndim
-    steps = np.array([1 / scale] * d + [0.0] * (3 - d))
-    with _filled(Coefficients(made.volume, by, made.boundary, made.device, made.stored)) as coarse:
-        resample_coefficients(coarse, DIRECT, np.diag(steps), -halo * steps, made.shape, made.buffer)
+    scale, halo, d = made.filter.scale, int(made.extent[3]), made.ndim
+    steps = np.eye(d) / scale
+    with _filled(Coefficients(made.volume, by, made.boundary, made.device, made.stored, made.kind)) as coarse:
+        resample_coefficients(coarse, DIRECT, steps, np.full(d, -halo / scale), made.shape, made.buffer, Given(edge=0.5))
 
 
 class Field:
@@ -100,9 +104,11 @@ class Field:
     filter : str or Filter
         A name in `clvol.filters()`, or a filter of your own.
     boundary : str or Boundary
-        "mirror", "reflect", "wrap" or "zero": what lies past the outer samples.
+        "mirror", "reflect", "wrap", …: what lies past the outer samples; see `clvol.boundaries`.
     device : Device, str or int, optional
         See `as_device`; None is the default device.
+    precision : {"single", "double"}
+        Of coefficients and results: float32, or float64 on devices that have it.
 
     Attributes
     ----------
@@ -153,18 +159,26 @@ class Field:
         filter: str | Filter = DEFAULT_FILTER,
         boundary: str | Boundary = DEFAULT_BOUNDARY,
         device: Device | str | int | None = None,
+        *,
+        precision: Precision = "single",
     ) -> None:
         self.volume = as_volume(volume)
         row = as_filter(filter)
         self.boundary = as_boundary(boundary)
+        kind = precision_kind(precision)
         self.device = as_device(device)
-        self.coefficients = coefficients_of(self.volume, row, self.boundary, self.device)
+        self.coefficients = coefficients_of(self.volume, row, self.boundary, self.device, kind)
         self.filter = self.coefficients.filter
 
     def __repr__(self) -> str:
         shape = " × ".join(map(str, self.volume.shape))
         state = ", closed" if self.closed else ""
         return f"<Field of {shape} samples, {self.filter.name}, {self.boundary.name}, on {self.device.name!r}{state}>"
+
+    @property
+    def precision(self) -> Precision:
+        """Of coefficients and results: "single" or "double"."""
+        return "double" if self.coefficients.kind == np.float64 else "single"
 
     @property
     def nbytes(self) -> int:
@@ -219,7 +233,8 @@ class Field:
         Returns
         -------
         ndarray of float32, shape (...)
-            float64 where the samples lie far from zero, or are very large or small: see the notes of `Field`.
+            float64 in double precision, and where the samples lie far from zero, or are very large or small: see the notes of
+            `Field`.
 
         Raises
         ------
@@ -277,7 +292,7 @@ class Field:
     ) -> Reals:
         d = self.volume.ndim
         array = _points(points, d)
-        chosen = choose_evaluator(self.device, self.filter, evaluator, fetch)
+        chosen = self._evaluator(evaluator, fetch)
         flat = sample_coefficients(self.coefficients, chosen, array.reshape(-1, d), derivative, _fill_value(fill), progress)
         return flat.reshape(array.shape[:-1] + (d,) * derivative)
 
@@ -376,14 +391,22 @@ class Field:
         fill: float | None,
         progress: Progress | None,
     ) -> Reals:
-        device = self.device
-        chosen, fill = choose_evaluator(device, self.filter, evaluator, fetch), _fill_value(fill)
-        device.require_room(4 * math.prod(shape))
-        self.coefficients.argument(chosen)  # a closed field is refused before the result is made
-        result = np.empty(shape, np.float32)
+        device, made, given = self.device, self.coefficients, Given(_fill_value(fill))
+        chosen = self._evaluator(evaluator, fetch)
+        device.require_room(np.dtype(made.kind).itemsize * math.prod(shape))
+        made.argument(chosen)  # a closed field is refused before the result is made
+        result = np.empty(shape, made.kind)
         with device.lent(result, write=True) as buffer:
-            resample_coefficients(self.coefficients, chosen, matrix, offset, (1, *shape)[-3:], buffer, fill, progress)
-        return in_units_of_data(self.coefficients.stored, result, 0, fill)
+            resample_coefficients(made, chosen, matrix, offset, (1, *shape)[-3:], buffer, given, progress)
+        return given.in_units_of_data(made, result, 0)
+
+    def _evaluator(self, evaluator: str, fetch: str) -> Evaluator:
+        """The one that is named, or suits the device: images hold float32 alone."""
+        if self.precision == "single":
+            return choose_evaluator(self.device, self.filter, evaluator, fetch)
+        if fetch == "image":
+            raise OptionError("fetch must be 'buffer' or 'auto' where precision is 'double': images hold float32; got 'image'")
+        return choose_evaluator(self.device, self.filter, evaluator, "buffer")
 
 
 # -- a Field, or what one is made of -----------------------------------------------------------------------------
@@ -394,13 +417,14 @@ def as_field(
     filter: str | Filter | None = None,
     boundary: str | Boundary | None = None,
     device: Device | str | int | None = None,
+    precision: Precision | None = None,
 ) -> Field:
     """A Field as it is, or a new one of a volume.
 
     Parameters
     ----------
     volume : Volume, array-like or Field
-    filter, boundary, device
+    filter, boundary, device, precision
         As of `Field`; None is its default, or, where a Field is given, what that has.
 
     Raises
@@ -412,7 +436,11 @@ def as_field(
     """
     if not isinstance(volume, Field):
         return Field(
-            volume, DEFAULT_FILTER if filter is None else filter, DEFAULT_BOUNDARY if boundary is None else boundary, device
+            volume,
+            DEFAULT_FILTER if filter is None else filter,
+            DEFAULT_BOUNDARY if boundary is None else boundary,
+            device,
+            precision="single" if precision is None else precision,
         )
     for what, own, same, name in (
         ("filter", volume.filter, filter is None or settled(filter, volume.volume) == volume.filter, filter),
@@ -424,6 +452,11 @@ def as_field(
                 f"the field was made with {what} {own.name!r}, which cannot be changed to {getattr(name, 'name', name)!r}; "
                 f"leave {what} out, or make another Field"
             )
+    if precision is not None and precision != volume.precision:
+        raise OptionError(
+            f"the field was made with precision {volume.precision!r}, which cannot be changed to {precision!r}; "
+            "leave precision out, or make another Field"
+        )
     return volume
 
 
@@ -433,9 +466,10 @@ def opened(
     filter: str | Filter | None = None,
     boundary: str | Boundary | None = None,
     device: Device | str | int | None = None,
+    precision: Precision | None = None,
 ) -> Iterator[Field]:
     """`as_field` for the time of a block: a Field that was made for it is closed at its end, one that was given is not."""
-    field = as_field(volume, filter, boundary, device)
+    field = as_field(volume, filter, boundary, device, precision)
     try:
         yield field
     finally:
@@ -457,6 +491,7 @@ def sample(
     fetch: FetchName = "auto",
     fill: float | None = None,
     device: Device | str | int | None = None,
+    precision: Precision | None = None,
     progress: Progress | None = None,
 ) -> Reals:
     """The reconstructed function, its gradient or its Hessian at points of the world (eqs 8 and 9 of the paper).
@@ -480,6 +515,8 @@ def sample(
         As in a call of `Field`.
     device : Device, str or int, optional
         See `as_device`; default that of the Field, if one is given.
+    precision : {"single", "double"}, optional
+        As of `Field`; default "single", or that of the Field.
 
     Returns
     -------
@@ -498,7 +535,7 @@ def sample(
     if not isinstance(volume, Field):
         volume = as_volume(volume)
         _points(points, volume.ndim)  # before the volume is prefiltered
-    with opened(volume, filter, boundary, device) as field:
+    with opened(volume, filter, boundary, device, precision) as field:
         at = (field.__call__, field.gradient, field.hessian)[derivative]
         return at(points, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress)
 
@@ -515,6 +552,7 @@ def resample(
     fetch: FetchName = "auto",
     fill: float | None = None,
     device: Device | str | int | None = None,
+    precision: Precision | None = None,
     progress: Progress | None = None,
 ) -> Volume:
     """The volume on another grid; give exactly one of `shape`, `spacing` and `like`.
@@ -525,7 +563,7 @@ def resample(
         2-D or 3-D samples; an array has spacing 1 and origin 0.
     shape, spacing, like, fill
         As in `Field.resample`. No low-pass is applied: see `Volume.gaussian` before making voxels larger.
-    filter, boundary, device
+    filter, boundary, device, precision
         As in `sample`.
     evaluator, fetch, progress
         As in a call of `Field`.
@@ -544,7 +582,7 @@ def resample(
     if not isinstance(volume, Field):
         volume = as_volume(volume)
         _grid_for(volume, shape, spacing, like)  # before the volume is prefiltered
-    with opened(volume, filter, boundary, device) as field:
+    with opened(volume, filter, boundary, device, precision) as field:
         return field.resample(shape, spacing, like, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress)
 
 
@@ -557,6 +595,7 @@ def magnify(
     evaluator: EvaluatorName = "auto",
     fetch: FetchName = "auto",
     device: Device | str | int | None = None,
+    precision: Precision | None = None,
     progress: Progress | None = None,
 ) -> Volume:
     """The volume with `factor` times the samples along each axis, the given ones among them (section 4.3).
@@ -567,7 +606,7 @@ def magnify(
         2-D or 3-D samples; an array has spacing 1 and origin 0.
     factor : int
         At least 1; see `Field.magnify` for where the new samples lie.
-    filter, boundary, device
+    filter, boundary, device, precision
         As in `sample`.
     evaluator, fetch, progress
         As in a call of `Field`.
@@ -584,7 +623,7 @@ def magnify(
         As `Field` and `Field.magnify` raise them.
     """
     factor = whole("factor", factor, minimum=1)
-    with opened(volume, filter, boundary, device) as field:
+    with opened(volume, filter, boundary, device, precision) as field:
         return field.magnify(factor, evaluator=evaluator, fetch=fetch, progress=progress)
 
 
@@ -593,6 +632,8 @@ def prefilter(
     filter: str | Filter = DEFAULT_FILTER,
     boundary: str | Boundary = DEFAULT_BOUNDARY,
     device: Device | str | int | None = None,
+    *,
+    precision: Precision = "single",
 ) -> Reals:
     """Spline coefficients of samples (section 4.2 of the paper).
 
@@ -603,9 +644,11 @@ def prefilter(
     filter : str or Filter
         One that needs no prefilter gives the samples back; a hybrid gives those of the filter that magnifies.
     boundary : str or Boundary
-        "mirror", "reflect", "wrap" or "zero".
+        "mirror", "reflect", "wrap", …; those of padded samples are cut back to the given ones.
     device : Device, str or int, optional
         See `as_device`.
+    precision : {"single", "double"}
+        As of `Field`.
 
     Returns
     -------
@@ -627,30 +670,18 @@ def prefilter(
     array, _ = read_array(data)  # coefficients have no geometry
     line = array.ndim == 1
     volume = Volume(array[None] if line else array)
-    chosen, boundary, device = as_filter(filter), as_boundary(boundary), as_device(device)
+    chosen, boundary, kind, device = as_filter(filter), as_boundary(boundary), precision_kind(precision), as_device(device)
     chosen = settled(chosen.magnified_by or chosen, volume)
     if line:
-        return np.asarray(_prefilter_line(volume, chosen, boundary, device)[0])
-    with coefficients_of(volume, chosen, boundary, device) as made, device.mapped(made.buffer, made.shape, write=False) as stored:
-        own = np.array(stored[made.inner]).reshape(volume.shape)
-        return made.stored.values(own, _gain(chosen) ** volume.ndim)
-
-
-def _prefilter_line(volume: Volume, filter: Filter, boundary: Boundary, device: Device) -> Reals:
-    """The coefficients of an image of a single row, filtered along x alone."""
-    volume.require_finite()
-    stored = Stored.of(volume, filter, boundary)
-    n = volume.size[0]
-    pitch = -(-n // LANES) * LANES
-    buffer = device.allocate(4 * pitch)
-    with device.mapped(buffer, (1, pitch), write=True) as room:
-        np.copyto(room[:, :n], stored.samples(volume.data), casting="unsafe")
-    if filter.prefilter:
-        prefilter_in_place(device, buffer, filter, boundary, (pitch, 1, 1, 0), (n, 1, 1), 1)
-    with device.mapped(buffer, (1, pitch), write=False) as room:
-        result = np.array(room[:, :n])
-    buffer.release()
-    return stored.values(result, _gain(filter))
+        volume.require_finite()
+        stored = Stored.of(volume, chosen, boundary) if kind == np.float32 else AS_THEY_ARE
+        made = Coefficients(Lattice(array.shape), chosen, boundary, device, stored, kind)
+        made.fill(stored.samples(array))
+    else:
+        made = coefficients_of(volume, chosen, boundary, device, kind)
+    with made, device.mapped(made.buffer, made.shape, write=False, kind=kind) as held:
+        own = np.array(held[made.inner]).reshape(array.shape)
+        return made.stored.values(own, _gain(chosen) ** array.ndim)
 
 
 def _gain(filter: Filter) -> float:
@@ -667,6 +698,13 @@ def _points(points: ArrayLike, d: int) -> NDArray[np.generic]:
     if array.dtype.kind not in "biuf" or array.ndim == 0 or array.shape[-1] != d:
         raise OptionError(f"points must be numbers of shape (..., {d}); got {array.dtype} of shape {array.shape}")
     return array
+
+
+def precision_kind(precision: str) -> type[np.generic]:
+    """The type of numbers for "single" or "double"."""
+    if precision not in _PRECISIONS:
+        raise one_of("precision", precision, _PRECISIONS)
+    return _PRECISIONS[precision]
 
 
 def _fill_value(fill: float | None) -> float | None:

@@ -4,26 +4,113 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.boundary import Boundary
 from clvol.device import Device
 from clvol.program import LANES, Program
-from clvol.spline.build import point_defines
+from clvol.spline.build import DefineDict, point_defines
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, Evaluator
 from clvol.spline.sort import Sorter, scattered
-from clvol.stored import Reals, Stored
+from clvol.stored import Reals
 
-__all__ = ["Floats", "Progress", "Reals", "in_units_of_data", "kernel_fill", "sample_coefficients", "sample_grid"]
+__all__ = [
+    "NOTHING_GIVEN",
+    "Floats",
+    "Given",
+    "Progress",
+    "Reals",
+    "Transform",
+    "sample_coefficients",
+    "sample_grid",
+    "sample_into",
+]
 
 Floats: TypeAlias = NDArray[np.float32]
 Progress: TypeAlias = Callable[[float], None]
 
 _RUN = 512  # points that a work-item of a processor takes, a multiple of LANES
 _MIN_LAUNCH = 1 << 10  # points
+
+
+@dataclass(frozen=True)
+class Given:
+    """What the function is given outside the volume's domain, in place of what the boundary rule says.
+
+    Attributes
+    ----------
+    fill : float, optional
+        The value; None: the boundary rule goes on.
+    missing : bool
+        Whether it stands for positions alone that are not finite; these are NaN otherwise.
+    edge : float, optional
+        How far past the outer samples the domain goes; None: as far as the boundary rule says.
+    """
+
+    fill: float | None = None
+    missing: bool = False
+    edge: float | None = None
+
+    def defines(self, boundary: Boundary) -> DefineDict:
+        """What outside.cl needs to know."""
+        return {
+            "FILL": 0 if self.fill is None else 2 if self.missing else 1,
+            "EDGE": boundary.edge if self.edge is None else self.edge,
+        }
+
+    def values(self, coefficients: Coefficients, derivative: int) -> NDArray[Any]:
+        """The values that kernels write: infinities, which no sample gives, where these would not survive the way back."""
+        stored, cval = coefficients.stored, coefficients.boundary.cval
+        if stored.alters(derivative):
+            return np.array([math.inf, -math.inf], coefficients.kind)
+        with np.errstate(over="ignore"):
+            return np.array([0.0 if self.fill is None else self.fill, cval], coefficients.kind)
+
+    def in_units_of_data(self, coefficients: Coefficients, results: Reals, derivative: int) -> Reals:
+        """Results of kernels in units of the data."""
+        stored = coefficients.stored
+        if not stored.alters(derivative):
+            return results
+        floats = np.asarray(results, np.float32)  # those of double precision are stored as they are
+        final = stored.derivatives(floats) if derivative else stored.values(floats)
+        for value, mark in ((self.fill, math.inf), (coefficients.boundary.cval, -math.inf)):
+            if value is not None:
+                final[floats == mark] = value
+        return final
+
+
+NOTHING_GIVEN = Given()
+
+
+@dataclass(frozen=True, eq=False)
+class Transform:
+    """From positions to indices.
+
+    Attributes
+    ----------
+    matrix, offset : ndarray of float64, shapes (d, d) and (d,)
+        Index = matrix @ position + offset, x first.
+    slopes : ndarray of float64, shape (d, d)
+        Derivatives per unit of the world are those per index times this.
+    """
+
+    matrix: NDArray[np.float64]
+    offset: NDArray[np.float64]
+    slopes: NDArray[np.float64]
+
+    def upload(self, device: Device) -> Any:
+        """The transform of points.cl."""
+        d = len(self.offset)
+        whole = np.zeros(21)
+        for numbers, square in ((self.matrix, whole[:9]), (self.slopes, whole[12:])):
+            square.reshape(3, 3)[:d, :d] = numbers
+        whole[9 : 9 + d] = self.offset
+        return device.upload(whole.astype(np.float64 if device.has_double else np.float32))
 
 
 def sample_coefficients(
@@ -33,13 +120,14 @@ def sample_coefficients(
     derivative: int = 0,
     fill: float | None = None,
     progress: Progress | None = None,
+    out: NDArray[Any] | None = None,
 ) -> Reals:
     """The function or its derivatives at world positions.
 
     Parameters
     ----------
     coefficients : Coefficients
-        Of the function.
+        Of the function, which is that of a volume.
     evaluator : Evaluator
         How it is evaluated. Second derivatives always take direct taps.
     points : ndarray, shape (N, d)
@@ -51,104 +139,130 @@ def sample_coefficients(
         The result outside the domain; None: the boundary rule goes on.
     progress : callable, optional
         Called with the fraction done.
+    out : ndarray, optional
+        Contiguous, of the type of the coefficients, for the results of kernels.
 
     Returns
     -------
     ndarray of float32 or float64, shape (N,), (N, d) or (N, d * d)
-        In units of the data, per world unit; float64 where it differs from what is stored.
+        In units of the data, per world unit; float64 where it differs from what is stored. It is `out` where that holds it.
     """
-    device, volume, d = coefficients.device, coefficients.volume, coefficients.volume.ndim
+    inverse = coefficients.volume.world_to_index_matrix
+    transform = Transform(inverse, -inverse @ np.asarray(coefficients.volume.origin), inverse)
+    shape = points.shape[:1] + (() if derivative == 0 else (coefficients.ndim**derivative,))
+    results = np.empty(shape, coefficients.kind) if out is None else out.reshape(shape)
+    given = Given(fill)
+    sample_into(coefficients, evaluator, points, results, transform, derivative, given, progress)
+    return given.in_units_of_data(coefficients, results, derivative)
+
+
+def sample_into(
+    coefficients: Coefficients,
+    evaluator: Evaluator,
+    points: NDArray[Any],
+    results: NDArray[Any],
+    transform: Transform | None = None,
+    derivative: int = 0,
+    given: Given = NOTHING_GIVEN,
+    progress: Progress | None = None,
+) -> None:
+    """The function or its derivatives at positions, as kernels give them.
+
+    Parameters
+    ----------
+    coefficients, evaluator, derivative, progress
+        As in `sample_coefficients`.
+    points : ndarray, shape (N, d) or (d, N)
+        Positions (x, y[, z]), point by point, if there is a `transform`; else indices, axis by axis, in the order of the array's
+        axes.
+    results : ndarray
+        Contiguous, of the type of the coefficients.
+    transform : Transform, optional
+        From positions to indices.
+    given : Given
+        What the function is outside.
+    """
+    device, d, planar = coefficients.device, coefficients.ndim, transform is None
+    count = points.shape[1 if planar else 0]
     kind = np.float64 if device.has_double and points.dtype != np.float32 else np.float32
     lanes = _in_lanes(coefficients, evaluator, derivative)
-    sorting = lanes and (device.limits.sorting if device.limits.sorting is not None else scattered(coefficients, points))
-    sorter = Sorter(coefficients, kind, points.shape[0]) if sorting else None
-    built = _build(coefficients, evaluator, derivative, fill, kind, on_grid=False, sorted=sorting)
-    inverse = volume.world_to_index_matrix
-    transform = _transform(device, inverse, -inverse @ np.asarray(volume.origin), inverse)
-    results = np.empty((points.shape[0], d**derivative), np.float32)
-    kernel = built.kernel("sample_points")
+    steps = None if transform is None else transform.matrix
+    sorting = lanes and (device.limits.sorting if device.limits.sorting is not None else scattered(coefficients, points, steps))
+    sorter = Sorter(coefficients, kind, count, planar=planar) if sorting else None
     source = coefficients.argument(evaluator)
+    built = _build(coefficients, evaluator, derivative, given, kind, planar=planar, sorted=sorting)
+    kernel = built.kernel("sample_points")
+    matrix = (transform or Transform(np.eye(d), np.zeros(d), np.eye(d))).upload(device)
     launch = _launch_points(coefficients, evaluator)
     step = launch if sorter is None else sorter.room
-    for first in range(0, points.shape[0], step):
-        part = np.ascontiguousarray(points[first : first + step], dtype=kind)
-        target = results[first : first + step]
-        count = target.shape[0]
-        with device.lent(part, write=False) as given, device.lent(target, write=True) as wanted, device.errors:
-            ready = given if sorter is None else sorter.sort(given, count, transform)
-            for begin in range(0, count, launch):
-                some = min(launch, count - begin)
+    if planar and points.dtype == kind:
+        step = count if sorter is None else step
+    flat = results.reshape(count, -1)
+    for first in range(0, count, step):
+        part = np.ascontiguousarray(points[:, first : first + step] if planar else points[first : first + step], dtype=kind)
+        target = flat[first : first + step]
+        some, planes = len(target), part.shape[1] if planar else 0
+        with device.lent(part, write=False) as lent, device.lent(target, write=True) as wanted, device.errors:
+            ready = lent if sorter is None else sorter.sort(lent, planes, some, matrix)
+            for begin in range(0, some, launch):
+                now = min(launch, some - begin)
                 kernel(
                     device.queue,
-                    (-(-some // _RUN),) if lanes else (-(-some // 64) * 64,),
+                    (-(-now // _RUN),) if lanes else (-(-now // 64) * 64,),
                     (1,) if lanes else (64,),
                     source,
                     coefficients.extent,
                     coefficients.size,
                     coefficients.period,
-                    transform,
+                    matrix,
                     ready,
-                    np.uint64(begin + some),
-                    kernel_fill(coefficients.stored, derivative, fill),
+                    np.uint64(planes),
+                    np.uint64(begin + now),
+                    given.values(coefficients, derivative),
                     wanted,
                     global_offset=(begin // _RUN if lanes else begin,),
                 )
                 device.finish()
                 if progress:
-                    progress((first + begin + some) / points.shape[0])
-    return in_units_of_data(coefficients.stored, results[:, 0] if derivative == 0 else results, derivative, fill)
-
-
-def kernel_fill(stored: Stored, derivative: int, fill: float | None) -> np.float32:
-    """What kernels write outside the domain: infinity, which no sample gives, where `fill` would not survive the way back."""
-    if fill is None:
-        return np.float32(0)
-    return np.float32(math.inf if stored.alters(derivative) else fill)
-
-
-def in_units_of_data(stored: Stored, results: Floats, derivative: int, fill: float | None) -> Reals:
-    """Results of kernels in units of the data, and `fill` outside the domain."""
-    if not stored.alters(derivative):
-        return results
-    final = stored.derivatives(results) if derivative else stored.values(results)
-    if fill is not None:
-        final[np.isinf(results)] = fill
-    return final
+                    progress((first + begin + now) / count)
 
 
 def sample_grid(
     coefficients: Coefficients,
     evaluator: Evaluator,
-    matrix: NDArray[np.float64],
-    offset: NDArray[np.float64],
+    transform: Transform,
     shape: tuple[int, ...],
     buffer: Any,
-    fill: float | None = None,
+    given: Given = NOTHING_GIVEN,
     progress: Progress | None = None,
+    part: slice | None = None,
 ) -> None:
-    """`resample_coefficients`, point by point."""
+    """`resample_coefficients`, point by point; of the part of the grid along its first axis of more than one point, if given."""
     device = coefficients.device
-    built = _build(coefficients, evaluator, 0, fill, np.float32, on_grid=True, sorted=False)
-    transform = _transform(device, matrix, offset, coefficients.volume.world_to_index_matrix)
+    built = _build(coefficients, evaluator, 0, given, None, planar=False, sorted=False)
+    matrix = transform.upload(device)
     kernel = built.kernel("sample_grid")
     nz, ny, nx = shape
+    y_part, z_part = (slice(0, ny), slice(0, nz)) if part is None else (part, slice(0, 1)) if nz == 1 else (slice(0, ny), part)
     points = _launch_points(coefficients, evaluator)
     rows, slices = max(1, min(ny, points // nx)), max(1, points // (nx * ny))
     items, together = (-(-nx // _RUN), 1) if _in_lanes(coefficients, evaluator, 0) else (-(-nx // 8) * 8, 8)
-    parts = [(z, y) for z in range(0, nz, slices) for y in range(0, ny, rows)]
+    parts = [(z, y) for z in range(z_part.start, z_part.stop, slices) for y in range(y_part.start, y_part.stop, rows)]
+    base = np.uint64((z_part.start * ny + y_part.start) * nx)
     for done, (z, y) in enumerate(parts, 1):
         with device.errors:
             kernel(
                 device.queue,
-                (items, min(rows, ny - y), min(slices, nz - z)),
+                (items, min(rows, y_part.stop - y), min(slices, z_part.stop - z)),
                 (together, 1, 1),
                 coefficients.argument(evaluator),
                 coefficients.extent,
                 coefficients.size,
                 coefficients.period,
-                transform,
+                matrix,
                 np.array([nx, ny, y, z], np.int32),
-                kernel_fill(coefficients.stored, 0, fill),
+                base,
+                given.values(coefficients, 0),
                 buffer,
             )
         device.finish()
@@ -156,35 +270,26 @@ def sample_grid(
             progress(done / len(parts))
 
 
-def _transform(device: Device, matrix: NDArray[np.float64], offset: NDArray[np.float64], slopes: NDArray[np.float64]) -> Any:
-    """The transform of points.cl: from positions to indices, and from index to world derivatives."""
-
-    def square(m: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.pad(m, ((0, 3 - m.shape[0]), (0, 3 - m.shape[1])))
-
-    whole = np.concatenate([square(matrix).ravel(), np.pad(offset, (0, 3 - offset.size)), square(slopes).ravel()])
-    return device.upload(whole.astype(np.float64 if device.has_double else np.float32))
-
-
 def _build(
     coefficients: Coefficients,
     evaluator: Evaluator,
     derivative: int,
-    fill: float | None,
-    kind: type[np.generic],
+    given: Given,
+    kind: type[np.generic] | None,
     *,
-    on_grid: bool,
+    planar: bool,
     sorted: bool,
 ) -> Program:
+    """points.cl for points of this type, or for a grid."""
     lanes, run = (LANES, _RUN) if _in_lanes(coefficients, evaluator, derivative) else (1, 1)
     defines = {
         **coefficients.defines(evaluator),
-        **point_defines(kind),
+        **point_defines(kind or np.float32, planar=planar, indices=planar),
+        **given.defines(coefficients.boundary),
         "DERIVATIVE": derivative,
-        "FILL": int(fill is not None),
         "LANES": lanes,
         "RUN": run,
-        "ON_GRID": int(on_grid),
+        "ON_GRID": int(kind is None),
         "SORTED": int(sorted),
     }
     return coefficients.device.build("spline/points.cl", defines)
@@ -200,4 +305,4 @@ def _in_lanes(coefficients: Coefficients, evaluator: Evaluator, derivative: int)
 def _launch_points(coefficients: Coefficients, evaluator: Evaluator) -> int:
     """How many points a launch takes, so that it is short whatever the filter; images may be sampled in software."""
     taps = coefficients.device.limits.launch_taps * (1 if evaluator.image else 4)
-    return max(_MIN_LAUNCH, taps // int(coefficients.filter.support**coefficients.volume.ndim) // _RUN * _RUN)
+    return max(_MIN_LAUNCH, taps // int(coefficients.filter.support**coefficients.ndim) // _RUN * _RUN)

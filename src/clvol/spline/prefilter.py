@@ -16,11 +16,15 @@ from clvol.boundary import Boundary
 from clvol.device import Device
 from clvol.filter import Filter
 from clvol.program import LANES
+from clvol.spline.build import scalar_defines
 
-__all__ = ["prefilter_in_place"]
+__all__ = ["gain_along", "prefilter_in_place"]
 
 _CHAINS = 4  # vectors of lines that one work-item of a processor filters side by side
-_START_ERROR = 1e-9  # what the starting values may leave out, relative to the data
+_START_ERRORS: dict[type[np.generic], float] = {
+    np.float32: 1e-9,
+    np.float64: 1e-18,
+}  # what the starting values may leave out, relative to the data
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +42,8 @@ class _Plan:
         backwards.
     head, tail : int
         How many samples of either end count.
+    left_out : float
+        Relative to the data, what samples further in would add.
     """
 
     stages: list[tuple[float, float]]
@@ -45,20 +51,21 @@ class _Plan:
     sums: NDArray[np.float64]
     head: int
     tail: int
+    left_out: float
 
     @property
     def split(self) -> bool:
         """Whether samples near the first one count for causal recursions alone, and those near the last for anticausal ones."""
-        return bool(max(np.abs(self.sums[:, 0, :, 1]).max(), np.abs(self.sums[:, 1, :, 0]).max()) < _START_ERROR)
+        return bool(max(np.abs(self.sums[:, 0, :, 1]).max(), np.abs(self.sums[:, 1, :, 0]).max()) < self.left_out)
 
-    def arguments(self, device: Device, gain: float, sums: float) -> tuple[Any, ...]:
+    def arguments(self, device: Device, gain: float, sums: float, kind: type[np.generic]) -> tuple[Any, ...]:
         """What prefilter.cl reads: the samples are multiplied by `gain`, and the sums by `sums`."""
         numbers = np.concatenate([np.ravel(self.stages), [gain], sums * self.sums.ravel()])
-        return (device.upload(numbers.astype(np.float32)), *map(np.int32, (self.sums.shape[-1], self.head, self.tail)))
+        return (device.upload(numbers.astype(kind)), *map(np.int32, (self.sums.shape[-1], self.head, self.tail)))
 
 
 @lru_cache(maxsize=256)
-def _plan(row: Filter, boundary: Boundary, n: int, order: int, count: int) -> _Plan:
+def _plan(row: Filter, boundary: Boundary, n: int, order: int, count: int, left_out: float) -> _Plan:
     """The recursions of `row`, which is the same along all axes, on an axis of `n` samples: `count` stages of `order` poles.
 
     A stage has a causal recursion ``y[i] = x[i] + a1 y[i-1] + a2 y[i-2]`` and an anticausal one, the first of them of samples
@@ -68,14 +75,14 @@ def _plan(row: Filter, boundary: Boundary, n: int, order: int, count: int) -> _P
     the largest pole.
     """
     poles, b = row.poles, row.undone
-    nearest = float(np.abs(poles).max(initial=_START_ERROR))
-    reach = math.ceil(math.log(_START_ERROR) / math.log(nearest)) + 2 * order * count
+    nearest = float(np.abs(poles).max(initial=left_out))
+    reach = math.ceil(math.log(left_out) / math.log(nearest)) + 2 * order * count
     m = min(n, 4 * reach)  # a longer axis has the same ends
     inverse = np.linalg.inv(boundary.matrix(b, m))  # rows: coefficients as sums over samples
     stages = _stages(poles, order)
     stages += [(0.0, 0.0)] * (count - len(stages))  # which change nothing: another axis has more poles
     margin = 2 * order * len(stages)
-    index = boundary.index(np.arange(-margin, m + margin), m)
+    index = boundary.folded(np.arange(-margin, m + margin), m)
     output = np.where(index[:, None] >= 0, inverse[index], 0.0)  # the coefficients and what lies past the edge
     starts = []  # of the last stage first
     zero = margin  # where index 0 lies in `output`
@@ -95,7 +102,7 @@ def _plan(row: Filter, boundary: Boundary, n: int, order: int, count: int) -> _P
     ends[:, 0, :head] = weights[:, :head]
     ends[:, 1, :tail] = weights[:, ::-1][:, :tail]
     gain = 1 / b[-1] * (1.0 if order == 1 else float(np.prod(-poles).real))  # two poles leave theirs to the causal recursion
-    return _Plan(stages, gain, ends.reshape(count, 2, order, 2, reach), head, tail)
+    return _Plan(stages, gain, ends.reshape(count, 2, order, 2, reach), head, tail, left_out)
 
 
 def _stages(poles: NDArray[Any], order: int) -> list[tuple[float, float]]:
@@ -109,7 +116,15 @@ def _stages(poles: NDArray[Any], order: int) -> list[tuple[float, float]]:
 
 
 def prefilter_in_place(
-    device: Device, buffer: Any, filter: Filter, boundary: Boundary, extent: Sequence[int], size: Sequence[int], dimensions: int
+    device: Device,
+    buffer: Any,
+    filter: Filter,
+    boundary: Boundary,
+    extent: Sequence[int],
+    size: Sequence[int],
+    dimensions: int,
+    kind: type[np.generic] = np.float32,
+    axes: Sequence[int] | None = None,
 ) -> None:
     """Turn samples into coefficients where they are stored (section 4.2).
 
@@ -118,7 +133,7 @@ def prefilter_in_place(
     device : Device
         Where the buffer is.
     buffer : Buffer
-        float32, [z, y, x], with a halo on every side whose content is lost.
+        Numbers of `kind`, [z, y, x], with a halo on every side whose content is lost.
     filter, boundary : Filter, Boundary
         What is solved for. The filter has a prefilter.
     extent : (int, int, int, int)
@@ -127,30 +142,33 @@ def prefilter_in_place(
         Samples along x, y and z.
     dimensions : int
         The first so many of x, y and z are filtered.
+    kind : type
+        np.float32 or np.float64.
+    axes : sequence of int, optional
+        Those that are filtered alone, 0 for x. If x is not among them the samples must have been multiplied by `gain_along`.
     """
     pitch, area, halo = extent[0], extent[0] * extent[1], extent[3]
     nx, ny, nz = size
     chains = _CHAINS if device.kind == "cpu" else 1  # elsewhere other work-items fill the wait for a product
-    rows = [filter.along(axis) for axis in range(dimensions)]
-    poles = max(row.poles.size for row in rows)
-    order, count = (1, 1) if poles == 1 else (2, max(1, -(-poles // 2)))  # without poles a stage divides alone
-    plans = [_plan(row, boundary, n, order, count) for row, n in zip(rows, size, strict=False)]
+    axes = range(dimensions) if axes is None else axes
+    order, count, plans = _plans(filter, boundary, size, axes, kind)
     built = device.build(
         "spline/prefilter.cl",
         {
             "ORDER": order,
             "STAGES": count,
-            "SPLIT": int(all(plan.split for plan in plans)),
+            "SPLIT": int(all(plan.split for plan in plans.values())),
             "CHAINS": chains,
             "LANES": LANES,
             "COORD_DOUBLE": 0,
+            **scalar_defines(kind),
         },
     )
-    others = math.prod(plan.gain for plan in plans[1:])  # taken by the rows, which come first
-    along = [
-        plan.arguments(device, 1.0, 1 / plan.gain) if axis else plan.arguments(device, plan.gain * others, others)
-        for axis, plan in enumerate(plans)
-    ]
+    others = math.prod(plan.gain for axis, plan in plans.items() if axis)  # taken by the rows, which come first
+    along = {
+        axis: plan.arguments(device, 1.0, 1 / plan.gain, kind) if axis else plan.arguments(device, plan.gain * others, others, kind)
+        for axis, plan in plans.items()
+    }
 
     def launch(name: str, groups: int, lines: int, origin: int, stride: int, voxels: int, *arguments: Any) -> None:
         """Launches over `lines` lines or slices, `stride` apart, of so many voxels each."""
@@ -165,17 +183,35 @@ def prefilter_in_place(
                 *arguments,
             )
 
-    first_row = (halo * area if extent[2] > 1 else 0) + halo * pitch  # its halo is filtered too, in vain
+    first_row = (halo * area if extent[2] > 1 else 0) + (halo * pitch if extent[1] > 1 else 0)  # its halo is filtered too, in vain
     lines = np.int32(nx), np.uint64(pitch), np.int32(ny), np.uint64(area)
     wide = -(-pitch // (LANES * chains))
     with device.errors:
-        if device.kind == "cpu" and dimensions > 1 and nz >= 4 * device.units:
+        if device.kind == "cpu" and 0 in along and 1 in along and nz >= 4 * device.units:
             launch("prefilter_slices", 1, nz, first_row + halo, area, area, *lines, np.int32(halo), *along[0], *along[1])
         else:
-            launch("prefilter_rows", -(-ny // (2 * LANES)), nz, first_row + halo, area, area, *lines, *along[0])
-            if dimensions > 1:
+            if 0 in along:
+                launch("prefilter_rows", -(-ny // (2 * LANES)), nz, first_row + halo, area, area, *lines, *along[0])
+            if 1 in along:
                 columns = np.int32(ny), np.uint64(pitch), np.int32(pitch), np.uint64(area)
                 launch("prefilter_columns", wide, nz, first_row, area, area, *columns, *along[1])
-        if dimensions > 2:
+        if 2 in along:
             columns = np.int32(nz), np.uint64(area), np.int32(pitch), np.uint64(pitch)
             launch("prefilter_columns", wide, ny, first_row, pitch, nz * pitch, *columns, *along[2])
+
+
+def gain_along(filter: Filter, boundary: Boundary, size: Sequence[int], axes: Sequence[int], kind: type[np.generic]) -> float:
+    """What samples are multiplied by where x is not filtered; 1 where it is, for the rows then do it."""
+    _, _, plans = _plans(filter, boundary, size, axes, kind)
+    return 1.0 if 0 in plans else math.prod(plan.gain for plan in plans.values())
+
+
+def _plans(
+    filter: Filter, boundary: Boundary, size: Sequence[int], axes: Sequence[int], kind: type[np.generic]
+) -> tuple[int, int, dict[int, _Plan]]:
+    """Poles a stage, stages, and how the lines of each axis are filtered."""
+    rows = {axis: filter.along(axis) for axis in axes}
+    poles = max(row.poles.size for row in rows.values())
+    order, count = (1, 1) if poles == 1 else (2, max(1, -(-poles // 2)))  # without poles a stage divides alone
+    ends, left_out = boundary.ends, _START_ERRORS[kind]
+    return order, count, {axis: _plan(row, ends, size[axis], order, count, left_out) for axis, row in rows.items()}

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clvol.program import LANES
+from clvol.spline.build import scalar_defines
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, Evaluator
-from clvol.spline.points import Progress, kernel_fill, sample_grid
+from clvol.spline.points import NOTHING_GIVEN, Given, Progress, Transform, sample_grid
 
-__all__ = ["resample_coefficients"]
+__all__ = ["along_axes", "resample_axes", "resample_coefficients"]
 
 _BLOCK = 16  # rows that resample.cl makes at once
 _ITEMS_A_CORE = 16  # work-items for each core, so that no core waits long for another
@@ -26,10 +29,10 @@ def resample_coefficients(
     offset: NDArray[np.float64],
     shape: tuple[int, ...],
     buffer: Any,
-    fill: float | None = None,
+    given: Given = NOTHING_GIVEN,
     progress: Progress | None = None,
 ) -> None:
-    """Values in stored units at index positions ``matrix @ (i, j, k) + offset`` into a float32 buffer.
+    """Values in stored units at index positions ``matrix @ (i, j, k) + offset`` into a buffer.
 
     Parameters
     ----------
@@ -42,55 +45,68 @@ def resample_coefficients(
     shape : (int, int, int)
         Points of the grid along z, y and x.
     buffer : Buffer
-        Where the values go, [z, y, x].
-    fill : float, optional
-        What belongs outside the domain, where `kernel_fill` of it is written; None: the boundary rule goes on.
+        Of the type of the coefficients, where the values go, [z, y, x].
+    given : Given
+        What the function is outside.
     progress : callable, optional
         Called with the fraction done.
     """
-    if coefficients.device.kind == "cpu" and evaluator == DIRECT and _along_axes(matrix, shape):
-        _resample_axes(coefficients, np.diag(matrix), offset, shape, buffer, fill, progress)
+    if along_axes(coefficients, evaluator) and _no_shear(matrix, shape):
+        positions = [o + s * np.arange(n) for o, s, n in zip(offset, np.diag(matrix), shape[::-1], strict=False)]
+        resample_axes(coefficients, positions, buffer, given, progress)
     else:
-        sample_grid(coefficients, evaluator, matrix, offset, shape, buffer, fill, progress)
+        sample_grid(coefficients, evaluator, Transform(matrix, offset, np.eye(len(offset))), shape, buffer, given, progress)
 
 
-def _along_axes(matrix: NDArray[np.float64], shape: tuple[int, ...]) -> bool:
+def along_axes(coefficients: Coefficients, evaluator: Evaluator) -> bool:
+    """Whether `resample_axes` serves: on processors, by direct taps."""
+    return coefficients.device.kind == "cpu" and evaluator == DIRECT
+
+
+def _no_shear(matrix: NDArray[np.float64], shape: tuple[int, ...]) -> bool:
     """Whether the axes of a grid of shape (z, y, x) are the volume's, but for rounding."""
     across = matrix - np.diag(np.diag(matrix))
     return bool((np.abs(across) * np.array(shape[::-1])[: len(matrix)]).max() < _NO_SHEAR)
 
 
 def _axis_taps(
-    coefficients: Coefficients, axis: int, positions: NDArray[np.float64]
+    coefficients: Coefficients, axis: int, positions: NDArray[np.float64], edge: float
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """The stored coefficients along an axis that make the function at `positions` in samples, and their weights; (N, taps)."""
-    boundary, n = coefficients.boundary, int(coefficients.size[axis])
-    taps, scale = coefficients.filter.support, coefficients.filter.scale
-    halo, end = int(coefficients.extent[3]), int(coefficients.extent[axis])
-    base, t = coefficients.filter.cell(boundary.position(positions, n, 2 * taps + 2))
-    weights = coefficients.filter.weights(t).T
-    place = base.astype(np.int64)[:, None] + np.arange(taps)
-    stored = (place >= -halo) & (place < end - halo)
-    if boundary.period:
-        return np.where(stored, place, boundary.folded(place, n, scale)) + halo, weights
-    return np.where(stored, place + halo, 0), np.where(stored, weights, 0.0)
+    boundary, n, row = coefficients.boundary, int(coefficients.size[axis]), coefficients.filter
+    inside = (positions >= -edge) & (positions <= n - 1 + edge)
+    if not inside.all():
+        brought = np.where(np.isfinite(positions), positions, 0.0)
+        brought = boundary.position(brought, n, coefficients.pad, coefficients.reach)
+        positions = np.where(inside, positions, np.clip(brought, *coefficients.reached(axis)))
+    base, t = row.cell(positions)
+    weights = row.weights(t).T
+    return base.astype(np.int64)[:, None] + (np.arange(row.support) + int(coefficients.extent[3])), weights
 
 
-def _resample_axes(
+def resample_axes(
     coefficients: Coefficients,
-    step: NDArray[np.float64],
-    start: NDArray[np.float64],
-    shape: tuple[int, ...],
+    positions: Sequence[NDArray[np.float64]],
     buffer: Any,
-    fill: float | None,
-    progress: Progress | None,
+    given: Given = NOTHING_GIVEN,
+    progress: Progress | None = None,
 ) -> None:
-    """`resample_coefficients` one axis after the other, for a grid along the volume's axes."""
-    device, taps, d = coefficients.device, coefficients.filter.support, coefficients.volume.ndim
-    nz, ny, nx = shape
-    positions = [start[axis] + step[axis] * np.arange(n) for axis, n in enumerate((nx, ny, nz)[:d])]
+    """Values in stored units on a grid whose axes are the volume's, one axis after the other.
+
+    Parameters
+    ----------
+    coefficients, buffer, given, progress
+        As in `resample_coefficients`, of a device that is a processor.
+    positions : sequence of ndarray of float64
+        Those of the grid along x, y and z, in samples. They may lie anywhere.
+    """
+    device, taps, d = coefficients.device, coefficients.filter.support, coefficients.ndim
+    edge = coefficients.boundary.edge if given.edge is None else given.edge
+    nx, ny, nz = (*(len(along) for along in positions), 1, 1)[:3]
     whole_vectors = np.pad(positions[0], (0, -nx % LANES), mode="edge")
-    axes = [_axis_taps(coefficients, axis, x) for axis, x in enumerate([whole_vectors, *positions[1:]])]
+    axes = [_axis_taps(coefficients, axis, x, edge) for axis, x in enumerate([whole_vectors, *positions[1:]])]
+    if d == 1:  # the only row
+        axes.append((np.zeros((1, taps), np.int64), np.eye(1, taps)))
     places, weights = zip(*axes, strict=True)
     # the part of a row that is used, in whole vectors: rows are a whole number of them
     left = places[0].min() // LANES * LANES
@@ -105,13 +121,14 @@ def _resample_axes(
             used.append(distinct)
     tables = [
         device.upload(np.concatenate([part.ravel() for part in parts]).astype(kind))
-        for parts, kind in ((places, np.int32), (weights, np.float32), ([blocks], np.int32), (used, np.int32))
+        for parts, kind in ((places, np.int32), (weights, coefficients.kind), ([blocks], np.int32), (used, np.int32))
     ]
     units, pitch, area = nz * len(blocks), int(coefficients.extent[0]), int(coefficients.extent[0]) * int(coefficients.extent[1])
     items, room = min(units, _ITEMS_A_CORE * device.units), width * (2 * LANES + int(blocks[:, 1].max()))
-    scratch = device.allocate(4 * items * room)
+    scratch = device.allocate(np.dtype(coefficients.kind).itemsize * items * room)
     grid = np.array([nx, ny, nz, places[0].size], np.int32)
-    built = device.build("spline/resample.cl", {"TAPS": taps, "DIMENSIONS": d, "BLOCK": _BLOCK, "LANES": LANES, "COORD_DOUBLE": 0})
+    defines = {"TAPS": taps, "DIMENSIONS": max(2, d), "BLOCK": _BLOCK, "LANES": LANES, "COORD_DOUBLE": 0}
+    built = device.build("spline/resample.cl", {**defines, **scalar_defines(coefficients.kind)})
     some = max(1, LANES * device.limits.launch_taps // (_BLOCK * nx * taps * d))
     for first in range(0, units, some):
         count = min(some, units - first)
@@ -137,8 +154,30 @@ def _resample_axes(
         if progress:
             progress((first + count) / units)
     scratch.release()
-    if fill is not None:
-        with device.mapped(buffer, shape, write=True) as values:
-            for axis, (x, n) in enumerate(zip(positions, coefficients.volume.size, strict=True)):
-                outside = (x < -0.5) | (x > n - 0.5)
-                np.moveaxis(values, 2 - axis, 0)[outside] = kernel_fill(coefficients.stored, 0, fill)
+    _put_values(coefficients, positions, (nz, ny, nx), buffer, given, edge)
+
+
+def _put_values(
+    coefficients: Coefficients,
+    positions: Sequence[NDArray[np.float64]],
+    shape: tuple[int, int, int],
+    buffer: Any,
+    given: Given,
+    edge: float,
+) -> None:
+    """Write the values that the function is given outside."""
+    fill, cval = given.values(coefficients, 0)
+    filled, valued = given.fill is not None and not given.missing, coefficients.boundary.outside == "constant"
+    writes: list[tuple[int, NDArray[np.bool_], float]] = []  # the axis, where along it, and what; the last one stands
+    lost = []
+    for axis, (x, n) in enumerate(zip(positions, coefficients.size.tolist(), strict=False)):
+        finite = np.isfinite(x)
+        if (valued or filled) and (outside := finite & ~((x >= -edge) & (x <= n - 1 + edge))).any():
+            writes.append((axis, outside, fill if filled else cval))
+        if not finite.all():
+            lost.append((axis, ~finite, fill if given.missing else math.nan))
+    if not writes and not lost:
+        return
+    with coefficients.device.mapped(buffer, shape, write=True, kind=coefficients.kind) as values:
+        for axis, where, value in writes + lost:
+            np.moveaxis(values, 2 - axis, 0)[where] = value

@@ -10,15 +10,15 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary, boundaries
 from clvol.checks import several, whole
 from clvol.device import Device, as_device
-from clvol.errors import OptionError
+from clvol.errors import DeviceError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.interop import as_array
 from clvol.spline.build import boundary_defines, filter_defines, point_defines
-from clvol.spline.field import prefilter
-from clvol.spline.points import _transform
+from clvol.spline.field import Precision, precision_kind, prefilter
+from clvol.spline.points import Transform
 from clvol.stored import Reals
 from clvol.volume import Volume
 
@@ -39,6 +39,7 @@ def adjoint(
     derivative: int = 0,
     *,
     device: Device | str | int | None = None,
+    precision: Precision = "single",
 ) -> Reals:
     """The adjoint of `clvol.sample`, which spreads values at points onto a grid of samples.
 
@@ -62,10 +63,12 @@ def adjoint(
         Of the sampling: 0 for values, 1 for gradients.
     device : Device, str or int, optional
         See `as_device`.
+    precision : {"single", "double"}
+        Of results: float32, or float64 on devices that have it.
 
     Returns
     -------
-    ndarray of float32, of the shape of `like`
+    ndarray of float32 or float64, of the shape of `like`
 
     Raises
     ------
@@ -95,14 +98,16 @@ def adjoint(
         )
     if not np.isfinite(added).all():
         raise OptionError("values must be finite; got NaN or infinite ones")
-    row, rule, chosen = linear(filter), as_boundary(boundary), as_device(device)
-    stored = _scattered(added.reshape(-1, d**derivative), at.reshape(-1, d), grid, row, rule, derivative, chosen)
+    (row, rule), kind, chosen = linear(filter, boundary), precision_kind(precision), as_device(device)
+    if kind == np.float64 and not chosen.has_double:
+        raise DeviceError(f"precision 'double' needs a device with float64 (cl_khr_fp64); {chosen.name} has none: use 'single'")
+    stored = _scattered(added.reshape(-1, d**derivative), at.reshape(-1, d), grid, row, rule, derivative, kind, chosen)
     for axis, n in enumerate(grid.shape):
         stored = _brought_back(stored, axis, n, row.support, rule)
     if not row.prefilter:
         return stored
     _scale_folds(stored, rule, 2.0)
-    result = prefilter(stored, row, rule, chosen)
+    result = prefilter(stored, row, rule, chosen, precision=precision)
     _scale_folds(result, rule, 0.5)
     return result.astype(stored.dtype, copy=False)
 
@@ -113,19 +118,29 @@ def _grid(shape: Sequence[int]) -> Volume:
     return Volume(np.broadcast_to(np.float32(0), sizes))
 
 
-def linear(filter: str | Filter) -> Filter:
-    """The filter, if sampling through it is linear in the samples and takes one grid."""
-    row = as_filter(filter)
+def linear(filter: str | Filter, boundary: str | Boundary) -> tuple[Filter, Boundary]:
+    """The filter and the rule, if sampling through them is one linear map on one grid."""
+    row, rule = as_filter(filter), as_boundary(boundary)
     if row.magnify is not None:
         raise OptionError(f"the adjoint needs a filter on the samples' own grid; got the hybrid {row.name!r}")
     if not row.settled:
         raise OptionError(f"the adjoint needs a filter that no volume decides on: smoothing must be numbers; got {row.name!r}")
-    return row
+    if rule.outside != "rule":
+        known = [name for name, one in boundaries().items() if one.outside == "rule"]
+        raise OptionError(f"the adjoint needs a boundary rule that extends coefficients: {', '.join(known)}; got {rule.name!r}")
+    return row, rule
 
 
 def _scattered(
-    added: Samples, points: Samples, grid: Volume, row: Filter, rule: Boundary, derivative: int, device: Device
-) -> NDArray[np.float32]:
+    added: Samples,
+    points: Samples,
+    grid: Volume,
+    row: Filter,
+    rule: Boundary,
+    derivative: int,
+    scalar: type[np.generic],
+    device: Device,
+) -> Samples:
     """Values times the weights of their points' taps, with a margin of as many coefficients as there are taps."""
     from scipy import sparse
 
@@ -137,7 +152,6 @@ def _scattered(
     bricks = np.array([*(-(-n // brick) for n in stored[:d].tolist()), 1, 0][:4], np.int32)
     size = np.array([*grid.size, 1, 0][:4], np.int32)
     period = np.array([*(rule.length(n) for n in grid.size), 0, 0][:4], np.int32)
-    scalar = np.float32
     kind = np.float64 if device.has_double and points.dtype != np.float32 else np.float32
     result = np.zeros(tuple(n + 2 * taps for n in grid.shape), scalar)
     if count == 0:
@@ -145,8 +159,8 @@ def _scattered(
     built = device.build(
         "spline/scatter.cl",
         {
-            **filter_defines(row),
-            **boundary_defines(rule),
+            **filter_defines(row, scalar),
+            **boundary_defines(rule, 0, rule.reach(taps)),
             **point_defines(kind),
             "DIMENSIONS": d,
             "DERIVATIVE": derivative,
@@ -156,7 +170,7 @@ def _scattered(
         },
     )
     inverse = grid.world_to_index_matrix
-    transform = _transform(device, inverse, -inverse @ np.asarray(grid.origin), inverse)
+    transform = Transform(inverse, -inverse @ np.asarray(grid.origin), inverse).upload(device)
     item, components = np.dtype(scalar).itemsize, d**derivative
     places, fractions, weights = (device.allocate(n * count) for n in (8, item * d, item * components))
     brick_of = np.empty(count, np.uint32)

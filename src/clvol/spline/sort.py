@@ -22,15 +22,21 @@ _PAIRS = 1024  # of successive points that are looked at
 _FAR = 16  # samples between two points that share nothing that a cache holds
 
 
-def scattered(coefficients: Coefficients, points: NDArray[Any]) -> bool:
-    """Whether most successive points lie too far apart to share what a cache holds, and are worth sorting."""
-    count, rows = points.shape[0], coefficients.filter.support ** (coefficients.volume.ndim - 1)
+def scattered(coefficients: Coefficients, points: NDArray[Any], matrix: NDArray[np.float64] | None) -> bool:
+    """Whether most successive points lie too far apart to share what a cache holds, and are worth sorting.
+
+    They are positions (N, d), which the matrix makes differences of indices of, or indices (d, N).
+    """
+    count, rows = points.shape[0 if matrix is not None else 1], coefficients.filter.support ** (coefficients.ndim - 1)
     nbytes = coefficients.nbytes
     if nbytes < _CACHED or rows < _MIN_ROWS or 64 * count * rows < _MIN_VISITS * nbytes:
         return False
     at = np.linspace(0, count - 2, _PAIRS).astype(np.int64)
     with np.errstate(over="ignore", invalid="ignore"):
-        apart = (points[at + 1].astype(np.float64) - points[at]) @ coefficients.volume.world_to_index_matrix.T
+        if matrix is None:
+            apart = points[:, at + 1].astype(np.float64) - points[:, at]
+            return bool((np.abs(apart).max(axis=0) > _FAR).mean() > 0.5)
+        apart = (points[at + 1].astype(np.float64) - points[at]) @ matrix.T
         return bool((np.abs(apart).max(axis=1) > _FAR).mean() > 0.5)
 
 
@@ -45,6 +51,8 @@ class Sorter:
         np.float32 or np.float64, of the points.
     count : int
         How many points there are.
+    planar : bool
+        Whether they are indices, axis by axis.
 
     Attributes
     ----------
@@ -52,7 +60,7 @@ class Sorter:
         How many points are sorted at a time: `Limits.sorted_bytes` of them.
     """
 
-    def __init__(self, coefficients: Coefficients, kind: type[np.generic], count: int) -> None:
+    def __init__(self, coefficients: Coefficients, kind: type[np.generic], count: int, *, planar: bool) -> None:
         self._device, self._size = coefficients.device, coefficients.size
         device, last = self._device, self._size[:3].astype(np.int64) - 1
         bits = next(b for b in range(32) if math.prod(((last >> b) + 1).tolist()) <= _BRICKS)
@@ -62,13 +70,13 @@ class Sorter:
         self._program = device.build(
             "spline/sort.cl",
             {
-                "DIMENSIONS": coefficients.volume.ndim,
+                "DIMENSIONS": coefficients.ndim,
                 "LANES": LANES,
                 "BRICKS": _BRICKS,
                 "ON_GRID": 0,
                 "SORTED": 0,
                 "COORD_DOUBLE": int(device.has_double),
-                **point_defines(kind),
+                **point_defines(kind, planar=planar, indices=planar),
             },
         )
         record = 4 * np.dtype(kind).itemsize
@@ -77,18 +85,18 @@ class Sorter:
         self._bricks = device.allocate(2 * self.room)
         self._counts = device.allocate(4 * self._items * _BRICKS)
 
-    def sort(self, points: Any, count: int, transform: Any) -> Any:
+    def sort(self, points: Any, planes: int, count: int, transform: Any) -> Any:
         """A buffer of `count` points, at most `room`, as another buffer, which the next call overwrites."""
-        device, number = self._device, np.uint64(count)
+        device, number, apart = self._device, np.uint64(count), np.uint64(planes)
         launch = device.queue, (self._items,), (1,)
         with device.errors:
             self._program.kernel("count_bricks")(
-                *launch, transform, self._size, self._grid, points, number, self._bricks, self._counts
+                *launch, transform, self._size, self._grid, points, apart, number, self._bricks, self._counts
             )
         counts = np.empty((self._items, _BRICKS), np.uint32)
         device.download(self._counts, counts)
         starts = np.cumsum(counts.T).reshape(counts.T.shape) - counts.T
         begins = device.upload(np.ascontiguousarray(starts.T, dtype=np.uint32))
         with device.errors:
-            self._program.kernel("sort_points")(*launch, points, number, self._bricks, begins, self._sorted)
+            self._program.kernel("sort_points")(*launch, points, apart, number, self._bricks, begins, self._sorted)
         return self._sorted

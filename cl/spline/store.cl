@@ -1,0 +1,34 @@
+// Kernel: results to an array of any type and layout.
+//
+// Set by the host: RESULT, the type of the array; WHOLE: 0 if it holds fractions; 1, whole numbers, to which halves are rounded
+// away from zero; 2, booleans, to which numbers are cut off. So does scipy.ndimage.
+
+#include "base/platform.cl"
+
+INLINE RESULT stored(scalar value, const scalar low, const scalar high)
+{
+#if WHOLE == 1
+    value += value > 0 ? (scalar)0.5f : (scalar)-0.5f;
+#endif
+#if WHOLE
+    value = value > low ? value < high ? value : high : low;   // NaN becomes `low`
+#endif
+    return (RESULT)value;
+}
+
+// Rows of `count` results along id 0, `pitch` apart, and slices along id 1, `area` apart, to the `first` place of the array and
+// those `strides` apart along x, y and z. low, high: of whole numbers.
+kernel void store_results(global const scalar *restrict results, const ulong origin, const ulong pitch, const ulong area,
+                          const int count, global RESULT *restrict array, const long first, const long4 strides, const scalar low,
+                          const scalar high)
+{
+    const size_t j = get_global_id(0), k = get_global_id(1);
+    global const scalar *from = results + (origin + k * area + j * pitch);
+    global RESULT *to = array + (first + (long)k * strides.z + (long)j * strides.y);
+    if (strides.x == 1)
+        for (int i = 0; i < count; ++i)
+            to[i] = stored(from[i], low, high);
+    else
+        for (int i = 0; i < count; ++i)
+            to[i * strides.x] = stored(from[i], low, high);
+}
