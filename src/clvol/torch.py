@@ -219,8 +219,8 @@ def _functions() -> SimpleNamespace:
 
     def _spread(grid: _Grid, given: Tensor, points: Tensor, shape: tuple[int, ...], derivative: int) -> Any:
         like = grid.volume(np.broadcast_to(np.float32(0), shape))
-        chosen = {"device": grid.device, "precision": grid.precision}
-        return tensor(adjoint(given, points, like, grid.filter, grid.boundary, derivative, **chosen), given)
+        spread = adjoint(given, points, like, grid.filter, grid.boundary, derivative, device=grid.device, precision=grid.precision)
+        return tensor(spread, given)
 
     return SimpleNamespace(Value=Value, Spread=Spread, Gradient=Gradient)
 

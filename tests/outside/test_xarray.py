@@ -74,7 +74,9 @@ def test_linear_interpolation_is_that_of_xarray(name: str, lazy: bool) -> None:
         xarray.testing.assert_identical(got.coords.to_dataset(), expected.coords.to_dataset())
 
 
-@pytest.mark.parametrize(("boundary", "mode"), [("mirror", "mirror"), ("reflect", "reflect"), ("wrap", "grid-wrap"), ("nearest", "nearest")])
+@pytest.mark.parametrize(
+    ("boundary", "mode"), [("mirror", "mirror"), ("reflect", "reflect"), ("wrap", "grid-wrap"), ("nearest", "nearest")]
+)
 @pytest.mark.parametrize(("name", "order"), [("linear", 1), ("bspline2", 2), ("bspline3", 3), ("bspline4", 4), ("bspline5", 5)])
 def test_splines_are_those_of_scipy(name: str, order: int, boundary: str, mode: str) -> None:
     data = cube()

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import TracebackType
-from typing import Literal, Self, TypeAlias
+from typing import Any, Literal, Self, TypeAlias, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,7 +16,7 @@ from clvol.checks import one_of, whole
 from clvol.device import Device, as_device
 from clvol.errors import OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
-from clvol.interop import as_array, read_array
+from clvol.interop import as_array, as_output, read_array
 from clvol.smoothing import settled
 from clvol.spline.coefficients import Coefficients, Lattice
 from clvol.spline.evaluator import DIRECT, Evaluator, EvaluatorName, FetchName, choose_evaluator
@@ -210,6 +210,7 @@ class Field:
         fetch: FetchName = "auto",
         fill: float | None = None,
         progress: Progress | None = None,
+        out: Any = None,
     ) -> Reals:
         """Values at points of the world.
 
@@ -229,6 +230,10 @@ class Field:
             The result outside the volume's domain, NaN and infinities included; None: the boundary rule goes on there.
         progress : callable, optional
             Called with the fraction done, from time to time and after the last point with 1.
+        out : array, optional
+            Where results are put, instead of into a new array: one of float32 or float64 and of their shape that can be written
+            into, with any strides, of NumPy or of another library (see `clvol.interop.as_output`). Kernels write directly into
+            contiguous ones of the type of the results. It is what is returned.
 
         Returns
         -------
@@ -240,14 +245,14 @@ class Field:
         ------
         OptionError
             `points` are no real numbers of shape (..., d); `fill` is no number; `evaluator` or `fetch` is an unknown name;
-            the field is closed.
+            the field is closed; `out` has another shape or dtype, or cannot be written into (before anything is computed).
         DeviceError
             ``fetch="image"`` on a device without float images, or paired fetches from an image on one whose sampler does
             not interpolate.
         OutOfMemoryError
             The device has no room for the points.
         """
-        return self._at(points, 0, evaluator, fetch, fill, progress)
+        return self._at(points, 0, evaluator, fetch, fill, progress, out)
 
     def gradient(
         self,
@@ -257,6 +262,7 @@ class Field:
         fetch: FetchName = "auto",
         fill: float | None = None,
         progress: Progress | None = None,
+        out: Any = None,
     ) -> Reals:
         """Gradients at points of the world: the exact derivative of the function that calling the field gives.
 
@@ -267,7 +273,7 @@ class Field:
         ndarray of float32, shape (..., d)
             Derivatives along (x, y[, z]), per world unit; float64 where the samples are very large or small.
         """
-        return self._at(points, 1, evaluator, fetch, fill, progress)
+        return self._at(points, 1, evaluator, fetch, fill, progress, out)
 
     def hessian(
         self,
@@ -277,6 +283,7 @@ class Field:
         fetch: FetchName = "auto",
         fill: float | None = None,
         progress: Progress | None = None,
+        out: Any = None,
     ) -> Reals:
         """Second derivatives at points of the world, exact as `gradient` is. Parameters and errors are those of a call.
 
@@ -285,16 +292,37 @@ class Field:
         ndarray of float32, shape (..., d, d)
             Symmetric, [x, y[, z]] twice, per world unit squared; float64 where the samples are very large or small.
         """
-        return self._at(points, 2, evaluator, fetch, fill, progress)
+        return self._at(points, 2, evaluator, fetch, fill, progress, out)
 
     def _at(
-        self, points: ArrayLike, derivative: int, evaluator: str, fetch: str, fill: float | None, progress: Progress | None
+        self,
+        points: ArrayLike,
+        derivative: int,
+        evaluator: str,
+        fetch: str,
+        fill: float | None,
+        progress: Progress | None,
+        out: Any,
     ) -> Reals:
-        d = self.volume.ndim
+        d, made = self.volume.ndim, self.coefficients
         array = _points(points, d)
+        shape = array.shape[:-1] + (d,) * derivative
+        target = None if out is None else as_output(out, shape)
+        direct = target if self._writes(target) and not np.may_share_memory(target, array) else None
         chosen = self._evaluator(evaluator, fetch)
-        flat = sample_coefficients(self.coefficients, chosen, array.reshape(-1, d), derivative, _fill_value(fill), progress)
-        return flat.reshape(array.shape[:-1] + (d,) * derivative)
+        flat = sample_coefficients(made, chosen, array.reshape(-1, d), derivative, _fill_value(fill), progress, direct)
+        results = _put(flat.reshape(shape), target)
+        return results if out is None else out  # type: ignore[no-any-return]
+
+    def _writes(self, target: NDArray[Any] | None) -> TypeGuard[NDArray[Any]]:
+        """Whether kernels can write their results into an array themselves."""
+        return (
+            target is not None
+            and target.dtype == self.coefficients.kind
+            and target.dtype.isnative
+            and target.flags.c_contiguous
+            and target.flags.aligned
+        )
 
     # -- on other grids ----------------------------------------------------------------------------------------
 
@@ -308,6 +336,7 @@ class Field:
         fetch: FetchName = "auto",
         fill: float | None = None,
         progress: Progress | None = None,
+        out: Any = None,
     ) -> Volume:
         """The function on another grid; give exactly one of `shape`, `spacing` and `like`.
 
@@ -321,8 +350,8 @@ class Field:
             New spacing along (x, y[, z]) in world units. The domain's centre stays, and its size to within half a voxel.
         like : Volume, optional
             Take the grid of this volume, wherever it lies.
-        evaluator, fetch, fill, progress
-            As in a call.
+        evaluator, fetch, fill, progress, out
+            As in a call; `out` is of the new grid's shape, and the result's data are a view of it.
 
         Returns
         -------
@@ -344,7 +373,7 @@ class Field:
         inverse = volume.world_to_index_matrix
         matrix = inverse @ grid.index_to_world_matrix
         offset = inverse @ (np.asarray(grid.origin) - np.asarray(volume.origin))
-        data = self._on_grid(matrix, offset, grid.shape, evaluator, fetch, fill, progress)
+        data = self._on_grid(matrix, offset, grid.shape, evaluator, fetch, fill, progress, out)
         return Volume(data, grid.spacing, grid.origin, grid.direction, grid.units or volume.units)
 
     def magnify(
@@ -390,15 +419,17 @@ class Field:
         fetch: str,
         fill: float | None,
         progress: Progress | None,
+        out: Any = None,
     ) -> Reals:
         device, made, given = self.device, self.coefficients, Given(_fill_value(fill))
+        target = None if out is None else as_output(out, shape)
         chosen = self._evaluator(evaluator, fetch)
         device.require_room(np.dtype(made.kind).itemsize * math.prod(shape))
         made.argument(chosen)  # a closed field is refused before the result is made
-        result = np.empty(shape, made.kind)
+        result = target if self._writes(target) else np.empty(shape, made.kind)
         with device.lent(result, write=True) as buffer:
             resample_coefficients(made, chosen, matrix, offset, (1, *shape)[-3:], buffer, given, progress)
-        return given.in_units_of_data(made, result, 0)
+        return _put(given.in_units_of_data(made, result, 0), target)
 
     def _evaluator(self, evaluator: str, fetch: str) -> Evaluator:
         """The one that is named, or suits the device: images hold float32 alone."""
@@ -493,6 +524,7 @@ def sample(
     device: Device | str | int | None = None,
     precision: Precision | None = None,
     progress: Progress | None = None,
+    out: Any = None,
 ) -> Reals:
     """The reconstructed function, its gradient or its Hessian at points of the world (eqs 8 and 9 of the paper).
 
@@ -511,7 +543,7 @@ def sample(
     derivative : {0, 1, 2}
         0 for values, 1 for gradients, 2 for Hessians: the exact derivatives of the function that derivative 0 gives, per
         world unit (almost everywhere, where it has kinks or jumps).
-    evaluator, fetch, fill, progress
+    evaluator, fetch, fill, progress, out
         As in a call of `Field`.
     device : Device, str or int, optional
         See `as_device`; default that of the Field, if one is given.
@@ -534,10 +566,12 @@ def sample(
     derivative = whole("derivative", derivative, minimum=0, maximum=2)
     if not isinstance(volume, Field):
         volume = as_volume(volume)
-        _points(points, volume.ndim)  # before the volume is prefiltered
+        array = _points(points, volume.ndim)  # before the volume is prefiltered
+        if out is not None:
+            as_output(out, array.shape[:-1] + (volume.ndim,) * derivative)
     with opened(volume, filter, boundary, device, precision) as field:
         at = (field.__call__, field.gradient, field.hessian)[derivative]
-        return at(points, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress)
+        return at(points, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress, out=out)
 
 
 def resample(
@@ -554,6 +588,7 @@ def resample(
     device: Device | str | int | None = None,
     precision: Precision | None = None,
     progress: Progress | None = None,
+    out: Any = None,
 ) -> Volume:
     """The volume on another grid; give exactly one of `shape`, `spacing` and `like`.
 
@@ -565,8 +600,8 @@ def resample(
         As in `Field.resample`. No low-pass is applied: see `Volume.gaussian` before making voxels larger.
     filter, boundary, device, precision
         As in `sample`.
-    evaluator, fetch, progress
-        As in a call of `Field`.
+    evaluator, fetch, progress, out
+        As in `Field.resample`.
 
     Returns
     -------
@@ -581,9 +616,11 @@ def resample(
     """
     if not isinstance(volume, Field):
         volume = as_volume(volume)
-        _grid_for(volume, shape, spacing, like)  # before the volume is prefiltered
+        grid = _grid_for(volume, shape, spacing, like)  # before the volume is prefiltered
+        if out is not None:
+            as_output(out, grid.shape)
     with opened(volume, filter, boundary, device, precision) as field:
-        return field.resample(shape, spacing, like, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress)
+        return field.resample(shape, spacing, like, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress, out=out)
 
 
 def magnify(
@@ -698,6 +735,15 @@ def _points(points: ArrayLike, d: int) -> NDArray[np.generic]:
     if array.dtype.kind not in "biuf" or array.ndim == 0 or array.shape[-1] != d:
         raise OptionError(f"points must be numbers of shape (..., {d}); got {array.dtype} of shape {array.shape}")
     return array
+
+
+def _put(results: Reals, target: NDArray[Any] | None) -> Reals:
+    """Results in the array that is to hold them, if there is one; they may lie in its memory already."""
+    if target is None:
+        return results
+    if not np.may_share_memory(results, target):
+        target[...] = results
+    return target
 
 
 def precision_kind(precision: str) -> type[np.generic]:
