@@ -312,7 +312,7 @@ class Field:
         chosen = self._evaluator(evaluator, fetch)
         flat = sample_coefficients(made, chosen, array.reshape(-1, d), derivative, _fill_value(fill), progress, direct)
         results = _put(flat.reshape(shape), target)
-        return results if out is None else out  # type: ignore[no-any-return]
+        return results if out is None else out
 
     def _writes(self, target: NDArray[Any] | None) -> TypeGuard[NDArray[Any]]:
         """Whether kernels can write their results into an array themselves."""
