@@ -11,7 +11,7 @@ Importing it needs no OpenCL; a device is looked for when something is computed 
 
 from __future__ import annotations
 
-from clvol import images, phantoms
+from clvol import images, ndimage, phantoms
 from clvol.boundary import Boundary, boundaries
 from clvol.camera import Camera
 from clvol.device import Device, devices
@@ -29,6 +29,7 @@ from clvol.filter import Filter, bc, bspline, filters, from_callable, from_piece
 from clvol.formats import read, write
 from clvol.light import Light, Material
 from clvol.march.renderer import Output, Renderer, render
+from clvol.missing import Missing
 from clvol.mode import Attenuated, Composite, Isosurface, Mean, Minip, Mip, Mode, modes
 from clvol.moved import callable_as_before
 from clvol.picture import save
@@ -63,6 +64,7 @@ __all__ = [
     "Medium",
     "Minip",
     "Mip",
+    "Missing",
     "MissingDependencyError",
     "Mode",
     "OptionError",
@@ -86,6 +88,7 @@ __all__ = [
     "magnify",
     "modes",
     "moms3",
+    "ndimage",
     "phantoms",
     "prefilter",
     "prefilter_response",

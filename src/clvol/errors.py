@@ -6,17 +6,25 @@ Each subclass is also the standard exception that a caller would expect, so both
 
 from __future__ import annotations
 
+import numpy as np
+
 from clvol.moved import forwarding
 
 __all__ = [
+    "AxisError",
     "ClvolError",
     "DataError",
     "DeviceError",
+    "DtypeError",
     "FormatError",
     "GeometryError",
     "MissingDependencyError",
+    "NotFiniteError",
     "OptionError",
+    "OptionTypeError",
     "OutOfMemoryError",
+    "RefusedError",
+    "UnsupportedError",
 ]
 
 
@@ -50,6 +58,33 @@ class DeviceError(ClvolError, RuntimeError):
 
 class OutOfMemoryError(DeviceError, MemoryError):
     """The device, or the machine, cannot hold what was requested."""
+
+
+# What `clvol.ndimage` raises is also the exception that SciPy raises for the same.
+
+
+class RefusedError(OptionError, RuntimeError):
+    """An argument that SciPy refuses with a `RuntimeError`: an order, a mode, a shape, a length."""
+
+
+class OptionTypeError(OptionError, TypeError):
+    """An argument of the wrong type."""
+
+
+class NotFiniteError(OptionError, OverflowError):
+    """A number that must be finite is not, or is too large for float64."""
+
+
+class AxisError(OptionError, np.exceptions.AxisError):
+    """The array has no such axis."""
+
+
+class DtypeError(DataError, RuntimeError, TypeError):
+    """The samples are of a type that is not computed with: objects, strings, dates, numbers of more than 64 bits."""
+
+
+class UnsupportedError(OptionError, NotImplementedError):
+    """SciPy computes this, clvol does not."""
 
 
 _CHECKS = ("as_path", "enough_memory", "number", "one_of", "reals", "require_room", "several", "whole")

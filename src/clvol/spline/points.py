@@ -197,7 +197,7 @@ def sample_into(
     step = launch if sorter is None else sorter.room
     if planar and points.dtype == kind:
         step = count if sorter is None else step
-    flat = results.reshape(count, -1)
+    flat = results.reshape(count, results.size // max(1, count))
     for first in range(0, count, step):
         part = np.ascontiguousarray(points[:, first : first + step] if planar else points[first : first + step], dtype=kind)
         target = flat[first : first + step]

@@ -1,0 +1,558 @@
+"""The functions of `scipy.ndimage` that interpolate, by their names, signatures and rules."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from clvol.errors import OptionError, OptionTypeError, RefusedError, UnsupportedError
+from clvol.ndimage.arguments import (
+    AnyDevice,
+    Array,
+    Nan,
+    Progress,
+    Spline,
+    as_array,
+    as_axes,
+    as_axis,
+    as_coordinates,
+    as_matrix,
+    as_order,
+    as_output,
+    as_shape,
+    finite,
+    per_axis,
+)
+from clvol.ndimage.engine import Precision
+from clvol.ndimage.passes import affinely, along_axes, at_points, filtered, mapped
+
+__all__ = [
+    "affine_transform",
+    "geometric_transform",
+    "map_coordinates",
+    "rotate",
+    "shift",
+    "spline_filter",
+    "spline_filter1d",
+    "zoom",
+]
+
+
+def spline_filter1d(
+    input: ArrayLike,
+    order: int = 3,
+    axis: int = -1,
+    output: Any = np.float64,
+    mode: str = "mirror",
+    *,
+    precision: Precision | None = None,
+    device: AnyDevice = None,
+    nan: Nan = "propagate",
+    progress: Progress = None,
+) -> Array:
+    """The coefficients of an array's spline along one axis: `scipy.ndimage.spline_filter1d`.
+
+    Parameters
+    ----------
+    input, order, axis, output, mode
+        As in SciPy.
+    precision : {"single", "double"}, optional
+        What is computed in. By default float32 for float16, float32, bool, whole numbers of 8 and 16 bits and complex64,
+        float64 for everything else.
+    device : Device, str or int, optional
+        The OpenCL device; see `clvol.Device`.
+    nan : {"propagate", "error"}
+        "error" refuses samples that are NaN or infinite; "propagate" computes with them, as SciPy does.
+    progress : callable, optional
+        Called with the fraction done.
+
+    Returns
+    -------
+    ndarray
+        Of the input's shape.
+
+    Raises
+    ------
+    RefusedError
+        `order` or `mode` is none that there is, or `output` has another shape. (A `RuntimeError`, as SciPy's.)
+    AxisError
+        `input` has no such axis.
+    DtypeError
+        `input` holds objects, strings, dates or long doubles.
+    """
+    number = as_order(order)
+    data = as_array(input)
+    copied = number < 2
+    result = as_output(output, data, data.shape, copied=copied)
+    spline = Spline.of(data, number, mode, 0.0, True, precision, device, nan, progress)
+    if copied:
+        result[...] = data
+    else:
+        filtered(data, [as_axis(axis, data.ndim)], result, spline)
+    return result
+
+
+def spline_filter(
+    input: ArrayLike,
+    order: int = 3,
+    output: Any = np.float64,
+    mode: str = "mirror",
+    *,
+    precision: Precision | None = None,
+    device: AnyDevice = None,
+    nan: Nan = "propagate",
+    progress: Progress = None,
+) -> Array:
+    """The coefficients of an array's spline along all axes: `scipy.ndimage.spline_filter`.
+
+    Parameters
+    ----------
+    input, order, output, mode
+        As in SciPy. Between two axes coefficients are rounded to the type of `output` where that is of whole numbers, as in
+        SciPy; of floating numbers, axes are filtered three at a time, in `precision`.
+    precision, device, nan, progress
+        As for `spline_filter1d`.
+
+    Returns
+    -------
+    ndarray
+        Of the input's shape.
+
+    Raises
+    ------
+    RefusedError, DtypeError
+        As for `spline_filter1d`; `order` is from 2 to 5.
+    """
+    number = as_order(order, minimum=2)
+    data = as_array(input)
+    result = as_output(output, data, data.shape, copied=data.ndim == 0)
+    spline = Spline.of(data, number, mode, 0.0, True, precision, device, nan, progress)
+    if data.ndim == 0:
+        result[...] = data
+    else:
+        filtered(data, range(data.ndim), result, spline)
+    return result
+
+
+def geometric_transform(
+    input: ArrayLike,
+    mapping: Callable[..., Sequence[float]],
+    output_shape: Iterable[int] | None = None,
+    output: Any = None,
+    order: int = 3,
+    mode: str = "constant",
+    cval: complex = 0.0,
+    prefilter: bool = True,
+    extra_arguments: tuple[Any, ...] = (),
+    extra_keywords: Mapping[str, Any] | None = None,
+    *,
+    precision: Precision | None = None,
+    device: AnyDevice = None,
+    nan: Nan = "propagate",
+    progress: Progress = None,
+) -> Array:
+    """An array at positions that a function gives: `scipy.ndimage.geometric_transform`.
+
+    Parameters
+    ----------
+    input, mapping, output_shape, output, order, mode, cval, prefilter, extra_arguments, extra_keywords
+        As in SciPy; `mapping` may return any sequence, and no `scipy.LowLevelCallable` is taken. It is called once for each
+        element of the result, in their order, also where `input` is complex; about a million positions, or as many as a
+        quarter of the input's samples, are in memory at a time. The calls of Python take most of the time: where the
+        positions can be had as an array, `map_coordinates` is many times as fast.
+    precision, device, nan, progress
+        As for `spline_filter1d`.
+
+    Returns
+    -------
+    ndarray
+        Of `output_shape`.
+
+    Raises
+    ------
+    UnsupportedError
+        `input` has more than three axes, or `mapping` is a `scipy.LowLevelCallable`.
+    OptionTypeError
+        `mapping` returns no position.
+    RefusedError, NotFiniteError, DtypeError
+        As for `map_coordinates`.
+
+    Notes
+    -----
+    A position that is not finite has the value `cval`, in every mode.
+    """
+    number = as_order(order)
+    data = as_array(input)
+    shape = data.shape if output_shape is None else as_shape(output_shape)
+    _require_rank(data, shape)
+    if not isinstance(extra_arguments, tuple):
+        raise RefusedError(f"extra_arguments must be a tuple; got {extra_arguments!r}")
+    if not isinstance(extra_keywords, (dict, type(None))):
+        raise RefusedError(f"extra_keywords must be a dict; got {extra_keywords!r}")
+    keywords = extra_keywords or {}
+    if not callable(mapping):
+        from scipy import LowLevelCallable
+
+        if isinstance(mapping, LowLevelCallable):
+            raise UnsupportedError("mapping must be a function of Python here; got a scipy.LowLevelCallable")
+        raise RefusedError(f"mapping must be a function; got {mapping!r}")
+    result = as_output(output, data, shape)
+    spline = Spline.of(data, number, mode, cval, prefilter, precision, device, nan, progress)
+    mapped(data, lambda index: mapping(index, *extra_arguments, **keywords), result, spline)
+    return result
+
+
+def map_coordinates(
+    input: ArrayLike,
+    coordinates: ArrayLike,
+    output: Any = None,
+    order: int = 3,
+    mode: str = "constant",
+    cval: complex = 0.0,
+    prefilter: bool = True,
+    *,
+    axes: int | Sequence[int] | None = None,
+    precision: Precision | None = None,
+    device: AnyDevice = None,
+    nan: Nan = "propagate",
+    progress: Progress = None,
+) -> Array:
+    """An array at points: `scipy.ndimage.map_coordinates`.
+
+    Parameters
+    ----------
+    input, coordinates, output, order, mode, cval, prefilter
+        As in SciPy. Coordinates are never rounded to float32; they may be of any type of real numbers, float16 too.
+    axes : int or sequence of int, optional
+        The axes of `input` that `coordinates` are given for. Every index of the others is computed on its own, and they come
+        first in the result: points in each image of a series are ``map_coordinates(series, points, axes=(1, 2, 3))``, of
+        shape ``(len(series), *points.shape[1:])``. By default all.
+    precision, device, nan, progress
+        As for `spline_filter1d`.
+
+    Returns
+    -------
+    ndarray
+        Of shape ``coordinates.shape[1:]``, after those axes that no coordinates are given for.
+
+    Raises
+    ------
+    RefusedError
+        `order` or `mode` is none that there is, `input` or the result would have no axis, `coordinates` or `output` have the
+        wrong shape, or `output` the wrong type. (A `RuntimeError`, as SciPy's.)
+    OptionTypeError
+        Coordinates or `cval` are complex, or an argument is of the wrong type.
+    NotFiniteError
+        `cval` is too large for float64.
+    DtypeError
+        `input` holds objects, strings, dates or long doubles.
+    UnsupportedError
+        There are coordinates along more than three axes.
+
+    Notes
+    -----
+    A point that has a coordinate that is not finite has the value `cval`, in every mode.
+    """
+    number = as_order(order)
+    data = as_array(input)
+    along = as_axes(axes, data.ndim)
+    at = as_coordinates(coordinates, len(along)) if data.ndim else np.empty(0)
+    kept = [n for axis, n in enumerate(data.shape) if axis not in along]
+    shape = (*kept, *at.shape[1:])
+    _require_rank(data, shape)
+    result = as_output(output, data, shape)
+    spline = Spline.of(data, number, mode, cval, prefilter, precision, device, nan, progress)
+    if along != sorted(along):
+        at = at[np.argsort(along)]
+    at_points(data, sorted(along), at, result, spline)
+    return result
+
+
+def affine_transform(
+    input: ArrayLike,
+    matrix: ArrayLike,
+    offset: float | Sequence[float] | Array = 0.0,
+    output_shape: Iterable[int] | None = None,
+    output: Any = None,
+    order: int = 3,
+    mode: str = "constant",
+    cval: complex = 0.0,
+    prefilter: bool = True,
+    *,
+    precision: Precision | None = None,
+    device: AnyDevice = None,
+    nan: Nan = "propagate",
+    progress: Progress = None,
+) -> Array:
+    """An array on a grid that lies in it in any way: `scipy.ndimage.affine_transform`.
+
+    Parameters
+    ----------
+    input, matrix, offset, output_shape, output, order, mode, cval, prefilter
+        As in SciPy: the element at index ``o`` of the result has the position ``matrix @ o + offset`` in `input`. Axes whose
+        row and column are those of the identity are not interpolated along; each index of them is computed on its own.
+    precision, device, nan, progress
+        As for `spline_filter1d`.
+
+    Returns
+    -------
+    ndarray
+        Of `output_shape`.
+
+    Raises
+    ------
+    RefusedError
+        `matrix`, `offset`, `output_shape` or `output` has a wrong shape, or as for `map_coordinates`.
+    OptionError
+        The last row of a homogeneous matrix is not ``[0, ..., 0, 1]``.
+    NotFiniteError
+        `matrix` or `offset` is not finite. (SciPy gives `cval` everywhere.)
+    UnsupportedError
+        The matrix mixes more than three axes with each other.
+
+    Notes
+    -----
+    A matrix of one axis that has a zero means what its documentation says, the position `offset` along this axis; SciPy divides
+    by the zero and gives `cval` everywhere.
+    """
+    number = as_order(order)
+    data = as_array(input)
+    like = output if isinstance(output, np.ndarray) else data
+    shape = like.shape if output_shape is None else as_shape(output_shape)
+    _require_rank(data, shape)
+    result = as_output(output, data, shape)
+    spline = Spline.of(data, number, mode, cval, prefilter, precision, device, nan, progress)
+    n = data.ndim
+    table = as_matrix(matrix)
+    if table.ndim == 2 and table.shape[1] == n + 1 and table.shape[0] in (n, n + 1):
+        if len(table) == n + 1 and table[n].tolist() != [0] * n + [1]:
+            raise OptionError(f"the last row of a homogeneous matrix must be {[0] * n + [1]}; got {table[n].tolist()}")
+        start = table[:n, n]
+        table = table[:n, :n]
+    else:
+        start = np.array(per_axis("offset", offset, n), np.float64)
+    if len(table) != n:
+        raise RefusedError(f"matrix must have a row for each of the {n} axes of input; got shape {table.shape}")
+    if table.shape[-1] != len(shape):
+        raise RefusedError(f"matrix must have a column for each of the {len(shape)} axes of the result; got shape {table.shape}")
+    if table.ndim == 1:
+        positions = [
+            None if (scale, first, size) == (1, 0, length) else _scaled(size, scale, first)
+            for scale, first, size, length in zip(table.tolist(), start.tolist(), shape, data.shape, strict=True)
+        ]
+        along_axes(data, positions, result, spline)
+    else:
+        affinely(data, range(n), table, start, result, spline)
+    return result
+
+
+def shift(
+    input: ArrayLike,
+    shift: float | Sequence[float] | Array,
+    output: Any = None,
+    order: int = 3,
+    mode: str = "constant",
+    cval: complex = 0.0,
+    prefilter: bool = True,
+    *,
+    precision: Precision | None = None,
+    device: AnyDevice = None,
+    nan: Nan = "propagate",
+    progress: Progress = None,
+) -> Array:
+    """An array shifted: `scipy.ndimage.shift`.
+
+    Parameters
+    ----------
+    input, shift, output, order, mode, cval, prefilter
+        As in SciPy. Axes whose shift is 0 are not interpolated along; each index of them is computed on its own.
+    precision, device, nan, progress
+        As for `spline_filter1d`.
+
+    Returns
+    -------
+    ndarray
+        Of the input's shape.
+
+    Raises
+    ------
+    NotFiniteError
+        `shift` is not finite. (SciPy gives `cval` everywhere.)
+    RefusedError, OptionTypeError, DtypeError
+        As for `map_coordinates`.
+    """
+    number = as_order(order)
+    data = as_array(input)
+    _require_rank(data, data.shape)
+    result = as_output(output, data, data.shape)
+    spline = Spline.of(data, number, mode, cval, prefilter, precision, device, nan, progress)
+    by = per_axis("shift", shift, data.ndim)
+    positions = [None if one == 0 else np.arange(n) - float(one) for one, n in zip(by, data.shape, strict=True)]
+    along_axes(data, positions, result, spline)
+    return result
+
+
+def zoom(
+    input: ArrayLike,
+    zoom: float | Sequence[float] | Array,
+    output: Any = None,
+    order: int = 3,
+    mode: str = "constant",
+    cval: complex = 0.0,
+    prefilter: bool = True,
+    *,
+    grid_mode: bool = False,
+    precision: Precision | None = None,
+    device: AnyDevice = None,
+    nan: Nan = "propagate",
+    progress: Progress = None,
+) -> Array:
+    """An array on a grid of another density: `scipy.ndimage.zoom`.
+
+    Parameters
+    ----------
+    input, zoom, output, order, mode, cval, prefilter, grid_mode
+        As in SciPy. Axes whose length stays as it is are not interpolated along; each index of them is computed on its own.
+        (SciPy ignores `grid_mode` where `input` is complex.)
+    precision, device, nan, progress
+        As for `spline_filter1d`.
+
+    Returns
+    -------
+    ndarray
+        Each axis has the length ``round(n * zoom)``.
+
+    Raises
+    ------
+    OptionError
+        `zoom` is negative.
+    NotFiniteError
+        `zoom` is not finite.
+    RefusedError, OptionTypeError, DtypeError
+        As for `map_coordinates`.
+
+    Warns
+    -----
+    UserWarning
+        `grid_mode` is used with a mode whose period or edge is at the centres of the outermost samples.
+    """
+    number = as_order(order)
+    data = as_array(input)
+    factors = per_axis("zoom", zoom, data.ndim)
+    shape = tuple(round(n * factor) for n, factor in zip(data.shape, factors, strict=True))
+    _require_rank(data, shape)
+    if any(n < 0 for n in shape):
+        raise OptionError(f"zoom must be at least 0; got {zoom!r}")
+    unchanged = bool(prefilter) and all(factor == 1 for factor in factors)
+    result = as_output(output, data, shape, copied=unchanged)
+    spline = Spline.of(data, number, mode, cval, prefilter, precision, device, nan, progress)
+    if unchanged:
+        result[...] = data
+        return result
+    if grid_mode and mode in ("constant", "wrap"):
+        warnings.warn(
+            f"It is recommended to use mode = grid-{mode} instead of {mode} when grid_mode is True.", UserWarning, stacklevel=2
+        )
+    positions = [None if m == n else _magnified(n, m, grid_mode) for n, m in zip(data.shape, shape, strict=True)]
+    along_axes(data, positions, result, spline)
+    return result
+
+
+def rotate(
+    input: ArrayLike,
+    angle: float,
+    axes: Sequence[int] = (1, 0),
+    reshape: bool = True,
+    output: Any = None,
+    order: int = 3,
+    mode: str = "constant",
+    cval: complex = 0.0,
+    prefilter: bool = True,
+    *,
+    precision: Precision | None = None,
+    device: AnyDevice = None,
+    nan: Nan = "propagate",
+    progress: Progress = None,
+) -> Array:
+    """An array rotated in the plane of two of its axes: `scipy.ndimage.rotate`.
+
+    Parameters
+    ----------
+    input, angle, axes, reshape, output, order, mode, cval, prefilter
+        As in SciPy; the angle is in degrees.
+    precision, device, nan, progress
+        As for `spline_filter1d`.
+
+    Returns
+    -------
+    ndarray
+        Of the input's shape, or with `reshape` one that the rotated input fits into.
+
+    Raises
+    ------
+    OptionError
+        `input` has fewer than two axes, or `axes` are not two different ones of them.
+    NotFiniteError
+        `angle` is not finite.
+    RefusedError, OptionTypeError, DtypeError
+        As for `map_coordinates`.
+    """
+    from scipy import special
+
+    data = as_array(input)
+    n = data.ndim
+    if n < 2:
+        raise OptionError(f"input must have at least two axes; got {n}")
+    plane = _plane(axes, n)
+    turn = finite("angle", angle)
+    c, s = special.cosdg(turn), special.sindg(turn)
+    matrix = np.array([[c, s], [-s, c]])
+    before = np.array([data.shape[axis] for axis in plane])
+    after = before
+    if reshape:  # what follows is rounded as in SciPy
+        iy, ix = before
+        bounds = matrix @ [[0, 0, iy, iy], [0, ix, 0, ix]]
+        after = (np.ptp(bounds, axis=1) + 0.5).astype(int)
+    offset = (before - 1) / 2 - matrix @ ((after - 1) / 2)
+    shape = list(data.shape)
+    shape[plane[0]], shape[plane[1]] = after.tolist()
+    result = as_output(output, data, shape)
+    spline = Spline.of(data, order, mode, cval, prefilter, precision, device, nan, progress)
+    affinely(data, plane, matrix, offset, result, spline)
+    return result
+
+
+def _require_rank(data: Array, shape: Sequence[int]) -> None:
+    if data.ndim < 1 or len(shape) < 1:
+        raise RefusedError(f"input and the result must have at least one axis; got {data.ndim} and {len(shape)}")
+
+
+def _plane(axes: Sequence[int], ndim: int) -> list[int]:
+    if not np.iterable(axes):
+        raise OptionTypeError(f"axes must be two axes of input; got {axes!r}")
+    pair = list(axes)
+    if len(pair) != 2:
+        raise OptionError(f"axes must be exactly two axes of input; got {axes!r}")
+    if not all(finite("axes", axis).is_integer() for axis in pair):
+        raise OptionError(f"axes must be whole numbers; got {axes!r}")
+    plane = sorted(int(axis) + ndim if axis < 0 else int(axis) for axis in pair)
+    if not 0 <= plane[0] < plane[1] < ndim:
+        raise OptionError(f"axes must be two different ones of the {ndim} axes of input; got {axes!r}")
+    return plane
+
+
+def _scaled(size: int, scale: float, start: float) -> Array:
+    """Positions along an axis of a diagonal matrix, rounded as SciPy does."""
+    return (np.arange(size) + start / scale) * scale if scale != 0 else np.full(size, start)
+
+
+def _magnified(n: int, m: int, whole: bool) -> Array:
+    """Positions of m samples along n, rounded as SciPy does; between the outermost centres, or with `whole` between the edges."""
+    index = np.arange(m)
+    if whole:
+        return (index + 0.5) * (n / m) - 0.5
+    return index * ((n - 1) / (m - 1)) if m != 1 else index.astype(np.float64)

@@ -1,0 +1,310 @@
+"""From a call to calls of the engine: real and imaginary parts, axes left as they are, more axes than three, points by pieces."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.errors import DataError, OptionTypeError, UnsupportedError
+from clvol.ndimage import engine
+from clvol.ndimage.arguments import Array, Spline
+from clvol.ndimage.engine import Affine, Axes, Points, Target
+
+__all__ = ["affinely", "along_axes", "at_points", "filtered", "mapped"]
+
+_NATIVE = 3
+"""Axes that the engine resamples at a time."""
+_PIECE = 1 << 20
+"""Points whose positions are in memory at a time, at least."""
+
+_Floats = NDArray[np.float64]
+_Pass = tuple[list[int], Axes | Affine]
+
+
+def along_axes(data: Array, positions: Sequence[_Floats | None], output: Array, spline: Spline) -> None:
+    """The spline on a grid along the axes, into `output`.
+
+    Parameters
+    ----------
+    data : ndarray
+    positions : sequence of ndarray or None
+        For each axis of `data`; None are those of its samples.
+    output : ndarray
+    spline : Spline
+    """
+    if not spline.interpolates:
+        positions = [_samples(n) if p is None else p for p, n in zip(positions, data.shape, strict=True)]
+    _along({axis: p for axis, p in enumerate(positions) if p is not None}, data, output, spline)
+
+
+def _along(moved: dict[int, _Floats], data: Array, output: Array, spline: Spline) -> None:
+    """The spline on a grid along some axes, the others being left as they are."""
+    if moved:
+        _grids(data, _separately(moved, data.shape), output, spline)
+    elif output.dtype.kind in "fc" or output.dtype == data.dtype:
+        output[...] = data
+    else:  # the engine rounds
+        nearest = replace(spline, order=0)
+        _grids(data, [([data.ndim - 1], Axes((_samples(data.shape[-1]),)))], output, nearest)
+
+
+def affinely(data: Array, axes: Sequence[int], matrix: _Floats, offset: _Floats, output: Array, spline: Spline) -> None:
+    """The spline at ``matrix @ i + offset`` for each index of `output` along some axes, the others being left as they are.
+
+    Parameters
+    ----------
+    data : ndarray
+    axes : sequence of int
+        As many as the matrix has rows, ascending.
+    matrix, offset : ndarray of float64
+    output : ndarray
+        Where the matrix is not square, `axes` are all of them, and `output` has as many axes as it has columns.
+    spline : Spline
+    """
+    rows, columns = matrix.shape
+    if columns > rows:
+        _by_pieces(data, output, spline, lambda first, last: _positions(matrix, offset, output.shape, first, last))
+        return
+    if columns < rows:  # the result gets axes of one sample
+        matrix = np.hstack([matrix, np.zeros((rows, rows - columns))])
+        output = output[(..., *[np.newaxis] * (rows - columns))]
+    number = {axis: k for k, axis in enumerate(axes)}
+    table, starts, shape = matrix.tolist(), offset.tolist(), output.shape
+    mixed: list[list[int]] = []
+    alone: dict[int, _Floats] = {}
+    for group in _groups(axes, table):
+        axis, k = group[0], number[group[0]]
+        if len(group) > 1:
+            mixed.append(group)
+        elif not (spline.interpolates and (table[k][k], starts[k], shape[axis]) == (1, 0, data.shape[axis])):
+            alone[axis] = np.arange(shape[axis]) * table[k][k] + starts[k]
+    if not mixed:
+        _along(alone, data, output, spline)
+        return
+    together = sorted([axis for group in mixed for axis in group] + list(alone))
+    if len(together) <= _NATIVE:
+        mixed, alone = [together], {}
+    passes: list[_Pass] = []
+    for group in mixed:
+        at = [number[axis] for axis in group]
+        passes.append((group, Affine(matrix[np.ix_(at, at)], offset[at], tuple(shape[axis] for axis in group))))
+    _grids(data, passes + _separately(alone, data.shape), output, spline)
+
+
+def at_points(data: Array, axes: Sequence[int], coordinates: Array, output: Array, spline: Spline) -> None:
+    """The spline at points, which have coordinates along some axes, ascending; the other axes come first in `output`."""
+    _require_few(len(axes))
+    if np.may_share_memory(coordinates, output):
+        coordinates = coordinates.copy()
+    _in_parts(data, output, spline, lambda *parts: _evaluate(parts[0], axes, Points(coordinates), *parts[1:]))
+
+
+def mapped(data: Array, mapping: Callable[[tuple[int, ...]], Sequence[float]], output: Array, spline: Spline) -> None:
+    """The spline where a function of the index says, which is called once for each element of `output`, in their order."""
+    indices = itertools.product(*map(range, output.shape))
+
+    def positions(first: int, last: int) -> _Floats:
+        found = np.empty((last - first, data.ndim))
+        for start in range(0, last - first, 4096):
+            rows = found[start : start + 4096]
+            answers = [mapping(next(indices)) for _ in range(len(rows))]
+            rows[...] = _as_rows(answers, data.ndim)
+        return found.T
+
+    _by_pieces(data, output, spline, positions)
+
+
+def filtered(data: Array, axes: Sequence[int], output: Array, spline: Spline) -> None:
+    """The coefficients along some axes, into `output`, in whose type they are between one axis and the next if it is whole."""
+    count = 1 if output.dtype.kind not in "fc" else _NATIVE
+    groups = [list(axes[k : k + count]) for k in range(0, len(axes), count)]
+
+    def compute(source: Array, target: Array, spline: Spline) -> None:
+        for number, group in enumerate(groups):
+            engine.coefficients(
+                source,
+                group,
+                target,
+                order=spline.order,
+                mode=spline.mode,
+                precision=spline.precision,
+                device=spline.device,
+                progress=spline.stage(number, len(groups)).progress,
+            )
+            source = target
+
+    if output.size:
+        _in_parts(data, output, spline, compute)
+
+
+def _in_parts(data: Array, output: Array, spline: Spline, compute: Callable[[Array, Array, Spline], None]) -> None:
+    """Complex samples as two real arrays; what `output` overlaps is copied first."""
+    if np.may_share_memory(data, output):
+        data = data.copy()
+    if data.dtype.kind == "c":
+        for number, part in enumerate(("real", "imag")):
+            compute(getattr(data, part), getattr(output, part), spline.of_part(part, number))
+    else:
+        compute(data, output, spline)
+
+
+def _evaluate(data: Array, axes: Sequence[int], target: Target, output: Array, spline: Spline) -> None:
+    if output.size == 0:
+        return
+    if data.size == 0:
+        if spline.mode not in ("constant", "grid-constant"):
+            raise DataError(f'input must have samples where mode is not "constant" or "grid-constant"; got shape {data.shape}')
+        output[...] = _stored(spline.cval, output.dtype)
+        return
+    engine.evaluate(
+        data,
+        axes,
+        target,
+        output,
+        order=spline.order,
+        mode=spline.mode,
+        cval=float(spline.cval.real),
+        prefilter=spline.prefilter,
+        precision=spline.precision,
+        device=spline.device,
+        progress=spline.progress,
+    )
+
+
+def _grids(data: Array, passes: Sequence[_Pass], output: Array, spline: Spline) -> None:
+    """One pass after the other, each over some of the axes: their grids are independent of each other."""
+    large = max(passes, key=lambda one: len(one[0]))[0]
+    if len(large) > _NATIVE:
+        raise UnsupportedError(
+            f"a matrix must not mix more than {_NATIVE} axes of input with each other; got one that mixes axes {large}"
+        )
+    if len(passes) == 1:
+        _in_parts(data, output, spline, lambda *parts: _evaluate(parts[0], *passes[0], *parts[1:]))
+        return
+
+    def compute(source: Array, target: Array, spline: Spline) -> None:
+        kind = np.float64 if spline.precision == "double" else np.float32
+        between = replace(spline, cval=0.0) if spline.mode == "constant" else spline
+        size = data.shape
+        for number, (axes, grid) in enumerate(passes):
+            size = tuple(target.shape[k] if k in axes else n for k, n in enumerate(size))
+            onto = target if number == len(passes) - 1 else np.empty(size, kind)
+            _evaluate(source, axes, grid, onto, between.stage(number, len(passes)))
+            source = onto
+        if spline.mode == "constant":
+            value = _stored(spline.cval, target.dtype)
+            for axes, grid in passes:
+                _beyond(target, axes)[_outside(grid, [data.shape[axis] for axis in axes])] = value
+
+    _in_parts(data, output, spline, compute)
+
+
+def _require_few(count: int) -> None:
+    if count > _NATIVE:
+        raise UnsupportedError(
+            f"points must have coordinates along at most {_NATIVE} axes of input; got {count}. "
+            "map_coordinates(..., axes=...) leaves the other axes as they are"
+        )
+
+
+def _separately(positions: dict[int, _Floats], shape: Sequence[int]) -> list[_Pass]:
+    """Passes for axes that know nothing of each other; those that shrink the data the most come first."""
+    ordered = sorted(positions, key=lambda axis: len(positions[axis]) / max(shape[axis], 1))
+    groups = [sorted(ordered[k : k + _NATIVE]) for k in range(0, len(ordered), _NATIVE)]
+    return [(group, Axes(tuple(positions[axis] for axis in group))) for group in groups]
+
+
+def _groups(axes: Sequence[int], matrix: Sequence[Sequence[float]]) -> list[list[int]]:
+    """The axes in groups that the matrix does not mix with each other."""
+    label = {axis: axis for axis in axes}
+    for axis, row in zip(axes, matrix, strict=True):
+        for other, entry in zip(axes, row, strict=True):
+            if entry != 0 and label[other] != label[axis]:
+                old, new = label[axis], label[other]
+                label = {key: new if value == old else value for key, value in label.items()}
+    return [[axis for axis in axes if label[axis] == one] for one in dict.fromkeys(label.values())]
+
+
+def _outside(grid: Axes | Affine, shape: Sequence[int]) -> NDArray[np.bool_]:
+    """Where a grid lies outside the samples along any of its axes."""
+    if isinstance(grid, Axes):
+        at = np.ix_(*grid.positions)
+    else:
+        size = math.prod(grid.shape)
+        at = tuple(row.reshape(grid.shape) for row in _positions(grid.matrix, grid.offset, grid.shape, 0, size))
+    inside: NDArray[np.bool_] = np.ones((), bool)
+    for along, n in zip(at, shape, strict=True):
+        inside = inside & (along >= 0) & (along <= n - 1)
+    return ~inside
+
+
+def _beyond(output: Array, axes: Sequence[int]) -> Array:
+    """`output` with some axes first."""
+    return output.transpose([*axes, *(axis for axis in range(output.ndim) if axis not in axes)])
+
+
+def _by_pieces(data: Array, output: Array, spline: Spline, positions: Callable[[int, int], _Floats]) -> None:
+    """The spline at positions that are found piece by piece, of shape (k, n) for so many elements of `output` in their order.
+
+    They may be found by a function of the user's, so nothing is written before the last one is known.
+    """
+    _require_few(data.ndim)
+    size = output.size
+    piece = max(_PIECE, data.size // 4)
+    count = max(1, -(-size // piece))
+    result = np.empty(size, output.dtype)
+    for number, first in enumerate(range(0, size, piece)):
+        last = min(first + piece, size)
+        axes = range(data.ndim)
+        at_points(data, axes, positions(first, last), result[first:last], spline.stage(number, count))
+    output[...] = result.reshape(output.shape)
+
+
+def _positions(matrix: _Floats, offset: _Floats, shape: Sequence[int], first: int, last: int) -> _Floats:
+    """Of elements of the result by their number; added up as SciPy does, from the first axis to the last and then the offset."""
+    index = np.unravel_index(np.arange(first, last), tuple(shape))
+    found = np.zeros((len(matrix), last - first))
+    for along, row, start in zip(found, matrix, offset, strict=True):
+        for entry, number in zip(row, index, strict=True):
+            along += number * entry
+        along += start
+    return found
+
+
+def _as_rows(answers: list[Any], count: int) -> _Floats:
+    try:
+        rows = np.array(answers, np.float64)
+    except (TypeError, ValueError):
+        rows = np.empty(0)
+    if rows.ndim != 2 or rows.shape[1] < count:
+        wrong = next((one for one in answers if not _is_point(one, count)), answers[0])
+        raise OptionTypeError(f"mapping must return {count} real numbers, one for each axis of input; got {wrong!r}")
+    return rows[:, :count]
+
+
+def _is_point(answer: Any, count: int) -> bool:
+    try:
+        return np.array(answer, np.float64).ndim == 1 and len(answer) >= count
+    except (TypeError, ValueError):
+        return False
+
+
+def _samples(n: int) -> _Floats:
+    return np.arange(n, dtype=np.float64)
+
+
+def _stored(value: complex, dtype: np.dtype[Any]) -> Any:
+    """A number as the engine would write it: whole numbers rounded, halves away from zero, and clipped to their type."""
+    number = float(value.real)
+    if dtype.kind not in "iu" or math.isnan(number):
+        return 0 if dtype.kind in "iu" else number
+    limits = np.iinfo(dtype)
+    if math.isinf(number):
+        return limits.max if number > 0 else limits.min
+    return min(max(int(number + math.copysign(0.5, number)), int(limits.min)), int(limits.max))

@@ -1,0 +1,47 @@
+"""A plugin for pytest that puts `clvol.ndimage` in place of `scipy.ndimage` in SciPy's own tests.
+
+``python -m pytest -p scipy_plugin --pyargs scipy.ndimage.tests.test_interpolation`` with this folder on the path. The tests keep
+their tolerances; they compute in float64, so everything does.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import pytest
+from scipy import ndimage
+
+import clvol.ndimage
+from clvol.ndimage import interpolation
+
+
+class InDouble:
+    """What the tests find under the name `ndimage`; counts calls."""
+
+    calls: ClassVar[Counter[str]] = Counter()
+
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        function: Callable[..., Any] = getattr(clvol.ndimage, name)
+        if name not in interpolation.__all__:
+            return function
+
+        def computed(*arguments: Any, **options: Any) -> Any:
+            self.calls[name] += 1
+            return function(*arguments, precision="double", **options)
+
+        return computed
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """After the tests' decorators have looked SciPy's functions up."""
+    modules = {item.module for item in session.items if isinstance(item, pytest.Function)}
+    assert modules
+    for module in modules:
+        assert module.ndimage is ndimage, f"{module.__name__} does not call scipy.ndimage by this name"
+        module.ndimage = InDouble()
+
+
+def pytest_sessionfinish() -> None:
+    assert set(InDouble.calls) == set(interpolation.__all__), f"the tests called {InDouble.calls}"
