@@ -35,7 +35,11 @@ SHAPES = [(4, 5, 6), (1, 2, 7), (7, 5), (1, 1)]
 def scipy_matrix(shape: tuple[int, ...], at: Array, order: int, mode: str) -> Array:
     """What each sample adds to the spline at points (x first)."""
     impulses = np.eye(int(np.prod(shape))).reshape(-1, *shape)
-    return np.stack([ndimage.map_coordinates(one, at[:, ::-1].T, order=order, mode=mode) for one in impulses], 1)
+    where = at[:, ::-1].T
+    if mode == "reflect":  # SciPy's is rough on short axes: reflected by hand
+        where = (where + 0.5) % (2 * np.array(shape)[:, None]) - 0.5 + 40
+        impulses = np.pad(impulses, ((0, 0), *((40, 60),) * len(shape)), "symmetric")
+    return np.stack([ndimage.map_coordinates(one, where, order=order, mode=mode) for one in impulses], 1)
 
 
 @pytest.mark.parametrize(("name", "boundary"), [*(("bspline3", rule) for rule in MODES), *((name, "mirror") for name in ORDERS)])
@@ -63,7 +67,7 @@ def test_the_inner_products_are_equal(device: Device, name: str, boundary: str, 
         forward = (clvol.sample(v, at, name, boundary, derivative, device=device, precision="double") * y).sum()
         back = clvol.adjoint(y, at, v, name, boundary, derivative, device=device, precision="double")
         assert back.dtype == np.float64
-        assert abs(forward - (back * v.data).sum()) <= EXACT * np.linalg.norm(back) * np.linalg.norm(v.data)
+        assert abs(forward - (back * v.data).sum()) <= EXACT * np.linalg.norm(y) * np.linalg.norm(v.data)
 
 
 @pytest.mark.parametrize("name", ["linear", "bspline3", "bspline5"])
