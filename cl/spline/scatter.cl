@@ -47,17 +47,22 @@ kernel void locate_points(const int4 size, const int4 period, const int4 stored,
     const int sizes[3] = { size.x, size.y, size.z }, periods[3] = { period.x, period.y, period.z };
     const int limits[3] = { stored.x, stored.y, stored.z };
     const int across[3] = { bricks.x, bricks.y, bricks.z };
-    ulong place = 0, row = 1;
-    uint brick = 0, bricks_before = 1;
+    coord at[3];
+    int outside = 0;
     for (int axis = 0; axis < DIMENSIONS; ++axis) {
-        coord x = madd(m[3 * axis], p[0], madd(m[3 * axis + 1], p[1], madd(m[3 * axis + 2], p[2], m[9 + axis])));
+        const coord x = madd(m[3 * axis], p[0], madd(m[3 * axis + 1], p[1], madd(m[3 * axis + 2], p[2], m[9 + axis])));
         if (!(x - x == 0)) {   // no such place
             brick_of[n] = NO_BRICK;
             return;
         }
+        outside |= x < (coord)-0.5 || x > sizes[axis] - (coord)0.5;
+        at[axis] = x;
+    }
+    ulong place = 0, row = 1;
+    uint brick = 0, bricks_before = 1;
+    for (int axis = 0; axis < DIMENSIONS; ++axis) {
         int sign = 1;
-        if (x < (coord)-0.5 || x > sizes[axis] - (coord)0.5)
-            x = boundary_position(x, sizes[axis], periods[axis], &sign);
+        const coord x = outside ? boundary_position(at[axis], sizes[axis], periods[axis], &sign) : at[axis];
         scalar t;
         const int base = locate_axis(x, &t) + TAPS;
         place += row * base;

@@ -114,7 +114,10 @@ def adjoint(
 
 def _grid(shape: Sequence[int]) -> Volume:
     """A grid of spacing 1 and origin 0: a Volume whose samples take no memory."""
-    sizes = [whole("each number of a shape", n, minimum=1) for n in several("like", shape, "a Volume, or 2 or 3 whole numbers", 3)]
+    rule = "a Volume, or 2 or 3 whole numbers"
+    sizes = [whole("each number of a shape", n, minimum=1) for n in several("like", shape, rule, 3)]
+    if len(sizes) == 1:
+        raise OptionError(f"like must be {rule}; got {shape!r}")
     return Volume(np.broadcast_to(np.float32(0), sizes))
 
 
