@@ -20,6 +20,7 @@ __all__ = [
     "from_nibabel",
     "from_ras",
     "from_simpleitk",
+    "memory_of",
     "read_array",
     "simpleitk",
 ]
@@ -129,18 +130,33 @@ def as_output(out: Any, shape: tuple[int, ...], what: str = "out") -> NDArray[An
         It has another shape, is neither float32 nor float64, may only be read, has to be copied to become an array, or is a
         tensor that requires a gradient.
     """
-    if getattr(out, "requires_grad", False):
-        raise OptionError(f"{what} must not require a gradient, which writing into it would not follow; give {what}.detach()")
-    array = as_array(out, what, OptionError)
+    array = memory_of(out, what)
     if array.dtype.kind != "f" or array.dtype.itemsize not in (4, 8):
         raise OptionError(f"{what} must be float32 or float64; got {array.dtype}")
     if array.shape != shape:
         raise OptionError(f"{what} must have shape {shape}; got {array.shape}")
-    written = f"{what} must be an array that can be written into; got {type(out).__qualname__}"
-    if array.size and not np.may_share_memory(array, as_array(out, what, OptionError)):
-        raise OptionError(f"{written}, of which NumPy makes a copy")
     if not array.flags.writeable:
-        raise OptionError(f"{written} that may only be read")
+        raise OptionError(f"{what} must be an array that can be written into; got {type(out).__qualname__} that may only be read")
+    return array
+
+
+def memory_of(out: Any, what: str) -> NDArray[Any]:
+    """The memory of an object as an array of NumPy, as `as_output` has it, of any type and shape, if only to be read.
+
+    Raises
+    ------
+    OptionError
+        It has to be copied to become an array, or is a tensor that requires a gradient.
+    """
+    if type(out) is np.ndarray:
+        return out
+    if getattr(out, "requires_grad", False):
+        raise OptionError(f"{what} must not require a gradient, which writing into it would not follow; give {what}.detach()")
+    array = as_array(out, what, OptionError)
+    if array.size and not np.may_share_memory(array, as_array(out, what, OptionError)):
+        raise OptionError(
+            f"{what} must be an array that can be written into; got {type(out).__qualname__}, of which NumPy makes a copy"
+        )
     return array
 
 

@@ -197,7 +197,7 @@ def sample_into(
     step = launch if sorter is None else sorter.room
     if planar and points.dtype == kind:
         step = count if sorter is None else step
-    flat = results.reshape(count, results.size // max(1, count))
+    flat = results.reshape(count, d**derivative)
     for first in range(0, count, step):
         part = np.ascontiguousarray(points[:, first : first + step] if planar else points[first : first + step], dtype=kind)
         target = flat[first : first + step]
