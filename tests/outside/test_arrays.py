@@ -113,6 +113,28 @@ def test_samples_and_points_of_any_kind(device: Device, kind: str) -> None:
     assert_allclose(volume.world_to_index(wrap(points)), points / (0.5, 1, 2), rtol=1e-15)
 
 
+@pytest.mark.parametrize("kind", READERS)
+def test_functions_of_scipys_names_take_them_too(kind: str) -> None:
+    wrap, data, points = READERS[kind], samples(), places()
+    got = clvol.ndimage.map_coordinates(wrap(data), wrap(np.ascontiguousarray(points[:, ::-1].T)), mode="mirror")
+    assert_allclose(got, truth(data, points), rtol=0, atol=1e-12)
+
+
+def test_functions_of_scipys_names_write_into_them(device: Device) -> None:
+    data = samples()
+    expected = ndimage.shift(data, 0.3, mode="mirror")
+    for wrap in (Converted, Interface, lambda a: torch().from_numpy(a)):
+        memory = np.zeros(data.shape)
+        clvol.ndimage.shift(data, 0.3, wrap(memory), mode="mirror", device=device)
+        assert_allclose(memory, expected, rtol=0, atol=1e-12)
+    with pytest.raises(TypeError, match="of which NumPy makes a copy"):
+        clvol.ndimage.shift(data, 0.3, data.tolist(), device=device)
+    for kind, (make, message) in REFUSED.items():
+        if kind != "torch" or torch():
+            with pytest.raises(DataError, match="input must lie in the host's memory; got a .*" + message):
+                clvol.ndimage.shift(make(), 0.3)
+
+
 def test_exchanged_arrays_that_may_only_be_read() -> None:
     data = samples()
     data.flags.writeable = False
