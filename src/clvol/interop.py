@@ -108,7 +108,7 @@ def as_array(
         reads = hasattr(source, "__array__") or hasattr(source, "__array_interface__") or not hasattr(source, "__dlpack__")
         array = np.asarray(source) if reads else np.from_dlpack(source)
     except (TypeError, ValueError, RuntimeError, BufferError) as reason:
-        raise error(f"{what} must be {rule}: {reason}") from None
+        raise error(f"{what} must be {rule}; got one that NumPy cannot read: {reason}") from None
     return array.astype(np.float32) if array.dtype.name == "bfloat16" else array
 
 

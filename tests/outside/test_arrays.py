@@ -160,7 +160,7 @@ def test_tensors_in_other_forms() -> None:
     tensor = torch().from_numpy(data)
     assert_array_equal(as_array(tensor.permute(2, 0, 1)), data.transpose(2, 0, 1))
     assert_array_equal(as_array(torch()._neg_view(tensor)), -data)
-    with pytest.raises(DataError, match=r"data must be a regular array of numbers: .*[Ss]parse"):
+    with pytest.raises(DataError, match=r"data must be a regular array of numbers; got .*[Ss]parse"):
         as_array(tensor.to_sparse())
 
 
