@@ -16,7 +16,7 @@ LAYERS = [
     "processor opencl program device",
     "spline",
     "ndimage",
-    "interpolator resizing",
+    "interpolator resizing torch xarray",
     "march",
     "picture images analysis",
     "figures",

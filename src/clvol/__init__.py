@@ -39,6 +39,7 @@ from clvol.resizing import resize
 from clvol.response import frequency_response, prefilter_response
 from clvol.scene import Medium, Scene
 from clvol.spline.field import Field, magnify, prefilter, resample, sample
+from clvol.spline.scatter import adjoint
 from clvol.spline.warp import Warped, resample_series, warp
 from clvol.transfer import TransferFunction
 from clvol.transform import AffineTransform, BSplineTransform, DisplacementField
@@ -83,6 +84,7 @@ __all__ = [
     "TransferFunction",
     "Volume",
     "Warped",
+    "adjoint",
     "bc",
     "boundaries",
     "bspline",
