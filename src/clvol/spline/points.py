@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from clvol.boundary import Boundary
 from clvol.device import Device
 from clvol.program import LANES, Program
-from clvol.spline.build import DefineDict, point_defines
+from clvol.spline.build import DefineDict, boundary_defines, point_defines
 from clvol.spline.chain import Chain, Progress
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, Evaluator
@@ -290,6 +290,7 @@ def _build(
     lanes, run = (LANES, _RUN) if _in_lanes(coefficients, evaluator, derivative) else (1, 1)
     defines = {
         **coefficients.defines(evaluator),
+        **boundary_defines(coefficients.boundary, coefficients.pad, coefficients.reach),
         **point_defines(kind or np.float32, planar=planar, indices=planar),
         **given.defines(coefficients.boundary),
         "DERIVATIVE": derivative,
