@@ -30,8 +30,24 @@ INLINE mask4 within_axis(coord4 x, int size)
 
 typedef union { coords_t all; coord each[LANES]; } lane_coords_u;
 
+// Whether all points outside have one value, which takes no look at each.
+#define ONE_VALUE (BOUNDARY == CONSTANT && FILL == 2 && !DERIVATIVE)
+
+#if ONE_VALUE
+INLINE void bring_lanes(positions_t *at, const mask4 low, const mask4 high, const int4 size, const int4 period, cells_t *c)
+{
+    const union { mask4 halves[2]; mask_each each[LANES]; } inside = { { low, high } };
+    for (int i = 0; i < LANES; ++i)
+        c->valued |= !inside.each[i] << i;
+#define BRING(axis) at->axis.low = low ? at->axis.low : 0, at->axis.high = high ? at->axis.high : 0
+    BRING(x);
+    BRING(y);
+    BRING(z);
+#undef BRING
+}
+#else
 // Point by point, for those that lie outside.
-OUT_OF_LINE void bring_lanes(positions_t *at, const int4 size, const int4 period, cells_t *c)
+OUT_OF_LINE void bring_lanes(positions_t *at, const mask4 low, const mask4 high, const int4 size, const int4 period, cells_t *c)
 {
     lane_coords_u x, y, z;
     x.all = at->x; y.all = at->y; z.all = at->z;
@@ -53,6 +69,7 @@ OUT_OF_LINE void bring_lanes(positions_t *at, const int4 size, const int4 period
     }
     at->x = x.all; at->y = y.all; at->z = z.all;
 }
+#endif
 
 // As locate_inner and offset_of. The host takes care that an int can count the rows.
 INLINE cells_t locate_points(positions_t p, constant coord *m, int4 size, int4 period, int4 extent)
@@ -74,7 +91,7 @@ INLINE cells_t locate_points(positions_t p, constant coord *m, int4 size, int4 p
     c.along.x = c.along.y = c.along.z = (real)(1.0f);
 #endif
     if (!(both.x & both.y & both.z & both.w))
-        bring_lanes(&at, size, period, &c);
+        bring_lanes(&at, low, high, size, period, &c);
     const mask x = locate_inner_lanes(at.x, extent.w, &c.tx);
 #if DIMENSIONS >= 2
     mask row = locate_inner_lanes(at.y, extent.w, &c.ty);
@@ -246,13 +263,18 @@ INLINE void run_into(COEFFICIENTS coefficients, const int4 extent, source_t sour
         }
 #pragma unroll 1
         for (int i = first, n = 0; i < end; i += LANES, ++n)
-            lanes_into(coefficients, extent, &cells[n], source, i, end - i, transform + 12, results);
+            if (cells[n].valued != (1 << LANES) - 1)
+                lanes_into(coefficients, extent, &cells[n], source, i, end - i, transform + 12, results);
         if (valued)
             for (int i = first; i < end; ++i)
                 if (cells[(i - first) / LANES].valued >> (i - first) % LANES & 1) {
+                    int kind = VALUED;
+#if !ONE_VALUE
                     position_t at = index_of(point_of(source, i), transform);
                     along_t along;
-                    value_into(bring(&at, size, period, &along), given, results + COMPONENTS * place_of(source, i));
+                    kind = bring(&at, size, period, &along);
+#endif
+                    value_into(kind, given, results + COMPONENTS * place_of(source, i));
                 }
     }
 }
