@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 import pytest
 
+from clvol.boundary import boundaries
 from clvol.filter import as_filter
 
 __all__ = [
@@ -22,6 +23,7 @@ __all__ = [
     "DEGREES",
     "OBLIQUE",
     "RMSE",
+    "RULES",
     "SMOOTHED",
     "every",
     "rotation",
@@ -91,6 +93,9 @@ OBLIQUE: Final = rotation()
 
 SMOOTHED: Final = ("bspline2(0.02)", "bspline3(0.1)", "bspline5(2)")
 """Smoothing splines, with real poles, complex ones, and both."""
+
+RULES: Final = tuple(f"{name}(0.4)" if row.outside in ("constant", "grid-constant") else name for name, row in boundaries().items())
+"""Every boundary rule, with a value outside that shows."""
 
 # -- what is known ---------------------------------------------------------------------------------
 

@@ -312,6 +312,7 @@ def test_nan_is_refused_and_filled(clvol_command: Command) -> None:
     clvol_command("render", "a.npy", "-o", "a.png", *SMALL).fails(1, "1 NaN and 1 infinite", "[0, 0, 0]")
     assert files() == ["a.npy"]
     assert clvol_command("render", "a.npy", "-o", "a.png", *SMALL, "--fill-nan", "-0.5").code == 0
+    assert clvol_command("render", "a.npy", "-o", "c.png", *SMALL, "--fill-nan", "smoothly").code == 0
     expected = clvol.render(clvol.Volume(data).filled(-0.5), size=(16, 12))
     np.testing.assert_array_equal(iio.imread("a.png"), clvol.picture.to_bytes(expected)[..., :3])
     clvol_command("render", "a.npy", "-o", "b.png", "--fill-nan", "nan").fails(1, "finite")
@@ -628,6 +629,7 @@ def test_report_tells_what_is_wrong(clvol_command: Command) -> None:
         (("--like", "like.npz", "--fill", "9"), lambda v: clvol.resample(v, like=clvol.read("like.npz"), fill=9)),
         (("--like", "phantom:box:6"), lambda v: clvol.resample(v, like=clvol.phantoms.box(6))),
         (("--magnify", "2", "--filter", "linear", "--boundary", "wrap"), lambda v: clvol.magnify(v, 2, "linear", "wrap")),
+        (("--magnify", "2", "--boundary", "constant(5)"), lambda v: clvol.magnify(v, 2, boundary="constant(5)")),
     ],
     ids=lambda x: " ".join(x) if isinstance(x, tuple) else None,
 )
@@ -641,6 +643,15 @@ def test_resample_writes_what_resample_gives(
     assert result.data.dtype == np.float32
     assert (result.spacing, result.origin) == (wanted.spacing, wanted.origin)
     assert done == {"output": "a.npz", "shape": list(wanted.shape), "spacing": list(wanted.spacing)}
+
+
+def test_resample_leaves_out_what_missing_samples_touch(clvol_command: Command) -> None:
+    data = np.ones((8, 9, 10), np.float32)
+    data[3, 3, 3] = np.nan
+    clvol.write(clvol.Volume(data), "gap.npz")
+    clvol_command("resample", "gap.npz", "-o", "a.npz", "--magnify", "2").fails(1, "samples must be finite")
+    assert clvol_command("resample", "gap.npz", "-o", "a.npz", "--magnify", "2", "--nan", "local").code == 0
+    assert np.isnan(clvol.read("a.npz").data).sum() == 7**3  # a cubic reaches less than two samples to either side
 
 
 def test_resample_takes_exactly_one_grid(clvol_command: Command) -> None:
@@ -659,6 +670,7 @@ def test_resample_takes_exactly_one_grid(clvol_command: Command) -> None:
         (("--like", "missing.npz"), "missing.npz"),
         (("--magnify", "2", "--filter", "bogus"), "'bogus'"),
         (("--magnify", "2", "--boundary", "bogus"), "'bogus'"),
+        (("--magnify", "2", "--nan", "bogus"), "'bogus'"),
     ],
     ids=lambda x: " ".join(x) if isinstance(x, tuple) else None,
 )

@@ -10,8 +10,8 @@ import pytest
 SOURCE = Path(__file__).resolve().parents[1] / "src"
 # top to bottom; a name stands for the module or for all of its package
 LAYERS = [
-    "errors moved checks uniform files interop filter boundary noise volume smoothing stored camera color light transfer mode "
-    "scene",
+    "errors moved checks uniform files interop filter boundary missing noise volume smoothing stored camera color light transfer "
+    "mode scene",
     "reference response phantoms formats",
     "processor opencl program device",
     "spline",

@@ -29,6 +29,7 @@ from clvol.filter import Filter, bc, bspline, filters, from_callable, from_piece
 from clvol.formats import read, write
 from clvol.light import Light, Material
 from clvol.march.renderer import Output, Renderer, render
+from clvol.missing import Missing
 from clvol.mode import Attenuated, Composite, Isosurface, Mean, Minip, Mip, Mode, modes
 from clvol.moved import callable_as_before
 from clvol.picture import save
@@ -62,6 +63,7 @@ __all__ = [
     "Medium",
     "Minip",
     "Mip",
+    "Missing",
     "MissingDependencyError",
     "Mode",
     "OptionError",

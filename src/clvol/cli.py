@@ -58,6 +58,7 @@ def _whole(_: object, tokens: Sequence[Token]) -> int | tuple[int, ...]:
 _COMPARED = 20_000  # gradients that a table of errors compares
 Projection = Literal["perspective", "orthographic"]
 _MODES = f"{', '.join(clvol.modes())}."
+_BOUNDARIES = f"What lies past the outer samples: {', '.join(clvol.boundaries())}; with a value, constant(5) or grid-constant(5)."
 
 
 @Parameter(name="*")
@@ -68,7 +69,9 @@ class Input:
     shape: Annotated[tuple[int, int, int] | None, Parameter(help="Samples along z, y, x of a raw file.", converter=_whole)] = None
     dtype: Annotated[str | None, Parameter(help="Sample type of a raw file, such as uint16 or '>f4'.")] = None
     spacing: Annotated[tuple[float, float, float] | None, Parameter(help="Spacing along x, y, z, instead of the file's.")] = None
-    fill_nan: Annotated[float | None, Parameter(help="Value that replaces NaN and infinite samples.")] = None
+    fill_nan: Annotated[
+        float | Literal["smoothly"] | None, Parameter(help="Value that replaces NaN and infinite samples, or 'smoothly'.")
+    ] = None
 
     def read(self, source: str) -> clvol.Volume:
         if source.startswith("phantom:"):
@@ -78,7 +81,9 @@ class Input:
             return volume if self.spacing is None else replace(volume, spacing=self.spacing)
         options = {"shape": self.shape, "dtype": self.dtype, "spacing": self.spacing}
         volume = clvol.read(source, **{k: v for k, v in options.items() if v is not None})  # type: ignore[arg-type]  # by name
-        return volume if self.fill_nan is None else volume.filled(self.fill_nan)
+        if self.fill_nan is None:
+            return volume
+        return volume.filled(None if self.fill_nan == "smoothly" else self.fill_nan)
 
 
 @Parameter(name="*")
@@ -87,7 +92,7 @@ class Look:
     """How a picture is made."""
 
     mode: Annotated[str, Parameter(help=_MODES)] = "composite"
-    boundary: Annotated[str, Parameter(help="mirror, reflect, wrap or zero.")] = "mirror"
+    boundary: Annotated[str, Parameter(help=_BOUNDARIES)] = "mirror"
     step: Annotated[float, Parameter(help="The most that a ray advances between samples, in voxels; exact surfaces take none.")] = (
         0.5
     )
@@ -548,8 +553,9 @@ def resample(
     like: str | None = None,
     magnify: Whole | None = None,
     filter: str = "bspline3",
-    boundary: Annotated[str, Parameter(help="mirror, reflect, wrap or zero.")] = "mirror",
+    boundary: Annotated[str, Parameter(help=_BOUNDARIES)] = "mirror",
     fill: float | None = None,
+    nan: str = "error",
     device: DeviceName = None,
     input: Input | None = None,
     json: Json = False,
@@ -570,6 +576,8 @@ def resample(
         How it is reconstructed between its samples; see 'clvol filters'.
     fill
         Value outside the volume; by default its boundary rule goes on.
+    nan
+        What becomes of NaN and infinite samples: error, propagate, or local, which leaves out what they touch.
     """
     given = [
         name
@@ -582,10 +590,12 @@ def resample(
     volume = (input or Input()).read(source)
     with _progress("resampling", json) as progress:
         if magnify is not None:
-            result = clvol.magnify(volume, magnify, filter, boundary, device=device, progress=progress)
+            result = clvol.magnify(volume, magnify, filter, boundary, device=device, nan=nan, progress=progress)
         else:
             grid = None if like is None else Input().read(like)
-            result = clvol.resample(volume, shape, spacing, grid, filter, boundary, fill=fill, device=device, progress=progress)
+            result = clvol.resample(
+                volume, shape, spacing, grid, filter, boundary, fill=fill, device=device, nan=nan, progress=progress
+            )
     clvol.write(result, output)
     _say(json, {"output": str(output), "shape": list(result.shape), "spacing": list(result.spacing)})
 

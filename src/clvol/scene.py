@@ -50,7 +50,8 @@ class Medium:
         How it is reconstructed between its samples; by default as suits the mode of the picture: "bspline3(auto)", or "bspline3"
         in modes that show extremes (`Mode.picture_filter`).
     boundary : str or Boundary
-        What lies past its faces.
+        What lies past its outer samples. The domain is drawn as far as half a voxel past them; under "constant" and "overlap",
+        where another function begins at them, just to them.
 
     Raises
     ------
@@ -117,8 +118,8 @@ class Medium:
             index_to_world=volume.index_to_world_matrix.ravel() / unit,
             gradient=gradient.ravel(),
             center=(np.asarray(volume.size) - 1) / 2,
-            low=-0.5,
-            high=np.asarray(volume.size) - 0.5,
+            low=-self.boundary.edge,
+            high=np.asarray(volume.size) - 1 + self.boundary.edge,
             unit=unit,
             rounding=ROUNDING * steepest,
         )

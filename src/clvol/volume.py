@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.checks import number, reals, whole
 from clvol.errors import DataError, GeometryError, OptionError
 from clvol.interop import read_array
+from clvol.missing import Missing, filled_smoothly
 from clvol.noise import Noise, estimate
 
 __all__ = ["Volume", "as_volume"]
@@ -59,7 +60,8 @@ class Volume:
     -----
     A volume may contain NaN and infinite samples, but nothing is computed from them: the spline
     prefilter is recursive, so one NaN would spoil all coefficients. Rendering, sampling
-    and prefiltering raise `DataError` that says where the first one is; `filled` replaces them.
+    and prefiltering raise `DataError` that says where the first one is; `filled` replaces them, and sampling
+    can leave out what they reach (`Missing`).
     """
 
     data: NDArray[Any]
@@ -158,11 +160,14 @@ class Volume:
             f"infinite, the first at index {list(first)}: replace them with Volume.filled(value)"
         )
 
-    def filled(self, value: float) -> Volume:
-        """A copy whose NaN and infinite samples are `value`."""
-        new = number("value", value)
+    def filled(self, value: float | None = None) -> Volume:
+        """A copy whose NaN and infinite samples are `value`; by default what is least bent between the others: see `Missing`."""
+        new = None if value is None else number("value", value)
         if self.data.dtype.kind != "f":
             return self
+        if new is None:
+            where = Missing("local").of(self.data)
+            return self if where is None else self._with(filled_smoothly(self.data, where))
         with np.errstate(over="ignore"):
             stored = self.data.dtype.type(new)
         if not np.isfinite(stored):

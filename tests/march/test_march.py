@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clvol.boundary import boundaries
 from clvol.camera import Camera
 from clvol.device import Device, Tile
 from clvol.errors import DeviceError
@@ -28,6 +27,7 @@ from clvol.mode import modes
 from clvol.reference.march import march as reference
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
+from tests.cases import RULES
 from tests.march.looks import TILES, suited
 
 SIZE = (24, 20)
@@ -280,7 +280,7 @@ def test_every_view(device: Device, keep: dict[Any, Renderer], view: str, mode: 
 
 
 @pytest.mark.parametrize("mode", ["composite", "isosurface"])
-@pytest.mark.parametrize("boundary", boundaries())
+@pytest.mark.parametrize("boundary", RULES)
 def test_every_boundary(device: Device, keep: dict[Any, Renderer], boundary: str, mode: str) -> None:
     for name in ("nearest", "bspline3"):
         check(held(keep, device, block(), name, boundary), CAMERA, mode, allowance(name, mode, device))

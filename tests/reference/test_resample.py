@@ -6,17 +6,16 @@ import numpy as np
 import pytest
 
 from clvol import reference
-from clvol.boundary import boundaries
 from clvol.errors import ClvolError
 from clvol.filter import filters
-from tests.cases import SMOOTHED
+from tests.cases import RULES, SMOOTHED
 
 DATA = np.random.default_rng(0).normal(size=(3, 8))
 Y, X = np.array([-0.5, 0.2, 1.0, 2.5]), np.array([-0.5, 0.0, 3.3, 4.5, 6.9, 7.5])
 POINTS = np.stack(np.meshgrid(Y, X, indexing="ij")[::-1], -1)
 
 
-@pytest.mark.parametrize("rule", boundaries())
+@pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("name", [*filters(), *SMOOTHED, "bspline3(0.1,0)"])
 def test_it_is_sampling_at_each_point(name: str, rule: str) -> None:
     np.testing.assert_allclose(reference.lattice(DATA, [Y, X], name, rule), reference.sample(DATA, POINTS, name, rule), atol=1e-12)

@@ -14,6 +14,7 @@ from clvol.spline.field import coefficients_of, resample, sample
 from clvol.spline.points import sample_coefficients
 from clvol.spline.sort import scattered
 from clvol.volume import Volume
+from tests.cases import RULES
 
 ROWS = (*filters(), "sinc(3)")
 
@@ -40,7 +41,7 @@ def points_of(volume: Volume, count: int, seed: int = 0, dtype: type = np.float6
 def test_a_point_gives_the_same_wherever_it_stands(device: Device, name: str, derivative: int, d: int) -> None:
     volume = volume_of(d)
     points = points_of(volume, 600 + 5)
-    rule = ("mirror", "reflect", "wrap", "zero")[len(name) % 4]
+    rule = RULES[len(name) % len(RULES)]
     with coefficients_of(volume, as_filter(name), as_boundary(rule), device) as held:
         path = choose_evaluator(device, held.filter)
 

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from clvol import reference
-from clvol.boundary import boundaries
 from clvol.device import Device
 from clvol.filter import filters
 from clvol.spline.field import magnify, resample
 from clvol.volume import Volume
-from tests.cases import SMOOTHED
+from tests.cases import RULES, SMOOTHED
 
 TOLERANCE = 2e-6  # of the greatest coefficient; measured on PoCL: 5.4e-7
 SHAPES = ((3, 4, 5), (1, 2, 9), (9, 1, 1), (1, 1, 1), (6, 19), (1, 5), (1, 1))
@@ -47,7 +46,7 @@ def agree(got: Volume, wanted: Volume, volume: Volume, name: str, rule: str) -> 
 
 
 @pytest.mark.usefixtures("only_separable")
-@pytest.mark.parametrize("rule", boundaries())
+@pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("name", [*filters(), "sinc(8)", *SMOOTHED])
 def test_separable(device: Device, name: str, rule: str) -> None:
     for shape in SHAPES:

@@ -362,8 +362,8 @@ def settled_compared(chosen: Sequence[str | Filter], volume: Volume) -> list[str
 
 
 def require_period(chosen: Sequence[str | Filter], rule: Boundary) -> None:
-    """Raise `OptionError` if the exact sinc is among the compared under a boundary rule without a period."""
-    if EXACT_SINC in chosen and rule.period is None:
+    """Raise `OptionError` if the exact sinc is among the compared under a boundary rule that does not repeat the samples."""
+    if EXACT_SINC in chosen and not rule.repeats:
         raise OptionError(f"boundary must be mirror, reflect or wrap for {EXACT_SINC!r}; got {rule.name!r}")
 
 

@@ -267,7 +267,7 @@ def sinc_volume(
 def periodic(boundary: str | Boundary) -> Boundary:
     """The boundary rule, if it has a period: without one there is no exact sinc."""
     rule = as_boundary(boundary)
-    if rule.period is None:
+    if not rule.repeats:
         raise OptionError(f"boundary must be mirror, reflect or wrap, which have a period; got {rule.name!r}")
     return rule
 

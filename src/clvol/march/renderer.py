@@ -88,9 +88,14 @@ class Renderer:
         self._own = not isinstance(scene, Field)
         if isinstance(scene, Field):
             field = as_field(scene, filter, boundary, device)
+            if field.gaps is not None:
+                raise OptionError(
+                    "rendering takes a field without gaps; this one has missing samples: replace them with Volume.filled(), or "
+                    'keep them filled with nan=Missing("local", most=1)'
+                )
             if scene.closed:
                 raise OptionError("the field was closed, and its coefficients were released; make a new one")
-            scene = Medium(scene.volume, filter=scene.filter, boundary=scene.boundary)
+            scene = Medium(scene.coefficients.volume, filter=scene.filter, boundary=scene.boundary)
         elif not isinstance(scene, (Scene, Medium)):
             scene = Medium(scene, **given)  # type: ignore[arg-type]  # __post_init__ converts
         elif given:

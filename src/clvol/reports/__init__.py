@@ -144,7 +144,7 @@ def report(
     chosen = settled_once(named, volume)
     if not chosen:
         raise OptionError(f"filters must name one to be drawn beside {EXACT_SINC!r}; got {filters!r}")
-    sinc = [EXACT_SINC] if rule.period is not None or EXACT_SINC in named else []
+    sinc = [EXACT_SINC] if rule.repeats or EXACT_SINC in named else []
     advance = progress or (lambda _: None)
     middle = _middle(volume, max_samples)
     noise = volume.noise

@@ -121,7 +121,7 @@ def advise(
     smooth = settled(PICTURE_FILTER, volume).name
     if isinstance(known, Noise) and known.kind == "rounded" and smooth in by_name:
         return Advice(smooth, _rounded(smooth, known))
-    sinc = [EXACT_SINC] if EXACT_SINC in named and rule.period is not None else []
+    sinc = [EXACT_SINC] if EXACT_SINC in named and rule.repeats else []
     expected = predict(volume, [*rows, *sinc], known)
     best = _choice(expected, by_name, high - low)
     if float(np.var(volume.data, dtype=np.float64)) < (1 + _NOTHING) * expected.sigma**2:

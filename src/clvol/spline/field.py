@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from types import TracebackType
 from typing import Literal, Self, TypeAlias
 
@@ -17,6 +18,7 @@ from clvol.device import Device, as_device
 from clvol.errors import DataError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.interop import read_array
+from clvol.missing import Missing, as_missing, touching
 from clvol.smoothing import settled
 from clvol.spline.coefficients import Coefficients, Lattice
 from clvol.spline.evaluator import DIRECT, Evaluator, EvaluatorName, FetchName, choose_evaluator
@@ -109,11 +111,17 @@ class Field:
         See `as_device`; None is the default device.
     precision : {"single", "double"}
         Of coefficients and results: float32, or float64 on devices that have it.
+    nan : {"error", "propagate", "local"} or Missing
+        What becomes of samples that are NaN or infinite: see `clvol.Missing`, which also takes a mask of missing samples.
 
     Attributes
     ----------
     volume : Volume
-        The samples.
+        The samples, as they were given.
+    missing : Missing
+        What becomes of missing samples.
+    gaps : Field or None
+        The share of missing samples that a result is computed from; None where none is missing, or none is too many.
     filter : Filter
         Its smoothing settled for this volume.
     boundary : Boundary
@@ -125,9 +133,9 @@ class Field:
     ------
     DataError
         `volume` is no array of real numbers with 2 or 3 axes, is empty, or holds a value that is NaN, infinite or too
-        large for float64.
+        large for float64 (unless `nan` allows for it); a mask has another shape.
     OptionError
-        `filter`, `boundary` or `device` is the name of none.
+        `filter`, `boundary`, `device` or `nan` is the name of none.
     DeviceError
         There is no OpenCL device, or it cannot be used.
     OutOfMemoryError
@@ -135,6 +143,9 @@ class Field:
 
     Notes
     -----
+    Where samples are missing, their places are kept like a second volume, and every call samples both: twice the memory, and up
+    to twice the time.
+
     A Field is a context manager: leaving it frees the device's memory, as `close` does. Several threads may use one at a
     time.
 
@@ -161,14 +172,32 @@ class Field:
         device: Device | str | int | None = None,
         *,
         precision: Precision = "single",
+        nan: str | Missing = "error",
     ) -> None:
         self.volume = as_volume(volume)
         row = as_filter(filter)
         self.boundary = as_boundary(boundary)
         kind = precision_kind(precision)
         self.device = as_device(device)
-        self.coefficients = coefficients_of(self.volume, row, self.boundary, self.device, kind)
+        self.missing = as_missing(nan)
+        where = self.missing.of(self.volume.data)
+        present = self.volume if where is None else replace(self.volume, data=self.missing.filled(self.volume.data, where))
+        self.coefficients = coefficients_of(present, row, self.boundary, self.device, kind)
         self.filter = self.coefficients.filter
+        self.gaps = None if where is None else self._gaps_at(where)
+
+    def _gaps_at(self, where: NDArray[np.bool_]) -> Field | None:
+        """The share of missing samples as a function of its own; None where it decides nothing."""
+        rule, row = self.missing.rule, self.filter
+        if rule == "local" and self.missing.most == 1:
+            return None
+        if rule == "propagate" and (row.magnified_by or row).prefilter:
+            where = np.ones_like(where)
+        try:
+            return Field(replace(self.volume, data=where), touching(row, rule), replace(self.boundary, cval=0.0), self.device)
+        except BaseException:
+            self.close()
+            raise
 
     def __repr__(self) -> str:
         shape = " × ".join(map(str, self.volume.shape))
@@ -183,7 +212,7 @@ class Field:
     @property
     def nbytes(self) -> int:
         """Bytes of the buffer with the coefficients; 0 once closed. An image (``fetch="image"``) takes as many again."""
-        return 0 if self.closed else self.coefficients.nbytes
+        return 0 if self.closed else self.coefficients.nbytes + (self.gaps.nbytes if self.gaps else 0)
 
     @property
     def closed(self) -> bool:
@@ -193,6 +222,8 @@ class Field:
     def close(self) -> None:
         """Free the device's memory. Results stay valid; asking for more raises `OptionError`."""
         self.coefficients.release()
+        if self.gaps:
+            self.gaps.close()
 
     def __enter__(self) -> Self:
         return self
@@ -293,7 +324,11 @@ class Field:
         d = self.volume.ndim
         array = _points(points, d)
         chosen = self._evaluator(evaluator, fetch)
-        flat = sample_coefficients(self.coefficients, chosen, array.reshape(-1, d), derivative, _fill_value(fill), progress)
+        first, second = _halves(progress) if self.gaps else (progress, None)
+        flat = sample_coefficients(self.coefficients, chosen, array.reshape(-1, d), derivative, _fill_value(fill), first)
+        if self.gaps:
+            share = self.gaps._at(array.reshape(-1, d), 0, "taps", "buffer", None if fill is None else 0.0, second)
+            flat[share > self.missing.most] = np.nan
         return flat.reshape(array.shape[:-1] + (d,) * derivative)
 
     # -- on other grids ----------------------------------------------------------------------------------------
@@ -396,9 +431,14 @@ class Field:
         device.require_room(np.dtype(made.kind).itemsize * math.prod(shape))
         made.argument(chosen)  # a closed field is refused before the result is made
         result = np.empty(shape, made.kind)
+        first, second = _halves(progress) if self.gaps else (progress, None)
         with device.lent(result, write=True) as buffer:
-            resample_coefficients(made, chosen, matrix, offset, (1, *shape)[-3:], buffer, given, progress)
-        return given.in_units_of_data(made, result, 0)
+            resample_coefficients(made, chosen, matrix, offset, (1, *shape)[-3:], buffer, given, first)
+        final = given.in_units_of_data(made, result, 0)
+        if self.gaps:
+            share = self.gaps._on_grid(matrix, offset, shape, "taps", "buffer", None if fill is None else 0.0, second)
+            final[share > self.missing.most] = np.nan
+        return final
 
     def _evaluator(self, evaluator: str, fetch: str) -> Evaluator:
         """The one that is named, or suits the device: images hold float32 alone."""
@@ -418,19 +458,20 @@ def as_field(
     boundary: str | Boundary | None = None,
     device: Device | str | int | None = None,
     precision: Precision | None = None,
+    nan: str | Missing | None = None,
 ) -> Field:
     """A Field as it is, or a new one of a volume.
 
     Parameters
     ----------
     volume : Volume, array-like or Field
-    filter, boundary, device, precision
+    filter, boundary, device, precision, nan
         As of `Field`; None is its default, or, where a Field is given, what that has.
 
     Raises
     ------
     OptionError
-        A Field is given together with another filter, boundary or device than its own.
+        A Field is given together with another filter, boundary, device, precision or treatment of missing samples than its own.
     DataError, DeviceError, OutOfMemoryError
         As `Field` raises them.
     """
@@ -441,22 +482,21 @@ def as_field(
             DEFAULT_BOUNDARY if boundary is None else boundary,
             device,
             precision="single" if precision is None else precision,
+            nan="error" if nan is None else nan,
         )
+    present = volume.coefficients.volume
     for what, own, same, name in (
-        ("filter", volume.filter, filter is None or settled(filter, volume.volume) == volume.filter, filter),
-        ("boundary", volume.boundary, boundary is None or as_boundary(boundary) == volume.boundary, boundary),
-        ("device", volume.device, device is None or as_device(device) is volume.device, device),
+        ("filter", volume.filter.name, filter is None or settled(filter, present) == volume.filter, filter),
+        ("boundary", volume.boundary.name, boundary is None or as_boundary(boundary) == volume.boundary, boundary),
+        ("device", volume.device.name, device is None or as_device(device) is volume.device, device),
+        ("precision", volume.precision, precision is None or precision == volume.precision, precision),
+        ("nan", volume.missing.rule, nan is None or nan in (volume.missing, volume.missing.rule), nan),
     ):
         if not same:
             raise OptionError(
-                f"the field was made with {what} {own.name!r}, which cannot be changed to {getattr(name, 'name', name)!r}; "
+                f"the field was made with {what} {own!r}, which cannot be changed to {getattr(name, 'name', name)!r}; "
                 f"leave {what} out, or make another Field"
             )
-    if precision is not None and precision != volume.precision:
-        raise OptionError(
-            f"the field was made with precision {volume.precision!r}, which cannot be changed to {precision!r}; "
-            "leave precision out, or make another Field"
-        )
     return volume
 
 
@@ -467,9 +507,10 @@ def opened(
     boundary: str | Boundary | None = None,
     device: Device | str | int | None = None,
     precision: Precision | None = None,
+    nan: str | Missing | None = None,
 ) -> Iterator[Field]:
     """`as_field` for the time of a block: a Field that was made for it is closed at its end, one that was given is not."""
-    field = as_field(volume, filter, boundary, device, precision)
+    field = as_field(volume, filter, boundary, device, precision, nan)
     try:
         yield field
     finally:
@@ -492,6 +533,7 @@ def sample(
     fill: float | None = None,
     device: Device | str | int | None = None,
     precision: Precision | None = None,
+    nan: str | Missing | None = None,
     progress: Progress | None = None,
 ) -> Reals:
     """The reconstructed function, its gradient or its Hessian at points of the world (eqs 8 and 9 of the paper).
@@ -517,6 +559,8 @@ def sample(
         See `as_device`; default that of the Field, if one is given.
     precision : {"single", "double"}, optional
         As of `Field`; default "single", or that of the Field.
+    nan : {"error", "propagate", "local"} or Missing, optional
+        What becomes of samples that are NaN or infinite: see `clvol.Missing`; default "error", or that of the Field.
 
     Returns
     -------
@@ -526,8 +570,8 @@ def sample(
     Raises
     ------
     OptionError
-        `derivative` is not 0, 1 or 2; a Field is given with another filter, boundary or device than its own; or for the
-        reasons of a call of `Field`.
+        `derivative` is not 0, 1 or 2; a Field is given with another filter, boundary, device, precision or nan than its own; or as of
+        a call of `Field`.
     DataError, DeviceError, OutOfMemoryError
         As `Field` and a call of it raise them.
     """
@@ -535,7 +579,7 @@ def sample(
     if not isinstance(volume, Field):
         volume = as_volume(volume)
         _points(points, volume.ndim)  # before the volume is prefiltered
-    with opened(volume, filter, boundary, device, precision) as field:
+    with opened(volume, filter, boundary, device, precision, nan) as field:
         at = (field.__call__, field.gradient, field.hessian)[derivative]
         return at(points, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress)
 
@@ -553,6 +597,7 @@ def resample(
     fill: float | None = None,
     device: Device | str | int | None = None,
     precision: Precision | None = None,
+    nan: str | Missing | None = None,
     progress: Progress | None = None,
 ) -> Volume:
     """The volume on another grid; give exactly one of `shape`, `spacing` and `like`.
@@ -563,7 +608,7 @@ def resample(
         2-D or 3-D samples; an array has spacing 1 and origin 0.
     shape, spacing, like, fill
         As in `Field.resample`. No low-pass is applied: see `Volume.gaussian` before making voxels larger.
-    filter, boundary, device, precision
+    filter, boundary, device, precision, nan
         As in `sample`.
     evaluator, fetch, progress
         As in a call of `Field`.
@@ -575,14 +620,14 @@ def resample(
     Raises
     ------
     OptionError
-        A Field is given with another filter, boundary or device than its own; or for the reasons of `Field.resample`.
+        A Field is given with another filter, boundary, device, precision or nan than its own; or as of `Field.resample`.
     DataError, DeviceError, OutOfMemoryError
         As `Field` and `Field.resample` raise them.
     """
     if not isinstance(volume, Field):
         volume = as_volume(volume)
         _grid_for(volume, shape, spacing, like)  # before the volume is prefiltered
-    with opened(volume, filter, boundary, device, precision) as field:
+    with opened(volume, filter, boundary, device, precision, nan) as field:
         return field.resample(shape, spacing, like, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress)
 
 
@@ -596,6 +641,7 @@ def magnify(
     fetch: FetchName = "auto",
     device: Device | str | int | None = None,
     precision: Precision | None = None,
+    nan: str | Missing | None = None,
     progress: Progress | None = None,
 ) -> Volume:
     """The volume with `factor` times the samples along each axis, the given ones among them (section 4.3).
@@ -606,7 +652,7 @@ def magnify(
         2-D or 3-D samples; an array has spacing 1 and origin 0.
     factor : int
         At least 1; see `Field.magnify` for where the new samples lie.
-    filter, boundary, device, precision
+    filter, boundary, device, precision, nan
         As in `sample`.
     evaluator, fetch, progress
         As in a call of `Field`.
@@ -618,12 +664,12 @@ def magnify(
     Raises
     ------
     OptionError
-        A Field is given with another filter, boundary or device than its own; or for the reasons of `Field.magnify`.
+        A Field is given with another filter, boundary, device, precision or nan than its own; or as of `Field.magnify`.
     DataError, DeviceError, OutOfMemoryError
         As `Field` and `Field.magnify` raise them.
     """
     factor = whole("factor", factor, minimum=1)
-    with opened(volume, filter, boundary, device, precision) as field:
+    with opened(volume, filter, boundary, device, precision, nan) as field:
         return field.magnify(factor, evaluator=evaluator, fetch=fetch, progress=progress)
 
 
@@ -690,6 +736,13 @@ def prefilter(
 def _gain(filter: Filter) -> float:
     """The coefficients of samples that are all 1, along one axis."""
     return 1 / float(filter.samples[0] + 2 * filter.samples[1:].sum()) if filter.prefilter else 1.0
+
+
+def _halves(progress: Progress | None) -> tuple[Progress, Progress] | tuple[None, None]:
+    """For the first and the second half of the work."""
+    if progress is None:
+        return None, None
+    return lambda done: progress(done / 2), lambda done: progress((1 + done) / 2)
 
 
 # -- arguments -------------------------------------------------------------------------------------------------------

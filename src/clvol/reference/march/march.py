@@ -225,14 +225,16 @@ def render(
     gather = MODES.get(chosen.name)
     if gather is None:
         raise one_of("mode of the reference", chosen.name, MODES)
-    taken_off = Stored.of(volume, row, as_boundary(boundary)).offset  # kernels round what is left without it
+    rule = as_boundary(boundary)
+    taken_off = Stored.of(volume, row, rule).offset  # kernels round what is left without it
+    inside = rule if rule.edge else "mirror"  # the same between the outer samples, to which rays are cut, and at what they round to
     if transfer is None:
         transfer = chosen.transfer(volume)
     material = material or Material()
     central = gradient == "central" or not row.has_gradient
 
     def value(points: Array) -> Array:
-        return sample(volume, points, row, boundary)
+        return sample(volume, points, row, inside)
 
     def slope(points: Array) -> Array:
         """Differences of one voxel of the grid that is stored to either side, or the exact derivative; per world unit.
@@ -240,7 +242,7 @@ def render(
         ``df/dw_i = Σ_j df/dx_j dx_j/dw_i`` with index positions x and world positions w.
         """
         if not central:
-            return sample(volume, points, row, boundary, 1)
+            return sample(volume, points, row, inside, 1)
         columns = volume.index_to_world_matrix.T / row.scale  # row j: one voxel along axis j, of the magnified grid if there is one
         differences = np.stack([(value(points + c) - value(points - c)) / 2 for c in columns], -1) * row.scale
         return np.asarray(differences @ volume.world_to_index_matrix)
@@ -261,7 +263,7 @@ def render(
     total = np.zeros((width * height, 4))
     guides: dict[str, Array] = {}
     for offset, weight in pixel_rays(samples, pixel_filter):
-        rays = camera_rays(volume, view, size, offset, clip)
+        rays = camera_rays(volume, view, size, offset, clip, rule.edge)
         t, there, world_step = _sample_distances(volume, rays, axis, planes, step, chosen.endpoints)
         values = np.full(t.shape, math.nan)
         which, k = np.nonzero(there)

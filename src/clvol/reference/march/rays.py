@@ -51,8 +51,11 @@ def camera_rays(
     size: tuple[int, int],
     offset: Sequence[float] = (0.5, 0.5),
     clip: tuple[Sequence[float], Sequence[float]] | None = None,
+    edge: float = 0.5,
 ) -> Rays:
     """One ray a pixel, row by row from the top, `offset` of a pixel from its upper left corner.
+
+    They are inside the domain as far as `edge` samples past the outer ones.
 
     With ``a = 2 (x + ox) / width - 1`` and ``b = 1 - 2 (y + oy) / height``, a pixel lies at
     ``h (a aspect right + b up)``. Perspective rays start at the eye along forward plus that;
@@ -70,7 +73,7 @@ def camera_rays(
     # the domain is a box in index space, which the map from the world keeps straight and evenly parted
     start = volume.world_to_index(origin)
     slope = volume.world_to_index(origin + direction) - start
-    enter, leave = _slabs(start, slope, np.full(3, -0.5), np.array(volume.size) - 0.5)
+    enter, leave = _slabs(start, slope, np.full(3, -edge), np.array(volume.size) - 1 + edge)
     if clip is not None:
         other_enter, other_leave = _slabs(origin, direction, np.asarray(clip[0], float), np.asarray(clip[1], float))
         enter, leave = np.maximum(enter, other_enter), np.minimum(leave, other_leave)

@@ -10,14 +10,26 @@ from numpy.typing import NDArray
 
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.errors import OptionError
+from clvol.filter import Filter
 
-__all__ = ["extend", "period"]
+__all__ = ["extend", "pad", "padding", "period", "placed", "solved_by"]
 
-_MODES: Final[dict[str, Any]] = {"mirror": "reflect", "reflect": "symmetric", "wrap": "wrap", "zero": "constant"}
+# the base name of each rule: how coefficients are continued, and with which rule the prefilter ends
+_RULES: Final[dict[str, tuple[Any, str]]] = {
+    "mirror": ("reflect", "mirror"),
+    "reflect": ("symmetric", "reflect"),
+    "wrap": ("wrap", "wrap"),
+    "zero": ("constant", "zero"),
+    "nearest": ("edge", "reflect"),
+    "constant": ("reflect", "mirror"),
+    "grid-constant": ("constant", "mirror"),
+    "overlap": ("reflect", "mirror"),
+}
+_DEEP: Final = 12  # samples: a cubic's prefilter forgets 2e7 : 1 over them; SciPy takes as many
 
 
 def extend(data: NDArray[Any], width: int | Sequence[tuple[int, int]], boundary: str | Boundary = DEFAULT_BOUNDARY) -> NDArray[Any]:
-    """`data` with more samples around it.
+    """`data`, which are coefficients, with more of them around.
 
     Parameters
     ----------
@@ -26,29 +38,78 @@ def extend(data: NDArray[Any], width: int | Sequence[tuple[int, int]], boundary:
     width : int or sequence of (int, int)
         Samples before and after, for every axis or for each.
     boundary : str or Boundary
-        Mirror is NumPy's "reflect", reflect its "symmetric", wrap its "wrap" and zero its "constant".
+        Mirror is NumPy's "reflect", and so are constant and overlap; reflect is its "symmetric", wrap its "wrap", nearest its
+        "edge", and zero and grid-constant its "constant".
     """
     widths = [(width, width)] * data.ndim if isinstance(width, int) else list(width)
-    name = _name(boundary)
+    mode, value = _RULES[_name(boundary)][0], as_boundary(boundary).cval
     for axis, (before, after) in enumerate(widths):
         one = [(0, 0)] * data.ndim
         one[axis] = (before, after)
-        # reflecting a single sample about itself gives that sample again
-        mode: Any = "edge" if name == "mirror" and data.shape[axis] == 1 else _MODES[name]
-        data = np.pad(data, one, mode=mode)
+        if mode == "constant":
+            kind = data.dtype if value == 0 else np.result_type(data.dtype, np.float64)
+            data = np.pad(data.astype(kind), one, constant_values=value)
+        else:  # reflecting a single sample about itself gives that sample again
+            data = np.pad(data, one, mode="edge" if mode == "reflect" and data.shape[axis] == 1 else mode)
     return data
 
 
+def padding(filter: Filter, boundary: str | Boundary) -> int:
+    """How many samples past each end are taken for given ones, before the prefilter."""
+    if _name(boundary) not in ("nearest", "grid-constant"):
+        return 0
+    row = filter.magnified_by or filter
+    return max(_DEEP, row.support) if row.prefilter else row.support // 2
+
+
+def pad(samples: NDArray[np.float64], filter: Filter, boundary: str | Boundary) -> NDArray[np.float64]:
+    """Samples with the copies of the outer ones, or of the constant, that the prefilter sees."""
+    width = padding(filter, boundary)
+    if not width:
+        return samples
+    if _name(boundary) == "nearest":
+        return np.pad(samples, width, mode="edge")
+    return np.pad(samples, width, constant_values=as_boundary(boundary).cval)
+
+
+def solved_by(boundary: str | Boundary) -> str:
+    """The rule for the coefficients past the ends in eq. (11), after `pad`."""
+    return _RULES[_name(boundary)][1]
+
+
 def period(n: int, boundary: str | Boundary) -> int | None:
-    """After how many samples the extension of an axis of `n` repeats; None if it never does."""
+    """After how many samples the function on an axis of `n` repeats; None if it never does."""
+    lengths = {"mirror": 2 * (n - 1), "reflect": 2 * n, "wrap": n, "overlap": n - 1}
     name = _name(boundary)
-    if name == "zero":
-        return None
-    return {"mirror": max(1, 2 * (n - 1)), "reflect": 2 * n, "wrap": n}[name]
+    return max(1, lengths[name]) if name in lengths else None
+
+
+def placed(
+    x: NDArray[np.float64], n: int, margin: int, pad: int, boundary: str | Boundary
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Positions in samples, brought to where the coefficients tell the function, and where it is the boundary's constant instead.
+
+    The axis has `n` samples and `pad` more at either end. All taps of a position `margin` further out lie past these.
+    """
+    name, last, at = _name(boundary), n - 1, x.copy()
+    away = (x < 0) | (x > last)
+    if name == "constant":
+        return np.where(away, 0, x), away
+    if name == "overlap":  # as SciPy has it: from the left to the last sample, from the right to the first one
+        left, right, length = x < 0, x > last, max(last, 1)
+        at[left] = last - np.mod(-x[left], length)
+        at[right] = np.mod(x[right], length)
+        at = np.minimum(at, last)
+    elif (cycle := period(n, boundary)) is None:
+        at = np.clip(x, -pad - margin, last + pad + margin)
+    else:
+        away = (x < -0.5) | (x > n - 0.5)
+        at[away] = np.mod(x[away], cycle)
+    return at, np.zeros(x.shape, bool)
 
 
 def _name(boundary: str | Boundary) -> str:
-    name = as_boundary(boundary).name
-    if name not in _MODES:
-        raise OptionError(f"the reference knows the boundaries {', '.join(_MODES)}; got {name!r}")
+    name = as_boundary(boundary).name.partition("(")[0]
+    if name not in _RULES:
+        raise OptionError(f"the reference knows the boundaries {', '.join(_RULES)}; got {name!r}")
     return name

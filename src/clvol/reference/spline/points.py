@@ -9,12 +9,12 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary
+from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.errors import OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
-from clvol.reference.spline.boundary import extend, period
+from clvol.reference.spline.boundary import extend, padding, placed
 from clvol.reference.spline.filter import kernel
-from clvol.reference.spline.prefilter import prefilter
+from clvol.reference.spline.prefilter import padded_coefficients
 from clvol.volume import Volume, as_volume
 
 __all__ = ["magnify", "resample", "sample"]
@@ -119,27 +119,24 @@ def _at_indices(data: NDArray[np.generic], index: Array, filter: Filter, boundar
     """Derivatives per sample at finite index positions of shape (N, d), x first."""
     d, scale = data.ndim, filter.scale
     by = filter.magnified_by
-    margin = filter.support / 2 / scale + (by.support / 2 if by else 0) + 2
-    near = index.copy()
-    for j, n in enumerate(data.shape[::-1]):
-        cycle = period(n, boundary)
-        if cycle is None:  # farther out everything is 0, as here
-            near[:, j] = np.clip(near[:, j], -margin, n - 1 + margin)
-        else:
-            away = (near[:, j] < -0.5) | (near[:, j] > n - 0.5)
-            near[away, j] = np.mod(near[away, j], cycle)
-    coefficients = prefilter(data, filter, boundary)
+    margin = math.ceil(filter.support / 2 / scale + (by.support / 2 if by else 0)) + 2
+    width = padding(by or filter, boundary)
+    axes = [placed(index[:, j], n, margin, width, boundary) for j, n in enumerate(data.shape[::-1])]
+    near, constant = (np.stack(parts, -1) for parts in zip(*axes, strict=True))
+    coefficients = padded_coefficients(data, filter, boundary)
     widths = [
-        (math.ceil(max(0.0, margin - near[:, j].min())), math.ceil(max(0.0, near[:, j].max() + margin - n + 1)))
-        for j, n in enumerate(data.shape[::-1])
+        (math.ceil(max(0.0, margin - width - x.min())), math.ceil(max(0.0, x.max() + margin - n - width + 1)))
+        for x, n in zip(near.T, data.shape[::-1], strict=True)
     ][::-1]
     stored = extend(coefficients, widths, boundary)
-    first = np.array([-before for before, _ in widths])  # the index of what is stored first, z first
+    first = np.array([-width - before for before, _ in widths])  # the index of what is stored first, z first
     if by:
         for axis in range(d):
             stored = _refine(stored, axis, by, scale)
         first = first * scale
-    return _blend(stored, first, near[:, ::-1] * scale, filter, derivative) * float(scale) ** derivative
+    result = _blend(stored, first, near[:, ::-1] * scale, filter, derivative) * float(scale) ** derivative
+    result[constant.any(-1)] = as_boundary(boundary).cval if derivative == 0 else 0
+    return result
 
 
 def _refine(coefficients: Array, axis: int, by: Filter, scale: int) -> Array:

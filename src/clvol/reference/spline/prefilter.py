@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.boundary import DEFAULT_BOUNDARY, Boundary
 from clvol.errors import DataError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
-from clvol.reference.spline.boundary import extend
+from clvol.reference.spline.boundary import extend, pad, padding, solved_by
 from clvol.reference.spline.filter import kernel
 
-__all__ = ["kernel_samples", "prefilter", "prefilter_fft"]
+__all__ = ["kernel_samples", "padded_coefficients", "prefilter", "prefilter_fft"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -36,34 +36,35 @@ def prefilter(data: ArrayLike, filter: str | Filter = DEFAULT_FILTER, boundary: 
     filter : str or Filter
         A hybrid stands for the filter that it magnifies with.
     boundary : str or Boundary
-        Says which coefficients stand past the edge, hence the matrix's corners.
+        Says which coefficients stand past the edge, hence the matrix's corners; or which samples do, before the prefilter.
     """
     result, chosen = _arguments(data, filter)
-    if chosen.prefilter:
-        for axis in range(result.ndim):
-            lines = np.moveaxis(result, axis, 0)
-            solved = _solve(lines.reshape(lines.shape[0], -1), _denominator(chosen, result.ndim - 1 - axis), boundary)
-            result = np.moveaxis(solved.reshape(lines.shape), 0, axis)
-    return np.ascontiguousarray(result)
+    return _inner(_solved(result, chosen, boundary), padding(chosen, boundary))
+
+
+def padded_coefficients(data: ArrayLike, filter: str | Filter, boundary: str | Boundary) -> Array:
+    """Those of `prefilter`, and those of the samples that the boundary rule pads with."""
+    return np.ascontiguousarray(_solved(*_arguments(data, filter), boundary))
 
 
 def prefilter_fft(data: ArrayLike, filter: str | Filter = DEFAULT_FILTER, boundary: str | Boundary = DEFAULT_BOUNDARY) -> Array:
     """The same by dividing in the frequency domain, eq. (13), by the response of eq. (16).
 
-    An axis is first continued to one full period of its boundary rule. "zero" has none.
+    An axis is first continued to one full period of the rule that its prefilter ends with. "zero" has none.
     """
-    rule = as_boundary(boundary)
-    if rule.name == "zero":
-        raise OptionError("boundary must be mirror, reflect or wrap, which have a period; got 'zero'")
+    rule = solved_by(boundary)
+    if rule == "zero":
+        raise OptionError("boundary must be one whose prefilter has a period; got 'zero'")
     result, chosen = _arguments(data, filter)
+    result = pad(result, chosen, boundary)
     if chosen.prefilter:
         for axis in range(result.ndim):
             b = _denominator(chosen, result.ndim - 1 - axis)
             lines = np.moveaxis(result, axis, -1)
             n = lines.shape[-1]
-            if rule.name == "mirror":
+            if rule == "mirror":
                 cycle = np.concatenate([lines, lines[..., -2:0:-1]], -1)
-            elif rule.name == "reflect":
+            elif rule == "reflect":
                 cycle = np.concatenate([lines, lines[..., ::-1]], -1)
             else:
                 cycle = lines
@@ -71,7 +72,23 @@ def prefilter_fft(data: ArrayLike, filter: str | Filter = DEFAULT_FILTER, bounda
             response = b[0] + 2 * sum(v * np.cos(k * omega) for k, v in enumerate(b) if k)
             solved = np.fft.ifft(np.fft.fft(cycle) / response).real
             result = np.moveaxis(solved[..., :n], -1, axis)
-    return np.ascontiguousarray(result)
+    return _inner(result, padding(chosen, boundary))
+
+
+def _solved(samples: Array, filter: Filter, boundary: str | Boundary) -> Array:
+    """The coefficients of padded samples."""
+    result = pad(samples, filter, boundary)
+    if filter.prefilter:
+        for axis in range(result.ndim):
+            lines = np.moveaxis(result, axis, 0)
+            b = _denominator(filter, result.ndim - 1 - axis)
+            solved = _solve(lines.reshape(lines.shape[0], -1), b, solved_by(boundary))
+            result = np.moveaxis(solved.reshape(lines.shape), 0, axis)
+    return result
+
+
+def _inner(padded: Array, width: int) -> Array:
+    return np.ascontiguousarray(padded[tuple(slice(width, n - width) for n in padded.shape)])
 
 
 def _denominator(filter: Filter, axis: int) -> Array:

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary
+from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.errors import OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
-from clvol.reference.spline.boundary import extend
+from clvol.reference.spline.boundary import extend, padding, placed
 from clvol.reference.spline.filter import kernel
-from clvol.reference.spline.prefilter import prefilter
+from clvol.reference.spline.prefilter import padded_coefficients
 
 __all__ = ["lattice"]
 
@@ -54,32 +54,38 @@ def lattice(
         Positions outside the domain, a number of axes or orders that does not fit the data, or an unknown name.
     """
     chosen = as_filter(filter)
-    result = prefilter(data, chosen, boundary)
-    orders = [0] * result.ndim if orders is None else orders
-    if len(axes) != result.ndim or len(orders) != result.ndim:
-        raise OptionError(f"axes and orders must be {result.ndim}, one for each axis; got {len(axes)} and {len(orders)}")
-    for axis, (positions, order) in enumerate(zip(axes, orders, strict=True)):
+    shape = np.shape(data)
+    orders = [0] * len(shape) if orders is None else orders
+    if len(axes) != len(shape) or len(orders) != len(shape):
+        raise OptionError(f"axes and orders must be {len(shape)}, one for each axis; got {len(axes)} and {len(orders)}")
+    by, margin = chosen.magnified_by, chosen.support + 1
+    wide = margin + by.support if by else margin
+    width = padding(by or chosen, boundary)
+    result = extend(padded_coefficients(data, chosen, boundary), wide, boundary)
+    outside = np.zeros((1,) * len(shape), bool)
+    for axis, (positions, order, n) in enumerate(zip(axes, orders, shape, strict=True)):
+        x = np.asarray(positions, dtype=np.float64)
+        if x.ndim != 1 or not ((x >= -0.5) & (x <= n - 0.5)).all():
+            raise OptionError(f"positions along an axis of {n} must lie between {-0.5} and {n - 0.5}; got {x}")
+        at, constant = placed(x, n, margin, width, boundary)
+        matrix = _matrix(n, at, chosen, order, width + wide)
         lines = np.moveaxis(result, axis, 0)
-        matrix = _matrix(lines.shape[0], np.asarray(positions, dtype=np.float64), chosen, boundary, order)
         drawn = matrix @ lines.reshape(lines.shape[0], -1)
         result = np.moveaxis(drawn.reshape(-1, *lines.shape[1:]), 0, axis)
-    return np.ascontiguousarray(result)
+        outside = outside | np.moveaxis(constant.reshape(-1, *[1] * (len(shape) - 1)), 0, axis)
+    return np.where(outside, 0.0 if any(orders) else as_boundary(boundary).cval, result)
 
 
-def _matrix(n: int, x: Array, filter: Filter, boundary: str | Boundary, order: int) -> sparse.csr_array:
-    """Weights of the coefficients of an axis at positions `x`; shape (x.size, n)."""
-    if x.ndim != 1 or not ((x >= -0.5) & (x <= n - 0.5)).all():
-        raise OptionError(f"positions along an axis of {n} must lie between {-0.5} and {n - 0.5}; got {x}")
-    margin = filter.support + 1
+def _matrix(n: int, x: Array, filter: Filter, order: int, before: int) -> sparse.csr_array:
+    """Weights of the coefficients of an axis, so many of them before the first sample, at positions `x`."""
     if filter.magnified_by is None:
-        return sparse.csr_array(_weights(x, filter, order, n, margin) @ _continued(n, margin, boundary))
+        return _weights(x, filter, order, n, before)
     # a hybrid: the finer samples within reach, each from the coefficients
-    by, scale = filter.magnified_by, filter.scale
-    fine = np.arange(-scale * margin, scale * (n + margin)) / scale
-    wider = margin + by.support
-    magnified = _weights(fine, by, 0, n, wider) @ _continued(n, wider, boundary)
-    drawn = _weights(x * scale, filter, order, scale * n, scale * margin) * float(scale) ** order
-    return sparse.csr_array(drawn @ magnified)
+    scale, by = filter.scale, filter.magnified_by
+    reach = before - by.support
+    fine = np.arange(-scale * reach, scale * (n + reach)) / scale
+    magnified = _weights(fine, by, 0, n, before)
+    return sparse.csr_array(_weights(x * scale, filter, order, scale * n, scale * reach) @ magnified * float(scale) ** order)
 
 
 def _weights(x: Array, filter: Filter, order: int, n: int, margin: int) -> sparse.csr_array:
@@ -90,10 +96,3 @@ def _weights(x: Array, filter: Filter, order: int, n: int, margin: int) -> spars
     at = np.broadcast_to(np.arange(x.size)[:, None], values.shape)
     used = values != 0
     return sparse.csr_array((values[used], (at[used], index[used] + margin)), shape=(x.size, n + 2 * margin))
-
-
-def _continued(n: int, margin: int, boundary: str | Boundary) -> sparse.csr_array:
-    """Which coefficient stands at each index from ``-margin`` to ``n + margin - 1``."""
-    stands = extend(np.arange(1, n + 1), margin, boundary) - 1  # -1: none
-    known = np.flatnonzero(stands >= 0)
-    return sparse.csr_array((np.ones(known.size), (known, stands[known])), shape=(stands.size, n))
