@@ -18,7 +18,7 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -32,8 +32,9 @@ from scipy import ndimage as scipy_ndimage
 
 import clvol
 from bench import fresh, peers
-from bench.cases import Skip, Work, measure
-from bench.machine import available_memory, describe
+from bench.__main__ import add_rooflines
+from bench.cases import MAGNIFY, PREFILTER, VALUE, Skip, Work, measure
+from bench.machine import Cost, available_memory, describe, measure_limits
 from bench.peers import Peer
 from clvol import ndimage
 from clvol.device import as_device
@@ -47,6 +48,10 @@ NEEDS = {"scikit-image": "skimage", "SimpleITK": "SimpleITK", "torch": "torch", 
 
 Array = NDArray[Any]
 Call = Callable[[Any], Any]  # of `clvol.ndimage` or `scipy.ndimage`
+
+# What one sample of a cubic result takes at the least, float32; positions of points are float64.
+GRID = Cost(bytes=8, loads=VALUE.loads, multiply_adds=VALUE.multiply_adds)
+POINT = Cost(bytes=3 * 8 + 8, loads=VALUE.loads, multiply_adds=VALUE.multiply_adds)
 
 
 @dataclass(frozen=True)
@@ -104,10 +109,9 @@ class _Bench:
     def noise(self, shape: tuple[int, ...], kind: type[np.generic]) -> Array:
         return self.generator.standard_normal(shape).astype(kind)
 
-    def of(self, call: Call, others: dict[str, Peer] | None = None, samples: float = 0, *, threads: bool = False) -> Work:
-        name = "SciPy, threads" if threads else "SciPy"
-        theirs = {name: Peer(partial(call, scipy_ndimage)), **(others or {})}
-        return Work(partial(call, ndimage), theirs, samples, "Msample/s" if samples else "", None, self.repeats, _difference)
+    def of(self, call: Call, others: dict[str, Peer] | None = None, samples: float = 0, cost: Cost | None = None) -> Work:
+        theirs = {"SciPy": Peer(partial(call, scipy_ndimage)), **(others or {})}
+        return Work(partial(call, ndimage), theirs, samples, "Msample/s", cost, self.repeats, _difference)
 
     # -- grids ---------------------------------------------------------------------------------------------------
 
@@ -126,7 +130,7 @@ class _Bench:
                 interpol, tensor = importlib.import_module("interpol"), _tensor(data)
                 options = {"interpolation": 3, "bound": "dct1", "prefilter": True}
                 others["torch-interpol"] = Peer(lambda: interpol.resize(tensor, factor=2, **options).numpy()[0, 0])
-        return self.of(lambda module: module.zoom(data, 2, order=order), others, 8 * n**3)
+        return self.of(lambda module: module.zoom(data, 2, order=order), others, 8 * n**3, _cost(MAGNIFY, kind, order))
 
     def affine(self, n: int, kind: type[np.generic], order: int) -> Work:
         data = self.cube(n, kind)
@@ -137,7 +141,8 @@ class _Bench:
             others |= _itk_affine(data, table, data.shape, order)
             if order == 1:
                 others |= _torch_affine(data, matrix, offset)
-        return self.of(lambda module: module.affine_transform(data, matrix, offset, order=order), others, n**3)
+        cost = _cost(GRID, kind, order)
+        return self.of(lambda module: module.affine_transform(data, matrix, offset, order=order), others, n**3, cost)
 
     def rotate(self, n: int, axes: tuple[int, int]) -> Work:
         data = self.cube(n, np.float32)
@@ -170,7 +175,7 @@ class _Bench:
                 grid = _torch().from_numpy(np.ascontiguousarray(at.T, np.float32))[None, :, None, None]
                 options = {"interpolation": 3, "bound": "dct1", "prefilter": True}
                 others["torch-interpol"] = Peer(lambda: interpol.grid_pull(tensor, grid, **options).numpy().ravel())
-        return self.of(lambda module: module.map_coordinates(data, at, order=order), others, n**3)
+        return self.of(lambda module: module.map_coordinates(data, at, order=order), others, n**3, _cost(POINT, kind, order))
 
     # -- coefficients --------------------------------------------------------------------------------------------
 
@@ -191,12 +196,12 @@ class _Bench:
             found: Array = module.spline_filter(data, 3, targets[module is ndimage])
             return found
 
-        return self.of(call, others, n**3)
+        return self.of(call, others, n**3, _cost(PREFILTER, kind, 3))
 
     def magnify(self, n: int) -> Work:
         data = self.cube(n, np.float32)
         theirs = {"SciPy" if name == "scipy" else name: peer for name, peer in peers.of("magnify", data).items()}
-        return Work(lambda: clvol.magnify(data, 2).data, theirs, float((2 * n) ** 3), "Msample/s", None, self.repeats, _inside)
+        return Work(lambda: clvol.magnify(data, 2).data, theirs, float((2 * n) ** 3), "Msample/s", MAGNIFY, self.repeats, _inside)
 
     # -- few samples, and many -----------------------------------------------------------------------------------
 
@@ -236,8 +241,8 @@ class _Bench:
                     list(pool.map(partial(one, module), range(frames)))
             return out.copy()
 
-        work = self.of(call, None, out.size, threads=True)
-        work.repeats = min(3, self.repeats)
+        work = self.of(call, None, out.size)
+        work.peers, work.repeats = {"SciPy, threads": work.peers["SciPy"]}, min(3, self.repeats)
         return work
 
     def largest(self) -> dict[str, Any]:
@@ -309,6 +314,7 @@ def main() -> None:
     started, load = time.perf_counter(), [os.getloadavg()[0]]
     if load[0] > BUSY:
         console.print(f"[yellow]the machine is busy (load {load[0]:.1f}): times will be too long[/yellow]")
+    limits = measure_limits(device)
     missing = [name for name in NEEDS if not _has(name)]
     if missing:
         console.print(f"[yellow]without {', '.join(missing)}[/yellow]")
@@ -318,6 +324,8 @@ def main() -> None:
             console.print(f"[dim]{row.name}[/dim]")
             found.append(_measured(replace(row, aim=Aim()) if options.quick else row))  # aims are for the sizes proper
     load.append(os.getloadavg()[0])
+    limits = limits.best(measure_limits(device))
+    add_rooflines(found, limits)
     if options.markdown:
         print(table_in_markdown(found))
     else:
@@ -333,7 +341,12 @@ def main() -> None:
     today = dt.datetime.now(tz=dt.UTC).date().isoformat()
     output = options.output or (None if options.quick or options.only else RESULTS / f"{today}.json")
     if output:
-        report = {"format": FORMAT, "date": today, "quick": options.quick, "machine": {**describe(device), "load": load}}
+        report = {
+            "format": FORMAT,
+            "date": today,
+            "quick": options.quick,
+            "machine": {**describe(device), "load": load, "limits": asdict(limits)},
+        }
         output.parent.mkdir(parents=True, exist_ok=True)
         output.write_text(json.dumps({**report, "results": found}, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
         console.print(f"written: {output}")
@@ -351,6 +364,8 @@ def _measured(row: Row) -> dict[str, Any]:
         result |= {"differs_by": measured.differs_by, "failed": measured.failed}
         if work.amount:
             result |= {"amount": work.amount, "rate": work.amount / measured.seconds["clvol"] / 1e6, "unit": work.unit}
+        if work.cost is not None:
+            result |= {"cost": asdict(work.cost)}
     else:
         result |= work
     ours = result["seconds"]["clvol"]
@@ -361,26 +376,21 @@ def _measured(row: Row) -> dict[str, Any]:
 
 
 def _cells(row: dict[str, Any]) -> list[str]:
-    """Work, time, ratio to SciPy, aim, others."""
+    """Work, time, share of the limit, ratio to SciPy, aim, others."""
     if "skipped" in row:
-        return [row["name"], "–", "–", row.get("aim", ""), row["skipped"]]
+        return [row["name"], "–", "", "–", "", row["skipped"]]
     ratios = dict(row["times_as_fast_as"])
     first = next(iter(ratios), None)
     beside = f"{_ratio(ratios.pop(first))} ×{first.removeprefix('SciPy')}" if first is not None else "–"
     others = [f"{who} {_ratio(ratio)} ×" for who, ratio in ratios.items()]
     if "bytes" in row:
         others += [f"memory beyond the input: {', '.join(f'{who} {size / 1e9:.2f} GB' for who, size in row['bytes'].items())}"]
-    aim = row.get("aim", "")
-    return [
-        row["name"],
-        _seconds(row["seconds"]["clvol"]),
-        beside,
-        aim + ("" if row.get("reached", True) else ": missed"),
-        "; ".join(others),
-    ]
+    limit = f"{row['roofline']['share']:.0%} ({row['roofline']['of']})" if "roofline" in row else ""
+    aim = row.get("aim", "") + ("" if row.get("reached", True) else ": missed")
+    return [row["name"], _seconds(row["seconds"]["clvol"]), limit, beside, aim, "; ".join(others)]
 
 
-_HEADS = ("work", "clvol", "times as fast as SciPy", "aim", "others, and how many times as fast as they")
+_HEADS = ("work", "clvol", "of the limit", "times as fast as SciPy", "aim", "others, and how many times as fast as they")
 
 
 def _table(found: list[dict[str, Any]]) -> Table:
@@ -388,7 +398,7 @@ def _table(found: list[dict[str, Any]]) -> Table:
     for row in found:
         cells = _cells(row)
         if not row.get("reached", True):
-            cells[3] = f"[bold red]{cells[3]}[/bold red]"
+            cells[4] = f"[bold red]{cells[4]}[/bold red]"
         table.add_row(*cells)
     return table
 
@@ -412,6 +422,11 @@ def _ratio(value: float) -> str:
 
 def _has(name: str) -> bool:
     return find_spec(NEEDS[name]) is not None
+
+
+def _cost(cost: Cost, kind: type[np.generic], order: int) -> Cost | None:
+    """Where it is known: of cubics, in float32."""
+    return cost if kind is np.float32 and order == 3 else None
 
 
 def _turned(n: int) -> tuple[Array, Array]:
