@@ -125,40 +125,36 @@ def test_prefilter_of_a_row_without_one_is_the_samples() -> None:
     np.testing.assert_array_equal(reference.prefilter(data, "hybrid"), reference.prefilter(data, "bspline3"))
 
 
-@pytest.mark.parametrize("rule", [r for r in RULES if r != "zero"])
-@pytest.mark.parametrize("scale", [1, 2])
-@pytest.mark.parametrize("n", LENGTHS)
-def test_folded_indices_of_a_finer_grid_stand_for_their_positions(rule: str, n: int, scale: int) -> None:
-    """An index and the one that stands for it lie at positions where the function is the same."""
-    boundary = as_boundary(rule)
-    i = np.arange(-3 * scale * n - 4, 4 * scale * n + 4)
-    got = boundary.folded(i, n, scale)
-    assert got.min() >= -1
-    assert got.max() <= scale * n - 1
-    x, y = i / scale, got / scale
-    period = boundary.length(n)
-    same = (x - y) % period == 0
-    if boundary.fold is not None:
-        same |= (x + y + boundary.fold) % period == 0
-    assert same.all()
-
-
-@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("rule", boundaries())
 @pytest.mark.parametrize("n", LENGTHS)
 def test_positions_come_to_where_the_function_is_the_same(rule: str, n: int) -> None:
     boundary, rng = as_boundary(rule), np.random.default_rng(n)
-    near = rng.uniform(-n, 2 * n, 50)
-    np.testing.assert_array_equal(boundary.position(near, n, 10 * n), near)
-    far = np.concatenate([rng.uniform(-50 * n, 50 * n, 50), [1e18, -1e30]])
-    got = boundary.position(far, n, 10)
-    assert np.isfinite(got).all()
-    period = boundary.length(n)
-    if not period:
-        np.testing.assert_array_equal(got, np.clip(far, -10, n + 10))
+    x = np.concatenate([rng.uniform(-3 * n - 30, 4 * n + 30, 100), rng.uniform(-50 * n, 50 * n, 50), [1e18, -1e30]])
+    got = boundary.position(x, n, 12, 3)
+    if rule in ("zero", "nearest", "grid-constant"):
+        np.testing.assert_array_equal(got, np.clip(x, -15, n - 1 + 15))
         return
-    assert ((got >= min(0, -n)) & (got <= max(period, 2 * n))).all()
-    off = (got[:50] - far[:50]) / period
-    np.testing.assert_allclose(off, np.round(off), atol=1e-9)
+    if rule == "constant":
+        np.testing.assert_array_equal(got, x)
+        return
+    assert ((got >= -1) & (got <= n)).all()
+    if n == 1 and rule == "overlap":
+        np.testing.assert_array_equal(got, 0)
+        return
+    inside = (x >= 0) & (x <= n - 1)
+    np.testing.assert_array_equal(got[inside], x[inside])
+    period = max(n - 1, 1) if rule == "overlap" else boundary.length(n)
+    near, there = x[:-2], got[:-2]
+    if rule == "overlap":
+        assert ((there >= 0) & (there <= n - 1)).all()
+
+    def whole(difference: np.ndarray) -> np.ndarray:
+        return np.asarray(np.abs(difference / period - np.round(difference / period)) < 1e-8)
+
+    same = whole(near - there)
+    if rule in ("mirror", "reflect"):
+        same |= whole(near + there + (0 if rule == "mirror" else 1))
+    assert same.all()
 
 
 def test_as_boundary() -> None:
@@ -166,8 +162,30 @@ def test_as_boundary() -> None:
     assert as_boundary(rule) is rule
     assert isinstance(rule, Boundary)
     for bad in ("clamp", "", None, 3, ["wrap"]):
-        with pytest.raises(OptionError, match="boundary must be one of mirror, reflect, wrap, zero"):
+        with pytest.raises(
+            OptionError, match="boundary must be one of mirror, reflect, wrap, zero, nearest, constant, grid-constant, overlap"
+        ):
             as_boundary(bad)  # type: ignore[arg-type]
+
+
+def test_values_outside() -> None:
+    rule = as_boundary("constant(-2.5)")
+    assert (rule.name, rule.cval, rule.outside) == ("constant(-2.5)", -2.5, "constant")
+    assert as_boundary("grid-constant(1e3)").cval == 1000
+    assert [as_boundary(name).cval for name in ("constant", "grid-constant")] == [0, 0]
+    for bad in ("constant()", "constant(a)", "mirror(3)", "constant(1,2)", "constant(1"):
+        with pytest.raises(OptionError, match="bound"):
+            as_boundary(bad)
+
+
+def test_what_lies_outside_needs_a_prefilter_that_ends() -> None:
+    with pytest.raises(OptionError, match="must have a period"):
+        Boundary("own", None, None, "", "clamp")
+    with pytest.raises(OptionError, match="outside must be one of"):
+        Boundary("own", (1, 0), None, "", "edge")  # type: ignore[arg-type]
+    for bad in ("5", None, True):
+        with pytest.raises(OptionError, match="cval must be a number"):
+            Boundary("own", (1, 0), None, "", "constant", bad)  # type: ignore[arg-type]
 
 
 def test_reference_refuses_bad_input() -> None:

@@ -23,12 +23,12 @@ INLINE coord boundary_position(coord x, const int n, const int period, int *alon
 #elif BOUNDARY == CONSTANT
     return x;   // what is outside has its value already
 #else
-    if (n == 1) {
+    // as scipy.ndimage does it, to the last bit: it tells on which side of a jump a position lies
+#if BOUNDARY == OVERLAP
+    if (n == 1) {   // without a period
         *along = 0;
         return 0;
     }
-    // as scipy.ndimage does it, to the last bit: it tells on which side of a jump a position lies
-#if BOUNDARY == OVERLAP
     x = x < 0 ? x + last * (floor(-x / last) + 1) : x > last ? x - last * floor(x / last) : x;
 #elif BOUNDARY_FOLDED
     const coord middle = 0.5f * period;

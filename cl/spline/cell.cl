@@ -59,10 +59,14 @@ INLINE cell_t locate(coord x, coord y, coord z, int halo)
 // The same within the domain, where no stored coefficient that is needed has a negative index.
 INLINE int locate_inner_axis(coord x, int halo, scalar *t)
 {
+#if TAPS == 1   // the function jumps where a rounded sum may not go past
+    return locate_axis(x, t) + halo;
+#else
     const coord u = GRID_POSITION(x, (coord)LEFT - (coord)halo);
     const int base = (int)u;
     *t = (scalar)(u - base);
     return base;
+#endif
 }
 
 INLINE cell_t locate_inner(coord x, coord y, coord z, int halo)
@@ -89,12 +93,20 @@ INLINE cell_t locate_inner(coord x, coord y, coord z, int halo)
 #if LANES == 8
 INLINE mask locate_inner_lanes(coords_t x, int halo, real *t)
 {
+#if TAPS == 1
+    const coord4 low = GRID_POSITION(x.low, (coord)LEFT), high = GRID_POSITION(x.high, (coord)LEFT);
+    const mask base = (mask)(CONVERT(low, int4), CONVERT(high, int4));   // rounded towards zero
+    const coords_t whole = to_coords(base);
+    *t = (real)(0.0f);
+    return base + (mask)(CONVERT(low < whole.low, int4), CONVERT(high < whole.high, int4)) + halo;
+#else
     const coord origin = (coord)LEFT - (coord)halo;
     const coord4 low = GRID_POSITION(x.low, origin), high = GRID_POSITION(x.high, origin);
     const mask base = (mask)(CONVERT(low, int4), CONVERT(high, int4));
     const coords_t whole = to_coords(base);
     *t = (real)(CONVERT(low - whole.low, scalar4), CONVERT(high - whole.high, scalar4));
     return base;
+#endif
 }
 #endif
 

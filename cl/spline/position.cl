@@ -65,13 +65,20 @@ INLINE position_t point_of(source_t source, int n)
 }
 
 // transform: 9 entries of a matrix, row by row, then 3 of an offset: index = matrix position + offset,
-// from world positions, or from the grid's own indices; then 9 of world_to_index.
+// from world positions, or from the grid's own indices; then 9 of world_to_index; then 0.
 // The order of additions, and that each product is rounded, are those of scipy.ndimage: on which side of a jump a position lies
-// depends on them.
-INLINE coord index_along(position_t p, constant coord *m, const coord offset)
+// depends on them. PoCL's compiler rounds once, whatever FP_CONTRACT says, unless something it does not know stands in between:
+// that last 0.
+#define LAST_OF_TRANSFORM 21
+#if COORD_DOUBLE
+#define ROUNDED(product, zero) as_double(as_long(product) ^ as_long(zero))
+#else
+#define ROUNDED(product, zero) as_float(as_int(product) ^ as_int(zero))
+#endif
+
+INLINE coord index_along(position_t p, constant coord *m, const coord offset, const coord zero)
 {
-#pragma OPENCL FP_CONTRACT OFF
-    return ((m[2] * p.z + m[1] * p.y) + m[0] * p.x) + offset;
+    return ((offset + ROUNDED(m[2] * p.z, zero)) + ROUNDED(m[1] * p.y, zero)) + ROUNDED(m[0] * p.x, zero);
 }
 
 INLINE position_t index_of(position_t p, constant coord *m)
@@ -79,7 +86,8 @@ INLINE position_t index_of(position_t p, constant coord *m)
 #if INDICES
     return p;
 #else
-    const position_t at = { index_along(p, m, m[9]), index_along(p, m + 3, m[10]), index_along(p, m + 6, m[11]) };
+    const coord zero = m[LAST_OF_TRANSFORM];
+    const position_t at = { index_along(p, m, m[9], zero), index_along(p, m + 3, m[10], zero), index_along(p, m + 6, m[11], zero) };
     return at;
 #endif
 }

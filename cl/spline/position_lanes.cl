@@ -74,20 +74,26 @@ INLINE positions_t points_of(source_t source, int n, int count)
     return p;
 }
 
-// One row of the transform, as index_along.
-INLINE coords_t index_row(positions_t p, constant coord *m, coord offset)
-{
-#pragma OPENCL FP_CONTRACT OFF
-    coords_t c = { m[0] * p.x.low, m[0] * p.x.high };
-#if DIMENSIONS == 3
-    c.low = (m[2] * p.z.low + m[1] * p.y.low) + c.low;
-    c.high = (m[2] * p.z.high + m[1] * p.y.high) + c.high;
-#elif DIMENSIONS == 2
-    c.low = m[1] * p.y.low + c.low;
-    c.high = m[1] * p.y.high + c.high;
+#if COORD_DOUBLE
+#define ROUNDED_4(product, zero) as_double4(as_long4(product) ^ as_long(zero))
+#else
+#define ROUNDED_4(product, zero) as_float4(as_int4(product) ^ as_int(zero))
 #endif
-    c.low += offset;
-    c.high += offset;
+
+// One row of the transform, as index_along.
+INLINE coords_t index_row(positions_t p, constant coord *m, const coord offset, const coord zero)
+{
+    coords_t c = { (coord4)(offset), (coord4)(offset) };
+#if DIMENSIONS == 3
+    c.low += ROUNDED_4(m[2] * p.z.low, zero);
+    c.high += ROUNDED_4(m[2] * p.z.high, zero);
+#endif
+#if DIMENSIONS >= 2
+    c.low += ROUNDED_4(m[1] * p.y.low, zero);
+    c.high += ROUNDED_4(m[1] * p.y.high, zero);
+#endif
+    c.low += ROUNDED_4(m[0] * p.x.low, zero);
+    c.high += ROUNDED_4(m[0] * p.x.high, zero);
     return c;
 }
 
@@ -96,15 +102,16 @@ INLINE positions_t indices_of(positions_t p, constant coord *m)
 #if INDICES
     return p;
 #else
+    const coord zero = m[LAST_OF_TRANSFORM];
     positions_t at;
-    at.x = index_row(p, m, m[9]);
+    at.x = index_row(p, m, m[9], zero);
 #if DIMENSIONS >= 2
-    at.y = index_row(p, m + 3, m[10]);
+    at.y = index_row(p, m + 3, m[10], zero);
 #else
     at.y = to_coords(NONE);
 #endif
 #if DIMENSIONS == 3
-    at.z = index_row(p, m + 6, m[11]);
+    at.z = index_row(p, m + 6, m[11], zero);
 #else
     at.z = to_coords(NONE);
 #endif

@@ -155,9 +155,9 @@ class Boundary:
             return np.asarray(np.clip(x, -(pad + reach), last + pad + reach))
         if self.outside == "constant":
             return x
-        if n == 1:
-            return np.zeros_like(x)
         if self.outside == "overlap":
+            if n == 1:
+                return np.zeros_like(x)
             low, high = x + last * (np.floor(-x / last) + 1), x - last * np.floor(x / last)
         else:
             period = self.length(n)

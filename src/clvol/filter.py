@@ -137,6 +137,14 @@ class Filter:
     # -- what follows from the matrix ------------------------------------------------------
 
     @cached_property
+    def _hash(self) -> int:
+        return hash((self.name, self.taps, self.prefilter, self.magnify, self.smoothing, self.length))
+
+    def __hash__(self) -> int:
+        """Computed once: that of many fractions takes longer than a small array."""
+        return self._hash
+
+    @cached_property
     def matrix(self) -> Array:
         """The taps as float64, shape (TAPS, DEGREE + 1)."""
         return np.array([[float(c) for c in row] for row in self.taps])

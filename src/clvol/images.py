@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -50,10 +51,9 @@ def resample(
         Integers are rounded to the nearest, and clipped to their type, because filters may leave the image's range. Where new
         pixels lie on old ones, filters that go through the samples give those back exactly; elsewhere a pixel whose exact
         value lies close to a half may be rounded to the other side. Integers of 32 and 64 bits that reach further than 2¹⁶
-        (from their middle, where they lie far from zero) are computed in float64, by NumPy on the host: about 0.05 µs a pixel
-        of the result, 2 µs where the image is turned, 10 to 100 times as long as on the device. Where they span more than 2⁵³,
-        results err as float64 does. Floats are computed in float32, about their middle where they lie far from zero: to about
-        10⁻⁶ of the image's range.
+        (from their middle, where they lie far from zero) are computed in double precision, which the device must have. Where they
+        span more than 2⁵³, results err as float64 does. Floats are computed in float32, about their middle where they lie far from
+        zero: to about 10⁻⁶ of the image's range.
 
     Raises
     ------
@@ -188,6 +188,8 @@ def _drawn(
 ) -> NDArray[Any]:
     """Each channel on another grid, in the image's dtype."""
     chosen, rule = as_filter(filter), as_boundary(boundary)
+    if pixels.dtype.kind != "f":
+        number("the value of the boundary", rule.cval)
     planes = [pixels] if pixels.ndim == 2 else list(np.moveaxis(pixels, 2, 0))
     drawn = [_channel(plane, grid, chosen, rule, fill, device) for plane in planes]
     return drawn[0] if pixels.ndim == 2 else np.stack(drawn, -1)
@@ -212,11 +214,12 @@ def _wide_integers(
     if max(high - offset, offset - low) > _FLOAT32_INTEGERS and filter.sums_to_one and boundary.period is not None:
         offset = low + (high - low + 1) // 2  # float64 does not hold all of them; differences from here are int64
     moved = differences(plane, offset) if offset else plane
+    rule = replace(boundary, cval=boundary.cval - offset)
     outside = None if fill is None else np.nan if offset else fill
-    if max(high - offset, offset - low) > _FLOAT32_INTEGERS:
-        values: NDArray[Any] = _in_float64(moved, grid, filter, boundary, outside)
-    else:
-        values = field.resample(moved, like=grid, filter=filter, boundary=boundary, fill=outside, device=device).data
+    precision: field.Precision = "double" if max(high - offset, offset - low) > _FLOAT32_INTEGERS else "single"
+    values: NDArray[Any] = field.resample(
+        moved, like=grid, filter=filter, boundary=rule, fill=outside, device=device, precision=precision
+    ).data
     if not offset:
         return _rounded(values, plane.dtype)
     filled = np.isnan(values)
@@ -246,18 +249,3 @@ def _limits(kind: np.dtype[Any]) -> tuple[int, int]:
 def _below(whole: int) -> float:
     """The largest float64 that does not exceed a whole number."""
     return float(whole) if int(float(whole)) <= whole else float(np.nextafter(float(whole), -np.inf))
-
-
-def _in_float64(plane: NDArray[Any], grid: Volume, filter: Filter, boundary: Boundary, fill: float | None) -> NDArray[np.float64]:
-    """The values of a channel on another grid, by the reference."""
-    from clvol import reference  # it takes SciPy, which few images need
-
-    axes = [o + s * np.arange(n) for n, s, o in zip(grid.shape, grid.spacing[::-1], grid.origin[::-1], strict=True)]
-    inside = all(x[0] >= -0.5 and x[-1] <= n - 0.5 for x, n in zip(axes, plane.shape, strict=True))
-    if inside and np.array_equal(grid.direction, np.eye(2)):
-        return reference.lattice(plane, axes, filter, boundary)
-    at = grid.index_to_world(np.stack(np.meshgrid(*(np.arange(n) for n in grid.size), indexing="xy"), -1))
-    values = reference.sample(plane, at, filter, boundary)
-    if fill is not None:
-        values[((at < -0.5) | (at > np.asarray(plane.shape[::-1]) - 0.5)).any(-1)] = fill
-    return values

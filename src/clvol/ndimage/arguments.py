@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.checks import enough_memory, one_of
 from clvol.device import Device, as_device
 from clvol.errors import AxisError, DataError, DtypeError, NotFiniteError, OptionError, OptionTypeError, RefusedError
-from clvol.ndimage.engine import Precision
+from clvol.spline.field import Precision
 
 __all__ = [
     "MODES",

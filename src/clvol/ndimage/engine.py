@@ -63,7 +63,7 @@ class Affine:
     Attributes
     ----------
     matrix, offset : ndarray of float64, shapes (k, k) and (k,)
-        Products are added up from the first axis to the last, then the offset, each rounded, as SciPy does.
+        Products are added to the offset from the first axis to the last, each rounded, as SciPy does.
     shape : tuple of int
         Of the result, for each resampled axis.
     """

@@ -27,8 +27,8 @@ from clvol.ndimage.arguments import (
     finite,
     per_axis,
 )
-from clvol.ndimage.engine import Precision
 from clvol.ndimage.passes import affinely, along_axes, at_points, filtered, mapped
+from clvol.spline.field import Precision
 
 __all__ = [
     "affine_transform",

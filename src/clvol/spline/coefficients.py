@@ -133,6 +133,7 @@ class Coefficients:
         self.buffer: Any = device.allocate(self.nbytes)
         device.clear(self.buffer, math.prod(self.shape), LANES, kind)  # vectors past the last row enter bounds
         self._image: Any = None
+        self._uploaded: dict[int, Any] = {}
         self._lock = threading.Lock()
 
     @property
@@ -192,9 +193,7 @@ class Coefficients:
         """
         device, sizes = self.device, self.size[:3].tolist()
         data = data[(None,) * (3 - data.ndim)]
-        name = OPENCL_TYPES.get(data.dtype.str[1:])
-        readable = name is not None and regular(data) and (name != "double" or device.has_double)
-        if device.kind != "cpu" or not readable or not self.stored.identity:
+        if not self._kernels_read(data):
             with device.mapped(self.buffer, self.shape, write=True, kind=self.kind) as room:
                 inner = room[self.inner]
                 if self.stored.identity and gain == 1.0:
@@ -205,8 +204,7 @@ class Coefficients:
                     for target, slice_ in zip(inner, data, strict=True):
                         np.copyto(target, self.stored.samples(slice_), casting="unsafe")
             return
-        assert name is not None  # it is readable
-        kernel = self._build(name).kernel("copy_samples")
+        kernel = self._build(OPENCL_TYPES[data.dtype.str[1:]]).kernel("copy_samples")
         pitch, area = int(self.extent[0]), int(self.extent[0]) * int(self.extent[1])
         origin = sum(inside.start * step for inside, step in zip(self.inner, (area, pitch, 1), strict=True))
         nx, ny, nz = sizes
@@ -231,13 +229,7 @@ class Coefficients:
 
     def fill_halo(self, kept: int = 0) -> None:
         """Surround the coefficients, and `kept` more on either side, by what the boundary rule says lies there."""
-        device, sizes = self.device, self.size[:3].tolist()
-        known = self._within(kept)[::-1]
-        places = [np.zeros(stored, np.int64) for stored in self.shape[::-1]]
-        halo = int(self.extent[3])
-        for axis in range(self.ndim):
-            place = self.boundary.index(np.arange(self.shape[2 - axis]) - halo, sizes[axis], kept)
-            places[axis] = np.where(place < -kept, -1, place + halo)
+        device, columns = self.device, self._within(kept)[2]
         with device.errors:
             self._build("float").kernel("fill_halo")(
                 device.queue,
@@ -245,12 +237,29 @@ class Coefficients:
                 None,
                 self.buffer,
                 self.extent,
-                np.int32(known[0].start),
-                np.int32(known[0].stop - known[0].start),
-                device.upload(np.concatenate(places).astype(np.int32)),
+                np.int32(columns.start),
+                np.int32(columns.stop - columns.start),
+                self._places(kept),
                 self.kind(self._beyond),
             )
         device.finish()
+
+    def _places(self, kept: int) -> Any:
+        """Where the coefficients lie that belong into each stored column, row and slice."""
+        if kept not in self._uploaded:
+            halo, sizes = int(self.extent[3]), self.size.tolist()
+            places = [np.zeros(stored, np.int64) for stored in self.shape[::-1]]
+            for axis in range(self.ndim):
+                place = self.boundary.index(np.arange(self.shape[2 - axis]) - halo, sizes[axis], kept)
+                places[axis] = np.where(place < -kept, -1, place + halo)
+            self._uploaded[kept] = self.device.upload(np.concatenate(places).astype(np.int32))
+        return self._uploaded[kept]
+
+    def _kernels_read(self, data: NDArray[Any]) -> bool:
+        """Whether all cores of a processor can copy samples, and store them as they are; otherwise NumPy does."""
+        name = OPENCL_TYPES.get(data.dtype.str[1:])
+        readable = name is not None and regular(data) and (name != "double" or self.device.has_double)
+        return readable and self.device.kind == "cpu" and self.stored.identity
 
     @property
     def _beyond(self) -> float:

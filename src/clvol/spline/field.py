@@ -570,8 +570,8 @@ def sample(
     Raises
     ------
     OptionError
-        `derivative` is not 0, 1 or 2; a Field is given with another filter, boundary, device, precision or nan than its own; or as of
-        a call of `Field`.
+        `derivative` is not 0, 1 or 2; a Field is given with another filter, boundary, device, precision or nan than its own; or
+        as of a call of `Field`.
     DataError, DeviceError, OutOfMemoryError
         As `Field` and a call of it raise them.
     """

@@ -106,8 +106,8 @@ class Transform:
     def upload(self, device: Device) -> Any:
         """The transform of points.cl."""
         d = len(self.offset)
-        whole = np.zeros(21)
-        for numbers, square in ((self.matrix, whole[:9]), (self.slopes, whole[12:])):
+        whole = np.zeros(22)
+        for numbers, square in ((self.matrix, whole[:9]), (self.slopes, whole[12:21])):
             square.reshape(3, 3)[:d, :d] = numbers
         whole[9 : 9 + d] = self.offset
         return device.upload(whole.astype(np.float64 if device.has_double else np.float32))
@@ -197,7 +197,7 @@ def sample_into(
     step = launch if sorter is None else sorter.room
     if planar and points.dtype == kind:
         step = count if sorter is None else step
-    flat = results.reshape(count, -1)
+    flat = results.reshape(count, d**derivative)
     for first in range(0, count, step):
         part = np.ascontiguousarray(points[:, first : first + step] if planar else points[first : first + step], dtype=kind)
         target = flat[first : first + step]

@@ -16,7 +16,7 @@ from clvol.boundary import Boundary
 from clvol.device import Device
 from clvol.filter import Filter
 from clvol.program import LANES
-from clvol.spline.build import scalar_defines
+from clvol.spline.build import DefineDict, scalar_defines
 
 __all__ = ["gain_along", "prefilter_in_place"]
 
@@ -149,26 +149,9 @@ def prefilter_in_place(
     """
     pitch, area, halo = extent[0], extent[0] * extent[1], extent[3]
     nx, ny, nz = size
-    chains = _CHAINS if device.kind == "cpu" else 1  # elsewhere other work-items fill the wait for a product
     axes = range(dimensions) if axes is None else axes
-    order, count, plans = _plans(filter, boundary, size, axes, kind)
-    built = device.build(
-        "spline/prefilter.cl",
-        {
-            "ORDER": order,
-            "STAGES": count,
-            "SPLIT": int(all(plan.split for plan in plans.values())),
-            "CHAINS": chains,
-            "LANES": LANES,
-            "COORD_DOUBLE": 0,
-            **scalar_defines(kind),
-        },
-    )
-    others = math.prod(plan.gain for axis, plan in plans.items() if axis)  # taken by the rows, which come first
-    along = {
-        axis: plan.arguments(device, 1.0, 1 / plan.gain, kind) if axis else plan.arguments(device, plan.gain * others, others, kind)
-        for axis, plan in plans.items()
-    }
+    defines, along = _arguments(device, filter, boundary, size, axes, kind)
+    built = device.build("spline/prefilter.cl", {**defines, "COORD_DOUBLE": 0})
 
     def launch(name: str, groups: int, lines: int, origin: int, stride: int, voxels: int, *arguments: Any) -> None:
         """Launches over `lines` lines or slices, `stride` apart, of so many voxels each."""
@@ -185,7 +168,7 @@ def prefilter_in_place(
 
     first_row = (halo * area if extent[2] > 1 else 0) + (halo * pitch if extent[1] > 1 else 0)  # its halo is filtered too, in vain
     lines = np.int32(nx), np.uint64(pitch), np.int32(ny), np.uint64(area)
-    wide = -(-pitch // (LANES * chains))
+    wide = -(-pitch // (LANES * int(defines["CHAINS"])))
     with device.errors:
         if device.kind == "cpu" and 0 in along and 1 in along and nz >= 4 * device.units:
             launch("prefilter_slices", 1, nz, first_row + halo, area, area, *lines, np.int32(halo), *along[0], *along[1])
@@ -200,6 +183,26 @@ def prefilter_in_place(
             launch("prefilter_columns", wide, ny, first_row, pitch, nz * pitch, *columns, *along[2])
 
 
+def _arguments(
+    device: Device, filter: Filter, boundary: Boundary, size: Sequence[int], axes: Sequence[int], kind: type[np.generic]
+) -> tuple[DefineDict, dict[int, tuple[Any, ...]]]:
+    """What prefilter.cl needs to know, and its arguments for the lines of each axis."""
+    order, count, plans = _plans(filter, boundary, size, axes, kind)
+    defines: DefineDict = {
+        "ORDER": order,
+        "STAGES": count,
+        "SPLIT": int(all(plan.split for plan in plans.values())),
+        "CHAINS": _CHAINS if device.kind == "cpu" else 1,  # elsewhere other work-items fill the wait for a product
+        "LANES": LANES,
+        **scalar_defines(kind),
+    }
+    others = math.prod(plan.gain for axis, plan in plans.items() if axis)  # taken by the rows, which come first
+    return defines, {
+        axis: plan.arguments(device, 1.0, 1 / plan.gain, kind) if axis else plan.arguments(device, plan.gain * others, others, kind)
+        for axis, plan in plans.items()
+    }
+
+
 def gain_along(filter: Filter, boundary: Boundary, size: Sequence[int], axes: Sequence[int], kind: type[np.generic]) -> float:
     """What samples are multiplied by where x is not filtered; 1 where it is, for the rows then do it."""
     _, _, plans = _plans(filter, boundary, size, axes, kind)
@@ -211,7 +214,7 @@ def _plans(
 ) -> tuple[int, int, dict[int, _Plan]]:
     """Poles a stage, stages, and how the lines of each axis are filtered."""
     rows = {axis: filter.along(axis) for axis in axes}
-    poles = max(row.poles.size for row in rows.values())
+    poles = max((row.poles.size for row in rows.values()), default=0)
     order, count = (1, 1) if poles == 1 else (2, max(1, -(-poles // 2)))  # without poles a stage divides alone
     ends, left_out = boundary.ends, _START_ERRORS[kind]
     return order, count, {axis: _plan(row, ends, size[axis], order, count, left_out) for axis, row in rows.items()}

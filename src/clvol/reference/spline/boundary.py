@@ -59,7 +59,7 @@ def padding(filter: Filter, boundary: str | Boundary) -> int:
     if _name(boundary) not in ("nearest", "grid-constant"):
         return 0
     row = filter.magnified_by or filter
-    return max(_DEEP, row.support) if row.prefilter else row.support // 2
+    return max(_DEEP, row.support) if row.prefilter else 0
 
 
 def pad(samples: NDArray[np.float64], filter: Filter, boundary: str | Boundary) -> NDArray[np.float64]:
@@ -89,7 +89,8 @@ def placed(
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Positions in samples, brought to where the coefficients tell the function, and where it is the boundary's constant instead.
 
-    The axis has `n` samples and `pad` more at either end. All taps of a position `margin` further out lie past these.
+    The axis has `n` samples and `pad` more at either end. All taps of a position `margin` further out lie past these, and the
+    function is constant from there on.
     """
     name, last, at = _name(boundary), n - 1, x.copy()
     away = (x < 0) | (x > last)
@@ -99,7 +100,7 @@ def placed(
         left, right, length = x < 0, x > last, max(last, 1)
         at[left] = last - np.mod(-x[left], length)
         at[right] = np.mod(x[right], length)
-        at = np.minimum(at, last)
+        at = np.clip(at, 0, last)
     elif (cycle := period(n, boundary)) is None:
         at = np.clip(x, -pad - margin, last + pad + margin)
     else:

@@ -121,7 +121,8 @@ def _at_indices(data: NDArray[np.generic], index: Array, filter: Filter, boundar
     by = filter.magnified_by
     margin = math.ceil(filter.support / 2 / scale + (by.support / 2 if by else 0)) + 2
     width = padding(by or filter, boundary)
-    axes = [placed(index[:, j], n, margin, width, boundary) for j, n in enumerate(data.shape[::-1])]
+    past = (by or filter).support // 2 + 1
+    axes = [placed(index[:, j], n, past, width, boundary) for j, n in enumerate(data.shape[::-1])]
     near, constant = (np.stack(parts, -1) for parts in zip(*axes, strict=True))
     coefficients = padded_coefficients(data, filter, boundary)
     widths = [
