@@ -568,5 +568,5 @@ def _magnified(n: int, m: int, whole: bool) -> Array:
     """Positions of m samples along n, rounded as SciPy does; between the outermost centres, or with `whole` between the edges."""
     index = np.arange(m)
     if whole:
-        return (index + 0.5) * (n / m) - 0.5
+        return (index + 0.5) * (n / max(m, 1)) - 0.5
     return index * ((n - 1) / (m - 1)) if m != 1 else index.astype(np.float64)
