@@ -68,7 +68,8 @@ def spline_filter1d(
     device : Device, str or int, optional
         The OpenCL device; see `clvol.Device`.
     nan : {"propagate", "error"}
-        "error" refuses samples that are NaN or infinite; "propagate" computes with them, as SciPy does.
+        "error" refuses samples that are NaN or infinite; "propagate" computes with them, as SciPy does. Functions that
+        interpolate also know "local".
     progress : callable, optional
         Called with the fraction done.
 
@@ -167,7 +168,8 @@ def geometric_transform(
         quarter of the input's samples, are in memory at a time. The calls of Python take most of the time: where the
         positions can be had as an array, `map_coordinates` is many times as fast.
     precision, device, nan, progress
-        As for `spline_filter1d`.
+        As for `spline_filter1d`; ``nan="local"`` leaves those results missing that a missing sample has weight in, and no others
+        (see `clvol.Missing`).
 
     Returns
     -------
@@ -234,7 +236,8 @@ def map_coordinates(
         first in the result: points in each image of a series are ``map_coordinates(series, points, axes=(1, 2, 3))``, of
         shape ``(len(series), *points.shape[1:])``. By default all.
     precision, device, nan, progress
-        As for `spline_filter1d`.
+        As for `spline_filter1d`; ``nan="local"`` leaves those results missing that a missing sample has weight in, and no others
+        (see `clvol.Missing`).
 
     Returns
     -------
@@ -300,7 +303,8 @@ def affine_transform(
         As in SciPy: the element at index ``o`` of the result has the position ``matrix @ o + offset`` in `input`. Axes whose
         row and column are those of the identity are not interpolated along; each index of them is computed on its own.
     precision, device, nan, progress
-        As for `spline_filter1d`.
+        As for `spline_filter1d`; ``nan="local"`` leaves those results missing that a missing sample has weight in, and no others
+        (see `clvol.Missing`).
 
     Returns
     -------
@@ -375,7 +379,8 @@ def shift(
     input, shift, output, order, mode, cval, prefilter
         As in SciPy. Axes whose shift is 0 are not interpolated along; each index of them is computed on its own.
     precision, device, nan, progress
-        As for `spline_filter1d`.
+        As for `spline_filter1d`; ``nan="local"`` leaves those results missing that a missing sample has weight in, and no others
+        (see `clvol.Missing`).
 
     Returns
     -------
@@ -427,7 +432,8 @@ def zoom(
         Where axes get shorter. "gaussian" (and True): a Gaussian first, of standard deviation (n / m - 1) / 2 samples along an
         axis that goes from n samples to m. "least-squares": the spline of the new samples that is nearest to that of `input`.
     precision, device, nan, progress
-        As for `spline_filter1d`.
+        As for `spline_filter1d`; ``nan="local"`` leaves those results missing that a missing sample has weight in, and no others
+        (see `clvol.Missing`).
 
     Returns
     -------
@@ -499,7 +505,8 @@ def rotate(
     input, angle, axes, reshape, output, order, mode, cval, prefilter
         As in SciPy; the angle is in degrees.
     precision, device, nan, progress
-        As for `spline_filter1d`.
+        As for `spline_filter1d`; ``nan="local"`` leaves those results missing that a missing sample has weight in, and no others
+        (see `clvol.Missing`).
 
     Returns
     -------

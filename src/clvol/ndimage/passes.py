@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import DataError, OptionTypeError, UnsupportedError
-from clvol.ndimage import engine
+from clvol.errors import DataError, OptionError, OptionTypeError, UnsupportedError
+from clvol.ndimage import engine, gaps
 from clvol.ndimage.arguments import Array, Spline
 from clvol.ndimage.engine import Affine, Axes, Points, Target
 
@@ -132,6 +132,8 @@ def filtered(data: Array, axes: Sequence[int], output: Array, spline: Spline) ->
 
     Whole numbers are cut off, not rounded, and after each axis, as in SciPy.
     """
+    if spline.local:
+        raise OptionError('nan must be "propagate" or "error" for coefficients, which depend on all samples; got "local"')
     exact = output.dtype.kind in "fc"
     count = _NATIVE if exact else 1
     groups = [list(axes[k : k + count]) for k in range(0, len(axes), count)]
@@ -177,7 +179,8 @@ def _evaluate(data: Array, axes: Sequence[int], target: Target, output: Array, s
             raise DataError(f'input must have samples where mode is not "constant" or "grid-constant"; got shape {data.shape}')
         output[...] = _stored(spline.cval, output.dtype)
         return
-    engine.evaluate(
+    evaluate = gaps.evaluate if spline.local else engine.evaluate
+    evaluate(
         data,
         axes,
         target,
