@@ -114,6 +114,9 @@ kernel void sample_grid(COEFFICIENTS coefficients, const int4 extent, const int4
 {
     source_t source = { get_global_id(0) * RUN, (int)get_global_id(1) + grid.z, (int)get_global_id(2) + grid.w, 0 CHAIN_GIVEN };
     source.first = ((size_t)source.k * grid.y + source.j) * grid.x + source.i - base;
+#if DIMENSIONS < 3 && !FETCH_IMAGE   // each slice has coefficients of its own
+    coefficients += source.k * ((size_t)extent.x * extent.y);
+#endif
     if (source.i < grid.x && source.j < grid.y)
         run_into(coefficients, extent, source, MIN(RUN, grid.x - source.i), size, period, transform, given, results);
 }

@@ -91,7 +91,7 @@ kernel void resample_axes(global const scalar *restrict coefficients, const int 
                       weights + slice, width);
 #else
         const size_t apart = pitch;
-        global const scalar *rows = coefficients;
+        global const scalar *rows = coefficients + k * area;   // each slice has coefficients of its own
 #endif
         for (int j = block * BLOCK; j < MIN((block + 1) * BLOCK, grid.y); j += LANES)
             resample_rows(results + ((size_t)k * grid.y + j) * grid.x, rows, apart,

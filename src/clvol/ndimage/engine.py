@@ -38,6 +38,7 @@ _BOUNDARIES = {
     "grid-constant": "grid-constant",
 }
 _PART = 1 << 25  # bytes of results that are made before they are converted
+_PADS = 12  # samples, at most, that a boundary rule puts around an axis of samples
 _PROBES = 8  # along each axis, of samples that are looked at
 _FAR = 8  # times their range from zero samples lie for which float32 is not enough
 _LEAST, _MOST = 2.0**-90, 2.0**90  # magnitudes that float32 holds through the prefilter and derivatives
@@ -140,19 +141,42 @@ def evaluate(
         axes = tuple(axes[i] for i in closest)
         target = Axes(tuple(target.positions[i] for i in closest))
         onto = onto.transpose((*range(len(kept)), *(len(kept) + i for i in closest)))
-    moved = data.transpose(kept + axes)
-    batch = moved.shape[: len(kept)]
+    if kept and len(axes) < 3 and not isinstance(target, Points):  # the longest axis that is left alone is one of the kernels
+        together = max(range(len(kept)), key=lambda i: data.shape[kept[i]])
+        onto = np.moveaxis(onto, together, len(kept) - 1)
+        kept = (*kept[:together], *kept[together + 1 :], kept[together])
+        moved, outer = data.transpose(kept + axes), kept[:-1]
+    else:
+        moved, outer = data.transpose(kept + axes), kept
+    size = moved.shape[len(kept) :][::-1]
     kind = _kind(precision, data, output, chosen)
     boundary = as_boundary(_BOUNDARIES[mode])
     boundary = boundary if cval == boundary.cval else replace(boundary, cval=cval)
-    given, store = Given(cval, missing=True, edge=0.0), _Store(chosen, kind)
-    made = Coefficients(Lattice(moved.shape[len(kept) :][::-1]), _row(order, prefilter), boundary, chosen, kind=kind)
-    with made:
-        for number, index in enumerate(np.ndindex(batch)):
-            made.fill(moved[index])
-            for done in _evaluated(made, target, onto[index], store, given):
+    given, store, row = Given(cval, missing=True, edge=0.0), _Store(chosen, kind), _row(order, prefilter)
+    length = moved.shape[len(outer)] if len(outer) < len(kept) else 1
+    room = math.prod(n + 2 * (row.support + _PADS) for n in size) * np.dtype(kind).itemsize
+    some = max(1, min(length, _PART // room))
+    tasks = [
+        (index, slice(first, min(first + some, length)))
+        for index in np.ndindex(moved.shape[: len(outer)])
+        for first in range(0, length, some)
+    ]
+    made = None
+    try:
+        for number, (index, part) in enumerate(tasks):
+            count = part.stop - part.start
+            if made is None or made.slices != count:
+                if made is not None:
+                    made.release()
+                made = Coefficients(Lattice(size), row, boundary, chosen, kind=kind, batch=count)
+            at = index if outer == kept else (*index, part)
+            made.fill(moved[at])
+            for done in _evaluated(made, target, onto[at], store, given):
                 if progress:
-                    progress((number + done) / math.prod(batch))
+                    progress((number + done) / len(tasks))
+    finally:
+        if made is not None:
+            made.release()
 
 
 def _evaluated(made: Coefficients, target: Target, output: Array, store: _Store, given: Given) -> Iterator[float]:
@@ -168,14 +192,17 @@ def _evaluated(made: Coefficients, target: Target, output: Array, store: _Store,
                 sample_into(made, DIRECT, planes[:, part], results.reshape(-1), given=given)
             yield part.stop / max(1, count)
         return
-    for part in store.parts(output):
+    batch = output.ndim > made.ndim
+    for part in [slice(0, len(output))] if batch else store.parts(output):
         with store.into(output[part]) as results, made.device.lent(results, write=True) as buffer:
             if isinstance(target, Axes):
-                resample_axes(made, (target.positions[0][part], *target.positions[1:])[::-1], buffer, given)
+                first = target.positions[0] if batch else target.positions[0][part]
+                resample_axes(made, (first, *target.positions[1:])[::-1], buffer, given)
             else:
                 transform = Transform(target.matrix[::-1, ::-1], target.offset[::-1], np.eye(made.ndim))
-                rows = None if len(target.shape) == 3 and target.shape[0] == 1 else part  # of the first axis that has several
-                sample_grid(made, DIRECT, transform, (1, *target.shape)[-3:], buffer, given, part=rows)
+                rows = None if batch or (len(target.shape) == 3 and target.shape[0] == 1) else part  # of the first that has several
+                shape = (made.slices, *target.shape) if batch else (1, *target.shape)[-3:]
+                sample_grid(made, DIRECT, transform, shape, buffer, given, part=rows)
         yield part.stop / max(1, len(output))
 
 

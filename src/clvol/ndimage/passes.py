@@ -225,13 +225,13 @@ def _grids(data: Array, passes: Sequence[_Pass], output: Array, spline: Spline) 
 
 
 def _joined(data: Array, axes: list[int], grid: Axes | Affine, shape: Sequence[int], spline: Spline) -> _Pass:
-    """A pass that takes axes along that are left alone, at their samples, where that is sooner done.
+    """A pass over one axis that takes along others that are left alone, at their samples, where that is sooner done.
 
     A sample that is not finite would spread along them.
     """
     others = sorted((axis for axis in range(data.ndim) if axis not in axes), key=lambda axis: -data.shape[axis])
     others = [axis for axis in others[: _NATIVE - len(axes)] if data.shape[axis] > 1]
-    if not others or not spline.interpolates or math.prod(shape[axis] for axis in axes) > _SMALL:
+    if len(axes) != 1 or not others or not spline.interpolates or math.prod(shape[axis] for axis in axes) > _SMALL:
         return axes, grid
     with np.errstate(all="ignore"):
         if not np.isfinite(data.sum()):

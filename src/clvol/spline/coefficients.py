@@ -79,8 +79,8 @@ class Coefficients:
         What stands for the volume's values: the coefficients are those of ``(sample - offset) * 2**-exponent``.
     kind : type
         np.float32 or np.float64, of the coefficients.
-    pad : int, optional
-        Samples that are put around the volume's before the prefilter; by default as many as the boundary rule says.
+    batch : int
+        How many of one or two axes are kept together, as slices that know nothing of each other.
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ class Coefficients:
         device: Device,
         stored: Stored = AS_THEY_ARE,
         kind: type[np.generic] = np.float32,
-        pad: int | None = None,
+        batch: int = 1,
     ) -> None:
         if kind == np.float64 and not device.has_double:
             raise DeviceError(f"precision 'double' needs a device with float64 (cl_khr_fp64); {device.name} has none: use 'single'")
@@ -124,12 +124,14 @@ class Coefficients:
         self.ndim = volume.ndim
         sizes = (*volume.size, 1, 1)[:3]
         prefiltered = (filter.magnified_by or filter).prefilter
-        self.pad = boundary.padding(prefiltered, filter.support) if pad is None else pad
+        self.pad = boundary.padding(prefiltered, filter.support)
         self.reach = boundary.reach(filter.support)
         self.size = np.array([*sizes, 0], np.int32)
         self.period = np.array([*(boundary.length(n) for n in sizes), 0], np.int32)
         past = filter.scale * (self.pad + self.reach)
         self.extent = _extent(filter, self.ndim, tuple(filter.scale * n for n in sizes), past)
+        if self.ndim < 3:
+            self.extent[2] = batch
         self.buffer: Any = device.allocate(self.nbytes)
         device.clear(self.buffer, math.prod(self.shape), LANES, kind)  # vectors past the last row enter bounds
         self._image: Any = None
@@ -153,6 +155,11 @@ class Coefficients:
         return int(self.extent[2]), int(self.extent[1]), int(self.extent[0])
 
     @property
+    def slices(self) -> int:
+        """Of a batch, how many are kept together; of three axes, stored slices."""
+        return int(self.extent[2])
+
+    @property
     def inner(self) -> tuple[slice, ...]:
         """Where the coefficients proper lie among those stored: [z, y, x]."""
         return self._within(0)
@@ -161,7 +168,9 @@ class Coefficients:
         """`inner`, and as many more on either side."""
         halo, d = int(self.extent[3]), self.ndim
         return tuple(
-            slice(halo - pad, halo + self.filter.scale * int(self.size[axis]) + pad) if axis < d else slice(0, 1)
+            slice(halo - pad, halo + self.filter.scale * int(self.size[axis]) + pad)
+            if axis < d
+            else slice(0, int(self.extent[axis]))
             for axis in (2, 1, 0)
         )
 
@@ -173,7 +182,10 @@ class Coefficients:
     # -- filling -----------------------------------------------------------------------------------------------
 
     def fill(self, data: NDArray[Any]) -> None:
-        """Make these the coefficients of samples [z, y, x] of any layout: copied, padded, prefiltered, surrounded by their halo."""
+        """Make these the coefficients of samples [z, y, x] of any layout: copied, padded, prefiltered, surrounded by their halo.
+
+        Of a batch each slice is one or two axes of samples.
+        """
         self.copy_samples(data)
         if self.pad:
             self.fill_halo()
@@ -181,6 +193,7 @@ class Coefficients:
             extent, size = self.extent.copy(), self.size[:3].copy()
             extent[3] -= self.pad
             size[: self.ndim] += 2 * self.pad
+            size[2] = size[2] if self.ndim == 3 else self.extent[2]
             prefilter_in_place(
                 self.device, self.buffer, self.filter, self.boundary, extent.tolist(), size.tolist(), self.ndim, self.kind
             )
@@ -207,7 +220,8 @@ class Coefficients:
         kernel = self._build(OPENCL_TYPES[data.dtype.str[1:]]).kernel("copy_samples")
         pitch, area = int(self.extent[0]), int(self.extent[0]) * int(self.extent[1])
         origin = sum(inside.start * step for inside, step in zip(self.inner, (area, pitch, 1), strict=True))
-        nx, ny, nz = sizes
+        nx, ny, _ = sizes
+        nz = len(data)
         some = max(1, device.limits.launch_voxels // (nx * ny))
         for first in range(0, nz, some):  # in parts, for samples of a wide type may exceed the largest allocation
             part = data[first : first + some]
@@ -248,7 +262,7 @@ class Coefficients:
         """Where the coefficients lie that belong into each stored column, row and slice."""
         if kept not in self._uploaded:
             halo, sizes = int(self.extent[3]), self.size.tolist()
-            places = [np.zeros(stored, np.int64) for stored in self.shape[::-1]]
+            places = [np.arange(stored) for stored in self.shape[::-1]]
             for axis in range(self.ndim):
                 place = self.boundary.index(np.arange(self.shape[2 - axis]) - halo, sizes[axis], kept)
                 places[axis] = np.where(place < -kept, -1, place + halo)

@@ -166,7 +166,9 @@ def prefilter_in_place(
                 *arguments,
             )
 
-    first_row = (halo * area if extent[2] > 1 else 0) + (halo * pitch if extent[1] > 1 else 0)  # its halo is filtered too, in vain
+    first_row = (halo * area if dimensions > 2 else 0) + (
+        halo * pitch if dimensions > 1 else 0
+    )  # its halo is filtered too, in vain
     lines = np.int32(nx), np.uint64(pitch), np.int32(ny), np.uint64(area)
     wide = -(-pitch // (LANES * int(defines["CHAINS"])))
     with device.errors:

@@ -103,6 +103,7 @@ def resample_axes(
     device, taps, d = coefficients.device, coefficients.filter.support, coefficients.ndim
     edge = coefficients.boundary.edge if given.edge is None else given.edge
     nx, ny, nz = (*(len(along) for along in positions), 1, 1)[:3]
+    nz = nz if d == 3 else coefficients.shape[0]
     whole_vectors = np.pad(positions[0], (0, -nx % LANES), mode="edge")
     axes = [_axis_taps(coefficients, axis, x, edge) for axis, x in enumerate([whole_vectors, *positions[1:]])]
     if d == 1:  # the only row
