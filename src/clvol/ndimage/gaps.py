@@ -12,6 +12,7 @@ from clvol.device import Device
 from clvol.errors import OptionError
 from clvol.missing import Missing, filled_smoothly
 from clvol.ndimage import engine
+from clvol.spline.field import Precision
 
 __all__ = ["evaluate"]
 
@@ -26,7 +27,7 @@ def evaluate(
     mode: str,
     cval: float,
     prefilter: bool,
-    precision: engine.Precision,
+    precision: Precision,
     device: Device | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> None:
