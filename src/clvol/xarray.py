@@ -276,16 +276,16 @@ class _Spline:
     def __init__(
         self, filter: str, boundary: str, fill: float | None, precision: Precision | None, device: Device | str | int | None
     ) -> None:
-        if not isinstance(filter, str) or filter not in _ORDERS:
+        self._filter, self._boundary = as_filter(filter), as_boundary(boundary)
+        if self._filter.name not in _ORDERS:
             raise one_of("filter", filter, _ORDERS)
-        if not isinstance(boundary, str) or boundary not in _MODES:
+        if self._boundary.name not in _MODES:
             raise one_of("boundary", boundary, _MODES)
         if precision not in (None, "single", "double"):
             raise one_of("precision", precision, ("single", "double"))
         self.fill = None if fill is None else float(fill)
         self.precision = precision
         self._device = None if device is None else as_device(device)
-        self._filter, self._boundary = as_filter(filter), as_boundary(boundary)
 
     def __call__(self, data: xarray.Variable, targets: Mapping[Hashable, xarray.Variable]) -> xarray.Variable:
         """A variable at positions in samples along some of its dimensions; it may lack some."""
