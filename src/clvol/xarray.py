@@ -90,7 +90,8 @@ class _Accessor(Generic[Labelled]):
         DataArray or Dataset
             Lazy where the samples are arrays of dask, in blocks at most as long as theirs. It differs from the result of the same
             array in memory by 10⁻¹² of the largest magnitude at most (10⁻⁶ in single precision), because blocks end the
-            recursions of the prefilter 24 (12) samples beyond what they need, more for higher orders.
+            recursions of the prefilter 24 samples beyond what they need (12 where single precision is asked for), more for
+            higher orders.
 
         Raises
         ------
