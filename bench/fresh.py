@@ -1,9 +1,11 @@
 """What only a new process shows: how long the first frame takes, and the most memory ever held.
 
     python -m bench.fresh FILE
+    python -m bench.fresh WHO N
 
 FILE is a volume as a .npy file. Prints a JSON object: `seconds` from `Renderer` to the first frame, `bytes` that the peak
-rose by, from after the imports.
+rose by, from after the imports. With WHO (see `LARGE`) and N it is one cubic zoom from N³ to (2 N)³: its seconds, and the bytes
+that the peak rose by, from what was held with the input.
 """
 
 from __future__ import annotations
@@ -14,15 +16,20 @@ import resource
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import clvol
 from clvol.device import as_device
 
-__all__ = ["run"]
+__all__ = ["LARGE", "large", "run"]
+
+Array = NDArray[np.float32]
 
 
 def run(volume: Path, cache: Path) -> dict[str, float]:
@@ -41,11 +48,56 @@ def run(volume: Path, cache: Path) -> dict[str, float]:
     return result
 
 
-def _peak() -> int:
+def large(who: str, n: int) -> dict[str, float]:
+    """A cubic zoom from n³ to (2 n)³ samples by one of `LARGE`, in a new process."""
+    command = [sys.executable, "-m", "bench.fresh", who, str(n)]
+    done = subprocess.run(command, cwd=Path(__file__).parents[1], capture_output=True, text=True, check=True)
+    result: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
+    return result
+
+
+def _torch_trilinear(data: Array) -> object:
+    torch = import_module("torch")
+    interpolate = import_module("torch.nn.functional").interpolate
+    return interpolate(torch.from_numpy(data)[None, None], scale_factor=2, mode="trilinear")
+
+
+def _by_zoom(module: str) -> Callable[[Array], object]:
+    zoom = import_module(module).zoom
+    return lambda data: zoom(data, 2, order=3, mode="nearest", grid_mode=True)
+
+
+def _by_resize() -> Callable[[Array], object]:
+    """The call of nnU-Net, which makes float64 of its input first."""
+    resize = import_module("skimage.transform").resize
+    return lambda data: resize(data.astype(float), tuple(2 * n for n in data.shape), 3, mode="edge", anti_aliasing=False, clip=True)
+
+
+LARGE: dict[str, Callable[[], Callable[[Array], object]]] = {
+    "clvol": lambda: _by_zoom("clvol.ndimage"),
+    "SciPy": lambda: _by_zoom("scipy.ndimage"),
+    "scikit-image": _by_resize,
+    "torch, trilinear": lambda: _torch_trilinear,
+}
+
+
+def _measure_large(who: str, n: int) -> dict[str, float]:
+    run = LARGE[who]()
+    run(np.zeros((8, 8, 8), np.float32))  # imports, and kernels built
+    data = np.random.default_rng(0).standard_normal((n, n, n), np.float32)
+    before = _peak("VmRSS")
+    started = time.perf_counter()
+    result = run(data)
+    seconds = time.perf_counter() - started
+    del result
+    return {"seconds": seconds, "bytes": _peak() - before}
+
+
+def _peak(what: str = "VmHWM") -> int:
     """The most bytes ever resident; not `ru_maxrss` where it can be had otherwise: that counts the parent before exec."""
     try:
         lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
-        return next(1024 * int(line.split()[1]) for line in lines if line.startswith("VmHWM"))
+        return next(1024 * int(line.split()[1]) for line in lines if line.startswith(what))
     except (OSError, StopIteration):
         return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
@@ -61,4 +113,4 @@ def _measure(file: str) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    print(json.dumps(_measure(sys.argv[1])))
+    print(json.dumps(_measure(sys.argv[1]) if len(sys.argv) == 2 else _measure_large(sys.argv[1], int(sys.argv[2]))))

@@ -21,7 +21,7 @@ from scipy import ndimage
 
 import clvol
 
-__all__ = ["TASKS", "Peer", "Points", "Shot", "missing", "of", "renderer_of_opengl"]
+__all__ = ["TASKS", "Peer", "Points", "Shot", "itk_resampled", "missing", "of", "renderer_of_opengl"]
 
 Array = NDArray[Any]
 
@@ -305,7 +305,8 @@ def _itk() -> Any:
     return importlib.import_module("SimpleITK")
 
 
-def _itk_resampled(image: Any, size: tuple[int, ...], matrix: Array, interpolator: Any) -> Array:
+def itk_resampled(image: Any, size: tuple[int, ...], matrix: Array, interpolator: Any) -> Array:
+    """An image at the positions ``matrix @ (x, y, z, 1)`` of a grid of a size (x, y, z)."""
     itk = _itk()
     transform = itk.AffineTransform(3)
     transform.SetMatrix(matrix[:, :3].ravel().tolist())
@@ -323,12 +324,12 @@ def _itk_sample(work: Points) -> Peer | None:
     if work.lattice is None:
         return None
     image, (size, matrix) = _itk().GetImageFromArray(work.coefficients), work.lattice
-    return Peer(lambda: _itk_resampled(image, size, matrix, _itk().sitkBSplineResamplerOrder3).ravel())
+    return Peer(lambda: itk_resampled(image, size, matrix, _itk().sitkBSplineResamplerOrder3).ravel())
 
 
 def _itk_magnify(data: Array) -> Peer:
     image, size = _itk().GetImageFromArray(data), tuple(2 * n for n in data.shape[::-1])
-    return Peer(lambda: _itk_resampled(image, size, np.eye(3, 4) / 2, _itk().sitkBSpline3))
+    return Peer(lambda: itk_resampled(image, size, np.eye(3, 4) / 2, _itk().sitkBSpline3))
 
 
 # -- drjit: compiles what it is told by LLVM, threads of its own -------------------------------------------------

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import clvol
-from bench import cases, machine, scene
+from bench import cases, machine, ndimage, scene
 from clvol.device import as_device
 from clvol.march.planes import Planes
 
@@ -94,6 +94,35 @@ def test_quick_run_writes_a_report(tmp_path: Path) -> None:
     assert all("isosurface" in name for name in names)
     assert all(row["seconds"]["clvol"] > 0 for row in report["results"])
     assert "128³/64³" in done.stdout
+
+
+def test_ndimage_is_measured_beside_scipy_which_agrees(tmp_path: Path) -> None:
+    output = tmp_path / "report.json"
+    done = command("bench.ndimage", "--quick", "--only", "affine_transform", "--markdown", "--output", str(output))
+    assert done.returncode == 0, done.stderr
+    rows = json.loads(output.read_text(encoding="utf-8"))["results"]
+    lines = done.stdout.splitlines()
+    assert len(lines) == 2 + len(rows) == 2 + 7
+    for line, row in zip(lines[2:], rows, strict=True):
+        assert line.startswith(f"| {row['name']} | ")
+        theirs, difference = next(iter(row["differs_by"].items()))
+        assert row["times_as_fast_as"][theirs] == pytest.approx(row["seconds"][theirs] / row["seconds"]["clvol"])
+        assert difference < (1e-12 if "float64" in row["name"] else 1e-5)
+
+
+@pytest.mark.parametrize(
+    ("aim", "reached", "text"),
+    [
+        (ndimage.Aim(8), True, "≥ 8 ×"),
+        (ndimage.Aim(12), False, "≥ 12 ×"),
+        (ndimage.Aim(8, 0.2), True, "≥ 8 ×, ≤ 200 ms"),
+        (ndimage.Aim(seconds=0.05), False, "≤ 50 ms"),
+    ],
+)
+def test_aims_are_compared_with_what_was_measured(aim: ndimage.Aim, reached: bool, text: str) -> None:
+    row = {"seconds": {"clvol": 0.1, "SciPy": 1.0}, "times_as_fast_as": {"SciPy": 10.0}}
+    assert aim.reached(row) is reached
+    assert str(aim) == text
 
 
 def test_samples_on_a_lattice_are_counted() -> None:

@@ -68,6 +68,7 @@ def test_figure6_tells_what_is_wrong(tmp_path: Path, device: Device, arguments: 
         ("noise", ("--samples", 9, "--points", 100), "linear: keeps 0.667 of the noise's variance along an axis"),
         ("slices", ("--samples", 7), "slices 2 pixels apart: smallest RMS error with "),
         ("edges", ("--samples", 12, "--pixels", 24), "ideal low-pass, nearest neighbour: values rise again by 0."),
+        ("reduction", ("--samples", 16), "zone plate, 2 times fewer samples: RMS error decimated 0."),
         ("cost", ("--samples", 9, "--points", 200), "* nothing is both faster and better"),
     ],
 )
@@ -117,6 +118,42 @@ def test_smoothing_draws_a_volume_before_and_after(tmp_path: Path, device: Devic
     failed = run("smoothing.py", "missing.npy", folder=tmp_path)
     assert failed.returncode == 1
     assert failed.stderr == "FormatError: cannot read missing.npy: there is no such file or folder\n"
+    assert device is not None
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "words"),
+    [
+        ("resampling", ("--pixels", 32), "14 × 32 × 32 samples of 13.6 × 5.9 × 5.9 mm to 5.3 × 5.3 × 5.3 mm"),
+        ("series", ("--pixels", 48, "--frames", 4), "4 images of 48 × 48 × 48"),
+        ("photograph", ("--height", 60), "(60, 90, 3), uint8, turned by 4°"),
+    ],
+)
+def test_scripts_give_the_same_with_scipy_and_clvol(
+    tmp_path: Path, device: Device, name: str, arguments: tuple[object, ...], words: str
+) -> None:
+    pictures = []
+    for module in ("scipy", "clvol"):
+        done = run(f"scipy_{name}.py", "--with", module, *arguments, "--output", f"{module}.png", folder=tmp_path)
+        assert (done.returncode, done.stderr) == (0, "")
+        lines = done.stdout.splitlines()
+        assert lines[0] == words
+        assert lines[1].startswith("scipy.ndimage: ")
+        assert lines[-1] == f"{module}.png"
+        pictures.append(iio.imread(tmp_path / f"{module}.png").astype(int))
+    assert lines[2].startswith("clvol.ndimage: ")
+    for line in lines:
+        what, _, difference = line.partition(": differ by at most ")
+        if what in ("values", "series"):
+            assert float(difference.split()[0]) < 2e-6
+        elif what == "photograph":
+            assert int(difference.split(",")[0]) <= 1
+    assert sum(": differ by at most " in line for line in lines) == (2 if name == "resampling" else 1)
+    assert np.abs(pictures[0] - pictures[1]).max() <= 1 or name == "resampling"  # a label may change where two are as near
+    assert pictures[0].std() > 20
+    if name == "series":
+        before, after, _ = (float(word) for word in lines[-2].split() if word.startswith("0."))
+        assert after < 0.7 * before
     assert device is not None
 
 

@@ -68,6 +68,8 @@ class Spline:
     precision : {"single", "double"}
     device : Device or None
     progress : callable or None
+    local : bool
+        Whether results that a missing sample has weight in, and no others, are missing.
     """
 
     order: int
@@ -77,6 +79,7 @@ class Spline:
     precision: Precision
     device: Device | None
     progress: Progress
+    local: bool = False
 
     @classmethod
     def of(
@@ -100,6 +103,7 @@ class Spline:
             as_precision(precision, data.dtype),
             None if device is None else as_device(device),
             progress,
+            local=nan == "local",
         )
         look_for_nan(data, nan)
         return spline
@@ -161,13 +165,9 @@ def as_precision(precision: object, dtype: np.dtype[Any]) -> Precision:
 
 def look_for_nan(data: Array, nan: Nan) -> None:
     """What is done about missing samples before anything is computed."""
-    if nan == "propagate":
-        return
     if nan not in _NAN:
         raise one_of("nan", nan, _NAN)
-    if nan == "local":
-        raise OptionError('nan must be "propagate" or "error" here; got "local", which this function does not know')
-    if data.dtype.kind in "fc" and not (known := np.isfinite(data)).all():
+    if nan == "error" and data.dtype.kind in "fc" and not (known := np.isfinite(data)).all():
         where = tuple(map(int, np.unravel_index(np.argmin(known), data.shape)))
         raise DataError(f'with nan="error" all samples must be finite; got {data[where]} at {where}')
 
