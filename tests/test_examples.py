@@ -68,6 +68,7 @@ def test_figure6_tells_what_is_wrong(tmp_path: Path, device: Device, arguments: 
         ("noise", ("--samples", 9, "--points", 100), "linear: keeps 0.667 of the noise's variance along an axis"),
         ("slices", ("--samples", 7), "slices 2 pixels apart: smallest RMS error with "),
         ("edges", ("--samples", 12, "--pixels", 24), "ideal low-pass, nearest neighbour: values rise again by 0."),
+        ("reduction", ("--samples", 16), "zone plate, 2 times fewer samples: RMS error decimated 0."),
         ("cost", ("--samples", 9, "--points", 200), "* nothing is both faster and better"),
     ],
 )

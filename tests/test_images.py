@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 import clvol
 from clvol import images, reference
+from clvol.boundary import as_boundary
 from clvol.device import Device
 from clvol.errors import ClvolError
 from clvol.volume import Volume
@@ -134,3 +136,26 @@ def test_bad_input_is_refused(call: Any) -> None:
 def test_bad_values_are_refused(call: Any, bad: Any) -> None:
     with pytest.raises(ClvolError):
         call(bad)
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.int64, np.float32])
+@pytest.mark.parametrize("rule", ["nearest", "constant(9)", "grid-constant(100)", "overlap"])
+def test_every_rule_of_scipy_for_every_type(device: Device, rule: str, kind: type) -> None:
+    """Wide integers, which are computed in double precision about their middle, too."""
+    offset = 10**12 if kind is np.int64 else 0
+    image = RNG.integers(0, 255, (9, 12)).astype(kind)
+    moved = as_boundary(rule)
+    moved = replace(moved, cval=moved.cval + offset)
+    got = images.rotate(image + kind(offset), 30, boundary=moved, fill=None, device=device) - kind(offset)
+    turn = np.radians(30)
+    y, x = np.indices(image.shape)
+    matrix = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    at = (np.stack([x, y], -1) - (5.5, 4)) @ matrix.T + (5.5, 4)
+    wanted = reference.sample(image.astype(float), at, boundary=rule)
+    low, high = (0, 255) if kind is np.uint8 else (-np.inf, np.inf)
+    assert np.abs(got - np.clip(wanted, low, high)).max() < (1e-3 if kind is np.float32 else 0.5 + 1e-3)
+
+
+def test_the_value_outside_is_finite_for_integers() -> None:
+    with pytest.raises(ClvolError, match="value of the boundary"):
+        images.zoom(COLOUR, 2, boundary="constant(nan)")

@@ -49,6 +49,8 @@ def test_extras_are_declared() -> None:
         ("medical", "SimpleITK"),
         ("microscopy", "tifffile"),
         ("figures", "matplotlib"),
+        ("xarray", "xarray"),
+        ("torch", "torch"),
     ):
         line = next(
             row for row in wanted if row.lower().startswith(package.lower()) and f"extra == '{extra}'" in row.replace('"', "'")
@@ -63,7 +65,19 @@ def test_names_are_sorted_and_there() -> None:
 
 @pytest.mark.parametrize("module", ["clvol", "clvol.cli"])
 def test_importing_is_cheap_and_needs_no_opencl(module: str) -> None:
-    heavy = ("pyopencl", "SimpleITK", "scipy.ndimage", "imageio", "PIL", "tifffile", "nibabel", "cmap", "matplotlib")
+    heavy = (
+        "pyopencl",
+        "SimpleITK",
+        "scipy.ndimage",
+        "imageio",
+        "PIL",
+        "tifffile",
+        "nibabel",
+        "cmap",
+        "matplotlib",
+        "torch",
+        "xarray",
+    )
     code = f"import {module}, sys; print(*[m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", timeout=60, check=True)
     assert done.stdout.split() == []

@@ -1,6 +1,6 @@
 // Points outside the volume's domain: brought to where the function is the same, or given a value of their own.
 //
-// Set by the host: DERIVATIVE, 0, 1 or 2; EDGE, how far from the outer samples the domain ends; FILL: 0, the boundary rule goes
+// Set by the host: DERIVATIVE, 0, 1 or 2; WITH_VALUE, whether gradients follow the values, of points on a grid; EDGE, how far from the outer samples the domain ends; FILL: 0, the boundary rule goes
 // on outside; 1, the result there is `fill`, NaN at positions that are not finite; 2, it is `fill` at these alone.
 
 #include "spline/boundary.cl"
@@ -9,7 +9,7 @@
 #if DERIVATIVE == 0
 #define COMPONENTS 1
 #elif DERIVATIVE == 1
-#define COMPONENTS DIMENSIONS
+#define COMPONENTS (WITH_VALUE + DIMENSIONS)
 #else
 #define COMPONENTS (DIMENSIONS * DIMENSIONS)
 #endif
@@ -46,9 +46,12 @@ INLINE int bring(position_t *at, const int4 size, const int4 period, along_t *al
     return SAMPLED;
 }
 
-// given: `fill`, and the boundary rule's value.
+// given: `fill`, and the boundary rule's value. Gradients that follow values are those of a constant.
 INLINE void value_into(const int kind, const scalar2 given, global scalar *result)
 {
     for (int i = 0; i < COMPONENTS; ++i)
-        result[i] = kind == MISSING ? NAN : kind == FILLED ? given.x : DERIVATIVE ? 0 : given.y;
+        if (WITH_VALUE)
+            result[i] = kind == MISSING ? NAN : i > 0 ? 0 : kind == FILLED ? given.x : given.y;
+        else
+            result[i] = kind == MISSING ? NAN : kind == FILLED ? given.x : DERIVATIVE ? 0 : given.y;
 }

@@ -178,7 +178,7 @@ INLINE real lanes_value(COEFFICIENTS coefficients, const int4 extent, const cell
 #else
 
 // Per stored coefficient.
-INLINE real3 lanes_gradient(COEFFICIENTS coefficients, const int4 extent, const cells_t *c)
+INLINE real3 lanes_gradient(COEFFICIENTS coefficients, const int4 extent, const cells_t *c, real *value)
 {
     real wx[TAPS], sx[TAPS], wy[TAPS], sy[TAPS], wz[TAPS], sz[TAPS], taps[WEIGHTS];
     rows_t rows[3][CHUNKS][LANES / SIDE];
@@ -207,6 +207,9 @@ INLINE real3 lanes_gradient(COEFFICIENTS coefficients, const int4 extent, const 
     real3 g;
     rows_to_taps(rows[0], taps);
     g.x = lane_dot(taps, sx);
+#if WITH_VALUE
+    *value = lane_dot(taps, wx);
+#endif
     rows_to_taps(rows[1], taps);
     g.y = lane_dot(taps, wx);
     rows_to_taps(rows[2], taps);
@@ -224,15 +227,20 @@ INLINE void lanes_into(COEFFICIENTS coefficients, const int4 extent, const cells
 #if DERIVATIVE == 0
     u.all[0] = lanes_value(coefficients, extent, cells);
 #else
-    real3 g = lanes_gradient(coefficients, extent, cells);
+    lanes_u along;
+    real3 g = lanes_gradient(coefficients, extent, cells, &along.all);
+#if WITH_VALUE
+#pragma unroll
+    for (int i = 0; i < LANES; ++i)
+        u.each[COMPONENTS * i] = along.each[i];
+#endif
     g.x *= cells->along.x, g.y *= cells->along.y, g.z *= cells->along.z;
 #pragma unroll
     for (int k = 0; k < DIMENSIONS; ++k) {
-        lanes_u along;
         along.all = GRID_SCALE * ((scalar)w[k] * g.x + (scalar)w[3 + k] * g.y + (scalar)w[6 + k] * g.z);
 #pragma unroll
         for (int i = 0; i < LANES; ++i)
-            u.each[DIMENSIONS * i + k] = along.each[i];
+            u.each[COMPONENTS * i + WITH_VALUE + k] = along.each[i];
     }
 #endif
 #if !SORTED

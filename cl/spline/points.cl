@@ -10,7 +10,7 @@
 // | points outside are brought inside, and sampled as others | outside.cl     |
 // | points in no order are sorted first                     | sort.cl        |
 //
-// Set by the host: DERIVATIVE, 0, 1 or 2; LANES, points that are computed at once, 1 or 8; RUN, points of a work-item; and
+// Set by the host: DERIVATIVE, 0, 1 or 2; WITH_VALUE (outside.cl); LANES, points that are computed at once, 1 or 8; RUN, points of a work-item; and
 // what is included.
 
 #include "base/platform.cl"
@@ -33,8 +33,11 @@ INLINE void to_world(scalar value, gradient_t g, hessian_t h, constant coord *w,
 #if DERIVATIVE == 0
     result[0] = value;
 #elif DERIVATIVE == 1
+#if WITH_VALUE
+    result[0] = value;
+#endif
     for (int i = 0; i < DIMENSIONS; ++i)
-        result[i] = s * ((scalar)w[i] * g.x + (scalar)w[3 + i] * g.y + (scalar)w[6 + i] * g.z);
+        result[WITH_VALUE + i] = s * ((scalar)w[i] * g.x + (scalar)w[3 + i] * g.y + (scalar)w[6 + i] * g.z);
 #else
     for (int i = 0; i < DIMENSIONS; ++i) {
         const scalar a = w[i], b = w[3 + i], c = w[6 + i];
@@ -107,9 +110,9 @@ kernel void sample_points(COEFFICIENTS coefficients, const int4 extent, const in
 
 // grid: the number of points along x and y, and the first row and slice of this launch. base: the point that `results` begin with.
 kernel void sample_grid(COEFFICIENTS coefficients, const int4 extent, const int4 size, const int4 period, constant coord *transform,
-                           const int4 grid, const ulong base, const scalar2 given, global scalar *results)
+                           const int4 grid, const ulong base, const scalar2 given, global scalar *results CHAIN_ARGUMENTS)
 {
-    source_t source = { get_global_id(0) * RUN, (int)get_global_id(1) + grid.z, (int)get_global_id(2) + grid.w, 0 };
+    source_t source = { get_global_id(0) * RUN, (int)get_global_id(1) + grid.z, (int)get_global_id(2) + grid.w, 0 CHAIN_GIVEN };
     source.first = ((size_t)source.k * grid.y + source.j) * grid.x + source.i - base;
     if (source.i < grid.x && source.j < grid.y)
         run_into(coefficients, extent, source, MIN(RUN, grid.x - source.i), size, period, transform, given, results);

@@ -2,13 +2,27 @@
 //
 // Set by the host: ON_GRID, whether points are those of a grid and not read; POINT, the type of those that are read, and
 // POINT_BITS, its size; PLANAR, whether all coordinates along an axis follow each other, the last axis (x) last; SORTED, whether
-// each point is followed by its place in the list that it came from (sort.cl); INDICES, whether positions are indices already.
+// each point is followed by its place in the list that it came from (sort.cl); INDICES, whether positions are indices already;
+// CHAIN, whether transforms bring points to other places first (chain.cl).
 
 #include "base/platform.cl"
 
+#if CHAIN
+#include "spline/chain.cl"
+#else
+#define CHAIN_ARGUMENTS
+#define CHAIN_GIVEN
+#endif
+
 #if ON_GRID
 // (i, j, k), and those that follow along i
-typedef struct { int i, j, k; size_t first; } source_t;
+typedef struct {
+    int i, j, k;
+    size_t first;
+#if CHAIN
+    chain_t chain;
+#endif
+} source_t;
 INLINE size_t place_of(source_t source, int n) { return source.first + n; }
 #else
 // planes: how far apart axes lie, if PLANAR
@@ -40,7 +54,7 @@ INLINE size_t place_of(source_t source, int n)
 
 typedef struct { coord x, y, z; } position_t;
 
-INLINE position_t point_of(source_t source, int n)
+INLINE position_t given_point(source_t source, int n)
 {
 #if ON_GRID
     const position_t p = { source.i + n, source.j, source.k };
@@ -60,6 +74,22 @@ INLINE position_t point_of(source_t source, int n)
     p.z = ALONG(2);
 #endif
 #undef ALONG
+#endif
+    return p;
+}
+
+INLINE position_t point_of(source_t source, int n)
+{
+    position_t p = given_point(source, n);
+#if CHAIN
+#if DIMENSIONS == 3
+    const place_t place = through_chain(source.chain, (place_t)(p.x, p.y, p.z, 0));
+    p.z = place.z;
+#else
+    const place_t place = through_chain(source.chain, (place_t)(p.x, p.y));
+#endif
+    p.x = place.x;
+    p.y = place.y;
 #endif
     return p;
 }

@@ -9,7 +9,18 @@ typedef struct { coords_t x, y, z; } positions_t;
 INLINE positions_t points_of(source_t source, int n, int count)
 {
     positions_t p;
-#if ON_GRID
+#if CHAIN
+    union { coords_t all; coord each[LANES]; } x, y, z;
+    for (int i = 0; i < LANES; ++i) {
+        const position_t one = point_of(source, n + MIN(i, count - 1));
+        x.each[i] = one.x;
+        y.each[i] = one.y;
+        z.each[i] = one.z;
+    }
+    p.x = x.all;
+    p.y = y.all;
+    p.z = z.all;
+#elif ON_GRID
     p.x = to_coords(source.i + n + (mask)(0, 1, 2, 3, 4, 5, 6, 7));
     p.y = to_coords((mask)(source.j));
     p.z = to_coords((mask)(source.k));

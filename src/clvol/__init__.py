@@ -27,16 +27,22 @@ from clvol.errors import (
 )
 from clvol.filter import Filter, bc, bspline, filters, from_callable, from_pieces, lanczos, moms3, quasi, register, sinc
 from clvol.formats import read, write
+from clvol.formats.transforms import read_transform
+from clvol.interpolator import Interpolator
 from clvol.light import Light, Material
 from clvol.march.renderer import Output, Renderer, render
 from clvol.missing import Missing
 from clvol.mode import Attenuated, Composite, Isosurface, Mean, Minip, Mip, Mode, modes
 from clvol.moved import callable_as_before
 from clvol.picture import save
+from clvol.resizing import resize
 from clvol.response import frequency_response, prefilter_response
 from clvol.scene import Medium, Scene
 from clvol.spline.field import Field, magnify, prefilter, resample, sample
+from clvol.spline.scatter import adjoint
+from clvol.spline.warp import Warped, resample_series, warp
 from clvol.transfer import TransferFunction
+from clvol.transform import AffineTransform, BSplineTransform, DisplacementField
 from clvol.volume import Volume
 
 callable_as_before("clvol.spline.prefilter", "clvol.spline.resample")
@@ -44,7 +50,9 @@ callable_as_before("clvol.spline.prefilter", "clvol.spline.resample")
 __version__ = "0.1.0"
 
 __all__ = [
+    "AffineTransform",
     "Attenuated",
+    "BSplineTransform",
     "Boundary",
     "Camera",
     "ClvolError",
@@ -52,10 +60,12 @@ __all__ = [
     "DataError",
     "Device",
     "DeviceError",
+    "DisplacementField",
     "Field",
     "Filter",
     "FormatError",
     "GeometryError",
+    "Interpolator",
     "Isosurface",
     "Light",
     "Material",
@@ -73,6 +83,8 @@ __all__ = [
     "Scene",
     "TransferFunction",
     "Volume",
+    "Warped",
+    "adjoint",
     "bc",
     "boundaries",
     "bspline",
@@ -92,11 +104,15 @@ __all__ = [
     "prefilter_response",
     "quasi",
     "read",
+    "read_transform",
     "register",
     "render",
     "resample",
+    "resample_series",
+    "resize",
     "sample",
     "save",
     "sinc",
+    "warp",
     "write",
 ]

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.errors import ClvolError, OptionError, OutOfMemoryError
+from clvol.interop import as_array
 
 __all__ = ["as_path", "enough_memory", "instance", "number", "one_of", "reals", "require_room", "several", "whole"]
 
@@ -78,12 +79,12 @@ def whole(what: str, value: object, minimum: int | None = None, maximum: int | N
 def reals(what: str, value: object, rule: str = "real numbers", error: type[ClvolError] = OptionError) -> NDArray[np.float64]:
     """`value` as an array of float64, not copied where it is one; `error` for strings, complex and masked numbers."""
     try:
-        array = np.asarray(value)
+        array = as_array(value, what, error, rule)
         known = array.dtype.kind in "biuf" or (array.dtype.kind == "O" and all(isinstance(v, Real) for v in array.flat))
-        if known and not np.ma.is_masked(value):
+        if known:
             with np.errstate(over="ignore"):
                 return array.astype(np.float64, copy=False)
-    except (TypeError, ValueError, OverflowError):  # ragged, or beyond float64
+    except OverflowError:  # beyond float64
         pass
     raise error(f"{what} must be {rule}; got {value!r}")
 

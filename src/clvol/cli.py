@@ -365,7 +365,9 @@ def compare(
 
 @app.command
 def figure(
-    name: Annotated[str, Parameter(help="1 to 6 as in the paper, impulse, gradients, convergence, noise, slices, edges or cost.")],
+    name: Annotated[
+        str, Parameter(help="1 to 6 as in the paper, impulse, gradients, convergence, noise, slices, edges, reduction or cost.")
+    ],
     /,
     *,
     output: Annotated[
@@ -378,7 +380,9 @@ def figure(
     device: DeviceName = None,
     json: Json = False,
 ) -> None:
-    """Make a figure of the paper, or one beyond: impulse, gradients, convergence, noise, slices, edges, cost. Each has defaults.
+    """Make a figure of the paper, or one beyond: impulse, gradients, convergence, noise, slices, edges, reduction, cost.
+
+    Each has defaults.
 
     Parameters
     ----------

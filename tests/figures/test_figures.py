@@ -29,6 +29,7 @@ from clvol.figures import (
     inputs,
     noise,
     pipeline,
+    reduction,
     responses,
     slices,
     style,
@@ -484,6 +485,23 @@ def test_between_slices_the_spline_errs_less_while_they_are_near_enough(device: 
     made = [np.sqrt(np.mean((picture - exact) ** 2)) for picture in drawn]
     assert made == sorted(made, reverse=True)
     assert f"RMS {made[-1]:.4f}" in texts(drawing)
+
+
+def test_fewer_samples_keep_most_by_least_squares(device: Device) -> None:
+    drawing = reduction.draw((1.5, 2, 3), samples=32, device=device)
+    rms = {(n["input"], n["method"], n["factor"]): n["rms"] for n in drawing.numbers}
+    plate, waves, ball = dict.fromkeys(n["input"] for n in drawing.numbers)
+    for factor in (1.5, 2, 3):
+        for case in (plate, waves):
+            assert rms[case, "least squares", factor] < min(rms[case, name, factor] for name in ("decimated", "Gaussian first"))
+    assert rms[ball, "least squares", 3] < rms[ball, "decimated", 3] / 3  # noise is averaged, not picked
+    truth, decimated, _, nearest = (image_of(axes) for axes in axes_of(drawing)[:4])
+    # where rings are too fine for the new pixels, in the corners, nothing must be left, and least of all other rings
+    corner = (slice(0, 16), slice(0, 16))
+    assert nearest[corner].std() < 0.15 < 0.3 < decimated[corner].std()
+    assert f"RMS {np.sqrt(np.mean((nearest - truth) ** 2)):.3f}" in texts(drawing)
+    with pytest.raises(OptionError, match="each factor must be a finite number, at least 1"):
+        reduction.draw((0.5,), samples=8)
 
 
 def test_slices_left_out_of_a_scan_are_compared_with_it(device: Device) -> None:

@@ -85,7 +85,6 @@ def same(
 def test_skipping_changes_no_bit(
     device: Device, mode: str, tile: str, volume: Volume, view: dict[str, Any], boundary: str, shading: bool
 ) -> None:
-    shading = shading and boundary == "mirror"  # each pair costs a kernel
     with device.limited(tile=TILES[tile]):
         same(device, volume, "bspline3", mode, view, boundary, shading=shading)
 

@@ -101,7 +101,9 @@ def test_coefficients_of_smoothing_splines(device: Device, name: str, rule: str)
             continue
         data = rng.normal(size=shape).astype(np.float32)
         wanted = reference.prefilter(data, name, rule)
-        np.testing.assert_allclose(prefilter(data, name, rule, device), wanted, rtol=0, atol=RELATIVE * np.abs(wanted).max())
+        largest = max(np.abs(wanted).max(), np.abs(data).max())  # smoothing leaves less than what is rounded on the way
+        allowed = 2 * RELATIVE if rule.startswith(("nearest", "grid-constant")) else RELATIVE  # padded: constants round one way
+        np.testing.assert_allclose(prefilter(data, name, rule, device), wanted, rtol=0, atol=allowed * largest)
 
 
 @pytest.mark.parametrize(
@@ -130,7 +132,7 @@ def test_halo_is_the_extension(device: Device, rule: str) -> None:
             halo = int(held.extent[3])
             with device.mapped(held.buffer, held.shape, write=False) as stored:
                 got = np.array(stored)
-        wanted = reference.extend(volume.data, halo, rule)
+        wanted = reference.extend(volume.data, halo, rule).astype(np.float32)
         np.testing.assert_array_equal(got[..., : wanted.shape[-1]].reshape(wanted.shape), wanted)
 
 

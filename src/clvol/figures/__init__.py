@@ -41,6 +41,7 @@ FIGURES = {
     "noise": Kind("noise", "errors against noise, and what lies between approximation and interpolation"),
     "slices": Kind("slices", "interpolation between slices that lie far apart"),
     "edges": Kind("edges", "clouds and caves: hard edges after an ideal low-pass and after a Gaussian one"),
+    "reduction": Kind("reduction", "fewer samples: decimated, after a Gaussian, and by least squares"),
     "cost": Kind("cost", "error against time a sample: which filter should I use"),
 }
 """Figures by name: those of the paper by number."""

@@ -13,6 +13,7 @@ from typing import Any, TypeAlias, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clvol import interop
 from clvol.checks import enough_memory, one_of
 from clvol.device import Device, as_device
 from clvol.errors import AxisError, DataError, DtypeError, NotFiniteError, OptionError, OptionTypeError, RefusedError
@@ -67,6 +68,8 @@ class Spline:
     precision : {"single", "double"}
     device : Device or None
     progress : callable or None
+    local : bool
+        Whether results that a missing sample has weight in, and no others, are missing.
     """
 
     order: int
@@ -76,6 +79,7 @@ class Spline:
     precision: Precision
     device: Device | None
     progress: Progress
+    local: bool = False
 
     @classmethod
     def of(
@@ -99,6 +103,7 @@ class Spline:
             as_precision(precision, data.dtype),
             None if device is None else as_device(device),
             progress,
+            local=nan == "local",
         )
         look_for_nan(data, nan)
         return spline
@@ -124,10 +129,7 @@ def as_array(value: ArrayLike) -> Array:
         raise DataError(
             "input must have no masked samples; got a masked array: fill it, or put NaN there and choose what nan= does"
         )
-    try:
-        array = np.asarray(value)
-    except ValueError as error:
-        raise DataError(f"input must be an array of numbers; got {error}") from error
+    array = interop.as_array(value, "input", DataError, "an array of numbers")
     if array.dtype.char not in _REAL and array.dtype.char not in _COMPLEX:
         raise DtypeError(f"input must be an array of {_KNOWN}; got {array.dtype}")
     return array
@@ -163,13 +165,9 @@ def as_precision(precision: object, dtype: np.dtype[Any]) -> Precision:
 
 def look_for_nan(data: Array, nan: Nan) -> None:
     """What is done about missing samples before anything is computed."""
-    if nan == "propagate":
-        return
     if nan not in _NAN:
         raise one_of("nan", nan, _NAN)
-    if nan == "local":
-        raise OptionError('nan must be "propagate" or "error" here; got "local", which this function does not know')
-    if data.dtype.kind in "fc" and not (known := np.isfinite(data)).all():
+    if nan == "error" and data.dtype.kind in "fc" and not (known := np.isfinite(data)).all():
         where = tuple(map(int, np.unravel_index(np.argmin(known), data.shape)))
         raise DataError(f'with nan="error" all samples must be finite; got {data[where]} at {where}')
 
@@ -254,10 +252,7 @@ def as_matrix(matrix: ArrayLike) -> NDArray[np.float64]:
 
 def as_coordinates(coordinates: ArrayLike, count: int) -> Array:
     """Positions along so many axes, of any type of real numbers; not copied where they are an array."""
-    try:
-        array = np.asarray(coordinates)
-    except ValueError as error:
-        raise OptionError(f"coordinates must be an array of real numbers; got {error}") from error
+    array = interop.as_array(coordinates, "coordinates", OptionError, "an array of real numbers")
     if array.dtype.kind == "c":
         raise OptionTypeError(f"coordinates must be real numbers; got {array.dtype}")
     if array.dtype.char not in _REAL:
@@ -288,7 +283,7 @@ def as_output(output: Any, data: Array, shape: Sequence[int], *, copied: bool = 
     if isinstance(output, (type, np.dtype, str)):
         return _empty(shape, _as_dtype(output, data, copied))
     try:
-        array = np.asarray(output)
+        array = interop.memory_of(output, "output")
     except ValueError as error:
         raise OptionTypeError(f"output must be an array or a dtype; got {error}") from error
     if array.shape != shape:

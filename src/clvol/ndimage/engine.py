@@ -174,7 +174,8 @@ def _evaluated(made: Coefficients, target: Target, output: Array, store: _Store,
                 resample_axes(made, (target.positions[0][part], *target.positions[1:])[::-1], buffer, given)
             else:
                 transform = Transform(target.matrix[::-1, ::-1], target.offset[::-1], np.eye(made.ndim))
-                sample_grid(made, DIRECT, transform, (1, *target.shape)[-3:], buffer, given, part=part)
+                rows = None if len(target.shape) == 3 and target.shape[0] == 1 else part  # of the first axis that has several
+                sample_grid(made, DIRECT, transform, (1, *target.shape)[-3:], buffer, given, part=rows)
         yield part.stop / max(1, len(output))
 
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import DataError, OptionTypeError, UnsupportedError
-from clvol.ndimage import engine
+from clvol.errors import DataError, OptionError, OptionTypeError, UnsupportedError
+from clvol.ndimage import engine, gaps
 from clvol.ndimage.arguments import Array, Spline
 from clvol.ndimage.engine import Affine, Axes, Points, Target
 
@@ -22,6 +22,12 @@ _NATIVE = 3
 """Axes that the engine resamples at a time."""
 _PIECE = 1 << 20
 """Points whose positions are in memory at a time, at least."""
+_LARGE = 1 << 18
+"""Samples, from which on it pays to see which of them a few points need."""
+_MEMORY = (0, 0, 21, 28, 37, 44)
+"""By order, the samples after which the prefilter has forgotten all but 1e-16: its largest pole to this power."""
+_SMALL = 1 << 17
+"""Results of one index of the axes that are left alone: below, all at once with one more axis are sooner done than one by one."""
 
 _Floats = NDArray[np.float64]
 _Pass = tuple[list[int], Axes | Affine]
@@ -102,6 +108,7 @@ def at_points(data: Array, axes: Sequence[int], coordinates: Array, output: Arra
     _require_few(len(axes))
     if np.may_share_memory(coordinates, output):
         coordinates = coordinates.copy()
+    data, coordinates = _around(data, axes, coordinates, spline)
     _in_parts(data, output, spline, lambda *parts: _evaluate(parts[0], axes, Points(coordinates), *parts[1:]))
 
 
@@ -121,22 +128,32 @@ def mapped(data: Array, mapping: Callable[[tuple[int, ...]], Sequence[float]], o
 
 
 def filtered(data: Array, axes: Sequence[int], output: Array, spline: Spline) -> None:
-    """The coefficients along some axes, into `output`, in whose type they are between one axis and the next if it is whole."""
-    count = 1 if output.dtype.kind not in "fc" else _NATIVE
+    """The coefficients along some axes, into `output`.
+
+    Whole numbers are cut off, not rounded, and after each axis, as in SciPy.
+    """
+    if spline.local:
+        raise OptionError('nan must be "propagate" or "error" for coefficients, which depend on all samples; got "local"')
+    exact = output.dtype.kind in "fc"
+    count = _NATIVE if exact else 1
     groups = [list(axes[k : k + count]) for k in range(0, len(axes), count)]
 
     def compute(source: Array, target: Array, spline: Spline) -> None:
+        onto = target if exact else np.empty(target.shape)
         for number, group in enumerate(groups):
             engine.coefficients(
                 source,
                 group,
-                target,
+                onto,
                 order=spline.order,
                 mode=spline.mode,
                 precision=spline.precision,
                 device=spline.device,
                 progress=spline.stage(number, len(groups)).progress,
             )
+            if not exact:
+                with np.errstate(invalid="ignore"):
+                    target[...] = np.trunc(onto)
             source = target
 
     if output.size:
@@ -162,7 +179,8 @@ def _evaluate(data: Array, axes: Sequence[int], target: Target, output: Array, s
             raise DataError(f'input must have samples where mode is not "constant" or "grid-constant"; got shape {data.shape}')
         output[...] = _stored(spline.cval, output.dtype)
         return
-    engine.evaluate(
+    evaluate = gaps.evaluate if spline.local else engine.evaluate
+    evaluate(
         data,
         axes,
         target,
@@ -185,7 +203,8 @@ def _grids(data: Array, passes: Sequence[_Pass], output: Array, spline: Spline) 
             f"a matrix must not mix more than {_NATIVE} axes of input with each other; got one that mixes axes {large}"
         )
     if len(passes) == 1:
-        _in_parts(data, output, spline, lambda *parts: _evaluate(parts[0], *passes[0], *parts[1:]))
+        axes, grid = _joined(data, *passes[0], output.shape, spline)
+        _in_parts(data, output, spline, lambda *parts: _evaluate(parts[0], axes, grid, *parts[1:]))
         return
 
     def compute(source: Array, target: Array, spline: Spline) -> None:
@@ -203,6 +222,45 @@ def _grids(data: Array, passes: Sequence[_Pass], output: Array, spline: Spline) 
                 _beyond(target, axes)[_outside(grid, [data.shape[axis] for axis in axes])] = value
 
     _in_parts(data, output, spline, compute)
+
+
+def _joined(data: Array, axes: list[int], grid: Axes | Affine, shape: Sequence[int], spline: Spline) -> _Pass:
+    """A pass that takes axes along that are left alone, at their samples, where that is sooner done.
+
+    A sample that is not finite would spread along them.
+    """
+    others = sorted((axis for axis in range(data.ndim) if axis not in axes), key=lambda axis: -data.shape[axis])
+    others = [axis for axis in others[: _NATIVE - len(axes)] if data.shape[axis] > 1]
+    if not others or not spline.interpolates or math.prod(shape[axis] for axis in axes) > _SMALL:
+        return axes, grid
+    with np.errstate(all="ignore"):
+        if not np.isfinite(data.sum()):
+            return axes, grid
+    together = sorted(axes + others)
+    if isinstance(grid, Axes):
+        along = dict(zip(axes, grid.positions, strict=True)) | {axis: _samples(data.shape[axis]) for axis in others}
+        return together, Axes(tuple(along[axis] for axis in together))
+    matrix, offset = np.eye(len(together)), np.zeros(len(together))
+    at = [together.index(axis) for axis in axes]
+    matrix[np.ix_(at, at)], offset[at] = grid.matrix, grid.offset
+    return together, Affine(matrix, offset, tuple(shape[axis] for axis in together))
+
+
+def _around(data: Array, axes: Sequence[int], coordinates: Array, spline: Spline) -> tuple[Array, Array]:
+    """What a few points need of a large array: along each axis the samples around them, where these do not reach an edge.
+
+    The prefilter forgets a sample at the rate of its largest pole; of what is cut off less is left than float64 resolves.
+    """
+    if data.size < _LARGE or coordinates.size > data.size // 8 or not coordinates.size:
+        return data, coordinates
+    margin = spline.order // 2 + 1 + (_MEMORY[spline.order] if spline.prefilter else 0)
+    inner, starts = [slice(None)] * data.ndim, np.zeros((len(coordinates), *[1] * (coordinates.ndim - 1)))
+    for number, (axis, along) in enumerate(zip(axes, coordinates, strict=True)):
+        low, high = float(along.min()), float(along.max())
+        if math.isfinite(low) and math.isfinite(high) and low >= margin and high <= data.shape[axis] - 1 - margin:
+            inner[axis] = slice(math.floor(low) - margin, math.ceil(high) + margin + 1)
+            starts[number] = math.floor(low) - margin
+    return data[tuple(inner)], coordinates - starts
 
 
 def _require_few(count: int) -> None:
@@ -267,13 +325,12 @@ def _by_pieces(data: Array, output: Array, spline: Spline, positions: Callable[[
 
 
 def _positions(matrix: _Floats, offset: _Floats, shape: Sequence[int], first: int, last: int) -> _Floats:
-    """Of elements of the result by their number; added up as SciPy does, from the first axis to the last and then the offset."""
+    """Of elements of the result by their number; added up as SciPy does: the offset, then from the first axis to the last."""
     index = np.unravel_index(np.arange(first, last), tuple(shape))
-    found = np.zeros((len(matrix), last - first))
-    for along, row, start in zip(found, matrix, offset, strict=True):
+    found = np.repeat(offset[:, np.newaxis], last - first, axis=1)
+    for along, row in zip(found, matrix, strict=True):
         for entry, number in zip(row, index, strict=True):
             along += number * entry
-        along += start
     return found
 
 

@@ -8,9 +8,22 @@ of `clvol.boundary`: kernels come from closed forms, coefficients from solving e
 from __future__ import annotations
 
 from clvol.reference.spline.boundary import extend
+from clvol.reference.spline.chain import map_points
 from clvol.reference.spline.filter import kernel
 from clvol.reference.spline.points import magnify, resample, sample
 from clvol.reference.spline.prefilter import prefilter, prefilter_fft
+from clvol.reference.spline.reduce import nearest_spline
 from clvol.reference.spline.resample import lattice
 
-__all__ = ["extend", "kernel", "lattice", "magnify", "prefilter", "prefilter_fft", "resample", "sample"]
+__all__ = [
+    "extend",
+    "kernel",
+    "lattice",
+    "magnify",
+    "map_points",
+    "nearest_spline",
+    "prefilter",
+    "prefilter_fft",
+    "resample",
+    "sample",
+]

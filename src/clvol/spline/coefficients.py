@@ -16,7 +16,7 @@ from clvol.device import Device
 from clvol.errors import DeviceError, OptionError
 from clvol.filter import Filter
 from clvol.program import LANES, Program
-from clvol.spline.build import DefineDict, boundary_defines, evaluator_defines, filter_defines, row_reach, scalar_defines
+from clvol.spline.build import DefineDict, evaluator_defines, filter_defines, row_reach, scalar_defines
 from clvol.spline.evaluator import Evaluator
 from clvol.spline.prefilter import prefilter_in_place
 from clvol.stored import AS_THEY_ARE, Stored
@@ -301,12 +301,8 @@ class Coefficients:
         return self.image if evaluator.image else self.buffer
 
     def defines(self, evaluator: Evaluator) -> DefineDict:
-        """What every kernel that samples these coefficients needs to know."""
-        return {
-            **filter_defines(self.filter, self.kind),
-            **boundary_defines(self.boundary, self.pad, self.reach),
-            **evaluator_defines(evaluator, self.filter, self.ndim, self.device),
-        }
+        """What every kernel that samples these coefficients needs to know: within the domain the same under all boundary rules."""
+        return {**filter_defines(self.filter, self.kind), **evaluator_defines(evaluator, self.filter, self.ndim, self.device)}
 
     def release(self) -> None:
         """Free the device's memory. Results that were computed stay valid."""

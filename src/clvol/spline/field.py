@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from types import TracebackType
-from typing import Literal, Self, TypeAlias
+from typing import Any, Literal, Self, TypeAlias, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,16 +15,19 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.checks import one_of, whole
 from clvol.device import Device, as_device
-from clvol.errors import DataError, OptionError
+from clvol.errors import OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
-from clvol.interop import read_array
+from clvol.interop import as_array, as_output, read_array
 from clvol.missing import Missing, as_missing, touching
 from clvol.smoothing import settled
+from clvol.spline.chain import Chain
 from clvol.spline.coefficients import Coefficients, Lattice
 from clvol.spline.evaluator import DIRECT, Evaluator, EvaluatorName, FetchName, choose_evaluator
-from clvol.spline.points import Floats, Given, Progress, Reals, sample_coefficients
+from clvol.spline.points import Floats, Given, Progress, Reals, Transform, sample_coefficients, sample_grid
+from clvol.spline.reduce import AntiAliasing, as_anti_aliasing, low_passed, nearest_spline, steps_along
 from clvol.spline.resample import resample_coefficients
 from clvol.stored import AS_THEY_ARE, Stored
+from clvol.transform import Transforms, as_chain
 from clvol.volume import Volume, as_volume
 
 __all__ = [
@@ -35,6 +38,7 @@ __all__ = [
     "Reals",
     "as_field",
     "coefficients_of",
+    "fill_value",
     "magnify",
     "opened",
     "precision_kind",
@@ -241,6 +245,7 @@ class Field:
         fetch: FetchName = "auto",
         fill: float | None = None,
         progress: Progress | None = None,
+        out: Any = None,
     ) -> Reals:
         """Values at points of the world.
 
@@ -260,6 +265,10 @@ class Field:
             The result outside the volume's domain, NaN and infinities included; None: the boundary rule goes on there.
         progress : callable, optional
             Called with the fraction done, from time to time and after the last point with 1.
+        out : array, optional
+            Where results are put, instead of into a new array: one of float32 or float64 and of their shape that can be written
+            into, with any strides, of NumPy or of another library (see `clvol.interop.as_output`). Kernels write directly into
+            contiguous ones of the type of the results. It is what is returned.
 
         Returns
         -------
@@ -271,14 +280,14 @@ class Field:
         ------
         OptionError
             `points` are no real numbers of shape (..., d); `fill` is no number; `evaluator` or `fetch` is an unknown name;
-            the field is closed.
+            the field is closed; `out` has another shape or dtype, or cannot be written into (before anything is computed).
         DeviceError
             ``fetch="image"`` on a device without float images, or paired fetches from an image on one whose sampler does
             not interpolate.
         OutOfMemoryError
             The device has no room for the points.
         """
-        return self._at(points, 0, evaluator, fetch, fill, progress)
+        return self._at(points, 0, evaluator, fetch, fill, progress, out)
 
     def gradient(
         self,
@@ -288,6 +297,7 @@ class Field:
         fetch: FetchName = "auto",
         fill: float | None = None,
         progress: Progress | None = None,
+        out: Any = None,
     ) -> Reals:
         """Gradients at points of the world: the exact derivative of the function that calling the field gives.
 
@@ -298,7 +308,7 @@ class Field:
         ndarray of float32, shape (..., d)
             Derivatives along (x, y[, z]), per world unit; float64 where the samples are very large or small.
         """
-        return self._at(points, 1, evaluator, fetch, fill, progress)
+        return self._at(points, 1, evaluator, fetch, fill, progress, out)
 
     def hessian(
         self,
@@ -308,6 +318,7 @@ class Field:
         fetch: FetchName = "auto",
         fill: float | None = None,
         progress: Progress | None = None,
+        out: Any = None,
     ) -> Reals:
         """Second derivatives at points of the world, exact as `gradient` is. Parameters and errors are those of a call.
 
@@ -316,20 +327,41 @@ class Field:
         ndarray of float32, shape (..., d, d)
             Symmetric, [x, y[, z]] twice, per world unit squared; float64 where the samples are very large or small.
         """
-        return self._at(points, 2, evaluator, fetch, fill, progress)
+        return self._at(points, 2, evaluator, fetch, fill, progress, out)
 
     def _at(
-        self, points: ArrayLike, derivative: int, evaluator: str, fetch: str, fill: float | None, progress: Progress | None
+        self,
+        points: ArrayLike,
+        derivative: int,
+        evaluator: str,
+        fetch: str,
+        fill: float | None,
+        progress: Progress | None,
+        out: Any = None,
     ) -> Reals:
-        d = self.volume.ndim
+        d, made = self.volume.ndim, self.coefficients
         array = _points(points, d)
+        shape = array.shape[:-1] + (d,) * derivative
+        target = None if out is None else as_output(out, shape)
+        direct = target if self._writes(target) and not np.may_share_memory(target, array) else None
         chosen = self._evaluator(evaluator, fetch)
         first, second = _halves(progress) if self.gaps else (progress, None)
-        flat = sample_coefficients(self.coefficients, chosen, array.reshape(-1, d), derivative, _fill_value(fill), first)
+        flat = sample_coefficients(made, chosen, array.reshape(-1, d), derivative, fill_value(fill), first, direct)
         if self.gaps:
             share = self.gaps._at(array.reshape(-1, d), 0, "taps", "buffer", None if fill is None else 0.0, second)
             flat[share > self.missing.most] = np.nan
-        return flat.reshape(array.shape[:-1] + (d,) * derivative)
+        results = _put(flat.reshape(shape), target)
+        return results if out is None else out
+
+    def _writes(self, target: NDArray[Any] | None) -> TypeGuard[NDArray[Any]]:
+        """Whether kernels can write their results into an array themselves."""
+        return (
+            target is not None
+            and target.dtype == self.coefficients.kind
+            and target.dtype.isnative
+            and target.flags.c_contiguous
+            and target.flags.aligned
+        )
 
     # -- on other grids ----------------------------------------------------------------------------------------
 
@@ -339,14 +371,17 @@ class Field:
         spacing: Sequence[float] | float | None = None,
         like: Volume | None = None,
         *,
+        transform: Transforms | None = None,
+        anti_aliasing: AntiAliasing | bool = False,
         evaluator: EvaluatorName = "auto",
         fetch: FetchName = "auto",
         fill: float | None = None,
         progress: Progress | None = None,
+        out: Any = None,
     ) -> Volume:
         """The function on another grid; give exactly one of `shape`, `spacing` and `like`.
 
-        No low-pass is applied: see `Volume.gaussian` before making voxels larger.
+        Where voxels become larger, what is finer than they can hold comes back as aliases, unless `anti_aliasing` is given.
 
         Parameters
         ----------
@@ -356,8 +391,17 @@ class Field:
             New spacing along (x, y[, z]) in world units. The domain's centre stays, and its size to within half a voxel.
         like : Volume, optional
             Take the grid of this volume, wherever it lies.
-        evaluator, fetch, fill, progress
-            As in a call.
+        transform : transform, array, SimpleITK transform, or a list of these, optional
+            From points of the grid's world (the fixed one) to points of this volume's (the moving one), as ITK resamples: the
+            function is taken there. In a list the last transform is applied first, as in ITK's CompositeTransform. An array
+            holds a homogeneous matrix. See `clvol.AffineTransform`, `clvol.DisplacementField`, `clvol.BSplineTransform` and
+            `clvol.read_transform`; `clvol.warp` gives gradients and Jacobians too.
+        anti_aliasing : {False, True, "gaussian", "least-squares"}
+            "gaussian" (and True): the samples go through a Gaussian first, whose standard deviation is (f - 1) / 2 samples along
+            an axis where voxels become f times as large. "least-squares": the result is the spline of the new grid, of the same
+            filter, that is nearest to this function in the mean square (`clvol.spline.reduce`), for grids along the volume's axes.
+        evaluator, fetch, fill, progress, out
+            As in a call; `out` is of the new grid's shape, and the result's data are a view of it.
 
         Returns
         -------
@@ -368,7 +412,11 @@ class Field:
         OptionError
             None or several of `shape`, `spacing` and `like` are given; `shape` is not one whole number of at least 1 for
             each axis; `spacing` is not positive and finite, or needs more than 2³¹ − 1 samples along an axis; `like` is
-            no Volume of as many axes; `fill`, `evaluator` or `fetch` as in a call; the field is closed.
+            no Volume of as many axes; `transform` is none, or given with `anti_aliasing`; `anti_aliasing` is none of these, or
+            "least-squares" for a turned grid, with a hybrid or under the boundary rule "zero"; `fill`, `evaluator` or `fetch` as
+            in a call; the field is closed.
+        GeometryError
+            A transform is singular, or of another number of dimensions.
         DeviceError
             As in a call.
         OutOfMemoryError
@@ -376,10 +424,14 @@ class Field:
         """
         volume = self.volume
         grid = _grid_for(volume, shape, spacing, like)
-        inverse = volume.world_to_index_matrix
-        matrix = inverse @ grid.index_to_world_matrix
-        offset = inverse @ (np.asarray(grid.origin) - np.asarray(volume.origin))
-        data = self._on_grid(matrix, offset, grid.shape, evaluator, fetch, fill, progress)
+        chosen, stages = as_anti_aliasing(anti_aliasing), as_chain(transform, volume.ndim)
+        if chosen:
+            _require_no_transform(stages)
+            self.coefficients.argument(DIRECT)  # a closed field is refused
+            own = self.filter, self.boundary, self.device, self.precision
+            return _into(_coarser(volume, *own, grid, chosen, evaluator, fetch, fill, progress), out)
+        chain = Chain(stages, grid, self.device)
+        data = self._on_grid(*chain.to_indices(volume), grid.shape, evaluator, fetch, fill, progress, out, chain)
         return Volume(data, grid.spacing, grid.origin, grid.direction, grid.units or volume.units)
 
     def magnify(
@@ -425,20 +477,27 @@ class Field:
         fetch: str,
         fill: float | None,
         progress: Progress | None,
+        out: Any = None,
+        chain: Chain | None = None,
     ) -> Reals:
-        device, made, given = self.device, self.coefficients, Given(_fill_value(fill))
+        device, made, given = self.device, self.coefficients, Given(fill_value(fill))
+        target = None if out is None else as_output(out, shape)
         chosen = self._evaluator(evaluator, fetch)
         device.require_room(np.dtype(made.kind).itemsize * math.prod(shape))
         made.argument(chosen)  # a closed field is refused before the result is made
-        result = np.empty(shape, made.kind)
+        result = target if self._writes(target) else np.empty(shape, made.kind)
         first, second = _halves(progress) if self.gaps else (progress, None)
         with device.lent(result, write=True) as buffer:
-            resample_coefficients(made, chosen, matrix, offset, (1, *shape)[-3:], buffer, given, first)
+            if chain is not None and chain.stages:
+                last = Transform(matrix, offset, np.eye(len(offset)))
+                sample_grid(made, chosen, last, (1, *shape)[-3:], buffer, given, first, chain=chain)
+            else:
+                resample_coefficients(made, chosen, matrix, offset, (1, *shape)[-3:], buffer, given, first)
         final = given.in_units_of_data(made, result, 0)
         if self.gaps:
-            share = self.gaps._on_grid(matrix, offset, shape, "taps", "buffer", None if fill is None else 0.0, second)
+            share = self.gaps._on_grid(matrix, offset, shape, "taps", "buffer", None if fill is None else 0.0, second, chain=chain)
             final[share > self.missing.most] = np.nan
-        return final
+        return _put(final, target)
 
     def _evaluator(self, evaluator: str, fetch: str) -> Evaluator:
         """The one that is named, or suits the device: images hold float32 alone."""
@@ -447,6 +506,44 @@ class Field:
         if fetch == "image":
             raise OptionError("fetch must be 'buffer' or 'auto' where precision is 'double': images hold float32; got 'image'")
         return choose_evaluator(self.device, self.filter, evaluator, "buffer")
+
+
+def _into(volume: Volume, out: Any) -> Volume:
+    """A volume whose data are a view of `out`, if that is given."""
+    return volume if out is None else replace(volume, data=_put(volume.data, as_output(out, volume.shape)))
+
+
+def _between(volume: Volume, grid: Volume) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Matrix and offset from the indices of a grid, x first, to those of a volume."""
+    inverse = volume.world_to_index_matrix
+    return inverse @ grid.index_to_world_matrix, inverse @ (np.asarray(grid.origin) - np.asarray(volume.origin))
+
+
+def _coarser(
+    volume: Volume,
+    filter: Filter,
+    boundary: Boundary,
+    device: Device,
+    precision: Precision,
+    grid: Volume,
+    chosen: AntiAliasing,
+    evaluator: EvaluatorName,
+    fetch: FetchName,
+    fill: float | None,
+    progress: Progress | None,
+) -> Volume:
+    """A volume on another grid without the aliases of what that cannot hold."""
+    (matrix, offset), kind = _between(volume, grid), precision_kind(precision)
+    if chosen == "gaussian":
+        smooth = low_passed(volume, steps_along(matrix), boundary, kind, device)
+        with Field(smooth, filter, boundary, device, precision=precision) as field:
+            return field.resample(like=grid, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress)
+    data = nearest_spline(volume, filter, boundary, kind, device, matrix, offset, grid.shape, progress)
+    if (outside := fill_value(fill)) is not None:
+        for axis, (n, m) in enumerate(zip(volume.size, grid.size, strict=True)):
+            x = offset[axis] + matrix[axis, axis] * np.arange(m)
+            np.moveaxis(data, volume.ndim - 1 - axis, 0)[(x < -boundary.edge) | (x > n - 1 + boundary.edge)] = outside
+    return Volume(data, grid.spacing, grid.origin, grid.direction, grid.units or volume.units)
 
 
 # -- a Field, or what one is made of -----------------------------------------------------------------------------
@@ -535,6 +632,7 @@ def sample(
     precision: Precision | None = None,
     nan: str | Missing | None = None,
     progress: Progress | None = None,
+    out: Any = None,
 ) -> Reals:
     """The reconstructed function, its gradient or its Hessian at points of the world (eqs 8 and 9 of the paper).
 
@@ -553,7 +651,7 @@ def sample(
     derivative : {0, 1, 2}
         0 for values, 1 for gradients, 2 for Hessians: the exact derivatives of the function that derivative 0 gives, per
         world unit (almost everywhere, where it has kinks or jumps).
-    evaluator, fetch, fill, progress
+    evaluator, fetch, fill, progress, out
         As in a call of `Field`.
     device : Device, str or int, optional
         See `as_device`; default that of the Field, if one is given.
@@ -578,10 +676,12 @@ def sample(
     derivative = whole("derivative", derivative, minimum=0, maximum=2)
     if not isinstance(volume, Field):
         volume = as_volume(volume)
-        _points(points, volume.ndim)  # before the volume is prefiltered
+        array = _points(points, volume.ndim)  # before the volume is prefiltered
+        if out is not None:
+            as_output(out, array.shape[:-1] + (volume.ndim,) * derivative)
     with opened(volume, filter, boundary, device, precision, nan) as field:
         at = (field.__call__, field.gradient, field.hessian)[derivative]
-        return at(points, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress)
+        return at(points, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress, out=out)
 
 
 def resample(
@@ -592,6 +692,8 @@ def resample(
     filter: str | Filter | None = None,
     boundary: str | Boundary | None = None,
     *,
+    transform: Transforms | None = None,
+    anti_aliasing: AntiAliasing | bool = False,
     evaluator: EvaluatorName = "auto",
     fetch: FetchName = "auto",
     fill: float | None = None,
@@ -599,6 +701,7 @@ def resample(
     precision: Precision | None = None,
     nan: str | Missing | None = None,
     progress: Progress | None = None,
+    out: Any = None,
 ) -> Volume:
     """The volume on another grid; give exactly one of `shape`, `spacing` and `like`.
 
@@ -606,12 +709,12 @@ def resample(
     ----------
     volume : Volume, array-like or Field
         2-D or 3-D samples; an array has spacing 1 and origin 0.
-    shape, spacing, like, fill
-        As in `Field.resample`. No low-pass is applied: see `Volume.gaussian` before making voxels larger.
+    shape, spacing, like, transform, anti_aliasing, fill
+        As in `Field.resample`; without `anti_aliasing` larger voxels bring aliases of what is finer. With it no sample may be NaN.
     filter, boundary, device, precision, nan
         As in `sample`.
-    evaluator, fetch, progress
-        As in a call of `Field`.
+    evaluator, fetch, progress, out
+        As in `Field.resample`.
 
     Returns
     -------
@@ -621,14 +724,35 @@ def resample(
     ------
     OptionError
         A Field is given with another filter, boundary, device, precision or nan than its own; or as of `Field.resample`.
+    GeometryError
+        As `Field.resample` raises it.
     DataError, DeviceError, OutOfMemoryError
         As `Field` and `Field.resample` raise them.
     """
     if not isinstance(volume, Field):
         volume = as_volume(volume)
-        _grid_for(volume, shape, spacing, like)  # before the volume is prefiltered
+        grid = _grid_for(volume, shape, spacing, like)  # before the volume is prefiltered
+        if out is not None:
+            as_output(out, grid.shape)
+        transform = as_chain(transform, volume.ndim)
+        if chosen := as_anti_aliasing(anti_aliasing):
+            _require_no_transform(transform)
+            row, rule = as_filter(DEFAULT_FILTER if filter is None else filter), as_boundary(boundary or DEFAULT_BOUNDARY)
+            own = row, rule, as_device(device), precision or "single"
+            return _into(_coarser(volume, *own, grid, chosen, evaluator, fetch, fill, progress), out)
     with opened(volume, filter, boundary, device, precision, nan) as field:
-        return field.resample(shape, spacing, like, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress)
+        return field.resample(
+            shape,
+            spacing,
+            like,
+            transform=transform,
+            anti_aliasing=anti_aliasing,
+            evaluator=evaluator,
+            fetch=fetch,
+            fill=fill,
+            progress=progress,
+            out=out,
+        )
 
 
 def magnify(
@@ -713,10 +837,7 @@ def prefilter(
     OutOfMemoryError
         The device has no room for the coefficients.
     """
-    try:
-        array, _ = read_array(data)  # coefficients have no geometry
-    except ValueError as error:
-        raise DataError(f"data must be a regular array of numbers: {error}") from None
+    array, _ = read_array(data)  # coefficients have no geometry
     line = array.ndim == 1
     volume = Volume(array[None] if line else array)
     chosen, boundary, kind, device = as_filter(filter), as_boundary(boundary), precision_kind(precision), as_device(device)
@@ -750,13 +871,19 @@ def _halves(progress: Progress | None) -> tuple[Progress, Progress] | tuple[None
 
 def _points(points: ArrayLike, d: int) -> NDArray[np.generic]:
     """`points` as an array, if they are real numbers of shape (..., d)."""
-    try:
-        array = np.asarray(points)
-    except ValueError as error:
-        raise OptionError(f"points must be numbers of shape (..., {d}): {error}") from None
+    array = as_array(points, "points", OptionError, f"numbers of shape (..., {d})")
     if array.dtype.kind not in "biuf" or array.ndim == 0 or array.shape[-1] != d:
         raise OptionError(f"points must be numbers of shape (..., {d}); got {array.dtype} of shape {array.shape}")
     return array
+
+
+def _put(results: Reals, target: NDArray[Any] | None) -> Reals:
+    """Results in the array that is to hold them, if there is one; they may lie in its memory already."""
+    if target is None:
+        return results
+    if not np.may_share_memory(results, target):
+        target[...] = results
+    return target
 
 
 def precision_kind(precision: str) -> type[np.generic]:
@@ -766,7 +893,13 @@ def precision_kind(precision: str) -> type[np.generic]:
     return _PRECISIONS[precision]
 
 
-def _fill_value(fill: float | None) -> float | None:
+def _require_no_transform(stages: Sequence[object]) -> None:
+    """Refuse a low-pass before transforms, which do not make voxels larger alike everywhere."""
+    if stages:
+        raise OptionError("resample takes transform or anti_aliasing, not both: low-pass the volume first, by Volume.gaussian")
+
+
+def fill_value(fill: float | None) -> float | None:
     """A real number, NaN and infinities included, or None."""
     if fill is not None and (isinstance(fill, (bool, str)) or not isinstance(fill, (int, float, np.number))):
         raise OptionError(f"fill must be a number or None; got {fill!r}")

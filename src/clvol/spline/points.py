@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -13,7 +12,8 @@ from numpy.typing import NDArray
 from clvol.boundary import Boundary
 from clvol.device import Device
 from clvol.program import LANES, Program
-from clvol.spline.build import DefineDict, point_defines
+from clvol.spline.build import DefineDict, boundary_defines, point_defines
+from clvol.spline.chain import Chain, Progress
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, Evaluator
 from clvol.spline.sort import Sorter, scattered
@@ -32,7 +32,6 @@ __all__ = [
 ]
 
 Floats: TypeAlias = NDArray[np.float32]
-Progress: TypeAlias = Callable[[float], None]
 
 _RUN = 512  # points that a work-item of a processor takes, a multiple of LANES
 _MIN_LAUNCH = 1 << 10  # points
@@ -236,17 +235,22 @@ def sample_grid(
     given: Given = NOTHING_GIVEN,
     progress: Progress | None = None,
     part: slice | None = None,
+    derivative: int = 0,
+    chain: Chain | None = None,
 ) -> None:
-    """`resample_coefficients`, point by point; of the part of the grid along its first axis of more than one point, if given."""
+    """`resample_coefficients`, point by point; of the part of the grid along its first axis of more than one point, if given.
+
+    With `derivative` 1 each value is followed by the gradient. A `chain` maps the grid's indices before the transform does.
+    """
     device = coefficients.device
-    built = _build(coefficients, evaluator, 0, given, None, planar=False, sorted=False)
+    built = _build(coefficients, evaluator, derivative, given, None, planar=False, sorted=False, chain=chain)
     matrix = transform.upload(device)
     kernel = built.kernel("sample_grid")
     nz, ny, nx = shape
     y_part, z_part = (slice(0, ny), slice(0, nz)) if part is None else (part, slice(0, 1)) if nz == 1 else (slice(0, ny), part)
     points = _launch_points(coefficients, evaluator)
     rows, slices = max(1, min(ny, points // nx)), max(1, points // (nx * ny))
-    items, together = (-(-nx // _RUN), 1) if _in_lanes(coefficients, evaluator, 0) else (-(-nx // 8) * 8, 8)
+    items, together = (-(-nx // _RUN), 1) if _in_lanes(coefficients, evaluator, derivative) else (-(-nx // 8) * 8, 8)
     parts = [(z, y) for z in range(z_part.start, z_part.stop, slices) for y in range(y_part.start, y_part.stop, rows)]
     base = np.uint64((z_part.start * ny + y_part.start) * nx)
     for done, (z, y) in enumerate(parts, 1):
@@ -264,6 +268,7 @@ def sample_grid(
                 base,
                 given.values(coefficients, 0),
                 buffer,
+                *(chain.arguments if chain else ()),
             )
         device.finish()
         if progress:
@@ -279,11 +284,13 @@ def _build(
     *,
     planar: bool,
     sorted: bool,
+    chain: Chain | None = None,
 ) -> Program:
     """points.cl for points of this type, or for a grid."""
     lanes, run = (LANES, _RUN) if _in_lanes(coefficients, evaluator, derivative) else (1, 1)
     defines = {
         **coefficients.defines(evaluator),
+        **boundary_defines(coefficients.boundary, coefficients.pad, coefficients.reach),
         **point_defines(kind or np.float32, planar=planar, indices=planar),
         **given.defines(coefficients.boundary),
         "DERIVATIVE": derivative,
@@ -291,6 +298,8 @@ def _build(
         "RUN": run,
         "ON_GRID": int(kind is None),
         "SORTED": int(sorted),
+        "WITH_VALUE": int(kind is None and derivative == 1),
+        **(chain.defines() if chain else {}),
     }
     return coefficients.device.build("spline/points.cl", defines)
 

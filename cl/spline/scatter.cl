@@ -1,0 +1,134 @@
+// The adjoint of sampling: every point adds to the coefficients of its taps what the taps' weights would take from them.
+//
+// The result is the same to the last bit on every run, without atomic additions. Coefficients lie in bricks at least as long
+// as a row of taps, and points belong to the brick of their first tap, so that a brick's points touch no brick but it and the
+// next ones along each axis. Bricks of one colour (2^d of them, by the parity of their places) share no coefficient: they are
+// computed side by side, one a work-item, which takes its points in the order in which they came.
+//
+// | kernel         | a work-item                                                                      |
+// |----------------|----------------------------------------------------------------------------------|
+// | locate_points  | a point: first tap, fractions, what it adds in units of samples; its brick's number |
+// | scatter_points | a brick of one colour                                                            |
+//
+// Set by the host: DERIVATIVE, 0 or 1, of the sampling; POINT, the type of positions; BRICK, its length in coefficients; and
+// what is included.
+
+#include "base/platform.cl"
+#include "spline/filter.cl"
+#include "spline/boundary.cl"
+#include "spline/cell.cl"
+
+#if DIMENSIONS == 3
+#define SLICES TAPS
+#else
+#define SLICES 1
+#endif
+
+#if DERIVATIVE == 0
+#define COMPONENTS 1
+#else
+#define COMPONENTS DIMENSIONS
+#endif
+
+#define NO_BRICK UINT_MAX
+
+// stored, bricks: coefficients along x, y and z, with a margin of TAPS on either side of the volume's, which holds all taps of
+// points in the domain and close by; and bricks. m: as for points.cl.
+kernel void locate_points(const int4 size, const int4 period, const int4 stored, const int4 bricks, constant coord *m,
+                          global const POINT *points, global const scalar *values, const ulong count,
+                          global ulong *places, global scalar *fractions, global scalar *added, global uint *brick_of)
+{
+    const size_t n = get_global_id(0);
+    if (n >= count)
+        return;
+    points += DIMENSIONS * n;
+    values += COMPONENTS * n;
+    const coord p[3] = { points[0], points[1], DIMENSIONS == 3 ? points[DIMENSIONS - 1] : 0 };
+    const int sizes[3] = { size.x, size.y, size.z }, periods[3] = { period.x, period.y, period.z };
+    const int limits[3] = { stored.x, stored.y, stored.z };
+    const int across[3] = { bricks.x, bricks.y, bricks.z };
+    coord at[3];
+    int outside = 0;
+    for (int axis = 0; axis < DIMENSIONS; ++axis) {
+        const coord x = madd(m[3 * axis], p[0], madd(m[3 * axis + 1], p[1], madd(m[3 * axis + 2], p[2], m[9 + axis])));
+        if (!(x - x == 0)) {   // no such place
+            brick_of[n] = NO_BRICK;
+            return;
+        }
+        outside |= x < (coord)-0.5 || x > sizes[axis] - (coord)0.5;
+        at[axis] = x;
+    }
+    ulong place = 0, row = 1;
+    uint brick = 0, bricks_before = 1;
+    for (int axis = 0; axis < DIMENSIONS; ++axis) {
+        int sign = 1;
+        const coord x = outside ? boundary_position(at[axis], sizes[axis], periods[axis], &sign) : at[axis];
+        scalar t;
+        const int base = locate_axis(x, &t) + TAPS;
+        place += row * base;
+        row *= limits[axis];
+        brick += bricks_before * (base / BRICK);
+        bricks_before *= across[axis];
+        fractions[DIMENSIONS * n + axis] = t;
+#if DERIVATIVE == 1
+        scalar slope = 0;
+        for (int i = 0; i < DIMENSIONS; ++i)
+            slope += (scalar)m[12 + 3 * axis + i] * values[i];
+        added[COMPONENTS * n + axis] = sign * slope;
+#endif
+    }
+#if DERIVATIVE == 0
+    added[n] = values[0];
+#endif
+    places[n] = place;
+    brick_of[n] = brick;
+}
+
+// first: the place of this colour's first brick, 0 or 1 along x, y, z. Brick b's points are those from starts[b] on in `order`.
+kernel void scatter_points(const int4 stored, const int4 bricks, const int4 first, global const ulong *places,
+                           global const scalar *fractions, global const scalar *added, global const int *order,
+                           global const int *starts, global scalar *coefficients)
+{
+    const int x = 2 * (int)get_global_id(0) + first.x, y = 2 * (int)get_global_id(1) + first.y, z = 2 * (int)get_global_id(2) + first.z;
+    if (x >= bricks.x || y >= bricks.y || z >= bricks.z)
+        return;
+    const size_t brick = ((size_t)z * bricks.y + y) * bricks.x + x, row = stored.x, slice = row * stored.y;
+    for (int next = starts[brick]; next < starts[brick + 1]; ++next) {
+        const size_t n = order[next];
+        global const scalar *t = fractions + DIMENSIONS * n, *value = added + COMPONENTS * n;
+        global scalar *at = coefficients + places[n];
+        scalar wx[WEIGHTS], wy[WEIGHTS], wz[WEIGHTS];
+        unpack_weights(t[0], wx);
+        unpack_weights(t[1], wy);
+#if DIMENSIONS == 3
+        unpack_weights(t[2], wz);
+#else
+        wz[0] = 1;
+#endif
+#if DERIVATIVE == 1
+        scalar sx[WEIGHTS], sy[WEIGHTS], sz[WEIGHTS];
+        unpack_slopes(t[0], sx);
+        unpack_slopes(t[1], sy);
+#if DIMENSIONS == 3
+        unpack_slopes(t[2], sz);
+        const scalar up = value[2];
+#else
+        sz[0] = 0;
+        const scalar up = 0;
+#endif
+#endif
+        for (int k = 0; k < SLICES; ++k)
+            for (int j = 0; j < TAPS; ++j) {
+                global scalar *line = at + k * slice + j * row;
+#if DERIVATIVE == 0
+                const scalar w = value[0] * wz[k] * wy[j];
+                for (int i = 0; i < TAPS; ++i)
+                    line[i] += w * wx[i];
+#else
+                const scalar along = value[0] * wz[k] * wy[j], across = value[1] * wz[k] * sy[j] + up * sz[k] * wy[j];
+                for (int i = 0; i < TAPS; ++i)
+                    line[i] += along * sx[i] + across * wx[i];
+#endif
+            }
+    }
+}

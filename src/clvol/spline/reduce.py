@@ -1,0 +1,415 @@
+"""Fewer samples: what a low-pass and the least-squares reduction make of an axis, as sums of weighted samples; the host side of
+reduce.cl, which adds them up.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+
+from clvol.boundary import Boundary
+from clvol.checks import one_of
+from clvol.device import Device
+from clvol.errors import DeviceError, OptionError
+from clvol.filter import Filter, bspline
+from clvol.smoothing import settled
+from clvol.spline.build import scalar_defines
+from clvol.stored import Stored
+from clvol.volume import Volume
+
+__all__ = [
+    "AntiAliasing",
+    "Sums",
+    "as_anti_aliasing",
+    "gaussian",
+    "least_squares",
+    "low_passed",
+    "nearest_spline",
+    "steps_along",
+    "sum_along",
+]
+
+Array: TypeAlias = NDArray[np.float64]
+AntiAliasing: TypeAlias = Literal["gaussian", "least-squares"] | None
+
+TRUNCATE = 4.0  # standard deviations at which a Gaussian is cut, as SciPy does
+_LEFT_OUT = (1e-8, 1e-15)  # for float32 and float64, of an impulse response's peak, what its tails may be
+_CIRCLE = 1 << 13  # samples of an impulse response before it is cut
+_WIDTH = 32  # lines that reduce.cl takes side by side
+_ITEMS_A_CORE = 8
+_SLAB = 1 << 20  # samples that are converted at a time
+_NO_STEP = 1e-9  # samples
+
+
+@dataclass(frozen=True, eq=False)
+class Sums:
+    """What becomes of an axis of `n` samples: as many sums as there are rows.
+
+    Attributes
+    ----------
+    n : int
+    places : ndarray of int32, shape (m, taps)
+        The samples of each sum; `n` stands for a constant that the samples are outside.
+    weights : ndarray of float64, shape (m, taps)
+    """
+
+    n: int
+    places: NDArray[np.int32]
+    weights: Array
+
+    @classmethod
+    def of(cls, first: NDArray[np.int64], weights: Array, n: int, boundary: Boundary) -> Sums:
+        """Sums of neighbouring samples from `first` on, wherever these lie."""
+        places = continued(first[:, None] + np.arange(weights.shape[1]), n, boundary)
+        made = cls(n, np.where(places < 0, n, places).astype(np.int32), weights)
+        if weights.shape[1] <= n + 1:
+            return made
+        return cls(n, np.tile(np.arange(n + 1, dtype=np.int32), (len(first), 1)), made.matrix())
+
+    def matrix(self) -> Array:
+        """The same as a matrix, shape (m, n + 1); the last column is that of what lies nowhere."""
+        result = np.zeros((len(self.places), self.n + 1))
+        np.add.at(result, (np.arange(len(self.places))[:, None], self.places), self.weights)
+        return result
+
+
+def continued(i: NDArray[np.int64], n: int, boundary: Boundary) -> NDArray[np.int64]:
+    """Which of `n` samples stands at index `i`; -1 where none does, but a constant."""
+    if boundary.outside == "rule":
+        return boundary.folded(i, n)
+    if boundary.outside == "clamp":
+        return np.clip(i, 0, n - 1)
+    inside = (i >= 0) & (i < n)
+    return np.where(inside, i, i % max(1, n - 1) if boundary.outside == "overlap" else -1)
+
+
+def as_anti_aliasing(choice: object) -> AntiAliasing:
+    """What `anti_aliasing` means: None, "gaussian" (also True) or "least-squares"."""
+    if choice is None or (isinstance(choice, (bool, np.bool_)) and not choice):
+        return None
+    if isinstance(choice, (bool, np.bool_)):
+        return "gaussian"
+    if choice == "gaussian" or choice == "least-squares":
+        return choice
+    raise one_of("anti_aliasing", choice, ["False", "True", "'gaussian'", "'least-squares'"])
+
+
+# -- the weights -------------------------------------------------------------------------------------------------------
+
+
+@lru_cache(maxsize=64)
+def gaussian(sigma: float, n: int, boundary: Boundary) -> Sums:
+    """A Gaussian of standard deviation `sigma` in samples, cut off as `scipy.ndimage.gaussian_filter` does."""
+    radius = int(TRUNCATE * sigma + 0.5)
+    x = np.arange(-radius, radius + 1)
+    kernel = np.exp(-0.5 / max(sigma, 1e-9) ** 2 * x.astype(np.float64) ** 2)
+    return Sums.of(np.arange(n) - radius, np.tile(kernel / kernel.sum(), (n, 1)), n, boundary)
+
+
+@lru_cache(maxsize=64)
+def least_squares(
+    filter: Filter, start: float, step: float, m: int, n: int, boundary: Boundary, double: bool = False, prefilter: bool = True
+) -> Sums:
+    """The spline of a coarser grid that is nearest to the spline of the samples, at its grid's points.
+
+    Parameters
+    ----------
+    filter : Filter
+        Of the samples and of the result: any that is settled for this axis and no hybrid; the result has no smoothing of its own.
+    start, step : float
+        Sample j of the result lies at ``start + step j``, in samples of the input.
+    m, n : int
+        Samples of the result and of the input.
+    boundary : Boundary
+        What stands past the samples, where both functions go on for ever: those of the rule's period; the outer ones under
+        "nearest"; a constant, under those that have one.
+    double : bool
+        Whether sums are to be made in float64: how far down impulse responses count.
+    prefilter : bool
+        Whether the input is samples; else it is coefficients.
+
+    Returns
+    -------
+    Sums
+        For every sample of the result. A filter without a prefilter has the coefficients of the nearest function there.
+
+    Raises
+    ------
+    OptionError
+        The filter is a hybrid, or its kernel's translates can't be told apart, so that none is the nearest.
+
+    Notes
+    -----
+    With φ the kernel, s the spline of the samples and h = ``|step|``, the function ``sum over j of d_j φ((x - x_j) / h)`` is
+    nearest to s in the mean square where its distance from s is orthogonal to every kernel:
+    ``sum over l of a(j - l) d_l = ∫ s(x_j + h u) φ(u) du``, with a(k) = ∫ φ(u) φ(u - k) du, for B-splines of degree n the
+    B-spline of degree 2n + 1 (M. Unser, A. Aldroubi and M. Eden, *Enlargement or reduction of digital images with minimum loss of
+    information*, IEEE Trans. Image Processing 4, 1995; for any h A. Muñoz, T. Blu and M. Unser, *Least-squares image resizing
+    using finite differences*, IEEE Trans. Image Processing 10, 2001). The integrals are exact: between knots of either grid the
+    integrand is a polynomial. A step of one sample or less is no reduction: there the result is s itself.
+    """
+    if filter.magnified_by is not None:
+        raise OptionError(f"least-squares reduction takes a filter with one kernel; got the hybrid {filter.name!r}")
+    left_out, h = _LEFT_OUT[double], abs(step)
+    if h <= 1 + _NO_STEP:
+        base, t = filter.cell(start + step * np.arange(m))
+        first, weights = base.astype(np.int64), filter.weights(t).T
+    else:
+        own = filter.samples if filter.prefilter else np.ones(1)
+        response = _impulse_response(own, _autocorrelation(filter), left_out, filter.name)
+        reach = len(response) // 2
+        first, weights = _inner_products(filter, start + step * np.arange(-reach, m + reach, dtype=np.float64), h)
+        first, weights = _mixed(first, weights, response)
+    if filter.prefilter and prefilter:
+        response = _impulse_response(np.ones(1), filter.undone, left_out, filter.name)
+        first = first - len(response) // 2
+        spread = np.zeros((m, weights.shape[1] + len(response) - 1))
+        for i, value in enumerate(response):
+            spread[:, i : i + weights.shape[1]] += value * weights
+        weights = spread
+    return Sums.of(first, np.ascontiguousarray(weights), n, boundary)
+
+
+def _autocorrelation(filter: Filter) -> Array:
+    """∫ φ(u) φ(u - k) du at k = 0, 1, 2, ..."""
+    nodes, lengths = legendre.leggauss(filter.degree + 1)
+    w = filter.weights((nodes + 1) / 2)
+    return np.array([(w[k:] * w[: len(w) - k] @ lengths).sum() / 2 for k in range(filter.support)])
+
+
+def _impulse_response(numerator: Array, denominator: Array, left_out: float, name: str) -> Array:
+    """That of a quotient of symmetric sequences, each given from its middle on; cut where it is as small as `left_out`."""
+    omega = 2 * np.pi * np.fft.rfftfreq(_CIRCLE)
+    above, below = (2 * np.cos(np.outer(omega, np.arange(b.size))) @ b - b[0] for b in (numerator, denominator))
+    if np.abs(below).min() < 1e-6 * np.abs(below).max():
+        raise OptionError(f"least-squares reduction needs a kernel whose translates differ; those of {name!r} do not")
+    half = np.fft.irfft(above / below, _CIRCLE)[: _CIRCLE // 2]
+    half = half[: int(np.flatnonzero(np.abs(half) > left_out * np.abs(half).max())[-1]) + 1]
+    return np.concatenate([half[:0:-1], half])
+
+
+def _inner_products(filter: Filter, x: Array, h: float) -> tuple[NDArray[np.int64], Array]:
+    """∫ s(x_j + h u) φ(u) du as sums over coefficients of s: the first, and the weights; (m,) and (m, taps)."""
+    half = filter.support / 2
+    left = x - h * half
+    knot = np.ceil(left - half) + half  # those of s lie at whole numbers, or between them
+    wide = math.ceil(h * filter.support) + 1
+    ends = [left[:, None] + h * np.arange(filter.support + 1), np.minimum(knot[:, None] + np.arange(wide), (x + h * half)[:, None])]
+    knots = np.sort(np.concatenate(ends, 1), 1)
+    lengths = np.diff(knots, axis=1)
+    nodes, shares = legendre.leggauss(filter.degree + 1)
+    at = knots[:, :-1, None] + lengths[..., None] * ((nodes + 1) / 2)
+    mass = lengths[..., None] * shares / 2 * filter((at - x[:, None, None]) / h) / h
+    base, t = filter.cell(at)
+    first = base.min((1, 2)).astype(np.int64)
+    place = (base.astype(np.int64) - first[:, None, None])[..., None] + np.arange(filter.support)
+    taps = int(place.max()) + 1
+    flat = (np.arange(x.size)[:, None, None, None] * taps + place).ravel()
+    terms = (mass[..., None] * np.moveaxis(filter.weights(t), 0, -1)).ravel()
+    return first, np.bincount(flat, terms, x.size * taps).astype(np.float64).reshape(x.size, taps)
+
+
+def _mixed(first: NDArray[np.int64], weights: Array, response: Array) -> tuple[NDArray[np.int64], Array]:
+    """Sums of sums: row j of the result is the sum of rows j, j + 1, ..., each times its number of `response`."""
+    m, taps = len(first) - len(response) + 1, weights.shape[1]
+    rows = np.arange(m)
+    lowest = np.min([first[i : i + m] for i in (0, len(response) - 1)], 0)
+    wide = int(max((first[i : i + m] - lowest).max() for i in (0, len(response) - 1))) + taps
+    result = np.zeros((m, wide))
+    for i, value in enumerate(response):
+        columns = (first[i : i + m] - lowest)[:, None] + np.arange(taps)
+        result[rows[:, None], columns] += value * weights[i : i + m]
+    return lowest, result
+
+
+# -- of volumes --------------------------------------------------------------------------------------------------------
+
+
+def low_passed(volume: Volume, steps: Array, boundary: Boundary, kind: type[np.generic], device: Device) -> Volume:
+    """A volume after the Gaussian that suits a grid whose points lie `steps` samples apart along its axes, x first.
+
+    Its standard deviation is (step - 1) / 2 samples along an axis with a step of more than one: scikit-image's rule.
+    """
+    volume.require_finite()
+    sigma = np.maximum(0, (steps[::-1] - 1) / 2)
+    sums = {axis: gaussian(float(s), volume.shape[axis], boundary) for axis, s in enumerate(sigma) if s > 0}
+    if not sums:
+        return volume
+    made = sum_along(volume.data, sums, _wide_enough(kind, volume, bspline(1), boundary), device, boundary.cval)
+    return Volume(made, volume.spacing, volume.origin, volume.direction, volume.units)
+
+
+def nearest_spline(
+    volume: Volume,
+    filter: Filter,
+    boundary: Boundary,
+    kind: type[np.generic],
+    device: Device,
+    matrix: Array,
+    offset: Array,
+    shape: tuple[int, ...],
+    progress: Callable[[float], Any] | None = None,
+) -> NDArray[Any]:
+    """Samples of the spline on a grid along the volume's axes that is nearest to the volume's; `least_squares` along each.
+
+    Parameters
+    ----------
+    volume, filter, boundary
+        What is reconstructed, and how.
+    kind : type
+        np.float32, or np.float64, which is taken also where float32 would lose digits of the samples.
+    device : Device
+    matrix, offset : ndarray, shapes (d, d) and (d,)
+        From the grid's indices, x first, to those of the volume.
+    shape : tuple of int
+        Of the grid, as arrays are indexed.
+    progress : callable, optional
+
+    Raises
+    ------
+    OptionError
+        The grid's axes are not the volume's; the boundary rule is "zero", which continues no samples; or as `least_squares`.
+    """
+    volume.require_finite()
+    row, d = settled(filter, volume), volume.ndim
+    if (np.abs(matrix - np.diag(np.diag(matrix))) * shape[::-1]).max() >= _NO_STEP:
+        raise OptionError(
+            "least-squares reduction takes a grid along the volume's axes, and this one is turned: "
+            "resample along them first, or take anti_aliasing='gaussian'"
+        )
+    if row.prefilter and boundary.period is None:
+        raise OptionError(f"least-squares reduction takes a boundary rule that continues the samples; got {boundary.name!r}")
+    kind = _wide_enough(kind, volume, row, boundary)
+    sums = {
+        d - 1 - axis: least_squares(
+            row.along(axis), float(offset[axis]), float(matrix[axis, axis]), shape[d - 1 - axis], n, boundary, kind == np.float64
+        )
+        for axis, n in enumerate(volume.size)
+    }
+    return sum_along(volume.data, sums, kind, device, boundary.cval, progress)
+
+
+def steps_along(matrix: Array) -> Array:
+    """How far apart a grid's points lie along each axis of a volume, in samples: of a turned grid the root sum of squares."""
+    return np.asarray(np.linalg.norm(matrix, axis=1))
+
+
+def _wide_enough(kind: type[np.generic], volume: Volume, filter: Filter, boundary: Boundary) -> type[np.generic]:
+    """float64 where a Field of float32 would take an offset or a power of two off the samples."""
+    return kind if Stored.of(volume, filter, boundary).identity else np.float64
+
+
+# -- adding up ---------------------------------------------------------------------------------------------------------
+
+
+def sum_along(
+    data: NDArray[Any],
+    sums: Mapping[int, Sums],
+    kind: type[np.generic],
+    device: Device,
+    outside: float = 0.0,
+    progress: Callable[[float], Any] | None = None,
+) -> NDArray[Any]:
+    """What becomes of an array whose axes are replaced by sums along them.
+
+    Parameters
+    ----------
+    data : ndarray of real numbers
+        Of any number of axes, any layout and byte order.
+    sums : mapping from axes to Sums
+    kind : type
+        np.float32 or np.float64, of the result and of all on the way.
+    device : Device
+    outside : float
+        The samples where a rule puts none.
+    progress : callable, optional
+        Called with the fraction done.
+
+    Raises
+    ------
+    DeviceError
+        Sums of float64 on a device without it.
+    OutOfMemoryError
+        The device has no room.
+    """
+    if kind == np.float64 and not device.has_double:
+        raise DeviceError(f"sums of float64 need a device with double precision; got {device.name!r}, which has none")
+    # what shrinks most goes first
+    order = sorted(sums, key=lambda axis: len(sums[axis].places) / sums[axis].n)
+    for done, axis in enumerate(order, 1):
+        if done > 1 and device.shares_memory and len(sums[axis].places) == sums[axis].n:  # lines are brought to the scratch first
+            _launch(data, axis, data, sums[axis], kind, outside, device)
+        else:
+            data = _sum_axis(data, axis, sums[axis], kind, outside, device)
+        if progress is not None:
+            progress(done / len(order))
+    return np.ascontiguousarray(data, kind)
+
+
+def _sum_axis(data: NDArray[Any], axis: int, sums: Sums, kind: type[np.generic], outside: float, device: Device) -> NDArray[Any]:
+    m = len(sums.places)
+    result = np.empty((*data.shape[:axis], m, *data.shape[axis + 1 :]), kind)
+    if data.dtype == kind and data.flags.c_contiguous:
+        _launch(data, axis, result, sums, kind, outside, device)
+        return result
+    # converted in parts, so that no second array of the input's size is made
+    across = next((i for i in range(data.ndim) if i != axis and data.shape[i] > 1), None)
+    if across is None:
+        _launch(np.ascontiguousarray(data, kind), axis, result, sums, kind, outside, device)
+        return result
+    some = max(1, _SLAB * data.shape[across] // max(1, data.size))
+    for start in range(0, data.shape[across], some):
+        window = (slice(None),) * across + (slice(start, start + some),)
+        part = np.ascontiguousarray(data[window], kind)
+        made = np.empty((*part.shape[:axis], m, *part.shape[axis + 1 :]), kind)
+        _launch(part, axis, made, sums, kind, outside, device)
+        result[window] = made
+    return result
+
+
+def _launch(
+    data: NDArray[Any], axis: int, result: NDArray[Any], sums: Sums, kind: type[np.generic], outside: float, device: Device
+) -> None:
+    """The kernel on a contiguous array; `result` may be the same one, if it has as many sums as samples."""
+    if not result.size:
+        return
+    m, taps = sums.places.shape
+    n, outer, inner = sums.n, math.prod(data.shape[:axis]), math.prod(data.shape[axis + 1 :])
+    units = -(-outer // _WIDTH) if inner == 1 else outer * -(-inner // _WIDTH)
+    items = min(units, _ITEMS_A_CORE * device.units)
+    scratch = device.allocate(data.dtype.itemsize * items * (n + 1) * _WIDTH)
+    tables = device.upload(sums.places), device.upload(sums.weights.astype(kind))
+    defines = {"ALONG": int(inner == 1), "WIDTH": _WIDTH, "COORD_DOUBLE": 0, **scalar_defines(kind)}
+    kernel = device.build("spline/reduce.cl", defines).kernel("sum_along_axis")
+    some = max(1, device.limits.launch_taps * 32 // (m * taps * _WIDTH))
+    try:
+        with ExitStack() as lent:
+            made = lent.enter_context(device.lent(result, write=True))
+            given = made if result is data else lent.enter_context(device.lent(data, write=False))
+            for first in range(0, units, some):
+                count = min(some, units - first)
+                with device.errors:
+                    kernel(
+                        device.queue,
+                        (min(items, count),),
+                        (1,),
+                        given,
+                        *map(np.int32, (outer, n, inner, m, taps)),
+                        *tables,
+                        kind(outside),
+                        np.int32(first),
+                        np.int32(count),
+                        scratch,
+                        made,
+                    )
+                device.finish()
+    finally:
+        scratch.release()

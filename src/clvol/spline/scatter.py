@@ -1,0 +1,249 @@
+"""The adjoint of sampling, from values at points to samples: the host side of scatter.cl, and the prefilter's transpose."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary, boundaries
+from clvol.checks import several, whole
+from clvol.device import Device, as_device
+from clvol.errors import DeviceError, OptionError
+from clvol.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.interop import as_array
+from clvol.spline.build import boundary_defines, filter_defines, point_defines
+from clvol.spline.field import Precision, precision_kind, prefilter
+from clvol.spline.points import Transform
+from clvol.stored import Reals
+from clvol.volume import Volume
+
+__all__ = ["adjoint", "linear"]
+
+Samples: TypeAlias = NDArray[Any]
+
+_BRICK = 8  # coefficients along a brick, at least
+_MOST_POINTS = np.iinfo(np.int32).max
+
+
+def adjoint(
+    values: ArrayLike,
+    points: ArrayLike,
+    like: Volume | Sequence[int],
+    filter: str | Filter = DEFAULT_FILTER,
+    boundary: str | Boundary = DEFAULT_BOUNDARY,
+    derivative: int = 0,
+    *,
+    device: Device | str | int | None = None,
+    precision: Precision = "single",
+) -> Reals:
+    """The adjoint of `clvol.sample`, which spreads values at points onto a grid of samples.
+
+    Sampling is linear in the samples: ``sample(v, points) = A v``. This is ``Aᵀ values``, the gradient of ``sum(values *
+    sample(v, points))`` with respect to `v`: each value is added to the coefficients of its point's taps, times their weights
+    (in SPM and torch-interpol "push", of non-uniform Fourier transforms "spreading"), what came to lie past the edge is brought
+    back by the boundary rule, and the transpose of the prefilter follows.
+
+    Parameters
+    ----------
+    values : array-like, shape (...), or (..., d) for gradients
+        A number for each point, or for each component of its gradient. Finite.
+    points : array-like, shape (..., d)
+        World positions (x, y) or (x, y, z). Those that are not finite add nothing.
+    like : Volume or sequence of int
+        The grid of the result: that of a volume, whose samples do not matter; or a shape, of spacing 1 and origin 0.
+    filter, boundary
+        As of `clvol.sample`; no hybrid, and no smoothing that is decided for a volume ("auto", lengths): there sampling is not
+        one linear map.
+    derivative : {0, 1}
+        Of the sampling: 0 for values, 1 for gradients.
+    device : Device, str or int, optional
+        See `as_device`.
+    precision : {"single", "double"}
+        Of results: float32, or float64 on devices that have it.
+
+    Returns
+    -------
+    ndarray of float32 or float64, of the shape of `like`
+
+    Raises
+    ------
+    OptionError
+        `values` are no finite real numbers, or not as many as `points` need; `points`, `like`, `filter`, `boundary` or
+        `derivative` are none of those above.
+    DeviceError, OutOfMemoryError
+        As of `clvol.sample`.
+
+    Notes
+    -----
+    The result is the same to the last bit on every run on a device. The prefilter solves ``K c = v`` along each axis (eq. 11). The
+    boundary rule makes an index stand for m of those of a period, and ``diag(m) K`` is symmetric, so that
+    ``K⁻ᵀ = diag(m) K⁻¹ diag(1/m)``.
+    """
+    derivative = whole("derivative", derivative, minimum=0, maximum=1)
+    grid = like if isinstance(like, Volume) else _grid(like)
+    d = grid.ndim
+    at = as_array(points, "points", OptionError, f"numbers of shape (..., {d})")
+    if at.dtype.kind not in "biuf" or at.ndim == 0 or at.shape[-1] != d:
+        raise OptionError(f"points must be numbers of shape (..., {d}); got {at.dtype} of shape {at.shape}")
+    added = as_array(values, "values", OptionError, "real numbers")
+    expected = at.shape[:-1] + (d,) * derivative
+    if added.dtype.kind not in "biuf" or added.shape != expected:
+        raise OptionError(
+            f"values must be real numbers of shape {expected}, as points are; got {added.dtype} of shape {added.shape}"
+        )
+    if not np.isfinite(added).all():
+        raise OptionError("values must be finite; got NaN or infinite ones")
+    (row, rule), kind, chosen = linear(filter, boundary), precision_kind(precision), as_device(device)
+    if kind == np.float64 and not chosen.has_double:
+        raise DeviceError(f"precision 'double' needs a device with float64 (cl_khr_fp64); {chosen.name} has none: use 'single'")
+    stored = _scattered(added.reshape(-1, d**derivative), at.reshape(-1, d), grid, row, rule, derivative, kind, chosen)
+    for axis, n in enumerate(grid.shape):
+        stored = _brought_back(stored, axis, n, row.support, rule)
+    if not row.prefilter:
+        return stored
+    _scale_folds(stored, rule, 2.0)
+    result = prefilter(stored, row, rule, chosen, precision=precision)
+    _scale_folds(result, rule, 0.5)
+    return result.astype(stored.dtype, copy=False)
+
+
+def _grid(shape: Sequence[int]) -> Volume:
+    """A grid of spacing 1 and origin 0: a Volume whose samples take no memory."""
+    rule = "a Volume, or 2 or 3 whole numbers"
+    sizes = [whole("each number of a shape", n, minimum=1) for n in several("like", shape, rule, 3)]
+    if len(sizes) == 1:
+        raise OptionError(f"like must be {rule}; got {shape!r}")
+    return Volume(np.broadcast_to(np.float32(0), sizes))
+
+
+def linear(filter: str | Filter, boundary: str | Boundary) -> tuple[Filter, Boundary]:
+    """The filter and the rule, if sampling through them is one linear map on one grid."""
+    row, rule = as_filter(filter), as_boundary(boundary)
+    if row.magnify is not None:
+        raise OptionError(f"the adjoint needs a filter on the samples' own grid; got the hybrid {row.name!r}")
+    if not row.settled:
+        raise OptionError(f"the adjoint needs a filter that no volume decides on: smoothing must be numbers; got {row.name!r}")
+    if rule.outside != "rule":
+        known = [name for name, one in boundaries().items() if one.outside == "rule"]
+        raise OptionError(f"the adjoint needs a boundary rule that extends coefficients: {', '.join(known)}; got {rule.name!r}")
+    return row, rule
+
+
+def _scattered(
+    added: Samples,
+    points: Samples,
+    grid: Volume,
+    row: Filter,
+    rule: Boundary,
+    derivative: int,
+    scalar: type[np.generic],
+    device: Device,
+) -> Samples:
+    """Values times the weights of their points' taps, with a margin of as many coefficients as there are taps."""
+    from scipy import sparse
+
+    taps, d, count = row.support, grid.ndim, points.shape[0]
+    if count > _MOST_POINTS:
+        raise OptionError(f"points must be at most {_MOST_POINTS}; got {count}")
+    brick = max(_BRICK, taps)
+    stored = np.array([*(n + 2 * taps for n in grid.size), 1, 0][:4], np.int32)
+    bricks = np.array([*(-(-n // brick) for n in stored[:d].tolist()), 1, 0][:4], np.int32)
+    size = np.array([*grid.size, 1, 0][:4], np.int32)
+    period = np.array([*(rule.length(n) for n in grid.size), 0, 0][:4], np.int32)
+    kind = np.float64 if device.has_double and points.dtype != np.float32 else np.float32
+    result = np.zeros(tuple(n + 2 * taps for n in grid.shape), scalar)
+    if count == 0:
+        return result
+    built = device.build(
+        "spline/scatter.cl",
+        {
+            **filter_defines(row, scalar),
+            **boundary_defines(rule, 0, rule.reach(taps)),
+            **point_defines(kind),
+            "DIMENSIONS": d,
+            "DERIVATIVE": derivative,
+            "BRICK": brick,
+            "LANES": 1,
+            "COORD_DOUBLE": int(device.has_double),
+        },
+    )
+    inverse = grid.world_to_index_matrix
+    transform = Transform(inverse, -inverse @ np.asarray(grid.origin), inverse).upload(device)
+    item, components = np.dtype(scalar).itemsize, d**derivative
+    places, fractions, weights = (device.allocate(n * count) for n in (8, item * d, item * components))
+    brick_of = np.empty(count, np.uint32)
+    with (
+        device.lent(np.ascontiguousarray(points, kind), write=False) as given,
+        device.lent(np.ascontiguousarray(added, scalar), write=False) as wanted,
+        device.lent(brick_of, write=True) as numbers,
+        device.errors,
+    ):
+        built.kernel("locate_points")(
+            device.queue,
+            (-(-count // 64) * 64,),
+            (64,),
+            size,
+            period,
+            stored,
+            bricks,
+            transform,
+            given,
+            wanted,
+            np.uint64(count),
+            places,
+            fractions,
+            weights,
+            numbers,
+        )
+        device.finish()
+    total = math.prod(bricks[:3].tolist())
+    # the rows of a sparse matrix are lists by counting, in the order of what is put in
+    (somewhere,) = np.nonzero(brick_of < total)
+    lists = sparse.coo_array((np.ones(somewhere.size, np.int8), (brick_of[somewhere].astype(np.int32), somewhere)), (total, count))
+    rows = lists.tocsr()
+    order, starts = device.upload(rows.indices.astype(np.int32)), device.upload(rows.indptr.astype(np.int32))
+    half = [-(-int(n) // 2) for n in bricks[:3]]
+    with device.lent(result, write=True) as buffer:
+        for z, y, x in itertools.product(*(range(2 if n > 1 else 1) for n in bricks[2::-1].tolist())):
+            with device.errors:
+                built.kernel("scatter_points")(
+                    device.queue,
+                    tuple(half),
+                    None,
+                    stored,
+                    bricks,
+                    np.array([x, y, z, 0], np.int32),
+                    places,
+                    fractions,
+                    weights,
+                    order,
+                    starts,
+                    buffer,
+                )
+            device.finish()
+    return result
+
+
+def _brought_back(stored: Samples, axis: int, n: int, margin: int, rule: Boundary) -> Samples:
+    """An axis without its margins: what lies in them is added to the coefficients that the boundary rule has there."""
+    lines = np.moveaxis(stored, axis, 0)
+    inner = lines[margin : margin + n]
+    outer = np.r_[-margin:0, n : n + margin]
+    for index, place in zip(outer, rule.index(outer, n), strict=True):
+        if place >= 0:
+            inner[place] += lines[index + margin]
+    return np.moveaxis(inner, 0, axis)
+
+
+def _scale_folds(data: Samples, rule: Boundary, factor: float) -> None:
+    """Multiply samples on which the boundary rule folds by `factor`, for each axis: in a period they are once, all others twice."""
+    if rule.period is None or rule.fold is None:
+        return
+    for axis, n in enumerate(data.shape):
+        times = np.bincount(rule.index(np.arange(rule.length(n)), n), minlength=n)
+        np.moveaxis(data, axis, 0)[times == 1] *= factor

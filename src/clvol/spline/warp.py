@@ -1,0 +1,259 @@
+"""What registration asks of a chain of transforms: values, gradients and Jacobians together, and series of frames."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from clvol.boundary import DEFAULT_BOUNDARY, Boundary
+from clvol.checks import instance, one_of, several, whole
+from clvol.device import Device, as_device
+from clvol.errors import DataError, OptionError
+from clvol.filter import DEFAULT_FILTER, Filter
+from clvol.missing import Missing
+from clvol.spline.chain import Chain
+from clvol.spline.evaluator import choose_evaluator
+from clvol.spline.field import Field, Precision, fill_value, opened, resample
+from clvol.spline.points import NOTHING_GIVEN, Given, Progress, Reals, Transform, sample_grid
+from clvol.spline.resample import resample_coefficients
+from clvol.transform import Transforms, as_chain
+from clvol.volume import Volume, as_volume
+
+__all__ = ["Warped", "resample_series", "warp"]
+
+
+class Warped(NamedTuple):
+    """An image in the space of another, as `warp` gives it.
+
+    Attributes
+    ----------
+    values : Volume
+        The moving image on the grid of the fixed one.
+    gradient : ndarray, shape (nz, ny, nx, 3) or (ny, nx, 2), or None
+        Of the moving image at the mapped points, per world unit.
+    jacobian : Volume or None
+        Determinants of the derivative of the mapped points by the points.
+    """
+
+    values: Volume
+    gradient: Reals | None
+    jacobian: Volume | None
+
+
+def warp(
+    volume: Volume | ArrayLike | Field,
+    like: Volume,
+    transform: Transforms | None = None,
+    filter: str | Filter | None = None,
+    boundary: str | Boundary | None = None,
+    *,
+    derivative: int = 0,
+    wrt: str = "moving",
+    jacobian: bool = False,
+    fill: float | None = None,
+    device: Device | str | int | None = None,
+    precision: Precision | None = None,
+    nan: str | Missing | None = None,
+    progress: Progress | None = None,
+) -> Warped:
+    """A moving image in the space of a fixed one, its gradient there, and the Jacobian of the transform.
+
+    With T the chain of transforms, x the points of `like` and f the moving image's function: the values are f(T(x)), the
+    gradient is ∇f at T(x), and the Jacobian is det ∂T/∂x. All are exact derivatives of what is evaluated, by the product
+    of the stages' own.
+
+    Parameters
+    ----------
+    volume : Volume, array-like or Field
+        The moving image; make a `Field` to warp one often.
+    like : Volume
+        The grid of the fixed image.
+    transform
+        As of `Field.resample`: from the fixed world to the moving one, the last of a list first.
+    filter, boundary, device, precision, nan
+        As in `clvol.sample`.
+    derivative : {0, 1}
+        1: the gradient comes too.
+    wrt : {"moving", "fixed"}
+        The world that the gradient is with respect to. "moving": ∇f at T(x), which the chain rule multiplies by the derivative
+        of T by its parameters. "fixed": that of f(T(x)) with respect to x, which is (∂T/∂x)ᵀ ∇f.
+    jacobian : bool
+        Whether determinants are wanted.
+    fill, progress
+        As in a call of `Field`. Where values are filled, gradients are 0.
+
+    Returns
+    -------
+    Warped
+        ``values, gradient, jacobian``; None for what was not requested.
+
+    Raises
+    ------
+    OptionError
+        `derivative`, `wrt`, `jacobian` or `transform` is not allowed, or for the reasons of `Field.resample`.
+    GeometryError
+        A transform is singular, or of another number of dimensions.
+    DataError, DeviceError, OutOfMemoryError
+        As `Field` and `Field.resample` raise them.
+    """
+    derivative = whole("derivative", derivative, minimum=0, maximum=1)
+    if wrt not in ("moving", "fixed"):
+        raise one_of("wrt", wrt, ("moving", "fixed"))
+    instance("jacobian", jacobian, bool, np.bool_)
+    fill = fill_value(fill)
+    volume = volume if isinstance(volume, Field) else as_volume(volume)
+    moving = volume.volume if isinstance(volume, Field) else volume
+    if not isinstance(like, Volume) or like.ndim != moving.ndim:
+        raise OptionError(f"like must be a Volume of {moving.ndim} axes, as the volume has; got {like!r}")
+    transforms = as_chain(transform, moving.ndim)
+    steps = _steps(progress, 1 + derivative * (wrt == "fixed") + int(jacobian))
+    gradient, determinants = None, None
+    with opened(volume, filter, boundary, device, precision, nan) as field:
+        chain, made, given = Chain(transforms, like, field.device), field.coefficients, Given(fill)
+        results = _on_chain(field, chain, derivative, given, next(steps))
+        if field.gaps:
+            share = _on_chain(field.gaps, chain, 0, Given(None if fill is None else 0.0), None)[..., 0]
+            results[share > field.missing.most] = np.nan
+        values = given.in_units_of_data(made, results[..., 0], 0)
+        if derivative:
+            if wrt == "fixed":
+                chain.pull_back(results, next(steps))
+            gradient = NOTHING_GIVEN.in_units_of_data(made, results[..., 1:], 1)
+        if jacobian:
+            determinants = chain.determinants(made.kind, next(steps))
+    place = (like.spacing, like.origin, like.direction)
+    return Warped(
+        Volume(np.ascontiguousarray(values), *place, like.units or moving.units),
+        gradient,
+        None if determinants is None else Volume(determinants, *place, like.units or moving.units),
+    )
+
+
+def _on_chain(field: Field, chain: Chain, derivative: int, given: Given, progress: Progress | None) -> Reals:
+    """Values where a chain brings the points of its grid, each followed by the gradient if that is wanted, in stored units."""
+    device, made, grid = field.device, field.coefficients, chain.grid
+    evaluator = choose_evaluator(device, field.filter, "taps", "buffer")
+    made.argument(evaluator)  # a closed field is refused before the result is made
+    matrix, offset = chain.to_indices(field.volume)
+    shape = (*grid.shape, 1 + derivative * grid.ndim)
+    device.require_room(np.dtype(made.kind).itemsize * math.prod(shape))
+    result = np.empty(shape, made.kind)
+    last, slices = Transform(matrix, offset, field.volume.world_to_index_matrix), (1, *grid.shape)[-3:]
+    with device.lent(result, write=True) as buffer:
+        if derivative or chain.stages:
+            sample_grid(made, evaluator, last, slices, buffer, given, progress, None, derivative, chain)
+        else:
+            resample_coefficients(made, evaluator, matrix, offset, slices, buffer, given, progress)
+    return result
+
+
+def _steps(progress: Progress | None, count: int) -> Iterator[Progress | None]:
+    """Of `count` pieces of work, what reports each one's progress as a part of the whole."""
+    for done in range(count):
+        yield None if progress is None else partial(_report, progress, done, count)
+
+
+def _report(progress: Progress, done: int, count: int, fraction: float) -> None:
+    progress((done + fraction) / count)
+
+
+def resample_series(
+    series: ArrayLike | Sequence[Volume],
+    transforms: Sequence[Transforms | None],
+    like: Volume | None = None,
+    filter: str | Filter = DEFAULT_FILTER,
+    boundary: str | Boundary = DEFAULT_BOUNDARY,
+    *,
+    spacing: Sequence[float] | None = None,
+    origin: Sequence[float] | None = None,
+    direction: ArrayLike | None = None,
+    fill: float | None = None,
+    device: Device | str | int | None = None,
+    precision: Precision = "single",
+    nan: str | Missing = "error",
+    progress: Progress | None = None,
+) -> Reals:
+    """Frames of a series, each through a transform of its own, on one grid: motion correction in one interpolation.
+
+    Frame by frame, with the memory of one on the device; between frames the series can be interrupted.
+
+    Parameters
+    ----------
+    series : array-like, shape (t, nz, ny, nx) or (t, ny, nx), or sequence of Volume
+        The moving frames.
+    transforms : sequence
+        One for each frame, as `transform` of `Field.resample`; None leaves points where they are.
+    like : Volume, optional
+        The grid of the results; default that of the first frame.
+    filter, boundary, fill, device, precision, nan
+        As in `clvol.resample`.
+    spacing, origin, direction : optional
+        Of the frames of an array, as those of a `Volume`.
+    progress : callable, optional
+        Called with the fraction done.
+
+    Returns
+    -------
+    ndarray of float32, shape (t, nz, ny, nx) or (t, ny, nx)
+        float64 in double precision, and where a frame's results are, see the notes of `Field`.
+
+    Raises
+    ------
+    DataError
+        `series` holds no frame, or one that is none, or holds a value that is not finite.
+    OptionError
+        The number of transforms is not that of the frames; a geometry is given for Volumes, which have their own; or for the
+        reasons of `Field.resample`.
+    GeometryError, DeviceError, OutOfMemoryError
+        As `Field.resample` raises them.
+
+    Examples
+    --------
+    >>> still = clvol.resample_series(bold, motion, spacing=(2, 2, 2))   # (t, z, y, x), one transform a frame
+    """
+    place: dict[str, Any] = {"spacing": spacing, "origin": origin, "direction": direction}
+    given = {name: value for name, value in place.items() if value is not None}
+    if isinstance(series, (list, tuple)) and any(isinstance(frame, Volume) for frame in series):
+        if given:
+            raise OptionError(f"frames that are Volumes have a geometry; got {', '.join(given)} too")
+        frames = [as_volume(frame) for frame in series]
+    else:
+        data = np.asarray(series)
+        if data.ndim not in (3, 4):
+            raise DataError(f"a series must have shape (t, nz, ny, nx) or (t, ny, nx); got {data.shape}")
+        frames = [Volume(frame, **given) for frame in data]
+    if not frames:
+        raise DataError("a series must hold at least one frame; got none")
+    entries = several("transforms", transforms, "a transform, or None, for each frame")
+    if len(entries) != len(frames):
+        raise OptionError(f"transforms must be as many as there are frames, {len(frames)}; got {len(entries)}")
+    grid = frames[0] if like is None else like
+    chains = [as_chain(entry, frame.ndim) for entry, frame in zip(entries, frames, strict=True)]
+    chosen = as_device(device)
+    steps = _steps(progress, len(frames))
+    result: Reals | None = None
+    for n, (frame, chain) in enumerate(zip(frames, chains, strict=True)):
+        made = resample(
+            frame,
+            like=grid,
+            filter=filter,
+            boundary=boundary,
+            transform=chain,
+            fill=fill,
+            device=chosen,
+            precision=precision,
+            nan=nan,
+            progress=next(steps),
+        )
+        if result is None:
+            result = np.empty((len(frames), *grid.shape), made.data.dtype)
+        if made.data.dtype != result.dtype:
+            result = result.astype(np.float64)
+        result[n] = made.data
+    assert result is not None  # there is a frame
+    return result

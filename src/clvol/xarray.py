@@ -1,0 +1,523 @@
+"""Labelled arrays: ``import clvol.xarray`` gives xarray's DataArray and Dataset an accessor, ``.clvol``, an extra.
+
+>>> import clvol.xarray
+>>> da.clvol.interp(lat=48.2, lon=16.4)                       # as da.interp, by the cubic spline
+>>> da.clvol.interp(x=("station", xs), y=("station", ys))     # at points
+>>> da.clvol.regrid(spacing={"lat": 0.1, "lon": 0.1})         # onto another grid of the same domain
+
+Coordinates must be uniform, to within a thousandth of a step. Arrays of dask stay lazy: each block of the result takes the
+blocks that it needs, and as many samples around them as the spline's poles reach.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from functools import partial
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.boundary import DEFAULT_BOUNDARY, as_boundary
+from clvol.checks import number, one_of, whole
+from clvol.device import Device, as_device
+from clvol.errors import DataError, GeometryError, MissingDependencyError, OptionError
+from clvol.filter import DEFAULT_FILTER, as_filter
+from clvol.interop import as_array
+from clvol.ndimage.engine import Axes, Points, evaluate
+from clvol.spline.field import Precision
+
+try:
+    import xarray
+except ImportError as missing:
+    raise MissingDependencyError("clvol.xarray needs xarray: pip install clvol[xarray]") from missing
+
+__all__ = ["ArrayAccessor", "DatasetAccessor"]
+
+Array = NDArray[Any]
+Positions = NDArray[np.float64]
+Labelled = TypeVar("Labelled", xarray.DataArray, xarray.Dataset)
+
+_ORDERS = {"nearest": 0, "linear": 1, "bspline2": 2, "bspline3": 3, "bspline4": 4, "bspline5": 5}
+_MODES = {"mirror": "mirror", "reflect": "reflect", "wrap": "grid-wrap", "nearest": "nearest"}  # SciPy's names
+_UNIFORM = 1e-3  # of a step: float32 coordinates are off by less
+_AT_ONCE = 3  # axes that the kernels take
+_LEFT_OUT = {"single": 2e-7, "double": 2e-14}  # of what lies beyond the margin of a block; 12 and 24 samples for cubic splines
+
+
+class _Accessor(Generic[Labelled]):
+    """What is the same for arrays and datasets."""
+
+    def __init__(self, labelled: Labelled) -> None:
+        self._labelled: Labelled = labelled
+
+    def interp(
+        self,
+        coords: Mapping[Any, Any] | None = None,
+        filter: str = DEFAULT_FILTER,
+        boundary: str = DEFAULT_BOUNDARY,
+        *,
+        fill: float | None = math.nan,
+        precision: Precision | None = None,
+        device: Device | str | int | None = None,
+        **coords_kwargs: Any,
+    ) -> Labelled:
+        """The function between the samples at other coordinates, as `xarray.DataArray.interp` takes them.
+
+        Numbers drop their dimension; one-dimensional sequences give a grid; DataArrays give what their dimensions say, points
+        where they share some. Other dimensions are batches: each of their indices is a function of its own. Coordinates and
+        attributes are kept as xarray keeps them, and other numeric coordinates along the dimensions are interpolated linearly.
+
+        Parameters
+        ----------
+        coords : mapping of dimension to number, array-like or DataArray, optional
+            New coordinates; datetimes where the old ones are. Along at most 3 dimensions at points, any number on grids.
+        filter : {"bspline3", "nearest", "linear", "bspline2", "bspline4", "bspline5"}
+        boundary : {"mirror", "reflect", "wrap", "nearest"}
+            What lies past the outer samples; it matters near them, and beyond them if `fill` is None.
+        fill : float or None
+            The result where a coordinate is beyond the outer samples or is not a number; None: the boundary rule goes on.
+        precision : {"single", "double"}, optional
+            Default: double, but for samples of float32 and float16, whose results are float32.
+        device : Device, str or int, optional
+            See `clvol.device.as_device`.
+        **coords_kwargs
+            `coords` as keywords.
+
+        Returns
+        -------
+        DataArray or Dataset
+            Lazy where the samples are arrays of dask, in blocks at most as long as theirs. It differs from the result of the same
+            array in memory by 10⁻¹² of the largest magnitude at most (10⁻⁶ in single precision), because blocks end the
+            recursions of the prefilter 24 (12) samples beyond what they need, more for higher orders.
+
+        Raises
+        ------
+        OptionError
+            An unknown dimension, filter or boundary, or indexers that need more than 3 dimensions at once.
+        GeometryError
+            The coordinate of a dimension is not uniform, or is neither numbers nor datetimes.
+        DataError
+            A sample is NaN or infinite (when it is computed, for arrays of dask), or not a number.
+
+        Notes
+        -----
+        In a Dataset all numeric variables that have one of the dimensions are interpolated; xarray decides on the others.
+        xarray's own ``method="cubic"`` builds a spline with other end conditions (not-a-knot), so the two differ near ends.
+        """
+        if coords is not None and coords_kwargs:
+            raise OptionError("give coordinates as a mapping or as keywords, not both")
+        return self.interpolated(dict(coords or coords_kwargs), _Spline(filter, boundary, fill, precision, device))
+
+    def regrid(
+        self,
+        shape: Mapping[Any, int] | None = None,
+        spacing: Mapping[Any, float] | None = None,
+        filter: str = DEFAULT_FILTER,
+        boundary: str = DEFAULT_BOUNDARY,
+        *,
+        precision: Precision | None = None,
+        device: Device | str | int | None = None,
+    ) -> Labelled:
+        """The array on another uniform grid over the same domain, half a step past the outer samples, as `clvol.resample`.
+
+        It is not called ``resample``, which in xarray groups a time axis. No low-pass is applied: smooth before making steps
+        larger.
+
+        Parameters
+        ----------
+        shape : mapping of dimension to int, optional
+            New numbers of samples.
+        spacing : mapping of dimension to number or timedelta, optional
+            New steps, positive; the domain's centre stays, and its size to within half a step. Give `shape` or `spacing`.
+        filter, boundary, precision, device
+            As in `interp`.
+
+        Returns
+        -------
+        DataArray or Dataset, lazy as in `interp`
+
+        Raises
+        ------
+        OptionError, GeometryError, DataError
+            As in `interp`; or both or none of `shape` and `spacing` are given, or one is no positive number.
+        """
+        if (shape is None) == (spacing is None):
+            raise OptionError("regrid takes exactly one of shape and spacing, each a mapping from dimensions")
+        targets = {
+            dim: _Line.of(self._labelled, dim).regridded(value, is_step=shape is None)
+            for dim, value in (shape or spacing or {}).items()
+        }
+        return self.interpolated(targets, _Spline(filter, boundary, None, precision, device))
+
+    def interpolated(self, coords: Mapping[Any, Any], spline: _Spline) -> Labelled:
+        raise NotImplementedError
+
+
+@xarray.register_dataset_accessor("clvol")
+class DatasetAccessor(_Accessor[xarray.Dataset]):
+    """``ds.clvol``: interpolation of the numeric variables of a Dataset."""
+
+    def interpolated(self, coords: Mapping[Any, Any], spline: _Spline) -> xarray.Dataset:
+        data = self._labelled
+        lines = {dim: _Line.of(data, dim) for dim in coords}
+        targets = {dim: line.positions(_indexer(dim, coords[dim])) for dim, line in lines.items()}
+        own = [name for name, v in data.data_vars.items() if v.dtype.kind in "iufc" and not targets.keys().isdisjoint(v.dims)]
+        # xarray itself makes the coordinates, of a dataset without what is interpolated here
+        indices = {dim: np.arange(data.sizes[dim]) for dim in lines if dim not in data.coords}
+        rest = data.drop_vars(own).assign_coords(indices).interp(coords)
+        done = {name: spline(data[name].variable, targets) for name in own}
+        result = rest.assign(done)
+        kept: xarray.Dataset = result[[name for name in data.data_vars if name in result]]
+        return kept
+
+
+@xarray.register_dataarray_accessor("clvol")
+class ArrayAccessor(_Accessor[xarray.DataArray]):
+    """``da.clvol``: interpolation of a DataArray."""
+
+    def interpolated(self, coords: Mapping[Any, Any], spline: _Spline) -> xarray.DataArray:
+        data = self._labelled
+        if data.dtype.kind not in "iufc":
+            raise DataError(f"samples must be numbers; got dtype {data.dtype}")
+        name = "what is interpolated"  # a Dataset has no variable without a name
+        return DatasetAccessor(data.to_dataset(name=name)).interpolated(coords, spline)[name].rename(data.name)
+
+
+# -- coordinates -----------------------------------------------------------------------------------------------------
+
+
+class _Line:
+    """The coordinate of a dimension, which is uniform: ``first + index * step``.
+
+    Datetimes are counted in nanoseconds from the first, so that no digit is lost.
+    """
+
+    def __init__(self, dim: Hashable, values: Array) -> None:
+        self.dim, self.values, self.size = dim, values, values.size
+        if values.dtype.kind not in "iufMm":
+            raise GeometryError(f"the coordinate {dim!r} must be numbers or datetime64; got dtype {values.dtype}")
+        if not self.size:
+            raise DataError(f"the dimension {dim!r} must hold at least one sample; got none")
+        from_first = self._from_first(values)
+        self.step = float(from_first[-1]) / (self.size - 1) if self.size > 1 else 1.0
+        with np.errstate(invalid="ignore", divide="ignore"):
+            off = np.abs(from_first / self.step - np.arange(self.size)).max()
+        if not off <= _UNIFORM:
+            raise GeometryError(
+                f"the coordinate {dim!r} must be uniform, to within {_UNIFORM:g} of a step; it is off by up to {off:.3g} steps"
+            )
+        self._places = np.abs(from_first)
+
+    @classmethod
+    def of(cls, data: xarray.DataArray | xarray.Dataset, dim: Hashable) -> _Line:
+        """That of a labelled array, or its indices where it has none."""
+        if dim not in data.dims:
+            raise one_of("a dimension to be interpolated", dim, map(str, data.dims))
+        return cls(dim, np.asarray(data[dim].values) if dim in data.coords else np.arange(data.sizes[dim]))
+
+    def _from_first(self, values: Array) -> Positions:
+        first = self.values[0]
+        if self.values.dtype.kind in "Mm":
+            kind = f"{self.values.dtype.kind}8[ns]"
+            try:
+                away = values.astype(kind) - first.astype(kind)
+            except (TypeError, ValueError) as error:
+                raise OptionError(f"new coordinates of {self.dim!r} must be datetimes, as the old ones are: {error}") from None
+            return np.where(np.isnat(away), np.nan, away.astype(np.int64).astype(np.float64))
+        if values.dtype.kind not in "iuf":
+            raise OptionError(f"new coordinates of {self.dim!r} must be numbers, as the old ones are; got dtype {values.dtype}")
+        return values.astype(np.float64) - float(first)
+
+    def positions(self, indexer: xarray.Variable) -> xarray.Variable:
+        """Where coordinates lie, in samples: at the very samples where they are equal to theirs."""
+        away = self._from_first(np.asarray(indexer.values)) * math.copysign(1, self.step)
+        at = np.interp(away, self._places, np.arange(self.size, dtype=np.float64))
+        beyond = ~((away >= 0) & (away <= self._places[-1]))  # NaN too
+        return xarray.Variable(indexer.dims, np.where(beyond, away / abs(self.step), at))
+
+    def regridded(self, value: Any, *, is_step: bool) -> Array:
+        """The coordinates of so many samples over the same domain, or of samples so far apart."""
+        if is_step:
+            if isinstance(value, np.timedelta64) and self.values.dtype.kind in "Mm":
+                value = float(value.astype("m8[ns]").astype(np.int64))
+            ratio = number(f"spacing along {self.dim!r}", value, above=0) / abs(self.step)
+            count = max(1, round(self.size / ratio))
+        else:
+            count = whole(f"shape along {self.dim!r}", value, minimum=1)
+            ratio = self.size / count
+        index = (self.size - 1) / 2 + ratio * (np.arange(count) - (count - 1) / 2)
+        if self.values.dtype.kind in "Mm":
+            return np.asarray(self.values[0].astype(f"{self.values.dtype.kind}8[ns]") + np.rint(index * self.step).astype("m8[ns]"))
+        return np.asarray(float(self.values[0]) + index * self.step)
+
+
+def _indexer(dim: Hashable, given: Any) -> xarray.Variable:
+    """New coordinates and their dimensions; a sequence lies along the dimension itself."""
+    if isinstance(given, xarray.DataArray):
+        return given.variable
+    if isinstance(given, (tuple, xarray.Variable)):
+        return xarray.as_variable(given)
+    values = as_array(given, f"new coordinates of {dim!r}", OptionError)
+    if values.ndim > 1:
+        raise OptionError(
+            f"new coordinates of {dim!r} with several axes must be a DataArray, which names them; got shape {values.shape}"
+        )
+    return xarray.Variable((dim,) * values.ndim, values)
+
+
+# -- evaluation ------------------------------------------------------------------------------------------------------
+
+
+class _Spline:
+    """How arrays are interpolated."""
+
+    def __init__(
+        self, filter: str, boundary: str, fill: float | None, precision: Precision | None, device: Device | str | int | None
+    ) -> None:
+        if not isinstance(filter, str) or filter not in _ORDERS:
+            raise one_of("filter", filter, _ORDERS)
+        if not isinstance(boundary, str) or boundary not in _MODES:
+            raise one_of("boundary", boundary, _MODES)
+        if precision not in (None, "single", "double"):
+            raise one_of("precision", precision, ("single", "double"))
+        self.fill = None if fill is None else float(fill)
+        self.precision = precision
+        self._device = None if device is None else as_device(device)
+        self._filter, self._boundary = as_filter(filter), as_boundary(boundary)
+
+    def __call__(self, data: xarray.Variable, targets: Mapping[Hashable, xarray.Variable]) -> xarray.Variable:
+        """A variable at positions in samples along some of its dimensions; it may lack some."""
+        wanted = {dim: target for dim, target in targets.items() if dim in data.dims}
+        # the order of dimensions is xarray's: each gives way to those of its indexer
+        dims = dict.fromkeys(d for dim in data.dims for d in (wanted[dim].dims if dim in wanted else (dim,)))
+        return self._interpolated(data, wanted).transpose(*dims)
+
+    def _interpolated(self, data: xarray.Variable, wanted: Mapping[Hashable, xarray.Variable]) -> xarray.Variable:
+        for dim in data.dims:
+            if dim not in wanted and any(dim in target.dims for target in wanted.values()):
+                # positions depend on another dimension of the samples: one after the other
+                parts = [
+                    self._interpolated(data[{dim: i}], {d: t[{dim: i}] if dim in t.dims else t for d, t in wanted.items()})
+                    for i in range(data.sizes[dim])
+                ]
+                joined: xarray.Variable = xarray.Variable.concat(parts, dim)
+                return joined
+        alone = [group for group in _groups(wanted) if len(group) == 1]
+        lines = {dim: wanted[dim] for group in alone for dim in group}
+        # what becomes small comes first
+        order = sorted(lines, key=lambda dim: lines[dim].size / data.sizes[dim])
+        for first in range(0, len(order), _AT_ONCE):
+            data = self._along_lines(data, {dim: lines[dim] for dim in order[first : first + _AT_ONCE]})
+        for group in _groups(wanted):
+            if len(group) > _AT_ONCE:
+                raise OptionError(f"points may lie along at most {_AT_ONCE} dimensions; got {', '.join(map(str, group))}")
+            if len(group) > 1:
+                data = self._at_points(data, {dim: wanted[dim] for dim in group})
+        return data
+
+    def _along_lines(self, data: xarray.Variable, lines: Mapping[Hashable, xarray.Variable]) -> xarray.Variable:
+        """Each dimension at its own positions: a grid."""
+        axes = data.get_axis_num(list(lines))
+        given: list[Positions] = [line.values.ravel() for line in lines.values()]
+        made = self._grid(data.data, axes, given)
+        shape: list[int] = []
+        dims: list[Hashable] = []
+        for dim, length in zip(data.dims, made.shape, strict=True):
+            dims += lines[dim].dims if dim in lines else (dim,)
+            shape += lines[dim].shape if dim in lines else (length,)
+        return xarray.Variable(dims, made.reshape(shape), data.attrs)
+
+    def _at_points(self, data: xarray.Variable, at: Mapping[Hashable, xarray.Variable]) -> xarray.Variable:
+        """Several dimensions at points, which come last."""
+        like = sum(at.values(), xarray.Variable((), 0.0))
+        points = np.stack([target.set_dims(like.sizes).transpose(*like.dims).values.ravel() for target in at.values()])
+        kept = [dim for dim in data.dims if dim not in at]
+        moved = data.transpose(*kept, *at).data
+        made = self._points(moved, points)
+        return xarray.Variable([*kept, *like.dims], made.reshape(moved.shape[: len(kept)] + like.shape), data.attrs)
+
+    # -- in memory, or block by block ----------------------------------------------------------------------------
+
+    def _grid(self, data: Any, axes: Sequence[int], positions: Sequence[Positions]) -> Any:
+        """An array at positions along some of its axes."""
+        if not _is_lazy(data):
+            windows = [self._window(p, data.shape[axis]) for axis, p in zip(axes, positions, strict=True)]
+            return self._grid_here(data[_slices(data.ndim, axes, windows)], axes, positions, windows, data.shape)
+        kind = self._kind(data.dtype)
+        runs = [_runs(np.clip(p, 0, data.shape[axis] - 1), max(data.chunks[axis])) for axis, p in zip(axes, positions, strict=True)]
+
+        def block(index: tuple[int, ...]) -> Any:
+            some = [p[run[i]] for p, run, i in zip(positions, runs, index, strict=True)]
+            windows = [self._window(p, data.shape[axis]) for axis, p in zip(axes, some, strict=True)]
+            slab = data[_slices(data.ndim, axes, windows)].rechunk(dict.fromkeys(axes, -1))
+            chunks = list(slab.chunks)
+            for axis, p in zip(axes, some, strict=True):
+                chunks[axis] = (p.size,)
+            call = partial(self._grid_here, axes=axes, positions=some, windows=windows, shape=data.shape)
+            return slab.map_blocks(call, chunks=chunks, dtype=kind, meta=_nothing(data.ndim, kind))
+
+        return _joined(block, axes, [len(run) for run in runs])
+
+    def _grid_here(
+        self,
+        data: Array,
+        axes: Sequence[int],
+        positions: Sequence[Positions],
+        windows: Sequence[tuple[int, int]],
+        shape: tuple[int, ...],
+    ) -> Array:
+        made = list(data.shape)
+        for axis, p in zip(axes, positions, strict=True):
+            made[axis] = p.size
+        output = np.empty(made, self._kind(data.dtype))
+        ranges = [shape[axis] for axis in axes]
+        missing = [self._missing(p, n) for p, n in zip(positions, ranges, strict=True)]
+        order = np.argsort(axes)
+        at = [np.where(m, w[0], p) - w[0] for p, m, w in zip(positions, missing, windows, strict=True)]
+        self._evaluate(data, [axes[i] for i in order], Axes(tuple(at[i] for i in order)), output)
+        for axis, m in zip(axes, missing, strict=True):
+            if m.any():
+                np.moveaxis(output, axis, 0)[m] = self.fill
+        return output
+
+    def _points(self, data: Any, points: Positions) -> Any:
+        """An array at points along its last axes."""
+        k = len(points)
+        axes = range(data.ndim - k, data.ndim)
+        shape = data.shape[-k:]
+        windows = [self._window(p, n) for p, n in zip(points, shape, strict=True)]
+        near = data[_slices(data.ndim, axes, windows)]
+        call = partial(self._points_here, points=points, windows=windows, shape=shape)
+        if not _is_lazy(data):
+            return call(near)
+        kind, kept = self._kind(data.dtype), data.ndim - k
+        near = near.rechunk(dict.fromkeys(axes, -1))
+        return near.map_blocks(
+            call,
+            drop_axis=list(axes),
+            new_axis=kept,
+            chunks=(*near.chunks[:kept], (points.shape[1],)),
+            dtype=kind,
+            meta=_nothing(kept + 1, kind),
+        )
+
+    def _points_here(self, data: Array, points: Positions, windows: Sequence[tuple[int, int]], shape: tuple[int, ...]) -> Array:
+        k = len(points)
+        output = np.empty((*data.shape[:-k], points.shape[1]), self._kind(data.dtype))
+        missing = np.any([self._missing(p, n) for p, n in zip(points, shape, strict=True)], axis=0)
+        first = np.array([w[0] for w in windows])[:, None]
+        self._evaluate(data, range(data.ndim - k, data.ndim), Points(np.where(missing, first, points) - first), output)
+        if missing.any():
+            output[..., missing] = self.fill
+        return output
+
+    def _evaluate(self, data: Array, axes: Sequence[int], target: Axes | Points, output: Array) -> None:
+        if not output.size:
+            return
+        if not np.isfinite(data).all():
+            raise DataError("samples must be finite; got NaN or infinite ones: fill them first, da.fillna(value)")
+        parts = [(data.real, output.real), (data.imag, output.imag)] if data.dtype.kind == "c" else [(data, output)]
+        for samples, results in parts:
+            evaluate(
+                samples,
+                axes,
+                target,
+                results,
+                order=_ORDERS[self._filter.name],
+                mode=_MODES[self._boundary.name],
+                cval=0.0,
+                prefilter=True,
+                precision=self._precision(data.dtype),
+                device=self._device,
+            )
+
+    def _precision(self, kind: np.dtype[Any]) -> Precision:
+        if self.precision is not None:
+            return self.precision
+        return "single" if (kind.kind, kind.itemsize) in (("f", 2), ("f", 4), ("c", 8)) else "double"
+
+    def _kind(self, kind: np.dtype[Any]) -> np.dtype[Any]:
+        """The dtype of results."""
+        double = self._precision(kind) == "double"
+        if kind.kind == "c":
+            return np.dtype(np.complex128 if double else np.complex64)
+        return np.dtype(np.float64 if double else np.float32)
+
+    def _missing(self, positions: Positions, n: int) -> NDArray[np.bool_]:
+        """Where the result is `fill`."""
+        if self.fill is None:
+            if not np.isfinite(positions).all():
+                raise OptionError("new coordinates must be finite where fill is None; got NaN or infinite ones")
+            return np.zeros(positions.shape, np.bool_)
+        return ~((positions >= 0) & (positions <= n - 1))
+
+    def _window(self, positions: Positions, n: int) -> tuple[int, int]:
+        """From which to before which sample of an axis positions depend on them, all others adding less than rounding."""
+        inside = positions[(positions >= 0) & (positions <= n - 1)]
+        if self.fill is None and inside.size < positions.size:
+            return 0, n
+        if not inside.size:
+            return 0, 1
+        pole = float(np.abs(self._filter.poles).max(initial=0.0))
+        finest = _LEFT_OUT[self.precision or "double"]
+        margin = self._filter.support // 2 + 1 + (math.ceil(math.log(finest) / math.log(pole)) if pole else 0)
+        low, high = math.floor(inside.min()) - margin, math.ceil(inside.max()) + margin + 1
+        if self._boundary.fold is None and (low < 0 or high > n):
+            return 0, n  # beyond an end lies the other one
+        return max(low, 0), min(high, n)
+
+
+def _groups(targets: Mapping[Hashable, xarray.Variable]) -> list[list[Hashable]]:
+    """Dimensions whose targets share some, directly or by way of others."""
+    groups: list[tuple[list[Hashable], set[Hashable]]] = []
+    for dim, target in targets.items():
+        members, dims = [dim], set(target.dims)
+        for other in [group for group in groups if group[1] & dims]:
+            groups.remove(other)
+            members, dims = other[0] + members, other[1] | dims
+        groups.append((members, dims))
+    return [members for members, _ in groups]
+
+
+def _runs(positions: Positions, longest: int) -> list[slice]:
+    """Successive positions in parts, each of at most so many that lie at most so far apart."""
+    runs, first = [], 0
+    low = high = positions[0] if positions.size else 0.0
+    for i, x in enumerate(positions.tolist()):
+        low, high = min(low, x), max(high, x)
+        if i - first >= longest or (high - low > longest and i > first):
+            runs.append(slice(first, i))
+            first, low, high = i, x, x
+    return [*runs, slice(first, positions.size)]
+
+
+def _slices(ndim: int, axes: Sequence[int], windows: Sequence[tuple[int, int]]) -> tuple[slice, ...]:
+    every = [slice(None)] * ndim
+    for axis, (low, high) in zip(axes, windows, strict=True):
+        every[axis] = slice(low, high)
+    return tuple(every)
+
+
+def _is_lazy(data: Any) -> bool:
+    """Whether it is an array of dask."""
+    return hasattr(data, "dask") and hasattr(data, "map_blocks")
+
+
+def _nothing(ndim: int, kind: np.dtype[Any]) -> Array:
+    return np.empty((0,) * ndim, kind)
+
+
+def _joined(block: Callable[[tuple[int, ...]], Any], axes: Sequence[int], counts: Sequence[int]) -> Any:
+    """An array of dask of blocks along some axes."""
+    import dask.array
+
+    def along(done: tuple[int, ...]) -> Any:
+        i = len(done)
+        if i == len(axes):
+            return block(done)
+        parts = [along((*done, part)) for part in range(counts[i])]
+        return parts[0] if len(parts) == 1 else dask.array.concatenate(parts, axes[i])
+
+    return along(())

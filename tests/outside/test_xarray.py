@@ -1,0 +1,306 @@
+"""The accessor of xarray's arrays: against xarray's own linear interpolation, and against SciPy's splines."""
+
+from __future__ import annotations
+
+import tracemalloc
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from clvol.errors import DataError, GeometryError, OptionError
+
+xarray = pytest.importorskip("xarray")
+pytest.importorskip("clvol.xarray")  # it registers the accessor
+
+Array = NDArray[Any]
+SAME: dict[str, Any] = {"rtol": 0, "atol": 1e-12}
+
+
+def cube() -> Any:
+    """Time, descending latitude and longitude, with coordinates of all kinds beside them."""
+    rng = np.random.default_rng(0)
+    coords = {
+        "t": np.arange(4.0),
+        "y": 8 - 2 * np.arange(5.0),
+        "x": 3 + 0.1 * np.arange(6.0),
+        "area": (("y", "x"), rng.random((5, 6)), {"units": "m2"}),
+        "name": ("t", list("abcd")),
+        "number": ("x", np.arange(6)),
+    }
+    return xarray.DataArray(rng.random((4, 5, 6)), coords, ("t", "y", "x"), "depth", {"units": "m"})
+
+
+def along(dims: Any, *values: Any, **coords: Any) -> Any:
+    return xarray.DataArray(np.squeeze(values), coords, dims)
+
+
+RNG = np.random.default_rng(1)
+INDEXERS: dict[str, dict[str, Any]] = {
+    "a grid along one": {"x": [3.05, 3.2, 9.0]},
+    "a number": {"x": 3.123},
+    "numbers": {"x": 3.123, "y": 1.0, "t": 0.5},
+    "a grid along all": {"t": [0, 2.5], "y": [3, 1, 0.5], "x": [3.3]},
+    "a tuple": {"x": ("station", [3.1, 3.2])},
+    "points": {"x": along("z", [3.1, 3.22, 3.4]), "y": along("z", [0.5, 1, 2])},
+    "points with coordinates": {"x": along("z", [3.1, 3.22], z=[5, 6]), "y": along("z", [0.5, 1], z=[5, 6])},
+    "points and a grid": {"x": along("z", [3.1, 3.22]), "y": along("z", [0.5, 1]), "t": [1.5, 2.5]},
+    "two axes for one": {"x": xarray.DataArray(3 + 0.4 * RNG.random((2, 3)), {"a": [10, 20]}, ("a", "b")), "t": 1.5},
+    "along a dimension of the array": {"x": along("t", [3.05, 3.1, 3.2, 3.3])},
+    "a chain": {
+        "x": along("z", [3.1, 3.3]),
+        "y": along("w", [0.5, 1, 4]),
+        "t": xarray.DataArray(RNG.random((2, 3)), dims=("z", "w")),
+    },
+    "out of range": {"x": [2.9, 3, 3.5, 3.6, np.nan], "y": [-0.1, 0, 8, 8.1]},
+}
+
+
+@pytest.mark.parametrize("name", INDEXERS)
+@pytest.mark.parametrize("lazy", [False, True], ids=["in memory", "dask"])
+def test_linear_interpolation_is_that_of_xarray(name: str, lazy: bool) -> None:
+    data, indexers = cube(), INDEXERS[name]
+    expected = data.interp(indexers)
+    if lazy:
+        pytest.importorskip("dask.array")
+        data = data.drop_vars("name").chunk({"t": 3, "y": 2, "x": 4})
+    got = data.clvol.interp(indexers, filter="linear")
+    assert (got.dims, got.name, got.attrs, got.dtype) == (expected.dims, "depth", {"units": "m"}, np.float64)
+    assert_allclose(got.values, expected.values, **SAME)
+    if not lazy:
+        xarray.testing.assert_identical(got.coords.to_dataset(), expected.coords.to_dataset())
+
+
+def scipy_spline(data: Array, at: Any, order: int, mode: str) -> Array:
+    """SciPy's spline; of data that are reflected by hand, for SciPy's own "reflect" is rough on short axes."""
+    pad = 60 if mode == "reflect" else 0
+    return np.asarray(ndimage.map_coordinates(np.pad(data, pad, "symmetric"), np.add(at, pad), order=order, mode=mode))
+
+
+@pytest.mark.parametrize(
+    ("boundary", "mode"), [("mirror", "mirror"), ("reflect", "reflect"), ("wrap", "grid-wrap"), ("nearest", "nearest")]
+)
+@pytest.mark.parametrize(("name", "order"), [("linear", 1), ("bspline2", 2), ("bspline3", 3), ("bspline4", 4), ("bspline5", 5)])
+def test_splines_are_those_of_scipy(name: str, order: int, boundary: str, mode: str) -> None:
+    data = cube()
+    y, x = [7.5, 0.3], [3.03, 3.21, 3.47]
+    at = np.meshgrid((8 - np.array(y)) / 2, (np.array(x) - 3) / 0.1, indexing="ij")
+    expected = [scipy_spline(frame, at, order, mode) for frame in data.values]
+    assert_allclose(data.clvol.interp(y=y, x=x, filter=name, boundary=boundary).values, expected, **SAME)
+    points = data.clvol.interp(y=along("p", [7.5, 0.3, 4]), x=along("p", x), filter=name, boundary=boundary)
+    there = np.array([[0.25, 3.85, 2], (np.array(x) - 3) / 0.1])
+    assert_allclose(points.values, [scipy_spline(frame, there, order, mode) for frame in data.values], **SAME)
+
+
+def test_beyond_the_outer_samples() -> None:
+    data = cube()
+    assert np.isnan(data.clvol.interp(x=[2.99, 3.51]).values).all()
+    assert (data.clvol.interp(x=[2.99, 3.51], fill=-1).values == -1).all()
+    expected = ndimage.map_coordinates(data.values[0, 0], [[-3.0, 9.5]], order=3, mode="mirror")
+    assert_allclose(data[0, 0].clvol.interp(x=[2.7, 3.95], fill=None).values, expected, **SAME)
+    expected = ndimage.map_coordinates(data.values[0, 0], [[-3.0, 9.5]], order=3, mode="grid-wrap")
+    assert_allclose(data[0, 0].clvol.interp(x=[2.7, 3.95], boundary="wrap", fill=None).values, expected, **SAME)
+    assert_allclose(data.clvol.interp(x=data.x, y=data.y).values, data.values, **SAME)
+
+
+def test_datetimes() -> None:
+    t = np.datetime64("2001-01-01", "ns") + np.arange(12) * np.timedelta64(6, "h")
+    values = np.random.default_rng(0).random(12)
+    data = xarray.DataArray(values, {"time": t}, "time")
+    expected = ndimage.map_coordinates(values, [[1.5, 7 + 1 / 6]], order=3, mode="mirror")
+    texts = ["2001-01-01T09", "2001-01-02T19"]
+    for new in (texts, np.array(texts, "M8[s]"), xarray.DataArray(np.array(texts, "M8[ns]"), dims="time")):
+        got = data.clvol.interp(time=new)
+        assert_allclose(got.values, expected, **SAME)
+        assert_array_equal(got.time.values, np.array(texts, "M8[ns]"))
+    assert_allclose(
+        data.interp(time=np.array(texts, "M8[ns]")).values, data.clvol.interp(time=texts, filter="linear").values, **SAME
+    )
+    finer = data.clvol.regrid(spacing={"time": np.timedelta64(3, "h")})
+    assert finer.time.values[0] == np.datetime64("2000-12-31T22:30")
+    assert finer.sizes["time"] == 24
+    with pytest.raises(OptionError, match="'time' must be datetimes"):
+        data.clvol.interp(time=["noon"])
+    with pytest.raises(OptionError, match="'x' must be numbers"):
+        cube().clvol.interp(x=["noon"])
+    away = data.assign_coords(time=t - t[0])
+    assert_allclose(away.clvol.interp(time=[np.timedelta64(9, "h"), np.timedelta64(43, "h")]).values, expected, **SAME)
+
+
+def test_coordinates_of_float32_are_uniform_enough() -> None:
+    lon = np.arange(0, 360, 0.25, dtype=np.float32)[:40] + np.float32(300.1)
+    values = np.random.default_rng(0).random(40)
+    data = xarray.DataArray(values, {"lon": lon}, "lon")
+    assert_allclose(data.clvol.interp(lon=lon).values, values, **SAME)
+    assert_allclose(data.clvol.interp(lon=lon[1:] - 0.1, filter="linear"), data.interp(lon=lon[1:] - 0.1), **SAME)
+
+
+def test_coordinates_that_are_refused() -> None:
+    data = cube()
+    for values, rule in (
+        ([3, 3.1, 3.2, 3.3, 3.4, 3.51], r"'x' must be uniform, to within 0.001 of a step; it is off by up to 0\.\d+ steps"),
+        ([3, 3, 3, 3, 3, 3], "'x' must be uniform"),
+        ([3, 4, 5, np.nan, 7, 8], "'x' must be uniform"),
+        (list("abcdef"), "'x' must be numbers or datetime64; got dtype <U1"),
+    ):
+        with pytest.raises(GeometryError, match=rule):
+            data.assign_coords(x=values).clvol.interp(x=[3.2])
+    assert data.assign_coords(x=[1, 2, 4, 8, 16, 32]).clvol.interp(t=[0.5]).shape == (1, 5, 6)
+
+
+def test_arguments_that_are_refused() -> None:
+    data = cube()
+    four = data.expand_dims(w=np.arange(5.0))
+    for call, rule in (
+        (lambda: data.clvol.interp(q=1), "dimension .* must be one of t, y, x; got 'q'"),
+        (lambda: data.clvol.interp(x=3.1, filter="cubic"), "filter must be one of .*bspline3.*; got 'cubic'"),
+        (lambda: data.clvol.interp(x=3.1, boundary="zero"), "boundary must be one of mirror, reflect, wrap, nearest; got 'zero'"),
+        (lambda: data.clvol.interp(x=3.1, precision="half"), "precision must be one of single, double; got 'half'"),
+        (lambda: data.clvol.interp({"x": 3.1}, y=2), "as a mapping or as keywords, not both"),
+        (lambda: data.clvol.interp(x=[[3.1]]), r"'x' with several axes must be a DataArray.*\(1, 1\)"),
+        (lambda: data.clvol.interp(x=np.nan, fill=None), "must be finite where fill is None"),
+        (lambda: data.clvol.regrid(), "exactly one of shape and spacing"),
+        (lambda: data.clvol.regrid({"x": 4}, {"x": 4}), "exactly one of shape and spacing"),
+        (lambda: data.clvol.regrid({"x": 0}), "shape along 'x' must be a whole number"),
+        (lambda: data.clvol.regrid(spacing={"x": -1}), "spacing along 'x' must be a finite number, greater than 0"),
+        (lambda: four.clvol.interp({d: along("p", [1.0, 2.0]) for d in four.dims}), "at most 3 dimensions; got w, t, y, x"),
+    ):
+        with pytest.raises(OptionError, match=rule):
+            call()
+    with pytest.raises(DataError, match="samples must be numbers; got dtype bool"):
+        (data > 0.5).clvol.interp(x=3.1)
+
+
+def test_missing_samples_matter_where_they_are_near() -> None:
+    values = np.random.default_rng(0).random(200)
+    values[150] = np.nan
+    data = xarray.DataArray(values, {"x": np.arange(200)}, "x")
+    assert_allclose(data.clvol.interp(x=[3.5]), ndimage.map_coordinates(values[:100], [[3.5]], mode="mirror"), **SAME)
+    with pytest.raises(DataError, match=r"samples must be finite.*fillna"):
+        data.clvol.interp(x=[140.5])
+
+
+def test_more_dimensions_than_kernels_take() -> None:
+    values = np.random.default_rng(0).random((5, 6, 4, 7))
+    data = xarray.DataArray(values, dims=list("abcd"))
+    new = {"a": [0.5, 3.2], "b": [1.1], "c": [0.3, 2.9], "d": [0, 5.5, 2.5]}
+    expected = ndimage.map_coordinates(values, np.meshgrid(*new.values(), indexing="ij"), order=3, mode="mirror")
+    assert_allclose(data.clvol.interp(new).values, expected, **SAME)
+
+
+@pytest.mark.parametrize(
+    ("kind", "result"),
+    [("f4", "f4"), ("f2", "f4"), ("f8", "f8"), ("i2", "f8"), ("u1", "f8"), (">f4", "f4"), ("c16", "c16"), ("c8", "c8")],
+)
+def test_types(kind: str, result: str) -> None:
+    rng = np.random.default_rng(0)
+    values = (100 * rng.random((6, 7)) + (100j * rng.random((6, 7)) if kind[0] == "c" else 0)).astype(kind)
+    got = xarray.DataArray(values, dims=("y", "x")).clvol.interp(x=[1.5, 2.25], y=[0.5])
+    assert got.dtype == np.dtype(result)
+    wide = values.astype("c16" if kind[0] == "c" else "f8")
+    expected = ndimage.map_coordinates(wide, np.meshgrid([0.5], [1.5, 2.25], indexing="ij"), order=3, mode="mirror")
+    assert_allclose(got, expected, rtol=0, atol=1e-10 if result in ("f8", "c16") else 1e-3)
+
+
+def test_datasets() -> None:
+    data = cube()
+    both = xarray.Dataset(
+        {
+            "depth": data,
+            "depth_at_start": data[0].drop_vars(["t", "name"]),
+            "times": ("t", np.arange(4)),
+            "flag": ("x", np.arange(6) > 2),
+        },
+        attrs={"source": "a model"},
+    )
+    got = both.clvol.interp(x=[3.11, 3.26], y=2.5)
+    expected = both.interp(x=[3.11, 3.26], y=2.5)
+    assert (list(got), got.attrs) == (list(expected), {"source": "a model"})
+    xarray.testing.assert_identical(got[["times", "flag"]], expected[["times", "flag"]])
+    xarray.testing.assert_equal(got["depth"], data.clvol.interp(x=[3.11, 3.26], y=2.5))
+    assert_allclose(got["depth_at_start"], got["depth"][0], **SAME)
+
+
+def test_another_grid_of_the_same_domain() -> None:
+    data = cube()
+    got = data.clvol.regrid(shape={"x": 12, "y": 3})
+    assert_allclose(got.x, 2.95 + 0.05 * (np.arange(12) + 0.5))
+    assert_allclose(got.y, 9 - 10 / 3 * (np.arange(3) + 0.5))
+    at = np.meshgrid((np.arange(3) + 0.5) * 5 / 3 - 0.5, (np.arange(12) + 0.5) / 2 - 0.5, indexing="ij")
+    assert_allclose(got.values, [ndimage.map_coordinates(frame, at, order=3, mode="mirror") for frame in data.values], **SAME)
+    same = data.clvol.regrid(spacing={"x": 0.05})
+    assert_allclose(same.x, got.x)
+    assert_allclose(data.clvol.regrid(spacing={"y": 2}).values, data.values, **SAME)
+
+
+# -- large arrays ----------------------------------------------------------------------------------------------------
+
+
+def test_one_point_takes_its_surroundings_alone() -> None:
+    values = np.random.default_rng(0).random((288, 71, 73))
+    data = xarray.DataArray(values, dims=("z", "y", "x"))
+    point = {"z": 100.3, "y": 33.7, "x": 40.2}
+    data.clvol.interp(point)
+    tracemalloc.start()
+    got = float(data.clvol.interp(point))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert_allclose(got, ndimage.map_coordinates(values, [[100.3], [33.7], [40.2]], order=3, mode="mirror")[0], **SAME)
+    assert peak < values.nbytes
+
+
+@pytest.mark.parametrize("kind", ["f8", "f4"])
+@pytest.mark.parametrize("name", ["linear", "bspline3", "bspline5"])
+def test_blocks_of_dask_give_what_the_whole_array_gives(name: str, kind: str) -> None:
+    pytest.importorskip("dask.array")
+    rng = np.random.default_rng(0)
+    values = rng.uniform(-1, 1, (3, 150, 160)).astype(kind)
+    data = xarray.DataArray(values, {"y": np.arange(150.0), "x": 16 - 0.1 * np.arange(160)}, ("t", "y", "x"))
+    blocks = data.chunk({"t": 1, "y": 40, "x": 50})
+    grid = {"y": np.linspace(-1, 150, 211), "x": np.sort(rng.uniform(0.1, 16, 33))}
+    points = {dim: xarray.DataArray(rng.choice(new, (4, 9)), dims=("p", "q")) for dim, new in grid.items()}
+    for new in (grid, points):
+        lazy = blocks.clvol.interp(new, filter=name)
+        assert lazy.chunks[0] == (1, 1, 1)
+        assert lazy.dtype == kind
+        assert_allclose(lazy.values, data.clvol.interp(new, filter=name).values, rtol=0, atol=1e-12 if kind == "f8" else 2e-6)
+    wrapped = blocks.clvol.regrid(shape={"x": 320}, filter=name, boundary="wrap")
+    assert max(wrapped.chunks[2]) <= 50
+    whole = data.clvol.regrid(shape={"x": 320}, filter=name, boundary="wrap")
+    assert_allclose(wrapped.values, whole.values, rtol=0, atol=1e-12 if kind == "f8" else 2e-6)
+
+
+def test_nothing_is_computed_before_it_is_asked_for() -> None:
+    dask = pytest.importorskip("dask")
+    array = pytest.importorskip("dask.array")
+
+    def fail(*_: Any) -> Array:
+        raise AssertionError("a block was computed")
+
+    source = array.zeros((64, 64), chunks=16).map_blocks(fail, dtype=np.float64, meta=np.empty((0, 0)))
+    data = xarray.DataArray(source, dims=("y", "x"))
+    lazy = [
+        data.clvol.interp(y=[1.5, 40.2]),
+        data.clvol.regrid({"x": 128}),
+        data.clvol.interp(y=along("p", [1, 2]), x=along("p", [1, 2])),
+    ]
+    assert all(dask.is_dask_collection(one.data) for one in lazy)
+    with pytest.raises(AssertionError, match="a block was computed"):
+        lazy[0].compute()
+
+
+def test_a_block_takes_the_blocks_around_it_alone() -> None:
+    array = pytest.importorskip("dask.array")
+    read = []
+
+    def block(block_info: Any = None) -> Array:
+        read.append(block_info[None]["chunk-location"])
+        return np.ones((32,))
+
+    source = array.map_blocks(block, chunks=((32,) * 40,), dtype=np.float64, meta=np.empty(0))
+    data = xarray.DataArray(source, dims="x")
+    assert_allclose(data.clvol.interp(x=[610.5, 611.5]).values, 1, **SAME)
+    assert sorted(read) == [(18,), (19,)]  # samples 583 to 639
