@@ -322,6 +322,19 @@ def test_axes_left_alone_pass_through_exactly(device: Device, order: int) -> Non
     np.testing.assert_array_equal(ndimage.affine_transform(series[0], np.eye(2), order=order, device=device), series[0])
 
 
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("dtype", ["d", ">f8"])
+def test_lines_hear_nothing_of_each_other(device: Device, dtype: str, axis: int) -> None:
+    """Of an axis that is resampled alone; a missing sample costs its own line."""
+    data = samples(3, "d", (5, 6, 7), "c").astype(dtype)
+    data[2, 3, 4] = np.nan
+    shift = np.where(np.arange(3) == axis, 1.25, 0)
+    expected = scipy_ndimage.shift(np.nan_to_num(data).astype("d"), shift, mode="mirror")
+    line = tuple(slice(None) if k == axis else at for k, at in enumerate((2, 3, 4)))
+    expected[line] = np.nan
+    np.testing.assert_allclose(ndimage.shift(data, shift, mode="mirror", device=device), expected, atol=1e-12)
+
+
 @pytest.mark.parametrize("order", [1, 3])
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("cval", [0.3, np.nan, np.inf])

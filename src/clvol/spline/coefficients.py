@@ -220,7 +220,7 @@ class Coefficients:
         All cores of a processor copy if kernels can read the samples and store them as they are; otherwise NumPy does.
         """
         device = self.device
-        data = data[(None,) * (3 - data.ndim)]
+        data = data[(slice(None),) * (data.ndim - self.ndim) + (None,) * (3 - data.ndim)]  # slices of a batch come first
         if not self._kernels_read(data):
             with device.mapped(self.buffer, self.shape, write=True, kind=self.kind) as room:
                 inner = room[self.inner]
