@@ -15,7 +15,7 @@ from clvol.checks import number
 from clvol.device import Device, as_device
 from clvol.errors import MissingDependencyError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter
-from clvol.spline.field import Field, Precision
+from clvol.spline.field import Field, Precision, fill_value
 from clvol.spline.scatter import adjoint, linear
 from clvol.volume import Volume
 
@@ -95,8 +95,8 @@ def sample(
         raise OptionError(f"values must have at least the {d} axes that points have coordinates; got shape {tuple(values.shape)}")
     precision: Precision = "double" if values.dtype == torch.float64 else "single"
     grid = _Grid(*linear(filter, boundary), as_device(device), _along(spacing, d), _along(origin, d), precision)
-    at = points
-    if fill is not None:
+    at, outside = points, fill_value(fill)
+    if outside is not None:
         index = (points.detach().double() - torch.tensor(grid.origin)) / torch.tensor(grid.spacing)
         size = torch.tensor(tuple(values.shape[-d:][::-1]))
         inside = ((index >= -0.5) & (index <= size - 0.5)).all(-1)
@@ -105,8 +105,8 @@ def sample(
     functions = values.reshape(-1, *values.shape[-d:])
     each = [_functions().Value.apply(function, at, grid, _Kept()) for function in functions]
     result = torch.stack(each) if each else values.new_zeros((0, *points.shape[:-1]))
-    result = result.reshape(*values.shape[:-d], *points.shape[:-1])
-    return result if fill is None else torch.where(inside, result, float(fill))
+    result = result.reshape(values.shape[:-d] + points.shape[:-1])
+    return result if outside is None else torch.where(inside, result, outside)
 
 
 @dataclass(frozen=True)
@@ -227,4 +227,4 @@ def _functions() -> SimpleNamespace:
 
 def _along(value: Sequence[float] | float, d: int) -> tuple[float, ...]:
     """A number for every axis, if it is one."""
-    return tuple(value) if isinstance(value, Sequence) else (number("spacing and origin", value),) * d
+    return tuple(np.asarray(value).tolist()) if np.ndim(value) == 1 else (number("spacing or origin", value),) * d

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from datetime import timedelta
 from functools import partial
 from typing import Any, Generic, TypeVar
 
@@ -26,7 +27,7 @@ from clvol.errors import DataError, GeometryError, MissingDependencyError, Optio
 from clvol.filter import DEFAULT_FILTER, as_filter
 from clvol.interop import as_array
 from clvol.ndimage.engine import Axes, Points, evaluate
-from clvol.spline.field import Precision
+from clvol.spline.field import Precision, fill_value
 
 try:
     import xarray
@@ -109,12 +110,14 @@ class _Accessor(Generic[Labelled]):
         """
         if coords is not None and coords_kwargs:
             raise OptionError("give coordinates as a mapping or as keywords, not both")
+        if coords is not None and not isinstance(coords, Mapping):
+            raise OptionError(f"coords must be a mapping from dimensions to coordinates; got {coords!r}")
         return self.interpolated(dict(coords or coords_kwargs), _Spline(filter, boundary, fill, precision, device))
 
     def regrid(
         self,
         shape: Mapping[Any, int] | None = None,
-        spacing: Mapping[Any, float] | None = None,
+        spacing: Mapping[Any, float | np.timedelta64 | timedelta] | None = None,
         filter: str = DEFAULT_FILTER,
         boundary: str = DEFAULT_BOUNDARY,
         *,
@@ -131,7 +134,8 @@ class _Accessor(Generic[Labelled]):
         shape : mapping of dimension to int, optional
             New numbers of samples.
         spacing : mapping of dimension to number or timedelta, optional
-            New steps, positive; the domain's centre stays, and its size to within half a step. Give `shape` or `spacing`.
+            New steps, positive, timedeltas along time; the domain's centre stays, and its size to within half a step. Give `shape`
+            or `spacing`.
         filter, boundary, precision, device
             As in `interp`.
 
@@ -144,12 +148,10 @@ class _Accessor(Generic[Labelled]):
         OptionError, GeometryError, DataError
             As in `interp`; or both or none of `shape` and `spacing` are given, or one is no positive number.
         """
-        if (shape is None) == (spacing is None):
+        given = spacing if shape is None else shape
+        if (shape is None) == (spacing is None) or not isinstance(given, Mapping):
             raise OptionError("regrid takes exactly one of shape and spacing, each a mapping from dimensions")
-        targets = {
-            dim: _Line.of(self._labelled, dim).regridded(value, is_step=shape is None)
-            for dim, value in (shape or spacing or {}).items()
-        }
+        targets = {dim: _Line.of(self._labelled, dim).regridded(value, is_step=shape is None) for dim, value in given.items()}
         return self.interpolated(targets, _Spline(filter, boundary, None, precision, device))
 
     def interpolated(self, coords: Mapping[Any, Any], spline: _Spline) -> Labelled:
@@ -241,8 +243,12 @@ class _Line:
     def regridded(self, value: Any, *, is_step: bool) -> Array:
         """The coordinates of so many samples over the same domain, or of samples so far apart."""
         if is_step:
-            if isinstance(value, np.timedelta64) and self.values.dtype.kind in "Mm":
-                value = float(value.astype("m8[ns]").astype(np.int64))
+            if self.values.dtype.kind in "Mm":
+                if not isinstance(value, (np.timedelta64, timedelta)):  # pandas's is one of the latter
+                    raise OptionError(
+                        f"spacing along {self.dim!r} must be a timedelta, as its coordinate is in time; got {value!r}"
+                    )
+                value = float(np.timedelta64(value).astype("m8[ns]").astype(np.int64))
             ratio = number(f"spacing along {self.dim!r}", value, above=0) / abs(self.step)
             count = max(1, round(self.size / ratio))
         else:
@@ -284,7 +290,7 @@ class _Spline:
             raise one_of("boundary", boundary, _MODES)
         if precision not in (None, "single", "double"):
             raise one_of("precision", precision, ("single", "double"))
-        self.fill = None if fill is None else float(fill)
+        self.fill = fill_value(fill)
         self.precision = precision
         self._device = None if device is None else as_device(device)
 

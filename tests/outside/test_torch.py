@@ -145,6 +145,9 @@ def test_mixed_precision_and_no_channels(device: Device) -> None:
     clvol.torch.sample(values, double, device=device).sum().backward()
     assert (values.grad.dtype, double.grad.dtype) == (torch.float32, torch.float64)
     assert clvol.torch.sample(torch.zeros(0, 4, 5, 6), points, device=device).shape == (0, 7)
+    plane, point = torch.arange(20.0).reshape(4, 5), torch.tensor([4.0, 2.5])
+    options = {"spacing": np.array([2.0, 1.0]), "origin": torch.tensor([0.0, 0.5]), "device": device}
+    assert clvol.torch.sample(plane, point, "linear", **options).item() == 12
 
 
 @pytest.mark.parametrize(
@@ -165,6 +168,8 @@ def test_mixed_precision_and_no_channels(device: Device) -> None:
         ({"filter": "bspline3(auto)"}, OptionError, "no volume decides on"),
         ({"boundary": "constant"}, OptionError, "extends coefficients"),
         ({"spacing": (1, 2, 3)}, ValueError, "spacing"),
+        ({"spacing": "fine"}, OptionError, "spacing or origin must be a finite number; got 'fine'"),
+        ({"fill": "none"}, OptionError, "fill must be a number or None; got 'none'"),
         ({"values": torch.full((3, 3), np.nan)}, DataError, "finite"),
     ],
     ids=lambda v: next(iter(v)) if isinstance(v, dict) else "",

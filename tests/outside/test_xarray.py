@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tracemalloc
+from datetime import timedelta
 from typing import Any
 
 import numpy as np
@@ -119,9 +120,12 @@ def test_datetimes() -> None:
     assert_allclose(
         data.interp(time=np.array(texts, "M8[ns]")).values, data.clvol.interp(time=texts, filter="linear").values, **SAME
     )
-    finer = data.clvol.regrid(spacing={"time": np.timedelta64(3, "h")})
-    assert finer.time.values[0] == np.datetime64("2000-12-31T22:30")
-    assert finer.sizes["time"] == 24
+    for step in (np.timedelta64(3, "h"), timedelta(hours=3)):
+        finer = data.clvol.regrid(spacing={"time": step})
+        assert finer.time.values[0] == np.datetime64("2000-12-31T22:30")
+        assert finer.sizes["time"] == 24
+    with pytest.raises(OptionError, match=r"spacing along 'time' must be a timedelta, .*; got 3$"):
+        data.clvol.regrid(spacing={"time": 3})
     with pytest.raises(OptionError, match="'time' must be datetimes"):
         data.clvol.interp(time=["noon"])
     with pytest.raises(OptionError, match="'x' must be numbers"):
@@ -160,9 +164,12 @@ def test_arguments_that_are_refused() -> None:
         (lambda: data.clvol.interp(x=3.1, boundary="zero"), "boundary must be one of mirror, reflect, wrap, nearest; got 'zero'"),
         (lambda: data.clvol.interp(x=3.1, precision="half"), "precision must be one of single, double; got 'half'"),
         (lambda: data.clvol.interp({"x": 3.1}, y=2), "as a mapping or as keywords, not both"),
+        (lambda: data.clvol.interp("x"), "coords must be a mapping from dimensions to coordinates; got 'x'"),
+        (lambda: data.clvol.interp(x=3.1, fill="extrapolate"), "fill must be a number or None; got 'extrapolate'"),
         (lambda: data.clvol.interp(x=[[3.1]]), r"'x' with several axes must be a DataArray.*\(1, 1\)"),
         (lambda: data.clvol.interp(x=np.nan, fill=None), "must be finite where fill is None"),
         (lambda: data.clvol.regrid(), "exactly one of shape and spacing"),
+        (lambda: data.clvol.regrid([4]), "each a mapping from dimensions"),
         (lambda: data.clvol.regrid({"x": 4}, {"x": 4}), "exactly one of shape and spacing"),
         (lambda: data.clvol.regrid({"x": 0}), "shape along 'x' must be a whole number"),
         (lambda: data.clvol.regrid(spacing={"x": -1}), "spacing along 'x' must be a finite number, greater than 0"),
