@@ -154,13 +154,13 @@ class Field:
     time.
 
     Single precision computes in float32: values err by about 10⁻⁶ of the largest magnitude. Samples further than 8 times their
-    range from zero (a pressure of 101,325 ± 3) are stored less an offset, and samples beyond 2⁻⁹⁰ to 2⁹⁰ less a power of two, whatever
-    their type, so that values err by about 10⁻⁶ of the *range* then. Results are float32 where samples are stored as they are,
-    as most are. Otherwise values are float64; derivatives are so with a power of two alone, for an offset does not change them.
-    No offset is taken off where the filter's weights do not sum to one (`lanczos3`, `sinc`), nor under the boundary rules "zero"
-    and "grid-constant". Double precision stores samples as they are.
-    A single sample near zero in data that are otherwise far from it prevents the offset too. Integers with a range of more than
-    2²⁴ are rounded to 2⁻²⁴ of it. See `clvol.stored`.
+    range from zero (a pressure of 101,325 ± 3) are stored less an offset, and samples beyond 2⁻⁹⁰ to 2⁹⁰ less a power of two,
+    whatever their type, so that values err by about 10⁻⁶ of the *range* then. Results are float32 where samples are stored as
+    they are, as most are. Otherwise values are float64; derivatives are so with a power of two alone, for an offset does not
+    change them. No offset is taken off where the filter's weights do not sum to one (`lanczos3`, `sinc`), nor under the
+    boundary rules "zero" and "grid-constant". Double precision stores samples as they are. A single sample near zero in data
+    that are otherwise far from it prevents the offset too. Integers with a range of more than 2²⁴ are rounded to 2⁻²⁴ of it.
+    See `clvol.stored`.
 
     Examples
     --------
