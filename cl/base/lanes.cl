@@ -1,4 +1,4 @@
-// Code that is written once and runs for one ray or point, or for LANES of them at a time: `real` is float or a vector.
+// Code that is written once and runs for one ray or point, or for LANES of them at a time: `real` is a scalar or a vector.
 //
 // Set by the host: LANES: 1, 8, or 16 where registers hold as many numbers (march.cl).
 

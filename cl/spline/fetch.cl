@@ -58,7 +58,10 @@ INLINE scalar fetch_one(COEFFICIENTS coefficients, const int4 extent, int x, int
 
 // Where a block of taps begins, so that additions alone reach its rows.
 typedef global const scalar *cursor_t;
-INLINE cursor_t cursor_at(COEFFICIENTS coefficients, const int4 extent, int x, int y, int z) { return coefficients + offset_of(extent, x, y, z); }
+INLINE cursor_t cursor_at(COEFFICIENTS coefficients, const int4 extent, int x, int y, int z)
+{
+    return coefficients + offset_of(extent, x, y, z);
+}
 
 INLINE cursor_t next_slice(COEFFICIENTS coefficients, const int4 extent, cursor_t c) { return c + (size_t)extent.x * extent.y; }
 

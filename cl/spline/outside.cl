@@ -1,7 +1,8 @@
 // Points outside the volume's domain: brought to where the function is the same, or given a value of their own.
 //
-// Set by the host: DERIVATIVE, 0, 1 or 2; WITH_VALUE, whether gradients follow the values, of points on a grid; EDGE, how far from the outer samples the domain ends; FILL: 0, the boundary rule goes
-// on outside; 1, the result there is `fill`, NaN at positions that are not finite; 2, it is `fill` at these alone.
+// Set by the host: DERIVATIVE, 0, 1 or 2; WITH_VALUE, whether each value comes before its gradient, of points on a grid; EDGE, how
+// far from the outer samples the domain ends; FILL: 0, the boundary rule goes on outside; 1, the result there is `fill`, NaN at
+// positions that are not finite; 2, it is `fill` at these alone, which is then the value of rules that have one.
 
 #include "spline/boundary.cl"
 #include "spline/position.cl"
@@ -25,7 +26,7 @@ typedef struct { int x, y, z; } along_t;
 INLINE int within_volume(position_t at, const int4 size)
 {
 #define WITHIN(axis) at.axis >= -(coord)(EDGE) && at.axis <= size.axis - 1 + (coord)(EDGE)
-    return WITHIN(x) && WITHIN(y) && WITHIN(z);   // y and z are 0 where there is no such axis; NaN and infinities are not within
+    return WITHIN(x) && WITHIN(y) && WITHIN(z);   // 0 where there is no such axis; NaN and infinities are not within
 #undef WITHIN
 }
 

@@ -34,7 +34,7 @@ INLINE mask4 within_axis(coord4 x, int size)
 
 typedef union { coords_t all; coord each[LANES]; } lane_coords_u;
 
-// Whether all points outside have one value, which takes no look at each.
+// Whether all points outside have one value, which takes no look at each: FILL 2 has that of the rule (outside.cl).
 #define ONE_VALUE (BOUNDARY == CONSTANT && FILL == 2 && !DERIVATIVE)
 
 #if ONE_VALUE
@@ -228,8 +228,8 @@ INLINE real3 lanes_gradient(COEFFICIENTS coefficients, const int4 extent, const 
 #endif
 
 // Results of up to LANES points from the n-th.
-INLINE void lanes_into(COEFFICIENTS coefficients, const int4 extent, const cells_t *cells, source_t source, int n, int count, constant coord *w,
-                       global scalar *results)
+INLINE void lanes_into(COEFFICIENTS coefficients, const int4 extent, const cells_t *cells, source_t source, int n, int count,
+                       constant coord *w, global scalar *results)
 {
     union { real all[COMPONENTS]; scalar each[COMPONENTS * LANES]; } u;
 #if DERIVATIVE == 0

@@ -10,8 +10,8 @@
 // | points outside are brought inside, and sampled as others | outside.cl     |
 // | points in no order are sorted first                     | sort.cl        |
 //
-// Set by the host: DERIVATIVE, 0, 1 or 2; WITH_VALUE (outside.cl); LANES, points that are computed at once, 1 or 8; FEW, whether an int can count the coefficients; RUN, points of a work-item; and
-// what is included.
+// Set by the host: DERIVATIVE, 0, 1 or 2; WITH_VALUE (outside.cl); LANES, points that are computed at once, 1 or 8; FEW, whether an
+// int can count the coefficients; RUN, points of a work-item; and what is included.
 
 #include "base/platform.cl"
 #include "spline/filter.cl"
@@ -97,20 +97,22 @@ INLINE void run_into(COEFFICIENTS coefficients, const int4 extent, source_t sour
 
 #if !ON_GRID
 
-kernel void sample_points(COEFFICIENTS coefficients, const int4 extent, const int4 size, const int4 period, constant coord *transform,
-                          global const POINT *points, const ulong planes, const ulong count, const scalar2 given,
+kernel void sample_points(COEFFICIENTS coefficients, const int4 extent, const int4 size, const int4 period,
+                          constant coord *transform, global const POINT *points, const ulong planes, const ulong count, const scalar2 given,
                           global scalar *results)
 {
     const source_t source = { points, get_global_id(0) * RUN, planes };
     if (source.first < count)
-        run_into(coefficients, extent, source, count - source.first < RUN ? count - source.first : RUN, size, period, transform, given, results);
+        run_into(coefficients, extent, source, count - source.first < RUN ? count - source.first : RUN, size, period, transform,
+                 given, results);
 }
 
 #else
 
 // grid: the number of points along x and y, and the first row and slice of this launch. base: the point that `results` begin with.
-kernel void sample_grid(COEFFICIENTS coefficients, const int4 extent, const int4 size, const int4 period, constant coord *transform,
-                           const int4 grid, const ulong base, const scalar2 given, global scalar *results CHAIN_ARGUMENTS)
+kernel void sample_grid(COEFFICIENTS coefficients, const int4 extent, const int4 size, const int4 period,
+                        constant coord *transform, const int4 grid, const ulong base, const scalar2 given,
+                        global scalar *results CHAIN_ARGUMENTS)
 {
     source_t source = { get_global_id(0) * RUN, (int)get_global_id(1) + grid.z, (int)get_global_id(2) + grid.w, 0 CHAIN_GIVEN };
     source.first = ((size_t)source.k * grid.y + source.j) * grid.x + source.i - base;

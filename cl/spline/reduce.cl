@@ -6,8 +6,8 @@
 // | they are first brought together, however far apart they lie in the array: | bring_lines |
 // | neighbouring sums take much the same samples, which are then in the cache |             |
 //
-// Set by the host: ALONG, whether lines run along the last axis; WIDTH, a multiple
-// of 8. The host also computes which samples make a sum, and with what weights (reduce.py).
+// Set by the host: ALONG, whether lines run along the last axis; WIDTH, a multiple of 8. The host also computes which samples make
+// a sum, and with what weights (reduce.py).
 
 #include "base/platform.cl"
 
@@ -66,10 +66,12 @@ INLINE void sum_lines(global scalar *restrict result, const size_t next_line, co
 // An array [outer][n][inner] becomes [outer][sums][inner]. A work-item takes some of `units` in turn, each WIDTH lines that lie
 // side by side; if they run ALONG the last axis, inner is 1 and they are WIDTH of the outer ones.
 //
-// scratch: (n + 1) WIDTH numbers for each work-item. Place n stands for `outside`.
-kernel void sum_along_axis(global const scalar *restrict data, const int outer, const int n, const int inner, const int sums,
+// scratch: (n + 1) WIDTH numbers for each work-item. Place n stands for `outside`. `results` may be `data` where sums == n: lines
+// are brought together before any of their sums is written.
+kernel void sum_along_axis(global const scalar *data, const int outer, const int n, const int inner, const int sums,
                            const int taps, global const int *restrict places, global const scalar *restrict weights,
-                           const scalar outside, const int first, const int units, global scalar *restrict scratch, global scalar *restrict results)
+                           const scalar outside, const int first, const int units, global scalar *restrict scratch,
+                           global scalar *results)
 {
     const size_t item = get_global_id(0), items = get_global_size(0);
     global scalar *lines = scratch + item * (size_t)(n + 1) * WIDTH;

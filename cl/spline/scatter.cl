@@ -17,6 +17,7 @@
 #include "spline/filter.cl"
 #include "spline/boundary.cl"
 #include "spline/cell.cl"
+#include "spline/position.cl"
 
 #if DIMENSIONS == 3
 #define SLICES TAPS
@@ -32,8 +33,11 @@
 
 #define NO_BRICK UINT_MAX
 
-// stored, bricks: coefficients along x, y and z, with a margin of TAPS on either side of the volume's, which holds all taps of
-// points in the domain and close by; and bricks. m: as for points.cl.
+// Coefficients on either side of the volume's: all taps of points in the domain, and of those that the boundary rule brings to
+// just outside, where every tap is past the edge.
+#define MARGIN (TAPS + 1)
+
+// stored, bricks: coefficients along x, y and z, margins included; and bricks. m: as for points.cl.
 kernel void locate_points(const int4 size, const int4 period, const int4 stored, const int4 bricks, constant coord *m,
                           global const POINT *points, global const scalar *values, const ulong count,
                           global ulong *places, global scalar *fractions, global scalar *added, global uint *brick_of)
@@ -41,22 +45,20 @@ kernel void locate_points(const int4 size, const int4 period, const int4 stored,
     const size_t n = get_global_id(0);
     if (n >= count)
         return;
-    points += DIMENSIONS * n;
     values += COMPONENTS * n;
-    const coord p[3] = { points[0], points[1], DIMENSIONS == 3 ? points[DIMENSIONS - 1] : 0 };
     const int sizes[3] = { size.x, size.y, size.z }, periods[3] = { period.x, period.y, period.z };
     const int limits[3] = { stored.x, stored.y, stored.z };
     const int across[3] = { bricks.x, bricks.y, bricks.z };
-    coord at[3];
+    const source_t source = { points, n, 0 };
+    const position_t index = index_of(point_of(source, 0), m);
+    const coord at[3] = { index.x, index.y, index.z };
     int outside = 0;
     for (int axis = 0; axis < DIMENSIONS; ++axis) {
-        const coord x = madd(m[3 * axis], p[0], madd(m[3 * axis + 1], p[1], madd(m[3 * axis + 2], p[2], m[9 + axis])));
-        if (!(x - x == 0)) {   // no such place
+        if (!(at[axis] - at[axis] == 0)) {   // no such place
             brick_of[n] = NO_BRICK;
             return;
         }
-        outside |= x < (coord)-0.5 || x > sizes[axis] - (coord)0.5;
-        at[axis] = x;
+        outside |= at[axis] < (coord)-0.5 || at[axis] > sizes[axis] - (coord)0.5;
     }
     ulong place = 0, row = 1;
     uint brick = 0, bricks_before = 1;
@@ -64,7 +66,7 @@ kernel void locate_points(const int4 size, const int4 period, const int4 stored,
         int sign = 1;
         const coord x = outside ? boundary_position(at[axis], sizes[axis], periods[axis], &sign) : at[axis];
         scalar t;
-        const int base = locate_axis(x, &t) + TAPS;
+        const int base = locate_axis(x, &t) + MARGIN;
         place += row * base;
         row *= limits[axis];
         brick += bricks_before * (base / BRICK);
@@ -89,7 +91,8 @@ kernel void scatter_points(const int4 stored, const int4 bricks, const int4 firs
                            global const scalar *fractions, global const scalar *added, global const int *order,
                            global const int *starts, global scalar *coefficients)
 {
-    const int x = 2 * (int)get_global_id(0) + first.x, y = 2 * (int)get_global_id(1) + first.y, z = 2 * (int)get_global_id(2) + first.z;
+    const int x = 2 * (int)get_global_id(0) + first.x, y = 2 * (int)get_global_id(1) + first.y;
+    const int z = 2 * (int)get_global_id(2) + first.z;
     if (x >= bricks.x || y >= bricks.y || z >= bricks.z)
         return;
     const size_t brick = ((size_t)z * bricks.y + y) * bricks.x + x, row = stored.x, slice = row * stored.y;

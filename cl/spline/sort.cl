@@ -48,8 +48,8 @@ kernel void count_bricks(constant coord *transform, const int4 size, const int4 
 }
 
 // starts: where the first point of each stretch in each brick goes. Results: x, y, z and the place in `points`.
-kernel void sort_points(global const POINT *points, const ulong planes, const ulong count, global const ushort *bricks, global const uint *starts,
-                        global POINT *sorted)
+kernel void sort_points(global const POINT *points, const ulong planes, const ulong count, global const ushort *bricks,
+                        global const uint *starts, global POINT *sorted)
 {
     typedef PASTE(POINT, 4) point4;
     const size_t item = get_global_id(0), end = stretch(count, item + 1);

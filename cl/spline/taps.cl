@@ -42,7 +42,10 @@ INLINE rows_t fetch_rows(COEFFICIENTS coefficients, const int4 extent, cursors_t
     return fetch_row(coefficients, extent, c, i, j);
 }
 
-INLINE cursors_t next_slices(COEFFICIENTS coefficients, const int4 extent, cursors_t c) { return next_slice(coefficients, extent, c); }
+INLINE cursors_t next_slices(COEFFICIENTS coefficients, const int4 extent, cursors_t c)
+{
+    return next_slice(coefficients, extent, c);
+}
 
 #else
 
@@ -62,7 +65,8 @@ INLINE cursors_t next_slices(COEFFICIENTS coefficients, const int4 extent, curso
 
 #endif
 
-INLINE rows_t sum_rows(COEFFICIENTS coefficients, const int4 extent, cursors_t slice, int first, const weight_t wy[LINES], const weight_t wz[SLICES])
+INLINE rows_t sum_rows(COEFFICIENTS coefficients, const int4 extent, cursors_t slice, int first, const weight_t wy[LINES],
+                       const weight_t wz[SLICES])
 {
     rows_t sum = (rows_t)(0.0f);
     UNROLL_TAPS
@@ -80,8 +84,8 @@ INLINE rows_t sum_rows(COEFFICIENTS coefficients, const int4 extent, cursors_t s
 // The same, and the sums with derivatives of the weights along y, and along z.
 typedef struct { rows_t sum, sum_y, sum_z; } slopes_t;
 
-INLINE slopes_t sum_slopes(COEFFICIENTS coefficients, const int4 extent, cursors_t slice, int first, const weight_t wy[LINES], const weight_t sy[LINES],
-                             const weight_t wz[SLICES], const weight_t sz[SLICES])
+INLINE slopes_t sum_slopes(COEFFICIENTS coefficients, const int4 extent, cursors_t slice, int first, const weight_t wy[LINES],
+                           const weight_t sy[LINES], const weight_t wz[SLICES], const weight_t sz[SLICES])
 {
     slopes_t s = { (rows_t)(0.0f), (rows_t)(0.0f), (rows_t)(0.0f) };
     UNROLL_TAPS

@@ -19,6 +19,7 @@ __all__ = ["Missing", "NanRule", "as_missing", "filled_smoothly", "touching"]
 NanRule: TypeAlias = Literal["error", "propagate", "local"]
 
 _BAND: Final = 4  # samples from a valid one: what lies deeper is 1/200 of what it is at the edge once a cubic's prefilter is past
+_EXACT: Final = 1e-200  # squares of what is left, in units of the largest sample, whose products would be lost
 _STEPS: Final = 20  # of conjugate gradients; the start is near, so that holes of 9 samples are within 2 % of the minimum
 
 
@@ -219,7 +220,7 @@ def _least_bent(data: NDArray[Any], unknown: NDArray[np.intp], exponent: int, st
     residual = across @ (np.concatenate(given) - differences @ result)
     direction, size = residual, float((residual * residual).sum())
     for _ in range(_STEPS):
-        if size == 0:
+        if size < _EXACT:
             break
         bent = across @ (differences @ direction)
         step = size / float((direction * bent).sum())

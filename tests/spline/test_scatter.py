@@ -94,6 +94,19 @@ def test_how_often_points_touch_each_sample(device: Device) -> None:
     assert_allclose(share, 16, rtol=1e-6)
 
 
+def test_jumps_lie_where_sampling_has_them(device: Device) -> None:
+    # a turned grid whose points lie half way between samples, but for rounding
+    angle = np.deg2rad(30)
+    v = clvol.Volume(
+        np.arange(81.0).reshape(9, 9), (0.1, 0.1), (0.3, 0.7), [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    )
+    at = v.index_to_world(np.stack(np.meshgrid(*[np.arange(0.5, 8, 1)] * 2, indexing="ij"), -1).reshape(-1, 2))
+    taken = clvol.sample(v, at, "nearest", device=device)
+    for n, value in enumerate(taken):
+        given = clvol.adjoint([1.0], at[[n]], v, "nearest", device=device)
+        assert v.data[given == 1].tolist() == [value]
+
+
 def test_points_that_add_nothing(device: Device) -> None:
     at = np.array([[np.nan, 1], [1, np.inf], [-np.inf, 2], [2, 2]])
     got = clvol.adjoint([1, 2, 3, 4], at, (5, 5), "linear", device=device)
@@ -101,6 +114,8 @@ def test_points_that_add_nothing(device: Device) -> None:
     assert got.sum() == 4
     far = [[1e30, 2], [-1e300, 2], [2, -40.0]]
     assert (clvol.adjoint([1, 2, 3], far, (5, 5), "linear", "zero", device=device) == 0).all()
+    for name in ("nearest", "linear", "bspline2", "bspline3", "bspline5"):
+        assert (clvol.adjoint([1, 2, 3, 4], [*far, [9e9, 9e9]], (5, 5), name, "zero", device=device) == 0).all()
     assert (clvol.adjoint(np.empty(0), np.empty((0, 3)), (2, 3, 4), device=device) == np.zeros((2, 3, 4))).all()
 
 

@@ -153,13 +153,14 @@ class Field:
     A Field is a context manager: leaving it frees the device's memory, as `close` does. Several threads may use one at a
     time.
 
-    Devices compute in float32: values err by about 10⁻⁶ of the largest magnitude. Samples further than 8 times their range from
-    zero (a pressure of 101,325 ± 3) are stored less an offset, and samples beyond 2⁻⁹⁰ to 2⁹⁰ less a power of two, whatever
-    their type, so that values err by about 10⁻⁶ of the *range* then. Results are float32 where samples are stored as they are,
-    as most are. Otherwise values are float64; derivatives are so with a power of two alone, for an offset does not change them.
-    No offset is taken off where the filter's weights do not sum to one (`lanczos3`, `sinc`), nor under the boundary rule "zero".
-    A single sample near zero in data that are otherwise far from it prevents the offset too. Integers with a range of more than
-    2²⁴ are rounded to 2⁻²⁴ of it. See `clvol.stored`.
+    Single precision computes in float32: values err by about 10⁻⁶ of the largest magnitude. Samples further than 8 times their
+    range from zero (a pressure of 101,325 ± 3) are stored less an offset, and samples beyond 2⁻⁹⁰ to 2⁹⁰ less a power of two,
+    whatever their type, so that values err by about 10⁻⁶ of the *range* then. Results are float32 where samples are stored as
+    they are, as most are. Otherwise values are float64; derivatives are so with a power of two alone, for an offset does not
+    change them. No offset is taken off where the filter's weights do not sum to one (`lanczos3`, `sinc`), nor under the
+    boundary rules "zero" and "grid-constant". Double precision stores samples as they are. A single sample near zero in data
+    that are otherwise far from it prevents the offset too. Integers with a range of more than 2²⁴ are rounded to 2⁻²⁴ of it.
+    See `clvol.stored`.
 
     Examples
     --------
@@ -647,7 +648,7 @@ def sample(
     filter : str or Filter, optional
         A name in `clvol.filters()`, or a filter of your own; default "bspline3", or that of the Field.
     boundary : str or Boundary, optional
-        "mirror", "reflect", "wrap" or "zero"; default "mirror", or that of the Field.
+        "mirror", "reflect", "wrap", …: see `clvol.boundaries`; default "mirror", or that of the Field.
     derivative : {0, 1, 2}
         0 for values, 1 for gradients, 2 for Hessians: the exact derivatives of the function that derivative 0 gives, per
         world unit (almost everywhere, where it has kinks or jumps).

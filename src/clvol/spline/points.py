@@ -46,7 +46,8 @@ class Given:
     fill : float, optional
         The value; None: the boundary rule goes on.
     missing : bool
-        Whether it stands for positions alone that are not finite; these are NaN otherwise.
+        Whether it stands for positions alone that are not finite; these are NaN otherwise. It is then the value of rules that
+        have one.
     edge : float, optional
         How far past the outer samples the domain goes; None: as far as the boundary rule says.
     """

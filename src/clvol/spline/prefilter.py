@@ -21,10 +21,8 @@ from clvol.spline.build import DefineDict, scalar_defines
 __all__ = ["gain_along", "prefilter_in_place"]
 
 _CHAINS = 4  # vectors of lines that one work-item of a processor filters side by side
-_START_ERRORS: dict[type[np.generic], float] = {
-    np.float32: 1e-9,
-    np.float64: 1e-18,
-}  # what the starting values may leave out, relative to the data
+# what the starting values may leave out, relative to the data
+_START_ERRORS: dict[type[np.generic], float] = {np.float32: 1e-9, np.float64: 1e-18}
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,9 +164,8 @@ def prefilter_in_place(
                 *arguments,
             )
 
-    first_row = (halo * area if dimensions > 2 else 0) + (
-        halo * pitch if dimensions > 1 else 0
-    )  # its halo is filtered too, in vain
+    # its halo is filtered too, in vain
+    first_row = (halo * area if dimensions > 2 else 0) + (halo * pitch if dimensions > 1 else 0)
     lines = np.int32(nx), np.uint64(pitch), np.int32(ny), np.uint64(area)
     wide = -(-pitch // (LANES * int(defines["CHAINS"])))
     with device.errors:

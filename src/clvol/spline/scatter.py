@@ -103,7 +103,7 @@ def adjoint(
         raise DeviceError(f"precision 'double' needs a device with float64 (cl_khr_fp64); {chosen.name} has none: use 'single'")
     stored = _scattered(added.reshape(-1, d**derivative), at.reshape(-1, d), grid, row, rule, derivative, kind, chosen)
     for axis, n in enumerate(grid.shape):
-        stored = _brought_back(stored, axis, n, row.support, rule)
+        stored = _brought_back(stored, axis, n, row.support + 1, rule)
     if not row.prefilter:
         return stored
     _scale_folds(stored, rule, 2.0)
@@ -144,19 +144,20 @@ def _scattered(
     scalar: type[np.generic],
     device: Device,
 ) -> Samples:
-    """Values times the weights of their points' taps, with a margin of as many coefficients as there are taps."""
+    """Values times the weights of their points' taps, with a margin of one coefficient more than there are taps (scatter.cl)."""
     from scipy import sparse
 
     taps, d, count = row.support, grid.ndim, points.shape[0]
+    margin = taps + 1
     if count > _MOST_POINTS:
         raise OptionError(f"points must be at most {_MOST_POINTS}; got {count}")
     brick = max(_BRICK, taps)
-    stored = np.array([*(n + 2 * taps for n in grid.size), 1, 0][:4], np.int32)
+    stored = np.array([*(n + 2 * margin for n in grid.size), 1, 0][:4], np.int32)
     bricks = np.array([*(-(-n // brick) for n in stored[:d].tolist()), 1, 0][:4], np.int32)
     size = np.array([*grid.size, 1, 0][:4], np.int32)
     period = np.array([*(rule.length(n) for n in grid.size), 0, 0][:4], np.int32)
     kind = np.float64 if device.has_double and points.dtype != np.float32 else np.float32
-    result = np.zeros(tuple(n + 2 * taps for n in grid.shape), scalar)
+    result = np.zeros(tuple(n + 2 * margin for n in grid.shape), scalar)
     if count == 0:
         return result
     built = device.build(

@@ -142,7 +142,7 @@ def _solve(lines: Array, b: Array, boundary: str | Boundary) -> Array:
             band[k + i - j, j] += v
         else:
             corner[i, j] += v
-    solved: Array = np.asarray(linalg.solve_banded((k, k), band, lines), dtype=np.float64)
+    solved: Array = np.asarray(linalg.solve_banded((k, k), band, lines, check_finite=False), dtype=np.float64)
     if not corner.any():
         return solved
     # Woodbury: (B + E C)^-1 p = B^-1 p - B^-1 E (1 + C B^-1 E)^-1 C B^-1 p, E: the corners' rows
