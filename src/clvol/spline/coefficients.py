@@ -200,12 +200,12 @@ class Coefficients:
         self.fill_halo(self.pad)
 
     def copy_samples(self, data: NDArray[Any], gain: float = 1.0) -> None:
-        """Put samples, times `gain`, where their coefficients will be.
+        """Put samples [z, y, x], or of a batch, times `gain`, where their coefficients will be.
 
         All cores of a processor copy if kernels can read the samples and store them as they are; otherwise NumPy does.
         """
         device, sizes = self.device, self.size[:3].tolist()
-        data = data[(None,) * (3 - data.ndim)]
+        data = data[:, np.newaxis] if data.ndim > self.ndim == 1 else data[(None,) * (3 - data.ndim)]
         if not self._kernels_read(data):
             with device.mapped(self.buffer, self.shape, write=True, kind=self.kind) as room:
                 inner = room[self.inner]
