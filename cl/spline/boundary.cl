@@ -17,9 +17,9 @@ INLINE coord boundary_position(coord x, const int n, const int period, int *alon
     const coord last = n - 1;
     *along = 1;
 #if BOUNDARY == ENDING
+    // past these ends all coefficients are the same, and the function repeats from one to the next
     const coord low = -(coord)(BOUNDARY_PAD + BOUNDARY_REACH), high = last - low;
-    *along = x > low && x < high;
-    return clamp(x, low, high);
+    return x < low ? low - 1 + (x - floor(x)) : x > high ? high + (x - floor(x)) : x;
 #elif BOUNDARY == CONSTANT
     return x;   // what is outside has its value already
 #else

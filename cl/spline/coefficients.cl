@@ -7,16 +7,22 @@
 
 #include "base/platform.cl"
 
-// Samples from the `first` one on, `strides` apart along x, y and z, rows along id 0, slices along id 1. The first coefficient goes to `origin`; rows lie
-// `pitch` apart and slices `area`; they are multiplied by `gain`.
-kernel void copy_samples(global const SAMPLE *restrict samples, const long first, const long4 strides, global scalar *restrict coefficients,
-                         const ulong origin, const int count, const ulong pitch, const ulong area,
-                         const scalar gain)
+// Samples from the `first` one on, `strides` apart along x, y and z, to rows `pitch` apart of slices `area` apart, the first of
+// them at `origin`; they are multiplied by `gain`. Rows lie along id 0, and `bundle` of the slices at a time along id 1: one is
+// copied after the other, or, if there are several, a column of all after the other, for these then lie closer in memory.
+kernel void copy_samples(global const SAMPLE *restrict samples, const long first, const long4 strides,
+                         global scalar *restrict coefficients, const ulong origin, const int count, const int slices,
+                         const int bundle, const ulong pitch, const ulong area, const scalar gain)
 {
-    const size_t j = get_global_id(0), k = get_global_id(1);
+    const size_t j = get_global_id(0), k = get_global_id(1) * bundle;
     global const SAMPLE *from = samples + (first + (long)k * strides.z + (long)j * strides.y);
     global scalar *to = coefficients + origin + k * area + j * pitch;
-    if (strides.x == 1)
+    const int some = MIN(bundle, slices - (int)k);
+    if (bundle > 1)
+        for (int i = 0; i < count; ++i)
+            for (int b = 0; b < some; ++b)
+                to[b * area + i] = gain * from[i * strides.x + b * strides.z];
+    else if (strides.x == 1)
         for (int i = 0; i < count; ++i)
             to[i] = gain * from[i];
     else

@@ -15,7 +15,11 @@
 // The first of each point's taps among the coefficients, and the fractions past it. Bit i of `valued` is set if point i is not
 // sampled, but has a value of its own; its cell is meaningless. along: the signs of derivatives.
 typedef struct {
+#if FEW
+    lane_masks_u first;
+#else
     union { long4 halves[2]; long each[LANES]; } first;
+#endif
     real tx, ty, tz;
     int valued;
 #if DERIVATIVE
@@ -104,8 +108,12 @@ INLINE cells_t locate_points(positions_t p, constant coord *m, int4 size, int4 p
 #else
     c.tz = (real)(0.0f);
 #endif
+#if FEW
+    c.first.all = row * extent.x + x;
+#else
     c.first.halves[0] = CONVERT(row.lo, long4) * (long)extent.x + CONVERT(x.lo, long4);
     c.first.halves[1] = CONVERT(row.hi, long4) * (long)extent.x + CONVERT(x.hi, long4);
+#endif
     return c;
 }
 

@@ -10,7 +10,7 @@
 // | points outside are brought inside, and sampled as others | outside.cl     |
 // | points in no order are sorted first                     | sort.cl        |
 //
-// Set by the host: DERIVATIVE, 0, 1 or 2; WITH_VALUE (outside.cl); LANES, points that are computed at once, 1 or 8; RUN, points of a work-item; and
+// Set by the host: DERIVATIVE, 0, 1 or 2; WITH_VALUE (outside.cl); LANES, points that are computed at once, 1 or 8; FEW, whether an int can count the coefficients; RUN, points of a work-item; and
 // what is included.
 
 #include "base/platform.cl"

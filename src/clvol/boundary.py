@@ -152,7 +152,9 @@ class Boundary:
         """
         x, last = np.asarray(x, dtype=np.float64), n - 1
         if self.outside in ("clamp", "grid-constant") or not self.period:
-            return np.asarray(np.clip(x, -(pad + reach), last + pad + reach))
+            low, high = -(pad + reach), last + pad + reach  # past which all coefficients are the same
+            rest = x - np.floor(x)
+            return np.asarray(np.where(x < low, low - 1 + rest, np.where(x > high, high + rest, x)))
         if self.outside == "constant":
             return x
         if self.outside == "overlap":

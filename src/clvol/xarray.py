@@ -90,7 +90,8 @@ class _Accessor(Generic[Labelled]):
         DataArray or Dataset
             Lazy where the samples are arrays of dask, in blocks at most as long as theirs. It differs from the result of the same
             array in memory by 10⁻¹² of the largest magnitude at most (10⁻⁶ in single precision), because blocks end the
-            recursions of the prefilter 24 (12) samples beyond what they need, more for higher orders.
+            recursions of the prefilter 24 samples beyond what they need (12 where single precision is asked for), more for
+            higher orders.
 
         Raises
         ------
@@ -276,16 +277,16 @@ class _Spline:
     def __init__(
         self, filter: str, boundary: str, fill: float | None, precision: Precision | None, device: Device | str | int | None
     ) -> None:
-        if not isinstance(filter, str) or filter not in _ORDERS:
+        self._filter, self._boundary = as_filter(filter), as_boundary(boundary)
+        if self._filter.name not in _ORDERS:
             raise one_of("filter", filter, _ORDERS)
-        if not isinstance(boundary, str) or boundary not in _MODES:
+        if self._boundary.name not in _MODES:
             raise one_of("boundary", boundary, _MODES)
         if precision not in (None, "single", "double"):
             raise one_of("precision", precision, ("single", "double"))
         self.fill = None if fill is None else float(fill)
         self.precision = precision
         self._device = None if device is None else as_device(device)
-        self._filter, self._boundary = as_filter(filter), as_boundary(boundary)
 
     def __call__(self, data: xarray.Variable, targets: Mapping[Hashable, xarray.Variable]) -> xarray.Variable:
         """A variable at positions in samples along some of its dimensions; it may lack some."""

@@ -125,7 +125,7 @@ def test_shapes_and_kinds_of_arguments(device: Device) -> None:
         ({"like": None}, "a Volume, or 2 or 3 whole numbers"),
         ({"filter": "hybrid"}, "got the hybrid 'hybrid'"),
         ({"filter": "bspline3(auto)"}, "no volume decides on.*bspline3"),
-        ({"filter": "cubic"}, "filter must be one of"),
+        ({"filter": "quartz"}, "filter must be one of"),
         ({"boundary": "nearest"}, "extends coefficients: mirror, reflect, wrap, zero; got 'nearest'"),
         ({"precision": "half"}, "precision must be one of"),
         ({"boundary": "clamp"}, "boundary must be one of"),

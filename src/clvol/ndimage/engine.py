@@ -16,7 +16,7 @@ from clvol.boundary import as_boundary
 from clvol.device import Device, as_device
 from clvol.filter import Filter, as_filter
 from clvol.spline.build import DefineDict, scalar_defines
-from clvol.spline.coefficients import OPENCL_TYPES, Coefficients, Lattice, regular
+from clvol.spline.coefficients import OPENCL_TYPES, Coefficients, Lattice, bundled, regular
 from clvol.spline.evaluator import DIRECT
 from clvol.spline.field import Precision, precision_kind
 from clvol.spline.points import Given, Transform, sample_grid, sample_into
@@ -346,7 +346,7 @@ class _Store:
 
     def _convert(self, buffer: Any, origin: int, pitch: int, area: int, output: Array) -> None:
         device, kind = self._device, output.dtype
-        output = output[(None,) * (3 - output.ndim)]
+        output, bundle, (pitch, area) = bundled(output[(None,) * (3 - output.ndim)], (pitch, area))
         name = OPENCL_TYPES[kind.str[1:]]
         low, high = (0.0, 0.0) if kind.kind == "f" else _limits(kind, self._kind)
         defines: DefineDict = {"RESULT": name, "WHOLE": {"f": 0, "b": 2}.get(kind.kind, 1), "COORD_DOUBLE": int(name == "double")}
@@ -355,11 +355,13 @@ class _Store:
         with device.lent_span(output, write=True) as (array, first, strides), device.errors:
             kernel(
                 device.queue,
-                (ny, nz),
+                (ny, -(-nz // bundle)),
                 (1, 1),
                 buffer,
                 *map(np.uint64, (origin, pitch, area)),
                 np.int32(nx),
+                np.int32(nz),
+                np.int32(bundle),
                 array,
                 first,
                 strides,

@@ -22,7 +22,7 @@ from clvol.spline.prefilter import prefilter_in_place
 from clvol.stored import AS_THEY_ARE, Stored
 from clvol.volume import Volume
 
-__all__ = ["OPENCL_TYPES", "Coefficients", "Lattice", "regular"]
+__all__ = ["OPENCL_TYPES", "Coefficients", "Lattice", "bundled", "regular"]
 
 OPENCL_TYPES = {  # OpenCL's names of NumPy's types
     "b1": "uchar",
@@ -42,6 +42,21 @@ OPENCL_TYPES = {  # OpenCL's names of NumPy's types
 def regular(array: NDArray[Any]) -> bool:
     """Whether kernels can address the elements of an array: they are native and lie whole numbers of them apart."""
     return array.dtype.isnative and array.flags.aligned and not any(stride % array.itemsize for stride in array.strides)
+
+
+def bundled(array: NDArray[Any], apart: tuple[int, int]) -> tuple[NDArray[Any], int, tuple[int, int]]:
+    """How kernels go over an array [z, y, x], whose rows and slices lie so far `apart` where it comes from or goes to.
+
+    Its axes, y and z perhaps exchanged, and these distances with them; and how many slices are taken together, namely several if
+    they lie closer in memory than what follows along x.
+    """
+    z, y, x = (abs(stride) if n > 1 else 1 << 62 for stride, n in zip(array.strides, array.shape, strict=True))
+    if y < min(x, z):
+        return array.swapaxes(0, 1), _BUNDLE, apart[::-1]
+    return array, _BUNDLE if z < x else 1, apart
+
+
+_BUNDLE = 16
 
 
 @dataclass(frozen=True)
@@ -204,7 +219,7 @@ class Coefficients:
 
         All cores of a processor copy if kernels can read the samples and store them as they are; otherwise NumPy does.
         """
-        device, sizes = self.device, self.size[:3].tolist()
+        device = self.device
         data = data[:, np.newaxis] if data.ndim > self.ndim == 1 else data[(None,) * (3 - data.ndim)]
         if not self._kernels_read(data):
             with device.mapped(self.buffer, self.shape, write=True, kind=self.kind) as room:
@@ -220,15 +235,15 @@ class Coefficients:
         kernel = self._build(OPENCL_TYPES[data.dtype.str[1:]]).kernel("copy_samples")
         pitch, area = int(self.extent[0]), int(self.extent[0]) * int(self.extent[1])
         origin = sum(inside.start * step for inside, step in zip(self.inner, (area, pitch, 1), strict=True))
-        nx, ny, _ = sizes
-        nz = len(data)
-        some = max(1, device.limits.launch_voxels // (nx * ny))
+        data, bundle, (pitch, area) = bundled(data, (pitch, area))
+        nz, ny, nx = data.shape
+        some = max(bundle, device.limits.launch_voxels // (nx * ny) // bundle * bundle)
         for first in range(0, nz, some):  # in parts, for samples of a wide type may exceed the largest allocation
             part = data[first : first + some]
             with device.lent_span(part, write=False) as (samples, start, strides), device.errors:
                 kernel(
                     device.queue,
-                    (ny, len(part)),
+                    (ny, -(-len(part) // bundle)),
                     (1, 1),
                     samples,
                     start,
@@ -236,6 +251,8 @@ class Coefficients:
                     self.buffer,
                     np.uint64(origin + first * area),
                     np.int32(nx),
+                    np.int32(len(part)),
+                    np.int32(bundle),
                     np.uint64(pitch),
                     np.uint64(area),
                     self.kind(gain),

@@ -295,6 +295,7 @@ def _build(
         **given.defines(coefficients.boundary),
         "DERIVATIVE": derivative,
         "LANES": lanes,
+        "FEW": int(math.prod(coefficients.shape) <= np.iinfo(np.int32).max),
         "RUN": run,
         "ON_GRID": int(kind is None),
         "SORTED": int(sorted),

@@ -90,7 +90,7 @@ def placed(
     """Positions in samples, brought to where the coefficients tell the function, and where it is the boundary's constant instead.
 
     The axis has `n` samples and `pad` more at either end. All taps of a position `margin` further out lie past these, and the
-    function is constant from there on.
+    function repeats with every sample from there on.
     """
     name, last, at = _name(boundary), n - 1, x.copy()
     away = (x < 0) | (x > last)
@@ -102,7 +102,8 @@ def placed(
         at[right] = np.mod(x[right], length)
         at = np.clip(at, 0, last)
     elif (cycle := period(n, boundary)) is None:
-        at = np.clip(x, -pad - margin, last + pad + margin)
+        low, high = -pad - margin, last + pad + margin
+        at = np.where(x < low, low - 1 + np.mod(x, 1), np.where(x > high, high + np.mod(x, 1), x))
     else:
         away = (x < -0.5) | (x > n - 0.5)
         at[away] = np.mod(x[away], cycle)
