@@ -210,3 +210,14 @@ def test_a_filter_without_slopes_has_none(device: Device) -> None:
 def test_bad_points_are_refused(xi: Any, device: Device) -> None:
     with Interpolator(GRID, np.ones((4, 5)), device=device) as at, pytest.raises(OptionError, match="xi"):
         at(xi)
+
+
+def test_values_that_are_no_array_of_numbers() -> None:
+    for wrong in ([[1], [2, 3], 4], np.ma.masked_greater([3.0, 1.0, 2.0], 2)):
+        with pytest.raises(DataError, match="values must be an array of numbers"):
+            clvol.Interpolator(([0, 1, 2],), wrong)
+
+
+def test_one_derivative_is_a_number_of_any_integer_type(device: Device) -> None:
+    with clvol.Interpolator(([0, 1, 2, 3],), [0.0, 2, 4, 6], "linear", device=device) as line:
+        np.testing.assert_allclose(line([1.5], nu=np.int64(1)), 2)

@@ -171,3 +171,9 @@ def test_bad_arguments_are_refused(rule: str, options: dict[str, Any], device: D
 def test_what_holds_no_numbers_is_refused(image: Any, device: Device) -> None:
     with pytest.raises(DataError):
         clvol.resize(image, (3, 3), device=device)
+
+
+@pytest.mark.parametrize(("option", "wrong"), [("cval", "a"), ("cval", [1, 2]), ("anti_aliasing_sigma", "a"), ("cval", 1j)])
+def test_options_of_the_wrong_type(option: str, wrong: object) -> None:
+    with pytest.raises(OptionError, match=rf"{option} must be .*; got"):
+        clvol.resize(np.ones((4, 4)), (2, 2), anti_aliasing=True, mode="constant", **{option: wrong})  # type: ignore[arg-type]

@@ -231,7 +231,7 @@ class Device:
         self.require_room(size)
         with _errors(self):
             if self.kind == "cpu" and size >= 2 * _HUGE_PAGE and hasattr(mmap, "MADV_HUGEPAGE"):
-                return cl.Buffer(self.context, cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR, hostbuf=_huge_pages(size))
+                return cl.Buffer(self.context, cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR, hostbuf=_huge_pages(size, self))
             return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size)
 
     def require_room(self, size: int) -> None:
@@ -349,16 +349,28 @@ def _float_format() -> Any:
     return cl.ImageFormat(cl.channel_order.R, cl.channel_type.FLOAT)
 
 
-def _huge_pages(size: int) -> NDArray[np.uint8]:
+class _Pages(mmap.mmap):
+    """Memory that kernels work in. It goes when they are done: after an interrupt some may still be running."""
+
+    device: Device | None = None
+
+    def __del__(self) -> None:
+        if self.device is not None:
+            with contextlib.suppress(Exception):
+                self.device.finish()
+
+
+def _huge_pages(size: int, device: Device) -> NDArray[np.uint8]:
     """Fresh memory, zero, in pages of 2 MiB where the system has them; Linux only.
 
     Rows of a volume lie in pages of their own if these have 4 KiB: most of a sample's time then goes to finding
     pages, and most of an upload's to getting them.
     """
     try:
-        area = mmap.mmap(-1, size + _HUGE_PAGE, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+        area = _Pages(-1, size + _HUGE_PAGE, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
     except OSError as error:
         raise OutOfMemoryError(f"there is no room for {size / 2**20:.0f} MiB: {error}") from error
+    area.device = device
     with contextlib.suppress(OSError):  # a kernel built without them
         area.madvise(mmap.MADV_HUGEPAGE)
     memory = np.frombuffer(area, np.uint8)

@@ -14,6 +14,7 @@ from clvol.checks import reals, several, whole
 from clvol.device import Device
 from clvol.errors import DataError, GeometryError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.interop import as_array
 from clvol.ndimage.arguments import as_precision
 from clvol.spline.field import Field, Precision
 from clvol.volume import Volume
@@ -86,7 +87,7 @@ class Interpolator:
         device: Device | str | int | None = None,
     ) -> None:
         axes = several("points", points, "1 to 3 arrays of coordinates, one for each axis", 3)
-        data = np.asarray(values)
+        data = as_array(values, "values", rule="an array of numbers")
         if data.dtype.kind not in "biufc":
             raise DataError(f"values must be real or complex numbers; got dtype {data.dtype}")
         self.grid = tuple(_coordinates(i, axis) for i, axis in enumerate(axes))
@@ -201,7 +202,7 @@ class Interpolator:
         d = len(self.grid)
         if nu is None:
             return (0,) * d
-        given = [nu] if isinstance(nu, int) else several("nu", nu, f"{d} whole numbers", d)
+        given = [nu] if isinstance(nu, (int, np.integer)) else several("nu", nu, f"{d} whole numbers", d)
         orders = tuple(whole("each number of nu", n, 0) for n in given)
         if len(orders) != d:
             raise OptionError(f"nu must be {d} whole numbers, one for each axis; got {nu!r}")

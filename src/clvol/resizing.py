@@ -10,12 +10,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.checks import one_of, whole
+from clvol.checks import one_of, reals, whole
 from clvol.device import Device, as_device
 from clvol.errors import DataError, OptionError
 from clvol.interop import read_array
 from clvol.ndimage.antialiasing import low_passed, nearest_splines, widths
-from clvol.ndimage.arguments import Spline, as_precision
+from clvol.ndimage.arguments import Spline, as_cval, as_precision
 from clvol.ndimage.passes import along_axes
 from clvol.spline.field import Precision
 from clvol.spline.reduce import AntiAliasing, as_anti_aliasing
@@ -138,12 +138,13 @@ def resize(
     low, high = _range(array, order > 1 or chosen == "least-squares")
     sigma = _sigma(anti_aliasing_sigma, chosen, array.shape, shape, spatial)
     chosen_device = None if device is None else as_device(device)
-    spline = Spline(order, _MODES[mode], float(cval) / scale, True, precision, chosen_device, progress)
+    outside = float(as_cval(cval, False).real)
+    spline = Spline(order, _MODES[mode], outside / scale, True, precision, chosen_device, progress)
     result = _resized(array, shape, kind, spline, chosen, sigma)
     if scale != 1:
         result *= scale
     if clip:
-        _clip(result, low * scale if scale != 1 else low, high * scale if scale != 1 else high, mode, cval)
+        _clip(result, low * scale if scale != 1 else low, high * scale if scale != 1 else high, mode, outside)
     return result
 
 
@@ -210,7 +211,7 @@ def _sigma(
         return {}
     if given is None:
         return widths(new, old)
-    values = np.atleast_1d(np.asarray(given, np.float64))
+    values = np.atleast_1d(reals("anti_aliasing_sigma", given))
     axes = [axis for axis, own in enumerate(spatial) if own]
     if values.shape not in ((1,), (len(axes),)) or not np.isfinite(values).all() or (values < 0).any():
         raise OptionError(

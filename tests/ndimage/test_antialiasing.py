@@ -72,3 +72,14 @@ def test_where_nothing_shrinks_it_changes_nothing(device: Device) -> None:
 def test_other_words_are_refused(device: Device) -> None:
     with pytest.raises(OptionError, match="anti_aliasing must be one of"):
         ndimage.zoom(np.ones((4, 4)), 0.5, anti_aliasing="box", device=device)  # type: ignore[arg-type]
+
+
+def test_missing_samples_are_not_local_under_least_squares(device: Device) -> None:
+    data, output = np.ones((6, 6)), np.full((3, 3), 77.0)
+    data[2, 3] = np.nan
+    with pytest.raises(OptionError, match=r'nan must be "propagate" or "error" with least squares.*; got "local"'):
+        ndimage.zoom(data, 0.5, output, anti_aliasing="least-squares", nan="local", device=device)
+    for factor in (1, 0.5):
+        with pytest.raises(OptionError, match="anti_aliasing must be one of"):
+            ndimage.zoom(np.ones((6, 6)), factor, anti_aliasing="box", device=device)  # type: ignore[arg-type]
+    assert (output == 77).all()

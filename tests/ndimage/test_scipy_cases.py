@@ -292,6 +292,42 @@ def test_planes_hear_nothing_of_each_other(device: Device, axis: int, order: int
     np.testing.assert_allclose(together[others], one_by_one[others], rtol=0, atol=1e-13)
 
 
+@pytest.mark.parametrize("output", ["d", ">f8", "h"])
+@pytest.mark.parametrize("moved", [(0,), (2,), (1, 3), (0, 1), (2, 3), (0, 1, 2, 3)])
+def test_batches_of_one_and_two_axes(device: Device, moved: tuple[int, ...], output: str) -> None:
+    """Of any layout, with a missing sample, without which one axis takes others along."""
+    for layout in ("c", "fortran", "strided"):
+        data = 20 * samples(13, "d", (4, 3, 6, 5), layout)
+        data[1, 2, 3, 4] = np.nan
+        by = [0.3 if axis in moved else 0 for axis in range(4)]
+        for order in (1, 3):
+            exact = truth("shift", data, by, order=order, mode="mirror")
+            if len(moved) < 4:  # SciPy takes every axis
+                known = ~np.isnan(data).any(moved, keepdims=True)
+                exact = truth("shift", np.nan_to_num(data), by, order=order, mode="mirror")
+            else:
+                known = ~np.isnan(exact)
+            result = ndimage.shift(data, by, output, order=order, mode="mirror", device=device)
+            chosen = np.broadcast_to(known, data.shape)
+            assert_holds(result[chosen], exact[chosen], 1e-10)
+            if output != "h" and len(moved) < 4:
+                assert np.isnan(result[~chosen]).any()
+
+
+def test_what_a_batch_needs_does_not_grow_with_the_zoom(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    from clvol.ndimage import engine
+
+    made: list[int] = []
+    into = engine._Store.into
+    monkeypatch.setattr(engine, "_PART", 1 << 16)
+    monkeypatch.setattr(engine._Store, "into", lambda self, output: (made.append(output.size), into(self, output))[1])
+    data = samples(14, "B", (30, 8, 8), "c")
+    result = ndimage.zoom(data, (1, 8, 8), order=1, device=device)
+    assert max(made) * 4 <= 1 << 16
+    assert sum(made) == result.size
+    assert_holds(result, truth("zoom", data, (1, 8, 8), order=1, mode="constant"), tolerance(data, 1, None, 2))
+
+
 @pytest.mark.parametrize("shape", [(9, 9), (5, 7, 9), (1, 9, 9)])
 @pytest.mark.parametrize("mode", ["constant", "mirror"])
 def test_positions_are_rounded_as_scipy_rounds_them(device: Device, shape: tuple[int, ...], mode: str) -> None:

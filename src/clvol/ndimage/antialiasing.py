@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from clvol.boundary import as_boundary
 from clvol.device import as_device
+from clvol.errors import OptionError
 from clvol.filter import bspline
 from clvol.ndimage import engine
 from clvol.ndimage.arguments import Array, Spline
@@ -59,7 +60,14 @@ def nearest_splines(data: Array, positions: Mapping[int, NDArray[np.float64]], o
         Where the new samples lie along each of the axes, in samples, at even distances. A single one stands for all of the axis.
     output : ndarray
     spline : Spline
+
+    Raises
+    ------
+    OptionError
+        Missing samples were to be local; here they reach as far as the prefilter does.
     """
+    if spline.local:
+        raise OptionError('nan must be "propagate" or "error" with least squares, which spreads missing samples; got "local"')
     if data.dtype.kind == "c":
         nearest_splines(data.real, positions, output.real, spline.of_part("real", 0))
         nearest_splines(data.imag, positions, output.imag, spline.of_part("imag", 1))

@@ -30,6 +30,7 @@ __all__ = [
     "as_axes",
     "as_axis",
     "as_coordinates",
+    "as_cval",
     "as_matrix",
     "as_mode",
     "as_order",
@@ -98,7 +99,7 @@ class Spline:
         spline = cls(
             as_order(order),
             as_mode(mode),
-            _as_cval(cval, data.dtype.kind == "c"),
+            as_cval(cval, data.dtype.kind == "c"),
             bool(prefilter),
             as_precision(precision, data.dtype),
             None if device is None else as_device(device),
@@ -325,7 +326,8 @@ def _empty(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
             raise OptionError(f"the result must have a size that can be addressed; got shape {shape}") from None
 
 
-def _as_cval(cval: Any, complex_: bool) -> float | complex:
+def as_cval(cval: Any, complex_: bool) -> float | complex:
+    """The value beyond the edge, complex for complex samples alone; it may be NaN or infinite."""
     if isinstance(cval, np.ndarray) and cval.ndim == 0:
         cval = cval[()]
     refused = isinstance(cval, (str, bytes, np.ndarray)) or (isinstance(cval, np.complexfloating) and not complex_)

@@ -141,24 +141,24 @@ def evaluate(
         axes = tuple(axes[i] for i in closest)
         target = Axes(tuple(target.positions[i] for i in closest))
         onto = onto.transpose((*range(len(kept)), *(len(kept) + i for i in closest)))
-    if kept and len(axes) < 3 and not isinstance(target, Points):  # the longest axis that is left alone is one of the kernels
-        together = max(range(len(kept)), key=lambda i: data.shape[kept[i]])
-        onto = np.moveaxis(onto, together, len(kept) - 1)
-        kept = (*kept[:together], *kept[together + 1 :], kept[together])
-        moved, outer = data.transpose(kept + axes), kept[:-1]
-    else:
-        moved, outer = data.transpose(kept + axes), kept
-    size = moved.shape[len(kept) :][::-1]
+    moved, batch = data.transpose(kept + axes), len(kept)
+    outer = batch  # axes whose indices are computed one after the other
+    if batch and len(axes) < 3 and not isinstance(target, Points):  # of one axis all are done at once: the longest
+        moved, onto = _merged(moved, onto, batch)
+        batch = moved.ndim - len(axes)
+        longest, outer = max(range(batch), key=lambda i: moved.shape[i]), batch - 1
+        moved, onto = np.moveaxis(moved, longest, outer), np.moveaxis(onto, longest, outer)
+    size = moved.shape[batch:][::-1]
     kind = _kind(precision, data, output, chosen)
     boundary = as_boundary(_BOUNDARIES[mode])
     boundary = boundary if cval == boundary.cval else replace(boundary, cval=cval)
     given, store, row = Given(cval, missing=True, edge=0.0), _Store(chosen, kind), _row(order, prefilter)
-    length = moved.shape[len(outer)] if len(outer) < len(kept) else 1
-    room = math.prod(n + 2 * (row.support + _PADS) for n in size) * np.dtype(kind).itemsize
+    length = moved.shape[outer] if outer < batch else 1
+    room = max(math.prod(n + 2 * (row.support + _PADS) for n in size), math.prod(onto.shape[batch:])) * np.dtype(kind).itemsize
     some = max(1, min(length, _PART // room))
     tasks = [
         (index, slice(first, min(first + some, length)))
-        for index in np.ndindex(moved.shape[: len(outer)])
+        for index in np.ndindex(moved.shape[:outer])
         for first in range(0, length, some)
     ]
     made = None
@@ -169,7 +169,7 @@ def evaluate(
                 if made is not None:
                     made.release()
                 made = Coefficients(Lattice(size), row, boundary, chosen, kind=kind, batch=count)
-            at = index if outer == kept else (*index, part)
+            at = index if outer == batch else (*index, part)
             made.fill(moved[at])
             for done in _evaluated(made, target, onto[at], store, given):
                 if progress:
@@ -177,6 +177,17 @@ def evaluate(
     finally:
         if made is not None:
             made.release()
+
+
+def _merged(moved: Array, onto: Array, count: int) -> tuple[Array, Array]:
+    """Two arrays whose first `count` axes are the same, and are fewer where neighbours of them follow each other in memory."""
+    for axis in range(count - 1, 0, -1):
+        if all(
+            1 in one.shape[axis - 1 : axis + 1] or one.strides[axis - 1] == one.shape[axis] * one.strides[axis]
+            for one in (moved, onto)
+        ):
+            moved, onto = (one.reshape(*one.shape[: axis - 1], -1, *one.shape[axis + 1 :]) for one in (moved, onto))
+    return moved, onto
 
 
 def _evaluated(made: Coefficients, target: Target, output: Array, store: _Store, given: Given) -> Iterator[float]:

@@ -462,6 +462,7 @@ def zoom(
     if any(n < 0 for n in shape):
         raise OptionError(f"zoom must be at least 0; got {zoom!r}")
     unchanged = bool(prefilter) and all(factor == 1 for factor in factors)
+    chosen = as_anti_aliasing(anti_aliasing)
     result = as_output(output, data, shape, copied=unchanged)
     spline = Spline.of(data, number, mode, cval, prefilter, precision, device, nan, progress)
     if unchanged:
@@ -472,7 +473,6 @@ def zoom(
             f"It is recommended to use mode = grid-{mode} instead of {mode} when grid_mode is True.", UserWarning, stacklevel=2
         )
     positions = [None if m == n else _magnified(n, m, grid_mode) for n, m in zip(data.shape, shape, strict=True)]
-    chosen = as_anti_aliasing(anti_aliasing)
     if chosen == "least-squares" and data.size and result.size:
         nearest_splines(data, {axis: p for axis, p in enumerate(positions) if p is not None}, result, spline)
         return result

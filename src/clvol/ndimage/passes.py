@@ -26,8 +26,6 @@ _LARGE = 1 << 18
 """Samples, from which on it pays to see which of them a few points need."""
 _MEMORY = (0, 0, 21, 28, 37, 44)
 """By order, the samples after which the prefilter has forgotten all but 1e-16: its largest pole to this power."""
-_SMALL = 1 << 17
-"""Results of one index of the axes that are left alone: below, all at once with one more axis are sooner done than one by one."""
 
 _Floats = NDArray[np.float64]
 _Pass = tuple[list[int], Axes | Affine]
@@ -203,7 +201,7 @@ def _grids(data: Array, passes: Sequence[_Pass], output: Array, spline: Spline) 
             f"a matrix must not mix more than {_NATIVE} axes of input with each other; got one that mixes axes {large}"
         )
     if len(passes) == 1:
-        axes, grid = _joined(data, *passes[0], output.shape, spline)
+        axes, grid = _joined(data, *passes[0], spline)
         _in_parts(data, output, spline, lambda *parts: _evaluate(parts[0], axes, grid, *parts[1:]))
         return
 
@@ -224,26 +222,20 @@ def _grids(data: Array, passes: Sequence[_Pass], output: Array, spline: Spline) 
     _in_parts(data, output, spline, compute)
 
 
-def _joined(data: Array, axes: list[int], grid: Axes | Affine, shape: Sequence[int], spline: Spline) -> _Pass:
-    """A pass over one axis that takes along others that are left alone, at their samples, where that is sooner done.
+def _joined(data: Array, axes: list[int], grid: Axes | Affine, spline: Spline) -> _Pass:
+    """A pass over one axis that takes along the one or two that are left alone, at their samples, where that is sooner done.
 
     A sample that is not finite would spread along them.
     """
-    others = sorted((axis for axis in range(data.ndim) if axis not in axes), key=lambda axis: -data.shape[axis])
-    others = [axis for axis in others[: _NATIVE - len(axes)] if data.shape[axis] > 1]
-    if len(axes) != 1 or not others or not spline.interpolates or math.prod(shape[axis] for axis in axes) > _SMALL:
+    others = [axis for axis, n in enumerate(data.shape) if axis not in axes and n > 1]
+    if not isinstance(grid, Axes) or len(axes) != 1 or not 0 < len(others) < _NATIVE or not spline.interpolates:
         return axes, grid
     with np.errstate(all="ignore"):
         if not np.isfinite(data.sum()):
             return axes, grid
     together = sorted(axes + others)
-    if isinstance(grid, Axes):
-        along = dict(zip(axes, grid.positions, strict=True)) | {axis: _samples(data.shape[axis]) for axis in others}
-        return together, Axes(tuple(along[axis] for axis in together))
-    matrix, offset = np.eye(len(together)), np.zeros(len(together))
-    at = [together.index(axis) for axis in axes]
-    matrix[np.ix_(at, at)], offset[at] = grid.matrix, grid.offset
-    return together, Affine(matrix, offset, tuple(shape[axis] for axis in together))
+    positions = [grid.positions[0] if axis in axes else _samples(data.shape[axis]) for axis in together]
+    return together, Axes(tuple(positions))
 
 
 def _around(data: Array, axes: Sequence[int], coordinates: Array, spline: Spline) -> tuple[Array, Array]:
@@ -272,9 +264,13 @@ def _require_few(count: int) -> None:
 
 
 def _separately(positions: dict[int, _Floats], shape: Sequence[int]) -> list[_Pass]:
-    """Passes for axes that know nothing of each other; those that shrink the data the most come first."""
+    """Passes for axes that know nothing of each other; those that shrink the data the most come first.
+
+    There are as many in each as can be, for an axis alone takes longest.
+    """
     ordered = sorted(positions, key=lambda axis: len(positions[axis]) / max(shape[axis], 1))
-    groups = [sorted(ordered[k : k + _NATIVE]) for k in range(0, len(ordered), _NATIVE)]
+    count = -(-len(ordered) // _NATIVE)
+    groups = [sorted(ordered[k * len(ordered) // count : (k + 1) * len(ordered) // count]) for k in range(count)]
     return [(group, Axes(tuple(positions[axis] for axis in group))) for group in groups]
 
 

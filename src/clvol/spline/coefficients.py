@@ -215,7 +215,7 @@ class Coefficients:
         self.fill_halo(self.pad)
 
     def copy_samples(self, data: NDArray[Any], gain: float = 1.0) -> None:
-        """Put samples, times `gain`, where their coefficients will be.
+        """Put samples [z, y, x], or of a batch, times `gain`, where their coefficients will be.
 
         All cores of a processor copy if kernels can read the samples and store them as they are; otherwise NumPy does.
         """
