@@ -25,11 +25,8 @@ INLINE coord boundary_position(coord x, const int n, const int period, int *alon
 #else
     // as scipy.ndimage does it, to the last bit: it tells on which side of a jump a position lies
 #if BOUNDARY == OVERLAP
-    if (n == 1) {   // without a period
-        *along = 0;
-        return 0;
-    }
-    x = x < 0 ? x + last * (floor(-x / last) + 1) : x > last ? x - last * floor(x / last) : x;
+    const coord length = MAX(last, (coord)1);
+    x = x < 0 ? x + length * (floor(-x / length) + 1) : x > last ? x - length * floor(x / length) : x;
 #elif BOUNDARY_FOLDED
     const coord middle = 0.5f * period;
     int folded = 0;

@@ -158,9 +158,8 @@ class Boundary:
         if self.outside == "constant":
             return x
         if self.outside == "overlap":
-            if n == 1:
-                return np.zeros_like(x)
-            low, high = x + last * (np.floor(-x / last) + 1), x - last * np.floor(x / last)
+            length = max(last, 1)
+            low, high = x + length * (np.floor(-x / length) + 1), x - length * np.floor(x / length)
         else:
             period = self.length(n)
             high = x - period * np.floor(x / period)

@@ -847,7 +847,7 @@ def prefilter(
         volume.require_finite()
         stored = Stored.of(volume, chosen, boundary) if kind == np.float32 else AS_THEY_ARE
         made = Coefficients(Lattice(array.shape), chosen, boundary, device, stored, kind)
-        made.fill(stored.samples(array))
+        made.fill(array)
     else:
         made = coefficients_of(volume, chosen, boundary, device, kind)
     with made, device.mapped(made.buffer, made.shape, write=False, kind=kind) as held:

@@ -100,7 +100,7 @@ def placed(
         left, right, length = x < 0, x > last, max(last, 1)
         at[left] = last - np.mod(-x[left], length)
         at[right] = np.mod(x[right], length)
-        at = np.clip(at, 0, last)
+        at = np.clip(at, 0, length)
     elif (cycle := period(n, boundary)) is None:
         low, high = -pad - margin, last + pad + margin
         at = np.where(x < low, low - 1 + np.mod(x, 1), np.where(x > high, high + np.mod(x, 1), x))
