@@ -98,7 +98,7 @@ def placed(
         return np.where(away, 0, x), away
     if name == "overlap":  # as SciPy has it: from the left to the last sample, from the right to the first one
         left, right, length = x < 0, x > last, max(last, 1)
-        at[left] = last - np.mod(-x[left], length)
+        at[left] = length - np.mod(-x[left], length)
         at[right] = np.mod(x[right], length)
         at = np.clip(at, 0, length)
     elif (cycle := period(n, boundary)) is None:
