@@ -166,15 +166,17 @@ def test_which_points_are_sorted(device: Device) -> None:
     ordered[:, :2] = 64.0
     data = np.broadcast_to(np.float32(0), (128, 128, 128))
     with coefficients_of(Volume(data), as_filter("bspline3"), as_boundary("mirror"), device) as held:
-        assert scattered(held, points)
-        assert scattered(held, points.astype(">f4"))
-        assert not scattered(held, ordered)
-        assert not scattered(held, points[:100])
-        assert not scattered(held, np.full_like(points, np.nan))
-        assert not scattered(held, points[:0])
+        assert scattered(held, points, held.volume.world_to_index_matrix)
+        assert scattered(held, points.T, None)  # indices, axis by axis
+        assert not scattered(held, ordered.T, None)
+        assert scattered(held, points.astype(">f4"), held.volume.world_to_index_matrix)
+        assert not scattered(held, ordered, held.volume.world_to_index_matrix)
+        assert not scattered(held, points[:100], held.volume.world_to_index_matrix)
+        assert not scattered(held, np.full_like(points, np.nan), held.volume.world_to_index_matrix)
+        assert not scattered(held, points[:0], held.volume.world_to_index_matrix)
     with coefficients_of(Volume(data, (50.0, 50.0, 50.0)), as_filter("bspline3"), as_boundary("mirror"), device) as held:
-        assert not scattered(held, points)  # in samples these are near
+        assert not scattered(held, points, held.volume.world_to_index_matrix)  # in samples these are near
     with coefficients_of(Volume(data), as_filter("linear"), as_boundary("mirror"), device) as held:
-        assert not scattered(held, points)
+        assert not scattered(held, points, held.volume.world_to_index_matrix)
     with coefficients_of(Volume(data[:32]), as_filter("bspline3"), as_boundary("mirror"), device) as held:
-        assert not scattered(held, points)
+        assert not scattered(held, points, held.volume.world_to_index_matrix)
