@@ -109,18 +109,23 @@ kernel void sample_points(COEFFICIENTS coefficients, const int4 extent, const in
 
 #else
 
-// grid: the number of points along x and y, and the first row and slice of this launch. base: the point that `results` begin with.
+// grid: the number of points along x and y, and the first row and slice of this launch. rows: how many a work-item takes, and where
+// they end. base: the point that `results` begin with.
 kernel void sample_grid(COEFFICIENTS coefficients, const int4 extent, const int4 size, const int4 period,
-                        constant coord *transform, const int4 grid, const ulong base, const scalar2 given,
+                        constant coord *transform, const int4 grid, const int2 rows, const ulong base, const scalar2 given,
                         global scalar *results CHAIN_ARGUMENTS)
 {
-    source_t source = { get_global_id(0) * RUN, (int)get_global_id(1) + grid.z, (int)get_global_id(2) + grid.w, 0 CHAIN_GIVEN };
-    source.first = ((size_t)source.k * grid.y + source.j) * grid.x + source.i - base;
+    const int first = (int)get_global_id(1) * rows.x + grid.z;
+    source_t source = { get_global_id(0) * RUN, first, (int)get_global_id(2) + grid.w, 0 CHAIN_GIVEN };
 #if DIMENSIONS < 3 && !FETCH_IMAGE   // each slice has coefficients of its own
     coefficients += source.k * ((size_t)extent.x * extent.y);
 #endif
-    if (source.i < grid.x && source.j < grid.y)
+    if (source.i >= grid.x)
+        return;
+    for (; source.j < MIN(first + rows.x, rows.y); ++source.j) {
+        source.first = ((size_t)source.k * grid.y + source.j) * grid.x + source.i - base;
         run_into(coefficients, extent, source, MIN(RUN, grid.x - source.i), size, period, transform, given, results);
+    }
 }
 
 #endif

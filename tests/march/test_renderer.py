@@ -369,7 +369,7 @@ def test_errors_of_what_is_drawn(device: Device) -> None:
         Renderer(ones[None], device=device)
     with pytest.raises(OptionError, match=r"filter must be one of .*; got 'cubix'"):
         Renderer(ones, "cubix", device=device)
-    with pytest.raises(OptionError, match="boundary must be one of mirror, .*, overlap; got 'clamp'"):
+    with pytest.raises(OptionError, match=r"boundary must be one of mirror, .*, overlap; got 'clamp'"):
         Renderer(ones, boundary="clamp", device=device)
     with pytest.raises(OptionError, match="device must be one of"):
         Renderer(ones, device="abacus")

@@ -251,14 +251,16 @@ def sample_grid(
     y_part, z_part = (slice(0, ny), slice(0, nz)) if part is None else (part, slice(0, 1)) if nz == 1 else (slice(0, ny), part)
     points = _launch_points(coefficients, evaluator)
     rows, slices = max(1, min(ny, points // nx)), max(1, points // (nx * ny))
-    items, together = (-(-nx // _RUN), 1) if _in_lanes(coefficients, evaluator, derivative) else (-(-nx // 8) * 8, 8)
+    lanes = _in_lanes(coefficients, evaluator, derivative)
+    items, together = (-(-nx // _RUN), 1) if lanes else (-(-nx // 8) * 8, 8)
+    at_once = max(1, _RUN // nx) if lanes else 1  # rows of a work-item
     parts = [(z, y) for z in range(z_part.start, z_part.stop, slices) for y in range(y_part.start, y_part.stop, rows)]
     base = np.uint64((z_part.start * ny + y_part.start) * nx)
     for done, (z, y) in enumerate(parts, 1):
         with device.errors:
             kernel(
                 device.queue,
-                (items, min(rows, y_part.stop - y), min(slices, z_part.stop - z)),
+                (items, -(-min(rows, y_part.stop - y) // at_once), min(slices, z_part.stop - z)),
                 (together, 1, 1),
                 coefficients.argument(evaluator),
                 coefficients.extent,
@@ -266,6 +268,7 @@ def sample_grid(
                 coefficients.period,
                 matrix,
                 np.array([nx, ny, y, z], np.int32),
+                np.array([at_once, min(y + rows, y_part.stop)], np.int32),
                 base,
                 given.values(coefficients, 0),
                 buffer,
