@@ -42,11 +42,11 @@ def low_passed(data: Array, sigma: Mapping[int, float], spline: Spline) -> Array
         return low_passed(data.real, sigma, spline.of_part("real", 0)) + 1j * low_passed(
             data.imag, sigma, spline.of_part("imag", 1)
         )
-    boundary, device = as_boundary(engine._BOUNDARIES[spline.mode]), as_device(spline.device)
+    boundary, device = as_boundary(engine.BOUNDARIES[spline.mode]), as_device(spline.device)
     sums = {axis: gaussian(float(s), data.shape[axis], boundary) for axis, s in sigma.items() if s > 0}
     if not sums or data.size == 0:
         return data
-    return sum_along(data, sums, engine._kind(spline.precision, data, data, device), device, float(spline.cval.real))
+    return sum_along(data, sums, engine.kind_for(spline.precision, data, data, device), device, float(spline.cval.real))
 
 
 def nearest_splines(data: Array, positions: Mapping[int, NDArray[np.float64]], output: Array, spline: Spline) -> None:
@@ -72,11 +72,11 @@ def nearest_splines(data: Array, positions: Mapping[int, NDArray[np.float64]], o
         nearest_splines(data.real, positions, output.real, spline.of_part("real", 0))
         nearest_splines(data.imag, positions, output.imag, spline.of_part("imag", 1))
         return
-    boundary, device = as_boundary(engine._BOUNDARIES[spline.mode]), as_device(spline.device)
-    kind, sums = engine._kind(spline.precision, data, output, device), {}
+    boundary, device = as_boundary(engine.BOUNDARIES[spline.mode]), as_device(spline.device)
+    kind, sums = engine.kind_for(spline.precision, data, output, device), {}
     for axis, x in positions.items():
         n, m = data.shape[axis], len(x)
         step = float(x[-1] - x[0]) / (m - 1) if m > 1 else float(n)
         sums[axis] = least_squares(bspline(spline.order), float(x[0]), step, m, n, boundary, kind == np.float64, spline.prefilter)
     made = sum_along(data, sums, kind, device, float(spline.cval.real), spline.progress)
-    output[...] = engine._converted(made, output.dtype)
+    output[...] = engine.converted(made, output.dtype)

@@ -23,11 +23,11 @@ from clvol.spline.points import Given, Transform, sample_grid, sample_into
 from clvol.spline.prefilter import gain_along, prefilter_in_place
 from clvol.spline.resample import resample_axes
 
-__all__ = ["Affine", "Axes", "Points", "Target", "coefficients", "evaluate"]
+__all__ = ["BOUNDARIES", "Affine", "Axes", "Points", "Target", "coefficients", "converted", "evaluate", "kind_for"]
 
 Array: TypeAlias = NDArray[Any]
 
-_BOUNDARIES = {
+BOUNDARIES = {
     "mirror": "mirror",
     "reflect": "reflect",
     "grid-mirror": "reflect",
@@ -37,6 +37,7 @@ _BOUNDARIES = {
     "constant": "constant",
     "grid-constant": "grid-constant",
 }
+"""The boundary rule of each of SciPy's modes."""
 _PART = 1 << 25  # bytes of results that are made before they are converted
 _PADS = 12  # samples, at most, that a boundary rule puts around an axis of samples
 _PROBES = 8  # along each axis, of samples that are looked at
@@ -149,8 +150,8 @@ def evaluate(
         longest, outer = max(range(batch), key=lambda i: moved.shape[i]), batch - 1
         moved, onto = np.moveaxis(moved, longest, outer), np.moveaxis(onto, longest, outer)
     size = moved.shape[batch:][::-1]
-    kind = _kind(precision, data, output, chosen)
-    boundary = as_boundary(_BOUNDARIES[mode])
+    kind = kind_for(precision, data, output, chosen)
+    boundary = as_boundary(BOUNDARIES[mode])
     boundary = boundary if cval == boundary.cval else replace(boundary, cval=cval)
     given, store, row = Given(cval, missing=True, edge=0.0), _Store(chosen, kind), _row(order, prefilter)
     length = moved.shape[outer] if outer < batch else 1
@@ -217,7 +218,7 @@ def _evaluated(made: Coefficients, target: Target, output: Array, store: _Store,
         yield part.stop / max(1, len(output))
 
 
-def _kind(precision: str, data: Array, output: Array, device: Device) -> type[np.generic]:
+def kind_for(precision: str, data: Array, output: Array, device: Device) -> type[np.generic]:
     """The type of coefficients.
 
     That of double precision also stands in where float32 would lose what the samples hold: if they lie far from zero compared
@@ -258,8 +259,8 @@ def coefficients(
 
     Parameters are those of `evaluate`; `output` has the shape of `data` and any real dtype. An axis of one sample stays as it is.
     """
-    chosen, kind, row = as_device(device), _kind(precision, data, output, as_device(device)), _row(order, True)
-    boundary = as_boundary(_FILTERED_AS.get(mode, _BOUNDARIES[mode])).ends
+    chosen, kind, row = as_device(device), kind_for(precision, data, output, as_device(device)), _row(order, True)
+    boundary = as_boundary(_FILTERED_AS.get(mode, BOUNDARIES[mode])).ends
     filtered = [axis for axis in axes if data.shape[axis] > 1]
     others = sorted((axis for axis in range(data.ndim) if axis not in filtered), key=lambda axis: -data.shape[axis])
     held = sorted(filtered + others[: 3 - len(filtered)], key=lambda axis: -abs(data.strides[axis]))
@@ -320,7 +321,7 @@ class _Store:
         results = self._scratch[: output.size].reshape(output.shape)
         yield results
         if output.ndim > 3 or not self._by_kernel(output):
-            output[...] = _converted(results, output.dtype)
+            output[...] = converted(results, output.dtype)
             return
         with self._device.lent(results, write=False) as buffer:
             sizes = (1, 1, *output.shape)[-3:]
@@ -334,7 +335,7 @@ class _Store:
             self._convert(made.buffer, origin, pitch, area, output)
             return
         with self._device.mapped(made.buffer, made.shape, write=False, kind=self._kind) as held:
-            output[...] = _converted(held[made.inner].reshape(output.shape), output.dtype)
+            output[...] = converted(held[made.inner].reshape(output.shape), output.dtype)
 
     def _direct(self, output: Array) -> bool:
         return output.dtype == self._kind and output.dtype.isnative and output.flags.c_contiguous and output.flags.aligned
@@ -379,7 +380,7 @@ def _limits(kind: np.dtype[Any], held: type[np.generic]) -> tuple[float, float]:
     return float(low), float(below if int(below) <= high else np.nextafter(below, held(0)))
 
 
-def _converted(values: Array, kind: np.dtype[Any]) -> Array:
+def converted(values: Array, kind: np.dtype[Any]) -> Array:
     """Values of kernels in a type; whole numbers are rounded, halves away from zero, and clipped, as SciPy does."""
     if kind.kind not in "biu":
         with np.errstate(over="ignore"):
