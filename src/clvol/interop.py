@@ -65,7 +65,7 @@ def read_array(source: Any) -> Content:
         return from_simpleitk(source)
     if hasattr(source, "affine") and hasattr(source, "dataobj"):
         return from_nibabel(source)
-    if isinstance(source, _Gridded):
+    if not isinstance(source, np.ndarray) and isinstance(source, _Gridded):  # asked for `data`, an array of dates raises
         return as_array(source.data), {name: getattr(source, name) for name in ("spacing", "origin", "direction", "units")}
     return as_array(source), {}
 
