@@ -16,7 +16,7 @@ from clvol.boundary import as_boundary
 from clvol.device import Device, as_device
 from clvol.filter import Filter, as_filter
 from clvol.spline.build import DefineDict, scalar_defines
-from clvol.spline.coefficients import OPENCL_TYPES, Coefficients, Lattice, bundled, regular
+from clvol.spline.coefficients import OPENCL_TYPES, Coefficients, Lattice, addressable, bundled
 from clvol.spline.evaluator import DIRECT
 from clvol.spline.field import Precision, precision_kind
 from clvol.spline.points import Given, Transform, sample_grid, sample_into
@@ -259,7 +259,8 @@ def coefficients(
 
     Parameters are those of `evaluate`; `output` has the shape of `data` and any real dtype. An axis of one sample stays as it is.
     """
-    chosen, kind, row = as_device(device), kind_for(precision, data, output, as_device(device)), _row(order, True)
+    chosen, row = as_device(device), _row(order, True)
+    kind = kind_for(precision, data, output, chosen)
     boundary = as_boundary(_FILTERED_AS.get(mode, BOUNDARIES[mode])).ends
     filtered = [axis for axis in axes if data.shape[axis] > 1]
     others = sorted((axis for axis in range(data.ndim) if axis not in filtered), key=lambda axis: -data.shape[axis])
@@ -330,9 +331,7 @@ class _Store:
     def inner(self, made: Coefficients, output: Array) -> None:
         """Coefficients proper into an array of their shape."""
         if self._by_kernel(output):
-            pitch, area = int(made.extent[0]), int(made.extent[0]) * int(made.extent[1])
-            origin = sum(inside.start * step for inside, step in zip(made.inner, (area, pitch, 1), strict=True))
-            self._convert(made.buffer, origin, pitch, area, output)
+            self._convert(made.buffer, *made.layout, output)
             return
         with self._device.mapped(made.buffer, made.shape, write=False, kind=self._kind) as held:
             output[...] = converted(held[made.inner].reshape(output.shape), output.dtype)
@@ -341,9 +340,7 @@ class _Store:
         return output.dtype == self._kind and output.dtype.isnative and output.flags.c_contiguous and output.flags.aligned
 
     def _by_kernel(self, output: Array) -> bool:
-        name = OPENCL_TYPES.get(output.dtype.str[1:])
-        known = name is not None and (name != "double" or self._device.has_double)
-        return self._device.shares_memory and known and regular(output)
+        return self._device.shares_memory and addressable(output, self._device)
 
     def _convert(self, buffer: Any, origin: int, pitch: int, area: int, output: Array) -> None:
         device, kind = self._device, output.dtype

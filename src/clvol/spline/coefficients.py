@@ -22,7 +22,7 @@ from clvol.spline.prefilter import prefilter_in_place
 from clvol.stored import AS_THEY_ARE, Stored
 from clvol.volume import Volume
 
-__all__ = ["OPENCL_TYPES", "Coefficients", "Lattice", "bundled", "regular"]
+__all__ = ["OPENCL_TYPES", "Coefficients", "Lattice", "addressable", "bundled"]
 
 OPENCL_TYPES = {  # OpenCL's names of NumPy's types
     "b1": "uchar",
@@ -39,9 +39,11 @@ OPENCL_TYPES = {  # OpenCL's names of NumPy's types
 }
 
 
-def regular(array: NDArray[Any]) -> bool:
-    """Whether kernels can address the elements of an array: they are native and lie whole numbers of them apart."""
-    return array.dtype.isnative and array.flags.aligned and not any(stride % array.itemsize for stride in array.strides)
+def addressable(array: NDArray[Any], device: Device) -> bool:
+    """Whether kernels can address the elements of an array: of a native type that they know, and whole numbers of them apart."""
+    name = OPENCL_TYPES.get(array.dtype.str[1:])
+    known = name is not None and array.dtype.isnative and (name != "double" or device.has_double)
+    return known and array.flags.aligned and not any(stride % array.itemsize for stride in array.strides)
 
 
 def bundled(array: NDArray[Any], apart: tuple[int, int]) -> tuple[NDArray[Any], int, tuple[int, int]]:
@@ -179,6 +181,12 @@ class Coefficients:
         """Where the coefficients proper lie among those stored: [z, y, x]."""
         return self._within(0)
 
+    @property
+    def layout(self) -> tuple[int, int, int]:
+        """Where the first of these lies in the buffer, and how far rows and slices lie apart."""
+        pitch, area = int(self.extent[0]), int(self.extent[0]) * int(self.extent[1])
+        return sum(inside.start * step for inside, step in zip(self.inner, (area, pitch, 1), strict=True)), pitch, area
+
     def _within(self, pad: int) -> tuple[slice, ...]:
         """`inner`, and as many more on either side."""
         halo, d = int(self.extent[3]), self.ndim
@@ -233,8 +241,7 @@ class Coefficients:
                         np.copyto(target, self.stored.samples(slice_), casting="unsafe")
             return
         kernel = self._build(OPENCL_TYPES[data.dtype.str[1:]]).kernel("copy_samples")
-        pitch, area = int(self.extent[0]), int(self.extent[0]) * int(self.extent[1])
-        origin = sum(inside.start * step for inside, step in zip(self.inner, (area, pitch, 1), strict=True))
+        origin, pitch, area = self.layout
         data, bundle, (pitch, area) = bundled(data, (pitch, area))
         nz, ny, nx = data.shape
         some = max(bundle, device.limits.launch_voxels // (nx * ny) // bundle * bundle)
@@ -288,9 +295,7 @@ class Coefficients:
 
     def _kernels_read(self, data: NDArray[Any]) -> bool:
         """Whether all cores of a processor can copy samples, and store them as they are; otherwise NumPy does."""
-        name = OPENCL_TYPES.get(data.dtype.str[1:])
-        readable = name is not None and regular(data) and (name != "double" or self.device.has_double)
-        return readable and self.device.kind == "cpu" and self.stored.identity
+        return self.device.kind == "cpu" and self.stored.identity and addressable(data, self.device)
 
     @property
     def _beyond(self) -> float:
