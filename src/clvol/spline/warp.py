@@ -253,7 +253,9 @@ def resample_series(
         if result is None:
             result = np.empty((len(frames), *grid.shape), made.data.dtype)
         if made.data.dtype != result.dtype:
-            result = result.astype(np.float64)
+            wider = np.empty(result.shape, np.float64)
+            wider[:n] = result[:n]  # what lies behind is not made yet: any bits, and some don't convert
+            result = wider
         result[n] = made.data
     assert result is not None  # there is a frame
     return result
