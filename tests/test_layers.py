@@ -10,7 +10,7 @@ import pytest
 SOURCE = Path(__file__).resolve().parents[1] / "src"
 # top to bottom; a name stands for the module or for all of its package
 LAYERS = [
-    "errors moved checks uniform files interop filter boundary missing noise volume smoothing stored camera color light transfer "
+    "errors moved checks uniform files interop filter boundary missing noise volume volumes smoothing stored camera color light transfer "
     "mode scene transform",
     "reference response phantoms formats",
     "processor opencl program device",

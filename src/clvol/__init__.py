@@ -17,6 +17,7 @@ from clvol.camera import Camera
 from clvol.device import Device, devices
 from clvol.errors import (
     ClvolError,
+    ClvolWarning,
     DataError,
     DeviceError,
     FormatError,
@@ -26,7 +27,7 @@ from clvol.errors import (
     OutOfMemoryError,
 )
 from clvol.filter import Filter, bc, bspline, filters, from_callable, from_pieces, lanczos, moms3, quasi, register, sinc
-from clvol.formats import read, write
+from clvol.formats import read, read_all, write
 from clvol.formats.transforms import read_transform
 from clvol.interpolator import Interpolator
 from clvol.light import Light, Material
@@ -44,6 +45,7 @@ from clvol.spline.warp import Warped, resample_series, warp
 from clvol.transfer import TransferFunction
 from clvol.transform import AffineTransform, BSplineTransform, DisplacementField
 from clvol.volume import Volume
+from clvol.volumes import Volumes
 
 callable_as_before("clvol.spline.prefilter", "clvol.spline.resample")
 
@@ -56,6 +58,7 @@ __all__ = [
     "Boundary",
     "Camera",
     "ClvolError",
+    "ClvolWarning",
     "Composite",
     "DataError",
     "Device",
@@ -83,6 +86,7 @@ __all__ = [
     "Scene",
     "TransferFunction",
     "Volume",
+    "Volumes",
     "Warped",
     "adjoint",
     "bc",
@@ -104,6 +108,7 @@ __all__ = [
     "prefilter_response",
     "quasi",
     "read",
+    "read_all",
     "read_transform",
     "register",
     "render",

@@ -13,6 +13,7 @@ from clvol.moved import forwarding
 __all__ = [
     "AxisError",
     "ClvolError",
+    "ClvolWarning",
     "DataError",
     "DeviceError",
     "DtypeError",
@@ -30,6 +31,10 @@ __all__ = [
 
 class ClvolError(Exception):
     """Base of every error raised by clvol."""
+
+
+class ClvolWarning(UserWarning):
+    """Something was chosen that the caller may want otherwise; the message says what, and how to choose."""
 
 
 class OptionError(ClvolError, ValueError):

@@ -3,23 +3,33 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.checks import number, reals, whole
+from clvol.checks import number, one_of, reals, whole
+from clvol.color import color_of
 from clvol.errors import DataError, GeometryError, OptionError
 from clvol.interop import read_array
 from clvol.missing import Missing, filled_smoothly
 from clvol.noise import Noise, estimate
 
-__all__ = ["Volume", "as_volume"]
+__all__ = ["SPACES", "Volume", "as_volume"]
+
+SPACES = {
+    "LPS": "a patient: x runs to the left, y to the back, z to the head",
+    "image": "a stack of images: rows run down, and slices away from the viewer, as microscopists' programs show them",
+    "": "none in particular: z is up",
+}
+"""What the world of a volume is. It decides how pictures are turned, no number."""
 
 _CACHED = 1 << 18  # samples
+_LOOKED_AT = 1 << 16  # samples, by which most data are known to be no labels
+_SAME = 0.8  # share of neighbours, among labels, that are the same, at least
 _TINY_DETERMINANT = 1e-12
 
 
@@ -48,6 +58,20 @@ class Volume:
         independent unit vectors. Default identity.
     units : str, optional
         Name of the world unit, such as ``"mm"``.
+    space : {"LPS", "image", ""}, optional
+        What the world is: a patient's (medical files), that of a stack of images (microscopy), or none in particular. Pictures
+        are turned by it: see `Camera.orbit`.
+    name : str, optional
+        Of the samples, such as that of a channel.
+    color : color, optional
+        In which the source shows it, as microscopes give one to each channel.
+    window : (float, float), optional
+        The values that the source wants shown from black to white (NIfTI's cal_min and cal_max, DICOM's window).
+    labels : bool or mapping of int to str, optional
+        Whether samples are names of regions, between which there is nothing, or what the names stand for. None: it is recognised
+        (`is_labels`).
+    header : mapping, optional
+        What else its file says, for writing the same kind of file.
 
     Raises
     ------
@@ -55,6 +79,9 @@ class Volume:
         Rank other than 2 or 3, an empty axis, masked elements, or a dtype that holds no real numbers.
     GeometryError
         Spacing not finite and positive, origin not finite, direction singular.
+    OptionError
+        `space` is none of these, `color` is no colour, `window` no pair of finite numbers in ascending order, `labels` no
+        mapping from whole numbers to names.
 
     Notes
     -----
@@ -69,6 +96,12 @@ class Volume:
     origin: tuple[float, ...] = ()
     direction: NDArray[np.float64] = None  # type: ignore[assignment]  # None is replaced below
     units: str = ""
+    space: str = ""
+    name: str = ""
+    color: tuple[float, float, float] | None = None
+    window: tuple[float, float] | None = None
+    labels: bool | Mapping[int, str] | None = None
+    header: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         data, geometry = read_array(self.data)
@@ -88,10 +121,21 @@ class Volume:
         object.__setattr__(self, "spacing", _vector("spacing", spacing, d))
         object.__setattr__(self, "origin", _vector("origin", origin, d))
         object.__setattr__(self, "direction", _direction(direction, d))
-        if not isinstance(self.units, str):
-            raise OptionError(f"units must be a string; got {self.units!r}")
-        if not self.units and "units" in geometry:
-            object.__setattr__(self, "units", geometry["units"])
+        for name in ("units", "space", "name", "color", "window", "labels", "header"):
+            if getattr(self, name) in (None, "", {}) and name in geometry:
+                object.__setattr__(self, name, geometry[name])
+        for name in ("units", "name"):
+            if not isinstance(getattr(self, name), str):
+                raise OptionError(f"{name} must be a string; got {getattr(self, name)!r}")
+        if not isinstance(self.space, str) or self.space not in SPACES:
+            raise one_of("space", self.space, map(repr, SPACES))
+        if self.color is not None:
+            object.__setattr__(self, "color", color_of("color", self.color))
+        if self.window is not None:
+            object.__setattr__(self, "window", _window(self.window))
+        if self.labels is not None:
+            object.__setattr__(self, "labels", _labels(self.labels))
+        object.__setattr__(self, "header", dict(self.header))
         if min(self.spacing) <= 0:
             raise GeometryError(f"spacing must be positive along every axis; got {self.spacing}")
 
@@ -219,6 +263,22 @@ class Volume:
         return float(np.linalg.norm(self.corners - self.center, axis=1).max())
 
     @cached_property
+    def is_labels(self) -> bool:
+        """Whether samples are names of regions: as `labels` says, else whether they are few whole numbers that fill regions.
+
+        Labels are never blended: what is reconstructed from them is by default the nearest sample. Masks of two values are not
+        counted among them, unless `labels` says so: their edge is a surface, that may be smoothed.
+        """
+        if self.labels is not None:
+            return self.labels is not False
+        if self.data.dtype.kind not in "iu" or self.data.size == 0:
+            return False
+        some = self.data[len(self.data) // 2].ravel()[:_LOOKED_AT]  # a run of neighbours
+        if some.size > 1 and (some[1:] == some[:-1]).mean() < _SAME:
+            return False
+        return self.noise.kind == "labels"
+
+    @cached_property
     def noise(self) -> Noise:
         """What the samples tell of their noise, from about a million of them at most; see `clvol.noise.estimate`.
 
@@ -237,7 +297,7 @@ class Volume:
             raise OptionError("indicator needs at least one value; got none")
         for label in labels:
             number("each value of indicator", label)
-        return self._with(np.isin(self.data, labels).astype(np.float32))
+        return self._with(np.isin(self.data, labels).astype(np.float32), labels=None, window=None)
 
     def crop(self, low: Sequence[int], high: Sequence[int]) -> Volume:
         """The samples with index ``low <= index < high``, (x, y, z), at their place in the world."""
@@ -265,7 +325,7 @@ class Volume:
         voxels = [w / s for w, s in zip(widths, self.spacing, strict=True)][::-1]
         wide = self.data.dtype.itemsize > 4 if self.data.dtype.kind == "f" else self._beyond_float32()
         kind = np.float64 if wide else np.float32
-        return self._with(ndimage.gaussian_filter(self.data.astype(kind), voxels, mode="mirror"))
+        return self._with(ndimage.gaussian_filter(self.data.astype(kind), voxels, mode="mirror"), labels=None)
 
     def downsample(self, n: int) -> Volume:
         """Every `n`-th sample along each axis, from the first; low-pass with `gaussian` first."""
@@ -275,6 +335,11 @@ class Volume:
     def _beyond_float32(self) -> bool:
         """Whether there are integers that float32 does not hold."""
         return self.data.dtype.itemsize > 2 and max(abs(int(v)) for v in self.limits) > 1 << 24
+
+    def placed(self, data: NDArray[Any], grid: Volume) -> Volume:
+        """`data` on another grid, with all that this volume says of itself but where it lies; what that lacks, this one gives."""
+        place = {"spacing": grid.spacing, "origin": grid.origin, "direction": grid.direction}
+        return self._with(data, **place, units=grid.units or self.units, space=grid.space or self.space)
 
     def _with(self, data: NDArray[Any], **changes: Any) -> Volume:
         return replace(self, data=data, **changes)
@@ -302,6 +367,22 @@ def _vector(what: str, value: Any, d: int) -> tuple[float, ...]:
     if not all(math.isfinite(v) for v in vector):
         raise GeometryError(f"{what} must be finite; got {vector}")
     return vector
+
+
+def _window(value: Any) -> tuple[float, float]:
+    rule = "two finite numbers, the value shown black below the value shown white"
+    ends = reals("window", value, rule)
+    if ends.shape != (2,) or not np.isfinite(ends).all() or ends[0] >= ends[1]:
+        raise OptionError(f"window must be {rule}; got {value!r}")
+    return float(ends[0]), float(ends[1])
+
+
+def _labels(value: Any) -> bool | Mapping[int, str]:
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    if not isinstance(value, Mapping) or not all(isinstance(name, str) for name in value.values()):
+        raise OptionError(f"labels must be True, False, or a mapping from whole numbers to names; got {value!r}")
+    return {whole("each label", number): name for number, name in value.items()}
 
 
 def _whole(what: str, value: Sequence[int], d: int) -> tuple[int, ...]:

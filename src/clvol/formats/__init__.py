@@ -7,9 +7,10 @@ A new format is one module with ``read(path) -> (samples, geometry)`` and, where
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from numpy.typing import ArrayLike, DTypeLike
 
@@ -17,10 +18,12 @@ from clvol.checks import as_path
 from clvol.errors import DataError, FormatError, GeometryError, OptionError
 from clvol.files import staged
 from clvol.formats import dicom, metaimage, nifti, npy, nrrd, raw, tiff
+from clvol.formats._choice import Choice, Series
 from clvol.formats._files import Reader, Writer, foreign_errors
 from clvol.volume import Volume, as_volume
+from clvol.volumes import Leading, Volumes
 
-__all__ = ["FORMATS", "WRITTEN", "Format", "read", "write"]
+__all__ = ["FORMATS", "WRITTEN", "Format", "Series", "read", "read_all", "series_of", "write"]
 
 
 @dataclass(frozen=True)
@@ -32,13 +35,21 @@ class Format:
     name : str
         Its name for users.
     suffixes : tuple of str
-        Endings of file names, in lower case; empty for a folder of files.
+        Endings of file names, in lower case; empty for what is recognised otherwise.
     read : callable
-        Gives the samples and what the file says of their geometry.
+        Gives the samples and what the file says of their geometry. That of a format with `several` takes ``choose``, a `Choice`,
+        which it calls with the file's name and its `Leading` axes; it loads the samples of the `Pick`, and gives its `about` with
+        the geometry.
     write : callable or None
         None where the format is only read.
     options : frozenset of str
         Arguments of `clvol.read` that are for this format.
+    several : bool
+        Whether a file may hold more than one volume.
+    folder : callable or None
+        Whether a folder is of this format; None: files only.
+    series : callable or None
+        The images that a file or folder holds, where ``series=`` chooses one: a tuple of `Series`.
     """
 
     name: str
@@ -46,6 +57,9 @@ class Format:
     read: Reader
     write: Writer | None = None
     options: frozenset[str] = frozenset()
+    several: bool = False
+    folder: Callable[[Path], bool] | None = None
+    series: Callable[[Path], tuple[Series, ...]] | None = None
 
 
 FORMATS = (
@@ -56,7 +70,7 @@ FORMATS = (
     Format("MetaImage", (".mha", ".mhd"), metaimage.read, metaimage.write),
     Format("TIFF stack", (".tif", ".tiff"), tiff.read, tiff.write),
     Format("raw samples", (".raw", ".bin"), raw.read, None, frozenset({"shape", "dtype", "byte_order", "offset"})),
-    Format("DICOM folder", (), dicom.read, None, frozenset({"series"})),
+    Format("DICOM folder", (), dicom.read, None, frozenset({"series"}), folder=lambda _: True),
 )
 
 WRITTEN = tuple(suffix for f in FORMATS if f.write for suffix in f.suffixes)
@@ -66,6 +80,12 @@ WRITTEN = tuple(suffix for f in FORMATS if f.write for suffix in f.suffixes)
 def read(
     path: str | os.PathLike[str],
     *,
+    volume: int | None = None,
+    time: int | None = None,
+    channel: int | str | None = None,
+    position: int | None = None,
+    series: int | str | None = None,
+    level: int | None = None,
     shape: Sequence[int] | None = None,
     dtype: DTypeLike | None = None,
     spacing: Sequence[float] | None = None,
@@ -73,15 +93,25 @@ def read(
     direction: ArrayLike | None = None,
     byte_order: str | None = None,
     offset: int = 0,
-    series: str | None = None,
 ) -> Volume:
-    """Read a volume (or image) from a file, or from a folder of DICOM slices.
+    """Read a volume (or image) from a file or a folder; one of them, where it holds several.
 
     Parameters
     ----------
     path : path-like
         ``.npy .npz .nii .nii.gz .nrrd .nhdr .mha .mhd .tif .tiff .raw .bin``, in upper or lower
         case, or a folder with one series of DICOM files.
+    volume : int, optional
+        Which of several, in the order of the file, the first is 0.
+    time, position : int, optional
+        Which along such an axis.
+    channel : int or str, optional
+        Which, by number or name; "magnitude" of vectors, "luminance" of colours (the default for these).
+    series : int or str, optional
+        Which image of a file or folder that holds several: a DICOM series, an image of a TIFF file, an array of HDF5 or Zarr;
+        `clvol info` lists them.
+    level : int, optional
+        Of files that hold the same image in several sizes, 0 the largest, and the default.
     shape : sequence of int, optional
         Raw files only, and needed there: samples along the axes of the array, (nz, ny, nx) or
         (ny, nx).
@@ -93,8 +123,6 @@ def read(
         Raw files only: overrides the byte order of `dtype`.
     offset : int, optional
         Raw files only: bytes before the first sample.
-    series : str, optional
-        DICOM folders only: the series to read, where there are several.
 
     Returns
     -------
@@ -102,52 +130,133 @@ def read(
         Medical formats: in ITK's LPS frame, in mm (NRRD and MetaImage: in the unit of the header, if
         it has one). Samples that the header scales are float64. NIfTI files are read as nibabel
         reads them: placed by the sform, else the qform, else the spacing about the middle. TIFF: in
-        the unit of the file. 4-D files are accepted if the last axis has one sample.
+        the unit of the file.
+
+    Warns
+    -----
+    ClvolWarning
+        The file holds several volumes, and none was chosen: the first was read. Or it does not say what its axes are: the warning
+        says what they were taken for.
 
     Raises
     ------
     FormatError
         The file is missing, of no known format, damaged, or shorter than its header says.
     DataError
-        The file holds channels, times, complex numbers or objects.
+        The file holds complex numbers or objects.
     GeometryError
         The file's geometry is invalid or unknown; `spacing`, `origin` or `direction` mend it.
     OptionError
-        An argument is invalid, or is not for this format.
+        An argument is invalid, or is not for this format; there is no such volume.
     MissingDependencyError
-        The format needs ``clvol[medical]`` or ``clvol[microscopy]``.
+        The format needs an extra of clvol; the message names it.
     MemoryError
         The file is sound but does not fit into memory.
 
     Examples
     --------
     >>> volume = clvol.read("head.nii.gz")
+    >>> frame = clvol.read("bold.nii.gz", volume=12)
+    >>> nuclei = clvol.read("cells.ome.tif", channel="DAPI", time=3)
     >>> volume = clvol.read("engine.raw", shape=(128, 256, 256), dtype="uint8", spacing=(1, 1, 2))
     """
+    wanted = {"volume": volume, "time": time, "position": position, "channel": channel}
+    options = {"series": series, "level": level, "shape": shape, "dtype": dtype, "byte_order": byte_order, "offset": offset or None}
+    replaced = {"spacing": spacing, "origin": origin, "direction": direction}
+    result = _read(path, Choice({name: v for name, v in wanted.items() if v is not None}), options, replaced)
+    assert isinstance(result, Volume)  # nothing was left open
+    return result
+
+
+def read_all(
+    path: str | os.PathLike[str],
+    *,
+    time: int | None = None,
+    channel: int | str | None = None,
+    position: int | None = None,
+    series: int | str | None = None,
+    level: int | None = None,
+    spacing: Sequence[float] | None = None,
+    origin: Sequence[float] | None = None,
+    direction: ArrayLike | None = None,
+) -> Volumes:
+    """Read all volumes of a file: the frames of a series, the channels of a microscope, the components of a vector.
+
+    Parameters
+    ----------
+    path : path-like
+        As of `read`; a file with one volume gives one.
+    time, channel, position : optional
+        Only these, as of `read`.
+    series, level, spacing, origin, direction : optional
+        As of `read`.
+
+    Returns
+    -------
+    Volumes
+        In the order of the file, in one array.
+
+    Raises
+    ------
+    ClvolError
+        As `read` raises it.
+
+    Examples
+    --------
+    >>> bold = clvol.read_all("bold.nii.gz")
+    >>> pictures = [clvol.render(frame) for frame in bold]
+    >>> nuclei = clvol.read_all("cells.ome.tif")["DAPI"]
+    """
+    wanted = {"time": time, "position": position, "channel": channel}
+    replaced = {"spacing": spacing, "origin": origin, "direction": direction}
+    choice = Choice({name: v for name, v in wanted.items() if v is not None}, whole=True)
+    result = _read(path, choice, {"series": series, "level": level}, replaced)
+    return Volumes([result]) if isinstance(result, Volume) else result
+
+
+def series_of(path: str | os.PathLike[str]) -> tuple[Series, ...]:
+    """The images that a file or folder holds, of which ``series=`` chooses one; none where its format has but one."""
     path = as_path(path)
     with foreign_errors(f"read {path}"):
-        if not path.exists():
-            raise FormatError(f"cannot read {path}: there is no such file or folder")
-        if not path.is_dir() and not path.is_file():
-            raise FormatError(f"cannot read {path}: it is neither a file nor a folder")
-    chosen = next(f for f in FORMATS if not f.suffixes) if path.is_dir() else _by_suffix(path)[0]
-    given = {"shape": shape, "dtype": dtype, "byte_order": byte_order, "offset": offset or None, "series": series}
+        found = _format_of(path).series
+        return () if found is None else found(path)
+
+
+def _read(path: str | os.PathLike[str], choice: Choice, given: Mapping[str, Any], replaced: Mapping[str, Any]) -> Volume | Volumes:
+    path = as_path(path)
+    chosen = _format_of(path)
     options = {name: value for name, value in given.items() if value is not None}
     for name in options:
         if name not in chosen.options:
-            where = next(f.name for f in FORMATS if name in f.options)
-            raise OptionError(f"{name} is only for: {where}; {path} is read as: {chosen.name}")
-    replaced = {"spacing": spacing, "origin": origin, "direction": direction}
+            having = ", ".join(f.name for f in FORMATS if name in f.options)
+            raise OptionError(f"{name} is only for: {having}; {path} is read as: {chosen.name}")
+    if chosen.several:
+        options["choose"] = choice
     with foreign_errors(f"read {path}"):
         data, geometry = chosen.read(path, **options)
+        if not chosen.several:
+            pick = choice(path.name, Leading())  # refuses what is asked of one volume
+            geometry = geometry | pick.about
         geometry |= {name: value for name, value in replaced.items() if value is not None}
         try:
-            return Volume(data, **geometry)
+            return Volumes(data, **geometry) if "leading" in geometry else Volume(data, **geometry)
         except DataError as error:
             raise DataError(f"{path}: {error}") from error
         except GeometryError as error:
             mend = "spacing=, origin= or direction= replace what the file says"
             raise GeometryError(f"{path}: {error}; {mend}") from error
+
+
+def _format_of(path: Path) -> Format:
+    """That of a file by its name, of a folder by what it holds."""
+    with foreign_errors(f"read {path}"):
+        if not path.exists():
+            raise FormatError(f"cannot read {path}: there is no such file or folder")
+        if path.is_dir():
+            return next(f for f in FORMATS if f.folder is not None and f.folder(path))
+        if not path.is_file():
+            raise FormatError(f"cannot read {path}: it is neither a file nor a folder")
+        return _by_suffix(path)[0]
 
 
 def write(volume: Volume | ArrayLike, path: str | os.PathLike[str]) -> None:

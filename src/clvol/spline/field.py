@@ -433,7 +433,7 @@ class Field:
             return _into(_coarser(volume, *own, grid, chosen, evaluator, fetch, fill, progress), out)
         chain = Chain(stages, grid, self.device)
         data = self._on_grid(*chain.to_indices(volume), grid.shape, evaluator, fetch, fill, progress, out, chain)
-        return Volume(data, grid.spacing, grid.origin, grid.direction, grid.units or volume.units)
+        return volume.placed(data, grid)
 
     def magnify(
         self, factor: int = 2, *, evaluator: EvaluatorName = "auto", fetch: FetchName = "auto", progress: Progress | None = None
@@ -467,7 +467,7 @@ class Field:
         factor = whole("factor", factor, minimum=1)
         shape = tuple(factor * n for n in volume.shape)
         data = self._on_grid(np.eye(d) / factor, np.zeros(d), shape, evaluator, fetch, None, progress)
-        return Volume(data, tuple(s / factor for s in volume.spacing), volume.origin, volume.direction, volume.units)
+        return replace(volume, data=data, spacing=tuple(s / factor for s in volume.spacing))
 
     def _on_grid(
         self,
@@ -544,7 +544,7 @@ def _coarser(
         for axis, (n, m) in enumerate(zip(volume.size, grid.size, strict=True)):
             x = offset[axis] + matrix[axis, axis] * np.arange(m)
             np.moveaxis(data, volume.ndim - 1 - axis, 0)[(x < -boundary.edge) | (x > n - 1 + boundary.edge)] = outside
-    return Volume(data, grid.spacing, grid.origin, grid.direction, grid.units or volume.units)
+    return volume.placed(data, grid)
 
 
 # -- a Field, or what one is made of -----------------------------------------------------------------------------
@@ -913,9 +913,10 @@ def _grid_for(volume: Volume, shape: Sequence[int] | None, spacing: Sequence[flo
     if sum(v is not None for v in (shape, spacing, like)) != 1:
         raise OptionError("resample takes exactly one of shape, spacing and like")
     if like is not None:
-        if not isinstance(like, Volume) or like.ndim != d:
-            raise OptionError(f"like must be a Volume of {d} axes, as the volume has; got {like!r}")
-        return like
+        grid = as_volume(like)
+        if grid.ndim != d:
+            raise OptionError(f"like must have {d} axes, as the volume has; got {grid!r}")
+        return grid
     extent = np.asarray(volume.size) * np.asarray(volume.spacing)
     if shape is not None:
         if d == 3 and volume.shape[2] <= _CHANNELS and np.shape(shape) == (2,):

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Literal, TypeAlias
 
@@ -244,7 +244,7 @@ def low_passed(volume: Volume, steps: Array, boundary: Boundary, kind: type[np.g
     if not sums:
         return volume
     made = sum_along(volume.data, sums, _wide_enough(kind, volume, bspline(1), boundary), device, boundary.cval)
-    return Volume(made, volume.spacing, volume.origin, volume.direction, volume.units)
+    return replace(volume, data=made)
 
 
 def nearest_spline(

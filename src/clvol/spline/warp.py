@@ -128,7 +128,7 @@ def warp(
             determinants = chain.determinants(made.kind, next(steps))
     place = (like.spacing, like.origin, like.direction)
     return Warped(
-        Volume(np.ascontiguousarray(values), *place, like.units or moving.units),
+        moving.placed(np.ascontiguousarray(values), like),
         gradient,
         None if determinants is None else Volume(determinants, *place, like.units or moving.units),
     )

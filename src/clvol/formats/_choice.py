@@ -1,0 +1,145 @@
+"""Which of the volumes of a file is read, decided from its header before any sample is."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.errors import ClvolWarning, OptionError
+from clvol.volumes import Leading
+
+__all__ = ["Choice", "Pick", "Series"]
+
+
+@dataclass(frozen=True)
+class Series:
+    """One of several images in a file or a folder.
+
+    Parameters
+    ----------
+    id : str
+        By which ``series=`` chooses it.
+    text : str
+        What the source says of it, for listings.
+    shape : tuple of int
+        Samples along each axis, as the array would be indexed; empty where that takes reading it.
+    """
+
+    id: str
+    text: str = ""
+    shape: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Pick:
+    """What a `Choice` takes of a file's leading axes.
+
+    Parameters
+    ----------
+    index : tuple of int or slice
+        For each leading axis: the samples to load are ``samples[index]``. A slice keeps its axis.
+    about : dict
+        Arguments of `Volume` for what is picked; `leading` among them where several volumes are.
+    finish : callable
+        From the samples loaded to those that are wanted: the same, or a channel computed of all.
+    """
+
+    index: tuple[int | slice, ...]
+    about: dict[str, Any]
+    finish: Callable[[NDArray[Any]], NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What the caller of `clvol.read` or `clvol.read_all` wants of a file that holds several volumes.
+
+    Parameters
+    ----------
+    given : mapping
+        Of "volume" (a number among all of them, or a place along the axis of that name), "time", "position", "channel".
+    whole : bool
+        Whether axes without a choice are kept; else the first place along them is taken, with a `ClvolWarning`.
+    """
+
+    given: Mapping[str, int | str] = field(default_factory=dict)
+    whole: bool = False
+
+    def __call__(self, source: str, leading: Leading, guessed: str = "") -> Pick:
+        """What is taken of the volumes of `source`, which messages name.
+
+        `guessed` says how axes were understood that the file does not explain; it is part of the warning.
+
+        Raises
+        ------
+        OptionError
+            An axis that the file does not have, or a place out of range: the message says how many there are.
+        """
+        places = dict(self.given)
+        if "volume" in places and "volume" not in leading.axes:
+            if len(places) > 1:
+                raise OptionError(f"give volume or {', '.join(name for name in places if name != 'volume')}; got both")
+            flat = Leading(("volume",), (leading.total,)).place("volume", places.pop("volume"), source)
+            places = {
+                axis: int(i)
+                for axis, i in zip(leading.axes, np.unravel_index(flat, leading.counts or (1,)), strict=bool(leading.axes))
+            }
+        if leading.axes == ("volume",) and "time" in places and "volume" not in places:
+            places["volume"] = places.pop("time")
+        for name in places:
+            if name not in leading.axes and places[name] not in (0, "0"):
+                raise OptionError(f"{name} must be 0, for {source} holds one {name}; it holds {leading}; got {places[name]!r}")
+        index: list[int | slice] = []
+        left: list[str] = []
+        computed = ""
+        for axis, count in zip(leading.axes, leading.counts, strict=True):
+            choice = places.get(axis)
+            if choice is None and not self.whole and axis == "channel" and leading.computed:
+                choice = leading.computed
+            if axis == "channel" and choice and choice == leading.computed:
+                computed = leading.computed
+                index.append(slice(None))
+            elif choice is not None:
+                index.append(leading.place(axis, choice, source))
+            elif self.whole:
+                index.append(slice(None))
+            else:
+                index.append(0)
+                if count > 1:
+                    left.append(axis)
+        self._tell(source, leading, left, index, guessed)
+        kept = [i for i, at in enumerate(index) if at == slice(None) and not (computed and leading.axes[i] == "channel")]
+        dropped = [axis for i, axis in enumerate(leading.axes) if i not in kept]
+        picked = [(0 if isinstance(at, slice) else at) for at in index]
+        known = leading.about(picked)
+        if computed:
+            known = leading.without("channel").about(
+                [at for at, axis in zip(picked, leading.axes, strict=True) if axis != "channel"]
+            )
+            known["name"] = computed
+        if not kept:
+            about = known
+        else:
+            rest = leading.without(*dropped)
+            about = {"leading": rest}
+        at = sum(isinstance(i, slice) for i in index[: leading.axes.index("channel")]) if computed else 0
+        return Pick(tuple(index), about, (lambda data: leading.combined(data, at)) if computed else (lambda data: data))
+
+    def _tell(self, source: str, leading: Leading, left: list[str], index: list[int | slice], guessed: str) -> None:
+        if left:
+            places = {axis: at for axis, at in zip(leading.axes, index, strict=True) if axis in left}
+            taken = ", ".join(
+                f"{axis} {at}" + (f" ({leading.names[axis][at]})" if isinstance(at, int) and axis in leading.names else "")
+                for axis, at in places.items()
+            )
+            how = " or ".join(f"{axis}=" for axis in left)
+            message = f"{source} holds {leading}; {taken} was read: choose by {how}, or read all by clvol.read_all"
+        elif guessed:
+            message = source
+        else:
+            return
+        warnings.warn(f"{message}{'; ' if left else ': '}{guessed}" if guessed else message, ClvolWarning, stacklevel=4)
