@@ -16,7 +16,7 @@ from clvol.color import color_of
 from clvol.errors import DataError, GeometryError, OptionError
 from clvol.interop import read_array
 from clvol.missing import Missing, filled_smoothly
-from clvol.noise import Noise, estimate
+from clvol.noise import MOST_LABELS, Noise, estimate
 
 __all__ = ["FRAMES", "SPACES", "Volume", "as_volume", "in_frame"]
 
@@ -281,7 +281,7 @@ class Volume:
         if self.data.dtype.kind not in "iu" or self.data.size == 0:
             return False
         some = self.data[len(self.data) // 2].ravel()[:_LOOKED_AT]  # a run of neighbours
-        if some.size > 1 and (some[1:] == some[:-1]).mean() < _SAME:
+        if len(np.unique(some)) > MOST_LABELS or (some.size > 1 and (some[1:] == some[:-1]).mean() < _SAME):
             return False
         return self.noise.kind == "labels"
 
