@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, DTypeLike
 from clvol.checks import as_path
 from clvol.errors import DataError, FormatError, GeometryError, OptionError
 from clvol.files import staged
-from clvol.formats import dicom, metaimage, nifti, npy, nrrd, raw, tiff
+from clvol.formats import dicom, metaimage, mgz, nifti, npy, nrrd, raw, tiff
 from clvol.formats._choice import Choice, Series
 from clvol.formats._files import Reader, Writer, foreign_errors
 from clvol.volume import Volume, as_volume
@@ -46,6 +46,8 @@ class Format:
         Arguments of `clvol.read` that are for this format.
     several : bool
         Whether a file may hold more than one volume.
+    file : callable or None
+        Whether a file with a suffix of no format is of this one, by what it holds.
     folder : callable or None
         Whether a folder is of this format; None: files only.
     series : callable or None
@@ -60,20 +62,32 @@ class Format:
     write: Writer | None = None
     options: frozenset[str] = frozenset()
     several: bool = False
+    file: Callable[[Path], bool] | None = None
     folder: Callable[[Path], bool] | None = None
     series: Callable[[Path], tuple[Series, ...]] | None = None
     write_several: Callable[[Volumes, Path], None] | None = None
 
 
 FORMATS = (
-    Format("NumPy array, no geometry", (".npy",), npy.read, npy.write),
-    Format("NumPy archive", (".npz",), npy.read_archive, npy.write_archive),
-    Format("NIfTI", (".nii", ".nii.gz"), nifti.read, nifti.write),
-    Format("NRRD", (".nrrd", ".nhdr"), nrrd.read, nrrd.write),
-    Format("MetaImage", (".mha", ".mhd"), metaimage.read, metaimage.write),
+    Format("NumPy array, no geometry", (".npy",), npy.read, npy.write, several=True, write_several=npy.write),
+    Format("NumPy archive", (".npz",), npy.read_archive, npy.write_archive, several=True, write_several=npy.write_archive),
+    Format("NIfTI", (".nii", ".nii.gz"), nifti.read, nifti.write, several=True, write_several=nifti.write),
+    Format("NIfTI in two files", (".hdr", ".img"), nifti.read_pair, several=True),
+    Format("NRRD", (".nrrd", ".nhdr"), nrrd.read, nrrd.write, several=True, write_several=nrrd.write),
+    Format("MetaImage", (".mha", ".mhd"), metaimage.read, metaimage.write, several=True, write_several=metaimage.write),
+    Format("FreeSurfer MGH", (".mgh", ".mgz"), mgz.read, several=True),
+    Format(
+        "DICOM",
+        dicom.SUFFIXES,
+        dicom.read,
+        options=frozenset({"series"}),
+        several=True,
+        file=dicom.is_file,
+        folder=dicom.is_folder,
+        series=dicom.series_of,
+    ),
     Format("TIFF stack", (".tif", ".tiff"), tiff.read, tiff.write),
     Format("raw samples", (".raw", ".bin"), raw.read, None, frozenset({"shape", "dtype", "byte_order", "offset"})),
-    Format("DICOM folder", (), dicom.read, None, frozenset({"series"}), folder=lambda _: True),
 )
 
 WRITTEN = tuple(suffix for f in FORMATS if f.write for suffix in f.suffixes)
@@ -256,9 +270,16 @@ def _format_of(path: Path) -> Format:
         if not path.exists():
             raise FormatError(f"cannot read {path}: there is no such file or folder")
         if path.is_dir():
-            return next(f for f in FORMATS if f.folder is not None and f.folder(path))
+            found = next((f for f in FORMATS if f.folder is not None and f.folder(path)), None)
+            if found is None:
+                raise FormatError(f"cannot read {path}: a folder must hold DICOM files itself (not in folders below); found none")
+            return found
         if not path.is_file():
             raise FormatError(f"cannot read {path}: it is neither a file nor a folder")
+        if not path.name.lower().endswith(tuple(suffix for row in FORMATS for suffix in row.suffixes)):
+            for row in FORMATS:
+                if row.file is not None and row.file(path):
+                    return row
         return _by_suffix(path)[0]
 
 
