@@ -70,11 +70,11 @@ def write_archive(what: Volume | Volumes, path: Path) -> None:
     """Write samples and geometry bit for bit, and what else is said of them as JSON."""
     volume = what.grid if isinstance(what, Volumes) else what
     said = {name: value for name in _ABOUT if (value := getattr(volume, name)) or value is False}
-    arrays = {name: getattr(volume, name) for name in _GEOMETRY} | {"about": json.dumps(said, default=_plain)}
+    arrays: dict[str, Any] = {name: getattr(volume, name) for name in _GEOMETRY} | {"about": json.dumps(said, default=_plain)}
     if isinstance(what, Volumes):
         arrays["leading"] = json.dumps(asdict(what.leading))
     with path.open("wb") as stream:
-        np.savez(stream, allow_pickle=False, data=np.asarray(what), **{name: np.asarray(value) for name, value in arrays.items()})
+        np.savez(stream, data=np.asarray(what), **arrays)
 
 
 def _plain(value: object) -> object:
