@@ -183,7 +183,7 @@ def test_simpleitk_image_brings_its_geometry() -> None:
     np.testing.assert_array_equal(volume.data, DATA)
     for index in ((0, 0, 0), (5, 1, 3)):
         np.testing.assert_allclose(volume.index_to_world(index), image.TransformIndexToPhysicalPoint(index))
-    with pytest.raises(DataError, match="one value per voxel"):
+    with pytest.raises(DataError, match=r"3 channels.*clvol\.Volumes\(image\)\[k\]"):
         Volume(sitk.GetImageFromArray(np.zeros((2, 2, 2, 3)), isVector=True))
 
 
@@ -199,15 +199,16 @@ def test_nibabel_image_is_brought_into_lps() -> None:
     np.testing.assert_allclose(volume.index_to_world([5, 1, 3]), ras[:3] * [-1, -1, 1], rtol=1e-6)
 
 
-def test_simpleitk_image_has_no_unit_and_drops_trailing_axes_of_one_sample() -> None:
+def test_simpleitk_image_is_in_mm_and_drops_trailing_axes_of_one_sample() -> None:
     sitk = pytest.importorskip("SimpleITK")
     image = sitk.GetImageFromArray(DATA[None], isVector=False)
     image.SetSpacing((0.5, 1.5, 2.0, 9.0))
     assert image.GetDimension() == 4
     volume = Volume(image)
-    assert (volume.shape, volume.spacing, volume.units) == (DATA.shape, (0.5, 1.5, 2.0), "")
+    assert (volume.shape, volume.spacing, volume.units) == (DATA.shape, (0.5, 1.5, 2.0), "mm")
+    assert volume.space == "LPS"
     assert Volume(image, units="um").units == "um"
-    with pytest.raises(DataError, match="split the image into its frames"):
+    with pytest.raises(DataError, match=r"2 volumes.*clvol\.Volumes\(image\)\[k\]"):
         Volume(sitk.GetImageFromArray(np.zeros((2, 2, 2, 2)), isVector=False))
 
 
