@@ -339,7 +339,8 @@ def to_nibabel(data: NDArray[Any], grid: Grid, leading: Several | None = None) -
             array = array[0]
     affine = _affine(grid)
     kind = library.Nifti1Image if max(array.shape) <= _LONGEST else library.Nifti2Image
-    image = kind(array.T, affine, dtype=array.dtype)
+    with np.errstate(over="ignore"):  # it is looked at below
+        image = kind(array.T, affine, dtype=array.dtype)
     _tell(image, affine, grid, leading is not None and leading.vector, frames, leading)
     with np.errstate(over="ignore", invalid="ignore"):
         kept = image.header.get_best_affine()
@@ -357,8 +358,8 @@ def _tell(image: Any, affine: NDArray[np.float64], grid: Grid, vector: bool, fra
     if not any(codes) and not np.allclose(header.get_base_affine(), affine, rtol=1e-6):  # nowhere, yet it has a place
         codes = [1, 1]
     with np.errstate(over="ignore", invalid="ignore"):
-        image.set_qform(affine, codes[1])
-        image.set_sform(affine, codes[0])
+        image.set_qform(affine, codes[1], update_affine=False)  # the image keeps its own in float64
+        image.set_sform(affine, codes[0], update_affine=False)
     of_time = frames is not None and leading is not None and leading.axes[frames] == "time"
     unit = kept.get("time_unit", "sec" if of_time else "unknown")
     header.set_xyzt_units("mm", unit if frames is not None else "unknown")

@@ -32,6 +32,7 @@ _NO_SLICES = ("1.3.10", *(f"5.1.4.1.1.{group}" for group in ("9.", "11.", "66", 
 _LARGEST_SHIFT = 0.05  # of the distance between slices; ITK only warns, whatever is missing
 _MODALITY, _DESCRIPTION, _NUMBER, _INSTANCE, _FRAME_TIME = "0008|0060", "0008|103e", "0020|0011", "0020|0013", "0018|1063"
 _CENTER, _WIDTH, _POSITION = "0028|1050", "0028|1051", "0020|0032"
+_ORIENTATION, _PIXELS = "0020|0037", "0028|0030"
 _TAGS = (_MODALITY, _DESCRIPTION, _NUMBER, _INSTANCE, _FRAME_TIME, _CENTER, _WIDTH)
 
 Points = NDArray[np.float64]
@@ -169,6 +170,7 @@ def _read_file(path: Path, choose: Choice) -> Content:
         order = order.T
     elif origins is not None:
         order, guessed = _order(origins, np.arange(frames, dtype=np.float64))
+        _lay(geometry, content)
         if order.shape[1] > 1:
             _place(path, geometry, origins[order[0]])
     elif frames > 1:
@@ -182,6 +184,17 @@ def _positions(content: bytes, frames: int) -> Points | None:
     texts = _texts(content, _POSITION)
     places = [[float(part) for part in text.split("\\")] for text in texts]
     return np.array(places) if frames > 1 and len(places) == frames and all(len(place) == 3 for place in places) else None
+
+
+def _lay(geometry: dict[str, Any], content: bytes) -> None:
+    """Set spacing and direction within the frames: GDCM finds neither where frames are not in the order of their places."""
+    rows = [float(part) for part in _texts(content, _PIXELS, "nan")[0].split("\\")]
+    turn = [float(part) for part in _texts(content, _ORIENTATION, "nan")[0].split("\\")]
+    if len(rows) == 2:
+        geometry["spacing"] = (rows[1], rows[0], geometry["spacing"][2])
+    if len(turn) == 6:
+        x, y = np.array(turn).reshape(2, 3)
+        geometry["direction"] = np.column_stack([x, y, np.cross(x, y)])
 
 
 def _texts(content: bytes, tag: str, *otherwise: str) -> list[str]:

@@ -103,6 +103,7 @@ _DTYPES = {
     1280: "uint64",
 }
 _COLORS = {128: 3, 2304: 4}  # bytes of each voxel
+_AT_ONCE = 1 << 18  # bytes
 _TRUSTED = 1 << 26  # bytes of samples that are believed of any packed file
 _PACKED = 20  # and for every byte of it; beyond, they are counted first, for gzip packs up to 1032 into one
 _PLACED = range(1, 6)  # codes of a sform or qform that says where the grid lies; nibabel takes any other for 0, nowhere
@@ -232,7 +233,8 @@ def _fill(raw: NDArray[np.uint8], stream: BinaryIO, header: _Header, wanted: NDA
     for n, volume in enumerate(wanted):
         stream.seek(header.start + int(volume) * header.step)
         done, end = n * header.step, (n + 1) * header.step
-        while done < end and (count := stream.readinto(room[done:end])):  # type: ignore[attr-defined]  # every binary stream has it
+        # a packed stream unpacks as much as is asked for at once, before it is copied
+        while done < end and (count := stream.readinto(room[done : min(end, done + _AT_ONCE)])):  # type: ignore[attr-defined]
             done += count
         if done < end:
             return max(0, stream.tell() - header.start)
