@@ -119,3 +119,19 @@ def test_points_in_the_order_of_the_array_are_noticed(device: Device) -> None:
 def test_points_outside_alone_are_no_mistake(device: Device, recwarn: pytest.WarningsRecorder) -> None:
     clvol.sample(np.zeros((10, 20, 40), np.float32), [[80, 80, 80], [9, 15, 5]], device=device)
     assert not recwarn.list
+
+
+def test_points_of_nibabel(device: Device) -> None:
+    nib = pytest.importorskip("nibabel")
+    affine = np.array([[2, 0, 0, -9], [0, 1.5, 0, 4], [0, 0, 1, 7], [0, 0, 0, 1.0]])
+    image = nib.Nifti1Image(np.einsum("i,j,k->ijk", *(np.arange(1.0, n) ** 1.5 for n in (8, 9, 7))), affine)
+    index = np.array([[2, 3, 4], [5, 1, 2]])
+    points = nib.affines.apply_affine(image.affine, index)
+    with clvol.Field(Volume(image, space="LPS"), device=device) as field:
+        np.testing.assert_allclose(field(points, frame="RAS"), image.get_fdata()[tuple(index.T)], rtol=1e-5)
+        own = points * [-1, -1, 1]
+        np.testing.assert_allclose(field.gradient(points, frame="RAS"), field.gradient(own) * [-1, -1, 1])
+        turned = field.hessian(own) * np.outer([-1, -1, 1], [-1, -1, 1])
+        np.testing.assert_allclose(field.hessian(points, frame="RAS"), turned)
+    with pytest.raises(OptionError, match="RAS"):
+        clvol.sample(DATA, [[1, 2, 3]], frame="RAS", device=device)

@@ -30,7 +30,7 @@ from clvol.spline.reduce import AntiAliasing, as_anti_aliasing, low_passed, near
 from clvol.spline.resample import resample_coefficients
 from clvol.stored import AS_THEY_ARE, Stored
 from clvol.transform import Transforms, as_chain
-from clvol.volume import Volume, as_volume
+from clvol.volume import Volume, as_volume, in_frame
 
 __all__ = [
     "Field",
@@ -49,10 +49,12 @@ __all__ = [
     "sample",
 ]
 
+Frame: TypeAlias = Literal["LPS", "RAS"]
 Anchor: TypeAlias = Literal["center", "origin"]
 Precision: TypeAlias = Literal["single", "double"]
 _PRECISIONS: dict[str, type[np.generic]] = {"single": np.float32, "double": np.float64}
 _CHANNELS = 4  # of an image in colour, at most
+_TURN = np.array([-1.0, -1.0, 1.0])  # between LPS and RAS
 _LOOKED_AT = 256  # points of which the order of coordinates is guessed
 
 
@@ -247,6 +249,7 @@ class Field:
         self,
         points: ArrayLike,
         *,
+        frame: Frame = "LPS",
         evaluator: EvaluatorName = "auto",
         fetch: FetchName = "auto",
         fill: float | None = None,
@@ -260,7 +263,11 @@ class Field:
         points : array-like, shape (..., d)
             World positions (x, y) or (x, y, z), as many coordinates as the volume has axes. float32 is computed with as it
             is, everything else as float64 where the device has it; where it has none, positions err by up to 2⁻²⁴ of their
-            distance from the world's origin and from the first sample. A position that is not finite gives NaN.
+            distance from the world's origin and from the first sample. A position that is not finite gives NaN. Points that lie
+            outside, and would not in the order (z, y, x), are told of by a `ClvolWarning`.
+        frame : {"LPS", "RAS"}
+            In which points are given, and derivatives come, of a volume whose space is "LPS": that of ITK and DICOM, or that of
+            NIfTI and nibabel, where x and y run the other way.
         evaluator : {"auto", "taps", "paired", "eight-fetch"}
             Direct taps, or linear fetches that serve two taps along each axis: 8 fetches for the 4 taps an axis of a
             cubic in 3-D (hence "eight-fetch", another name for it), 4 in 2-D, 27 for the 6 taps of `bspline5`. Filters
@@ -285,7 +292,8 @@ class Field:
         Raises
         ------
         OptionError
-            `points` are no real numbers of shape (..., d); `fill` is no number; `evaluator` or `fetch` is an unknown name;
+            `points` are no real numbers of shape (..., d); `frame` is neither of the two, or "RAS" where the volume is of no
+            patient; `fill` is no number; `evaluator` or `fetch` is an unknown name;
             the field is closed; `out` has another shape or dtype, or cannot be written into (before anything is computed).
         DeviceError
             ``fetch="image"`` on a device without float images, or paired fetches from an image on one whose sampler does
@@ -293,12 +301,13 @@ class Field:
         OutOfMemoryError
             The device has no room for the points.
         """
-        return self._at(points, 0, evaluator, fetch, fill, progress, out)
+        return self._at(points, 0, evaluator, fetch, fill, progress, out, frame)
 
     def gradient(
         self,
         points: ArrayLike,
         *,
+        frame: Frame = "LPS",
         evaluator: EvaluatorName = "auto",
         fetch: FetchName = "auto",
         fill: float | None = None,
@@ -314,12 +323,13 @@ class Field:
         ndarray of float32, shape (..., d)
             Derivatives along (x, y[, z]), per world unit; float64 where the samples are very large or small.
         """
-        return self._at(points, 1, evaluator, fetch, fill, progress, out)
+        return self._at(points, 1, evaluator, fetch, fill, progress, out, frame)
 
     def hessian(
         self,
         points: ArrayLike,
         *,
+        frame: Frame = "LPS",
         evaluator: EvaluatorName = "auto",
         fetch: FetchName = "auto",
         fill: float | None = None,
@@ -333,7 +343,7 @@ class Field:
         ndarray of float32, shape (..., d, d)
             Symmetric, [x, y[, z]] twice, per world unit squared; float64 where the samples are very large or small.
         """
-        return self._at(points, 2, evaluator, fetch, fill, progress, out)
+        return self._at(points, 2, evaluator, fetch, fill, progress, out, frame)
 
     def _at(
         self,
@@ -344,9 +354,10 @@ class Field:
         fill: float | None,
         progress: Progress | None,
         out: Any = None,
+        frame: Frame = "LPS",
     ) -> Reals:
         d, made = self.volume.ndim, self.coefficients
-        array = _points(points, d)
+        array = _in_world(_points(points, d), frame, self.volume)
         _tell_reversed(array.reshape(-1, d), self.volume)
         shape = array.shape[:-1] + (d,) * derivative
         target = None if out is None else as_output(out, shape)
@@ -357,7 +368,10 @@ class Field:
         if self.gaps:
             share = self.gaps._at(array.reshape(-1, d), 0, "taps", "buffer", None if fill is None else 0.0, second)
             flat[share > self.missing.most] = np.nan
-        results = _put(flat.reshape(shape), target)
+        shaped = flat.reshape(shape)
+        if frame == "RAS" and derivative:
+            np.multiply(shaped, _TURN[:d] if derivative == 1 else np.outer(_TURN[:d], _TURN[:d]), out=shaped, casting="same_kind")
+        results = _put(shaped, target)
         return results if out is None else out
 
     def _writes(self, target: NDArray[Any] | None) -> TypeGuard[NDArray[Any]]:
@@ -670,6 +684,7 @@ def sample(
     boundary: str | Boundary | None = None,
     derivative: int = 0,
     *,
+    frame: Frame = "LPS",
     evaluator: EvaluatorName = "auto",
     fetch: FetchName = "auto",
     fill: float | None = None,
@@ -697,7 +712,7 @@ def sample(
     derivative : {0, 1, 2}
         0 for values, 1 for gradients, 2 for Hessians: the exact derivatives of the function that derivative 0 gives, per
         world unit (almost everywhere, where it has kinks or jumps).
-    evaluator, fetch, fill, progress, out
+    frame, evaluator, fetch, fill, progress, out
         As in a call of `Field`.
     device : Device, str or int, optional
         See `as_device`; default that of the Field, if one is given.
@@ -722,12 +737,12 @@ def sample(
     derivative = whole("derivative", derivative, minimum=0, maximum=2)
     if not isinstance(volume, Field):
         volume = as_volume(volume)
-        array = _points(points, volume.ndim)  # before the volume is prefiltered
+        array = _in_world(_points(points, volume.ndim), frame, volume)  # before the volume is prefiltered
         if out is not None:
             as_output(out, array.shape[:-1] + (volume.ndim,) * derivative)
     with opened(volume, filter, boundary, device, precision, nan) as field:
         at = (field.__call__, field.gradient, field.hessian)[derivative]
-        return at(points, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress, out=out)
+        return at(points, frame=frame, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress, out=out)
 
 
 def resample(
@@ -930,6 +945,11 @@ def _points(points: ArrayLike, d: int) -> NDArray[np.generic]:
     if array.dtype.kind not in "biuf" or array.ndim == 0 or array.shape[-1] != d:
         raise OptionError(f"points must be numbers of shape (..., {d}); got {array.dtype} of shape {array.shape}")
     return array
+
+
+def _in_world(points: NDArray[np.generic], frame: Frame, volume: Volume) -> NDArray[np.generic]:
+    """Points of a frame in the volume's world: those of its own as they are, of any type."""
+    return points if frame == "LPS" else in_frame(np.asarray(points, np.float64), frame, volume.space)
 
 
 def _tell_reversed(points: NDArray[np.generic], volume: Volume) -> None:
