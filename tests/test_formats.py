@@ -508,31 +508,6 @@ def test_plain_tiff(tmp_path: Path, compression: str | None, metadata: dict[str,
     assert (read.spacing, read.units) == ((1, 1, 1), "")
 
 
-@pytest.mark.parametrize(
-    ("axes", "shape", "options"),
-    [
-        ("YXS", (5, 4, 3), {"photometric": "rgb"}),
-        ("CZYX", (2, 3, 5, 4), {"ome": True, "photometric": "minisblack"}),
-        ("TZYX", (2, 3, 5, 4), {"ome": True, "photometric": "minisblack"}),
-        ("TYX", (2, 5, 4), {"ome": True, "photometric": "minisblack"}),
-    ],
-)
-def test_tiff_with_channels_or_times(tmp_path: Path, axes: str, shape: tuple[int, ...], options: dict[str, Any]) -> None:
-    tifffile = pytest.importorskip("tifffile")
-    tifffile.imwrite(tmp_path / "v.tif", np.zeros(shape, np.uint8), metadata={"axes": axes}, **options)
-    with pytest.raises(DataError, match=f"its axes are {axes}"):
-        formats.read(tmp_path / "v.tif")
-
-
-def test_tiff_of_several_images(tmp_path: Path) -> None:
-    tifffile = pytest.importorskip("tifffile")
-    with tifffile.TiffWriter(tmp_path / "v.tif") as file:
-        file.write(np.zeros((4, 5), np.uint8), metadata=None)
-        file.write(np.zeros((3, 5), np.uint8), metadata=None)
-    with pytest.raises(DataError, match="one volume"):
-        formats.read(tmp_path / "v.tif")
-
-
 def test_tiff_of_a_set_with_a_missing_file(tmp_path: Path) -> None:
     """Tifffile logs that slices are missing, and makes them 0; also where its log is silenced."""
     tifffile = pytest.importorskip("tifffile")

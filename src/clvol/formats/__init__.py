@@ -71,7 +71,16 @@ FORMATS = (
     Format("NIfTI", (".nii", ".nii.gz"), nifti.read, nifti.write),
     Format("NRRD", (".nrrd", ".nhdr"), nrrd.read, nrrd.write),
     Format("MetaImage", (".mha", ".mhd"), metaimage.read, metaimage.write),
-    Format("TIFF stack", (".tif", ".tiff"), tiff.read, tiff.write),
+    Format(
+        "TIFF stack",
+        (".tif", ".tiff"),
+        tiff.read,
+        tiff.write,
+        frozenset({"series", "level"}),
+        several=True,
+        series=tiff.series,
+        write_several=tiff.write_several,
+    ),
     Format("raw samples", (".raw", ".bin"), raw.read, None, frozenset({"shape", "dtype", "byte_order", "offset"})),
     Format("DICOM folder", (), dicom.read, None, frozenset({"series"}), folder=lambda _: True),
 )
