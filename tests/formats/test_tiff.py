@@ -65,17 +65,18 @@ def test_only_pages_that_are_chosen_are_decoded(ome: Path, monkeypatch: pytest.M
     assert asked == [16, 17, 18, 19]
 
 
-def test_an_intact_time_of_a_file_that_is_cut_short_is_read(ome: Path) -> None:
-    with tifffile.TiffFile(ome) as file:
-        last = file.series[0][23]
-        start = last.dataoffsets[0]
-    content = ome.read_bytes()
-    if content.rfind(b"OME") > start:  # headers lie before the samples
-        pytest.skip("the last page is not the end of the file")
-    ome.write_bytes(content[:-10])
-    np.testing.assert_array_equal(clvol.read(ome, time=0, channel=0).data, DATA[0, 0])
-    with pytest.raises(FormatError, match="past the end|cannot read"):
-        clvol.read(ome, time=1, channel=2)
+def test_an_intact_time_of_a_damaged_file_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "v.ome.tif"
+    options = {"photometric": "minisblack", "metadata": {"axes": "TCZYX"}, "compression": "zlib"}
+    tifffile.imwrite(path, DATA, ome=True, **options)
+    with tifffile.TiffFile(path) as file:
+        start, length = (one[0] for one in (file.pages[23].dataoffsets, file.pages[23].databytecounts))
+    content = bytearray(path.read_bytes())
+    content[start : start + length] = bytes(length)
+    path.write_bytes(content)
+    np.testing.assert_array_equal(clvol.read(path, time=0, channel=0).data, DATA[0, 0])
+    with pytest.raises(FormatError, match="cannot read"):
+        clvol.read(path, time=1, channel=2)
 
 
 def test_channels_of_imagej(tmp_path: Path) -> None:
@@ -115,7 +116,7 @@ def test_a_virtual_stack_of_imagej(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-60] + stored.tobytes())
     np.testing.assert_array_equal(clvol.read(path, time=1, channel=2).data, DATA[1, 2])
     path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(FormatError, match="cannot read|damaged|must hold"):
+    with pytest.raises(FormatError, match=r"cannot read|damaged|must hold"):
         clvol.read(path, time=1, channel=2)
 
 
@@ -172,7 +173,7 @@ def test_several_sizes(tmp_path: Path) -> None:
     np.testing.assert_array_equal(small.data, half)
     assert (small.spacing, small.origin) == ((0.5, 1.0, 2.0), (0.125, 0.25, 0.0))
     np.testing.assert_allclose(small.center, clvol.read(path).center)
-    with pytest.raises(OptionError, match="level must be 0 to 1.*2 × 16 × 24; got 2"):
+    with pytest.raises(OptionError, match=r"level must be 0 to 1.*2 × 16 × 24; got 2"):
         clvol.read(path, level=2)
 
 

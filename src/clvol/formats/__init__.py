@@ -7,6 +7,7 @@ A new format is one module with ``read(path) -> (samples, geometry)`` and, where
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ from numpy.typing import ArrayLike, DTypeLike
 from clvol.checks import as_path
 from clvol.errors import DataError, FormatError, GeometryError, OptionError
 from clvol.files import staged
-from clvol.formats import dicom, metaimage, nifti, npy, nrrd, raw, tiff
+from clvol.formats import dicom, hdf5, metaimage, nifti, npy, nrrd, raw, slices, tiff, vti, zarr
 from clvol.formats._choice import Choice, Series
 from clvol.formats._files import Reader, Writer, foreign_errors
 from clvol.volume import Volume, as_volume
@@ -81,9 +82,26 @@ FORMATS = (
         series=tiff.series,
         write_several=tiff.write_several,
     ),
+    Format(
+        "Zarr",
+        (".zarr.zip", ".ozx", ".zip"),
+        zarr.read,
+        None,
+        frozenset({"series", "level"}),
+        several=True,
+        folder=zarr.is_one,
+        series=zarr.series,
+    ),
+    Format("HDF5", (".h5", ".hdf5", ".hdf", ".he5", ".nc"), hdf5.read, None, frozenset({"series"}), several=True, series=hdf5.series),
+    Format("VTK image data", (".vti",), vti.read, None, frozenset({"series"}), several=True, series=vti.series),
+    Format("image", slices.SUFFIXES, slices.read, several=True),
+    Format("folder of image slices", (), slices.read_folder, several=True, folder=slices.are_in),
     Format("raw samples", (".raw", ".bin"), raw.read, None, frozenset({"shape", "dtype", "byte_order", "offset"})),
     Format("DICOM folder", (), dicom.read, None, frozenset({"series"}), folder=lambda _: True),
 )
+
+_FOLDERS = "DICOM files, image slices (.tif .png .jpg .bmp) or a Zarr array or group"
+_LISTED = 5  # kinds of files in a message
 
 WRITTEN = tuple(suffix for f in FORMATS if f.write for suffix in f.suffixes)
 """Suffixes of the files that `write` writes."""
@@ -265,7 +283,10 @@ def _format_of(path: Path) -> Format:
         if not path.exists():
             raise FormatError(f"cannot read {path}: there is no such file or folder")
         if path.is_dir():
-            return next(f for f in FORMATS if f.folder is not None and f.folder(path))
+            found = next((f for f in FORMATS if f.folder is not None and f.folder(path)), None)
+            if found is None:
+                raise FormatError(f"cannot read {path}: a folder must hold {_FOLDERS}; this one holds {_holdings(path)}")
+            return found
         if not path.is_file():
             raise FormatError(f"cannot read {path}: it is neither a file nor a folder")
         return _by_suffix(path)[0]
@@ -299,11 +320,11 @@ def write(volume: Volume | Volumes | ArrayLike, path: str | os.PathLike[str]) ->
     if isinstance(volume, Volumes) and len(volume) == 1:
         volume = volume[0]
     what = volume if isinstance(volume, Volumes) else as_volume(volume)
-    chosen, suffix = _by_suffix(path)
+    chosen, suffix = _by_suffix(path, written=True)
     if chosen.write is None:
         raise FormatError(
-            f"cannot write {path}: a {suffix} file does not say how its samples are arranged; .mhd or .nhdr writes "
-            "a .raw file and a header that does"
+            f"cannot write {path}: {chosen.name} is only read; written are {' '.join(WRITTEN)}, of which .mhd or .nhdr puts raw "
+            "samples beside a header that says how they are arranged"
         )
     if isinstance(what, Volumes) and chosen.write_several is None:
         holding = " ".join(s for f in FORMATS if f.write_several for s in f.suffixes)
@@ -319,12 +340,30 @@ def write(volume: Volume | Volumes | ArrayLike, path: str | os.PathLike[str]) ->
             chosen.write(what, file)
 
 
-def _by_suffix(path: Path) -> tuple[Format, str]:
+def _by_suffix(path: Path, written: bool = False) -> tuple[Format, str]:
     """The format of a file name and its suffix, the longest that fits, as in .nii.gz."""
     name = path.name.lower()
+    rows = [row for row in FORMATS if row.write or not written]
     found = [(suffix, row) for row in FORMATS for suffix in row.suffixes if name.endswith(suffix)]
     if not found:
-        known = " ".join(suffix for row in FORMATS for suffix in row.suffixes)
-        raise FormatError(f"the suffix of a file must be one of {known} (or a folder of DICOM slices); got {path}")
+        known = "; ".join(f"{row.name}: {' '.join(row.suffixes)}" for row in rows if row.suffixes)
+        ending = "".join(path.suffixes[-1:]) or "no suffix"
+        rule = "write" if written else "read"
+        also = "" if written else f". A folder may hold {_FOLDERS}. `clvol info` says what a file or folder holds"
+        raise FormatError(f"cannot {rule} {path}: {ending} is of no format that clvol {rule}s, which are: {known}{also}")
     suffix, row = max(found, key=lambda pair: len(pair[0]))
     return row, suffix
+
+
+def _holdings(path: Path) -> str:
+    """What lies in a folder, in a few words."""
+    entries = [entry for entry in path.iterdir() if not entry.name.startswith(".")]
+    folders = sorted(entry.name for entry in entries if entry.is_dir())
+    kinds = Counter(entry.suffix.lower() or "without a suffix" for entry in entries if not entry.is_dir())
+    parts = [f"{n} file{'s' if n > 1 else ''} {kind}" for kind, n in kinds.most_common(_LISTED)]
+    if len(kinds) > _LISTED:
+        parts.append("others")
+    if folders:
+        names = ", ".join(folders[:_LISTED]) + (", …" if len(folders) > _LISTED else "")
+        parts.append(f"{len(folders)} folder{'s' if len(folders) > 1 else ''} ({names}): give one of them")
+    return ", ".join(parts) or "nothing"

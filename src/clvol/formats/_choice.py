@@ -156,9 +156,17 @@ _LISTED = 12  # in a message
 
 
 def chosen_series(
-    source: str, series: Sequence[Series], choice: int | str | None, *, what: str = "images", first: bool = True
+    source: str,
+    series: Sequence[Series],
+    choice: int | str | None,
+    *,
+    what: str = "images",
+    main: int | None = None,
+    first: bool = True,
 ) -> int:
     """The place among `series` of the one that `choice` is the number or the `id` of.
+
+    Without a choice it is the only one of the `main` first ones, which come before what nobody means who does not say so.
 
     Raises
     ------
@@ -174,7 +182,7 @@ def chosen_series(
     """
     told = ", ".join(map(str, series[:_LISTED])) + (f", … ({len(series)})" if len(series) > _LISTED else "")
     if choice is None:
-        if len(series) > 1:
+        if (len(series) if main is None else main or len(series)) > 1:
             message = f"{source} holds {len(series)} {what}: {told}"
             if not first:
                 raise DataError(f"{message}; choose one by series=")

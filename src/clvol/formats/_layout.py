@@ -12,10 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.errors import DataError
 from clvol.formats._choice import Choice
+from clvol.formats._files import scaled
+from clvol.formats._units import scale, unit_name
 from clvol.interop import Content
 from clvol.volumes import AXES, Leading
 
-__all__ = ["Layout", "lay_out", "meaning", "rgb_last", "uniform"]
+__all__ = ["Layout", "decoded", "lay_out", "meaning", "place", "rgb_last", "uniform"]
 
 _WORDS = {
     "x": ("x", "lon", "longitude", "column", "columns", "easting", "width"),
@@ -139,3 +141,40 @@ def uniform(coordinates: ArrayLike) -> tuple[float, float] | None:
         return None
     even = bool(np.abs(values - values[0] - step * np.arange(len(values))).max() <= _OFF * abs(step))
     return (float(values[0]), step) if even else None
+
+
+def place(layout: Layout, lines: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -> dict[str, Any]:
+    """Where a grid lies on whose axes samples have these first coordinates and steps, in these units.
+
+    Axes without a line begin at 0, and have a step of 1; units are brought to one, if they are lengths.
+    """
+    axes = [axis for axis in "xyz" if axis in layout.axes]
+    names = {axis: unit_name(units.get(axis, "")) for axis in axes}
+    unit = next(filter(None, names.values()), "")
+    factors = {axis: scale(names[axis] or unit, unit) for axis in axes}
+    if any(map(math.isnan, factors.values())):  # degrees beside metres
+        unit, factors = "", dict.fromkeys(axes, 1.0)
+    firsts, steps = zip(*(lines.get(axis, (0.0, 1.0)) for axis in axes), strict=True)
+    about: dict[str, Any] = {
+        "spacing": [abs(step) * factors[axis] for axis, step in zip(axes, steps, strict=True)],
+        "origin": [first * factors[axis] for axis, first in zip(axes, firsts, strict=True)],
+        "units": unit,
+    }
+    if min(steps) < 0:  # latitudes from north to south
+        about["direction"] = np.diag([math.copysign(1.0, step) for step in steps])
+    return about
+
+
+def decoded(data: NDArray[Any], attributes: Mapping[str, Any]) -> NDArray[Any]:
+    """Samples as the conventions of netCDF say: missing ones NaN, the others scaled and shifted."""
+
+    def given(name: str, default: float) -> float:
+        value = np.asarray(attributes.get(name, default))
+        return float(value.flat[0]) if value.size == 1 and value.dtype.kind in "iuf" else default
+
+    slope, offset, missing = given("scale_factor", 1.0), given("add_offset", 0.0), given("_FillValue", math.nan)
+    gone = None if math.isnan(missing) else data == missing
+    if gone is not None and gone.any():
+        data = data.astype(np.result_type(data.dtype, np.float32), copy=True)
+        data[gone] = np.nan
+    return scaled(data, slope, offset)

@@ -8,7 +8,7 @@ import re
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -65,7 +65,7 @@ def read(path: Path, choose: Choice, series: int | str | None = None, level: int
         about = (
             _ome(file.ome_metadata, number, len(file.series)) if kind == "ome" else _imagej(file) if kind == "imagej" else _About()
         )
-        layout, leading = _laid_out(path.name, file, image, about)
+        layout, leading = _laid_out(path.name, image, about)
         if image.dtype is None or image.dtype.kind not in "biuf":
             raise DataError(f"{path.name} must hold real numbers; got dtype {image.dtype}")
         data, known = layout.chosen(path.name, choose, lambda index: _load(path.name, file, image, index), leading)
@@ -195,7 +195,7 @@ def _images(name: str, file: Any) -> tuple[Series, ...]:
     )
 
 
-def _laid_out(name: str, file: Any, image: Any, about: _About) -> tuple[Layout, Leading]:
+def _laid_out(name: str, image: Any, about: _About) -> tuple[Layout, Leading]:
     """What the axes of an image count; pages that are not named (I, Q) are slices."""
     pairs = list(zip(image.get_axes(squeeze=False), image.get_shape(squeeze=False), strict=True))
     words = [_MEANINGS.get(axis, _OTHERS.get(axis, "")) if axis != "S" or n > 1 else "" for axis, n in pairs]
@@ -213,7 +213,9 @@ def _laid_out(name: str, file: Any, image: Any, about: _About) -> tuple[Layout, 
     if pairs[at][0] == "S" and image.keyframe.photometric in _IN_COLOUR and count in (3, 4):
         rgb = Leading.of_rgb(count)
         return layout, Leading(layout.leading, layout.counts, rgb.names, rgb.colors, rgb=True)
-    names, colors, windows = (v if len(v) == count else () for v in (about.names, about.colors, about.windows))
+    names = about.names if len(about.names) == count else ()
+    colors = about.colors if len(about.colors) == count else ()
+    windows = about.windows if len(about.windows) == count else ()
     return layout, Leading(layout.leading, layout.counts, {"channel": names} if names else {}, colors, windows)
 
 
@@ -266,16 +268,18 @@ def _ome(description: str, number: int, count: int) -> _About:
     channels = below(pixels, "Channel")
     names = tuple(channel.get("Name", "") for channel in channels)
     colors = tuple(_color(channel.get("Color")) for channel in channels)
-    about = {
-        "names": names if any(names) else (),
-        "colors": colors if any(color not in (None, _WHITE) for color in colors) else (),  # all white, OME's default, says nothing
-    }
+    about = _About(names=names if any(names) else (), colors=_telling(colors))
     sizes = {axis: pixels.get(f"PhysicalSize{axis.upper()}") for axis in "xyz"}
     if not any(sizes.values()):
-        return _About(**about)
+        return about
     units = {axis: unit_name(pixels.get(f"PhysicalSize{axis.upper()}Unit", "µm")) for axis in "xyz"}
     spacing = {axis: float(size) * scale(units[axis], units["x"]) if size else math.nan for axis, size in sizes.items()}
-    return _About(spacing, units["x"], bool(sizes["z"]), **about)
+    return replace(about, spacing=spacing, units=units["x"], deep=bool(sizes["z"]))
+
+
+def _telling(colors: Colors) -> Colors:
+    """None at all where all are white, the default of programs, which says nothing."""
+    return colors if any(color not in (None, _WHITE) for color in colors) else ()
 
 
 def _color(text: str | None) -> tuple[float, float, float] | None:
@@ -306,7 +310,7 @@ def _imagej(file: Any) -> _About:
         spacing,
         unit_name(str(metadata.get("unit", ""))),
         names=_names(metadata.get("Labels", ()), channels),
-        colors=colors if any(color not in (None, _WHITE) for color in colors) else (),
+        colors=_telling(colors),
         windows=windows if all(a < b for a, b in windows) else (),
         slope=slope,
         offset=offset,
