@@ -66,6 +66,12 @@ class Layout:
         """Volumes along each of `leading`."""
         return tuple(n for axis, n in zip(self.axes, self.shape, strict=True) if axis in AXES)
 
+    @property
+    def in_colour(self) -> Leading:
+        """What the leading axes count, where the channels are red, green, blue (and alpha)."""
+        rgb = Leading.of_rgb(self.shape[self.axes.index("channel")])
+        return Leading(self.leading, self.counts, rgb.names, rgb.colors, rgb=True)
+
     def of(self, values: Mapping[str, float], default: float = 1.0) -> list[float]:
         """One number for each axis of the grid, in the order x, y(, z)."""
         return [values.get(axis, default) for axis in "xyz" if axis in self.axes]

@@ -42,7 +42,7 @@ def read(path: Path, choose: Choice, series: int | str | None = None) -> Content
         if rgb:
             words[-1] = "channel"
         layout = lay_out(path.name, words, array.shape)
-        leading = Leading(layout.leading, layout.counts, {"channel": Leading.of_rgb(array.shape[-1]).names} if rgb else {}, rgb=rgb)
+        leading = layout.in_colour if rgb else None
         by_axis = {axis: lines[i] for i, axis in enumerate(layout.axes) if i in lines}
         units_by_axis = {axis: units[i] for i, axis in enumerate(layout.axes) if i in units}
         space = {"space": "image"} if "um" in units_by_axis.values() else {}
@@ -72,7 +72,13 @@ def _arrays(file: Any) -> list[Any]:
     found: list[Any] = []
 
     def look(_: str, node: Any) -> None:
-        if hasattr(node, "shape") and node.shape is not None and node.ndim >= 2 and node.dtype.kind in "biuf" and 0 not in node.shape:
+        if (
+            hasattr(node, "shape")
+            and node.shape is not None
+            and node.ndim >= 2
+            and node.dtype.kind in "biuf"
+            and 0 not in node.shape
+        ):
             found.append(node)
 
     file.visititems(look)
@@ -129,7 +135,9 @@ def _tags(value: Any, count: int) -> list[Mapping[str, Any]]:
 
 
 def _is_of_itk(array: Any) -> bool:
-    return array.name.rpartition("/")[2] == "VoxelData" and all(name in array.parent for name in ("Origin", "Spacing", "Directions"))
+    return array.name.rpartition("/")[2] == "VoxelData" and all(
+        name in array.parent for name in ("Origin", "Spacing", "Directions")
+    )
 
 
 def _itk(source: str, array: Any, choose: Choice) -> Content:

@@ -211,8 +211,7 @@ def _laid_out(name: str, image: Any, about: _About) -> tuple[Layout, Leading]:
     at = layout.axes.index("channel")
     count = layout.shape[at]
     if pairs[at][0] == "S" and image.keyframe.photometric in _IN_COLOUR and count in (3, 4):
-        rgb = Leading.of_rgb(count)
-        return layout, Leading(layout.leading, layout.counts, rgb.names, rgb.colors, rgb=True)
+        return layout, layout.in_colour
     names = about.names if len(about.names) == count else ()
     colors = about.colors if len(about.colors) == count else ()
     windows = about.windows if len(about.windows) == count else ()

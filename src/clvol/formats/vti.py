@@ -59,7 +59,9 @@ def read(path: Path, choose: Choice, series: int | str | None = None) -> Content
         found = getattr(image, f"Get{array.kind}Data")().GetArray(array.name)
         count = 0 if found is None else found.GetNumberOfTuples()
         if count != sample_count(array.shape):
-            raise FormatError(f"{path.name} must hold {sample_count(array.shape)} samples in the array {array.name!r}; found {count}")
+            raise FormatError(
+                f"{path.name} must hold {sample_count(array.shape)} samples in the array {array.name!r}; found {count}"
+            )
     channels = found.GetNumberOfComponents()
     names = tuple(found.GetComponentName(i) or "" for i in range(channels))
     data = _numbers(found).reshape(*array.shape, channels)

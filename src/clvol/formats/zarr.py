@@ -11,7 +11,7 @@ from typing import Any
 
 from clvol.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
-from clvol.formats._layout import Layout, decoded, lay_out, meaning, place, rgb_last, uniform
+from clvol.formats._layout import Layout, decoded, lay_out, place, rgb_last, uniform
 from clvol.interop import Content
 from clvol.volumes import Leading
 
@@ -102,10 +102,10 @@ def _natural(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)]
 
 
-def _ome(node: Any) -> Mapping[str, Any]:
+def _ome(node: Any) -> dict[str, Any]:
     """The metadata of OME: in 0.5 below a key of their own, before among others."""
-    attributes = dict(node.attrs)
-    return attributes.get("ome", attributes)
+    attributes: dict[str, Any] = dict(node.attrs)
+    return dict(attributes.get("ome", attributes))
 
 
 def _multiscale(source: str, image: _Image, level: int, choose: Choice) -> Content:
@@ -118,7 +118,10 @@ def _multiscale(source: str, image: _Image, level: int, choose: Choice) -> Conte
     channels = about.get("omero", {}).get("channels", [])
     layout = lay_out(source, words, array.shape, ("channel",) if channels else ())
     factors, shifts = [1.0] * array.ndim, [0.0] * array.ndim
-    for step in (*multiscales["datasets"][level].get("coordinateTransformations", ()), *multiscales.get("coordinateTransformations", ())):
+    for step in (
+        *multiscales["datasets"][level].get("coordinateTransformations", ()),
+        *multiscales.get("coordinateTransformations", ()),
+    ):
         if step["type"] == "scale" and len(step.get("scale", ())) == array.ndim:
             factors = [a * b for a, b in zip(factors, step["scale"], strict=True)]
             shifts = [a * b for a, b in zip(shifts, step["scale"], strict=True)]
@@ -183,7 +186,7 @@ def _plain(source: str, image: _Image, choose: Choice) -> Content:
         if values is not None and values.shape == (layout.shape[layout.axes.index(axis)],):
             lines[axis] = uniform(values[:]) or (0.0, float("nan") if values.shape[0] > 1 else 1.0)
             units[axis] = str(values.attrs.get("units", ""))
-    leading = Leading(layout.leading, layout.counts, *((Leading.of_rgb(array.shape[-1]).names,) if rgb else ()), rgb=rgb)
+    leading = layout.in_colour if rgb else None
     data, chosen = layout.chosen(source, choose, lambda index: decoded(array[index], dict(array.attrs)), leading)
     return data, {"name": image.id.rpartition("/")[2].strip(".")} | place(layout, lines, units) | chosen
 
