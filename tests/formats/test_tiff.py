@@ -12,6 +12,7 @@ import pytest
 import clvol
 from clvol import ClvolWarning, Volume, Volumes, formats
 from clvol.errors import DataError, FormatError, OptionError
+from clvol.formats import tiff
 from clvol.volumes import Leading
 
 tifffile = pytest.importorskip("tifffile")
@@ -209,11 +210,15 @@ def test_writing_colours_and_one_volume(tmp_path: Path) -> None:
         clvol.write(Volumes(DATA[0], leading=positions), tmp_path / "p.tif")
 
 
-def test_formats_of_one_volume_refuse_several(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match=r"one volume; got 3 volumes: choose one.*\.tif \.tiff"):
-        clvol.write(Volumes(DATA[0]), tmp_path / "v.npz")
-    clvol.write(Volumes(DATA[0, :1]), tmp_path / "v.npz")
-    np.testing.assert_array_equal(clvol.read(tmp_path / "v.npz").data, DATA[0, 0])
+def test_formats_of_one_volume_refuse_several(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def save(volume: Volume, path: Path) -> None:
+        np.save(path.open("wb"), volume.data)
+
+    monkeypatch.setattr(formats, "FORMATS", (*formats.FORMATS, formats.Format("plain", (".one",), tiff.read, save)))
+    with pytest.raises(FormatError, match=r"plain holds one volume; got 3 volumes: choose one.*\.tif \.tiff"):
+        clvol.write(Volumes(DATA[0]), tmp_path / "v.one")
+    clvol.write(Volumes(DATA[0, :1]), tmp_path / "v.one")
+    np.testing.assert_array_equal(np.load(tmp_path / "v.one"), DATA[0, 0])
 
 
 def test_complex_samples_are_refused(tmp_path: Path) -> None:

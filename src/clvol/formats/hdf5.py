@@ -86,7 +86,7 @@ def _arrays(file: Any) -> list[Any]:
 
 
 def _listed(array: Any) -> Series:
-    return Series(array.name.lstrip("/"), str(array.dtype), tuple(array.shape))
+    return Series(array.name.lstrip("/"), array.dtype.name, tuple(array.shape))
 
 
 def _axes(array: Any) -> tuple[list[str], dict[int, tuple[float, float]], dict[int, str]]:

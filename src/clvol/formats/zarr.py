@@ -39,7 +39,7 @@ class _Image:
     @property
     def series(self) -> Series:
         array = self.level(0)
-        words = [str((self.multiscales or {}).get("name") or "")] if self.multiscales else [str(array.dtype)]
+        words = [str((self.multiscales or {}).get("name") or "")] if self.multiscales else [array.dtype.name]
         return Series(self.id, ", ".join(filter(None, [*words, "labels" * self.labels])), tuple(array.shape))
 
 
