@@ -111,6 +111,11 @@ def test_packed_samples_that_are_damaged_raise(tmp_path: Path) -> None:
     (tmp_path / "v.vti").write_bytes(content[: end - 30] + bytes(30) + content[end:])
     with pytest.raises(FormatError, match=r"v\.vti"):
         clvol.read(tmp_path / "v.vti")
+    written(tmp_path / "raw.vti", compressor="None", a=DATA)  # VTK takes what is missing for zeros
+    content = (tmp_path / "raw.vti").read_bytes()
+    (tmp_path / "raw.vti").write_bytes(content[: content.rindex(b"\n  </AppendedData>") - 30])
+    with pytest.raises(FormatError, match="cut short"):
+        clvol.read(tmp_path / "raw.vti")
 
 
 def test_without_vtk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -132,8 +132,10 @@ def read(
     Parameters
     ----------
     path : path-like
-        ``.npy .npz .nii .nii.gz .nrrd .nhdr .mha .mhd .tif .tiff .raw .bin``, in upper or lower
-        case, or a folder with one series of DICOM files.
+        A file, which is known by its suffix in upper or lower case: ``.npy .npz``, ``.nii .nii.gz .nrrd .nhdr .mha .mhd``,
+        ``.tif .tiff`` (OME, ImageJ, plain), ``.png .jpg .bmp``, ``.h5 .hdf5 .nc``, ``.vti``, ``.zarr.zip``, ``.raw .bin``, and
+        ``.czi .lif .nd2`` and others of microscopes' makers, for which bioio has plug-ins. Or a folder: of DICOM files, of image
+        slices (in the natural order of their names), or a Zarr array or group (OME-Zarr).
     volume : int, optional
         Which of several, in the order of the file, the first is 0.
     time, position : int, optional
@@ -162,8 +164,8 @@ def read(
     Volume
         Medical formats: in ITK's LPS frame, in mm (NRRD and MetaImage: in the unit of the header, if
         it has one). Samples that the header scales are float64. NIfTI files are read as nibabel
-        reads them: placed by the sform, else the qform, else the spacing about the middle. TIFF: in
-        the unit of the file.
+        reads them: placed by the sform, else the qform, else the spacing about the middle. Microscopes' files: in
+        the unit of the file, first sample at 0, with the names, colours and windows of channels. Files that give no spacing: 1.
 
     Warns
     -----
@@ -308,8 +310,8 @@ def write(volume: Volume | Volumes | ArrayLike, path: str | os.PathLike[str]) ->
         What to write.
     path : path-like
         ``.npz``: everything, exactly. ``.nrrd .nhdr .mha .mhd``: everything, in mm. ``.nii .nii.gz``:
-        the same, with the geometry in float32. ``.tif .tiff`` (OME): spacing and units. ``.npy``:
-        samples only. ``.nhdr`` and ``.mhd`` put the samples beside the header, into a ``.raw`` file.
+        the same, with the geometry in float32. ``.tif .tiff`` (OME): spacing and units, times, and channels with names and
+        colours. ``.npy``: samples only. ``.nhdr`` and ``.mhd`` put the samples beside the header, into a ``.raw`` file.
 
     Raises
     ------

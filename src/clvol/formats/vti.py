@@ -22,6 +22,7 @@ from clvol.volumes import Leading
 __all__ = ["read", "series"]
 
 _PACKED = 7000  # bytes that one of the file may stand for: LZMA packs zeros so; VTK dies if memory ends
+_TAIL = 1024  # bytes at the end of a file, among which XML ends
 _ACTIVE = 1  # of the bits of FIELD_ACTIVE_ATTRIBUTE: the scalars that VTK's programs show
 
 
@@ -95,6 +96,10 @@ def _reader(path: Path) -> Iterator[Any]:
         from vtkmodules.vtkIOXML import vtkXMLImageDataReader
     except ImportError as error:
         raise MissingDependencyError("VTK's files need vtk: pip install clvol[vtk]") from error
+    with path.open("rb") as stream:  # VTK does not notice where raw samples end too early
+        stream.seek(max(0, path.stat().st_size - _TAIL))
+        if b"</VTKFile>" not in stream.read():
+            raise FormatError(f"{path.name} must be a file of VTK's in XML; it is not, or cut short")
     window, heard, verbosity = vtkOutputWindow.GetInstance(), vtkStringOutputWindow(), vtkLogger.GetCurrentVerbosityCutoff()
 
     def check() -> None:
