@@ -497,31 +497,6 @@ def test_plain_tiff(tmp_path: Path, compression: str | None, metadata: dict[str,
     assert (read.spacing, read.units) == ((1, 1, 1), "")
 
 
-@pytest.mark.parametrize(
-    ("axes", "shape", "options"),
-    [
-        ("YXS", (5, 4, 3), {"photometric": "rgb"}),
-        ("CZYX", (2, 3, 5, 4), {"ome": True, "photometric": "minisblack"}),
-        ("TZYX", (2, 3, 5, 4), {"ome": True, "photometric": "minisblack"}),
-        ("TYX", (2, 5, 4), {"ome": True, "photometric": "minisblack"}),
-    ],
-)
-def test_tiff_with_channels_or_times(tmp_path: Path, axes: str, shape: tuple[int, ...], options: dict[str, Any]) -> None:
-    tifffile = pytest.importorskip("tifffile")
-    tifffile.imwrite(tmp_path / "v.tif", np.zeros(shape, np.uint8), metadata={"axes": axes}, **options)
-    with pytest.raises(DataError, match=f"its axes are {axes}"):
-        formats.read(tmp_path / "v.tif")
-
-
-def test_tiff_of_several_images(tmp_path: Path) -> None:
-    tifffile = pytest.importorskip("tifffile")
-    with tifffile.TiffWriter(tmp_path / "v.tif") as file:
-        file.write(np.zeros((4, 5), np.uint8), metadata=None)
-        file.write(np.zeros((3, 5), np.uint8), metadata=None)
-    with pytest.raises(DataError, match="one volume"):
-        formats.read(tmp_path / "v.tif")
-
-
 def test_tiff_of_a_set_with_a_missing_file(tmp_path: Path) -> None:
     """Tifffile logs that slices are missing, and makes them 0; also where its log is silenced."""
     tifffile = pytest.importorskip("tifffile")
@@ -634,10 +609,10 @@ def test_dicom_of_several_images_of_one_place(tmp_path: Path) -> None:
     write_series(tmp_path / "two", series(), positions=np.array(positions))
     with pytest.warns(ClvolWarning, match=r"2 volumes.*images of each place were taken for volumes"):
         first = formats.read(tmp_path / "two")
-    both = formats.read_all(tmp_path / "two")
+    with pytest.warns(ClvolWarning, match="taken for volumes"):
+        both = formats.read_all(tmp_path / "two")
     assert (both.axes, both.shape) == (("volume",), (2, 3, 8, 9))
     np.testing.assert_array_equal(first.data, both[0].data)
-    np.testing.assert_array_equal(formats.read(tmp_path / "two", volume=1).data, both[1].data)
     for n in range(3):  # by hand: places 0, 0, 1, 1, 2, 2
         np.testing.assert_array_equal(np.sort(np.asarray(both)[:, n], axis=0), series().data[2 * n : 2 * n + 2])
     np.testing.assert_allclose(first.spacing, series().spacing, rtol=1e-9)
@@ -672,7 +647,7 @@ def test_folder_without_dicom(tmp_path: Path, capfd: pytest.CaptureFixture[str])
     need(".mha")
     (tmp_path / "notes.txt").write_text("nothing here")
     (tmp_path / "below").mkdir()
-    with pytest.raises(FormatError, match="found none"):
+    with pytest.raises(FormatError, match=r"must hold DICOM files.*this one holds"):
         formats.read(tmp_path)
     assert capfd.readouterr().err == ""
 
@@ -1102,7 +1077,7 @@ def test_options_of_other_formats(tmp_path: Path, option: dict[str, Any]) -> Non
 def test_unknown_suffix(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_bytes(b"x")
     for call in (lambda: formats.read(tmp_path / name), lambda: formats.write(samples("u1"), tmp_path / name)):
-        with pytest.raises(FormatError, match=r"\.npy .*\.nii\.gz .*DICOM"):
+        with pytest.raises(FormatError, match=r"\.npy.*\.nii\.gz"):
             call()
 
 
