@@ -338,6 +338,18 @@ def test_kinds_of_nrrd(tmp_path: Path, kinds: str, directions: str, axis: int, l
     np.testing.assert_allclose(every[0].index_to_world([1, 1, 1], frame="RAS"), [3, 5, 7])
 
 
+def test_an_axis_of_time_in_nrrd(tmp_path: Path) -> None:
+    text = "NRRD0005\ntype: short\ndimension: 4\nsizes: 4 3 2 5\nendian: little\nencoding: raw\nspacings: 1 2 3 0.5\nkinds: {}\n\n"
+    (tmp_path / "v.nrrd").write_bytes(text.format("domain domain domain time").encode() + series(5).T.tobytes())
+    with pytest.warns(ClvolWarning, match="5 times; time 0 was read: choose by time="):
+        first = read(tmp_path / "v.nrrd")
+    assert (first.spacing, first.header) == ((1, 2, 3), {"time_step": 0.5})
+    np.testing.assert_array_equal(read(tmp_path / "v.nrrd", time=2).data, series(5)[..., 2].T)
+    (tmp_path / "v.nrrd").write_bytes(text.format("time domain domain domain").encode() + series(5).T.tobytes())
+    with pytest.raises(FormatError, match="time last"):
+        read(tmp_path / "v.nrrd")
+
+
 # -- FreeSurfer --------------------------------------------------------------------------------
 
 
@@ -425,6 +437,20 @@ def test_dicom_of_frames_in_one_place(tmp_path: Path) -> None:
     (tmp_path / "v.dcm").write_bytes(enhanced(data, [(1, 2, z) for z in (0, 1, 2, 7)]))
     with pytest.raises(FormatError, match="1 to 5 mm apart"):
         read(tmp_path / "v.dcm")
+
+
+def test_dicom_of_a_film(tmp_path: Path) -> None:
+    """Frames of one ultrasound probe that is held still lie nowhere."""
+    whole = enhanced(np.arange(60, dtype=np.uint16).reshape(4, 3, 5), [])
+    frame_time = element(0x00181063, "DS", "40")
+    at = whole.index(element(0x0020000D, "UI", "1.2"))
+    (tmp_path / "v.dcm").write_bytes(whole[:at] + frame_time + whole[at:])
+    with pytest.warns(ClvolWarning, match="4 times; time 0 was read: choose by time="):
+        first = read(tmp_path / "v.dcm")
+    assert (first.shape, first.header["time_step"], first.header["time_unit"]) == ((1, 3, 5), 40, "msec")
+    (tmp_path / "v.dcm").write_bytes(whole)
+    with pytest.warns(ClvolWarning, match="does not say where its 4 frames lie, they were taken for slices"):
+        assert read(tmp_path / "v.dcm").shape == (4, 3, 5)
 
 
 def test_dicom_in_colour(tmp_path: Path) -> None:

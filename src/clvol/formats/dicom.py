@@ -168,6 +168,7 @@ def _read_file(path: Path, choose: Choice) -> Content:
     film = frames > 1 and origins is None and not math.isnan(head.number(_FRAME_TIME))
     if film:
         order = order.T
+        geometry["header"] |= {"time_step": head.number(_FRAME_TIME), "time_unit": "msec"}
     elif origins is not None:
         order, guessed = _order(origins, np.arange(frames, dtype=np.float64))
         _lay(geometry, content)
