@@ -181,6 +181,13 @@ def test_nifti_2_and_pairs(tmp_path: Path, order: str) -> None:
     (tmp_path / "pair.img").unlink()
     with pytest.raises(FormatError, match=r"pair\.img beside it, which is not there"):
         read(tmp_path / "pair.hdr")
+    header = nibabel.Nifti2Header()
+    header.set_data_dtype(np.int16)
+    header.set_data_shape((4, 3, 2, 1 << 40))
+    header["vox_offset"] = 544
+    (tmp_path / "huge.nii").write_bytes(header.binaryblock + bytes(100))
+    with pytest.raises(FormatError, match="must hold 52776558133248 bytes"):  # and no memory is asked for
+        read(tmp_path / "huge.nii", volume=1)
     long = Volume(np.arange(40000, dtype=np.uint16)[None, None], units="mm")  # more than NIfTI-1 holds along an axis
     write(long, tmp_path / "long.nii")
     assert isinstance(nibabel.load(tmp_path / "long.nii"), nibabel.Nifti2Image)
@@ -471,6 +478,7 @@ def test_dicom_cut_short(tmp_path: Path) -> None:
             read(tmp_path / "v.dcm")
 
 
+@pytest.mark.filterwarnings("error::clvol.ClvolWarning")
 def test_a_heart_says_what_it_is(tmp_path: Path) -> None:
     if not (DATA / "mr_series_dicom.tar.xz").exists():
         pytest.skip("no mr_series_dicom.tar.xz: set CLVOL_DATA to the folder that holds it")
@@ -480,13 +488,16 @@ def test_a_heart_says_what_it_is(tmp_path: Path) -> None:
     path = tmp_path / member.name
     shutil.copy(path, tmp_path / "IM1")
     for file in (path, tmp_path / "IM1", path.parent):
-        slice_ = read(file)
+        slice_ = read(file)  # no warning: no other lies beside it
         assert (slice_.name, slice_.header["modality"]) == ("My Special Series For Testing", "MR")
         assert slice_.window is not None
         np.testing.assert_array_equal(slice_.data, sitk.GetArrayFromImage(sitk.ReadImage(str(path))))
         same_grid(replace(slice_, window=None), Volume(sitk.ReadImage(str(path))))
     (one,) = clvol.formats.series_of(path.parent)
     assert one.text == "MR, My Special Series For Testing, 1 file"
+    shutil.copy(path, path.with_name("other.dcm"))
+    with pytest.warns(ClvolWarning, match="it is one slice, and 1 more DICOM files lie beside it: the folder"):
+        read(path)
     image = sitk.ReadImage(str(path))
     center, width = (float(image.GetMetaData(tag)) for tag in ("0028|1050", "0028|1051"))
     assert slice_.window == (center - width / 2, center + width / 2)
