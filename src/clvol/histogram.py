@@ -45,6 +45,8 @@ _NO_MATTER = (-700.0, -500.0)  # between lungs and fat, likewise
 _DIM = 0.05  # share of the columns of samples that a projection shows black ...
 _BRIGHT = 0.98  # ... and of those that are not, share that it shows no more than white
 _LIT = 0.02  # of the way from black to the brightest
+_GREY = 0.65  # of the way from black to white: what the median of those that are lit should not exceed ...
+_DIMMEST = 0.05  # ... while black is no more than this quantile of them
 _COLUMNS_OF = 1 << 22  # voxels that projections are made of
 
 
@@ -208,7 +210,7 @@ def _parted(away: Array, exponent: int, origin: float, ground: float | None, sig
     if even and threshold < _quantile(rest, 0.05):
         start = surface = median / 2
         reason = f"half way between the background, {value(0):.6g}, and the object, {value(median):.6g}"
-    elif step > 0 and threshold <= 1.1 * step:
+    elif step > 0 and (signed or threshold <= 1.1 * step):
         own, share = _otsu(rest)
         start = step
         if not signed and share >= _TWO_CLASSES and min((rest < own).mean(), (rest > own).mean()) >= _FEWEST:
@@ -320,7 +322,11 @@ def _window(values: Array) -> tuple[float, float]:
     """Black and white for sorted values."""
     black = _quantile(values, _DIM)
     lit = values[np.searchsorted(values, black + _LIT * (values[-1] - black), side="right") :]
-    return black, _quantile(lit, _BRIGHT) if lit.size else float(values[-1])
+    if not lit.size:
+        return black, float(values[-1])
+    white = _quantile(lit, _BRIGHT)
+    grey = (_quantile(lit, 0.5) - _GREY * white) / (1 - _GREY)  # black, if the median is to be there
+    return max(black, min(grey, _quantile(lit, _DIMMEST))), white
 
 
 def _quantile(values: Array, share: float) -> float:
