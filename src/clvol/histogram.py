@@ -33,7 +33,7 @@ _NEXT_TO_NOTHING = 1e-12  # of the range: what lies below is one value, and the 
 _COMMON = 0.05  # share of the samples from which a value may be a background ...
 _STANDS_OUT = 4.0  # ... if so many times as many have it as have either of the next ones
 _SOME = 0.02  # share of what differs from the background that lies to either side, at least, where data are signed
-_AS_FAR = 0.2  # and how far, over how far to the other side
+_AS_FAR = 0.25  # and the median distance there, over that to the other side
 _NEAR = 0.4  # share of values without an exact background that lie within a quarter of how far they reach, at least
 _STEP = 0.05  # of the distance of the brightest: from there on, a gap beside the background is a mask's
 _LEVELS = 4.0  # and so many times the usual distance of neighbouring values
@@ -273,7 +273,7 @@ def _both_sides(values: Array, ground: float) -> bool:
     below, above = values[: np.searchsorted(values, ground)], values[np.searchsorted(values, ground, side="right") :]
     if min(below.size, above.size) < max(_SOME * (below.size + above.size), 1):
         return False
-    down, up = ground - _quantile(below, 0.01), _quantile(above, 0.99) - ground
+    down, up = ground - _quantile(below, 0.5), _quantile(above, 0.5) - ground
     return min(down, up) >= _AS_FAR * max(down, up)
 
 
