@@ -2,8 +2,8 @@
 
 A background that was masked out, cut off or never measured is one exact value that many samples have; it stands out from its
 neighbours in the histogram as no peak of measured values does. What differs from it is matter: to one side of it, or, as in
-statistical maps, to both. Where there is no such value, the background is the lower of the two classes in which Otsu's
-threshold (1979) parts the values.
+statistical maps, to both. Where there is no such value, the background is one of the two classes in which Otsu's
+threshold (1979) parts the values: the lower, unless nearly all that lies on the volume's faces is of the upper.
 """
 
 from __future__ import annotations
@@ -34,7 +34,9 @@ _COMMON = 0.05  # share of the samples from which a value may be a background ..
 _STANDS_OUT = 4.0  # ... if so many times as many have it as have either of the next ones
 _SOME = 0.02  # share of what differs from the background that lies to either side, at least, where data are signed
 _AS_FAR = 0.25  # and the median distance there, over that to the other side
-_NEAR = 0.4  # share of values without an exact background that lie within a quarter of how far they reach, at least
+_OFF = 0.15  # of how far values reach: where their median may be, at most, if they are signed and have no exact background
+_NEAR = 0.4  # share of them that lie within a quarter of that, at least
+_MOST, _NEARLY_ALL = 0.6, 0.95  # shares of all samples and of those on the faces that a bright background without exact value has
 _STEP = 0.05  # of the distance of the brightest: from there on, a gap beside the background is a mask's
 _LEVELS = 4.0  # and so many times the usual distance of neighbouring values
 _EVEN = 0.25  # of the distance from the background: a spread within which an object is one even value
@@ -48,7 +50,8 @@ _BRIGHT = 0.98  # ... and of those that are not, share that it shows no more tha
 _LIT = 0.02  # of the way from black to the brightest, but for a thousandth and a few
 _FEW = 8
 _GREY = 0.65  # of the way from black to white: what the median of those that are lit should not exceed ...
-_DIMMEST = 0.05  # ... while black is no more than this quantile of them
+_DIMMEST = 0.05  # ... while black is no more than this quantile of them ...
+_HALF = 0.5  # ... and takes no more than so much of the window
 _COLUMNS_OF = 1 << 22  # voxels that projections are made of
 
 
@@ -128,7 +131,8 @@ def matter_of(volume: Volume) -> Matter:
     signed = _both_sides(values, ground) if ground is not None else _about_zero(values)
     origin, sign = (0.0 if ground is None else ground), 1
     if not signed and ground is None:
-        origin = _quantile(values, _ENDS)
+        dark = _dark_in_bright(values, _faces(volume, exponent)) and not -32768 <= low <= -50  # as CT has it
+        origin, sign = (_quantile(values, 1 - _ENDS), -1) if dark else (_quantile(values, _ENDS), 1)
     elif not signed:
         sign = 1 if _quantile(values, 0.995) - origin >= origin - _quantile(values, 0.005) else -1
     away = np.abs(values - origin) if signed else np.maximum(sign * (values - origin), 0)
@@ -257,6 +261,18 @@ def _ground(volume: Volume, distinct: Array, counts: NDArray[np.int64], exponent
     return best
 
 
+def _faces(volume: Volume, exponent: int) -> Array:
+    """Samples on the faces of the volume."""
+    ends = [volume.data.take(end, axis).ravel() for axis in range(volume.ndim) for end in (0, -1)]
+    return scaled(np.concatenate(ends), exponent)
+
+
+def _dark_in_bright(values: Array, faces: Array) -> bool:
+    """Whether the upper of two classes of sorted values is the background, as of stained matter seen in transmitted light."""
+    threshold = _otsu(values)[0]
+    return bool((values > threshold).mean() >= _MOST and (faces > threshold).mean() >= _NEARLY_ALL)
+
+
 def _of_air(values: Array, ground: float) -> bool:
     """Whether the values are those of computed tomography with air, and the ground lies below air, where nothing was measured."""
     air, none = (((values >= a) & (values <= b)).mean() for a, b in (_AIR, _NO_MATTER))
@@ -281,7 +297,7 @@ def _about_zero(values: Array) -> bool:
     """Whether sorted values lie about 0, the more the nearer, to both sides and nearly as far."""
     low, high = _quantile(values, 0.005), _quantile(values, 0.995)
     far = max(-low, high)
-    if low >= 0 or high <= 0 or min(-low, high) < far / 2 or abs(_quantile(values, 0.5)) > 0.1 * far:
+    if low >= 0 or high <= 0 or min(-low, high) < far / 2 or abs(_quantile(values, 0.5)) > _OFF * far:
         return False
     counts, _ = np.histogram(values, 8, (-far, far))
     down, up = counts[3::-1], counts[4:]
@@ -329,7 +345,7 @@ def _window(values: Array) -> tuple[float, float]:
         return black, float(values[-1])
     white = _quantile(lit, _BRIGHT)
     grey = (_quantile(lit, 0.5) - _GREY * white) / (1 - _GREY)  # black, if the median is to be there
-    return max(black, min(grey, _quantile(lit, _DIMMEST))), white
+    return max(black, min(grey, _quantile(lit, _DIMMEST), black + _HALF * (white - black))), white
 
 
 def _quantile(values: Array, share: float) -> float:
