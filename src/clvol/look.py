@@ -10,6 +10,7 @@ import numpy as np
 from clvol.checks import number, reals
 from clvol.errors import OptionError
 from clvol.mode import Mode, as_mode
+from clvol.palette import unit_of
 from clvol.preset import as_preset
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
@@ -59,7 +60,7 @@ def look(
     else:
         row = as_preset(preset)
         if chosen.shows == "matter" or row.unit == "labels":
-            transfer = TransferFunction(*row.points(volume, ends))
+            transfer = TransferFunction(*row.points(volume, ends), unit_of(volume))
         elif chosen.shows == "mean" and row.unit == "matter":  # means reach no such values
             transfer = chosen.windowed(volume, ends)
         else:
