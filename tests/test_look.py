@@ -96,6 +96,16 @@ def test_each_label_has_one_color() -> None:
     assert np.abs(np.diff(colors, axis=0)).max(1).min() > 0.25  # neighbours differ clearly
 
 
+def test_labels_of_any_type_have_colors() -> None:
+    for data in (LABELS.data.astype(">i4"), LABELS.data.astype(np.float64), LABELS.data.astype(np.uint64) * 2**30):
+        numbers = np.unique(data).astype(np.float64)
+        chosen = look(Volume(data, labels=True), "composite")
+        np.testing.assert_allclose(chosen(numbers)[1:], [(*label_color(int(n)), 1) for n in numbers[1:]])
+        assert chosen(0)[3] == 0
+    gaps = np.where(FAR < 2, np.nan, LABELS.data)
+    assert look(Volume(gaps, labels=True), "composite") == look(LABELS, "composite")
+
+
 def test_labels_are_not_blended_in_pictures(device: Device) -> None:
     picture = clvol.render(LABELS, size=(40, 40), shading=False, device=device)[..., :3]
     shown = {tuple(color) for color in picture.reshape(-1, 3).round(3).tolist()}

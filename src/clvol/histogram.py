@@ -52,6 +52,7 @@ _FEW = 8
 _GREY = 0.65  # of the way from black to white: what the median of those that are lit should not exceed ...
 _DIMMEST = 0.05  # ... while black is no more than this quantile of them ...
 _HALF = 0.5  # ... and takes no more than so much of the window
+_COUNTED = 1 << 24  # labels that are counted one by one: sorting all samples takes far longer
 _COLUMNS_OF = 1 << 22  # voxels that projections are made of
 
 
@@ -166,9 +167,17 @@ def isovalue_of(volume: Volume | ArrayLike) -> tuple[float, str]:
 @_remembered
 def label_numbers(volume: Volume) -> tuple[float, Array]:
     """The label of the background, 0 where there is one, else the commonest; and all labels, in ascending order."""
-    numbers, counts = np.unique(volume.data, return_counts=True)
+    low, high = (int(v) for v in volume.value_range)
+    if volume.data.dtype.kind in "iu" and high - low < _COUNTED:
+        counts = np.zeros(high - low + 1, np.int64)
+        for part in volume.data:  # no copy of all in wide integers
+            counts += np.bincount((part.astype(np.int64) - low).ravel(), minlength=counts.size)
+        numbers = np.flatnonzero(counts) + float(low)
+        counts = counts[counts > 0]
+    else:
+        numbers, counts = np.unique(np.round(volume.data[np.isfinite(volume.data)].astype(np.float64)), return_counts=True)
     background = 0.0 if (numbers == 0).any() else float(numbers[int(counts.argmax())])
-    return background, numbers.astype(np.float64)
+    return background, numbers
 
 
 @_remembered
