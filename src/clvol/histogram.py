@@ -172,7 +172,7 @@ def label_numbers(volume: Volume) -> tuple[float, Array]:
         counts = np.zeros(high - low + 1, np.int64)
         for part in volume.data:  # no copy of all in wide integers
             counts += np.bincount((part.astype(np.int64) - low).ravel(), minlength=counts.size)
-        numbers = np.flatnonzero(counts) + float(low)
+        numbers = np.flatnonzero(counts).astype(np.float64) + low
         counts = counts[counts > 0]
     else:
         numbers, counts = np.unique(np.round(volume.data[np.isfinite(volume.data)].astype(np.float64)), return_counts=True)
