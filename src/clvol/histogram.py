@@ -197,6 +197,8 @@ def window_of(volume: Volume) -> dict[Projection, tuple[float, float]]:
         ends = _window(np.sort(np.concatenate([way(samples, axis=axis).ravel() for axis in range(volume.ndim)])))
         if ends[1] - ends[0] <= _STEP * (usual[1] - usual[0]):
             ends = usual
+        if not ends[0] < ends[1]:  # nearly all is one value
+            ends = bottom, float(scaled(high, exponent))
         found[name] = unscaled(ends[0], exponent), unscaled(ends[1], exponent)
     return found
 
