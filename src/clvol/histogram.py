@@ -194,7 +194,8 @@ def window_of(volume: Volume) -> dict[Projection, tuple[float, float]]:
     found: dict[Projection, tuple[float, float]] = {}
     ways: dict[Projection, Callable[..., Array]] = {"max": np.max, "min": np.min, "mean": np.mean}
     for name, way in ways.items():
-        ends = _window(np.sort(np.concatenate([way(samples, axis=axis).ravel() for axis in range(volume.ndim)])))
+        columns = np.concatenate([way(samples, axis=axis).ravel() for axis in range(volume.ndim)])
+        ends = _window(np.sort(columns), high=name == "max")
         if ends[1] - ends[0] <= _STEP * (usual[1] - usual[0]):
             ends = usual
         if not ends[0] < ends[1]:  # nearly all is one value
@@ -347,14 +348,16 @@ def _otsu(distances: Array) -> tuple[float, float]:
     return low + (high - low) * float(edges[1:][best].mean()), float(between.max()) / total
 
 
-def _window(values: Array) -> tuple[float, float]:
-    """Black and white for sorted values."""
+def _window(values: Array, *, high: bool = False) -> tuple[float, float]:
+    """Black and white for sorted values; for those of which most are high, as maxima are, black may be raised."""
     black = _quantile(values, _DIM)
     brightest = float(values[max(min(round(0.999 * values.size), values.size - 1 - _FEW), values.size // 2)])
     lit = values[np.searchsorted(values, black + _LIT * (brightest - black), side="right") :]
     if not lit.size:
         return black, float(values[-1])
     white = _quantile(lit, _BRIGHT)
+    if not high:
+        return black, white
     grey = (_quantile(lit, 0.5) - _GREY * white) / (1 - _GREY)  # black, if the median is to be there
     return max(black, min(grey, _quantile(lit, _DIMMEST), black + _HALF * (white - black))), white
 
