@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, DTypeLike
 from clvol.checks import as_path
 from clvol.errors import DataError, FormatError, GeometryError, OptionError
 from clvol.files import staged
-from clvol.formats import bioio, dicom, hdf5, imaris, metaimage, nifti, npy, nrrd, raw, slices, tiff, vti, zarr
+from clvol.formats import bioio, dicom, hdf5, imaris, metaimage, mgz, nifti, npy, nrrd, raw, slices, tiff, vti, zarr
 from clvol.formats._choice import Choice, Series
 from clvol.formats._files import Reader, Writer, foreign_errors
 from clvol.volume import Volume, as_volume
@@ -47,6 +47,8 @@ class Format:
         Arguments of `clvol.read` that are for this format.
     several : bool
         Whether a file may hold more than one volume.
+    file : callable or None
+        Whether a file with a suffix of no format is of this one, by what it holds.
     folder : callable or None
         Whether a folder is of this format; None: files only.
     series : callable or None
@@ -61,27 +63,20 @@ class Format:
     write: Writer | None = None
     options: frozenset[str] = frozenset()
     several: bool = False
+    file: Callable[[Path], bool] | None = None
     folder: Callable[[Path], bool] | None = None
     series: Callable[[Path], tuple[Series, ...]] | None = None
     write_several: Callable[[Volumes, Path], None] | None = None
 
 
 FORMATS = (
-    Format("NumPy array, no geometry", (".npy",), npy.read, npy.write),
-    Format("NumPy archive", (".npz",), npy.read_archive, npy.write_archive),
-    Format("NIfTI", (".nii", ".nii.gz"), nifti.read, nifti.write),
-    Format("NRRD", (".nrrd", ".nhdr"), nrrd.read, nrrd.write),
-    Format("MetaImage", (".mha", ".mhd"), metaimage.read, metaimage.write),
-    Format(
-        "TIFF stack",
-        (".tif", ".tiff"),
-        tiff.read,
-        tiff.write,
-        frozenset({"series", "level"}),
-        several=True,
-        series=tiff.series,
-        write_several=tiff.write_several,
-    ),
+    Format("NumPy array, no geometry", (".npy",), npy.read, npy.write, several=True, write_several=npy.write),
+    Format("NumPy archive", (".npz",), npy.read_archive, npy.write_archive, several=True, write_several=npy.write_archive),
+    Format("NIfTI", (".nii", ".nii.gz"), nifti.read, nifti.write, several=True, write_several=nifti.write),
+    Format("NIfTI in two files", (".hdr", ".img"), nifti.read_pair, several=True),
+    Format("NRRD", (".nrrd", ".nhdr"), nrrd.read, nrrd.write, several=True, write_several=nrrd.write),
+    Format("MetaImage", (".mha", ".mhd"), metaimage.read, metaimage.write, several=True, write_several=metaimage.write),
+    Format("FreeSurfer MGH", (".mgh", ".mgz"), mgz.read, several=True),
     Format(
         "Zarr",
         (".zarr.zip", ".ozx", ".zip"),
@@ -93,15 +88,42 @@ FORMATS = (
         series=zarr.series,
     ),
     Format(
+        "DICOM",
+        dicom.SUFFIXES,
+        dicom.read,
+        options=frozenset({"series"}),
+        several=True,
+        file=dicom.is_file,
+        folder=dicom.is_folder,
+        series=dicom.series_of,
+    ),
+    Format(
+        "TIFF stack",
+        (".tif", ".tiff"),
+        tiff.read,
+        tiff.write,
+        frozenset({"series", "level"}),
+        several=True,
+        series=tiff.series,
+        write_several=tiff.write_several,
+    ),
+    Format(
         "HDF5", (".h5", ".hdf5", ".hdf", ".he5", ".nc"), hdf5.read, None, frozenset({"series"}), several=True, series=hdf5.series
     ),
     Format("Imaris", (".ims",), imaris.read, None, frozenset({"level"}), several=True),
     Format("VTK image data", (".vti",), vti.read, None, frozenset({"series"}), several=True, series=vti.series),
-    Format("microscopes' own", bioio.SUFFIXES, bioio.read, None, frozenset({"series", "level"}), several=True, series=bioio.series),
+    Format(
+        "microscope makers' files",
+        bioio.SUFFIXES,
+        bioio.read,
+        None,
+        frozenset({"series", "level"}),
+        several=True,
+        series=bioio.series,
+    ),
     Format("image", slices.SUFFIXES, slices.read, several=True),
     Format("folder of image slices", (), slices.read_folder, several=True, folder=slices.are_in),
     Format("raw samples", (".raw", ".bin"), raw.read, None, frozenset({"shape", "dtype", "byte_order", "offset"})),
-    Format("DICOM folder", (), dicom.read, None, frozenset({"series"}), folder=lambda _: True),
 )
 
 _FOLDERS = "DICOM files, image slices (.tif .png .jpg .bmp) or a Zarr array or group"
@@ -133,10 +155,11 @@ def read(
     Parameters
     ----------
     path : path-like
-        A file, which is known by its suffix in upper or lower case: ``.npy .npz``, ``.nii .nii.gz .nrrd .nhdr .mha .mhd``,
-        ``.tif .tiff`` (OME, ImageJ, plain), ``.png .jpg .bmp``, ``.h5 .hdf5 .nc``, ``.vti``, ``.zarr.zip``, ``.raw .bin``, and
-        ``.czi .lif .nd2`` and others of microscopes' makers, for which bioio has plug-ins. Or a folder: of DICOM files, of image
-        slices (in the natural order of their names), or a Zarr array or group (OME-Zarr).
+        A file, which is known by its suffix in upper or lower case: ``.npy .npz``, ``.nii .nii.gz .hdr .img .nrrd .nhdr .mha .mhd
+        .mgh .mgz``, ``.dcm .dicom .ima`` (and any DICOM file without a suffix), ``.tif .tiff`` (OME, ImageJ, plain),
+        ``.png .jpg .bmp``, ``.h5 .hdf5 .nc``, ``.ims``, ``.vti``, ``.zarr.zip``, ``.raw .bin``, and ``.czi .lif .nd2`` and
+        others of microscopes' makers, for which bioio has plug-ins. Or a folder: of DICOM files, of image slices (in the natural
+        order of their names), or a Zarr array or group (OME-Zarr).
     volume : int, optional
         Which of several, in the order of the file, the first is 0.
     time, position : int, optional
@@ -295,6 +318,10 @@ def _format_of(path: Path) -> Format:
             return found
         if not path.is_file():
             raise FormatError(f"cannot read {path}: it is neither a file nor a folder")
+        if not path.name.lower().endswith(tuple(suffix for row in FORMATS for suffix in row.suffixes)):
+            for row in FORMATS:
+                if row.file is not None and row.file(path):
+                    return row
         return _by_suffix(path)[0]
 
 
@@ -310,9 +337,10 @@ def write(volume: Volume | Volumes | ArrayLike, path: str | os.PathLike[str]) ->
     volume : Volume, Volumes or array-like
         What to write.
     path : path-like
-        ``.npz``: everything, exactly. ``.nrrd .nhdr .mha .mhd``: everything, in mm. ``.nii .nii.gz``:
-        the same, with the geometry in float32. ``.tif .tiff`` (OME): spacing and units, times, and channels with names and
-        colours. ``.npy``: samples only. ``.nhdr`` and ``.mhd`` put the samples beside the header, into a ``.raw`` file.
+        ``.npz``: everything, exactly. ``.nrrd .nhdr .mha .mhd``: samples and geometry, in mm. ``.nii .nii.gz``:
+        the same, with the geometry in float32, and with what `Volume.header` keeps of a NIfTI file, the window and the step
+        of time. ``.tif .tiff`` (OME): spacing and units, times, and channels with names and colours. ``.npy``: samples only.
+        ``.nhdr`` and ``.mhd`` put the samples beside the header, into a ``.raw`` file.
 
     Raises
     ------
