@@ -60,6 +60,19 @@ def test_axes_without_names_are_guessed(tmp_path: Path) -> None:
         clvol.read(tmp_path / "w.h5")
 
 
+def test_a_short_last_axis_without_a_name_holds_channels(tmp_path: Path) -> None:
+    flow = np.random.default_rng(4).normal(size=(5, 6, 7, 3))
+    colours = np.random.default_rng(4).integers(0, 255, (6, 7, 3), np.uint8)
+    for name, data in (("flow", flow), ("colours", colours), ("slab", flow[0])):
+        with h5py.File(tmp_path / f"{name}.h5", "w") as file:
+            file["a"] = data
+    with pytest.warns(ClvolWarning, match=r"taken for z \(5\), y \(6\), x \(7\), channel \(3\)"):
+        np.testing.assert_allclose(clvol.read(tmp_path / "flow.h5").data, np.linalg.norm(flow, axis=-1))
+    with pytest.warns(ClvolWarning, match=r"taken for y \(6\), x \(7\), channel \(3\)"):
+        np.testing.assert_array_equal(clvol.read(tmp_path / "colours.h5", channel="red").data, colours[..., 0])
+    np.testing.assert_array_equal(clvol.read(tmp_path / "slab.h5").data, flow[0])
+
+
 @pytest.mark.parametrize("said", ["axistags", "axes", "labels"])
 def test_names_of_axes(tmp_path: Path, said: str) -> None:
     """In any order: here x, y, z, channels, times."""

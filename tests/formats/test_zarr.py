@@ -71,6 +71,7 @@ def test_labels_of_ome(cells: Path) -> None:
     np.testing.assert_array_equal(labels.data, DATA[0, 0] // 100)
     assert labels.is_labels
     assert labels.labels == {1: "nucleus"}
+    assert clvol.read(cells / "labels" / "nuclei").labels == {1: "nucleus"}
     with pytest.raises(OptionError, match="labels/nuclei"):
         clvol.read(cells, series="membranes")
 

@@ -17,7 +17,7 @@ from clvol.formats._units import scale, unit_name
 from clvol.interop import Content
 from clvol.volumes import AXES, Leading
 
-__all__ = ["Layout", "decoded", "lay_out", "meaning", "place", "rgb_last", "uniform"]
+__all__ = ["Layout", "decoded", "lay_out", "meaning", "place", "uniform", "unnamed"]
 
 _WORDS = {
     "x": ("x", "lon", "longitude", "column", "columns", "easting", "width"),
@@ -71,6 +71,13 @@ class Layout:
         """What the leading axes count, where the channels are red, green, blue (and alpha)."""
         rgb = Leading.of_rgb(self.shape[self.axes.index("channel")])
         return Leading(self.leading, self.counts, rgb.names, rgb.colors, rgb=True)
+
+    def channels_of(self, dtype: np.dtype[Any]) -> Leading:
+        """What the leading axes count, where channels without names are colours (bytes) or components (floating)."""
+        n = self.shape[self.axes.index("channel")] if "channel" in self.axes else 0
+        if dtype == np.uint8 and n in (3, 4):
+            return self.in_colour
+        return Leading(self.leading, self.counts, vector=dtype.kind == "f" and n in (2, 3))
 
     def of(self, values: Mapping[str, float], default: float = 1.0) -> list[float]:
         """One number for each axis of the grid, in the order x, y(, z)."""
@@ -131,9 +138,14 @@ def lay_out(source: str, words: Sequence[str], shape: Sequence[int], keep: Seque
     return Layout(kept, tuple(int(n) for n in shape), text)
 
 
-def rgb_last(shape: Sequence[int], dtype: np.dtype[Any]) -> bool:
-    """Whether an array without names of axes looks like pictures in colour: bytes, the last axis three or four of them."""
-    return len(shape) >= 3 and shape[-1] in (3, 4) and dtype == np.uint8 and min(shape[-3:-1]) > 4
+def unnamed(shape: Sequence[int], dtype: np.dtype[Any]) -> list[str]:
+    """Words for the axes of an array that has none: "", but "channel" for a last one that is much shorter than the others.
+
+    Of images and single volumes that is so only where it looks like colours: three or four bytes.
+    """
+    short = (3, 4) if len(shape) == 3 and dtype == np.uint8 else (2, 3, 4) if len(shape) > 3 else ()
+    last = len(shape) > 2 and shape[-1] in short and min(shape[-3:-1]) > max(short)
+    return [""] * (len(shape) - last) + ["channel"] * last
 
 
 def uniform(coordinates: ArrayLike) -> tuple[float, float] | None:
