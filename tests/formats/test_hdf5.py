@@ -12,7 +12,7 @@ import pytest
 
 import clvol
 from clvol import ClvolWarning, formats
-from clvol.errors import ClvolError, DataError, FormatError, GeometryError, MissingDependencyError
+from clvol.errors import ClvolError, DataError, FormatError, GeometryError, MissingDependencyError, OptionError
 
 h5py = pytest.importorskip("h5py")
 
@@ -58,6 +58,14 @@ def test_axes_without_names_are_guessed(tmp_path: Path) -> None:
         file["a"] = DATA[None, None, None].repeat(2, 0).repeat(2, 1).repeat(2, 2)
     with pytest.raises(DataError, match="times, positions and channels of these"):
         clvol.read(tmp_path / "w.h5")
+
+
+def test_who_chooses_a_time_explains_the_first_axis(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "v.h5", "w") as file:
+        file["a"] = DATA[0, 0]
+    np.testing.assert_array_equal(clvol.read(tmp_path / "v.h5", time=3).data, DATA[0, 0, 3])
+    with pytest.raises(OptionError, match="channel must be 0 to 3"):
+        clvol.read(tmp_path / "v.h5", channel=4)
 
 
 def test_a_short_last_axis_without_a_name_holds_channels(tmp_path: Path) -> None:

@@ -39,8 +39,9 @@ def read(path: Path, choose: Choice, series: int | str | None = None) -> Content
             return _itk(path.name, array, choose)
         words, lines, units = _axes(array)
         named = any(words)
-        layout = lay_out(path.name, words if named else unnamed(array.shape, array.dtype), array.shape)
-        leading = None if named else layout.channels_of(array.dtype)
+        words = words if named else unnamed(array.shape, array.dtype)
+        layout = lay_out(path.name, words, array.shape, asked=choose.given)
+        leading = layout.channels_of(array.dtype) if words[-1:] == ["channel"] and not named else None
         by_axis = {axis: lines[i] for i, axis in enumerate(layout.axes) if i in lines}
         units_by_axis = {axis: units[i] for i, axis in enumerate(layout.axes) if i in units}
         space = {"space": "image"} if "um" in units_by_axis.values() else {}

@@ -194,14 +194,15 @@ def _plain(source: str, image: _Image, choose: Choice) -> Content:
     array = image.node
     words = [str(name or "") for name in _dimensions(array)]
     named = any(words)
-    layout = lay_out(source, words if named else unnamed(array.shape, array.dtype), array.shape)
+    words = words if named else unnamed(array.shape, array.dtype)
+    layout = lay_out(source, words, array.shape, asked=choose.given)
     lines, units = {}, {}
     for axis, word in zip(layout.axes, words, strict=True):
         values = _beside(image, word) if axis in ("x", "y", "z") and word else None
         if values is not None and values.shape == (layout.shape[layout.axes.index(axis)],):
             lines[axis] = uniform(values[:]) or (0.0, float("nan") if values.shape[0] > 1 else 1.0)
             units[axis] = str(values.attrs.get("units", ""))
-    leading = None if named else layout.channels_of(array.dtype)
+    leading = layout.channels_of(array.dtype) if words[-1:] == ["channel"] and not named else None
     data, chosen = layout.chosen(source, choose, lambda index: decoded(array[index], dict(array.attrs)), leading)
     return data, {"name": image.id.rpartition("/")[2].strip(".")} | place(layout, lines, units) | chosen
 
