@@ -380,11 +380,10 @@ def _by_suffix(path: Path, written: bool = False) -> tuple[Format, str]:
     rows = [row for row in FORMATS if row.write or not written]
     found = [(suffix, row) for row in FORMATS for suffix in row.suffixes if name.endswith(suffix)]
     if not found:
-        known = "; ".join(f"{row.name}: {' '.join(row.suffixes)}" for row in rows if row.suffixes)
-        ending = "".join(path.suffixes[-1:]) or "no suffix"
+        known = " ".join(suffix for row in rows for suffix in row.suffixes)
         rule = "write" if written else "read"
-        also = "" if written else f". A folder may hold {_FOLDERS}. `clvol info` says what a file or folder holds"
-        raise FormatError(f"cannot {rule} {path}: {ending} is of no format that clvol {rule}s, which are: {known}{also}")
+        also = "" if written else f"; a folder may hold {_FOLDERS}"
+        raise FormatError(f"cannot {rule} {path}: its suffix must be one of {known}{also}")
     suffix, row = max(found, key=lambda pair: len(pair[0]))
     return row, suffix
 
