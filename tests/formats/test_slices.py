@@ -84,7 +84,7 @@ def test_one_image(tmp_path: Path) -> None:
     colours = (DATA[:9] % 256).astype(np.uint8).reshape(3, 5, 7, 3)[0]
     iio.imwrite(tmp_path / "c.png", colours)
     np.testing.assert_array_equal(clvol.read(tmp_path / "c.png", channel="red").data, colours[..., 0])
-    with pytest.raises(OptionError, match="red.*luminance"):
+    with pytest.raises(OptionError, match=r"red.*luminance"):
         clvol.read(tmp_path / "c.png", channel="DAPI")
     pillow = pytest.importorskip("PIL.Image")
     pillow.fromarray(np.full((5, 7, 3), 255, np.uint8)).convert("CMYK").save(tmp_path / "k.jpg")  # no ink is white
@@ -113,7 +113,9 @@ def test_a_folder_of_other_things_says_what_it_holds(tmp_path: Path) -> None:
 
 def test_an_unknown_suffix_lists_the_formats(tmp_path: Path) -> None:
     (tmp_path / "v.txt").write_text("1 2 3")
-    with pytest.raises(FormatError, match=r"\.txt is of no format.*NIfTI: \.nii \.nii\.gz;.*Zarr.*clvol info"):
+    with pytest.raises(
+        FormatError, match=r"v\.txt: its suffix must be one of \.npy .*\.nii\.gz .*\.czi .*a folder may hold DICOM.*Zarr"
+    ):
         clvol.read(tmp_path / "v.txt")
     with pytest.raises(FormatError, match=r"only read; written are \.npy") as caught:
         formats.write(DATA, tmp_path / "v.png")

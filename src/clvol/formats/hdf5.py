@@ -12,11 +12,11 @@ import numpy as np
 
 from clvol.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._choice import Choice, Series, chosen_series
-from clvol.formats._layout import Layout, decoded, lay_out, place, rgb_last, uniform
+from clvol.formats._layout import Layout, decoded, lay_out, place, uniform, unnamed
 from clvol.interop import Content
 from clvol.volumes import Leading
 
-__all__ = ["read", "series"]
+__all__ = ["opened", "read", "series"]
 
 _NETCDF_3 = b"CDF"
 _NO_VARIABLE = b"This is a netCDF dimension but not a netCDF variable"  # NAME of a scale that holds no coordinates
@@ -28,7 +28,7 @@ def read(path: Path, choose: Choice, series: int | str | None = None) -> Content
     Names of axes are taken from vigra's ``axistags``, ``axes``, or the labels and scales of dimensions; spacing from
     ``element_size_um``, the tags, or evenly spaced scales; all of it from ITK's files.
     """
-    with _opened(path) as file:
+    with opened(path) as file:
         arrays = _arrays(file)
         listed = [_listed(array) for array in arrays]
         if not arrays:
@@ -38,11 +38,10 @@ def read(path: Path, choose: Choice, series: int | str | None = None) -> Content
         if _is_of_itk(array):
             return _itk(path.name, array, choose)
         words, lines, units = _axes(array)
-        rgb = not any(words) and rgb_last(array.shape, array.dtype)
-        if rgb:
-            words[-1] = "channel"
-        layout = lay_out(path.name, words, array.shape)
-        leading = layout.in_colour if rgb else None
+        named = any(words)
+        words = words if named else unnamed(array.shape, array.dtype)
+        layout = lay_out(path.name, words, array.shape, asked=choose.given)
+        leading = layout.channels_of(array.dtype) if words[-1:] == ["channel"] and not named else None
         by_axis = {axis: lines[i] for i, axis in enumerate(layout.axes) if i in lines}
         units_by_axis = {axis: units[i] for i, axis in enumerate(layout.axes) if i in units}
         space = {"space": "image"} if "um" in units_by_axis.values() else {}
@@ -53,11 +52,12 @@ def read(path: Path, choose: Choice, series: int | str | None = None) -> Content
 
 def series(path: Path) -> tuple[Series, ...]:
     """The arrays of numbers that have two axes or more, by their paths in the file; those with more than two before others."""
-    with _opened(path) as file:
+    with opened(path) as file:
         return tuple(_listed(array) for array in _arrays(file))
 
 
-def _opened(path: Path) -> Any:
+def opened(path: Path) -> Any:
+    """The file as h5py has it."""
     try:
         import h5py
     except ImportError as error:
@@ -65,7 +65,7 @@ def _opened(path: Path) -> Any:
     with path.open("rb") as stream:
         if stream.read(3) == _NETCDF_3:
             raise FormatError(f"{path.name} must be of netCDF-4, which is HDF5; it is of netCDF-3: nccopy -k nc4 makes it one")
-    return h5py.File(path, "r")
+    return h5py.File(path, "r", locking="best-effort")
 
 
 def _arrays(file: Any) -> list[Any]:

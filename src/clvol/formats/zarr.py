@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import re
 import warnings
+import zipfile
 from collections.abc import Iterator, Mapping
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from clvol.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
-from clvol.formats._layout import Layout, decoded, lay_out, place, rgb_last, uniform
+from clvol.formats._layout import Layout, decoded, lay_out, place, uniform, unnamed
 from clvol.interop import Content
 from clvol.volumes import Leading
 
@@ -50,36 +52,50 @@ def is_one(path: Path) -> bool:
 
 def read(path: Path, choose: Choice, series: int | str | None = None, level: int = 0) -> Content:
     """The chunks of one image or array that hold what is chosen; chunks that are not stored have the array's fill value."""
-    images = _images(path)
-    main = [image for image in images if not image.labels]
-    listed = [image.series for image in images]
-    ome = any(image.multiscales for image in main)
-    what = "images" if ome else "arrays"
-    image = images[chosen_series(path.name, listed, series, what=what, main=len(main), first=ome)]
-    if image.multiscales is None:
-        chosen_level(path.name, [image.node.shape], level)
-        return _plain(path.name, image, choose)
-    sizes = [image.level(i).shape for i in range(len(image.multiscales["datasets"]))]
-    return _multiscale(path.name, image, chosen_level(path.name, sizes, level), choose)
+    with _images(path) as images:
+        main = [image for image in images if not image.labels]
+        listed = [image.series for image in images]
+        ome = any(image.multiscales for image in main)
+        what = "images" if ome else "arrays"
+        image = images[chosen_series(path.name, listed, series, what=what, main=len(main), first=ome)]
+        if image.multiscales is None:
+            chosen_level(path.name, [image.node.shape], level)
+            return _plain(path.name, image, choose)
+        sizes = [image.level(i).shape for i in range(len(image.multiscales["datasets"]))]
+        return _multiscale(path.name, image, chosen_level(path.name, sizes, level), choose)
 
 
 def series(path: Path) -> tuple[Series, ...]:
     """The images and arrays that there are, images before their labels."""
-    return tuple(image.series for image in _images(path))
+    with _images(path) as images:
+        return tuple(image.series for image in images)
 
 
-def _images(path: Path) -> list[_Image]:
+@contextmanager
+def _images(path: Path) -> Iterator[list[_Image]]:
     try:
         import zarr
+        from zarr.storage import LocalStore, ZipStore
     except ImportError as error:
         raise MissingDependencyError("Zarr needs zarr: pip install clvol[microscopy]") from error
-    with warnings.catch_warnings():  # what else lies in the folders
-        warnings.simplefilter("ignore")
-        root = zarr.open(path if path.is_dir() else zarr.storage.ZipStore(path, mode="r"), mode="r")
-        found = list(_below(root, ""))
+    folder = path.is_dir()
+    inner = "" if folder else _inside(path)
+    with closing(LocalStore(path, read_only=True) if folder else ZipStore(path, mode="r")) as store:
+        with warnings.catch_warnings():  # what else lies in the folders
+            warnings.simplefilter("ignore")
+            found = list(_below(zarr.open(store, path=inner, mode="r"), ""))
+        if not found:
+            raise DataError(f"{path.name} must hold an array of numbers with two axes or more; it holds none")
+        yield sorted(found, key=lambda image: image.labels)
+
+
+def _inside(path: Path) -> str:
+    """Where an archive has its array or group: at its root, or in a folder that was packed."""
+    with zipfile.ZipFile(path) as archive:
+        found = [name for name in archive.namelist() if name.rpartition("/")[2] in _METADATA]
     if not found:
-        raise DataError(f"{path.name} must hold an array of numbers with two axes or more; it holds none")
-    return sorted(found, key=lambda image: image.labels)
+        raise FormatError(f"{path.name} must hold a Zarr array or group; unpack archives of other files, and read what they hold")
+    return min(found, key=lambda name: name.count("/")).rpartition("/")[0]
 
 
 def _below(node: Any, path: str, labels: bool = False) -> Iterator[_Image]:
@@ -88,9 +104,10 @@ def _below(node: Any, path: str, labels: bool = False) -> Iterator[_Image]:
         if node.ndim >= 2 and node.dtype.kind in "biuf":
             yield _Image(path or ".", node, None, labels)
         return
-    multiscales = _ome(node).get("multiscales")
+    about = _ome(node)
+    multiscales = about.get("multiscales")
     if multiscales:
-        yield _Image(path or ".", node, multiscales[0], labels)
+        yield _Image(path or ".", node, multiscales[0], labels or "image-label" in about)
         if "labels" in node:
             yield from _below(node["labels"], f"{path}/labels".lstrip("/"), labels=True)
         return
@@ -176,17 +193,16 @@ def _plain(source: str, image: _Image, choose: Choice) -> Content:
     """An array as it is; its axes by names, if it has them, and their coordinates, as xarray stores these."""
     array = image.node
     words = [str(name or "") for name in _dimensions(array)]
-    rgb = not any(words) and rgb_last(array.shape, array.dtype)
-    if rgb:
-        words[-1] = "channel"
-    layout = lay_out(source, words, array.shape)
+    named = any(words)
+    words = words if named else unnamed(array.shape, array.dtype)
+    layout = lay_out(source, words, array.shape, asked=choose.given)
     lines, units = {}, {}
     for axis, word in zip(layout.axes, words, strict=True):
         values = _beside(image, word) if axis in ("x", "y", "z") and word else None
         if values is not None and values.shape == (layout.shape[layout.axes.index(axis)],):
             lines[axis] = uniform(values[:]) or (0.0, float("nan") if values.shape[0] > 1 else 1.0)
             units[axis] = str(values.attrs.get("units", ""))
-    leading = layout.in_colour if rgb else None
+    leading = layout.channels_of(array.dtype) if words[-1:] == ["channel"] and not named else None
     data, chosen = layout.chosen(source, choose, lambda index: decoded(array[index], dict(array.attrs)), leading)
     return data, {"name": image.id.rpartition("/")[2].strip(".")} | place(layout, lines, units) | chosen
 
