@@ -496,7 +496,7 @@ def test_a_heart_says_what_it_is(tmp_path: Path) -> None:
     (one,) = clvol.formats.series_of(path.parent)
     assert one.text == "MR, My Special Series For Testing, 1 file"
     shutil.copy(path, path.with_name("other.dcm"))
-    with pytest.warns(ClvolWarning, match="it is one slice, and 1 more DICOM files lie beside it: the folder"):
+    with pytest.warns(ClvolWarning, match="it is one slice, and 1 more DICOM files lie beside it: give the folder"):
         read(path)
     image = sitk.ReadImage(str(path))
     center, width = (float(image.GetMetaData(tag)) for tag in ("0028|1050", "0028|1051"))
