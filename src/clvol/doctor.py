@@ -21,7 +21,7 @@ from clvol.opencl import INSTALL
 __all__ = ["Check", "extras", "opencl"]
 
 _USES = {
-    "medical": "NRRD, MetaImage, DICOM, writing NIfTI",
+    "medical": "DICOM, NRRD, MetaImage, NIfTI",
     "microscopy": "TIFF stacks, Zarr",
     "hdf5": "HDF5 and its kin",
     "vtk": "VTK's files",
