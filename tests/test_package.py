@@ -47,6 +47,7 @@ def test_extras_are_declared() -> None:
     for extra, package in (
         ("pocl", "pocl-binary-distribution"),
         ("medical", "SimpleITK"),
+        ("medical", "nibabel"),
         ("microscopy", "tifffile"),
         ("figures", "matplotlib"),
         ("xarray", "xarray"),
