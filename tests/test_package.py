@@ -52,6 +52,9 @@ def test_extras_are_declared() -> None:
         ("figures", "matplotlib"),
         ("xarray", "xarray"),
         ("torch", "torch"),
+        ("hdf5", "h5py"),
+        ("vtk", "vtk"),
+        ("bioio", "bioio"),
     ):
         line = next(
             row for row in wanted if row.lower().startswith(package.lower()) and f"extra == '{extra}'" in row.replace('"', "'")

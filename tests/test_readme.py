@@ -18,14 +18,21 @@ pytestmark = pytest.mark.skipif(not README.is_file(), reason="not in a checkout"
 
 def test_the_python_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: Device) -> None:
     blocks = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
-    assert len(blocks) == 3
+    assert len(blocks) == 4
     monkeypatch.chdir(tmp_path)
     image = np.random.default_rng(0).integers(0, 255, (30, 40, 3)).astype(np.uint8)
+    nibabel, tifffile = pytest.importorskip("nibabel"), pytest.importorskip("tifffile")
+    nibabel.save(nibabel.Nifti1Image(np.ones((4, 5, 6, 13), np.int16), np.eye(4)), "bold.nii.gz")
+    cells = np.arange(4 * 3 * 2 * 5 * 6, dtype=np.uint16).reshape(4, 3, 2, 5, 6)
+    about = {"axes": "TZCYX", "Channel": {"Name": ["DAPI", "GFP"]}}
+    tifffile.imwrite("cells.ome.tif", cells, ome=True, photometric="minisblack", metadata=about)
     here: dict[str, object] = {"image": image}
     for block in blocks:
         exec(block, here)  # one after the other, as a reader would
     assert here["ndimage"] is clvol.ndimage
     assert (tmp_path / "picture.png").is_file()
+    np.testing.assert_array_equal(here["nuclei"], cells[3, :, 0])  # type: ignore[arg-type]  # a volume is an array
+    assert np.shape(here["channels"]) == (4, 2, 3, 5, 6)
     assert np.shape(here["portrait"]) == (75, 100, 3)
     assert np.shape(here["turned"]) == (400, 400, 3)
     assert [row.filter for row in here["table"]][-1] == "exact-sinc"  # type: ignore[attr-defined]
