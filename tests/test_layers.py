@@ -10,15 +10,15 @@ import pytest
 SOURCE = Path(__file__).resolve().parents[1] / "src"
 # top to bottom; a name stands for the module or for all of its package
 LAYERS = [
-    "errors moved checks uniform files interop filter boundary missing noise volume volumes smoothing stored camera color light transfer "
-    "mode scene transform",
+    "errors moved checks uniform files picture display interop filter boundary missing noise volume volumes smoothing stored "
+    "camera color light transfer mode scene transform",
     "reference response phantoms formats",
     "processor opencl program device",
     "spline",
     "ndimage",
     "interpolator resizing torch xarray",
     "march",
-    "picture images analysis",
+    "images analysis",
     "figures",
     "reports",
     "cli __main__",
