@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from clvol.camera import Camera, View
 from clvol.device import Device, Tile
+from clvol.fit import fitted
 from clvol.light import LIGHTS, Material, lights_block
 from clvol.march.planes import SEGMENT, SLAB, Planes
 from clvol.mode import Mode
@@ -119,7 +120,7 @@ class Frame:
         """The frame of a scene whose medium's coefficients are resident, by a camera and a mode."""
         (medium,), (width, height) = scene.media, size
         volume, stored = medium.volume, coefficients.stored
-        view = camera.view(volume, width / height)
+        view = fitted(camera, volume, mode, transfer, scene.clip).view(volume, width / height)
         planes = Planes(volume, view, width / height, *(_STRETCHES if mode.stretches else (step, SEGMENT)))
         block, _ = frame_block(mode.BLOCK)
         values = block(

@@ -21,6 +21,7 @@ from clvol.checks import one_of
 from clvol.color import color_of
 from clvol.errors import OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.fit import fitted
 from clvol.light import HEADLIGHT, Light, Material
 from clvol.mode import DEFAULT_MODE, Attenuated, Composite, Isosurface, Mode, as_mode
 from clvol.reference.march.rays import Rays, camera_rays
@@ -248,7 +249,7 @@ def render(
         return np.asarray(differences @ volume.world_to_index_matrix)
 
     width, height = size
-    view = (camera or Camera.orbit()).view(volume, width / height)
+    view = fitted(camera or Camera.orbit(), volume, chosen, transfer, clip).view(volume, width / height)
     scene = _Scene(
         value,
         slope,
