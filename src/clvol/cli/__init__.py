@@ -73,7 +73,7 @@ def _unknown(error: UnknownCommandError) -> str:
     known = [name for name in app if not name.startswith("-") and app[name].show]
     near = difflib.get_close_matches(token, known, 1)
     hint = f" (did you mean {near[0]}?)" if near else ""
-    return f'unknown command "{token}"{hint}; commands are {", ".join(sorted(known))}: see \'clvol --help\''
+    return f"unknown command \"{token}\"{hint}; commands are {', '.join(sorted(known))}: see 'clvol --help'"
 
 
 def _discard_output() -> None:

@@ -6,15 +6,15 @@ from collections.abc import Callable
 from typing import Any
 
 import clvol
-from clvol.cli.root import SETUP, app
 from clvol.cli.options import Json
+from clvol.cli.root import SETUP, command
 from clvol.cli.speech import one_line, print_json
 from clvol.errors import DeviceError
 
 __all__ = ["doctor"]
 
 
-@app.command(group=SETUP)
+@command(SETUP)
 def doctor(*, json: Json = False) -> None:
     """Find out whether OpenCL is usable here, and what to install if it is not."""
     import numpy as np

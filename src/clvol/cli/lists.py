@@ -1,8 +1,30 @@
-"""Commands that list what there is: filters, modes, devices, and the script for completion."""
+"""Commands that list what there is: filters, devices; and the script by which shells complete names."""
 
 from __future__ import annotations
 
-@app.command
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+import clvol
+from clvol.cli.options import Json
+from clvol.cli.root import FILTERS, SETUP, app, command
+from clvol.cli.speech import print_json, table
+
+__all__ = ["completion", "devices", "filters"]
+
+
+@command(FILTERS)
+def filters(*, json: Json = False) -> None:
+    """List the reconstruction filters, and what else they are called."""
+    known = clvol.filters()
+    if json:
+        print_json([dict(zip(known.HEADER, row, strict=True)) for row in known.rows()])
+    else:
+        table(list(known.HEADER), [list(row) for row in known.rows()])
+
+
+@command(SETUP)
 def devices(*, json: Json = False) -> None:
     """List the OpenCL devices, the one used by default first."""
     rows = [
@@ -27,11 +49,16 @@ def devices(*, json: Json = False) -> None:
         table(header, [[str(row[key]) for key in header] for row in rows])
 
 
-@app.command
-def filters(*, json: Json = False) -> None:
-    """List the reconstruction filters."""
-    table = clvol.filters()
-    if json:
-        print_json([dict(zip(table.HEADER, row, strict=True)) for row in table.rows()])
-    else:
-        table(list(table.HEADER), [list(row) for row in table.rows()])
+@command(SETUP)
+def completion(shell: Annotated[Literal["bash", "zsh", "fish"], Parameter(help="Yours.")], /) -> None:
+    """Print a script that has the Tab key complete commands, options, and names of files, filters, modes and presets.
+
+    bash: clvol completion bash > ~/.local/share/bash-completion/completions/clvol
+
+    zsh: clvol completion zsh > a folder of $fpath, as the file _clvol
+
+    fish: clvol completion fish > ~/.config/fish/completions/clvol.fish
+
+    It works in shells that are started afterwards.
+    """
+    print(app.generate_completion(prog_name="clvol", shell=shell))

@@ -91,7 +91,7 @@ def _figure_names() -> Iterable[str]:
 
 # -- how INPUT is read ---------------------------------------------------------------------------------------
 
-_INPUT = Group("Which of the volumes of INPUT, and how it is read", sort_key=2)
+_INPUT = Group("Which of the volumes in SOURCE, and how it is read", sort_key=2)
 _LOOK = Group("What is seen, and how", sort_key=3)
 _OWN = Group("Of the mode", sort_key=4)
 
@@ -244,9 +244,7 @@ class Look:
         """Arguments of `clvol.render`."""
         clip = {} if self.clip is None else {"clip": (self.clip[:3], self.clip[3:])}
         return clip | {
-            "camera": clvol.Camera.orbit(
-                self.azimuth, self.elevation, zoom=self.zoom, projection=self.projection, fit=self.fit
-            ),
+            "camera": clvol.Camera.orbit(self.azimuth, self.elevation, zoom=self.zoom, projection=self.projection, fit=self.fit),
             "mode": self.mode,
             "step": self.step,
             "samples": self.samples,
@@ -377,5 +375,7 @@ Filters = Annotated[
 ]
 Compared = Annotated[
     tuple[str, ...],
-    Parameter(help="What is compared; see 'clvol filters'.", show_default=False, consume_multiple=True, completer=_any_of(_filter_names)),
+    Parameter(
+        help="What is compared; see 'clvol filters'.", show_default=False, consume_multiple=True, completer=_any_of(_filter_names)
+    ),
 ]

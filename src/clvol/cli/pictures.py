@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 import clvol
-from clvol.cli.root import PICTURES, app
+from clvol.cli import speech
 from clvol.cli.options import (
     Compared,
     DeviceName,
@@ -29,7 +29,7 @@ from clvol.cli.options import (
     Whole,
     own_options,
 )
-from clvol.cli.speech import filter_text, progress, require_picture, require_writable, say, table
+from clvol.cli.root import PICTURES, command
 from clvol.errors import OptionError
 from clvol.march.uncertainty import COVERAGE, in_words
 from clvol.mode import as_mode
@@ -40,7 +40,7 @@ __all__ = ["compare", "figure", "figure6", "render", "report"]
 _COMPARED = 20_000  # gradients that a table of errors compares
 
 
-@app.command(group=PICTURES)
+@command(PICTURES)
 def render(
     source: Source,
     /,
@@ -74,15 +74,15 @@ def render(
     """
     import numpy as np
 
-    require_picture(output)
+    speech.require_picture(output)
     for other in (heat_map, uncertainty):
         if other is not None:
-            require_picture(other)
+            speech.require_picture(other)
     look = look or Look()
     options = own_options(look, own)
     volume = (input or Input()).read(source)
     result: dict[str, Any] = {"output": str(output), "size": list(size), "filter": "", "mode": look.mode}
-    with progress("rendering", json) as progress:
+    with speech.progress("rendering", json) as progress:
         options |= look.options(volume)
         begun = time.perf_counter()
         wanted = as_mode(look.mode).picture_filter if filter is None else filter
@@ -94,7 +94,7 @@ def render(
             pictures = renderer.render(size=size, progress=progress, outputs=outputs, **options)
             done = time.perf_counter()
             drawn = renderer.filter
-    result["filter"] = drawn.name if json else filter_text(drawn, filter, volume)
+    result["filter"] = drawn.name if json else speech.filter_text(drawn, filter, volume)
     clvol.save(pictures["rgba"], output)
     if heat_map is not None:
         result["heat_map"] = str(clvol.save(heat(pictures["visited"]), heat_map))
@@ -110,10 +110,10 @@ def render(
             "seconds_to_hold": round(ready - begun, 4),
             "seconds_to_draw": round(done - ready, 4),
         }
-    say(json, result)
+    speech.say(json, result)
 
 
-@app.command(group=PICTURES)
+@command(PICTURES)
 def compare(
     source: Source,
     /,
@@ -147,23 +147,23 @@ def compare(
         flags = ", ".join(f"--{kind.replace('_', '-')}" for kind in tables)
         raise OptionError(f"give --output, a picture, or a table of errors ({flags}), or several; got none")
     if output is not None:
-        require_picture(output)
+        speech.require_picture(output)
     for path in wanted.values():
-        require_writable(path, SUFFIXES, "tables")
+        speech.require_writable(path, SUFFIXES, "tables")
     look = look or SurfaceLook()
     options = own_options(look, own)
     volume = (input or Input()).read(source)
     names = filters or figures.SIX
     result: dict[str, Any] = {}
     if output is not None:
-        with progress("drawing", json) as progress:
+        with speech.progress("drawing", json) as progress:
             _, sheet = figures.compare(
                 volume, names, pixels, look.boundary, device=device, progress=progress, **look.options(volume), **options
             )
         result["output"] = str(clvol.save(sheet, output))
     result |= {"filters": list(names)} | ({"mode": look.mode} if output is not None else {})
     for kind, path in wanted.items():
-        with progress("measuring", json) as progress:
+        with speech.progress("measuring", json) as progress:
             errors: analysis.Table[Any]
             if kind == "table":
                 errors = analysis.compare(
@@ -182,11 +182,11 @@ def compare(
             result["errors" if kind == "table" else f"{kind}_errors"] = errors.records()
         else:
             header, *rows = errors.texts()
-            table(header, rows)
-    say(json, result)
+            speech.table(header, rows)
+    speech.say(json, result)
 
 
-@app.command(group=PICTURES)
+@command(PICTURES)
 def figure(
     name: FigureName,
     /,
@@ -225,17 +225,17 @@ def figure(
         raise OptionError(f"figure {name} takes {', '.join(flags) or 'no option'}; got --{wrong}")
     if figures.FIGURES[name].plotted:
         style.require_matplotlib()
-        require_writable(output, style.SUFFIXES, "figures")
+        speech.require_writable(output, style.SUFFIXES, "figures")
     else:
-        require_picture(output)
+        speech.require_picture(output)
     if scan is not None:
         options["scan"] = Input().read(scan)
-    with progress(f"figure {name}", json) as progress:
+    with speech.progress(f"figure {name}", json) as progress:
         drawing = figures.draw(name, **options, **({"progress": progress} if "progress" in known else {}))
-    say(json, {"output": str(drawing.save(output)), "panels": drawing.numbers}, drawing.lines)
+    speech.say(json, {"output": str(drawing.save(output)), "panels": drawing.numbers}, drawing.lines)
 
 
-@app.command(group=PICTURES)
+@command(PICTURES)
 def report(
     source: Source,
     /,
@@ -262,7 +262,7 @@ def report(
     look = look or ReportLook()
     options = own_options(look, own)
     volume = (input or Input()).read(source)
-    with progress("measuring and drawing", json) as progress:
+    with speech.progress("measuring and drawing", json) as progress:
         done = reports.report(
             volume,
             output,
@@ -280,10 +280,10 @@ def report(
         result |= {"against": done.table.against, "lost": done.table.lost, "errors": done.table.records()}
         result |= {"expected": None if done.advice.expected is None else done.advice.expected.records()}
         result |= {"left_out": done.left_out.records(), "turned": None if done.turned is None else done.turned.records()}
-    say(json, result)
+    speech.say(json, result)
 
 
-@app.command(group=PICTURES, show=False)  # its former name
+@command(PICTURES, show=False)  # its former name
 def figure6(
     *, output: Output = Path("figure6.png"), samples: Whole = 40, pixels: Whole = 512, device: DeviceName = None, json: Json = False
 ) -> None:

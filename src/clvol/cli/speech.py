@@ -18,17 +18,7 @@ from clvol.files import require_folder, require_suffix
 from clvol.filter import Filter
 from clvol.smoothing import choose
 
-__all__ = [
-    "filter_text",
-    "one_line",
-    "print_json",
-    "progress",
-    "range_text",
-    "require_picture",
-    "require_writable",
-    "say",
-    "table",
-]
+__all__ = ["filter_text", "one_line", "print_json", "progress", "range_text", "require_picture", "require_writable", "say", "table"]
 
 # -- where results go ----------------------------------------------------------------------------------------
 

@@ -41,7 +41,7 @@ def _flags(given: Sequence[str]) -> dict[str, str]:
     """For each argument of the command in question, its option; not those whose Python name two options share."""
     try:
         command, *_ = app.parse_commands(given)
-        arguments = app[command].assemble_argument_collection() if command else ()
+        arguments = app[command[0]].assemble_argument_collection() if command else ()
     except (CycloptsError, KeyError):
         return {}
     found: dict[str, str] = {}

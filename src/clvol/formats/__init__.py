@@ -10,12 +10,12 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from numpy.typing import ArrayLike, DTypeLike
 
 from clvol.checks import as_path
-from clvol.errors import DataError, FormatError, GeometryError, OptionError
+from clvol.errors import ClvolError, DataError, FormatError, GeometryError, OptionError
 from clvol.files import staged
 from clvol.formats import dicom, metaimage, nifti, npy, nrrd, raw, tiff
 from clvol.formats._choice import Choice, Series
@@ -23,7 +23,7 @@ from clvol.formats._files import Reader, Writer, foreign_errors
 from clvol.volume import Volume, as_volume
 from clvol.volumes import Leading, Volumes
 
-__all__ = ["FORMATS", "WRITTEN", "Format", "Series", "read", "read_all", "series_of", "write"]
+__all__ = ["FORMATS", "WRITTEN", "Format", "Series", "leading_of", "read", "read_all", "series_of", "write"]
 
 
 @dataclass(frozen=True)
@@ -223,6 +223,39 @@ def series_of(path: str | os.PathLike[str]) -> tuple[Series, ...]:
     with foreign_errors(f"read {path}"):
         found = _format_of(path).series
         return () if found is None else found(path)
+
+
+def leading_of(path: str | os.PathLike[str], *, series: int | str | None = None, level: int | None = None) -> Leading:
+    """What the axes before z, y and x of a file count, from its header: no samples are read.
+
+    Raises
+    ------
+    ClvolError
+        As `read` raises it.
+    """
+    path = as_path(path)
+    chosen = _format_of(path)
+    if not chosen.several:
+        return Leading()
+
+    def note(_: str, leading: Leading, **_guess: str) -> NoReturn:
+        raise _KnownError(leading)
+
+    options = {"series": series, "level": level}
+    try:
+        with foreign_errors(f"read {path}"):
+            chosen.read(path, choose=note, **{name: value for name, value in options.items() if value is not None})
+    except _KnownError as known:
+        return known.leading
+    return Leading()
+
+
+class _KnownError(ClvolError):
+    """Ends the reading of a file whose header has told what is wanted."""
+
+    def __init__(self, leading: Leading) -> None:
+        super().__init__(str(leading))
+        self.leading = leading
 
 
 def _read(path: str | os.PathLike[str], choice: Choice, given: Mapping[str, Any], replaced: Mapping[str, Any]) -> Volume | Volumes:
