@@ -11,7 +11,7 @@ SOURCE = Path(__file__).resolve().parents[1] / "src"
 # top to bottom; a name stands for the module or for all of its package
 LAYERS = [
     "errors moved checks rounding uniform files picture display interop filter boundary missing noise volume volumes smoothing "
-    "stored camera color light transfer mode look scene fit transform",
+    "stored camera color light scaling histogram palette preset transfer mode look scene fit transform",
     "reference response phantoms formats",
     "processor opencl program device",
     "spline",

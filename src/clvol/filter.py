@@ -817,7 +817,7 @@ def unregister(name: str) -> Filter:
 class FilterTable(dict[str, Filter]):
     """Every filter by name; shown, it is a table."""
 
-    HEADER = ("filter", "support", "degree", "continuity", "order", "interpolates", "sums to one", "poles", "also called")
+    HEADER = ("filter", "support", "degree", "class", "order", "interpolates", "sums to one", "poles", "also called")
 
     def rows(self) -> list[tuple[str, ...]]:
         """One tuple of texts a filter, in the order of `HEADER`."""
@@ -831,7 +831,7 @@ class FilterTable(dict[str, Filter]):
                 "no" if not f.interpolates else "yes" if f.interpolates_directly and not f.magnify else "prefiltered",
                 "yes" if f.sums_to_one else "nearly",
                 _poles_in_words(f.magnified_by or f),
-                ", ".join(_also(name)) if f is _TABLE.get(name) else "",
+                " ".join(_also(name)) if f is _TABLE.get(name) else "",
             )
             for name, f in self.items()
         ]

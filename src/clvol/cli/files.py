@@ -33,8 +33,8 @@ def info(source: Source, /, *, input: Input | None = None, json: Json = False) -
 
     Of a file or folder with several images the list alone is shown, until --series says which.
     """
-    input = input or Input()
-    images = () if input.chooses() or str(source).startswith("phantom:") else series_of(source)
+    reader = input or Input()
+    images = () if reader.chooses() or str(source).startswith("phantom:") else series_of(source)
     if len(images) > 1:
         rows = [[image.id, display.numbers(image.shape), image.text] for image in images]
         if json:
@@ -43,10 +43,10 @@ def info(source: Source, /, *, input: Input | None = None, json: Json = False) -
             print(f"{source} holds {len(images)} images; choose one by --series")
             table(["series", "samples", "what it is"], rows)
         return
-    leading = input.leading(source)
+    leading = reader.leading(source)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ClvolWarning)  # what there is, is said below
-        volume = input.read(source)
+        volume = reader.read(source)
     say(json, _listed(volume, leading, json))
 
 
@@ -178,8 +178,8 @@ def resample(
     anchor
         What --to-spacing leaves where it is: the centre of the volume, or, as in ITK, its first sample.
     to_dtype
-        Type of the samples that are written: a name such as uint16, rounded and clipped, or 'same', that of INPUT; by default floating
-        point.
+        Type of the samples that are written: a name such as uint16, rounded and clipped, or 'same', as in SOURCE; by default
+        floating point.
     filter
         How it is reconstructed between its samples; see 'clvol filters'. [default: bspline3; nearest for labels]
     fill
@@ -194,7 +194,7 @@ def resample(
     if magnify is not None and (to_dtype is not None or anchor != "center"):
         raise OptionError("--to-dtype and --anchor are for --to-shape, --to-spacing and --like; got --magnify")
     require_writable(output, WRITTEN, "volumes")
-    input = input or Input()
+    reader = input or Input()
     grid = None if like is None else Input().read(like)
 
     def one(volume: clvol.Volume, told: Callable[[float], None] | None) -> clvol.Volume:
@@ -217,8 +217,8 @@ def resample(
         )
 
     result: clvol.Volume | clvol.Volumes
-    if input.volume == "all":
-        volumes = input.read_all(source)
+    if reader.volume == "all":
+        volumes = reader.read_all(source)
         made = []
         with progress("resampling", json) as told:
             for number, volume in enumerate(volumes):
@@ -228,7 +228,7 @@ def resample(
         result = clvol.Volumes(made, leading=volumes.leading)
         first = result[0]
     else:
-        volume = input.read(source)
+        volume = reader.read(source)
         with progress("resampling", json) as told:
             first = result = one(volume, told)
     clvol.write(result, output)
@@ -237,9 +237,9 @@ def resample(
 
 @command(DATA)
 def convert(source: Source, /, *, output: Output, input: Input | None = None, json: Json = False) -> None:
-    """Write a volume as another kind of file, with --volume all each of those that INPUT holds, no sample changed."""
+    """Write a volume as another kind of file, with --volume all each of those that it holds, no sample changed."""
     require_writable(output, WRITTEN, "volumes")
-    input = input or Input()
-    result = input.read_all(source) if input.volume == "all" else input.read(source)
+    reader = input or Input()
+    result = reader.read_all(source) if reader.volume == "all" else reader.read(source)
     clvol.write(result, output)
     say(json, {"output": str(output), "shape": list(result.shape), "dtype": str(np.asarray(result).dtype)})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, make_dataclass, replace
@@ -73,7 +72,7 @@ def _any_of(names: Callable[[], Iterable[str]]) -> Callable[[object], list[str]]
 
 def _filter_names() -> list[str]:
     table = clvol.filters()
-    also = [other for row in table.rows() for other in row[-1].split(", ") if other]
+    also = [other for row in table.rows() for other in row[-1].split()]
     return [*table, "bspline3(auto)", *also]
 
 
@@ -186,7 +185,6 @@ BOUNDARIES = f"What lies past the outer samples: {', '.join(clvol.boundaries())}
 Boundary = Annotated[str, Parameter(help=BOUNDARIES, completer=_any_of(clvol.boundaries))]
 _Mode = Annotated[str, Parameter(help=_MODES, completer=_any_of(clvol.modes))]
 _Background = Annotated[str, Parameter(help="A name, a hex code, or 'none'.")]
-_RAYS = inspect.signature(clvol.Renderer.render).parameters["samples"].default
 
 
 @Parameter(name="*", group=_LOOK)
@@ -223,8 +221,9 @@ class Look:
         0.5
     )
     samples: Annotated[
-        int | Literal["auto"], Parameter(help="Rays a pixel; 'auto': more where there are edges.", converter=_whole_or("auto"))
-    ] = _RAYS
+        int | Literal["auto"] | None,
+        Parameter(help="Rays a pixel; 'auto': more where there are edges.", converter=_whole_or("auto")),
+    ] = None
     pixel_filter: Annotated[
         str, Parameter(help="What several rays a pixel sample: a filter without a prefilter.", completer=_any_of(clvol.filters))
     ] = "linear"
@@ -242,12 +241,12 @@ class Look:
 
     def options(self, volume: clvol.Volume) -> dict[str, Any]:
         """Arguments of `clvol.render`."""
-        clip = {} if self.clip is None else {"clip": (self.clip[:3], self.clip[3:])}
-        return clip | {
+        given: dict[str, Any] = {} if self.samples is None else {"samples": self.samples}
+        given |= {} if self.clip is None else {"clip": (self.clip[:3], self.clip[3:])}
+        return given | {
             "camera": clvol.Camera.orbit(self.azimuth, self.elevation, zoom=self.zoom, projection=self.projection, fit=self.fit),
             "mode": self.mode,
             "step": self.step,
-            "samples": self.samples,
             "pixel_filter": self.pixel_filter,
             "transfer": self._transfer(volume),
             "gradient": self.gradient,
