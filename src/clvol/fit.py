@@ -155,7 +155,9 @@ def _shown(values: NDArray[Any], mode: Mode, transfer: TransferFunction) -> Bool
     return shown
 
 
-def _inside(shape: tuple[int, ...], matrix: NDArray[np.float64], start: NDArray[np.float64], box: list[NDArray[np.float64]]) -> Bools:
+def _inside(
+    shape: tuple[int, ...], matrix: NDArray[np.float64], start: NDArray[np.float64], box: list[NDArray[np.float64]]
+) -> Bools:
     """Which samples lie in a box."""
     z, y, x = (np.arange(n, dtype=np.float64) for n in shape)
     inside = np.ones(shape, np.bool_)
