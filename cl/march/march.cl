@@ -48,6 +48,20 @@
 #define PACKET_X(left, g) ((left) + (g) % PACKETS_ACROSS * LANES_ACROSS)
 #define PACKET_Y(top, g) ((top) + (g) / PACKETS_ACROSS * LANES_DOWN)
 
+// The rays of a packet through places in the picture, before their first sample; `there`: the lanes that have one.
+INLINE void begin_packet(tile_t *tile, constant frame_t *frame, const int g, const real x, const real y, const mask there)
+{
+    tile->rays[g] = pixel_ray(frame, x, y);
+    const ray_t *ray = tile->rays + g;
+    begin(tile->states + g);
+    tile->gathered[g] = (real)(0.0f);
+    const mask going = ray->hits & there;
+    tile->going[g] = going;
+    const float low = min_lane(choose(going, ray->begin - MARGIN, NOWHERE)), high = max_lane(choose(going, ray->end + MARGIN, -NOWHERE));
+    tile->first = MIN(low, tile->first);
+    tile->last = MAX(high, tile->last);
+}
+
 // The rays of the tile whose first pixel is (left, top), before their first sample.
 INLINE void begin_tile(tile_t *tile, constant frame_t *frame, const int left, const int top)
 {
@@ -58,15 +72,10 @@ INLINE void begin_tile(tile_t *tile, constant frame_t *frame, const int left, co
     mask up = ~NONE, down = ~NONE;
     for (int g = 0; g < PACKETS; ++g) {
         const real x = PACKET_X(left, g) + LANE_X, y = PACKET_Y(top, g) + LANE_Y;
-        tile->rays[g] = pixel_ray(frame, x + frame->picture.offset[0], y + frame->picture.offset[1]);
+        begin_packet(tile, frame, g, x + frame->picture.offset[0], y + frame->picture.offset[1],
+                     (x < (real)(frame->picture.width)) & (y < (real)(frame->picture.height)));
         const ray_t *ray = tile->rays + g;
-        begin(tile->states + g);
-        tile->gathered[g] = (real)(0.0f);
-        const mask going = ray->hits & (x < (real)(frame->picture.width)) & (y < (real)(frame->picture.height));
-        tile->going[g] = going;
-        const float low = min_lane(choose(going, ray->begin - MARGIN, NOWHERE)), high = max_lane(choose(going, ray->end + MARGIN, -NOWHERE));
-        tile->first = MIN(low, tile->first);
-        tile->last = MAX(high, tile->last);
+        const mask going = tile->going[g];
         const real along = axis_of(ray->direction, frame->planes.axis);
         up &= (ray->planar & (along > 0.0f)) | !going;
         down &= (ray->planar & (along < 0.0f)) | !going;

@@ -130,7 +130,7 @@ class Frame:
             planes=planes.block(),
             transfer=transfer.block(volume.mean_spacing, stored),
             material=medium.material.block(),
-            lights=lights_block(scene.lights),
+            lights=lights_block(scene.lights, view),
             mode=mode.block(volume, stored),
             minmax=minmax_block(minmax, volume, planes.margin),
             picture=PICTURE(

@@ -6,7 +6,7 @@ import contextlib
 import math
 import time
 from collections.abc import Iterator
-from typing import Any, Self, TypeAlias
+from typing import Any, Literal, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from clvol.errors import OptionError
 from clvol.filter import Filter
 from clvol.march.frame import Frame
-from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter, pixel_rays
+from clvol.march.pixels import DEFAULT_PIXEL_FILTER, EDGE_RAYS, as_pixel_filter, on_edges, pixel_rays
 from clvol.spline.build import row_reach, row_width
 from clvol.spline.points import Progress
 
@@ -30,23 +30,70 @@ _ROW_SECONDS = 1.5e-9  # a generous guess of the time of one row of taps on one 
 
 
 def draw(
-    frame: Frame, samples: int = 1, filter: str | Filter = DEFAULT_PIXEL_FILTER, progress: Progress | None = None
+    frame: Frame,
+    samples: int | Literal["auto"] = 1,
+    filter: str | Filter = DEFAULT_PIXEL_FILTER,
+    progress: Progress | None = None,
 ) -> dict[str, Picture]:
     """The picture of a frame with so many rays a pixel, and its guides if the frame has them; each (height, width, ...).
+
+    With "auto" one, and `EDGE_RAYS` in pixels on edges of that picture (`on_edges`).
 
     Guides are those of the ray through the pixel's middle, which is cast for them if the picture does without it.
     """
     kernel, inputs = frame.program("march/draw.cl").kernel("draw"), _Inputs(frame)
-    (width, height), budget = frame.size, _Budget(frame)
+    (width, height), budget, row = frame.size, _Budget(frame), as_pixel_filter(filter)
     with _pictures(frame) as (arrays, buffers):
-        rays = pixel_rays(samples, as_pixel_filter(filter), middle=frame.guides)
+        rays = pixel_rays(1 if samples == "auto" else samples, row, middle=frame.guides)
         for i, (offset, weight) in enumerate(rays):
             block = frame.device.upload(frame.sampled(offset, weight, i, len(rays))[None])
             for x, y, w, h in budget.tiles(width, height):
                 _launch(frame, kernel, (x, y, w, h), *inputs.of_rays(block), *buffers)
                 if progress:
                     progress((i + min(1.0, ((y + h) * width) / (width * height))) / len(rays))
+    if samples == "auto":
+        _smooth_edges(frame, inputs, budget, arrays["rgba"], row)
     return _in_world(frame, arrays)
+
+
+def _smooth_edges(frame: Frame, inputs: _Inputs, budget: _Budget, picture: Picture, filter: Filter) -> None:
+    """Adds rays to those of the pixels on edges of a picture, one through the middle of each."""
+    pixels = on_edges(picture)
+    if not len(pixels):
+        return
+    (_, share), *more = pixel_rays(EDGE_RAYS, filter, middle=True)
+    offsets, weights = zip(*more, strict=True)
+    at = (pixels[:, None, ::-1].astype(np.float32) + np.array(offsets, np.float32)).reshape(-1, 2)
+    colors = np.empty((len(at), 4), np.float32)
+    kernel = frame.program("march/rays.cl").kernel("draw_rays")
+    block, tile, shape = frame.device.upload(frame.values[None]), frame.tile, (1,) if frame.tile.shared else (64,)
+    together = tile.width * tile.height
+    with frame.device.lent(at, write=False) as rays, frame.device.lent(colors, write=True) as results, frame.device.errors:
+        for first, count in budget.rays(len(at), together * shape[0]):
+            items = -(-count // (together * shape[0])) * shape[0]
+            kernel(
+                frame.device.queue,
+                (items,),
+                shape,
+                *inputs.of_rays(block),
+                rays,
+                np.int32(first + count),
+                results,
+                global_offset=(first // together,),
+            )
+            frame.device.finish()
+    where = tuple(pixels.T)
+    first, opaque = picture[where], bool(frame.values["picture"]["opaque"])
+    if not opaque:
+        first[:, :3] *= first[:, 3:]
+    means = np.einsum("prc,r->pc", colors.reshape(len(pixels), -1, 4), np.array(weights, np.float32))
+    if opaque:
+        means[:, :3] += (1 - share - means[:, 3:]) * frame.values["picture"]["background"]
+        means[:, 3] = 1 - share
+    means += share * first
+    if not opaque:
+        np.divide(means[:, :3], means[:, 3:], out=means[:, :3], where=means[:, 3:] > 0)
+    picture[where] = np.clip(means, 0, 1)
 
 
 # -- in parts ----------------------------------------------------------------------------------------------
@@ -203,6 +250,16 @@ class _Budget:
         self._across, self._down = (-(-_AREA // n) * n for n in frame.tile[:2])
         self._seconds = device.limits.launch_seconds
         self._per_pixel = count * rows * _ROW_SECONDS * (3 if costly else 1) / max(1, cores)
+
+    def rays(self, count: int, multiple: int) -> Iterator[tuple[int, int]]:
+        """The first and the number of each part of a list of rays, a multiple but for the last."""
+        first = 0
+        while first < count:
+            n = min(count - first, max(1, int(self._seconds / self._per_pixel) // multiple) * multiple)
+            started = time.perf_counter()
+            yield first, n
+            self._per_pixel = max(self._per_pixel, (time.perf_counter() - started) / n)
+            first += n
 
     def tiles(self, width: int, height: int) -> Iterator[tuple[int, int, int, int]]:
         """(x, y, width, height) of each area, each a multiple of a tile, but at the picture's edges."""

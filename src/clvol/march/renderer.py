@@ -161,7 +161,7 @@ class Renderer:
         background: Sequence[float] | str | EllipsisType | None = ...,
         clip: Box | EllipsisType | None = ...,
         gradient: Literal["analytic", "central"] = ...,
-        samples: int = ...,
+        samples: int | Literal["auto"] = ...,
         pixel_filter: str | Filter = ...,
         skipping: bool = ...,
         evaluator: EvaluatorName = ...,
@@ -186,7 +186,7 @@ class Renderer:
         background: Sequence[float] | str | EllipsisType | None = ...,
         clip: Box | EllipsisType | None = ...,
         gradient: Literal["analytic", "central"] = ...,
-        samples: int = ...,
+        samples: int | Literal["auto"] = ...,
         pixel_filter: str | Filter = ...,
         skipping: bool = ...,
         evaluator: EvaluatorName = ...,
@@ -210,7 +210,7 @@ class Renderer:
         background: Sequence[float] | str | EllipsisType | None = ...,
         clip: Box | EllipsisType | None = ...,
         gradient: Literal["analytic", "central"] = "analytic",
-        samples: int = 1,
+        samples: int | Literal["auto"] = 1,
         pixel_filter: str | Filter = DEFAULT_PIXEL_FILTER,
         skipping: bool = True,
         evaluator: EvaluatorName = "auto",
@@ -317,7 +317,9 @@ class Renderer:
             raise one_of("gradient", gradient, ("analytic", "central"))
         wanted = _outputs(outputs)
         sigma = None if sigma is None else number("sigma", sigma, minimum=0)
-        samples, pixel_filter = whole("samples", samples, minimum=1, maximum=4096), as_pixel_filter(pixel_filter)
+        pixel_filter = as_pixel_filter(pixel_filter)
+        if samples != "auto":
+            samples = whole("samples", samples, minimum=1, maximum=4096)
         field = self._field_of(chosen)
         uncertain = self._uncertain(field, chosen) if "uncertainty" in wanted else None
         way = choose_evaluator(self.device, field.filter, evaluator, fetch, bits=_BITS)
