@@ -13,7 +13,7 @@ LAYERS = [
     "errors moved checks rounding uniform files picture display interop filter boundary missing noise volume volumes smoothing "
     "stored camera color light scaling histogram palette preset transfer mode look scene fit transform",
     "reference response phantoms formats",
-    "processor opencl program device",
+    "intel processor opencl program device",
     "spline",
     "ndimage",
     "interpolator resizing torch xarray",
@@ -21,7 +21,7 @@ LAYERS = [
     "images analysis",
     "figures",
     "reports",
-    "cli __main__",
+    "doctor cli __main__",
 ]
 
 

@@ -1,4 +1,4 @@
-"""Commands that list what there is: filters, devices; and the script by which shells complete names."""
+"""Commands that list what there is: filters, presets, devices, what works; and the script by which shells complete names."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from clvol.cli.options import Json
 from clvol.cli.root import FILTERS, SETUP, app, command
 from clvol.cli.speech import print_json, table
 
-__all__ = ["completion", "devices", "filters"]
+__all__ = ["completion", "devices", "doctor", "filters", "presets"]
 
 
 @command(FILTERS)
@@ -22,6 +22,16 @@ def filters(*, json: Json = False) -> None:
         print_json([dict(zip(known.HEADER, row, strict=True)) for row in known.rows()])
     else:
         table(list(known.HEADER), [list(row) for row in known.rows()])
+
+
+@command(FILTERS)
+def presets(*, json: Json = False) -> None:
+    """List the presets: looks by name, for one kind of data each."""
+    rows = [{"preset": row.name, "for": row.description, "unit": row.unit} for row in clvol.presets().values()]
+    if json:
+        print_json(rows)
+    else:
+        table(["preset", "for", "unit"], [list(row.values()) for row in rows])
 
 
 @command(SETUP)
@@ -47,6 +57,22 @@ def devices(*, json: Json = False) -> None:
     else:
         header = ["number", "name", "kind", "platform", "memory_mib", "images"]
         table(header, [[str(row[key]) for key in header] for row in rows])
+
+
+@command(SETUP)
+def doctor(*, json: Json = False) -> None:
+    """Find out whether OpenCL is usable here, which runtime is used, and what to install if none is."""
+    from clvol import doctor
+
+    needed, optional = list(doctor.opencl()), list(doctor.extras())
+    usable = needed[-1].ok
+    if json:
+        print_json({"usable": usable, "checks": [check._asdict() for check in (*needed, *optional)]})
+    else:
+        for check in (*needed, *optional):
+            print(f"{'ok' if check.ok else '--'}  {check.check}: {check.detail}")
+    if not usable:
+        raise SystemExit(1)
 
 
 @command(SETUP)

@@ -193,7 +193,10 @@ class Look:
     """How a picture is made."""
 
     mode: _Mode = "composite"
-    preset: Annotated[str | None, Parameter(help="Colours and opacities for one kind of data; see 'clvol presets'.")] = None
+    preset: Annotated[
+        str | None,
+        Parameter(help="Colours and opacities for one kind of data; see 'clvol presets'.", completer=_any_of(clvol.presets)),
+    ] = None
     window: Annotated[
         tuple[float, float] | None,
         Parameter(help="Centre (which radiologists call level) and width of the values that are told apart."),

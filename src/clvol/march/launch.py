@@ -30,10 +30,7 @@ _ROW_SECONDS = 1.5e-9  # a generous guess of the time of one row of taps on one 
 
 
 def draw(
-    frame: Frame,
-    samples: int | Literal["auto"] = 1,
-    filter: str | Filter = DEFAULT_PIXEL_FILTER,
-    progress: Progress | None = None,
+    frame: Frame, samples: int | Literal["auto"] = 1, filter: str | Filter = DEFAULT_PIXEL_FILTER, progress: Progress | None = None
 ) -> dict[str, Picture]:
     """The picture of a frame with so many rays a pixel, and its guides if the frame has them; each (height, width, ...).
 
