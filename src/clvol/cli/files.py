@@ -60,9 +60,8 @@ def _listed(volume: clvol.Volume, leading: Leading, as_json: bool) -> dict[str, 
     noise = volume.noise if finite else None
     chosen = choose(volume) if finite and not volume.is_labels else None
     surface = Isosurface().settled(volume).isovalue if finite and volume.ndim == 3 and not volume.is_labels else None
-    return {
-        "holds": _places(leading) if as_json else str(leading) if leading.total > 1 else "",
-        "channels": "" if as_json else _channels(leading),
+    held = {"holds": _places(leading)} if as_json else {"holds": _several(leading), "channels": _channels(leading)}
+    return held | {
         "name": volume.name,
         "shape": list(volume.shape),
         "dtype": str(volume.data.dtype),
@@ -97,6 +96,10 @@ def _places(leading: Leading) -> dict[str, list[dict[str, Any]]]:
             for n in range(count)
         ]
     return found
+
+
+def _several(leading: Leading) -> str:
+    return str(leading) if leading.total > 1 else ""
 
 
 def _channels(leading: Leading) -> str:

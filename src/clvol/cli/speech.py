@@ -119,5 +119,5 @@ def table(header: list[str], rows: list[list[str]]) -> None:
             print((" " * gap).join(part.ljust(width) for part, width in zip(line, widths, strict=True)).rstrip())
 
 
-def one_line(error: BaseException) -> str:
+def one_line(error: BaseException | str) -> str:
     return " ".join(str(error).split()) or type(error).__name__
