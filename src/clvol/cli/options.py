@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, make_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -66,8 +66,15 @@ def _whole_or(word: str) -> Callable[[object, Sequence[Token]], int | str]:
 # -- what the Tab key offers ---------------------------------------------------------------------------------
 
 
-def _any_of(names: Callable[[], Iterable[str]]) -> Callable[[object], list[str]]:
-    return lambda _: list(names())
+def _any_of(names: Callable[[], Mapping[str, Any] | Iterable[str]]) -> Callable[[object], dict[str, str]]:
+    """Names, each with what it stands for, where it says so."""
+
+    def offered(_: object) -> dict[str, str]:
+        found = names()
+        rows: Mapping[str, Any] = found if isinstance(found, Mapping) else dict.fromkeys(found)
+        return {name: getattr(row, "description", "") for name, row in rows.items()}
+
+    return offered
 
 
 def _filter_names() -> list[str]:
@@ -85,7 +92,7 @@ def _color_maps() -> list[str]:
 def _figure_names() -> Iterable[str]:
     from clvol import figures
 
-    return figures.FIGURES
+    return list(figures.FIGURES)
 
 
 # -- how INPUT is read ---------------------------------------------------------------------------------------
