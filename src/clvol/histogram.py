@@ -2,8 +2,8 @@
 
 A background that was masked out, cut off or never measured is one exact value that many samples have; it stands out from its
 neighbours in the histogram as no peak of measured values does. What differs from it is matter: to one side of it, or, as in
-statistical maps, to both. Where there is no such value, the background is the lower of the two classes in which Otsu's
-threshold (1979) parts the values.
+statistical maps, to both. Where there is no such value, the background is one of the two classes in which Otsu's
+threshold (1979) parts the values: the lower, unless nearly all that lies on the volume's faces is of the upper.
 """
 
 from __future__ import annotations
@@ -33,7 +33,10 @@ _NEXT_TO_NOTHING = 1e-12  # of the range: what lies below is one value, and the 
 _COMMON = 0.05  # share of the samples from which a value may be a background ...
 _STANDS_OUT = 4.0  # ... if so many times as many have it as have either of the next ones
 _SOME = 0.02  # share of what differs from the background that lies to either side, at least, where data are signed
-_AS_FAR = 0.15  # and how far, over how far to the other side
+_AS_FAR = 0.25  # and the median distance there, over that to the other side
+_OFF = 0.15  # of how far values reach: where their median may be, at most, if they are signed and have no exact background
+_NEAR = 0.4  # share of them that lie within a quarter of that, at least
+_MOST, _NEARLY_ALL = 0.6, 0.95  # shares of all samples and of those on the faces that a bright background without exact value has
 _STEP = 0.05  # of the distance of the brightest: from there on, a gap beside the background is a mask's
 _LEVELS = 4.0  # and so many times the usual distance of neighbouring values
 _EVEN = 0.25  # of the distance from the background: a spread within which an object is one even value
@@ -44,7 +47,11 @@ _AIR = (-1100.0, -900.0)  # of computed tomography, in Hounsfield units
 _NO_MATTER = (-700.0, -500.0)  # between lungs and fat, likewise
 _DIM = 0.05  # share of the columns of samples that a projection shows black ...
 _BRIGHT = 0.98  # ... and of those that are not, share that it shows no more than white
-_LIT = 0.02  # of the way from black to the brightest
+_LIT = 0.02  # of the way from black to the brightest, but for a thousandth and a few
+_FEW = 8
+_GREY = 0.65  # of the way from black to white: what the median of those that are lit should not exceed ...
+_DIMMEST = 0.05  # ... while black is no more than this quantile of them ...
+_HALF = 0.5  # ... and takes no more than so much of the window
 _COLUMNS_OF = 1 << 22  # voxels that projections are made of
 
 
@@ -124,7 +131,8 @@ def matter_of(volume: Volume) -> Matter:
     signed = _both_sides(values, ground) if ground is not None else _about_zero(values)
     origin, sign = (0.0 if ground is None else ground), 1
     if not signed and ground is None:
-        origin = _quantile(values, _ENDS)
+        dark = _dark_in_bright(values, _faces(volume, exponent)) and not -32768 <= low <= -50  # as CT has it
+        origin, sign = (_quantile(values, 1 - _ENDS), -1) if dark else (_quantile(values, _ENDS), 1)
     elif not signed:
         sign = 1 if _quantile(values, 0.995) - origin >= origin - _quantile(values, 0.005) else -1
     away = np.abs(values - origin) if signed else np.maximum(sign * (values - origin), 0)
@@ -208,7 +216,7 @@ def _parted(away: Array, exponent: int, origin: float, ground: float | None, sig
     if even and threshold < _quantile(rest, 0.05):
         start = surface = median / 2
         reason = f"half way between the background, {value(0):.6g}, and the object, {value(median):.6g}"
-    elif step > 0 and threshold <= 1.1 * step:
+    elif step > 0 and (signed or threshold <= 1.1 * step):
         own, share = _otsu(rest)
         start = step
         if not signed and share >= _TWO_CLASSES and min((rest < own).mean(), (rest > own).mean()) >= _FEWEST:
@@ -253,6 +261,18 @@ def _ground(volume: Volume, distinct: Array, counts: NDArray[np.int64], exponent
     return best
 
 
+def _faces(volume: Volume, exponent: int) -> Array:
+    """Samples on the faces of the volume."""
+    ends = [volume.data.take(end, axis).ravel() for axis in range(volume.ndim) for end in (0, -1)]
+    return scaled(np.concatenate(ends), exponent)
+
+
+def _dark_in_bright(values: Array, faces: Array) -> bool:
+    """Whether the upper of two classes of sorted values is the background, as of stained matter seen in transmitted light."""
+    threshold = _otsu(values)[0]
+    return bool((values > threshold).mean() >= _MOST and (faces > threshold).mean() >= _NEARLY_ALL)
+
+
 def _of_air(values: Array, ground: float) -> bool:
     """Whether the values are those of computed tomography with air, and the ground lies below air, where nothing was measured."""
     air, none = (((values >= a) & (values <= b)).mean() for a, b in (_AIR, _NO_MATTER))
@@ -269,7 +289,7 @@ def _both_sides(values: Array, ground: float) -> bool:
     below, above = values[: np.searchsorted(values, ground)], values[np.searchsorted(values, ground, side="right") :]
     if min(below.size, above.size) < max(_SOME * (below.size + above.size), 1):
         return False
-    down, up = ground - _quantile(below, 0.01), _quantile(above, 0.99) - ground
+    down, up = ground - _quantile(below, 0.5), _quantile(above, 0.5) - ground
     return min(down, up) >= _AS_FAR * max(down, up)
 
 
@@ -277,12 +297,12 @@ def _about_zero(values: Array) -> bool:
     """Whether sorted values lie about 0, the more the nearer, to both sides and nearly as far."""
     low, high = _quantile(values, 0.005), _quantile(values, 0.995)
     far = max(-low, high)
-    if low >= 0 or high <= 0 or min(-low, high) < far / 2 or abs(_quantile(values, 0.5)) > 0.1 * far:
+    if low >= 0 or high <= 0 or min(-low, high) < far / 2 or abs(_quantile(values, 0.5)) > _OFF * far:
         return False
     counts, _ = np.histogram(values, 8, (-far, far))
     down, up = counts[3::-1], counts[4:]
     fall = all((side[1:] <= side[:-1]).all() for side in (down, up))
-    return bool(fall and down[0] + up[0] >= values.size / 2)
+    return bool(fall and down[0] + up[0] >= _NEAR * values.size)
 
 
 def _step_beside(rest: Array) -> float:
@@ -319,8 +339,13 @@ def _otsu(distances: Array) -> tuple[float, float]:
 def _window(values: Array) -> tuple[float, float]:
     """Black and white for sorted values."""
     black = _quantile(values, _DIM)
-    lit = values[np.searchsorted(values, black + _LIT * (values[-1] - black), side="right") :]
-    return black, _quantile(lit, _BRIGHT) if lit.size else float(values[-1])
+    brightest = float(values[max(min(round(0.999 * values.size), values.size - 1 - _FEW), values.size // 2)])
+    lit = values[np.searchsorted(values, black + _LIT * (brightest - black), side="right") :]
+    if not lit.size:
+        return black, float(values[-1])
+    white = _quantile(lit, _BRIGHT)
+    grey = (_quantile(lit, 0.5) - _GREY * white) / (1 - _GREY)  # black, if the median is to be there
+    return max(black, min(grey, _quantile(lit, _DIMMEST), black + _HALF * (white - black))), white
 
 
 def _quantile(values: Array, share: float) -> float:
@@ -341,4 +366,4 @@ def _some(volume: Volume) -> Array:
         values = values[np.isfinite(values)]
         if values.size:
             break
-    return values
+    return values[:: max(1, values.size // _SAMPLE)]

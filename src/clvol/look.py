@@ -33,7 +33,8 @@ def look(
     volume : Volume
     mode : str, Mode or class of Mode
     preset : str, optional
-        The name of a row of `clvol.presets`: colours and opacities for one kind of data. Projections show its window.
+        The name of a row of `clvol.presets`: colours and opacities for one kind of data. Projections show its
+        window; means only that of one in Hounsfield units, and else their own.
     window : (center, width), optional
         The value in the middle of what is told apart, and how wide that is, in units of the data, as radiologists say it: from
         transparent to the brightest, from black to white. (`Volume.window`, instead of which it is taken, is the two ends.)
@@ -59,6 +60,8 @@ def look(
         row = as_preset(preset)
         if chosen.shows == "matter" or row.unit == "labels":
             transfer = TransferFunction(*row.points(volume, ends))
+        elif chosen.shows == "mean" and row.unit == "matter":  # means reach no such values
+            transfer = chosen.windowed(volume, ends)
         else:
             transfer = chosen.windowed(volume, ends or row.span(volume))
     if cmap is not None:

@@ -21,11 +21,12 @@ Opacities: TypeAlias = tuple[tuple[float, float], ...]
 BLACK: Color = (0.0, 0.0, 0.0)
 FOG: Color = (0.9, 0.85, 0.75)
 # at the foot, a seventh of the way up, at the middle and at the top of matter
-_FLESH: tuple[Color, ...] = ((0.62, 0.27, 0.18), (0.86, 0.55, 0.40), (0.97, 0.87, 0.71), (1.0, 1.0, 0.97))
-_WARM: tuple[Color, ...] = ((0.66, 0.10, 0.06), (0.88, 0.27, 0.12), (1.0, 0.62, 0.22), (1.0, 0.95, 0.62))
-_COLD: tuple[Color, ...] = ((0.10, 0.24, 0.70), (0.16, 0.45, 0.92), (0.36, 0.76, 1.0), (0.82, 0.98, 1.0))
+_FLESH: tuple[Color, ...] = ((0.74, 0.40, 0.29), (0.95, 0.71, 0.56), (1.0, 0.91, 0.77), (1.0, 1.0, 0.97))
+_WARM: tuple[Color, ...] = ((0.78, 0.14, 0.08), (0.96, 0.36, 0.16), (1.0, 0.70, 0.28), (1.0, 0.96, 0.66))
+_COLD: tuple[Color, ...] = ((0.14, 0.30, 0.82), (0.22, 0.54, 1.0), (0.42, 0.80, 1.0), (0.84, 0.98, 1.0))
 _RISE = 0.15
 _OPACITIES = (0.0, 0.05, 0.30, 0.80)  # at the foot, where matter begins, at its middle and at its top
+_OF_SIGNED = (0.0, 0.12, 0.50, 0.90)  # what there is lies in few places
 _GOLDEN = 0.6180339887498949  # of the circle of hues: neighbouring numbers lie far apart, and no two on one place
 _TONES = ((0.62, 0.98), (0.85, 0.85), (0.42, 0.92))  # saturation and value, in turn
 
@@ -58,10 +59,11 @@ def automatic(volume: Volume, window: tuple[float, float] | None = None) -> tupl
         foot, start, middle, top = _within(volume.window, matter)
     colors: list[tuple[float, Color]] = []
     opacities: list[tuple[float, float]] = []
+    rise = _OF_SIGNED if matter.signed else _OPACITIES
     places = (foot, start + _RISE * (middle - start), middle, top)
     for side, own in sides:
         colors += [(matter.value(d, side), c) for d, c in zip(places, own, strict=True)]
-        opacities += [(matter.value(d, side), a) for d, a in zip((foot, start, middle, top), _OPACITIES, strict=True)]
+        opacities += [(matter.value(d, side), a) for d, a in zip((foot, start, middle, top), rise, strict=True)]
     return tuple(sorted(colors, key=_by_value)), tuple(sorted(opacities, key=_by_value))
 
 

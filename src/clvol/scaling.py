@@ -1,4 +1,4 @@
-"""Arithmetic with values of any size that float64 holds: over a power of two, where no difference or quotient over- or underflows."""
+"""Arithmetic with values of any size that float64 holds: over a power of two, no difference or quotient over- or underflows."""
 
 from __future__ import annotations
 
