@@ -1,9 +1,12 @@
 from __future__ import annotations
 
-import os
+import contextlib
+import io
+import runpy
 import subprocess
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import imageio.v3 as iio
 import numpy as np
@@ -19,16 +22,37 @@ TOOTH = ROOT.parent / "shared" / "data" / "tooth.nhdr"
 pytestmark = pytest.mark.skipif(not EXAMPLES.is_dir(), reason="examples are not beside the tests")
 
 
-def run(name: str, *arguments: object, folder: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, str(EXAMPLES / name), *map(str, arguments)],
-        capture_output=True,
-        encoding="utf-8",
-        timeout=120,
-        check=False,
-        cwd=folder,
-        env={**os.environ, "PYTHONIOENCODING": "utf-8"},
-    )
+class Done(NamedTuple):
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+def run(name: str, *arguments: object, folder: Path) -> Done:
+    """A script as Python runs it, in this process: it need not import everything anew."""
+    out, err, code = io.StringIO(), io.StringIO(), 0
+    before = sys.argv, sys.path[:]
+    sys.argv, sys.path[0:0] = [str(EXAMPLES / name), *map(str, arguments)], [str(EXAMPLES)]
+    try:
+        with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            runpy.run_path(sys.argv[0], run_name="__main__")
+    except SystemExit as stop:  # what Python makes of it
+        code = stop.code if isinstance(stop.code, int) else 0 if stop.code is None else 1
+        if isinstance(stop.code, str):
+            err.write(f"{stop.code}\n")
+    finally:
+        sys.argv, sys.path[:] = before
+        for module in ("_script", "_scipy"):
+            sys.modules.pop(module, None)
+    return Done(code, out.getvalue(), err.getvalue())
+
+
+def test_a_script_runs_in_a_process_of_its_own(tmp_path: Path, device: Device) -> None:
+    command = [sys.executable, str(EXAMPLES / "real_scan.py"), "missing.npy"]
+    done = subprocess.run(command, capture_output=True, encoding="utf-8", timeout=120, check=False, cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr == "FormatError: cannot read missing.npy: there is no such file or folder\n"
+    assert device is not None
 
 
 def test_figure6_draws_the_figure_and_prints_its_errors(tmp_path: Path, device: Device) -> None:

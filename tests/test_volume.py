@@ -46,6 +46,23 @@ def test_index_and_world() -> None:
     np.testing.assert_allclose(VOLUME.index_to_world([1, 0, 0]) - VOLUME.origin, 0.5 * OBLIQUE[:, 0])
 
 
+def test_points_in_the_frame_of_nibabel() -> None:
+    patient = Volume(DATA, VOLUME.spacing, VOLUME.origin, OBLIQUE, "mm", space="LPS")
+    index = np.random.default_rng(2).uniform(-9, 9, (7, 2, 3))
+    ras = patient.index_to_world(index, frame="RAS")
+    np.testing.assert_array_equal(ras, patient.index_to_world(index) * [-1, -1, 1])
+    np.testing.assert_array_equal(patient.index_to_world(index, frame="LPS"), patient.index_to_world(index))
+    np.testing.assert_allclose(patient.world_to_index(ras, frame="RAS"), index, atol=1e-12)
+    np.testing.assert_array_equal(Volume(DATA[0], space="LPS").index_to_world([2, 3], frame="RAS"), [-2, -3])
+    assert "space='LPS'" in repr(patient)
+    assert "space" not in repr(VOLUME)
+    for call in (VOLUME.index_to_world, VOLUME.world_to_index):
+        with pytest.raises(OptionError, match="for volumes of a patient"):
+            call([0, 0, 0], frame="RAS")
+        with pytest.raises(OptionError, match="frame must be"):
+            call([0, 0, 0], frame="ras")
+
+
 def test_corners_and_center() -> None:
     index = VOLUME.world_to_index(VOLUME.corners)
     assert VOLUME.corners.shape == (8, 3)

@@ -16,6 +16,7 @@ from clvol.device import Device
 from clvol.errors import DataError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.interop import read_array
+from clvol.rounding import below, limits, rounded
 from clvol.spline import field
 from clvol.stored import Stored, differences
 from clvol.volume import Volume
@@ -201,7 +202,7 @@ def _channel(
     if plane.dtype.kind in "biu" and plane.dtype.itemsize > 2:
         return _wide_integers(plane, grid, filter, boundary, fill, device)
     values = field.resample(plane, like=grid, filter=filter, boundary=boundary, fill=fill, device=device).data
-    return values.astype(plane.dtype) if plane.dtype.kind == "f" else _rounded(values, plane.dtype)
+    return values.astype(plane.dtype) if plane.dtype.kind == "f" else rounded(values, plane.dtype)
 
 
 def _wide_integers(
@@ -221,31 +222,16 @@ def _wide_integers(
         moved, like=grid, filter=filter, boundary=rule, fill=outside, device=device, precision=precision
     ).data
     if not offset:
-        return _rounded(values, plane.dtype)
+        return rounded(values, plane.dtype)
     filled = np.isnan(values)
     result = _moved(np.where(filled, 0, values), plane.dtype, offset)
-    result[filled] = _rounded(np.float64(fill or 0), plane.dtype)
+    result[filled] = rounded(np.float64(fill or 0), plane.dtype)
     return result
-
-
-def _rounded(values: ArrayLike, kind: np.dtype[Any]) -> NDArray[Any]:
-    """The nearest integers of a type."""
-    low, high = _limits(kind)
-    return np.clip(np.rint(np.asarray(values, np.float64)), low, _below(high)).astype(kind)
 
 
 def _moved(values: NDArray[Any], kind: np.dtype[Any], offset: int) -> NDArray[Any]:
     """The nearest integers of a type to values plus an offset."""
-    low, high = (end - offset for end in _limits(kind))
+    low, high = (end - offset for end in limits(kind))
     least, most = np.iinfo(np.int64).min, np.iinfo(np.int64).max
-    whole = np.clip(np.rint(values.astype(np.float64)), -_below(-max(low, int(least))), _below(min(high, int(most))))
+    whole = np.clip(np.rint(values.astype(np.float64)), -below(-max(low, int(least))), below(min(high, int(most))))
     return np.asarray((whole.astype(np.int64).view(np.uint64) + np.uint64(offset % (1 << 64))).astype(kind))  # modulo 2⁶⁴
-
-
-def _limits(kind: np.dtype[Any]) -> tuple[int, int]:
-    return (0, 1) if kind.kind == "b" else (int(np.iinfo(kind).min), int(np.iinfo(kind).max))
-
-
-def _below(whole: int) -> float:
-    """The largest float64 that does not exceed a whole number."""
-    return float(whole) if int(float(whole)) <= whole else float(np.nextafter(float(whole), -np.inf))

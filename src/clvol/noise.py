@@ -19,7 +19,10 @@ from numpy.typing import NDArray
 
 from clvol.errors import DataError
 
-__all__ = ["Noise", "estimate"]
+__all__ = ["MOST_LABELS", "Noise", "estimate"]
+
+MOST_LABELS = 256
+"""Values that are recognised as labels, at most."""
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -51,7 +54,6 @@ _MANY = 20_000  # places from which that can be told
 _FEWEST = 100  # places from which something is estimated
 _GROUND = 0.05  # share of samples from which the commonest value is taken for a background
 _EVEN = 0.2  # share of samples equal to all their neighbours from which there is no noise
-_LABELS = 256  # values that a label image has, at most
 _ROUNDED = 4  # values that rounding leaves of smooth data, at least: of fewer it cannot be told from labels
 _EDGES_BEYOND = 0.02  # share of neighbours of different values that may be further than one value apart
 _ALONE = 0.1  # share, of the samples at edges between labels, that may be unlike their neighbours
@@ -176,7 +178,7 @@ def estimate(samples: NDArray[Any]) -> Noise:
         facts["jump"] = _jump(blocks, ground)
     even = float(same[~ground].mean())
     kind, variance, gain, colour = "none", 0.0, 0.0, facts["colour"]
-    if len(values) <= _LABELS and alone < _ALONE and _fill_regions(values - values[most], counts, blocks, same):
+    if len(values) <= MOST_LABELS and alone < _ALONE and _fill_regions(values - values[most], counts, blocks, same):
         kind = "binary" if len(values) == 2 else "rounded" if _by_steps(values - values[most], blocks) else "labels"
     elif even < _EVEN:
         variance, gain, colour = _variance(blocks, ground)

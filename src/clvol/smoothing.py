@@ -28,7 +28,7 @@ from clvol.filter import MOST_SMOOTHING, Filter, as_filter, bspline
 from clvol.noise import Spectrum
 from clvol.volume import Volume, as_volume
 
-__all__ = ["Smoothing", "choose", "settled"]
+__all__ = ["Smoothing", "choose", "filter_for", "settled"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -117,6 +117,11 @@ def _choice(volume: Volume, degree: int) -> Smoothing:
             values = tuple(max(value, least) for value in values)
             says += f"; background of exactly {noise.background:g} beside objects: the stairs of its edge are smoothed"
     return Smoothing(values, says, noise.sigma)
+
+
+def filter_for(volume: Volume, filter: str | Filter | None, otherwise: str) -> Filter:
+    """The filter that is given; where none is, "nearest" for labels, which are never blended, and `otherwise` for all else."""
+    return as_filter(filter if filter is not None else "nearest" if volume.is_labels else otherwise)
 
 
 def settled(filter: str | Filter, volume: Volume) -> Filter:

@@ -16,9 +16,9 @@ from clvol.color import color_of
 from clvol.errors import DataError, GeometryError, OptionError
 from clvol.interop import read_array
 from clvol.missing import Missing, filled_smoothly
-from clvol.noise import Noise, estimate
+from clvol.noise import MOST_LABELS, Noise, estimate
 
-__all__ = ["SPACES", "Volume", "as_volume"]
+__all__ = ["FRAMES", "SPACES", "Volume", "as_volume", "in_frame"]
 
 SPACES = {
     "LPS": "a patient: x runs to the left, y to the back, z to the head",
@@ -26,6 +26,10 @@ SPACES = {
     "": "none in particular: z is up",
 }
 """What the world of a volume is. It decides how pictures are turned, no number."""
+
+FRAMES = ("LPS", "RAS")
+"""In which a patient's points are given: ITK's and clvol's, and that of nibabel and NIfTI, where x runs to the right and y to the
+front. A world that is no patient's has one frame, its own, which is called "LPS" too, for it is the default."""
 
 _CACHED = 1 << 18  # samples
 _LOOKED_AT = 1 << 16  # samples, by which most data are known to be no labels
@@ -140,9 +144,10 @@ class Volume:
             raise GeometryError(f"spacing must be positive along every axis; got {self.spacing}")
 
     def __repr__(self) -> str:
+        patient = ", space='LPS'" if self.space == "LPS" else ""
         return (
             f"Volume(shape={self.shape}, dtype={self.data.dtype}, spacing={self.spacing}, "
-            f"origin={self.origin}, units={self.units!r})"
+            f"origin={self.origin}, units={self.units!r}{patient})"
         )
 
     @property
@@ -230,15 +235,17 @@ class Volume:
         """``index = M @ (world - origin)``; shape (d, d)."""
         return np.linalg.inv(self.index_to_world_matrix).astype(np.float64)
 
-    def index_to_world(self, index: ArrayLike) -> NDArray[np.float64]:
-        """World positions of index positions; shape (..., d), both in (x, y, z)."""
+    def index_to_world(self, index: ArrayLike, frame: str = "LPS") -> NDArray[np.float64]:
+        """World positions of index positions; shape (..., d), both in (x, y, z), the world's in a `frame` of `FRAMES`."""
         with np.errstate(over="ignore", invalid="ignore"):  # infinite positions
-            return np.asarray(self._points("index", index) @ self.index_to_world_matrix.T + np.asarray(self.origin))
+            world = self._points("index", index) @ self.index_to_world_matrix.T + np.asarray(self.origin)
+        return in_frame(world, frame, self.space)
 
-    def world_to_index(self, world: ArrayLike) -> NDArray[np.float64]:
-        """Index positions of world positions; shape (..., d), both in (x, y, z)."""
+    def world_to_index(self, world: ArrayLike, frame: str = "LPS") -> NDArray[np.float64]:
+        """Index positions of world positions; shape (..., d), both in (x, y, z), the world's in a `frame` of `FRAMES`."""
+        points = in_frame(self._points("world", world), frame, self.space)
         with np.errstate(over="ignore", invalid="ignore"):
-            return np.asarray((self._points("world", world) - np.asarray(self.origin)) @ self.world_to_index_matrix.T)
+            return np.asarray((points - np.asarray(self.origin)) @ self.world_to_index_matrix.T)
 
     @property
     def mean_spacing(self) -> float:
@@ -274,7 +281,7 @@ class Volume:
         if self.data.dtype.kind not in "iu" or self.data.size == 0:
             return False
         some = self.data[len(self.data) // 2].ravel()[:_LOOKED_AT]  # a run of neighbours
-        if some.size > 1 and (some[1:] == some[:-1]).mean() < _SAME:
+        if len(np.unique(some)) > MOST_LABELS or (some.size > 1 and (some[1:] == some[:-1]).mean() < _SAME):
             return False
         return self.noise.kind == "labels"
 
@@ -349,6 +356,38 @@ class Volume:
         if array.ndim == 0 or array.shape[-1] != self.ndim:
             raise OptionError(f"{what} must have shape (..., {self.ndim}); got {array.shape}")
         return array
+
+
+def in_frame(points: NDArray[np.float64], frame: str, space: str) -> NDArray[np.float64]:
+    """Points between a volume's world and a frame of its patient; the same for both ways.
+
+    Parameters
+    ----------
+    points : array of float64, shape (..., d)
+        In (x, y, z).
+    frame : {"LPS", "RAS"}
+        "LPS": the world of the volume, whatever it is; the points are returned as they are. "RAS": x and y change their sign.
+    space : str
+        `Volume.space`; only "LPS" has a RAS.
+
+    Raises
+    ------
+    OptionError
+        `frame` is neither, or the world is no patient's.
+    """
+    if not isinstance(frame, str) or frame not in FRAMES:
+        raise one_of("frame", frame, FRAMES)
+    if frame == "LPS":
+        return points
+    if space != "LPS":
+        raise OptionError(
+            f'frame="RAS" is for volumes of a patient, whose space is "LPS"; got one whose space is {space!r}: '
+            'leave frame out, or say Volume(..., space="LPS")'
+        )
+    turned = points.copy()
+    turned[..., :2] *= -1
+    turned += 0.0  # -0 becomes 0
+    return turned
 
 
 def as_volume(data: Volume | ArrayLike) -> Volume:

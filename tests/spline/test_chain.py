@@ -346,7 +346,7 @@ def test_other_options_are_checked() -> None:
     ):
         with pytest.raises(OptionError, match=message):
             clvol.warp(volume, like, **options, device="no such device")  # type: ignore[arg-type]
-    with pytest.raises(OptionError, match="like must be a Volume of 3 axes"):
+    with pytest.raises(OptionError, match="like must have 3 axes"):
         clvol.warp(volume, fixed(2), device="no such device")
 
 
@@ -358,7 +358,7 @@ def test_other_options_are_checked() -> None:
         (np.zeros((4, 4)), [None], {}, DataError, r"\(t, nz, ny, nx\)"),
         (np.zeros((0, 4, 4, 4)), [], {}, DataError, "at least one frame"),
         ([moving(3)], [None], {"spacing": (1, 1, 1)}, OptionError, "Volumes have a geometry"),
-        ([moving(3), moving(2)], [None, None], {}, OptionError, "like must be a Volume of 2 axes"),
+        ([moving(3), moving(2)], [None, None], {}, OptionError, "like must have 2 axes"),
     ],
 )
 def test_wrong_series_are_refused(series: Any, transforms: Any, options: Any, error: type[Exception], message: str) -> None:

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from types import TracebackType
-from typing import Any, Literal, Self, TypeAlias, TypeGuard
+from typing import Any, Literal, Self, TypeAlias, TypeGuard, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.checks import one_of, whole
 from clvol.device import Device, as_device
-from clvol.errors import OptionError
+from clvol.errors import ClvolWarning, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.interop import as_array, as_output, read_array
 from clvol.missing import Missing, as_missing, touching
-from clvol.smoothing import settled
+from clvol.rounding import as_kind, in_kind
+from clvol.smoothing import filter_for, settled
 from clvol.spline.chain import Chain
 from clvol.spline.coefficients import Coefficients, Lattice
 from clvol.spline.evaluator import DIRECT, Evaluator, EvaluatorName, FetchName, choose_evaluator
@@ -28,7 +30,7 @@ from clvol.spline.reduce import AntiAliasing, as_anti_aliasing, low_passed, near
 from clvol.spline.resample import resample_coefficients
 from clvol.stored import AS_THEY_ARE, Stored
 from clvol.transform import Transforms, as_chain
-from clvol.volume import Volume, as_volume
+from clvol.volume import Volume, as_volume, in_frame
 
 __all__ = [
     "Field",
@@ -47,9 +49,13 @@ __all__ = [
     "sample",
 ]
 
+Frame: TypeAlias = Literal["LPS", "RAS"]
+Anchor: TypeAlias = Literal["center", "origin"]
 Precision: TypeAlias = Literal["single", "double"]
 _PRECISIONS: dict[str, type[np.generic]] = {"single": np.float32, "double": np.float64}
 _CHANNELS = 4  # of an image in colour, at most
+_TURN = np.array([-1.0, -1.0, 1.0])  # between LPS and RAS
+_LOOKED_AT = 256  # points of which the order of coordinates is guessed
 
 
 def coefficients_of(
@@ -107,14 +113,15 @@ class Field:
     ----------
     volume : Volume or array-like, shape (ny, nx) or (nz, ny, nx)
         Samples of any integer or floating dtype; an array has spacing 1 and origin 0.
-    filter : str or Filter
-        A name in `clvol.filters()`, or a filter of your own.
+    filter : str or Filter, optional
+        A name in `clvol.filters()`, or a filter of your own; default "bspline3", or "nearest" for labels (`Volume.is_labels`).
     boundary : str or Boundary
         "mirror", "reflect", "wrap", …: what lies past the outer samples; see `clvol.boundaries`.
     device : Device, str or int, optional
         See `as_device`; None is the default device.
-    precision : {"single", "double"}
-        Of coefficients and results: float32, or float64 on devices that have it.
+    precision : {"single", "double"}, optional
+        Of coefficients and results: float32, or float64 on devices that have it. Default "single", but "double" for labels that
+        float32 does not hold.
     nan : {"error", "propagate", "local"} or Missing
         What becomes of samples that are NaN or infinite: see `clvol.Missing`, which also takes a mask of missing samples.
 
@@ -172,17 +179,17 @@ class Field:
     def __init__(
         self,
         volume: Volume | ArrayLike,
-        filter: str | Filter = DEFAULT_FILTER,
+        filter: str | Filter | None = None,
         boundary: str | Boundary = DEFAULT_BOUNDARY,
         device: Device | str | int | None = None,
         *,
-        precision: Precision = "single",
+        precision: Precision | None = None,
         nan: str | Missing = "error",
     ) -> None:
         self.volume = as_volume(volume)
-        row = as_filter(filter)
+        row = filter_for(self.volume, filter, DEFAULT_FILTER)
         self.boundary = as_boundary(boundary)
-        kind = precision_kind(precision)
+        kind = precision_kind(_precision_for(self.volume, row) if precision is None else precision)
         self.device = as_device(device)
         self.missing = as_missing(nan)
         where = self.missing.of(self.volume.data)
@@ -242,6 +249,7 @@ class Field:
         self,
         points: ArrayLike,
         *,
+        frame: Frame = "LPS",
         evaluator: EvaluatorName = "auto",
         fetch: FetchName = "auto",
         fill: float | None = None,
@@ -255,7 +263,11 @@ class Field:
         points : array-like, shape (..., d)
             World positions (x, y) or (x, y, z), as many coordinates as the volume has axes. float32 is computed with as it
             is, everything else as float64 where the device has it; where it has none, positions err by up to 2⁻²⁴ of their
-            distance from the world's origin and from the first sample. A position that is not finite gives NaN.
+            distance from the world's origin and from the first sample. A position that is not finite gives NaN. Points that lie
+            outside, and would not in the order (z, y, x), are told of by a `ClvolWarning`.
+        frame : {"LPS", "RAS"}
+            In which points are given, and derivatives come, of a volume whose space is "LPS": that of ITK and DICOM, or that of
+            NIfTI and nibabel, where x and y run the other way.
         evaluator : {"auto", "taps", "paired", "eight-fetch"}
             Direct taps, or linear fetches that serve two taps along each axis: 8 fetches for the 4 taps an axis of a
             cubic in 3-D (hence "eight-fetch", another name for it), 4 in 2-D, 27 for the 6 taps of `bspline5`. Filters
@@ -280,7 +292,8 @@ class Field:
         Raises
         ------
         OptionError
-            `points` are no real numbers of shape (..., d); `fill` is no number; `evaluator` or `fetch` is an unknown name;
+            `points` are no real numbers of shape (..., d); `frame` is neither of the two, or "RAS" where the volume is of no
+            patient; `fill` is no number; `evaluator` or `fetch` is an unknown name;
             the field is closed; `out` has another shape or dtype, or cannot be written into (before anything is computed).
         DeviceError
             ``fetch="image"`` on a device without float images, or paired fetches from an image on one whose sampler does
@@ -288,12 +301,13 @@ class Field:
         OutOfMemoryError
             The device has no room for the points.
         """
-        return self._at(points, 0, evaluator, fetch, fill, progress, out)
+        return self._at(points, 0, evaluator, fetch, fill, progress, out, frame)
 
     def gradient(
         self,
         points: ArrayLike,
         *,
+        frame: Frame = "LPS",
         evaluator: EvaluatorName = "auto",
         fetch: FetchName = "auto",
         fill: float | None = None,
@@ -309,12 +323,13 @@ class Field:
         ndarray of float32, shape (..., d)
             Derivatives along (x, y[, z]), per world unit; float64 where the samples are very large or small.
         """
-        return self._at(points, 1, evaluator, fetch, fill, progress, out)
+        return self._at(points, 1, evaluator, fetch, fill, progress, out, frame)
 
     def hessian(
         self,
         points: ArrayLike,
         *,
+        frame: Frame = "LPS",
         evaluator: EvaluatorName = "auto",
         fetch: FetchName = "auto",
         fill: float | None = None,
@@ -328,7 +343,7 @@ class Field:
         ndarray of float32, shape (..., d, d)
             Symmetric, [x, y[, z]] twice, per world unit squared; float64 where the samples are very large or small.
         """
-        return self._at(points, 2, evaluator, fetch, fill, progress, out)
+        return self._at(points, 2, evaluator, fetch, fill, progress, out, frame)
 
     def _at(
         self,
@@ -339,9 +354,11 @@ class Field:
         fill: float | None,
         progress: Progress | None,
         out: Any = None,
+        frame: Frame = "LPS",
     ) -> Reals:
         d, made = self.volume.ndim, self.coefficients
-        array = _points(points, d)
+        array = _in_world(_points(points, d), frame, self.volume)
+        _tell_reversed(array.reshape(-1, d), self.volume)
         shape = array.shape[:-1] + (d,) * derivative
         target = None if out is None else as_output(out, shape)
         direct = target if self._writes(target) and not np.may_share_memory(target, array) else None
@@ -351,7 +368,10 @@ class Field:
         if self.gaps:
             share = self.gaps._at(array.reshape(-1, d), 0, "taps", "buffer", None if fill is None else 0.0, second)
             flat[share > self.missing.most] = np.nan
-        results = _put(flat.reshape(shape), target)
+        shaped = flat.reshape(shape)
+        if frame == "RAS" and derivative:
+            np.multiply(shaped, _TURN[:d] if derivative == 1 else np.outer(_TURN[:d], _TURN[:d]), out=shaped, casting="same_kind")
+        results = _put(shaped, target)
         return results if out is None else out
 
     def _writes(self, target: NDArray[Any] | None) -> TypeGuard[NDArray[Any]]:
@@ -370,10 +390,12 @@ class Field:
         self,
         shape: Sequence[int] | None = None,
         spacing: Sequence[float] | float | None = None,
-        like: Volume | None = None,
+        like: Volume | ArrayLike | None = None,
         *,
+        anchor: Anchor = "center",
         transform: Transforms | None = None,
         anti_aliasing: AntiAliasing | bool = False,
+        dtype: DTypeLike | None = None,
         evaluator: EvaluatorName = "auto",
         fetch: FetchName = "auto",
         fill: float | None = None,
@@ -390,8 +412,11 @@ class Field:
             Samples along (z, y, x) or (y, x). The domain stays; its voxels become larger or smaller.
         spacing : float or sequence of float, optional
             New spacing along (x, y[, z]) in world units. The domain's centre stays, and its size to within half a voxel.
-        like : Volume, optional
-            Take the grid of this volume, wherever it lies.
+        like : Volume, or what `Volume` takes, optional
+            Take the grid of this volume or image, wherever it lies.
+        anchor : {"center", "origin"}
+            What stays in its place with `shape` and `spacing`: the centre of the domain, or the first sample, as with those who
+            keep ITK's origin; the domain is then moved by half the difference of the spacings.
         transform : transform, array, SimpleITK transform, or a list of these, optional
             From points of the grid's world (the fixed one) to points of this volume's (the moving one), as ITK resamples: the
             function is taken there. In a list the last transform is applied first, as in ITK's CompositeTransform. An array
@@ -401,21 +426,27 @@ class Field:
             "gaussian" (and True): the samples go through a Gaussian first, whose standard deviation is (f - 1) / 2 samples along
             an axis where voxels become f times as large. "least-squares": the result is the spline of the new grid, of the same
             filter, that is nearest to this function in the mean square (`clvol.spline.reduce`), for grids along the volume's axes.
+        dtype : dtype-like or "same", optional
+            Type of the result, "same" as that of the volume: rounded to the nearest whole number, halves to even, and clipped to
+            what the type holds. Default: floating point as in a call, but the same for labels drawn by "nearest".
         evaluator, fetch, fill, progress, out
             As in a call; `out` is of the new grid's shape, and the result's data are a view of it.
 
         Returns
         -------
-        Volume of float32, or of float64 as in a call
+        Volume of float32, or of float64 as in a call, or of `dtype`
 
         Raises
         ------
         OptionError
             None or several of `shape`, `spacing` and `like` are given; `shape` is not one whole number of at least 1 for
             each axis; `spacing` is not positive and finite, or needs more than 2³¹ − 1 samples along an axis; `like` is
-            no Volume of as many axes; `transform` is none, or given with `anti_aliasing`; `anti_aliasing` is none of these, or
-            "least-squares" for a turned grid, with a hybrid or under the boundary rule "zero"; `fill`, `evaluator` or `fetch` as
-            in a call; the field is closed.
+            no Volume of as many axes; `anchor` is neither of the two, or "origin" with `like`; `dtype` holds no real numbers,
+            or is given with `out`, or holds no NaN while `fill` is; `transform` is none, or given with `anti_aliasing`;
+            `anti_aliasing` is none of these, or "least-squares" for a turned grid, with a hybrid or under the boundary rule
+            "zero"; `fill`, `evaluator` or `fetch` as in a call; the field is closed.
+        DataError
+            Results are NaN where samples are missing, and `dtype` holds none.
         GeometryError
             A transform is singular, or of another number of dimensions.
         DeviceError
@@ -424,16 +455,17 @@ class Field:
             The device has no room for the result.
         """
         volume = self.volume
-        grid = _grid_for(volume, shape, spacing, like)
+        grid = _grid_for(volume, shape, spacing, like, anchor)
         chosen, stages = as_anti_aliasing(anti_aliasing), as_chain(transform, volume.ndim)
+        kind = _result_kind(dtype, volume, self.filter, out, fill)
         if chosen:
             _require_no_transform(stages)
             self.coefficients.argument(DIRECT)  # a closed field is refused
             own = self.filter, self.boundary, self.device, self.precision
-            return _into(_coarser(volume, *own, grid, chosen, evaluator, fetch, fill, progress), out)
+            return _in(kind, _into(_coarser(volume, *own, grid, chosen, evaluator, fetch, fill, progress), out), self.filter)
         chain = Chain(stages, grid, self.device)
         data = self._on_grid(*chain.to_indices(volume), grid.shape, evaluator, fetch, fill, progress, out, chain)
-        return volume.placed(data, grid)
+        return _in(kind, volume.placed(data, grid), self.filter)
 
     def magnify(
         self, factor: int = 2, *, evaluator: EvaluatorName = "auto", fetch: FetchName = "auto", progress: Progress | None = None
@@ -452,7 +484,7 @@ class Field:
 
         Returns
         -------
-        Volume of float32, or of float64 as in a call
+        Volume of float32, or of float64 as in a call; labels drawn by "nearest" keep their type
 
         Raises
         ------
@@ -467,7 +499,8 @@ class Field:
         factor = whole("factor", factor, minimum=1)
         shape = tuple(factor * n for n in volume.shape)
         data = self._on_grid(np.eye(d) / factor, np.zeros(d), shape, evaluator, fetch, None, progress)
-        return replace(volume, data=data, spacing=tuple(s / factor for s in volume.spacing))
+        finer = replace(volume, data=data, spacing=tuple(s / factor for s in volume.spacing))
+        return _in(_result_kind(None, volume, self.filter, None, None), finer, self.filter)
 
     def _on_grid(
         self,
@@ -507,6 +540,31 @@ class Field:
         if fetch == "image":
             raise OptionError("fetch must be 'buffer' or 'auto' where precision is 'double': images hold float32; got 'image'")
         return choose_evaluator(self.device, self.filter, evaluator, "buffer")
+
+
+def _result_kind(dtype: DTypeLike | None, volume: Volume, row: Filter, out: Any, fill: float | None) -> np.dtype[Any] | None:
+    """The type that results are brought to; None: that in which they are computed."""
+    labels = row.support == 1 and volume.is_labels
+    if dtype is None:
+        return volume.data.dtype if labels and out is None and (fill is None or not np.isnan(fill)) else None
+    if out is not None:
+        raise OptionError(f"resample takes dtype or out, whose type is that of the results; got {dtype!r} and out")
+    kind = as_kind(dtype, volume.data.dtype)
+    if fill is not None and kind.kind != "f" and np.isnan(fill):
+        raise OptionError(f"fill must be a number that {kind} holds; got {fill!r}")
+    return kind
+
+
+def _wide(kind: np.dtype[Any]) -> bool:
+    """Whether a type holds more than float32 does."""
+    return kind.itemsize > (4 if kind.kind == "f" else 2)
+
+
+def _in(kind: np.dtype[Any] | None, made: Volume, row: Filter) -> Volume:
+    """A result in a type; it is no label map where labels were blended."""
+    data = made.data if kind is None else in_kind(made.data, kind)
+    blended = row.support > 1 and made.labels not in (None, False)
+    return made if data is made.data and not blended else replace(made, data=data, labels=None if blended else made.labels)
 
 
 def _into(volume: Volume, out: Any) -> Volume:
@@ -576,10 +634,10 @@ def as_field(
     if not isinstance(volume, Field):
         return Field(
             volume,
-            DEFAULT_FILTER if filter is None else filter,
+            filter,
             DEFAULT_BOUNDARY if boundary is None else boundary,
             device,
-            precision="single" if precision is None else precision,
+            precision=precision,
             nan="error" if nan is None else nan,
         )
     present = volume.coefficients.volume
@@ -626,6 +684,7 @@ def sample(
     boundary: str | Boundary | None = None,
     derivative: int = 0,
     *,
+    frame: Frame = "LPS",
     evaluator: EvaluatorName = "auto",
     fetch: FetchName = "auto",
     fill: float | None = None,
@@ -646,13 +705,14 @@ def sample(
     points : array-like, shape (..., d)
         World positions (x, y) or (x, y, z). A position that is not finite gives NaN.
     filter : str or Filter, optional
-        A name in `clvol.filters()`, or a filter of your own; default "bspline3", or that of the Field.
+        A name in `clvol.filters()`, or a filter of your own; default "bspline3", "nearest" for labels (`Volume.is_labels`), or that
+        of the Field.
     boundary : str or Boundary, optional
         "mirror", "reflect", "wrap", …: see `clvol.boundaries`; default "mirror", or that of the Field.
     derivative : {0, 1, 2}
         0 for values, 1 for gradients, 2 for Hessians: the exact derivatives of the function that derivative 0 gives, per
         world unit (almost everywhere, where it has kinks or jumps).
-    evaluator, fetch, fill, progress, out
+    frame, evaluator, fetch, fill, progress, out
         As in a call of `Field`.
     device : Device, str or int, optional
         See `as_device`; default that of the Field, if one is given.
@@ -677,24 +737,26 @@ def sample(
     derivative = whole("derivative", derivative, minimum=0, maximum=2)
     if not isinstance(volume, Field):
         volume = as_volume(volume)
-        array = _points(points, volume.ndim)  # before the volume is prefiltered
+        array = _in_world(_points(points, volume.ndim), frame, volume)  # before the volume is prefiltered
         if out is not None:
             as_output(out, array.shape[:-1] + (volume.ndim,) * derivative)
     with opened(volume, filter, boundary, device, precision, nan) as field:
         at = (field.__call__, field.gradient, field.hessian)[derivative]
-        return at(points, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress, out=out)
+        return at(points, frame=frame, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress, out=out)
 
 
 def resample(
     volume: Volume | ArrayLike | Field,
     shape: Sequence[int] | None = None,
     spacing: Sequence[float] | float | None = None,
-    like: Volume | None = None,
+    like: Volume | ArrayLike | None = None,
     filter: str | Filter | None = None,
     boundary: str | Boundary | None = None,
     *,
+    anchor: Anchor = "center",
     transform: Transforms | None = None,
     anti_aliasing: AntiAliasing | bool = False,
+    dtype: DTypeLike | None = None,
     evaluator: EvaluatorName = "auto",
     fetch: FetchName = "auto",
     fill: float | None = None,
@@ -710,16 +772,18 @@ def resample(
     ----------
     volume : Volume, array-like or Field
         2-D or 3-D samples; an array has spacing 1 and origin 0.
-    shape, spacing, like, transform, anti_aliasing, fill
+    shape, spacing, like, anchor, transform, anti_aliasing, dtype, fill
         As in `Field.resample`; without `anti_aliasing` larger voxels bring aliases of what is finer. With it no sample may be NaN.
-    filter, boundary, device, precision, nan
+    filter, boundary, device, nan
         As in `sample`.
+    precision : {"single", "double"}, optional
+        As in `sample`, but "double" for a `dtype` that holds more than float32 does, where the device can.
     evaluator, fetch, progress, out
         As in `Field.resample`.
 
     Returns
     -------
-    Volume of float32, or of float64 as `sample` gives it
+    Volume of float32, or of float64 as `sample` gives it, or of `dtype`
 
     Raises
     ------
@@ -732,22 +796,27 @@ def resample(
     """
     if not isinstance(volume, Field):
         volume = as_volume(volume)
-        grid = _grid_for(volume, shape, spacing, like)  # before the volume is prefiltered
+        grid = _grid_for(volume, shape, spacing, like, anchor)  # before the volume is prefiltered
         if out is not None:
             as_output(out, grid.shape)
         transform = as_chain(transform, volume.ndim)
+        row = filter_for(volume, filter, DEFAULT_FILTER)
+        kind = _result_kind(dtype, volume, row, out, fill)
+        if precision is None and kind is not None and _wide(kind) and (device := as_device(device)).has_double:
+            precision = "double"
         if chosen := as_anti_aliasing(anti_aliasing):
             _require_no_transform(transform)
-            row, rule = as_filter(DEFAULT_FILTER if filter is None else filter), as_boundary(boundary or DEFAULT_BOUNDARY)
-            own = row, rule, as_device(device), precision or "single"
-            return _into(_coarser(volume, *own, grid, chosen, evaluator, fetch, fill, progress), out)
+            own = row, as_boundary(boundary or DEFAULT_BOUNDARY), as_device(device), precision or "single"
+            return _in(kind, _into(_coarser(volume, *own, grid, chosen, evaluator, fetch, fill, progress), out), row)
     with opened(volume, filter, boundary, device, precision, nan) as field:
         return field.resample(
             shape,
             spacing,
             like,
+            anchor=anchor,
             transform=transform,
             anti_aliasing=anti_aliasing,
+            dtype=dtype,
             evaluator=evaluator,
             fetch=fetch,
             fill=fill,
@@ -878,6 +947,34 @@ def _points(points: ArrayLike, d: int) -> NDArray[np.generic]:
     return array
 
 
+def _in_world(points: NDArray[np.generic], frame: Frame, volume: Volume) -> NDArray[np.generic]:
+    """Points of a frame in the volume's world: those of its own as they are, of any type."""
+    return points if frame == "LPS" else in_frame(np.asarray(points, np.float64), frame, volume.space)
+
+
+def _tell_reversed(points: NDArray[np.generic], volume: Volume) -> None:
+    """Warn of points that lie outside the volume and would not, if their coordinates were in the order of the array's axes."""
+    some = np.asarray(points[:: max(1, len(points) // _LOOKED_AT)], np.float64)
+    if not len(some) or not np.isfinite(some).all():
+        return
+    low, high = -0.5, np.asarray(volume.size) - 0.5
+
+    def inside(at: NDArray[np.float64]) -> NDArray[np.bool_]:
+        index = volume.world_to_index(at)
+        return np.asarray(((index >= low) & (index <= high)).all(-1))
+
+    outside = ~inside(some)
+    if 2 * np.count_nonzero(outside) > len(some) and inside(some[outside][:, ::-1]).all():
+        names = "(x, y)" if volume.ndim == 2 else "(x, y, z)"
+        low, high = (end.round(3).tolist() for end in (volume.corners.min(0), volume.corners.max(0)))
+        warnings.warn(
+            f"points are {names} in world units; most of these lie outside the volume, which reaches from {low} to {high}, "
+            f"such as {some[outside][0].tolist()}; reversed, all lie in it",
+            ClvolWarning,
+            stacklevel=4,
+        )
+
+
 def _put(results: Reals, target: NDArray[Any] | None) -> Reals:
     """Results in the array that is to hold them, if there is one; they may lie in its memory already."""
     if target is None:
@@ -894,6 +991,13 @@ def precision_kind(precision: str) -> type[np.generic]:
     return _PRECISIONS[precision]
 
 
+def _precision_for(volume: Volume, row: Filter) -> Precision:
+    """Labels that float32 does not hold are taken in float64; all else in float32."""
+    if row.support > 1 or volume.data.dtype.kind not in "iu" or volume.data.dtype.itemsize <= 2 or not volume.is_labels:
+        return "single"
+    return "double" if max(abs(int(v)) for v in volume.limits) > 1 << 24 else "single"
+
+
 def _require_no_transform(stages: Sequence[object]) -> None:
     """Refuse a low-pass before transforms, which do not make voxels larger alike everywhere."""
     if stages:
@@ -907,12 +1011,22 @@ def fill_value(fill: float | None) -> float | None:
     return None if fill is None else float(fill)
 
 
-def _grid_for(volume: Volume, shape: Sequence[int] | None, spacing: Sequence[float] | float | None, like: Volume | None) -> Volume:
+def _grid_for(
+    volume: Volume,
+    shape: Sequence[int] | None,
+    spacing: Sequence[float] | float | None,
+    like: Volume | ArrayLike | None,
+    anchor: str = "center",
+) -> Volume:
     """The grid that one of the three describes: a Volume whose samples take no memory."""
     d = volume.ndim
+    if anchor not in get_args(Anchor):
+        raise one_of("anchor", anchor, get_args(Anchor))
     if sum(v is not None for v in (shape, spacing, like)) != 1:
         raise OptionError("resample takes exactly one of shape, spacing and like")
     if like is not None:
+        if anchor != "center":
+            raise OptionError(f"anchor is for shape and spacing, and like has an origin of its own; got {anchor!r}")
         grid = as_volume(like)
         if grid.ndim != d:
             raise OptionError(f"like must have {d} axes, as the volume has; got {grid!r}")
@@ -937,7 +1051,7 @@ def _grid_for(volume: Volume, shape: Sequence[int] | None, spacing: Sequence[flo
         if wanted.max() > np.iinfo(np.int32).max:
             raise OptionError(f"spacing {spacing!r} would need {wanted.max():.3g} samples along an axis")
         size = wanted.astype(np.int64)
-    origin = volume.center - volume.direction @ (step * (size - 1) / 2)
+    origin = volume.center - volume.direction @ (step * (size - 1) / 2) if anchor == "center" else volume.origin
     sizes = tuple(int(n) for n in size)
     return Volume(np.broadcast_to(np.float32(0), sizes[::-1]), tuple(step), tuple(origin), volume.direction, volume.units)
 

@@ -16,6 +16,7 @@ from clvol.device import Device, as_device
 from clvol.errors import DataError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter
 from clvol.missing import Missing
+from clvol.smoothing import filter_for
 from clvol.spline.chain import Chain
 from clvol.spline.evaluator import choose_evaluator
 from clvol.spline.field import Field, Precision, fill_value, opened, resample
@@ -23,6 +24,7 @@ from clvol.spline.points import NOTHING_GIVEN, Given, Progress, Reals, Transform
 from clvol.spline.resample import resample_coefficients
 from clvol.transform import Transforms, as_chain
 from clvol.volume import Volume, as_volume
+from clvol.volumes import Volumes
 
 __all__ = ["Warped", "resample_series", "warp"]
 
@@ -47,7 +49,7 @@ class Warped(NamedTuple):
 
 def warp(
     volume: Volume | ArrayLike | Field,
-    like: Volume,
+    like: Volume | ArrayLike,
     transform: Transforms | None = None,
     filter: str | Filter | None = None,
     boundary: str | Boundary | None = None,
@@ -108,8 +110,9 @@ def warp(
     fill = fill_value(fill)
     volume = volume if isinstance(volume, Field) else as_volume(volume)
     moving = volume.volume if isinstance(volume, Field) else volume
-    if not isinstance(like, Volume) or like.ndim != moving.ndim:
-        raise OptionError(f"like must be a Volume of {moving.ndim} axes, as the volume has; got {like!r}")
+    like = as_volume(like)
+    if like.ndim != moving.ndim:
+        raise OptionError(f"like must have {moving.ndim} axes, as the volume has; got {like!r}")
     transforms = as_chain(transform, moving.ndim)
     steps = _steps(progress, 1 + derivative * (wrt == "fixed") + int(jacobian))
     gradient, determinants = None, None
@@ -163,10 +166,10 @@ def _report(progress: Progress, done: int, count: int, fraction: float) -> None:
 
 
 def resample_series(
-    series: ArrayLike | Sequence[Volume],
+    series: ArrayLike | Volumes | Sequence[Volume],
     transforms: Sequence[Transforms | None],
-    like: Volume | None = None,
-    filter: str | Filter = DEFAULT_FILTER,
+    like: Volume | ArrayLike | None = None,
+    filter: str | Filter | None = None,
     boundary: str | Boundary = DEFAULT_BOUNDARY,
     *,
     spacing: Sequence[float] | None = None,
@@ -184,7 +187,7 @@ def resample_series(
 
     Parameters
     ----------
-    series : array-like, shape (t, nz, ny, nx) or (t, ny, nx), or sequence of Volume
+    series : array-like, shape (t, nz, ny, nx) or (t, ny, nx), Volumes, or sequence of Volume
         The moving frames.
     transforms : sequence
         One for each frame, as `transform` of `Field.resample`; None leaves points where they are.
@@ -218,7 +221,7 @@ def resample_series(
     """
     place: dict[str, Any] = {"spacing": spacing, "origin": origin, "direction": direction}
     given = {name: value for name, value in place.items() if value is not None}
-    if isinstance(series, (list, tuple)) and any(isinstance(frame, Volume) for frame in series):
+    if isinstance(series, Volumes) or (isinstance(series, (list, tuple)) and any(isinstance(frame, Volume) for frame in series)):
         if given:
             raise OptionError(f"frames that are Volumes have a geometry; got {', '.join(given)} too")
         frames = [as_volume(frame) for frame in series]
@@ -232,16 +235,16 @@ def resample_series(
     entries = several("transforms", transforms, "a transform, or None, for each frame")
     if len(entries) != len(frames):
         raise OptionError(f"transforms must be as many as there are frames, {len(frames)}; got {len(entries)}")
-    grid = frames[0] if like is None else like
+    grid = frames[0] if like is None else as_volume(like)
     chains = [as_chain(entry, frame.ndim) for entry, frame in zip(entries, frames, strict=True)]
-    chosen = as_device(device)
+    chosen, row = as_device(device), filter_for(frames[0], filter, DEFAULT_FILTER)
     steps = _steps(progress, len(frames))
     result: Reals | None = None
     for n, (frame, chain) in enumerate(zip(frames, chains, strict=True)):
         made = resample(
             frame,
             like=grid,
-            filter=filter,
+            filter=row,
             boundary=boundary,
             transform=chain,
             fill=fill,
@@ -252,8 +255,8 @@ def resample_series(
         )
         if result is None:
             result = np.empty((len(frames), *grid.shape), made.data.dtype)
-        if made.data.dtype != result.dtype:
-            wider = np.empty(result.shape, np.float64)
+        if (kind := np.result_type(made.data.dtype, result.dtype)) != result.dtype:
+            wider = np.empty(result.shape, kind)
             wider[:n] = result[:n]  # what lies behind is not made yet: any bits, and some don't convert
             result = wider
         result[n] = made.data
