@@ -10,18 +10,18 @@ import pytest
 SOURCE = Path(__file__).resolve().parents[1] / "src"
 # top to bottom; a name stands for the module or for all of its package
 LAYERS = [
-    "errors moved checks rounding uniform files interop filter boundary missing noise volume volumes smoothing stored camera color "
-    "light scaling histogram palette preset transfer mode look scene fit transform",
+    "errors moved checks rounding uniform files picture display interop filter boundary missing noise volume volumes smoothing "
+    "stored camera color light scaling histogram palette preset transfer mode look scene fit transform",
     "reference response phantoms formats",
-    "processor opencl program device",
+    "intel processor opencl program device",
     "spline",
     "ndimage",
     "interpolator resizing torch xarray",
     "march",
-    "picture images analysis",
+    "images analysis",
     "figures",
     "reports",
-    "cli __main__",
+    "doctor cli __main__",
 ]
 
 

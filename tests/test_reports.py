@@ -419,9 +419,7 @@ def test_what_shows_fills_the_pictures(device: Device, projection: Any) -> None:
     shown = {}
     for fit in ("volume", "matter"):
         camera = clvol.Camera.orbit(20, 10, projection=projection, fit=fit)  # type: ignore[arg-type]
-        drawn = pictures.cards(
-            volume, [row], row, 64, as_boundary("mirror"), 2, device, lambda _: None, {**look, "camera": camera}
-        )
+        drawn = pictures.cards(volume, [row], row, 64, as_boundary("mirror"), 2, device, lambda _: None, {**look, "camera": camera})
         seen = (drawn.cards[0].whole < 0.99).any(-1)
         assert (drawn.cards[0].whole[0, 0] == 1).all()  # on white
         shown[fit] = (np.ptp(np.flatnonzero(seen.any(0))) + 1, np.ptp(np.flatnonzero(seen.any(1))) + 1)

@@ -10,12 +10,12 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from numpy.typing import ArrayLike, DTypeLike
 
 from clvol.checks import as_path
-from clvol.errors import DataError, FormatError, GeometryError, OptionError
+from clvol.errors import ClvolError, DataError, FormatError, GeometryError, OptionError
 from clvol.files import staged
 from clvol.formats import dicom, metaimage, nifti, npy, nrrd, raw, tiff
 from clvol.formats._choice import Choice, Series
@@ -23,7 +23,7 @@ from clvol.formats._files import Reader, Writer, foreign_errors
 from clvol.volume import Volume, as_volume
 from clvol.volumes import Leading, Volumes
 
-__all__ = ["FORMATS", "WRITTEN", "Format", "Series", "read", "read_all", "series_of", "write"]
+__all__ = ["FORMATS", "WRITTEN", "Format", "Series", "leading_of", "read", "read_all", "series_of", "write"]
 
 
 @dataclass(frozen=True)
@@ -50,6 +50,8 @@ class Format:
         Whether a folder is of this format; None: files only.
     series : callable or None
         The images that a file or folder holds, where ``series=`` chooses one: a tuple of `Series`.
+    write_several : callable or None
+        Writes `Volumes` into one file; None where the format holds one volume.
     """
 
     name: str
@@ -60,6 +62,7 @@ class Format:
     several: bool = False
     folder: Callable[[Path], bool] | None = None
     series: Callable[[Path], tuple[Series, ...]] | None = None
+    write_several: Callable[[Volumes, Path], None] | None = None
 
 
 FORMATS = (
@@ -222,6 +225,39 @@ def series_of(path: str | os.PathLike[str]) -> tuple[Series, ...]:
         return () if found is None else found(path)
 
 
+def leading_of(path: str | os.PathLike[str], *, series: int | str | None = None, level: int | None = None) -> Leading:
+    """What the axes before z, y and x of a file count, from its header: no samples are read.
+
+    Raises
+    ------
+    ClvolError
+        As `read` raises it.
+    """
+    path = as_path(path)
+    chosen = _format_of(path)
+    if not chosen.several:
+        return Leading()
+
+    def note(_: str, leading: Leading, **_guess: str) -> NoReturn:
+        raise _KnownError(leading)
+
+    options = {"series": series, "level": level}
+    try:
+        with foreign_errors(f"read {path}"):
+            chosen.read(path, choose=note, **{name: value for name, value in options.items() if value is not None})
+    except _KnownError as known:
+        return known.leading
+    return Leading()
+
+
+class _KnownError(ClvolError):
+    """Ends the reading of a file whose header has told what is wanted."""
+
+    def __init__(self, leading: Leading) -> None:
+        super().__init__(str(leading))
+        self.leading = leading
+
+
 def _read(path: str | os.PathLike[str], choice: Choice, given: Mapping[str, Any], replaced: Mapping[str, Any]) -> Volume | Volumes:
     path = as_path(path)
     chosen = _format_of(path)
@@ -259,8 +295,8 @@ def _format_of(path: Path) -> Format:
         return _by_suffix(path)[0]
 
 
-def write(volume: Volume | ArrayLike, path: str | os.PathLike[str]) -> None:
-    """Write a volume (or image) to a file.
+def write(volume: Volume | Volumes | ArrayLike, path: str | os.PathLike[str]) -> None:
+    """Write a volume (or image), or several on one grid, to a file.
 
     The file appears when it is complete: on any failure, what was at `path` is left as it was.
     Nothing is lost silently. What a format cannot hold is refused; boolean samples become
@@ -268,7 +304,7 @@ def write(volume: Volume | ArrayLike, path: str | os.PathLike[str]) -> None:
 
     Parameters
     ----------
-    volume : Volume or array-like
+    volume : Volume, Volumes or array-like
         What to write.
     path : path-like
         ``.npz``: everything, exactly. ``.nrrd .nhdr .mha .mhd``: everything, in mm. ``.nii .nii.gz``:
@@ -278,20 +314,33 @@ def write(volume: Volume | ArrayLike, path: str | os.PathLike[str]) -> None:
     Raises
     ------
     FormatError
-        The suffix is of no format that is written, the format cannot hold the volume, or
+        The suffix is of no format that is written, the format cannot hold the volume, or only one, or
         writing failed.
     MissingDependencyError
         The format needs ``clvol[medical]`` or ``clvol[microscopy]``.
     """
-    volume, path = as_volume(volume), as_path(path)
+    path = as_path(path)
+    if isinstance(volume, Volumes) and len(volume) == 1:
+        volume = volume[0]
+    what = volume if isinstance(volume, Volumes) else as_volume(volume)
     chosen, suffix = _by_suffix(path)
     if chosen.write is None:
         raise FormatError(
             f"cannot write {path}: a {suffix} file does not say how its samples are arranged; .mhd or .nhdr writes "
             "a .raw file and a header that does"
         )
+    if isinstance(what, Volumes) and chosen.write_several is None:
+        holding = " ".join(s for f in FORMATS if f.write_several for s in f.suffixes)
+        raise FormatError(
+            f"cannot write {path}: {chosen.name} holds one volume; got {what.leading}: choose one, as volumes[0]"
+            + (f", or write {holding}" if holding else "")
+        )
     with foreign_errors(f"write {path}"), staged(path, suffix) as file:
-        chosen.write(volume, file)
+        if isinstance(what, Volumes):
+            assert chosen.write_several is not None
+            chosen.write_several(what, file)
+        else:
+            chosen.write(what, file)
 
 
 def _by_suffix(path: Path) -> tuple[Format, str]:

@@ -22,11 +22,11 @@ from clvol.light import Light, Material
 from clvol.look import look
 from clvol.march import launch
 from clvol.march.frame import Frame
-from clvol.march.launch import Picture
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter
 from clvol.march.uncertainty import Uncertainty
 from clvol.mode import DEFAULT_MODE, Isosurface, Mode, as_mode
 from clvol.noise import Noise
+from clvol.picture import Picture, as_pictures
 from clvol.scene import Box, Medium, Scene, as_scene
 from clvol.smoothing import filter_for
 from clvol.spline.evaluator import Evaluator, EvaluatorName, FetchName, choose_evaluator
@@ -292,8 +292,9 @@ class Renderer:
 
         Returns
         -------
-        ndarray of float32, shape (height, width, 4), or a dictionary
-            Red, green, blue, opacity in 0..1; row 0 is the top. Depth and visited have shape (height, width), normals and
+        Picture, an ndarray of float32, shape (height, width, 4), or a dictionary
+            Red, green, blue, opacity in 0..1; row 0 is the top. Notebooks show it, and it has `save` and `show`.
+            Depth and visited have shape (height, width), normals and
             positions (height, width, 3), uncertainty (height, width, 2): world units and degrees, NaN where nothing was hit.
             Positions are float64: exact to float32 as seen from the volume's centre, however far that is from the world's
             origin.
@@ -366,7 +367,8 @@ class Renderer:
         pictures = launch.draw(frame, samples, pixel_filter, progress)
         if uncertain is not None:
             pictures["uncertainty"] = uncertain(pictures["position"], self._noise(sigma), central=central)
-        return pictures[wanted[0]] if isinstance(outputs, str) else {name: pictures[name] for name in wanted}
+        shown = as_pictures({name: pictures[name] for name in wanted})
+        return shown[wanted[0]] if isinstance(outputs, str) else shown
 
     def _seen(
         self,
@@ -483,7 +485,7 @@ def render(
 
     Returns
     -------
-    ndarray of float32, shape (height, width, 4)
+    Picture, an ndarray of float32, shape (height, width, 4)
         Red, green, blue and opacity in 0..1, or a dictionary for several `outputs`.
     """
     chosen = as_mode(mode, {name: value for name, value in options.items() if name not in _KEYWORDS}, _KEYWORDS)  # before any work,
