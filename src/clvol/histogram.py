@@ -33,7 +33,8 @@ _NEXT_TO_NOTHING = 1e-12  # of the range: what lies below is one value, and the 
 _COMMON = 0.05  # share of the samples from which a value may be a background ...
 _STANDS_OUT = 4.0  # ... if so many times as many have it as have either of the next ones
 _SOME = 0.02  # share of what differs from the background that lies to either side, at least, where data are signed
-_AS_FAR = 0.15  # and how far, over how far to the other side
+_AS_FAR = 0.25  # and the median distance there, over that to the other side
+_NEAR = 0.4  # share of values without an exact background that lie within a quarter of how far they reach, at least
 _STEP = 0.05  # of the distance of the brightest: from there on, a gap beside the background is a mask's
 _LEVELS = 4.0  # and so many times the usual distance of neighbouring values
 _EVEN = 0.25  # of the distance from the background: a spread within which an object is one even value
@@ -44,7 +45,8 @@ _AIR = (-1100.0, -900.0)  # of computed tomography, in Hounsfield units
 _NO_MATTER = (-700.0, -500.0)  # between lungs and fat, likewise
 _DIM = 0.05  # share of the columns of samples that a projection shows black ...
 _BRIGHT = 0.98  # ... and of those that are not, share that it shows no more than white
-_LIT = 0.02  # of the way from black to the brightest
+_LIT = 0.02  # of the way from black to the brightest, but for a thousandth and a few
+_FEW = 8
 _GREY = 0.65  # of the way from black to white: what the median of those that are lit should not exceed ...
 _DIMMEST = 0.05  # ... while black is no more than this quantile of them
 _COLUMNS_OF = 1 << 22  # voxels that projections are made of
@@ -271,7 +273,7 @@ def _both_sides(values: Array, ground: float) -> bool:
     below, above = values[: np.searchsorted(values, ground)], values[np.searchsorted(values, ground, side="right") :]
     if min(below.size, above.size) < max(_SOME * (below.size + above.size), 1):
         return False
-    down, up = ground - _quantile(below, 0.01), _quantile(above, 0.99) - ground
+    down, up = ground - _quantile(below, 0.5), _quantile(above, 0.5) - ground
     return min(down, up) >= _AS_FAR * max(down, up)
 
 
@@ -284,7 +286,7 @@ def _about_zero(values: Array) -> bool:
     counts, _ = np.histogram(values, 8, (-far, far))
     down, up = counts[3::-1], counts[4:]
     fall = all((side[1:] <= side[:-1]).all() for side in (down, up))
-    return bool(fall and down[0] + up[0] >= values.size / 2)
+    return bool(fall and down[0] + up[0] >= _NEAR * values.size)
 
 
 def _step_beside(rest: Array) -> float:
@@ -321,7 +323,8 @@ def _otsu(distances: Array) -> tuple[float, float]:
 def _window(values: Array) -> tuple[float, float]:
     """Black and white for sorted values."""
     black = _quantile(values, _DIM)
-    lit = values[np.searchsorted(values, black + _LIT * (values[-1] - black), side="right") :]
+    brightest = float(values[max(min(round(0.999 * values.size), values.size - 1 - _FEW), values.size // 2)])
+    lit = values[np.searchsorted(values, black + _LIT * (brightest - black), side="right") :]
     if not lit.size:
         return black, float(values[-1])
     white = _quantile(lit, _BRIGHT)
@@ -347,4 +350,4 @@ def _some(volume: Volume) -> Array:
         values = values[np.isfinite(values)]
         if values.size:
             break
-    return values
+    return values[:: max(1, values.size // _SAMPLE)]

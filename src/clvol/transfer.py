@@ -113,7 +113,7 @@ class TransferFunction:
 
     @classmethod
     def ramp(cls, value_range: tuple[float, float], color: Sequence[float] | str = "white") -> TransferFunction:
-        """Black at the minimum, white or another colour at the maximum, opaque: for projections. Where the two are one, no black."""
+        """Black at the minimum, white or another colour at the maximum, opaque: for projections. No black where they are one."""
         low, high = _range(value_range)
         ends = ((low, (0.0, 0.0, 0.0)), (high, color_of("color", color)))
         return cls(ends if low < high else ends[1:], ((low, 1.0),))

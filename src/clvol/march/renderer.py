@@ -57,7 +57,8 @@ class Renderer:
     filter, boundary : str, Filter, Boundary, optional
         How a volume is reconstructed between its samples, where `scene` is no more than a volume. By default the boundary is
         "mirror", and the filter "bspline3(auto)", which takes from the volume how much noise there is to smooth, or "bspline3" in
-        modes that show extremes, such as "mip", or "nearest" for labels (`filter_of` says which). A medium or a field says so itself.
+        modes that show extremes, such as "mip", and "nearest" for labels (`filter_of` says which). A medium or a field says so
+        itself.
     device : Device, str or int, optional
         See `as_device`.
 
@@ -493,8 +494,8 @@ def render(
     free = filter is None and not isinstance(scene, (Scene, Medium, Field))
     if free:
         scene = as_volume(scene)  # type: ignore[arg-type]  # what is left
-        filter = filter_for(scene, None, chosen.picture_filter)
-    with Renderer(scene, filter, boundary, device) as renderer:
+    row = filter_for(scene, None, chosen.picture_filter) if free else filter  # type: ignore[arg-type]  # it is a volume then
+    with Renderer(scene, row, boundary, device) as renderer:
         return renderer.render(camera, mode, size, step, outputs=outputs, **options)  # type: ignore[arg-type]  # either
 
 
