@@ -69,7 +69,7 @@ def test_a_marked_corner_appears_where_it_should(
 ) -> None:
     data = np.zeros((10, 10, 10), np.float32)
     data[corner[::-1]] = 1
-    camera = Camera.orbit(azimuth, elevation, projection=projection)
+    camera = Camera.orbit(azimuth, elevation, projection=projection, fit="volume")
     picture = render(data, camera, "mip", "nearest", size=(40, 40), transfer=TransferFunction.ramp((0, 1)), device=device)[..., 0]
     down, right = np.argwhere(picture > 0.5).mean(0)
     assert ("bottom" if down > 20 else "top") == where.split()[0]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.camera import Camera
-from clvol.mode import Composite, Isosurface, Mode
+from clvol.mode import Isosurface, Mode
 from clvol.scene import Box
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
@@ -78,9 +78,7 @@ def sphere_of_matter(volume: Volume, mode: Mode, transfer: TransferFunction, cli
     """
     known = _known.setdefault(volume, {})
     box = None if clip is None else tuple(tuple(map(float, corner)) for corner in clip)
-    key = (mode.isovalue if isinstance(mode, Isosurface) else isinstance(mode, Composite), transfer, box)
-    if isinstance(mode, Isosurface):
-        key = (mode.isovalue, None, box)
+    key = (mode.isovalue, None, box) if isinstance(mode, Isosurface) else (mode.shows == "matter", transfer, box)
     if key not in known:
         if len(known) >= _KEPT:
             known.clear()
@@ -140,8 +138,9 @@ def _shown(values: NDArray[Any], mode: Mode, transfer: TransferFunction) -> Bool
     """The values that a mode shows by a transfer function, taken as linear between all its points."""
     at = np.unique([point[0] for point in (*transfer.colors, *transfer.opacities)])
     shades = transfer(at)
-    weight = shades[:, 3] if isinstance(mode, Composite) else shades[:, :3].max(1) * shades[:, 3]
-    least = float(weight.max()) * (_FAINT if isinstance(mode, Composite) else _DARK)
+    matter = mode.shows == "matter"
+    weight = shades[:, 3] if matter else shades[:, :3].max(1) * shades[:, 3]
+    least = float(weight.max()) * (_FAINT if matter else _DARK)
     over = weight - least
     changes = np.flatnonzero((over[1:] > 0) != (over[:-1] > 0))
     with np.errstate(over="ignore"):

@@ -299,12 +299,6 @@ class ReportLook(SurfaceLook):
     """How the pictures of a report are made: on white, filled by what shows."""
 
     background: _Background = "white"
-    zoom: Annotated[float | None, Parameter(help="1 shows the whole volume; by default what shows fills the picture.")] = None  # type: ignore[assignment]  # not given
-
-    def options(self, volume: clvol.Volume) -> dict[str, Any]:
-        """Arguments of `clvol.reports.report`."""
-        given = replace(self, zoom=1.0) if self.zoom is None else self
-        return super(ReportLook, given).options(volume) | {"fill": self.zoom is None}
 
 
 # -- options of modes ----------------------------------------------------------------------------------------

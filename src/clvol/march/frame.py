@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -40,6 +40,7 @@ PICTURE = Block(
     width=INT,
     height=INT,
     opaque=INT,
+    listed=INT,
     **{"pass": INT, "last_pass": INT},
 )
 
@@ -140,6 +141,7 @@ class Frame:
                 width=width,
                 height=height,
                 opaque=scene.background is not None,
+                listed=0,
                 **{"pass": 0, "last_pass": 0},
             ),
         )
@@ -164,6 +166,13 @@ class Frame:
         picture = values["picture"]
         picture["offset"], picture["weight"], picture["pass"], picture["last_pass"] = offset, weight, number, passes - 1
         return values
+
+    def of_rays(self, width: int, height: int) -> Frame:
+        """The frame of a list of rays through this picture: one a pixel of another, whose colours stay premultiplied."""
+        values = self.values.copy()
+        picture = values["picture"]
+        picture["listed"], picture["width"], picture["height"], picture["last_pass"] = True, width, height, 1
+        return replace(self, values=values)
 
     def program(self, name: str) -> Program:
         """A kernel file of the ray loop, specialised for this frame."""

@@ -24,6 +24,8 @@ Picture: TypeAlias = NDArray[np.floating[Any]]
 """Float32, but for positions, which are float64."""
 
 CHANNELS: dict[str, tuple[int, ...]] = {"rgba": (4,), "depth": (), "normal": (3,), "position": (3,), "visited": ()}
+_ALONE, _BLENDED = 12, 32  # of so many pixels one has more rays at most; fewer where such rays miss the planes of a tile's others
+_GROUP = 8  # work-items along an edge of a group
 _AREA = 16  # pixels along an edge of the smallest launch
 _CELLS = 8  # of so many on a ray one is looked at, at most guesses
 _ROW_SECONDS = 1.5e-9  # a generous guess of the time of one row of taps on one processor core; corrected as tiles finish
@@ -45,45 +47,35 @@ def draw(
         for i, (offset, weight) in enumerate(rays):
             block = frame.device.upload(frame.sampled(offset, weight, i, len(rays))[None])
             for x, y, w, h in budget.tiles(width, height):
-                _launch(frame, kernel, (x, y, w, h), *inputs.of_rays(block), *buffers)
+                _launch(frame, kernel, (x, y, w, h), *inputs.of_rays(block), inputs.table, *buffers)
                 if progress:
                     progress((i + min(1.0, ((y + h) * width) / (width * height))) / len(rays))
     if samples == "auto":
-        _smooth_edges(frame, inputs, budget, arrays["rgba"], row)
+        _smooth_edges(frame, kernel, inputs, budget, arrays["rgba"], row)
     return _in_world(frame, arrays)
 
 
-def _smooth_edges(frame: Frame, inputs: _Inputs, budget: _Budget, picture: Picture, filter: Filter) -> None:
+def _smooth_edges(frame: Frame, kernel: Any, inputs: _Inputs, budget: _Budget, picture: Picture, filter: Filter) -> None:
     """Adds rays to those of the pixels on edges of a picture, one through the middle of each."""
-    pixels = on_edges(picture)
+    pixels = on_edges(picture, _BLENDED if frame.tile.shared and not frame.mode.stretches else _ALONE)
     if not len(pixels):
         return
     (_, share), *more = pixel_rays(EDGE_RAYS, filter, middle=True)
     offsets, weights = zip(*more, strict=True)
-    at = (pixels[:, None, ::-1].astype(np.float32) + np.array(offsets, np.float32)).reshape(-1, 2)
-    colors = np.empty((len(at), 4), np.float32)
-    kernel = frame.program("march/rays.cl").kernel("draw_rays")
-    block, tile, shape = frame.device.upload(frame.values[None]), frame.tile, (1,) if frame.tile.shared else (64,)
-    together = tile.width * tile.height
-    with frame.device.lent(at, write=False) as rays, frame.device.lent(colors, write=True) as results, frame.device.errors:
-        for first, count in budget.rays(len(at), together * shape[0]):
-            items = -(-count // (together * shape[0])) * shape[0]
-            kernel(
-                frame.device.queue,
-                (items,),
-                shape,
-                *inputs.of_rays(block),
-                rays,
-                np.int32(first + count),
-                results,
-                global_offset=(first // together,),
-            )
-            frame.device.finish()
+    places = (pixels[:, None, ::-1].astype(np.float32) + np.array(offsets, np.float32)).reshape(-1, 2)
+    width = frame.tile.width if frame.tile.shared else _GROUP  # so that neighbours share a tile or a group
+    height = -(-len(places) // width)
+    rays = frame.of_rays(width, height)
+    block, listed = (frame.device.upload(a) for a in (rays.values[None], np.resize(places, (width * height, 2))))
+    with _pictures(rays) as (arrays, buffers):
+        for area in budget.tiles(width, height):
+            _launch(rays, kernel, area, *inputs.of_rays(block), listed, *buffers)
+    colors = arrays["rgba"].reshape(-1, 4)[: len(places)].reshape(len(pixels), -1, 4)
     where = tuple(pixels.T)
     first, opaque = picture[where], bool(frame.values["picture"]["opaque"])
     if not opaque:
         first[:, :3] *= first[:, 3:]
-    means = np.einsum("prc,r->pc", colors.reshape(len(pixels), -1, 4), np.array(weights, np.float32))
+    means = np.einsum("prc,r->pc", colors, np.array(weights, np.float32))
     if opaque:
         means[:, :3] += (1 - share - means[:, 3:]) * frame.values["picture"]["background"]
         means[:, 3] = 1 - share
@@ -217,7 +209,7 @@ def _in_world(frame: Frame, arrays: dict[str, Picture]) -> dict[str, Picture]:
 def _launch(frame: Frame, kernel: Any, area: tuple[int, int, int, int], *arguments: Any) -> None:
     """One launch over the pixels of an area (x, y, width, height) that begins a tile, to its end."""
     (x, y, w, h), tile, device = area, frame.tile, frame.device
-    shape = (1, 1) if tile.shared else (8, 8)
+    shape = (1, 1) if tile.shared else (_GROUP, _GROUP)
     tiles = (-(-w // tile.width), -(-h // tile.height))
     items = tuple(-(-n // m) * m for n, m in zip(tiles, shape, strict=True))
     with device.errors:
@@ -247,16 +239,6 @@ class _Budget:
         self._across, self._down = (-(-_AREA // n) * n for n in frame.tile[:2])
         self._seconds = device.limits.launch_seconds
         self._per_pixel = count * rows * _ROW_SECONDS * (3 if costly else 1) / max(1, cores)
-
-    def rays(self, count: int, multiple: int) -> Iterator[tuple[int, int]]:
-        """The first and the number of each part of a list of rays, a multiple but for the last."""
-        first = 0
-        while first < count:
-            n = min(count - first, max(1, int(self._seconds / self._per_pixel) // multiple) * multiple)
-            started = time.perf_counter()
-            yield first, n
-            self._per_pixel = max(self._per_pixel, (time.perf_counter() - started) / n)
-            first += n
 
     def tiles(self, width: int, height: int) -> Iterator[tuple[int, int, int, int]]:
         """(x, y, width, height) of each area, each a multiple of a tile, but at the picture's edges."""

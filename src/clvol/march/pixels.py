@@ -27,7 +27,6 @@ EDGE_RAYS = 3
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722, 0.0], np.float32)
 _CONTRAST = 0.1  # to a neighbour, of a pixel on an edge
 _NEAR = 8  # pixels along an edge of the squares in whose order they are listed
-_MOST = 12  # of so many pixels that differ from their neighbours at all one is on an edge, at most
 _GOLDEN = (5**0.5 - 1) / 2
 _FINE = 4096  # pieces of a pixel in which the filter is summed
 
@@ -61,7 +60,7 @@ def pixel_rays(samples: int, filter: Filter, *, middle: bool) -> list[tuple[NDAr
     return [(np.array([0.5, 0.5]), 0.0), *rays] if middle and samples % 2 == 0 else rays
 
 
-def on_edges(picture: NDArray[np.float32]) -> NDArray[np.intp]:
+def on_edges(picture: NDArray[np.float32], most: int = 12) -> NDArray[np.intp]:
     """The pixels (row, column) that differ from one beside, above or below them, near ones together; shape (N, 2).
 
     Where these are too many, they are those that differ most.
@@ -70,6 +69,8 @@ def on_edges(picture: NDArray[np.float32]) -> NDArray[np.intp]:
     ----------
     picture : ndarray of float32, shape (height, width, 4)
         Red, green, blue, not premultiplied, and opacity in 0..1: what differs is luminance or opacity.
+    most : int
+        Of so many pixels that differ from their neighbours at all one is on an edge, at most.
     """
     height, width = picture.shape[:2]
     seen = (picture.reshape(-1, 4) @ _LUMINANCE + 1).reshape(height, width) * picture[..., 3]
@@ -78,10 +79,10 @@ def on_edges(picture: NDArray[np.float32]) -> NDArray[np.intp]:
         apart = np.abs(seen[one] - seen[other])
         for side in (one, other):
             np.maximum(contrast[side], apart, out=contrast[side])
-    least, most = _CONTRAST, -(-int((contrast > 0).sum()) // _MOST)
+    least, count = _CONTRAST, -(-int((contrast > 0).sum()) // most)
     strong = contrast[contrast > least]
-    if strong.size > most:
-        least = float(np.partition(strong, -most - 1)[-most - 1])
+    if strong.size > count:
+        least = float(np.partition(strong, -count - 1)[-count - 1])
     down, across = -(-height // _NEAR), -(-width // _NEAR)
     edges = np.zeros((down * _NEAR, across * _NEAR), np.bool_)
     np.greater(contrast, least, out=edges[:height, :width])

@@ -19,6 +19,7 @@ from clvol.device import Device
 from clvol.errors import OptionError
 from clvol.filter import PICTURE_FILTER, Filter
 from clvol.light import Light, Material
+from clvol.look import look
 from clvol.march import launch
 from clvol.march.frame import Frame
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter
@@ -158,6 +159,10 @@ class Renderer:
         step: float = ...,
         *,
         transfer: TransferFunction | None = ...,
+        preset: str | None = ...,
+        window: tuple[float, float] | None = ...,
+        cmap: str | None = ...,
+        opacity: float | Sequence[tuple[float, float]] | None = ...,
         material: Material | None = ...,
         lights: Light | Sequence[Light] | None = ...,
         background: Sequence[float] | str | EllipsisType | None = ...,
@@ -183,6 +188,10 @@ class Renderer:
         step: float = ...,
         *,
         transfer: TransferFunction | None = ...,
+        preset: str | None = ...,
+        window: tuple[float, float] | None = ...,
+        cmap: str | None = ...,
+        opacity: float | Sequence[tuple[float, float]] | None = ...,
         material: Material | None = ...,
         lights: Light | Sequence[Light] | None = ...,
         background: Sequence[float] | str | EllipsisType | None = ...,
@@ -207,12 +216,16 @@ class Renderer:
         step: float = 0.5,
         *,
         transfer: TransferFunction | None = None,
+        preset: str | None = None,
+        window: tuple[float, float] | None = None,
+        cmap: str | None = None,
+        opacity: float | Sequence[tuple[float, float]] | None = None,
         material: Material | None = None,
         lights: Light | Sequence[Light] | None = None,
         background: Sequence[float] | str | EllipsisType | None = ...,
         clip: Box | EllipsisType | None = ...,
         gradient: Literal["analytic", "central"] = "analytic",
-        samples: int | Literal["auto"] = 1,
+        samples: int | Literal["auto"] = "auto",
         pixel_filter: str | Filter = DEFAULT_PIXEL_FILTER,
         skipping: bool = True,
         evaluator: EvaluatorName = "auto",
@@ -237,14 +250,21 @@ class Renderer:
         transfer, material
             Instead of the medium's. A transfer function that neither gives is the mode's: from the histogram for "composite",
             a grey ramp for projections.
+        preset, window, cmap, opacity
+            Instead of a transfer function, by words: what kind of data it is (`clvol.presets`), the values from black to white as
+            (center, width), the name of a colour map, and how opaque: a factor, or pairs of a value and an opacity. Each changes
+            what it names of the mode's own look, and may be given with the others, but not beside `transfer`.
         lights, background, clip
             Instead of the scene's: see `Scene`.
         gradient : {"analytic", "central"}
             "analytic" is the exact derivative of the function drawn. "central" takes differences of one voxel
             to either side, as many others do; with `hybrid` one voxel of the magnified grid, half of the volume's.
             `nearest` has no useful derivative and is always shaded by central differences.
-        samples : int
-            Rays a pixel, 1 to 4096. A single one goes through its middle.
+        samples : int or "auto"
+            Rays a pixel, 1 to 4096. A single one goes through its middle. "auto": one, and two more in pixels on edges, which
+            differ from a neighbour by more than a tenth of full luminance; they are at most a twelfth of those that are not plain
+            background (on processors a 32nd, but for surfaces), which bounds what it costs. All other pixels are those of
+            ``samples=1`` to the last bit.
         pixel_filter : str or Filter
             What several rays sample: the picture under this filter of the table, which is as many pixels wide as it has taps.
             "linear" leaves half of the aliasing of "nearest", the pixel's own square, from 16 rays on, and two thirds with fewer,
@@ -309,6 +329,12 @@ class Renderer:
         chosen = as_mode(mode, options, _KEYWORDS)
         if self._closed or self.field.closed:
             raise OptionError("the renderer or its field was closed, and its coefficients were released; make new ones")
+        words = {"preset": preset, "window": window, "cmap": cmap, "opacity": opacity}
+        given = [name for name, value in words.items() if value is not None]
+        if given:
+            if transfer is not None:
+                raise OptionError(f"transfer must be left out where {' and '.join(given)} say what it is; got both")
+            transfer = look(self.volume, chosen, preset=preset, window=window, cmap=cmap, opacity=opacity)
         scene = self._seen(transfer, material, lights, background, clip)
         camera = Camera.orbit() if camera is None else camera
         instance("camera", camera, Camera)
