@@ -84,7 +84,7 @@ def test_one_image(tmp_path: Path) -> None:
     colours = (DATA[:9] % 256).astype(np.uint8).reshape(3, 5, 7, 3)[0]
     iio.imwrite(tmp_path / "c.png", colours)
     np.testing.assert_array_equal(clvol.read(tmp_path / "c.png", channel="red").data, colours[..., 0])
-    with pytest.raises(OptionError, match="red.*luminance"):
+    with pytest.raises(OptionError, match=r"red.*luminance"):
         clvol.read(tmp_path / "c.png", channel="DAPI")
     pillow = pytest.importorskip("PIL.Image")
     pillow.fromarray(np.full((5, 7, 3), 255, np.uint8)).convert("CMYK").save(tmp_path / "k.jpg")  # no ink is white

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import warnings
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -101,7 +102,7 @@ def test_plain_arrays(tmp_path: Path, version: int) -> None:
         clvol.read(tmp_path / "v.zarr")
     np.testing.assert_array_equal(clvol.read(tmp_path / "v.zarr", series="pressure").data, DATA[0, 1])
     root.create_array("all", data=DATA[0])
-    with pytest.warns(ClvolWarning, match="3 volumes; volume 0 was read.*that of 3 counts volume"):
+    with pytest.warns(ClvolWarning, match=r"3 volumes; volume 0 was read.*taken for volume \(3\), z"):
         np.testing.assert_array_equal(clvol.read(tmp_path / "v.zarr", series="all").data, DATA[0, 0])
 
 
@@ -131,6 +132,15 @@ def test_a_packed_store(tmp_path: Path) -> None:
     zarr.create_array(store, data=DATA[0, 0])
     store.close()
     np.testing.assert_array_equal(clvol.read(tmp_path / "v.zarr.zip").data, DATA[0, 0])
+    with zipfile.ZipFile(tmp_path / "folder.zip", "w") as packed:  # as people pack folders
+        zarr.create_array(tmp_path / "a.zarr", data=DATA[0, 1])
+        for file in (tmp_path / "a.zarr").rglob("*"):
+            packed.write(file, file.relative_to(tmp_path))
+    np.testing.assert_array_equal(clvol.read(tmp_path / "folder.zip").data, DATA[0, 1])
+    with zipfile.ZipFile(tmp_path / "other.zip", "w") as packed:
+        packed.writestr("slice.tif", b"")
+    with pytest.raises(FormatError, match=r"other\.zip must hold a Zarr array or group; unpack"):
+        clvol.read(tmp_path / "other.zip")
     (tmp_path / "w.zip").write_bytes(b"PK" + bytes(99))
     with pytest.raises(FormatError, match="cannot read"):
         clvol.read(tmp_path / "w.zip")

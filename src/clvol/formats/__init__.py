@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, DTypeLike
 from clvol.checks import as_path
 from clvol.errors import ClvolError, DataError, FormatError, GeometryError, OptionError
 from clvol.files import staged
-from clvol.formats import bioio, dicom, hdf5, metaimage, mgz, nifti, npy, nrrd, raw, slices, tiff, vti, zarr
+from clvol.formats import bioio, dicom, hdf5, imaris, metaimage, mgz, nifti, npy, nrrd, raw, slices, tiff, vti, zarr
 from clvol.formats._choice import Choice, Series
 from clvol.formats._files import Reader, Writer, foreign_errors
 from clvol.volume import Volume, as_volume
@@ -110,6 +110,7 @@ FORMATS = (
     Format(
         "HDF5", (".h5", ".hdf5", ".hdf", ".he5", ".nc"), hdf5.read, None, frozenset({"series"}), several=True, series=hdf5.series
     ),
+    Format("Imaris", (".ims",), imaris.read, None, frozenset({"level"}), several=True),
     Format("VTK image data", (".vti",), vti.read, None, frozenset({"series"}), several=True, series=vti.series),
     Format("microscopes' own", bioio.SUFFIXES, bioio.read, None, frozenset({"series", "level"}), several=True, series=bioio.series),
     Format("image", slices.SUFFIXES, slices.read, several=True),

@@ -122,11 +122,11 @@ def lay_out(source: str, words: Sequence[str], shape: Sequence[int], keep: Seque
         raise DataError(f"{source} must hold images or volumes, times, positions and channels of these; its axes are {told}")
     for i, axis in zip(before, free, strict=False):
         axes[i] = axis
-    guessed = [i for i in range(len(shape)) if not meaning(words[i]) and axes[i] and shape[i] > 1]
+    guessed = any(not meaning(word) and axis and n > 1 for word, axis, n in zip(words, axes, shape, strict=True))
     text = ""
     if guessed and (named or len(shape) > 3):
-        told = ", ".join(f"that of {shape[i]}{f' ({words[i]})' if words[i] else ''} counts {axes[i]}" for i in guessed)
-        text = f"it does not say what all of its axes are; taken: {told}"
+        told = ", ".join(f"{axis} ({n})" for axis, n in zip(axes, shape, strict=True) if axis and (n > 1 or axis in "xy"))
+        text = f"its axes were taken for {told}, for it does not say what all of them are"
     kept = tuple(axis if n > 1 or axis in ("x", "y", *keep) else "" for axis, n in zip(axes, shape, strict=True))
     return Layout(kept, tuple(int(n) for n in shape), text)
 

@@ -26,7 +26,6 @@ _PLUGINS = {
     ".dv": "bioio-dv",
     ".r3d": "bioio-dv",
     ".sldy": "bioio-sldy",
-    ".ims": _JAVA,
     ".lsm": _JAVA,
     ".oib": _JAVA,
     ".oif": _JAVA,

@@ -16,7 +16,7 @@ from clvol.formats._layout import Layout, decoded, lay_out, place, rgb_last, uni
 from clvol.interop import Content
 from clvol.volumes import Leading
 
-__all__ = ["read", "series"]
+__all__ = ["opened", "read", "series"]
 
 _NETCDF_3 = b"CDF"
 _NO_VARIABLE = b"This is a netCDF dimension but not a netCDF variable"  # NAME of a scale that holds no coordinates
@@ -28,7 +28,7 @@ def read(path: Path, choose: Choice, series: int | str | None = None) -> Content
     Names of axes are taken from vigra's ``axistags``, ``axes``, or the labels and scales of dimensions; spacing from
     ``element_size_um``, the tags, or evenly spaced scales; all of it from ITK's files.
     """
-    with _opened(path) as file:
+    with opened(path) as file:
         arrays = _arrays(file)
         listed = [_listed(array) for array in arrays]
         if not arrays:
@@ -53,11 +53,12 @@ def read(path: Path, choose: Choice, series: int | str | None = None) -> Content
 
 def series(path: Path) -> tuple[Series, ...]:
     """The arrays of numbers that have two axes or more, by their paths in the file; those with more than two before others."""
-    with _opened(path) as file:
+    with opened(path) as file:
         return tuple(_listed(array) for array in _arrays(file))
 
 
-def _opened(path: Path) -> Any:
+def opened(path: Path) -> Any:
+    """The file as h5py has it."""
     try:
         import h5py
     except ImportError as error:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 import warnings
+import zipfile
 from collections.abc import Iterator, Mapping
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -50,36 +52,50 @@ def is_one(path: Path) -> bool:
 
 def read(path: Path, choose: Choice, series: int | str | None = None, level: int = 0) -> Content:
     """The chunks of one image or array that hold what is chosen; chunks that are not stored have the array's fill value."""
-    images = _images(path)
-    main = [image for image in images if not image.labels]
-    listed = [image.series for image in images]
-    ome = any(image.multiscales for image in main)
-    what = "images" if ome else "arrays"
-    image = images[chosen_series(path.name, listed, series, what=what, main=len(main), first=ome)]
-    if image.multiscales is None:
-        chosen_level(path.name, [image.node.shape], level)
-        return _plain(path.name, image, choose)
-    sizes = [image.level(i).shape for i in range(len(image.multiscales["datasets"]))]
-    return _multiscale(path.name, image, chosen_level(path.name, sizes, level), choose)
+    with _images(path) as images:
+        main = [image for image in images if not image.labels]
+        listed = [image.series for image in images]
+        ome = any(image.multiscales for image in main)
+        what = "images" if ome else "arrays"
+        image = images[chosen_series(path.name, listed, series, what=what, main=len(main), first=ome)]
+        if image.multiscales is None:
+            chosen_level(path.name, [image.node.shape], level)
+            return _plain(path.name, image, choose)
+        sizes = [image.level(i).shape for i in range(len(image.multiscales["datasets"]))]
+        return _multiscale(path.name, image, chosen_level(path.name, sizes, level), choose)
 
 
 def series(path: Path) -> tuple[Series, ...]:
     """The images and arrays that there are, images before their labels."""
-    return tuple(image.series for image in _images(path))
+    with _images(path) as images:
+        return tuple(image.series for image in images)
 
 
-def _images(path: Path) -> list[_Image]:
+@contextmanager
+def _images(path: Path) -> Iterator[list[_Image]]:
     try:
         import zarr
+        from zarr.storage import LocalStore, ZipStore
     except ImportError as error:
         raise MissingDependencyError("Zarr needs zarr: pip install clvol[microscopy]") from error
-    with warnings.catch_warnings():  # what else lies in the folders
-        warnings.simplefilter("ignore")
-        root = zarr.open(path if path.is_dir() else zarr.storage.ZipStore(path, mode="r"), mode="r")
-        found = list(_below(root, ""))
+    folder = path.is_dir()
+    inner = "" if folder else _inside(path)
+    with closing(LocalStore(path, read_only=True) if folder else ZipStore(path, mode="r")) as store:
+        with warnings.catch_warnings():  # what else lies in the folders
+            warnings.simplefilter("ignore")
+            found = list(_below(zarr.open(store, path=inner, mode="r"), ""))
+        if not found:
+            raise DataError(f"{path.name} must hold an array of numbers with two axes or more; it holds none")
+        yield sorted(found, key=lambda image: image.labels)
+
+
+def _inside(path: Path) -> str:
+    """Where an archive has its array or group: at its root, or in a folder that was packed."""
+    with zipfile.ZipFile(path) as archive:
+        found = [name for name in archive.namelist() if name.rpartition("/")[2] in _METADATA]
     if not found:
-        raise DataError(f"{path.name} must hold an array of numbers with two axes or more; it holds none")
-    return sorted(found, key=lambda image: image.labels)
+        raise FormatError(f"{path.name} must hold a Zarr array or group; unpack archives of other files, and read what they hold")
+    return min(found, key=lambda name: name.count("/")).rpartition("/")[0]
 
 
 def _below(node: Any, path: str, labels: bool = False) -> Iterator[_Image]:
