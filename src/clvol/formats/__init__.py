@@ -286,7 +286,7 @@ def leading_of(path: str | os.PathLike[str], *, series: int | str | None = None,
     if not chosen.several:
         return Leading()
 
-    def note(_: str, leading: Leading, **_guess: str) -> NoReturn:
+    def note(_: str, leading: Leading, *_guess: str, **_guessed: str) -> NoReturn:
         raise _KnownError(leading)
 
     options = {"series": series, "level": level}
