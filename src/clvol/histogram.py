@@ -52,6 +52,7 @@ _FEW = 8
 _GREY = 0.65  # of the way from black to white: what the median of those that are lit should not exceed ...
 _DIMMEST = 0.05  # ... while black is no more than this quantile of them ...
 _HALF = 0.5  # ... and takes no more than so much of the window
+_COUNTED = 1 << 24  # labels that are counted one by one: sorting all samples takes far longer
 _COLUMNS_OF = 1 << 22  # voxels that projections are made of
 
 
@@ -166,9 +167,17 @@ def isovalue_of(volume: Volume | ArrayLike) -> tuple[float, str]:
 @_remembered
 def label_numbers(volume: Volume) -> tuple[float, Array]:
     """The label of the background, 0 where there is one, else the commonest; and all labels, in ascending order."""
-    numbers, counts = np.unique(volume.data, return_counts=True)
+    low, high = (int(v) for v in volume.value_range)
+    if volume.data.dtype.kind in "iu" and high - low < _COUNTED:
+        counts = np.zeros(high - low + 1, np.int64)
+        for part in volume.data:  # no copy of all in wide integers
+            counts += np.bincount((part.astype(np.int64) - low).ravel(), minlength=counts.size)
+        numbers = np.flatnonzero(counts).astype(np.float64) + low
+        counts = counts[counts > 0]
+    else:
+        numbers, counts = np.unique(np.round(volume.data[np.isfinite(volume.data)].astype(np.float64)), return_counts=True)
     background = 0.0 if (numbers == 0).any() else float(numbers[int(counts.argmax())])
-    return background, numbers.astype(np.float64)
+    return background, numbers
 
 
 @_remembered
@@ -185,9 +194,12 @@ def window_of(volume: Volume) -> dict[Projection, tuple[float, float]]:
     found: dict[Projection, tuple[float, float]] = {}
     ways: dict[Projection, Callable[..., Array]] = {"max": np.max, "min": np.min, "mean": np.mean}
     for name, way in ways.items():
-        ends = _window(np.sort(np.concatenate([way(samples, axis=axis).ravel() for axis in range(volume.ndim)])))
+        columns = np.concatenate([way(samples, axis=axis).ravel() for axis in range(volume.ndim)])
+        ends = _window(np.sort(columns), high=name == "max")
         if ends[1] - ends[0] <= _STEP * (usual[1] - usual[0]):
             ends = usual
+        if not ends[0] < ends[1]:  # nearly all is one value
+            ends = bottom, float(scaled(high, exponent))
         found[name] = unscaled(ends[0], exponent), unscaled(ends[1], exponent)
     return found
 
@@ -336,14 +348,16 @@ def _otsu(distances: Array) -> tuple[float, float]:
     return low + (high - low) * float(edges[1:][best].mean()), float(between.max()) / total
 
 
-def _window(values: Array) -> tuple[float, float]:
-    """Black and white for sorted values."""
+def _window(values: Array, *, high: bool = False) -> tuple[float, float]:
+    """Black and white for sorted values; for those of which most are high, as maxima are, black may be raised."""
     black = _quantile(values, _DIM)
     brightest = float(values[max(min(round(0.999 * values.size), values.size - 1 - _FEW), values.size // 2)])
     lit = values[np.searchsorted(values, black + _LIT * (brightest - black), side="right") :]
     if not lit.size:
         return black, float(values[-1])
     white = _quantile(lit, _BRIGHT)
+    if not high:
+        return black, white
     grey = (_quantile(lit, 0.5) - _GREY * white) / (1 - _GREY)  # black, if the median is to be there
     return max(black, min(grey, _quantile(lit, _DIMMEST), black + _HALF * (white - black))), white
 

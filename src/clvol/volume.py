@@ -395,9 +395,9 @@ class Volume:
         if self.data.dtype.kind not in "iu" or self.data.size == 0:
             return False
         some = self.data[len(self.data) // 2].ravel()[:_LOOKED_AT]  # a run of neighbours
-        if len(np.unique(some)) > MOST_LABELS or (some.size > 1 and (some[1:] == some[:-1]).mean() < _SAME):
+        if some.size > 1 and (some[1:] == some[:-1]).mean() < _SAME:
             return False
-        return self.noise.kind == "labels"
+        return self.noise.kind == "labels" or _many_labels(self.data)
 
     @cached_property
     def noise(self) -> Noise:
@@ -528,6 +528,23 @@ def _vector(what: str, value: Any, d: int) -> tuple[float, ...]:
     if not all(math.isfinite(v) for v in vector):
         raise GeometryError(f"{what} must be finite; got {vector}")
     return vector
+
+
+def _many_labels(data: NDArray[Any]) -> bool:
+    """Whether there are more values than `clvol.noise` takes for labels, and they fill regions beside others of any number."""
+    lines = data.reshape(-1, data.shape[-1])
+    lines = lines[:: max(1, lines.size >> 20)]
+    values, counts = np.unique(lines, return_counts=True)
+    if len(values) <= MOST_LABELS:
+        return False
+    left, right = lines[:, :-1], lines[:, 1:]
+    within = (left != (background := values[counts.argmax()])) & (right != background)
+    left, right = left[within], right[within]
+    if left.size < MOST_LABELS:
+        return False
+    differ = left != right
+    steps = np.abs(left[differ].astype(np.float64) - right[differ])
+    return bool(differ.mean() < 1 - _SAME and (not steps.size or np.median(steps) > 1))
 
 
 def _window(value: Any) -> tuple[float, float]:
