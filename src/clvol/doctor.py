@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import re
+import sys
 from collections.abc import Callable, Iterator
 from importlib.metadata import PackageNotFoundError, metadata, requires, version
 from typing import NamedTuple
@@ -144,7 +145,8 @@ def _silent_intel() -> str:
         return ""
     except OSError as error:
         return f"{runtime} does not load ({error}): pip install clvol[intel] brings what it needs"
-    return f"{runtime} is kept out by OCL_ICD_VENDORS, or cannot run on this processor"
+    why = "by an administrator's shell" if sys.platform == "win32" else "by OCL_ICD_VENDORS"
+    return f"{runtime} is kept out {why}, or cannot run on this processor"
 
 
 def _packages(extra: str) -> list[str]:
