@@ -33,7 +33,9 @@ def ball(middle: tuple[float, float, float] = (44, 20, 30), radius: float = 9.0,
 
 
 @pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("place", [{}, {"spacing": (0.2,) * 3, "origin": (5, -90, 3), "direction": TURNED}], ids=["plain", "turned"])
+@pytest.mark.parametrize(
+    "place", [{}, {"spacing": (0.2,) * 3, "origin": (5, -90, 3), "direction": TURNED}], ids=["plain", "turned"]
+)
 def test_a_ball_is_found(mode: str, place: dict[str, Any]) -> None:
     volume = ball(**place)
     sphere = sphere_of_matter(volume, *MODES[mode])

@@ -15,7 +15,7 @@ from clvol.filter import as_filter, filters
 from clvol.march.pixels import pixel_offsets, pixel_rays
 
 SIZE = (32, 24)
-FRONT = Camera(direction=(0.0, 1.0, 0.0), projection="orthographic")
+FRONT = Camera(direction=(0.0, 1.0, 0.0), projection="orthographic", fit="volume")
 PIXEL_FILTERS = [row.name for row in filters().values() if not row.prefilter and not row.magnify]
 
 
@@ -25,7 +25,7 @@ def waves(per_pixel: float, size: tuple[int, int] = SIZE, voxels: int = 4) -> tu
     x = np.arange(n) - (n - 1) / 2
     volume = Volume(np.broadcast_to(0.5 + 0.5 * np.cos(2 * np.pi * per_pixel * x / voxels), (n, 2, n)).astype(np.float32))
     height = FRONT.view(volume, size[0] / size[1]).half_height
-    return volume, Camera(direction=FRONT.direction, projection="orthographic", zoom=height / (size[1] * voxels / 2))
+    return volume, Camera(direction=FRONT.direction, projection="orthographic", zoom=height / (size[1] * voxels / 2), fit="volume")
 
 
 def drawn(volume: Volume, camera: Camera, device: Device, **options: Any) -> np.ndarray[Any, Any]:
@@ -39,7 +39,7 @@ def test_several_rays_do_not_shift_the_picture(device: Device, samples: int) -> 
     n = 64
     z, _, x = np.meshgrid(np.arange(n), np.arange(2), np.arange(n), indexing="ij")
     volume = Volume(((x + 2 * z) / (3 * n)).astype(np.float32))
-    camera = Camera(direction=(0.0, 1.0, 0.0), projection="orthographic", zoom=3.0)
+    camera = Camera(direction=(0.0, 1.0, 0.0), projection="orthographic", zoom=3.0, fit="volume")
     one = drawn(volume, camera, device)
     got = drawn(volume, camera, device, samples=samples)
     assert one.std() > 0.05
