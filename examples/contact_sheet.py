@@ -36,6 +36,8 @@ def main() -> None:
     arguments.add_argument("--pixels", type=int, default=256, help="width and height of a picture")
     arguments.add_argument("--no-peers", action="store_true", help="without PyVista")
     options = arguments.parse_args()
+    if options.folder is not None and not options.folder.is_dir():
+        arguments.error(f"there is no folder {options.folder}")
 
     try:
         rows = [

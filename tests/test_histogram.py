@@ -59,6 +59,15 @@ def test_noise_of_air_is_not_seen() -> None:
     assert (seen[BALL] > 0).mean() > 0.99
 
 
+def test_a_bright_background_is_known_by_the_faces() -> None:
+    data = np.where(BALL, 80, 200) + RNG.normal(0, 8, SHAPE)
+    assert matter_of(Volume(data)).sign == -1
+    seen = TransferFunction.automatic(data)(data)[..., 3]
+    assert (seen[~BALL] > 0).mean() < 0.01
+    assert (seen[BALL] > 0).mean() > 0.99
+    assert matter_of(Volume(data[6:18, 6:18, 6:18])).sign == 1  # nothing says what is background
+
+
 def test_padding_below_air_hides_no_air() -> None:
     """Computed tomography: around the field of view is a value below air, which is background, too."""
     data = np.where(BALL, 40.0, -1000.0) + RNG.normal(0, 20, SHAPE)
@@ -128,4 +137,6 @@ def test_windows_are_those_of_what_rays_meet() -> None:
     assert 20 < windows["max"][0] < 40
     assert 100 < windows["max"][1] < 150
     assert windows["mean"][1] < windows["max"][1]
+    for one in (Volume(np.where(CORE, 1, 0)), Volume(np.where(Z + Y + X == 0, 0, 1)), Volume(np.where(Z + Y + X == 0, 1, 0))):
+        assert all(0 <= black < white <= 1 for black, white in window_of(one).values())
     assert window_of(Volume(np.ones((3, 3, 3)))) == dict.fromkeys(("max", "min", "mean"), (1.0, 1.0))

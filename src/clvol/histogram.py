@@ -2,8 +2,8 @@
 
 A background that was masked out, cut off or never measured is one exact value that many samples have; it stands out from its
 neighbours in the histogram as no peak of measured values does. What differs from it is matter: to one side of it, or, as in
-statistical maps, to both. Where there is no such value, the background is the lower of the two classes in which Otsu's
-threshold (1979) parts the values.
+statistical maps, to both. Where there is no such value, the background is one of the two classes in which Otsu's
+threshold (1979) parts the values: the lower, unless nearly all that lies on the volume's faces is of the upper.
 """
 
 from __future__ import annotations
@@ -34,7 +34,9 @@ _COMMON = 0.05  # share of the samples from which a value may be a background ..
 _STANDS_OUT = 4.0  # ... if so many times as many have it as have either of the next ones
 _SOME = 0.02  # share of what differs from the background that lies to either side, at least, where data are signed
 _AS_FAR = 0.25  # and the median distance there, over that to the other side
-_NEAR = 0.4  # share of values without an exact background that lie within a quarter of how far they reach, at least
+_OFF = 0.15  # of how far values reach: where their median may be, at most, if they are signed and have no exact background
+_NEAR = 0.4  # share of them that lie within a quarter of that, at least
+_MOST, _NEARLY_ALL = 0.6, 0.95  # shares of all samples and of those on the faces that a bright background without exact value has
 _STEP = 0.05  # of the distance of the brightest: from there on, a gap beside the background is a mask's
 _LEVELS = 4.0  # and so many times the usual distance of neighbouring values
 _EVEN = 0.25  # of the distance from the background: a spread within which an object is one even value
@@ -48,7 +50,9 @@ _BRIGHT = 0.98  # ... and of those that are not, share that it shows no more tha
 _LIT = 0.02  # of the way from black to the brightest, but for a thousandth and a few
 _FEW = 8
 _GREY = 0.65  # of the way from black to white: what the median of those that are lit should not exceed ...
-_DIMMEST = 0.05  # ... while black is no more than this quantile of them
+_DIMMEST = 0.05  # ... while black is no more than this quantile of them ...
+_HALF = 0.5  # ... and takes no more than so much of the window
+_COUNTED = 1 << 24  # labels that are counted one by one: sorting all samples takes far longer
 _COLUMNS_OF = 1 << 22  # voxels that projections are made of
 
 
@@ -128,7 +132,8 @@ def matter_of(volume: Volume) -> Matter:
     signed = _both_sides(values, ground) if ground is not None else _about_zero(values)
     origin, sign = (0.0 if ground is None else ground), 1
     if not signed and ground is None:
-        origin = _quantile(values, _ENDS)
+        dark = _dark_in_bright(values, _faces(volume, exponent)) and not -32768 <= low <= -50  # as CT has it
+        origin, sign = (_quantile(values, 1 - _ENDS), -1) if dark else (_quantile(values, _ENDS), 1)
     elif not signed:
         sign = 1 if _quantile(values, 0.995) - origin >= origin - _quantile(values, 0.005) else -1
     away = np.abs(values - origin) if signed else np.maximum(sign * (values - origin), 0)
@@ -162,9 +167,17 @@ def isovalue_of(volume: Volume | ArrayLike) -> tuple[float, str]:
 @_remembered
 def label_numbers(volume: Volume) -> tuple[float, Array]:
     """The label of the background, 0 where there is one, else the commonest; and all labels, in ascending order."""
-    numbers, counts = np.unique(volume.data, return_counts=True)
+    low, high = (int(v) for v in volume.value_range)
+    if volume.data.dtype.kind in "iu" and high - low < _COUNTED:
+        counts = np.zeros(high - low + 1, np.int64)
+        for part in volume.data:  # no copy of all in wide integers
+            counts += np.bincount((part.astype(np.int64) - low).ravel(), minlength=counts.size)
+        numbers = np.flatnonzero(counts).astype(np.float64) + low
+        counts = counts[counts > 0]
+    else:
+        numbers, counts = np.unique(np.round(volume.data[np.isfinite(volume.data)].astype(np.float64)), return_counts=True)
     background = 0.0 if (numbers == 0).any() else float(numbers[int(counts.argmax())])
-    return background, numbers.astype(np.float64)
+    return background, numbers
 
 
 @_remembered
@@ -181,9 +194,12 @@ def window_of(volume: Volume) -> dict[Projection, tuple[float, float]]:
     found: dict[Projection, tuple[float, float]] = {}
     ways: dict[Projection, Callable[..., Array]] = {"max": np.max, "min": np.min, "mean": np.mean}
     for name, way in ways.items():
-        ends = _window(np.sort(np.concatenate([way(samples, axis=axis).ravel() for axis in range(volume.ndim)])))
+        columns = np.concatenate([way(samples, axis=axis).ravel() for axis in range(volume.ndim)])
+        ends = _window(np.sort(columns), high=name == "max")
         if ends[1] - ends[0] <= _STEP * (usual[1] - usual[0]):
             ends = usual
+        if not ends[0] < ends[1]:  # nearly all is one value
+            ends = bottom, float(scaled(high, exponent))
         found[name] = unscaled(ends[0], exponent), unscaled(ends[1], exponent)
     return found
 
@@ -257,6 +273,18 @@ def _ground(volume: Volume, distinct: Array, counts: NDArray[np.int64], exponent
     return best
 
 
+def _faces(volume: Volume, exponent: int) -> Array:
+    """Samples on the faces of the volume."""
+    ends = [volume.data.take(end, axis).ravel() for axis in range(volume.ndim) for end in (0, -1)]
+    return scaled(np.concatenate(ends), exponent)
+
+
+def _dark_in_bright(values: Array, faces: Array) -> bool:
+    """Whether the upper of two classes of sorted values is the background, as of stained matter seen in transmitted light."""
+    threshold = _otsu(values)[0]
+    return bool((values > threshold).mean() >= _MOST and (faces > threshold).mean() >= _NEARLY_ALL)
+
+
 def _of_air(values: Array, ground: float) -> bool:
     """Whether the values are those of computed tomography with air, and the ground lies below air, where nothing was measured."""
     air, none = (((values >= a) & (values <= b)).mean() for a, b in (_AIR, _NO_MATTER))
@@ -281,7 +309,7 @@ def _about_zero(values: Array) -> bool:
     """Whether sorted values lie about 0, the more the nearer, to both sides and nearly as far."""
     low, high = _quantile(values, 0.005), _quantile(values, 0.995)
     far = max(-low, high)
-    if low >= 0 or high <= 0 or min(-low, high) < far / 2 or abs(_quantile(values, 0.5)) > 0.1 * far:
+    if low >= 0 or high <= 0 or min(-low, high) < far / 2 or abs(_quantile(values, 0.5)) > _OFF * far:
         return False
     counts, _ = np.histogram(values, 8, (-far, far))
     down, up = counts[3::-1], counts[4:]
@@ -320,16 +348,18 @@ def _otsu(distances: Array) -> tuple[float, float]:
     return low + (high - low) * float(edges[1:][best].mean()), float(between.max()) / total
 
 
-def _window(values: Array) -> tuple[float, float]:
-    """Black and white for sorted values."""
+def _window(values: Array, *, high: bool = False) -> tuple[float, float]:
+    """Black and white for sorted values; for those of which most are high, as maxima are, black may be raised."""
     black = _quantile(values, _DIM)
     brightest = float(values[max(min(round(0.999 * values.size), values.size - 1 - _FEW), values.size // 2)])
     lit = values[np.searchsorted(values, black + _LIT * (brightest - black), side="right") :]
     if not lit.size:
         return black, float(values[-1])
     white = _quantile(lit, _BRIGHT)
+    if not high:
+        return black, white
     grey = (_quantile(lit, 0.5) - _GREY * white) / (1 - _GREY)  # black, if the median is to be there
-    return max(black, min(grey, _quantile(lit, _DIMMEST))), white
+    return max(black, min(grey, _quantile(lit, _DIMMEST), black + _HALF * (white - black))), white
 
 
 def _quantile(values: Array, share: float) -> float:

@@ -6,19 +6,21 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from clvol.checks import number, reals
 from clvol.errors import OptionError
 from clvol.mode import Mode, as_mode
+from clvol.palette import unit_of
 from clvol.preset import as_preset
 from clvol.transfer import TransferFunction
-from clvol.volume import Volume
+from clvol.volume import Volume, as_volume
 
 __all__ = ["look"]
 
 
 def look(
-    volume: Volume,
+    volume: Volume | ArrayLike,
     mode: str | Mode | type[Mode],
     *,
     preset: str | None = None,
@@ -30,7 +32,7 @@ def look(
 
     Parameters
     ----------
-    volume : Volume
+    volume : Volume or array-like
     mode : str, Mode or class of Mode
     preset : str, optional
         The name of a row of `clvol.presets`: colours and opacities for one kind of data. Projections show its
@@ -53,13 +55,14 @@ def look(
     ClvolWarning
         The preset is in Hounsfield units, and the data cannot be.
     """
+    volume = as_volume(volume)
     chosen, ends = as_mode(mode), None if window is None else _ends(window)
     if preset is None:
         transfer = chosen.transfer(volume) if ends is None else chosen.windowed(volume, ends)
     else:
         row = as_preset(preset)
         if chosen.shows == "matter" or row.unit == "labels":
-            transfer = TransferFunction(*row.points(volume, ends))
+            transfer = TransferFunction(*row.points(volume, ends), unit_of(volume))
         elif chosen.shows == "mean" and row.unit == "matter":  # means reach no such values
             transfer = chosen.windowed(volume, ends)
         else:

@@ -21,7 +21,7 @@ from clvol.color import color_of
 from clvol.errors import OptionError
 from clvol.filter import DEFAULT_FILTER, PICTURE_FILTER
 from clvol.histogram import Projection, isovalue_of, matter_of, window_of
-from clvol.palette import automatic, diverging
+from clvol.palette import diverging
 from clvol.scaling import share_of
 from clvol.stored import AS_THEY_ARE, Stored
 from clvol.transfer import TransferFunction
@@ -115,7 +115,7 @@ class Mode:
     def windowed(self, volume: Volume, window: tuple[float, float] | None) -> TransferFunction:
         """The same for values, with another window, (low, high), from black to white."""
         if self.shows == "matter":
-            return TransferFunction(*automatic(volume, window))
+            return TransferFunction.automatic(volume, window)
         low, high = window or (volume.window if self.shows != "mean" else None) or window_of(volume)[self.shows]
         matter = matter_of(volume)
         if matter.signed and window is None and self.shows == "mean":

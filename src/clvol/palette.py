@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from clvol.histogram import Matter, label_numbers, matter_of
 from clvol.volume import Volume
 
-__all__ = ["Color", "Colors", "Opacities", "automatic", "diverging", "label_color", "of_labels", "shades"]
+__all__ = ["Color", "Colors", "Opacities", "automatic", "diverging", "label_color", "of_labels", "shades", "unit_of"]
 
 Color: TypeAlias = tuple[float, float, float]
 Colors: TypeAlias = tuple[tuple[float, Color], ...]
@@ -27,6 +27,7 @@ _COLD: tuple[Color, ...] = ((0.14, 0.30, 0.82), (0.22, 0.54, 1.0), (0.42, 0.80, 
 _RISE = 0.15
 _OPACITIES = (0.0, 0.05, 0.30, 0.80)  # at the foot, where matter begins, at its middle and at its top
 _OF_SIGNED = (0.0, 0.12, 0.50, 0.90)  # what there is lies in few places
+_ACROSS = 110  # units of length at least, from corner to corner: as in a cube of 64 samples along each axis
 _GOLDEN = 0.6180339887498949  # of the circle of hues: neighbouring numbers lie far apart, and no two on one place
 _TONES = ((0.62, 0.98), (0.85, 0.85), (0.42, 0.92))  # saturation and value, in turn
 
@@ -65,6 +66,12 @@ def automatic(volume: Volume, window: tuple[float, float] | None = None) -> tupl
         colors += [(matter.value(d, side), c) for d, c in zip(places, own, strict=True)]
         opacities += [(matter.value(d, side), a) for d, a in zip((foot, start, middle, top), rise, strict=True)]
     return tuple(sorted(colors, key=_by_value)), tuple(sorted(opacities, key=_by_value))
+
+
+def unit_of(volume: Volume) -> float | None:
+    """The world length to which opacities refer: None, the mean spacing, or less where few samples would be too thin to be seen."""
+    unit = 2 * volume.radius / _ACROSS
+    return unit if unit < volume.mean_spacing else None
 
 
 def diverging(window: tuple[float, float], middle: float) -> Colors:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.checks import number, reals
 from clvol.color import color_of
 from clvol.errors import OptionError
-from clvol.palette import automatic
+from clvol.palette import automatic, unit_of
 from clvol.preset import as_preset
 from clvol.scaling import exponent_of, scaled, unscaled
 from clvol.stored import AS_THEY_ARE, Stored
@@ -119,7 +119,7 @@ class TransferFunction:
         return cls(ends if low < high else ends[1:], ((low, 1.0),))
 
     @classmethod
-    def automatic(cls, volume: Volume | ArrayLike) -> TransferFunction:
+    def automatic(cls, volume: Volume | ArrayLike, window: tuple[float, float] | None = None) -> TransferFunction:
         """One that shows the matter of most volumes, from the histogram.
 
         Background is not seen: neither an exact value that many samples have, such as that of what was masked out, nor what lies
@@ -127,9 +127,10 @@ class TransferFunction:
         brightest values. Colours run from dark red over bone to white; they are shades of the volume's own `color`, if it has
         one. Where values lie to both sides of the background, as in statistical maps, it rises to both, in red and yellow above
         and blue below. A `window` of the volume's is where opacity and colours reach their ends, as far as that shows no
-        background.
+        background; `window`, (low, high), instead of it is where they begin and end.
         """
-        return cls(*automatic(as_volume(volume)))
+        volume = as_volume(volume)
+        return cls(*automatic(volume, window), unit_of(volume))
 
     @classmethod
     def preset(cls, name: str, volume: Volume | ArrayLike) -> TransferFunction:
@@ -145,7 +146,8 @@ class TransferFunction:
         ClvolWarning
             It is in Hounsfield units, and the data cannot be: then it is spread over what stands out from their background.
         """
-        return cls(*as_preset(name).points(as_volume(volume)))
+        volume = as_volume(volume)
+        return cls(*as_preset(name).points(volume), unit_of(volume))
 
     @cached_property
     def value_range(self) -> tuple[float, float]:
