@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import math
 import mmap
 import os
@@ -299,9 +300,16 @@ class Device:
         length = (before + sum(reach for reach in reaches if reach > 0)) // width + 1
         lowest = array[tuple(slice(-1, None) if reach < 0 else slice(0, 1) for reach in reaches)]
         span = np.lib.stride_tricks.as_strided(lowest, (length,), (width,))
+        # Intel's runtime copies memory that does not begin where its vectors may; what lies before, on the same page, is lent too
+        more = lowest.ctypes.data % (self.handle.mem_base_addr_align // 8)
+        if write or not self.shares_memory or more % width:
+            more = 0
+        if more:
+            memory = (ctypes.c_byte * (more + span.nbytes)).from_address(lowest.ctypes.data - more)
+            span = np.frombuffer(memory, array.dtype)
         with self.lent(span, write=write) as buffer:
             strides = [stride // width for stride in array.strides[::-1]]
-            yield buffer, np.int64(before // width), np.array([*strides, 0], np.int64)
+            yield buffer, np.int64((more + before) // width), np.array([*strides, 0], np.int64)
 
     def image_of(self, buffer: Any, shape: tuple[int, int, int]) -> Any:
         """A float image with the first numbers of `buffer`, of shape (z, y, x)."""

@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         command = " ".join(("clvol", *(error.command_chain or ())))
         _fail(f"{one_line(error).rstrip('.')}; see '{command} --help'", 2)
     except ClvolError as error:
-        _fail(in_the_shell(one_line(error), given), 1)
+        _fail(in_the_shell(error, given), 1)
     except MemoryError as error:
         _fail(f"out of memory: {one_line(error)}", 1)
     except BrokenPipeError:  # whoever read our output has seen enough
@@ -61,7 +61,7 @@ def _note_of(given: Sequence[str], otherwise: Any) -> Any:
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
         if issubclass(category, ClvolWarning):
-            print(f"clvol: note: {in_the_shell(' '.join(str(message).split()), given)}", file=sys.stderr)
+            print(f"clvol: note: {in_the_shell(message, given)}", file=sys.stderr)
         else:
             otherwise(message, category, *where, **more)
 

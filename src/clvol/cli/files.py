@@ -17,7 +17,7 @@ from clvol.cli.root import DATA, command
 from clvol.cli.speech import print_json, progress, range_text, require_writable, say, table
 from clvol.errors import ClvolWarning, DataError, OptionError
 from clvol.formats import WRITTEN, series_of
-from clvol.mode import Isosurface
+from clvol.histogram import isovalue_of
 from clvol.smoothing import choose
 from clvol.volume import SPACES
 from clvol.volumes import Leading
@@ -36,12 +36,12 @@ def info(source: Source, /, *, input: Input | None = None, json: Json = False) -
     reader = input or Input()
     images = () if reader.chooses() or str(source).startswith("phantom:") else series_of(source)
     if len(images) > 1:
-        rows = [[image.id, display.numbers(image.shape), image.text] for image in images]
+        rows = [[str(n), image.id, display.numbers(image.shape), image.text] for n, image in enumerate(images)]
         if json:
             print_json({"series": [{"id": i.id, "shape": list(i.shape), "text": i.text} for i in images]})
         else:
             print(f"{source} holds {len(images)} images; choose one by --series")
-            table(["series", "samples", "what it is"], rows)
+            table(["number", "series", "samples", "what it is"], rows)
         return
     leading = reader.leading(source)
     with warnings.catch_warnings():
@@ -58,11 +58,10 @@ def _listed(volume: clvol.Volume, leading: Leading, as_json: bool) -> dict[str, 
     except DataError:  # nothing is finite
         value_range = None
     noise = volume.noise if finite else None
-    chosen = choose(volume) if finite and not volume.is_labels else None
-    surface = Isosurface().settled(volume).isovalue if finite and volume.ndim == 3 and not volume.is_labels else None
-    return {
-        "holds": _places(leading) if as_json else str(leading) if leading.total > 1 else "",
-        "channels": "" if as_json else _channels(leading),
+    chosen = choose(volume) if finite else None
+    isovalue, why = isovalue_of(volume) if finite else (None, "")
+    held = {"holds": _places(leading)} if as_json else {"holds": _several(leading), "channels": _channels(leading)}
+    return held | {
         "name": volume.name,
         "shape": list(volume.shape),
         "dtype": str(volume.data.dtype),
@@ -80,30 +79,35 @@ def _listed(volume: clvol.Volume, leading: Leading, as_json: bool) -> dict[str, 
         "sigma": noise.sigma if noise else None,
         "smoothing": list(chosen.values) if chosen else None,
         "reason": chosen.reason if chosen else "",
-        "isovalue": surface,
+        "isovalue": isovalue if as_json or isovalue is None else f"{isovalue:.6g}, {why}",
+        "isovalue_reason": why if as_json else "",
         "header": {name: _plain(value) for name, value in volume.header.items()} if as_json else _header_text(volume.header),
     }
 
 
-def _places(leading: Leading) -> dict[str, list[dict[str, Any]]]:
-    """For programs: each place along each axis, with its name, and the colour and window of channels."""
-    found = {}
-    for axis, count in zip(leading.axes, leading.counts, strict=True):
-        names = leading.names.get(axis, ("",) * count)
-        found[axis] = [
-            {"number": n, "name": names[n]}
-            | ({"color": leading.colors[n]} if axis == "channel" and leading.colors else {})
-            | ({"window": leading.windows[n]} if axis == "channel" and leading.windows else {})
-            for n in range(count)
-        ]
+def _places(leading: Leading) -> dict[str, Any]:
+    """For programs: how many places there are along each axis; of channels and those with names, what is known of each."""
+    found: dict[str, Any] = dict(zip(leading.axes, leading.counts, strict=True))
+    for axis, count in found.items():
+        known: dict[str, Any] = {"name": leading.names[axis]} if axis in leading.names else {}
+        if axis == "channel":
+            known |= {"color": leading.colors} if leading.colors else {}
+            known |= {"window": leading.windows} if leading.windows else {}
+        if known:
+            found[axis] = [{key: values[n] for key, values in known.items()} for n in range(count)]
     return found
+
+
+def _several(leading: Leading) -> str:
+    return str(leading) if leading.total > 1 else ""
 
 
 def _channels(leading: Leading) -> str:
     """For people: the channels, with their names and colours."""
-    rows = _places(leading).get("channel", [])
-    colors = [f", #{''.join(f'{round(255 * c):02x}' for c in row['color'])}" if row.get("color") else "" for row in rows]
-    return "; ".join(f"{row['number']} {row['name']}".strip() + color for row, color in zip(rows, colors, strict=True))
+    names = leading.names.get("channel", ())
+    colors = leading.colors or (None,) * len(names)
+    codes = ["" if color is None else f", #{''.join(f'{round(255 * c):02x}' for c in color)}" for color in colors]
+    return "; ".join(f"{n} {name}{code}" for n, (name, code) in enumerate(zip(names, codes, strict=False)))
 
 
 def _space_text(space: str) -> str:

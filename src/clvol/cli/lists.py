@@ -81,7 +81,7 @@ def completion(shell: Annotated[Literal["bash", "zsh", "fish"], Parameter(help="
 
     bash: clvol completion bash > ~/.local/share/bash-completion/completions/clvol
 
-    zsh: clvol completion zsh > a folder of $fpath, as the file _clvol
+    zsh: clvol completion zsh > FOLDER/_cyclopts_clvol, where FOLDER is one of $fpath
 
     fish: clvol completion fish > ~/.config/fish/completions/clvol.fish
 

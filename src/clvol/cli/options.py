@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, make_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -66,8 +66,15 @@ def _whole_or(word: str) -> Callable[[object, Sequence[Token]], int | str]:
 # -- what the Tab key offers ---------------------------------------------------------------------------------
 
 
-def _any_of(names: Callable[[], Iterable[str]]) -> Callable[[object], list[str]]:
-    return lambda _: list(names())
+def _any_of(names: Callable[[], Mapping[str, Any] | Iterable[str]]) -> Callable[[object], dict[str, str]]:
+    """Names, each with what it stands for, where it says so."""
+
+    def offered(_: object) -> dict[str, str]:
+        found = names()
+        rows: Mapping[str, Any] = found if isinstance(found, Mapping) else dict.fromkeys(found)
+        return {name: getattr(row, "description", "") for name, row in rows.items()}
+
+    return offered
 
 
 def _filter_names() -> list[str]:
@@ -85,7 +92,7 @@ def _color_maps() -> list[str]:
 def _figure_names() -> Iterable[str]:
     from clvol import figures
 
-    return figures.FIGURES
+    return list(figures.FIGURES)
 
 
 # -- how INPUT is read ---------------------------------------------------------------------------------------
@@ -206,7 +213,7 @@ class Look:
         Parameter(help="Colour map by name, instead of the automatic colours; opacities stay.", completer=_any_of(_color_maps)),
     ] = None
     value_range: Annotated[
-        tuple[float, float] | None, Parameter(help="The window by its ends: the values that the colour map spans.")
+        tuple[float, float] | None, Parameter(help="Values that the colour map spans, grey without --cmap; opacities stay.")
     ] = None
     opacity: Annotated[
         tuple[float, ...] | None,
@@ -260,15 +267,13 @@ class Look:
 
     def _transfer(self, volume: clvol.Volume) -> clvol.TransferFunction | None:
         """What is asked for, or None: the mode's own."""
-        window = self.window
-        if self.value_range is not None:
-            if window is not None:
-                raise OptionError("give --window or --value-range, its ends; got both")
-            low, high = self.value_range
-            window = (low / 2 + high / 2, high - low)
-        if (self.preset, window, self.cmap, self.opacity) == (None, None, None, None):
-            return None
-        return look_of(volume, self.mode, preset=self.preset, window=window, cmap=self.cmap, opacity=self._opacity())
+        if self.value_range is None:
+            if (self.preset, self.window, self.cmap, self.opacity) == (None, None, None, None):
+                return None
+            return look_of(volume, self.mode, preset=self.preset, window=self.window, cmap=self.cmap, opacity=self._opacity())
+        spread = clvol.TransferFunction.from_cmap(self.cmap or "gray", self.value_range)
+        look = look_of(volume, self.mode, preset=self.preset, window=self.window, opacity=self._opacity())
+        return replace(look, colors=spread.colors)
 
     def _opacity(self) -> float | tuple[tuple[float, float], ...] | None:
         if self.opacity is None or len(self.opacity) == 1:

@@ -103,7 +103,7 @@ def table(header: list[str], rows: list[list[str]]) -> None:
     columns = list(zip(*cells, strict=True))
     widths = [max(map(len, column)) for column in columns]
     words = [max((len(word) for cell in column for word in cell.split()), default=0) for column in columns]
-    room = shutil.get_terminal_size().columns if sys.stdout.isatty() else math.inf
+    whole = room = shutil.get_terminal_size().columns if sys.stdout.isatty() else math.inf
     gap = 2 if sum(words) + 2 * (len(words) - 1) <= room else 1
     room -= gap * (len(words) - 1)
     while sum(widths) > room and widths != words:  # the column that has most to give
@@ -111,7 +111,9 @@ def table(header: list[str], rows: list[list[str]]) -> None:
         widths[spare.index(max(spare))] -= 1
     if sum(widths) > room:
         for first, *others in rows:
-            print(f"{header[0]} {first}", *(f"  {name}: {cell}" for name, cell in zip(header[1:], others, strict=True)), sep="\n")
+            lines = [f"  {name}: {cell}" for name, cell in zip(header[1:], others, strict=True) if cell]
+            folded = [textwrap.fill(line, int(whole), subsequent_indent="    ", break_on_hyphens=False) for line in lines]
+            print(f"{header[0]} {first}", *folded, sep="\n")
         return
     for row in cells:
         folded = [textwrap.wrap(cell, width, break_on_hyphens=False) for cell, width in zip(row, widths, strict=True)]
@@ -119,5 +121,5 @@ def table(header: list[str], rows: list[list[str]]) -> None:
             print((" " * gap).join(part.ljust(width) for part, width in zip(line, widths, strict=True)).rstrip())
 
 
-def one_line(error: BaseException) -> str:
+def one_line(error: BaseException | str) -> str:
     return " ".join(str(error).split()) or type(error).__name__

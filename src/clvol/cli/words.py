@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from cyclopts import CycloptsError
 
 from clvol.cli.root import app
+from clvol.cli.speech import one_line
+from clvol.errors import DataError
 
 __all__ = ["in_the_shell"]
 
@@ -16,23 +18,26 @@ _PHRASES = (
     (r": choose by ([a-z= ]+), or read all by clvol\.read_all", r": choose by \1"),
     (r"clvol\.resample\(\.\.\., like=\)", "clvol resample --like"),
     (r"shape=\(nz, ny, nx\)", "--shape NZ NY NX"),
+    (r"window=\(center, width\)", "--window CENTER WIDTH"),
 )
 """Advice that is a call in Python."""
 
 
-def in_the_shell(message: str, given: Sequence[str]) -> str:
-    """A message of clvol in the words of the command line that brought it about.
+def in_the_shell(told: Exception | str, given: Sequence[str]) -> str:
+    """What an error or a warning of clvol says, on one line, in the words of the command line that brought it about.
 
     Advice to call something names the option instead; options of the command that are named as Python's arguments are (``series=``,
     or "step must be ...") get the name that they have here.
     """
+    message = one_line(told)
     for phrase, words in _PHRASES:
         message = re.sub(phrase, words, message)
     flags = _flags(given)
     if not flags:
         return message
     names = "|".join(map(re.escape, flags))
-    message = re.sub(rf"^({names})(?= (?:must|is no option|is only)\b)", lambda m: flags[m[1]], message)
+    if not isinstance(told, DataError):  # whose "samples must be finite" are those of the file
+        message = re.sub(rf"^({names})(?= (?:must|is no option|is only)\b)", lambda m: flags[m[1]], message)
     message = re.sub(rf"(?<![\w.-])({names})=(?=[\w(\"'\[])", lambda m: f"{flags[m[1]]} ", message)
     return re.sub(rf"(?<![\w.-])({names})=", lambda m: flags[m[1]], message)
 
