@@ -28,6 +28,7 @@ Bools: TypeAlias = NDArray[np.bool_]
 _SAMPLES = 64  # along each axis
 _FAINT = 0.02  # of the largest opacity: what has less shows hardly
 _DARK = 0.05  # of the brightest colour, likewise
+_BESIDE = 1e-6  # of the range of a transfer function's points
 _BLOCK = 8  # of the samples that are looked at, along each edge
 _SPECKS = 4, 16  # in a block, of matter and of surfaces: fewer are noise
 _MARGIN = 1.04
@@ -136,7 +137,9 @@ def _crossed(above: Bools) -> Bools:
 
 def _shown(values: NDArray[Any], mode: Mode, transfer: TransferFunction) -> Bools:
     """The values that a mode shows by a transfer function, taken as linear between all its points."""
-    at = np.unique([point[0] for point in (*transfer.colors, *transfer.opacities)])
+    points = np.unique([point[0] for point in (*transfer.colors, *transfer.opacities)])
+    beside = max(_BESIDE * (points[-1] / 2 - points[0] / 2), 4 * float(np.spacing(np.abs(points).max())))  # it may jump at a point
+    at = np.unique([points - beside, points, points + beside])
     shades = transfer(at)
     matter = mode.shows == "matter"
     weight = shades[:, 3] if matter else shades[:, :3].max(1) * shades[:, 3]

@@ -117,7 +117,7 @@ def lights_block(lights: Sequence[Light], view: View) -> Values:
 HEADLIGHT = Light()
 
 KIT = (
-    Light((-0.45, 0.55, 0.75), (0.68, 0.68, 0.68), "camera"),
+    Light((-0.45, 0.55, 0.75), (0.67, 0.67, 0.67), "camera"),
     Light((0.6, -0.6, 0.5), (0.25, 0.25, 0.25), "camera"),
     Light(None, (0.35, 0.35, 0.35)),
 )

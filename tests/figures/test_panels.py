@@ -78,7 +78,7 @@ def test_the_exact_sinc_says_how_exact_it_is(drawn: tuple[list[Panel], np.ndarra
 
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
 def test_a_fixed_camera_sees_the_same_of_another_volume(projection: str) -> None:
-    camera = Camera.orbit(40, 30, zoom=1.7, projection=projection)  # type: ignore[arg-type]
+    camera = Camera.orbit(40, 30, zoom=1.7, projection=projection, fit="volume")  # type: ignore[arg-type]
     volume, other = phantoms.sphere(9), phantoms.sphere(33).crop((4, 0, 0), (20, 33, 30))
     wanted, got = camera.view(volume), fixed(camera, volume, other).view(other)
     for key in ("eye", "right", "up", "forward", "half_height"):
@@ -216,7 +216,7 @@ def test_compare_puts_panels_in_rows(device: Device, count: int, across: int, do
 
 
 def test_compare_draws_what_render_draws(device: Device) -> None:
-    volume, camera = phantoms.marschner_lobb(12), Camera.orbit(10, 40)
+    volume, camera = phantoms.marschner_lobb(12), Camera.orbit(10, 40, fit="volume")
     for options in ({}, {"mode": "mean"}, {"mode": "composite", "background": "white"}):
         panels, _ = compare(volume, ("mitchell", bspline(4)), 16, "wrap", camera=camera, device=device, **options)  # type: ignore[arg-type]
         for p in panels:

@@ -261,10 +261,10 @@ class Renderer:
             to either side, as many others do; with `hybrid` one voxel of the magnified grid, half of the volume's.
             `nearest` has no useful derivative and is always shaded by central differences.
         samples : int or "auto"
-            Rays a pixel, 1 to 4096. A single one goes through its middle. "auto": one, and two more in pixels on edges, which
-            differ from a neighbour by more than a tenth of full luminance; they are at most a twelfth of those that are not plain
-            background (on processors a 32nd, but for surfaces), which bounds what it costs. All other pixels are those of
-            ``samples=1`` to the last bit.
+            Rays a pixel, 1 to 4096. A single one goes through its middle. "auto": one, and in modes that light what they show two
+            more in pixels on edges, which differ from a neighbour by more than a tenth of full luminance; they are at most a
+            twelfth of those that are not plain background (on processors a 32nd, but for surfaces), which bounds what it costs.
+            All other pixels are those of ``samples=1`` to the last bit.
         pixel_filter : str or Filter
             What several rays sample: the picture under this filter of the table, which is as many pixels wide as it has taps.
             "linear" leaves half of the aliasing of "nearest", the pixel's own square, from 16 rays on, and two thirds with fewer,
@@ -348,6 +348,8 @@ class Renderer:
         pixel_filter = as_pixel_filter(pixel_filter)
         if samples != "auto":
             samples = whole("samples", samples, minimum=1, maximum=4096)
+        elif not chosen.shaded:
+            samples = 1
         field = self._field_of(chosen)
         uncertain = self._uncertain(field, chosen) if "uncertainty" in wanted else None
         way = choose_evaluator(self.device, field.filter, evaluator, fetch, bits=_BITS)
