@@ -53,7 +53,8 @@ class Volume:
         viewed, not copied, so the caller's array must not change afterwards: earlier results would
         no longer match it. `Volume.data` is read-only. A masked array may have no masked element.
         SimpleITK and nibabel images give their spacing, origin and direction too, in ITK's LPS frame and
-        in mm, and what else a NIfTI header says: see `window`, `labels` and `header`.
+        in mm, and what else a NIfTI header says: see `window`, `labels` and `header`. Arrays of xarray that
+        `to_xarray` made, and parts of these, give theirs.
     spacing : sequence of float, optional
         Distance between neighbouring samples along x, y(, z) in world units; default 1.
     origin : sequence of float, optional
@@ -254,8 +255,8 @@ class Volume:
     def to_xarray(self) -> Any:
         """A DataArray with dimensions z, y, x; it has coordinates in world units where the axes run along the world's.
 
-        Its attributes are "spacing", "origin" and "direction", (x, y, z), "world_units", "space", and "window" if there is one
-        (``pip install clvol[xarray]``).
+        Its attributes are "size", "spacing", "origin" and "direction", (x, y, z), "world_units", "space", and "window" if there
+        is one. ``Volume(array)`` comes back, also of a part with coordinates (``pip install clvol[xarray]``).
 
         Raises
         ------

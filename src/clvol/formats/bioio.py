@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from importlib import import_module
 from importlib.util import find_spec
@@ -89,8 +90,13 @@ def _opened(path: Path) -> Any:
     if missing:
         extra = "clvol[bioio]" if plugin == "bioio-czi" else f"clvol[bioio] {plugin}"
         raise MissingDependencyError(f"{suffix} files need bioio and its plug-in {plugin}: pip install {extra}")
+    logger = logging.getLogger("bioio.bio_image")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL + 1)  # what it logs is raised too
     try:
         return import_module("bioio").BioImage(path, reader=import_module(module).Reader)
     except Exception as error:
         reason = (str(error).strip().splitlines() or [type(error).__name__])[-1].strip(" -")
         raise FormatError(f"{path.name} is damaged or unusual, says {plugin}: {reason}") from error
+    finally:
+        logger.setLevel(level)
