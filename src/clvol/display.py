@@ -9,15 +9,16 @@ import base64
 import html
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.picture import to_png
 
-__all__ = ["beside", "curve", "facts", "image", "in_window", "numbers", "slices", "strip", "table", "text_table"]
+__all__ = ["Named", "beside", "curve", "facts", "image", "in_window", "numbers", "slices", "strip", "table", "text_table"]
 
+Row = TypeVar("Row")
 _SIDE = 160  # pixels of a slice's longer side
 _TAILS = (0.5, 99.5)  # percentiles of what slices show, where no window is known
 _WIDTH, _HEIGHT = 360, 120  # of curves
@@ -43,6 +44,22 @@ def text_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     lines = [tuple(header), *map(tuple, rows)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines)
+
+
+class Named(dict[str, Row]):
+    """Rows by name; shown, it is a table."""
+
+    HEADER: ClassVar[tuple[str, ...]]
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """One tuple of texts a row, in the order of `HEADER`."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        return text_table(self.HEADER, self.rows())
+
+    def _repr_html_(self) -> str:
+        return table(self.HEADER, self.rows())
 
 
 def facts(title: str, values: Mapping[str, str]) -> str:
