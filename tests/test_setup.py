@@ -61,6 +61,7 @@ def test_the_loader_finds_intels_runtime_beside_all_others(runtime: Path, tmp_pa
     # in the environment lies what Intel's wheel brings, which names a folder that is not here
     vendors(tmp_path / "env/etc/OpenCL/vendors", cpu="/opt/nowhere/lib/libintelocl.so\n")
     given = vendors(tmp_path / "given", b=f"{tmp_path}/gpu.so\n", a="libnvidia-opencl.so.1", gone="/opt/nowhere/lib/libgone.so")
+    (given / "link.icd").symlink_to(tmp_path / "nowhere")
     for folder, others in ((None, []), (given, ["libnvidia-opencl.so.1", f"{tmp_path}/gpu.so"])):
         if folder:
             monkeypatch.setenv("OCL_ICD_VENDORS", str(folder))

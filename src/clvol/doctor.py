@@ -21,8 +21,11 @@ from clvol.opencl import INSTALL
 __all__ = ["Check", "extras", "opencl"]
 
 _USES = {
-    "medical": "NRRD, MetaImage, DICOM, writing NIfTI",
-    "microscopy": "TIFF stacks",
+    "medical": "DICOM, NRRD, MetaImage, NIfTI",
+    "microscopy": "TIFF stacks, Zarr",
+    "hdf5": "HDF5 and its kin",
+    "vtk": "VTK's files",
+    "bioio": "files of microscopes' makers",
     "figures": "figures and reports",
     "xarray": "labelled arrays",
     "torch": "gradients of tensors",
