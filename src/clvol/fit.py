@@ -117,8 +117,8 @@ def _sphere(volume: Volume, mode: Mode, transfer: TransferFunction, clip: Box | 
     center = outer.mean(0)
     for i in range(1, _STEPS):  # Badoiu and Clarkson, 2003
         center += (outer[((outer - center) ** 2).sum(1).argmax()] - center) / (i + 1)
-    radius = math.sqrt(float(((points - center) ** 2).sum(1).max())) + float(np.linalg.norm(matrix, axis=0).max()) / 2
-    radius *= _MARGIN * unit
+    beyond = 0.0 if surface else float(np.linalg.norm(matrix, axis=0).max()) / 2  # surfaces lie within the samples on both sides
+    radius = _MARGIN * unit * (math.sqrt(float(((points - center) ** 2).sum(1).max())) + beyond)
     if not radius < volume.radius:
         return whole
     return Sphere(tuple(map(float, volume.center + unit * center)), radius)  # type: ignore[arg-type]  # three

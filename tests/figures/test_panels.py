@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -229,7 +231,8 @@ def test_compare_draws_what_render_draws(device: Device) -> None:
 def test_compare_tells_the_smoothing_that_was_decided(device: Device) -> None:
     noisy = phantoms.sphere(24).data + np.random.default_rng(0).normal(0, 0.1, (24, 24, 24))
     names = ("bspline3", "bspline3(0.25)", "bspline3(auto)")
-    panels, sheet = compare(noisy, names, 40, device=device, mode="isosurface", isovalue=0.5)
+    look: dict[str, Any] = {"camera": Camera.orbit(fit="volume"), "mode": "isosurface", "isovalue": 0.5}
+    panels, sheet = compare(noisy, names, 40, device=device, **look)
     assert [p.filter for p in panels[:2]] == ["bspline3", "bspline3(0.25)"]
     assert panels[1].label == "B-spline, lambda = 0.25\n"
     decided = as_filter(panels[2].filter).smoothing
@@ -237,7 +240,7 @@ def test_compare_tells_the_smoothing_that_was_decided(device: Device) -> None:
     assert decided > 0.1
     assert sheet.shape[1] == 3 * 40 + 2 * 4
     # a smooth ball: the smoother one is nearer to what is drawn without noise
-    clean = compare(phantoms.sphere(24), names[:1], 40, device=device, mode="isosurface", isovalue=0.5)[0][0].picture
+    clean = compare(phantoms.sphere(24), names[:1], 40, device=device, **look)[0][0].picture
     far = [np.abs(p.picture - clean).mean() for p in panels]
     assert max(far[1:]) < 0.7 * far[0]
 

@@ -20,7 +20,7 @@ from clvol.camera import Camera
 from clvol.device import Device, Tile
 from clvol.errors import DeviceError
 from clvol.filter import as_filter, filters
-from clvol.light import Light, Material
+from clvol.light import HEADLIGHT, Light, Material
 from clvol.march.planes import Planes
 from clvol.march.renderer import OUTPUTS, Renderer
 from clvol.mode import modes
@@ -45,6 +45,7 @@ OPTIONS: dict[str, Any] = {
     "isovalue": 0.5,
     "termination": 0.0,
     "samples": 1,
+    "lights": HEADLIGHT,  # continuous where normals turn over; others are tested below
 }
 MODES = list(modes())
 
