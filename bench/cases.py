@@ -229,12 +229,15 @@ class Bench:
         size = (64, 64) if self.quick else (256, 256)
         radius = float(np.linalg.norm(renderer.volume.corners[0] - renderer.volume.center))
         zoom = 2 * radius / (spacing * size[1])
-        cameras = [clvol.Camera.orbit(a, e, projection="orthographic", zoom=zoom) for a, e in TURNS]
+        cameras = [clvol.Camera.orbit(a, e, projection="orthographic", zoom=zoom, fit="volume") for a, e in TURNS]
         fog = clvol.TransferFunction(((0.0, (0.3, 0.2, 0.1)), (2000.0, (1.0, 1.0, 1.0))), ((0.0, 1e-4),), 1.0)
         mode = "composite" if shaded else "mean"
 
         def ours() -> Array:
-            frames = [renderer.render(camera, mode, size, 0.5, transfer=fog, skipping=False) for camera in cameras]
+            frames = [
+                renderer.render(camera, mode, size, 0.5, transfer=fog, lights=clvol.Light(), samples=1, skipping=False)
+                for camera in cameras
+            ]
             return np.stack(frames)
 
         def by_rays() -> Array:
@@ -334,7 +337,7 @@ def all_cases(bench: Bench) -> Iterator[Case]:
 
 
 def camera() -> clvol.Camera:
-    return clvol.Camera.orbit(30, 15, zoom=1.8)
+    return clvol.Camera.orbit(30, 15, zoom=1.8, fit="volume")
 
 
 def shots(bench: Bench) -> dict[str, Callable[[], Shot]]:
@@ -360,6 +363,7 @@ def draw(renderer: clvol.Renderer, shot: Shot, **options: Any) -> Array:
     """Our side of a `Shot`; `options` are the mode's."""
     if shot.mode == "isosurface":
         options |= {"isovalue": shot.isovalue, "color": shot.color}
+    options |= {"lights": clvol.Light(), "samples": 1}  # as others draw
     return np.asarray(renderer.render(shot.camera, shot.mode, shot.size, shot.step, transfer=shot.transfer, **options))
 
 

@@ -113,14 +113,14 @@ SCENES: dict[str, Callable[[], Surface]] = {
 def _cameras(volume: clvol.Volume, rng: np.random.Generator) -> Iterator[Camera]:
     """Along the axes through samples and faces of cells, from outside, and from inside."""
     for azimuth, zoom in ((0.0, 1.0), (90.0, 1.7), (180.0, 1.0)):
-        yield Camera.orbit(azimuth, 0, projection="orthographic", zoom=zoom)
+        yield Camera.orbit(azimuth, 0, projection="orthographic", zoom=zoom, fit="volume")
     size = np.asarray(volume.spacing) * np.asarray(volume.size)
     for kind in itertools.cycle(range(3)):
         azimuth, elevation = rng.uniform(0, 360), rng.uniform(-85, 85)
         if kind == 0:
-            yield Camera.orbit(azimuth, elevation, zoom=rng.uniform(0.8, 4))
+            yield Camera.orbit(azimuth, elevation, zoom=rng.uniform(0.8, 4), fit="volume")
         elif kind == 1:
-            yield Camera.orbit(azimuth, elevation, projection="orthographic", zoom=rng.uniform(0.8, 3))
+            yield Camera.orbit(azimuth, elevation, projection="orthographic", zoom=rng.uniform(0.8, 3), fit="volume")
         else:
             eye = volume.center + (rng.random(3) - 0.5) * 0.8 * size
             yield Camera.look_at(eye, volume.center + rng.normal(size=3) * size)

@@ -70,7 +70,14 @@ def make() -> Arrays:
 
     def draw(name: str, filter: str, mode: str, tile: str | None = None, **options: Any) -> None:
         rule = next(rules)
-        options = {"camera": clvol.Camera.orbit(33, 21), "step": STEP, **OPTIONS[mode], **options}
+        options = {
+            "camera": clvol.Camera.orbit(33, 21, fit="volume"),
+            "step": STEP,
+            "lights": clvol.Light(),
+            "samples": 1,
+            **OPTIONS[mode],
+            **options,
+        }
         with device.limited(tile=TILES[tile] if tile else None):
             try:
                 made = clvol.render(block, mode=mode, filter=filter, boundary=rule, size=SIZE, outputs=OUTPUTS, **options)
@@ -98,7 +105,7 @@ def make() -> Arrays:
         for k, (azimuth, elevation) in enumerate(((100, 10), (20, -75), (200, 5), (-50, 40))):
             more = ({}, {"samples": 3}, {"clip": ((7.0, -2.0, 4.0), (14.0, 6.0, 15.0))}, {"step": 1.7})[k]
             camera = clvol.Camera.orbit(
-                azimuth, elevation, projection=("perspective", "orthographic")[k % 2], fov=(30, 30, 110, 30)[k]
+                azimuth, elevation, projection=("perspective", "orthographic")[k % 2], fov=(30, 30, 110, 30)[k], fit="volume"
             )
             draw(f"{mode}, bspline3, {tile}, view {k}", "bspline3", mode, tile, **{"camera": camera, **more})
     light = clvol.Light((0.3, -1.0, 0.5), (0.9, 0.8, 0.4))
@@ -128,7 +135,8 @@ def make() -> Arrays:
     for shape in ((1, 1, 1), (1, 9, 9), (2, 1, 40), (40, 3, 2)):
         small = np.random.default_rng(5).random(shape).astype(np.float32)
         for mode in modes:
-            options: dict[str, Any] = {"isovalue": 0.5} if mode == "isosurface" else {}
+            options: dict[str, Any] = {"camera": clvol.Camera.orbit(fit="volume"), "lights": clvol.Light(), "samples": 1}
+            options |= {"isovalue": 0.5} if mode == "isosurface" else {}
             made = clvol.render(small, mode=mode, size=SIZE, outputs=OUTPUTS, **options)
             arrays.update({f"{mode}, shape {shape}, {output}": made[output] for output in OUTPUTS})
     large = np.random.default_rng(6).random((130, 128, 129)).astype(np.float32)

@@ -127,10 +127,12 @@ def test_aims_are_compared_with_what_was_measured(aim: ndimage.Aim, reached: boo
 
 def test_samples_on_a_lattice_are_counted() -> None:
     volume = clvol.Volume(np.zeros((32, 32, 32), np.float32))
-    straight = clvol.Camera.orbit(0, 0, projection="orthographic", zoom=4)  # all rays hit, 64 samples each at a step of 1/2
+    straight = clvol.Camera.orbit(
+        0, 0, projection="orthographic", zoom=4, fit="volume"
+    )  # all rays hit, 64 samples each at a step of 1/2
     assert cases.samples_on_lattice(volume, straight, (16, 16), 0.5) == pytest.approx(16 * 16 * 64)
     # of as many as the volume holds: parallel rays, one a unit square
-    oblique = clvol.Camera.orbit(20, 10, projection="orthographic")
+    oblique = clvol.Camera.orbit(20, 10, projection="orthographic", fit="volume")
     radius = np.linalg.norm(volume.corners[0] - volume.center)
     pixels = 256
     planes = Planes(volume, oblique.view(volume), 1.0, 1.0)

@@ -69,11 +69,38 @@ def test_a_marked_corner_appears_where_it_should(
 ) -> None:
     data = np.zeros((10, 10, 10), np.float32)
     data[corner[::-1]] = 1
-    camera = Camera.orbit(azimuth, elevation, projection=projection)
+    camera = Camera.orbit(azimuth, elevation, projection=projection, fit="volume")
     picture = render(data, camera, "mip", "nearest", size=(40, 40), transfer=TransferFunction.ramp((0, 1)), device=device)[..., 0]
     down, right = np.argwhere(picture > 0.5).mean(0)
     assert ("bottom" if down > 20 else "top") == where.split()[0]
     assert ("right" if right > 20 else "left") == where.split()[1]
+
+
+def test_a_stack_of_images_is_seen_as_viewers_of_images_show_it(device: Device) -> None:
+    """From above: as its array is printed, row 0 at the top and column 0 on the left, slice 0 nearest; what has no frame, z up."""
+    data = np.random.default_rng(0).integers(0, 255, (4, 8, 8)).astype(np.uint8)
+    above = Camera.orbit(0, 90, projection="orthographic", fit="volume", zoom=(8 * 8 + 4 * 4 + 8 * 8) ** 0.5 / 8)
+    options: dict[str, Any] = {"size": (8, 8), "transfer": TransferFunction.ramp((0, 255)), "device": device}
+    for space, shown in (("image", data.max(0)), ("", data.max(0)[::-1]), ("LPS", data.max(0)[::-1])):
+        volume = Volume(data, space=space)
+        np.testing.assert_allclose(render(volume, above, "mip", "nearest", **options)[..., 0], shown / 255, atol=1e-5)
+        assert (above.view(volume).eye[2] < 0) == (space == "image")
+
+
+@pytest.mark.parametrize(("azimuth", "elevation"), ANGLES)
+def test_other_views_of_a_stack_of_images_are_turned_about_x(azimuth: float, elevation: float) -> None:
+    stack = Volume(BOX.data, BOX.spacing, BOX.origin, space="image")
+    mine, plain = (Camera.orbit(azimuth, elevation).view(volume) for volume in (stack, BOX))
+    for name in ("right", "up", "forward"):
+        np.testing.assert_allclose(getattr(mine, name), getattr(plain, name) * [1, -1, -1], atol=1e-12)
+    explicit = Camera.look_at((30, 20, 60), (1, 2, 3))
+    np.testing.assert_array_equal(explicit.view(stack).up, explicit.view(BOX).up)
+
+
+def test_a_patient_is_seen_from_the_front() -> None:
+    """In LPS, x runs to the left hand and y to the back."""
+    view = Camera.orbit(0, 0).view(Volume(BOX.data, space="LPS"))
+    np.testing.assert_allclose([view.forward, view.right, view.up], [[0, 1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-12)
 
 
 def test_look_at_from_inside() -> None:

@@ -4,11 +4,13 @@ import contextlib
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from typing import Any, Self
@@ -20,6 +22,7 @@ import pytest
 import clvol
 from clvol import cli
 from clvol.device import Device
+from clvol.look import look
 
 pytestmark = pytest.mark.usefixtures("device", "_in_folder")
 SPHERE = "phantom:sphere:8"
@@ -183,7 +186,8 @@ def test_render_knows_every_mode(clvol_command: Command, mode: str) -> None:
 def test_opacity_takes_pairs_and_negative_values(clvol_command: Command) -> None:
     options = ("--opacity", "-1", "0", "0.5", "0.25", "--cmap", "viridis", "--value-range", "-1", "0.8", "--no-shading")
     assert clvol_command("render", SPHERE, "-o", "a.png", *SMALL, *options).code == 0
-    transfer = clvol.TransferFunction.from_cmap("viridis", (-1, 0.8), ((-1, 0), (0.5, 0.25)))
+    spread = clvol.TransferFunction.from_cmap("viridis", (-1, 0.8))
+    transfer = replace(look(clvol.phantoms.sphere(8), "composite", opacity=((-1, 0), (0.5, 0.25))), colors=spread.colors)
     picture = clvol.render(clvol.phantoms.sphere(8), size=(16, 12), transfer=transfer, shading=False)
     np.testing.assert_array_equal(iio.imread("a.png"), clvol.picture.to_bytes(picture)[..., :3])
     clvol_command("render", SPHERE, "-o", "b.png", "--opacity", "1", "0", "2").fails(1, "pairs", "got 3 numbers")
@@ -214,7 +218,7 @@ def test_render_writes_by_suffix(clvol_command: Command, suffix: str) -> None:
     [
         (("phantom:bogus",), ("phantom must be one of", "sphere", "'bogus'")),
         (("phantom:sphere:x",), ("size of a phantom", "'x'")),
-        ((SPHERE, "--shape", "1", "2", "3"), ("--shape and --dtype are for raw files",)),
+        ((SPHERE, "--shape", "1", "2", "3"), ("--shape is for files; give a phantom's size as phantom:NAME:SIZE",)),
         (("missing.npy",), ("missing.npy", "no such file")),
         (("folder",), ("folder",)),
         ((SPHERE, "--filter", "bogus"), ("filter must be one of", "bspline3", "'bogus'")),
@@ -248,7 +252,12 @@ def test_what_the_user_got_wrong_is_one_line(clvol_command: Command, options: tu
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("bogus",), ('"bogus"', "render", "'clvol --help'")),
+        (
+            ("bogus",),
+            ('"bogus"', "compare, completion, convert, devices, doctor, figure, filters, info", "resample: see 'clvol --help'"),
+        ),
+        (("rendr", SPHERE), ("(did you mean render?)",)),
+        (("completion", "csh"), ("bash", "fish")),
         (("render",), ("SOURCE", "'clvol render --help'")),
         (("render", SPHERE), ("--output",)),
         (("render", SPHERE, "-o", "a.png", "--bogus", "1"), ("--bogus",)),
@@ -262,6 +271,7 @@ def test_what_the_user_got_wrong_is_one_line(clvol_command: Command, options: tu
         (("render", SPHERE, "-o", "a.png", "--size", "16.5", "12"), ("--size", "16.5")),
         (("info",), ("SOURCE",)),
         (("figure6", "--pixels", "many"), ("--pixels",)),
+        (("resample", SPHERE, "-o", "a.npz", "--magnify", "2", "--nan", "bogus"), ("--nan", "propagate")),
         (("devices", "more"), ("more",)),
     ],
     ids=lambda x: " ".join(x) if isinstance(x, tuple) else None,
@@ -330,19 +340,27 @@ def test_info_tells_of_every_kind_of_file(clvol_command: Command, name: str) -> 
     clvol.write(volume, name)
     told = clvol_command("info", name, "--json").json
     assert told == {
+        "holds": {},
+        "name": "",
         "shape": [2, 3, 4],
         "dtype": "int16",
         "spacing": list(spacing),
         "origin": [0, 0, 0],
         "direction": np.eye(3).tolist(),
         "units": volume.units,
+        "space": clvol.read(name).space,
         "value_range": [0, 23],
+        "window": None,
+        "labels": False,
         "finite": True,
         "bytes": 48,
         "noise": "none",
         "sigma": 0.0,
         "smoothing": [0.0, 0.0, 0.0],
         "reason": "no noise",
+        "isovalue": pytest.approx(clvol.Isosurface().settled(volume).isovalue),
+        "isovalue_reason": clvol.histogram.isovalue_of(volume)[1],
+        "header": dict(clvol.read(name).header),
     }
     lines = clvol_command("info", name).out.splitlines()
     assert lines[0] == "shape: 2 3 4"
@@ -423,6 +441,95 @@ def test_info_of_what_is_no_volume_is_one_line(clvol_command: Command) -> None:
     clvol_command("info", "a.txt").fails(1, ".nii.gz", "a.txt")
     np.save("b.npy", np.zeros((2,) * 8))
     clvol_command("info", "b.npy").fails(1, "b.npy")
+
+
+# -- several volumes in a file --------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def cells(_in_folder: None) -> np.ndarray:
+    """Written as cells.ome.tif: 3 times of 2 channels, each with other values."""
+    tifffile = pytest.importorskip("tifffile")
+    data = np.random.default_rng(0).integers(0, 9, (3, 2, 4, 5, 6)) + 10 * np.arange(6).reshape(3, 2, 1, 1, 1)
+    about = {"axes": "TZCYX", "Channel": {"Name": ["DAPI", "GFP"]}}
+    tifffile.imwrite("cells.ome.tif", data.swapaxes(1, 2).astype(np.uint8), metadata=about)
+    return data
+
+
+def test_one_of_several_volumes_is_chosen(clvol_command: Command, cells: np.ndarray) -> None:
+    for options, place in (
+        (("--time", "2", "--channel", "GFP"), (2, 1)),
+        (("--time", "1", "--channel", "1"), (1, 1)),
+        (("--volume", "4"), (2, 0)),
+    ):
+        done = clvol_command("convert", "cells.ome.tif", "-o", "a.npz", *options, "--json")
+        assert (done.json["shape"], done.err) == ([4, 5, 6], "")
+        np.testing.assert_array_equal(clvol.read("a.npz").data, cells[place])
+    clvol_command("convert", "cells.ome.tif", "-o", "b.npz", "--channel", "DPI").fails(1, "--channel must be 0 to 1, of 0 (DAPI)")
+    clvol_command("convert", "cells.ome.tif", "-o", "b.npz", "--time", "3").fails(
+        1, "--time must be 0 to 2", "holds 3 times; got 3"
+    )
+    clvol_command("convert", "cells.ome.tif", "-o", "b.npz", "--volume", "1.5").fails(2, "--volume", "1.5")
+    clvol_command("render", "cells.ome.tif", "-o", "b.png", "--volume", "all").fails(1, "--volume all is for resample and convert")
+    assert files() == ["a.npz", "cells.ome.tif"]
+
+
+@pytest.mark.usefixtures("cells")
+def test_what_was_chosen_among_several_is_a_note(clvol_command: Command) -> None:
+    done = clvol_command("convert", "cells.ome.tif", "-o", "a.npz")
+    assert (done.code, done.err) == (
+        0,
+        "clvol: note: cells.ome.tif holds 3 times × 2 channels (DAPI, GFP); time 0, channel 0 (DAPI) was read: "
+        "choose by --time or --channel\n",
+    )
+    told = clvol_command("info", "cells.ome.tif", "--json")
+    assert told.err == ""  # it is what info says
+    assert told.json["holds"] == {"time": 3, "channel": [{"name": "DAPI"}, {"name": "GFP"}]}
+    out = clvol_command("info", "cells.ome.tif", "--channel", "GFP").out
+    assert "holds: 3 times × 2 channels (DAPI, GFP)\nchannels: 0 DAPI; 1 GFP\nname: GFP\n" in out
+    assert "\nspace: image: a stack of images" in out
+
+
+def test_all_volumes_of_a_file_are_converted_and_resampled(clvol_command: Command, cells: np.ndarray) -> None:
+    done = clvol_command("convert", "cells.ome.tif", "-o", "all.npz", "--volume", "all", "--json").json
+    assert (done["shape"], done["dtype"]) == ([3, 2, 4, 5, 6], "uint8")
+    found = clvol.read_all("all.npz")
+    np.testing.assert_array_equal(np.asarray(found), cells)
+    assert found.leading.names["channel"] == ("DAPI", "GFP")
+    options = ("--volume", "all", "--time", "1", "--to-shape", "2", "5", "6", "--filter", "linear", "--to-dtype", "same")
+    assert clvol_command("resample", "cells.ome.tif", "-o", "less.npz", *options, "--json").json["shape"] == [2, 2, 5, 6]
+    less = np.asarray(clvol.read_all("less.npz"))
+    assert less.dtype == np.uint8
+    for channel in range(2):
+        wanted = clvol.resample(clvol.Volume(cells[1, channel].astype(np.uint8)), (2, 5, 6), filter="linear", dtype="uint8")
+        np.testing.assert_array_equal(less[channel], wanted.data)
+
+
+def test_several_images_are_listed(clvol_command: Command) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File("a.h5", "w") as file:
+        file["first"], file["deep/second"] = np.zeros((2, 3, 4)), np.ones((4, 3, 2), np.uint8)
+    told = clvol_command("info", "a.h5", "--json").json
+    assert [(row["id"], row["shape"]) for row in told["series"]] == [("deep/second", [4, 3, 2]), ("first", [2, 3, 4])]
+    lines = clvol_command("info", "a.h5").out.splitlines()
+    assert lines[0] == "a.h5 holds 2 images; choose one by --series"
+    assert lines[2].split()[:3] == ["0", "deep/second", "4"]
+    assert clvol_command("info", "a.h5", "--series", "first", "--json").json["shape"] == [2, 3, 4]
+
+
+def test_info_says_what_the_file_wants_shown(clvol_command: Command) -> None:
+    nibabel = pytest.importorskip("nibabel")
+    image = nibabel.Nifti1Image(np.arange(60, dtype=np.int16).reshape(3, 4, 5), np.eye(4))
+    image.header["cal_min"], image.header["cal_max"] = 10, 50
+    nibabel.save(image, "a.nii")
+    out = clvol_command("info", "a.nii").out
+    assert "\nwindow: 10 to 50 (--window 30 40)\n" in out
+    assert "\nspace: LPS: a patient: x runs to the left, y to the back, z to the head (nibabel's RAS flips x and y)\n" in out
+    assert "sform_code" in out
+    value, why = clvol.histogram.isovalue_of(clvol.read("a.nii"))
+    assert f"\nisovalue: {value:.6g}, {why}\n" in out
+    clvol.write(clvol.Volume(np.eye(6, dtype=np.uint8)[None].repeat(6, 0), labels={1: "liver"}), "labels.npz")
+    assert "\nlabels: 1 liver\n" in clvol_command("info", "labels.npz").out
 
 
 # -- compare and figure 6 -------------------------------------------------------------------------------------
@@ -671,7 +778,6 @@ def test_resample_takes_exactly_one_grid(clvol_command: Command) -> None:
         (("--like", "missing.npz"), "missing.npz"),
         (("--magnify", "2", "--filter", "bogus"), "'bogus'"),
         (("--magnify", "2", "--boundary", "bogus"), "'bogus'"),
-        (("--magnify", "2", "--nan", "bogus"), "'bogus'"),
     ],
     ids=lambda x: " ".join(x) if isinstance(x, tuple) else None,
 )
@@ -768,10 +874,108 @@ def test_the_doctor_tells_of_extras(clvol_command: Command, monkeypatch: pytest.
     assert "pip install clvol[figures]" in done.out
 
 
+def test_presets_are_listed(clvol_command: Command) -> None:
+    assert [row["preset"] for row in clvol_command("presets", "--json").json] == list(clvol.presets())
+    assert "ct-bone " in clvol_command("presets").out
+
+
+# -- the words of the shell -----------------------------------------------------------------------------------
+
+
+def test_the_look_of_a_picture_is_asked_for_in_the_words_of_its_users(clvol_command: Command) -> None:
+    volume, options = clvol.phantoms.sphere(8), (*SMALL, "--filter", "bspline3")
+
+    def drawn(*look: str, **arguments: Any) -> None:
+        assert clvol_command("render", SPHERE, "-o", "a.png", *options, *look).code == 0
+        picture = clvol.render(volume, filter="bspline3", size=(16, 12), **arguments)
+        np.testing.assert_array_equal(iio.imread("a.png"), clvol.picture.to_bytes(picture)[..., :3])
+
+    drawn("--window", "0", "1.5", transfer=look(volume, "composite", window=(0, 1.5)))
+    drawn("--preset", "mr-default", "--opacity", "0.5", transfer=look(volume, "composite", preset="mr-default", opacity=0.5))
+    drawn("--opacity", "-1", "0", "1", "1", transfer=look(volume, "composite", opacity=((-1, 0), (1, 1))))
+    drawn("--mode", "isosurface", "--threshold", "0.25", mode="isosurface", isovalue=0.25)
+    drawn("--clip", "-1", "-1", "-1", "0", "1", "1", clip=((-1, -1, -1), (0, 1, 1)))
+    drawn("--fit", "volume", camera=clvol.Camera.orbit(fit="volume"))
+    clvol_command("render", SPHERE, "-o", "b.png", "--preset", "bogus").fails(1, "--preset must be one of ct-bone", "'bogus'")
+
+
+def test_errors_and_notes_name_the_options_of_the_shell(clvol_command: Command) -> None:
+    np.save("gap.npy", np.array([[[1, np.nan, 3]]]))
+    clvol_command("render", "gap.npy", "-o", "a.png").fails(1, "clvol: samples must be finite", "with --fill-nan VALUE")
+    np.zeros(24, np.uint8).tofile("a.raw")
+    clvol_command("info", "a.raw").fails(1, "give --shape NZ NY NX and --dtype\n")
+    for option, value, words in (
+        ("--step", "0", "clvol: --step must be a finite number"),
+        ("--window", "1 0", "clvol: --window must be two finite numbers"),
+        ("--isovalue", "1", "clvol: --isovalue is no option of composite, but of isosurface"),
+        ("--filter", "cubik", "clvol: --filter must be one of nearest (box, bspline0)"),
+        ("--pixel-filter", "bspline3", "clvol: --pixel-filter must"),
+    ):
+        clvol_command("render", SPHERE, "-o", "a.png", option, *value.split()).fails(1, words)
+    clvol_command("resample", SPHERE, "-o", "a.npz", "--to-shape", "0", "1", "1").fails(1, "shape")
+    done = clvol_command("render", SPHERE, "-o", "a.png", *SMALL, "--preset", "ct-bone")
+    assert done.code == 0
+    assert done.err.startswith("clvol: note: preset 'ct-bone' is in Hounsfield units")
+    assert done.err.endswith("--window CENTER WIDTH says where\n")
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_scripts_for_completion_are_sound(clvol_command: Command, shell: str) -> None:
+    script = clvol_command("completion", shell).out
+    for word in ("render", "resample", "--channel", "--threshold", "eight-fetch"):
+        assert word in script
+    assert "figure6" not in script
+    if shutil.which(shell) is not None:
+        subprocess.run(
+            [shell, "-n", "-c" if shell == "fish" else "-s", *([script] if shell == "fish" else [])],
+            input=script,
+            check=True,
+            encoding="utf-8",
+            timeout=60,
+        )
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
+def test_the_tab_key_completes_commands_and_options(clvol_command: Command) -> None:
+    script = clvol_command("completion", "bash").out
+    asked = (
+        ("re",),
+        ("figure", "6", "--sc"),
+        ("render", "a.nii", "--thr"),
+        ("resample", "a.nii", "--anchor", "o"),
+        ("render", "sca"),
+    )
+    Path("scan.nii").touch()
+    for words in asked:
+        line = " ".join(words)
+        script += f'\nCOMP_WORDS=(clvol {line}); COMP_CWORD={len(words)}; COMPREPLY=(); _clvol; echo "${{COMPREPLY[@]}}"'
+    done = subprocess.run(["bash", "--norc", "-s"], input=script, capture_output=True, encoding="utf-8", timeout=60, check=True)
+    found = [sorted(line.split()) for line in done.stdout.splitlines()]
+    assert found == [["render", "report", "resample"], ["--scan"], ["--threshold"], ["origin"], ["scan.nii"]]
+
+
+@pytest.mark.parametrize(
+    ("words", "some"),
+    [
+        (("render", "a.nii", "--mode"), {"mip", "composite"}),
+        (("render", "a.nii", "--filter"), {"bspline3(auto)", "cubic", "lanczos3"}),
+        (("compare", "a.nii", "--filters", "linear"), {"mitchell"}),
+        (("report", "a.nii", "--preset"), {"ct-bone"}),
+        (("render", "a.nii", "--cmap"), {"viridis"}),
+        (("resample", "a.nii", "--boundary"), {"wrap"}),
+        (("figure",), {"6", "cost"}),
+    ],
+    ids=lambda x: " ".join(x) if isinstance(x, tuple) else "",
+)
+def test_the_tab_key_completes_names(clvol_command: Command, words: tuple[str, ...], some: set[str]) -> None:
+    lines = clvol_command("__complete", *words, "").out.splitlines()
+    assert some <= {line.partition("\t")[0] for line in lines}
+
+
 # -- manners --------------------------------------------------------------------------------------------------
 
 
-COMMANDS = ("render", "compare", "figure", "figure6", "report", "info", "devices", "filters", "resample", "doctor")
+COMMANDS = ("render", "compare", "figure", "report", "info", "resample", "convert", "filters", "presets", "devices", "doctor")
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -809,7 +1013,7 @@ def test_tables_fit_narrow_terminals(clvol_command: Command, monkeypatch: pytest
     for row in clvol.filters().rows():
         assert row[0] in out
     assert out.startswith("filter nearest\n  support: 1\n" if width < 80 else "filter  ")
-    assert len(out.splitlines()) < 30 or width < 80
+    assert len(out.splitlines()) < 45 or width < 80
 
 
 def test_exit_codes_and_streams_of_a_process_of_its_own() -> None:

@@ -487,7 +487,9 @@ def test_unknown_filter_is_refused(bad: object) -> None:
 
 
 def test_unknown_filter_lists_what_is_known() -> None:
-    with pytest.raises(OptionError, match=r"^filter must be one of nearest, .*hybrid, .*bc\(B, C\).*; got 'bicubic'"):
+    with pytest.raises(
+        OptionError, match=r"^filter must be one of nearest \(box.*hybrid, .*bc\(B, C\).*; got 'bicubic' \(did you mean cubic\?\)$"
+    ):
         as_filter("bicubic")
 
 

@@ -12,7 +12,7 @@ from clvol.camera import Camera
 from clvol.color import color_of
 from clvol.device import Device
 from clvol.errors import ClvolError, GeometryError, OptionError
-from clvol.light import HEADLIGHT, MAX_LIGHTS, Light, Material
+from clvol.light import HEADLIGHT, KIT, MAX_LIGHTS, Light, Material
 from clvol.march.renderer import render
 
 
@@ -31,9 +31,9 @@ def test_colours() -> None:
 
 def test_each_share_of_light_on_a_sphere(device: Device) -> None:
     """Ambient everywhere; diffuse towards the light; a highlight halfway between light and viewer."""
-    volume, camera = phantoms.sphere(32), Camera.orbit(0, 0, projection="orthographic")
+    volume, camera = phantoms.sphere(32), Camera.orbit(0, 0, projection="orthographic", fit="volume")
     options: dict[str, Any] = {"camera": camera, "mode": "isosurface", "isovalue": 0.5, "color": "white"}
-    options |= {"size": (65, 65), "device": device}
+    options |= {"size": (65, 65), "samples": 1, "device": device}
 
     def picture(material: Material, light: Light) -> np.ndarray[Any, Any]:
         return np.asarray(render(volume, material=material, lights=[light], outputs=("rgba", "normal"), **options)["rgba"][..., 0])
@@ -56,6 +56,7 @@ def test_each_share_of_light_on_a_sphere(device: Device) -> None:
 def test_lights_add_up(device: Device) -> None:
     volume = phantoms.sphere(16)
     options: dict[str, Any] = {"mode": "isosurface", "isovalue": 0.5, "size": (16, 16), "device": device, "background": None}
+    options["samples"] = 1
     colors = [(0.2, 0, 0), (0, 0.3, 0.1), (0.1, 0.1, 0.1), (0.1, 0, 0.2)]
     directions = [(1, -1, 0), (-1, -1, 1), None, (0, -1, 0)]
     lights = [Light(*pair) for pair in zip(directions, colors, strict=True)]
@@ -65,8 +66,32 @@ def test_lights_add_up(device: Device) -> None:
     np.testing.assert_allclose(render(volume, lights=lights, material=dark, **options)[..., :3], alone, atol=1e-5)
 
 
+def test_lights_that_move_with_the_camera(device: Device) -> None:
+    """Right, up and towards the viewer, in any view."""
+    volume, camera = phantoms.sphere(32), Camera.orbit(40, 25, projection="orthographic", fit="volume")
+    options: dict[str, Any] = {"camera": camera, "mode": "isosurface", "isovalue": 0.5, "color": "white", "samples": 1}
+    options |= {"size": (65, 65), "device": device, "outputs": ("rgba", "normal"), "material": Material(0, 1, 0, 1)}
+    view = camera.view(volume)
+    for direction, axis in (((2, 0, 0), view.right), ((0, 1, 0), view.up), ((0, 0, 1), -view.forward)):
+        got = render(volume, lights=Light(direction, frame="camera"), **options)
+        hit = np.isfinite(got["normal"][..., 0])
+        np.testing.assert_allclose(got["rgba"][hit][:, 0], np.maximum(got["normal"][hit] @ axis, 0), atol=1e-5)
+
+
+def test_the_kit_lights_all_that_faces_the_viewer_and_no_more_than_fully() -> None:
+    normals = np.random.default_rng(0).normal(size=(5000, 3))
+    normals[:, 2] = np.abs(normals[:, 2])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    placed = [light.placed(Camera(direction=(0, 0, -1), up=(0, 1, 0)).view(phantoms.sphere(8))) for light in KIT]
+    light = sum(np.maximum(normals @ np.array(one.direction or (0, 0, 1)), 0) * one.color[0] for one in placed)
+    assert 0.95 < light.max() <= 1
+    assert light[normals[:, 2] > 0.3].min() > 0.1
+    assert light[normals @ [-0.45, 0.55, 0.7] > 0.9].mean() > 1.5 * light[normals @ [0.45, -0.55, 0.7] > 0.9].mean()  # it models
+
+
 WRONG: dict[str, tuple[Any, type[ClvolError], str]] = {
     "no direction": (lambda: Light((0, 0, 0)), GeometryError, "a light's direction must be three finite numbers, not all zero"),
+    "frame": (lambda: Light((1, 0, 0), frame="volume"), OptionError, "a light's frame must be one of world, camera; got 'volume'"),  # type: ignore[arg-type]
     "flat direction": (lambda: Light((1, 0)), GeometryError, "a light's direction"),  # type: ignore[arg-type]
     "NaN direction": (lambda: Light((1, 0, float("nan"))), GeometryError, "a light's direction"),
     "colour": (lambda: Light(color=(1, 2)), OptionError, "a light's color must be three numbers"),  # type: ignore[arg-type]

@@ -165,7 +165,7 @@ def test_what_is_near_stands_out(device: Device) -> None:
     z, y, x = np.indices(data.shape)
     for center in ((10, 20, 8), (30, 20, 32)):
         data += np.exp(-(((x - center[0]) ** 2 + (y - center[1]) ** 2 + (z - center[2]) ** 2) / 8.0))
-    camera = clvol.Camera(direction=(0, 0, 1), up=(0, -1, 0), projection="orthographic")
+    camera = clvol.Camera(direction=(0, 0, 1), up=(0, -1, 0), projection="orthographic", fit="volume")
     ramp = clvol.TransferFunction.ramp((0, 1))
     got = clvol.render(data, camera, clvol.Attenuated(1.5), size=(90, 90), transfer=ramp, device=device)[..., 0]
     near, far = got[:, :45].max(), got[:, 45:].max()

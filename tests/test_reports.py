@@ -415,15 +415,16 @@ def test_what_shows_fills_the_pictures(device: Device, projection: Any) -> None:
     z, y, x = np.indices((40, 40, 40))
     volume = Volume((5 - np.sqrt((x - 30) ** 2 + (y - 12) ** 2 + (z - 27) ** 2)).astype(np.float32))
     (row,) = as_filters(["linear"])
-    look = {"mode": "isosurface", "isovalue": 0.0, "camera": clvol.Camera.orbit(20, 10, projection=projection)}
+    look = {"mode": "isosurface", "isovalue": 0.0}
     shown = {}
-    for fill in (False, True):
-        drawn = pictures.cards(volume, [row], row, 64, as_boundary("mirror"), 2, device, lambda _: None, dict(look), fill)
+    for fit in ("volume", "matter"):
+        camera = clvol.Camera.orbit(20, 10, projection=projection, fit=fit)  # type: ignore[arg-type]
+        drawn = pictures.cards(volume, [row], row, 64, as_boundary("mirror"), 2, device, lambda _: None, {**look, "camera": camera})
         seen = (drawn.cards[0].whole < 0.99).any(-1)
         assert (drawn.cards[0].whole[0, 0] == 1).all()  # on white
-        shown[fill] = (np.ptp(np.flatnonzero(seen.any(0))) + 1, np.ptp(np.flatnonzero(seen.any(1))) + 1)
-    assert max(shown[False]) < 25
-    assert 54 <= max(shown[True]) <= 63
+        shown[fit] = (np.ptp(np.flatnonzero(seen.any(0))) + 1, np.ptp(np.flatnonzero(seen.any(1))) + 1)
+    assert max(shown["volume"]) < 25
+    assert 48 <= max(shown["matter"]) <= 63
 
 
 def test_differences_are_heat() -> None:

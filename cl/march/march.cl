@@ -48,8 +48,23 @@
 #define PACKET_X(left, g) ((left) + (g) % PACKETS_ACROSS * LANES_ACROSS)
 #define PACKET_Y(top, g) ((top) + (g) / PACKETS_ACROSS * LANES_DOWN)
 
-// The rays of the tile whose first pixel is (left, top), before their first sample.
-INLINE void begin_tile(tile_t *tile, constant frame_t *frame, const int left, const int top)
+// Where rays of a packet cross the picture, if that is listed: near the pixels' own order, but anywhere.
+INLINE void listed_places(constant frame_t *frame, const int x, const int y, global const float2 *places, real *px, real *py)
+{
+    lanes_u across, down;
+    for (int i = 0; i < LANES; ++i) {
+        const int column = MIN(x + i % LANES_ACROSS, frame->picture.width - 1), row = MIN(y + i / LANES_ACROSS, frame->picture.height - 1);
+        const float2 place = places[row * frame->picture.width + column];
+        across.each[i] = place.x;
+        down.each[i] = place.y;
+    }
+    *px = across.all;
+    *py = down.all;
+}
+
+// The rays of the tile whose first pixel is (left, top), before their first sample. Where the frame says so, the picture is a
+// list of rays, one a pixel, and they cross the real one at `places`.
+INLINE void begin_tile(tile_t *tile, constant frame_t *frame, const int left, const int top, global const float2 *places)
 {
     tile->left = left;
     tile->top = top;
@@ -58,7 +73,10 @@ INLINE void begin_tile(tile_t *tile, constant frame_t *frame, const int left, co
     mask up = ~NONE, down = ~NONE;
     for (int g = 0; g < PACKETS; ++g) {
         const real x = PACKET_X(left, g) + LANE_X, y = PACKET_Y(top, g) + LANE_Y;
-        tile->rays[g] = pixel_ray(frame, x + frame->picture.offset[0], y + frame->picture.offset[1]);
+        real px = x + frame->picture.offset[0], py = y + frame->picture.offset[1];
+        if (frame->picture.listed)
+            listed_places(frame, PACKET_X(left, g), PACKET_Y(top, g), places, &px, &py);
+        tile->rays[g] = pixel_ray(frame, px, py);
         const ray_t *ray = tile->rays + g;
         begin(tile->states + g);
         tile->gathered[g] = (real)(0.0f);
@@ -71,7 +89,7 @@ INLINE void begin_tile(tile_t *tile, constant frame_t *frame, const int left, co
         up &= (ray->planar & (along > 0.0f)) | !going;
         down &= (ray->planar & (along < 0.0f)) | !going;
     }
-    tile->planar = PLANES && (!any_lane(!up) || !any_lane(!down));
+    tile->planar = PLANES && !frame->picture.listed && (!any_lane(!up) || !any_lane(!down));
     tile->way = any_lane(!up) ? -1.0f : 1.0f;
 }
 

@@ -45,7 +45,7 @@ INLINE void load_states(tile_t *tile, constant frame_t *frame, global const floa
     if (left >= frame->picture.width || top >= frame->picture.height)                                               \
         return;                                                                                                     \
     tile_t tile;                                                                                                    \
-    begin_tile(&tile, frame, left, top)
+    begin_tile(&tile, frame, left, top, 0)
 
 // Samples number `from` to `to` of every ray, and REACH before, from the beginning or, if `carried`, from the states given.
 kernel void march_rays(COEFFICIENTS coefficients, const int4 extent, global const float2 *minmax, global const ulong2 *sides,

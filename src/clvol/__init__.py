@@ -6,10 +6,14 @@
 >>> values = clvol.sample(volume, points)                             # at world positions (x, y, z)
 >>> gradients = clvol.sample(volume, points, derivative=1)            # exact, per world unit
 
-Importing it needs no OpenCL; a device is looked for when something is computed on one.
+Importing it needs no OpenCL; a device is looked for when something is computed on one. `clvol.analysis`, `clvol.figures`,
+`clvol.reports` and `clvol.reference` are imported when they are first used.
 """
 
 from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
 
 from clvol import images, ndimage, phantoms
 from clvol.boundary import Boundary, boundaries
@@ -35,7 +39,7 @@ from clvol.march.renderer import Output, Renderer, render
 from clvol.missing import Missing
 from clvol.mode import Attenuated, Composite, Isosurface, Mean, Minip, Mip, Mode, modes
 from clvol.moved import callable_as_before
-from clvol.picture import save
+from clvol.picture import Picture, save, show
 from clvol.preset import presets
 from clvol.resizing import resize
 from clvol.response import frequency_response, prefilter_response
@@ -83,6 +87,7 @@ __all__ = [
     "OptionError",
     "OutOfMemoryError",
     "Output",
+    "Picture",
     "Renderer",
     "Scene",
     "TransferFunction",
@@ -119,7 +124,22 @@ __all__ = [
     "resize",
     "sample",
     "save",
+    "show",
     "sinc",
     "warp",
     "write",
 ]
+
+_LATE = ("analysis", "figures", "reference", "reports")  # heavier, and few need them
+_OPTIONAL = {"torch": "torch", "xarray": "xarray"}  # with what they need
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LATE:
+        return import_module(f"clvol.{name}")
+    hint = f"; it needs {_OPTIONAL[name]}: import clvol.{name} first" if name in _OPTIONAL else ""
+    raise AttributeError(f"module 'clvol' has no attribute {name!r}{hint}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_LATE})

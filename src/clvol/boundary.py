@@ -14,10 +14,11 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clvol import display
 from clvol.checks import one_of, several, whole
 from clvol.errors import OptionError
 
-__all__ = ["DEFAULT_BOUNDARY", "Boundary", "Outside", "as_boundary", "boundaries"]
+__all__ = ["DEFAULT_BOUNDARY", "Boundary", "BoundaryTable", "Outside", "as_boundary", "boundaries"]
 
 DEFAULT_BOUNDARY = "mirror"
 
@@ -199,9 +200,19 @@ _TABLE = {
 _WITH_VALUE = re.compile(r"(constant|grid-constant)\(([^()]+)\)")
 
 
-def boundaries() -> dict[str, Boundary]:
-    """Every rule by name."""
-    return dict(_TABLE)
+class BoundaryTable(display.Named[Boundary]):
+    """Every rule by name; shown, it is a table."""
+
+    HEADER = ("boundary", "what lies past the outer samples")
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """One tuple of texts a rule, in the order of `HEADER`."""
+        return [(name, rule.description) for name, rule in self.items()]
+
+
+def boundaries() -> BoundaryTable:
+    """Every rule by name; shown, it says what each means."""
+    return BoundaryTable(_TABLE)
 
 
 def as_boundary(choice: str | Boundary) -> Boundary:

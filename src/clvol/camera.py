@@ -10,7 +10,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.checks import number, one_of, reals
+from clvol.checks import instance, number, one_of, reals
 from clvol.errors import GeometryError
 from clvol.uniform import FLOAT, INT, REACH, Block, Values
 from clvol.volume import Volume
@@ -18,6 +18,9 @@ from clvol.volume import Volume
 __all__ = ["Camera", "View"]
 
 _PROJECTIONS = ("perspective", "orthographic")
+_FITS = ("matter", "volume")
+_WORLD = np.eye(3)
+_FRAMES = {"image": np.diag([1.0, -1.0, -1.0])}  # of worlds that are not seen with z up: from the viewing frame
 _FARTHEST = 1e20  # mean spacings from a volume's centre: no number that kernels read overflows
 _ALONG = 16  # times as far as off their rays, points may be moved along them
 Vector = NDArray[np.float64]
@@ -150,13 +153,14 @@ class Camera:
     Parameters
     ----------
     position : sequence of float, optional
-        World position (x, y, z). None: far enough back along `direction` to see the whole volume.
+        World position (x, y, z). None: far enough back along `direction` to see a sphere of `radius` around the target.
     target : sequence of float, optional
-        World point that it looks at; None: the volume's centre.
+        World point that it looks at; None: the middle of what it is fitted to, or the volume's centre where `position`,
+        `distance` or `radius` are given.
     up : sequence of float
-        World direction that points up in the picture.
+        Direction that points up in the picture.
     direction : sequence of float
-        World direction of view where `position` is None.
+        Direction of view where `position` is None.
     projection : {"perspective", "orthographic"}
     fov : float
         Vertical field of view of a perspective camera, degrees.
@@ -164,6 +168,17 @@ class Camera:
         World distance from the target where `position` is None.
     zoom : float
         Magnification of the picture about its centre.
+    radius : float, optional
+        World radius of the sphere around the target that just fits into the picture; None: as `fit` says where `position`,
+        `target` and `distance` are None too, else that of the volume.
+    fit : {"matter", "volume"}
+        What a camera whose place is left open is fitted to. "matter": the sphere around all that the mode and the transfer
+        function of the picture show of the volume, within the clip box (`clvol.fit`). "volume": that around the whole volume.
+        Neither depends on the direction, so that pictures stay steady while a camera orbits.
+    upright : bool
+        Whether `direction` and `up` are relative to how the volume is looked at, not to its world: that of a stack of images
+        (`Volume.space` is "image") is turned by 180° about x, so that what is up in its pictures is -z and seen from above rows
+        run down. All others are looked at with z up, and then it does not matter.
     """
 
     position: tuple[float, float, float] | None = None
@@ -174,6 +189,9 @@ class Camera:
     fov: float = 30.0
     distance: float | None = None
     zoom: float = 1.0
+    radius: float | None = None
+    fit: Literal["matter", "volume"] = "matter"
+    upright: bool = False
 
     def __post_init__(self) -> None:
         if not isinstance(self.projection, str) or self.projection not in _PROJECTIONS:
@@ -184,8 +202,12 @@ class Camera:
                 object.__setattr__(self, what, _vector(what, value))
         object.__setattr__(self, "fov", number("fov", self.fov, above=0, below=180))
         object.__setattr__(self, "zoom", number("zoom", self.zoom, above=0))
-        if self.distance is not None:
-            object.__setattr__(self, "distance", number("distance", self.distance, above=0))
+        for what in ("distance", "radius"):
+            if getattr(self, what) is not None:
+                object.__setattr__(self, what, number(what, getattr(self, what), above=0))
+        if not isinstance(self.fit, str) or self.fit not in _FITS:
+            raise one_of("fit", self.fit, _FITS)
+        instance("upright", self.upright, bool, np.bool_)
         for what in ("up", "direction"):
             if not any(getattr(self, what)):
                 raise GeometryError(f"{what} must not have zero length")
@@ -201,16 +223,21 @@ class Camera:
         target: Sequence[float] | None = None,
         projection: Literal["perspective", "orthographic"] = "perspective",
         fov: float = 30.0,
+        radius: float | None = None,
+        fit: Literal["matter", "volume"] = "matter",
     ) -> Camera:
-        """A camera on a sphere around the target.
+        """A camera on a sphere around the target, upright.
 
         Parameters
         ----------
         azimuth : float
-            Degrees about the z axis; 0 looks along +y, and 90 from +x along -x.
+            Degrees about the z axis; 0 looks along +y, and 90 from +x along -x. A patient (`Volume.space` is "LPS") is seen
+            from the front at 0, the right side on the viewer's left.
         elevation : float
-            Degrees above the xy plane; 90 looks straight down.
-        distance, zoom, target, projection, fov
+            Degrees above the xy plane; 90 looks straight down. A stack of images (`Volume.space` is "image") is then seen as
+            Fiji and napari show it: slice 0 nearest to the viewer, x to the right, rows running down. Other elevations and
+            azimuths turn that picture as they turn others; z runs down in it, and azimuth 0 looks along -y.
+        distance, zoom, target, projection, fov, radius, fit
             As for `Camera`.
         """
         a, e = math.radians(number("azimuth", azimuth)), math.radians(number("elevation", elevation))
@@ -222,6 +249,9 @@ class Camera:
             fov=fov,
             distance=distance,
             zoom=zoom,
+            radius=radius,
+            fit=fit,
+            upright=True,
         )
 
     @classmethod
@@ -255,7 +285,7 @@ class Camera:
     def view(self, volume: Volume, aspect: float = 1.0) -> View:
         """The camera fitted to a volume and a picture of ``width / height = aspect``.
 
-        A fitted camera sees the volume's bounding sphere.
+        A camera that is to be fitted sees the volume's bounding sphere: only a picture knows what can be seen (`clvol.fit`).
 
         Raises
         ------
@@ -263,9 +293,10 @@ class Camera:
             The camera stands on its target.
         """
         target = volume.center if self.target is None else np.asarray(self.target)
-        radius = volume.radius
+        radius = volume.radius if self.radius is None else self.radius
+        upright = _FRAMES.get(volume.space, _WORLD) if self.upright else _WORLD
         if self.position is None:
-            forward = np.asarray(self.direction) / math.hypot(*self.direction)  # hypot does not underflow
+            forward = upright @ np.asarray(self.direction) / math.hypot(*self.direction)  # hypot does not underflow
         else:
             with np.errstate(over="ignore"):
                 forward = target - np.asarray(self.position)
@@ -276,7 +307,7 @@ class Camera:
             if not length:
                 raise GeometryError(f"position and target must differ, or there is no direction of view; got {self.position} twice")
             forward = forward / length
-        right = np.cross(forward, np.asarray(self.up) / math.hypot(*self.up))
+        right = np.cross(forward, upright @ np.asarray(self.up) / math.hypot(*self.up))
         if np.linalg.norm(right) < 1e-9:  # looking straight along `up`
             right = np.cross(forward, np.eye(3)[int(np.argmin(np.abs(forward)))])
         right = right / np.linalg.norm(right)

@@ -12,6 +12,7 @@ tap counts. Entries are exact fractions wherever the filter has them.
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
 from collections.abc import Callable, Sequence
@@ -25,6 +26,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 
+from clvol import display
 from clvol.checks import number, one_of, reals, several, whole
 from clvol.errors import ClvolError, OptionError
 
@@ -133,6 +135,11 @@ class Filter:
             axes = len(self.smoothing) if isinstance(self.smoothing, tuple) else 1
             for axis in range(axes if self.settled else 0):
                 self.along(axis)._require_invertible()
+
+    def _repr_html_(self) -> str:
+        """For notebooks: its kernel, and its row of the table."""
+        header, (row,) = FilterTable.HEADER, FilterTable({self.name: self}).rows()
+        return display.beside(display.curve(*self.plot(33)), display.facts(self.name, dict(zip(header[1:], row[1:], strict=True))))
 
     # -- what follows from the matrix ------------------------------------------------------
 
@@ -757,7 +764,20 @@ def omoms3() -> Filter:
 # -- the table -------------------------------------------------------------------------------------
 
 _TABLE: dict[str, Filter] = {}
-_ALIASES = {"bspline": "bspline3", "trilinear": "linear", "cubic": "bspline3"}
+_ALIASES = {
+    "box": "nearest",
+    "bspline0": "nearest",
+    "bspline1": "linear",
+    "bilinear": "linear",
+    "trilinear": "linear",
+    "quadratic": "bspline2",
+    "bspline": "bspline3",
+    "cubic": "bspline3",
+    "tricubic": "bspline3",
+    "quintic": "bspline5",
+    "keys": "catmull-rom",
+    "lanczos": "lanczos3",
+}
 _FAMILIES: dict[str, tuple[str, Callable[..., Filter]]] = {
     "bc": ("B, C", bc),
     "moms3": ("weight", moms3),
@@ -794,10 +814,10 @@ def unregister(name: str) -> Filter:
     return _TABLE.pop(name)
 
 
-class FilterTable(dict[str, Filter]):
-    """Every filter by name; printed, it is a table."""
+class FilterTable(display.Named[Filter]):
+    """Every filter by name; shown, it is a table."""
 
-    HEADER = ("filter", "support", "degree", "continuity", "order", "interpolates", "sums to one", "poles")
+    HEADER = ("filter", "support", "degree", "class", "order", "interpolates", "sums to one", "poles", "also called")
 
     def rows(self) -> list[tuple[str, ...]]:
         """One tuple of texts a filter, in the order of `HEADER`."""
@@ -811,14 +831,15 @@ class FilterTable(dict[str, Filter]):
                 "no" if not f.interpolates else "yes" if f.interpolates_directly and not f.magnify else "prefiltered",
                 "yes" if f.sums_to_one else "nearly",
                 _poles_in_words(f.magnified_by or f),
+                " ".join(_also(name)) if f is _TABLE.get(name) else "",
             )
             for name, f in self.items()
         ]
 
-    def __str__(self) -> str:
-        lines = [self.HEADER, *self.rows()]
-        widths = [max(len(line[i]) for line in lines) for i in range(len(self.HEADER))]
-        return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines)
+
+def _also(name: str) -> list[str]:
+    """What else a row of the table is called."""
+    return [other for other, row in _ALIASES.items() if row == name]
 
 
 def _poles_in_words(filter: Filter) -> str:
@@ -830,7 +851,7 @@ def _poles_in_words(filter: Filter) -> str:
 
 
 def filters() -> FilterTable:
-    """The table: every filter by name, in order; ``print(clvol.filters())`` shows what each has."""
+    """The table: every filter by name, in order; shown, it says what each has, and what else it is called."""
     return FilterTable(_TABLE)
 
 
@@ -858,7 +879,12 @@ def as_filter(choice: str | Filter) -> Filter:
         return bspline(int(match[1]))
     if match := re.fullmatch(r"(?:bspline|cubic)\(([^()]*)\)|bspline(\d)\(([^()]*)\)", name):
         return _smoothed_by_name(choice, int(match[2] or 3), match[1] or match[3] or "")
-    raise one_of("filter", choice, [*_TABLE, *written, "bspline3(λ)", "bspline3(auto)"])
+    near = difflib.get_close_matches(name, [*_TABLE, *_ALIASES], 1)
+    hint = f" (did you mean {near[0]}?)" if near else ""
+    known = [f"{row} ({', '.join(_also(row))})" if _also(row) else row for row in _TABLE]
+    raise OptionError(
+        f"filter must be one of {', '.join([*known, *written, 'bspline3(λ)', 'bspline3(auto)'])}; got {choice!r}{hint}"
+    )
 
 
 def _smoothed_by_name(choice: str, degree: int, text: str) -> Filter:

@@ -5,18 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 
-from clvol.checks import number, reals
+from clvol.camera import View
+from clvol.checks import number, one_of, reals
 from clvol.color import color_of
 from clvol.errors import GeometryError, OptionError
 from clvol.uniform import FLOAT, INT, Block, Values
 
-__all__ = ["HEADLIGHT", "LIGHTS", "MAX_LIGHTS", "Light", "Material", "lights_block"]
+__all__ = ["HEADLIGHT", "KIT", "LIGHTS", "MAX_LIGHTS", "Light", "Material", "as_lights", "lights_block"]
 
 MAX_LIGHTS = 4
+_FRAMES = ("world", "camera")
 LIGHTS = Block("lights_block", each=(FLOAT, 8 * MAX_LIGHTS), count=INT)  # a direction, 1 for a headlight; a colour, nothing
 
 
@@ -27,13 +29,17 @@ class Light:
     Parameters
     ----------
     direction : sequence of float, optional
-        World direction *towards* the light. None: a headlight, which shines along each ray.
+        Direction *towards* the light. None: a headlight, which shines along each ray.
     color : sequence of float
         Red, green, blue of the light; 1 is full.
+    frame : {"world", "camera"}
+        Of the direction: (x, y, z) of the world; or to the right, up and towards the viewer in the picture, for a light that
+        moves with the camera.
     """
 
     direction: tuple[float, float, float] | None = None
     color: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    frame: Literal["world", "camera"] = "world"
 
     def __post_init__(self) -> None:
         if self.direction is not None:
@@ -44,6 +50,16 @@ class Light:
                 raise GeometryError(f"{what} must be {rule}; got {self.direction!r}")
             object.__setattr__(self, "direction", tuple(float(v) / length for v in vector))
         object.__setattr__(self, "color", color_of("a light's color", self.color))
+        if not isinstance(self.frame, str) or self.frame not in _FRAMES:
+            raise one_of("a light's frame", self.frame, _FRAMES)
+
+    def placed(self, view: View) -> Light:
+        """The same light in a picture's world."""
+        if self.direction is None or self.frame == "world":
+            return self
+        right, up, back = self.direction
+        x, y, z = (float(v) for v in right * view.right + up * view.up - back * view.forward)
+        return Light((x, y, z), self.color)
 
 
 @dataclass(frozen=True)
@@ -80,14 +96,31 @@ class Material:
         )
 
 
-def lights_block(lights: Sequence[Light]) -> Values:
-    """What kernels read of the lights; `OptionError` for more than `MAX_LIGHTS`."""
+def as_lights(choice: Light | Sequence[Light]) -> tuple[Light, ...]:
+    """One light or several; `OptionError` for anything else, or more than `MAX_LIGHTS`."""
+    lights = (choice,) if isinstance(choice, Light) else choice
+    if not isinstance(lights, Sequence) or not all(isinstance(light, Light) for light in lights):
+        raise OptionError(f"lights must be a Light or a sequence of them; got {choice!r}")
     if len(lights) > MAX_LIGHTS:
         raise OptionError(f"there may be up to {MAX_LIGHTS} lights; got {len(lights)}")
+    return tuple(lights)
+
+
+def lights_block(lights: Sequence[Light], view: View) -> Values:
+    """What kernels read of the lights, up to `MAX_LIGHTS`, in a view."""
     each = np.zeros((MAX_LIGHTS, 8))
     for row, light in zip(each, lights, strict=False):
-        row[:7] = [*(light.direction or (0, 0, 0)), float(light.direction is None), *light.color]
+        row[:7] = [*(light.placed(view).direction or (0, 0, 0)), float(light.direction is None), *light.color]
     return LIGHTS(each=each.ravel(), count=len(lights))
 
 
 HEADLIGHT = Light()
+
+KIT = (
+    Light((-0.45, 0.55, 0.75), (0.67, 0.67, 0.67), "camera"),
+    Light((0.6, -0.6, 0.5), (0.25, 0.25, 0.25), "camera"),
+    Light(None, (0.35, 0.35, 0.35)),
+)
+"""The lights of pictures where none are given, after photographers' and `vtkLightKit`'s: the key from above the viewer's left
+shoulder models the form, the weaker fill from below on the right opens its shadows, and the headlight leaves nothing black.
+No normal gets more light than a headlight of full strength gives."""

@@ -1,12 +1,15 @@
-"""Pictures as files, and pictures side by side with labels."""
+"""Pictures: arrays that show themselves, pictures as files, and pictures side by side with labels."""
 
 from __future__ import annotations
 
+import io
 import math
 import os
-from collections.abc import Iterable, Sequence
+import sys
+import tempfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,17 +18,151 @@ from clvol.checks import as_path, number, whole
 from clvol.errors import OptionError
 from clvol.files import require_suffix, staged
 
-__all__ = ["SUFFIXES", "grid", "heat", "heat_with_scale", "labelled", "save", "to_bytes"]
+__all__ = [
+    "SUFFIXES",
+    "Picture",
+    "as_pictures",
+    "grid",
+    "heat",
+    "heat_with_scale",
+    "labelled",
+    "save",
+    "show",
+    "to_bytes",
+    "to_png",
+]
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 _OPAQUE = (".jpg", ".jpeg", ".bmp")  # these hold no opacity
 _INK = (235, 235, 235)
 _BAND = (24, 24, 28)
+_FARTHEST = 0.25  # the grey of what lies farthest, where depth is shown
+
+
+class Picture(np.ndarray[Any, np.dtype[Any]]):
+    """The array of a picture, which also shows itself: in notebooks by its name, elsewhere by `show`.
+
+    It is an `ndarray` in every way. What is computed from it, and parts of it that are no picture, are plain arrays; a part that
+    is one, such as ``picture[100:200, 50:150]``, is a `Picture`.
+
+    Parameters
+    ----------
+    array : array-like, shape (height, width) or (height, width, channels)
+        Viewed, not copied.
+    kind : str
+        What its numbers are, an output of `clvol.render`: "rgba" (colours in 0..1), "depth", "normal", "position", "visited" or
+        "uncertainty". It decides how it is shown, nothing else.
+
+    Attributes
+    ----------
+    kind : str
+        The same.
+    """
+
+    kind: str
+
+    def __new__(cls, array: ArrayLike, kind: str = "rgba") -> Self:
+        result = np.asarray(array).view(cls)
+        result.kind = kind
+        return result
+
+    def __array_finalize__(self, other: Any) -> None:
+        self.kind = getattr(other, "kind", "rgba")
+
+    def __array_wrap__(self, array: Any, context: Any = None, return_scalar: bool = False) -> Any:
+        if array is self:  # computed in place
+            return self
+        plain = np.asarray(array)
+        return plain[()] if return_scalar else plain
+
+    def __getitem__(self, index: Any) -> Any:
+        part = super().__getitem__(index)
+        if isinstance(part, Picture) and (part.ndim != self.ndim or part.shape[2:] != self.shape[2:]):
+            return np.asarray(part)
+        return part
+
+    def __reduce__(self) -> Any:
+        reduced: Any = super().__reduce__()
+        make, arguments, state = reduced
+        return make, arguments, (*state, self.kind)
+
+    def __setstate__(self, state: Any) -> None:
+        self.kind = state[-1]
+        super().__setstate__(state[:-1])
+
+    def __repr__(self) -> str:
+        if not self._shows:
+            return repr(np.asarray(self))
+        height, width = self.shape[:2]
+        return f"Picture({self.kind}, {width} × {height} pixels, {self.dtype}): .show(), .save(path)"
+
+    def __str__(self) -> str:
+        return str(np.asarray(self))
+
+    def _repr_png_(self) -> bytes | None:
+        return to_png(self) if self._shows else None
+
+    @property
+    def _shows(self) -> bool:
+        channels = {"depth": (), "visited": (), "normal": (3,), "position": (3,), "uncertainty": (2,)}
+        if self.size == 0 or self.dtype.kind not in "fbu":
+            return False
+        if self.kind in channels:
+            return self.ndim >= 2 and self.shape[2:] == channels[self.kind]
+        return self.ndim == 2 or (self.ndim == 3 and self.shape[2] in (1, 3, 4))
+
+    def shown(self) -> NDArray[Any]:
+        """Colours that show it, (height, width, 3 or 4): itself where it holds colours.
+
+        Depth is grey, the nearest white; normals and positions are red, green and blue along x, y and z; both have no opacity
+        where nothing was hit. "visited" and "uncertainty" are heat maps, the latter of distances, with its scale.
+        """
+        array = np.asarray(self)
+        if not self._shows or self.kind not in _SHOWN:
+            return array
+        colors: NDArray[Any] = _SHOWN[self.kind](array)
+        return colors
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write it as it is shown, by suffix: see `clvol.save`. (`numpy.save` writes its numbers.)"""
+        return save(self, path)
+
+    def show(self) -> None:
+        """Show it where the program runs: see `clvol.show`."""
+        show(self)
+
+
+def _depth_shown(depth: NDArray[Any]) -> NDArray[Any]:
+    met = np.isfinite(depth)
+    near, far = (depth[met].min(), depth[met].max()) if met.any() else (0, 1)
+    share = (np.where(met, depth, far) - near) / ((far - near) or 1)
+    return np.stack([1 - (1 - _FARTHEST) * share] * 3 + [met], -1)
+
+
+def _normal_shown(normal: NDArray[Any]) -> NDArray[Any]:
+    met = np.isfinite(normal).all(-1, keepdims=True)
+    return np.concatenate([np.where(met, (normal + 1) / 2, 0), met], -1)
+
+
+def _position_shown(position: NDArray[Any]) -> NDArray[Any]:
+    met = np.isfinite(position).all(-1, keepdims=True)
+    inside = position[met[..., 0]]
+    low, high = (inside.min(0), inside.max(0)) if inside.size else (np.zeros(3), np.ones(3))
+    return np.concatenate([np.where(met, (position - low) / np.where(high > low, high - low, 1), 0), met], -1)
+
+
+def as_pictures(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Picture]:
+    """Outputs of a picture by name, each as a `Picture` of its kind."""
+    return {kind: Picture(array, kind) for kind, array in arrays.items()}
 
 
 def to_bytes(picture: ArrayLike) -> NDArray[np.uint8]:
-    """A picture with values in 0..1 as eight-bit values, rounded, NaN as 0; an eight-bit picture unchanged."""
+    """A picture with values in 0..1 as eight-bit values, rounded, NaN as 0; an eight-bit picture unchanged.
+
+    A `Picture` of another kind than colours is taken as it is shown.
+    """
     try:
+        picture = picture.shown() if isinstance(picture, Picture) else picture
         array = np.asarray(picture)
     except (TypeError, ValueError) as error:
         raise OptionError(f"a picture must be a regular array: {error}") from None
@@ -41,7 +178,7 @@ def to_bytes(picture: ArrayLike) -> NDArray[np.uint8]:
 def save(picture: ArrayLike, path: str | os.PathLike[str]) -> Path:
     """Write a picture with values in 0..1, by suffix: .png, .tif, or .jpg and .bmp, which show transparency as black.
 
-    The file appears when it is complete.
+    The file appears when it is complete. Depth and other outputs of `render` are written as they are shown.
 
     Raises
     ------
@@ -51,15 +188,74 @@ def save(picture: ArrayLike, path: str | os.PathLike[str]) -> Path:
     import imageio.v3 as iio
 
     path, suffix = as_path(path), require_suffix(path, SUFFIXES, "pictures")
-    data = to_bytes(picture)
-    if data.ndim == 3 and data.shape[2] == 1:
-        data = data[..., 0]
-    if data.ndim == 3 and data.shape[2] == 4 and (suffix in _OPAQUE or data[..., 3].min() == 255):
-        data = _opaque(data)
+    data = _stored(picture, opaque=suffix in _OPAQUE)
     options: dict[str, Any] = {"quality": 95, "subsampling": 0} if suffix in (".jpg", ".jpeg") else {}
     with staged(path, suffix) as temporary:
         iio.imwrite(temporary, data, plugin="pillow", **options)
     return path
+
+
+def to_png(picture: ArrayLike) -> bytes:
+    """A picture as a PNG file in memory."""
+    import imageio.v3 as iio
+
+    stream = io.BytesIO()
+    iio.imwrite(stream, _stored(picture), extension=".png", plugin="pillow")
+    return stream.getvalue()
+
+
+def _stored(picture: ArrayLike, opaque: bool = False) -> NDArray[np.uint8]:
+    """Eight-bit values as files hold them: no axis of one channel, and no opacity where all is opaque or it cannot be held."""
+    data = to_bytes(picture)
+    if data.ndim == 3 and data.shape[2] == 1:
+        data = data[..., 0]
+    if data.ndim == 3 and data.shape[2] == 4 and (opaque or data[..., 3].min() == 255):
+        data = _opaque(data)
+    return data
+
+
+def show(picture: ArrayLike) -> None:
+    """Show a picture where the program runs: in a notebook below the cell, on a desktop in its image viewer.
+
+    Where there is neither, it is saved to a temporary file, whose name is printed.
+
+    Parameters
+    ----------
+    picture : array-like, shape (height, width) or (height, width, 1, 3 or 4)
+        Values in 0..1, or uint8, or an output of `clvol.render`.
+
+    Raises
+    ------
+    OptionError
+        It is no picture.
+    """
+    data = to_png(picture)
+    if (display := _notebook()) is not None:
+        display({"image/png": data}, raw=True)
+    elif not _viewed(data):
+        handle, name = tempfile.mkstemp(prefix="clvol-", suffix=".png")
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+        print(f"clvol: there is no screen here; the picture is in {name}")
+
+
+def _notebook() -> Any:
+    """IPython's `display` where the program runs in a notebook, else None."""
+    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+    if shell is None or not hasattr(shell, "kernel"):  # plain Python, or IPython on a terminal
+        return None
+    from IPython.display import display
+
+    return display
+
+
+def _viewed(png: bytes) -> bool:
+    """Whether a viewer was opened."""
+    from PIL import Image, ImageShow
+
+    if sys.platform not in ("win32", "darwin") and not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
+        return False  # text viewers would take the terminal
+    return bool(ImageShow.show(Image.open(io.BytesIO(png)), title="clvol"))
 
 
 def heat(share: ArrayLike) -> NDArray[np.float32]:
@@ -107,6 +303,15 @@ def heat_with_scale(values: ArrayLike, unit: str = "", title: str = "", top: flo
         draw.text((at, 2.1 * size), text, fill=_INK, font=font, anchor=anchor)
     draw.text((width / 2, 3.4 * size), title, fill=_INK, font=font, anchor="mm")
     return np.concatenate([to_bytes(heat(array / top)), np.asarray(image)], 0)
+
+
+_SHOWN: Mapping[str, Callable[[NDArray[Any]], NDArray[Any]]] = {
+    "depth": _depth_shown,
+    "normal": _normal_shown,
+    "position": _position_shown,
+    "visited": heat,
+    "uncertainty": lambda within: heat_with_scale(within[..., 0]),
+}
 
 
 def _round_up(values: NDArray[np.float64]) -> float:

@@ -15,7 +15,7 @@ from clvol.checks import instance
 from clvol.color import color_of
 from clvol.errors import GeometryError, OptionError
 from clvol.filter import Filter, as_filter
-from clvol.light import HEADLIGHT, Light, Material, lights_block
+from clvol.light import KIT, Light, Material, as_lights
 from clvol.stored import AS_THEY_ARE, Stored
 from clvol.transfer import TransferFunction
 from clvol.uniform import FLOAT, INT, REACH, Block, Values
@@ -134,7 +134,7 @@ class Scene:
     media : Medium, Volume, array-like, or a sequence of these
         What there is to see; so far one medium. (A Field goes to a `Renderer` as it is.)
     lights : Light or sequence of Light
-        Up to 4; by default a headlight.
+        Up to 4; by default a key, a fill and a headlight, which move with the camera (`clvol.light.KIT`).
     background : three numbers, a name, or None
         Behind the media. None leaves the picture transparent; its colours are then not premultiplied.
     clip : (low, high), optional
@@ -149,7 +149,7 @@ class Scene:
     """
 
     media: tuple[Medium, ...]
-    lights: tuple[Light, ...] = (HEADLIGHT,)
+    lights: tuple[Light, ...] = KIT
     background: tuple[float, float, float] | None = (0.0, 0.0, 0.0)
     clip: Box | None = None
 
@@ -160,12 +160,8 @@ class Scene:
         if len(media) != 1:
             raise OptionError(f"a scene must have one medium, no more so far; got {len(media)}")
         media = (as_medium(media[0]),)
-        lights = (self.lights,) if isinstance(self.lights, Light) else self.lights
-        if not isinstance(lights, Sequence) or not all(isinstance(light, Light) for light in lights):
-            raise OptionError(f"lights must be a Light or a sequence of them; got {lights!r}")
-        lights_block(lights)  # refuses too many
         object.__setattr__(self, "media", media)
-        object.__setattr__(self, "lights", tuple(lights))
+        object.__setattr__(self, "lights", as_lights(self.lights))
         if self.background is not None:
             object.__setattr__(self, "background", color_of("background", self.background))
         if self.clip is not None:

@@ -76,6 +76,12 @@ class TransferFunction:
         object.__setattr__(self, "colors", colors)
         object.__setattr__(self, "opacities", opacities)
 
+    def _repr_html_(self) -> str:
+        """For notebooks: its colours under the curve of its opacity."""
+        from clvol import display
+
+        return display.strip([v for v, _ in self.colors], [c for _, c in self.colors], self.opacities)
+
     @classmethod
     def from_cmap(
         cls,

@@ -153,6 +153,35 @@ class Volume:
             f"origin={self.origin}, units={self.units!r}{patient})"
         )
 
+    def _repr_html_(self) -> str:
+        """For notebooks: three slices through the middle, and what is known of it."""
+        from clvol import display
+
+        known = {
+            "name": self.name,
+            "samples": f"{display.numbers(self.shape)} {self.data.dtype}"
+            + (", labels" if self.labels not in (None, False) else ""),
+            "spacing": f"{display.numbers(self.spacing)} {self.units}",
+            "origin": f"{display.numbers(self.origin, ', ')}" if any(self.origin) else "",
+            "space": f"{self.space}: {SPACES[self.space]}" if self.space else "",
+            "values": self._range_in_words(),
+            "window": display.numbers(self.window, " to ") if self.window else "",
+        }
+        blended = self.labels in (None, False)
+        middle = display.slices(
+            self.data, self.spacing, self.direction, space=self.space, window=self.window, color=self.color, blended=blended
+        )
+        pictures = (display.image(picture, plane) for plane, picture in middle)
+        return display.beside(*pictures, display.facts("Volume" if self.ndim == 3 else "Image", known))
+
+    def _range_in_words(self) -> str:
+        try:
+            low, high = self.value_range
+        except DataError:  # nothing is finite
+            return "none is finite"
+        missing = "" if all(np.isfinite(v) for v in self.limits) else ", some not finite"
+        return f"{low:.6g} to {high:.6g}{missing}"
+
     # -- as other libraries have it ------------------------------------------------------------
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:

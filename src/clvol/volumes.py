@@ -15,13 +15,14 @@ from clvol.color import color_of
 from clvol.errors import DataError, GeometryError, OptionError
 from clvol.foreign import to_nibabel, to_simpleitk, to_xarray
 from clvol.interop import read_several
-from clvol.volume import Volume, array_of, as_volume
+from clvol.volume import SPACES, Volume, array_of, as_volume
 
 __all__ = ["AXES", "Leading", "Volumes"]
 
 AXES = ("volume", "time", "position", "channel")
 """What an axis before z, y and x may count: the volumes of a series (of any meaning), times, places of the stage, channels."""
 
+_SHOWN = 4  # volumes of which notebooks show a slice
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. 709
 _COLORS = (("red", (1.0, 0.0, 0.0)), ("green", (0.0, 1.0, 0.0)), ("blue", (0.0, 0.0, 1.0)), ("alpha", None))
 _ABOUT = ("spacing", "origin", "direction", "units", "space", "window", "labels", "header")
@@ -344,6 +345,32 @@ class Volumes(Sequence[Volume]):
 
     def __repr__(self) -> str:
         return f"Volumes({self.leading}, of {self.grid!r})"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: the middle slices of the first few, and what is known of all."""
+        from clvol import display
+
+        first = self.grid
+        known = {
+            "volumes": str(self.leading),
+            "samples of each": f"{display.numbers(first.shape)} {first.data.dtype}",
+            "spacing": f"{display.numbers(first.spacing)} {first.units}",
+            "space": f"{first.space}: {SPACES[first.space]}" if first.space else "",
+        }
+        pictures = []
+        for number, volume in enumerate(self[:_SHOWN]):
+            ((_, picture),) = display.slices(
+                volume.data,
+                volume.spacing,
+                volume.direction,
+                space=volume.space,
+                window=volume.window,
+                color=volume.color,
+                blended=volume.labels in (None, False),
+                all_planes=False,
+            )
+            pictures.append(display.image(picture, f"{number} {volume.name}".strip()))
+        return display.beside(*pictures, display.facts("Volumes", known))
 
     def _about(self, number: int) -> dict[str, Any]:
         return self.leading.about([int(i) for i in np.unravel_index(number, self.leading.counts)])

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -78,7 +80,7 @@ def test_the_exact_sinc_says_how_exact_it_is(drawn: tuple[list[Panel], np.ndarra
 
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
 def test_a_fixed_camera_sees_the_same_of_another_volume(projection: str) -> None:
-    camera = Camera.orbit(40, 30, zoom=1.7, projection=projection)  # type: ignore[arg-type]
+    camera = Camera.orbit(40, 30, zoom=1.7, projection=projection, fit="volume")  # type: ignore[arg-type]
     volume, other = phantoms.sphere(9), phantoms.sphere(33).crop((4, 0, 0), (20, 33, 30))
     wanted, got = camera.view(volume), fixed(camera, volume, other).view(other)
     for key in ("eye", "right", "up", "forward", "half_height"):
@@ -216,7 +218,7 @@ def test_compare_puts_panels_in_rows(device: Device, count: int, across: int, do
 
 
 def test_compare_draws_what_render_draws(device: Device) -> None:
-    volume, camera = phantoms.marschner_lobb(12), Camera.orbit(10, 40)
+    volume, camera = phantoms.marschner_lobb(12), Camera.orbit(10, 40, fit="volume")
     for options in ({}, {"mode": "mean"}, {"mode": "composite", "background": "white"}):
         panels, _ = compare(volume, ("mitchell", bspline(4)), 16, "wrap", camera=camera, device=device, **options)  # type: ignore[arg-type]
         for p in panels:
@@ -229,7 +231,8 @@ def test_compare_draws_what_render_draws(device: Device) -> None:
 def test_compare_tells_the_smoothing_that_was_decided(device: Device) -> None:
     noisy = phantoms.sphere(24).data + np.random.default_rng(0).normal(0, 0.1, (24, 24, 24))
     names = ("bspline3", "bspline3(0.25)", "bspline3(auto)")
-    panels, sheet = compare(noisy, names, 40, device=device, mode="isosurface", isovalue=0.5)
+    look: dict[str, Any] = {"camera": Camera.orbit(fit="volume"), "mode": "isosurface", "isovalue": 0.5}
+    panels, sheet = compare(noisy, names, 40, device=device, **look)
     assert [p.filter for p in panels[:2]] == ["bspline3", "bspline3(0.25)"]
     assert panels[1].label == "B-spline, lambda = 0.25\n"
     decided = as_filter(panels[2].filter).smoothing
@@ -237,7 +240,7 @@ def test_compare_tells_the_smoothing_that_was_decided(device: Device) -> None:
     assert decided > 0.1
     assert sheet.shape[1] == 3 * 40 + 2 * 4
     # a smooth ball: the smoother one is nearer to what is drawn without noise
-    clean = compare(phantoms.sphere(24), names[:1], 40, device=device, mode="isosurface", isovalue=0.5)[0][0].picture
+    clean = compare(phantoms.sphere(24), names[:1], 40, device=device, **look)[0][0].picture
     far = [np.abs(p.picture - clean).mean() for p in panels]
     assert max(far[1:]) < 0.7 * far[0]
 

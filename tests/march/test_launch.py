@@ -28,9 +28,9 @@ SIZE = (41, 35)
 TRANSFER = TransferFunction(((0.0, "navy"), (0.5, "orange"), (1.0, "white")), ((0.2, 0.0), (0.5, 0.25), (1.0, 0.9)))
 EXACT = [name for name in modes() if name not in ("composite", "mean")]  # nothing is added up
 CAMERAS = {
-    "across": Camera.orbit(25, 35),
-    "along an axis": Camera.orbit(0, 0, projection="orthographic"),
-    "oblique": Camera.orbit(40, -30, fov=120),  # some rays step along themselves
+    "across": Camera.orbit(25, 35, fit="volume"),
+    "along an axis": Camera.orbit(0, 0, projection="orthographic", fit="volume"),
+    "oblique": Camera.orbit(40, -30, fov=120, fit="volume"),  # some rays step along themselves
 }
 
 
@@ -105,7 +105,7 @@ def test_rays_of_few_samples_in_parts_are_the_picture_to_the_last_bit(renderer: 
     x, y, z = renderer.volume.center
     for thick in (0.3, 1.4):
         clip = (x, y, z), (math.inf, y + thick * renderer.volume.spacing[1], math.inf)
-        frame = frame_of(renderer, mode, Camera.orbit(10, 70), clip=clip)
+        frame = frame_of(renderer, mode, Camera.orbit(10, 70, fit="volume"), clip=clip)
         whole, states, first = draw(frame), None, -np.inf
         assert (whole["rgba"][..., 3] > 0).any()
         for last in (*range(4, 40, 3), np.inf):

@@ -20,7 +20,7 @@ from clvol.camera import Camera
 from clvol.device import Device, Tile
 from clvol.errors import DeviceError
 from clvol.filter import as_filter, filters
-from clvol.light import Light, Material
+from clvol.light import HEADLIGHT, Light, Material
 from clvol.march.planes import Planes
 from clvol.march.renderer import OUTPUTS, Renderer
 from clvol.mode import modes
@@ -32,13 +32,21 @@ from tests.march.looks import TILES, suited
 
 SIZE = (24, 20)
 STEP = 0.37  # no plane of these volumes then lies where a filter jumps or kinks, nor where a box is cut
-CAMERA = Camera.orbit(33, 21)
+CAMERA = Camera.orbit(33, 21, fit="volume")
 # points on equal nodes; the default look has others
 TRANSFER = TransferFunction(
     ((0.0, (0.1, 0.2, 0.9)), (0.25, (0.9, 0.1, 0.2)), (0.5, (0.2, 0.8, 0.3)), (1.0, (1.0, 1.0, 0.9))),
     ((0.25, 0.0), (0.5, 0.3), (1.0, 0.7)),
 )
-OPTIONS: dict[str, Any] = {"transfer": TRANSFER, "background": None, "outputs": OUTPUTS[:-1], "isovalue": 0.5, "termination": 0.0}
+OPTIONS: dict[str, Any] = {
+    "transfer": TRANSFER,
+    "background": None,
+    "outputs": OUTPUTS[:-1],
+    "isovalue": 0.5,
+    "termination": 0.0,
+    "samples": 1,
+    "lights": HEADLIGHT,  # continuous where normals turn over; others are tested below
+}
 MODES = list(modes())
 
 
@@ -238,7 +246,7 @@ VIEWS |= {
     "inside": (block(), _INSIDE, STEP, {}),
     "inside, behind too": (block(), replace(_INSIDE, fov=150), STEP, {}),
     "orthographic eye inside": (block(), replace(_INSIDE, projection="orthographic"), STEP, {}),
-    "diagonal": (block(), Camera(direction=(1.02, 0.97, -0.93)), STEP, {}),
+    "diagonal": (block(), Camera(direction=(1.02, 0.97, -0.93), fit="volume"), STEP, {}),
     "skew axes": (block(oblique=True), CAMERA, STEP, {}),
     "skew axes, wide": (block(oblique=True), replace(CAMERA, fov=110), STEP, {}),
     "far origin": (block(oblique=True, origin=_FAR), CAMERA, STEP, {}),
@@ -249,8 +257,8 @@ VIEWS |= {
     "zoomed": (block(), CAMERA.zoomed(3.1), STEP, {}),
     "fine": (block(), CAMERA, 0.25, {}),
     "coarse": (block(), CAMERA, 2.0, {}),
-    "one plane": (slope(), Camera(direction=(1, -0.4, 0.3)), 1000.0, {}),
-    "one plane, wide": (slope(), Camera(direction=(1, -0.4, 0.3), fov=120), 1000.0, {}),
+    "one plane": (slope(), Camera(direction=(1, -0.4, 0.3), fit="volume"), 1000.0, {}),
+    "one plane, wide": (slope(), Camera(direction=(1, -0.4, 0.3), fov=120, fit="volume"), 1000.0, {}),
     "larger": (lobes(), CAMERA, 0.5, {}),
     "three samples a pixel": (block(), CAMERA, STEP, {"samples": 3}),
     "background": (block(), CAMERA, STEP, {"background": (0.2, 0.5, 0.9)}),
@@ -358,7 +366,7 @@ def test_opacities_a_world_length(device: Device, keep: dict[Any, Renderer]) -> 
 def test_the_default_look_is_the_references(device: Device, mode: str) -> None:
     """No option is given: transfer function, isovalue, colour, lights and background are what each decides by itself."""
     with Renderer(block(), device=device) as renderer:
-        got = renderer.render(CAMERA, mode, SIZE, STEP, outputs=OUTPUTS[:-1])
+        got = renderer.render(CAMERA, mode, SIZE, STEP, outputs=OUTPUTS[:-1], samples=1)
     want = reference.render(block(), CAMERA, mode, size=SIZE, step=STEP, outputs=OUTPUTS[:-1])
     assert isinstance(want, dict)
     # light that early termination leaves out
@@ -375,7 +383,9 @@ def test_the_default_look_is_the_references(device: Device, mode: str) -> None:
 def test_tiles_of_rays_draw_the_same(device: Device, keep: dict[Any, Renderer], mode: str) -> None:
     """One ray a work-item, eight at once, and tiles that share planes."""
     renderer = held(keep, device, block(), "bspline3")
-    views = [Camera.orbit(azimuth, elevation) for azimuth, elevation in ((100, 10), (20, -75), (200, 5))]  # each axis, backwards
+    views = [
+        Camera.orbit(azimuth, elevation, fit="volume") for azimuth, elevation in ((100, 10), (20, -75), (200, 5))
+    ]  # each axis, backwards
     for camera in (CAMERA, replace(CAMERA, fov=120), *views):
         for size in (SIZE, (21, 7)):  # a width that eight does not divide
             options = suited(mode, OPTIONS)

@@ -30,7 +30,7 @@ from clvol.volume import Volume
 from tests.march.looks import TILES, suited
 
 SIZE = (24, 20)
-CAMERA = Camera.orbit(33, 21)
+CAMERA = Camera.orbit(33, 21, fit="volume")
 MODES = list(modes())
 DATA = Path(__file__).parents[3] / "shared" / "data"
 
@@ -187,7 +187,7 @@ def test_a_constant_slab_lets_through_what_it_must(device: Device, step: float) 
     volume = Volume(np.ones((6, 60, 60), np.float32), (1.0, 1.0, 0.8))
     fog = TransferFunction(((1.0, "white"),), ((1.0, 0.1),), unit_distance=0.7)
     for projection in ("perspective", "orthographic"):
-        camera = Camera(direction=(0.2, 0.1, -1), up=(0, 1, 0), projection=projection, zoom=4)  # type: ignore[arg-type]
+        camera = Camera(direction=(0.2, 0.1, -1), up=(0, 1, 0), projection=projection, zoom=4, fit="volume")  # type: ignore[arg-type]
         options: dict[str, Any] = {"transfer": fog, "background": None, "termination": 0, "device": device}
         got = render(volume, camera, "composite", size=(9, 7), step=step, **options)
         view = camera.view(volume, 9 / 7)
@@ -203,14 +203,16 @@ def test_the_mean_of_a_ramp(device: Device) -> None:
     ramp = np.arange(n, dtype=np.float32)
     for axis, direction in ((0, (0, 0, 1)), (1, (0, 1, 0)), (2, (1, 0, 0))):
         data = np.broadcast_to(ramp.reshape([n if i == axis else 1 for i in range(3)]), (n, n, n))
-        camera = Camera(direction=direction, up=(0, 1, 0) if axis == 0 else (0, 0, 1), projection="orthographic", zoom=3)
+        camera = Camera(
+            direction=direction, up=(0, 1, 0) if axis == 0 else (0, 0, 1), projection="orthographic", zoom=3, fit="volume"
+        )
         grey = TransferFunction.ramp((0, n - 1))
         got = render(data, camera, "mean", "linear", size=(5, 5), transfer=grey, device=device)
         # by symmetry the middle of the ramp, the mirrored half voxels at its ends included
         np.testing.assert_allclose(got[..., 0], 0.5, atol=1e-6)
     # across the view, the value of the column itself
     data = np.broadcast_to(ramp, (n, n, n))
-    camera = Camera(direction=(0, 0, 1), up=(0, -1, 0), projection="orthographic", zoom=3)
+    camera = Camera(direction=(0, 0, 1), up=(0, -1, 0), projection="orthographic", zoom=3, fit="volume")
     view = camera.view(Volume(data))
     got = render(data, camera, "mean", "bspline3", size=(6, 6), transfer=TransferFunction.ramp((0, n - 1)), device=device)
     x = view.eye[0] + view.half_height * view.right[0] * ((np.arange(6) + 0.5) / 3 - 1)
@@ -235,7 +237,7 @@ def test_projections_are_in_order(device: Device, filter: str) -> None:
 def test_the_greatest_value_is_found(device: Device) -> None:
     data = np.zeros((9, 9, 9), np.float32)
     data[3, 5, 2] = 1
-    camera = Camera(direction=(0, 1, 0), projection="orthographic")
+    camera = Camera(direction=(0, 1, 0), projection="orthographic", fit="volume")
     got = render(data, camera, "mip", "nearest", size=(90, 90), device=device, outputs=("rgba", "position"))
     lit = got["rgba"][..., 0] > 0.5
     places = got["position"][lit]
@@ -426,7 +428,7 @@ def test_thin_volumes(device: Device, shape: tuple[int, int, int], mode: str) ->
 
 
 def test_a_single_voxel_fills_its_cube(device: Device) -> None:
-    camera = Camera(direction=(0, 1, 0), projection="orthographic")
+    camera = Camera(direction=(0, 1, 0), projection="orthographic", fit="volume")
     grey = TransferFunction(((7.0, (0.5, 0.5, 0.5)),))
     options: dict[str, Any] = {"size": (64, 64), "transfer": grey, "device": device, "background": None}
     for name in ("nearest", "linear", "bspline3", "bspline5", "hybrid", "sinc"):
@@ -506,9 +508,9 @@ def test_outputs_come_as_asked(renderer: Renderer) -> None:
     got = renderer.render(CAMERA, size=SIZE, outputs=["normal", "rgba"])
     assert list(got) == ["normal", "rgba"]
     np.testing.assert_array_equal(got["rgba"], renderer.render(CAMERA, size=SIZE))
-    clear = renderer.render(CAMERA, size=SIZE, background=None)
+    clear = renderer.render(CAMERA, size=SIZE, background=None, samples=1)
     over = clear[..., :3] * clear[..., 3:] + (1 - clear[..., 3:]) * np.float32([0, 0, 1])
-    np.testing.assert_allclose(renderer.render(CAMERA, size=SIZE, background="blue")[..., :3], over, atol=1e-6)
+    np.testing.assert_allclose(renderer.render(CAMERA, size=SIZE, background="blue", samples=1)[..., :3], over, atol=1e-6)
 
 
 # -- far away, very small, very large ------------------------------------------------------------------------------

@@ -51,6 +51,7 @@ def views(draw: st.DrawFn) -> dict[str, Any]:
         draw(st.floats(-89, 89)),
         zoom=draw(st.sampled_from([0.3, 1.0, 4.0])),
         projection=draw(st.sampled_from(["perspective", "orthographic"])),
+        fit="volume",
     )
     points = sorted(draw(st.lists(st.floats(-0.5, 1.5), min_size=2, max_size=4, unique=True)))
     opacities = draw(st.lists(st.sampled_from([0.0, 0.0, 0.02, 1.0]), min_size=len(points), max_size=len(points)))
@@ -167,6 +168,6 @@ def test_a_transfer_function_without_opacity_is_looked_at_nowhere(device: Device
 
 
 def test_tiles_of_another_shape_skip_too(device: Device) -> None:
-    view = {"isovalue": 0.5, "step": 0.5, "camera": Camera.orbit(20, 10)}
+    view = {"isovalue": 0.5, "step": 0.5, "camera": Camera.orbit(20, 10, fit="volume")}
     with device.limited(tile=Tile(8, 8, 8, shared=True)):
         same(device, marschner_lobb(), "bspline3", "isosurface", view)

@@ -21,7 +21,7 @@ from tests.cases import BAD_NUMBERS
 
 SIZE = (60, 50)
 LOOK: dict[str, Any] = {
-    "camera": Camera.orbit(30, 20, zoom=1.6),
+    "camera": Camera.orbit(30, 20, zoom=1.6, fit="volume"),
     "mode": "isosurface",
     "size": SIZE,
     "isovalue": 0.5,
@@ -128,7 +128,7 @@ def test_a_surface_without_slope_may_be_anywhere(device: Device) -> None:
 
 def test_a_field_serves_many_pictures(device: Device) -> None:
     with clvol.Field(bumps(), "bspline3", device=device) as field, Renderer(field) as renderer:
-        pictures = [renderer.render(**{**LOOK, "camera": Camera.orbit(a)}, outputs="uncertainty") for a in (0, 40, 0)]
+        pictures = [renderer.render(**{**LOOK, "camera": Camera.orbit(a, fit="volume")}, outputs="uncertainty") for a in (0, 40, 0)]
         np.testing.assert_array_equal(pictures[0], pictures[2])
         renderer.close()
         with pytest.raises(OptionError, match="closed"):

@@ -100,7 +100,15 @@ def true_picture(camera: str, box: Box) -> dict[str, Array]:
 
 
 def drawn(device: Device, camera: str, box: Box, step: float, **options: Any) -> dict[str, Array]:
-    look: dict[str, Any] = {"camera": CAMERAS[camera], "size": SIZE, "step": step, "clip": box, "background": None, **options}
+    look: dict[str, Any] = {
+        "camera": CAMERAS[camera],
+        "size": SIZE,
+        "step": step,
+        "clip": box,
+        "background": None,
+        "samples": 1,
+        **options,
+    }
     transfer = clvol.TransferFunction(((0.0, "black"), (1.0, "white")), THROUGH, 1.0)
     with clvol.Renderer(smooth(), "bspline3", "mirror", device) as renderer:
         light = renderer.render(
@@ -136,8 +144,8 @@ def test_the_error_at_clip_planes_is_of_second_order(device: Device, camera: str
 def test_a_thin_slab_has_its_opacity_wherever_it_lies(device: Device, tile: str) -> None:
     """0.2 of a voxel of matter that stops half of the light a voxel: 1 - 0.5^0.2 = 0.1294."""
     fog = clvol.TransferFunction(((0.0, "white"),), ((0.0, 0.5),), 1.0)
-    camera = clvol.Camera(direction=(0, 1, 0), up=(0, 0, 1), projection="orthographic")
-    look: dict[str, Any] = {"size": (20, 17), "transfer": fog, "background": None, "outputs": ("rgba", "visited")}
+    camera = clvol.Camera(direction=(0, 1, 0), up=(0, 0, 1), projection="orthographic", fit="volume")
+    look: dict[str, Any] = {"size": (20, 17), "transfer": fog, "background": None, "outputs": ("rgba", "visited"), "samples": 1}
     with device.limited(tile=TILES[tile]), clvol.Renderer(np.zeros((12, 12, 12), np.float32), device=device) as renderer:
         for at in np.arange(1.0, 3.0, 0.1):
             clip = ((-np.inf, at, -np.inf), (np.inf, at + 0.2, np.inf))
@@ -190,7 +198,7 @@ def test_light_on_a_thin_slab(device: Device, tile: str) -> None:
         "lights": clvol.Light((1, -2, 0.5)),
         "step": 1.0,
     }
-    camera = clvol.Camera(direction=(0.1, 1, 0.2), projection="orthographic")
+    camera = clvol.Camera(direction=(0.1, 1, 0.2), projection="orthographic", fit="volume")
     colors = []
     with device.limited(tile=TILES[tile]), clvol.Renderer(ramp, "linear", device=device) as renderer:
         for at in (5.1, 5.4, 5.6):

@@ -49,7 +49,7 @@ def sphere_points(volume: Volume, view: View, size: tuple[int, int], radius: flo
 @pytest.mark.parametrize("distance", [0.0, 1e6, 1e7, 1e9])
 def test_positions_are_as_exact_far_from_the_origin(device: Device, distance: float, projection: Any) -> None:
     volume, size = ball((distance, -3 * distance, 0.7 * distance)), (60, 48)
-    camera = Camera.orbit(30, 20, zoom=1.5, projection=projection)
+    camera = Camera.orbit(30, 20, zoom=1.5, projection=projection, fit="volume")
     options: dict[str, Any] = {"isovalue": RADIUS**2, "size": size, "device": device}
     got = clvol.render(volume, camera, "isosurface", outputs="position", **options)
     assert got.dtype == np.float64
@@ -67,7 +67,7 @@ def test_positions_are_as_exact_far_from_the_origin(device: Device, distance: fl
 @pytest.mark.parametrize("distance", [1e6, 1e7])
 def test_clip_boxes_and_normals_too(device: Device, distance: float) -> None:
     """The faces of a box in front of the ball: positions lie on them, and the picture is that at the origin."""
-    size, camera = (48, 48), Camera.orbit(30, 20, zoom=1.5)
+    size, camera = (48, 48), Camera.orbit(30, 20, zoom=1.5, fit="volume")
     near, far = ball((0, 0, 0)), ball((distance, -distance, 2 * distance))
     pictures = []
     for volume in (near, far):
@@ -86,7 +86,7 @@ WIDE = [(fov, zoom) for fov in (90.0, 150.0, 170.0, 179.0, 179.9) for zoom in (1
 @pytest.mark.parametrize(("fov", "zoom"), WIDE)
 def test_wide_cameras_are_exact_or_refused(device: Device, fov: float, zoom: float) -> None:
     """Positions lie on the rays within 1/16 of a voxel, and skipping changes nothing; else an error names the limit."""
-    volume, camera, size = ball((0, 0, 0)), Camera(direction=(0.3, 0.8, -0.5), fov=fov, zoom=zoom), (49, 33)
+    volume, camera, size = ball((0, 0, 0)), Camera(direction=(0.3, 0.8, -0.5), fov=fov, zoom=zoom, fit="volume"), (49, 33)
     corner = np.tan(np.radians(fov / 2)) / zoom
     with clvol.Renderer(volume, "linear", device=device) as renderer:
         if corner * volume.radius > 200_000:
@@ -122,7 +122,7 @@ def test_unequal_spacings_move_nothing_off_its_ray(
     (Volumes 10⁴ times as thin along the view as across were refused for what moves samples along their rays alone.)
     """
     volume, size = Volume(np.ones((side,) * 3, np.float32), spacing), (24, 20)
-    camera = Camera.orbit(projection=projection)
+    camera = Camera.orbit(projection=projection, fit="volume")
     with clvol.Renderer(volume, "linear", device=device) as renderer:
         got = renderer.render(camera, "mip", size, outputs=("rgba", "position"))
         plain = renderer.render(camera, "mip", size, outputs=("rgba", "position"), skipping=False)

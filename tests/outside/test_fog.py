@@ -11,7 +11,7 @@ import clvol
 from clvol.device import Device, Tile
 
 TILES = {"planes": Tile(16, 16, 8, shared=True), "rays": Tile(1, 1, 1, shared=False)}
-ALONG = clvol.Camera(direction=(0, 1, 0), up=(0, 0, 1), projection="orthographic", zoom=0.9)
+ALONG = clvol.Camera(direction=(0, 1, 0), up=(0, 0, 1), projection="orthographic", zoom=0.9, fit="volume")
 
 
 def fog(opacity: float, unit: float) -> clvol.TransferFunction:
@@ -24,7 +24,13 @@ def opacity_of(opacity: float, lengths: Any) -> Any:
 
 def draw(device: Device, length: int, transfer: clvol.TransferFunction, **options: Any) -> Any:
     data = np.zeros((2, length, 2), np.float32)
-    look: dict[str, Any] = {"size": (9, 9), "background": None, "outputs": ("rgba", "depth", "position"), "termination": 0.0}
+    look: dict[str, Any] = {
+        "size": (9, 9),
+        "samples": 1,
+        "background": None,
+        "outputs": ("rgba", "depth", "position"),
+        "termination": 0.0,
+    }
     return clvol.render(data, ALONG, "composite", "linear", device=device, transfer=transfer, **{**look, **options})
 
 

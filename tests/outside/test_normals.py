@@ -31,7 +31,13 @@ def ball(hot: float) -> Volume:
 
 SHELL = TransferFunction(((0, "white"), (2, "white")), ((0.95, 0.0), (1.0, 0.95), (1.05, 0.0)))
 BOX = ((CENTER - 12,) * 3, (CENTER + 12,) * 3)
-LOOK: dict[str, Any] = {"camera": Camera.orbit(30, 20, zoom=4.0), "size": (48, 48), "clip": BOX, "transfer": SHELL}
+LOOK: dict[str, Any] = {
+    "camera": Camera.orbit(30, 20, zoom=4.0, fit="volume"),
+    "size": (48, 48),
+    "samples": 1,
+    "clip": BOX,
+    "transfer": SHELL,
+}
 LOOK |= {"lights": [Light((1, -1, 1))], "outputs": ("rgba", "normal", "position")}
 
 
@@ -70,12 +76,12 @@ def test_rounding_gives_no_normal(device: Device, filter: str, gradient: str) ->
     for value, spacing in ((0.1 + 0.2, 1.0), (1 / 3, 1e-3), (-1234.5678, 7.0), (1e30 / 7, 1.0), (3e-20, 1.0), (0.0, 1.0)):
         volume = Volume(np.full((9, 12, 10), value, np.float32), (spacing, spacing, 3 * spacing))
         transfer = TransferFunction(((value - 1, "white"), (value + 1, "white")), ((value - 1, 0.2), (value + 1, 0.2)))
-        options: dict[str, Any] = {"transfer": transfer, "gradient": gradient, "size": (24, 24), "device": device}
+        options: dict[str, Any] = {"transfer": transfer, "gradient": gradient, "samples": 1, "size": (24, 24), "device": device}
         got = clvol.render(volume, filter=filter, outputs="normal", **options)
         assert np.isnan(got).all(), (value, spacing)
     data = np.full((72, 8, 8), 1 / 3, np.float32)
     data[:32] = 1e-3
-    box, top = ((-1, -1, 66), (8, 8, 72)), Camera.orbit(10, 75)
+    box, top = ((-1, -1, 66), (8, 8, 72)), Camera.orbit(10, 75, fit="volume")
     options = {"transfer": clear, "gradient": gradient, "clip": box, "size": (24, 24), "device": device}
     assert np.isnan(clvol.render(data, top, filter=filter, outputs="normal", **options)).all()
 
@@ -87,7 +93,7 @@ def test_a_plateau_a_thousandth_above_another_has_normals_at_its_edge_beside_a_h
     data[0, 0, 0] = 1e6
     surface = clvol.render(
         data,
-        Camera.orbit(0, 70, zoom=2.0),
+        Camera.orbit(0, 70, zoom=2.0, fit="volume"),
         "isosurface",
         "linear",
         size=(32, 32),
@@ -110,7 +116,7 @@ def test_central_differences_on_the_hybrid_are_those_of_the_magnified_volume(dev
     differences = np.stack(np.gradient(fine)[::-1], -1) / (spacing / 2)
     seen = clvol.render(
         Volume(data, tuple(spacing)),
-        Camera.orbit(25, 35),
+        Camera.orbit(25, 35, fit="volume"),
         "isosurface",
         "hybrid",
         "mirror",

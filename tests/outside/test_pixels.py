@@ -12,10 +12,10 @@ from clvol import Camera, Renderer, TransferFunction, Volume
 from clvol.device import Device
 from clvol.errors import OptionError
 from clvol.filter import as_filter, filters
-from clvol.march.pixels import pixel_offsets, pixel_rays
+from clvol.march.pixels import EDGE_RAYS, on_edges, pixel_offsets, pixel_rays
 
 SIZE = (32, 24)
-FRONT = Camera(direction=(0.0, 1.0, 0.0), projection="orthographic")
+FRONT = Camera(direction=(0.0, 1.0, 0.0), projection="orthographic", fit="volume")
 PIXEL_FILTERS = [row.name for row in filters().values() if not row.prefilter and not row.magnify]
 
 
@@ -25,7 +25,7 @@ def waves(per_pixel: float, size: tuple[int, int] = SIZE, voxels: int = 4) -> tu
     x = np.arange(n) - (n - 1) / 2
     volume = Volume(np.broadcast_to(0.5 + 0.5 * np.cos(2 * np.pi * per_pixel * x / voxels), (n, 2, n)).astype(np.float32))
     height = FRONT.view(volume, size[0] / size[1]).half_height
-    return volume, Camera(direction=FRONT.direction, projection="orthographic", zoom=height / (size[1] * voxels / 2))
+    return volume, Camera(direction=FRONT.direction, projection="orthographic", zoom=height / (size[1] * voxels / 2), fit="volume")
 
 
 def drawn(volume: Volume, camera: Camera, device: Device, **options: Any) -> np.ndarray[Any, Any]:
@@ -39,7 +39,7 @@ def test_several_rays_do_not_shift_the_picture(device: Device, samples: int) -> 
     n = 64
     z, _, x = np.meshgrid(np.arange(n), np.arange(2), np.arange(n), indexing="ij")
     volume = Volume(((x + 2 * z) / (3 * n)).astype(np.float32))
-    camera = Camera(direction=(0.0, 1.0, 0.0), projection="orthographic", zoom=3.0)
+    camera = Camera(direction=(0.0, 1.0, 0.0), projection="orthographic", zoom=3.0, fit="volume")
     one = drawn(volume, camera, device)
     got = drawn(volume, camera, device, samples=samples)
     assert one.std() > 0.05
@@ -133,7 +133,9 @@ def test_guides_are_of_the_ray_through_the_middle(device: Device, samples: int) 
 
 def test_one_ray_goes_through_the_middle_whatever_the_filter(device: Device) -> None:
     volume = clvol.phantoms.sphere(20)
-    pictures = [clvol.render(volume, size=SIZE, pixel_filter=name, device=device) for name in ("nearest", "linear", "lanczos3")]
+    pictures = [
+        clvol.render(volume, size=SIZE, samples=1, pixel_filter=name, device=device) for name in ("nearest", "linear", "lanczos3")
+    ]
     for picture in pictures[1:]:
         np.testing.assert_array_equal(picture, pictures[0])
 
@@ -155,3 +157,41 @@ def test_it_is_refused_before_any_work() -> None:
     data = np.full((3, 3, 3), np.nan)
     with pytest.raises(OptionError, match="pixel_filter must be a filter without a prefilter"):
         clvol.render(data, pixel_filter="bspline3")
+
+
+def test_pixels_on_edges_have_more_rays_and_no_others(device: Device) -> None:
+    volume = clvol.phantoms.sphere(20)
+    with Renderer(volume, device=device) as renderer:
+        for background in ("white", None):
+            matte = clvol.Material(specular=0.0)  # nothing is brighter than white, which would be cut off
+            look: dict[str, Any] = {"mode": "isosurface", "size": (61, 47), "background": background, "material": matte}
+            one, more, many = (renderer.render(**look, samples=n) for n in (1, EDGE_RAYS, 64))
+            auto = renderer.render(**look)
+            edges = np.zeros(one.shape[:2], bool)
+            edges[tuple(on_edges(one).T)] = True
+            assert 50 < edges.sum() <= edges.size / 12
+            np.testing.assert_array_equal(auto[~edges], one[~edges])
+            np.testing.assert_allclose(auto[edges], more[edges], rtol=0, atol=1e-5)
+            cover, wanted, roughly = (picture[edges][:, :1] * picture[edges][:, 3:] for picture in (auto, many, one))
+            assert np.linalg.norm(cover - wanted) < 0.5 * np.linalg.norm(roughly - wanted)
+            np.testing.assert_array_equal(renderer.render(**look, skipping=False), auto)
+            with renderer.device.limited(launch_seconds=1e-9):
+                np.testing.assert_array_equal(renderer.render(**look), auto)
+            assert np.isinf(renderer.render(**look, outputs="depth")[0, 0])
+
+
+def test_edges_are_where_luminance_or_opacity_jump() -> None:
+    picture = np.ones((30, 40, 4), np.float32)
+    picture[..., :3] = 0.5
+    assert len(on_edges(picture)) == 0
+    picture[:, 20:, :3] = 0.7
+    found = on_edges(picture, 1)
+    assert set(found[:, 1]) == {19, 20}
+    assert len(found) == 60
+    picture[..., :3], picture[:15, :, 3] = 0.5, 0.0
+    assert set(on_edges(picture, 1)[:, 0]) == {14, 15}
+    picture[...] = 0.5
+    picture[::2, ::2, :3] = 0.8
+    picture[10, 10, :3] = 1.0
+    strongest = on_edges(picture, 100)  # of 1200 pixels that differ
+    assert {(10, 10), (9, 10), (11, 10), (10, 9), (10, 11)} == {tuple(p) for p in strongest.tolist()}

@@ -40,7 +40,7 @@ def test_stepped_surfaces_do_miss_some() -> None:
 
 def test_the_truth_agrees_with_samples_a_hundredth_of_a_voxel_apart() -> None:
     data = np.random.default_rng(2).random((8, 9, 7))
-    volume, camera, size = Volume(data), Camera.orbit(25, 15), (24, 24)
+    volume, camera, size = Volume(data), Camera.orbit(25, 15, fit="volume"), (24, 24)
     spline = caster.Spline(data)
     view = camera.view(volume, 1.0)
     rays = camera_rays(volume, view, size)
@@ -79,7 +79,11 @@ def test_the_picture_is_the_same_however_rays_are_cut(device: Device, filter: st
     data = np.random.default_rng(7).random((11, 9, 13)).astype(np.float32)
     options: dict[str, Any] = {"isovalue": 0.55, "outputs": ("rgba", "depth", "normal", "position")}
     with clvol.Renderer(Volume(data, (1.0, 0.7, 1.2)), filter, device=device) as renderer:
-        for camera in (Camera.orbit(40, 25), Camera.orbit(200, -60, projection="orthographic"), Camera.orbit(90, 0, zoom=3)):
+        for camera in (
+            Camera.orbit(40, 25, fit="volume"),
+            Camera.orbit(200, -60, projection="orthographic", fit="volume"),
+            Camera.orbit(90, 0, zoom=3, fit="volume"),
+        ):
             pictures = [
                 renderer.render(camera, "isosurface", (37, 29), step, skipping=skipping, **options)
                 for step, skipping in ((0.5, True), (0.5, False), (7.3, True), (0.01, True))
@@ -97,12 +101,20 @@ def test_the_picture_is_the_same_however_rays_are_cut(device: Device, filter: st
 
 def test_a_ray_that_begins_behind_a_surface_sees_the_next() -> None:
     data = np.broadcast_to(np.sin(np.arange(32.0) + 0.5), (6, 6, 32))
-    whole = clvol.render(data, Camera(direction=(1, 0.01, 0.02)), "isosurface", size=(9, 9), isovalue=0.0, outputs="position")
+    whole = clvol.render(
+        data, Camera(direction=(1, 0.01, 0.02), fit="volume"), "isosurface", size=(9, 9), isovalue=0.0, outputs="position"
+    )
     first = float(whole[4, 4, 0])
     assert first == pytest.approx(math.pi - 0.5, abs=0.05)
     clip = ((first + 0.5, -9, -9), (99, 99, 99))
     behind = clvol.render(
-        data, Camera(direction=(1, 0.01, 0.02)), "isosurface", size=(9, 9), isovalue=0.0, clip=clip, outputs="position"
+        data,
+        Camera(direction=(1, 0.01, 0.02), fit="volume"),
+        "isosurface",
+        size=(9, 9),
+        isovalue=0.0,
+        clip=clip,
+        outputs="position",
     )
     assert float(behind[4, 4, 0]) == pytest.approx(2 * math.pi - 0.5, abs=0.05)
 
@@ -111,14 +123,16 @@ def test_a_ray_that_begins_behind_a_surface_sees_the_next() -> None:
 def test_rays_on_the_planes_between_cells_meet_no_surface_along_them(size: int) -> None:
     half = np.zeros((6, 6, 6))
     half[:, :, 3:] = 1
-    camera = Camera(direction=(0, 1, 0), projection="orthographic")  # the middle column of pixels lies on such a plane
+    camera = Camera(
+        direction=(0, 1, 0), projection="orthographic", fit="volume"
+    )  # the middle column of pixels lies on such a plane
     depth = clvol.render(half, camera, "isosurface", "nearest", size=(size, size), isovalue=0.5, outputs="depth")
     assert np.isinf(depth).all()
 
 
 def test_a_clip_face_that_holds_a_ray_does_not_cut_it() -> None:
     data = np.random.default_rng(3).random((6, 6, 6))
-    camera = Camera(direction=(0, 1, 0), projection="orthographic")
+    camera = Camera(direction=(0, 1, 0), projection="orthographic", fit="volume")
     options: dict[str, Any] = {"size": (9, 9), "isovalue": 0.6, "outputs": "depth", "clip": ((2.5, -9, -9), (99, 99, 99))}
     got = clvol.render(data, camera, "isosurface", **options)
     want = clvol.reference.march.march.render(data, camera, "isosurface", **options)
@@ -132,9 +146,11 @@ def test_a_clip_face_that_holds_a_ray_does_not_cut_it() -> None:
 def test_small_volumes(filter: str, shape: tuple[int, int, int]) -> None:
     data = np.arange(math.prod(shape), dtype=np.float64).reshape(shape)
     for isovalue in (-1.0, 0.0, 0.5, float(data.max())):
-        got = clvol.render(data, Camera.orbit(10, 20), "isosurface", filter, size=(16, 16), isovalue=isovalue, outputs="depth")
+        got = clvol.render(
+            data, Camera.orbit(10, 20, fit="volume"), "isosurface", filter, size=(16, 16), isovalue=isovalue, outputs="depth"
+        )
         want = clvol.reference.march.march.render(
-            data, Camera.orbit(10, 20), "isosurface", filter, size=(16, 16), isovalue=isovalue, outputs="depth"
+            data, Camera.orbit(10, 20, fit="volume"), "isosurface", filter, size=(16, 16), isovalue=isovalue, outputs="depth"
         )
         if isovalue not in (0.0, float(data.max())):  # at an extreme rounding decides
             both = np.isfinite(got) & np.isfinite(want)

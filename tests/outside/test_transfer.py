@@ -12,7 +12,7 @@ import clvol
 from clvol.device import Device, Tile
 
 # a voxel a pixel, more or less, seen along y; each is one unit distance thick
-VIEW = clvol.Camera(direction=(0, 1, 0), up=(0, 0, 1), projection="orthographic")
+VIEW = clvol.Camera(direction=(0, 1, 0), up=(0, 0, 1), projection="orthographic", fit="volume")
 TILES = {"wide": Tile(16, 16, 8, shared=True), "eights": Tile(16, 15, 8, shared=True), "rays": Tile(1, 1, 1, shared=False)}
 COMPOSITE: dict[str, Any] = {"mode": "composite", "shading": False, "termination": 0.0}
 
@@ -21,7 +21,14 @@ def drawn(device: Device, values: NDArray[Any], transfer: clvol.TransferFunction
     """Values, each (N,), and their colours and opacities in the picture of a slab of voxels that have them, (N, 4)."""
     slab = values.reshape(24, 1, 24)
     with clvol.Renderer(slab, "nearest", device=device) as renderer:
-        look: dict[str, Any] = {"camera": VIEW, "size": (61, 61), "step": 1.0, "transfer": transfer, "background": None}
+        look: dict[str, Any] = {
+            "camera": VIEW,
+            "size": (61, 61),
+            "samples": 1,
+            "step": 1.0,
+            "transfer": transfer,
+            "background": None,
+        }
         place = renderer.render(mode="mip", outputs="position", **look).reshape(-1, 3).astype(np.float64)
         colors = renderer.render(mode="mip", **look).reshape(-1, 4)[:, :3]
         both = {skip: renderer.render(**look, **COMPOSITE, skipping=skip).reshape(-1, 4) for skip in (True, False)}

@@ -18,7 +18,7 @@ from clvol.phantoms import marschner_lobb_function, marschner_lobb_gradient
 Array: TypeAlias = NDArray[np.float64]
 N = 48
 STEP = 2 / (N - 1)
-VIEW = Camera.orbit(30, 25, projection="orthographic")
+VIEW = Camera.orbit(30, 25, projection="orthographic", fit="volume")
 
 
 @dataclass(frozen=True)

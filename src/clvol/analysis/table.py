@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from clvol.checks import as_path
+from clvol.display import table
 from clvol.errors import DataError, OptionError
 from clvol.files import require_suffix, staged
 
@@ -100,6 +101,13 @@ class Table(list[Row]):
         for texts in self._texts():
             table.add_row(*texts)
         return table
+
+    def _repr_html_(self) -> str | None:
+        """For notebooks."""
+        if not self:
+            return None
+        header, *rows = self.texts()
+        return table(header, rows)
 
     def _columns(self) -> list[Field[Any]]:
         if not self:

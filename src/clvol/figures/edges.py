@@ -31,7 +31,7 @@ _TURN = np.linalg.qr(np.array([[1.0, 0.35, 0.2], [-0.3, 1.0, 0.45], [0.15, -0.4,
 _SIGMA = 1.0  # samples
 _LINES, _REACH, _PLACES = 3000, 7, 71  # samples that a line is long, places on it
 _SEED = 1848  # Wilbraham
-_CAMERA = Camera.orbit(28, 22, zoom=2.1)
+_CAMERA = Camera.orbit(28, 22, zoom=2.1, fit="volume")
 _WHITE = (1.0, 1.0, 1.0)
 _RAYS = 4
 

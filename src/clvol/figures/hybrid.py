@@ -69,7 +69,7 @@ def draw(
     low, high = volume.value_range
     if low == high:
         raise OptionError(f"scan must hold more than one value, since a surface is drawn; got {low:g} throughout")
-    look: dict[str, Any] = {"camera": Camera.orbit(30, 20, zoom=1.3)}
+    look: dict[str, Any] = {"camera": Camera.orbit(30, 20)}
     if scan is None:
         look = {"camera": CAMERA, "isovalue": ISOVALUE, "color": SURFACE, "lights": LIGHTS, "material": MATERIAL, "clip": BOX}
     look |= {"mode": "isosurface", "size": (pixels, pixels), "background": _WHITE}
@@ -81,7 +81,7 @@ def draw(
         for done in range(1, _ROUNDS + 1):  # in turns, so that other load on the machine hits all of them alike
             for mine, (renderer, gradient) in zip(taken, pairs, strict=True):
                 started = time.perf_counter()
-                renderer.render(**look, gradient=gradient)
+                renderer.render(**look, gradient=gradient, samples=1)
                 mine.append(time.perf_counter() - started)
             if progress is not None:
                 progress(done / _ROUNDS)

@@ -21,6 +21,7 @@ from clvol.device import Device
 from clvol.errors import OptionError
 from clvol.figures.style import LETTERS, Drawing, title
 from clvol.filter import Filter, as_filter
+from clvol.fit import fitted
 from clvol.light import Light, Material
 from clvol.march.renderer import Renderer
 from clvol.mode import DEFAULT_MODE, as_mode, every_option
@@ -64,7 +65,7 @@ _WORST = 0.4  # difference of shade that is drawn in the brightest colour
 # a view that shows the Marschner-Lobb function well, in every figure
 ISOVALUE = 0.5
 BOX = ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
-CAMERA = Camera.orbit(20, 52, zoom=1.27)
+CAMERA = Camera.orbit(20, 52, zoom=1.27, fit="volume")  # the same for all samplings
 LIGHTS = (Light((-0.6, -0.35, 0.75)), Light((0.8, 0.5, 0.35), (0.36, 0.42, 0.52)))  # the second where the first does not reach
 MATERIAL = Material(ambient=0.16, diffuse=0.84, specular=0.12, shininess=25)
 SURFACE = (0.86, 0.86, 0.84)
@@ -267,9 +268,10 @@ def settled(volume: Volume, options: dict[str, Any]) -> dict[str, Any]:
     look = dict(options)
     own = {name: look.pop(name) for name in every_option() & look.keys()}
     mode = look["mode"] = as_mode(look.get("mode", DEFAULT_MODE), own).settled(volume)
-    look["camera"] = look.get("camera") or Camera.orbit()
     if look.get("transfer") is None:
         look["transfer"] = mode.transfer(volume)
+    if isinstance(look["transfer"], TransferFunction):
+        look["camera"] = fitted(look.get("camera") or Camera.orbit(), volume, mode, look["transfer"], look.get("clip"))
     if isinstance(look["transfer"], TransferFunction) and look["transfer"].unit_distance is None:
         look["transfer"] = replace(look["transfer"], unit_distance=volume.mean_spacing)
     return look

@@ -28,7 +28,7 @@ __all__ = ["Ray", "draw", "follow"]
 
 Array: TypeAlias = NDArray[np.float64]
 _WAVES = 2.5  # of the Marschner-Lobb function: few enough for visible samples
-_CAMERA = Camera.orbit(18, 0, projection="orthographic", zoom=2.05)
+_CAMERA = Camera.orbit(18, 0, projection="orthographic", zoom=2.05, fit="volume")
 _TRANSFER = TransferFunction(
     ((0.30, (0.17, 0.42, 0.69)), (0.48, (0.87, 0.54, 0.24)), (0.62, (0.97, 0.93, 0.84))),
     ((0.0, 0.0), (0.42, 0.0), (0.50, 0.16), (0.62, 0.30)),
@@ -129,7 +129,7 @@ def draw(samples: int = 21, pixels: int = 400, filter: str = "bspline3", device:
     size = (pixels, round(0.55 * pixels))
     pixel = (round(0.45 * size[0]), round(0.42 * size[1]))
     few = (-(-size[0] // _FEWER), -(-size[1] // _FEWER))
-    look: dict[str, Any] = {"step": _STEP, "transfer": _TRANSFER, "background": (1.0, 1.0, 1.0)}
+    look: dict[str, Any] = {"step": _STEP, "transfer": _TRANSFER, "lights": HEADLIGHT, "background": (1.0, 1.0, 1.0)}
     with Renderer(volume, filter, device=device) as renderer:
         picture = renderer.render(_CAMERA, "composite", size, **look)
         coarse = {rays: renderer.render(_CAMERA, "composite", few, samples=rays, **look)[..., :3] for rays in (*_RAYS, _MANY)}

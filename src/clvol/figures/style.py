@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import colorsys
+import io
 import math
 import os
 import re
@@ -217,6 +218,15 @@ class Drawing:
     figure: Figure | NDArray[np.uint8]
     numbers: list[dict[str, Any]]
     lines: list[str] = field(default_factory=list)
+
+    def _repr_png_(self) -> bytes:
+        """For notebooks."""
+        if isinstance(self.figure, np.ndarray):
+            return picture.to_png(self.figure)
+        stream = io.BytesIO()
+        with styled():
+            self.figure.savefig(stream, dpi=_DPI, format="png")
+        return stream.getvalue()
 
     def save(self, path: str | os.PathLike[str], dpi: int = _DPI) -> Path:
         """Write it by suffix, beside `path` and then renamed.

@@ -11,12 +11,12 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from numpy.typing import ArrayLike, DTypeLike
 
 from clvol.checks import as_path
-from clvol.errors import DataError, FormatError, GeometryError, OptionError
+from clvol.errors import ClvolError, DataError, FormatError, GeometryError, OptionError
 from clvol.files import staged
 from clvol.formats import bioio, dicom, hdf5, imaris, metaimage, mgz, nifti, npy, nrrd, raw, slices, tiff, vti, zarr
 from clvol.formats._choice import Choice, Series
@@ -24,7 +24,7 @@ from clvol.formats._files import Reader, Writer, foreign_errors
 from clvol.volume import Volume, as_volume
 from clvol.volumes import Leading, Volumes
 
-__all__ = ["FORMATS", "WRITTEN", "Format", "Series", "read", "read_all", "series_of", "write"]
+__all__ = ["FORMATS", "WRITTEN", "Format", "Series", "leading_of", "read", "read_all", "series_of", "write"]
 
 
 @dataclass(frozen=True)
@@ -279,6 +279,43 @@ def series_of(path: str | os.PathLike[str]) -> tuple[Series, ...]:
     with foreign_errors(f"read {path}"):
         found = _format_of(path).series
         return () if found is None else found(path)
+
+
+def leading_of(path: str | os.PathLike[str], *, series: int | str | None = None, level: int | None = None) -> Leading:
+    """What the axes before z, y and x of a file count, from its header: no samples are read.
+
+    Raises
+    ------
+    ClvolError
+        As `read` raises it.
+    """
+    path = as_path(path)
+    chosen = _format_of(path)
+    if not chosen.several:
+        return Leading()
+
+    options = {"series": series, "level": level}
+    try:
+        with foreign_errors(f"read {path}"):
+            chosen.read(path, choose=_Counting(whole=True), **{name: value for name, value in options.items() if value is not None})
+    except _KnownError as known:
+        return known.leading
+    return Leading()
+
+
+class _Counting(Choice):
+    """Chooses nothing: what there is, is all that is wanted."""
+
+    def __call__(self, source: str, leading: Leading, guessed: str = "") -> NoReturn:  # noqa: ARG002
+        raise _KnownError(leading)
+
+
+class _KnownError(ClvolError):
+    """Ends the reading of a file whose header has told what is wanted."""
+
+    def __init__(self, leading: Leading) -> None:
+        super().__init__(str(leading))
+        self.leading = leading
 
 
 def _read(path: str | os.PathLike[str], choice: Choice, given: Mapping[str, Any], replaced: Mapping[str, Any]) -> Volume | Volumes:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from clvol.camera import Camera, View
 from clvol.device import Device, Tile
+from clvol.fit import fitted
 from clvol.light import LIGHTS, Material, lights_block
 from clvol.march.planes import SEGMENT, SLAB, Planes
 from clvol.mode import Mode
@@ -39,6 +40,7 @@ PICTURE = Block(
     width=INT,
     height=INT,
     opaque=INT,
+    listed=INT,
     **{"pass": INT, "last_pass": INT},
 )
 
@@ -119,7 +121,7 @@ class Frame:
         """The frame of a scene whose medium's coefficients are resident, by a camera and a mode."""
         (medium,), (width, height) = scene.media, size
         volume, stored = medium.volume, coefficients.stored
-        view = camera.view(volume, width / height)
+        view = fitted(camera, volume, mode, transfer, scene.clip).view(volume, width / height)
         planes = Planes(volume, view, width / height, *(_STRETCHES if mode.stretches else (step, SEGMENT)))
         block, _ = frame_block(mode.BLOCK)
         values = block(
@@ -129,7 +131,7 @@ class Frame:
             planes=planes.block(),
             transfer=transfer.block(volume.mean_spacing, stored),
             material=medium.material.block(),
-            lights=lights_block(scene.lights),
+            lights=lights_block(scene.lights, view),
             mode=mode.block(volume, stored),
             minmax=minmax_block(minmax, volume, planes.margin),
             picture=PICTURE(
@@ -139,6 +141,7 @@ class Frame:
                 width=width,
                 height=height,
                 opaque=scene.background is not None,
+                listed=0,
                 **{"pass": 0, "last_pass": 0},
             ),
         )
@@ -163,6 +166,13 @@ class Frame:
         picture = values["picture"]
         picture["offset"], picture["weight"], picture["pass"], picture["last_pass"] = offset, weight, number, passes - 1
         return values
+
+    def of_rays(self, width: int, height: int) -> Frame:
+        """The frame of a list of rays through this picture: one a pixel of another, whose colours stay premultiplied."""
+        values = self.values.copy()
+        picture = values["picture"]
+        picture["listed"], picture["width"], picture["height"], picture["last_pass"] = True, width, height, 1
+        return replace(self, values=values)
 
     def program(self, name: str) -> Program:
         """A kernel file of the ray loop, specialised for this frame."""

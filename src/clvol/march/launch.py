@@ -6,7 +6,7 @@ import contextlib
 import math
 import time
 from collections.abc import Iterator
-from typing import Any, Self, TypeAlias
+from typing import Any, Literal, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from clvol.errors import OptionError
 from clvol.filter import Filter
 from clvol.march.frame import Frame
-from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter, pixel_rays
+from clvol.march.pixels import DEFAULT_PIXEL_FILTER, EDGE_RAYS, as_pixel_filter, on_edges, pixel_rays
 from clvol.spline.build import row_reach, row_width
 from clvol.spline.points import Progress
 
@@ -24,29 +24,65 @@ Picture: TypeAlias = NDArray[np.floating[Any]]
 """Float32, but for positions, which are float64."""
 
 CHANNELS: dict[str, tuple[int, ...]] = {"rgba": (4,), "depth": (), "normal": (3,), "position": (3,), "visited": ()}
+_ALONE, _BLENDED = 12, 32  # of so many pixels one has more rays at most; fewer where such rays miss the planes of a tile's others
+_GROUP = 8  # work-items along an edge of a group
 _AREA = 16  # pixels along an edge of the smallest launch
 _CELLS = 8  # of so many on a ray one is looked at, at most guesses
 _ROW_SECONDS = 1.5e-9  # a generous guess of the time of one row of taps on one processor core; corrected as tiles finish
 
 
 def draw(
-    frame: Frame, samples: int = 1, filter: str | Filter = DEFAULT_PIXEL_FILTER, progress: Progress | None = None
+    frame: Frame, samples: int | Literal["auto"] = 1, filter: str | Filter = DEFAULT_PIXEL_FILTER, progress: Progress | None = None
 ) -> dict[str, Picture]:
     """The picture of a frame with so many rays a pixel, and its guides if the frame has them; each (height, width, ...).
+
+    With "auto" one, and `EDGE_RAYS` in pixels on edges of that picture (`on_edges`).
 
     Guides are those of the ray through the pixel's middle, which is cast for them if the picture does without it.
     """
     kernel, inputs = frame.program("march/draw.cl").kernel("draw"), _Inputs(frame)
-    (width, height), budget = frame.size, _Budget(frame)
+    (width, height), budget, row = frame.size, _Budget(frame), as_pixel_filter(filter)
     with _pictures(frame) as (arrays, buffers):
-        rays = pixel_rays(samples, as_pixel_filter(filter), middle=frame.guides)
+        rays = pixel_rays(1 if samples == "auto" else samples, row, middle=frame.guides)
         for i, (offset, weight) in enumerate(rays):
             block = frame.device.upload(frame.sampled(offset, weight, i, len(rays))[None])
             for x, y, w, h in budget.tiles(width, height):
-                _launch(frame, kernel, (x, y, w, h), *inputs.of_rays(block), *buffers)
+                _launch(frame, kernel, (x, y, w, h), *inputs.of_rays(block), inputs.table, *buffers)
                 if progress:
                     progress((i + min(1.0, ((y + h) * width) / (width * height))) / len(rays))
+    if samples == "auto":
+        _smooth_edges(frame, kernel, inputs, budget, arrays["rgba"], row)
     return _in_world(frame, arrays)
+
+
+def _smooth_edges(frame: Frame, kernel: Any, inputs: _Inputs, budget: _Budget, picture: Picture, filter: Filter) -> None:
+    """Adds rays to those of the pixels on edges of a picture, one through the middle of each."""
+    pixels = on_edges(picture, _BLENDED if frame.tile.shared and not frame.mode.stretches else _ALONE)
+    if not len(pixels):
+        return
+    (_, share), *more = pixel_rays(EDGE_RAYS, filter, middle=True)
+    offsets, weights = zip(*more, strict=True)
+    places = (pixels[:, None, ::-1].astype(np.float32) + np.array(offsets, np.float32)).reshape(-1, 2)
+    width = frame.tile.width if frame.tile.shared else _GROUP  # so that neighbours share a tile or a group
+    height = -(-len(places) // width)
+    rays = frame.of_rays(width, height)
+    block, listed = (frame.device.upload(a) for a in (rays.values[None], np.resize(places, (width * height, 2))))
+    with _pictures(rays) as (arrays, buffers):
+        for area in budget.tiles(width, height):
+            _launch(rays, kernel, area, *inputs.of_rays(block), listed, *buffers)
+    colors = arrays["rgba"].reshape(-1, 4)[: len(places)].reshape(len(pixels), -1, 4)
+    where = tuple(pixels.T)
+    first, opaque = picture[where], bool(frame.values["picture"]["opaque"])
+    if not opaque:
+        first[:, :3] *= first[:, 3:]
+    means = np.einsum("prc,r->pc", colors, np.array(weights, np.float32))
+    if opaque:
+        means[:, :3] += (1 - share - means[:, 3:]) * frame.values["picture"]["background"]
+        means[:, 3] = 1 - share
+    means += share * first
+    if not opaque:
+        np.divide(means[:, :3], means[:, 3:], out=means[:, :3], where=means[:, 3:] > 0)
+    picture[where] = np.clip(means, 0, 1)
 
 
 # -- in parts ----------------------------------------------------------------------------------------------
@@ -173,7 +209,7 @@ def _in_world(frame: Frame, arrays: dict[str, Picture]) -> dict[str, Picture]:
 def _launch(frame: Frame, kernel: Any, area: tuple[int, int, int, int], *arguments: Any) -> None:
     """One launch over the pixels of an area (x, y, width, height) that begins a tile, to its end."""
     (x, y, w, h), tile, device = area, frame.tile, frame.device
-    shape = (1, 1) if tile.shared else (8, 8)
+    shape = (1, 1) if tile.shared else (_GROUP, _GROUP)
     tiles = (-(-w // tile.width), -(-h // tile.height))
     items = tuple(-(-n // m) * m for n, m in zip(tiles, shape, strict=True))
     with device.errors:

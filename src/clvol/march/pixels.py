@@ -19,9 +19,14 @@ from numpy.typing import NDArray
 from clvol.errors import OptionError
 from clvol.filter import Filter, as_filter
 
-__all__ = ["DEFAULT_PIXEL_FILTER", "as_pixel_filter", "pixel_offsets", "pixel_rays"]
+__all__ = ["DEFAULT_PIXEL_FILTER", "EDGE_RAYS", "as_pixel_filter", "on_edges", "pixel_offsets", "pixel_rays"]
 
 DEFAULT_PIXEL_FILTER = "linear"
+EDGE_RAYS = 3
+"""Rays of a pixel on an edge, where their number is "auto"; odd, so that the one through its middle is one of them."""
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722, 0.0], np.float32)
+_CONTRAST = 0.1  # to a neighbour, of a pixel on an edge
+_NEAR = 8  # pixels along an edge of the squares in whose order they are listed
 _GOLDEN = (5**0.5 - 1) / 2
 _FINE = 4096  # pieces of a pixel in which the filter is summed
 
@@ -53,6 +58,36 @@ def pixel_rays(samples: int, filter: Filter, *, middle: bool) -> list[tuple[NDAr
     offsets, weights = _pattern(samples, filter)
     rays = [(offset, float(weight)) for offset, weight in zip(offsets, weights, strict=True)]
     return [(np.array([0.5, 0.5]), 0.0), *rays] if middle and samples % 2 == 0 else rays
+
+
+def on_edges(picture: NDArray[np.float32], most: int = 12) -> NDArray[np.intp]:
+    """The pixels (row, column) that differ from one beside, above or below them, near ones together; shape (N, 2).
+
+    Where these are too many, they are those that differ most.
+
+    Parameters
+    ----------
+    picture : ndarray of float32, shape (height, width, 4)
+        Red, green, blue, not premultiplied, and opacity in 0..1: what differs is luminance or opacity.
+    most : int
+        Of so many pixels that differ from their neighbours at all one is on an edge, at most.
+    """
+    height, width = picture.shape[:2]
+    seen = (picture.reshape(-1, 4) @ _LUMINANCE + 1).reshape(height, width) * picture[..., 3]
+    contrast = np.zeros((height, width), np.float32)
+    for one, other in (np.s_[1:], np.s_[:-1]), (np.s_[:, 1:], np.s_[:, :-1]):
+        apart = np.abs(seen[one] - seen[other])
+        for side in (one, other):
+            np.maximum(contrast[side], apart, out=contrast[side])
+    least, count = _CONTRAST, -(-int((contrast > 0).sum()) // most)
+    strong = contrast[contrast > least]
+    if strong.size > count:
+        least = float(np.partition(strong, -count - 1)[-count - 1])
+    down, across = -(-height // _NEAR), -(-width // _NEAR)
+    edges = np.zeros((down * _NEAR, across * _NEAR), np.bool_)
+    np.greater(contrast, least, out=edges[:height, :width])
+    i, j, y, x = np.nonzero(edges.reshape(down, _NEAR, across, _NEAR).swapaxes(1, 2))
+    return np.stack([_NEAR * i + y, _NEAR * j + x], 1)
 
 
 @lru_cache

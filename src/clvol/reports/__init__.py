@@ -89,7 +89,6 @@ def report(
     pixels: int = 280,
     boundary: str | Boundary = DEFAULT_BOUNDARY,
     *,
-    fill: bool | None = None,
     max_samples: int = 1 << 22,
     device: Device | str | int | None = None,
     progress: Callable[[float], Any] | None = None,
@@ -110,8 +109,6 @@ def report(
         The exact sinc is always compared if the boundary rule has a period.
     pixels : int
         Width and height of each picture.
-    fill : bool, optional
-        Aim and magnify the camera so that what shows fills the pictures; by default if no camera is given.
     max_samples : int
         How many samples are measured: of a larger volume the middle. All of it is drawn.
     boundary, device, progress
@@ -182,7 +179,6 @@ def report(
             on,
             lambda done: advance(_SHARE + (0.97 - _SHARE) * done),
             options,
-            options.get("camera") is None if fill is None else fill,
         )
     made = Report(file, table, advice, left_out, turned)
     text = _page(name, volume, middle, made, found, drawn)

@@ -23,8 +23,6 @@ __all__ = ["Card", "Cards", "cards"]
 Picture: TypeAlias = NDArray[np.float32]
 _CLOSER = 4.0
 _STEEP = 1.5  # depth over width: surfaces seen at more than about 56° are grazing
-_FILLED = 0.92  # of the picture's width or height
-_SHOWS = 2 / 255
 
 
 @dataclass(frozen=True)
@@ -71,16 +69,15 @@ def cards(
     device: Device,
     progress: Callable[[float], Any],
     options: dict[str, Any],
-    fill: bool = False,
 ) -> Cards:
-    """Draw everything; `options` are those of `Renderer.render`. With `fill` what shows fills the pictures."""
+    """Draw everything; `options` are those of `Renderer.render`."""
     look = settled(volume, options)  # settled once: the decimated volume has another histogram
     look["background"] = look.get("background") or (1.0, 1.0, 1.0)
     camera: Camera = look.pop("camera")
     few = volume.gaussian([factor / 2 * s for s in volume.spacing]).downsample(factor)
     step = look.pop("step", 0.5)
     linear = as_filter("linear")
-    done, total = 0, 2 * len(filters) + len({best.name, linear.name}) + fill
+    done, total = 0, 2 * len(filters) + len({best.name, linear.name})
 
     def draw(data: Volume, filter: Filter, views: Sequence[Camera], step: float) -> list[Any]:
         nonlocal done
@@ -93,9 +90,6 @@ def cards(
         progress(min(1.0, done / total))
         return drawn
 
-    if fill:
-        (first,) = draw(volume, best, [camera], step)
-        camera = _filling(camera, volume, _rgb(first))
     drawn = {row.name: draw(volume, row, [camera], step) for row in (best, linear)}
     near = _closer(camera, volume, drawn[best.name][0], drawn[linear.name][0])
     made: dict[str, Card] = {}
@@ -106,22 +100,6 @@ def cards(
         truth = made[best.name].closer if made else closer
         made[row.name] = Card(row.name, whole, closer, _difference(closer, truth), fewer, _difference(fewer, truth))
     return Cards([made[row.name] for row in filters], best.name, as_mode(look["mode"]).name)
-
-
-def _filling(camera: Camera, volume: Volume, picture: Picture) -> Camera:
-    """Aimed at the middle of what stands out from the corner of a picture, and as near as shows all of it."""
-    shown = (np.abs(picture - picture[0, 0]) > _SHOWS).any(-1)
-    if not shown.any():
-        return camera
-    rows, columns = np.flatnonzero(shown.any(1)), np.flatnonzero(shown.any(0))
-    size = picture.shape[0]
-    down, across = (float(places[0] + places[-1] + 1) / size - 1 for places in (rows, columns))
-    extent = max(np.ptp(rows) + 1, np.ptp(columns) + 1) / size
-    view = camera.view(volume)
-    target = volume.center if camera.target is None else np.asarray(camera.target)
-    half = view.half_height * (1.0 if view.orthographic else float((target - view.eye) @ view.forward))
-    x, y, z = (float(v) for v in target + half * (across * view.right - down * view.up))
-    return replace(camera, target=(x, y, z)).zoomed(_FILLED / float(extent))
 
 
 def _closer(camera: Camera, volume: Volume, a: Any, b: Any) -> Camera:

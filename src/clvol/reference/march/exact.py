@@ -57,6 +57,7 @@ def draw_function(
     """
     width, height = size
     picture, points = np.zeros((height * width, 3)), []
+    lit_by = [light.placed(view) for light in lights]
     for k, (offset, weight) in enumerate(pixel_rays(samples, pixel_filter)):
         rays = camera_rays(volume, view, size, offset, clip)
         crossing = np.flatnonzero(rays.enter < rays.leave)
@@ -67,7 +68,7 @@ def draw_function(
             )
             at = rays.at(t, part[hit])
             colors = np.broadcast_to(np.asarray(color, np.float64), at.shape)
-            drawn[part[hit]] = shade(gradient(at), colors, rays.direction[part[hit]], material, lights, 0.0)
+            drawn[part[hit]] = shade(gradient(at), colors, rays.direction[part[hit]], material, lit_by, 0.0)
             if k == 0:
                 points.append(at)
         picture += drawn * weight

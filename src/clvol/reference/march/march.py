@@ -21,7 +21,8 @@ from clvol.checks import one_of
 from clvol.color import color_of
 from clvol.errors import OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
-from clvol.light import HEADLIGHT, Light, Material
+from clvol.fit import fitted
+from clvol.light import KIT, Light, Material, as_lights
 from clvol.mode import DEFAULT_MODE, Attenuated, Composite, Isosurface, Mode, as_mode
 from clvol.reference.march.rays import Rays, camera_rays
 from clvol.reference.march.roots import first_crossings
@@ -129,6 +130,8 @@ def shade(
     ----------
     gradient, color, direction : ndarray, shape (N, 3)
         World gradients; colours of the matter; unit directions of the rays.
+    lights : sequence of Light
+        In the world (`Light.placed`).
     flat : float or ndarray, shape (N,)
         See `flat_below`.
     """
@@ -189,7 +192,7 @@ def render(
     transfer: TransferFunction | None = None,
     gradient: Literal["analytic", "central"] = "analytic",
     material: Material | None = None,
-    lights: Sequence[Light] = (HEADLIGHT,),
+    lights: Light | Sequence[Light] = KIT,
     background: Sequence[float] | str | None = (0.0, 0.0, 0.0),
     clip: tuple[Sequence[float], Sequence[float]] | None = None,
     samples: int = 1,
@@ -248,12 +251,13 @@ def render(
         return np.asarray(differences @ volume.world_to_index_matrix)
 
     width, height = size
-    view = (camera or Camera.orbit()).view(volume, width / height)
+    view = fitted(camera or Camera.orbit(), volume, chosen, transfer, clip).view(volume, width / height)
+    lit_by = [light.placed(view) for light in as_lights(lights)]
     scene = _Scene(
         value,
         slope,
         row,
-        lambda g, v, c, d: shade(g, c, d, material, lights, flat_below(volume, v - taken_off)),
+        lambda g, v, c, d: shade(g, c, d, material, lit_by, flat_below(volume, v - taken_off)),
         transfer,
         transfer.unit_distance or float(np.mean(volume.spacing)),
         volume,

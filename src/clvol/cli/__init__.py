@@ -1,0 +1,90 @@
+"""The ``clvol`` command: pictures, comparisons, resampling, and what is installed.
+
+Exit codes: 0 done, 1 the request failed (the reason is on standard error), 2 the command line is wrong,
+130 interrupted.
+"""
+
+from __future__ import annotations
+
+import difflib
+import io
+import os
+import sys
+import warnings
+from collections.abc import Sequence
+from typing import Any, NoReturn
+
+from cyclopts import CycloptsError, UnknownCommandError
+
+from clvol.cli import files, lists, pictures
+from clvol.cli.root import app
+from clvol.cli.speech import one_line
+from clvol.cli.words import in_the_shell
+from clvol.errors import ClvolError, ClvolWarning
+
+__all__ = ["app", "files", "lists", "main", "pictures"]
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command; errors that are the user's come out as one line, never as a traceback."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # a terminal without a degree sign still gets the numbers
+    given = sys.argv[1:] if arguments is None else list(arguments)
+    try:
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("always", ClvolWarning)
+                warnings.showwarning = _note_of(given, warnings.showwarning)
+                app(given, exit_on_error=False, print_error=False)
+        finally:
+            sys.stdout.flush()  # here, where its errors are ours: the command may end by an exit
+    except UnknownCommandError as error:
+        _fail(_unknown(error), 2)
+    except CycloptsError as error:
+        command = " ".join(("clvol", *(error.command_chain or ())))
+        _fail(f"{one_line(error).rstrip('.')}; see '{command} --help'", 2)
+    except ClvolError as error:
+        _fail(in_the_shell(error, given), 1)
+    except MemoryError as error:
+        _fail(f"out of memory: {one_line(error)}", 1)
+    except BrokenPipeError:  # whoever read our output has seen enough
+        _discard_output()
+        raise SystemExit(0) from None
+    except OSError as error:
+        _fail(one_line(error), 1)
+    except KeyboardInterrupt:
+        _fail("interrupted", 130)
+
+
+def _note_of(given: Sequence[str], otherwise: Any) -> Any:
+    """What shows warnings: those of clvol on one line, in the shell's words."""
+
+    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        if issubclass(category, ClvolWarning):
+            print(f"clvol: note: {in_the_shell(message, given)}", file=sys.stderr)
+        else:
+            otherwise(message, category, *where, **more)
+
+    return show
+
+
+def _unknown(error: UnknownCommandError) -> str:
+    token = (error.unused_tokens or [""])[0]
+    known = [name for name in app if not name.startswith("-") and app[name].show]
+    near = difflib.get_close_matches(token, known, 1)
+    hint = f" (did you mean {near[0]}?)" if near else ""
+    return f"unknown command \"{token}\"{hint}; commands are {', '.join(sorted(known))}: see 'clvol --help'"
+
+
+def _discard_output() -> None:
+    """Let what standard output still holds go nowhere, if it cannot be written: Python would try again at its end."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _fail(reason: str, code: int) -> NoReturn:
+    _discard_output()
+    print(f"clvol: {reason}", file=sys.stderr)
+    raise SystemExit(code) from None

@@ -1,0 +1,249 @@
+"""Commands about files: info, resample, convert."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from cyclopts import Parameter
+
+import clvol
+from clvol import display
+from clvol.cli.options import Boundary, DeviceName, FilterName, Input, Json, Output, Source, Whole, whole_numbers
+from clvol.cli.root import DATA, command
+from clvol.cli.speech import print_json, progress, range_text, require_writable, say, table
+from clvol.errors import ClvolWarning, DataError, OptionError
+from clvol.formats import WRITTEN, series_of
+from clvol.histogram import isovalue_of
+from clvol.smoothing import choose
+from clvol.volume import SPACES
+from clvol.volumes import Leading
+
+__all__ = ["convert", "info", "resample"]
+
+_LONGEST = 40  # letters of an entry of a header that is shown
+
+
+@command(DATA)
+def info(source: Source, /, *, input: Input | None = None, json: Json = False) -> None:
+    """Show what a volume file holds, its noise, and what is chosen by it: the surface's threshold, the smoothing of "auto".
+
+    Of a file or folder with several images the list alone is shown, until --series says which.
+    """
+    reader = input or Input()
+    images = () if reader.chooses() or str(source).startswith("phantom:") else series_of(source)
+    if len(images) > 1:
+        rows = [[str(n), image.id, display.numbers(image.shape), image.text] for n, image in enumerate(images)]
+        if json:
+            print_json({"series": [{"id": i.id, "shape": list(i.shape), "text": i.text} for i in images]})
+        else:
+            print(f"{source} holds {len(images)} images; choose one by --series")
+            table(["number", "series", "samples", "what it is"], rows)
+        return
+    leading = reader.leading(source)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ClvolWarning)  # what there is, is said below
+        volume = reader.read(source)
+    say(json, _listed(volume, leading, json))
+
+
+def _listed(volume: clvol.Volume, leading: Leading, as_json: bool) -> dict[str, Any]:
+    """What is known of a volume, and of the others in its file."""
+    finite = volume.data.dtype.kind != "f" or bool(np.isfinite(volume.data).all())
+    try:
+        value_range = list(volume.value_range if volume.data.dtype.kind == "f" else map(int, volume.limits))
+    except DataError:  # nothing is finite
+        value_range = None
+    noise = volume.noise if finite else None
+    chosen = choose(volume) if finite else None
+    isovalue, why = isovalue_of(volume) if finite else (None, "")
+    held = {"holds": _places(leading)} if as_json else {"holds": _several(leading), "channels": _channels(leading)}
+    return held | {
+        "name": volume.name,
+        "shape": list(volume.shape),
+        "dtype": str(volume.data.dtype),
+        "spacing": list(volume.spacing),
+        "origin": list(volume.origin),
+        "direction": volume.direction.tolist(),
+        "units": volume.units,
+        "space": volume.space if as_json else _space_text(volume.space),
+        "value_range": value_range if as_json or value_range is None else range_text(*value_range),
+        "window": (list(volume.window) if volume.window else None) if as_json else _window_text(volume),
+        "labels": _labels(volume) if as_json else _labels_text(volume),
+        "finite": finite,
+        "bytes": volume.data.nbytes,
+        "noise": noise.kind if noise else None,
+        "sigma": noise.sigma if noise else None,
+        "smoothing": list(chosen.values) if chosen else None,
+        "reason": chosen.reason if chosen else "",
+        "isovalue": isovalue if as_json or isovalue is None else f"{isovalue:.6g}, {why}",
+        "isovalue_reason": why if as_json else "",
+        "header": {name: _plain(value) for name, value in volume.header.items()} if as_json else _header_text(volume.header),
+    }
+
+
+def _places(leading: Leading) -> dict[str, Any]:
+    """For programs: how many places there are along each axis; of channels and those with names, what is known of each."""
+    found: dict[str, Any] = dict(zip(leading.axes, leading.counts, strict=True))
+    for axis, count in found.items():
+        known: dict[str, Any] = {"name": leading.names[axis]} if axis in leading.names else {}
+        if axis == "channel":
+            known |= {"color": leading.colors} if leading.colors else {}
+            known |= {"window": leading.windows} if leading.windows else {}
+        if known:
+            found[axis] = [{key: values[n] for key, values in known.items()} for n in range(count)]
+    return found
+
+
+def _several(leading: Leading) -> str:
+    return str(leading) if leading.total > 1 else ""
+
+
+def _channels(leading: Leading) -> str:
+    """For people: the channels, with their names and colours."""
+    names = leading.names.get("channel", ())
+    colors = leading.colors or (None,) * len(names)
+    codes = ["" if color is None else f", #{''.join(f'{round(255 * c):02x}' for c in color)}" for color in colors]
+    return "; ".join(f"{n} {name}{code}" for n, (name, code) in enumerate(zip(names, codes, strict=False)))
+
+
+def _space_text(space: str) -> str:
+    if not space:
+        return ""
+    return f"{space}: {SPACES[space]}" + (" (nibabel's RAS flips x and y)" if space == "LPS" else "")
+
+
+def _window_text(volume: clvol.Volume) -> str:
+    if volume.window is None:
+        return ""
+    low, high = volume.window
+    return f"{low:.6g} to {high:.6g} (--window {low / 2 + high / 2:.6g} {high - low:.6g})"
+
+
+def _labels(volume: clvol.Volume) -> Any:
+    named = isinstance(volume.labels, Mapping)
+    return {str(n): name for n, name in volume.labels.items()} if named else volume.is_labels  # type: ignore[union-attr]  # named
+
+
+def _labels_text(volume: clvol.Volume) -> str:
+    if not isinstance(volume.labels, Mapping):
+        return "yes: regions, which are never blended" if volume.is_labels else ""
+    return ", ".join(f"{number} {name}" for number, name in volume.labels.items())
+
+
+def _plain(value: Any) -> Any:
+    """What JSON holds."""
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+def _header_text(header: Mapping[str, Any]) -> str:
+    """The entries of one line that fit into one."""
+    texts = {name: " ".join(str(_plain(value)).split()) for name, value in header.items()}
+    return ", ".join(f"{name} {text}" for name, text in texts.items() if text and len(text) <= _LONGEST)
+
+
+@command(DATA)
+def resample(
+    source: Source,
+    /,
+    *,
+    output: Output,
+    shape: Annotated[tuple[int, int, int] | None, Parameter(name="--to-shape", converter=whole_numbers)] = None,
+    spacing: Annotated[tuple[float, float, float] | None, Parameter(name="--to-spacing")] = None,
+    like: str | Path | None = None,
+    magnify: Whole | None = None,
+    anchor: Literal["center", "origin"] = "center",
+    to_dtype: str | None = None,
+    filter: Annotated[FilterName | None, Parameter(show_default=False)] = None,
+    boundary: Boundary = "mirror",
+    fill: float | None = None,
+    nan: Literal["error", "propagate", "local"] = "error",
+    device: DeviceName = None,
+    input: Input | None = None,
+    json: Json = False,
+) -> None:
+    """Put a volume on another grid; say which by one of --to-shape, --to-spacing, --like, --magnify.
+
+    With --volume all, each volume of the file, into one file.
+
+    Parameters
+    ----------
+    shape
+        Samples along z, y, x.
+    spacing
+        Spacing along x, y, z.
+    like
+        A volume whose grid is taken.
+    magnify
+        As many times the samples along each axis, a whole number.
+    anchor
+        What --to-spacing leaves where it is: the centre of the volume, or, as in ITK, its first sample.
+    to_dtype
+        Type of the samples that are written: a name such as uint16, rounded and clipped, or 'same', as in SOURCE; by default
+        floating point.
+    filter
+        How it is reconstructed between its samples; see 'clvol filters'. [default: bspline3; nearest for labels]
+    fill
+        Value outside the volume; by default its boundary rule goes on.
+    nan
+        What becomes of NaN and infinite samples: error, propagate, or local, which leaves out what they touch.
+    """
+    grids = (("--to-shape", shape), ("--to-spacing", spacing), ("--like", like), ("--magnify", magnify))
+    given = [name for name, value in grids if value is not None]
+    if len(given) != 1:
+        raise OptionError(f"give one of --to-shape, --to-spacing, --like, --magnify; got {', '.join(given) or 'none'}")
+    if magnify is not None and (to_dtype is not None or anchor != "center"):
+        raise OptionError("--to-dtype and --anchor are for --to-shape, --to-spacing and --like; got --magnify")
+    require_writable(output, WRITTEN, "volumes")
+    reader = input or Input()
+    grid = None if like is None else Input().read(like)
+
+    def one(volume: clvol.Volume, told: Callable[[float], None] | None) -> clvol.Volume:
+        if magnify is not None:
+            return clvol.magnify(volume, magnify, filter, boundary, device=device, nan=nan, progress=told)
+        dtype = volume.data.dtype if to_dtype == "same" else to_dtype
+        return clvol.resample(
+            volume,
+            shape,
+            spacing,
+            grid,
+            filter,
+            boundary,
+            anchor=anchor,
+            dtype=dtype,
+            fill=fill,
+            device=device,
+            nan=nan,
+            progress=told,
+        )
+
+    result: clvol.Volume | clvol.Volumes
+    if reader.volume == "all":
+        volumes = reader.read_all(source)
+        made = []
+        with progress("resampling", json) as told:
+            for number, volume in enumerate(volumes):
+                made.append(one(volume, None))
+                if told is not None:
+                    told((number + 1) / len(volumes))
+        result = clvol.Volumes(made, leading=volumes.leading)
+        first = result[0]
+    else:
+        volume = reader.read(source)
+        with progress("resampling", json) as told:
+            first = result = one(volume, told)
+    clvol.write(result, output)
+    say(json, {"output": str(output), "shape": list(result.shape), "spacing": list(first.spacing)})
+
+
+@command(DATA)
+def convert(source: Source, /, *, output: Output, input: Input | None = None, json: Json = False) -> None:
+    """Write a volume as another kind of file, with --volume all each of those that it holds, no sample changed."""
+    require_writable(output, WRITTEN, "volumes")
+    reader = input or Input()
+    result = reader.read_all(source) if reader.volume == "all" else reader.read(source)
+    clvol.write(result, output)
+    say(json, {"output": str(output), "shape": list(result.shape), "dtype": str(np.asarray(result).dtype)})

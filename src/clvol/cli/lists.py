@@ -1,0 +1,90 @@
+"""Commands that list what there is: filters, presets, devices, what works; and the script by which shells complete names."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+import clvol
+from clvol.cli.options import Json
+from clvol.cli.root import FILTERS, SETUP, app, command
+from clvol.cli.speech import print_json, table
+from clvol.display import Named
+
+__all__ = ["completion", "devices", "doctor", "filters", "presets"]
+
+
+@command(FILTERS)
+def filters(*, json: Json = False) -> None:
+    """List the reconstruction filters, and what else they are called."""
+    _list(clvol.filters(), json)
+
+
+@command(FILTERS)
+def presets(*, json: Json = False) -> None:
+    """List the presets: looks by name, for one kind of data each."""
+    _list(clvol.presets(), json)
+
+
+@command(SETUP)
+def devices(*, json: Json = False) -> None:
+    """List the OpenCL devices, the one used by default first."""
+    rows = [
+        {
+            "number": i,
+            "name": d.name,
+            "kind": d.kind,
+            "platform": d.platform,
+            "memory_mib": d.handle.global_mem_size >> 20,
+            "images": bool(d.handle.image_support),
+        }
+        for i, d in enumerate(clvol.devices())
+    ]
+    if not rows:
+        from clvol.device import as_device
+
+        as_device()  # raises, and says what to install
+    if json:
+        print_json(rows)
+    else:
+        header = ["number", "name", "kind", "platform", "memory_mib", "images"]
+        table(header, [[str(row[key]) for key in header] for row in rows])
+
+
+@command(SETUP)
+def doctor(*, json: Json = False) -> None:
+    """Find out whether OpenCL is usable here, which runtime is used, and what to install if none is."""
+    from clvol import doctor
+
+    needed, optional = list(doctor.opencl()), list(doctor.extras())
+    usable = needed[-1].ok
+    if json:
+        print_json({"usable": usable, "checks": [check._asdict() for check in (*needed, *optional)]})
+    else:
+        for check in (*needed, *optional):
+            print(f"{'ok' if check.ok else '--'}  {check.check}: {check.detail}")
+    if not usable:
+        raise SystemExit(1)
+
+
+@command(SETUP)
+def completion(shell: Annotated[Literal["bash", "zsh", "fish"], Parameter(help="Yours.")], /) -> None:
+    """Print a script that has the Tab key complete commands, options, and names of files, filters, modes and presets.
+
+    bash: clvol completion bash > ~/.local/share/bash-completion/completions/clvol
+
+    zsh: clvol completion zsh > FOLDER/_cyclopts_clvol, where FOLDER is one of $fpath
+
+    fish: clvol completion fish > ~/.config/fish/completions/clvol.fish
+
+    It works in shells that are started afterwards.
+    """
+    print(app.generate_completion(prog_name="clvol", shell=shell))
+
+
+def _list(known: Named[Any], as_json: bool) -> None:
+    if as_json:
+        print_json([dict(zip(known.HEADER, row, strict=True)) for row in known.rows()])
+    else:
+        table(list(known.HEADER), [list(row) for row in known.rows()])

@@ -1,0 +1,382 @@
+"""Options that several commands share: how INPUT is read, what is seen of it and how, and what the Tab key completes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, make_dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import CoercionError, Group, Parameter, Token
+
+import clvol
+from clvol.errors import OptionError
+from clvol.look import look as look_of
+from clvol.mode import as_mode, every_option, mode_options
+
+__all__ = [
+    "BOUNDARIES",
+    "Boundary",
+    "Compared",
+    "DeviceName",
+    "FigureName",
+    "FilterName",
+    "Filters",
+    "Input",
+    "Json",
+    "Look",
+    "ModeOptions",
+    "Output",
+    "PageOutput",
+    "ReportLook",
+    "Size",
+    "Source",
+    "SurfaceLook",
+    "Whole",
+    "own_options",
+    "whole_numbers",
+]
+
+
+def whole_numbers(_: object, tokens: Sequence[Token]) -> int | tuple[int, ...]:
+    """Whole numbers as they are written: the parser's own rule would round 1.5 to 2."""
+    numbers = []
+    for token in tokens:
+        try:
+            numbers.append(int(token.value))
+        except ValueError:
+            raise CoercionError(token=token, target_type=int) from None
+    return numbers[0] if len(numbers) == 1 else tuple(numbers)
+
+
+def _whole_or(word: str) -> Callable[[object, Sequence[Token]], int | str]:
+    """A whole number, or one word."""
+
+    def convert(kind: object, tokens: Sequence[Token]) -> int | str:
+        if tokens[0].value == word:
+            return word
+        number = whole_numbers(kind, tokens)
+        assert isinstance(number, int)  # of one token
+        return number
+
+    return convert
+
+
+# -- what the Tab key offers ---------------------------------------------------------------------------------
+
+
+def _any_of(names: Callable[[], Mapping[str, Any] | Iterable[str]]) -> Callable[[object], dict[str, str]]:
+    """Names, each with what it stands for, where it says so."""
+
+    def offered(_: object) -> dict[str, str]:
+        found = names()
+        rows: Mapping[str, Any] = found if isinstance(found, Mapping) else dict.fromkeys(found)
+        return {name: getattr(row, "description", "") for name, row in rows.items()}
+
+    return offered
+
+
+def _filter_names() -> list[str]:
+    table = clvol.filters()
+    also = [other for row in table.rows() for other in row[-1].split()]
+    return [*table, "bspline3(auto)", *also]
+
+
+def _color_maps() -> list[str]:
+    import cmap
+
+    return sorted(cmap.Catalog().short_keys())
+
+
+def _figure_names() -> Iterable[str]:
+    from clvol import figures
+
+    return list(figures.FIGURES)
+
+
+# -- how INPUT is read ---------------------------------------------------------------------------------------
+
+_INPUT = Group("Which of the volumes in SOURCE, and how it is read", sort_key=2)
+_LOOK = Group("What is seen, and how", sort_key=3)
+_OWN = Group("Of the mode", sort_key=4)
+
+
+@Parameter(name="*", group=_INPUT)
+@dataclass
+class Input:
+    """How INPUT is read."""
+
+    volume: Annotated[
+        int | Literal["all"] | None,
+        Parameter(help="Which of several volumes, from 0; resample and convert take 'all'.", converter=_whole_or("all")),
+    ] = None
+    time: Annotated[int | None, Parameter(help="Which of several times, from 0.", converter=whole_numbers)] = None
+    channel: Annotated[
+        str | None, Parameter(help="Which channel, by number or name; also 'magnitude' of vectors, 'luminance' of colours.")
+    ] = None
+    position: Annotated[int | None, Parameter(help="Which position of the stage, from 0.", converter=whole_numbers)] = None
+    series: Annotated[str | None, Parameter(help="Which image of a file or folder with several; see 'clvol info'.")] = None
+    level: Annotated[
+        int | None, Parameter(help="Resolution, where the file holds several: 0 is the finest.", converter=whole_numbers)
+    ] = None
+    shape: Annotated[
+        tuple[int, int, int] | None, Parameter(help="Samples along z, y, x of a raw file.", converter=whole_numbers)
+    ] = None
+    dtype: Annotated[str | None, Parameter(help="Sample type of a raw file, such as uint16 or '>f4'.")] = None
+    byte_order: Annotated[Literal["little", "big"] | None, Parameter(help="Of a raw file.")] = None
+    offset: Annotated[int | None, Parameter(help="Bytes of a raw file before its samples.", converter=whole_numbers)] = None
+    spacing: Annotated[tuple[float, float, float] | None, Parameter(help="Spacing along x, y, z, instead of the file's.")] = None
+    fill_nan: Annotated[
+        float | Literal["smoothly"] | None, Parameter(help="Value that replaces NaN and infinite samples, or 'smoothly'.")
+    ] = None
+
+    def read(self, source: str | Path) -> clvol.Volume:
+        """The volume; of several, the one that was chosen."""
+        if self.volume == "all":
+            raise OptionError("--volume all is for resample and convert; give the number of one")
+        if (phantom := self._phantom(source)) is not None:
+            return phantom
+        return self._filled(clvol.read(source, **self._given()))
+
+    def read_all(self, source: str | Path) -> clvol.Volumes:
+        """All volumes; of those axes for which one is chosen, only that one."""
+        if self.volume not in (None, "all") or self.fill_nan is not None:
+            raise OptionError("--volume all takes neither the number of a volume nor --fill-nan")
+        if (phantom := self._phantom(source)) is not None:
+            return clvol.Volumes([phantom])
+        given = self._given()
+        raw = {"shape", "dtype", "byte_order", "offset"} & given.keys()
+        return clvol.Volumes([clvol.read(source, **given)]) if raw else clvol.read_all(source, **given)
+
+    def chooses(self) -> bool:
+        """Whether it says which image of a file or folder."""
+        return self.series is not None
+
+    def leading(self, source: str | Path) -> clvol.volumes.Leading:
+        """What the axes before z, y and x of the file count."""
+        if self._phantom(source) is not None:
+            return clvol.volumes.Leading()
+        given = self._given()
+        return clvol.formats.leading_of(source, series=given.get("series"), level=given.get("level"))
+
+    def _given(self) -> dict[str, Any]:
+        """What was given, as `clvol.read` has it; numbers of channels and series are numbers."""
+        given: dict[str, Any] = {}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if value is not None and value != "all" and field.name != "fill_nan":
+                number = isinstance(value, str) and field.name in ("channel", "series") and value.isdecimal()
+                given[field.name] = int(value) if number else value
+        return given
+
+    def _phantom(self, source: str | Path) -> clvol.Volume | None:
+        if not str(source).startswith("phantom:"):
+            return None
+        if wrong := [name for name in self._given() if name != "spacing"]:
+            flags = ", ".join(f"--{name.replace('_', '-')}" for name in wrong)
+            raise OptionError(f"{flags} is for files; give a phantom's size as phantom:NAME:SIZE")
+        volume = clvol.phantoms.by_name(str(source).removeprefix("phantom:"))
+        return volume if self.spacing is None else replace(volume, spacing=self.spacing)
+
+    def _filled(self, volume: clvol.Volume) -> clvol.Volume:
+        if self.fill_nan is None:
+            return volume
+        return volume.filled(None if self.fill_nan == "smoothly" else self.fill_nan)
+
+
+# -- what is seen, and how -----------------------------------------------------------------------------------
+
+_MODES = f"{', '.join(clvol.modes())}."
+BOUNDARIES = f"What lies past the outer samples: {', '.join(clvol.boundaries())}; with a value, constant(5) or grid-constant(5)."
+Boundary = Annotated[str, Parameter(help=BOUNDARIES, completer=_any_of(clvol.boundaries))]
+_Mode = Annotated[str, Parameter(help=_MODES, completer=_any_of(clvol.modes))]
+_Background = Annotated[str, Parameter(help="A name, a hex code, or 'none'.")]
+
+
+@Parameter(name="*", group=_LOOK)
+@dataclass
+class Look:
+    """How a picture is made."""
+
+    mode: _Mode = "composite"
+    preset: Annotated[
+        str | None,
+        Parameter(help="Colours and opacities for one kind of data; see 'clvol presets'.", completer=_any_of(clvol.presets)),
+    ] = None
+    window: Annotated[
+        tuple[float, float] | None,
+        Parameter(help="Centre (which radiologists call level) and width of the values that are told apart."),
+    ] = None
+    cmap: Annotated[
+        str | None,
+        Parameter(help="Colour map by name, instead of the automatic colours; opacities stay.", completer=_any_of(_color_maps)),
+    ] = None
+    value_range: Annotated[
+        tuple[float, float] | None, Parameter(help="Values that the colour map spans, grey if there is no --cmap.")
+    ] = None
+    opacity: Annotated[
+        tuple[float, ...] | None,
+        Parameter(
+            help="Points of the opacity, value opacity value opacity ...; or one number, which scales it. Colours stay.",
+            consume_multiple=True,
+        ),
+    ] = None
+    clip: Annotated[
+        tuple[float, float, float, float, float, float] | None,
+        Parameter(help="Two corners of the box that is shown, x y z x y z, in world units."),
+    ] = None
+    boundary: Boundary = "mirror"
+    step: Annotated[float, Parameter(help="The most that a ray advances between samples, in voxels; exact surfaces take none.")] = (
+        0.5
+    )
+    samples: Annotated[
+        int | Literal["auto"] | None,
+        Parameter(help="Rays a pixel; 'auto': more where there are edges.", converter=_whole_or("auto")),
+    ] = None
+    pixel_filter: Annotated[
+        str, Parameter(help="What several rays a pixel sample: a filter without a prefilter.", completer=_any_of(clvol.filters))
+    ] = "linear"
+    background: _Background = "black"
+    gradient: Annotated[Literal["analytic", "central"], Parameter(help="What lighting uses.")] = "analytic"
+    azimuth: Annotated[float, Parameter(help="Degrees about the z axis.")] = 30.0
+    elevation: Annotated[float, Parameter(help="Degrees above the xy plane.")] = 20.0
+    zoom: Annotated[float, Parameter(help="Magnification of what the picture is fitted to.")] = 1.0
+    fit: Annotated[Literal["matter", "volume"], Parameter(help="What fills the picture: all that can be seen, or the volume.")] = (
+        "matter"
+    )
+    projection: Annotated[Literal["perspective", "orthographic"], Parameter(help="How rays leave the eye.")] = "perspective"
+    evaluator: Annotated[Literal["auto", "taps", "paired", "eight-fetch"], Parameter(help="How the spline is evaluated.")] = "auto"
+    fetch: Annotated[Literal["auto", "buffer", "image"], Parameter(help="Where coefficients are read from.")] = "auto"
+
+    def options(self, volume: clvol.Volume) -> dict[str, Any]:
+        """Arguments of `clvol.render`."""
+        given: dict[str, Any] = {} if self.samples is None else {"samples": self.samples}
+        given |= {} if self.clip is None else {"clip": (self.clip[:3], self.clip[3:])}
+        return given | {
+            "camera": clvol.Camera.orbit(self.azimuth, self.elevation, zoom=self.zoom, projection=self.projection, fit=self.fit),
+            "mode": self.mode,
+            "step": self.step,
+            "pixel_filter": self.pixel_filter,
+            "transfer": self._transfer(volume),
+            "gradient": self.gradient,
+            "background": None if self.background == "none" else self.background,
+            "evaluator": self.evaluator,
+            "fetch": self.fetch,
+        }
+
+    def _transfer(self, volume: clvol.Volume) -> clvol.TransferFunction | None:
+        """What is asked for, or None: the mode's own."""
+        if self.value_range is None:
+            if (self.preset, self.window, self.cmap, self.opacity) == (None, None, None, None):
+                return None
+            return look_of(volume, self.mode, preset=self.preset, window=self.window, cmap=self.cmap, opacity=self._opacity())
+        spread = clvol.TransferFunction.from_cmap(self.cmap or "gray", self.value_range)
+        look = look_of(volume, self.mode, preset=self.preset, window=self.window, opacity=self._opacity())
+        return replace(look, colors=spread.colors)
+
+    def _opacity(self) -> float | tuple[tuple[float, float], ...] | None:
+        if self.opacity is None or len(self.opacity) == 1:
+            return None if self.opacity is None else self.opacity[0]
+        if len(self.opacity) % 2:
+            raise OptionError(f"--opacity takes one number, or pairs of a value and an opacity; got {len(self.opacity)} numbers")
+        return tuple(zip(self.opacity[0::2], self.opacity[1::2], strict=True))
+
+
+@Parameter(name="*", group=_LOOK)
+@dataclass
+class SurfaceLook(Look):
+    """How pictures are made where surfaces are the rule."""
+
+    mode: _Mode = "isosurface"
+
+
+@Parameter(name="*", group=_LOOK)
+@dataclass
+class ReportLook(SurfaceLook):
+    """How the pictures of a report are made: on white, filled by what shows."""
+
+    background: _Background = "white"
+
+
+# -- options of modes ----------------------------------------------------------------------------------------
+
+_ALSO = {"isovalue": "--threshold"}
+"""What else the options of modes are called, by those who use them daily."""
+
+
+def _flag(name: str) -> tuple[str, Any, None]:
+    """A flag for an option of modes, with what their classes say of it; not given, it is the mode's own default."""
+    having = [mode for mode in clvol.modes().values() if name in mode_options(mode)]
+    defaults = [getattr(mode, name) for mode in having]
+    kind: Any = bool if isinstance(defaults[0], bool) else str if isinstance(defaults[0], (str, tuple)) else float
+    says = [f"{mode_options(mode)[name]} ({mode.name}{_default(getattr(mode, name))})" for mode in having]
+    return name, Annotated[kind | None, Parameter(help=" ".join(says), alias=_ALSO.get(name))], None
+
+
+def _default(value: object) -> str:
+    """A mode's default for people; nothing where it follows from the volume."""
+    if value is None:
+        return ""
+    return f"; default {' '.join(f'{v:g}' for v in value) if isinstance(value, tuple) else value}"
+
+
+class Given:
+    """Options of a mode, as they were given."""
+
+    def options(self) -> dict[str, Any]:
+        """What was given; a colour may be three numbers in one argument."""
+        given = {name: value for name, value in vars(self).items() if value is not None}
+        if isinstance(given.get("color"), str) and re.fullmatch(r"\s*([\d.e+-]+[\s,]+){2}[\d.e+-]+\s*", given["color"]):
+            given["color"] = tuple(float(v) for v in re.split(r"[\s,]+", given["color"].strip()))
+        return given
+
+
+if TYPE_CHECKING:
+    ModeOptions = Given
+else:
+    ModeOptions = Parameter(name="*", group=_OWN)(
+        make_dataclass("ModeOptions", map(_flag, sorted(every_option())), bases=(Given,), namespace={"__module__": __name__})
+    )
+
+
+def own_options(look: Look, own: ModeOptions | None) -> dict[str, Any]:
+    """The options given for the mode, refused here, before the volume is read, if they are none of it."""
+    options = {} if own is None else own.options()
+    as_mode(look.mode, options)
+    return options
+
+
+# -- the rest ------------------------------------------------------------------------------------------------
+
+# `Path` is there for the Tab key, which completes names of files; the text stays as it was given
+Source = Annotated[str | Path, Parameter(help="A volume file, a folder of slices, or phantom:NAME[:SIZE].")]
+Json = Annotated[bool, Parameter(name="--json", negative="", help="Print what a program would read.")]
+Output = Annotated[Path, Parameter(name=["--output", "-o"], help="The file to write.")]
+PageOutput = Annotated[Path, Parameter(name=["--output", "-o"], help="A folder, or a file that ends in .html.")]
+Whole = Annotated[int, Parameter(converter=whole_numbers)]
+Size = Annotated[tuple[int, int], Parameter(help="Width and height in pixels.", converter=whole_numbers)]
+DeviceName = Annotated[str | None, Parameter(help="Number, 'cpu', 'gpu' or part of a name; see 'clvol devices'.")]
+FilterName = Annotated[str, Parameter(completer=_any_of(_filter_names))]
+FigureName = Annotated[
+    str,
+    Parameter(
+        help="1 to 6 as in the paper, impulse, gradients, convergence, noise, slices, edges, reduction or cost.",
+        completer=_any_of(_figure_names),
+    ),
+]
+Filters = Annotated[
+    tuple[str, ...],
+    Parameter(
+        help="One picture each. [default: the six of Figure 6]",
+        show_default=False,
+        consume_multiple=True,
+        completer=_any_of(_filter_names),
+    ),
+]
+Compared = Annotated[
+    tuple[str, ...],
+    Parameter(
+        help="What is compared; see 'clvol filters'.", show_default=False, consume_multiple=True, completer=_any_of(_filter_names)
+    ),
+]

@@ -1,0 +1,299 @@
+"""Commands that draw: render, compare, figure, report."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+import clvol
+from clvol.cli import speech
+from clvol.cli.options import (
+    Compared,
+    DeviceName,
+    FigureName,
+    FilterName,
+    Filters,
+    Input,
+    Json,
+    Look,
+    ModeOptions,
+    Output,
+    PageOutput,
+    ReportLook,
+    Size,
+    Source,
+    SurfaceLook,
+    Whole,
+    own_options,
+)
+from clvol.cli.root import PICTURES, command
+from clvol.errors import OptionError
+from clvol.march.uncertainty import COVERAGE, in_words
+from clvol.mode import as_mode
+from clvol.picture import heat, heat_with_scale
+
+__all__ = ["compare", "figure", "figure6", "render", "report"]
+
+_COMPARED = 20_000  # gradients that a table of errors compares
+
+
+@command(PICTURES)
+def render(
+    source: Source,
+    /,
+    *,
+    output: Output,
+    filter: Annotated[FilterName | None, Parameter(show_default=False)] = None,
+    size: Size = (512, 512),
+    device: DeviceName = None,
+    input: Input | None = None,
+    look: Look | None = None,
+    own: ModeOptions | None = None,
+    heat_map: Path | None = None,
+    uncertainty: Path | None = None,
+    verbose: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
+) -> None:
+    """Make a picture of a volume.
+
+    Parameters
+    ----------
+    filter
+        How it is reconstructed between its samples; see 'clvol filters'. [default: bspline3(auto), which smooths the noise that it
+        finds; bspline3 in modes that show extremes, such as mip]
+    heat_map
+        A second picture: the share of each ray's samples that was looked at, from black to pale yellow.
+    uncertainty
+        Another picture, of an isosurface: within what of it the true surface lies in 95 % of places, with its scale.
+    verbose
+        Report the share of the samples that was looked at, and how long the parts took, kernels that are built first
+        included.
+    """
+    import numpy as np
+
+    speech.require_picture(output)
+    for other in (heat_map, uncertainty):
+        if other is not None:
+            speech.require_picture(other)
+    look = look or Look()
+    options = own_options(look, own)
+    volume = (input or Input()).read(source)
+    result: dict[str, Any] = {"output": str(output), "size": list(size), "filter": "", "mode": look.mode}
+    with speech.progress("rendering", json) as progress:
+        options |= look.options(volume)
+        begun = time.perf_counter()
+        wanted = as_mode(look.mode).picture_filter if filter is None else filter
+        with clvol.Renderer(volume, wanted, look.boundary, device) as renderer:
+            ready = time.perf_counter()
+            outputs: list[clvol.Output] = ["rgba"]
+            outputs += ["visited"] if verbose or heat_map is not None else []
+            outputs += ["uncertainty"] if uncertainty is not None else []
+            pictures = renderer.render(size=size, progress=progress, outputs=outputs, **options)
+            done = time.perf_counter()
+            drawn = renderer.filter
+    result["filter"] = drawn.name if json else speech.filter_text(drawn, filter, volume)
+    clvol.save(pictures["rgba"], output)
+    if heat_map is not None:
+        result["heat_map"] = str(clvol.save(heat(pictures["visited"]), heat_map))
+    if uncertainty is not None:
+        within = pictures["uncertainty"]
+        title = f"the true surface lies within ± ({100 * COVERAGE:.0f} %)"
+        result["uncertainty"] = str(clvol.save(heat_with_scale(within[..., 0], volume.units, title), uncertainty))
+        result["surface"] = in_words(within, volume.units)
+    if verbose:
+        met = np.isfinite(pictures["visited"])
+        result |= {
+            "samples_visited": round(float(pictures["visited"][met].mean()), 4) if met.any() else 0.0,
+            "seconds_to_hold": round(ready - begun, 4),
+            "seconds_to_draw": round(done - ready, 4),
+        }
+    speech.say(json, result)
+
+
+@command(PICTURES)
+def compare(
+    source: Source,
+    /,
+    *,
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="The picture to write.")] = None,
+    table: Annotated[Path | None, Parameter(help="Errors from every second sample to write: .csv, .json or .md.")] = None,
+    expected: Annotated[Path | None, Parameter(help="Errors to expect of the samples as they are, likewise.")] = None,
+    left_out: Annotated[Path | None, Parameter(help="Errors of slices left out along each axis, likewise.")] = None,
+    turned: Annotated[Path | None, Parameter(help="What is left of the middle slice after nine turns of 40°, likewise.")] = None,
+    filters: Filters = (),
+    pixels: Whole = 384,
+    device: DeviceName = None,
+    input: Input | None = None,
+    look: SurfaceLook | None = None,
+    own: ModeOptions | None = None,
+    json: Json = False,
+) -> None:
+    """Draw a volume by several filters side by side, measure their errors in up to four ways, or both.
+
+    Parameters
+    ----------
+    pixels
+        Width and height of each picture.
+    """
+    from clvol import analysis, figures
+    from clvol.analysis.table import SUFFIXES
+
+    tables = {"table": table, "expected": expected, "left_out": left_out, "turned": turned}
+    wanted = {kind: path for kind, path in tables.items() if path is not None}
+    if output is None and not wanted:
+        flags = ", ".join(f"--{kind.replace('_', '-')}" for kind in tables)
+        raise OptionError(f"give --output, a picture, or a table of errors ({flags}), or several; got none")
+    if output is not None:
+        speech.require_picture(output)
+    for path in wanted.values():
+        speech.require_writable(path, SUFFIXES, "tables")
+    look = look or SurfaceLook()
+    options = own_options(look, own)
+    volume = (input or Input()).read(source)
+    names = filters or figures.SIX
+    result: dict[str, Any] = {}
+    if output is not None:
+        with speech.progress("drawing", json) as progress:
+            _, sheet = figures.compare(
+                volume, names, pixels, look.boundary, device=device, progress=progress, **look.options(volume), **options
+            )
+        result["output"] = str(clvol.save(sheet, output))
+    result |= {"filters": list(names)} | ({"mode": look.mode} if output is not None else {})
+    for kind, path in wanted.items():
+        with speech.progress("measuring", json) as progress:
+            errors: analysis.Table[Any]
+            if kind == "table":
+                errors = analysis.compare(
+                    volume, names, boundary=look.boundary, points=_COMPARED, timing_device=device, progress=progress
+                )
+                result["against"] = errors.against
+            elif kind == "expected":
+                errors = analysis.predict(volume, names)
+                result["noise"] = errors.sigma
+            elif kind == "left_out":
+                errors = analysis.leave_out(volume, names, look.boundary, progress=progress)
+            else:
+                errors = analysis.rotations(volume, names, boundary=look.boundary, progress=progress)
+        result[kind] = str(errors.write(path))
+        if json:
+            result["errors" if kind == "table" else f"{kind}_errors"] = errors.records()
+        else:
+            header, *rows = errors.texts()
+            speech.table(header, rows)
+    speech.say(json, result)
+
+
+@command(PICTURES)
+def figure(
+    name: FigureName,
+    /,
+    *,
+    output: Annotated[
+        Path | None, Parameter(name=["--output", "-o"], help="The file to write: .png, .svg, .pdf, ... [default: figureNAME.png]")
+    ] = None,
+    samples: Whole | None = None,
+    pixels: Whole | None = None,
+    filters: Compared = (),
+    scan: Annotated[str | None, Parameter(help="A volume to measure (4, slices) or draw (3) too.")] = None,
+    device: DeviceName = None,
+    json: Json = False,
+) -> None:
+    """Make a figure of the paper, or one beyond: impulse, gradients, convergence, noise, slices, edges, reduction, cost.
+
+    Each has defaults.
+
+    Parameters
+    ----------
+    samples
+        Of the function along each axis.
+    pixels
+        Width of each picture.
+    """
+    from clvol import figures
+    from clvol.figures import style
+
+    output = Path(f"figure{name}.png") if output is None else output
+    options: dict[str, Any] = {"samples": samples, "pixels": pixels, "filters": filters or None, "scan": scan, "device": device}
+    options = {key: value for key, value in options.items() if value is not None}
+    known = figures.options_of(name)
+    if not set(options) <= set(known):
+        flags = [f"--{key}" for key in known if key in ("samples", "pixels", "filters", "scan", "device")]
+        wrong = next(key for key in options if key not in known)
+        raise OptionError(f"figure {name} takes {', '.join(flags) or 'no option'}; got --{wrong}")
+    if figures.FIGURES[name].plotted:
+        style.require_matplotlib()
+        speech.require_writable(output, style.SUFFIXES, "figures")
+    else:
+        speech.require_picture(output)
+    if scan is not None:
+        options["scan"] = Input().read(scan)
+    with speech.progress(f"figure {name}", json) as progress:
+        drawing = figures.draw(name, **options, **({"progress": progress} if "progress" in known else {}))
+    speech.say(json, {"output": str(drawing.save(output)), "panels": drawing.numbers}, drawing.lines)
+
+
+@command(PICTURES)
+def report(
+    source: Source,
+    /,
+    *,
+    output: PageOutput,
+    filters: Compared = (),
+    pixels: Whole = 280,
+    device: DeviceName = None,
+    input: Input | None = None,
+    look: ReportLook | None = None,
+    own: ModeOptions | None = None,
+    json: Json = False,
+) -> None:
+    """Show by pictures, errors and words which filter to use for a volume: one HTML page that needs nothing else.
+
+    Parameters
+    ----------
+    pixels
+        Width and height of each picture.
+    """
+    from clvol import reports
+
+    reports.page(output)  # raises before minutes of work if it cannot be written
+    look = look or ReportLook()
+    options = own_options(look, own)
+    volume = (input or Input()).read(source)
+    with speech.progress("measuring and drawing", json) as progress:
+        done = reports.report(
+            volume,
+            output,
+            Path(source).name,
+            filters or reports.REPORTED,
+            pixels,
+            look.boundary,
+            device=device,
+            progress=progress,
+            **look.options(volume),
+            **options,
+        )
+    result: dict[str, Any] = {"output": str(done.path), "filter": done.advice.filter, "advice": " ".join(done.advice.sentences)}
+    if json:
+        result |= {"against": done.table.against, "lost": done.table.lost, "errors": done.table.records()}
+        result |= {"expected": None if done.advice.expected is None else done.advice.expected.records()}
+        result |= {"left_out": done.left_out.records(), "turned": None if done.turned is None else done.turned.records()}
+    speech.say(json, result)
+
+
+@command(PICTURES, show=False)  # its former name
+def figure6(
+    *, output: Output = Path("figure6.png"), samples: Whole = 40, pixels: Whole = 512, device: DeviceName = None, json: Json = False
+) -> None:
+    """Make Figure 6 of the paper: the Marschner-Lobb function by six filters, each with its errors.
+
+    Parameters
+    ----------
+    samples
+        Of the function along each axis.
+    pixels
+        Width and height of each panel.
+    """
+    figure("6", output=output, samples=samples, pixels=pixels, device=device, json=json)

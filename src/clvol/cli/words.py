@@ -1,0 +1,60 @@
+"""What errors and warnings say in Python's words, said in the shell's: the only place that knows both."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from cyclopts import CycloptsError
+
+from clvol.cli.root import app
+from clvol.cli.speech import one_line
+from clvol.errors import DataError
+
+__all__ = ["in_the_shell"]
+
+_PHRASES = (
+    (r"replace them with Volume\.filled\(\w*\)", "replace them with --fill-nan VALUE (or --fill-nan smoothly)"),
+    (r": choose by ([a-z= ]+), or read all by clvol\.read_all", r": choose by \1"),
+    (r"spacing=, origin= or direction= replace what the file says", "--spacing replaces that of the file"),
+    (r"shape=\(nz, ny, nx\)", "--shape NZ NY NX"),
+    (r"window=\(center, width\)", "--window CENTER WIDTH"),
+)
+"""Advice that is a call in Python."""
+
+
+def in_the_shell(told: Exception | str, given: Sequence[str]) -> str:
+    """What an error or a warning of clvol says, on one line, in the words of the command line that brought it about.
+
+    Advice to call something names the option instead; options of the command that are named as Python's arguments are (``series=``,
+    or "step must be ...") get the name that they have here.
+    """
+    message = one_line(told)
+    for phrase, words in _PHRASES:
+        message = re.sub(phrase, words, message)
+    flags = _flags(given)
+    if not flags:
+        return message
+    names = "|".join(map(re.escape, flags))
+    if not isinstance(told, DataError):  # whose "samples must be finite" are those of the file
+        message = re.sub(rf"^({names})(?= (?:must|is no option|is only)\b)", lambda m: flags[m[1]], message)
+    message = re.sub(rf"(?<![\w.-])({names})=(?=[\w(\"'\[])", lambda m: f"{flags[m[1]]} ", message)
+    return re.sub(rf"(?<![\w.-])({names})=", lambda m: flags[m[1]], message)
+
+
+def _flags(given: Sequence[str]) -> dict[str, str]:
+    """For each argument of the command in question, its option; not those whose Python name two options share."""
+    try:
+        command, *_ = app.parse_commands(given)
+        arguments = app[command[0]].assemble_argument_collection() if command else ()
+    except (CycloptsError, KeyError):
+        return {}
+    found: dict[str, str] = {}
+    shared = set()
+    for argument in arguments:
+        name = argument.field_info.name
+        flag = next((n for n in argument.names if n.startswith("--")), "")
+        if flag and name:
+            shared |= {name} & found.keys()
+            found[name] = flag
+    return {name: flag for name, flag in found.items() if name not in shared}
