@@ -272,7 +272,7 @@ class Volumes(Sequence[Volume]):
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
         if isinstance(index, str):
-            if index == self.leading.computed or index not in self.names:
+            if index not in self.names or self.names.count(index) > 1:  # pick says what there is, or what else must be given
                 return self.pick(channel=index) if "channel" in self.axes else self.pick(**{self.axes[-1]: index})
             index = self.names.index(index)
         number = range(len(self))[index]  # raises IndexError, as sequences do
