@@ -34,6 +34,7 @@ from clvol.errors import OptionError
 from clvol.march.uncertainty import COVERAGE, in_words
 from clvol.mode import as_mode
 from clvol.picture import heat, heat_with_scale
+from clvol.smoothing import filter_for
 
 __all__ = ["compare", "figure", "figure6", "render", "report"]
 
@@ -85,7 +86,7 @@ def render(
     with speech.progress("rendering", json) as progress:
         options |= look.options(volume)
         begun = time.perf_counter()
-        wanted = as_mode(look.mode).picture_filter if filter is None else filter
+        wanted = filter_for(volume, filter, as_mode(look.mode).picture_filter)
         with clvol.Renderer(volume, wanted, look.boundary, device) as renderer:
             ready = time.perf_counter()
             outputs: list[clvol.Output] = ["rgba"]
