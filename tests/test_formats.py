@@ -355,7 +355,7 @@ def test_npy_of_other_types(tmp_path: Path, dtype: Any) -> None:
         formats.read(tmp_path / "v.npy")
 
 
-@pytest.mark.parametrize("shape", [(4,), (2, 2, 2, 2, 2), (0, 3, 3), (0, 2, 2, 2), ()])
+@pytest.mark.parametrize("shape", [(4,), (2,) * 8, (0, 3, 3), (0, 2, 2, 2), ()])
 def test_npy_of_other_shapes(tmp_path: Path, shape: tuple[int, ...]) -> None:
     np.save(tmp_path / "v.npy", np.zeros(shape))
     with pytest.raises(DataError, match=r"v\.npy.*(axes|axis)"):
@@ -631,7 +631,7 @@ def test_dicom_without_positions(tmp_path: Path) -> None:
 def test_dicom_with_two_series(tmp_path: Path) -> None:
     write_series(tmp_path, series(), "1.2.3")
     write_series(tmp_path, replace(series(), data=series().data + 1), "1.2.4")
-    with pytest.raises(FormatError, match=r"2 series.*series=.*0: '1\.2\.3.*CT, 6 files.*1: '1\.2\.4"):
+    with pytest.raises(DataError, match=r"2 series: 1\.2\.3\S* \(CT, 6 files\), 1\.2\.4.*choose one by series="):
         formats.read(tmp_path)
     listed = formats.series_of(tmp_path)
     assert [(one.id[:5], one.text) for one in listed] == [("1.2.3", "CT, 6 files"), ("1.2.4", "CT, 6 files")]
@@ -639,7 +639,7 @@ def test_dicom_with_two_series(tmp_path: Path) -> None:
         for choice in (one.id, number, str(number)):
             assert int(formats.read(tmp_path, series=choice).data[0, 0, 0]) == number
     for wrong in ("7", 2, -1, True):
-        with pytest.raises(OptionError, match="series must be one of the 2 in"):
+        with pytest.raises(OptionError, match="series must be"):
             formats.read(tmp_path, series=wrong)
 
 

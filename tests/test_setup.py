@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +61,7 @@ def test_the_loader_finds_intels_runtime_beside_all_others(runtime: Path, tmp_pa
     # in the environment lies what Intel's wheel brings, which names a folder that is not here
     vendors(tmp_path / "env/etc/OpenCL/vendors", cpu="/opt/nowhere/lib/libintelocl.so\n")
     given = vendors(tmp_path / "given", b=f"{tmp_path}/gpu.so\n", a="libnvidia-opencl.so.1", gone="/opt/nowhere/lib/libgone.so")
+    (given / "link.icd").symlink_to(tmp_path / "nowhere")
     for folder, others in ((None, []), (given, ["libnvidia-opencl.so.1", f"{tmp_path}/gpu.so"])):
         if folder:
             monkeypatch.setenv("OCL_ICD_VENDORS", str(folder))
@@ -190,6 +192,21 @@ def installed(name: str) -> bool:
     from importlib.util import find_spec
 
     return find_spec(name) is not None
+
+
+@pytest.mark.parametrize(
+    ("system", "machine", "has"),
+    [("linux", "x86_64", True), ("win32", "AMD64", True), ("linux", "aarch64", False), ("darwin", "arm64", False)],
+)
+def test_intels_wheels_are_asked_for_where_there_are_some(system: str, machine: str, has: bool) -> None:
+    from packaging.requirements import Requirement  # pytest needs it too
+
+    project = tomllib.loads((Path(__file__).resolve().parents[1] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    wanted = [Requirement(line) for line in project["optional-dependencies"]["intel"]]
+    assert {one.name for one in wanted} == {"intel-opencl-rt", "intel-cmplr-lib-rt"}
+    for one in wanted:
+        assert one.marker is not None
+        assert one.marker.evaluate({"sys_platform": system, "platform_machine": machine}) is has
 
 
 def test_threads_may_look_for_devices_first(device: Device) -> None:

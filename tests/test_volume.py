@@ -287,10 +287,31 @@ def test_xarray_has_coordinates_where_the_axes_run_along_the_worlds() -> None:
     for index in ((0, 0, 0), (5, 1, 3)):
         x, y, z = straight.index_to_world(index)
         assert array.sel(x=x, y=y, z=z) == DATA[index[::-1]]
-    again = Volume(array, array.attrs["spacing"], array.attrs["origin"], array.attrs["direction"], array.attrs["world_units"])
-    np.testing.assert_allclose(again.corners, straight.corners)
     assert "x" not in VOLUME.to_xarray().coords
     assert Volume(DATA[0]).to_xarray().dims == ("y", "x")
+    for volume in (straight, VOLUME, Volume(DATA[0], (2, 3), window=(0, 1))):
+        again = Volume(volume.to_xarray())
+        np.testing.assert_array_equal(again.data, volume.data)
+        np.testing.assert_allclose(again.corners, volume.corners)
+        for name in ("units", "space", "name", "window"):
+            assert getattr(again, name) == getattr(volume, name)
+
+
+def test_parts_of_arrays_of_xarray_are_where_they_were() -> None:
+    pytest.importorskip("xarray")
+    volume = Volume(DATA, (1, 2, 3), (4, 5, 6), np.diag([1, -1, 1]))
+    part = Volume(volume.to_xarray()[1:3, ::-2, 2:])
+    np.testing.assert_array_equal(part.data, DATA[1:3, ::-2, 2:])
+    for index, whole in (((0, 0, 0), (2, 4, 1)), ((1, 2, 1), (3, 0, 2))):
+        np.testing.assert_allclose(part.index_to_world(index), volume.index_to_world(whole))
+    slice_ = Volume(volume.to_xarray()[2, :, 1:])
+    np.testing.assert_allclose(slice_.index_to_world([0, 0]), volume.index_to_world([1, 0, 2])[:2])
+    with pytest.raises(GeometryError, match="evenly spaced"):
+        Volume(volume.to_xarray().isel(x=[0, 1, 4]))
+    with pytest.raises(GeometryError, match="nothing says where it lies"):
+        Volume(VOLUME.to_xarray()[1:])
+    other = volume.to_xarray().transpose("x", "y", "z")  # no longer [z, y, x]: samples alone
+    assert Volume(other).spacing == (1, 1, 1)
 
 
 BAD: list[tuple[dict[str, Any], type[ClvolError]]] = [

@@ -124,3 +124,9 @@ def test_xarray() -> None:
     array = cells().to_xarray()
     assert array.dims == ("time", "channel", "z", "y", "x")
     np.testing.assert_array_equal(array.sel(channel="GFP", time=2, z=9), DATA[2, 1, 1])
+    again = Volumes(array)
+    assert (again.axes, again.names, again[0].units) == (("time", "channel"), ("DAPI", "GFP") * 3, "mm")
+    np.testing.assert_array_equal(again, DATA)
+    np.testing.assert_array_equal(Volumes(array.sel(channel="GFP", time=[0, 2])), DATA[[0, 2], 1])
+    with pytest.raises(DataError, match="3 times × 2 channels"):
+        Volume(array)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import re
+import sys
 from collections.abc import Callable, Iterator
 from importlib.metadata import PackageNotFoundError, metadata, requires, version
 from typing import NamedTuple
@@ -20,8 +21,11 @@ from clvol.opencl import INSTALL
 __all__ = ["Check", "extras", "opencl"]
 
 _USES = {
-    "medical": "NRRD, MetaImage, DICOM, writing NIfTI",
-    "microscopy": "TIFF stacks",
+    "medical": "DICOM, NRRD, MetaImage, NIfTI",
+    "microscopy": "TIFF stacks, Zarr",
+    "hdf5": "HDF5 and its kin",
+    "vtk": "VTK's files",
+    "bioio": "files of microscopes' makers",
     "figures": "figures and reports",
     "xarray": "labelled arrays",
     "torch": "gradients of tensors",
@@ -144,7 +148,8 @@ def _silent_intel() -> str:
         return ""
     except OSError as error:
         return f"{runtime} does not load ({error}): pip install clvol[intel] brings what it needs"
-    return f"{runtime} is kept out by OCL_ICD_VENDORS, or cannot run on this processor"
+    why = "by an administrator's shell" if sys.platform == "win32" else "by OCL_ICD_VENDORS"
+    return f"{runtime} is kept out {why}, or cannot run on this processor"
 
 
 def _packages(extra: str) -> list[str]:

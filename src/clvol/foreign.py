@@ -1,4 +1,4 @@
-"""Other libraries' images: those of SimpleITK and nibabel, read with all that they say, and made; and arrays of xarray, made."""
+"""Other libraries' images: those of SimpleITK and nibabel, and arrays of xarray, read with all that they say, and made."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ __all__ = [
     "from_simpleitk",
     "held_as",
     "interleaved",
+    "is_ours",
     "nibabel",
     "nibabel_says",
     "nifti_says",
@@ -32,6 +33,7 @@ __all__ = [
     "to_nibabel",
     "to_simpleitk",
     "to_xarray",
+    "xarray_says",
 ]
 
 METRES = {"nm": 1e-9, "um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "inch": 0.0254}
@@ -59,6 +61,7 @@ _RAS = np.array([-1.0, -1.0, 1.0])
 
 _ITK_DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64")
 _NIFTI_DTYPES = _ITK_DTYPES
+_PLACE = {"size", "spacing", "origin", "direction"}  # attributes of a DataArray that this module made
 _WIDER = {"bool": "uint8", "float16": "float32"}  # the next type that holds every value
 
 Content: TypeAlias = tuple[NDArray[Any], dict[str, Any]]
@@ -458,6 +461,7 @@ def to_xarray(data: NDArray[Any], grid: Grid, leading: Several | None = None) ->
             places = grid.origin[axis] + step * np.arange(data.shape[-1 - axis])
             coords[name] = (name, places, {"units": grid.units} if grid.units else {})
     attrs: dict[str, Any] = {
+        "size": list(data.shape[: -1 - d : -1]),
         "spacing": list(grid.spacing),
         "origin": list(grid.origin),
         "direction": grid.direction.tolist(),
@@ -467,6 +471,57 @@ def to_xarray(data: NDArray[Any], grid: Grid, leading: Several | None = None) ->
     if grid.window is not None:
         attrs["window"] = list(grid.window)
     return xarray.DataArray(data, coords, dims, name=(grid.name or None) if leading is None else None, attrs=attrs)
+
+
+def is_ours(array: Any) -> bool:
+    """Whether it is a DataArray that `to_xarray` made, or one made of that, with y and x as its last dimensions."""
+    attrs = getattr(array, "attrs", None)
+    return isinstance(attrs, Mapping) and attrs.keys() >= _PLACE and getattr(array, "dims", ())[-2:] == ("y", "x")
+
+
+def xarray_says(array: Any) -> dict[str, Any]:
+    """Arguments of `Volume` of a DataArray that `is_ours`; coordinates are believed before attributes, which outlive cuts.
+
+    Raises
+    ------
+    GeometryError
+        Coordinates that are not evenly spaced; or the array was cut and has no coordinates, so that nothing says where it lies.
+    """
+    d = 3 if array.dims[-3:] == ("z", "y", "x") else 2
+    attrs = array.attrs
+    spacing, origin, direction = (np.array(attrs[name], np.float64) for name in ("spacing", "origin", "direction"))
+    size = array.shape[: -1 - d : -1]
+    if not all(name in array.coords for name in "xyz"[:d]):
+        if tuple(attrs["size"]) != size:
+            raise GeometryError(
+                f"the array was cut or joined, and nothing says where it lies; it had {attrs['size']} samples, now {size}"
+            )
+    else:
+        spacing, origin, direction = spacing[:d], origin[:d], np.diag(np.sign(np.diag(direction)[:d]))
+        for axis, name in enumerate("xyz"[:d]):
+            places = np.asarray(array.coords[name], np.float64)
+            origin[axis] = places[0]
+            if len(steps := np.diff(places)):
+                if not np.allclose(steps, steps.mean(), rtol=1e-4, atol=0):
+                    raise GeometryError(
+                        f"coordinates must be evenly spaced; those of {name} are {steps.min():g} to {steps.max():g} apart"
+                    )
+                spacing[axis], direction[axis, axis] = abs(steps.mean()), np.sign(steps.mean())
+    about: dict[str, Any] = {
+        "spacing": spacing,
+        "origin": origin,
+        "direction": direction,
+        "units": attrs.get("world_units", ""),
+        "space": attrs.get("space", ""),
+    }
+    if "window" in attrs:
+        about["window"] = tuple(attrs["window"])
+    if array.name:
+        about["name"] = str(array.name)
+    if axes := array.dims[: array.ndim - d]:
+        named = {axis: tuple(map(str, array.coords[axis].values)) for axis in axes if axis in array.coords}
+        about["leading"] = {"axes": axes, "counts": array.shape[: array.ndim - d], "names": named}
+    return about
 
 
 # -- what they share ---------------------------------------------------------------------------------------------

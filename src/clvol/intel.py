@@ -11,7 +11,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
@@ -69,7 +69,10 @@ def _vendor_files() -> list[str] | None:
     folders = [Path(given)] if given else [Path("/etc/OpenCL/vendors"), Path(sys.prefix, "etc/OpenCL/vendors")]
     if given and not folders[0].is_dir():
         return None
-    texts = [os.fsdecode(file.read_bytes()).strip() for folder in folders for file in sorted(folder.glob("*.icd"))]
+    texts = []
+    for file in (file for folder in folders for file in sorted(folder.glob("*.icd"))):
+        with suppress(OSError):  # a link to nowhere, or not for us to read: nor can the loader
+            texts.append(os.fsdecode(file.read_bytes()).strip())
     # a file that names a library by a path where there is none, as those that Intel's wheels bring, is no vendor's
     return [text for text in dict.fromkeys(texts) if text and (not Path(text).is_absolute() or Path(text).exists())]
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.errors import ClvolError, DataError, OptionError
-from clvol.foreign import Content, from_nibabel, from_simpleitk, nibabel_says, simpleitk_says
+from clvol.foreign import Content, from_nibabel, from_simpleitk, is_ours, nibabel_says, simpleitk_says, xarray_says
 
 __all__ = ["Content", "as_array", "as_output", "memory_of", "read_array", "read_several"]
 
@@ -42,6 +42,7 @@ def read_array(source: Any) -> Content:
         The affine of a nibabel image is singular or not finite, or its unit of length unknown.
     """
     about = simpleitk_says(source) if _is_simpleitk(source) else nibabel_says(source) if _is_nibabel(source) else {}
+    about = xarray_says(source) if is_ours(source) else about
     if "leading" in about:
         counts = " × ".join(f"{n} {axis}s" for axis, n in zip(about["leading"]["axes"], about["leading"]["counts"], strict=True))
         raise DataError(f"data must be one volume; got an image of {counts}: take one as clvol.Volumes(image)[k]")
@@ -54,6 +55,8 @@ def read_several(source: Any) -> Content:
         return from_simpleitk(source)
     if _is_nibabel(source):
         return from_nibabel(source)
+    if is_ours(source):
+        return as_array(source), xarray_says(source)
     if not isinstance(source, np.ndarray) and isinstance(source, _Gridded):  # asked for `data`, an array of dates raises
         return as_array(source.data), {name: getattr(source, name) for name in _OWN if hasattr(source, name)}
     return as_array(source), {}

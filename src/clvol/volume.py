@@ -53,7 +53,8 @@ class Volume:
         viewed, not copied, so the caller's array must not change afterwards: earlier results would
         no longer match it. `Volume.data` is read-only. A masked array may have no masked element.
         SimpleITK and nibabel images give their spacing, origin and direction too, in ITK's LPS frame and
-        in mm, and what else a NIfTI header says: see `window`, `labels` and `header`.
+        in mm, and what else a NIfTI header says: see `window`, `labels` and `header`. Arrays of xarray that
+        `to_xarray` made, and parts of these, give theirs.
     spacing : sequence of float, optional
         Distance between neighbouring samples along x, y(, z) in world units; default 1.
     origin : sequence of float, optional
@@ -254,8 +255,8 @@ class Volume:
     def to_xarray(self) -> Any:
         """A DataArray with dimensions z, y, x; it has coordinates in world units where the axes run along the world's.
 
-        Its attributes are "spacing", "origin" and "direction", (x, y, z), "world_units", "space", and "window" if there is one
-        (``pip install clvol[xarray]``).
+        Its attributes are "size", "spacing", "origin" and "direction", (x, y, z), "world_units", "space", and "window" if there
+        is one. ``Volume(array)`` comes back, also of a part with coordinates (``pip install clvol[xarray]``).
 
         Raises
         ------
@@ -395,9 +396,9 @@ class Volume:
         if self.data.dtype.kind not in "iu" or self.data.size == 0:
             return False
         some = self.data[len(self.data) // 2].ravel()[:_LOOKED_AT]  # a run of neighbours
-        if len(np.unique(some)) > MOST_LABELS or (some.size > 1 and (some[1:] == some[:-1]).mean() < _SAME):
+        if some.size > 1 and (some[1:] == some[:-1]).mean() < _SAME:
             return False
-        return self.noise.kind == "labels"
+        return self.noise.kind == "labels" or _many_labels(self.data)
 
     @cached_property
     def noise(self) -> Noise:
@@ -528,6 +529,23 @@ def _vector(what: str, value: Any, d: int) -> tuple[float, ...]:
     if not all(math.isfinite(v) for v in vector):
         raise GeometryError(f"{what} must be finite; got {vector}")
     return vector
+
+
+def _many_labels(data: NDArray[Any]) -> bool:
+    """Whether there are more values than `clvol.noise` takes for labels, and they fill regions beside others of any number."""
+    lines = data.reshape(-1, data.shape[-1])
+    lines = lines[:: max(1, lines.size >> 20)]
+    values, counts = np.unique(lines, return_counts=True)
+    if len(values) <= MOST_LABELS:
+        return False
+    left, right = lines[:, :-1], lines[:, 1:]
+    within = (left != (background := values[counts.argmax()])) & (right != background)
+    left, right = left[within], right[within]
+    if left.size < MOST_LABELS:
+        return False
+    differ = left != right
+    steps = np.abs(left[differ].astype(np.float64) - right[differ])
+    return bool(differ.mean() < 1 - _SAME and (not steps.size or np.median(steps) > 1))
 
 
 def _window(value: Any) -> tuple[float, float]:

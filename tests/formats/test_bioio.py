@@ -38,6 +38,21 @@ def test_channels_and_times_of_czi(czi: Path) -> None:
     assert [one.shape for one in formats.series_of(czi)] == [DATA.shape]
 
 
+@pytest.mark.usefixtures("czi")  # which skips where the writer or the reader is missing
+def test_colours_of_czi(tmp_path: Path) -> None:
+    """The file has blue, green and red, says Zeiss' documentation of its pixel types."""
+    from pylibCZIrw import czi as writer
+
+    blue_first = np.random.default_rng(0).integers(0, 255, (16, 20, 3), np.uint8)
+    with writer.create_czi(str(tmp_path / "v.czi")) as file:
+        file.write(data=blue_first, plane={"T": 0, "C": 0, "Z": 0})
+        file.write_metadata("colours")
+    everything = clvol.read_all(tmp_path / "v.czi")
+    assert everything.names == ("red", "green", "blue")
+    np.testing.assert_array_equal(np.asarray(everything), np.moveaxis(blue_first[..., ::-1], -1, 0))
+    np.testing.assert_array_equal(clvol.read(tmp_path / "v.czi", channel="blue").data, blue_first[..., 0])
+
+
 def test_damaged_czi(czi: Path, tmp_path: Path) -> None:
     content = czi.read_bytes()
     for part in (b"", b"1 2 3", content[:3000]):

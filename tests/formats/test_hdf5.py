@@ -12,7 +12,7 @@ import pytest
 
 import clvol
 from clvol import ClvolWarning, formats
-from clvol.errors import ClvolError, DataError, FormatError, GeometryError, MissingDependencyError
+from clvol.errors import ClvolError, DataError, FormatError, GeometryError, MissingDependencyError, OptionError
 
 h5py = pytest.importorskip("h5py")
 
@@ -58,6 +58,27 @@ def test_axes_without_names_are_guessed(tmp_path: Path) -> None:
         file["a"] = DATA[None, None, None].repeat(2, 0).repeat(2, 1).repeat(2, 2)
     with pytest.raises(DataError, match="times, positions and channels of these"):
         clvol.read(tmp_path / "w.h5")
+
+
+def test_who_chooses_a_time_explains_the_first_axis(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "v.h5", "w") as file:
+        file["a"] = DATA[0, 0]
+    np.testing.assert_array_equal(clvol.read(tmp_path / "v.h5", time=3).data, DATA[0, 0, 3])
+    with pytest.raises(OptionError, match="channel must be 0 to 3"):
+        clvol.read(tmp_path / "v.h5", channel=4)
+
+
+def test_a_short_last_axis_without_a_name_holds_channels(tmp_path: Path) -> None:
+    flow = np.random.default_rng(4).normal(size=(5, 6, 7, 3))
+    colours = np.random.default_rng(4).integers(0, 255, (6, 7, 3), np.uint8)
+    for name, data in (("flow", flow), ("colours", colours), ("slab", flow[0])):
+        with h5py.File(tmp_path / f"{name}.h5", "w") as file:
+            file["a"] = data
+    with pytest.warns(ClvolWarning, match=r"taken for z \(5\), y \(6\), x \(7\), channel \(3\)"):
+        np.testing.assert_allclose(clvol.read(tmp_path / "flow.h5").data, np.linalg.norm(flow, axis=-1))
+    with pytest.warns(ClvolWarning, match=r"taken for y \(6\), x \(7\), channel \(3\)"):
+        np.testing.assert_array_equal(clvol.read(tmp_path / "colours.h5", channel="red").data, colours[..., 0])
+    np.testing.assert_array_equal(clvol.read(tmp_path / "slab.h5").data, flow[0])
 
 
 @pytest.mark.parametrize("said", ["axistags", "axes", "labels"])

@@ -181,6 +181,13 @@ def test_nifti_2_and_pairs(tmp_path: Path, order: str) -> None:
     (tmp_path / "pair.img").unlink()
     with pytest.raises(FormatError, match=r"pair\.img beside it, which is not there"):
         read(tmp_path / "pair.hdr")
+    header = nibabel.Nifti2Header()
+    header.set_data_dtype(np.int16)
+    header.set_data_shape((4, 3, 2, 1 << 40))
+    header["vox_offset"] = 544
+    (tmp_path / "huge.nii").write_bytes(header.binaryblock + bytes(100))
+    with pytest.raises(FormatError, match="must hold 52776558133248 bytes"):  # and no memory is asked for
+        read(tmp_path / "huge.nii", volume=1)
     long = Volume(np.arange(40000, dtype=np.uint16)[None, None], units="mm")  # more than NIfTI-1 holds along an axis
     write(long, tmp_path / "long.nii")
     assert isinstance(nibabel.load(tmp_path / "long.nii"), nibabel.Nifti2Image)
@@ -338,6 +345,18 @@ def test_kinds_of_nrrd(tmp_path: Path, kinds: str, directions: str, axis: int, l
     np.testing.assert_allclose(every[0].index_to_world([1, 1, 1], frame="RAS"), [3, 5, 7])
 
 
+def test_an_axis_of_time_in_nrrd(tmp_path: Path) -> None:
+    text = "NRRD0005\ntype: short\ndimension: 4\nsizes: 4 3 2 5\nendian: little\nencoding: raw\nspacings: 1 2 3 0.5\nkinds: {}\n\n"
+    (tmp_path / "v.nrrd").write_bytes(text.format("domain domain domain time").encode() + series(5).T.tobytes())
+    with pytest.warns(ClvolWarning, match="5 times; time 0 was read: choose by time="):
+        first = read(tmp_path / "v.nrrd")
+    assert (first.spacing, first.header) == ((1, 2, 3), {"time_step": 0.5})
+    np.testing.assert_array_equal(read(tmp_path / "v.nrrd", time=2).data, series(5)[..., 2].T)
+    (tmp_path / "v.nrrd").write_bytes(text.format("time domain domain domain").encode() + series(5).T.tobytes())
+    with pytest.raises(FormatError, match="time last"):
+        read(tmp_path / "v.nrrd")
+
+
 # -- FreeSurfer --------------------------------------------------------------------------------
 
 
@@ -427,6 +446,20 @@ def test_dicom_of_frames_in_one_place(tmp_path: Path) -> None:
         read(tmp_path / "v.dcm")
 
 
+def test_dicom_of_a_film(tmp_path: Path) -> None:
+    """Frames of one ultrasound probe that is held still lie nowhere."""
+    whole = enhanced(np.arange(60, dtype=np.uint16).reshape(4, 3, 5), [])
+    frame_time = element(0x00181063, "DS", "40")
+    at = whole.index(element(0x0020000D, "UI", "1.2"))
+    (tmp_path / "v.dcm").write_bytes(whole[:at] + frame_time + whole[at:])
+    with pytest.warns(ClvolWarning, match="4 times; time 0 was read: choose by time="):
+        first = read(tmp_path / "v.dcm")
+    assert (first.shape, first.header["time_step"], first.header["time_unit"]) == ((1, 3, 5), 40, "msec")
+    (tmp_path / "v.dcm").write_bytes(whole)
+    with pytest.warns(ClvolWarning, match="does not say where its 4 frames lie, they were taken for slices"):
+        assert read(tmp_path / "v.dcm").shape == (4, 3, 5)
+
+
 def test_dicom_in_colour(tmp_path: Path) -> None:
     data = np.moveaxis(series(3, dtype="uint8").T, 0, -1)
     sitk.WriteImage(sitk.GetImageFromArray(data[:1], isVector=True), str(tmp_path / "v.dcm"))
@@ -445,6 +478,7 @@ def test_dicom_cut_short(tmp_path: Path) -> None:
             read(tmp_path / "v.dcm")
 
 
+@pytest.mark.filterwarnings("error::clvol.ClvolWarning")
 def test_a_heart_says_what_it_is(tmp_path: Path) -> None:
     if not (DATA / "mr_series_dicom.tar.xz").exists():
         pytest.skip("no mr_series_dicom.tar.xz: set CLVOL_DATA to the folder that holds it")
@@ -454,13 +488,16 @@ def test_a_heart_says_what_it_is(tmp_path: Path) -> None:
     path = tmp_path / member.name
     shutil.copy(path, tmp_path / "IM1")
     for file in (path, tmp_path / "IM1", path.parent):
-        slice_ = read(file)
+        slice_ = read(file)  # no warning: no other lies beside it
         assert (slice_.name, slice_.header["modality"]) == ("My Special Series For Testing", "MR")
         assert slice_.window is not None
         np.testing.assert_array_equal(slice_.data, sitk.GetArrayFromImage(sitk.ReadImage(str(path))))
         same_grid(replace(slice_, window=None), Volume(sitk.ReadImage(str(path))))
     (one,) = clvol.formats.series_of(path.parent)
     assert one.text == "MR, My Special Series For Testing, 1 file"
+    shutil.copy(path, path.with_name("other.dcm"))
+    with pytest.warns(ClvolWarning, match="it is one slice, and 1 more DICOM files lie beside it: give the folder"):
+        read(path)
     image = sitk.ReadImage(str(path))
     center, width = (float(image.GetMetaData(tag)) for tag in ("0028|1050", "0028|1051"))
     assert slice_.window == (center - width / 2, center + width / 2)
@@ -494,12 +531,16 @@ def test_npz_keeps_several(tmp_path: Path) -> None:
     assert (one.name, one.color, one.window, one.space, one.spacing) == ("a", (1, 0, 0), (0, 1), "image", (1, 2, 3))
 
 
-def test_an_array_of_four_axes_is_guessed(tmp_path: Path) -> None:
+def test_axes_of_arrays_are_guessed(tmp_path: Path) -> None:
     np.save(tmp_path / "v.npy", series(5).T)
-    with pytest.warns(ClvolWarning, match=r"5 volumes; volume 0 was read: .*taken for \[volume, z, y, x\]"):
+    with pytest.warns(ClvolWarning, match=r"5 volumes; volume 0 was read: .*taken for volume \(5\), z \(2\)"):
         np.testing.assert_array_equal(read(tmp_path / "v.npy").data, series(5)[..., 0].T)
+    np.testing.assert_array_equal(read(tmp_path / "v.npy", time=3).data, series(5)[..., 3].T)  # the caller explains the axis
     with pytest.warns(ClvolWarning, match="taken for"):
         np.testing.assert_array_equal(read_all(tmp_path / "v.npy"), series(5).T)
+    np.savez(tmp_path / "v.npz", data=series(5).T, spacing=(1, 2, 3))
+    with pytest.warns(ClvolWarning, match="taken for"):
+        assert read(tmp_path / "v.npz", volume=4).spacing == (1, 2, 3)
 
 
 def test_what_images_say_needs_no_samples() -> None:

@@ -25,9 +25,10 @@ DATA = np.arange(np.prod(SHAPE), dtype=np.uint16).reshape(SHAPE)
 @pytest.fixture(scope="module", params=["0.4", "0.5"])
 def cells(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An image of two sizes with labels, as ome-zarr writes it."""
-    pytest.importorskip("ome_zarr")
-    from ome_zarr.format import FormatV04, FormatV05
-    from ome_zarr.writer import write_image, write_labels
+    with warnings.catch_warnings(action="ignore"):
+        pytest.importorskip("ome_zarr")
+        from ome_zarr.format import FormatV04, FormatV05
+        from ome_zarr.writer import write_image, write_labels
 
     path = tmp_path_factory.mktemp(f"ome{request.param}") / "cells.zarr"
     about: dict[str, Any] = {"fmt": {"0.4": FormatV04, "0.5": FormatV05}[request.param](), "scale_factors": [2]}
@@ -71,6 +72,7 @@ def test_labels_of_ome(cells: Path) -> None:
     np.testing.assert_array_equal(labels.data, DATA[0, 0] // 100)
     assert labels.is_labels
     assert labels.labels == {1: "nucleus"}
+    assert clvol.read(cells / "labels" / "nuclei").labels == {1: "nucleus"}
     with pytest.raises(OptionError, match="labels/nuclei"):
         clvol.read(cells, series="membranes")
 

@@ -78,6 +78,16 @@ FORMATS = (
     Format("MetaImage", (".mha", ".mhd"), metaimage.read, metaimage.write, several=True, write_several=metaimage.write),
     Format("FreeSurfer MGH", (".mgh", ".mgz"), mgz.read, several=True),
     Format(
+        "Zarr",
+        (".zarr.zip", ".ozx", ".zip"),
+        zarr.read,
+        None,
+        frozenset({"series", "level"}),
+        several=True,
+        folder=zarr.is_one,
+        series=zarr.series,
+    ),
+    Format(
         "DICOM",
         dicom.SUFFIXES,
         dicom.read,
@@ -98,21 +108,19 @@ FORMATS = (
         write_several=tiff.write_several,
     ),
     Format(
-        "Zarr",
-        (".zarr.zip", ".ozx", ".zip"),
-        zarr.read,
-        None,
-        frozenset({"series", "level"}),
-        several=True,
-        folder=zarr.is_one,
-        series=zarr.series,
-    ),
-    Format(
         "HDF5", (".h5", ".hdf5", ".hdf", ".he5", ".nc"), hdf5.read, None, frozenset({"series"}), several=True, series=hdf5.series
     ),
     Format("Imaris", (".ims",), imaris.read, None, frozenset({"level"}), several=True),
     Format("VTK image data", (".vti",), vti.read, None, frozenset({"series"}), several=True, series=vti.series),
-    Format("microscopes' own", bioio.SUFFIXES, bioio.read, None, frozenset({"series", "level"}), several=True, series=bioio.series),
+    Format(
+        "microscope makers' files",
+        bioio.SUFFIXES,
+        bioio.read,
+        None,
+        frozenset({"series", "level"}),
+        several=True,
+        series=bioio.series,
+    ),
     Format("image", slices.SUFFIXES, slices.read, several=True),
     Format("folder of image slices", (), slices.read_folder, several=True, folder=slices.are_in),
     Format("raw samples", (".raw", ".bin"), raw.read, None, frozenset({"shape", "dtype", "byte_order", "offset"})),
@@ -149,9 +157,9 @@ def read(
     path : path-like
         A file, which is known by its suffix in upper or lower case: ``.npy .npz``, ``.nii .nii.gz .hdr .img .nrrd .nhdr .mha .mhd
         .mgh .mgz``, ``.dcm .dicom .ima`` (and any DICOM file without a suffix), ``.tif .tiff`` (OME, ImageJ, plain),
-        ``.png .jpg .bmp``, ``.h5 .hdf5 .nc``, ``.vti``, ``.zarr.zip``, ``.raw .bin``, and ``.czi .lif .nd2`` and others of
-        microscopes' makers, for which bioio has plug-ins. Or a folder: of DICOM files, of image slices (in the natural order of
-        their names), or a Zarr array or group (OME-Zarr).
+        ``.png .jpg .bmp``, ``.h5 .hdf5 .nc``, ``.ims``, ``.vti``, ``.zarr.zip``, ``.raw .bin``, and ``.czi .lif .nd2`` and
+        others of microscopes' makers, for which bioio has plug-ins. Or a folder: of DICOM files, of image slices (in the natural
+        order of their names), or a Zarr array or group (OME-Zarr).
     volume : int, optional
         Which of several, in the order of the file, the first is 0.
     time, position : int, optional
@@ -405,11 +413,10 @@ def _by_suffix(path: Path, written: bool = False) -> tuple[Format, str]:
     rows = [row for row in FORMATS if row.write or not written]
     found = [(suffix, row) for row in FORMATS for suffix in row.suffixes if name.endswith(suffix)]
     if not found:
-        known = "; ".join(f"{row.name}: {' '.join(row.suffixes)}" for row in rows if row.suffixes)
-        ending = "".join(path.suffixes[-1:]) or "no suffix"
+        known = " ".join(suffix for row in rows for suffix in row.suffixes)
         rule = "write" if written else "read"
-        also = "" if written else f". A folder may hold {_FOLDERS}. `clvol info` says what a file or folder holds"
-        raise FormatError(f"cannot {rule} {path}: {ending} is of no format that clvol {rule}s, which are: {known}{also}")
+        also = "" if written else f"; a folder may hold {_FOLDERS}"
+        raise FormatError(f"cannot {rule} {path}: its suffix must be one of {known}{also}")
     suffix, row = max(found, key=lambda pair: len(pair[0]))
     return row, suffix
 

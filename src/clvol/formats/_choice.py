@@ -193,6 +193,8 @@ def chosen_series(
         return ids.index(choice)
     number = int(choice) if isinstance(choice, str) and choice.isdecimal() else choice
     if isinstance(number, str) or not 0 <= whole("series", number) < len(series):
+        if len(series) == 1:
+            raise OptionError(f"series must be 0 or the name, for {source} holds one: {told}; got {choice!r}")
         raise OptionError(
             f"series must be one of the {len(series)} {what} of {source}, by number from 0 or name: {told}; got {choice!r}"
         )
@@ -203,6 +205,8 @@ def chosen_level(source: str, sizes: Sequence[Sequence[int]], level: int) -> int
     """The place of a level among the `sizes` that there are, the largest first; `OptionError` where there is none such."""
     number = whole("level", level)
     if not 0 <= number < len(sizes):
+        if len(sizes) == 1:
+            raise OptionError(f"level must be 0, for {source} holds the image in one size; got {level}")
         told = ", ".join(" × ".join(map(str, size)) for size in sizes)
         raise OptionError(
             f"level must be 0 to {len(sizes) - 1}, for {source} holds the image in {len(sizes)} sizes: {told}; got {level}"

@@ -43,6 +43,8 @@ class Header:
         What turns a sample into the value that is meant, ``slope * sample + offset``; ITK passes it over.
     values : {"", "vector", "rgb", "channel", "volume"}
         What the values of a voxel are; "": the header does not say.
+    timed : bool
+        Whether the fourth axis is time.
     """
 
     size: tuple[int, ...]
@@ -51,6 +53,7 @@ class Header:
     slope: float = 1.0
     offset: float = 0.0
     values: str = ""
+    timed: bool = False
 
 
 def reason(error: Exception) -> str:
@@ -83,22 +86,24 @@ def read_image(path: Path, image_io: str, header: Header, choose: Choice) -> Con
         raise FormatError(f"cannot read {path}: its header says {header.size}, ITK finds {data.shape[::-1]} samples")
     if not header.spacing_known:
         geometry["spacing"] = (float("nan"),) * len(geometry["spacing"])
-    leading, guessed = _leading(geometry.pop("leading", {}), header.values)
+    leading, guessed = _leading(geometry.pop("leading", {}), header)
     pick = choose(path.name, leading, guessed)
     chosen = scaled(np.ascontiguousarray(data[pick.index]), header.slope, header.offset)
     return pick.finish(chosen), geometry | pick.about
 
 
-def _leading(found: dict[str, Any], values: str) -> tuple[Leading, str]:
-    """The leading axes that ITK finds, with what the header says of the values of a voxel; and how they were understood without."""
-    axes, counts = found.get("axes", ()), found.get("counts", ())
+def _leading(found: dict[str, Any], header: Header) -> tuple[Leading, str]:
+    """The leading axes that ITK finds, as the header explains them; and how they were understood where it does not."""
+    axes, counts, values = found.get("axes", ()), found.get("counts", ()), header.values
+    if header.timed:
+        axes = tuple("time" if axis == "volume" else axis for axis in axes)
     if "channel" not in axes:
         return Leading(axes, counts), ""
-    if values == "volume" and "volume" not in axes:
+    if values == "volume" and len(axes) == 1:
         return Leading(("volume",), counts), ""
     if values:
         return Leading(axes, counts, vector=values == "vector", rgb=values == "rgb" and counts[-1] in (3, 4)), ""
-    leading = Leading(**found)
+    leading = Leading(axes, counts, vector=found["vector"], rgb=found["rgb"])
     taken = "a colour" if leading.rgb else "the components of a vector" if leading.vector else ""
     return leading, f"the {counts[-1]} values of each voxel were taken for {taken}" if taken else ""
 

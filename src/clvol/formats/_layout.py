@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +17,7 @@ from clvol.formats._units import scale, unit_name
 from clvol.interop import Content
 from clvol.volumes import AXES, Leading
 
-__all__ = ["Layout", "decoded", "lay_out", "meaning", "place", "rgb_last", "uniform"]
+__all__ = ["Layout", "decoded", "lay_out", "place", "uniform", "unnamed"]
 
 _WORDS = {
     "x": ("x", "lon", "longitude", "column", "columns", "easting", "width"),
@@ -72,6 +72,13 @@ class Layout:
         rgb = Leading.of_rgb(self.shape[self.axes.index("channel")])
         return Leading(self.leading, self.counts, rgb.names, rgb.colors, rgb=True)
 
+    def channels_of(self, dtype: np.dtype[Any]) -> Leading:
+        """What the leading axes count, where channels without names are colours (bytes) or components (floating)."""
+        n = self.shape[self.axes.index("channel")] if "channel" in self.axes else 0
+        if dtype == np.uint8 and n in (3, 4):
+            return self.in_colour
+        return Leading(self.leading, self.counts, vector=dtype.kind == "f" and n in (2, 3))
+
     def of(self, values: Mapping[str, float], default: float = 1.0) -> list[float]:
         """One number for each axis of the grid, in the order x, y(, z)."""
         return [values.get(axis, default) for axis in "xyz" if axis in self.axes]
@@ -91,12 +98,15 @@ class Layout:
         return pick.finish(samples), dict(pick.about)
 
 
-def lay_out(source: str, words: Sequence[str], shape: Sequence[int], keep: Sequence[str] = ("z",)) -> Layout:
+def lay_out(
+    source: str, words: Sequence[str], shape: Sequence[int], keep: Sequence[str] = ("z",), asked: Collection[str] = ()
+) -> Layout:
     """The layout of an array whose axes have these names, "" where they have none.
 
     Axes without a known name are taken for those of x, y and z that are missing, from the last axis on, and for volumes, times,
-    positions and channels before these; `guessed` says so, but where three axes or fewer have no names at all. Axes of one
-    sample are left out, but x, y and those to `keep`.
+    positions and channels before these; `guessed` says so, but where three axes or fewer have no names at all. What the caller
+    `asked` for there is: who chooses a channel explains an axis of volumes, or of slices. Axes of one sample are left out, but
+    x, y and those to `keep`.
 
     Raises
     ------
@@ -118,22 +128,32 @@ def lay_out(source: str, words: Sequence[str], shape: Sequence[int], keep: Seque
     free = [axis for axis in _UNNAMED.get(len(before), ()) if axis not in axes] if len(before) < 4 else []
     free += [axis for axis in AXES if axis not in axes and axis not in free]
     if len(before) > len(free) or "x" not in axes or "y" not in axes:
-        told = ", ".join(f"{word or '?'}: {n}" for word, n in zip(words, shape, strict=True))
-        raise DataError(f"{source} must hold images or volumes, times, positions and channels of these; its axes are {told}")
+        given = ", ".join(f"{word or '?'}: {n}" for word, n in zip(words, shape, strict=True))
+        raise DataError(f"{source} must hold images or volumes, times, positions and channels of these; its axes are {given}")
     for i, axis in zip(before, free, strict=False):
         axes[i] = axis
-    guessed = any(not meaning(word) and axis and n > 1 for word, axis, n in zip(words, axes, shape, strict=True))
+    guessed = [i for i, word in enumerate(words) if not meaning(word) and axes[i] and shape[i] > 1]
+    for axis in asked:
+        spare = [i for i in guessed if axes[i] == "volume"] or [i for i in guessed if axes[i] == "z" and not before]
+        if axis not in ("volume", *axes) and spare:
+            axes[spare[0]] = axis
+            guessed.remove(spare[0])
     text = ""
     if guessed and (named or len(shape) > 3):
-        told = ", ".join(f"{axis} ({n})" for axis, n in zip(axes, shape, strict=True) if axis and (n > 1 or axis in "xy"))
-        text = f"its axes were taken for {told}, for it does not say what all of them are"
+        taken = ", ".join(f"{axis} ({n})" for axis, n in zip(axes, shape, strict=True) if axis and (n > 1 or axis in "xy"))
+        text = f"its axes were taken for {taken}, for it does not say what all of them are"
     kept = tuple(axis if n > 1 or axis in ("x", "y", *keep) else "" for axis, n in zip(axes, shape, strict=True))
     return Layout(kept, tuple(int(n) for n in shape), text)
 
 
-def rgb_last(shape: Sequence[int], dtype: np.dtype[Any]) -> bool:
-    """Whether an array without names of axes looks like pictures in colour: bytes, the last axis three or four of them."""
-    return len(shape) >= 3 and shape[-1] in (3, 4) and dtype == np.uint8 and min(shape[-3:-1]) > 4
+def unnamed(shape: Sequence[int], dtype: np.dtype[Any]) -> list[str]:
+    """Words for the axes of an array that has none: "", but "channel" for a last one that is much shorter than the others.
+
+    Of images and single volumes that is so only where it looks like colours: three or four bytes.
+    """
+    short = (3, 4) if len(shape) == 3 and dtype == np.uint8 else (2, 3, 4) if len(shape) > 3 else ()
+    last = len(shape) > 2 and shape[-1] in short and min(shape[-3:-1]) > max(short)
+    return [""] * (len(shape) - last) + ["channel"] * last
 
 
 def uniform(coordinates: ArrayLike) -> tuple[float, float] | None:

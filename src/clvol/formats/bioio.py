@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from importlib import import_module
 from importlib.util import find_spec
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clvol.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
@@ -31,6 +33,8 @@ _PLUGINS = {
     ".oif": _JAVA,
     ".vsi": _JAVA,
 }
+
+_BLUE_FIRST = (".czi",)  # files whose colours are blue, green, red, and whose plug-in gives them so
 
 SUFFIXES = tuple(_PLUGINS)
 """Of the files that are read, if the plug-in is installed."""
@@ -58,7 +62,14 @@ def read(path: Path, choose: Choice, series: int | str | None = None, level: int
     leading = Leading(layout.leading, layout.counts, {"channel": names} if any(names) and len(names) == channels else {})
     if "S" in order and channels in (3, 4):
         leading = layout.in_colour
-    data, chosen = layout.chosen(path.name, choose, lambda index: np.asarray(image.dask_data[index]), leading)
+
+    def load(index: tuple[int | slice, ...]) -> NDArray[Any]:
+        if "S" not in order:
+            return np.asarray(image.dask_data[index])
+        samples = image.data  # bioio-czi 3.0 gives one colour for all three where it reads parts
+        return np.asarray((samples[..., ::-1] if path.suffix.lower() in _BLUE_FIRST else samples)[index])
+
+    data, chosen = layout.chosen(path.name, choose, load, leading)
     sizes_um = {axis: getattr(image.physical_pixel_sizes, axis.upper()) for axis in "xyz"}
     known: dict[str, Any] = {"space": "image", "name": listed[number].id if len(listed) > 1 else ""}
     if any(sizes_um.values()):
@@ -89,8 +100,13 @@ def _opened(path: Path) -> Any:
     if missing:
         extra = "clvol[bioio]" if plugin == "bioio-czi" else f"clvol[bioio] {plugin}"
         raise MissingDependencyError(f"{suffix} files need bioio and its plug-in {plugin}: pip install {extra}")
+    logger = logging.getLogger("bioio.bio_image")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL + 1)  # what it logs is raised too
     try:
         return import_module("bioio").BioImage(path, reader=import_module(module).Reader)
     except Exception as error:
         reason = (str(error).strip().splitlines() or [type(error).__name__])[-1].strip(" -")
         raise FormatError(f"{path.name} is damaged or unusual, says {plugin}: {reason}") from error
+    finally:
+        logger.setLevel(level)

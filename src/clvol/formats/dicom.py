@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from clvol.errors import DataError, FormatError, OptionError
 from clvol.foreign import Content, simpleitk, simpleitk_says
 from clvol.formats import _itk
-from clvol.formats._choice import Choice, Pick, Series
+from clvol.formats._choice import Choice, Pick, Series, chosen_series
 from clvol.formats._files import foreign_errors
 from clvol.volumes import Leading
 
@@ -29,6 +29,7 @@ _IO = "GDCMImageIO"
 # states, registrations and segmentations, reports, documents and treatment plans.
 _KIND = re.compile(rb"\x02\x00\x02\x00UI..1\.2\.840\.10008\.([0-9.]+)", re.DOTALL)
 _NO_SLICES = ("1.3.10", *(f"5.1.4.1.1.{group}" for group in ("9.", "11.", "66", "88.", "104.", "481.")))
+_STACKED = ("CT", "MR", "PT")  # modalities whose slices make volumes
 _LARGEST_SHIFT = 0.05  # of the distance between slices; ITK only warns, whatever is missing
 _MODALITY, _DESCRIPTION, _NUMBER, _INSTANCE, _FRAME_TIME = "0008|0060", "0008|103e", "0020|0011", "0020|0013", "0018|1063"
 _CENTER, _WIDTH, _POSITION = "0028|1050", "0028|1051", "0020|0032"
@@ -71,7 +72,7 @@ def series_of(path: Path) -> tuple[Series, ...]:
     if not path.is_dir():
         return ()
     with _itk.quiet(), foreign_errors(f"read {path}", _itk.reason):
-        return tuple(Series(uid, _text(_header(files[0]), len(files))) for uid, files in _found(path).items())
+        return _listed(_found(path))
 
 
 def read(path: Path, choose: Choice, series: int | str | None = None) -> Content:
@@ -80,7 +81,7 @@ def read(path: Path, choose: Choice, series: int | str | None = None) -> Content
         if path.is_dir():
             files = _series(path, series)
             slices = [_header(file) for file in files]
-            return _read_files(path, slices, choose) if len(files) > 1 else _read_file(Path(files[0]), choose)
+            return _read_files(path, slices, choose) if len(files) > 1 else _read_file(Path(files[0]), choose, alone=True)
         if series is not None:
             raise OptionError(f"series is for a folder of DICOM files; {path.name} is one file")
         return _read_file(path, choose)
@@ -105,20 +106,14 @@ def _found(path: Path) -> dict[str, list[str]]:
 def _series(path: Path, choice: int | str | None) -> list[str]:
     """The files of the series that is chosen, by its number in the listing or its id."""
     files = _found(path)
-    ids = list(files)
-    told = ", ".join(f"{n}: {uid!r} ({_text(_header(files[uid][0]), len(files[uid]))})" for n, uid in enumerate(ids))
-    if choice is None and len(ids) > 1:
-        raise FormatError(f"{path} holds {len(ids)} series, choose one by series=, its number or its id: {told}")
-    if isinstance(choice, str) and choice not in ids and choice.isdecimal():
-        choice = int(choice)
-    if isinstance(choice, int) and not isinstance(choice, bool) and 0 <= choice < len(ids):
-        choice = ids[choice]
-    if choice is not None and choice not in ids:
-        raise OptionError(f"series must be one of the {len(ids)} in {path}, {told}; got {choice!r}")
-    chosen = ids[0] if choice is None else str(choice)
-    if not chosen and len(ids) > 1:  # for GDCM no id means any series
+    chosen = list(files)[chosen_series(path.name, _listed(files), choice, what="series", first=False)]
+    if not chosen and len(files) > 1:  # for GDCM no id means any series
         raise FormatError(f"{path} holds slices without a series id beside other series: part them into folders")
     return files[chosen]
+
+
+def _listed(files: Mapping[str, list[str]]) -> tuple[Series, ...]:
+    return tuple(Series(uid, _text(_header(names[0]), len(names))) for uid, names in files.items())
 
 
 def _refuse_damaged(path: Path, sound: set[str]) -> None:
@@ -156,8 +151,8 @@ def _read_files(path: Path, slices: Sequence[_Slice], choose: Choice) -> Content
 # -- a file ------------------------------------------------------------------------------------------------------
 
 
-def _read_file(path: Path, choose: Choice) -> Content:
-    """A slice, or the many frames of an enhanced object or of a film."""
+def _read_file(path: Path, choose: Choice, alone: bool = False) -> Content:
+    """A slice, or the many frames of an enhanced object or of a film; `alone`: as the caller knows it to be."""
     head = _header(str(path))
     image = simpleitk().ReadImage(head.path, imageIO=_IO)
     samples = simpleitk().GetArrayFromImage(image)
@@ -165,9 +160,12 @@ def _read_file(path: Path, choose: Choice) -> Content:
     content = path.read_bytes() if frames > 1 else b""
     geometry = simpleitk_says(image) | _about(head, content)
     origins, order, guessed = _positions(content, frames), np.arange(frames)[None], ""
+    if frames == 1 and not alone and head.texts.get(_MODALITY) in _STACKED and (more := _beside(path)):
+        guessed = f"it is one slice, and {more} more DICOM files lie beside it: give the folder to read a volume of all"
     film = frames > 1 and origins is None and not math.isnan(head.number(_FRAME_TIME))
     if film:
         order = order.T
+        geometry["header"] |= {"time_step": head.number(_FRAME_TIME), "time_unit": "msec"}
     elif origins is not None:
         order, guessed = _order(origins, np.arange(frames, dtype=np.float64))
         _lay(geometry, content)
@@ -177,6 +175,11 @@ def _read_file(path: Path, choose: Choice) -> Content:
         guessed = f"it does not say where its {frames} frames lie, they were taken for slices"
     pick = choose(path.name, _leading(order, head.channels, "time" if film else "volume"), guessed)
     return _taken(samples[_wanted(order, pick)], head.channels, pick), _merged(geometry, pick)
+
+
+def _beside(path: Path) -> int:
+    """How many other files of a folder may be slices."""
+    return sum(file != path and file.suffix == path.suffix and file.is_file() and is_file(file) for file in path.parent.iterdir())
 
 
 def _positions(content: bytes, frames: int) -> Points | None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from clvol.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._choice import Choice, Series, chosen_series
-from clvol.formats._layout import Layout, decoded, lay_out, place, rgb_last, uniform
+from clvol.formats._layout import Layout, decoded, lay_out, place, uniform, unnamed
 from clvol.interop import Content
 from clvol.volumes import Leading
 
@@ -38,11 +38,10 @@ def read(path: Path, choose: Choice, series: int | str | None = None) -> Content
         if _is_of_itk(array):
             return _itk(path.name, array, choose)
         words, lines, units = _axes(array)
-        rgb = not any(words) and rgb_last(array.shape, array.dtype)
-        if rgb:
-            words[-1] = "channel"
-        layout = lay_out(path.name, words, array.shape)
-        leading = layout.in_colour if rgb else None
+        named = any(words)
+        words = words if named else unnamed(array.shape, array.dtype)
+        layout = lay_out(path.name, words, array.shape, asked=choose.given)
+        leading = layout.channels_of(array.dtype) if words[-1:] == ["channel"] and not named else None
         by_axis = {axis: lines[i] for i, axis in enumerate(layout.axes) if i in lines}
         units_by_axis = {axis: units[i] for i, axis in enumerate(layout.axes) if i in units}
         space = {"space": "image"} if "um" in units_by_axis.values() else {}
@@ -66,7 +65,7 @@ def opened(path: Path) -> Any:
     with path.open("rb") as stream:
         if stream.read(3) == _NETCDF_3:
             raise FormatError(f"{path.name} must be of netCDF-4, which is HDF5; it is of netCDF-3: nccopy -k nc4 makes it one")
-    return h5py.File(path, "r")
+    return h5py.File(path, "r", locking="best-effort")
 
 
 def _arrays(file: Any) -> list[Any]:

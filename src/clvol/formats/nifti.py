@@ -168,13 +168,17 @@ def _beside(path: Path, suffix: str) -> Path:
 
 
 def _read(path: Path, header: _Header, choose: Choice) -> Content:
+    size = path.stat().st_size
+    believed = max(_TRUSTED, _PACKED * size)
+    if header.volumes > believed if _packed(path) else header.end > size:
+        _count(path, header)  # raises before memory is asked for that the samples do not fill
     pick = choose(path.name, header.leading, header.guessed)
     # colours lie beside each other in the file, and are parted when they are in memory
     own = len(header.leading.axes) - (header.parts > 1)
     wanted = np.arange(header.volumes).reshape(header.leading.counts[:own])[pick.index[:own]]
-    size, needed = path.stat().st_size, wanted.size * header.step
-    if needed > max(_TRUSTED, _PACKED * size) if _packed(path) else header.end > size:
-        _count(path, header)  # raises before memory is asked for that the samples do not fill
+    needed = wanted.size * header.step
+    if _packed(path) and needed > believed:
+        _count(path, header)
     raw = np.empty(needed, np.uint8)
     with _opened(path) as stream:
         found = _fill(raw, stream, header, wanted.ravel())

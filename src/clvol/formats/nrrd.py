@@ -76,8 +76,11 @@ def check(path: Path) -> _itk.Header:
     texts = (fields.get("spacings", "").split(), re.findall(r"none|\(.*?\)", fields.get("space directions", "").lower()))
     domain = [axis for axis, kind in enumerate(kinds) if kind in _DOMAIN][:3]
     known = not any(said[axis].lower() in ("nan", "none") for said in texts for axis in domain if axis < len(said))
+    spans = [kind for kind in kinds if kind in _DOMAIN]
+    if "time" in spans[:-1]:  # ITK would take it for an axis of space
+        raise FormatError(f"{path.name} must have its axis of time last; its header says kinds: {fields['kinds'][:80]}")
     values = next((_KINDS.get(kind, "channel") for kind in kinds if kind not in _DOMAIN), "")
-    return _itk.Header(size, one_unit(path.name, units) or "mm", known, values=values)
+    return _itk.Header(size, one_unit(path.name, units) or "mm", known, values=values, timed="time" in spans)
 
 
 def _fields(stream: IO[bytes], name: str) -> dict[str, str]:

@@ -87,9 +87,12 @@ def _picture(path: Path) -> tuple[NDArray[Any], Leading]:
     """Samples [y, x] or [channel, y, x] as imageio reads them; of colours in other models than RGB, those in RGB."""
     import imageio.v3 as iio
 
-    with iio.imopen(path, "r", plugin="pillow") as file:
-        mode = file.metadata(index=0)["mode"]
-        samples = np.asarray(file.read(index=0, **({} if mode in (*_MODES, "P") else {"mode": "RGB"})))
+    try:
+        with iio.imopen(path, "r", plugin="pillow") as file:
+            mode = file.metadata(index=0)["mode"]
+            samples = np.asarray(file.read(index=0, **({} if mode in (*_MODES, "P") else {"mode": "RGB"})))
+    except (OSError, SyntaxError, ValueError) as error:  # imageio's own words are of plug-ins
+        raise FormatError(f"cannot read {path}: it is damaged, or no image that imageio reads") from error
     if samples.ndim == 2:
         return samples, Leading()
     channels = samples.shape[-1]

@@ -65,7 +65,7 @@ def read(path: Path, choose: Choice, series: int | str | None = None, level: int
         about = (
             _ome(file.ome_metadata, number, len(file.series)) if kind == "ome" else _imagej(file) if kind == "imagej" else _About()
         )
-        layout, leading = _laid_out(path.name, image, about)
+        layout, leading = _laid_out(path.name, image, about, choose)
         if image.dtype is None or image.dtype.kind not in "biuf":
             raise DataError(f"{path.name} must hold real numbers; got dtype {image.dtype}")
         data, known = layout.chosen(path.name, choose, lambda index: _load(path.name, file, image, index), leading)
@@ -195,12 +195,12 @@ def _images(name: str, file: Any) -> tuple[Series, ...]:
     )
 
 
-def _laid_out(name: str, image: Any, about: _About) -> tuple[Layout, Leading]:
+def _laid_out(name: str, image: Any, about: _About, choose: Choice) -> tuple[Layout, Leading]:
     """What the axes of an image count; pages that are not named (I, Q) are slices."""
     pairs = list(zip(image.get_axes(squeeze=False), image.get_shape(squeeze=False), strict=True))
     words = [_MEANINGS.get(axis, _OTHERS.get(axis, "")) if axis != "S" or n > 1 else "" for axis, n in pairs]
     keep = [*("z",) * about.deep, *("channel",) * bool(about.names or any(about.colors))]
-    layout = lay_out(name, words, [n for _, n in pairs], keep)
+    layout = lay_out(name, words, [n for _, n in pairs], keep, choose.given)
     unnamed = [(n, meaning) for (_, n), word, meaning in zip(pairs, words, layout.axes, strict=True) if n > 1 and word != meaning]
     if [meaning for _, meaning in unnamed] == ["z"]:
         far = "" if "z" in about.spacing else ", 1 apart: spacing= replaces it"

@@ -13,7 +13,7 @@ from typing import Any
 
 from clvol.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
-from clvol.formats._layout import Layout, decoded, lay_out, place, rgb_last, uniform
+from clvol.formats._layout import Layout, decoded, lay_out, place, uniform, unnamed
 from clvol.interop import Content
 from clvol.volumes import Leading
 
@@ -104,9 +104,10 @@ def _below(node: Any, path: str, labels: bool = False) -> Iterator[_Image]:
         if node.ndim >= 2 and node.dtype.kind in "biuf":
             yield _Image(path or ".", node, None, labels)
         return
-    multiscales = _ome(node).get("multiscales")
+    about = _ome(node)
+    multiscales = about.get("multiscales")
     if multiscales:
-        yield _Image(path or ".", node, multiscales[0], labels)
+        yield _Image(path or ".", node, multiscales[0], labels or "image-label" in about)
         if "labels" in node:
             yield from _below(node["labels"], f"{path}/labels".lstrip("/"), labels=True)
         return
@@ -192,17 +193,16 @@ def _plain(source: str, image: _Image, choose: Choice) -> Content:
     """An array as it is; its axes by names, if it has them, and their coordinates, as xarray stores these."""
     array = image.node
     words = [str(name or "") for name in _dimensions(array)]
-    rgb = not any(words) and rgb_last(array.shape, array.dtype)
-    if rgb:
-        words[-1] = "channel"
-    layout = lay_out(source, words, array.shape)
+    named = any(words)
+    words = words if named else unnamed(array.shape, array.dtype)
+    layout = lay_out(source, words, array.shape, asked=choose.given)
     lines, units = {}, {}
     for axis, word in zip(layout.axes, words, strict=True):
         values = _beside(image, word) if axis in ("x", "y", "z") and word else None
         if values is not None and values.shape == (layout.shape[layout.axes.index(axis)],):
             lines[axis] = uniform(values[:]) or (0.0, float("nan") if values.shape[0] > 1 else 1.0)
             units[axis] = str(values.attrs.get("units", ""))
-    leading = layout.in_colour if rgb else None
+    leading = layout.channels_of(array.dtype) if words[-1:] == ["channel"] and not named else None
     data, chosen = layout.chosen(source, choose, lambda index: decoded(array[index], dict(array.attrs)), leading)
     return data, {"name": image.id.rpartition("/")[2].strip(".")} | place(layout, lines, units) | chosen
 
