@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from typing import Any, Self
@@ -185,7 +186,8 @@ def test_render_knows_every_mode(clvol_command: Command, mode: str) -> None:
 def test_opacity_takes_pairs_and_negative_values(clvol_command: Command) -> None:
     options = ("--opacity", "-1", "0", "0.5", "0.25", "--cmap", "viridis", "--value-range", "-1", "0.8", "--no-shading")
     assert clvol_command("render", SPHERE, "-o", "a.png", *SMALL, *options).code == 0
-    transfer = clvol.TransferFunction.from_cmap("viridis", (-1, 0.8), ((-1, 0), (0.5, 0.25)))
+    spread = clvol.TransferFunction.from_cmap("viridis", (-1, 0.8))
+    transfer = replace(look(clvol.phantoms.sphere(8), "composite", opacity=((-1, 0), (0.5, 0.25))), colors=spread.colors)
     picture = clvol.render(clvol.phantoms.sphere(8), size=(16, 12), transfer=transfer, shading=False)
     np.testing.assert_array_equal(iio.imread("a.png"), clvol.picture.to_bytes(picture)[..., :3])
     clvol_command("render", SPHERE, "-o", "b.png", "--opacity", "1", "0", "2").fails(1, "pairs", "got 3 numbers")

@@ -172,6 +172,8 @@ def test_tables_show_themselves() -> None:
     assert re.search(r"^linear +2 .*trilinear$", repr(clvol.filters()), re.MULTILINE)
     assert re.search(r"^wrap +repeated", repr(clvol.boundaries()), re.MULTILINE)
     assert "mirror" in Page(clvol.boundaries()._repr_html_()).texts
+    assert re.search(r"^mip +the maximum", repr(clvol.modes()), re.MULTILINE)
+    assert re.search(r"^ct-bone +CT: bone", repr(clvol.presets()), re.MULTILINE)
     metrics = clvol.analysis.Table([clvol.analysis.metrics("linear")])
     assert "linear" in Page(metrics._repr_html_() or "").texts
     assert clvol.analysis.Table([])._repr_html_() is None
@@ -225,6 +227,13 @@ def test_outputs_are_shown_as_what_they_are() -> None:
     assert not to_bytes(nothing)[..., 3].any()
     assert Picture(np.zeros((3, 4, 5)))._repr_png_() is None
     assert Picture(np.zeros((0, 4)))._repr_png_() is None
+
+
+def test_figures_show_themselves() -> None:
+    figure = pytest.importorskip("matplotlib.figure").Figure((1, 1))
+    figure.subplots().plot([1, 2])
+    assert iio.imread(clvol.figures.Drawing(figure, [])._repr_png_()).shape[:2] == (150, 150)
+    np.testing.assert_array_equal(iio.imread(clvol.figures.Drawing(PICTURE, [])._repr_png_()), PICTURE)
 
 
 @pytest.mark.usefixtures("device")

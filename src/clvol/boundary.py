@@ -200,7 +200,7 @@ _TABLE = {
 _WITH_VALUE = re.compile(r"(constant|grid-constant)\(([^()]+)\)")
 
 
-class BoundaryTable(dict[str, Boundary]):
+class BoundaryTable(display.Named[Boundary]):
     """Every rule by name; shown, it is a table."""
 
     HEADER = ("boundary", "what lies past the outer samples")
@@ -208,12 +208,6 @@ class BoundaryTable(dict[str, Boundary]):
     def rows(self) -> list[tuple[str, ...]]:
         """One tuple of texts a rule, in the order of `HEADER`."""
         return [(name, rule.description) for name, rule in self.items()]
-
-    def __repr__(self) -> str:
-        return display.text_table(self.HEADER, self.rows())
-
-    def _repr_html_(self) -> str:
-        return display.table(self.HEADER, self.rows())
 
 
 def boundaries() -> BoundaryTable:

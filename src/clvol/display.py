@@ -8,22 +8,25 @@ from __future__ import annotations
 import base64
 import html
 import itertools
+import re
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.picture import to_png
 
-__all__ = ["beside", "curve", "facts", "image", "in_window", "numbers", "slices", "strip", "table", "text_table"]
+__all__ = ["Named", "beside", "curve", "facts", "image", "in_window", "numbers", "slices", "strip", "table", "text_table"]
 
+Row = TypeVar("Row")
 _SIDE = 160  # pixels of a slice's longer side
 _TAILS = (0.5, 99.5)  # percentiles of what slices show, where no window is known
 _WIDTH, _HEIGHT = 360, 120  # of curves
 _MARGIN = 14  # around curves, for numbers
 _INK = "currentColor"  # of the notebook's theme
 _LINE = "#1769c2"
+_NUMBER = re.compile(r"[-–]|[-+]?[\d.,]+(e[-+]?\d+)?( ?%)?")  # a dash: there is none
 _PLANES = {"LPS": ("axial", "coronal", "sagittal"), "": ("xy", "xz", "yz")}
 _DOWN = {"LPS": (1, -1), "image": (1, 1), "": (-1, -1)}  # whether rows of a picture run along y, and along z, or against it
 
@@ -32,9 +35,13 @@ _DOWN = {"LPS": (1, -1), "image": (1, 1), "": (-1, -1)}  # whether rows of a pic
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table; the first column is text, the others are aligned to the right."""
-    head = "".join(f"<th{_side(i)}>{html.escape(cell)}</th>" for i, cell in enumerate(header))
-    body = "".join(f"<tr>{''.join(f'<td{_side(i)}>{html.escape(cell)}</td>' for i, cell in enumerate(row))}</tr>" for row in rows)
+    """A table; columns of numbers are aligned to the right."""
+    rows = [tuple(row) for row in rows]
+    right = [all(_NUMBER.fullmatch(cell) for cell in column) for column in zip(*rows, strict=True)] or [False] * len(header)
+    head = "".join(f"<th{_side(right[i])}>{html.escape(cell)}</th>" for i, cell in enumerate(header))
+    body = "".join(
+        f"<tr>{''.join(f'<td{_side(right[i])}>{html.escape(cell)}</td>' for i, cell in enumerate(row))}</tr>" for row in rows
+    )
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
@@ -45,10 +52,26 @@ def text_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines)
 
 
+class Named(dict[str, Row]):
+    """Rows by name; shown, it is a table."""
+
+    HEADER: ClassVar[tuple[str, ...]]
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """One tuple of texts a row, in the order of `HEADER`."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        return text_table(self.HEADER, self.rows())
+
+    def _repr_html_(self) -> str:
+        return table(self.HEADER, self.rows())
+
+
 def facts(title: str, values: Mapping[str, str]) -> str:
     """What is known of an object, one line each; empty values are left out."""
     rows = "".join(
-        f"<tr><th{_side(0)}>{html.escape(key)}</th><td{_side(0)}>{html.escape(value)}</td></tr>"
+        f"<tr><th{_side(False)}>{html.escape(key)}</th><td{_side(False)}>{html.escape(value)}</td></tr>"
         for key, value in values.items()
         if value
     )
@@ -65,8 +88,8 @@ def numbers(values: Iterable[float], between: str = " × ") -> str:
     return between.join(f"{v:.6g}" for v in values)
 
 
-def _side(column: int) -> str:
-    return f' style="text-align:{"right" if column else "left"}"'
+def _side(right: bool) -> str:
+    return f' style="text-align:{"right" if right else "left"}"'
 
 
 # -- pictures ------------------------------------------------------------------------------------------------

@@ -814,7 +814,7 @@ def unregister(name: str) -> Filter:
     return _TABLE.pop(name)
 
 
-class FilterTable(dict[str, Filter]):
+class FilterTable(display.Named[Filter]):
     """Every filter by name; shown, it is a table."""
 
     HEADER = ("filter", "support", "degree", "class", "order", "interpolates", "sums to one", "poles", "also called")
@@ -835,12 +835,6 @@ class FilterTable(dict[str, Filter]):
             )
             for name, f in self.items()
         ]
-
-    def __repr__(self) -> str:
-        return display.text_table(self.HEADER, self.rows())
-
-    def _repr_html_(self) -> str:
-        return display.table(self.HEADER, self.rows())
 
 
 def _also(name: str) -> list[str]:

@@ -18,6 +18,7 @@ import numpy as np
 
 from clvol.checks import number, one_of
 from clvol.color import color_of
+from clvol.display import Named
 from clvol.errors import OptionError
 from clvol.filter import DEFAULT_FILTER, PICTURE_FILTER
 from clvol.histogram import Projection, isovalue_of, matter_of, window_of
@@ -37,6 +38,7 @@ __all__ = [
     "Minip",
     "Mip",
     "Mode",
+    "ModeTable",
     "as_mode",
     "every_option",
     "mode_options",
@@ -285,9 +287,19 @@ class Mean(Mode):
 _TABLE: dict[str, type[Mode]] = {mode.name: mode for mode in (Composite, Isosurface, Mip, Attenuated, Minip, Mean)}
 
 
-def modes() -> dict[str, Mode]:
-    """Every mode by name, with its default options."""
-    return {name: mode() for name, mode in _TABLE.items()}
+class ModeTable(Named[Mode]):
+    """Every mode by name; shown, it is a table."""
+
+    HEADER = ("mode", "what it shows", "options")
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """One tuple of texts a mode, in the order of `HEADER`."""
+        return [(name, mode.description, ", ".join(_option_names(mode))) for name, mode in self.items()]
+
+
+def modes() -> ModeTable:
+    """Every mode by name, with its default options; shown, it says what each shows."""
+    return ModeTable({name: mode() for name, mode in _TABLE.items()})
 
 
 def every_option() -> set[str]:

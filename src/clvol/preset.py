@@ -11,12 +11,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 from clvol.checks import one_of
+from clvol.display import Named
 from clvol.errors import ClvolWarning, OptionError
 from clvol.histogram import matter_of, may_be_hounsfield
 from clvol.palette import Colors, Opacities, of_labels, shades
 from clvol.volume import Volume
 
-__all__ = ["Preset", "as_preset", "presets"]
+__all__ = ["Preset", "PresetTable", "as_preset", "presets"]
 
 _GREEN = (0.25, 0.95, 0.40)
 
@@ -182,9 +183,19 @@ _ROWS = (
 _TABLE = {row.name: row for row in _ROWS}
 
 
-def presets() -> dict[str, Preset]:
-    """Every preset by name."""
-    return dict(_TABLE)
+class PresetTable(Named[Preset]):
+    """Every preset by name; shown, it is a table."""
+
+    HEADER = ("preset", "for", "unit")
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """One tuple of texts a preset, in the order of `HEADER`."""
+        return [(name, row.description, row.unit) for name, row in self.items()]
+
+
+def presets() -> PresetTable:
+    """Every preset by name; shown, it says what each is for."""
+    return PresetTable(_TABLE)
 
 
 def as_preset(name: str) -> Preset:

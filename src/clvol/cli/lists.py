@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -10,6 +10,7 @@ import clvol
 from clvol.cli.options import Json
 from clvol.cli.root import FILTERS, SETUP, app, command
 from clvol.cli.speech import print_json, table
+from clvol.display import Named
 
 __all__ = ["completion", "devices", "doctor", "filters", "presets"]
 
@@ -17,21 +18,13 @@ __all__ = ["completion", "devices", "doctor", "filters", "presets"]
 @command(FILTERS)
 def filters(*, json: Json = False) -> None:
     """List the reconstruction filters, and what else they are called."""
-    known = clvol.filters()
-    if json:
-        print_json([dict(zip(known.HEADER, row, strict=True)) for row in known.rows()])
-    else:
-        table(list(known.HEADER), [list(row) for row in known.rows()])
+    _list(clvol.filters(), json)
 
 
 @command(FILTERS)
 def presets(*, json: Json = False) -> None:
     """List the presets: looks by name, for one kind of data each."""
-    rows = [{"preset": row.name, "for": row.description, "unit": row.unit} for row in clvol.presets().values()]
-    if json:
-        print_json(rows)
-    else:
-        table(["preset", "for", "unit"], [list(row.values()) for row in rows])
+    _list(clvol.presets(), json)
 
 
 @command(SETUP)
@@ -88,3 +81,10 @@ def completion(shell: Annotated[Literal["bash", "zsh", "fish"], Parameter(help="
     It works in shells that are started afterwards.
     """
     print(app.generate_completion(prog_name="clvol", shell=shell))
+
+
+def _list(known: Named[Any], as_json: bool) -> None:
+    if as_json:
+        print_json([dict(zip(known.HEADER, row, strict=True)) for row in known.rows()])
+    else:
+        table(list(known.HEADER), [list(row) for row in known.rows()])

@@ -112,8 +112,8 @@ def table(header: list[str], rows: list[list[str]]) -> None:
     if sum(widths) > room:
         for first, *others in rows:
             lines = [f"  {name}: {cell}" for name, cell in zip(header[1:], others, strict=True) if cell]
-            folded = [textwrap.fill(line, int(whole), subsequent_indent="    ", break_on_hyphens=False) for line in lines]
-            print(f"{header[0]} {first}", *folded, sep="\n")
+            shown = [textwrap.fill(line, int(whole), subsequent_indent="    ", break_on_hyphens=False) for line in lines]
+            print(f"{header[0]} {first}", *shown, sep="\n")
         return
     for row in cells:
         folded = [textwrap.wrap(cell, width, break_on_hyphens=False) for cell, width in zip(row, widths, strict=True)]

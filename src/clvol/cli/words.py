@@ -16,7 +16,7 @@ __all__ = ["in_the_shell"]
 _PHRASES = (
     (r"replace them with Volume\.filled\(\w*\)", "replace them with --fill-nan VALUE (or --fill-nan smoothly)"),
     (r": choose by ([a-z= ]+), or read all by clvol\.read_all", r": choose by \1"),
-    (r"clvol\.resample\(\.\.\., like=\)", "clvol resample --like"),
+    (r"spacing=, origin= or direction= replace what the file says", "--spacing replaces that of the file"),
     (r"shape=\(nz, ny, nx\)", "--shape NZ NY NX"),
     (r"window=\(center, width\)", "--window CENTER WIDTH"),
 )

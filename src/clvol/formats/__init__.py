@@ -294,16 +294,20 @@ def leading_of(path: str | os.PathLike[str], *, series: int | str | None = None,
     if not chosen.several:
         return Leading()
 
-    def note(_: str, leading: Leading, *_guess: str, **_guessed: str) -> NoReturn:
-        raise _KnownError(leading)
-
     options = {"series": series, "level": level}
     try:
         with foreign_errors(f"read {path}"):
-            chosen.read(path, choose=note, **{name: value for name, value in options.items() if value is not None})
+            chosen.read(path, choose=_Counting(whole=True), **{name: value for name, value in options.items() if value is not None})
     except _KnownError as known:
         return known.leading
     return Leading()
+
+
+class _Counting(Choice):
+    """Chooses nothing: what there is, is all that is wanted."""
+
+    def __call__(self, source: str, leading: Leading, guessed: str = "") -> NoReturn:  # noqa: ARG002
+        raise _KnownError(leading)
 
 
 class _KnownError(ClvolError):
