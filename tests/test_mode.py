@@ -140,7 +140,8 @@ def test_a_mode_of_ones_own_is_drawn_as_it_says(device: Device) -> None:
 
     volume = phantoms.marschner_lobb(9)
     with clvol.Renderer(volume, device=device) as renderer:
-        bright, dark = (renderer.render(mode=Window(top), size=(20, 20))[..., 0].mean() for top in (1.0, 4.0))
+        camera = clvol.Camera.orbit(fit="volume")
+        bright, dark = (renderer.render(camera, mode=Window(top), size=(20, 20))[..., 0].mean() for top in (1.0, 4.0))
     assert dark == pytest.approx(bright / 4, rel=0.05)
 
 

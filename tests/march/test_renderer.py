@@ -508,9 +508,9 @@ def test_outputs_come_as_asked(renderer: Renderer) -> None:
     got = renderer.render(CAMERA, size=SIZE, outputs=["normal", "rgba"])
     assert list(got) == ["normal", "rgba"]
     np.testing.assert_array_equal(got["rgba"], renderer.render(CAMERA, size=SIZE))
-    clear = renderer.render(CAMERA, size=SIZE, background=None, samples=1)
+    clear = renderer.render(CAMERA, size=SIZE, background=None, shading=False)
     over = clear[..., :3] * clear[..., 3:] + (1 - clear[..., 3:]) * np.float32([0, 0, 1])
-    np.testing.assert_allclose(renderer.render(CAMERA, size=SIZE, background="blue", samples=1)[..., :3], over, atol=1e-6)
+    np.testing.assert_allclose(renderer.render(CAMERA, size=SIZE, background="blue", shading=False)[..., :3], over, atol=1e-6)
 
 
 # -- far away, very small, very large ------------------------------------------------------------------------------

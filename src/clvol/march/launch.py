@@ -24,7 +24,7 @@ Picture: TypeAlias = NDArray[np.floating[Any]]
 """Float32, but for positions, which are float64."""
 
 CHANNELS: dict[str, tuple[int, ...]] = {"rgba": (4,), "depth": (), "normal": (3,), "position": (3,), "visited": ()}
-_ALONE, _BLENDED = 12, 32  # of so many pixels one has more rays at most; fewer where such rays miss the planes of a tile's others
+_ALONE, _BLENDED = 20, 64  # of so many pixels one has more rays at most; fewer where such rays miss the planes of a tile's others
 _GROUP = 8  # work-items along an edge of a group
 _AREA = 16  # pixels along an edge of the smallest launch
 _CELLS = 8  # of so many on a ray one is looked at, at most guesses

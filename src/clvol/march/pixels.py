@@ -25,7 +25,7 @@ DEFAULT_PIXEL_FILTER = "linear"
 EDGE_RAYS = 3
 """Rays of a pixel on an edge, where their number is "auto"; odd, so that the one through its middle is one of them."""
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722, 0.0], np.float32)
-_CONTRAST = 0.1  # to a neighbour, of a pixel on an edge
+_CONTRAST = 0.125  # to a neighbour, of a pixel on an edge
 _NEAR = 8  # pixels along an edge of the squares in whose order they are listed
 _GOLDEN = (5**0.5 - 1) / 2
 _FINE = 4096  # pieces of a pixel in which the filter is summed
@@ -60,7 +60,7 @@ def pixel_rays(samples: int, filter: Filter, *, middle: bool) -> list[tuple[NDAr
     return [(np.array([0.5, 0.5]), 0.0), *rays] if middle and samples % 2 == 0 else rays
 
 
-def on_edges(picture: NDArray[np.float32], most: int = 12) -> NDArray[np.intp]:
+def on_edges(picture: NDArray[np.float32], most: int = 20) -> NDArray[np.intp]:
     """The pixels (row, column) that differ from one beside, above or below them, near ones together; shape (N, 2).
 
     Where these are too many, they are those that differ most.

@@ -262,8 +262,8 @@ class Renderer:
             `nearest` has no useful derivative and is always shaded by central differences.
         samples : int or "auto"
             Rays a pixel, 1 to 4096. A single one goes through its middle. "auto": one, and in modes that light what they show two
-            more in pixels on edges, which differ from a neighbour by more than a tenth of full luminance; they are at most a
-            twelfth of those that are not plain background (on processors a 32nd, but for surfaces), which bounds what it costs.
+            more in pixels on edges, which differ from a neighbour by more than an eighth of full luminance; they are at most a
+            20th of those that are not plain background (on processors a 64th, but for surfaces), which bounds what it costs.
             All other pixels are those of ``samples=1`` to the last bit.
         pixel_filter : str or Filter
             What several rays sample: the picture under this filter of the table, which is as many pixels wide as it has taps.
