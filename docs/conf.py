@@ -77,7 +77,7 @@ html_theme_options = {
     "footer_end": [],
     "header_links_before_dropdown": 7,
 }
-html_sidebars = {"start": [], "paper": [], "performance": [], "architecture": []}
+html_sidebars = {"start": []}
 
 
 def _require_no_requests(app: Sphinx, error: Exception | None) -> None:
