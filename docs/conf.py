@@ -32,6 +32,7 @@ extensions = [
 exclude_patterns = ["_build", "gallery", "auto_gallery/*.ipynb"]
 templates_path = ["_templates"]
 
+smartquotes = False  # quotes in docstrings are code
 default_role = "autolink"  # `Volume` in a docstring is a link where that is the name of something, and italic where it is not
 autosummary_imported_members = True
 autosummary_ignore_module_all = False  # __all__ says what is public
