@@ -10,7 +10,7 @@ import numpy as np
 import clvol
 
 volume = clvol.phantoms.marschner_lobb(30)
-camera = clvol.Camera.orbit(20, 60, zoom=1.3)
+camera = clvol.Camera.orbit(20, 60)
 pictures = [
     clvol.render(clvol.Scene(clvol.Medium(volume, filter=name)), camera, "isosurface", isovalue=0.5, size=(320, 320), samples=4)
     for name in ("linear", "catmull-rom", "bspline3")
