@@ -2,7 +2,8 @@
 Depth, normals, positions
 =========================
 
-A picture is one output of several: normals as colours, and the distance from the eye.
+A picture is one output of several: the normals (x, y, z as red, green, blue), the distance from the eye, and where in the world each ray met
+the surface. All are arrays of numbers; `shown` gives them colours.
 """
 
 import numpy as np
@@ -10,8 +11,8 @@ import numpy as np
 import clvol
 
 volume = clvol.phantoms.box(48)
-outputs = clvol.render(volume, mode="isosurface", isovalue=0.5, outputs=["rgba", "normal", "depth"], size=(320, 320), samples=4)
-depth = outputs["depth"]
-near, far = np.nanmin(depth), depth[np.isfinite(depth)].max()
-grey = np.clip((far - depth) / (far - near), 0, 1)
-picture = np.hstack([outputs["rgba"][..., :3], np.nan_to_num(outputs["normal"] / 2 + 0.5), np.repeat(grey[..., None], 3, -1)])
+outputs = clvol.render(
+    volume, mode="isosurface", isovalue=0.5, outputs=["rgba", "normal", "depth", "position"], size=(320, 320), background=None
+)
+pictures = [output.shown() for output in outputs.values()]
+picture = np.vstack([np.hstack(pictures[:2]), np.hstack(pictures[2:])])

@@ -2,7 +2,8 @@
 Regions of a label map
 ======================
 
-Labels are names, between which there is nothing: a region is drawn as the surface of its indicator.
+Labels are names, between which there is nothing: each is drawn in a colour of its own, and never blended with another. One alone is drawn as
+the smooth surface of its indicator.
 """
 
 import numpy as np
@@ -10,11 +11,8 @@ import numpy as np
 import clvol
 
 box = clvol.phantoms.box(48)
-labels = np.where(box.data > 0.5, 1 + (np.arange(48) > 24), 0).astype(np.uint8)  # two halves
-regions = box.placed(labels, box)
-print("labels:", regions.is_labels)
-pictures = [
-    clvol.render(regions.indicator(label), mode="isosurface", isovalue=0.5, color=color, size=(320, 320), samples=4)
-    for label, color in ((1, "#4c8bf5"), (2, "#f5a14c"))
-]
-picture = np.hstack(pictures)
+z, y, x = np.indices(box.shape) > 24
+labels = box.placed(np.where(box.data > 0.5, 1 + x + 2 * z, 0).astype(np.uint8), box)  # four regions
+print("labels:", labels.is_labels)
+one = clvol.render(labels.indicator(2), clvol.Camera.orbit(30, 20, fit="volume"), "isosurface", isovalue=0.5, samples=4)
+picture = np.hstack([clvol.render(labels, clvol.Camera.orbit(30, 20, fit="volume"), samples=4), one])
