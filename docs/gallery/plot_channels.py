@@ -19,8 +19,4 @@ counts = random.poisson(100 * np.stack([nuclei, membranes])).astype(np.float32)
 cells = clvol.Volumes(counts, spacing=(24 / 63, 24 / 63, 16 / 31), units="µm", space="image", leading=leading)
 
 camera = clvol.Camera.orbit(20, 55, fit="volume", zoom=1.3)
-pictures = []
-for channel, brightest in zip(cells, (160, 240), strict=True):
-    glow = clvol.TransferFunction(((20, "black"), (brightest, channel.color)))
-    pictures.append(clvol.render(channel, camera, "mip", transfer=glow))
-picture = np.minimum(sum(pictures), 1)
+picture = np.minimum(sum(clvol.render(channel, camera, "mip") for channel in cells), 1)

@@ -14,5 +14,6 @@ box = clvol.phantoms.box(48)
 z, y, x = np.indices(box.shape) > 24
 labels = box.placed(np.where(box.data > 0.5, 1 + x + 2 * z, 0).astype(np.uint8), box)  # four regions
 print("labels:", labels.is_labels)
-one = clvol.render(labels.indicator(2), clvol.Camera.orbit(30, 20, fit="volume"), "isosurface", isovalue=0.5, samples=4)
-picture = np.hstack([clvol.render(labels, clvol.Camera.orbit(30, 20, fit="volume"), samples=4), one])
+camera = clvol.Camera.orbit(30, 20, fit="volume", zoom=1.8)
+one = clvol.render(labels.indicator(2), camera, "isosurface", isovalue=0.5, samples=4)
+picture = np.hstack([clvol.render(labels, camera, samples=4), one])

@@ -16,8 +16,7 @@ hu = np.full(z.shape, -1000.0)
 for center_x, center_y, radius, value in tissues:
     waist = radius * (1 - 0.15 * np.cos(z / 25))
     hu[np.hypot(x - center_x, y - center_y) < waist] = value
-hu += np.random.default_rng(0).normal(0, 10, hu.shape)
-limb = clvol.Volume(hu, (80 / 63, 80 / 63, 80 / 47), (-40, -40, -40), units="mm", space="LPS").gaussian(1.2)
+limb = clvol.Volume(hu, (80 / 63, 80 / 63, 80 / 47), (-40, -40, -40), units="mm", space="LPS").gaussian(1.8)
 
 names = "ct-skin", "ct-soft-tissue", "ct-bone", "ct-angiography"
 pictures = [clvol.render(limb, preset=name, size=(320, 320), samples=4) for name in names]
