@@ -38,6 +38,7 @@ autosummary_imported_members = True
 autosummary_ignore_module_all = False  # __all__ says what is public
 autodoc_typehints = "none"  # docstrings say them for people
 autodoc_member_order = "bysource"
+toc_object_entries_show_parents = "hide"
 numpydoc_show_class_members = False  # autodoc does
 
 myst_enable_extensions = ["colon_fence", "deflist"]
