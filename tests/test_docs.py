@@ -1,8 +1,12 @@
-"""The pages' Python runs as it stands there, and the API's pages name all that is public. (Notebooks run in `make docs`.)"""
+"""The pages' Python runs as it stands there, their commands are ones, and the API's pages name all that is public.
+
+Notebooks and the gallery run in `make docs`.
+"""
 
 from __future__ import annotations
 
 import re
+import shlex
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -11,10 +15,12 @@ import pytest
 import skimage.transform
 
 import clvol
+from clvol.cli import app
 from clvol.device import Device
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 BLOCK = re.compile(r"```python\n(.*?)```", re.DOTALL)
+SHELL, INLINE = re.compile(r"```sh\n(.*?)```", re.DOTALL), re.compile(r"`(clvol [a-z][^`]*)`")
 PAGES = [path for path in sorted(DOCS.rglob("*.md")) if "_build" not in path.parts and BLOCK.search(path.read_text(encoding="utf-8"))]
 
 pytestmark = pytest.mark.skipif(not DOCS.is_dir(), reason="not in a checkout")
@@ -68,3 +74,13 @@ def test_the_python_of_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pyte
 def test_the_api_names_all_that_is_public() -> None:
     listed = (DOCS / "api" / "index.rst").read_text(encoding="utf-8").split()
     assert [name for name in clvol.__all__ if name not in listed] == []
+
+
+def test_the_commands_of_the_pages_are_ones() -> None:
+    pages = [DOCS / "start.md", *(DOCS / "how-to").glob("*.md"), *(DOCS / "tutorials").glob("*.md")]
+    text = "".join(page.read_text(encoding="utf-8") for page in pages)
+    found = [line for block in SHELL.findall(text) for line in block.splitlines() if line.startswith("clvol ")]
+    found += INLINE.findall(text)
+    assert len(found) > 20
+    for line in found:
+        app.parse_args(shlex.split(line, comments=True)[1:], exit_on_error=False, print_error=False)  # raises what is wrong
