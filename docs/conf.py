@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import sys
 from pathlib import Path
-from typing import Any
 
 from sphinx.application import Sphinx
 from sphinx.errors import SphinxError
@@ -86,7 +85,9 @@ def _require_no_requests(app: Sphinx, error: Exception | None) -> None:
     """Pages are read without a network: none asks another place for a script, a style, a font or a picture."""
     if error is not None or app.builder.format != "html":
         return
-    asks = re.compile(r"""<(?:script|img|iframe|source|link(?![^>]*rel="(?:canonical|license)"))\b[^>]*(?:src|href)=["']https?://""")
+    asks = re.compile(
+        r"""<(?:script|img|iframe|source|link(?![^>]*rel="(?:canonical|license)"))\b[^>]*(?:src|href)=["']https?://"""
+    )
     found = [page.name for page in Path(app.outdir).rglob("*.html") if asks.search(page.read_text(encoding="utf-8"))]
     if found:
         raise SphinxError(f"pages must not load anything from the network; these do: {', '.join(found)}")

@@ -2,8 +2,8 @@
 Cut open
 ========
 
-A box of world coordinates cuts the volume; the faces of the cut show what lies inside, at their exact place. Colours that jump show bands of the
-value, and without shading they are seen as they are.
+A box of world coordinates cuts the volume; the faces of the cut show what lies inside, at their exact place. Colours
+that jump show bands of the value, and without shading they are seen as they are.
 """
 
 import numpy as np

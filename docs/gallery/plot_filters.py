@@ -2,7 +2,8 @@
 What a filter does
 ==================
 
-The same 41³ samples through what most programs take (linear), two cubics without a prefilter, and the interpolating cubic B-spline (below, right).
+The same 41³ samples through what most programs take (linear), two cubics without a prefilter, and the interpolating
+cubic B-spline (below, right).
 """
 
 import numpy as np

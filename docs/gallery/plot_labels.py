@@ -2,8 +2,8 @@
 Regions of a label map
 ======================
 
-Labels are names, between which there is nothing: each is drawn in a colour of its own, and never blended with another. One alone is drawn as
-the smooth surface of its indicator.
+Labels are names, between which there is nothing: each is drawn in a colour of its own, and never blended with another.
+One alone is drawn as the smooth surface of its indicator.
 """
 
 import numpy as np

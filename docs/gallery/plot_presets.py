@@ -2,8 +2,8 @@
 Presets
 =======
 
-A preset is a look for one kind of data, by name. Those of computed tomography are in Hounsfield units: here a limb of fat, muscle, two bones
-and two vessels.
+A preset is a look for one kind of data, by name. Those of computed tomography are in Hounsfield units: here a limb of
+fat, muscle, two bones and two vessels.
 """
 
 import numpy as np
