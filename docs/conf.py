@@ -62,6 +62,7 @@ sphinx_gallery_conf = {
     "remove_config_comments": True,
     "thumbnail_size": (320, 320),
     "write_computation_times": False,
+    "min_reported_time": 60,
 }
 
 html_theme = "pydata_sphinx_theme"

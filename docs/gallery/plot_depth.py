@@ -3,7 +3,7 @@ Depth, normals, positions
 =========================
 
 A picture is one output of several: the normals (x, y, z as red, green, blue), the distance from the eye, and where in
-the world each ray met the surface. All are arrays of numbers; `shown` gives them colours.
+the world each ray met the surface. All are arrays of numbers; ``shown`` gives them colours.
 """
 
 import numpy as np

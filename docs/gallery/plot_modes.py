@@ -3,8 +3,8 @@ Modes
 =====
 
 What a ray shows: emission and absorption, with light and without; the first surface; the maximum, also dimmed by depth;
-the mean. (`minip`, the minimum, is for what is dark in bright matter, such as airways.) The options of a mode are
-arguments of `render`.
+the mean. (``minip``, the minimum, is for what is dark in bright matter, such as airways.) The options of a mode are
+arguments of ``render``.
 """
 
 import numpy as np
