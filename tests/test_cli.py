@@ -420,7 +420,7 @@ def test_info_of_what_is_no_volume_is_one_line(clvol_command: Command) -> None:
     clvol_command("info", "a.npy").fails(1, "a.npy")
     Path("a.txt").write_text("text")
     clvol_command("info", "a.txt").fails(1, ".nii.gz", "a.txt")
-    np.save("b.npy", np.zeros((2, 2, 2, 2)))
+    np.save("b.npy", np.zeros((2, 2, 2, 2, 2)))
     clvol_command("info", "b.npy").fails(1, "b.npy")
 
 

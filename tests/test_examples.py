@@ -12,6 +12,7 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
+import clvol
 from clvol.device import Device
 from clvol.figures import FIGURES
 
@@ -113,6 +114,23 @@ def test_every_figure_has_an_example(tmp_path: Path, device: Device, name: str, 
 def test_no_figure_is_without_an_example() -> None:
     there = {path.stem.removeprefix("figure") for path in EXAMPLES.glob("*.py")}
     assert set(FIGURES) <= there
+
+
+def test_the_contact_sheet_holds_every_volume(tmp_path: Path, device: Device) -> None:
+    (tmp_path / "scans").mkdir()
+    np.save(tmp_path / "scans" / "scan.npy", np.pad(np.ones((4, 4, 4)), 3))
+    (tmp_path / "scans" / "notes.txt").write_text("no volume")
+    done = run("contact_sheet.py", "scans", "--no-peers", "--pixels", 24, "--output", "a.png", folder=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("left out notes.txt: ")
+    assert done.stdout.endswith("a.png\n")
+    sheet = iio.imread(tmp_path / "a.png")
+    rows = 1 + len(clvol.phantoms.names())
+    assert sheet.shape[1] == 3 * 24 + 2 * 4
+    height = (sheet.shape[0] + 4) // rows
+    assert all(sheet[row * height : row * height + 24].max() > 100 for row in range(rows))
+    assert run("contact_sheet.py", "none", folder=tmp_path).returncode == 2
+    assert device is not None
 
 
 def test_real_scan_draws_any_volume(tmp_path: Path, device: Device) -> None:

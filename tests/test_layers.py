@@ -10,8 +10,8 @@ import pytest
 SOURCE = Path(__file__).resolve().parents[1] / "src"
 # top to bottom; a name stands for the module or for all of its package
 LAYERS = [
-    "errors moved checks rounding uniform files interop filter boundary missing noise volume volumes smoothing stored camera color "
-    "light transfer mode scene transform",
+    "errors moved checks rounding uniform files foreign interop filter boundary missing noise volume volumes smoothing stored camera "
+    "color light scaling histogram palette preset transfer mode look scene transform",
     "reference response phantoms formats",
     "processor opencl program device",
     "spline",

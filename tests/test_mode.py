@@ -13,9 +13,9 @@ import clvol
 from clvol import phantoms, program
 from clvol.device import Device
 from clvol.errors import OptionError
+from clvol.histogram import isovalue_of
 from clvol.mode import DEFAULT_MODE, Composite, Isosurface, Mip, Mode, as_mode, every_option, mode_options, modes
 from clvol.reference.march import march
-from clvol.transfer import otsu_threshold
 from clvol.volume import Volume
 
 KERNEL = ("state_t", "begin", "gather", "matters", "merge", "finish", "finished", "REACH", "ANY_ORDER", "PROMISE")
@@ -99,7 +99,7 @@ def test_options_change_a_mode_and_leave_the_rest() -> None:
 
 def test_what_is_left_open_is_settled_for_a_volume() -> None:
     volume = phantoms.marschner_lobb(11)
-    assert as_mode("isosurface").settled(volume) == Isosurface(otsu_threshold(volume))
+    assert as_mode("isosurface").settled(volume) == Isosurface(isovalue_of(volume)[0])
     assert Isosurface(0.2).settled(volume) == Isosurface(0.2)
     assert Composite().settled(volume) == Composite()
 
@@ -107,8 +107,12 @@ def test_what_is_left_open_is_settled_for_a_volume() -> None:
 def test_the_default_look_of_each_mode() -> None:
     volume = phantoms.marschner_lobb(11)
     low, high = volume.value_range
-    assert as_mode("mip").transfer(volume).value_range == (low, high)
-    assert as_mode("mean").transfer(volume).value_range == (low, low + 0.5 * (high - low))  # means seldom reach the largest
+    bounds = {name: as_mode(name).transfer(volume).value_range for name in ("mip", "attenuated", "minip", "mean")}
+    assert all(low <= black < white <= high for black, white in bounds.values())
+    black, white = bounds["mip"]
+    assert bounds["attenuated"] == (black, black + 0.5 * (white - black))  # even the nearest values have faded
+    assert bounds["minip"][1] < white
+    assert bounds["mean"][1] < white  # means seldom reach the largest
     assert len(as_mode("composite").transfer(volume).opacities) > 1
 
 

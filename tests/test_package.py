@@ -47,6 +47,7 @@ def test_extras_are_declared() -> None:
     for extra, package in (
         ("pocl", "pocl-binary-distribution"),
         ("medical", "SimpleITK"),
+        ("medical", "nibabel"),
         ("microscopy", "tifffile"),
         ("figures", "matplotlib"),
         ("xarray", "xarray"),
@@ -72,6 +73,10 @@ def test_importing_is_cheap_and_needs_no_opencl(module: str) -> None:
         "imageio",
         "PIL",
         "tifffile",
+        "zarr",
+        "h5py",
+        "vtkmodules",
+        "bioio",
         "nibabel",
         "cmap",
         "matplotlib",

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from clvol import phantoms
 from clvol.errors import ClvolError, OptionError
+from clvol.histogram import isovalue_of
 from clvol.stored import AS_THEY_ARE, Stored
-from clvol.transfer import TransferFunction, otsu_threshold
+from clvol.transfer import TransferFunction
 from clvol.volume import Volume
 
 SOME = TransferFunction(((-1.0, "red"), (0.0, (0, 1, 0)), (3.0, "#0000ff")), ((-0.5, 0.0), (1.0, 0.8), (2.0, 0.1)))
@@ -116,23 +117,6 @@ def test_ramp_and_with_opacity() -> None:
     assert other.colors == ramp.colors
 
 
-def test_otsu_parts_two_humps() -> None:
-    rng = np.random.default_rng(1)
-    data = np.concatenate([rng.normal(10, 2, 6000), rng.normal(60, 5, 2000)]).reshape(20, 20, 20)
-    assert 18 < otsu_threshold(Volume(data)) < 45
-    two = np.zeros((8, 8, 8), np.uint8)
-    two[:3] = 200
-    assert 50 < otsu_threshold(Volume(two)) < 150
-    assert otsu_threshold(Volume(np.full((3, 3, 3), 4.0))) == 4.0
-    assert otsu_threshold(Volume(np.zeros((3, 3, 3), bool))) == 0.0
-
-
-def test_otsu_does_not_mind_units() -> None:
-    volume = phantoms.marschner_lobb(24)
-    t = otsu_threshold(volume)
-    assert otsu_threshold(Volume(volume.data * np.float32(1024))) == pytest.approx(1024 * t, rel=1e-4)
-
-
 @pytest.mark.parametrize("name", ["marschner-lobb", "sphere", "box", "checker"])
 def test_automatic_shows_the_brighter_part(name: str) -> None:
     volume = phantoms.by_name(f"{name}:24")
@@ -193,7 +177,7 @@ def test_wrong_types_are_refused(make: Any) -> None:
 @pytest.mark.parametrize("scale", [1e-320, 1e-300, 1e-40, 1.0, 1e200, 1.7e308])
 def test_ranges_of_any_size(scale: float) -> None:
     data = np.linspace(-1, 1, 125).reshape(5, 5, 5) * scale
-    assert otsu_threshold(data) == pytest.approx(0, abs=0.1 * scale)
+    assert isovalue_of(data)[0] == pytest.approx(0, abs=0.1 * scale)
     for chosen in (TransferFunction.automatic(data), TransferFunction.ramp((-scale, scale)), TransferFunction.ramp((0, scale))):
         assert np.isfinite(chosen.value_range).all()
         table = chosen.table()
@@ -214,7 +198,7 @@ def test_few_values(values: list[float]) -> None:
     data = np.resize(np.array(values), (2, max(2, len(values))))
     finite = data[np.isfinite(data)]
     low, high = finite.min(), finite.max()
-    assert low <= otsu_threshold(data) <= high
+    assert low <= isovalue_of(data)[0] <= high
     for chosen in (TransferFunction.automatic(data), TransferFunction.ramp((low, high))):
         assert np.isfinite(chosen.table()[: 12 * int(chosen.block(1.0)["pieces"]) or None]).all()
 
@@ -222,4 +206,4 @@ def test_few_values(values: list[float]) -> None:
 def test_it_is_chosen_where_the_sparse_sample_holds_no_finite_value() -> None:
     data = np.full((2, 4_000_000), np.nan)
     data[1, 1::2] = [1, 2] * 1_000_000
-    assert 1 <= otsu_threshold(data) <= 2
+    assert 1 <= isovalue_of(data)[0] <= 2

@@ -150,6 +150,9 @@ def test_as_volume() -> None:
     assert as_volume([[1, 2]]).shape == (1, 2)
     again = Volume(VOLUME)  # type: ignore[arg-type]
     assert (again.spacing, again.origin, again.units) == (VOLUME.spacing, VOLUME.origin, "mm")
+    said = {"space": "LPS", "name": "a", "color": (1, 0, 0), "window": (0, 1), "labels": {1: "b"}, "header": {"c": 2}}
+    told = Volume(Volume(DATA, **said))  # type: ignore[arg-type]
+    assert {name: getattr(told, name) for name in said} == said
     assert "spacing=(0.5, 1.5, 2.0)" in repr(VOLUME)
 
 
@@ -183,7 +186,7 @@ def test_simpleitk_image_brings_its_geometry() -> None:
     np.testing.assert_array_equal(volume.data, DATA)
     for index in ((0, 0, 0), (5, 1, 3)):
         np.testing.assert_allclose(volume.index_to_world(index), image.TransformIndexToPhysicalPoint(index))
-    with pytest.raises(DataError, match="one value per voxel"):
+    with pytest.raises(DataError, match=r"3 channels.*clvol\.Volumes\(image\)\[k\]"):
         Volume(sitk.GetImageFromArray(np.zeros((2, 2, 2, 3)), isVector=True))
 
 
@@ -199,16 +202,116 @@ def test_nibabel_image_is_brought_into_lps() -> None:
     np.testing.assert_allclose(volume.index_to_world([5, 1, 3]), ras[:3] * [-1, -1, 1], rtol=1e-6)
 
 
-def test_simpleitk_image_has_no_unit_and_drops_trailing_axes_of_one_sample() -> None:
+def test_simpleitk_image_is_in_mm_and_drops_trailing_axes_of_one_sample() -> None:
     sitk = pytest.importorskip("SimpleITK")
     image = sitk.GetImageFromArray(DATA[None], isVector=False)
     image.SetSpacing((0.5, 1.5, 2.0, 9.0))
     assert image.GetDimension() == 4
     volume = Volume(image)
-    assert (volume.shape, volume.spacing, volume.units) == (DATA.shape, (0.5, 1.5, 2.0), "")
+    assert (volume.shape, volume.spacing, volume.units) == (DATA.shape, (0.5, 1.5, 2.0), "mm")
+    assert volume.space == "LPS"
     assert Volume(image, units="um").units == "um"
-    with pytest.raises(DataError, match="split the image into its frames"):
+    with pytest.raises(DataError, match=r"2 volumes.*clvol\.Volumes\(image\)\[k\]"):
         Volume(sitk.GetImageFromArray(np.zeros((2, 2, 2, 2)), isVector=False))
+
+
+def test_numpy_reads_the_samples() -> None:
+    assert np.shares_memory(np.asarray(VOLUME), DATA)
+    assert not np.asarray(VOLUME).flags.writeable
+    assert VOLUME.__array__() is VOLUME.data  # as NumPy 1 calls it
+    assert VOLUME.__array__(np.float64).dtype == np.float64
+    mine = np.array(VOLUME)
+    mine[0, 0, 0] = 9  # a copy
+    assert np.mean(VOLUME) == DATA.mean()
+    assert np.asarray(Volume(DATA.astype(">i2"))).dtype == ">i2"
+    with pytest.raises(ValueError, match="without a copy"):
+        VOLUME.__array__(np.float32, copy=False)
+
+
+class OldLibrary:
+    """One that knows no read-only memory."""
+
+    def __init__(self, volume: Volume) -> None:
+        self.volume = volume
+
+    def __dlpack__(self, **_: object) -> object:
+        return self.volume.__dlpack__()
+
+    def __dlpack_device__(self) -> tuple[Any, int]:
+        return self.volume.__dlpack_device__()
+
+
+def test_dlpack_shares_the_samples_or_copies_them() -> None:
+    assert VOLUME.__dlpack_device__() == DATA.__dlpack_device__()
+    for source in (VOLUME, OldLibrary(VOLUME), Volume(DATA.astype(">i2"))):
+        np.testing.assert_array_equal(np.from_dlpack(source), DATA)
+    assert not np.shares_memory(np.from_dlpack(OldLibrary(VOLUME)), DATA)
+    with pytest.raises(BufferError, match="may only be read"):
+        VOLUME.__dlpack__(copy=False)
+
+
+@pytest.mark.skipif(np.lib.NumpyVersion(np.__version__) < "2.1.0", reason="older ones do not export what may only be read")
+def test_dlpack_of_today_shares() -> None:
+    assert np.shares_memory(np.from_dlpack(VOLUME), DATA)
+
+
+def test_images_of_other_libraries_come_back() -> None:
+    sitk, nibabel = pytest.importorskip("SimpleITK"), pytest.importorskip("nibabel")
+    for volume in (VOLUME, Volume(DATA[0], (2, 3), (4, 5), [[0, -1], [1, 0]], "mm"), Volume(DATA > 0, units="mm")):
+        image, other = volume.to_sitk(), volume.to_nibabel()
+        assert isinstance(image, sitk.Image)
+        assert isinstance(other, nibabel.Nifti1Image)
+        for again in (Volume(image), Volume(other)):
+            np.testing.assert_array_equal(again.data, volume.data)
+            np.testing.assert_allclose(again.corners, volume.corners, rtol=1e-12)
+            np.testing.assert_allclose(again.direction, volume.direction, atol=1e-12)
+            assert (again.units, again.space) == ("mm", "LPS")
+    there = [5.0, 1.0, 3.0]
+    np.testing.assert_allclose(VOLUME.to_sitk().TransformContinuousIndexToPhysicalPoint(there), VOLUME.index_to_world(there))
+    np.testing.assert_allclose((VOLUME.to_nibabel().affine @ [*there, 1])[:3], VOLUME.index_to_world(there) * [-1, -1, 1])
+    np.testing.assert_allclose(Volume(DATA, spacing=(500, 500, 2e3), units="um").to_sitk().GetSpacing(), (0.5, 0.5, 2))
+    for call in (Volume(DATA, units="parsec").to_sitk, Volume(DATA, units="parsec").to_nibabel):
+        with pytest.raises(GeometryError, match="units must be a length"):
+            call()
+    if np.dtype(np.longdouble) != np.float64:
+        with pytest.raises(DataError, match="samples must be"):
+            Volume(DATA.astype(np.longdouble)).to_nibabel()
+
+
+def test_xarray_has_coordinates_where_the_axes_run_along_the_worlds() -> None:
+    pytest.importorskip("xarray")
+    straight = Volume(DATA, (1, 2, 3), (4, 5, 6), np.diag([1, -1, 1]), "um", name="cells", window=(0, 9), space="image")
+    array = straight.to_xarray()
+    assert (array.dims, array.name, array.attrs["world_units"], array.x.attrs["units"]) == (("z", "y", "x"), "cells", "um", "um")
+    assert (array.attrs["window"], array.attrs["space"]) == ([0, 9], "image")
+    for index in ((0, 0, 0), (5, 1, 3)):
+        x, y, z = straight.index_to_world(index)
+        assert array.sel(x=x, y=y, z=z) == DATA[index[::-1]]
+    assert "x" not in VOLUME.to_xarray().coords
+    assert Volume(DATA[0]).to_xarray().dims == ("y", "x")
+    for volume in (straight, VOLUME, Volume(DATA[0], (2, 3), window=(0, 1))):
+        again = Volume(volume.to_xarray())
+        np.testing.assert_array_equal(again.data, volume.data)
+        np.testing.assert_allclose(again.corners, volume.corners)
+        for name in ("units", "space", "name", "window"):
+            assert getattr(again, name) == getattr(volume, name)
+
+
+def test_parts_of_arrays_of_xarray_are_where_they_were() -> None:
+    pytest.importorskip("xarray")
+    volume = Volume(DATA, (1, 2, 3), (4, 5, 6), np.diag([1, -1, 1]))
+    part = Volume(volume.to_xarray()[1:3, ::-2, 2:])
+    np.testing.assert_array_equal(part.data, DATA[1:3, ::-2, 2:])
+    for index, whole in (((0, 0, 0), (2, 4, 1)), ((1, 2, 1), (3, 0, 2))):
+        np.testing.assert_allclose(part.index_to_world(index), volume.index_to_world(whole))
+    slice_ = Volume(volume.to_xarray()[2, :, 1:])
+    np.testing.assert_allclose(slice_.index_to_world([0, 0]), volume.index_to_world([1, 0, 2])[:2])
+    with pytest.raises(GeometryError, match="evenly spaced"):
+        Volume(volume.to_xarray().isel(x=[0, 1, 4]))
+    with pytest.raises(GeometryError, match="nothing says where it lies"):
+        Volume(VOLUME.to_xarray()[1:])
+    other = volume.to_xarray().transpose("x", "y", "z")  # no longer [z, y, x]: samples alone
+    assert Volume(other).spacing == (1, 1, 1)
 
 
 BAD: list[tuple[dict[str, Any], type[ClvolError]]] = [

@@ -36,6 +36,7 @@ from clvol.missing import Missing
 from clvol.mode import Attenuated, Composite, Isosurface, Mean, Minip, Mip, Mode, modes
 from clvol.moved import callable_as_before
 from clvol.picture import save
+from clvol.preset import presets
 from clvol.resizing import resize
 from clvol.response import frequency_response, prefilter_response
 from clvol.scene import Medium, Scene
@@ -106,6 +107,7 @@ __all__ = [
     "phantoms",
     "prefilter",
     "prefilter_response",
+    "presets",
     "quasi",
     "read",
     "read_all",

@@ -3,40 +3,20 @@
 from __future__ import annotations
 
 import sys
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import ClvolError, DataError, GeometryError, MissingDependencyError, OptionError
+from clvol.errors import ClvolError, DataError, OptionError
+from clvol.foreign import Content, from_nibabel, from_simpleitk, is_ours, nibabel_says, simpleitk_says, xarray_says
 
-__all__ = [
-    "NIFTI_MILLIMETRES",
-    "Content",
-    "Placement",
-    "affine_parts",
-    "as_array",
-    "as_output",
-    "from_nibabel",
-    "from_ras",
-    "from_simpleitk",
-    "memory_of",
-    "read_array",
-    "simpleitk",
-]
+__all__ = ["Content", "as_array", "as_output", "memory_of", "read_array", "read_several"]
 
-NIFTI_MILLIMETRES = {0: 1.0, 1: 1e3, 2: 1.0, 3: 1e-3}
-"""Of the unit of length that NIfTI's ``xyzt_units & 7`` stands for: none, m, mm and µm."""
-
-_FLAT = 1e-4  # files keep directions in float32
 _ON_HOST = {1, 3, 11, 13}  # DLPack's types of device whose memory the host can read: its own, pinned, and managed
 _TO_HOST = {"torch": "tensor.cpu()", "cupy": "array.get()", "jax": "jax.device_get(array)", "jaxlib": "jax.device_get(array)"}
 
-Content: TypeAlias = tuple[NDArray[Any], dict[str, Any]]
-"""Samples [z, y, x], and those keyword arguments of `Volume` that their source knows: spacing, origin, direction, units."""
-
-Placement: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
-"""Spacing, origin and direction (columns) of three index axes in the world."""
+_OWN = ("spacing", "origin", "direction", "units", "space", "name", "color", "window", "labels", "header")
 
 
 @runtime_checkable
@@ -51,23 +31,43 @@ class _Gridded(Protocol):
 
 
 def read_array(source: Any) -> Content:
-    """The samples of `source`, and the geometry that its kind of object carries.
+    """The samples of one volume, and what its kind of object says of them.
 
     Raises
     ------
     DataError
-        Ragged or masked data, data in the memory of a device, several values per voxel, or a number of axes that the kind of
-        object does not allow.
+        Ragged or masked data, data in the memory of a device, an image that holds several volumes or values per voxel, or too
+        few axes.
     GeometryError
         The affine of a nibabel image is singular or not finite, or its unit of length unknown.
     """
-    if hasattr(source, "GetSpacing") and hasattr(source, "GetDirection"):
+    about = simpleitk_says(source) if _is_simpleitk(source) else nibabel_says(source) if _is_nibabel(source) else {}
+    about = xarray_says(source) if is_ours(source) else about
+    if "leading" in about:
+        counts = " × ".join(f"{n} {axis}s" for axis, n in zip(about["leading"]["axes"], about["leading"]["counts"], strict=True))
+        raise DataError(f"data must be one volume; got an image of {counts}: take one as clvol.Volumes(image)[k]")
+    return read_several(source)
+
+
+def read_several(source: Any) -> Content:
+    """As `read_array`, and images that hold several volumes; those have the arguments of `Leading` under the key "leading"."""
+    if _is_simpleitk(source):
         return from_simpleitk(source)
-    if hasattr(source, "affine") and hasattr(source, "dataobj"):
+    if _is_nibabel(source):
         return from_nibabel(source)
+    if is_ours(source):
+        return as_array(source), xarray_says(source)
     if not isinstance(source, np.ndarray) and isinstance(source, _Gridded):  # asked for `data`, an array of dates raises
-        return as_array(source.data), {name: getattr(source, name) for name in ("spacing", "origin", "direction", "units")}
+        return as_array(source.data), {name: getattr(source, name) for name in _OWN if hasattr(source, name)}
     return as_array(source), {}
+
+
+def _is_simpleitk(source: Any) -> bool:
+    return hasattr(source, "GetSpacing") and hasattr(source, "GetDirection")
+
+
+def _is_nibabel(source: Any) -> bool:
+    return hasattr(source, "affine") and hasattr(source, "dataobj")
 
 
 def as_array(
@@ -181,100 +181,3 @@ def _of_tensor(tensor: Any) -> NDArray[Any]:
     """The memory of a tensor of PyTorch on the host."""
     plain = tensor.detach().resolve_conj().resolve_neg()
     return np.asarray((plain.float() if str(plain.dtype) == "torch.bfloat16" else plain).numpy())
-
-
-def from_simpleitk(image: Any, units: str = "") -> Content:
-    """Samples, geometry and `units` of a SimpleITK image, without trailing axes of one sample.
-
-    The rule for units: an image in memory has none, because SimpleITK keeps none. A reader of files passes the unit that
-    its format or header fixes (millimetres for NIfTI, MetaImage and DICOM).
-
-    Raises
-    ------
-    DataError
-        Several values per voxel, or more than three axes.
-    """
-    rank, channels, size = image.GetDimension(), image.GetNumberOfComponentsPerPixel(), image.GetSize()
-    if channels != 1:
-        raise DataError(f"data must have one value per voxel; got {channels}: split the image into its channels")
-    if any(n != 1 for n in size[3:]):
-        raise DataError(f"data must have 2 or 3 axes; got {size} samples: split the image into its frames")
-    d = min(rank, 3)
-    data = simpleitk().GetArrayFromImage(image)  # np.asarray would give a flat float64 array
-    geometry = {
-        "spacing": image.GetSpacing()[:d],
-        "origin": image.GetOrigin()[:d],
-        "direction": np.reshape(image.GetDirection(), (rank, rank))[:d, :d],
-        "units": units,
-    }
-    return data.reshape(data.shape[rank - d :]), geometry
-
-
-def from_nibabel(image: Any) -> Content:
-    """Samples and geometry of a nibabel image, in millimetres: its arrays are [x, y, z] in a RAS world, ours [z, y, x] in LPS.
-
-    Where the image measures in metres or micrometres (``xyzt_units`` of NIfTI), its affine does too.
-
-    Raises
-    ------
-    DataError
-        A number of axes other than 2 and 3, not counting trailing axes of one sample.
-    GeometryError
-        The affine is singular or not finite; the unit of length is unknown; an image of two axes lies across the world's
-        xy plane.
-    """
-    data = np.asanyarray(image.dataobj)
-    d = min(data.ndim, 3)
-    if d < 2 or any(n != 1 for n in data.shape[3:]):
-        raise DataError(f"data must have 2 or 3 axes; got a nibabel image of shape {data.shape}")
-    affine = np.asarray(image.affine, dtype=np.float64)
-    if not np.isfinite(affine).all() or (np.linalg.norm(affine[:3, :3], axis=0) == 0).any():
-        raise GeometryError(f"the image's affine must be finite and not singular; got {image.affine!r}")
-    # the name that get_xyzt_units has for a unit of time, in the same number, may be missing, and says nothing about space
-    unit = int(image.header["xyzt_units"]) & 7 if hasattr(image.header, "get_xyzt_units") else 0
-    if unit not in NIFTI_MILLIMETRES:
-        raise GeometryError(f"the image must measure in m, mm or µm (xyzt_units 1, 2 or 3, or 0 for none); its header says {unit}")
-    geometry = from_ras(affine_parts(affine[:3, :3], affine[:3, 3]), d, NIFTI_MILLIMETRES[unit])
-    return data.reshape(data.shape[:d]).T, geometry
-
-
-def affine_parts(matrix: NDArray[np.float64], origin: NDArray[np.float64]) -> Placement:
-    """Of an affine map from indices; an axis that it gives no length has the direction NaN."""
-    spacing = np.linalg.norm(matrix, axis=0)
-    with np.errstate(invalid="ignore"):
-        return spacing, origin, matrix / spacing
-
-
-def from_ras(placement: Placement, d: int, unit: float) -> dict[str, Any]:
-    """Geometry in millimetres and ITK's LPS of a grid of `d` axes that is placed in a RAS world, in units of `unit` mm.
-
-    Raises
-    ------
-    GeometryError
-        An image of two axes lies across the world's xy plane, in which a `Volume` keeps images.
-    """
-    spacing, origin, direction = placement
-    turn = np.array([-1.0, -1.0, 1.0])
-    if d == 2 and np.abs(direction[2, :2]).max() > _FLAT:
-        raise GeometryError(f"an image of two axes must lie in the xy plane; its axes run along {direction[:, :2].T.tolist()}")
-    return {
-        "spacing": spacing[:d] * unit,
-        "origin": (turn * origin)[:d] * unit + 0.0,  # -0 becomes 0
-        "direction": (turn[:, None] * direction)[:d, :d] + 0.0,
-        "units": "mm",
-    }
-
-
-def simpleitk() -> Any:
-    """The SimpleITK module; its import is slow and waits until it is needed.
-
-    Raises
-    ------
-    MissingDependencyError
-        SimpleITK is not installed.
-    """
-    try:
-        import SimpleITK
-    except ImportError as error:
-        raise MissingDependencyError("medical files need SimpleITK: pip install clvol[medical]") from error
-    return SimpleITK

@@ -20,8 +20,11 @@ from clvol.checks import number, one_of
 from clvol.color import color_of
 from clvol.errors import OptionError
 from clvol.filter import DEFAULT_FILTER, PICTURE_FILTER
+from clvol.histogram import Projection, isovalue_of, matter_of, window_of
+from clvol.palette import diverging
+from clvol.scaling import share_of
 from clvol.stored import AS_THEY_ARE, Stored
-from clvol.transfer import TransferFunction, otsu_threshold, share_of
+from clvol.transfer import TransferFunction
 from clvol.uniform import FLOAT, Block, Values
 from clvol.volume import Volume
 
@@ -63,9 +66,11 @@ class Mode:
     picture_filter : str
         The filter of its pictures where none is given. Noise is smoothed, but not where extremes are shown: smoothing lowers
         those of thin vessels.
-    ramp : float or None
-        The share of the volume's range of values over which the default transfer function runs from black to white; None:
-        that is one of opacities instead.
+    shows : {"matter", "max", "min", "mean"}
+        What of a ray's samples makes a pixel: all, by their opacities, or a projection, which the default transfer function
+        shows from black to white.
+    ramp : float
+        The share of that window over which it does.
     """
 
     name: ClassVar[str]
@@ -74,7 +79,8 @@ class Mode:
     endpoints: ClassVar[bool] = False
     skips: ClassVar[bool] = True
     picture_filter: ClassVar[str] = PICTURE_FILTER
-    ramp: ClassVar[float | None] = 1.0
+    shows: ClassVar[Literal["matter"] | Projection] = "max"
+    ramp: ClassVar[float] = 1.0
     BLOCK: ClassVar[Block] = Block("mode_block")
 
     @property
@@ -97,11 +103,27 @@ class Mode:
         return self
 
     def transfer(self, volume: Volume) -> TransferFunction:
-        """The transfer function for this volume where none is given."""
-        if self.ramp is None:
-            return TransferFunction.automatic(volume)
-        low, high = volume.value_range
-        return TransferFunction.ramp((low, share_of(low, high, self.ramp)))
+        """The transfer function for this volume where none is given.
+
+        Labels have a colour each, but where values are blended or fade along the ray. A projection's window is the volume's own
+        (`Volume.window`), or else from the projections of its samples along the axes; means are not what that window is for.
+        """
+        if volume.is_labels and self.shows != "mean" and self.ramp == 1:
+            return TransferFunction.preset("labels", volume)
+        return self.windowed(volume, None)
+
+    def windowed(self, volume: Volume, window: tuple[float, float] | None) -> TransferFunction:
+        """The same for values, with another window, (low, high), from black to white."""
+        if self.shows == "matter":
+            return TransferFunction.automatic(volume, window)
+        low, high = window or (volume.window if self.shows != "mean" else None) or window_of(volume)[self.shows]
+        matter = matter_of(volume)
+        if matter.signed and window is None and self.shows == "mean":
+            return TransferFunction(diverging((low, high), matter.value(0)), ((low, 1.0),))
+        color = volume.color or (1.0, 1.0, 1.0)
+        if matter.signed and window is None and self.shows == "min":  # the farther below the background, the brighter
+            return TransferFunction(((low, color), (high, (0.0, 0.0, 0.0))), ((low, 1.0),))
+        return TransferFunction.ramp((low, share_of(low, high, self.ramp)), color)
 
     def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002  # most modes depend on no volume
         """What its kernel reads, for one volume whose values are stored in this way; of a mode that is settled."""
@@ -127,7 +149,7 @@ class Composite(Mode):
     name: ClassVar[str] = "composite"
     description: ClassVar[str] = "emission and absorption, front to back"
     state_fields: ClassVar[int] = 6
-    ramp: ClassVar[float | None] = None
+    shows: ClassVar[Literal["matter"] | Projection] = "matter"
     BLOCK: ClassVar[Block] = Block("mode_block", termination=FLOAT)
 
     def __post_init__(self) -> None:
@@ -145,7 +167,8 @@ class Isosurface(Mode):
     Parameters
     ----------
     isovalue : float, optional
-        The value of the surface; by default Otsu's threshold, which parts the histogram in two.
+        The value of the surface; by default Otsu's threshold, which parts the histogram in two, but never within the step at the
+        edge of a mask.
     color : three numbers or a name
         Of the surface: red, green and blue in 0..1, a name or a hex code.
     shading : bool
@@ -192,7 +215,7 @@ class Isosurface(Mode):
         return self.method == "exact"
 
     def settled(self, volume: Volume) -> Self:
-        return self if self.isovalue is not None else replace(self, isovalue=otsu_threshold(volume))
+        return self if self.isovalue is not None else replace(self, isovalue=isovalue_of(volume)[0])
 
     def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002
         assert self.isovalue is not None  # it is settled
@@ -226,7 +249,7 @@ class Attenuated(Mode):
     picture_filter: ClassVar[str] = DEFAULT_FILTER
     description: ClassVar[str] = "the maximum along the ray, dimmed by depth"
     state_fields: ClassVar[int] = 2
-    ramp: ClassVar[float | None] = 0.5  # even the nearest values have faded
+    ramp: ClassVar[float] = 0.5  # even the nearest values have faded
     BLOCK: ClassVar[Block] = Block("mode_block", fade=FLOAT, front=FLOAT)
 
     def __post_init__(self) -> None:
@@ -245,6 +268,7 @@ class Minip(Mode):
     picture_filter: ClassVar[str] = DEFAULT_FILTER
     description: ClassVar[str] = "the minimum along the ray"
     state_fields: ClassVar[int] = 2
+    shows: ClassVar[Literal["matter"] | Projection] = "min"
 
 
 @dataclass(frozen=True)
@@ -255,7 +279,7 @@ class Mean(Mode):
     description: ClassVar[str] = "the mean along the ray, as an x-ray shows it"
     state_fields: ClassVar[int] = 2
     skips: ClassVar[bool] = False
-    ramp: ClassVar[float | None] = 0.5  # means seldom reach the largest value
+    shows: ClassVar[Literal["matter"] | Projection] = "mean"
 
 
 _TABLE: dict[str, type[Mode]] = {mode.name: mode for mode in (Composite, Isosurface, Mip, Attenuated, Minip, Mean)}

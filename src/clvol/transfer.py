@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, wraps
-from typing import Any, ClassVar, NamedTuple, TypeVar
-from weakref import WeakKeyDictionary
+from functools import cached_property, lru_cache
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,13 +14,14 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.checks import number, reals
 from clvol.color import color_of
 from clvol.errors import OptionError
+from clvol.palette import automatic, unit_of
+from clvol.preset import as_preset
+from clvol.scaling import exponent_of, scaled, unscaled
 from clvol.stored import AS_THEY_ARE, Stored
 from clvol.uniform import FLOAT, INT, Block, Values
 from clvol.volume import Volume, as_volume
 
-__all__ = ["TransferFunction", "otsu_threshold", "share_of"]
-
-Made = TypeVar("Made")
+__all__ = ["TransferFunction"]
 
 _CELLS = 1024  # of a table of equal nodes at most, and buckets in which pieces are looked up
 _ON_NODE = 1e-5  # of a cell: as near to a node is on it
@@ -31,11 +31,7 @@ _FEW = 16  # pieces that are found by comparing a value with all of them ...
 _AT_ONCE = 4  # ... so many at a time
 _FAR = 1.5e38  # of float32: no difference of two values within overflows
 _STEEPEST = 3e38
-_LARGEST = float(np.finfo(np.float64).max)
 _CMAP_NODES = 64
-_BINS = 512
-_MIN_TOP = 1e-12  # of the range: what lies below is one value, and the histogram covers all
-_BINS_SAMPLE = 1 << 21  # voxels that a histogram is made of: enough for 512 bins, and fast
 
 
 @dataclass(frozen=True)
@@ -100,9 +96,9 @@ class TransferFunction:
             raise OptionError(
                 f"colour map {name!r} is not known to the cmap package; try 'gray', 'viridis', 'bone', 'magma'"
             ) from None
-        exponent = _exponent(low, high)
-        bottom, top = _scaled((low, high), exponent)
-        places = [_unscaled(bottom + (top * u - bottom * u), exponent) for u in at]
+        exponent = exponent_of(low, high)
+        bottom, top = scaled((low, high), exponent)
+        places = [unscaled(bottom + (top * u - bottom * u), exponent) for u in at]
         colors = tuple(zip(places, shades, strict=True))
         points: Any = opacity
         if np.ndim(np.asarray(opacity, dtype=object)) == 0:  # one number, or nothing that is a sequence
@@ -110,20 +106,42 @@ class TransferFunction:
         return cls(colors, points, unit_distance)  # type: ignore[arg-type]  # three floats each
 
     @classmethod
-    def ramp(cls, value_range: tuple[float, float]) -> TransferFunction:
-        """Black at the minimum, white at the maximum, opaque: for projections. White where the two are one."""
+    def ramp(cls, value_range: tuple[float, float], color: Sequence[float] | str = "white") -> TransferFunction:
+        """Black at the minimum, white or another colour at the maximum, opaque: for projections. No black where they are one."""
         low, high = _range(value_range)
-        ends = ((low, (0.0, 0.0, 0.0)), (high, (1.0, 1.0, 1.0)))
+        ends = ((low, (0.0, 0.0, 0.0)), (high, color_of("color", color)))
         return cls(ends if low < high else ends[1:], ((low, 1.0),))
 
     @classmethod
-    def automatic(cls, volume: Volume | ArrayLike) -> TransferFunction:
+    def automatic(cls, volume: Volume | ArrayLike, window: tuple[float, float] | None = None) -> TransferFunction:
         """One that shows the matter of most volumes, from the histogram.
 
-        Nothing below Otsu's threshold between background and matter is seen; opacity then rises to
-        the brightest values. Colours run from dark red over bone to white.
+        Background is not seen: neither an exact value that many samples have, such as that of what was masked out, nor what lies
+        below Otsu's threshold between background and matter, or below the step at a mask's edge. Opacity rises from there to the
+        brightest values. Colours run from dark red over bone to white; they are shades of the volume's own `color`, if it has
+        one. Where values lie to both sides of the background, as in statistical maps, it rises to both, in red and yellow above
+        and blue below. A `window` of the volume's is where opacity and colours reach their ends, as far as that shows no
+        background; `window`, (low, high), instead of it is where they begin and end.
         """
-        return _automatic(volume)
+        volume = as_volume(volume)
+        return cls(*automatic(volume, window), unit_of(volume))
+
+    @classmethod
+    def preset(cls, name: str, volume: Volume | ArrayLike) -> TransferFunction:
+        """The look of a name, for a volume: see `clvol.presets`.
+
+        Raises
+        ------
+        OptionError
+            There is no preset of this name.
+
+        Warns
+        -----
+        ClvolWarning
+            It is in Hounsfield units, and the data cannot be: then it is spread over what stands out from their background.
+        """
+        volume = as_volume(volume)
+        return cls(*as_preset(name).points(volume), unit_of(volume))
 
     @cached_property
     def value_range(self) -> tuple[float, float]:
@@ -133,10 +151,10 @@ class TransferFunction:
 
     def __call__(self, values: ArrayLike) -> NDArray[np.float64]:
         """Red, green, blue and opacity at `values`; shape (..., 4), exact."""
-        exponent = _exponent(*self.value_range)
-        v = _scaled(reals("values", values), exponent)
-        rgb, at = np.array([p[1] for p in self.colors]), _scaled([p[0] for p in self.colors], exponent)
-        opacity, where = [p[1] for p in self.opacities], _scaled([p[0] for p in self.opacities], exponent)
+        exponent = exponent_of(*self.value_range)
+        v = scaled(reals("values", values), exponent)
+        rgb, at = np.array([p[1] for p in self.colors]), scaled([p[0] for p in self.colors], exponent)
+        opacity, where = [p[1] for p in self.opacities], scaled([p[0] for p in self.opacities], exponent)
         return np.stack([*(np.interp(v, at, rgb[:, i]) for i in range(3)), np.interp(v, where, opacity)], -1)
 
     def table(self, stored: Stored = AS_THEY_ARE) -> NDArray[np.float32]:
@@ -182,7 +200,7 @@ class _Layout(NamedTuple):
 def _laid_out(transfer: TransferFunction, stored: Stored) -> _Layout:
     """See `TransferFunction.table`."""
     colors, opacities = (  # not as `stored(...)` has them: points may lie beyond what float32 holds
-        _scaled([p[0] for p in points], stored.exponent) - math.ldexp(stored.offset, -stored.exponent)
+        scaled([p[0] for p in points], stored.exponent) - math.ldexp(stored.offset, -stored.exponent)
         for points in (transfer.colors, transfer.opacities)
     )
     at = np.unique(np.concatenate([colors, opacities]))
@@ -210,8 +228,8 @@ def _equal_cells(at: NDArray[np.float64]) -> int:
 
 
 def _of_nodes(transfer: TransferFunction, at: NDArray[np.float64], cells: int) -> _Layout:
-    exponent = _exponent(*transfer.value_range)
-    low, high = _scaled(transfer.value_range, exponent)
+    exponent = exponent_of(*transfer.value_range)
+    low, high = scaled(transfer.value_range, exponent)
     nodes = transfer(np.ldexp(np.linspace(low, high, cells + 1), exponent)).astype(np.float32)
     seen = np.where(nodes[:, 3] > 0, np.arange(len(nodes), dtype=np.float32), np.float32(np.inf))
     following = np.minimum.accumulate(seen[::-1])[::-1]
@@ -276,107 +294,9 @@ def _of_pieces(transfer: TransferFunction, colors: NDArray[np.float64], opacitie
 
 def _limit(x: NDArray[np.float64], at: NDArray[np.float64], values: NDArray[np.float64], side: int) -> NDArray[np.float64]:
     """The piecewise linear function through some points, at x from above (side 1) or from below (-1)."""
-    exponent = _exponent(at[0], at[-1])
-    x, at = _scaled(x, exponent), _scaled(at, exponent)  # no difference overflows
+    exponent = exponent_of(at[0], at[-1])
+    x, at = scaled(x, exponent), scaled(at, exponent)  # no difference overflows
     return np.interp(x, at, values) if side > 0 else np.interp(-x, -at[::-1], values[::-1])
-
-
-def _remembered(make: Callable[[Volume], Made]) -> Callable[[Volume | ArrayLike], Made]:
-    """What is derived from a volume's histogram, once a volume: its samples do not change."""
-    known: WeakKeyDictionary[Volume, Made] = WeakKeyDictionary()
-
-    @wraps(make)
-    def found(volume: Volume | ArrayLike) -> Made:
-        volume = as_volume(volume)
-        if volume not in known:
-            known[volume] = make(volume)
-        return known[volume]
-
-    return found
-
-
-def share_of(low: float, high: float, share: float) -> float:
-    """``low + share (high - low)``, where that difference may be more than float64 holds."""
-    exponent = _exponent(low, high)
-    bottom, top = _scaled((low, high), exponent)
-    return _unscaled(bottom + share * (top - bottom), exponent)
-
-
-@_remembered
-def otsu_threshold(volume: Volume) -> float:
-    """The value that best parts the histogram in two (Otsu, 1979); the middle of the range for few values."""
-    low, high = volume.value_range
-    if not low < high:
-        return low
-    exponent = _exponent(low, high)
-    bottom, top_value = _scaled((low, high), exponent)
-    values = (_scaled(_some_values(volume), exponent) - bottom) / (top_value - bottom)  # 0..1
-    top = float(np.quantile(values, 0.9995))
-    counts, edges = np.histogram(values, _BINS, (0, top if top > _MIN_TOP else 1))
-    middles = (edges[1:] + edges[:-1]) / 2
-    below = np.cumsum(counts)
-    above = below[-1] - below
-    moment = np.cumsum(counts * middles)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        between = below * above * (moment / below - (moment[-1] - moment) / above) ** 2
-    between[~np.isfinite(between)] = -1
-    if between.max() <= 0:
-        return low / 2 + high / 2
-    best = np.flatnonzero(between >= between.max() * (1 - 1e-12))  # a gap makes a plateau: take its middle
-    return math.ldexp(float(bottom + (top_value - bottom) * edges[1:][best].mean()), exponent)
-
-
-@_remembered
-def _automatic(volume: Volume) -> TransferFunction:
-    """See `TransferFunction.automatic`."""
-    least, most = volume.value_range
-    if not least < most:  # constant data: show it as fog
-        return TransferFunction(((least, (0.9, 0.85, 0.75)),), ((least, 0.02),))
-    exponent = _exponent(least, most)  # no difference here may overflow
-    low, high, otsu = (float(v) for v in _scaled((least, most, otsu_threshold(volume)), exponent))
-    values = _scaled(_some_values(volume), exponent)
-    inside = values[values > otsu]
-    top = float(np.quantile(inside, 0.995)) if inside.size else high
-    top = max(top, otsu + (1e-3 * high - 1e-3 * low))
-
-    def at(share: float) -> float:
-        return _unscaled(otsu + (share * top - share * otsu), exponent)
-
-    start, soft = at(0.0), _unscaled(otsu - (0.35 * otsu - 0.35 * low), exponent)
-    return TransferFunction(
-        ((soft, (0.42, 0.16, 0.10)), (at(0.15), (0.78, 0.45, 0.30)), (at(0.5), (0.95, 0.84, 0.66)), (at(1.0), (1.0, 1.0, 0.97))),
-        ((soft, 0.0), (start, 0.05), (at(0.4), 0.30), (at(1.0), 0.80)),
-    )
-
-
-def _some_values(volume: Volume) -> NDArray[np.float64]:
-    flat = volume.data[
-        tuple(slice(None, None, max(1, round((volume.data.size / _BINS_SAMPLE) ** (1 / volume.ndim)))) for _ in volume.shape)
-    ]
-    for some in (flat, volume.data):  # all, where no voxel of a sparse choice is finite
-        with np.errstate(over="ignore"):
-            values = some.astype(np.float64).ravel()
-        values = values[np.isfinite(values)]
-        if values.size:
-            break
-    return values
-
-
-def _exponent(low: float, high: float) -> int:
-    """A power of two that brings a range into -1..1, so that no difference or quotient over- or underflows."""
-    return math.frexp(max(abs(low), abs(high)))[1]
-
-
-def _scaled(values: ArrayLike, exponent: int) -> NDArray[np.float64]:
-    """``values / 2**exponent``, exact."""
-    with np.errstate(over="ignore"):
-        return np.asarray(np.ldexp(np.asarray(values, dtype=np.float64), -exponent))
-
-
-def _unscaled(value: float, exponent: int) -> float:
-    """``value * 2**exponent``, or the nearest that float64 holds."""
-    with np.errstate(over="ignore"):
-        return float(np.clip(np.ldexp(value, exponent), -_LARGEST, _LARGEST))
 
 
 def _range(value_range: object) -> tuple[float, float]:

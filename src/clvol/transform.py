@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.checks import reals
 from clvol.errors import DataError, GeometryError, OptionError
 from clvol.filter import Filter, as_filter, bspline
-from clvol.interop import simpleitk
+from clvol.foreign import simpleitk
 from clvol.volume import Volume
 
 __all__ = [

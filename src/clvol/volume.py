@@ -14,11 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.checks import number, one_of, reals, whole
 from clvol.color import color_of
 from clvol.errors import DataError, GeometryError, OptionError
+from clvol.foreign import to_nibabel, to_simpleitk, to_xarray
 from clvol.interop import read_array
 from clvol.missing import Missing, filled_smoothly
 from clvol.noise import MOST_LABELS, Noise, estimate
 
-__all__ = ["FRAMES", "SPACES", "Volume", "as_volume", "in_frame"]
+__all__ = ["FRAMES", "SPACES", "Volume", "array_of", "as_volume", "in_frame"]
 
 SPACES = {
     "LPS": "a patient: x runs to the left, y to the back, z to the head",
@@ -51,8 +52,9 @@ class Volume:
         Any integer, boolean or floating dtype, any byte order and memory layout; it is
         viewed, not copied, so the caller's array must not change afterwards: earlier results would
         no longer match it. `Volume.data` is read-only. A masked array may have no masked element.
-        Objects that carry geometry (SimpleITK and nibabel images) give their spacing, origin and
-        direction, in ITK's LPS frame.
+        SimpleITK and nibabel images give their spacing, origin and direction too, in ITK's LPS frame and
+        in mm, and what else a NIfTI header says: see `window`, `labels` and `header`. Arrays of xarray that
+        `to_xarray` made, and parts of these, give theirs.
     spacing : sequence of float, optional
         Distance between neighbouring samples along x, y(, z) in world units; default 1.
     origin : sequence of float, optional
@@ -110,7 +112,8 @@ class Volume:
     def __post_init__(self) -> None:
         data, geometry = read_array(self.data)
         if data.ndim not in (2, 3):
-            raise DataError(f"data must have 2 axes [y, x] or 3 axes [z, y, x]; got shape {data.shape}")
+            several = ": take one of several volumes as clvol.Volumes(data)[k]" if data.ndim > 3 else ""
+            raise DataError(f"data must have 2 axes [y, x] or 3 axes [z, y, x]; got shape {data.shape}{several}")
         if 0 in data.shape:
             raise DataError(f"every axis of data must hold at least one sample; got shape {data.shape}")
         if data.dtype.kind not in "biuf":
@@ -149,6 +152,89 @@ class Volume:
             f"Volume(shape={self.shape}, dtype={self.data.dtype}, spacing={self.spacing}, "
             f"origin={self.origin}, units={self.units!r}{patient})"
         )
+
+    # -- as other libraries have it ------------------------------------------------------------
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        """The samples, ``np.asarray(volume)``: not copied, and read-only, unless another dtype or a copy is asked for."""
+        return array_of(self.data, dtype, copy)
+
+    def __dlpack__(
+        self,
+        *,
+        stream: Any = None,
+        max_version: tuple[int, int] | None = None,
+        dl_device: tuple[Any, int] | None = None,
+        copy: bool | None = None,
+    ) -> Any:
+        """The samples, as ``torch.from_dlpack(volume)`` takes them.
+
+        Libraries that know of read-only memory (DLPack 1.0) share that of the volume, and must not write into it; the others,
+        and all where NumPy is older than 2.1, get a copy.
+
+        Raises
+        ------
+        BufferError
+            Only a copy would do, and ``copy=False`` asks for none; or samples of a type that DLPack does not have.
+        """
+        asked = {"stream": stream, "max_version": max_version, "dl_device": dl_device, "copy": copy}
+        options = {name: value for name, value in asked.items() if value is not None}
+        try:
+            return self.data.__dlpack__(**options)
+        except (BufferError, TypeError) as error:  # TypeError: NumPy 1 takes none of the newer options
+            if copy is False:
+                raise BufferError(
+                    f"samples of a volume may only be read, and cannot be shared here without a copy: {error}"
+                ) from None
+        options = {name: options[name] for name in ("stream",) if name in options}
+        return self.data.astype(self.data.dtype.newbyteorder("=")).__dlpack__(**options)
+
+    def __dlpack_device__(self) -> tuple[Any, int]:
+        """The host's memory."""
+        return self.data.__dlpack_device__()
+
+    def to_sitk(self) -> Any:
+        """A SimpleITK image of a copy of the samples, in mm (``pip install clvol[medical]``).
+
+        Raises
+        ------
+        DataError
+            A dtype that ITK does not have; bool becomes uint8 and float16 float32.
+        GeometryError
+            `units` is no length; none is taken for mm.
+        MissingDependencyError
+            SimpleITK is not installed.
+        """
+        return to_simpleitk(self.data, self)
+
+    def to_nibabel(self) -> Any:
+        """A nibabel image (NIfTI) in RAS and mm, with what `header` keeps of a NIfTI file, and `window` as cal_min and cal_max.
+
+        Its samples are [x, y, z] and a view of those of the volume (``pip install clvol[medical]``).
+
+        Raises
+        ------
+        DataError
+            A dtype that NIfTI does not have; bool becomes uint8 and float16 float32.
+        GeometryError
+            `units` is no length; none is taken for mm. Or float32 cannot hold the geometry.
+        MissingDependencyError
+            nibabel is not installed.
+        """
+        return to_nibabel(self.data, self)
+
+    def to_xarray(self) -> Any:
+        """A DataArray with dimensions z, y, x; it has coordinates in world units where the axes run along the world's.
+
+        Its attributes are "size", "spacing", "origin" and "direction", (x, y, z), "world_units", "space", and "window" if there
+        is one. ``Volume(array)`` comes back, also of a part with coordinates (``pip install clvol[xarray]``).
+
+        Raises
+        ------
+        MissingDependencyError
+            xarray is not installed.
+        """
+        return to_xarray(self.data, self)
 
     @property
     def ndim(self) -> int:
@@ -281,9 +367,9 @@ class Volume:
         if self.data.dtype.kind not in "iu" or self.data.size == 0:
             return False
         some = self.data[len(self.data) // 2].ravel()[:_LOOKED_AT]  # a run of neighbours
-        if len(np.unique(some)) > MOST_LABELS or (some.size > 1 and (some[1:] == some[:-1]).mean() < _SAME):
+        if some.size > 1 and (some[1:] == some[:-1]).mean() < _SAME:
             return False
-        return self.noise.kind == "labels"
+        return self.noise.kind == "labels" or _many_labels(self.data)
 
     @cached_property
     def noise(self) -> Noise:
@@ -390,6 +476,14 @@ def in_frame(points: NDArray[np.float64], frame: str, space: str) -> NDArray[np.
     return turned
 
 
+def array_of(data: NDArray[Any], dtype: Any, copy: bool | None) -> NDArray[Any]:
+    """What ``__array__(dtype, copy)`` of an object with these samples returns, in NumPy 1 and 2."""
+    same = dtype is None or np.dtype(dtype) == data.dtype
+    if copy is False and not same:
+        raise ValueError(f"an array of {np.dtype(dtype)} cannot be made of {data.dtype} without a copy")
+    return data if same and not copy else np.array(data, dtype)
+
+
 def as_volume(data: Volume | ArrayLike) -> Volume:
     """`data` itself if it is a `Volume`, else a `Volume` of it."""
     return data if isinstance(data, Volume) else Volume(data)  # type: ignore[arg-type]  # __post_init__ converts
@@ -406,6 +500,23 @@ def _vector(what: str, value: Any, d: int) -> tuple[float, ...]:
     if not all(math.isfinite(v) for v in vector):
         raise GeometryError(f"{what} must be finite; got {vector}")
     return vector
+
+
+def _many_labels(data: NDArray[Any]) -> bool:
+    """Whether there are more values than `clvol.noise` takes for labels, and they fill regions beside others of any number."""
+    lines = data.reshape(-1, data.shape[-1])
+    lines = lines[:: max(1, lines.size >> 20)]
+    values, counts = np.unique(lines, return_counts=True)
+    if len(values) <= MOST_LABELS:
+        return False
+    left, right = lines[:, :-1], lines[:, 1:]
+    within = (left != (background := values[counts.argmax()])) & (right != background)
+    left, right = left[within], right[within]
+    if left.size < MOST_LABELS:
+        return False
+    differ = left != right
+    steps = np.abs(left[differ].astype(np.float64) - right[differ])
+    return bool(differ.mean() < 1 - _SAME and (not steps.size or np.median(steps) > 1))
 
 
 def _window(value: Any) -> tuple[float, float]:

@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.checks import one_of, whole
 from clvol.color import color_of
 from clvol.errors import DataError, GeometryError, OptionError
-from clvol.interop import as_array
-from clvol.volume import Volume, as_volume
+from clvol.foreign import to_nibabel, to_simpleitk, to_xarray
+from clvol.interop import read_several
+from clvol.volume import Volume, array_of, as_volume
 
 __all__ = ["AXES", "Leading", "Volumes"]
 
@@ -23,6 +24,7 @@ AXES = ("volume", "time", "position", "channel")
 
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. 709
 _COLORS = (("red", (1.0, 0.0, 0.0)), ("green", (0.0, 1.0, 0.0)), ("blue", (0.0, 0.0, 1.0)), ("alpha", None))
+_ABOUT = ("spacing", "origin", "direction", "units", "space", "window", "labels", "header")
 
 
 @dataclass(frozen=True)
@@ -42,9 +44,9 @@ class Leading:
     windows : tuple of pairs or None
         Of the channels, likewise.
     vector : bool
-        Whether the channels are the components of one vector: then "magnitude" is one of them.
+        Whether the channels are the components of one vector: then "magnitude" is one of them, and they are named x, y and z.
     rgb : bool
-        Whether they are red, green, blue (and alpha) of one picture: then "luminance" is one.
+        Whether they are red, green, blue (and alpha) of one picture: then "luminance" is one, and they have names and colours.
     """
 
     axes: tuple[str, ...] = ()
@@ -61,6 +63,8 @@ class Leading:
                 raise one_of("an axis before z, y and x", axis, AXES)
         if len(set(self.axes)) != len(self.axes) or len(self.axes) != len(self.counts):
             raise OptionError(f"axes must be different, and as many as there are counts; got {self.axes} and {self.counts}")
+        if (self.rgb or self.vector) and "channel" in self.axes and "channel" not in self.names:
+            self._name_channels(self.counts[self.axes.index("channel")])
         for axis, names in self.names.items():
             if axis not in self.axes or len(names) != self.counts[self.axes.index(axis)]:
                 raise OptionError(f"names must be one for each place along one of {self.axes}; got {axis}: {names}")
@@ -75,8 +79,16 @@ class Leading:
     @classmethod
     def of_rgb(cls, channels: int, axes: tuple[str, ...] = (), counts: tuple[int, ...] = ()) -> Leading:
         """Three or four channels of a picture in colour, the last of these axes."""
-        names, colors = zip(*_COLORS[:channels], strict=True)
-        return cls((*axes, "channel"), (*counts, channels), {"channel": names}, colors, rgb=True)
+        return cls((*axes, "channel"), (*counts, channels), rgb=True)
+
+    def _name_channels(self, count: int) -> None:
+        """Those of colours, and of vectors of up to three components, have names of their own."""
+        if self.rgb and count <= len(_COLORS):
+            names, colors = zip(*_COLORS[:count], strict=True)
+            object.__setattr__(self, "colors", self.colors or colors)
+            object.__setattr__(self, "names", {**self.names, "channel": names})
+        elif self.vector and count <= 3:
+            object.__setattr__(self, "names", {**self.names, "channel": tuple("xyz"[:count])})
 
     @property
     def total(self) -> int:
@@ -174,8 +186,9 @@ class Volumes(Sequence[Volume]):
     Parameters
     ----------
     data : array-like, shape (..., nz, ny, nx) or (..., ny, nx), or sequence of Volume
-        Samples with one or more leading axes, viewed, not copied; or volumes of one grid and dtype.
-    spacing, origin, direction, units, space, labels, header : optional
+        Samples with one or more leading axes, viewed, not copied; or volumes of one grid and dtype. Images of SimpleITK
+        and nibabel give their geometry and what their axes count: a fourth axis is time or volumes, values of a voxel are channels.
+    spacing, origin, direction, units, space, window, labels, header : optional
         As of `Volume`.
     leading : Leading, optional
         What the leading axes count; by default there is one, "volume".
@@ -199,14 +212,20 @@ class Volumes(Sequence[Volume]):
             for volume in volumes[1:]:
                 _require_same_grid(first, volume)
             array = np.stack([volume.data for volume in volumes])
-            about = {
-                name: getattr(first, name) for name in ("spacing", "origin", "direction", "units", "space", "labels", "header")
-            }
+            about = {name: getattr(first, name) for name in _ABOUT}
+            if len({volume.window for volume in volumes}) > 1:
+                del about["window"]  # one for all would be wrong
             if leading is None:
                 names = tuple(volume.name for volume in volumes)
                 leading = Leading(("volume",), (len(volumes),), {"volume": names} if any(names) else {})
         else:
-            array = as_array(data)
+            array, known = read_several(data)
+            counted = known.pop("leading", None)
+            if counted is not None:
+                leading = leading or Leading(**counted)
+            elif known and leading is None:  # an image of one volume, whose first axis is no leading one
+                array = array[None]
+            about = known | about
         if leading is None:
             leading = Leading(("volume",), array.shape[:1])
         n = len(leading.axes)
@@ -291,11 +310,37 @@ class Volumes(Sequence[Volume]):
         return self._volume(combined, rest.about(index[:at] + index[at + 1 :]) | {"name": self.leading.computed})
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        if copy is False and dtype is not None and np.dtype(dtype) != self._array.dtype:
-            raise ValueError(f"an array of {dtype} cannot be made of {self._array.dtype} without a copy")
-        if copy or (dtype is not None and np.dtype(dtype) != self._array.dtype):
-            return np.array(self._array, dtype)
-        return self._array
+        return array_of(self._array, dtype, copy)
+
+    def to_sitk(self) -> Any:
+        """A SimpleITK image: channels are the values of each voxel, and another axis is its fourth.
+
+        Raises
+        ------
+        DataError, GeometryError, MissingDependencyError
+            As `Volume.to_sitk`; and more leading axes than channels and one other.
+        """
+        return to_simpleitk(self._array, self._first, self.leading)
+
+    def to_nibabel(self) -> Any:
+        """A nibabel image (NIfTI): its fourth axis is time (or volumes), its fifth channels; colours of bytes stay colours.
+
+        Raises
+        ------
+        DataError, GeometryError, MissingDependencyError
+            As `Volume.to_nibabel`; and more leading axes than channels and one other.
+        """
+        return to_nibabel(self._array, self._first, self.leading)
+
+    def to_xarray(self) -> Any:
+        """A DataArray whose first dimensions are `axes`, with the names of channels as coordinates; see `Volume.to_xarray`.
+
+        Raises
+        ------
+        MissingDependencyError
+            xarray is not installed.
+        """
+        return to_xarray(self._array, self._first, self.leading)
 
     def __repr__(self) -> str:
         return f"Volumes({self.leading}, of {self.grid!r})"

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import clvol
-from clvol.errors import ClvolError, DataError, FormatError, GeometryError
+from clvol.errors import ClvolError, FormatError, GeometryError
 
 nibabel = pytest.importorskip("nibabel")
 
@@ -283,11 +283,11 @@ def test_an_image_across_the_plane_is_an_error_by_every_way_in(tmp_path: Path) -
             way_in(path)
 
 
-def test_frames_are_refused_by_every_way_in(tmp_path: Path) -> None:
+def test_frames_are_the_same_by_every_way_in(tmp_path: Path) -> None:
     path = nifti(tmp_path / "v.nii", dim=(4, 4, 3, 1, 2, 1, 1, 1))
-    for way_in in (clvol.read, lambda path: clvol.Volume(nibabel.load(path))):
-        with pytest.raises((FormatError, DataError), match=r"one volume|2 or 3 axes"):
-            way_in(path)
+    frames, direct = clvol.read_all(path), clvol.Volumes(nibabel.load(path))
+    np.testing.assert_array_equal(frames, direct)
+    np.testing.assert_array_equal(frames[1].corners, direct[1].corners)
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.int16, np.float32, np.float64])

@@ -53,9 +53,10 @@ def test_values_of_every_degree(device: Device, order: int, scale: float) -> Non
 @pytest.mark.parametrize("name", clvol.filters())
 @pytest.mark.parametrize("scale", [4.99e36, 3e38, 1e-42], ids=str)
 def test_every_filter_gives_finite_numbers(device: Device, name: str, scale: float) -> None:
-    """Of float32 samples that reach as far as float32 does."""
+    """Of float32 samples that reach as far as float32 does; under two boundary rules each, all of them in turn."""
     data, at = (some() * scale).astype(np.float32), inside(50)
-    for boundary in clvol.boundaries():
+    turn = list(clvol.filters()).index(name) % 4
+    for boundary in list(clvol.boundaries())[turn::4]:
         with clvol.Field(data, name, boundary, device) as field:
             expected = reference.sample(data.astype(np.float64) / scale, at, name, boundary)
             assert_allclose(field(at) / scale, expected, rtol=0, atol=4e-6)

@@ -293,7 +293,7 @@ BAD_RESAMPLE: list[dict[str, Any]] = [
     {"spacing": "a"},
     {"spacing": 1e-12},
     {"like": Volume(np.ones((2, 2, 2)))},
-    {"like": np.ones((2, 2))},
+    {"like": np.ones((2, 3, 4))},
     {"shape": (2, 2), "filter": "none"},
     {"shape": (2, 2), "boundary": 3},
 ]

@@ -86,9 +86,12 @@ def test_large_labels_keep_their_last_digit(device: Device) -> None:
         ((np.indices((20, 20, 20)).sum(0) > 30).astype(np.uint8), False),  # a mask: its edge is a surface
         (np.indices((20, 20, 20)).sum(0).astype(np.uint8), False),  # smooth, rounded
         (np.zeros((5, 5, 5), np.uint8), False),
+        (np.kron(RNG.permutation(8**3).reshape(8, 8, 8), np.ones((6, 6, 6), int)), True),  # 512 cells
+        (np.arange(2000)[None, None].repeat(6, -1) * np.ones((3, 3, 1), int), False),  # a slow ramp
+        (np.where(np.indices((40, 40, 40)).sum(0) > 80, RNG.normal(1000, 90, (40,) * 3), 0).astype(np.int16), False),  # cut out
     ],
 )
-def test_what_is_not_taken_for_labels(data: np.ndarray, labels: bool) -> None:
+def test_what_is_taken_for_labels(data: np.ndarray, labels: bool) -> None:
     assert Volume(data).is_labels is labels
     assert Volume(data, labels=True).is_labels
 

@@ -7,6 +7,7 @@ A new format is one module with ``read(path) -> (samples, geometry)`` and, where
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ from numpy.typing import ArrayLike, DTypeLike
 from clvol.checks import as_path
 from clvol.errors import DataError, FormatError, GeometryError, OptionError
 from clvol.files import staged
-from clvol.formats import dicom, metaimage, nifti, npy, nrrd, raw, tiff
+from clvol.formats import bioio, dicom, hdf5, imaris, metaimage, mgz, nifti, npy, nrrd, raw, slices, tiff, vti, zarr
 from clvol.formats._choice import Choice, Series
 from clvol.formats._files import Reader, Writer, foreign_errors
 from clvol.volume import Volume, as_volume
@@ -46,10 +47,14 @@ class Format:
         Arguments of `clvol.read` that are for this format.
     several : bool
         Whether a file may hold more than one volume.
+    file : callable or None
+        Whether a file with a suffix of no format is of this one, by what it holds.
     folder : callable or None
         Whether a folder is of this format; None: files only.
     series : callable or None
         The images that a file or folder holds, where ``series=`` chooses one: a tuple of `Series`.
+    write_several : callable or None
+        Writes `Volumes` into one file; None where the format holds one volume.
     """
 
     name: str
@@ -58,20 +63,71 @@ class Format:
     write: Writer | None = None
     options: frozenset[str] = frozenset()
     several: bool = False
+    file: Callable[[Path], bool] | None = None
     folder: Callable[[Path], bool] | None = None
     series: Callable[[Path], tuple[Series, ...]] | None = None
+    write_several: Callable[[Volumes, Path], None] | None = None
 
 
 FORMATS = (
-    Format("NumPy array, no geometry", (".npy",), npy.read, npy.write),
-    Format("NumPy archive", (".npz",), npy.read_archive, npy.write_archive),
-    Format("NIfTI", (".nii", ".nii.gz"), nifti.read, nifti.write),
-    Format("NRRD", (".nrrd", ".nhdr"), nrrd.read, nrrd.write),
-    Format("MetaImage", (".mha", ".mhd"), metaimage.read, metaimage.write),
-    Format("TIFF stack", (".tif", ".tiff"), tiff.read, tiff.write),
+    Format("NumPy array, no geometry", (".npy",), npy.read, npy.write, several=True, write_several=npy.write),
+    Format("NumPy archive", (".npz",), npy.read_archive, npy.write_archive, several=True, write_several=npy.write_archive),
+    Format("NIfTI", (".nii", ".nii.gz"), nifti.read, nifti.write, several=True, write_several=nifti.write),
+    Format("NIfTI in two files", (".hdr", ".img"), nifti.read_pair, several=True),
+    Format("NRRD", (".nrrd", ".nhdr"), nrrd.read, nrrd.write, several=True, write_several=nrrd.write),
+    Format("MetaImage", (".mha", ".mhd"), metaimage.read, metaimage.write, several=True, write_several=metaimage.write),
+    Format("FreeSurfer MGH", (".mgh", ".mgz"), mgz.read, several=True),
+    Format(
+        "Zarr",
+        (".zarr.zip", ".ozx", ".zip"),
+        zarr.read,
+        None,
+        frozenset({"series", "level"}),
+        several=True,
+        folder=zarr.is_one,
+        series=zarr.series,
+    ),
+    Format(
+        "DICOM",
+        dicom.SUFFIXES,
+        dicom.read,
+        options=frozenset({"series"}),
+        several=True,
+        file=dicom.is_file,
+        folder=dicom.is_folder,
+        series=dicom.series_of,
+    ),
+    Format(
+        "TIFF stack",
+        (".tif", ".tiff"),
+        tiff.read,
+        tiff.write,
+        frozenset({"series", "level"}),
+        several=True,
+        series=tiff.series,
+        write_several=tiff.write_several,
+    ),
+    Format(
+        "HDF5", (".h5", ".hdf5", ".hdf", ".he5", ".nc"), hdf5.read, None, frozenset({"series"}), several=True, series=hdf5.series
+    ),
+    Format("Imaris", (".ims",), imaris.read, None, frozenset({"level"}), several=True),
+    Format("VTK image data", (".vti",), vti.read, None, frozenset({"series"}), several=True, series=vti.series),
+    Format(
+        "microscope makers' files",
+        bioio.SUFFIXES,
+        bioio.read,
+        None,
+        frozenset({"series", "level"}),
+        several=True,
+        series=bioio.series,
+    ),
+    Format("image", slices.SUFFIXES, slices.read, several=True),
+    Format("folder of image slices", (), slices.read_folder, several=True, folder=slices.are_in),
     Format("raw samples", (".raw", ".bin"), raw.read, None, frozenset({"shape", "dtype", "byte_order", "offset"})),
-    Format("DICOM folder", (), dicom.read, None, frozenset({"series"}), folder=lambda _: True),
 )
+
+_FOLDERS = "DICOM files, image slices (.tif .png .jpg .bmp) or a Zarr array or group"
+_LISTED = 5  # kinds of files in a message
 
 WRITTEN = tuple(suffix for f in FORMATS if f.write for suffix in f.suffixes)
 """Suffixes of the files that `write` writes."""
@@ -99,8 +155,11 @@ def read(
     Parameters
     ----------
     path : path-like
-        ``.npy .npz .nii .nii.gz .nrrd .nhdr .mha .mhd .tif .tiff .raw .bin``, in upper or lower
-        case, or a folder with one series of DICOM files.
+        A file, which is known by its suffix in upper or lower case: ``.npy .npz``, ``.nii .nii.gz .hdr .img .nrrd .nhdr .mha .mhd
+        .mgh .mgz``, ``.dcm .dicom .ima`` (and any DICOM file without a suffix), ``.tif .tiff`` (OME, ImageJ, plain),
+        ``.png .jpg .bmp``, ``.h5 .hdf5 .nc``, ``.ims``, ``.vti``, ``.zarr.zip``, ``.raw .bin``, and ``.czi .lif .nd2`` and
+        others of microscopes' makers, for which bioio has plug-ins. Or a folder: of DICOM files, of image slices (in the natural
+        order of their names), or a Zarr array or group (OME-Zarr).
     volume : int, optional
         Which of several, in the order of the file, the first is 0.
     time, position : int, optional
@@ -129,8 +188,8 @@ def read(
     Volume
         Medical formats: in ITK's LPS frame, in mm (NRRD and MetaImage: in the unit of the header, if
         it has one). Samples that the header scales are float64. NIfTI files are read as nibabel
-        reads them: placed by the sform, else the qform, else the spacing about the middle. TIFF: in
-        the unit of the file.
+        reads them: placed by the sform, else the qform, else the spacing about the middle. Microscopes' files: in
+        the unit of the file, first sample at 0, with the names, colours and windows of channels. Files that give no spacing: 1.
 
     Warns
     -----
@@ -253,14 +312,21 @@ def _format_of(path: Path) -> Format:
         if not path.exists():
             raise FormatError(f"cannot read {path}: there is no such file or folder")
         if path.is_dir():
-            return next(f for f in FORMATS if f.folder is not None and f.folder(path))
+            found = next((f for f in FORMATS if f.folder is not None and f.folder(path)), None)
+            if found is None:
+                raise FormatError(f"cannot read {path}: a folder must hold {_FOLDERS}; this one holds {_holdings(path)}")
+            return found
         if not path.is_file():
             raise FormatError(f"cannot read {path}: it is neither a file nor a folder")
+        if not path.name.lower().endswith(tuple(suffix for row in FORMATS for suffix in row.suffixes)):
+            for row in FORMATS:
+                if row.file is not None and row.file(path):
+                    return row
         return _by_suffix(path)[0]
 
 
-def write(volume: Volume | ArrayLike, path: str | os.PathLike[str]) -> None:
-    """Write a volume (or image) to a file.
+def write(volume: Volume | Volumes | ArrayLike, path: str | os.PathLike[str]) -> None:
+    """Write a volume (or image), or several on one grid, to a file.
 
     The file appears when it is complete: on any failure, what was at `path` is left as it was.
     Nothing is lost silently. What a format cannot hold is refused; boolean samples become
@@ -268,38 +334,69 @@ def write(volume: Volume | ArrayLike, path: str | os.PathLike[str]) -> None:
 
     Parameters
     ----------
-    volume : Volume or array-like
+    volume : Volume, Volumes or array-like
         What to write.
     path : path-like
-        ``.npz``: everything, exactly. ``.nrrd .nhdr .mha .mhd``: everything, in mm. ``.nii .nii.gz``:
-        the same, with the geometry in float32. ``.tif .tiff`` (OME): spacing and units. ``.npy``:
-        samples only. ``.nhdr`` and ``.mhd`` put the samples beside the header, into a ``.raw`` file.
+        ``.npz``: everything, exactly. ``.nrrd .nhdr .mha .mhd``: samples and geometry, in mm. ``.nii .nii.gz``:
+        the same, with the geometry in float32, and with what `Volume.header` keeps of a NIfTI file, the window and the step
+        of time. ``.tif .tiff`` (OME): spacing and units, times, and channels with names and colours. ``.npy``: samples only.
+        ``.nhdr`` and ``.mhd`` put the samples beside the header, into a ``.raw`` file.
 
     Raises
     ------
     FormatError
-        The suffix is of no format that is written, the format cannot hold the volume, or
+        The suffix is of no format that is written, the format cannot hold the volume, or only one, or
         writing failed.
     MissingDependencyError
         The format needs ``clvol[medical]`` or ``clvol[microscopy]``.
     """
-    volume, path = as_volume(volume), as_path(path)
-    chosen, suffix = _by_suffix(path)
+    path = as_path(path)
+    if isinstance(volume, Volumes) and len(volume) == 1:
+        volume = volume[0]
+    what = volume if isinstance(volume, Volumes) else as_volume(volume)
+    chosen, suffix = _by_suffix(path, written=True)
     if chosen.write is None:
         raise FormatError(
-            f"cannot write {path}: a {suffix} file does not say how its samples are arranged; .mhd or .nhdr writes "
-            "a .raw file and a header that does"
+            f"cannot write {path}: {chosen.name} is only read; written are {' '.join(WRITTEN)}, of which .mhd or .nhdr puts raw "
+            "samples beside a header that says how they are arranged"
+        )
+    if isinstance(what, Volumes) and chosen.write_several is None:
+        holding = " ".join(s for f in FORMATS if f.write_several for s in f.suffixes)
+        raise FormatError(
+            f"cannot write {path}: {chosen.name} holds one volume; got {what.leading}: choose one, as volumes[0]"
+            + (f", or write {holding}" if holding else "")
         )
     with foreign_errors(f"write {path}"), staged(path, suffix) as file:
-        chosen.write(volume, file)
+        if isinstance(what, Volumes):
+            assert chosen.write_several is not None
+            chosen.write_several(what, file)
+        else:
+            chosen.write(what, file)
 
 
-def _by_suffix(path: Path) -> tuple[Format, str]:
+def _by_suffix(path: Path, written: bool = False) -> tuple[Format, str]:
     """The format of a file name and its suffix, the longest that fits, as in .nii.gz."""
     name = path.name.lower()
+    rows = [row for row in FORMATS if row.write or not written]
     found = [(suffix, row) for row in FORMATS for suffix in row.suffixes if name.endswith(suffix)]
     if not found:
-        known = " ".join(suffix for row in FORMATS for suffix in row.suffixes)
-        raise FormatError(f"the suffix of a file must be one of {known} (or a folder of DICOM slices); got {path}")
+        known = " ".join(suffix for row in rows for suffix in row.suffixes)
+        rule = "write" if written else "read"
+        also = "" if written else f"; a folder may hold {_FOLDERS}"
+        raise FormatError(f"cannot {rule} {path}: its suffix must be one of {known}{also}")
     suffix, row = max(found, key=lambda pair: len(pair[0]))
     return row, suffix
+
+
+def _holdings(path: Path) -> str:
+    """What lies in a folder, in a few words."""
+    entries = [entry for entry in path.iterdir() if not entry.name.startswith(".")]
+    folders = sorted(entry.name for entry in entries if entry.is_dir())
+    kinds = Counter(entry.suffix.lower() or "without a suffix" for entry in entries if not entry.is_dir())
+    parts = [f"{n} file{'s' if n > 1 else ''} {kind}" for kind, n in kinds.most_common(_LISTED)]
+    if len(kinds) > _LISTED:
+        parts.append("others")
+    if folders:
+        names = ", ".join(folders[:_LISTED]) + (", …" if len(folders) > _LISTED else "")
+        parts.append(f"{len(folders)} folder{'s' if len(folders) > 1 else ''} ({names}): give one of them")
+    return ", ".join(parts) or "nothing"

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import ClvolWarning, OptionError
+from clvol.checks import whole
+from clvol.errors import ClvolWarning, DataError, OptionError
 from clvol.volumes import Leading
 
-__all__ = ["Choice", "Pick", "Series"]
+__all__ = ["Choice", "Pick", "Series", "chosen_level", "chosen_series"]
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,11 @@ class Series:
     id: str
     text: str = ""
     shape: tuple[int, ...] = ()
+
+    def __str__(self) -> str:
+        """As people read it: "cells (float32, 20 × 64 × 64)"."""
+        about = ", ".join(part for part in (self.text, " × ".join(map(str, self.shape))) if part)
+        return f"{self.id} ({about})" if about else self.id
 
 
 @dataclass(frozen=True)
@@ -142,4 +149,74 @@ class Choice:
             message = source
         else:
             return
-        warnings.warn(f"{message}{'; ' if left else ': '}{guessed}" if guessed else message, ClvolWarning, stacklevel=4)
+        _warn(f"{message}{'; ' if left else ': '}{guessed}" if guessed else message)
+
+
+_LISTED = 12  # in a message
+
+
+def chosen_series(
+    source: str,
+    series: Sequence[Series],
+    choice: int | str | None,
+    *,
+    what: str = "images",
+    main: int | None = None,
+    first: bool = True,
+) -> int:
+    """The place among `series` of the one that `choice` is the number or the `id` of.
+
+    Without a choice it is the only one of the `main` first ones, which come before what nobody means who does not say so.
+
+    Raises
+    ------
+    OptionError
+        There is none such.
+    DataError
+        There are several, none was chosen, and the `first` is no better than another.
+
+    Warns
+    -----
+    ClvolWarning
+        There are several, and the first is taken.
+    """
+    told = ", ".join(map(str, series[:_LISTED])) + (f", … ({len(series)})" if len(series) > _LISTED else "")
+    if choice is None:
+        if (len(series) if main is None else main or len(series)) > 1:
+            message = f"{source} holds {len(series)} {what}: {told}"
+            if not first:
+                raise DataError(f"{message}; choose one by series=")
+            _warn(f"{message}; the first was read: choose by series=")
+        return 0
+    ids = [one.id for one in series]
+    if isinstance(choice, str) and choice in ids:
+        return ids.index(choice)
+    number = int(choice) if isinstance(choice, str) and choice.isdecimal() else choice
+    if isinstance(number, str) or not 0 <= whole("series", number) < len(series):
+        if len(series) == 1:
+            raise OptionError(f"series must be 0 or the name, for {source} holds one: {told}; got {choice!r}")
+        raise OptionError(
+            f"series must be one of the {len(series)} {what} of {source}, by number from 0 or name: {told}; got {choice!r}"
+        )
+    return number
+
+
+def chosen_level(source: str, sizes: Sequence[Sequence[int]], level: int) -> int:
+    """The place of a level among the `sizes` that there are, the largest first; `OptionError` where there is none such."""
+    number = whole("level", level)
+    if not 0 <= number < len(sizes):
+        if len(sizes) == 1:
+            raise OptionError(f"level must be 0, for {source} holds the image in one size; got {level}")
+        told = ", ".join(" × ".join(map(str, size)) for size in sizes)
+        raise OptionError(
+            f"level must be 0 to {len(sizes) - 1}, for {source} holds the image in {len(sizes)} sizes: {told}; got {level}"
+        )
+    return number
+
+
+def _warn(message: str) -> None:
+    """Warn of the caller's line, whatever lies between it and this one."""
+    frame, level = sys._getframe(), 1
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("clvol."):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, ClvolWarning, stacklevel=level)

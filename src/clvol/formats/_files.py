@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from clvol.errors import ClvolError, FormatError
-from clvol.interop import Content
+from clvol.foreign import Content, held_as
 from clvol.volume import Volume
 
 __all__ = [
@@ -34,7 +34,6 @@ Reader = Callable[..., Content]
 Writer = Callable[[Volume, Path], None]
 
 _CHUNK = 1 << 20
-_WIDER = {"bool": "uint8", "float16": "float32"}  # the next type that holds every value
 
 
 @contextmanager
@@ -50,11 +49,7 @@ def foreign_errors(what: str, reason: Callable[[Exception], str] = str) -> Itera
 
 def storable(data: NDArray[Any], dtypes: Sequence[str]) -> NDArray[Any]:
     """`data` in native byte order and C order, as one of `dtypes` that holds every value."""
-    name = data.dtype.name
-    name = name if name in dtypes else _WIDER.get(name, name)
-    if name not in dtypes:
-        raise FormatError(f"samples must be {', '.join(dtypes)} here; got {data.dtype}: convert them or write .npz")
-    return np.ascontiguousarray(data, dtype=name)
+    return held_as(data, dtypes, FormatError)
 
 
 def scaled(data: NDArray[Any], slope: float, offset: float) -> NDArray[Any]:

@@ -11,18 +11,20 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from clvol.errors import FormatError, GeometryError
-from clvol.formats._files import foreign_errors, require_default, scaled, storable
-from clvol.interop import Content, from_simpleitk, simpleitk
+from clvol.errors import DataError, FormatError
+from clvol.foreign import Content, from_simpleitk, simpleitk
+from clvol.formats._choice import Choice
+from clvol.formats._files import foreign_errors, require_default, scaled
 from clvol.volume import Volume
+from clvol.volumes import Leading, Volumes
 
 __all__ = ["Header", "quiet", "read_image", "reason", "write_image"]
 
-_DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64")
-_TOLERANCE = 1e-4  # NIfTI keeps geometry in float32; anything worse was lost, not rounded
+_TOLERANCE = 1e-12  # of what was to be written, to what was
 
 
 @dataclass(frozen=True)
@@ -32,13 +34,17 @@ class Header:
     Parameters
     ----------
     size : tuple of int
-        Samples along x, y(, z), without trailing axes of one sample.
+        Samples along the axes of the file, and values per voxel, in any order.
     units : str
         World unit.
     spacing_known : bool
         False where the header says that the spacing is unknown; ITK would make it 1.
     slope, offset : float
         What turns a sample into the value that is meant, ``slope * sample + offset``; ITK passes it over.
+    values : {"", "vector", "rgb", "channel", "volume"}
+        What the values of a voxel are; "": the header does not say.
+    timed : bool
+        Whether the fourth axis is time.
     """
 
     size: tuple[int, ...]
@@ -46,6 +52,8 @@ class Header:
     spacing_known: bool = True
     slope: float = 1.0
     offset: float = 0.0
+    values: str = ""
+    timed: bool = False
 
 
 def reason(error: Exception) -> str:
@@ -66,50 +74,61 @@ def quiet() -> Iterator[None]:
         process.SetGlobalWarningDisplay(shown)
 
 
-def read_image(path: Path, image_io: str, header: Header) -> Content:
-    """Samples and geometry of a file that `header` was found sound for."""
+def read_image(path: Path, image_io: str, header: Header, choose: Choice) -> Content:
+    """Samples and geometry of what is chosen of a file that `header` was found sound for."""
     sitk = simpleitk()
     with quiet(), foreign_errors(f"read {path}", reason):
         image = sitk.ReadImage(str(path), imageIO=image_io)
     data, geometry = from_simpleitk(image, header.units)
-    if data.shape[::-1] != header.size:  # two readings of one header disagree: trust neither
+    if sorted(n for n in data.shape if n > 1) != sorted(
+        n for n in header.size if n > 1
+    ):  # two readings of one header: trust neither
         raise FormatError(f"cannot read {path}: its header says {header.size}, ITK finds {data.shape[::-1]} samples")
     if not header.spacing_known:
-        geometry["spacing"] = (float("nan"),) * data.ndim
-    return scaled(data, header.slope, header.offset), geometry
+        geometry["spacing"] = (float("nan"),) * len(geometry["spacing"])
+    leading, guessed = _leading(geometry.pop("leading", {}), header)
+    pick = choose(path.name, leading, guessed)
+    chosen = scaled(np.ascontiguousarray(data[pick.index]), header.slope, header.offset)
+    return pick.finish(chosen), geometry | pick.about
 
 
-def write_image(volume: Volume, path: Path, image_io: str, check: Callable[[Path], Header]) -> None:
-    """Write `volume` and verify the file: ITK does not notice a full disk."""
+def _leading(found: dict[str, Any], header: Header) -> tuple[Leading, str]:
+    """The leading axes that ITK finds, as the header explains them; and how they were understood where it does not."""
+    axes, counts, values = found.get("axes", ()), found.get("counts", ()), header.values
+    if header.timed:
+        axes = tuple("time" if axis == "volume" else axis for axis in axes)
+    if "channel" not in axes:
+        return Leading(axes, counts), ""
+    if values == "volume" and len(axes) == 1:
+        return Leading(("volume",), counts), ""
+    if values:
+        return Leading(axes, counts, vector=values == "vector", rgb=values == "rgb" and counts[-1] in (3, 4)), ""
+    leading = Leading(axes, counts, vector=found["vector"], rgb=found["rgb"])
+    taken = "a colour" if leading.rgb else "the components of a vector" if leading.vector else ""
+    return leading, f"the {counts[-1]} values of each voxel were taken for {taken}" if taken else ""
+
+
+def write_image(what: Volume | Volumes, path: Path, image_io: str, check: Callable[[Path], Header]) -> None:
+    """Write one volume or several, and verify the file: ITK does not notice a full disk."""
+    volume = what.grid if isinstance(what, Volumes) else what
     if volume.units != "mm":
         require_default(volume, ["units"], "the format measures in mm; .npz")
     sitk = simpleitk()
-    image = sitk.GetImageFromArray(storable(volume.data, _DTYPES))
-    image.SetSpacing(volume.spacing)
-    image.SetOrigin(volume.origin)
-    image.SetDirection(volume.direction.ravel().tolist())
+    try:
+        image = what.to_sitk()
+    except DataError as error:
+        raise FormatError(str(error)) from error
     with quiet(), foreign_errors(f"write {path.name}", reason):
         sitk.WriteImage(image, str(path), imageIO=image_io)
         try:
-            header = check(path)
+            check(path)
         except FormatError as error:
             raise FormatError(f"what was written could not be read back: {error}") from error
         reader = sitk.ImageFileReader()
         reader.SetFileName(str(path))
         reader.SetImageIO(image_io)
         reader.ReadImageInformation()
-    try:
-        kept = Volume(
-            np.broadcast_to(np.uint8(0), header.size[::-1]),
-            reader.GetSpacing(),
-            reader.GetOrigin(),
-            np.asarray(reader.GetDirection()),
-        )
-    except GeometryError as error:
-        raise FormatError(f"the format cannot hold the geometry: {error}") from error
-    for name in ("spacing", "origin", "direction"):
-        ours, theirs = np.asarray(getattr(volume, name)), np.asarray(getattr(kept, name))
-        if np.abs(ours - theirs).max() > _TOLERANCE * np.abs(ours).max():
-            raise FormatError(
-                f"the format cannot hold {name} {ours.tolist()}, it would become {theirs.tolist()}; .nrrd and .mha can"
-            )
+    for name in ("Size", "Spacing", "Origin", "Direction"):
+        ours, theirs = (np.asarray(getattr(one, f"Get{name}")()) for one in (image, reader))
+        if ours.shape != theirs.shape or np.abs(ours - theirs).max() > _TOLERANCE * np.abs(ours).max():
+            raise FormatError(f"the format cannot hold {name.lower()} {ours.tolist()}, it would become {theirs.tolist()}; .npz can")

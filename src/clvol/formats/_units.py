@@ -6,10 +6,10 @@ import math
 from collections.abc import Sequence
 
 from clvol.errors import FormatError
+from clvol.foreign import METRES
 
 __all__ = ["METRES", "one_unit", "scale", "unit_name"]
 
-METRES = {"nm": 1e-9, "um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "inch": 0.0254}
 _SPELLINGS = {
     "um": ("µm", "μm", "micron", "microns", "micrometer", "micrometre", "\\u00b5m"),  # the micro sign and the Greek mu
     "nm": ("nanometer", "nanometre"),

@@ -10,11 +10,13 @@ from typing import IO
 import numpy as np
 
 from clvol.errors import FormatError
+from clvol.foreign import Content
 from clvol.formats import _itk
+from clvol.formats._choice import Choice
 from clvol.formats._files import inflated_size, require_bytes
 from clvol.formats._headers import data_path, line, numbers, whole
-from clvol.interop import Content
 from clvol.volume import Volume
+from clvol.volumes import Volumes
 
 __all__ = ["check", "read", "write"]
 
@@ -48,12 +50,12 @@ _NUMBERS = {
 }
 
 
-def read(path: Path) -> Content:
+def read(path: Path, choose: Choice) -> Content:
     """Samples, scaled as the header says, and geometry, which is in ITK's LPS frame already."""
-    return _itk.read_image(path, _IO, check(path))
+    return _itk.read_image(path, _IO, check(path), choose)
 
 
-def write(volume: Volume, path: Path) -> None:
+def write(volume: Volume | Volumes, path: Path) -> None:
     """Write samples and geometry exactly; ``.mhd`` puts the samples into a ``.raw`` file beside it."""
     _itk.write_image(volume, path, _IO, check)
 
@@ -71,7 +73,7 @@ def check(path: Path) -> _itk.Header:
                 found = _samples(samples, fields, path, math.prod(size) * np.dtype(dtype).itemsize)
     require_bytes(path.name, found, size[::-1], dtype, exact=_flag(fields, "CompressedData"))
     slope, offset = _intensity(fields, path.name)
-    return _itk.Header(size[:3], _unit(fields, path.name), slope=slope, offset=offset)
+    return _itk.Header(size, _unit(fields, path.name), slope=slope, offset=offset)
 
 
 def _fields(stream: IO[bytes], name: str) -> dict[str, str]:
@@ -93,26 +95,23 @@ def _fields(stream: IO[bytes], name: str) -> dict[str, str]:
 
 
 def _layout(fields: dict[str, str], name: str) -> tuple[tuple[int, ...], str]:
-    """Samples along x, y(, z), their dtype; and every number that ITK will look for is there."""
+    """Samples along the axes, then values of a voxel; their dtype; and every number that ITK will look for is there."""
     for key in ("NDims", "DimSize", "ElementType"):
         if key not in fields:
             raise FormatError(f"{name} must have a MetaImage header with the field {key!r}; it has {list(fields)}")
     (rank,) = whole(name, "NDims", fields["NDims"], -1)
     if rank not in (2, 3, 4):
-        raise FormatError(f"{name} must have 2 or 3 axes; its header says NDims = {rank}")
+        raise FormatError(f"{name} must have 2 to 4 axes; its header says NDims = {rank}")
     size = whole(name, "DimSize", fields["DimSize"], 1, rank)
-    if size[3:] not in ((), (1,)):
-        raise FormatError(f"{name} must hold one volume; its header says {size} samples: write them as separate files")
     if fields["ElementType"] not in _DTYPES:
         raise FormatError(f"{name} must have an ElementType of {', '.join(_DTYPES)}; got {fields['ElementType']!r}")
-    if (channels := fields.get("ElementNumberOfChannels", "1")) != "1":
-        raise FormatError(f"{name} must have one value per voxel; its header says {channels}: write its channels as separate files")
+    channels = whole(name, "ElementNumberOfChannels", fields.get("ElementNumberOfChannels", "1"), 1)
     if not _flag(fields, "BinaryData", "True"):
         raise FormatError(f"{name} must hold its samples in binary; its header says BinaryData = False")
     for key, power in _NUMBERS.items():
         if key in fields and not all(map(math.isfinite, numbers(name, key, fields[key], rank**power))):
             raise FormatError(f"{name} must give finite numbers for {key!r}; got {fields[key][:80]!r}")
-    return size, _DTYPES[fields["ElementType"]]
+    return size + channels, _DTYPES[fields["ElementType"]]
 
 
 def _samples(stream: IO[bytes], fields: dict[str, str], path: Path, expected: int) -> int:

@@ -1,4 +1,4 @@
-"""NIfTI-1 (``.nii``, ``.nii.gz``): read here, written by way of SimpleITK.
+"""NIfTI-1 and -2 (``.nii``, ``.nii.gz``, and pairs of ``.hdr`` and ``.img``): read here, written by way of nibabel.
 
 ITK looks for a NIfTI image by its name: beside ``x.nii`` it takes the samples of that for ``x.nii.gz``. It also prefers the
 qform to a sform that differs, and drops small slopes. Reading follows nibabel instead, and needs no other package.
@@ -9,24 +9,87 @@ from __future__ import annotations
 import gzip
 import math
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, Literal, cast
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import FormatError
-from clvol.formats import _itk
-from clvol.formats._files import gunzipped_size, require_bytes, scaled
-from clvol.interop import NIFTI_MILLIMETRES, Content, Placement, affine_parts, from_ras
+from clvol.errors import DataError, FormatError, GeometryError
+from clvol.foreign import NIFTI_MILLIMETRES, Content, Placement, affine_parts, from_ras, nifti_says
+from clvol.formats._choice import Choice
+from clvol.formats._files import gunzipped_size, require_bytes, require_default, scaled
 from clvol.volume import Volume
+from clvol.volumes import Leading, Volumes
 
-__all__ = ["check", "read", "write"]
+__all__ = ["check", "read", "read_pair", "write"]
 
-_IO = "NiftiImageIO"
-_HEADER_BYTES = 348
-_FIRST = 352  # where samples may begin: four bytes after the header say whether extensions follow
+
+def _record(fields: Sequence[tuple[str, str, int]], size: int) -> np.dtype[Any]:
+    names, kinds, offsets = zip(*fields, strict=True)
+    return np.dtype({"names": list(names), "formats": list(kinds), "offsets": list(offsets), "itemsize": size})
+
+
+def _numbered(names: str, kind: str, start: int) -> list[tuple[str, str, int]]:
+    step = np.dtype(kind).itemsize
+    return [(name, kind, start + step * n) for n, name in enumerate(names.split())]
+
+
+_INTENT = "intent_p1 intent_p2 intent_p3"
+_HEADERS = {  # by the length that a header begins with; the fields that are read, as nibabel names them
+    348: _record(
+        [
+            ("dim", "8i2", 40),
+            *_numbered(_INTENT, "f4", 56),
+            ("intent_code", "i2", 68),
+            ("datatype", "i2", 70),
+            ("pixdim", "8f4", 76),
+            ("vox_offset", "f4", 108),
+            ("scl_slope", "f4", 112),
+            ("scl_inter", "f4", 116),
+            ("xyzt_units", "u1", 123),
+            ("cal_max", "f4", 124),
+            ("cal_min", "f4", 128),
+            ("descrip", "S80", 148),
+            ("aux_file", "S24", 228),
+            ("qform_code", "i2", 252),
+            ("sform_code", "i2", 254),
+            ("quaternion", "6f4", 256),
+            ("srow", "12f4", 280),
+            ("intent_name", "S16", 328),
+            ("magic", "V4", 344),
+        ],
+        348,
+    ),
+    540: _record(
+        [
+            ("magic", "V8", 4),
+            ("datatype", "i2", 12),
+            ("dim", "8i8", 16),
+            *_numbered(_INTENT, "f8", 80),
+            ("pixdim", "8f8", 104),
+            ("vox_offset", "i8", 168),
+            ("scl_slope", "f8", 176),
+            ("scl_inter", "f8", 184),
+            ("cal_max", "f8", 192),
+            ("cal_min", "f8", 200),
+            ("descrip", "S80", 240),
+            ("aux_file", "S24", 320),
+            ("qform_code", "i4", 344),
+            ("sform_code", "i4", 348),
+            ("quaternion", "6f8", 352),
+            ("srow", "12f8", 400),
+            ("xyzt_units", "i4", 500),
+            ("intent_code", "i4", 504),
+            ("intent_name", "S16", 508),
+        ],
+        540,
+    ),
+}
+_MAGIC = {348: (b"n+1\0", b"ni1\0"), 540: (b"n+2\0\r\n\x1a\n", b"ni2\0\r\n\x1a\n")}  # one file, and two
+_AFTER = 4  # bytes behind a header that say whether extensions follow, before samples in the same file
 _DTYPES = {
     2: "uint8",
     4: "int16",
@@ -39,6 +102,8 @@ _DTYPES = {
     1024: "int64",
     1280: "uint64",
 }
+_COLORS = {128: 3, 2304: 4}  # bytes of each voxel
+_AT_ONCE = 1 << 18  # bytes
 _TRUSTED = 1 << 26  # bytes of samples that are believed of any packed file
 _PACKED = 20  # and for every byte of it; beyond, they are counted first, for gzip packs up to 1032 into one
 _PLACED = range(1, 6)  # codes of a sform or qform that says where the grid lies; nibabel takes any other for 0, nowhere
@@ -49,58 +114,113 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class _Header:
-    """What the header says: samples along x, y(, z) with their type, and where they begin; what they mean, and where they lie."""
+    """What the header says: samples along x, y(, z) and how many volumes of these, their type and where they begin.
+
+    A volume of colours has its `parts` beside each other.
+    """
 
     size: tuple[int, ...]
+    volumes: int
+    parts: int
     dtype: np.dtype[Any]
     start: int
     slope: float
     offset: float
-    geometry: dict[str, Any]
+    leading: Leading
+    about: dict[str, Any]
+    guessed: str = ""
+
+    @property
+    def step(self) -> int:
+        """Bytes of one volume."""
+        return math.prod(self.size) * self.parts * self.dtype.itemsize
 
     @property
     def end(self) -> int:
         """Where the samples end."""
-        return self.start + math.prod(self.size) * self.dtype.itemsize
+        return self.start + self.volumes * self.step
 
 
-def read(path: Path) -> Content:
-    """Samples, scaled as the header says, and geometry, turned from NIfTI's RAS to ITK's LPS; both as nibabel has them."""
+def read(path: Path, choose: Choice) -> Content:
+    """Samples of what is chosen, scaled as the header says, and geometry, turned from NIfTI's RAS to ITK's LPS.
+
+    Both are as nibabel has them. No other volume is loaded; of a packed file, nothing is unpacked behind the last that is chosen,
+    and thus what lies there is not checked.
+    """
     with _opened(path) as stream:
-        header = _parse(stream.read(_HEADER_BYTES), path.name)
-        size = path.stat().st_size
-        if header.end > (max(_TRUSTED, _PACKED * size) if _packed(path) else size):
-            check(path)  # raises before memory is asked for that the samples do not fill
-        raw = np.empty(header.end - header.start, np.uint8)
-        stream.seek(header.start)
-        found = _fill(raw, stream)
-        stream.read(1)  # past the end the checksum is compared
-    require_bytes(path.name, found, header.size[::-1], header.dtype)
-    data = raw.view(header.dtype).reshape(header.size[::-1])
+        header = _parse(stream, path.name)
+    return _read(path, header, choose)
+
+
+def read_pair(path: Path, choose: Choice) -> Content:
+    """As `read`, where the header has a file of its own; `path` is that of either."""
+    with _beside(path, ".hdr").open("rb") as stream:
+        header = _parse(stream, path.name, pair=True)
+    return _read(_beside(path, ".img"), header, choose)
+
+
+def _beside(path: Path, suffix: str) -> Path:
+    names = [path.with_suffix(suffix), path.with_suffix(suffix.upper())]
+    file = next((name for name in names if name.is_file()), None)
+    if file is None:
+        raise FormatError(f"{path.name} must have {names[0].name} beside it, which is not there")
+    return file
+
+
+def _read(path: Path, header: _Header, choose: Choice) -> Content:
+    size = path.stat().st_size
+    believed = max(_TRUSTED, _PACKED * size)
+    if header.volumes > believed if _packed(path) else header.end > size:
+        _count(path, header)  # raises before memory is asked for that the samples do not fill
+    pick = choose(path.name, header.leading, header.guessed)
+    # colours lie beside each other in the file, and are parted when they are in memory
+    own = len(header.leading.axes) - (header.parts > 1)
+    wanted = np.arange(header.volumes).reshape(header.leading.counts[:own])[pick.index[:own]]
+    needed = wanted.size * header.step
+    if _packed(path) and needed > believed:
+        _count(path, header)
+    raw = np.empty(needed, np.uint8)
+    with _opened(path) as stream:
+        found = _fill(raw, stream, header, wanted.ravel())
+    shape = header.size[::-1]
+    require_bytes(path.name, found, (header.volumes, header.parts, *shape), header.dtype)
+    data = raw.view(header.dtype).reshape(*wanted.shape, *shape, *((header.parts,) if header.parts > 1 else ()))
     if not header.dtype.isnative:
         data = data.byteswap(inplace=True).view(header.dtype.newbyteorder("="))
-    return scaled(data, header.slope, header.offset), header.geometry
+    if header.parts > 1:
+        data = np.ascontiguousarray(np.moveaxis(data, -1, wanted.ndim)[(slice(None),) * wanted.ndim + (pick.index[-1],)])
+    return pick.finish(scaled(data, header.slope, header.offset)), header.about | pick.about
 
 
-def write(volume: Volume, path: Path) -> None:
+def write(what: Volume | Volumes, path: Path) -> None:
     """Write samples exactly, and geometry in float32, which is what NIfTI keeps."""
-    turn = volume.direction
-    if not np.allclose(turn.T @ turn, np.eye(volume.ndim), atol=1e-4):
+    grid = what.grid if isinstance(what, Volumes) else what
+    if grid.units != "mm":
+        require_default(grid, ["units"], "the format measures in mm; .npz")
+    turn = grid.direction
+    if not np.allclose(turn.T @ turn, np.eye(grid.ndim), atol=1e-4):  # the qform, which ITK prefers, has no place for it
         raise FormatError("NIfTI cannot hold a direction whose columns are not at right angles; .nrrd and .mha can")
-    _itk.write_image(volume, path, _IO, check)
+    try:
+        image = what.to_nibabel()
+    except (DataError, GeometryError) as error:
+        raise FormatError(f"{error}; .nrrd, .mha and .npz can") from error
+    image.to_filename(path)
 
 
-def check(path: Path) -> _itk.Header:
+def check(path: Path) -> None:
     """Read the header, and count the samples."""
     with _opened(path) as stream:
-        header = _parse(stream.read(_HEADER_BYTES), path.name)
+        header = _parse(stream, path.name)
+    _count(path, header)
+
+
+def _count(path: Path, header: _Header) -> None:
     if _packed(path):
         with path.open("rb") as file:
             found = gunzipped_size(file, header.end)
     else:
         found = path.stat().st_size
-    require_bytes(path.name, max(0, found - header.start), header.size[::-1], header.dtype)
-    return _itk.Header(header.size)
+    require_bytes(path.name, max(0, found - header.start), (header.volumes, header.parts, *header.size[::-1]), header.dtype)
 
 
 def _packed(path: Path) -> bool:
@@ -111,52 +231,64 @@ def _opened(path: Path) -> BinaryIO:
     return cast(BinaryIO, gzip.open(path)) if _packed(path) else path.open("rb")
 
 
-def _fill(raw: NDArray[np.uint8], stream: BinaryIO) -> int:
-    """Fill `raw` from `stream`; how many bytes there were."""
-    room, done = memoryview(raw.data), 0
-    while done < raw.size and (n := stream.readinto(room[done:])):  # type: ignore[attr-defined]  # every binary stream has it
-        done += n
-    return done
+def _fill(raw: NDArray[np.uint8], stream: BinaryIO, header: _Header, wanted: NDArray[np.intp]) -> int:
+    """Fill `raw` from the volumes of `stream` with these numbers; how many bytes there were, had all volumes been read."""
+    room = memoryview(raw.data)
+    for n, volume in enumerate(wanted):
+        stream.seek(header.start + int(volume) * header.step)
+        done, end = n * header.step, (n + 1) * header.step
+        # a packed stream unpacks as much as is asked for at once, before it is copied
+        while done < end and (count := stream.readinto(room[done : min(end, done + _AT_ONCE)])):  # type: ignore[attr-defined]
+            done += count
+        if done < end:
+            return max(0, stream.tell() - header.start)
+    if wanted[-1] == header.volumes - 1:
+        stream.read(1)  # past the end the checksum is compared
+    return header.volumes * header.step
 
 
-def _parse(head: bytes, name: str) -> _Header:
-    if len(head) < _HEADER_BYTES:
-        raise FormatError(f"{name} must begin with a NIfTI header of {_HEADER_BYTES} bytes; found {len(head)}")
-    order: Literal["<", ">"] = "<" if head[:4] == struct.pack("<i", _HEADER_BYTES) else ">"
-
-    def field(offset: int, kind: str) -> tuple[Any, ...]:
-        return struct.unpack_from(order + kind, head, offset)
-
-    if field(0, "i") != (_HEADER_BYTES,) or head[344:348] != b"n+1\0":
-        raise FormatError(f"{name} must be a NIfTI-1 file with its samples in the same file (magic n+1); it is not")
-    rank, *counts = field(40, "8h")
-    code, start, slope, offset = *field(70, "h"), *field(108, "3f")
+def _parse(stream: BinaryIO, name: str, pair: bool = False) -> _Header:
+    head = stream.read(max(_HEADERS))
+    lengths = {struct.unpack(order + "i", head[:4])[0]: order for order in "<>"} if len(head) >= 4 else {}
+    length = next((n for n in lengths if n in _HEADERS), min(_HEADERS))
+    if len(head) < length:
+        raise FormatError(f"{name} must begin with a NIfTI header of {length} bytes; found {len(head)}")
+    kind = _HEADERS[length].newbyteorder(lengths.get(length, "<"))  # type: ignore[arg-type]  # one of the two above
+    fields = np.frombuffer(head, kind, 1)[0]
+    if length not in lengths or bytes(fields["magic"]) != _MAGIC[length][pair]:
+        where = "in a file beside it (magic ni1 or ni2)" if pair else "in the same file (magic n+1 or n+2)"
+        raise FormatError(f"{name} must be a NIfTI-1 or NIfTI-2 file with its samples {where}; it is not")
+    rank, *counts = (int(n) for n in fields["dim"])
     if not 2 <= rank <= 7 or min(counts[:rank]) < 1:
-        raise FormatError(f"{name} must have 2 or 3 axes of at least one sample; its header says {rank} axes {counts}")
-    if any(n != 1 for n in counts[3:rank]):
-        raise FormatError(f"{name} must hold one volume; its header says {counts[:rank]} samples: write them as separate files")
-    if code not in _DTYPES:
-        raise FormatError(f"{name} must hold real numbers, one per voxel; its header says datatype {code}")
-    if not (math.isfinite(start) and start == int(start) and start >= _FIRST):
-        raise FormatError(f"{name} must say where its samples begin, at byte {_FIRST} or later; its header says {start:g}")
+        raise FormatError(f"{name} must have 2 to 7 axes of at least one sample; its header says {rank} axes {counts}")
+    code, start = int(fields["datatype"]), float(fields["vox_offset"])
+    slope, offset = float(fields["scl_slope"]), float(fields["scl_inter"])
+    if code not in _DTYPES and code not in _COLORS:
+        raise FormatError(f"{name} must hold real numbers or colours of bytes; its header says datatype {code}")
+    first = 0 if pair else length + _AFTER
+    if not (math.isfinite(start) and start == int(start) and start >= first):
+        raise FormatError(f"{name} must say where its samples begin, at byte {first} or later; its header says {start:g}")
     if slope == 0 or not math.isfinite(slope):  # the format's way of saying that there is no scale, and no offset either
         slope, offset = 1.0, 0.0
     if not math.isfinite(offset):
         raise FormatError(f"{name} must scale its samples by finite numbers; its header says scl_slope {slope}, scl_inter {offset}")
-    size = tuple(counts[: min(rank, 3)])
-    qform, sform = field(252, "2h")
-    qfac, *pixdim = field(76, "4f")
+    size, parts = tuple(counts[: min(rank, 3)]), _COLORS.get(code, 1)
+    qform, sform = int(fields["qform_code"]), int(fields["sform_code"])
+    pixdim = np.asarray(fields["pixdim"], np.float64)
     if sform in _PLACED:
-        placed = _by_sform(name, np.reshape(field(280, "12f"), (3, 4)))
+        placed = _by_sform(name, np.reshape(np.asarray(fields["srow"], np.float64), (3, 4)))
     elif qform in _PLACED:
-        placed = _by_qform(name, np.array(field(256, "6f")), np.abs(pixdim), qfac)
+        placed = _by_qform(name, np.asarray(fields["quaternion"], np.float64), np.abs(pixdim[1:4]), pixdim[0])
     else:
-        placed = _by_pixdim(np.abs(pixdim), (*size, 1)[:3])
-    unit = head[123] & 7
+        placed = _by_pixdim(np.abs(pixdim[1:4]), (*size, 1)[:3])
+    unit = int(fields["xyzt_units"]) & 7
     if unit not in NIFTI_MILLIMETRES:
         raise FormatError(f"{name} must measure in m, mm or µm (xyzt_units 1, 2 or 3, or 0 for none); its header says {unit}")
-    geometry = from_ras(placed, len(size), NIFTI_MILLIMETRES[unit])
-    return _Header(size, np.dtype(_DTYPES[code]).newbyteorder(order), int(start), slope, offset, geometry)
+    about = from_ras(placed, len(size), NIFTI_MILLIMETRES[unit]) | nifti_says(fields, counts[:rank], parts if parts > 1 else 0)
+    dtype = np.dtype(_DTYPES.get(code, "uint8")).newbyteorder(lengths[length])  # type: ignore[arg-type]
+    leading = Leading(**about.pop("leading", {}))
+    guessed = f"its axes 4 to {rank} were taken for one, of volumes" if math.prod(counts[5:rank]) > 1 else ""
+    return _Header(size, math.prod(counts[3:rank]), parts, dtype, int(start), slope, offset, leading, about, guessed)
 
 
 # -- where the grid lies: spacing, origin and direction in the RAS world, by the first of three ways that the header has ----------

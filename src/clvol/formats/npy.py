@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import zipfile
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import IO, Any
 
@@ -10,29 +13,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.errors import DataError, FormatError
+from clvol.foreign import Content
+from clvol.formats._choice import Choice
 from clvol.formats._files import require_bytes, require_default
-from clvol.interop import Content
 from clvol.volume import Volume
+from clvol.volumes import Leading, Volumes
 
 __all__ = ["read", "read_archive", "write", "write_archive"]
 
 _GEOMETRY = ("spacing", "origin", "direction", "units")
+_ABOUT = ("space", "name", "color", "window", "labels", "header")  # what else a volume says, as JSON
+_OWN = (*_GEOMETRY, "about", "leading")
 
 
-def read(path: Path) -> Content:
+def read(path: Path, choose: Choice) -> Content:
     """Samples of a ``.npy`` file, which knows no geometry."""
     with path.open("rb") as stream:
-        return _read_array(stream, path.stat().st_size, path.name), {}
+        return _chosen(_read_array(stream, path.stat().st_size, path.name), None, {}, path.name, choose)
 
 
-def write(volume: Volume, path: Path) -> None:
+def write(what: Volume | Volumes, path: Path) -> None:
     """Write samples; a volume that has a place in the world is refused, it would lose it."""
-    require_default(volume, _GEOMETRY, ".npz, .nrrd, .mha and .nii")
+    require_default(what.grid if isinstance(what, Volumes) else what, _GEOMETRY, ".npz, .nrrd, .mha and .nii")
     with path.open("wb") as stream:
-        np.save(stream, volume.data, allow_pickle=False)
+        np.save(stream, np.asarray(what), allow_pickle=False)
 
 
-def read_archive(path: Path) -> Content:
+def read_archive(path: Path, choose: Choice) -> Content:
     """What `write_archive` wrote, or any archive with one array or an array ``data``."""
     with zipfile.ZipFile(path) as archive:
         members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
@@ -41,26 +48,55 @@ def read_archive(path: Path) -> Content:
             with archive.open(members[name]) as stream:
                 return _read_array(stream, members[name].file_size, f"{path.name}[{name}]", kinds)
 
-        samples = [name for name in members if name not in _GEOMETRY]
+        samples = [name for name in members if name not in _OWN]
         if "data" not in members and len(samples) != 1:
             raise FormatError(f"an archive must hold one array, or one named data; {path.name} holds {samples}")
         geometry: dict[str, Any] = {name: array(name) for name in ("spacing", "origin", "direction") if name in members}
         if "units" in members:
             geometry["units"] = str(array("units", "U"))
-        return array("data" if "data" in members else samples[0]), geometry
+        if "about" in members:
+            said = json.loads(str(array("about", "U")))
+            geometry |= {name: said[name] for name in _ABOUT if name in said}
+            if isinstance(named := geometry.get("labels"), dict):  # the keys of JSON are strings
+                geometry["labels"] = {int(label): name for label, name in named.items()}
+        leading = None
+        if "leading" in members:
+            said = json.loads(str(array("leading", "U")))
+            leading = Leading(**{name: _tuples(value) for name, value in said.items()})
+        return _chosen(array("data" if "data" in members else samples[0]), leading, geometry, path.name, choose)
 
 
-def write_archive(volume: Volume, path: Path) -> None:
-    """Write samples and geometry, bit for bit."""
+def write_archive(what: Volume | Volumes, path: Path) -> None:
+    """Write samples and geometry bit for bit, and what else is said of them as JSON."""
+    volume = what.grid if isinstance(what, Volumes) else what
+    said = {name: value for name in _ABOUT if (value := getattr(volume, name)) or value is False}
+    arrays: dict[str, Any] = {name: getattr(volume, name) for name in _GEOMETRY} | {"about": json.dumps(said, default=_plain)}
+    if isinstance(what, Volumes):
+        arrays["leading"] = json.dumps(asdict(what.leading))
     with path.open("wb") as stream:
-        np.savez(
-            stream,
-            data=volume.data,
-            spacing=volume.spacing,
-            origin=volume.origin,
-            direction=volume.direction,
-            units=np.asarray(volume.units),
-        )
+        np.savez(stream, data=np.asarray(what), **arrays)
+
+
+def _plain(value: object) -> object:
+    """What JSON has for an object of a header."""
+    return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else str(value)
+
+
+def _tuples(value: Any) -> Any:
+    """Lists of JSON as the tuples that they were."""
+    if isinstance(value, Mapping):
+        return {name: _tuples(part) for name, part in value.items()}
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+
+
+def _chosen(data: NDArray[Any], leading: Leading | None, about: dict[str, Any], name: str, choose: Choice) -> Content:
+    """The volumes that are chosen of an array, whose first axis of four is taken for volumes if nothing says what it counts."""
+    guessed = ""
+    if leading is None and data.ndim == 4 and 0 not in data.shape:
+        leading = Leading(("volume",), data.shape[:1])
+        guessed = "its axes were taken for [volume, z, y, x]"
+    pick = choose(name, leading or Leading(), guessed)
+    return pick.finish(data[pick.index]), about | pick.about
 
 
 def _read_array(stream: IO[bytes], size: int, source: str, kinds: str = "biuf") -> NDArray[Any]:

@@ -11,12 +11,14 @@ from typing import IO
 import numpy as np
 
 from clvol.errors import FormatError
+from clvol.foreign import Content
 from clvol.formats import _itk
+from clvol.formats._choice import Choice
 from clvol.formats._files import gunzipped_size, require_bytes
 from clvol.formats._headers import data_path, line, whole
 from clvol.formats._units import one_unit
-from clvol.interop import Content
 from clvol.volume import Volume
+from clvol.volumes import Volumes
 
 __all__ = ["check", "read", "write"]
 
@@ -34,16 +36,23 @@ _NAMES = {  # every name that the format has for a type
     "float64": "double",
 }
 _DTYPES = {alias: dtype for dtype, aliases in _NAMES.items() for alias in aliases.split(", ")}
+_VALUES = {  # what an axis of these kinds counts: the values of a voxel, or in a list (of gradients, of times) volumes
+    "rgb": "rgb-color, rgba-color, 3-color, 4-color",
+    "vector": "vector, covariant-vector, normal, 2-vector, 3-vector, 3-gradient, 3-normal, point",
+    "volume": "list",
+}
+_KINDS = {kind: value for value, kinds in _VALUES.items() for kind in kinds.split(", ")}
+_DOMAIN = ("domain", "space", "time", "???", "none")
 _ENCODINGS = ("raw", "gzip", "gz")
 _MAX_FIELD = 500  # the reader inside ITK writes a field that it rejects into a buffer of 1024 bytes
 
 
-def read(path: Path) -> Content:
+def read(path: Path, choose: Choice) -> Content:
     """Samples and geometry, turned to ITK's LPS frame from the one that the header names."""
-    return _itk.read_image(path, _IO, check(path))
+    return _itk.read_image(path, _IO, check(path), choose)
 
 
-def write(volume: Volume, path: Path) -> None:
+def write(volume: Volume | Volumes, path: Path) -> None:
     """Write samples and geometry exactly; ``.nhdr`` puts the samples into a ``.raw`` file beside it."""
     _itk.write_image(volume, path, _IO, check)
 
@@ -63,9 +72,15 @@ def check(path: Path) -> _itk.Header:
             found = _samples(stream, fields, path.name, expected)
     require_bytes(path.name, found, size[::-1], dtype)
     units = re.findall(r'"([^"]*)"', fields.get("space units", fields.get("units", "")))
-    said = [*fields.get("spacings", "").split(), *re.findall(r"none|\(.*?\)", fields.get("space directions", ""))[:3]]
-    known = not any(text.lower() in ("nan", "none") for text in said)
-    return _itk.Header(size[:3], one_unit(path.name, units) or "mm", known)
+    kinds = [*fields.get("kinds", "").lower().split(), *["domain"] * len(size)][: len(size)]
+    texts = (fields.get("spacings", "").split(), re.findall(r"none|\(.*?\)", fields.get("space directions", "").lower()))
+    domain = [axis for axis, kind in enumerate(kinds) if kind in _DOMAIN][:3]
+    known = not any(said[axis].lower() in ("nan", "none") for said in texts for axis in domain if axis < len(said))
+    spans = [kind for kind in kinds if kind in _DOMAIN]
+    if "time" in spans[:-1]:  # ITK would take it for an axis of space
+        raise FormatError(f"{path.name} must have its axis of time last; its header says kinds: {fields['kinds'][:80]}")
+    values = next((_KINDS.get(kind, "channel") for kind in kinds if kind not in _DOMAIN), "")
+    return _itk.Header(size, one_unit(path.name, units) or "mm", known, values=values, timed="time" in spans)
 
 
 def _fields(stream: IO[bytes], name: str) -> dict[str, str]:
@@ -93,11 +108,9 @@ def _layout(fields: dict[str, str], name: str) -> tuple[tuple[int, ...], str]:
         if key not in fields:
             raise FormatError(f"{name} must have a NRRD header with the field {key!r}; it has {list(fields)}")
     (rank,) = whole(name, "dimension", fields["dimension"], 0)
-    if rank not in (2, 3, 4):
-        raise FormatError(f"{name} must have 2 or 3 axes; its header says dimension: {rank}")
+    if rank not in (2, 3, 4, 5):
+        raise FormatError(f"{name} must have 2 to 5 axes; its header says dimension: {rank}")
     size = whole(name, "sizes", fields["sizes"], 1, rank)
-    if size[3:] not in ((), (1,)):
-        raise FormatError(f"{name} must hold one volume, one value per voxel; its header says {size}: write them as separate files")
     dtype = _DTYPES.get(fields["type"].lower())
     if dtype is None:
         raise FormatError(f"{name} must have samples of type {', '.join(_DTYPES)}; got {fields['type']!r}")

@@ -1,64 +1,146 @@
-"""TIFF stacks from microscopes: OME and ImageJ are read, OME is written; by way of tifffile."""
+"""TIFF files of microscopes: OME, ImageJ and plain stacks are read, OME is written; by way of tifffile."""
 
 from __future__ import annotations
 
 import logging
 import math
+import re
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
+import numpy as np
+from numpy.typing import NDArray
+
 from clvol.errors import DataError, FormatError, MissingDependencyError
-from clvol.formats._files import require_default, sample_count, storable
+from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
+from clvol.formats._files import require_default, sample_count, scaled, storable
+from clvol.formats._layout import Layout, lay_out
 from clvol.formats._units import METRES, scale, unit_name
 from clvol.interop import Content
 from clvol.volume import Volume
+from clvol.volumes import Leading, Volumes
 
-__all__ = ["read", "write"]
+__all__ = ["read", "series", "write", "write_several"]
 
 _DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64")  # those of OME
 _OME_NAMES = {"": "pixel", "um": "µm", "inch": "in"}
+_MEANINGS = {"T": "time", "C": "channel", "S": "channel", "Z": "z", "Y": "y", "X": "x", "R": "position"}  # of tifffile's letters
+_OTHERS = {"A": "angle", "P": "phase", "H": "lifetime", "E": "wavelength", "L": "exposure", "V": "event"}  # Q, I: nothing is known
+_IN_COLOUR = (2, 6)  # photometric interpretations: RGB, YCbCr
+_PLACE = re.compile(r"^\s*((?:[czt]:\d+/\d+\s*)+)(?:-\s*)?")  # with which ImageJ's labels of slices begin
+_WHITE = (1.0, 1.0, 1.0)
+
+Colors = tuple[tuple[float, float, float] | None, ...]
 
 
-def read(path: Path) -> Content:
-    """Samples, and the spacing of an OME or ImageJ file.
+@dataclass(frozen=True)
+class _About:
+    """What metadata say of one image: spacing by axis, NaN where it is unknown; channels; what samples stand for."""
+
+    spacing: dict[str, float] = field(default_factory=dict)
+    units: str = ""
+    deep: bool = False  # one slice has a thickness
+    names: tuple[str, ...] = ()
+    colors: Colors = ()
+    windows: tuple[tuple[float, float], ...] = ()
+    slope: float = 1.0
+    offset: float = 0.0
+
+
+def read(path: Path, choose: Choice, series: int | str | None = None, level: int = 0) -> Content:
+    """Samples of one image, and what OME or ImageJ say of them; only pages that hold what is chosen are decoded.
 
     A plain TIFF file has spacing 1: its resolution is meant for printing, and there is none along z.
     """
-    tifffile = _tifffile()
-    with _strict(), tifffile.TiffFile(path) as file:
-        if len(file.series) != 1:
-            raise DataError(f"{path.name} must hold one volume; it holds {[s.shape for s in file.series]}")
-        series = file.series[0]
-        spacing, units = [1.0, 1.0, 1.0], ""
-        deep = False
-        if file.is_ome:
-            spacing, units, deep = _ome(file.ome_metadata)
-        elif file.is_imagej:
-            spacing, units = _imagej(file)
-        shape = _stack_shape(path.name, series, deep)
-        _check_samples(path.name, series)
-        data = series.asarray().reshape(shape)
-    if data.dtype.kind not in "biuf":
-        raise DataError(f"{path.name} must hold real numbers; got dtype {data.dtype}")
-    return data, {"spacing": spacing[: data.ndim], "units": units}
+    with _strict(), _tifffile().TiffFile(path) as file:
+        number = chosen_series(path.name, _images(path.name, file), series)
+        levels = file.series[number].levels
+        image = levels[chosen_level(path.name, [one.shape for one in levels], level)]
+        kind = file.series[number].kind.lower()  # not what the file says it is: that may not fit its pages
+        about = (
+            _ome(file.ome_metadata, number, len(file.series)) if kind == "ome" else _imagej(file) if kind == "imagej" else _About()
+        )
+        layout, leading = _laid_out(path.name, image, about, choose)
+        if image.dtype is None or image.dtype.kind not in "biuf":
+            raise DataError(f"{path.name} must hold real numbers; got dtype {image.dtype}")
+        data, known = layout.chosen(path.name, choose, lambda index: _load(path.name, file, image, index), leading)
+        full, small = (one.get_shape(squeeze=False) for one in (levels[0], image))
+        shrunk = {axis: n / m for axis, n, m in zip(image.get_axes(squeeze=False), full, small, strict=True)}
+        name = file.series[number].name if len(file.series) > 1 else ""
+    shrunk = {axis: shrunk.get(axis.upper(), 1.0) for axis in "xyz"}
+    spacing = {axis: about.spacing.get(axis, 1.0) for axis in "xyz"}
+    geometry: dict[str, Any] = {
+        "spacing": layout.of({axis: spacing[axis] * shrunk[axis] for axis in "xyz"}),
+        "units": about.units,
+        "space": "image",
+        "name": name,
+    }
+    if "channel" not in layout.axes and len(about.windows) == 1:
+        geometry["window"] = about.windows[0]
+    if level:  # the first sample of a level lies amid those that it stands for
+        geometry["origin"] = layout.of({axis: (shrunk[axis] - 1) / 2 * spacing[axis] for axis in "xyz"})
+    return scaled(data, about.slope, about.offset), geometry | known
+
+
+def series(path: Path) -> tuple[Series, ...]:
+    """The images of a file."""
+    with _strict(), _tifffile().TiffFile(path) as file:
+        return _images(path.name, file)
 
 
 def write(volume: Volume, path: Path) -> None:
-    """Write samples, spacing and units exactly, as OME-TIFF; it has no place for origin and direction."""
-    require_default(volume, ("origin", "direction"), ".nrrd, .mha, .nii and .npz")
-    name = unit_name(volume.units)
+    """Write samples, spacing, units, name and colour, as OME-TIFF; it has no place for origin and direction."""
+    leading = Leading(("channel",), (1,), {"channel": (volume.name,)} if volume.name else {}, (volume.color,))
+    _write(path, volume, volume.data, "ZYX"[3 - volume.ndim :], leading)
+
+
+def write_several(volumes: Volumes, path: Path) -> None:
+    """Write several as one OME-TIFF image: times, and channels with names and colours; volumes of a series count as times."""
+    grid, leading, data = volumes.grid, volumes.leading, np.asarray(volumes)
+    letters = {"time": "T", "channel": "C", "volume": "C" if "volume" in leading.names else "T"}
+    axes = "".join(letters.get(axis, "?") for axis in leading.axes)
+    if "?" in axes or len(set(axes)) < len(axes):
+        raise FormatError(f"OME-TIFF holds times and channels; got {leading}: write one file for each")
+    if "volume" in leading.names:
+        leading = Leading(leading.axes, leading.counts, {"channel" if k == "volume" else k: v for k, v in leading.names.items()})
+    order = sorted(range(len(axes)), key=lambda i: "TC".index(axes[i]))
+    data = data.transpose([*order, *range(len(axes), data.ndim)])
+    axes = "".join(axes[i] for i in order)
+    spatial = "ZYX"[3 - grid.ndim :]
+    if leading.rgb:
+        data, axes = np.moveaxis(data, len(axes) - 1, -1), axes[:-1] + spatial + "S"
+    else:
+        axes += spatial
+    _write(path, grid, data, axes, leading)
+
+
+def _write(path: Path, grid: Volume, data: NDArray[Any], axes: str, leading: Leading) -> None:
+    require_default(grid, ("origin", "direction"), ".nrrd, .mha, .nii and .npz")
+    name = unit_name(grid.units)
     if name and name not in METRES:
-        raise FormatError(f"OME-TIFF must have a unit of {', '.join(METRES)}; got {volume.units!r}: .npz holds any")
+        raise FormatError(f"OME-TIFF must have a unit of {', '.join(METRES)}; got {grid.units!r}: .npz holds any")
     unit = _OME_NAMES.get(name, name)
-    metadata: dict[str, Any] = {"axes": "ZYX"[3 - volume.ndim :]}
-    for axis, spacing in zip("XYZ", volume.spacing, strict=False):  # Z only for volumes: thus an image stays an image
+    metadata: dict[str, Any] = {"axes": axes}
+    for axis, spacing in zip("XYZ", grid.spacing, strict=False):  # Z only for volumes: thus an image stays an image
         metadata |= {f"PhysicalSize{axis}": spacing, f"PhysicalSize{axis}Unit": unit}
+    if not leading.rgb:
+        names = {"Name": list(names)} if (names := leading.names.get("channel")) else {}
+        colors = {"Color": [_signed(color or _WHITE) for color in leading.colors]} if any(leading.colors) else {}
+        metadata["Channel"] = names | colors
     # Without the photometric a stack of three or four slices would be taken for colours.
-    _tifffile().imwrite(path, storable(volume.data, _DTYPES), ome=True, photometric="minisblack", metadata=metadata)
+    photometric = "rgb" if leading.rgb else "minisblack"
+    _tifffile().imwrite(path, storable(data, _DTYPES), ome=True, photometric=photometric, metadata=metadata)
+
+
+def _signed(color: tuple[float, float, float]) -> int:
+    """A colour as OME has it: red, green, blue and alpha, of 8 bits each, in one signed number."""
+    r, g, b = (round(255 * part) for part in color)
+    return int(np.array((r << 24) | (g << 16) | (b << 8) | 255, np.uint32).view(np.int32))
 
 
 def _tifffile() -> Any:
@@ -99,25 +181,64 @@ def _strict() -> Iterator[None]:
         raise errors[0]
 
 
-def _stack_shape(name: str, series: Any, deep: bool) -> tuple[int, ...]:
-    """The shape [z, y, x] or [y, x] of a series; slices may be named Z, or not be named at all (I, Q)."""
-    axes, counts = series.get_axes(squeeze=False), series.get_shape(squeeze=False)
-    if "Y" not in axes or "X" not in axes:
-        raise DataError(f"{name} must hold an image or a stack; its axes are {axes}")
-    kept = [(axis, n) for axis, n in zip(axes, counts, strict=True) if n > 1 or axis in "YX" or (axis == "Z" and deep)]
-    found = "".join(axis for axis, _ in kept)
-    if found not in ("YX", "ZYX", "QYX", "IYX"):
-        raise DataError(
-            f"{name} must hold one stack of slices with one value a sample; its axes are {found} with "
-            f"{[n for _, n in kept]} samples (S, C: channels, T: time): write one channel of one time"
+def _images(name: str, file: Any) -> tuple[Series, ...]:
+    """The images that tifffile finds, by their names where these tell them apart."""
+    if not file.series:
+        raise FormatError(f"{name} must hold an image; it holds none")
+    names = [str(one.name or "") for one in file.series]
+    apart = all(names) and len(set(names)) == len(names) and not any(n.isdecimal() for n in names)
+    return tuple(
+        Series(
+            names[i] if apart else str(i), one.axes if apart else ", ".join(filter(None, (names[i], one.axes))), tuple(one.shape)
         )
-    return tuple(int(n) for _, n in kept)
+        for i, one in enumerate(file.series)
+    )
 
 
-def _check_samples(name: str, series: Any) -> None:
+def _laid_out(name: str, image: Any, about: _About, choose: Choice) -> tuple[Layout, Leading]:
+    """What the axes of an image count; pages that are not named (I, Q) are slices."""
+    pairs = list(zip(image.get_axes(squeeze=False), image.get_shape(squeeze=False), strict=True))
+    words = [_MEANINGS.get(axis, _OTHERS.get(axis, "")) if axis != "S" or n > 1 else "" for axis, n in pairs]
+    keep = [*("z",) * about.deep, *("channel",) * bool(about.names or any(about.colors))]
+    layout = lay_out(name, words, [n for _, n in pairs], keep, choose.given)
+    unnamed = [(n, meaning) for (_, n), word, meaning in zip(pairs, words, layout.axes, strict=True) if n > 1 and word != meaning]
+    if [meaning for _, meaning in unnamed] == ["z"]:
+        far = "" if "z" in about.spacing else ", 1 apart: spacing= replaces it"
+        text = f"it does not say what its {unnamed[0][0]} pages are; they were taken for slices{far}"
+        layout = Layout(layout.axes, layout.shape, text)
+    if "channel" not in layout.axes:
+        return layout, Leading(layout.leading, layout.counts)
+    at = layout.axes.index("channel")
+    count = layout.shape[at]
+    if pairs[at][0] == "S" and image.keyframe.photometric in _IN_COLOUR and count in (3, 4):
+        return layout, layout.in_colour
+    names = about.names if len(about.names) == count else ()
+    colors = about.colors if len(about.colors) == count else ()
+    windows = about.windows if len(about.windows) == count else ()
+    return layout, Leading(layout.leading, layout.counts, {"channel": names} if names else {}, colors, windows)
+
+
+def _load(name: str, file: Any, image: Any, index: tuple[int | slice, ...]) -> NDArray[Any]:
+    """The samples of an image at an index of its axes; pages without any of them are not touched."""
+    shape = image.get_shape(squeeze=False)
+    split = next((k for k in range(len(shape)) if sample_count(shape[k:]) == image.keyframe.size), None)
+    if image.transform is None and split is not None and sample_count(shape[:split]) == len(image):
+        numbers = np.arange(len(image)).reshape(shape[:split])[index[:split]]
+        keys = [int(n) for n in np.ravel(numbers)]
+        _check_samples(name, [image[key] for key in keys], image.keyframe, len(keys) * image.keyframe.size)
+        samples = file.asarray(key=keys, series=image).reshape(np.shape(numbers) + tuple(shape[split:]))
+        return np.asarray(samples[(slice(None),) * np.ndim(numbers) + index[split:]])
+    _check_samples(name, list(image), image.keyframe, sample_count(shape))
+    if image.dataoffset is not None and image.transform is None and image.keyframe.is_memmappable:
+        mapped = file.filehandle.memmap_array(file.byteorder + image.dtype.char, shape, image.dataoffset)
+        return np.array(mapped[index])  # a copy: the file may change
+    return np.asarray(image.asarray().reshape(shape)[index])
+
+
+def _check_samples(name: str, pages: Sequence[Any], keyframe: Any, count: int) -> None:
     """Raise if samples lie past the end of the file, or a slice is missing: tifffile would give zeros."""
     lengths = {}
-    for page in series.pages:
+    for page in pages:
         if page is None:
             raise FormatError(f"{name} must hold all of its slices; some are missing")
         lengths[page.parent.filehandle.path] = page.parent.filehandle.size
@@ -125,31 +246,92 @@ def _check_samples(name: str, series: Any) -> None:
         ends = [start + count for start, count in zip(page.dataoffsets, page.databytecounts, strict=True)]
         if not ends or max(ends) > length or min(page.databytecounts) < 1:
             raise FormatError(f"{name} must hold the samples of every slice; some lie past the end of the file")
-    if series.keyframe.compression == 1:  # checked before memory is allocated
-        bits = sample_count(series.shape) * series.keyframe.bitspersample
+    if keyframe.compression == 1:  # checked before memory is allocated
+        bits = count * keyframe.bitspersample
         if bits > sum(lengths.values()) * 8:
             raise FormatError(f"{name} must hold {bits // 8} bytes of samples; found {sum(lengths.values())}")
 
 
-def _ome(description: str) -> tuple[list[float], str, bool]:
-    """Spacing and unit of OME-XML, and whether it gives a distance of slices. NaN: the file does not say."""
-    elements = ET.fromstring(description).iter()
-    pixels = next((element for element in elements if element.tag.rpartition("}")[2] == "Pixels"), None)
-    if pixels is None:
-        raise FormatError("OME-XML must have an element Pixels; it has none")
-    sizes = [pixels.get(f"PhysicalSize{axis}") for axis in "XYZ"]
-    if not any(sizes):
-        return [1.0, 1.0, 1.0], "", False
-    units = [unit_name(pixels.get(f"PhysicalSize{axis}Unit", "µm")) for axis in "XYZ"]
-    spacing = [float(size) * scale(unit, units[0]) if size else math.nan for size, unit in zip(sizes, units, strict=True)]
-    return spacing, units[0], bool(sizes[2])
+def _ome(description: str, number: int, count: int) -> _About:
+    """What OME-XML says of one image of those that have samples."""
+
+    def below(element: ET.Element, tag: str) -> list[ET.Element]:
+        return [child for child in element if child.tag.rpartition("}")[2] == tag]
+
+    images = [pixels for image in below(ET.fromstring(description), "Image") for pixels in below(image, "Pixels")]
+    with_samples = [pixels for pixels in images if below(pixels, "TiffData")]
+    images = images if len(images) == count else with_samples
+    if len(images) != count:
+        raise FormatError(f"OME-XML must have an element Pixels for each of {count} images; it has {len(images)}")
+    pixels = images[number]
+    channels = below(pixels, "Channel")
+    names = tuple(channel.get("Name", "") for channel in channels)
+    colors = tuple(_color(channel.get("Color")) for channel in channels)
+    about = _About(names=names if any(names) else (), colors=_telling(colors))
+    sizes = {axis: pixels.get(f"PhysicalSize{axis.upper()}") for axis in "xyz"}
+    if not any(sizes.values()):
+        return about
+    units = {axis: unit_name(pixels.get(f"PhysicalSize{axis.upper()}Unit", "µm")) for axis in "xyz"}
+    spacing = {axis: float(size) * scale(units[axis], units["x"]) if size else math.nan for axis, size in sizes.items()}
+    return replace(about, spacing=spacing, units=units["x"], deep=bool(sizes["z"]))
 
 
-def _imagej(file: Any) -> tuple[list[float], str]:
-    """Spacing and unit of an ImageJ file: samples a unit in the tags of TIFF, slices in ImageJ's own text."""
+def _telling(colors: Colors) -> Colors:
+    """None at all where all are white, the default of programs, which says nothing."""
+    return colors if any(color not in (None, _WHITE) for color in colors) else ()
+
+
+def _color(text: str | None) -> tuple[float, float, float] | None:
+    if text is None:
+        return None
+    number = int(text)
+    r, g, b = ((number >> shift & 255) / 255 for shift in (24, 16, 8))
+    return r, g, b
+
+
+def _imagej(file: Any) -> _About:
+    """What ImageJ says: samples a unit in the tags of TIFF, slices in its own text, with the channels' tables and labels."""
     metadata, tags = file.imagej_metadata or {}, file.pages.first.tags
-    in_plane = []
-    for tag in ("XResolution", "YResolution"):
-        samples, unit = tags[tag].value if tag in tags else (1, 1)
-        in_plane.append(unit / samples if samples else math.nan)
-    return [*in_plane, abs(float(metadata.get("spacing", 1.0)))], unit_name(str(metadata.get("unit", "")))
+    spacing = {}
+    for axis in "xy":
+        samples, unit = tags[tag].value if (tag := f"{axis.upper()}Resolution") in tags else (1, 1)
+        spacing[axis] = unit / samples if samples else math.nan
+    if "spacing" in metadata:
+        spacing["z"] = abs(float(metadata["spacing"]))
+    channels = int(metadata.get("channels", 1))
+    slope, offset = 1.0, 0.0
+    if metadata.get("cf") == 0:  # a straight line; signed samples are stored with c0 = -32768
+        slope, offset = float(metadata.get("c1", 1)), float(metadata.get("c0", 0))
+    ranges = [float(v) for v in metadata.get("Ranges", (metadata.get("min", 0), metadata.get("max", 0)))]
+    windows = tuple((slope * a + offset, slope * b + offset) for a, b in zip(ranges[::2], ranges[1::2], strict=False))
+    colors = tuple(_top_of(table) for table in metadata.get("LUTs", ()))
+    return _About(
+        spacing,
+        unit_name(str(metadata.get("unit", ""))),
+        names=_names(metadata.get("Labels", ()), channels),
+        colors=_telling(colors),
+        windows=windows if all(a < b for a, b in windows) else (),
+        slope=slope,
+        offset=offset,
+    )
+
+
+def _top_of(table: NDArray[Any]) -> tuple[float, float, float] | None:
+    """The colour of a table that leads to it from black in a straight line, as those of channels do."""
+    table = np.asarray(table, np.float64)
+    if table.shape != (3, 256):
+        return None
+    top = table[:, -1]
+    straight = np.abs(table - top[:, None] * np.linspace(0, 1, 256)).max() <= 2
+    r, g, b = top / 255
+    return (r, g, b) if straight and top.any() else None
+
+
+def _names(labels: Sequence[str], channels: int) -> tuple[str, ...]:
+    """Names of channels, where the labels of slices, whose channels vary fastest, are the same for all slices of a channel."""
+    if channels < 2 or not labels or len(labels) % channels:
+        return ()
+    cut = [_PLACE.sub("", str(label or "")).strip() for label in labels]
+    names = tuple(cut[:channels])
+    same = all(cut[i] == names[i % channels] for i in range(len(cut)))
+    return names if same and len(set(names)) == channels else ()

@@ -6,9 +6,9 @@ import os
 
 from clvol.checks import as_path
 from clvol.errors import FormatError
+from clvol.foreign import simpleitk
 from clvol.formats._files import foreign_errors
 from clvol.formats._itk import quiet, reason
-from clvol.interop import simpleitk
 from clvol.transform import Transform, displacements_of, from_simpleitk
 
 __all__ = ["read_transform"]

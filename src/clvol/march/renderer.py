@@ -17,7 +17,7 @@ from clvol.camera import Camera
 from clvol.checks import instance, number, one_of, whole
 from clvol.device import Device
 from clvol.errors import OptionError
-from clvol.filter import PICTURE_FILTER, Filter, as_filter
+from clvol.filter import PICTURE_FILTER, Filter
 from clvol.light import Light, Material
 from clvol.march import launch
 from clvol.march.frame import Frame
@@ -27,12 +27,13 @@ from clvol.march.uncertainty import Uncertainty
 from clvol.mode import DEFAULT_MODE, Isosurface, Mode, as_mode
 from clvol.noise import Noise
 from clvol.scene import Box, Medium, Scene, as_scene
+from clvol.smoothing import filter_for
 from clvol.spline.evaluator import Evaluator, EvaluatorName, FetchName, choose_evaluator
 from clvol.spline.field import Field, as_field
 from clvol.spline.minmax import MinMax
 from clvol.spline.points import Progress
 from clvol.transfer import TransferFunction
-from clvol.volume import Volume
+from clvol.volume import Volume, as_volume
 
 __all__ = ["OUTPUTS", "Output", "Renderer", "render"]
 
@@ -55,7 +56,8 @@ class Renderer:
     filter, boundary : str, Filter, Boundary, optional
         How a volume is reconstructed between its samples, where `scene` is no more than a volume. By default the boundary is
         "mirror", and the filter "bspline3(auto)", which takes from the volume how much noise there is to smooth, or "bspline3" in
-        modes that show extremes, such as "mip" (`filter_of` says which). A medium or a field says so itself.
+        modes that show extremes, such as "mip", and "nearest" for labels (`filter_of` says which). A medium or a field says so
+        itself.
     device : Device, str or int, optional
         See `as_device`.
 
@@ -103,7 +105,7 @@ class Renderer:
         self.scene = as_scene(scene)
         (medium,) = self.scene.media
         if self._own:
-            field = Field(medium.volume, PICTURE_FILTER if medium.filter is None else medium.filter, medium.boundary, device)
+            field = Field(medium.volume, filter_for(medium.volume, medium.filter, PICTURE_FILTER), medium.boundary, device)
         self.field = field
         self.device = field.device
         self._unsmoothed: Field | None = None
@@ -126,7 +128,7 @@ class Renderer:
         """The filter of pictures in a mode: `filter`, unless none was given and the mode shows extremes, which stay as they are."""
         chosen = as_mode(mode)
         free = self.scene.media[0].filter is None and chosen.picture_filter != PICTURE_FILTER
-        return as_filter(chosen.picture_filter) if free else self.filter
+        return filter_for(self.volume, None, chosen.picture_filter) if free else self.filter
 
     def close(self) -> None:
         """Free the device's memory, except that of a Field which was given."""
@@ -460,7 +462,10 @@ def render(
     chosen = as_mode(mode, {name: value for name, value in options.items() if name not in _KEYWORDS}, _KEYWORDS)  # before any work,
     as_pixel_filter(options.get("pixel_filter", DEFAULT_PIXEL_FILTER))  # and so is this
     free = filter is None and not isinstance(scene, (Scene, Medium, Field))
-    with Renderer(scene, chosen.picture_filter if free else filter, boundary, device) as renderer:
+    if free:
+        scene = as_volume(scene)  # type: ignore[arg-type]  # what is left
+    row = filter_for(scene, None, chosen.picture_filter) if free else filter  # type: ignore[arg-type]  # it is a volume then
+    with Renderer(scene, row, boundary, device) as renderer:
         return renderer.render(camera, mode, size, step, outputs=outputs, **options)  # type: ignore[arg-type]  # either
 
 

@@ -23,6 +23,7 @@ from clvol.figures import cost
 from clvol.figures.style import require_matplotlib
 from clvol.files import require_folder, staged
 from clvol.filter import Filter
+from clvol.histogram import isovalue_of
 from clvol.reports import html, spectrum
 from clvol.reports.advice import ADVISED, Advice, advise, settled_once
 from clvol.reports.pictures import Cards, cards
@@ -209,11 +210,13 @@ def _page(name: str, volume: Volume, middle: Volume, made: Report, found: spectr
     """The page; `drawn` is None where the data are constant."""
     table, expected, noise = made.table, made.advice.expected, volume.noise
     low, high = volume.value_range
+    isovalue, reason = isovalue_of(volume)
     facts = [
         ("samples", " × ".join(map(str, volume.size)) + f", {volume.data.dtype}"),
         ("spacing", " × ".join(f"{s:.4g}" for s in volume.spacing) + f" {volume.units or ''}".rstrip()),
         ("range", f"{low:.6g} to {high:.6g}"),
         ("noise", "none found" if noise.sigma == 0 else f"{noise.kind}, standard deviation {noise.sigma:.3g}"),
+        ("isovalue by default", f"{isovalue:.6g}, {reason}"),
         ("measured", f"{' × '.join(map(str, middle.size))} samples" + ("" if middle is volume else ", the middle of the volume")),
         ("every second sample", f"against {table.against}"),
         ("boundary", table.boundary),

@@ -1,0 +1,206 @@
+"""What each axis of an array counts, and which of its samples are the volumes that were chosen."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clvol.errors import DataError
+from clvol.formats._choice import Choice
+from clvol.formats._files import scaled
+from clvol.formats._units import scale, unit_name
+from clvol.interop import Content
+from clvol.volumes import AXES, Leading
+
+__all__ = ["Layout", "decoded", "lay_out", "place", "uniform", "unnamed"]
+
+_WORDS = {
+    "x": ("x", "lon", "longitude", "column", "columns", "easting", "width"),
+    "y": ("y", "lat", "latitude", "row", "rows", "northing", "length", "height"),
+    "z": ("z", "depth", "lev", "level", "plev", "altitude", "slice", "slices", "plane"),
+    "time": ("t", "time", "frame", "frames"),
+    "channel": ("c", "ch", "channel", "channels", "band", "s", "sample", "component"),
+    "position": ("p", "position", "scene"),
+    "volume": ("volume",),
+}
+_MEANINGS = {word: meaning for meaning, words in _WORDS.items() for word in words}
+_UNNAMED = {1: ("volume",), 2: ("time", "channel"), 3: ("time", "position", "channel")}
+_OFF = 1e-3  # of a step, by which coordinates may be off and count as evenly spaced; float32 has that of long axes
+
+
+def meaning(word: str) -> str:
+    """What an axis of this name counts: one of `AXES`, "z", "y" or "x"; "" where that is not known."""
+    return _MEANINGS.get(word.strip().lower(), "")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What each axis of an array counts.
+
+    Parameters
+    ----------
+    axes : tuple of str
+        One of `AXES`, "z", "y" or "x" each; "" for an axis of one sample that counts nothing.
+    shape : tuple of int
+        Of the array.
+    guessed : str
+        How axes were understood that their source does not explain, for people.
+    """
+
+    axes: tuple[str, ...]
+    shape: tuple[int, ...]
+    guessed: str = ""
+
+    @property
+    def leading(self) -> tuple[str, ...]:
+        """The axes that count volumes, slowest first."""
+        return tuple(axis for axis in self.axes if axis in AXES)
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Volumes along each of `leading`."""
+        return tuple(n for axis, n in zip(self.axes, self.shape, strict=True) if axis in AXES)
+
+    @property
+    def in_colour(self) -> Leading:
+        """What the leading axes count, where the channels are red, green, blue (and alpha)."""
+        rgb = Leading.of_rgb(self.shape[self.axes.index("channel")])
+        return Leading(self.leading, self.counts, rgb.names, rgb.colors, rgb=True)
+
+    def channels_of(self, dtype: np.dtype[Any]) -> Leading:
+        """What the leading axes count, where channels without names are colours (bytes) or components (floating)."""
+        n = self.shape[self.axes.index("channel")] if "channel" in self.axes else 0
+        if dtype == np.uint8 and n in (3, 4):
+            return self.in_colour
+        return Leading(self.leading, self.counts, vector=dtype.kind == "f" and n in (2, 3))
+
+    def of(self, values: Mapping[str, float], default: float = 1.0) -> list[float]:
+        """One number for each axis of the grid, in the order x, y(, z)."""
+        return [values.get(axis, default) for axis in "xyz" if axis in self.axes]
+
+    def chosen(
+        self, source: str, choose: Choice, load: Callable[[tuple[int | slice, ...]], NDArray[Any]], leading: Leading | None = None
+    ) -> Content:
+        """The samples that `choose` takes, [..., z, y, x], and what is known of them; `load` gives the array at an index."""
+        pick = choose(source, leading or Leading(self.leading, self.counts), self.guessed)
+        taken = dict(zip(self.leading, pick.index, strict=True))
+        index = tuple(taken.get(axis, slice(None) if axis else 0) for axis in self.axes)
+        left = [axis for axis, place in zip(self.axes, index, strict=True) if isinstance(place, slice)]
+        order = sorted(
+            left, key=lambda axis: ("z", "y", "x").index(axis) + len(AXES) if axis in "zyx" else self.leading.index(axis)
+        )
+        samples = load(index).transpose([left.index(axis) for axis in order])
+        return pick.finish(samples), dict(pick.about)
+
+
+def lay_out(
+    source: str, words: Sequence[str], shape: Sequence[int], keep: Sequence[str] = ("z",), asked: Collection[str] = ()
+) -> Layout:
+    """The layout of an array whose axes have these names, "" where they have none.
+
+    Axes without a known name are taken for those of x, y and z that are missing, from the last axis on, and for volumes, times,
+    positions and channels before these; `guessed` says so, but where three axes or fewer have no names at all. What the caller
+    `asked` for there is: who chooses a channel explains an axis of volumes, or of slices. Axes of one sample are left out, but
+    x, y and those to `keep`.
+
+    Raises
+    ------
+    DataError
+        There are no rows and columns, or more axes than can be counted.
+    """
+    if len(shape) < 2 or len(words) != len(shape):
+        raise DataError(f"{source} must hold an image or a volume; got an array of shape {tuple(shape)}")
+    axes = [meaning(word) for word in words]
+    for i, axis in enumerate(axes):
+        if axis and axis in axes[:i]:  # of two axes of one meaning the first counts volumes
+            axes[axes.index(axis)] = ""
+    named = any(axes)
+    unknown = [i for i, axis in enumerate(axes) if not axis and (shape[i] > 1 or not named)]
+    for axis in "xyz":
+        if axis not in axes and unknown:
+            axes[unknown.pop()] = axis
+    before = [i for i in unknown if shape[i] > 1]
+    free = [axis for axis in _UNNAMED.get(len(before), ()) if axis not in axes] if len(before) < 4 else []
+    free += [axis for axis in AXES if axis not in axes and axis not in free]
+    if len(before) > len(free) or "x" not in axes or "y" not in axes:
+        given = ", ".join(f"{word or '?'}: {n}" for word, n in zip(words, shape, strict=True))
+        raise DataError(f"{source} must hold images or volumes, times, positions and channels of these; its axes are {given}")
+    for i, axis in zip(before, free, strict=False):
+        axes[i] = axis
+    guessed = [i for i, word in enumerate(words) if not meaning(word) and axes[i] and shape[i] > 1]
+    for axis in asked:
+        spare = [i for i in guessed if axes[i] == "volume"] or [i for i in guessed if axes[i] == "z" and not before]
+        if axis not in ("volume", *axes) and spare:
+            axes[spare[0]] = axis
+            guessed.remove(spare[0])
+    text = ""
+    if guessed and (named or len(shape) > 3):
+        taken = ", ".join(f"{axis} ({n})" for axis, n in zip(axes, shape, strict=True) if axis and (n > 1 or axis in "xy"))
+        text = f"its axes were taken for {taken}, for it does not say what all of them are"
+    kept = tuple(axis if n > 1 or axis in ("x", "y", *keep) else "" for axis, n in zip(axes, shape, strict=True))
+    return Layout(kept, tuple(int(n) for n in shape), text)
+
+
+def unnamed(shape: Sequence[int], dtype: np.dtype[Any]) -> list[str]:
+    """Words for the axes of an array that has none: "", but "channel" for a last one that is much shorter than the others.
+
+    Of images and single volumes that is so only where it looks like colours: three or four bytes.
+    """
+    short = (3, 4) if len(shape) == 3 and dtype == np.uint8 else (2, 3, 4) if len(shape) > 3 else ()
+    last = len(shape) > 2 and shape[-1] in short and min(shape[-3:-1]) > max(short)
+    return [""] * (len(shape) - last) + ["channel"] * last
+
+
+def uniform(coordinates: ArrayLike) -> tuple[float, float] | None:
+    """First value and step of evenly spaced coordinates; None where they are not."""
+    values = np.asarray(coordinates)
+    if values.ndim != 1 or values.dtype.kind not in "iuf" or len(values) < 2:
+        return None
+    values = values.astype(np.float64)
+    step = float(values[-1] - values[0]) / (len(values) - 1)
+    if not math.isfinite(step) or step == 0:
+        return None
+    even = bool(np.abs(values - values[0] - step * np.arange(len(values))).max() <= _OFF * abs(step))
+    return (float(values[0]), step) if even else None
+
+
+def place(layout: Layout, lines: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -> dict[str, Any]:
+    """Where a grid lies on whose axes samples have these first coordinates and steps, in these units.
+
+    Axes without a line begin at 0, and have a step of 1; units are brought to one, if they are lengths.
+    """
+    axes = [axis for axis in "xyz" if axis in layout.axes]
+    names = {axis: unit_name(units.get(axis, "")) for axis in axes}
+    unit = next(filter(None, names.values()), "")
+    factors = {axis: scale(names[axis] or unit, unit) for axis in axes}
+    if any(map(math.isnan, factors.values())):  # degrees beside metres
+        unit, factors = "", dict.fromkeys(axes, 1.0)
+    firsts, steps = zip(*(lines.get(axis, (0.0, 1.0)) for axis in axes), strict=True)
+    about: dict[str, Any] = {
+        "spacing": [abs(step) * factors[axis] for axis, step in zip(axes, steps, strict=True)],
+        "origin": [first * factors[axis] for axis, first in zip(axes, firsts, strict=True)],
+        "units": unit,
+    }
+    if min(steps) < 0:  # latitudes from north to south
+        about["direction"] = np.diag([math.copysign(1.0, step) for step in steps])
+    return about
+
+
+def decoded(data: NDArray[Any], attributes: Mapping[str, Any]) -> NDArray[Any]:
+    """Samples as the conventions of netCDF say: missing ones NaN, the others scaled and shifted."""
+
+    def given(name: str, default: float) -> float:
+        value = np.asarray(attributes.get(name, default))
+        return float(value.flat[0]) if value.size == 1 and value.dtype.kind in "iuf" else default
+
+    slope, offset, missing = given("scale_factor", 1.0), given("add_offset", 0.0), given("_FillValue", math.nan)
+    gone = None if math.isnan(missing) else data == missing
+    if gone is not None and gone.any():
+        data = data.astype(np.result_type(data.dtype, np.float32), copy=True)
+        data[gone] = np.nan
+    return scaled(data, slope, offset)

@@ -1,0 +1,112 @@
+"""Files of microscopes' makers (CZI, LIF, ND2, ...), by way of bioio and its plug-ins, one for each maker."""
+
+from __future__ import annotations
+
+import logging
+import math
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.errors import DataError, FormatError, MissingDependencyError
+from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
+from clvol.formats._layout import lay_out
+from clvol.interop import Content
+from clvol.volumes import Leading
+
+__all__ = ["SUFFIXES", "read", "series"]
+
+_JAVA = "bioio-bioformats"  # reads almost all, by way of Java
+_PLUGINS = {
+    ".czi": "bioio-czi",
+    ".lif": "bioio-lif",
+    ".nd2": "bioio-nd2",
+    ".dv": "bioio-dv",
+    ".r3d": "bioio-dv",
+    ".sldy": "bioio-sldy",
+    ".lsm": _JAVA,
+    ".oib": _JAVA,
+    ".oif": _JAVA,
+    ".vsi": _JAVA,
+}
+
+_BLUE_FIRST = (".czi",)  # files whose colours are blue, green, red, and whose plug-in gives them so
+
+SUFFIXES = tuple(_PLUGINS)
+"""Of the files that are read, if the plug-in is installed."""
+
+
+def read(path: Path, choose: Choice, series: int | str | None = None, level: int = 0) -> Content:
+    """The planes of one scene that are chosen, in micrometres."""
+    image = _opened(path)
+    listed = _scenes(image)
+    number = chosen_series(path.name, listed, series, what="scenes")
+    image.set_scene(number)
+    levels = sorted(image.resolution_levels)
+    sizes = []
+    for each in levels:
+        image.set_resolution_level(each)
+        sizes.append(tuple(image.shape))
+    image.set_resolution_level(levels[chosen_level(path.name, sizes, level)])
+    if image.dtype.kind not in "biuf":
+        raise DataError(f"{path.name} must hold real numbers; got dtype {image.dtype}")
+    order, shape = image.dims.order, tuple(image.shape)
+    names = tuple(str(name or "") for name in image.channel_names or ())
+    words = ["" if axis == "C" and "S" in order and n == 1 else axis for axis, n in zip(order, shape, strict=True)]
+    layout = lay_out(path.name, words, shape, ("channel",) if any(names) else ())
+    channels = layout.shape[layout.axes.index("channel")] if "channel" in layout.axes else 0
+    leading = Leading(layout.leading, layout.counts, {"channel": names} if any(names) and len(names) == channels else {})
+    if "S" in order and channels in (3, 4):
+        leading = layout.in_colour
+
+    def load(index: tuple[int | slice, ...]) -> NDArray[Any]:
+        if "S" not in order:
+            return np.asarray(image.dask_data[index])
+        samples = image.data  # bioio-czi 3.0 gives one colour for all three where it reads parts
+        return np.asarray((samples[..., ::-1] if path.suffix.lower() in _BLUE_FIRST else samples)[index])
+
+    data, chosen = layout.chosen(path.name, choose, load, leading)
+    sizes_um = {axis: getattr(image.physical_pixel_sizes, axis.upper()) for axis in "xyz"}
+    known: dict[str, Any] = {"space": "image", "name": listed[number].id if len(listed) > 1 else ""}
+    if any(sizes_um.values()):
+        spacing = {axis: float(size) if size else math.nan for axis, size in sizes_um.items()}
+        known |= {"spacing": layout.of(spacing), "units": "um"}
+    return data, known | chosen
+
+
+def series(path: Path) -> tuple[Series, ...]:
+    """The scenes of a file."""
+    return _scenes(_opened(path))
+
+
+def _scenes(image: Any) -> tuple[Series, ...]:
+    found = []
+    for number, name in enumerate(image.scenes):
+        image.set_scene(number)
+        found.append(Series(str(name), image.dims.order, tuple(image.shape)))
+    return tuple(found)
+
+
+def _opened(path: Path) -> Any:
+    """The image as bioio has it; the plug-in is named, for bioio's own search tells nothing of what fails."""
+    suffix = path.suffix.lower()
+    plugin = _PLUGINS[suffix]
+    module = plugin.replace("-", "_")
+    missing = [name for name in ("bioio", module) if find_spec(name) is None]
+    if missing:
+        extra = "clvol[bioio]" if plugin == "bioio-czi" else f"clvol[bioio] {plugin}"
+        raise MissingDependencyError(f"{suffix} files need bioio and its plug-in {plugin}: pip install {extra}")
+    logger = logging.getLogger("bioio.bio_image")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL + 1)  # what it logs is raised too
+    try:
+        return import_module("bioio").BioImage(path, reader=import_module(module).Reader)
+    except Exception as error:
+        reason = (str(error).strip().splitlines() or [type(error).__name__])[-1].strip(" -")
+        raise FormatError(f"{path.name} is damaged or unusual, says {plugin}: {reason}") from error
+    finally:
+        logger.setLevel(level)

@@ -1,0 +1,152 @@
+"""Arrays in HDF5 files: of simulations and netCDF-4, of ilastik and Fiji, and images of ITK; by way of h5py."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clvol.errors import DataError, FormatError, MissingDependencyError
+from clvol.formats._choice import Choice, Series, chosen_series
+from clvol.formats._layout import Layout, decoded, lay_out, place, uniform, unnamed
+from clvol.interop import Content
+from clvol.volumes import Leading
+
+__all__ = ["opened", "read", "series"]
+
+_NETCDF_3 = b"CDF"
+_NO_VARIABLE = b"This is a netCDF dimension but not a netCDF variable"  # NAME of a scale that holds no coordinates
+
+
+def read(path: Path, choose: Choice, series: int | str | None = None) -> Content:
+    """What is chosen of one array: the only one with three axes or more, else the only one with two.
+
+    Names of axes are taken from vigra's ``axistags``, ``axes``, or the labels and scales of dimensions; spacing from
+    ``element_size_um``, the tags, or evenly spaced scales; all of it from ITK's files.
+    """
+    with opened(path) as file:
+        arrays = _arrays(file)
+        listed = [_listed(array) for array in arrays]
+        if not arrays:
+            raise DataError(f"{path.name} must hold an array of numbers with two axes or more; it holds none")
+        deep = sum(array.ndim > 2 for array in arrays)
+        array = arrays[chosen_series(path.name, listed, series, what="arrays", main=deep or None, first=False)]
+        if _is_of_itk(array):
+            return _itk(path.name, array, choose)
+        words, lines, units = _axes(array)
+        named = any(words)
+        words = words if named else unnamed(array.shape, array.dtype)
+        layout = lay_out(path.name, words, array.shape, asked=choose.given)
+        leading = layout.channels_of(array.dtype) if words[-1:] == ["channel"] and not named else None
+        by_axis = {axis: lines[i] for i, axis in enumerate(layout.axes) if i in lines}
+        units_by_axis = {axis: units[i] for i, axis in enumerate(layout.axes) if i in units}
+        space = {"space": "image"} if "um" in units_by_axis.values() else {}
+        data, chosen = layout.chosen(path.name, choose, lambda index: decoded(array[index], dict(array.attrs)), leading)
+        known = {"name": array.name.rpartition("/")[2]} | space | place(layout, by_axis, units_by_axis)
+    return data, known | chosen
+
+
+def series(path: Path) -> tuple[Series, ...]:
+    """The arrays of numbers that have two axes or more, by their paths in the file; those with more than two before others."""
+    with opened(path) as file:
+        return tuple(_listed(array) for array in _arrays(file))
+
+
+def opened(path: Path) -> Any:
+    """The file as h5py has it."""
+    try:
+        import h5py
+    except ImportError as error:
+        raise MissingDependencyError("HDF5 files need h5py: pip install clvol[hdf5]") from error
+    with path.open("rb") as stream:
+        if stream.read(3) == _NETCDF_3:
+            raise FormatError(f"{path.name} must be of netCDF-4, which is HDF5; it is of netCDF-3: nccopy -k nc4 makes it one")
+    return h5py.File(path, "r", locking="best-effort")
+
+
+def _arrays(file: Any) -> list[Any]:
+    found: list[Any] = []
+
+    def look(_: str, node: Any) -> None:
+        if (
+            hasattr(node, "shape")
+            and node.shape is not None
+            and node.ndim >= 2
+            and node.dtype.kind in "biuf"
+            and 0 not in node.shape
+        ):
+            found.append(node)
+
+    file.visititems(look)
+    return sorted(found, key=lambda array: array.ndim == 2)
+
+
+def _listed(array: Any) -> Series:
+    return Series(array.name.lstrip("/"), array.dtype.name, tuple(array.shape))
+
+
+def _axes(array: Any) -> tuple[list[str], dict[int, tuple[float, float]], dict[int, str]]:
+    """Name of each axis, "" where it has none; first coordinate and step, and unit, of those of which they are known."""
+    attributes, count = array.attrs, array.ndim
+    words = _texts(attributes.get("axes", ()), count) or [str(dimension.label) for dimension in array.dims]
+    lines: dict[int, tuple[float, float]] = {}
+    units: dict[int, str] = {}
+    for i, dimension in enumerate(array.dims):
+        scales = [scale for scale in dimension.values() if scale.shape == (array.shape[i],)]
+        if not scales:
+            continue
+        words[i] = _text(scales[0].attrs.get("axis")) or words[i] or scales[0].name.rpartition("/")[2]
+        if not bytes(scales[0].attrs.get("NAME", b"")).startswith(_NO_VARIABLE):
+            lines[i] = uniform(scales[0][:]) or (0.0, math.nan if array.shape[i] > 1 else 1.0)
+            units[i] = _text(scales[0].attrs.get("units"))
+    for i, tag in enumerate(_tags(attributes.get("axistags"), count)):
+        words[i] = str(tag.get("key", ""))
+        if tag.get("resolution"):
+            lines[i] = (0.0, float(tag["resolution"]))
+    size = np.ravel(attributes.get("element_size_um", ()))
+    if len(size) == 3 and size.dtype.kind in "iuf":  # along z, y and x, whatever comes before
+        at = [words.index(axis) if axis in words else count - 3 + k for k, axis in enumerate("zyx")]
+        for i, step in zip(at, size, strict=True):
+            if i >= 0:
+                lines[i], units[i] = (0.0, float(step)), "um"
+    return words, lines, units
+
+
+def _text(value: Any) -> str:
+    value = np.ravel(value)[0] if np.size(value) == 1 else value
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else value if isinstance(value, str) else ""
+
+
+def _texts(value: Any, count: int) -> list[str]:
+    """One word for each axis, of an array of words or of a word of letters; none if they are not so many."""
+    words = list(_text(value)) if isinstance(value, (str, bytes)) else [_text(one) for one in np.ravel(value)]
+    return words if len(words) == count else []
+
+
+def _tags(value: Any, count: int) -> list[Mapping[str, Any]]:
+    """Vigra's description of the axes, which ilastik writes."""
+    text = _text(value)
+    tags = json.loads(text).get("axes", []) if text else []
+    return tags if len(tags) == count else []
+
+
+def _is_of_itk(array: Any) -> bool:
+    return array.name.rpartition("/")[2] == "VoxelData" and all(
+        name in array.parent for name in ("Origin", "Spacing", "Directions")
+    )
+
+
+def _itk(source: str, array: Any, choose: Choice) -> Content:
+    """An image as ITK stores it: rows of ``Directions`` are where its axes go, x first; components come last."""
+    about = {name: np.asarray(array.parent[name], dtype=np.float64) for name in ("Spacing", "Origin", "Directions")}
+    d = len(about["Spacing"])
+    words = [*"zyx"[3 - d :], *("channel",) * (array.ndim - d)] if d in (2, 3) else []
+    layout: Layout = lay_out(source, words, array.shape)
+    leading = Leading(layout.leading, layout.counts, vector="channel" in layout.leading and array.dtype.kind == "f")
+    data, chosen = layout.chosen(source, choose, lambda index: array[index], leading)
+    known = {"spacing": about["Spacing"], "origin": about["Origin"], "direction": about["Directions"].T, "space": "LPS"}
+    return data, known | chosen

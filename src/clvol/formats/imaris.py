@@ -1,0 +1,91 @@
+"""Imaris 5.5 files (``.ims``), which are HDF5: an array for each size, time and channel, padded to whole chunks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.errors import FormatError
+from clvol.formats._choice import Choice, chosen_level
+from clvol.formats._layout import Layout
+from clvol.formats._units import unit_name
+from clvol.formats.hdf5 import opened
+from clvol.interop import Content
+from clvol.volumes import Leading
+
+__all__ = ["read"]
+
+
+def read(path: Path, choose: Choice, level: int = 0) -> Content:
+    """The times and channels that are chosen; their grid lies where Imaris has it."""
+    with opened(path) as file:
+        if "DataSet" not in file or "DataSetInfo/Image" not in file:
+            raise FormatError(f"{path.name} must be of Imaris 5.5 or later, which has the groups DataSet and DataSetInfo")
+        levels = _numbered(file["DataSet"], "ResolutionLevel")
+        sizes = [_size(_numbered(_numbered(one, "TimePoint")[0], "Channel")[0]) for one in levels]
+        number = chosen_level(path.name, sizes, level)
+        times, size = _numbered(levels[number], "TimePoint"), sizes[number]
+        channels = len(_numbered(times[0], "Channel"))
+        layout = Layout(("time" * (len(times) > 1), "channel", "z", "y", "x"), (len(times), channels, *size))
+        data, chosen = layout.chosen(path.name, choose, lambda index: _load(times, size, index), _leading(file, layout))
+        about = file["DataSetInfo/Image"]
+        low, high = (np.array([float(_text(about, f"Ext{end}{i}")) for i in range(3)]) for end in ("Min", "Max"))
+        unit = unit_name(_text(about, "Unit", "um"))
+    spacing = (high - low) / size[::-1]  # from edge to edge
+    return data, {"spacing": spacing, "origin": low + spacing / 2, "units": unit, "space": "image"} | chosen
+
+
+def _numbered(group: Any, word: str) -> list[Any]:
+    """The members "word 0", "word 1", ..."""
+    found = [group[name] for name in (f"{word} {i}" for i in range(len(group))) if name in group]
+    if not found:
+        raise FormatError(f"{group.name} must hold {word!r} 0 and so on; it holds none")
+    return found
+
+
+def _size(channel: Any) -> tuple[int, int, int]:
+    """Samples along z, y and x without the padding."""
+    stored = channel["Data"].shape
+    z, y, x = (int(_text(channel, f"ImageSize{axis}", str(n))) for axis, n in zip("ZYX", stored, strict=True))
+    if not all(0 < n <= m for n, m in zip((z, y, x), stored, strict=True)):
+        raise FormatError(f"{channel.name} must hold {z} × {y} × {x} samples; its array has the shape {stored}")
+    return z, y, x
+
+
+def _load(times: list[Any], size: tuple[int, ...], index: tuple[int | slice, ...]) -> NDArray[Any]:
+    at_time, at_channel, *grid = index
+    box = tuple(slice(0, n) for n in size)
+
+    def some(nodes: list[Any], at: int | slice) -> list[Any]:
+        return nodes[at] if isinstance(at, slice) else [nodes[at]]
+
+    taken = [[channel["Data"][box] for channel in some(_numbered(time, "Channel"), at_channel)] for time in some(times, at_time)]
+    kept = tuple(slice(None) if isinstance(at, slice) else 0 for at in (at_time, at_channel))
+    return np.asarray(np.asarray(taken)[(*kept, *grid)])
+
+
+def _leading(file: Any, layout: Layout) -> Leading:
+    """With the names, colours and windows of channels."""
+    infos = [file.get(f"DataSetInfo/Channel {i}") for i in range(layout.shape[1])]
+    texts = [{key: "" if one is None else _text(one, key, "") for key in ("Name", "Color", "ColorRange")} for one in infos]
+    names = tuple(text["Name"] for text in texts)
+    colors, windows = [], []
+    for text in texts:
+        color = [float(part) for part in text["Color"].split()]
+        window = [float(part) for part in text["ColorRange"].split()]
+        colors.append((color[0], color[1], color[2]) if len(color) == 3 and all(0 <= c <= 1 for c in color) else None)
+        windows.append((window[0], window[1]) if len(window) == 2 and window[0] < window[1] else None)
+    return Leading(layout.leading, layout.counts, {"channel": names} if any(names) else {}, tuple(colors), tuple(windows))
+
+
+def _text(node: Any, key: str, default: str | None = None) -> str:
+    """An attribute, which Imaris stores as an array of single letters."""
+    if key not in node.attrs:
+        if default is not None:
+            return default
+        raise FormatError(f"{node.name} must have the attribute {key!r}; it has none")
+    value = node.attrs[key]
+    return value if isinstance(value, str) else np.asarray(value).tobytes().decode("utf-8", "replace").strip("\0 ")

@@ -1,0 +1,99 @@
+"""Images one by one (PNG, JPEG, BMP), and folders of them, each a slice; TIFF files too may be slices."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.errors import DataError, FormatError
+from clvol.formats import tiff
+from clvol.formats._choice import Choice
+from clvol.interop import Content
+from clvol.volumes import Leading
+
+__all__ = ["SUFFIXES", "are_in", "read", "read_folder"]
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
+"""Of single images that imageio reads."""
+
+_KINDS = {suffix: {".jpeg": ".jpg", ".tiff": ".tif"}.get(suffix, suffix) for suffix in (*SUFFIXES, ".tif", ".tiff")}
+_MODES = ("1", "L", "I", "F", "I;16", "I;16B", "I;16L", "LA", "RGB", "RGBA")  # of Pillow, whose samples mean what they seem to
+_GREY = Leading(("channel",), (2,), {"channel": ("grey", "alpha")})
+
+
+def read(path: Path, choose: Choice) -> Content:
+    """One image, [y, x]; of one in colour the luminance or a channel."""
+    samples, leading = _picture(path)
+    pick = choose(path.name, leading)
+    return pick.finish(samples[pick.index]), {"space": "image"} | pick.about
+
+
+def are_in(path: Path) -> bool:
+    """Whether a folder holds images."""
+    return any(_is_slice(file) for file in path.iterdir())
+
+
+def read_folder(path: Path, choose: Choice) -> Content:
+    """The images of a folder, each a slice, in the natural order of their names: 9 before 10."""
+    files = sorted((file for file in path.iterdir() if _is_slice(file)), key=_natural)
+    kinds = Counter(_KINDS[file.suffix.lower()] for file in files)
+    if len(kinds) > 1:
+        found = ", ".join(f"{n} {kind}" for kind, n in kinds.most_common())
+        raise FormatError(f"{path} must hold slices of one kind; found {found}: move one kind elsewhere")
+    first, leading, geometry = _slice(files[0])
+    between = f"{files[0].name} to {files[-1].name}" if len(files) > 1 else files[0].name
+    guess = f"its {len(files)} images ({between}) were taken for slices in the order of their names, 1 apart: spacing= replaces it"
+    pick = choose(path.name, leading, guess)
+    taken = first[pick.index]
+    data = np.empty((*taken.shape[:-2], len(files), *taken.shape[-2:]), first.dtype)
+    for i, file in enumerate(files):
+        samples = _slice(file)[0] if i else first
+        if samples.shape != first.shape or samples.dtype != first.dtype:
+            told = [f"{f.name}: {s.shape} of {s.dtype}" for f, s in ((files[0], first), (file, samples))]
+            raise DataError(f"{path} must hold slices of one shape and dtype; got {' and '.join(told)}")
+        data[..., i, :, :] = samples[pick.index]
+    geometry["spacing"] = (*geometry.get("spacing", (1.0, 1.0)), 1.0)
+    return pick.finish(data), geometry | pick.about
+
+
+def _is_slice(file: Path) -> bool:
+    # programs leave hidden files beside images, such as ._1.tif
+    return file.suffix.lower() in _KINDS and not file.name.startswith(".") and file.is_file()
+
+
+def _natural(file: Path) -> tuple[list[Any], str]:
+    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", file.name.lower())], file.name
+
+
+def _slice(path: Path) -> tuple[NDArray[Any], Leading, dict[str, Any]]:
+    """Samples [y, x] or [channel, y, x] of one image, and what is known of it."""
+    if _KINDS[path.suffix.lower()] != ".tif":
+        return *_picture(path), {"space": "image"}
+    samples, geometry = tiff.read(path, Choice(whole=True))
+    leading = geometry.pop("leading", Leading())
+    if leading.axes not in ((), ("channel",)) or samples.ndim - len(leading.axes) != 2:
+        raise DataError(
+            f"{path.parent} must hold one slice a file; {path.name} holds {leading} of shape {samples.shape}: read it by itself"
+        )
+    return samples, leading, {key: geometry[key] for key in ("spacing", "units", "space")}
+
+
+def _picture(path: Path) -> tuple[NDArray[Any], Leading]:
+    """Samples [y, x] or [channel, y, x] as imageio reads them; of colours in other models than RGB, those in RGB."""
+    import imageio.v3 as iio
+
+    try:
+        with iio.imopen(path, "r", plugin="pillow") as file:
+            mode = file.metadata(index=0)["mode"]
+            samples = np.asarray(file.read(index=0, **({} if mode in (*_MODES, "P") else {"mode": "RGB"})))
+    except (OSError, SyntaxError, ValueError) as error:  # imageio's own words are of plug-ins
+        raise FormatError(f"cannot read {path}: it is damaged, or no image that imageio reads") from error
+    if samples.ndim == 2:
+        return samples, Leading()
+    channels = samples.shape[-1]
+    return np.moveaxis(samples, -1, 0), _GREY if channels == 2 else Leading.of_rgb(channels)

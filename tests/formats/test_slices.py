@@ -1,0 +1,122 @@
+"""Single images and folders of them, and how files and folders are recognised."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+
+import clvol
+from clvol import ClvolWarning, formats
+from clvol.errors import DataError, FormatError, OptionError
+
+DATA = np.random.default_rng(3).integers(0, 60000, (12, 5, 7)).astype(np.uint16)
+
+
+def fill(folder: Path, name: str = "slice_{}.png", data: np.ndarray = DATA) -> Path:
+    for i, samples in enumerate(data):
+        iio.imwrite(folder / name.format(i), samples)
+    return folder
+
+
+def test_slices_in_the_natural_order_of_their_names(tmp_path: Path) -> None:
+    fill(tmp_path)
+    (tmp_path / "notes.txt").write_text("taken on Monday")
+    (tmp_path / "._slice_3.png").write_bytes(b"of another program")
+    with pytest.warns(ClvolWarning, match=r"12 images \(slice_0\.png to slice_11\.png\).*1 apart: spacing="):
+        volume = clvol.read(tmp_path)
+    np.testing.assert_array_equal(volume.data, DATA)
+    assert (volume.data.dtype, volume.space, volume.spacing) == (np.uint16, "image", (1, 1, 1))
+    with warnings.catch_warnings(action="ignore"):
+        assert clvol.read(tmp_path, spacing=(1, 1, 3)).spacing == (1, 1, 3)
+
+
+def test_slices_of_tiff_keep_their_spacing(tmp_path: Path) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    for i in range(3):
+        tifffile.imwrite(tmp_path / f"{i}.tif", DATA[i], imagej=True, resolution=(4, 2), metadata={"unit": "um"})
+    with pytest.warns(ClvolWarning, match="3 images"):
+        volume = clvol.read(tmp_path)
+    np.testing.assert_array_equal(volume.data, DATA[:3])
+    assert (volume.spacing, volume.units) == ((0.25, 0.5, 1.0), "um")
+    tifffile.imwrite(tmp_path / "1.tif", DATA, photometric="minisblack", metadata={"axes": "ZYX"})
+    with pytest.raises(DataError, match=r"1\.tif.*12, 5, 7.*by itself"), warnings.catch_warnings(action="ignore"):
+        clvol.read(tmp_path)
+
+
+def test_slices_in_colour(tmp_path: Path) -> None:
+    data = (DATA[:9] % 256).astype(np.uint8).reshape(3, 5, 7, 3)
+    fill(tmp_path, "{}.png", data)
+    with warnings.catch_warnings(action="ignore"):
+        np.testing.assert_array_equal(clvol.read(tmp_path, channel="blue").data, data[..., 2])
+        everything = clvol.read_all(tmp_path)
+        np.testing.assert_allclose(clvol.read(tmp_path).data, data @ [0.2126, 0.7152, 0.0722], atol=0.5001)
+    np.testing.assert_array_equal(np.asarray(everything), np.moveaxis(data, -1, 0))
+
+
+@pytest.mark.parametrize("other", ["shape", "dtype", "kind", "damaged"])
+def test_slices_that_do_not_fit(tmp_path: Path, other: str) -> None:
+    fill(tmp_path)
+    path = tmp_path / "slice_4.png"
+    if other == "kind":
+        iio.imwrite(tmp_path / "thumbnail.jpg", np.zeros((5, 7), np.uint8))
+    elif other == "damaged":
+        path.write_bytes(path.read_bytes()[:80])
+    else:
+        iio.imwrite(path, DATA[4, 1:] if other == "shape" else DATA[4].astype(np.uint8))
+    match = {
+        "shape": r"one shape and dtype.*slice_0\.png: \(5, 7\).*slice_4\.png: \(4, 7\)",
+        "dtype": "uint16 and .*uint8",
+        "kind": r"one kind; found 12 \.png, 1 \.jpg",
+        "damaged": "cannot read",
+    }[other]
+    with pytest.raises((DataError, FormatError), match=match), warnings.catch_warnings(action="ignore"):
+        clvol.read(tmp_path)
+
+
+def test_one_image(tmp_path: Path) -> None:
+    iio.imwrite(tmp_path / "grey.png", DATA[0])
+    image = clvol.read(tmp_path / "grey.png")
+    np.testing.assert_array_equal(image.data, DATA[0])
+    colours = (DATA[:9] % 256).astype(np.uint8).reshape(3, 5, 7, 3)[0]
+    iio.imwrite(tmp_path / "c.png", colours)
+    np.testing.assert_array_equal(clvol.read(tmp_path / "c.png", channel="red").data, colours[..., 0])
+    with pytest.raises(OptionError, match=r"red.*luminance"):
+        clvol.read(tmp_path / "c.png", channel="DAPI")
+    pillow = pytest.importorskip("PIL.Image")
+    pillow.fromarray(np.full((5, 7, 3), 255, np.uint8)).convert("CMYK").save(tmp_path / "k.jpg")  # no ink is white
+    assert clvol.read(tmp_path / "k.jpg").data.min() > 250
+
+
+@pytest.mark.parametrize("content", [b"", b"this is not a picture", b"\x89PNG\r\n\x1a\n" + bytes(50)])
+def test_what_is_no_image(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "v.png").write_bytes(content)
+    with pytest.raises(FormatError, match=r"cannot read .*v\.png"):
+        clvol.read(tmp_path / "v.png")
+
+
+def test_a_folder_of_other_things_says_what_it_holds(tmp_path: Path) -> None:
+    for name in ("a.txt", "b.txt", "c.csv"):
+        (tmp_path / name).write_text("1")
+    for name in ("red", "green"):
+        (tmp_path / name).mkdir()
+    with pytest.raises(
+        FormatError, match=r"DICOM files, image slices.*Zarr.*2 files \.txt, 1 file \.csv, 2 folders \(green, red\)"
+    ):
+        clvol.read(tmp_path)
+    with pytest.raises(FormatError, match="this one holds nothing"):
+        clvol.read(tmp_path / "red")
+
+
+def test_an_unknown_suffix_lists_the_formats(tmp_path: Path) -> None:
+    (tmp_path / "v.txt").write_text("1 2 3")
+    with pytest.raises(
+        FormatError, match=r"v\.txt: its suffix must be one of \.npy .*\.nii\.gz .*\.czi .*a folder may hold DICOM.*Zarr"
+    ):
+        clvol.read(tmp_path / "v.txt")
+    with pytest.raises(FormatError, match=r"only read; written are \.npy") as caught:
+        formats.write(DATA, tmp_path / "v.png")
+    assert ".czi" not in str(caught.value)
