@@ -1,8 +1,10 @@
-# Two commands for a fresh machine with Python 3.11 or later: `make demo` and `make test`.
+# Two commands for a fresh machine with Python 3.11 or later: `make demo` and `make test`. Without make: see README.md.
 
 PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/bin
+# OpenCL for the processor: PoCL needs a linker and libgcc
+RUNTIME := $(if $(and $(shell command -v ld),$(shell command -v gcc)),pocl,intel)
 
 .PHONY: demo test check bench docs clean
 
@@ -30,15 +32,15 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/demo.stamp: pyproject.toml | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --editable ".[pocl]"
+	$(BIN)/python -m pip install --quiet --editable ".[$(RUNTIME)]"
 	touch $@
 
 $(VENV)/test.stamp: pyproject.toml | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --editable ".[pocl,dev]"
+	$(BIN)/python -m pip install --quiet --editable ".[$(RUNTIME),dev]"
 	touch $@
 
 $(VENV)/bench.stamp: $(VENV)/test.stamp
-	$(BIN)/python -m pip install --quiet --editable ".[pocl,bench]"
+	$(BIN)/python -m pip install --quiet --editable ".[$(RUNTIME),bench]"
 	touch $@
 
 $(VENV)/docs.stamp: $(VENV)/demo.stamp

@@ -181,6 +181,20 @@ def test_large_buffers_begin_a_huge_page_and_hold_what_was_put_in(device: Device
     buffer.release()
 
 
+@pytest.mark.parametrize("skipped", [0, 1, 5, 40])
+def test_memory_is_lent_from_where_a_runtime_need_not_copy_it(device: Device, skipped: int) -> None:
+    data = np.arange(skipped + 24, dtype=np.float32)[skipped:].reshape(2, 3, 4)
+    for array in (data, data[::-1, :, 1:]):
+        with device.lent_span(array, write=False) as (buffer, start, strides):
+            held = np.empty(buffer.size // 4, np.float32)
+            device.download(buffer, held)
+            places = start + np.einsum("i,izyx->zyx", strides[2::-1], np.indices(array.shape))
+            np.testing.assert_array_equal(held[places], array)
+            if device.shares_memory:
+                address = buffer.get_host_array((1,), np.float32).ctypes.data
+                assert address % (device.handle.mem_base_addr_align // 8) == 0
+
+
 def test_errors_of_the_runtime_come_out_as_ours(device: Device) -> None:
     import pyopencl
 

@@ -10,10 +10,10 @@ import pytest
 SOURCE = Path(__file__).resolve().parents[1] / "src"
 # top to bottom; a name stands for the module or for all of its package
 LAYERS = [
-    "errors moved checks rounding uniform files foreign interop filter boundary missing noise volume volumes smoothing stored camera "
-    "color light scaling histogram palette preset transfer mode look scene transform",
+    "errors moved checks rounding uniform files foreign interop filter boundary missing noise volume volumes smoothing stored "
+    "camera color light scaling histogram palette preset transfer mode look scene transform",
     "reference response phantoms formats",
-    "processor opencl program device",
+    "intel processor opencl program device",
     "spline",
     "ndimage",
     "interpolator resizing torch xarray",
@@ -21,7 +21,7 @@ LAYERS = [
     "picture images analysis",
     "figures",
     "reports",
-    "cli __main__",
+    "doctor cli __main__",
 ]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import math
 import mmap
 import os
@@ -299,9 +300,16 @@ class Device:
         length = (before + sum(reach for reach in reaches if reach > 0)) // width + 1
         lowest = array[tuple(slice(-1, None) if reach < 0 else slice(0, 1) for reach in reaches)]
         span = np.lib.stride_tricks.as_strided(lowest, (length,), (width,))
+        # Intel's runtime copies memory that does not begin where its vectors may; what lies before, on the same page, is lent too
+        more = lowest.ctypes.data % (self.handle.mem_base_addr_align // 8)
+        if write or not self.shares_memory or more % width:
+            more = 0
+        if more:
+            memory = (ctypes.c_byte * (more + span.nbytes)).from_address(lowest.ctypes.data - more)
+            span = np.frombuffer(memory, array.dtype)
         with self.lent(span, write=write) as buffer:
             strides = [stride // width for stride in array.strides[::-1]]
-            yield buffer, np.int64(before // width), np.array([*strides, 0], np.int64)
+            yield buffer, np.int64((more + before) // width), np.array([*strides, 0], np.int64)
 
     def image_of(self, buffer: Any, shape: tuple[int, int, int]) -> Any:
         """A float image with the first numbers of `buffer`, of shape (z, y, x)."""
@@ -404,7 +412,10 @@ def _require_unforked(process: int | None) -> None:
 
 
 def devices() -> list[Device]:
-    """Every OpenCL device found, the one used by default first: GPUs, then the processor."""
+    """Every OpenCL device found, the one used by default first: GPUs, then the processor.
+
+    Of several runtimes for the processor PoCL comes first, the fastest; but last where it cannot link its kernels.
+    """
     global _process
     _require_unforked(_process)
     cl = opencl()
@@ -423,7 +434,13 @@ def devices() -> list[Device]:
             if handle.available and handle.compiler_available:
                 with _lock:
                     found.append(_devices.setdefault(handle.int_ptr, Device(handle)))
-    return sorted(found, key=lambda d: ("gpu", "cpu", "accelerator").index(d.kind))
+    several = sum(d.kind == "cpu" for d in found) > 1
+
+    def rank(device: Device) -> tuple[int, int]:
+        pocl = several and device.is_pocl and device.kind == "cpu"
+        return ("gpu", "cpu", "accelerator").index(device.kind), 1 if not pocl else 2 if why_pocl_fails() else 0
+
+    return sorted(found, key=rank)
 
 
 def as_device(choice: Device | str | int | None = None) -> Device:
@@ -448,7 +465,7 @@ def as_device(choice: Device | str | int | None = None) -> Device:
         choice = os.environ.get("CLVOL_DEVICE") or 0
     found = devices()
     if not found:
-        raise DeviceError(f"no OpenCL device was found. {INSTALL}")
+        raise DeviceError(f"no OpenCL device was found. {INSTALL}. 'clvol doctor' says more")
     text = str(choice).strip().lower()
     if text.isdigit():
         if int(text) < len(found):
@@ -479,23 +496,32 @@ for p in cl.get_platforms():
 _named = lru_cache(processor.name_processor)
 
 
-@lru_cache(maxsize=1)
 def _require_linker() -> None:
-    """PoCL links each kernel with ``ld`` against libc and libgcc; without them the process aborts.
+    reason = why_pocl_fails()
+    if reason:
+        raise DeviceError(
+            f"{reason}; install 'binutils' and 'gcc' (Debian, Ubuntu: apt install binutils gcc), or another OpenCL runtime: "
+            "'pip install clvol[intel]' brings one that needs neither"
+        )
 
-    So another process tries first; that it worked is noted in PoCL's cache for the next time.
+
+@lru_cache(maxsize=1)
+def why_pocl_fails() -> str:
+    """Why PoCL cannot build kernels here; "" if it can.
+
+    PoCL links each kernel with ``ld`` against libc and libgcc; without them the process aborts. So another process tries first;
+    that it worked is noted in clvol's cache for the next time.
     """
     linker = shutil.which("ld")
-    advice = "install 'binutils' and 'gcc' (Debian, Ubuntu: apt install binutils gcc), or another OpenCL runtime"
     if linker is None:
-        raise DeviceError(f"PoCL needs the linker 'ld' to finish a kernel, and there is none on PATH; {advice}")
+        return "PoCL needs the linker 'ld' to finish a kernel, and there is none on PATH"
     import pyopencl
 
     stamp = f"{linker} {Path(linker).stat().st_mtime_ns} {os.environ.get('POCL_CACHE_DIR', '')} {pyopencl.VERSION_TEXT}"
     mark = _cache_folder() / "pocl-links"
     with contextlib.suppress(OSError, UnicodeDecodeError):
         if mark.read_text(encoding="utf-8") == stamp:
-            return
+            return ""
     name = os.urandom(4).hex()  # a kernel that no cache knows
     environment = {**os.environ, "PYOPENCL_NO_CACHE": "1"}
     try:
@@ -507,15 +533,16 @@ def _require_linker() -> None:
             check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise DeviceError(f"PoCL could not be tried: {error}") from error
+        return f"PoCL could not be tried: {error}"
     if trial.returncode != 0:
         last = trial.stderr.decode(errors="replace").strip().splitlines()[-1:] or ["no message"]
-        raise DeviceError(f"PoCL cannot build kernels here ({last[0]}); {advice}")
+        return f"PoCL cannot build kernels here ({last[0]})"
     with contextlib.suppress(OSError):
         mark.parent.mkdir(parents=True, exist_ok=True)
         temporary = mark.with_name(f"{mark.name}.{os.getpid()}")
         temporary.write_text(stamp, encoding="utf-8")
         temporary.replace(mark)
+    return ""
 
 
 def _cache_folder() -> Path:

@@ -3,29 +3,47 @@
 from __future__ import annotations
 
 import os
+import platform
+import sys
 import tempfile
+import threading
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from clvol import intel
 from clvol.errors import DeviceError
 
 __all__ = ["INSTALL", "opencl"]
 
-INSTALL = (
-    "On Linux without a GPU, 'pip install clvol[pocl]' brings one that runs on the processor; "
-    "with a GPU, install its vendor's OpenCL driver. 'clvol doctor' says more"
-)
+_WITHOUT_GPU = {
+    "linux": (
+        "'pip install clvol[intel]' brings one that runs on the processor and needs nothing else, "
+        "'pip install clvol[pocl]' a smaller one that needs 'ld' and gcc"
+    ),
+    "win32": "'pip install clvol[intel]' brings one that runs on the processor",
+}
+_X86 = platform.machine() in ("x86_64", "AMD64")
+_ADVICE = (_WITHOUT_GPU.get(sys.platform) if _X86 else None) or "install PoCL (apt install pocl-opencl-icd; conda install pocl)"
+INSTALL = f"Without a GPU, {_ADVICE}; with a GPU, install its vendor's OpenCL driver"
+_lock = threading.Lock()
 
 
 @lru_cache(maxsize=1)
 def opencl() -> Any:
-    """pyopencl, with caches that can be written; imported only when a device is needed."""
+    """pyopencl, with caches that can be written; imported only when a device is needed.
+
+    Its loader looks for runtimes once in a process, here, unless the program used pyopencl before clvol.
+    """
     _require_caches()
-    try:
-        import pyopencl
-    except ImportError as error:
-        raise DeviceError(f"pyopencl cannot be imported: {error}. {INSTALL}") from error
+    with _lock, intel.known_to_the_loader():
+        try:
+            import pyopencl
+        except ImportError as error:
+            raise DeviceError(f"pyopencl cannot be imported: {error}. {INSTALL}. 'clvol doctor' says more") from error
+        with suppress(pyopencl.Error):  # it finds none: whoever asks for devices is told
+            pyopencl.get_platforms()
     return pyopencl
 
 

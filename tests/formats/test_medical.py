@@ -496,7 +496,7 @@ def test_a_heart_says_what_it_is(tmp_path: Path) -> None:
     (one,) = clvol.formats.series_of(path.parent)
     assert one.text == "MR, My Special Series For Testing, 1 file"
     shutil.copy(path, path.with_name("other.dcm"))
-    with pytest.warns(ClvolWarning, match="it is one slice, and 1 more DICOM files lie beside it: the folder"):
+    with pytest.warns(ClvolWarning, match="it is one slice, and 1 more DICOM files lie beside it: give the folder"):
         read(path)
     image = sitk.ReadImage(str(path))
     center, width = (float(image.GetMetaData(tag)) for tag in ("0028|1050", "0028|1051"))
@@ -531,12 +531,16 @@ def test_npz_keeps_several(tmp_path: Path) -> None:
     assert (one.name, one.color, one.window, one.space, one.spacing) == ("a", (1, 0, 0), (0, 1), "image", (1, 2, 3))
 
 
-def test_an_array_of_four_axes_is_guessed(tmp_path: Path) -> None:
+def test_axes_of_arrays_are_guessed(tmp_path: Path) -> None:
     np.save(tmp_path / "v.npy", series(5).T)
-    with pytest.warns(ClvolWarning, match=r"5 volumes; volume 0 was read: .*taken for \[volume, z, y, x\]"):
+    with pytest.warns(ClvolWarning, match=r"5 volumes; volume 0 was read: .*taken for volume \(5\), z \(2\)"):
         np.testing.assert_array_equal(read(tmp_path / "v.npy").data, series(5)[..., 0].T)
+    np.testing.assert_array_equal(read(tmp_path / "v.npy", time=3).data, series(5)[..., 3].T)  # the caller explains the axis
     with pytest.warns(ClvolWarning, match="taken for"):
         np.testing.assert_array_equal(read_all(tmp_path / "v.npy"), series(5).T)
+    np.savez(tmp_path / "v.npz", data=series(5).T, spacing=(1, 2, 3))
+    with pytest.warns(ClvolWarning, match="taken for"):
+        assert read(tmp_path / "v.npz", volume=4).spacing == (1, 2, 3)
 
 
 def test_what_images_say_needs_no_samples() -> None:

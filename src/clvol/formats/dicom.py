@@ -161,7 +161,7 @@ def _read_file(path: Path, choose: Choice, alone: bool = False) -> Content:
     geometry = simpleitk_says(image) | _about(head, content)
     origins, order, guessed = _positions(content, frames), np.arange(frames)[None], ""
     if frames == 1 and not alone and head.texts.get(_MODALITY) in _STACKED and (more := _beside(path)):
-        guessed = f"it is one slice, and {more} more DICOM files lie beside it: the folder is read as a volume"
+        guessed = f"it is one slice, and {more} more DICOM files lie beside it: give the folder to read a volume of all"
     film = frames > 1 and origins is None and not math.isnan(head.number(_FRAME_TIME))
     if film:
         order = order.T

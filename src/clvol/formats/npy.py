@@ -16,6 +16,7 @@ from clvol.errors import DataError, FormatError
 from clvol.foreign import Content
 from clvol.formats._choice import Choice
 from clvol.formats._files import require_bytes, require_default
+from clvol.formats._layout import lay_out, unnamed
 from clvol.volume import Volume
 from clvol.volumes import Leading, Volumes
 
@@ -90,12 +91,13 @@ def _tuples(value: Any) -> Any:
 
 
 def _chosen(data: NDArray[Any], leading: Leading | None, about: dict[str, Any], name: str, choose: Choice) -> Content:
-    """The volumes that are chosen of an array, whose first axis of four is taken for volumes if nothing says what it counts."""
-    guessed = ""
-    if leading is None and data.ndim == 4 and 0 not in data.shape:
-        leading = Leading(("volume",), data.shape[:1])
-        guessed = "its axes were taken for [volume, z, y, x]"
-    pick = choose(name, leading or Leading(), guessed)
+    """The volumes that are chosen of an array; what the axes of four and more count is guessed if nothing says it."""
+    if leading is None and data.ndim > 3 and 0 not in data.shape:
+        samples, known = lay_out(name, unnamed(data.shape, data.dtype), data.shape, asked=choose.given).chosen(
+            name, choose, data.__getitem__
+        )
+        return samples, about | known
+    pick = choose(name, leading or Leading())
     return pick.finish(data[pick.index]), about | pick.about
 
 

@@ -1,0 +1,165 @@
+"""What ``clvol doctor`` looks at: whether OpenCL is usable here, which runtime is used and why, and which extras there are."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+import sys
+from collections.abc import Callable, Iterator
+from importlib.metadata import PackageNotFoundError, metadata, requires, version
+from typing import NamedTuple
+
+import numpy as np
+
+import clvol
+from clvol import intel
+from clvol.device import Device, as_device, devices, why_pocl_fails
+from clvol.errors import DeviceError
+from clvol.opencl import INSTALL
+
+__all__ = ["Check", "extras", "opencl"]
+
+_USES = {
+    "medical": "DICOM, NRRD, MetaImage, NIfTI",
+    "microscopy": "TIFF stacks, Zarr",
+    "hdf5": "HDF5 and its kin",
+    "vtk": "VTK's files",
+    "bioio": "files of microscopes' makers",
+    "figures": "figures and reports",
+    "xarray": "labelled arrays",
+    "torch": "gradients of tensors",
+    "bench": "measuring beside other libraries",
+}
+_TOOLS = ("pocl", "intel", "test", "dev", "docs")  # no one misses these to use clvol; the first two are told of as devices
+
+
+class Check(NamedTuple):
+    """One thing that was looked at.
+
+    Attributes
+    ----------
+    check : str
+        What it is.
+    ok : bool
+        Whether it is there, or works.
+    detail : str
+        What was found; else what to do.
+    """
+
+    check: str
+    ok: bool
+    detail: str
+
+
+def opencl() -> Iterator[Check]:
+    """What computing needs, in the order of need; the last one is ``ok`` if clvol can be used. Nothing is raised."""
+    for what, look in (
+        ("an OpenCL device", _found),
+        ("the one that is used", _used),
+        ("it builds kernels", _builds),
+        ("it computes right values", _parity),
+    ):
+        done = _tried(what, look)
+        yield done
+        if not done.ok:
+            return
+
+
+def extras() -> Iterator[Check]:
+    """What is optional: Intel's runtime if it is installed but not found, and each extra of the installed package."""
+    silent = _silent_intel()
+    if silent:
+        yield Check("Intel's runtime (optional)", False, silent)
+    for extra in metadata("clvol").get_all("Provides-Extra") or []:
+        if extra in _TOOLS:
+            continue
+        there, missing = [], []
+        for name in _packages(extra):
+            try:
+                there.append(f"{name} {version(name)}")
+            except PackageNotFoundError:
+                missing.append(name)
+        uses = _USES.get(extra, "")
+        what = [f"for {uses}: " if uses else "", f"pip install clvol[{extra}]", f" (brings {', '.join(missing)})"]
+        detail = "".join(what) if missing else ", ".join(there) + (f": {uses}" if uses else "")
+        yield Check(f"{extra} (optional)", not missing, detail)
+
+
+def _tried(what: str, look: Callable[[], str]) -> Check:
+    try:
+        return Check(what, True, look())
+    except Exception as error:  # whatever is wrong here is what the user wants to know
+        return Check(what, False, " ".join(str(error).split()) or type(error).__name__)
+
+
+def _named(device: Device) -> str:
+    return f"{device.name} ({device.platform})"
+
+
+def _found() -> str:
+    names = [_named(device) for device in devices()]
+    if not names:
+        raise DeviceError(f"none was found. {INSTALL}")
+    return ", ".join(names)
+
+
+def _used() -> str:
+    """Which device is used by default, and why."""
+    device, found = as_device(), devices()
+    if os.environ.get("CLVOL_DEVICE"):
+        why = f"CLVOL_DEVICE is {os.environ['CLVOL_DEVICE']}"
+    elif len(found) == 1:
+        why = "the only one"
+    elif device.kind != "cpu":
+        why = "GPUs come first"
+    elif any(other.is_pocl and other.kind == "cpu" and other is not device for other in found):
+        why = why_pocl_fails()
+    else:
+        why = "the fastest on this processor, and it can link its kernels here" if device.is_pocl else "the first one"
+    return f"{_named(device)}: {why}"
+
+
+def _builds() -> str:
+    device = as_device()
+    device.require_usable()
+    return device.name
+
+
+def _parity() -> str:
+    from clvol import reference
+
+    points = np.random.default_rng(0).uniform(0, 8, (1000, 3))
+    volume = clvol.Volume(np.random.default_rng(1).standard_normal((9, 9, 9)))
+    error = float(np.abs(clvol.sample(volume, points) - reference.sample(volume, points, "bspline3")).max())
+    if not error < 1e-4:
+        raise DeviceError(f"this device computes wrong values: off by {error:.2g}")
+    return f"largest difference from the reference {error:.1e}"
+
+
+def _silent_intel() -> str:
+    """Why Intel's runtime shows no device though it is installed; "" if it does, or is not."""
+    runtime = intel.library()
+    try:
+        if runtime is None or any("intel" in device.platform.lower() and device.kind == "cpu" for device in devices()):
+            return ""
+        ctypes.CDLL(str(runtime))
+    except DeviceError:  # told already
+        return ""
+    except OSError as error:
+        return f"{runtime} does not load ({error}): pip install clvol[intel] brings what it needs"
+    why = "by an administrator's shell" if sys.platform == "win32" else "by OCL_ICD_VENDORS"
+    return f"{runtime} is kept out {why}, or cannot run on this processor"
+
+
+def _packages(extra: str) -> list[str]:
+    """The distributions that an extra brings, those of other extras too."""
+    found: dict[str, None] = {}
+    for line in requires("clvol") or []:
+        if not re.search(rf"""extra *== *['"]{re.escape(extra)}['"]""", line):
+            continue
+        name = re.match(r"[\w.-]+", line)
+        inner = re.match(r"clvol\[([\w,.-]+)\]", line)
+        names = [p for e in inner[1].split(",") for p in _packages(e)] if inner else [name[0]] if name else []
+        found |= dict.fromkeys(names)
+    return list(found)
