@@ -79,7 +79,7 @@ html_theme_options = {
     "footer_end": [],
     "header_links_before_dropdown": 7,
 }
-html_sidebars = {"start": []}
+html_sidebars: dict[str, list[str]] = {"start": []}
 
 
 def _require_no_requests(app: Sphinx, error: Exception | None) -> None:
