@@ -6,7 +6,7 @@ BIN = $(VENV)/bin
 # OpenCL for the processor: PoCL needs a linker and libgcc
 RUNTIME := $(if $(and $(shell command -v ld),$(shell command -v gcc)),pocl,intel)
 
-.PHONY: demo test check bench clean
+.PHONY: demo test check bench docs clean
 
 demo: $(VENV)/demo.stamp
 	$(BIN)/python examples/figure6.py --output figure6.png
@@ -22,8 +22,11 @@ check: $(VENV)/test.stamp
 bench: $(VENV)/bench.stamp
 	$(BIN)/python -m bench
 
+docs: $(VENV)/docs.stamp
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --jobs 2 docs docs/_build/html
+
 clean:
-	rm -rf $(VENV) dist figure6.png
+	rm -rf $(VENV) dist figure6.png docs/_build docs/auto_gallery docs/api/generated
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
@@ -38,4 +41,8 @@ $(VENV)/test.stamp: pyproject.toml | $(BIN)/python
 
 $(VENV)/bench.stamp: $(VENV)/test.stamp
 	$(BIN)/python -m pip install --quiet --editable ".[$(RUNTIME),bench]"
+	touch $@
+
+$(VENV)/docs.stamp: $(VENV)/demo.stamp
+	$(BIN)/python -m pip install --quiet --editable ".[docs]"
 	touch $@

@@ -148,7 +148,7 @@ def taylor_coefficients(filter: str | Filter, t: ArrayLike, count: int = 6, deri
 
     Returns
     -------
-    ndarray of float64, shape (count, *t.shape)
+    ndarray of float64, shape (count, ...), the rest that of `t`
 
     Raises
     ------

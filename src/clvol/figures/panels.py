@@ -131,7 +131,7 @@ def figure6(
     device: Device | str | int | None = None,
     progress: Progress | None = None,
 ) -> tuple[list[Panel], NDArray[np.uint8]]:
-    """Figure 6 of the paper: the Marschner-Lobb function sampled `size`³, reconstructed by each filter.
+    """Figure 6 of the paper: `size` cubed samples of the Marschner-Lobb function, reconstructed by each filter.
 
     Parameters
     ----------

@@ -1,0 +1,19 @@
+"""
+Regions of a label map
+======================
+
+Labels are names, between which there is nothing: each is drawn in a colour of its own, and never blended with another.
+One alone is drawn as the smooth surface of its indicator.
+"""
+
+import numpy as np
+
+import clvol
+
+box = clvol.phantoms.box(48)
+z, y, x = np.indices(box.shape) > 24
+labels = box.placed(np.where(box.data > 0.5, 1 + x + 2 * z, 0).astype(np.uint8), box)  # four regions
+print("labels:", labels.is_labels)
+camera = clvol.Camera.orbit(30, 20, fit="volume", zoom=1.8)
+one = clvol.render(labels.indicator(2), camera, "isosurface", isovalue=0.5, samples=4)
+picture = np.hstack([clvol.render(labels, camera, samples=4), one])

@@ -1,0 +1,24 @@
+"""
+Lights
+======
+
+Up to four lights and a material. A light has a direction in the world, *towards* it; one without shines from the eye.
+"""
+
+import clvol
+
+volume = clvol.phantoms.box(48)
+lights = [
+    clvol.Light((-1, -1, 2), (0.9, 0.85, 0.75)),  # key
+    clvol.Light((2, -1, 0), (0.15, 0.2, 0.3)),  # fill
+    clvol.Light(None, (0.2, 0.2, 0.2)),  # headlight
+]
+picture = clvol.render(
+    volume,
+    clvol.Camera.orbit(35, 30),
+    clvol.Isosurface(isovalue=0.5, color="white"),
+    lights=lights,
+    material=clvol.Material(ambient=0.1, diffuse=0.9, specular=0.5, shininess=60),
+    background="#20242c",
+    samples=4,
+)

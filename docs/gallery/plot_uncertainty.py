@@ -1,0 +1,17 @@
+"""
+How far off
+===========
+
+Within what of a drawn surface the true one lies, place by place: what the filter does to the samples, and what it makes
+of their noise.
+"""
+
+import numpy as np
+
+import clvol
+
+volume = clvol.phantoms.marschner_lobb(41)
+noise = np.random.default_rng(0).normal(0, 0.02, volume.shape).astype(np.float32)
+noisy = volume.placed(volume.data + noise, volume)
+outputs = clvol.render(noisy, clvol.Camera.orbit(20, 50), "isosurface", isovalue=0.5, outputs=["rgba", "uncertainty"])
+picture = outputs["uncertainty"]  # a heat map, with its scale

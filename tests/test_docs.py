@@ -1,0 +1,86 @@
+"""The pages' Python runs as it stands there, their commands are ones, and the API's pages name all that is public.
+
+Notebooks and the gallery run in `make docs`.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+import skimage.transform
+
+import clvol
+from clvol.cli import app
+from clvol.device import Device
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+BLOCK = re.compile(r"```python\n(.*?)```", re.DOTALL)
+SHELL, INLINE = re.compile(r"```sh\n(.*?)```", re.DOTALL), re.compile(r"`(clvol [a-z][^`]*)`")
+PAGES = [page for page in (*sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("how-to/*.md"))) if BLOCK.search(page.read_text("utf-8"))]
+
+pytestmark = pytest.mark.skipif(not DOCS.is_dir(), reason="not in a checkout")
+
+
+def given(page: str) -> dict[str, object]:
+    """What the reader of a page has at hand."""
+    random = np.random.default_rng(0)
+    volume = clvol.Volume(random.normal(size=(12, 14, 16)))
+    identity = np.eye(4)
+    labels = random.integers(0, 3, (6, 7, 8))
+    return {
+        "scipy": {
+            "np": np,
+            "clvol": clvol,
+            "skimage": skimage,
+            "ThreadPoolExecutor": ThreadPoolExecutor,
+            "volume": volume,
+            "image": volume.data,
+            "values": labels.astype(float),
+            "labels": labels,
+            "factors": (2, 2, 2),
+            "chosen": np.zeros((12, 14, 16), int),
+            "series": [volume.data] * 2,
+            "moves": [(np.eye(3), 0.5)] * 2,
+            "result": np.zeros((2, *volume.shape)),
+        },
+        "reduction": {"clvol": clvol, "photograph": random.random((60, 80, 3)), "scan": volume, "array": volume.data},
+        "transforms": {
+            "clvol": clvol,
+            "affine": clvol.AffineTransform(np.eye(3), (0.5, 0, 0)),
+            "field": clvol.DisplacementField(random.normal(size=(4, 4, 4, 3)), spacing=(4, 4, 4)),
+            "grid": identity,
+            "moving": volume,
+            "fixed": volume,
+            "bold": random.normal(size=(2, 6, 7, 8)),
+            "motion": [identity, identity],
+        },
+    }.get(page, {})
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.relative_to(DOCS).with_suffix("").as_posix())
+def test_the_python_of_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: Device) -> None:
+    monkeypatch.chdir(tmp_path)
+    here = given(page.stem)
+    for block in BLOCK.findall(page.read_text(encoding="utf-8")):
+        exec(block, here)  # one after the other, as a reader would
+    assert device is not None
+
+
+def test_the_api_names_all_that_is_public() -> None:
+    listed = (DOCS / "api" / "index.rst").read_text(encoding="utf-8").split()
+    assert [name for name in clvol.__all__ if name not in listed] == []
+
+
+def test_the_commands_of_the_pages_are_ones() -> None:
+    pages = [DOCS / "start.md", *(DOCS / "how-to").glob("*.md"), *(DOCS / "tutorials").glob("*.md")]
+    text = "".join(page.read_text(encoding="utf-8") for page in pages)
+    found = [line for block in SHELL.findall(text) for line in block.splitlines() if line.startswith("clvol ")]
+    found += INLINE.findall(text)
+    assert len(found) > 15
+    for line in found:
+        app.parse_args(shlex.split(line, comments=True)[1:], exit_on_error=False, print_error=False)  # raises what is wrong
