@@ -631,7 +631,7 @@ def test_dicom_without_positions(tmp_path: Path) -> None:
 def test_dicom_with_two_series(tmp_path: Path) -> None:
     write_series(tmp_path, series(), "1.2.3")
     write_series(tmp_path, replace(series(), data=series().data + 1), "1.2.4")
-    with pytest.raises(DataError, match=r"2 series: 1\.2\.3\S* \(CT, 6 files\), 1\.2\.4.*choose one by series="):
+    with pytest.raises(DataError, match=r"2 series: 0: 1\.2\.3\S* \(CT, 6 files\), 1: 1\.2\.4.*choose one by series="):
         formats.read(tmp_path)
     listed = formats.series_of(tmp_path)
     assert [(one.id[:5], one.text) for one in listed] == [("1.2.3", "CT, 6 files"), ("1.2.4", "CT, 6 files")]

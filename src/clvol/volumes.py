@@ -14,10 +14,10 @@ from clvol.checks import one_of, whole
 from clvol.color import color_of
 from clvol.errors import DataError, GeometryError, OptionError
 from clvol.foreign import to_nibabel, to_simpleitk, to_xarray
-from clvol.interop import read_several
+from clvol.interop import read_grid, read_several
 from clvol.volume import SPACES, Volume, array_of, as_volume
 
-__all__ = ["AXES", "Leading", "Volumes"]
+__all__ = ["AXES", "Leading", "Volumes", "as_grid"]
 
 AXES = ("volume", "time", "position", "channel")
 """What an axis before z, y and x may count: the volumes of a series (of any meaning), times, places of the stage, channels."""
@@ -112,7 +112,8 @@ class Leading:
             choice = int(choice)
         number = whole(axis, choice)
         if not 0 <= number < count:
-            plural = "places" if axis == "position" else f"{axis}s"
+            plural = "place" if axis == "position" else axis
+            plural += "s" * (count > 1)
             raise OptionError(f"{axis} must be {self._choices(axis)}, for {source} holds {count} {plural}; got {number}")
         return number
 
@@ -377,6 +378,16 @@ class Volumes(Sequence[Volume]):
 
     def _volume(self, data: NDArray[Any], about: dict[str, Any]) -> Volume:
         return replace(self._first, data=data, **about)
+
+
+def as_grid(like: Volume | Volumes | ArrayLike) -> Volume:
+    """A volume that lies where `like` does: that itself, or the grid of several volumes, or of an image that holds several."""
+    if isinstance(like, Volumes):
+        return like.grid
+    if isinstance(like, Volume):
+        return like
+    data, about = read_grid(like)
+    return Volume(data, **about)
 
 
 def _require_same_grid(first: Volume, other: Volume) -> None:

@@ -19,7 +19,7 @@ from clvol.errors import ClvolWarning, DataError, FormatError, OptionError
 from clvol.foreign import nibabel_says, simpleitk_says
 from clvol.formats import read, read_all, write
 from clvol.volume import Volume
-from clvol.volumes import Leading, Volumes
+from clvol.volumes import Leading, Volumes, as_grid
 
 nibabel = pytest.importorskip("nibabel")
 sitk = pytest.importorskip("SimpleITK")
@@ -493,6 +493,9 @@ def test_a_heart_says_what_it_is(tmp_path: Path) -> None:
         assert slice_.window is not None
         np.testing.assert_array_equal(slice_.data, sitk.GetArrayFromImage(sitk.ReadImage(str(path))))
         same_grid(replace(slice_, window=None), Volume(sitk.ReadImage(str(path))))
+    (path.parent / ("._" + path.name)).write_bytes(bytes.fromhex("00051607") + bytes(200))  # as Macs leave beside files
+    (path.parent / "notes.txt").write_text("not a slice")
+    np.testing.assert_array_equal(read(path.parent).data, slice_.data)
     (one,) = clvol.formats.series_of(path.parent)
     assert one.text == "MR, My Special Series For Testing, 1 file"
     shutil.copy(path, path.with_name("other.dcm"))
@@ -550,3 +553,20 @@ def test_what_images_say_needs_no_samples() -> None:
     assert nibabel_says(proxy)["leading"]["counts"] == (50,)
     with pytest.raises(DataError, match=r"50 volumes: take one as clvol\.Volumes"):
         Volume(proxy)
+
+
+def test_the_grid_of_a_series() -> None:
+    """``like=`` takes an image of several volumes, whose grid is one; and loads none of them."""
+    image = nibabel.Nifti1Image(np.broadcast_to(np.int16(0), (500, 1000, 1000, 50)), AFFINE)
+    grid = Volume(nibabel.Nifti1Image(np.zeros((500, 1000, 1), np.int16), AFFINE))
+    found = as_grid(image)
+    assert found.shape == (1000, 1000, 500)
+    same_grid(found, replace(grid, data=found.data))
+    several = Volumes(nibabel.Nifti1Image(series(5), AFFINE))
+    for like in (several, several.to_sitk(), several.to_nibabel(), several.to_xarray(), several[3]):
+        same_grid(as_grid(like), replace(several[0], data=as_grid(like).data, window=None))
+        assert clvol.resample(several[1], like=like, dtype="same").data.tolist() == several[1].data.tolist()
+    with pytest.raises(DataError, match=r"got Volumes of 5 \w+s: take one, as volumes\[0\]"):
+        clvol.resample(several, spacing=1)  # type: ignore[arg-type]
+    with pytest.raises(DataError, match=r"'scan\.nii': clvol\.read\(path\) reads a file"):
+        clvol.render("scan.nii")

@@ -180,7 +180,8 @@ def chosen_series(
     ClvolWarning
         There are several, and the first is taken.
     """
-    told = ", ".join(map(str, series[:_LISTED])) + (f", … ({len(series)})" if len(series) > _LISTED else "")
+    told = ", ".join(f"{n}: {one}" for n, one in enumerate(series[:_LISTED]))
+    told += f", … ({len(series)})" if len(series) > _LISTED else ""
     if choice is None:
         if (len(series) if main is None else main or len(series)) > 1:
             message = f"{source} holds {len(series)} {what}: {told}"

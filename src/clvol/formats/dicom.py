@@ -64,7 +64,12 @@ def is_file(path: Path) -> bool:
 
 def is_folder(path: Path) -> bool:
     """Whether a folder holds DICOM files itself, not in folders below."""
-    return any(file.is_file() and (file.suffix.lower() in SUFFIXES or is_file(file)) for file in sorted(path.iterdir()))
+    return any(file.suffix.lower() in SUFFIXES or is_file(file) for file in _files(path))
+
+
+def _files(path: Path) -> list[Path]:
+    """Those in a folder that may be slices, by their names; systems leave hidden files beside them, such as ._1.dcm."""
+    return sorted(file for file in path.iterdir() if not file.name.startswith(".") and file.is_file())
 
 
 def series_of(path: Path) -> tuple[Series, ...]:
@@ -118,8 +123,8 @@ def _listed(files: Mapping[str, list[str]]) -> tuple[Series, ...]:
 
 def _refuse_damaged(path: Path, sound: set[str]) -> None:
     """Raise if a file looks like a slice and is not among the `sound` ones: GDCM passes over what it cannot read."""
-    for file in sorted(path.iterdir()):
-        if file.name in sound or not file.is_file():
+    for file in _files(path):
+        if file.name in sound:
             continue
         with file.open("rb") as stream:
             head = stream.read(1024)
@@ -179,7 +184,7 @@ def _read_file(path: Path, choose: Choice, alone: bool = False) -> Content:
 
 def _beside(path: Path) -> int:
     """How many other files of a folder may be slices."""
-    return sum(file != path and file.suffix == path.suffix and file.is_file() and is_file(file) for file in path.parent.iterdir())
+    return sum(file != path and file.suffix == path.suffix and is_file(file) for file in _files(path.parent))
 
 
 def _positions(content: bytes, frames: int) -> Points | None:

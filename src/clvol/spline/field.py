@@ -31,6 +31,7 @@ from clvol.spline.resample import resample_coefficients
 from clvol.stored import AS_THEY_ARE, Stored
 from clvol.transform import Transforms, as_chain
 from clvol.volume import Volume, as_volume, in_frame
+from clvol.volumes import Volumes, as_grid
 
 __all__ = [
     "Field",
@@ -390,7 +391,7 @@ class Field:
         self,
         shape: Sequence[int] | None = None,
         spacing: Sequence[float] | float | None = None,
-        like: Volume | ArrayLike | None = None,
+        like: Volume | Volumes | ArrayLike | None = None,
         *,
         anchor: Anchor = "center",
         transform: Transforms | None = None,
@@ -412,8 +413,8 @@ class Field:
             Samples along (z, y, x) or (y, x). The domain stays; its voxels become larger or smaller.
         spacing : float or sequence of float, optional
             New spacing along (x, y[, z]) in world units. The domain's centre stays, and its size to within half a voxel.
-        like : Volume, or what `Volume` takes, optional
-            Take the grid of this volume or image, wherever it lies.
+        like : Volume, Volumes, or what these take, optional
+            Take the grid of this volume or image, wherever it lies; of a series that of its volumes.
         anchor : {"center", "origin"}
             What stays in its place with `shape` and `spacing`: the centre of the domain, or the first sample, as with those who
             keep ITK's origin; the domain is then moved by half the difference of the spacings.
@@ -749,7 +750,7 @@ def resample(
     volume: Volume | ArrayLike | Field,
     shape: Sequence[int] | None = None,
     spacing: Sequence[float] | float | None = None,
-    like: Volume | ArrayLike | None = None,
+    like: Volume | Volumes | ArrayLike | None = None,
     filter: str | Filter | None = None,
     boundary: str | Boundary | None = None,
     *,
@@ -1015,7 +1016,7 @@ def _grid_for(
     volume: Volume,
     shape: Sequence[int] | None,
     spacing: Sequence[float] | float | None,
-    like: Volume | ArrayLike | None,
+    like: Volume | Volumes | ArrayLike | None,
     anchor: str = "center",
 ) -> Volume:
     """The grid that one of the three describes: a Volume whose samples take no memory."""
@@ -1027,7 +1028,7 @@ def _grid_for(
     if like is not None:
         if anchor != "center":
             raise OptionError(f"anchor is for shape and spacing, and like has an origin of its own; got {anchor!r}")
-        grid = as_volume(like)
+        grid = as_grid(like)
         if grid.ndim != d:
             raise OptionError(f"like must have {d} axes, as the volume has; got {grid!r}")
         return grid
