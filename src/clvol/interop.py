@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from clvol.errors import ClvolError, DataError, OptionError
 from clvol.foreign import Content, from_nibabel, from_simpleitk, is_ours, nibabel_says, simpleitk_says, xarray_says
 
-__all__ = ["Content", "as_array", "as_output", "memory_of", "read_array", "read_grid", "read_several"]
+__all__ = ["Content", "as_array", "as_output", "is_image", "memory_of", "read_array", "read_grid", "read_several"]
 
 _ON_HOST = {1, 3, 11, 13}  # DLPack's types of device whose memory the host can read: its own, pinned, and managed
 _TO_HOST = {"torch": "tensor.cpu()", "cupy": "array.get()", "jax": "jax.device_get(array)", "jaxlib": "jax.device_get(array)"}
@@ -80,6 +80,11 @@ def read_grid(source: Any) -> Content:
     about.pop("leading", None)
     shape = tuple(int(n) for n in size[: len(about["spacing"])])[::-1]
     return np.broadcast_to(np.float32(0), shape), about
+
+
+def is_image(source: Any) -> bool:
+    """Whether it is an image of SimpleITK or nibabel, or an array that `clvol.foreign.to_xarray` made."""
+    return _is_simpleitk(source) or _is_nibabel(source) or is_ours(source)
 
 
 def _is_simpleitk(source: Any) -> bool:

@@ -14,7 +14,7 @@ from clvol.checks import one_of, whole
 from clvol.color import color_of
 from clvol.errors import DataError, GeometryError, OptionError
 from clvol.foreign import to_nibabel, to_simpleitk, to_xarray
-from clvol.interop import read_grid, read_several
+from clvol.interop import is_image, read_grid, read_several
 from clvol.volume import SPACES, Volume, array_of, as_volume
 
 __all__ = ["AXES", "Leading", "Volumes", "as_grid"]
@@ -188,8 +188,9 @@ class Volumes(Sequence[Volume]):
     Parameters
     ----------
     data : array-like, shape (..., nz, ny, nx) or (..., ny, nx), or sequence of Volume
-        Samples with one or more leading axes, viewed, not copied; or volumes of one grid and dtype. Images of SimpleITK
-        and nibabel give their geometry and what their axes count: a fourth axis is time or volumes, values of a voxel are channels.
+        Samples with one or more leading axes, viewed, not copied; or a list of volumes of one grid and dtype, or of images that
+        hold such. Images of SimpleITK and nibabel give their geometry and what their axes count: a fourth axis is time or
+        volumes, values of a voxel are channels.
     spacing, origin, direction, units, space, window, labels, header : optional
         As of `Volume`.
     leading : Leading, optional
@@ -206,7 +207,7 @@ class Volumes(Sequence[Volume]):
     """
 
     def __init__(self, data: ArrayLike | Sequence[Volume], *, leading: Leading | None = None, **about: Any) -> None:
-        if isinstance(data, (list, tuple)) and any(isinstance(volume, Volume) for volume in data):
+        if isinstance(data, (list, tuple)) and any(isinstance(volume, Volume) or is_image(volume) for volume in data):
             if about:
                 raise OptionError(f"volumes have a geometry; got {', '.join(about)} too")
             volumes = [as_volume(volume) for volume in data]

@@ -218,6 +218,21 @@ def test_nifti_keeps_what_its_header_says(tmp_path: Path) -> None:
     assert nibabel.load(tmp_path / "again.nii").header["cal_max"] == 0
 
 
+def test_a_qform_elsewhere_than_the_sform(tmp_path: Path) -> None:
+    """Volumes lie where the sform says: its code is given to the qform, whose own would be false of that place."""
+    image = nibabel.Nifti1Image(series(dtype="float32"), AFFINE)
+    image.set_sform(AFFINE, 4)
+    for moved, code in ((AFFINE, 1), (np.diag([3.0, 3, 3, 1]) @ AFFINE, 4)):
+        image.set_qform(moved, 1, update_affine=False)
+        nibabel.save(image, tmp_path / "v.nii")
+        volume = read(tmp_path / "v.nii")
+        assert volume.header == Volume(image).header
+        assert (volume.header["sform_code"], volume.header["qform_code"]) == (4, code)
+    image.header["quatern_b"] = 2  # longer than 1: nibabel takes the sform all the same
+    nibabel.save(image, tmp_path / "v.nii")
+    assert read(tmp_path / "v.nii").header == Volume(image).header == volume.header
+
+
 def test_nifti_of_labels(tmp_path: Path) -> None:
     volume = read(save(tmp_path / "v.nii", np.ones(SHAPE, np.int16), intent_code=1002))
     assert volume.labels is True
@@ -566,6 +581,7 @@ def test_the_grid_of_a_series() -> None:
     for like in (several, several.to_sitk(), several.to_nibabel(), several.to_xarray(), several[3]):
         same_grid(as_grid(like), replace(several[0], data=as_grid(like).data, window=None))
         assert clvol.resample(several[1], like=like, dtype="same").data.tolist() == several[1].data.tolist()
+    assert Volumes([several[1].to_nibabel(), several[3].to_sitk()])[1].data.tolist() == several[3].data.tolist()
     with pytest.raises(DataError, match=r"got Volumes of 5 \w+s: take one, as volumes\[0\]"):
         clvol.resample(several, spacing=1)  # type: ignore[arg-type]
     with pytest.raises(DataError, match=r"'scan\.nii': clvol\.read\(path\) reads a file"):
