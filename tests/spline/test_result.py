@@ -120,8 +120,9 @@ def test_what_is_refused(device: Device) -> None:
 
 def test_points_in_the_order_of_the_array_are_noticed(device: Device) -> None:
     data = np.zeros((10, 20, 40), np.float32)
-    with pytest.warns(clvol.ClvolWarning, match=r"points are \(x, y, z\) .* reversed"):
+    with pytest.warns(clvol.ClvolWarning, match=r"points are \(x, y, z\) .* reversed") as told:
         clvol.sample(data, [[9, 15, 35], [8, 12, 30]], device=device)
+    assert told[0].filename == __file__  # the caller's line
 
 
 def test_points_outside_alone_are_no_mistake(device: Device, recwarn: pytest.WarningsRecorder) -> None:
