@@ -590,6 +590,17 @@ def test_dicom_with_a_missing_slice(tmp_path: Path) -> None:
             formats.read(folder)
 
 
+def test_dicom_of_slices_that_are_turned(tmp_path: Path) -> None:
+    """As in a series of localizers; here the places alone would make one even stack."""
+    straight = series(np.eye(3))
+    write_series(tmp_path, straight)
+    for file in list(tmp_path.iterdir()):
+        file.rename(tmp_path / f"first-{file.name}")
+    write_series(tmp_path, series(OBLIQUE), positions=np.array([straight.index_to_world([0, 0, k + 6]) for k in range(6)]))
+    with pytest.raises(FormatError, match=r"2 orientations \(6, 6 slices\)"):
+        formats.read(tmp_path)
+
+
 def test_dicom_with_a_truncated_slice(tmp_path: Path) -> None:
     """GDCM passes over it, and the rest may look like a whole series: here the last one in the stack is cut."""
     write_series(tmp_path, series())
