@@ -23,7 +23,7 @@ bench: $(VENV)/bench.stamp
 	$(BIN)/python -m bench
 
 docs: $(VENV)/docs.stamp
-	$(BIN)/python -m sphinx --fail-on-warning --keep-going --jobs 2 docs docs/_build/html
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --jobs 2 --doctree-dir docs/_build/doctrees docs docs/_build/html
 
 clean:
 	rm -rf $(VENV) dist figure6.png docs/_build docs/auto_gallery docs/api/generated

@@ -773,8 +773,9 @@ def test_resample_takes_exactly_one_grid(clvol_command: Command) -> None:
     ("options", "word"),
     [
         (("--magnify", "0"), "factor"),
-        (("--to-shape", "0", "1", "1"), "shape"),
-        (("--to-spacing", "0", "1", "1"), "spacing"),
+        (("--to-shape", "0", "1", "1"), "--to-shape must"),
+        (("--to-spacing", "0", "1", "1"), "--to-spacing must"),
+        (("--to-spacing", "1", "1", "1", "--to-dtype", "bogus"), "--to-dtype must"),
         (("--like", "missing.npz"), "missing.npz"),
         (("--magnify", "2", "--filter", "bogus"), "'bogus'"),
         (("--magnify", "2", "--boundary", "bogus"), "'bogus'"),

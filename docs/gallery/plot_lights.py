@@ -2,7 +2,9 @@
 Lights
 ======
 
-Up to four lights and a material. A light has a direction in the world, *towards* it; one without shines from the eye.
+Up to four lights and a material. A light has a direction, *towards* it, in the world, or relative to the camera with
+``frame="camera"``; one without a direction shines from the eye. By default a key, a fill and a headlight move with the
+camera.
 """
 
 import clvol

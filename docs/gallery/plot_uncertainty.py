@@ -2,8 +2,8 @@
 How far off
 ===========
 
-Within what of a drawn surface the true one lies, place by place: what the filter does to the samples, and what it makes
-of their noise.
+How far the true surface may lie from the one that is drawn, place by place: what the filter does to the samples, and
+what it makes of their noise.
 """
 
 import numpy as np

@@ -21,9 +21,9 @@ from clvol.opencl import INSTALL
 __all__ = ["Check", "extras", "opencl"]
 
 _USES = {
-    "medical": "DICOM, NRRD, MetaImage, NIfTI",
+    "medical": "DICOM, NRRD, MetaImage, MGH; writing NIfTI",
     "microscopy": "TIFF stacks, Zarr",
-    "hdf5": "HDF5 and its kin",
+    "hdf5": "HDF5, netCDF-4, Imaris",
     "vtk": "VTK's files",
     "bioio": "files of microscopes' makers",
     "figures": "figures and reports",
@@ -31,7 +31,7 @@ _USES = {
     "torch": "gradients of tensors",
     "bench": "measuring beside other libraries",
 }
-_TOOLS = ("pocl", "intel", "test", "dev", "docs")  # no one misses these to use clvol; the first two are told of as devices
+_TOOLS = ("pocl", "intel", "test", "dev", "docs")  # no one misses these to use clvol; the first two are reported as devices
 
 
 class Check(NamedTuple):

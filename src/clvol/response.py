@@ -63,7 +63,7 @@ def frequency_response(filter: str | Filter, omega: ArrayLike) -> Array:
 
 
 def prefilter_response(filter: str | Filter, omega: ArrayLike) -> Array:
-    """The response S(ω) of the prefilter, eq. (16): 1 without one, the magnifying filter's for a hybrid.
+    """The response S(ω) of the prefilter (equation 16): 1 without one, the magnifying filter's for a hybrid.
 
     That of a smoothing spline has λ (2 - 2 cos ω)ᵐ added to the denominator.
 

@@ -78,7 +78,8 @@ def completion(shell: Annotated[Literal["bash", "zsh", "fish"], Parameter(help="
 
     fish: clvol completion fish > ~/.config/fish/completions/clvol.fish
 
-    It works in shells that are started afterwards.
+    It works in shells that are started afterwards. Make the folder first where there is none (mkdir -p); bash needs the package
+    bash-completion.
     """
     print(app.generate_completion(prog_name="clvol", shell=shell))
 

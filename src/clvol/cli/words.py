@@ -44,18 +44,21 @@ def in_the_shell(told: Exception | str, given: Sequence[str]) -> str:
 
 
 def _flags(given: Sequence[str]) -> dict[str, str]:
-    """For each argument of the command in question, its option; not those whose Python name two options share."""
+    """For each argument of the command in question, its option.
+
+    Of two options for one name (``--spacing`` of the file, ``--to-spacing`` of the result) the one that is given; none if both are.
+    """
     try:
         command, *_ = app.parse_commands(given)
         arguments = app[command[0]].assemble_argument_collection() if command else ()
     except (CycloptsError, KeyError):
         return {}
-    found: dict[str, str] = {}
-    shared = set()
+    found: dict[str, list[str]] = {}
     for argument in arguments:
-        name = argument.field_info.name
         flag = next((n for n in argument.names if n.startswith("--")), "")
-        if flag and name:
-            shared |= {name} & found.keys()
-            found[name] = flag
-    return {name: flag for name, flag in found.items() if name not in shared}
+        if flag and argument.field_info.name:
+            found.setdefault(argument.field_info.name.removeprefix("to_"), []).append(flag)
+    used = {token.partition("=")[0] for token in given}
+    for flags in found.values():
+        flags[:] = [flag for flag in flags if flag in used] or flags
+    return {name: flags[0] for name, flags in found.items() if len(flags) == 1}

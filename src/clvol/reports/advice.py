@@ -90,7 +90,7 @@ def advise(
     volume : Volume or array-like
         2-D or 3-D samples.
     filters : sequence of str or Filter
-        What is chosen from; the exact sinc is told of, not recommended. Smoothing that is "auto" is settled for the volume.
+        What is chosen from; the exact sinc is reported, not recommended. Smoothing that is "auto" is settled for the volume.
     boundary : str or Boundary
         With which values between samples are looked at, to see whether they leave the samples' range.
     noise : Noise or float, optional

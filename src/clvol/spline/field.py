@@ -264,7 +264,7 @@ class Field:
             World positions (x, y) or (x, y, z), as many coordinates as the volume has axes. float32 is computed with as it
             is, everything else as float64 where the device has it; where it has none, positions err by up to 2⁻²⁴ of their
             distance from the world's origin and from the first sample. A position that is not finite gives NaN. Points that lie
-            outside, and would not in the order (z, y, x), are told of by a `ClvolWarning`.
+            outside, and would not in the order (z, y, x), cause a `ClvolWarning`.
         frame : {"LPS", "RAS"}
             In which points are given, and derivatives come, of a volume whose space is "LPS": that of ITK and DICOM, or that of
             NIfTI and nibabel, where x and y run the other way.
