@@ -1,9 +1,11 @@
-"""Checks of arguments: each returns the value in its proper type, or raises an error that says the rule."""
+"""Checks of arguments: each returns the value in its proper type, or raises an error that says the rule; and warnings."""
 
 from __future__ import annotations
 
 import math
 import os
+import sys
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from numbers import Integral, Real
@@ -13,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import ClvolError, OptionError, OutOfMemoryError
+from clvol.errors import ClvolError, ClvolWarning, OptionError, OutOfMemoryError
 from clvol.interop import as_array
 
-__all__ = ["as_path", "enough_memory", "instance", "number", "one_of", "reals", "require_room", "several", "whole"]
+__all__ = ["as_path", "enough_memory", "instance", "number", "one_of", "reals", "require_room", "several", "warn", "whole"]
 
 _MAX_SAMPLES = 1 << 36  # no machine holds the float64 positions of more
 
@@ -106,6 +108,14 @@ def require_room(what: str, samples: int, value: object) -> None:
     """Raise `OutOfMemoryError` if `what`, whose value requests so many samples, requests more than any machine can hold."""
     if samples > _MAX_SAMPLES:
         raise OutOfMemoryError(f"out of memory: {what} must give at most {_MAX_SAMPLES} samples; got {value!r}")
+
+
+def warn(message: str) -> None:
+    """Warn of the caller's line, whatever lies between it and this one."""
+    frame, level = sys._getframe(), 1
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("clvol."):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, ClvolWarning, stacklevel=level)
 
 
 def as_path(value: object) -> Path:

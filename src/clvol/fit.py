@@ -80,11 +80,13 @@ def sphere_of_matter(volume: Volume, mode: Mode, transfer: TransferFunction, cli
     known = _known.setdefault(volume, {})
     box = None if clip is None else tuple(tuple(map(float, corner)) for corner in clip)
     key = (mode.isovalue, None, box) if isinstance(mode, Isosurface) else (mode.shows == "matter", transfer, box)
-    if key not in known:
-        if len(known) >= _KEPT:
+    found = known.get(key)
+    if found is None:
+        found = _sphere(volume, mode, transfer, clip)
+        if len(known) >= _KEPT:  # other threads may clear it too
             known.clear()
-        known[key] = _sphere(volume, mode, transfer, clip)
-    return known[key]
+        known[key] = found
+    return found
 
 
 _known: WeakKeyDictionary[Volume, dict[Any, Sphere]] = WeakKeyDictionary()

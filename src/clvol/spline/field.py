@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -14,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.checks import one_of, whole
+from clvol.checks import one_of, warn, whole
 from clvol.device import Device, as_device
-from clvol.errors import ClvolWarning, OptionError
+from clvol.errors import OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.interop import as_array, as_output, read_array
 from clvol.missing import Missing, as_missing, touching
@@ -544,8 +543,9 @@ class Field:
 
 def _result_kind(dtype: DTypeLike | None, volume: Volume, row: Filter, out: Any, fill: float | None) -> np.dtype[Any] | None:
     """The type that results are brought to; None: that in which they are computed."""
-    labels = row.support == 1 and volume.is_labels
+    fill = fill_value(fill)
     if dtype is None:
+        labels = row.support == 1 and volume.is_labels
         return volume.data.dtype if labels and out is None and (fill is None or not np.isnan(fill)) else None
     if out is not None:
         raise OptionError(f"resample takes dtype or out, whose type is that of the results; got {dtype!r} and out")
@@ -967,11 +967,9 @@ def _tell_reversed(points: NDArray[np.generic], volume: Volume) -> None:
     if 2 * np.count_nonzero(outside) > len(some) and inside(some[outside][:, ::-1]).all():
         names = "(x, y)" if volume.ndim == 2 else "(x, y, z)"
         low, high = (end.round(3).tolist() for end in (volume.corners.min(0), volume.corners.max(0)))
-        warnings.warn(
+        warn(
             f"points are {names} in world units; most of these lie outside the volume, which reaches from {low} to {high}, "
-            f"such as {some[outside][0].tolist()}; reversed, all lie in it",
-            ClvolWarning,
-            stacklevel=4,
+            f"such as {some[outside][0].tolist()}; reversed, all lie in it"
         )
 
 
