@@ -99,7 +99,7 @@ def _sphere(volume: Volume, mode: Mode, transfer: TransferFunction, clip: Box | 
     some = volume.data[tuple(slice(first, None, step) for first, step in zip(firsts[::-1], steps[::-1], strict=True))]
     some = np.ascontiguousarray(some, some.dtype.newbyteorder("="))
     surface = isinstance(mode, Isosurface)
-    seen = _crossed(some >= mode.isovalue) if isinstance(mode, Isosurface) else _shown(some, mode, transfer)
+    seen = _crossed(some >= np.float64(mode.isovalue)) if isinstance(mode, Isosurface) else _shown(some, mode, transfer)
 
     unit = volume.mean_spacing  # about the volume's centre: no square overflows
     matrix = volume.index_to_world_matrix / unit
