@@ -802,7 +802,7 @@ def test_filters_are_listed(clvol_command: Command) -> None:
     assert [line.split()[0] for line in lines[1:]] == [row[0] for row in clvol.filters().rows()]
     assert all(line == line.rstrip() for line in lines)
     rows = {row["filter"]: row for row in clvol_command("filters", "--json").json}
-    assert rows["bspline3"]["poles"] == "-0.2679"
+    assert (rows["bspline3"]["poles"], rows["bspline3"]["continuity"]) == ("-0.2679", "C2")
     assert set(rows) >= {"nearest", "linear", "bspline5", "mitchell", "sinc", "hybrid"}
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clvol.histogram import isovalue_of, matter_of, window_of
+from clvol.histogram import isovalue_of, label_numbers, matter_of, window_of
 from clvol.palette import automatic
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
@@ -140,3 +140,12 @@ def test_windows_are_those_of_what_rays_meet() -> None:
     for one in (Volume(np.where(CORE, 1, 0)), Volume(np.where(Z + Y + X == 0, 0, 1)), Volume(np.where(Z + Y + X == 0, 1, 0))):
         assert all(0 <= black < white <= 1 for black, white in window_of(one).values())
     assert window_of(Volume(np.ones((3, 3, 3)))) == dict.fromkeys(("max", "min", "mean"), (1.0, 1.0))
+
+
+@pytest.mark.parametrize(("dtype", "first"), [("int8", -128), ("int64", 2**60 + 129), ("uint64", 2**63 + 3)])
+def test_labels_of_any_width_are_counted(dtype: str, first: int) -> None:
+    data = np.full((4, 4, 4), first, dtype)
+    data[1:3, 1:3] += np.dtype(dtype).type(100)
+    background, numbers = label_numbers(Volume(data, labels=True))
+    assert background == float(first)
+    np.testing.assert_array_equal(np.unique(numbers), np.unique(np.array([first, first + 100], np.float64)))

@@ -66,6 +66,25 @@ def test_volumes_of_one_grid_are_joined() -> None:
         Volume(DATA)
 
 
+def test_grids_are_compared_in_voxels_and_units() -> None:
+    data = np.zeros((3, 3, 3), np.uint8)
+    fine = Volume(data, (1e-9,) * 3, units="m")
+    with pytest.raises(GeometryError, match="one grid"):
+        Volumes([fine, replace(fine, spacing=(2e-9,) * 3)])
+    with pytest.raises(GeometryError, match="one grid"):
+        Volumes([Volume(data, units="mm"), Volume(data, units="um")])
+    assert len(Volumes([fine, replace(fine, origin=(1e-14, 0.0, 0.0))])) == 2  # as rounding leaves it
+    with pytest.raises(DataError, match="got none"):
+        Volumes([])
+
+
+def test_a_color_that_all_volumes_have_is_kept() -> None:
+    red = Volume(np.zeros((2, 2, 2)), color=np.array([1.0, 0, 0]), window=np.array([0.0, 1]))  # type: ignore[arg-type]
+    assert Volumes([red])[0].color == (1.0, 0.0, 0.0)
+    assert Volumes([red, red])[1].window == (0.0, 1.0)
+    assert Volumes([red, replace(red, color=(0.0, 0.0, 1.0))])[0].color is None
+
+
 def test_computed_channels() -> None:
     vectors = Volumes(DATA[:, 0], leading=Leading(("channel",), (3,), vector=True))
     assert vectors.names == ("x", "y", "z")

@@ -1,4 +1,4 @@
-"""Checks of arguments: each returns the value in its proper type, or raises an error that says the rule."""
+"""Checks of arguments: each returns the value in its proper type, or raises an error that says the rule; and warnings."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from clvol.errors import ClvolError, ClvolWarning, OptionError, OutOfMemoryError
 from clvol.interop import as_array
 
-__all__ = ["as_path", "enough_memory", "instance", "number", "one_of", "reals", "require_room", "several", "warn_caller", "whole"]
+__all__ = ["as_path", "enough_memory", "instance", "number", "one_of", "reals", "require_room", "several", "warn", "whole"]
 
 _MAX_SAMPLES = 1 << 36  # no machine holds the float64 positions of more
 
@@ -110,6 +110,14 @@ def require_room(what: str, samples: int, value: object) -> None:
         raise OutOfMemoryError(f"out of memory: {what} must give at most {_MAX_SAMPLES} samples; got {value!r}")
 
 
+def warn(message: str) -> None:
+    """Warn of the caller's line, whatever lies between it and this one."""
+    frame, level = sys._getframe(), 1
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("clvol."):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, ClvolWarning, stacklevel=level)
+
+
 def as_path(value: object) -> Path:
     """`value` as a path, if it is a string or a path; else `OptionError`."""
     if isinstance(value, (str, os.PathLike)):
@@ -140,11 +148,3 @@ def _scalar(value: object) -> object:
 def _allowed(bounds: Mapping[str, float | None]) -> str:
     texts = [f"{rule} {bound:.15g}" for rule, bound in bounds.items() if bound is not None]
     return ", " + " and ".join(texts) if texts else ""
-
-
-def warn_caller(message: str) -> None:
-    """Warn of the caller's line, whatever lies between it and this one."""
-    frame, level = sys._getframe(), 1
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("clvol."):
-        frame, level = frame.f_back, level + 1
-    warnings.warn(message, ClvolWarning, stacklevel=level)

@@ -817,7 +817,7 @@ def unregister(name: str) -> Filter:
 class FilterTable(display.Named[Filter]):
     """Every filter by name; shown, it is a table."""
 
-    HEADER = ("filter", "support", "degree", "class", "order", "interpolates", "sums to one", "poles", "also called")
+    HEADER = ("filter", "support", "degree", "continuity", "order", "interpolates", "sums to one", "poles", "also called")
 
     def rows(self) -> list[tuple[str, ...]]:
         """One tuple of texts a filter, in the order of `HEADER`."""

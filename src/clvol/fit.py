@@ -80,11 +80,13 @@ def sphere_of_matter(volume: Volume, mode: Mode, transfer: TransferFunction, cli
     known = _known.setdefault(volume, {})
     box = None if clip is None else tuple(tuple(map(float, corner)) for corner in clip)
     key = (mode.isovalue, None, box) if isinstance(mode, Isosurface) else (mode.shows == "matter", transfer, box)
-    if key not in known:
-        if len(known) >= _KEPT:
+    found = known.get(key)
+    if found is None:
+        found = _sphere(volume, mode, transfer, clip)
+        if len(known) >= _KEPT:  # other threads may clear it too
             known.clear()
-        known[key] = _sphere(volume, mode, transfer, clip)
-    return known[key]
+        known[key] = found
+    return found
 
 
 _known: WeakKeyDictionary[Volume, dict[Any, Sphere]] = WeakKeyDictionary()
@@ -97,7 +99,7 @@ def _sphere(volume: Volume, mode: Mode, transfer: TransferFunction, clip: Box | 
     some = volume.data[tuple(slice(first, None, step) for first, step in zip(firsts[::-1], steps[::-1], strict=True))]
     some = np.ascontiguousarray(some, some.dtype.newbyteorder("="))
     surface = isinstance(mode, Isosurface)
-    seen = _crossed(some >= mode.isovalue) if isinstance(mode, Isosurface) else _shown(some, mode, transfer)
+    seen = _crossed(some >= np.float64(mode.isovalue)) if isinstance(mode, Isosurface) else _shown(some, mode, transfer)
 
     unit = volume.mean_spacing  # about the volume's centre: no square overflows
     matrix = volume.index_to_world_matrix / unit

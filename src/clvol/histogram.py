@@ -167,11 +167,13 @@ def isovalue_of(volume: Volume | ArrayLike) -> tuple[float, str]:
 @_remembered
 def label_numbers(volume: Volume) -> tuple[float, Array]:
     """The label of the background, 0 where there is one, else the commonest; and all labels, in ascending order."""
-    low, high = (int(v) for v in volume.value_range)
-    if volume.data.dtype.kind in "iu" and high - low < _COUNTED:
+    whole = volume.data.dtype.kind in "iu"
+    low, high = map(int, volume.limits if whole else (0, 0))  # exact, beyond what float64 holds too
+    if whole and high - low < _COUNTED:
         counts = np.zeros(high - low + 1, np.int64)
-        for part in volume.data:  # no copy of all in wide integers
-            counts += np.bincount((part.astype(np.int64) - low).ravel(), minlength=counts.size)
+        for part in volume.data:  # no copy of all in wide integers; modulo 2⁶⁴
+            above = part.astype(np.uint64) - np.uint64(low % (1 << 64))
+            counts += np.bincount(above.astype(np.int64).ravel(), minlength=counts.size)
         numbers = np.flatnonzero(counts).astype(np.float64) + low
         counts = counts[counts > 0]
     else:

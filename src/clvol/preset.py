@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from clvol.checks import one_of, warn_caller
+from clvol.checks import one_of, warn
 from clvol.display import Named
 from clvol.errors import OptionError
 from clvol.histogram import matter_of, may_be_hounsfield
@@ -90,7 +90,7 @@ class Preset:
         low, high = self.window
         if self.unit == "HU":
             least, most = volume.value_range
-            warn_caller(
+            warn(
                 f"preset {self.name!r} is in Hounsfield units, in which air is -1000 and water 0, and samples from {least:g} to "
                 f"{most:g} are not: it was spread over what stands out from their background; window=(center, width) says where"
             )

@@ -87,7 +87,7 @@ class Volume:
         Spacing not finite and positive, origin not finite, direction singular.
     OptionError
         `space` is none of these, `color` is no colour, `window` no pair of finite numbers in ascending order, `labels` no
-        mapping from whole numbers to names.
+        mapping from whole numbers to names, `header` no mapping.
 
     Notes
     -----
@@ -129,7 +129,8 @@ class Volume:
         object.__setattr__(self, "origin", _vector("origin", origin, d))
         object.__setattr__(self, "direction", _direction(direction, d))
         for name in ("units", "space", "name", "color", "window", "labels", "header"):
-            if getattr(self, name) in (None, "", {}) and name in geometry:
+            value = getattr(self, name)
+            if (value is None or isinstance(value, (str, Mapping))) and not value and name in geometry:
                 object.__setattr__(self, name, geometry[name])
         for name in ("units", "name"):
             if not isinstance(getattr(self, name), str):
@@ -142,6 +143,8 @@ class Volume:
             object.__setattr__(self, "window", _window(self.window))
         if self.labels is not None:
             object.__setattr__(self, "labels", _labels(self.labels))
+        if not isinstance(self.header, Mapping):
+            raise OptionError(f"header must be a mapping; got {self.header!r}")
         object.__setattr__(self, "header", dict(self.header))
         if min(self.spacing) <= 0:
             raise GeometryError(f"spacing must be positive along every axis; got {self.spacing}")

@@ -25,7 +25,8 @@ AXES = ("volume", "time", "position", "channel")
 _SHOWN = 4  # volumes of which notebooks show a slice
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. 709
 _COLORS = (("red", (1.0, 0.0, 0.0)), ("green", (0.0, 1.0, 0.0)), ("blue", (0.0, 0.0, 1.0)), ("alpha", None))
-_ABOUT = ("spacing", "origin", "direction", "units", "space", "window", "labels", "header")
+_ABOUT = ("spacing", "origin", "direction", "units", "space", "color", "window", "labels", "header")
+_OFF = 1e-3  # of a sample's spacing, by which volumes of one grid may lie apart
 
 
 @dataclass(frozen=True)
@@ -207,6 +208,8 @@ class Volumes(Sequence[Volume]):
     """
 
     def __init__(self, data: ArrayLike | Sequence[Volume], *, leading: Leading | None = None, **about: Any) -> None:
+        if isinstance(data, (list, tuple)) and not data:
+            raise DataError("data must hold at least one volume; got none")
         if isinstance(data, (list, tuple)) and any(isinstance(volume, Volume) or is_image(volume) for volume in data):
             if about:
                 raise OptionError(f"volumes have a geometry; got {', '.join(about)} too")
@@ -216,8 +219,9 @@ class Volumes(Sequence[Volume]):
                 _require_same_grid(first, volume)
             array = np.stack([volume.data for volume in volumes])
             about = {name: getattr(first, name) for name in _ABOUT}
-            if len({volume.window for volume in volumes}) > 1:
-                del about["window"]  # one for all would be wrong
+            for name in ("color", "window"):
+                if len({getattr(volume, name) for volume in volumes}) > 1:
+                    del about[name]  # one for all would be wrong
             if leading is None:
                 names = tuple(volume.name for volume in volumes)
                 leading = Leading(("volume",), (len(volumes),), {"volume": names} if any(names) else {})
@@ -394,7 +398,8 @@ def as_grid(like: Volume | Volumes | ArrayLike) -> Volume:
 def _require_same_grid(first: Volume, other: Volume) -> None:
     if other.shape != first.shape:
         raise DataError(f"volumes must have one shape; got {first.shape} and {other.shape}")
-    if not all(np.allclose(getattr(first, name), getattr(other, name)) for name in ("spacing", "origin", "direction")):
+    apart = np.abs(first.corners - other.corners).max()
+    if len({first.units, other.units} - {""}) > 1 or not apart <= _OFF * min(first.spacing):
         raise GeometryError(
             f"volumes must lie on one grid; got {first!r} and {other!r}: clvol.resample(..., like=) brings them there"
         )

@@ -41,6 +41,7 @@ def test_channels_and_times_of_ome(ome: Path) -> None:
     np.testing.assert_array_equal(np.asarray(everything), DATA)
     assert everything.axes == ("time", "channel")
     assert clvol.read_all(ome, time=1).names == ("DAPI", "GFP", "Cy5")
+    assert [(v.name, v.color) for v in clvol.read_all(ome, channel="GFP")] == [("GFP", (0.0, 1.0, 0.0))] * 2
 
 
 def test_the_first_is_read_with_a_warning_that_lists_all(ome: Path) -> None:

@@ -594,3 +594,10 @@ def test_one_renderer_draws_both(device: Device) -> None:
 def test_clean_volumes_are_drawn_through_their_samples(device: Device) -> None:
     with Renderer(phantoms.marschner_lobb(24), device=device) as renderer:
         assert renderer.filter.name == "bspline3"
+
+
+def test_labels_that_float32_cannot_tell_apart_are_refused(device: Device) -> None:
+    data = np.zeros((4, 4, 4), np.int32)
+    data[1:3] = 2**24 + 1
+    with pytest.raises(DataError, match=r"2\*\*24.*renumber"):
+        render(Volume(data, labels=True), device=device)

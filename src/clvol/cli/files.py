@@ -71,7 +71,7 @@ def _listed(volume: clvol.Volume, leading: Leading, as_json: bool) -> dict[str, 
         "units": volume.units,
         "space": volume.space if as_json else _space_text(volume.space),
         "value_range": value_range if as_json or value_range is None else range_text(*value_range),
-        "window": (list(volume.window) if volume.window else None) if as_json else _window_text(volume),
+        "window": volume.window if as_json else _window_text(volume),
         "labels": _labels(volume) if as_json else _labels_text(volume),
         "finite": finite,
         "bytes": volume.data.nbytes,
@@ -135,8 +135,11 @@ def _labels_text(volume: clvol.Volume) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """What JSON holds."""
-    return value.tolist() if hasattr(value, "tolist") else value
+    """What JSON holds, which has no NaN."""
+    value = value.tolist() if hasattr(value, "tolist") else value
+    if isinstance(value, (list, tuple)):
+        return [_plain(part) for part in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def _header_text(header: Mapping[str, Any]) -> str:

@@ -293,11 +293,10 @@ def leading_of(path: str | os.PathLike[str], *, series: int | str | None = None,
     chosen = _format_of(path)
     if not chosen.several:
         return Leading()
-
-    options = {"series": series, "level": level}
+    options = _options(chosen, path, {"series": series, "level": level})
     try:
         with foreign_errors(f"read {path}"):
-            chosen.read(path, choose=_Counting(whole=True), **{name: value for name, value in options.items() if value is not None})
+            chosen.read(path, choose=_Counting(whole=True), **options)
     except _KnownError as known:
         return known.leading
     return Leading()
@@ -321,11 +320,7 @@ class _KnownError(ClvolError):
 def _read(path: str | os.PathLike[str], choice: Choice, given: Mapping[str, Any], replaced: Mapping[str, Any]) -> Volume | Volumes:
     path = as_path(path)
     chosen = _format_of(path)
-    options = {name: value for name, value in given.items() if value is not None}
-    for name in options:
-        if name not in chosen.options:
-            having = ", ".join(f.name for f in FORMATS if name in f.options)
-            raise OptionError(f"{name} is only for: {having}; {path} is read as: {chosen.name}")
+    options = _options(chosen, path, given)
     if chosen.several:
         options["choose"] = choice
     with foreign_errors(f"read {path}"):
@@ -341,6 +336,16 @@ def _read(path: str | os.PathLike[str], choice: Choice, given: Mapping[str, Any]
         except GeometryError as error:
             mend = "spacing=, origin= or direction= replace what the file says"
             raise GeometryError(f"{path}: {error}; {mend}") from error
+
+
+def _options(chosen: Format, path: Path, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Those options that are given; `OptionError` for one that is not for this format."""
+    options = {name: value for name, value in given.items() if value is not None}
+    for name in options:
+        if name not in chosen.options:
+            having = ", ".join(f.name for f in FORMATS if name in f.options)
+            raise OptionError(f"{name} is only for: {having}; {path} is read as: {chosen.name}")
+    return options
 
 
 def _format_of(path: Path) -> Format:

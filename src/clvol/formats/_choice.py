@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.checks import warn_caller, whole
+from clvol.checks import warn, whole
 from clvol.errors import DataError, OptionError
 from clvol.volumes import Leading
 
@@ -117,20 +117,14 @@ class Choice:
                 if count > 1:
                     left.append(axis)
         self._tell(source, leading, left, index, guessed)
-        kept = [i for i, at in enumerate(index) if at == slice(None) and not (computed and leading.axes[i] == "channel")]
-        dropped = [axis for i, axis in enumerate(leading.axes) if i not in kept]
-        picked = [(0 if isinstance(at, slice) else at) for at in index]
-        known = leading.about(picked)
+        taken = {axis: at for axis, at in zip(leading.axes, index, strict=True) if not isinstance(at, slice)}
+        fixed = leading.without(*(axis for axis in leading.axes if axis not in taken))
+        about = fixed.about(list(taken.values()))
         if computed:
-            known = leading.without("channel").about(
-                [at for at, axis in zip(picked, leading.axes, strict=True) if axis != "channel"]
-            )
-            known["name"] = computed
-        if not kept:
-            about = known
-        else:
-            rest = leading.without(*dropped)
-            about = {"leading": rest}
+            about["name"] = computed
+        rest = leading.without(*taken, *(["channel"] if computed else []))
+        if rest.axes:
+            about["leading"] = rest
         at = sum(isinstance(i, slice) for i in index[: leading.axes.index("channel")]) if computed else 0
         return Pick(tuple(index), about, (lambda data: leading.combined(data, at)) if computed else (lambda data: data))
 
@@ -147,7 +141,7 @@ class Choice:
             message = source
         else:
             return
-        warn_caller(f"{message}{'; ' if left else ': '}{guessed}" if guessed else message)
+        warn(f"{message}{'; ' if left else ': '}{guessed}" if guessed else message)
 
 
 _LISTED = 12  # in a message
@@ -185,7 +179,7 @@ def chosen_series(
             message = f"{source} holds {len(series)} {what}: {told}"
             if not first:
                 raise DataError(f"{message}; choose one by series=")
-            warn_caller(f"{message}; the first was read: choose by series=")
+            warn(f"{message}; the first was read: choose by series=")
         return 0
     ids = [one.id for one in series]
     if isinstance(choice, str) and choice in ids:

@@ -19,7 +19,7 @@ from clvol.volumes import Leading
 __all__ = ["opened", "read", "series"]
 
 _NETCDF_3 = b"CDF"
-_NO_VARIABLE = b"This is a netCDF dimension but not a netCDF variable"  # NAME of a scale that holds no coordinates
+_NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"  # NAME of a scale that holds no coordinates
 
 
 def read(path: Path, choose: Choice, series: int | str | None = None) -> Content:
@@ -100,7 +100,7 @@ def _axes(array: Any) -> tuple[list[str], dict[int, tuple[float, float]], dict[i
         if not scales:
             continue
         words[i] = _text(scales[0].attrs.get("axis")) or words[i] or scales[0].name.rpartition("/")[2]
-        if not bytes(scales[0].attrs.get("NAME", b"")).startswith(_NO_VARIABLE):
+        if not _text(scales[0].attrs.get("NAME")).startswith(_NO_VARIABLE):
             lines[i] = uniform(scales[0][:]) or (0.0, math.nan if array.shape[i] > 1 else 1.0)
             units[i] = _text(scales[0].attrs.get("units"))
     for i, tag in enumerate(_tags(attributes.get("axistags"), count)):

@@ -16,7 +16,7 @@ from clvol.boundary import Boundary
 from clvol.camera import Camera
 from clvol.checks import instance, number, one_of, whole
 from clvol.device import Device
-from clvol.errors import OptionError
+from clvol.errors import DataError, OptionError
 from clvol.filter import PICTURE_FILTER, Filter
 from clvol.light import Light, Material
 from clvol.look import look
@@ -30,7 +30,7 @@ from clvol.picture import Picture, as_pictures
 from clvol.scene import Box, Medium, Scene, as_scene
 from clvol.smoothing import filter_for
 from clvol.spline.evaluator import Evaluator, EvaluatorName, FetchName, choose_evaluator
-from clvol.spline.field import Field, as_field
+from clvol.spline.field import RENUMBER, Field, as_field, names_beyond
 from clvol.spline.minmax import MinMax
 from clvol.spline.points import Progress
 from clvol.transfer import TransferFunction
@@ -66,12 +66,13 @@ class Renderer:
     ------
     OptionError
         No filter, boundary or device has this name, the volume does not have three axes, `filter` or `boundary` are given
-        beside a scene or a medium, another filter, boundary or device than a field's beside it, or the field is closed.
+        beside a scene or a medium, another filter, boundary or device than a field's beside it, or the field is
+        closed or of double precision.
     GeometryError
         The spacings differ by a factor of more than 10⁶, or lie outside 10⁻³⁰ to 10³⁰, or an axis has more than 2¹⁸ samples.
         (Whether spacings that differ by less are too unequal depends on the view: `render`.)
     DataError
-        A sample is NaN, infinite, or too large for float64.
+        A sample is NaN, infinite, or too large for float64; or a label, drawn by "nearest", is too large for float32.
     DeviceError
         There is no device, or it cannot hold the volume (`OutOfMemoryError`).
 
@@ -106,7 +107,9 @@ class Renderer:
         self.scene = as_scene(scene)
         (medium,) = self.scene.media
         if self._own:
-            field = Field(medium.volume, filter_for(medium.volume, medium.filter, PICTURE_FILTER), medium.boundary, device)
+            field = _single(medium.volume, filter_for(medium.volume, medium.filter, PICTURE_FILTER), medium.boundary, device)
+        elif field.precision != "single":
+            raise OptionError(f"rendering takes a field of single precision; got one of {field.precision} precision")
         self.field = field
         self.device = field.device
         self._unsmoothed: Field | None = None
@@ -405,7 +408,7 @@ class Renderer:
             return self.field
         with self._lock:
             if self._unsmoothed is None:
-                self._unsmoothed = Field(self.volume, row, self.field.boundary, self.device)
+                self._unsmoothed = _single(self.volume, row, self.field.boundary, self.device)
             return self._unsmoothed
 
     def _uncertain(self, field: Field, mode: Mode) -> Uncertainty:
@@ -499,6 +502,16 @@ def render(
     row = filter_for(scene, None, chosen.picture_filter) if free else filter  # type: ignore[arg-type]  # it is a volume then
     with Renderer(scene, row, boundary, device) as renderer:
         return renderer.render(camera, mode, size, step, outputs=outputs, **options)  # type: ignore[arg-type]  # either
+
+
+def _single(volume: Volume, row: Filter, boundary: Boundary, device: Device | str | int | None) -> Field:
+    """What kernels of pictures read: float32, which must tell labels apart."""
+    if names_beyond(24, volume, row):
+        low, high = volume.limits
+        raise DataError(
+            f"labels must be whole numbers that float32 holds to be drawn, up to 2**24; got {low} to {high}: {RENUMBER}"
+        )
+    return Field(volume, row, boundary, device, precision="single")
 
 
 def _outputs(outputs: object) -> tuple[str, ...]:

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.checks import one_of, warn_caller, whole
+from clvol.checks import one_of, warn, whole
 from clvol.device import Device, as_device
-from clvol.errors import OptionError
+from clvol.errors import DataError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.interop import as_array, as_output, read_array
 from clvol.missing import Missing, as_missing, touching
@@ -33,6 +33,7 @@ from clvol.volume import Volume, as_volume, in_frame
 from clvol.volumes import Volumes, as_grid
 
 __all__ = [
+    "RENUMBER",
     "Field",
     "Floats",
     "Precision",
@@ -42,6 +43,7 @@ __all__ = [
     "coefficients_of",
     "fill_value",
     "magnify",
+    "names_beyond",
     "opened",
     "precision_kind",
     "prefilter",
@@ -55,6 +57,7 @@ Precision: TypeAlias = Literal["single", "double"]
 _PRECISIONS: dict[str, type[np.generic]] = {"single": np.float32, "double": np.float64}
 _CHANNELS = 4  # of an image in colour, at most
 _TURN = np.array([-1.0, -1.0, 1.0])  # between LPS and RAS
+RENUMBER = "renumber them, as numpy.unique(data, return_inverse=True) does"
 _LOOKED_AT = 256  # points of which the order of coordinates is guessed
 
 
@@ -446,7 +449,7 @@ class Field:
             `anti_aliasing` is none of these, or "least-squares" for a turned grid, with a hybrid or under the boundary rule
             "zero"; `fill`, `evaluator` or `fetch` as in a call; the field is closed.
         DataError
-            Results are NaN where samples are missing, and `dtype` holds none.
+            Results are NaN where samples are missing, and `dtype` holds none; or labels, drawn by "nearest", exceed 2⁵³.
         GeometryError
             A transform is singular, or of another number of dimensions.
         DeviceError
@@ -544,8 +547,14 @@ class Field:
 
 def _result_kind(dtype: DTypeLike | None, volume: Volume, row: Filter, out: Any, fill: float | None) -> np.dtype[Any] | None:
     """The type that results are brought to; None: that in which they are computed."""
-    labels = row.support == 1 and volume.is_labels
+    fill = fill_value(fill)
+    if names_beyond(53, volume, row):  # results would name no region, or another
+        low, high = volume.limits
+        raise DataError(
+            f"labels must be whole numbers up to 2**53 to be resampled, which float64 holds; got {low} to {high}: {RENUMBER}"
+        )
     if dtype is None:
+        labels = row.support == 1 and volume.is_labels
         return volume.data.dtype if labels and out is None and (fill is None or not np.isnan(fill)) else None
     if out is not None:
         raise OptionError(f"resample takes dtype or out, whose type is that of the results; got {dtype!r} and out")
@@ -967,7 +976,7 @@ def _tell_reversed(points: NDArray[np.generic], volume: Volume) -> None:
     if 2 * np.count_nonzero(outside) > len(some) and inside(some[outside][:, ::-1]).all():
         names = "(x, y)" if volume.ndim == 2 else "(x, y, z)"
         low, high = (end.round(3).tolist() for end in (volume.corners.min(0), volume.corners.max(0)))
-        warn_caller(
+        warn(
             f"points are {names} in world units; most of these lie outside the volume, which reaches from {low} to {high}, "
             f"such as {some[outside][0].tolist()}; reversed, all lie in it"
         )
@@ -991,9 +1000,14 @@ def precision_kind(precision: str) -> type[np.generic]:
 
 def _precision_for(volume: Volume, row: Filter) -> Precision:
     """Labels that float32 does not hold are taken in float64; all else in float32."""
-    if row.support > 1 or volume.data.dtype.kind not in "iu" or volume.data.dtype.itemsize <= 2 or not volume.is_labels:
-        return "single"
-    return "double" if max(abs(int(v)) for v in volume.limits) > 1 << 24 else "single"
+    return "double" if names_beyond(24, volume, row) else "single"
+
+
+def names_beyond(bits: int, volume: Volume, row: Filter) -> bool:
+    """Whether labels, which this filter leaves as they are, need more bits than a floating type has."""
+    if row.support > 1 or volume.data.dtype.kind not in "iu" or volume.data.dtype.itemsize <= bits // 8 or not volume.is_labels:
+        return False
+    return max(abs(int(v)) for v in volume.limits) > 1 << bits
 
 
 def _require_no_transform(stages: Sequence[object]) -> None:
