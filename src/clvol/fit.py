@@ -1,4 +1,4 @@
-"""What a picture shows of a volume: the sphere around it, and the body that it sweeps as the camera orbits; cameras are fitted to it.
+"""What a picture shows of a volume: the sphere around it, and what it sweeps as the camera orbits, to which that is fitted.
 
 The sphere follows from the volume, the mode, the transfer function and the clip box alone, and not from the view. At most 64
 samples along each axis are looked at. It is a little larger than what was found, and never larger than the volume's own; that is
@@ -82,7 +82,8 @@ def fitted(
         shift = np.clip((above - below).mean() / 2, above.max() - reach, reach - below.max())
         center = center + shift / math.cos(half) * view.up
         radius *= min(1.0, reach / float(np.linalg.norm(sphere.outer, axis=1).max()))
-    return replace(camera, target=tuple(map(float, center)), radius=radius)
+    x, y, z = (float(v) for v in center)
+    return replace(camera, target=(x, y, z), radius=radius)
 
 
 def _swept(points: NDArray[np.float64], axis: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -241,7 +241,10 @@ def render(
         return sample(volume, points, row, inside)
 
     def solid(labels: Array) -> Bools:
-        return np.asarray(labels >= chosen.isovalue if isinstance(chosen, Isosurface) else transfer(labels)[..., 3] > 0)
+        if isinstance(chosen, Isosurface):
+            assert chosen.isovalue is not None  # it is settled
+            return labels >= chosen.isovalue
+        return np.asarray(transfer(labels)[..., 3] > 0)
 
     def slope(points: Array) -> Array:
         """Differences of one voxel of the grid that is stored to either side, or the exact derivative; per world unit. Of labels,
