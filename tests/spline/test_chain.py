@@ -306,7 +306,7 @@ BAD: dict[str, tuple[type[Exception], str, Any]] = {
     "filter": (OptionError, "2 to 6 taps", lambda: DisplacementField(VECTORS, filter="nearest")),
     "hybrid": (OptionError, "2 to 6 taps", lambda: DisplacementField(VECTORS, filter="hybrid")),
     "smoothing": (OptionError, "2 to 6 taps", lambda: DisplacementField(VECTORS, filter="bspline3(0.1)")),
-    "unknown filter": (OptionError, "filter", lambda: DisplacementField(VECTORS, filter="tricubic")),
+    "unknown filter": (OptionError, "filter", lambda: DisplacementField(VECTORS, filter="tricubik")),
 }
 
 

@@ -213,7 +213,7 @@ class Look:
         Parameter(help="Colour map by name, instead of the automatic colours; opacities stay.", completer=_any_of(_color_maps)),
     ] = None
     value_range: Annotated[
-        tuple[float, float] | None, Parameter(help="Values that the colour map spans, grey if there is no --cmap.")
+        tuple[float, float] | None, Parameter(help="Values that the colour map spans, grey where no map is given.")
     ] = None
     opacity: Annotated[
         tuple[float, ...] | None,
