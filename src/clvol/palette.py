@@ -24,6 +24,8 @@ FOG: Color = (0.9, 0.85, 0.75)
 _FLESH: tuple[Color, ...] = ((0.80, 0.49, 0.37), (0.97, 0.77, 0.63), (1.0, 0.91, 0.77), (1.0, 1.0, 0.97))
 _WARM: tuple[Color, ...] = ((0.78, 0.14, 0.08), (0.96, 0.36, 0.16), (1.0, 0.70, 0.28), (1.0, 0.96, 0.66))
 _COLD: tuple[Color, ...] = ((0.14, 0.30, 0.82), (0.22, 0.54, 1.0), (0.42, 0.80, 1.0), (0.84, 0.98, 1.0))
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709
+_DIMMEST = 0.25
 _RISE = 0.15
 _OPACITIES = (0.0, 0.12, 0.45, 0.88)  # at the foot, where matter begins, at its middle and at its top
 _THIN = (0.0, 0.05, 0.30, 0.80)  # where little of it is much brighter than the rest, and inside it
@@ -85,9 +87,11 @@ def diverging(window: tuple[float, float], middle: float) -> Colors:
 
 
 def shades(color: Sequence[float]) -> tuple[Color, ...]:
-    """Four shades of a colour, from dark to nearly white."""
+    """Four shades of a colour, from dark to nearly white; pure blue, on which shadows would not be seen, a little paler."""
     rgb = np.asarray(color, dtype=np.float64)
-    rows: list[NDArray[np.float64]] = [0.45 * rgb, 0.75 * rgb, rgb, rgb + 0.6 * (1 - rgb)]
+    luminance = float(rgb @ _LUMINANCE)
+    rgb = rgb + max(0.0, (_DIMMEST - luminance) / max(1 - luminance, _DIMMEST)) * (1 - rgb)
+    rows: list[NDArray[np.float64]] = [0.6 * rgb, 0.8 * rgb, rgb, rgb + 0.6 * (1 - rgb)]
     return tuple((float(r), float(g), float(b)) for r, g, b in (np.clip(row, 0, 1) for row in rows))
 
 
