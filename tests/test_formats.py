@@ -590,6 +590,17 @@ def test_dicom_with_a_missing_slice(tmp_path: Path) -> None:
             formats.read(folder)
 
 
+def test_dicom_of_slices_that_are_turned(tmp_path: Path) -> None:
+    """As in a series of localizers; here the places alone would make one even stack."""
+    straight = series(np.eye(3))
+    write_series(tmp_path, straight)
+    for file in list(tmp_path.iterdir()):
+        file.rename(tmp_path / f"first-{file.name}")
+    write_series(tmp_path, series(OBLIQUE), positions=np.array([straight.index_to_world([0, 0, k + 6]) for k in range(6)]))
+    with pytest.raises(FormatError, match=r"2 orientations \(6, 6 slices\)"):
+        formats.read(tmp_path)
+
+
 def test_dicom_with_a_truncated_slice(tmp_path: Path) -> None:
     """GDCM passes over it, and the rest may look like a whole series: here the last one in the stack is cut."""
     write_series(tmp_path, series())
@@ -631,7 +642,7 @@ def test_dicom_without_positions(tmp_path: Path) -> None:
 def test_dicom_with_two_series(tmp_path: Path) -> None:
     write_series(tmp_path, series(), "1.2.3")
     write_series(tmp_path, replace(series(), data=series().data + 1), "1.2.4")
-    with pytest.raises(DataError, match=r"2 series: 1\.2\.3\S* \(CT, 6 files\), 1\.2\.4.*choose one by series="):
+    with pytest.raises(DataError, match=r"2 series: 0: 1\.2\.3\S* \(CT, 6 files\), 1: 1\.2\.4.*choose one by series="):
         formats.read(tmp_path)
     listed = formats.series_of(tmp_path)
     assert [(one.id[:5], one.text) for one in listed] == [("1.2.3", "CT, 6 files"), ("1.2.4", "CT, 6 files")]

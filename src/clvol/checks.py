@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import os
+import sys
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from numbers import Integral, Real
@@ -13,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import ClvolError, OptionError, OutOfMemoryError
+from clvol.errors import ClvolError, ClvolWarning, OptionError, OutOfMemoryError
 from clvol.interop import as_array
 
-__all__ = ["as_path", "enough_memory", "instance", "number", "one_of", "reals", "require_room", "several", "whole"]
+__all__ = ["as_path", "enough_memory", "instance", "number", "one_of", "reals", "require_room", "several", "warn_caller", "whole"]
 
 _MAX_SAMPLES = 1 << 36  # no machine holds the float64 positions of more
 
@@ -138,3 +140,11 @@ def _scalar(value: object) -> object:
 def _allowed(bounds: Mapping[str, float | None]) -> str:
     texts = [f"{rule} {bound:.15g}" for rule, bound in bounds.items() if bound is not None]
     return ", " + " and ".join(texts) if texts else ""
+
+
+def warn_caller(message: str) -> None:
+    """Warn of the caller's line, whatever lies between it and this one."""
+    frame, level = sys._getframe(), 1
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("clvol."):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, ClvolWarning, stacklevel=level)

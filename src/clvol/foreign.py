@@ -28,6 +28,7 @@ __all__ = [
     "nibabel",
     "nibabel_says",
     "nifti_says",
+    "same_place",
     "simpleitk",
     "simpleitk_says",
     "to_nibabel",
@@ -258,9 +259,33 @@ def nibabel_says(image: Any) -> dict[str, Any]:
     about = from_ras(affine_parts(affine[:3, :3], affine[:3, 3]), d, NIFTI_MILLIMETRES[unit])
     if is_nifti:
         about |= nifti_says(image.header, shape, len(image.get_data_dtype().names or ()))
+        about["header"] |= _one_code(image)
     elif (frames := math.prod(shape[3:])) > 1:
         about["leading"] = {"axes": ("volume",), "counts": (frames,)}
     return about
+
+
+def _one_code(image: Any) -> dict[str, int]:
+    """The code that the qform gets where it lies elsewhere than the sform, see `same_place`; none where the two agree."""
+    code = int(image.header["sform_code"])
+    try:
+        qform = image.header.get_qform(coded=True)[0] if code else None
+    except ValueError:  # no quaternion
+        return {"qform_code": code}
+    if qform is None or same_place(*(affine_parts(affine[:3, :3], affine[:3, 3]) for affine in (image.header.get_sform(), qform))):
+        return {}
+    return {"qform_code": code}
+
+
+def same_place(sform: Placement, qform: Placement) -> bool:
+    """Whether the two placements of a NIfTI file are one, as far as float32 holds them.
+
+    Volumes lie where the sform says, and both are written so. What the qform's code says (a scanner's world, say) would then be
+    false of a sform elsewhere (in a template's), whose code is given to both.
+    """
+    near = 0.01 * float(sform[0].min())
+    moved = np.abs(sform[2] * sform[0] - qform[2] * qform[0]).max() * 10
+    return bool(max(moved, np.abs(sform[1] - qform[1]).max()) <= near)
 
 
 def nifti_says(header: Any, shape: Sequence[int], channels: int = 0) -> dict[str, Any]:

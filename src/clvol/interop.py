@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from typing import Any, Protocol, runtime_checkable
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from clvol.errors import ClvolError, DataError, OptionError
 from clvol.foreign import Content, from_nibabel, from_simpleitk, is_ours, nibabel_says, simpleitk_says, xarray_says
 
-__all__ = ["Content", "as_array", "as_output", "memory_of", "read_array", "read_several"]
+__all__ = ["Content", "as_array", "as_output", "is_image", "memory_of", "read_array", "read_grid", "read_several"]
 
 _ON_HOST = {1, 3, 11, 13}  # DLPack's types of device whose memory the host can read: its own, pinned, and managed
 _TO_HOST = {"torch": "tensor.cpu()", "cupy": "array.get()", "jax": "jax.device_get(array)", "jaxlib": "jax.device_get(array)"}
@@ -36,11 +37,15 @@ def read_array(source: Any) -> Content:
     Raises
     ------
     DataError
-        Ragged or masked data, data in the memory of a device, an image that holds several volumes or values per voxel, or too
-        few axes.
+        Ragged or masked data, data in the memory of a device, an image that holds several volumes or values per voxel, too
+        few axes, or the name of a file.
     GeometryError
         The affine of a nibabel image is singular or not finite, or its unit of length unknown.
     """
+    if isinstance(source, (str, os.PathLike)):
+        raise DataError(f"data must be an array, an image or a Volume; got {os.fspath(source)!r}: clvol.read(path) reads a file")
+    if (leading := getattr(source, "leading", None)) is not None:
+        raise DataError(f"data must be one volume; got Volumes of {leading}: take one, as volumes[0], or each of them in turn")
     about = simpleitk_says(source) if _is_simpleitk(source) else nibabel_says(source) if _is_nibabel(source) else {}
     about = xarray_says(source) if is_ours(source) else about
     if "leading" in about:
@@ -60,6 +65,26 @@ def read_several(source: Any) -> Content:
     if not isinstance(source, np.ndarray) and isinstance(source, _Gridded):  # asked for `data`, an array of dates raises
         return as_array(source.data), {name: getattr(source, name) for name in _OWN if hasattr(source, name)}
     return as_array(source), {}
+
+
+def read_grid(source: Any) -> Content:
+    """As `read_array`, and images that hold several volumes too, but without samples: in their place are zeros, of no memory."""
+    if _is_simpleitk(source):
+        about, size = simpleitk_says(source), source.GetSize()
+    elif _is_nibabel(source):
+        about, size = nibabel_says(source), source.shape
+    elif is_ours(source):
+        about, size = xarray_says(source), source.shape[::-1]
+    else:
+        return read_array(source)
+    about.pop("leading", None)
+    shape = tuple(int(n) for n in size[: len(about["spacing"])])[::-1]
+    return np.broadcast_to(np.float32(0), shape), about
+
+
+def is_image(source: Any) -> bool:
+    """Whether it is an image of SimpleITK or nibabel, or an array that `clvol.foreign.to_xarray` made."""
+    return _is_simpleitk(source) or _is_nibabel(source) or is_ours(source)
 
 
 def _is_simpleitk(source: Any) -> bool:

@@ -6,13 +6,12 @@ are in shares of a volume's own matter: 0 is where it begins to show, 1 the brig
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import Literal
 
-from clvol.checks import one_of
+from clvol.checks import one_of, warn_caller
 from clvol.display import Named
-from clvol.errors import ClvolWarning, OptionError
+from clvol.errors import OptionError
 from clvol.histogram import matter_of, may_be_hounsfield
 from clvol.palette import Colors, Opacities, of_labels, shades
 from clvol.volume import Volume
@@ -91,11 +90,9 @@ class Preset:
         low, high = self.window
         if self.unit == "HU":
             least, most = volume.value_range
-            warnings.warn(
+            warn_caller(
                 f"preset {self.name!r} is in Hounsfield units, in which air is -1000 and water 0, and samples from {least:g} to "
-                f"{most:g} are not: it was spread over what stands out from their background; window=(center, width) says where",
-                ClvolWarning,
-                stacklevel=4,
+                f"{most:g} are not: it was spread over what stands out from their background; window=(center, width) says where"
             )
             low, high = 0.0, 1.0
         foot, top = (matter.foot, matter.top) if matter.top > matter.foot else (matter.foot - 0.5, matter.foot + 0.5)

@@ -15,9 +15,9 @@ _AT_ONCE = 1 << 20  # values whose float64 copies are made at once
 
 
 def as_kind(dtype: DTypeLike, own: np.dtype[Any]) -> np.dtype[Any]:
-    """The type of a name, `own` for "same"; `OptionError` for what holds no real numbers."""
+    """The type of a name, `own` in this machine's byte order for "same"; `OptionError` for what holds no real numbers."""
     if isinstance(dtype, str) and dtype == "same":
-        return own
+        return own.newbyteorder("=")
     try:
         kind = np.dtype(dtype)
     except TypeError:

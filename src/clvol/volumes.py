@@ -14,10 +14,10 @@ from clvol.checks import one_of, whole
 from clvol.color import color_of
 from clvol.errors import DataError, GeometryError, OptionError
 from clvol.foreign import to_nibabel, to_simpleitk, to_xarray
-from clvol.interop import read_several
+from clvol.interop import is_image, read_grid, read_several
 from clvol.volume import SPACES, Volume, array_of, as_volume
 
-__all__ = ["AXES", "Leading", "Volumes"]
+__all__ = ["AXES", "Leading", "Volumes", "as_grid"]
 
 AXES = ("volume", "time", "position", "channel")
 """What an axis before z, y and x may count: the volumes of a series (of any meaning), times, places of the stage, channels."""
@@ -112,7 +112,8 @@ class Leading:
             choice = int(choice)
         number = whole(axis, choice)
         if not 0 <= number < count:
-            plural = "places" if axis == "position" else f"{axis}s"
+            plural = "place" if axis == "position" else axis
+            plural += "s" * (count > 1)
             raise OptionError(f"{axis} must be {self._choices(axis)}, for {source} holds {count} {plural}; got {number}")
         return number
 
@@ -187,8 +188,9 @@ class Volumes(Sequence[Volume]):
     Parameters
     ----------
     data : array-like, shape (..., nz, ny, nx) or (..., ny, nx), or sequence of Volume
-        Samples with one or more leading axes, viewed, not copied; or volumes of one grid and dtype. Images of SimpleITK
-        and nibabel give their geometry and what their axes count: a fourth axis is time or volumes, values of a voxel are channels.
+        Samples with one or more leading axes, viewed, not copied; or a list of volumes of one grid and dtype, or of images that
+        hold such. Images of SimpleITK and nibabel give their geometry and what their axes count: a fourth axis is time or
+        volumes, values of a voxel are channels.
     spacing, origin, direction, units, space, window, labels, header : optional
         As of `Volume`.
     leading : Leading, optional
@@ -205,7 +207,7 @@ class Volumes(Sequence[Volume]):
     """
 
     def __init__(self, data: ArrayLike | Sequence[Volume], *, leading: Leading | None = None, **about: Any) -> None:
-        if isinstance(data, (list, tuple)) and any(isinstance(volume, Volume) for volume in data):
+        if isinstance(data, (list, tuple)) and any(isinstance(volume, Volume) or is_image(volume) for volume in data):
             if about:
                 raise OptionError(f"volumes have a geometry; got {', '.join(about)} too")
             volumes = [as_volume(volume) for volume in data]
@@ -377,6 +379,16 @@ class Volumes(Sequence[Volume]):
 
     def _volume(self, data: NDArray[Any], about: dict[str, Any]) -> Volume:
         return replace(self._first, data=data, **about)
+
+
+def as_grid(like: Volume | Volumes | ArrayLike) -> Volume:
+    """A volume that lies where `like` does: that itself, or the grid of several volumes, or of an image that holds several."""
+    if isinstance(like, Volumes):
+        return like.grid
+    if isinstance(like, Volume):
+        return like
+    data, about = read_grid(like)
+    return Volume(data, **about)
 
 
 def _require_same_grid(first: Volume, other: Volume) -> None:

@@ -41,7 +41,7 @@ def test_the_only_array(tmp_path: Path) -> None:
 def test_several_arrays_are_listed(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "v.hdf5", "w") as file:
         file["u"], file["v"], file["none"] = DATA[0, 0], DATA[0, 1], np.zeros((0, 3, 3))
-    with pytest.raises(DataError, match=r"v\.hdf5 holds 2 arrays: u \(float32, 4 × 5 × 6\), v .*choose one by series="):
+    with pytest.raises(DataError, match=r"v\.hdf5 holds 2 arrays: 0: u \(float32, 4 × 5 × 6\), 1: v .*choose one by series="):
         clvol.read(tmp_path / "v.hdf5")
     np.testing.assert_array_equal(clvol.read(tmp_path / "v.hdf5", series="v").data, DATA[0, 1])
     np.testing.assert_array_equal(clvol.read(tmp_path / "v.hdf5", series=0).data, DATA[0, 0])

@@ -19,7 +19,7 @@ from clvol.errors import ClvolWarning, DataError, FormatError, OptionError
 from clvol.foreign import nibabel_says, simpleitk_says
 from clvol.formats import read, read_all, write
 from clvol.volume import Volume
-from clvol.volumes import Leading, Volumes
+from clvol.volumes import Leading, Volumes, as_grid
 
 nibabel = pytest.importorskip("nibabel")
 sitk = pytest.importorskip("SimpleITK")
@@ -216,6 +216,21 @@ def test_nifti_keeps_what_its_header_says(tmp_path: Path) -> None:
             np.testing.assert_allclose((placed @ [1, 1, 1, 1])[:3], changed.index_to_world([1, 1, 1]) * [-1, -1, 1], rtol=1e-5)
     write(replace(volume, window=None), tmp_path / "again.nii")
     assert nibabel.load(tmp_path / "again.nii").header["cal_max"] == 0
+
+
+def test_a_qform_elsewhere_than_the_sform(tmp_path: Path) -> None:
+    """Volumes lie where the sform says: its code is given to the qform, whose own would be false of that place."""
+    image = nibabel.Nifti1Image(series(dtype="float32"), AFFINE)
+    image.set_sform(AFFINE, 4)
+    for moved, code in ((AFFINE, 1), (np.diag([3.0, 3, 3, 1]) @ AFFINE, 4)):
+        image.set_qform(moved, 1, update_affine=False)
+        nibabel.save(image, tmp_path / "v.nii")
+        volume = read(tmp_path / "v.nii")
+        assert volume.header == Volume(image).header
+        assert (volume.header["sform_code"], volume.header["qform_code"]) == (4, code)
+    image.header["quatern_b"] = 2  # longer than 1: nibabel takes the sform all the same
+    nibabel.save(image, tmp_path / "v.nii")
+    assert read(tmp_path / "v.nii").header == Volume(image).header == volume.header
 
 
 def test_nifti_of_labels(tmp_path: Path) -> None:
@@ -493,6 +508,9 @@ def test_a_heart_says_what_it_is(tmp_path: Path) -> None:
         assert slice_.window is not None
         np.testing.assert_array_equal(slice_.data, sitk.GetArrayFromImage(sitk.ReadImage(str(path))))
         same_grid(replace(slice_, window=None), Volume(sitk.ReadImage(str(path))))
+    (path.parent / ("._" + path.name)).write_bytes(bytes.fromhex("00051607") + bytes(200))  # as Macs leave beside files
+    (path.parent / "notes.txt").write_text("not a slice")
+    np.testing.assert_array_equal(read(path.parent).data, slice_.data)
     (one,) = clvol.formats.series_of(path.parent)
     assert one.text == "MR, My Special Series For Testing, 1 file"
     shutil.copy(path, path.with_name("other.dcm"))
@@ -550,3 +568,21 @@ def test_what_images_say_needs_no_samples() -> None:
     assert nibabel_says(proxy)["leading"]["counts"] == (50,)
     with pytest.raises(DataError, match=r"50 volumes: take one as clvol\.Volumes"):
         Volume(proxy)
+
+
+def test_the_grid_of_a_series() -> None:
+    """``like=`` takes an image of several volumes, whose grid is one; and loads none of them."""
+    image = nibabel.Nifti1Image(np.broadcast_to(np.int16(0), (500, 1000, 1000, 50)), AFFINE)
+    grid = Volume(nibabel.Nifti1Image(np.zeros((500, 1000, 1), np.int16), AFFINE))
+    found = as_grid(image)
+    assert found.shape == (1000, 1000, 500)
+    same_grid(found, replace(grid, data=found.data))
+    several = Volumes(nibabel.Nifti1Image(series(5), AFFINE))
+    for like in (several, several.to_sitk(), several.to_nibabel(), several.to_xarray(), several[3]):
+        same_grid(as_grid(like), replace(several[0], data=as_grid(like).data, window=None))
+        assert clvol.resample(several[1], like=like, dtype="same").data.tolist() == several[1].data.tolist()
+    assert Volumes([several[1].to_nibabel(), several[3].to_sitk()])[1].data.tolist() == several[3].data.tolist()
+    with pytest.raises(DataError, match=r"got Volumes of 5 \w+s: take one, as volumes\[0\]"):
+        clvol.resample(several, spacing=1)  # type: ignore[arg-type]
+    with pytest.raises(DataError, match=r"'scan\.nii': clvol\.read\(path\) reads a file"):
+        clvol.render("scan.nii")

@@ -162,7 +162,7 @@ def test_several_images(tmp_path: Path) -> None:
         for i, name in enumerate(("left", "right")):
             about = {"axes": "ZYX", "Name": name, "PhysicalSizeX": 1 + i, "PhysicalSizeY": 1, "PhysicalSizeZ": 1}
             file.write(DATA[0, i, : 3 + i], photometric="minisblack", metadata=about)
-    with pytest.warns(ClvolWarning, match=r"2 images: left \(ZYX, 3 × 5 × 6\), right .*series="):
+    with pytest.warns(ClvolWarning, match=r"2 images: 0: left \(ZYX, 3 × 5 × 6\), 1: right .*series="):
         np.testing.assert_array_equal(clvol.read(path).data, DATA[0, 0, :3])
     for choice in ("right", 1, "1"):
         volume = clvol.read(path, series=choice)

@@ -75,11 +75,13 @@ def test_vectors(tmp_path: Path) -> None:
 
 def test_several_arrays(tmp_path: Path) -> None:
     written(tmp_path / "v.vti", a=DATA, b=DATA * 2, c=np.arange(6, dtype=np.uint8))
-    with pytest.raises(DataError, match=r"3 arrays: a \(float32, 2 × 3 × 4\), b .*, c \(uint8, in cells, 1 × 2 × 3\).*series="):
+    with pytest.raises(
+        DataError, match=r"3 arrays: 0: a \(float32, 2 × 3 × 4\), 1: b .*, 2: c \(uint8, in cells, 1 × 2 × 3\).*series="
+    ):
         clvol.read(tmp_path / "v.vti")
     np.testing.assert_array_equal(clvol.read(tmp_path / "v.vti", series="b").data, DATA * 2)
     written(tmp_path / "w.vti", active="b", a=DATA, b=DATA * 2)
-    with pytest.warns(ClvolWarning, match=r"b \(float32, 2 × 3 × 4\), a .*the first was read"):
+    with pytest.warns(ClvolWarning, match=r"0: b \(float32, 2 × 3 × 4\), 1: a .*the first was read"):
         np.testing.assert_array_equal(clvol.read(tmp_path / "w.vti").data, DATA * 2)
     assert [one.id for one in formats.series_of(tmp_path / "w.vti")] == ["b", "a"]
 

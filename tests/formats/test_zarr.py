@@ -100,7 +100,7 @@ def test_plain_arrays(tmp_path: Path, version: int) -> None:
     np.testing.assert_array_equal(clvol.read(tmp_path / "v.zarr" / "density").data, DATA[0, 0])
     root.create_array("pressure", data=DATA[0, 1].astype("f8"))
     root.create_array("times", data=np.arange(5.0))
-    with pytest.raises(DataError, match=r"2 arrays: density \(float32, 4 × 8 × 8\), pressure .*series="):
+    with pytest.raises(DataError, match=r"2 arrays: 0: density \(float32, 4 × 8 × 8\), 1: pressure .*series="):
         clvol.read(tmp_path / "v.zarr")
     np.testing.assert_array_equal(clvol.read(tmp_path / "v.zarr", series="pressure").data, DATA[0, 1])
     root.create_array("all", data=DATA[0])

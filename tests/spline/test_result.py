@@ -7,6 +7,7 @@ import pytest
 
 import clvol
 from clvol import DataError, Device, OptionError, Volume
+from clvol.rounding import as_kind
 
 RNG = np.random.default_rng(5)
 DATA = RNG.normal(100, 60, (9, 10, 11)).astype(np.int16)
@@ -29,6 +30,10 @@ def test_results_are_rounded_and_clipped(device: Device, dtype: object) -> None:
     assert got.dtype == kind
     ends = (0, 1) if kind.kind == "b" else (-np.inf, np.inf) if kind.kind == "f" else (np.iinfo(kind).min, np.iinfo(kind).max)
     np.testing.assert_array_equal(got, np.clip(wide if kind.kind == "f" else np.rint(wide), *ends).astype(kind))
+
+
+def test_the_same_type_has_the_byte_order_of_the_machine() -> None:
+    assert as_kind("same", np.dtype(">i2")) == np.dtype(np.int16)
 
 
 def test_wide_types_are_computed_in_double(device: Device) -> None:
@@ -115,8 +120,9 @@ def test_what_is_refused(device: Device) -> None:
 
 def test_points_in_the_order_of_the_array_are_noticed(device: Device) -> None:
     data = np.zeros((10, 20, 40), np.float32)
-    with pytest.warns(clvol.ClvolWarning, match=r"points are \(x, y, z\) .* reversed"):
+    with pytest.warns(clvol.ClvolWarning, match=r"points are \(x, y, z\) .* reversed") as told:
         clvol.sample(data, [[9, 15, 35], [8, 12, 30]], device=device)
+    assert told[0].filename == __file__  # the caller's line
 
 
 def test_points_outside_alone_are_no_mistake(device: Device, recwarn: pytest.WarningsRecorder) -> None:

@@ -199,7 +199,9 @@ def resample(
         raise OptionError("--to-dtype and --anchor are for --to-shape, --to-spacing and --like; got --magnify")
     require_writable(output, WRITTEN, "volumes")
     reader = input or Input()
-    grid = None if like is None else Input().read(like)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ClvolWarning)  # of a series any volume has its grid
+        grid = None if like is None else Input().read(like)
 
     def one(volume: clvol.Volume, told: Callable[[float], None] | None) -> clvol.Volume:
         if magnify is not None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.checks import whole
-from clvol.errors import ClvolWarning, DataError, OptionError
+from clvol.checks import warn_caller, whole
+from clvol.errors import DataError, OptionError
 from clvol.volumes import Leading
 
 __all__ = ["Choice", "Pick", "Series", "chosen_level", "chosen_series"]
@@ -149,7 +147,7 @@ class Choice:
             message = source
         else:
             return
-        _warn(f"{message}{'; ' if left else ': '}{guessed}" if guessed else message)
+        warn_caller(f"{message}{'; ' if left else ': '}{guessed}" if guessed else message)
 
 
 _LISTED = 12  # in a message
@@ -180,13 +178,14 @@ def chosen_series(
     ClvolWarning
         There are several, and the first is taken.
     """
-    told = ", ".join(map(str, series[:_LISTED])) + (f", … ({len(series)})" if len(series) > _LISTED else "")
+    told = ", ".join(f"{n}: {one}" for n, one in enumerate(series[:_LISTED]))
+    told += f", … ({len(series)})" if len(series) > _LISTED else ""
     if choice is None:
         if (len(series) if main is None else main or len(series)) > 1:
             message = f"{source} holds {len(series)} {what}: {told}"
             if not first:
                 raise DataError(f"{message}; choose one by series=")
-            _warn(f"{message}; the first was read: choose by series=")
+            warn_caller(f"{message}; the first was read: choose by series=")
         return 0
     ids = [one.id for one in series]
     if isinstance(choice, str) and choice in ids:
@@ -212,11 +211,3 @@ def chosen_level(source: str, sizes: Sequence[Sequence[int]], level: int) -> int
             f"level must be 0 to {len(sizes) - 1}, for {source} holds the image in {len(sizes)} sizes: {told}; got {level}"
         )
     return number
-
-
-def _warn(message: str) -> None:
-    """Warn of the caller's line, whatever lies between it and this one."""
-    frame, level = sys._getframe(), 1
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("clvol."):
-        frame, level = frame.f_back, level + 1
-    warnings.warn(message, ClvolWarning, stacklevel=level)

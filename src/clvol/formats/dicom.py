@@ -30,11 +30,12 @@ _IO = "GDCMImageIO"
 _KIND = re.compile(rb"\x02\x00\x02\x00UI..1\.2\.840\.10008\.([0-9.]+)", re.DOTALL)
 _NO_SLICES = ("1.3.10", *(f"5.1.4.1.1.{group}" for group in ("9.", "11.", "66", "88.", "104.", "481.")))
 _STACKED = ("CT", "MR", "PT")  # modalities whose slices make volumes
+_LARGEST_TURN = 1e-2  # between directions of slices that are parallel; some files give three digits
 _LARGEST_SHIFT = 0.05  # of the distance between slices; ITK only warns, whatever is missing
 _MODALITY, _DESCRIPTION, _NUMBER, _INSTANCE, _FRAME_TIME = "0008|0060", "0008|103e", "0020|0011", "0020|0013", "0018|1063"
 _CENTER, _WIDTH, _POSITION = "0028|1050", "0028|1051", "0020|0032"
 _ORIENTATION, _PIXELS = "0020|0037", "0028|0030"
-_TAGS = (_MODALITY, _DESCRIPTION, _NUMBER, _INSTANCE, _FRAME_TIME, _CENTER, _WIDTH)
+_TAGS = (_MODALITY, _DESCRIPTION, _NUMBER, _INSTANCE, _FRAME_TIME, _CENTER, _WIDTH, _ORIENTATION)
 
 Points = NDArray[np.float64]
 
@@ -64,7 +65,12 @@ def is_file(path: Path) -> bool:
 
 def is_folder(path: Path) -> bool:
     """Whether a folder holds DICOM files itself, not in folders below."""
-    return any(file.is_file() and (file.suffix.lower() in SUFFIXES or is_file(file)) for file in sorted(path.iterdir()))
+    return any(file.suffix.lower() in SUFFIXES or is_file(file) for file in _files(path))
+
+
+def _files(path: Path) -> list[Path]:
+    """Those in a folder that may be slices, by their names; systems leave hidden files beside them, such as ._1.dcm."""
+    return sorted(file for file in path.iterdir() if not file.name.startswith(".") and file.is_file())
 
 
 def series_of(path: Path) -> tuple[Series, ...]:
@@ -118,8 +124,8 @@ def _listed(files: Mapping[str, list[str]]) -> tuple[Series, ...]:
 
 def _refuse_damaged(path: Path, sound: set[str]) -> None:
     """Raise if a file looks like a slice and is not among the `sound` ones: GDCM passes over what it cannot read."""
-    for file in sorted(path.iterdir()):
-        if file.name in sound or not file.is_file():
+    for file in _files(path):
+        if file.name in sound:
             continue
         with file.open("rb") as stream:
             head = stream.read(1024)
@@ -131,6 +137,7 @@ def _refuse_damaged(path: Path, sound: set[str]) -> None:
 
 def _read_files(path: Path, slices: Sequence[_Slice], choose: Choice) -> Content:
     """Volumes of files with a slice each."""
+    _require_parallel(path, slices)
     origins = np.array([one.origin for one in slices])
     order, guessed = _order(origins, np.array([one.number(_INSTANCE) for one in slices]))
     middle = slices[len(slices) // 2]
@@ -146,6 +153,29 @@ def _read_files(path: Path, slices: Sequence[_Slice], choose: Choice) -> Content
     geometry = simpleitk_says(image) | _about(middle)
     _place(path, geometry, origins[order[0]])
     return _taken(samples.reshape(*wanted.shape, *samples.shape[1:]), middle.channels, pick), _merged(geometry, pick)
+
+
+def _require_parallel(path: Path, slices: Sequence[_Slice]) -> None:
+    """Raise if slices are turned against each other: GDCM does not look, and a series of localizers has three planes."""
+    planes: list[tuple[NDArray[np.float64], int]] = []
+    for one in slices:
+        try:
+            turn = np.array([float(part) for part in one.texts.get(_ORIENTATION, "").split("\\")])
+        except ValueError:
+            continue
+        if turn.shape != (6,):  # it does not say
+            continue
+        at = next((n for n, (known, _) in enumerate(planes) if np.allclose(known, turn, rtol=0, atol=_LARGEST_TURN)), None)
+        if at is None:
+            planes.append((turn, 1))
+        else:
+            planes[at] = turn, planes[at][1] + 1
+    if len(planes) > 1:
+        counts = ", ".join(str(count) for _, count in planes)
+        raise FormatError(
+            f"{path} must hold one stack of parallel slices; these lie in {len(planes)} orientations ({counts} slices), "
+            "as localizers do: part them into folders, or read one file"
+        )
 
 
 # -- a file ------------------------------------------------------------------------------------------------------
@@ -179,7 +209,7 @@ def _read_file(path: Path, choose: Choice, alone: bool = False) -> Content:
 
 def _beside(path: Path) -> int:
     """How many other files of a folder may be slices."""
-    return sum(file != path and file.suffix == path.suffix and file.is_file() and is_file(file) for file in path.parent.iterdir())
+    return sum(file != path and file.suffix == path.suffix and is_file(file) for file in _files(path.parent))
 
 
 def _positions(content: bytes, frames: int) -> Points | None:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.errors import DataError, FormatError, GeometryError
-from clvol.foreign import NIFTI_MILLIMETRES, Content, Placement, affine_parts, from_ras, nifti_says
+from clvol.foreign import NIFTI_MILLIMETRES, Content, Placement, affine_parts, from_ras, nifti_says, same_place
 from clvol.formats._choice import Choice
 from clvol.formats._files import gunzipped_size, require_bytes, require_default, scaled
 from clvol.volume import Volume
@@ -285,6 +285,8 @@ def _parse(stream: BinaryIO, name: str, pair: bool = False) -> _Header:
     if unit not in NIFTI_MILLIMETRES:
         raise FormatError(f"{name} must measure in m, mm or µm (xyzt_units 1, 2 or 3, or 0 for none); its header says {unit}")
     about = from_ras(placed, len(size), NIFTI_MILLIMETRES[unit]) | nifti_says(fields, counts[:rank], parts if parts > 1 else 0)
+    if sform in _PLACED and qform in _PLACED and not _agree(name, fields, placed):
+        about["header"]["qform_code"] = sform
     dtype = np.dtype(_DTYPES.get(code, "uint8")).newbyteorder(lengths[length])  # type: ignore[arg-type]
     leading = Leading(**about.pop("leading", {}))
     guessed = f"its axes 4 to {rank} were taken for one, of volumes" if math.prod(counts[5:rank]) > 1 else ""
@@ -313,6 +315,16 @@ def _by_qform(name: str, numbers: Vector, pixdim: Vector, qfac: float) -> Placem
     direction = np.eye(3) + 2 * a * cross + 2 * cross @ cross
     direction[:, 2] *= -1 if qfac == -1 else 1
     return pixdim, offset, direction
+
+
+def _agree(name: str, fields: Any, placed: Placement) -> bool:
+    """Whether the qform says the same as the sform, by which the samples are placed."""
+    pixdim = np.asarray(fields["pixdim"], np.float64)
+    try:
+        qform = _by_qform(name, np.asarray(fields["quaternion"], np.float64), np.abs(pixdim[1:4]), pixdim[0])
+    except FormatError:  # it is not asked where the grid lies
+        return False
+    return same_place(placed, qform)
 
 
 def _by_pixdim(pixdim: Vector, size: tuple[int, ...]) -> Placement:

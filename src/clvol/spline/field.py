@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -14,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.checks import one_of, whole
+from clvol.checks import one_of, warn_caller, whole
 from clvol.device import Device, as_device
-from clvol.errors import ClvolWarning, OptionError
+from clvol.errors import OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.interop import as_array, as_output, read_array
 from clvol.missing import Missing, as_missing, touching
@@ -31,6 +30,7 @@ from clvol.spline.resample import resample_coefficients
 from clvol.stored import AS_THEY_ARE, Stored
 from clvol.transform import Transforms, as_chain
 from clvol.volume import Volume, as_volume, in_frame
+from clvol.volumes import Volumes, as_grid
 
 __all__ = [
     "Field",
@@ -390,7 +390,7 @@ class Field:
         self,
         shape: Sequence[int] | None = None,
         spacing: Sequence[float] | float | None = None,
-        like: Volume | ArrayLike | None = None,
+        like: Volume | Volumes | ArrayLike | None = None,
         *,
         anchor: Anchor = "center",
         transform: Transforms | None = None,
@@ -412,8 +412,8 @@ class Field:
             Samples along (z, y, x) or (y, x). The domain stays; its voxels become larger or smaller.
         spacing : float or sequence of float, optional
             New spacing along (x, y[, z]) in world units. The domain's centre stays, and its size to within half a voxel.
-        like : Volume, or what `Volume` takes, optional
-            Take the grid of this volume or image, wherever it lies.
+        like : Volume, Volumes, or what these take, optional
+            Take the grid of this volume or image, wherever it lies; of a series that of its volumes.
         anchor : {"center", "origin"}
             What stays in its place with `shape` and `spacing`: the centre of the domain, or the first sample, as with those who
             keep ITK's origin; the domain is then moved by half the difference of the spacings.
@@ -749,7 +749,7 @@ def resample(
     volume: Volume | ArrayLike | Field,
     shape: Sequence[int] | None = None,
     spacing: Sequence[float] | float | None = None,
-    like: Volume | ArrayLike | None = None,
+    like: Volume | Volumes | ArrayLike | None = None,
     filter: str | Filter | None = None,
     boundary: str | Boundary | None = None,
     *,
@@ -967,11 +967,9 @@ def _tell_reversed(points: NDArray[np.generic], volume: Volume) -> None:
     if 2 * np.count_nonzero(outside) > len(some) and inside(some[outside][:, ::-1]).all():
         names = "(x, y)" if volume.ndim == 2 else "(x, y, z)"
         low, high = (end.round(3).tolist() for end in (volume.corners.min(0), volume.corners.max(0)))
-        warnings.warn(
+        warn_caller(
             f"points are {names} in world units; most of these lie outside the volume, which reaches from {low} to {high}, "
-            f"such as {some[outside][0].tolist()}; reversed, all lie in it",
-            ClvolWarning,
-            stacklevel=4,
+            f"such as {some[outside][0].tolist()}; reversed, all lie in it"
         )
 
 
@@ -1015,7 +1013,7 @@ def _grid_for(
     volume: Volume,
     shape: Sequence[int] | None,
     spacing: Sequence[float] | float | None,
-    like: Volume | ArrayLike | None,
+    like: Volume | Volumes | ArrayLike | None,
     anchor: str = "center",
 ) -> Volume:
     """The grid that one of the three describes: a Volume whose samples take no memory."""
@@ -1027,7 +1025,7 @@ def _grid_for(
     if like is not None:
         if anchor != "center":
             raise OptionError(f"anchor is for shape and spacing, and like has an origin of its own; got {anchor!r}")
-        grid = as_volume(like)
+        grid = as_grid(like)
         if grid.ndim != d:
             raise OptionError(f"like must have {d} axes, as the volume has; got {grid!r}")
         return grid

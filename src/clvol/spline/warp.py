@@ -24,7 +24,7 @@ from clvol.spline.points import NOTHING_GIVEN, Given, Progress, Reals, Transform
 from clvol.spline.resample import resample_coefficients
 from clvol.transform import Transforms, as_chain
 from clvol.volume import Volume, as_volume
-from clvol.volumes import Volumes
+from clvol.volumes import Volumes, as_grid
 
 __all__ = ["Warped", "resample_series", "warp"]
 
@@ -49,7 +49,7 @@ class Warped(NamedTuple):
 
 def warp(
     volume: Volume | ArrayLike | Field,
-    like: Volume | ArrayLike,
+    like: Volume | Volumes | ArrayLike,
     transform: Transforms | None = None,
     filter: str | Filter | None = None,
     boundary: str | Boundary | None = None,
@@ -110,7 +110,7 @@ def warp(
     fill = fill_value(fill)
     volume = volume if isinstance(volume, Field) else as_volume(volume)
     moving = volume.volume if isinstance(volume, Field) else volume
-    like = as_volume(like)
+    like = as_grid(like)
     if like.ndim != moving.ndim:
         raise OptionError(f"like must have {moving.ndim} axes, as the volume has; got {like!r}")
     transforms = as_chain(transform, moving.ndim)
@@ -168,7 +168,7 @@ def _report(progress: Progress, done: int, count: int, fraction: float) -> None:
 def resample_series(
     series: ArrayLike | Volumes | Sequence[Volume],
     transforms: Sequence[Transforms | None],
-    like: Volume | ArrayLike | None = None,
+    like: Volume | Volumes | ArrayLike | None = None,
     filter: str | Filter | None = None,
     boundary: str | Boundary = DEFAULT_BOUNDARY,
     *,
@@ -235,7 +235,7 @@ def resample_series(
     entries = several("transforms", transforms, "a transform, or None, for each frame")
     if len(entries) != len(frames):
         raise OptionError(f"transforms must be as many as there are frames, {len(frames)}; got {len(entries)}")
-    grid = frames[0] if like is None else as_volume(like)
+    grid = frames[0] if like is None else as_grid(like)
     chains = [as_chain(entry, frame.ndim) for entry, frame in zip(entries, frames, strict=True)]
     chosen, row = as_device(device), filter_for(frames[0], filter, DEFAULT_FILTER)
     steps = _steps(progress, len(frames))
