@@ -60,6 +60,9 @@ def volumes(folder: Path | None) -> Iterator[tuple[str, clvol.Volume]]:
             except clvol.ClvolError as error:
                 print(f"left out {path.name}: {error}")
                 continue
+        if volume.ndim != 3:
+            print(f"left out {path.name}: an image, shape {volume.shape}")
+            continue
         yield path.name, volume
     for name in clvol.phantoms.names():
         yield name, clvol.phantoms.by_name(name)

@@ -97,13 +97,26 @@ def test_where_nothing_shows_it_is_the_volumes_own(data: np.ndarray) -> None:
         np.testing.assert_allclose(sphere.center, volume.center)
 
 
-def test_the_distance_is_the_same_from_all_sides() -> None:
-    volume, distances = ball(), set()
-    for azimuth, elevation in ((0, 0), (30, 20), (200, -70), (10, 90)):
-        view = fitted(Camera.orbit(azimuth, elevation, zoom=2), volume, *MODES["isosurface"]).view(volume, 1.5)
-        middle = np.array(sphere_of_matter(volume, *MODES["isosurface"]).center)
-        distances.add(round(float(np.linalg.norm(view.eye - middle)), 9))
-    assert len(distances) == 1
+@pytest.mark.parametrize("projection", ["perspective", "orthographic"])
+@pytest.mark.parametrize("elevation", [-70, 0, 20, 90])
+@pytest.mark.parametrize("aspect", [0.5, 1.5])
+def test_orbits_are_steady_and_all_of_it_is_in_the_picture(projection: Any, elevation: float, aspect: float) -> None:
+    data = np.zeros((40, 40, 40), np.uint8)
+    data[5:9, 4:30, 6:34] = data[5:30, 20:26, 30:34] = 1  # a slab with a column on one side
+    volume, look = Volume(data), (as_mode("composite"), TransferFunction(SEEN.colors, ((0.5, 0.0), (0.5, 0.5))))
+    corners = np.array(
+        [[x, y, z] for x in (6, 33) for y in (4, 29) for z in (5, 8)] + [[x, y, 29] for x in (30, 33) for y in (20, 25)]
+    )
+    seen = []
+    for azimuth in range(0, 360, 30):
+        view = fitted(Camera.orbit(azimuth, elevation, projection=projection), volume, *look, aspect=aspect).view(volume, aspect)
+        away = corners - view.eye
+        far = 1.0 if view.orthographic else away @ view.forward
+        x, y = (away @ way / far / view.half_height for way in (view.right, view.up))
+        assert np.abs(x).max() < aspect
+        assert np.abs(y).max() < 1
+        seen.append((view.eye[2], view.half_height))
+    np.testing.assert_allclose(seen, [seen[0]] * len(seen), rtol=1e-9)
 
 
 GIVEN = [{"target": (1, 2, 3)}, {"distance": 4.0}, {"position": (9, 9, 9)}, {"radius": 2.0}, {"fit": "volume"}]

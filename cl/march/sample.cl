@@ -1,6 +1,7 @@
 // The function along a ray: what a mode may query at one sample, for LANES rays at a time.
 //
-// Set by the host: PLANES (whether the rays of a tile share blended planes), CENTRAL (gradients by central differences).
+// Set by the host: PLANES (whether the rays of a tile share blended planes), CENTRAL (gradients by central differences), LABELS
+// (whether values are labels, and what of them is solid: 1 what the transfer function shows, 2 what the isovalue bounds).
 
 #include "base/lanes.cl"
 #include "base/math.cl"
@@ -12,6 +13,7 @@
 #include "spline/pairs.cl"
 #include "spline/cell.cl"
 #include "march/camera.cl"
+#include "transfer/ramp.cl"
 
 #if PLANES
 #define RARE OUT_OF_LINE   // kept out of the loop over samples on planes
@@ -63,11 +65,42 @@ RARE float value_beside(COEFFICIENTS coefficients, const int4 extent, cell_t c, 
     return sample_value(coefficients, extent, c);
 }
 
+#if LABELS
+
+#if LABELS == 2
+#define SOLID(sample, value) ((value) >= (sample)->frame->mode.isovalue)
+#else
+#define SOLID(sample, value) (!transparent((sample)->frame, (sample)->table, value, value))
+#endif
+
+// Labels are names, and their differences mean nothing: what is solid has a surface, and regions that touch have none between
+// them. Differences are averaged over the neighbours across, 1 : 2 : 1, for voxels' own faces have few directions; they
+// are in units of the value, as its rounding is.
+RARE gradient_t gradient_one(COEFFICIENTS coefficients, const sample_t *sample, float x, float y, float z)
+{
+    gradient_t g = { 0.0f, 0.0f, 0.0f };
+    const int4 extent = sample->extent;
+    const cell_t c = locate_stored(extent, x, y, z);
+    for (int k = -1; k <= 1; ++k)
+        for (int j = -1; j <= 1; ++j)
+            for (int i = -1; i <= 1; ++i) {
+                const float value = value_beside(coefficients, extent, c, i, j, k);
+                const float share = SOLID(sample, value) ? (float)((2 - i * i) * (2 - j * j) * (2 - k * k)) / 32.0f : 0.0f;
+                g.x += i * share; g.y += j * share; g.z += k * share;
+            }
+    const float unit = 1.0f + fabs(value_beside(coefficients, extent, c, 0, 0, 0));
+    g.x *= unit; g.y *= unit; g.z *= unit;
+    return g;
+}
+
+#else
+
 // Per sample, not per stored coefficient. Central differences step from coefficient to coefficient: on the hybrid's
 // magnified grid half a sample, as programs do that are given magnified volumes.
-RARE gradient_t gradient_one(COEFFICIENTS coefficients, const int4 extent, float x, float y, float z)
+RARE gradient_t gradient_one(COEFFICIENTS coefficients, const sample_t *sample, float x, float y, float z)
 {
     gradient_t g;
+    const int4 extent = sample->extent;
     const cell_t c = locate_stored(extent, x, y, z);
 #if CENTRAL
     g.x = 0.5f * (value_beside(coefficients, extent, c, 1, 0, 0) - value_beside(coefficients, extent, c, -1, 0, 0));
@@ -80,6 +113,8 @@ RARE gradient_t gradient_one(COEFFICIENTS coefficients, const int4 extent, float
     g.x *= GRID_SCALE; g.y *= GRID_SCALE; g.z *= GRID_SCALE;
     return g;
 }
+
+#endif
 
 // -- LANES rays: anywhere on them ------------------------------------------------------------------------------
 
@@ -105,7 +140,7 @@ INLINE real3 gradient_at(COEFFICIENTS coefficients, const sample_t *sample, real
     lanes_u gx = { (real)(0.0f) }, gy = gx, gz = gx;
     for (int i = 0; i < LANES; ++i)
         if (wanted.each[i]) {
-            const gradient_t g = gradient_one(coefficients, sample->extent, x.each[i], y.each[i], z.each[i]);
+            const gradient_t g = gradient_one(coefficients, sample, x.each[i], y.each[i], z.each[i]);
             gx.each[i] = g.x; gy.each[i] = g.y; gz.each[i] = g.z;
         }
     return transpose3(sample->frame->geometry.gradient, real3_of(gx.all, gy.all, gz.all));

@@ -172,9 +172,9 @@ class Camera:
         World radius of the sphere around the target that just fits into the picture; None: as `fit` says where `position`,
         `target` and `distance` are None too, else that of the volume.
     fit : {"matter", "volume"}
-        What a camera whose place is left open is fitted to. "matter": the sphere around all that the mode and the transfer
-        function of the picture show of the volume, within the clip box (`clvol.fit`). "volume": that around the whole volume.
-        Neither depends on the direction, so that pictures stay steady while a camera orbits.
+        What a camera whose place is left open is fitted to. "matter": all that the mode and the transfer function of the
+        picture show of the volume, within the clip box, and what it sweeps when it is turned about the vertical (`clvol.fit`).
+        "volume": the sphere around the whole volume. Pictures stay steady while a camera goes around.
     upright : bool
         Whether `direction` and `up` are relative to how the volume is looked at, not to its world: that of a stack of images
         (`Volume.space` is "image") is turned by 180° about x, so that what is up in its pictures is -z and seen from above rows

@@ -1,14 +1,15 @@
-"""What a picture shows of a volume: the sphere around it, to which cameras are fitted.
+"""What a picture shows of a volume: the sphere around it, and what it sweeps as the camera orbits, to which that is fitted.
 
-It follows from the volume, the mode, the transfer function and the clip box alone, and not from the view: a camera that orbits
-keeps its distance. At most 64 samples along each axis are looked at. The sphere is a little larger than what was found,
-and never larger than the volume's own; that is also the answer where nothing is to be seen.
+The sphere follows from the volume, the mode, the transfer function and the clip box alone, and not from the view. At most 64
+samples along each axis are looked at. It is a little larger than what was found, and never larger than the volume's own; that is
+also the answer where nothing is to be seen. What is found is turned about the vertical through the sphere's centre: a camera
+that orbits keeps its distance, and what it sees stays about the middle.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 from weakref import WeakKeyDictionary
 
@@ -35,6 +36,7 @@ _MARGIN = 1.04
 _DIRECTIONS = 128  # in which the outermost samples are found
 _STEPS = 256  # towards the middle of the smallest sphere around these
 _KEPT = 64  # spheres of a volume
+_TURNS = 24  # about the vertical, of the outermost samples
 
 
 @dataclass(frozen=True)
@@ -45,19 +47,52 @@ class Sphere:
     ----------
     center : tuple of three floats
     radius : float
+    outer : ndarray, shape (number, 3), optional
+        From the centre to the outermost of what it holds, in world units; None where the sphere is the volume's own.
     """
 
     center: tuple[float, float, float]
     radius: float
+    outer: NDArray[np.float64] | None = field(default=None, compare=False, repr=False)
 
 
-def fitted(camera: Camera, volume: Volume, mode: Mode, transfer: TransferFunction, clip: Box | None = None) -> Camera:
-    """The camera with target and radius, if it is to be fitted to what can be seen: see `Camera`. Modes must be settled."""
+def fitted(
+    camera: Camera, volume: Volume, mode: Mode, transfer: TransferFunction, clip: Box | None = None, aspect: float = 1.0
+) -> Camera:
+    """The camera with target and radius, if it is to be fitted to what can be seen: see `Camera`. Modes must be settled.
+
+    `aspect` is the picture's width by its height.
+    """
     given = (camera.position, camera.target, camera.distance, camera.radius)
     if camera.fit != "matter" or any(value is not None for value in given):
         return camera
     sphere = sphere_of_matter(volume, mode, transfer, clip)
-    return replace(camera, target=sphere.center, radius=sphere.radius)
+    center, radius = np.asarray(sphere.center), sphere.radius
+    if sphere.outer is not None:
+        view = camera.view(volume, aspect)
+        axis = np.array([0.0, 0.0, 1.0]) if camera.upright else np.asarray(camera.up) / math.hypot(*camera.up)
+        swept = _swept(sphere.outer, axis)
+        # how far from the centre the planes through the eye and the picture's edges lie, at each turn
+        half = 0.0 if view.orthographic else math.atan(math.tan(math.radians(camera.fov) / 2) * min(1.0, aspect))
+        depth = math.sin(half) * (swept @ view.forward)
+        right, up = (math.cos(half) * (swept @ way) for way in (view.right, view.up))
+        above, below = (up - depth).max(1), (-up - depth).max(1)
+        beside = float((np.abs(right) - depth).max())
+        reach = max(float(above.max() + below.max()) / 2, beside)
+        shift = np.clip((above - below).mean() / 2, above.max() - reach, reach - below.max())
+        center = center + shift / math.cos(half) * view.up
+        radius *= min(1.0, reach / float(np.linalg.norm(sphere.outer, axis=1).max()))
+    x, y, z = (float(v) for v in center)
+    return replace(camera, target=(x, y, z), radius=radius)
+
+
+def _swept(points: NDArray[np.float64], axis: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The points, turned all around an axis; shape (turns, number, 3)."""
+    along = np.outer(points @ axis, axis)
+    off = points - along
+    across = np.cross(axis, off)
+    turns = np.arange(_TURNS) * (2 * math.pi / _TURNS)
+    return np.asarray(along + np.cos(turns)[:, None, None] * off + np.sin(turns)[:, None, None] * across)
 
 
 def sphere_of_matter(volume: Volume, mode: Mode, transfer: TransferFunction, clip: Box | None = None) -> Sphere:
@@ -123,7 +158,8 @@ def _sphere(volume: Volume, mode: Mode, transfer: TransferFunction, clip: Box | 
     radius = _MARGIN * unit * (math.sqrt(float(((points - center) ** 2).sum(1).max())) + beyond)
     if not radius < volume.radius:
         return whole
-    return Sphere(tuple(map(float, volume.center + unit * center)), radius)  # type: ignore[arg-type]  # three
+    middle = volume.center + unit * center
+    return Sphere(tuple(map(float, middle)), radius, unit * (outer - center))  # type: ignore[arg-type]  # three
 
 
 def _crossed(above: Bools) -> Bools:

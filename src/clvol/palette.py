@@ -21,11 +21,15 @@ Opacities: TypeAlias = tuple[tuple[float, float], ...]
 BLACK: Color = (0.0, 0.0, 0.0)
 FOG: Color = (0.9, 0.85, 0.75)
 # at the foot, a seventh of the way up, at the middle and at the top of matter
-_FLESH: tuple[Color, ...] = ((0.74, 0.40, 0.29), (0.95, 0.71, 0.56), (1.0, 0.91, 0.77), (1.0, 1.0, 0.97))
+_FLESH: tuple[Color, ...] = ((0.80, 0.49, 0.37), (0.97, 0.77, 0.63), (1.0, 0.91, 0.77), (1.0, 1.0, 0.97))
 _WARM: tuple[Color, ...] = ((0.78, 0.14, 0.08), (0.96, 0.36, 0.16), (1.0, 0.70, 0.28), (1.0, 0.96, 0.66))
 _COLD: tuple[Color, ...] = ((0.14, 0.30, 0.82), (0.22, 0.54, 1.0), (0.42, 0.80, 1.0), (0.84, 0.98, 1.0))
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709
+_DIMMEST = 0.25
 _RISE = 0.15
-_OPACITIES = (0.0, 0.05, 0.30, 0.80)  # at the foot, where matter begins, at its middle and at its top
+_OPACITIES = (0.0, 0.12, 0.45, 0.88)  # at the foot, where matter begins, at its middle and at its top
+_THIN = (0.0, 0.05, 0.30, 0.80)  # where little of it is much brighter than the rest, and inside it
+_EVEN = 0.15, 0.30  # of the way from where matter begins to its top: where its middle lies then, and otherwise
 _OF_SIGNED = (0.0, 0.12, 0.50, 0.90)  # what there is lies in few places
 _ACROSS = 110  # units of length at least, from corner to corner: as in a cube of 64 samples along each axis
 _GOLDEN = 0.6180339887498949  # of the circle of hues: neighbouring numbers lie far apart, and no two on one place
@@ -60,7 +64,7 @@ def automatic(volume: Volume, window: tuple[float, float] | None = None) -> tupl
         foot, start, middle, top = _within(volume.window, matter)
     colors: list[tuple[float, Color]] = []
     opacities: list[tuple[float, float]] = []
-    rise = _OF_SIGNED if matter.signed else _OPACITIES
+    rise = _OF_SIGNED if matter.signed else _rise(start, middle, top)
     places = (foot, start + _RISE * (middle - start), middle, top)
     for side, own in sides:
         colors += [(matter.value(d, side), c) for d, c in zip(places, own, strict=True)]
@@ -83,9 +87,11 @@ def diverging(window: tuple[float, float], middle: float) -> Colors:
 
 
 def shades(color: Sequence[float]) -> tuple[Color, ...]:
-    """Four shades of a colour, from dark to nearly white."""
+    """Four shades of a colour, from dark to nearly white; pure blue, on which shadows would not be seen, a little paler."""
     rgb = np.asarray(color, dtype=np.float64)
-    rows: list[NDArray[np.float64]] = [0.45 * rgb, 0.75 * rgb, rgb, rgb + 0.6 * (1 - rgb)]
+    luminance = float(rgb @ _LUMINANCE)
+    rgb = rgb + max(0.0, (_DIMMEST - luminance) / max(1 - luminance, _DIMMEST)) * (1 - rgb)
+    rows: list[NDArray[np.float64]] = [0.6 * rgb, 0.8 * rgb, rgb, rgb + 0.6 * (1 - rgb)]
     return tuple((float(r), float(g), float(b)) for r, g, b in (np.clip(row, 0, 1) for row in rows))
 
 
@@ -108,6 +114,12 @@ def label_color(number: int) -> Color:
 
 
 # -- inner -------------------------------------------------------------------------------------------------
+
+
+def _rise(start: float, middle: float, top: float) -> tuple[float, ...]:
+    """Opacities at the foot, the start, the middle and the top: denser where values are spread evenly."""
+    share = float(np.interp((middle - start) / (top - start), _EVEN, (0.0, 1.0))) if top > start else 1.0
+    return tuple((1 - share) * thin + share * dense for thin, dense in zip(_THIN, _OPACITIES, strict=True))
 
 
 def _spread(matter: Matter) -> tuple[float, float, float]:

@@ -409,3 +409,18 @@ def test_early_termination_errs_by_no_more_than_its_share(device: Device, keep: 
     difference = np.abs(whole - short).max()
     assert difference <= termination + 1e-6
     assert difference > 0 or termination < 0.01  # rays do end early
+
+
+@pytest.mark.parametrize("mode", ["composite", "isosurface"])
+def test_touching_labels_have_no_seam(mode: str, device: Device) -> None:
+    """Labels are lit by the surface of what is solid, whatever numbers they bear."""
+    one = np.zeros((12, 12, 12), np.uint8)
+    one[3:9, 3:9, 3:9] = 1
+    several = one.copy()
+    several[3:9, 3:9, 6:9], several[3:9, 6:9, 3:9] = 200, 7
+    pictures = [
+        Renderer(Volume(labels, labels=True), "nearest", device=device).render(mode=mode, size=(32, 32), outputs="normal")
+        for labels in (one, several)
+    ]
+    assert np.isfinite(pictures[0]).any()
+    np.testing.assert_allclose(pictures[1], pictures[0], atol=1e-6)

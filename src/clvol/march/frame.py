@@ -15,7 +15,7 @@ from clvol.device import Device, Tile
 from clvol.fit import fitted
 from clvol.light import LIGHTS, Material, lights_block
 from clvol.march.planes import SEGMENT, SLAB, Planes
-from clvol.mode import Mode
+from clvol.mode import Isosurface, Mode
 from clvol.program import Program
 from clvol.scene import CLIP, Medium, Scene, clip_block
 from clvol.spline.build import along_defines
@@ -82,8 +82,9 @@ class Frame:
     planes : Planes
     tile : Tile
         The rays of a work-item.
-    central, guides : bool
-        Whether gradients are central differences; whether more than the picture is wanted.
+    central, labels, guides : bool
+        Whether gradients are central differences; whether values are labels, whose differences mean nothing; whether more than
+        the picture is wanted.
     values : ndarray
         The parameter block.
     table : ndarray of float32
@@ -98,6 +99,7 @@ class Frame:
     planes: Planes
     tile: Tile
     central: bool
+    labels: bool
     guides: bool
     values: Values
     table: NDArray[np.float32]
@@ -121,7 +123,7 @@ class Frame:
         """The frame of a scene whose medium's coefficients are resident, by a camera and a mode."""
         (medium,), (width, height) = scene.media, size
         volume, stored = medium.volume, coefficients.stored
-        view = fitted(camera, volume, mode, transfer, scene.clip).view(volume, width / height)
+        view = fitted(camera, volume, mode, transfer, scene.clip, width / height).view(volume, width / height)
         planes = Planes(volume, view, width / height, *(_STRETCHES if mode.stretches else (step, SEGMENT)))
         block, _ = frame_block(mode.BLOCK)
         values = block(
@@ -147,8 +149,9 @@ class Frame:
         )
         table = transfer.table(stored)
         tile = _tile(coefficients.device, evaluator)
+        labels = volume.is_labels and not coefficients.filter.has_gradient
         sides = minmax.sides(float(values["mode"]["isovalue"])) if minmax is not None and mode.stretches else None
-        return cls(coefficients, minmax, sides, mode, evaluator, planes, tile, central, guides, values, table)
+        return cls(coefficients, minmax, sides, mode, evaluator, planes, tile, central, labels, guides, values, table)
 
     @property
     def device(self) -> Device:
@@ -187,6 +190,7 @@ class Frame:
             "SHADED": int(mode.shaded),
             "STATE_FIELDS": mode.state_fields,
             "CENTRAL": int(self.central),
+            "LABELS": int(self.labels) * (2 if isinstance(mode, Isosurface) else 1),
             "GUIDES": int(self.guides),
             "BLOCK": BLOCK * self.coefficients.filter.scale,
             "SLAB": SLAB,

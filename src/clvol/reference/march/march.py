@@ -7,6 +7,7 @@ bisection.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -239,19 +240,33 @@ def render(
     def value(points: Array) -> Array:
         return sample(volume, points, row, inside)
 
+    def solid(labels: Array) -> Bools:
+        if isinstance(chosen, Isosurface):
+            assert chosen.isovalue is not None  # it is settled
+            return labels >= chosen.isovalue
+        return np.asarray(transfer(labels)[..., 3] > 0)
+
     def slope(points: Array) -> Array:
-        """Differences of one voxel of the grid that is stored to either side, or the exact derivative; per world unit.
+        """Differences of one voxel of the grid that is stored to either side, or the exact derivative; per world unit. Of labels,
+        those of whether they are solid, in units of the value, averaged 1 : 2 : 1 across.
 
         ``df/dw_i = Σ_j df/dx_j dx_j/dw_i`` with index positions x and world positions w.
         """
         if not central:
             return sample(volume, points, row, inside, 1)
         columns = volume.index_to_world_matrix.T / row.scale  # row j: one voxel along axis j, of the magnified grid if there is one
+        if volume.is_labels and not row.has_gradient:
+            total = np.zeros(points.shape)
+            for step in itertools.product((-1, 0, 1), repeat=3):
+                share = math.prod(2 - i * i for i in step) / 32
+                total += solid(value(points + np.array(step) @ columns))[..., None] * (share * np.array(step))
+            unit = 1 + np.abs(value(points) - taken_off)
+            return np.asarray(unit[..., None] * total @ volume.world_to_index_matrix)
         differences = np.stack([(value(points + c) - value(points - c)) / 2 for c in columns], -1) * row.scale
         return np.asarray(differences @ volume.world_to_index_matrix)
 
     width, height = size
-    view = fitted(camera or Camera.orbit(), volume, chosen, transfer, clip).view(volume, width / height)
+    view = fitted(camera or Camera.orbit(), volume, chosen, transfer, clip, width / height).view(volume, width / height)
     lit_by = [light.placed(view) for light in as_lights(lights)]
     scene = _Scene(
         value,
