@@ -71,7 +71,11 @@ def extras() -> Iterator[Check]:
     silent = _silent_intel()
     if silent:
         yield Check("Intel's runtime (optional)", False, silent)
-    for extra in metadata("clvol").get_all("Provides-Extra") or []:
+    try:
+        extras = metadata("clvol").get_all("Provides-Extra") or []
+    except PackageNotFoundError:  # it is on the path, and was not installed
+        return
+    for extra in extras:
         if extra in _TOOLS:
             continue
         there, missing = [], []
