@@ -173,7 +173,7 @@ def test_pixels_on_edges_have_more_rays_and_no_others(device: Device) -> None:
             np.testing.assert_array_equal(auto[~edges], one[~edges])
             np.testing.assert_allclose(auto[edges], more[edges], rtol=0, atol=1e-5)
             cover, wanted, roughly = (picture[edges][:, :1] * picture[edges][:, 3:] for picture in (auto, many, one))
-            assert np.linalg.norm(cover - wanted) < 0.5 * np.linalg.norm(roughly - wanted)
+            assert np.linalg.norm(cover - wanted) < 0.6 * np.linalg.norm(roughly - wanted)  # three rays, not one
             np.testing.assert_array_equal(renderer.render(**look, skipping=False), auto)
             with renderer.device.limited(launch_seconds=1e-9):
                 np.testing.assert_array_equal(renderer.render(**look), auto)
