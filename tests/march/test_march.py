@@ -206,10 +206,9 @@ WAYS = [
     {"evaluator": "taps", "fetch": "image"},
 ]
 PAIRWISE = [("bspline3", mode, way) for mode in MODES for way in range(1, len(WAYS))] + [
-    (name, MODES[(i + way) % len(MODES)], way)
+    (name, MODES[i % len(MODES)], 1 + i % 3 if row.pairable(0) else 3)  # each with one of the ways in turn
     for i, (name, row) in enumerate(filters().items())
-    for way in range(1, len(WAYS))
-    if name != "bspline3" and (row.pairable(0) or WAYS[way]["evaluator"] == "taps")
+    if name != "bspline3"
 ]
 
 
