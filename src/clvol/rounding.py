@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from clvol.errors import DataError, OptionError
 
-__all__ = ["as_kind", "below", "in_kind", "limits", "rounded"]
+__all__ = ["as_kind", "below", "in_kind", "limits", "rounded", "wide"]
 
 _AT_ONCE = 1 << 20  # values whose float64 copies are made at once
 
@@ -65,3 +65,8 @@ def limits(kind: np.dtype[Any]) -> tuple[int, int]:
 def below(whole: int) -> float:
     """The largest float64 that does not exceed a whole number."""
     return float(whole) if int(float(whole)) <= whole else float(np.nextafter(float(whole), -np.inf))
+
+
+def wide(kind: np.dtype[Any]) -> bool:
+    """Whether a type holds more than float32 does."""
+    return kind.itemsize > (4 if kind.kind == "f" else 2)

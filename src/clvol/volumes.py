@@ -15,6 +15,7 @@ from clvol.color import color_of
 from clvol.errors import DataError, GeometryError, OptionError
 from clvol.foreign import to_nibabel, to_simpleitk, to_xarray
 from clvol.interop import is_image, read_grid, read_several
+from clvol.rounding import wide
 from clvol.volume import SPACES, Volume, array_of, as_volume
 
 __all__ = ["AXES", "Leading", "Volumes", "as_grid"]
@@ -150,8 +151,7 @@ class Leading:
 
         Luminance keeps the dtype of integers, rounded; lengths are float32, or float64 where the samples are wider than 16 bits.
         """
-        wide = data.dtype.itemsize > (4 if data.dtype.kind == "f" else 2)
-        kind = np.float64 if wide else np.float32
+        kind = np.float64 if wide(data.dtype) else np.float32
         channels = np.moveaxis(data, axis, 0)
         total = np.zeros(channels.shape[1:], kind)
         if self.vector:

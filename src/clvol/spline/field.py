@@ -19,7 +19,7 @@ from clvol.errors import DataError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.interop import as_array, as_output, read_array
 from clvol.missing import Missing, as_missing, touching
-from clvol.rounding import as_kind, in_kind
+from clvol.rounding import as_kind, in_kind, wide
 from clvol.smoothing import filter_for, settled
 from clvol.spline.chain import Chain
 from clvol.spline.coefficients import Coefficients, Lattice
@@ -564,11 +564,6 @@ def _result_kind(dtype: DTypeLike | None, volume: Volume, row: Filter, out: Any,
     return kind
 
 
-def _wide(kind: np.dtype[Any]) -> bool:
-    """Whether a type holds more than float32 does."""
-    return kind.itemsize > (4 if kind.kind == "f" else 2)
-
-
 def _in(kind: np.dtype[Any] | None, made: Volume, row: Filter) -> Volume:
     """A result in a type; it is no label map where labels were blended."""
     data = made.data if kind is None else in_kind(made.data, kind)
@@ -811,7 +806,7 @@ def resample(
         transform = as_chain(transform, volume.ndim)
         row = filter_for(volume, filter, DEFAULT_FILTER)
         kind = _result_kind(dtype, volume, row, out, fill)
-        if precision is None and kind is not None and _wide(kind) and (device := as_device(device)).has_double:
+        if precision is None and kind is not None and wide(kind) and (device := as_device(device)).has_double:
             precision = "double"
         if chosen := as_anti_aliasing(anti_aliasing):
             _require_no_transform(transform)
