@@ -6,13 +6,16 @@ BIN = $(VENV)/bin
 # OpenCL for the processor: PoCL needs a linker and libgcc
 RUNTIME := $(if $(and $(shell command -v ld),$(shell command -v gcc)),pocl,intel)
 
-.PHONY: demo test check bench docs clean
+.PHONY: demo test thorough check bench docs clean
 
 demo: $(VENV)/demo.stamp
 	$(BIN)/python examples/figure6.py --output figure6.png
 
 test: $(VENV)/test.stamp
 	$(BIN)/python -m pytest
+
+thorough: $(VENV)/test.stamp
+	$(BIN)/python -m pytest -m thorough
 
 check: $(VENV)/test.stamp
 	$(BIN)/ruff check .
