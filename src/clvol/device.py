@@ -473,7 +473,7 @@ def as_device(choice: Device | str | int | None = None) -> Device:
     if not found:
         raise DeviceError(f"no OpenCL device was found. {INSTALL}. 'clvol doctor' says more")
     text = str(choice).strip().lower()
-    if text.isdigit():
+    if text.isdecimal() and len(text) < 10:  # "²" is a digit, but no number
         if int(text) < len(found):
             return found[int(text)]
     else:
