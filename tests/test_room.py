@@ -10,7 +10,7 @@ import pytest
 
 MIB = 1 << 20
 ROOM = 1024  # MiB of the container that the process believes to be in
-GROWS = 160  # MiB, at most, by which a refused call may grow the process: drivers, kernels and what the calls before left
+GROWS = 64  # MiB, at most, by which a refused call may grow the process: drivers, kernels and what the calls before left
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits are read from /proc and /sys")
 
