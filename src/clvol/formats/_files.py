@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import math
+import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -26,6 +27,7 @@ __all__ = [
     "require_bytes",
     "require_default",
     "require_expansion",
+    "require_members",
     "sample_count",
     "scaled",
     "storable",
@@ -95,6 +97,19 @@ def require_expansion(source: object, needed: int, stored: int) -> None:
         raise FormatError(
             f"{source} must hold up to {allowed} bytes of samples, {_EXPANSION} for each of its {stored}; its header says {needed}"
         )
+
+
+def require_members(source: object, archive: zipfile.ZipFile) -> None:
+    """Raise before a member of an archive is unpacked: each must have a name of its own, and no absurd size."""
+    members = archive.infolist()
+    if len({member.filename for member in members}) != len(members):
+        raise FormatError(f"{source} must hold members of different names; some have the same")
+    for member in members:
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise FormatError(f"{source} must be packed by deflate, if at all; {member.filename[:80]!r} is not")
+        if member.compress_type == zipfile.ZIP_STORED and member.file_size != member.compress_size:
+            raise FormatError(f"{source} must hold what it says; {member.filename[:80]!r} is stored with two sizes")
+        require_expansion(f"{source}[{member.filename[:80]}]", member.file_size, member.compress_size)
 
 
 def gunzipped_size(stream: IO[bytes], limit: int) -> int:
