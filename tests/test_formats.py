@@ -1142,13 +1142,13 @@ def test_missing_extras(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module:
         np.testing.assert_array_equal(formats.read(tmp_path / f"v{suffix}").data.ravel(), np.arange(24))
     else:
         with pytest.raises(MissingDependencyError, match=rf"pip install clvol\[{extra}\]"):
-            formats.read(tmp_path / f"v{suffix}")
+            formats.read(tmp_path / f"v{suffix}", trusted=True)
     with pytest.raises(MissingDependencyError, match=rf"pip install clvol\[{extra}\]"):
         formats.write(samples("u1"), tmp_path / f"w{suffix}")
     if module == "SimpleITK":
         (tmp_path / "v.dcm").write_bytes(bytes(128) + b"DICM")
         with pytest.raises(MissingDependencyError):
-            formats.read(tmp_path)
+            formats.read(tmp_path, trusted=True)
 
 
 def test_importing_formats_imports_no_extra() -> None:
