@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 import clvol
-from clvol import intel
-from clvol.device import Device, as_device, devices, why_pocl_fails
+from clvol import intel, probe
+from clvol.device import Device, as_device, devices
 from clvol.errors import DeviceError
 from clvol.opencl import INSTALL
 
@@ -54,6 +54,7 @@ class Check(NamedTuple):
 
 def opencl() -> Iterator[Check]:
     """What computing needs, in the order of need; the last one is ``ok`` if clvol can be used. Nothing is raised."""
+    probe.forget()
     for what, look in (
         ("an OpenCL device", _found),
         ("the one that is used", _used),
@@ -117,8 +118,8 @@ def _used() -> str:
         why = "the only one"
     elif device.kind != "cpu":
         why = "GPUs come first"
-    elif any(other.is_pocl and other.kind == "cpu" and other is not device for other in found):
-        why = why_pocl_fails()
+    elif any(other.fault for other in found):
+        why = next(other.fault for other in found if other.fault)
     else:
         why = "the fastest on this processor, and it can link its kernels here" if device.is_pocl else "the first one"
     return f"{_named(device)}: {why}"
