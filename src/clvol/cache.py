@@ -28,7 +28,7 @@ except ImportError:  # Windows has no PoCL to keep folders for
 __all__ = ["Shelf", "Store", "folder", "replace", "shelf"]
 
 _DIGEST = hashlib.sha256
-_TRIAL = 1 << 20  # bytes that must find room before a kernel is built: some hundred kilobytes are usual
+_TRIAL = 1 << 20  # bytes that are linked before a kernel is built, which has some hundred thousand
 
 
 def folder() -> Path | None:
@@ -168,10 +168,13 @@ class Shelf:
             raise DeviceError("PoCL needs the linker 'ld' to finish a kernel, and there is none on PATH")
         blob, linked = (Path(f"{self.folder}/trial{end}") for end in ("", ".so"))
         try:
-            blob.write_bytes(bytes(_TRIAL))
+            with blob.open("wb") as stream:
+                stream.write(bytes(3 * _TRIAL))  # for what is linked, too
+                stream.flush()
+                stream.truncate(_TRIAL)
         except OSError as error:
             raise DeviceError(
-                f"kernels are built in {self.folder}, where there is no room for {_TRIAL >> 20} MiB ({error.strerror}); "
+                f"kernels are built in {self.folder}, where there is no room for {3 * _TRIAL >> 20} MiB ({error.strerror}); "
                 "make room, or let POCL_CACHE_DIR name another folder"
             ) from error
         try:
@@ -216,8 +219,8 @@ def shelf() -> Shelf | None:
         return Shelf(Path(tempfile.mkdtemp(prefix="clvol-kernels-")), temporary=True)
     except OSError as error:
         raise DeviceError(
-            f"no folder can be written to build kernels in, not even a temporary one ({error}); make room, or let POCL_CACHE_DIR or "
-            "TMPDIR name a folder"
+            f"no folder can be written to build kernels in, not even a temporary one ({error}); make room, or let "
+            "POCL_CACHE_DIR or TMPDIR name a folder"
         ) from error
 
 

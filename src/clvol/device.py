@@ -88,7 +88,7 @@ T = TypeVar("T")
 
 
 class _Once(cached_property[T]):
-    """As `cached_property`, and only one thread makes it: since Python 3.12 that has no lock, and two contexts do not go together."""
+    """As `cached_property`, made by one thread alone: since Python 3.12 that has no lock, and two contexts do not go together."""
 
     def __get__(self, instance: Any, owner: type[Any] | None = None) -> Any:
         if instance is None:
@@ -665,10 +665,12 @@ def _tell_change(found: list[Device]) -> None:
     if names[0] == last:
         return
     if last:
-        rest = f"number {names.index(last)} now; CLVOL_DEVICE={found[names.index(last)].name!r} chooses it" if last in names else "gone"
-        warnings.warn(
-            f"devices are numbered anew, and the default is {names[0]}: {last}, the default before, is {rest}", ClvolWarning, stacklevel=3
-        )
+        rest = "gone"
+        if last in names:
+            number = names.index(last)
+            rest = f"number {number} now; CLVOL_DEVICE={found[number].name!r} chooses it"
+        message = f"devices are numbered anew, and the default is {names[0]}: {last}, the default before, is {rest}"
+        warnings.warn(message, ClvolWarning, stacklevel=3)
     folder = cache.folder()
     if folder:
         with contextlib.suppress(OSError):

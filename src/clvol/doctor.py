@@ -16,7 +16,7 @@ import clvol
 from clvol import intel, probe
 from clvol.device import Device, as_device, devices
 from clvol.errors import DeviceError
-from clvol.opencl import INSTALL
+from clvol.opencl import INSTALL, kept_out
 
 __all__ = ["Check", "extras", "opencl"]
 
@@ -104,9 +104,10 @@ def _named(device: Device) -> str:
 
 def _found() -> str:
     names = [_named(device) for device in devices()]
+    out = [f"{library} is left out: a trial of it {why}" for library, why in kept_out().items()]
     if not names:
-        raise DeviceError(f"none was found. {INSTALL}")
-    return ", ".join(names)
+        raise DeviceError("; ".join(["none was found", *out]) + f". {INSTALL}")
+    return "; ".join([", ".join(names), *out])
 
 
 def _used() -> str:
@@ -118,10 +119,10 @@ def _used() -> str:
         why = "the only one"
     elif device.kind != "cpu":
         why = "GPUs come first"
-    elif any(other.fault for other in found):
-        why = next(other.fault for other in found if other.fault)
+    elif device.is_pocl:
+        why = "the fastest on this processor, and it can link its kernels here"
     else:
-        why = "the fastest on this processor, and it can link its kernels here" if device.is_pocl else "the first one"
+        why = next((other.fault for other in found if other.fault), "the first one")
     return f"{_named(device)}: {why}"
 
 

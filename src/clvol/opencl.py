@@ -79,9 +79,8 @@ def _loaded() -> Any:
     if verdict.unloadable:
         raise DeviceError(f"OpenCL's runtimes cannot be loaded: a trial in another process {verdict.unloadable}. {_AGAIN}")
     for library, why in verdict.libraries.items():
-        warnings.warn(
-            f"the OpenCL runtime {library} is left out: a trial of it in another process {why}. {_AGAIN}", ClvolWarning, stacklevel=4
-        )
+        message = f"the OpenCL runtime {library} is left out: a trial of it in another process {why}. {_AGAIN}"
+        warnings.warn(message, ClvolWarning, stacklevel=4)
     with intel.known_to_the_loader(verdict.libraries), _variables(kernels):
         try:
             import pyopencl
@@ -98,8 +97,8 @@ def _loaded() -> Any:
 def _variables(kernels: Shelf | None) -> Iterator[None]:
     """What pyopencl and PoCL read when they are loaded; a program that clvol's starts has what it had before.
 
-    pyopencl would keep in a database how arguments are set, which gains a millisecond and fails where it cannot be written, and what
-    other runtimes have built, unchecked: `clvol.program` does that.
+    pyopencl would keep in a database how arguments are set, which gains a millisecond and fails where it cannot be written; and
+    what other runtimes than PoCL have built, unchecked: `clvol.program` does that.
     """
     changes = {"PYOPENCL_NO_CACHE": "1", **({"POCL_CACHE_DIR": str(kernels.folder)} if kernels else {})}
     before = {name: os.environ.get(name) for name in changes}

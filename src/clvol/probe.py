@@ -1,8 +1,8 @@
 """Whether the OpenCL runtimes of this machine can be used without harm: another process tries them first.
 
-A driver may abort, or never return, when it is loaded, when a context is made, or when a kernel is built. What happened in the trial
-is noted in clvol's cache with all that could change it: which libraries the loader finds and of what date they are, the linker,
-the environment's variables, and the versions of drivers.
+A driver may abort, or never return, when it is loaded, when a context is made, or when a kernel is built. What happened in the
+trial is noted in clvol's cache with all that could change it: which libraries the loader finds and of what date they are, the
+linker, the environment's variables, and the versions of drivers.
 """
 
 from __future__ import annotations
@@ -203,7 +203,8 @@ def _run(first: int, without: Collection[str], failures: dict[int, str] | None =
         }
         command = [sys.executable, "-P", "-c", _TRIAL, processor.__file__, str(first)]
         try:
-            done = subprocess.run(command, capture_output=True, env=environment, timeout=SECONDS, check=False, stdin=subprocess.DEVNULL)
+            nothing = subprocess.DEVNULL  # where a driver would ask
+            done = subprocess.run(command, capture_output=True, env=environment, timeout=SECONDS, check=False, stdin=nothing)
             output = done.stdout
             why = "" if done.returncode == 0 else _ending(done.returncode, done.stderr)
         except subprocess.TimeoutExpired as error:

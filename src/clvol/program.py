@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import re
 import threading
 import warnings
@@ -121,7 +120,9 @@ class Launches:
     freed with the last of them.
     """
 
-    def __init__(self, new: Callable[[Launches], None], kernels: Shelf | None = None, key: str = "", place: str | None = None) -> None:
+    def __init__(
+        self, new: Callable[[Launches], None], kernels: Shelf | None = None, key: str = "", place: str | None = None
+    ) -> None:
         self._new = new
         self._kernels = kernels if place else None  # where PoCL built it
         self._key, self._place = key, place or ""
@@ -156,7 +157,7 @@ class Launches:
             return True
         begin = "".join(f"{n}-" for n in local) if local else ""
         with suppress(OSError):
-            variants = os.listdir(self._kernels.folder / self._place / name)
+            variants = [variant.name for variant in (self._kernels.folder / self._place / name).iterdir()]
             return any(variant.startswith(begin) and ("goffs0" in variant) != offset for variant in variants)
         return False
 
