@@ -166,27 +166,23 @@ class Shelf:
         linker = shutil.which("ld")
         if linker is None:
             raise DeviceError("PoCL needs the linker 'ld' to finish a kernel, and there is none on PATH")
-        blob, linked = (Path(f"{self.folder}/trial{end}") for end in ("", ".so"))
+        done = None
         try:
-            with blob.open("wb") as stream:
-                stream.write(bytes(3 * _TRIAL))  # for what is linked, too
-                stream.flush()
-                stream.truncate(_TRIAL)
+            with tempfile.TemporaryDirectory(dir=self.folder, prefix="trial-", ignore_cleanup_errors=True) as trial:
+                blob = Path(trial, "blob")
+                with blob.open("wb") as stream:
+                    stream.write(bytes(3 * _TRIAL))  # for what is linked, too
+                    stream.truncate(_TRIAL)
+                command = [linker, "-shared", "-o", f"{trial}/linked", "-b", "binary", str(blob)]
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    done = _run(command)
         except OSError as error:
             raise DeviceError(
                 f"kernels are built in {self.folder}, where there is no room for {3 * _TRIAL >> 20} MiB ({error.strerror}); "
                 "make room, or let POCL_CACHE_DIR name another folder"
             ) from error
-        try:
-            done = subprocess.run(
-                [linker, "-shared", "-o", str(linked), "-b", "binary", str(blob)], capture_output=True, check=False, timeout=60
-            )
-        except (OSError, subprocess.TimeoutExpired) as error:
-            raise DeviceError(f"PoCL needs the linker to finish a kernel, and {linker} cannot be run: {error}") from error
-        finally:
-            for file in (blob, linked):
-                with contextlib.suppress(OSError):
-                    file.unlink()
+        if done is None:
+            raise DeviceError(f"PoCL needs the linker to finish a kernel, and {linker} does not end")
         if done.returncode != 0:
             last = done.stderr.decode(errors="replace").strip().splitlines()[-1:] or ["no message"]
             raise DeviceError(f"PoCL needs the linker to finish a kernel, and {linker} fails in {self.folder} ({last[0]})")
@@ -222,6 +218,13 @@ def shelf() -> Shelf | None:
             f"no folder can be written to build kernels in, not even a temporary one ({error}); make room, or let "
             "POCL_CACHE_DIR or TMPDIR name a folder"
         ) from error
+
+
+def _run(command: list[str]) -> subprocess.CompletedProcess[bytes]:
+    try:
+        return subprocess.run(command, capture_output=True, check=False, timeout=60)
+    except OSError as error:
+        raise DeviceError(f"PoCL needs the linker to finish a kernel, and {command[0]} cannot be run: {error}") from error
 
 
 def _locked(running: Path) -> Path:

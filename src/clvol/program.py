@@ -121,13 +121,18 @@ class Launches:
     """
 
     def __init__(
-        self, new: Callable[[Launches], None], kernels: Shelf | None = None, key: str = "", place: str | None = None
+        self,
+        new: Callable[[Launches], None],
+        kernels: Shelf | None = None,
+        key: str = "",
+        place: str | None = None,
+        stored: set[str] | None = None,
     ) -> None:
         self._new = new
         self._kernels = kernels if place else None  # where PoCL built it
         self._key, self._place = key, place or ""
         self._seen: set[Any] = set()
-        self._stored: set[str] = set()
+        self._stored = stored or set()
 
     def prepare(self, name: str, size: Any, local: Any, offset: Any) -> None:
         """Before a launch; raises `DeviceError` where PoCL would have to finish a kernel and cannot."""
@@ -188,10 +193,11 @@ def build(device: Any, context: Any, text: str, kernels: Shelf | None, new: Call
         if kernels is None or device.platform.name != _POCL:
             return Program(_built_elsewhere(device, context, text, kernels.store if kernels else None, key), Launches(new))
         kernels.built()  # forget what the program itself has built
-        if not any(name.endswith(".bc") for name in kernels.restore(key)):
+        stored = kernels.restore(key)
+        if not any(name.endswith(".bc") for name in stored):
             kernels.require_room()
         handle = opencl().Program(context, text).build(options=list(_OPTIONS))
-        launches = Launches(new, kernels, key, kernels.built())
+        launches = Launches(new, kernels, key, kernels.built(), stored)
         launches.keep()
         return Program(handle, launches)
 
