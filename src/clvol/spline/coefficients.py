@@ -18,6 +18,7 @@ from clvol.filter import Filter
 from clvol.program import LANES, Program
 from clvol.spline.build import DefineDict, evaluator_defines, filter_defines, row_reach, scalar_defines
 from clvol.spline.evaluator import Evaluator
+from clvol.spline.lease import release
 from clvol.spline.prefilter import prefilter_in_place
 from clvol.stored import AS_THEY_ARE, Stored
 from clvol.volume import Volume
@@ -61,6 +62,15 @@ def bundled(array: NDArray[Any], apart: tuple[int, int]) -> tuple[NDArray[Any], 
 _BUNDLE = 16
 _MOST_ALONG = 1 << 30  # samples along an axis: a period has twice as many, and OpenCL's int counts them
 _AT_ONCE = 1 << 20  # places of an axis that are found at a time
+_COPIED = 1 << 22  # samples that NumPy copies at a time: Ctrl-C is heard in between
+
+
+def _slabs(data: NDArray[Any]) -> list[tuple[slice, ...]]:
+    """Parts of an array [z, y, x], one behind the other in its memory, and wide enough for whole lines of a cache."""
+    axis = int(np.argmax([abs(stride) if n > 1 else 0 for stride, n in zip(data.strides, data.shape, strict=True)]))
+    n = data.shape[axis]
+    some = max(_BUNDLE, _COPIED * n // data.size)
+    return [(slice(None),) * axis + (slice(first, first + some),) for first in range(0, n, some)]
 
 
 @dataclass(frozen=True)
@@ -238,13 +248,15 @@ class Coefficients:
         if not self._kernels_read(data):
             with device.mapped(self.buffer, self.shape, write=True, kind=self.kind) as room:
                 inner = room[self.inner]
-                if self.stored.identity and gain == 1.0:
-                    np.copyto(inner, data, casting="unsafe")
-                elif self.stored.identity:
-                    np.multiply(data, self.kind(gain), out=inner, casting="unsafe")
-                else:  # slice by slice, for each is made anew and wider
+                if not self.stored.identity:  # slice by slice, for each is made anew and wider
                     for target, slice_ in zip(inner, data, strict=True):
                         np.copyto(target, self.stored.samples(slice_), casting="unsafe")
+                    return
+                for slab in _slabs(data):
+                    if gain == 1.0:
+                        np.copyto(inner[slab], data[slab], casting="unsafe")
+                    else:
+                        np.multiply(data[slab], self.kind(gain), out=inner[slab], casting="unsafe")
             return
         kernel = self._build(OPENCL_TYPES[data.dtype.str[1:]]).kernel("copy_samples")
         origin, pitch, area = self.layout
@@ -354,10 +366,10 @@ class Coefficients:
 
     def release(self) -> None:
         """Free the device's memory. Results that were computed stay valid."""
-        for memory in (self.buffer, self._image):
-            if memory is not None:
-                memory.release()
-        self.buffer = self._image = None
+        with self._lock:
+            memory = self.buffer, self._image
+            self.buffer = self._image = None
+        release(self.device, *memory)
 
     def __enter__(self) -> Self:
         return self

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from types import TracebackType
 from typing import Any, Literal, Self, TypeAlias, TypeGuard, get_args
@@ -25,6 +25,7 @@ from clvol.smoothing import filter_for, settled
 from clvol.spline.chain import Chain
 from clvol.spline.coefficients import Coefficients, Lattice, bytes_of
 from clvol.spline.evaluator import DIRECT, Evaluator, EvaluatorName, FetchName, choose_evaluator
+from clvol.spline.lease import Lease
 from clvol.spline.points import Floats, Given, Progress, Reals, Transform, sample_coefficients, sample_grid
 from clvol.spline.reduce import AntiAliasing, as_anti_aliasing, low_passed, nearest_spline, steps_along
 from clvol.spline.resample import resample_coefficients
@@ -59,6 +60,7 @@ _PRECISIONS: dict[str, type[np.generic]] = {"single": np.float32, "double": np.f
 _CHANNELS = 4  # of an image in colour, at most
 _TURN = np.array([-1.0, -1.0, 1.0])  # between LPS and RAS
 RENUMBER = "renumber them, as numpy.unique(data, return_inverse=True) does"
+_CLOSED = "the field was closed, and its coefficients were released; make a new one"
 _LOOKED_AT = 256  # points of which the order of coordinates is guessed
 
 
@@ -200,7 +202,11 @@ class Field:
         present = self.volume if where is None else replace(self.volume, data=self.missing.filled(self.volume.data, where))
         self.coefficients = coefficients_of(present, row, self.boundary, self.device, kind)
         self.filter = self.coefficients.filter
+        self._lease = Lease(_CLOSED)
+        self._lease.frees(self.coefficients.release)
         self.gaps = None if where is None else self._gaps_at(where)
+        if self.gaps:
+            self._lease.frees(self.gaps.close)
 
     def _gaps_at(self, where: NDArray[np.bool_]) -> Field | None:
         """The share of missing samples as a function of its own; None where it decides nothing."""
@@ -232,14 +238,19 @@ class Field:
 
     @property
     def closed(self) -> bool:
-        """Whether the coefficients were released."""
-        return self.coefficients.buffer is None
+        """Whether `close` was called."""
+        return self._lease.closed
 
     def close(self) -> None:
-        """Free the device's memory. Results stay valid; asking for more raises `OptionError`."""
-        self.coefficients.release()
-        if self.gaps:
-            self.gaps.close()
+        """Free the device's memory. Results stay valid; asking for more raises `OptionError`.
+
+        What other threads are computing, or whoever calls this from a callback, goes on to its end, and the memory is freed then.
+        """
+        self._lease.close()
+
+    def in_use(self) -> AbstractContextManager[None]:
+        """For the time of a block `close` frees nothing; `OptionError` if the field was closed before."""
+        return self._lease.held()
 
     def __enter__(self) -> Self:
         return self
@@ -360,24 +371,27 @@ class Field:
         out: Any = None,
         frame: Frame = "LPS",
     ) -> Reals:
-        d, made = self.volume.ndim, self.coefficients
-        array = _in_world(_points(points, d), frame, self.volume)
-        _tell_reversed(array.reshape(-1, d), self.volume)
-        shape = array.shape[:-1] + (d,) * derivative
-        target = None if out is None else as_output(out, shape)
-        memory.require(self._result_bytes(math.prod(shape), derivative, out), _results(shape))
-        direct = target if self._writes(target) and not np.may_share_memory(target, array) else None
-        chosen = self._evaluator(evaluator, fetch)
-        first, second = _halves(progress) if self.gaps else (progress, None)
-        flat = sample_coefficients(made, chosen, array.reshape(-1, d), derivative, fill_value(fill), first, direct)
-        if self.gaps:
-            share = self.gaps._at(array.reshape(-1, d), 0, "taps", "buffer", None if fill is None else 0.0, second)
-            flat[share > self.missing.most] = np.nan
-        shaped = flat.reshape(shape)
-        if frame == "RAS" and derivative:
-            np.multiply(shaped, _TURN[:d] if derivative == 1 else np.outer(_TURN[:d], _TURN[:d]), out=shaped, casting="same_kind")
-        results = _put(shaped, target)
-        return results if out is None else out
+        with self.in_use():
+            d, made = self.volume.ndim, self.coefficients
+            array = _in_world(_points(points, d), frame, self.volume)
+            _tell_reversed(array.reshape(-1, d), self.volume)
+            shape = array.shape[:-1] + (d,) * derivative
+            target = None if out is None else as_output(out, shape)
+            memory.require(self._result_bytes(math.prod(shape), derivative, out), _results(shape))
+            direct = target if self._writes(target) and not np.may_share_memory(target, array) else None
+            chosen = self._evaluator(evaluator, fetch)
+            first, second = _halves(progress) if self.gaps else (progress, None)
+            flat = sample_coefficients(made, chosen, array.reshape(-1, d), derivative, fill_value(fill), first, direct)
+            if self.gaps:
+                share = self.gaps._at(array.reshape(-1, d), 0, "taps", "buffer", None if fill is None else 0.0, second)
+                flat[share > self.missing.most] = np.nan
+            shaped = flat.reshape(shape)
+            if frame == "RAS" and derivative:
+                np.multiply(
+                    shaped, _TURN[:d] if derivative == 1 else np.outer(_TURN[:d], _TURN[:d]), out=shaped, casting="same_kind"
+                )
+            results = _put(shaped, target)
+            return results if out is None else out
 
     def _writes(self, target: NDArray[Any] | None) -> TypeGuard[NDArray[Any]]:
         """Whether kernels can write their results into an array themselves."""
@@ -465,7 +479,8 @@ class Field:
         kind = _result_kind(dtype, volume, self.filter, out, fill)
         if chosen:
             _require_no_transform(stages)
-            self.coefficients.argument(DIRECT)  # a closed field is refused
+            with self.in_use():  # a closed field is refused
+                pass
             own = self.filter, self.boundary, self.device, self.precision
             return _in(kind, _into(_coarser(volume, *own, grid, chosen, evaluator, fetch, fill, progress), out), self.filter)
         chain = Chain(stages, grid, self.device)
@@ -520,25 +535,27 @@ class Field:
         out: Any = None,
         chain: Chain | None = None,
     ) -> Reals:
-        device, made, given = self.device, self.coefficients, Given(fill_value(fill))
-        target = None if out is None else as_output(out, shape)
-        chosen = self._evaluator(evaluator, fetch)
-        device.require_room(np.dtype(made.kind).itemsize * math.prod(shape), held=True)
-        memory.require(self._result_bytes(math.prod(shape), 0, out), _results(shape))
-        made.argument(chosen)  # a closed field is refused before the result is made
-        result = target if self._writes(target) else np.empty(shape, made.kind)
-        first, second = _halves(progress) if self.gaps else (progress, None)
-        with device.lent(result, write=True) as buffer:
-            if chain is not None and chain.stages:
-                last = Transform(matrix, offset, np.eye(len(offset)))
-                sample_grid(made, chosen, last, (1, *shape)[-3:], buffer, given, first, chain=chain)
-            else:
-                resample_coefficients(made, chosen, matrix, offset, (1, *shape)[-3:], buffer, given, first)
-        final = given.in_units_of_data(made, result, 0)
-        if self.gaps:
-            share = self.gaps._on_grid(matrix, offset, shape, "taps", "buffer", None if fill is None else 0.0, second, chain=chain)
-            final[share > self.missing.most] = np.nan
-        return _put(final, target)
+        with self.in_use():
+            device, made, given = self.device, self.coefficients, Given(fill_value(fill))
+            target = None if out is None else as_output(out, shape)
+            chosen = self._evaluator(evaluator, fetch)
+            device.require_room(np.dtype(made.kind).itemsize * math.prod(shape), held=True)
+            memory.require(self._result_bytes(math.prod(shape), 0, out), _results(shape))
+            result = target if self._writes(target) else np.empty(shape, made.kind)
+            first, second = _halves(progress) if self.gaps else (progress, None)
+            with device.lent(result, write=True) as buffer:
+                if chain is not None and chain.stages:
+                    last = Transform(matrix, offset, np.eye(len(offset)))
+                    sample_grid(made, chosen, last, (1, *shape)[-3:], buffer, given, first, chain=chain)
+                else:
+                    resample_coefficients(made, chosen, matrix, offset, (1, *shape)[-3:], buffer, given, first)
+            final = given.in_units_of_data(made, result, 0)
+            if self.gaps:
+                share = self.gaps._on_grid(
+                    matrix, offset, shape, "taps", "buffer", None if fill is None else 0.0, second, chain=chain
+                )
+                final[share > self.missing.most] = np.nan
+            return _put(final, target)
 
     def _result_bytes(self, count: int, derivative: int, out: Any) -> int:
         """What so many results take while they are made: float64 ones beside those of kernels, and the share of missing ones."""

@@ -229,7 +229,7 @@ def _resample_part(
     grid = np.array([nx, ny, nz, places[0].size], np.int32)
     defines = {"TAPS": taps, "DIMENSIONS": max(2, d), "BLOCK": _BLOCK, "LANES": LANES, "COORD_DOUBLE": 0}
     built = device.build("spline/resample.cl", {**defines, **scalar_defines(coefficients.kind)})
-    some = max(1, LANES * device.limits.launch_taps // (_BLOCK * nx * taps * d))
+    some = max(1, LANES * device.limits.launch_taps // (_BLOCK * nx * (taps + 2) * d))  # writing a value costs as much as two taps
     for first in range(0, units, some):
         count = min(some, units - first)
         with device.errors:

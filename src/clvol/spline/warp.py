@@ -118,7 +118,7 @@ def warp(
     steps = _steps(progress, 1 + derivative * (wrt == "fixed") + int(jacobian))
     gradient, determinants = None, None
     room = (*like.shape, 1 + 2 * derivative * like.ndim + int(jacobian))
-    with opened(volume, filter, boundary, device, precision, nan, results=room) as field:
+    with opened(volume, filter, boundary, device, precision, nan, results=room) as field, field.in_use():
         chain, made, given = Chain(transforms, like, field.device), field.coefficients, Given(fill)
         results = _on_chain(field, chain, derivative, given, next(steps))
         if field.gaps:
@@ -143,7 +143,6 @@ def _on_chain(field: Field, chain: Chain, derivative: int, given: Given, progres
     """Values where a chain brings the points of its grid, each followed by the gradient if that is wanted, in stored units."""
     device, made, grid = field.device, field.coefficients, chain.grid
     evaluator = choose_evaluator(device, field.filter, "taps", "buffer")
-    made.argument(evaluator)  # a closed field is refused before the result is made
     matrix, offset = chain.to_indices(field.volume)
     shape = (*grid.shape, 1 + derivative * grid.ndim)
     device.require_room(np.dtype(made.kind).itemsize * math.prod(shape), held=True)
