@@ -484,7 +484,8 @@ class Field:
             own = self.filter, self.boundary, self.device, self.precision
             return _in(kind, _into(_coarser(volume, *own, grid, chosen, evaluator, fetch, fill, progress), out), self.filter)
         chain = Chain(stages, grid, self.device)
-        data = self._on_grid(*chain.to_indices(volume), grid.shape, evaluator, fetch, fill, progress, out, chain)
+        width = 0 if kind is None or kind == self.coefficients.kind else kind.itemsize
+        data = self._on_grid(*chain.to_indices(volume), grid.shape, evaluator, fetch, fill, progress, out, chain, width)
         return _in(kind, volume.placed(data, grid), self.filter)
 
     def magnify(
@@ -534,13 +535,14 @@ class Field:
         progress: Progress | None,
         out: Any = None,
         chain: Chain | None = None,
+        converted: int = 0,
     ) -> Reals:
         with self.in_use():
             device, made, given = self.device, self.coefficients, Given(fill_value(fill))
             target = None if out is None else as_output(out, shape)
             chosen = self._evaluator(evaluator, fetch)
             device.require_room(np.dtype(made.kind).itemsize * math.prod(shape), held=True)
-            memory.require(self._result_bytes(math.prod(shape), 0, out), _results(shape))
+            memory.require(self._result_bytes(math.prod(shape), 0, out) + converted * math.prod(shape), _results(shape))
             result = target if self._writes(target) else np.empty(shape, made.kind)
             first, second = _halves(progress) if self.gaps else (progress, None)
             with device.lent(result, write=True) as buffer:
