@@ -25,6 +25,7 @@ from clvol.errors import DeviceError
 from clvol.filter import as_filter, filters
 from clvol.march.frame import frame_block
 from clvol.mode import modes
+from clvol.opencl import built_kernels
 from clvol.spline import build
 
 KERNELS = [
@@ -286,6 +287,28 @@ def test_ctrl_c_is_heard_while_the_runtime_finishes_a_kernel(device: Device, mon
     assert not device._lent
 
 
+def test_a_linker_that_fails_later_is_an_error_not_an_abort(
+    device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not (device.is_pocl and device.kind == "cpu") or built_kernels() is None:
+        pytest.skip("not PoCL")
+    linker = tmp_path / "ld"
+    linker.write_text("#!/bin/sh\nexit 1\n")
+    linker.chmod(0o755)
+    unique = time.time_ns()
+    built, values = tiny(device, unique), np.zeros(8, np.float32)
+    for path in (f"{tmp_path}{os.pathsep}{os.environ['PATH']}", "/nonexistent"):
+        with monkeypatch.context() as patched:
+            patched.setenv("PATH", path)
+            with pytest.raises(DeviceError, match="linker"):
+                tiny(device, unique + 1)
+            with pytest.raises(DeviceError, match="linker"), device.lent(values, write=True) as buffer:
+                built.kernel("tiny")(device.queue, (8,), None, buffer)
+    with device.lent(values, write=True) as buffer:
+        built.kernel("tiny")(device.queue, (8,), None, buffer)
+    assert values.tolist() == [np.float32(unique)] * 8
+
+
 def test_a_pyopencl_cache_that_fails_is_said(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     import sqlite3
 
@@ -296,7 +319,7 @@ def test_a_pyopencl_cache_that_fails_is_said(device: Device, monkeypatch: pytest
 
     built = tiny(device, 9)
     monkeypatch.setattr(pyopencl, "Kernel", fail)
-    with pytest.raises(DeviceError, match="pyopencl cannot use its cache .*readonly database.*PYOPENCL_NO_CACHE"):
+    with pytest.raises(DeviceError, match=r"pyopencl cannot use its cache .*readonly database.*PYOPENCL_NO_CACHE"):
         built.kernel("tiny")
 
 
@@ -327,7 +350,8 @@ def test_the_end_of_the_process_while_kernels_are_built_is_no_crash(device: Devi
     environment = {**os.environ, "POCL_CACHE_DIR": str(tmp_path)}
     code = EXIT.format(pause=pause)
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 0, done.stderr
+    # Python remembers an interrupt that passed through `exec`, as in the making of a dataclass, and ends as if nobody had caught it
+    assert done.returncode in (0, -signal.SIGINT), done.stderr
     assert done.stdout in ("out True\n", "")
     assert device is not None
 
