@@ -20,7 +20,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol import cache, processor, program
+from clvol import cache, memory, processor, program
 from clvol.checks import one_of
 from clvol.errors import ClvolWarning, DeviceError, OutOfMemoryError
 from clvol.opencl import INSTALL, built_kernels, kept_out, opencl, why_not
@@ -333,14 +333,20 @@ class Device:
                 return cl.Buffer(self.context, cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR, hostbuf=_huge_pages(size, self))
             return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size)
 
-    def require_room(self, size: int) -> None:
-        """Raise `OutOfMemoryError` before a runtime would abort: PoCL finds out only when memory is touched."""
+    def require_room(self, size: int, *, held: bool = False) -> None:
+        """Raise `OutOfMemoryError` before a runtime would abort: PoCL finds out only when memory is touched.
+
+        What a processor allocates is this process's memory, of which a container may have less than the device says; `held`:
+        it has been allocated.
+        """
         largest, everything = int(self.handle.max_mem_alloc_size), int(self.handle.global_mem_size)
         if size > largest or size > _MEMORY_SHARE * everything:
             raise OutOfMemoryError(
                 f"{self.name} allows one allocation of up to {largest / 2**20:.0f} MiB and holds "
                 f"{everything / 2**20:.0f} MiB; got {size / 2**20:.0f} MiB"
             )
+        if self.kind == "cpu" and not held:
+            memory.require(size, f"a buffer of {self.name}")
 
     def upload(self, array: np.ndarray[Any, Any]) -> Any:
         """A read-only buffer with a copy of `array`."""
@@ -364,7 +370,7 @@ class Device:
         """
         cl = opencl()
         flags = cl.mem_flags.READ_WRITE if write else cl.mem_flags.READ_ONLY
-        self.require_room(array.nbytes)
+        self.require_room(array.nbytes, held=self.shares_memory)
         with _errors(self):
             if self.shares_memory:
                 buffer = cl.Buffer(self.context, flags | cl.mem_flags.USE_HOST_PTR, hostbuf=array)
