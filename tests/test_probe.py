@@ -152,7 +152,7 @@ def test_a_loader_that_ends_the_trial_is_an_error_that_says_so(monkeypatch: pyte
         monkeypatch.setattr(probe, "_TRIAL", script)
         verdict = probe._try()
         monkeypatch.setattr(opencl, "_verdict", lambda verdict=verdict: verdict)
-        opencl._loaded.cache_clear()
+        monkeypatch.setattr(opencl, "_module", None)
         with pytest.raises(DeviceError, match=rf"cannot be loaded: a trial in another process {words}"):
             opencl.opencl()
 
