@@ -81,8 +81,8 @@ def coefficients_of(
     OutOfMemoryError
         The device has no room for them.
     """
+    device.require_room(bytes_of(volume.size, filter, boundary, kind))  # before samples are looked at
     volume.require_finite()
-    device.require_room(bytes_of(volume.size, filter, boundary, kind))  # before integers may be looked at
     row = settled(filter, volume)
     stored = Stored.of(volume, row, boundary) if kind == np.float32 else AS_THEY_ARE
     return _filled(Coefficients(volume, row, boundary, device, stored, kind))
