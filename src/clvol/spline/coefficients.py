@@ -246,11 +246,11 @@ class Coefficients:
                     for target, slice_ in zip(inner, data, strict=True):
                         np.copyto(target, self.stored.samples(slice_), casting="unsafe")
                     return
-                for part in _slabs(data):
+                for slab in _slabs(data):
                     if gain == 1.0:
-                        np.copyto(inner[part], data[part], casting="unsafe")
+                        np.copyto(inner[slab], data[slab], casting="unsafe")
                     else:
-                        np.multiply(data[part], self.kind(gain), out=inner[part], casting="unsafe")
+                        np.multiply(data[slab], self.kind(gain), out=inner[slab], casting="unsafe")
             return
         kernel = self._build(OPENCL_TYPES[data.dtype.str[1:]]).kernel("copy_samples")
         origin, pitch, area = self.layout
