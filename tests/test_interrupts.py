@@ -192,7 +192,7 @@ def test_a_package_whose_import_was_interrupted_is_imported_whole_the_next_time(
 @pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
 def test_the_command_ends_with_one_line_even_while_it_imports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In place of a library that it imports is one that waits."""
-    (tmp_path / "cmap.py").write_text("import time; print('ready', flush=True); time.sleep(30)\n")
+    (tmp_path / "numpy.py").write_text("import time; print('ready', flush=True); time.sleep(30)\n")
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
     code, said, seconds = signalled(["-m", "clvol", "--version"], 0, ready=True)
     assert (code, said) == (130, "clvol: interrupted\n")
