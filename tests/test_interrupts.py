@@ -53,7 +53,7 @@ def resident():
         return int(open("/proc/self/statm").read().split()[1]) * 4096
     except OSError:
         return 0
-before, latencies, heard = resident(), [], 0
+before, latencies = 0, []
 signal.signal(signal.SIGALRM, signal.default_int_handler)
 for number in range(count):
     kind = number % len(works)
@@ -65,6 +65,8 @@ for number in range(count):
         signal.setitimer(signal.ITIMER_REAL, 0)
     except KeyboardInterrupt:
         latencies.append(time.perf_counter() - due)
+    if number == count // 3:
+        before = resident()
     again = (kind + number) % len(works)
     assert np.array_equal(works[again](), expected[again]), (kind, again)
 as_device().finish()
@@ -98,7 +100,8 @@ def test_hundreds_of_interrupts_of_all_work(device: Device, capsys: pytest.Captu
             f"memory grown by {found['grown'] / 2**20:.0f} MiB"
         )
     assert len(latencies) >= 150
-    assert latencies[-1] < 1.0
+    assert np.quantile(latencies, 0.99) < 1.0
+    assert latencies[-1] < 2.0  # on a machine that does other things, too
     assert found["grown"] < 64 << 20
 
 

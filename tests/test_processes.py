@@ -175,3 +175,42 @@ def test_processes_draw_what_this_one_draws(device: Device, way: str) -> None:
     lines = done.stdout.splitlines()
     assert len(lines) == 3
     assert all(line.endswith("the same as in this process") for line in lines)
+
+
+FIRST = """
+import sys, threading
+import numpy as np, clvol
+data = np.random.default_rng(0).random((24, 24, 24), np.float32)
+volume, points = clvol.Volume(data), np.random.default_rng(1).uniform(0, 23, (500, 3))
+looks = [("mip", {}), ("isosurface", {"isovalue": 0.6}), ("isosurface", {"isovalue": 0.4})]
+def draw(renderer):
+    return [renderer.render(mode=mode, size=(40, 30), **more).tobytes() for mode, more in looks]
+shared, results, errors = [], [], []
+gate, made = threading.Barrier(6), threading.Lock()
+def work(number):
+    try:
+        gate.wait()  # nothing of OpenCL was touched so far
+        with made:
+            if not shared:
+                shared.extend((clvol.Field(volume), clvol.Renderer(volume)))
+        own = clvol.sample(volume, points)
+        field, renderer = shared
+        order = draw(renderer), field(points).tobytes(), field.gradient(points).tobytes(), own.tobytes()
+        results.append(order)
+    except BaseException as error:
+        errors.append(repr(error))
+threads = [threading.Thread(target=work, args=(number,)) for number in range(6)]
+[thread.start() for thread in threads]
+[thread.join() for thread in threads]
+assert not errors, errors
+field, renderer = clvol.Field(volume), clvol.Renderer(volume)
+serial = draw(renderer), field(points).tobytes(), field.gradient(points).tobytes(), clvol.sample(volume, points).tobytes()
+assert len(results) == 6 and all(result == serial for result in results)
+"""
+
+
+def test_the_first_use_from_several_threads_at_once_gives_what_one_gives(device: Device) -> None:
+    """And the lazy parts of one Renderer, one Field, one Volume are first wanted by all at once."""
+    assert device is not None
+    done = subprocess.run([sys.executable, "-c", FIRST], capture_output=True, encoding="utf-8", timeout=300, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
