@@ -12,6 +12,7 @@ from typing import Any, Literal, Self, TypeAlias, get_args, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
+from clvol import memory
 from clvol.boundary import Boundary
 from clvol.camera import Camera
 from clvol.checks import instance, number, one_of, whole
@@ -357,6 +358,7 @@ class Renderer:
                 samples = whole("samples", samples, minimum=1, maximum=4096)
             elif not chosen.shaded:
                 samples = 1
+            _require_picture(_size(size), wanted, edges=samples == "auto")
             field = self._field_of(chosen)
             uncertain = self._uncertain(field, chosen) if "uncertainty" in wanted else None
             way = choose_evaluator(self.device, field.filter, evaluator, fetch, bits=_BITS)
@@ -506,6 +508,7 @@ def render(
     free = filter is None and not isinstance(scene, (Scene, Medium, Field))
     if free:
         scene = as_volume(scene)  # type: ignore[arg-type]  # what is left
+    _require_picture(_size(size), _outputs(outputs), edges=False)
     row = filter_for(scene, None, chosen.picture_filter) if free else filter  # type: ignore[arg-type]  # it is a volume then
     with Renderer(scene, row, boundary, device) as renderer:
         return renderer.render(camera, mode, size, step, outputs=outputs, **options)  # type: ignore[arg-type]  # either
@@ -529,6 +532,13 @@ def _outputs(outputs: object) -> tuple[str, ...]:
         if name not in _ALL_OUTPUTS:
             raise one_of("outputs", name, _ALL_OUTPUTS)
     return wanted
+
+
+def _require_picture(size: tuple[int, int], outputs: tuple[str, ...], *, edges: bool) -> None:
+    """Raise `OutOfMemoryError` if there is no room for a picture, its guides, and what its edges are found by."""
+    width, height = size
+    each = 16 + 56 * (outputs != ("rgba",)) + 32 * ("uncertainty" in outputs) + 28 * edges
+    memory.require(width * height * each, f"a picture of {width} × {height} pixels")
 
 
 def _size(size: tuple[int, int]) -> tuple[int, int]:

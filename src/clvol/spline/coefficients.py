@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from clvol.boundary import Boundary
 from clvol.device import Device
-from clvol.errors import DeviceError, OptionError
+from clvol.errors import DeviceError, OptionError, OutOfMemoryError
 from clvol.filter import Filter
 from clvol.program import LANES, Program
 from clvol.spline.build import DefineDict, evaluator_defines, filter_defines, row_reach, scalar_defines
@@ -23,7 +23,7 @@ from clvol.spline.prefilter import prefilter_in_place
 from clvol.stored import AS_THEY_ARE, Stored
 from clvol.volume import Volume
 
-__all__ = ["OPENCL_TYPES", "Coefficients", "Lattice", "addressable", "bundled"]
+__all__ = ["OPENCL_TYPES", "Coefficients", "Lattice", "addressable", "bundled", "bytes_of"]
 
 OPENCL_TYPES = {  # OpenCL's names of NumPy's types
     "b1": "uchar",
@@ -60,6 +60,8 @@ def bundled(array: NDArray[Any], apart: tuple[int, int]) -> tuple[NDArray[Any], 
 
 
 _BUNDLE = 16
+_MOST_ALONG = 1 << 30  # samples along an axis: a period has twice as many, and OpenCL's int counts them
+_AT_ONCE = 1 << 20  # places of an axis that are found at a time
 _COPIED = 1 << 22  # samples that NumPy copies at a time: Ctrl-C is heard in between
 
 
@@ -150,6 +152,10 @@ class Coefficients:
         self.kind = kind
         self.ndim = volume.ndim
         sizes = (*volume.size, 1, 1)[:3]
+        if filter.scale * max(sizes) > _MOST_ALONG:
+            raise OutOfMemoryError(
+                f"out of memory: there must be at most {_MOST_ALONG // filter.scale} samples along each axis; got {max(sizes)}"
+            )
         prefiltered = (filter.magnified_by or filter).prefilter
         self.pad = boundary.padding(prefiltered, filter.support)
         self.reach = boundary.reach(filter.support)
@@ -298,11 +304,17 @@ class Coefficients:
         """Where the coefficients lie that belong into each stored column, row and slice."""
         if kept not in self._uploaded:
             halo, sizes = int(self.extent[3]), self.size.tolist()
-            places = [np.arange(stored) for stored in self.shape[::-1]]
-            for axis in range(self.ndim):
-                place = self.boundary.index(np.arange(self.shape[2 - axis]) - halo, sizes[axis], kept)
-                places[axis] = np.where(place < -kept, -1, place + halo)
-            self._uploaded[kept] = self.device.upload(np.concatenate(places).astype(np.int32))
+            places = np.empty(sum(self.shape), np.int32)
+            begin = 0
+            for axis, stored in enumerate(self.shape[::-1]):
+                for first in range(0, stored, _AT_ONCE):
+                    own = np.arange(first, min(first + _AT_ONCE, stored))
+                    if axis < self.ndim:
+                        place = self.boundary.index(own - halo, sizes[axis], kept)
+                        own = np.where(place < -kept, -1, place + halo)
+                    places[begin + first : begin + first + len(own)] = own
+                begin += stored
+            self._uploaded[kept] = self.device.upload(places)
         return self._uploaded[kept]
 
     def _kernels_read(self, data: NDArray[Any]) -> bool:
@@ -364,6 +376,17 @@ class Coefficients:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.release()
+
+
+def bytes_of(size: tuple[int, ...], filter: Filter, boundary: Boundary, kind: type[np.generic]) -> int:
+    """What the coefficients of so many samples along x, y(, z) take, halo included; of a hybrid while it is made."""
+    past = boundary.padding((filter.magnified_by or filter).prefilter, filter.support) + boundary.reach(filter.support)
+    sizes = (*(filter.scale * n for n in size), 1, 1)[:3]
+    halo = 2 * (filter.support // 2 + 1 + filter.scale * (1 + past))
+    reach = max(0, row_reach(filter) - filter.support) + LANES
+    stored = math.prod(n + halo + (reach if axis == 0 else 0) if axis < len(size) else 1 for axis, n in enumerate(sizes))
+    own = np.dtype(kind).itemsize * stored
+    return own if filter.magnified_by is None else own + bytes_of(size, filter.magnified_by, boundary, kind)
 
 
 def _extent(filter: Filter, dimensions: int, sizes: tuple[int, ...], past: int) -> NDArray[np.int32]:
