@@ -78,7 +78,7 @@ def drawn(way: str, volume: clvol.Volume, azimuths: list[float], workers: int) -
     installed("torch")
     from torch.utils.data import DataLoader
 
-    loader: Any = DataLoader(Views(volume, azimuths), batch_size=None, num_workers=workers, multiprocessing_context="spawn")  # type: ignore[arg-type]
+    loader: Any = DataLoader(Views(volume, azimuths), batch_size=None, num_workers=workers, multiprocessing_context="spawn")
     return list(loader)
 
 

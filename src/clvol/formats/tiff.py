@@ -74,11 +74,7 @@ def read(path: Path, choose: Choice, series: int | str | None = None, level: int
         image = levels[chosen_level(path.name, [one.shape for one in levels], level)]
         kind = file.series[number].kind.lower()  # not what the file says it is: that may not fit its pages
         about = (
-            _ome(file.ome_metadata, number, len(file.series), image.dtype)
-            if kind == "ome"
-            else _imagej(file)
-            if kind == "imagej"
-            else _About()
+            _ome(file.ome_metadata, number, len(file.series), image.dtype) if kind == "ome" else _imagej(file) if kind == "imagej" else _About()
         )
         layout, leading = _laid_out(path.name, image, about, choose)
         if image.dtype is None or image.dtype.kind not in "biuf":
