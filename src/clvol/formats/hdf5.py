@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from clvol.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._choice import Choice, Series, chosen_series
-from clvol.formats._files import require_expansion, sample_count
+from clvol.formats._files import bytes_at, sample_count
 from clvol.formats._layout import Layout, decoded, lay_out, place, uniform, unnamed
+from clvol.formats._limits import announce
 from clvol.interop import Content
 from clvol.volumes import Leading
 
@@ -81,7 +82,7 @@ def member(group: Any, name: str) -> Any:
     return group[name]
 
 
-def loaded(source: str, array: Any, index: Any = ()) -> NDArray[Any]:
+def loaded(source: str, array: Any, index: tuple[int | slice, ...] = ()) -> NDArray[Any]:
     """Samples of an array, which must be stored in this file. Chunks that are not stored have the array's fill value."""
     elsewhere = array.external or (array.is_virtual and any(one.file_name != "." for one in array.virtual_sources()))
     if elsewhere:
@@ -89,9 +90,7 @@ def loaded(source: str, array: Any, index: Any = ()) -> NDArray[Any]:
     stored = array.id.get_storage_size()
     if not stored and not array.is_virtual and array.shape:
         raise FormatError(f"{source} must hold samples of {array.name}; none were ever written")
-    chunk = sample_count(array.chunks or ()) * array.dtype.itemsize
-    size = array.file.id.get_filesize()
-    require_expansion(source, max(chunk, sample_count(array.shape) * array.dtype.itemsize), size)
+    announce(source, max(sample_count(array.chunks or ()) * array.dtype.itemsize, bytes_at(array.shape, index, array.dtype)))
     return np.asarray(array[index])
 
 

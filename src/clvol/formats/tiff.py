@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 from clvol.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
 from clvol.formats._directories import Directory, directories, segments
-from clvol.formats._files import inflated_size, require_default, require_expansion, sample_count, scaled, storable
+from clvol.formats._files import inflated_size, require_default, sample_count, scaled, storable
 from clvol.formats._layout import Layout, lay_out
+from clvol.formats._limits import announce
 from clvol.formats._units import METRES, scale, unit_name
 from clvol.interop import Content
 from clvol.volume import Volume
@@ -306,7 +307,7 @@ def _check_samples(name: str, pages: Sequence[Any], keyframe: Any, count: int) -
     stored = sum(files.values())
     if keyframe.compression == 1 and count * int(np.min(keyframe.bitspersample)) > 8 * stored:
         raise FormatError(f"{name} must hold {count} samples of {keyframe.dtype}; it has {stored} bytes")
-    require_expansion(name, count * keyframe.dtype.itemsize, stored)
+    announce(name, count * keyframe.dtype.itemsize, stored)
     if sizes is not None and keyframe.compression in _LOSSLESS:
         _check_unpacked(name, keyframe, sizes)
 
