@@ -141,7 +141,6 @@ FORMATS = (
         frozenset({"series"}),
         several=True,
         series=vti.series,
-        native=("vtkmodules.vtkIOXML", "vtkmodules.util.numpy_support"),
     ),
     Format(
         "microscope makers' files",

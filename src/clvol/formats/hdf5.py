@@ -90,8 +90,24 @@ def loaded(source: str, array: Any, index: tuple[int | slice, ...] = ()) -> NDAr
     stored = array.id.get_storage_size()
     if not stored and not array.is_virtual and array.shape:
         raise FormatError(f"{source} must hold samples of {array.name}; none were ever written")
+    if array.chunks and not array.id.get_create_plist().get_nfilters():
+        _check_chunks(source, array)
     announce(source, max(sample_count(array.chunks or ()) * array.dtype.itemsize, bytes_at(array.shape, index, array.dtype)))
     return np.asarray(array[index])
+
+
+def _check_chunks(source: str, array: Any) -> None:
+    """Raise if a chunk that is stored as it is has other bytes than it should: HDF5 takes what is missing from anywhere."""
+    whole = sample_count(array.chunks) * array.dtype.itemsize
+    wrong: list[int] = []
+
+    def look(chunk: Any) -> None:
+        if chunk.size != whole:
+            wrong.append(chunk.size)
+
+    array.id.chunk_iter(look)
+    if wrong:
+        raise FormatError(f"{source} must hold {whole} bytes of samples in each chunk of {array.name}; one has {wrong[0]}")
 
 
 def _arrays(file: Any) -> list[Any]:

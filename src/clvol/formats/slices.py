@@ -28,6 +28,10 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
 
 _KINDS = {suffix: {".jpeg": ".jpg", ".tiff": ".tif"}.get(suffix, suffix) for suffix in (*SUFFIXES, ".tif", ".tiff")}
 _MODES = ("1", "L", "I", "F", "I;16", "I;16B", "I;16L", "LA", "RGB", "RGBA")  # of Pillow, whose samples mean what they seem to
+_IHDR = struct.Struct(">IIBBBBB")  # width, height, bits, colours, compression, filter, whether it is interlaced
+_CHANNELS = {2: 3, 4: 2, 6: 4}  # of the kinds of colour; the others have one
+_ADAM7 = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))  # first and step of x, y
+_AT_ONCE = 1 << 20
 _PNG = b"\x89PNG\r\n\x1a\n"
 _GREY = Leading(("channel",), (2,), {"channel": ("grey", "alpha")})
 
@@ -119,10 +123,11 @@ def _picture(path: Path) -> tuple[NDArray[Any], Leading]:
 
 
 def _check_png(path: Path) -> None:
-    """Raise if a part of the file is missing or has another checksum: Pillow looks at neither where it has all samples."""
-    end = path.stat().st_size
+    """Raise if a part of the file is missing or has another checksum, or has too few samples: Pillow makes those that are not there 0."""
+    end, found, needed, packed = path.stat().st_size, 0, 0, zlib.decompressobj()
     with path.open("rb") as stream:
-        stream.seek(len(_PNG))
+        if stream.read(len(_PNG)) != _PNG:  # Pillow goes by what files hold, not by their names
+            return
         name = b""
         while name != b"IEND":
             length, name = struct.unpack(">I4s", stream.read(8).rjust(8, b"\xff"))
@@ -130,7 +135,21 @@ def _check_png(path: Path) -> None:
                 raise FormatError(f"cannot read {path}: it is damaged, or no image that imageio reads; it ends too early")
             checksum = zlib.crc32(name)
             while length:
-                part = stream.read(min(length, 1 << 20))
+                part = stream.read(min(length, _AT_ONCE))
                 checksum, length = zlib.crc32(part, checksum), length - len(part)
+                if name == b"IHDR" and len(part) == _IHDR.size:
+                    needed = _unpacked(*_IHDR.unpack(part))
+                while name == b"IDAT" and part and found <= needed:
+                    found += len(packed.decompress(part, _AT_ONCE))
+                    part = packed.unconsumed_tail
             if stream.read(4) != checksum.to_bytes(4, "big"):
                 raise FormatError(f"cannot read {path}: it is damaged, its part {name!r} has another checksum")
+    if found < needed or not needed or not packed.eof:
+        raise FormatError(f"cannot read {path}: it must hold {needed} bytes of unpacked rows; found {found}")
+
+
+def _unpacked(width: int, height: int, depth: int, color: int, _: int, __: int, interlaced: int) -> int:
+    """Bytes of the rows of a PNG image, each with one that says how it is filtered; in seven parts where it is interlaced."""
+    bits = depth * _CHANNELS.get(color, 1)
+    sizes = [(-(-(width - x) // dx), -(-(height - y) // dy)) for x, y, dx, dy in _ADAM7] if interlaced else [(width, height)]
+    return sum(h * (1 + -(-w * bits // 8)) for w, h in sizes if w > 0 and h > 0)
