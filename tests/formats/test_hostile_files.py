@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import functools
 import gzip
 import io
@@ -175,6 +176,12 @@ def hdf5(fill: Callable[[Any], object], spoil: Callable[[bytearray], object] = l
     return make
 
 
+def short_chunk(file: Any) -> None:
+    """A chunk is stored as it is, and is not whole."""
+    array = file.create_dataset("a", (3, 4, 5), "u1", chunks=(3, 4, 5))
+    array.id.write_direct_chunk((0, 0, 0), bytes(40))
+
+
 def virtual(file: Any) -> None:
     import h5py
 
@@ -246,6 +253,36 @@ def ome_zarr(where: str, factor: float = 1.0) -> Maker:
         group.attrs["ome"] = {"version": "0.5", "multiscales": [{"axes": axes, "datasets": datasets}]}
 
     return make
+
+
+def vti(array: str = "", head: str = "", extent: str = "0 3 0 2 0 1", spacing: str = "1 1 1", tail: str = "", comp: str = "") -> Maker:
+    """Image data of VTK of 4×3×2 bytes."""
+    text = (
+        f'<?xml version="1.0"?>{head}<VTKFile type="ImageData" version="1.0" byte_order="LittleEndian" header_type="UInt64"{comp}>'
+        f'<ImageData WholeExtent="{extent}" Origin="0 0 0" Spacing="{spacing}"><Piece Extent="{extent}"><PointData>'
+        f"{array or inline(24, BYTES)}</PointData></Piece></ImageData>{tail}</VTKFile>"
+    )
+    return content(text.encode("latin1"))
+
+
+def element(words: str, text: str = "") -> str:
+    return f'<DataArray type="UInt8" Name="a" {words}>{text}</DataArray>'
+
+
+def inline(size: int, data: bytes) -> str:
+    return element('format="binary"', base64.b64encode(struct.pack("<Q", size) + data).decode())
+
+
+def packed(blocks: int = 1, size: int = 24, last: int = 0, length: int | None = None, data: bytes = zlib.compress(BYTES)) -> str:
+    head = struct.pack("<4Q", blocks, size, last, len(data) if length is None else length)
+    return element('format="binary"', base64.b64encode(head).decode() + base64.b64encode(data).decode())
+
+
+def appended(size: int, data: bytes) -> str:
+    return f'<AppendedData encoding="raw">_{(struct.pack("<Q", size) + data).decode("latin1")}</AppendedData>'
+
+
+ZLIB = ' compressor="vtkZLibDataCompressor"'
 
 
 def png(width: int = 5, height: int = 4, depth: int = 8, spoil: Callable[[bytearray], object] = lambda _: None) -> bytes:
@@ -364,6 +401,7 @@ HOSTILE: dict[str, tuple[Maker, str]] = {
         hdf5(lambda file: file.create_dataset("a", (9, 9, 9), "u1", chunks=(1, 1, 2**31), maxshape=(9, 9, None), compression=9)),
         "none were ever|its header says",
     ),
+    "chunk.h5": (hdf5(short_chunk), "60 bytes of samples in each chunk"),
     "checksum.h5": (
         hdf5(
             lambda file: file.create_dataset("a", data=DATA, chunks=(3, 4, 5), fletcher32=True),
@@ -386,12 +424,33 @@ HOSTILE: dict[str, tuple[Maker, str]] = {
     "nan.zarr": (ome_zarr("0", float("nan")), "finite"),
     "bomb.zarr.zip": (npz(("zarr.json", b"{}"), kind=8, spoil=sizes_of_the_archive(2**32 - 2)), "times as large"),
     "nothing.zip": (npz(("../zarr.txt", b"{}")), "Zarr array or group"),
+    # VTK
+    "short.vti": (vti(inline(24, BYTES[:7])), "17 bytes too early"),
+    "less.vti": (vti(inline(10, BYTES)), "its header says 10"),
+    "absurd.vti": (vti(inline(2**62, BYTES)), "its header says"),
+    "no-base64.vti": (vti(inline(24, BYTES).replace("AQID", "A*ID")), "base64"),
+    "more.vti": (vti(inline(24, BYTES + b"more")), "there are more"),
+    "words.vti": (vti(element('format="ascii"', "999 " * 24)), "999"),
+    "blocks.vti": (vti(packed(blocks=2**60), comp=ZLIB), "its header says"),
+    "block-size.vti": (vti(packed(size=2**60), comp=ZLIB), "its header says"),
+    "packed-size.vti": (vti(packed(length=2**60), comp=ZLIB), "too early"),
+    "checksum.vti": (vti(packed(data=zlib.compress(BYTES)[:-1] + b"x"), comp=ZLIB), "data check"),
+    "bomb.vti": (vti(packed(data=zlib.compress(bytes(100 << 20))), comp=ZLIB), "one has others"),
+    "offset.vti": (vti(element('format="appended" offset="-8"'), tail=appended(24, BYTES)), "appended within the file"),
+    "far.vti": (vti(element('format="appended" offset="999"'), tail=appended(24, BYTES)), "appended within the file"),
+    "cut.vti": (vti(element('format="appended" offset="0"'), tail=appended(24, BYTES[:-1])), "1 bytes too early"),
+    "components.vti": (vti(element('NumberOfComponents="-3" format="ascii"', "1")), "components"),
+    "extent.vti": (vti(extent=f"0 {HUGE - 1} 0 {HUGE - 1} 0 1"), "times as large"),
+    "nan.vti": (vti(spacing="nan 1 1"), "finite numbers for Spacing"),
+    "laughs.vti": (vti(head=ENTITIES), "declarations"),
+    "entity.vti": (vti(head='<!DOCTYPE l [<!ENTITY x SYSTEM "file:///etc/passwd">]>'), "declarations"),
     # images
     "wide.png": (content(png(HUGE, HUGE)), "cannot read"),
     "bomb.png": (content(png(30000, 30000)), "cannot read"),
     "large.png": (content(png(12000, 12000, 16)), "cannot read"),
     "checksum.png": (content(png(spoil=at(45, "B", 77))), "cannot read"),
     "cut.png": (content(png()[:-20]), "cannot read"),
+    "rows.png": (content(png(height=140)), "must hold 840 bytes of unpacked rows; found 24"),
     "shapes": (folder(a_png=png(), b_png=(lambda path: png_of(path, (3, 3)))), "one shape"),
     "kinds": (folder(a_png=png(), b_bmp=b""), "one kind"),
 }  # fmt: skip
@@ -498,6 +557,9 @@ SOUND: dict[str, Maker] = {
     "a.zarr": zarr(),
     "shards.zarr": zarr(chunks=(1, 2, 2), shards=(2, 2, 2)),
     "ome.zarr": ome_zarr("0"),
+    "a.vti": vti(),
+    "packed.vti": vti(packed(), comp=ZLIB),
+    "appended.vti": vti(element('format="appended" offset="0"'), tail=appended(24, BYTES)),
     "a.png": content(png()),
     "slices": folder(a_png=png(), b_png=png()),
 }

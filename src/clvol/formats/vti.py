@@ -183,17 +183,17 @@ def _arrays(name: str, grid: ET.Element, whole: tuple[int, ...]) -> list[_Array]
         ):
             raise FormatError(f"{name} must have pieces within its extent, {whole}; one has {extent}")
         for kind in ("Point", "Cell"):
-            section = piece.find(f"{kind}Data")
+            section, titles = piece.find(f"{kind}Data"), set[str]()
             for element in section.findall("DataArray") if section is not None else ():
                 title, dtype = element.get("Name"), _DTYPES.get(element.get("type", ""))
                 if title in (None, "vtkGhostType") or dtype is None or section is None:
                     continue
                 array = _array(name, kind, element, np.dtype(dtype), whole, section.get("Scalars") == title)
                 array = found.setdefault((kind, title or ""), array)
-                box = _box(kind, extent, whole)
-                if any(box == other for other, _ in array.pieces):
+                if array.name in titles:
                     raise FormatError(f"{name} must hold each array once in each piece; {title!r} is there twice")
-                array.pieces.append((box, element))
+                titles.add(array.name)
+                array.pieces.append((_box(kind, extent, whole), element))
     if not found:
         raise DataError(f"{name} must hold an array of numbers; it holds none")
     for array in found.values():
