@@ -603,6 +603,66 @@ def test_what_they_were_made_from_is_read(outcomes: dict[str, tuple[str, Any, fl
     assert samples in (list(BYTES), DATA.ravel().tolist(), [0] * 20, [0] * 40)
 
 
+# -- 1,000 failing reads leave the process as it was --------------------------------------------------------
+
+AGAIN = """
+import gc, os, sys, warnings
+from pathlib import Path
+import clvol
+from clvol.errors import ClvolError
+
+def held():
+    gc.collect()
+    status = dict(line.split(":", 1) for line in open("/proc/self/status"))
+    return len(os.listdir("/proc/self/fd")), int(status["VmRSS"].split()[0]) >> 10
+
+warnings.simplefilter("ignore")
+paths = [path for path in sorted(Path(sys.argv[1]).iterdir()) if path.name in sys.argv[3:]]
+for times in (3, int(sys.argv[2])):  # first a few, which import libraries
+    before = held()
+    for path in paths:
+        for _ in range(times):
+            try:
+                clvol.read(path, trusted=True)
+                print("read", path.name)
+            except ClvolError:
+                pass
+after = held()
+print(after[0] - before[0], after[1] - before[1])
+"""
+
+OF_EACH = ("cut.npy", "checksum.npz", "checksum.nii.gz", "short.hdr", "type-9.mgh", "far-checksum.mgz", "bits-8-packed.tif", "round.tif",
+           "missing.ome.tif", "checksum.h5", "external.h5", "link.ims", "cut.zarr", "same-names.npz", "no-base64.vti", "checksum.vti",
+           "checksum.png", "shapes")  # fmt: skip
+
+
+def read_again(folder: Path, times: int) -> tuple[int, int]:
+    """Descriptors and MiB by which a process grows that reads one file of each format so often in vain."""
+    if not Path("/proc/self/status").exists():
+        pytest.skip("what a process holds is told by Linux")
+    for module in ("tifffile", "imagecodecs", "h5py", "zarr", "nibabel"):
+        pytest.importorskip(module)
+    for name in OF_EACH:
+        HOSTILE[name][0](folder / name)
+    run = subprocess.run(
+        [sys.executable, "-c", AGAIN, str(folder), str(times), *OF_EACH], capture_output=True, text=True, timeout=900, check=False
+    )
+    assert re.fullmatch(r"-?\d+ -?\d+\n", run.stdout), run.stdout + run.stderr
+    descriptors, mib = map(int, run.stdout.split())
+    return descriptors, mib
+
+
+def test_failing_reads_keep_nothing(tmp_path: Path) -> None:
+    descriptors, mib = read_again(tmp_path, 4)
+    assert (descriptors, mib < 8) == (0, True), mib
+
+
+@pytest.mark.thorough
+def test_1000_failing_reads_keep_nothing(tmp_path: Path) -> None:
+    descriptors, mib = read_again(tmp_path, 1000)
+    assert (descriptors, mib < 16) == (0, True), mib
+
+
 # -- damage is found however a program logs ----------------------------------------------------------------
 
 
