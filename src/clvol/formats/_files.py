@@ -117,8 +117,11 @@ def gunzipped_size(stream: IO[bytes], limit: int) -> int:
     return found
 
 
-def inflated_size(stream: IO[bytes], packed: int, limit: int) -> int:
-    """How many bytes the next `packed` bytes of `stream` (zlib or gzip) hold, counted up to just past `limit`."""
+def inflated_size(stream: IO[bytes], packed: int, limit: int, *, exact: bool = False) -> int:
+    """How many bytes the next `packed` bytes of `stream` (zlib or gzip) hold, counted up to just past `limit`.
+
+    Where they are `exact`, nothing may follow the packed samples among them.
+    """
     inflater = zlib.decompressobj(47)  # 47: either kind of header
     end = stream.tell() + packed
 
@@ -129,6 +132,8 @@ def inflated_size(stream: IO[bytes], packed: int, limit: int) -> int:
                 return chunk
             if not part:
                 raise EOFError("the compressed samples end too early")
+        if exact and (inflater.unused_data or stream.tell() < end):
+            raise FormatError(f"the compressed samples must end where the file does; {len(inflater.unused_data)} bytes follow them")
         return b""
 
     return _count(read, limit)

@@ -13,7 +13,7 @@ from clvol.checks import number
 from clvol.errors import FormatError, OutOfMemoryError
 from clvol.memory import available
 
-__all__ = ["Budget", "Limits", "announce", "limited", "require_expansion", "size_of"]
+__all__ = ["Budget", "Limits", "announce", "is_trusted", "limited", "require_expansion", "size_of"]
 
 _MIB = 1 << 20
 _GIB = 1 << 30
@@ -116,6 +116,11 @@ def limited(budget: Budget | None) -> Iterator[None]:
         _budget.reset(token)
 
 
+def is_trusted() -> bool:
+    """Whether what is being read is held to no limits."""
+    return _budget.get() is None
+
+
 def require_expansion(source: object, needed: int, stored: int) -> None:
     """Raise before memory is asked for if `stored` bytes stand for an absurd number of bytes of samples.
 
@@ -158,7 +163,8 @@ def announce(source: str, needed: int) -> None:
     room = available() if budget is None else budget.room
     if budget is not None and budget.limits.bytes is not None and needed > budget.limits.bytes:
         raise FormatError(
-            f"the samples of {source} must take at most {budget.limits.bytes} bytes (Limits.bytes); its header says {needed}; {MORE}"
+            f"the samples of {source} must take at most {budget.limits.bytes} bytes (Limits.bytes); its header says {needed}; "
+            f"{MORE}"
         )
     if needed > room:
         raise OutOfMemoryError(
