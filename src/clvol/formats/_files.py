@@ -14,7 +14,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from clvol.errors import ClvolError, FormatError
+from clvol.errors import ClvolError, ClvolWarning, FormatError
 from clvol.foreign import Content, held_as
 from clvol.formats._limits import require_expansion
 from clvol.volume import Volume
@@ -45,7 +45,11 @@ def foreign_errors(what: str, reason: Callable[[Exception], str] = str) -> Itera
     """Turn whatever a library raises into a `FormatError` that says what was being done."""
     try:
         yield
-    except (ClvolError, MemoryError):  # sizes are checked first: a MemoryError is a fact of this machine, not of the file
+    except (
+        ClvolError,
+        ClvolWarning,
+        MemoryError,
+    ):  # sizes are checked first: a MemoryError is a fact of this machine, not of the file
         raise
     except Exception as error:
         raise FormatError(f"cannot {what}: {reason(error) or type(error).__name__}") from error

@@ -240,6 +240,8 @@ def receive(peer: socket.socket, wait: Callable[[], None]) -> tuple[str, Any]:
             name, packed, places = json.loads(bytes(_received(peer, np.empty(length, np.uint8), wait)))
         except (TypeError, ValueError, RecursionError) as error:
             raise WireError(f"{type(error).__name__}: {error}") from error
+        if not isinstance(places, list):
+            raise WireError("no list of places")
         turn = iter(places)
 
         def take(dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
