@@ -179,7 +179,7 @@ def test_where_no_process_can_be_started(monkeypatch: pytest.MonkeyPatch) -> Non
     for executable in (None, "/nowhere/python"):
         monkeypatch.setattr(sys, "executable", executable)
         monkeypatch.setattr(_worker, "_idle", [])
-        with pytest.raises(FormatError, match="cannot be started.*trusted=True reads in this one"):
+        with pytest.raises(FormatError, match=r"cannot be started.*trusted=True reads in this one"):
             run(len, "")
 
 
@@ -356,17 +356,17 @@ def test_memory_that_can_still_change_is_copied() -> None:
 
 def test_limits_name_the_rule() -> None:
     with limited(Budget(Limits(), 1000, 1 << 34)):
-        require_expansion("v", 1 << 30, 1000)  # any file may stand for so much
-        require_expansion("v", 5 << 30, 1 << 23)
-        with pytest.raises(FormatError, match=r"1073741824 bytes of samples, 1000 for each of its 1000 \(Limits\.expansion\)"):
-            require_expansion("v", 5 << 30, 1000)
+        announce("v", 1 << 30)  # any file may stand for so much
+        announce("v", 5 << 30, 1 << 23)
+        with pytest.raises(FormatError, match=r"up to 1000 bytes of samples for each of its 1000 \(Limits\.expansion\)"):
+            announce("v", 5 << 30)
         with pytest.raises(OutOfMemoryError, match=r"into the 16384 MiB that are available; they take 20480 MiB"):
-            announce("v", 20 << 30)
-    with limited(Budget(Limits(bytes=1000, expansion=1e9), 1000, 1 << 34)):
-        require_expansion("v", 5 << 30, 1000)
-        with pytest.raises(FormatError, match=r"at most 1000 bytes \(Limits\.bytes\); its header says 1001"):
-            announce("v", 1001)
-    require_expansion("v", 1 << 60, 1)  # trusted
+            announce("v", 20 << 30, 1 << 30)
+    with limited(Budget(Limits(expansion=1e9), 1000, 1 << 34)):
+        announce("v", 5 << 30)
+    with limited(Budget(Limits(bytes=1000), 1000, 1 << 34)), pytest.raises(FormatError, match=r"at most 1000 bytes \(Limits\.byt"):
+        announce("v", 1001)
+    announce("v", 1 << 30, 1)  # trusted
 
 
 def test_limits_are_those_of_the_caller(plain: Path) -> None:
