@@ -115,7 +115,9 @@ def tiff(*fields: tuple[int, int], data: np.ndarray = DATA, which: int = 0, **op
             places = {tag.code: (tag.offset, tag.dtype) for tag in file.pages[which].tags}
         for code, value in fields:
             if code in places:
-                struct.pack_into("<HII" if value > 65535 else "<HIH", whole, places[code][0] + 2, 4 if value > 65535 else 3, 1, value)
+                struct.pack_into(
+                    "<HII" if value > 65535 else "<HIH", whole, places[code][0] + 2, 4 if value > 65535 else 3, 1, value
+                )
         path.write_bytes(whole)
 
     return make
@@ -255,7 +257,9 @@ def ome_zarr(where: str, factor: float = 1.0) -> Maker:
     return make
 
 
-def vti(array: str = "", head: str = "", extent: str = "0 3 0 2 0 1", spacing: str = "1 1 1", tail: str = "", comp: str = "") -> Maker:
+def vti(
+    array: str = "", head: str = "", extent: str = "0 3 0 2 0 1", spacing: str = "1 1 1", tail: str = "", comp: str = ""
+) -> Maker:
     """Image data of VTK of 4×3×2 bytes."""
     text = (
         f'<?xml version="1.0"?>{head}<VTKFile type="ImageData" version="1.0" byte_order="LittleEndian" header_type="UInt64"{comp}>'

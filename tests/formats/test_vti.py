@@ -23,7 +23,9 @@ DATA = np.arange(24, dtype=np.float32).reshape(2, 3, 4)
 DIRECTION = (0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
-def written(path: Path, *, mode: str = "Appended", compressor: str = "ZLib", active: str = "", encoded: bool = True, **arrays: np.ndarray) -> Any:
+def written(
+    path: Path, *, mode: str = "Appended", compressor: str = "ZLib", active: str = "", encoded: bool = True, **arrays: np.ndarray
+) -> Any:
     """An image of 4 × 3 × 2 points whose extent begins at 5, 0, 0; arrays of six values are of cells."""
     image = vtkImageData()
     image.SetExtent(5, 8, 0, 2, 0, 1)

@@ -14,7 +14,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from clvol.errors import ClvolError, DataError, FormatError
+from clvol.errors import ClvolError, ClvolWarning, DataError, FormatError
 from clvol.foreign import Content, held_as
 from clvol.formats._limits import announce
 from clvol.volume import Volume
@@ -45,7 +45,11 @@ def foreign_errors(what: str, reason: Callable[[Exception], str] = str) -> Itera
     """Turn whatever a library raises into a `FormatError` that says what was being done."""
     try:
         yield
-    except (ClvolError, MemoryError):  # sizes are checked first: a MemoryError is a fact of this machine, not of the file
+    except (
+        ClvolError,
+        ClvolWarning,
+        MemoryError,
+    ):  # sizes are checked first: a MemoryError is a fact of this machine, not of the file
         raise
     except Exception as error:
         raise FormatError(f"cannot {what}: {reason(error) or type(error).__name__}") from error
@@ -66,7 +70,9 @@ def scaled(data: NDArray[Any], slope: float, offset: float) -> NDArray[Any]:
             values *= slope
             values += offset
     except FloatingPointError as error:
-        raise DataError(f"samples must be finite when they are scaled; {slope:g} times {data.dtype} and {offset:g} are not") from error
+        raise DataError(
+            f"samples must be finite when they are scaled; {slope:g} times {data.dtype} and {offset:g} are not"
+        ) from error
     return values
 
 
@@ -129,8 +135,11 @@ def gunzipped_size(stream: IO[bytes], limit: int) -> int:
     return found
 
 
-def inflated_size(stream: IO[bytes], packed: int, limit: int) -> int:
-    """How many bytes the next `packed` bytes of `stream` (zlib or gzip) hold, counted up to just past `limit`."""
+def inflated_size(stream: IO[bytes], packed: int, limit: int, *, exact: bool = False) -> int:
+    """How many bytes the next `packed` bytes of `stream` (zlib or gzip) hold, counted up to just past `limit`.
+
+    Where they are `exact`, nothing may follow the packed samples among them.
+    """
     inflater = zlib.decompressobj(47)  # 47: either kind of header
     end = stream.tell() + packed
 
@@ -141,6 +150,8 @@ def inflated_size(stream: IO[bytes], packed: int, limit: int) -> int:
                 return chunk
             if not part:
                 raise EOFError("the compressed samples end too early")
+        if exact and (inflater.unused_data or stream.tell() < end):
+            raise FormatError(f"the compressed samples must end where the file does; {len(inflater.unused_data)} bytes follow them")
         return b""
 
     return _count(read, limit)

@@ -18,6 +18,7 @@ from clvol.formats import tiff
 from clvol.formats._choice import Choice
 from clvol.formats._files import sample_count
 from clvol.formats._limits import announce
+from clvol.formats._wire import empty
 from clvol.interop import Content
 from clvol.volumes import Leading
 
@@ -30,7 +31,15 @@ _KINDS = {suffix: {".jpeg": ".jpg", ".tiff": ".tif"}.get(suffix, suffix) for suf
 _MODES = ("1", "L", "I", "F", "I;16", "I;16B", "I;16L", "LA", "RGB", "RGBA")  # of Pillow, whose samples mean what they seem to
 _IHDR = struct.Struct(">IIBBBBB")  # width, height, bits, colours, compression, filter, whether it is interlaced
 _CHANNELS = {2: 3, 4: 2, 6: 4}  # of the kinds of colour; the others have one
-_ADAM7 = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))  # first and step of x, y
+_ADAM7 = (
+    (0, 0, 8, 8),
+    (4, 0, 8, 8),
+    (0, 4, 4, 8),
+    (2, 0, 4, 4),
+    (0, 2, 2, 4),
+    (1, 0, 2, 2),
+    (0, 1, 1, 2),
+)  # first and step of x, y
 _AT_ONCE = 1 << 20
 _PNG = b"\x89PNG\r\n\x1a\n"
 _GREY = Leading(("channel",), (2,), {"channel": ("grey", "alpha")})
@@ -64,7 +73,7 @@ def read_folder(path: Path, choose: Choice) -> Content:
     pick = choose(path.name, leading, guess)
     taken = first[pick.index]
     announce(path.name, len(files) * taken.nbytes)
-    data = np.empty((*taken.shape[:-2], len(files), *taken.shape[-2:]), first.dtype)
+    data = empty((*taken.shape[:-2], len(files), *taken.shape[-2:]), first.dtype)
     for i, file in enumerate(files):
         samples = _slice(file)[0] if i else first
         if samples.shape != first.shape or samples.dtype != first.dtype:

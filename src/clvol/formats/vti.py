@@ -198,7 +198,9 @@ def _arrays(name: str, grid: ET.Element, whole: tuple[int, ...]) -> list[_Array]
         raise DataError(f"{name} must hold an array of numbers; it holds none")
     for array in found.values():
         if len(array.pieces) != len(pieces):
-            raise FormatError(f"{name} must hold its arrays in each of {len(pieces)} pieces; {array.name!r} is in {len(array.pieces)}")
+            raise FormatError(
+                f"{name} must hold its arrays in each of {len(pieces)} pieces; {array.name!r} is in {len(array.pieces)}"
+            )
     return sorted(found.values(), key=lambda array: (not array.active, array.kind == "Cell"))
 
 
@@ -310,7 +312,9 @@ class _Stored:
                 self.at += needed
             taken, self.ready = self.ready[:count], self.ready[count:]
         if len(taken) != count:
-            raise FormatError(f"{self.name} must hold all samples that its headers say; it ends {count - len(taken)} bytes too early")
+            raise FormatError(
+                f"{self.name} must hold all samples that its headers say; it ends {count - len(taken)} bytes too early"
+            )
         return taken
 
     def part(self) -> None:
@@ -329,7 +333,9 @@ def _stored(file: _File, element: ET.Element) -> _Stored:
     offset = element.get("offset", "")
     if element.get("format") != "appended" or not re.fullmatch(r"\d{1,18}", offset) or int(offset) >= len(file.appended):
         told = {key: element.get(key) for key in ("format", "offset")}
-        raise FormatError(f"{file.name} must hold arrays as ascii, binary, or appended within the file; {element.get('Name')!r} has {told}")
+        raise FormatError(
+            f"{file.name} must hold arrays as ascii, binary, or appended within the file; {element.get('Name')!r} has {told}"
+        )
     return _Stored(file.name, file.appended[int(offset) :], file.encoded, False)
 
 
