@@ -358,7 +358,10 @@ HOSTILE: dict[str, tuple[Maker, str]] = {
         "times as large.*its header says 10240000000",
     ),
     "absurd.nii.gz": (content(gzip.compress(nifti(dim=(40, "8h", (7, *(32767,) * 7))))), "bytes of samples"),
-    "small-lie.nii.gz": (content(gzip.compress(nifti(dim=(40, "8h", (3, 900, 900, 900, 1, 1, 1, 1))))), "729000000 bytes.*found 24"),
+    "small-lie.nii.gz": (
+        content(gzip.compress(nifti(dim=(40, "8h", (3, 900, 900, 900, 1, 1, 1, 1))))),
+        "729000000 bytes.*found 24",
+    ),
     "in-the-header.nii": (content(nifti(start=(108, "f", (100,)))), "at byte 352 or later"),
     "placed-nan.nii": (content(nifti(code=(254, "h", (1,)), rows=(280, "f", (float("nan"),)))), "finite"),
     "spacing-nan.nii": (content(nifti(pixdim=(76, "8f", (1, float("nan"), *(1,) * 6)))), "finite"),
@@ -376,7 +379,10 @@ HOSTILE: dict[str, tuple[Maker, str]] = {
     "bits-8.tif": (tiff((258, 8)), "bytes of samples in each strip"),
     "bits-8-packed.tif": (tiff((258, 8), compression="zlib"), "bytes of samples in each strip"),
     "bits-of-another-page.ome.tif": (tiff((258, 8), which=1, ome=True, metadata={"axes": "ZYX"}), "one shape and type"),
-    "floats-of-another-page.ome.tif": (tiff((339, 1), which=2, data=DATA.view(np.int16), ome=True, metadata={"axes": "ZYX"}), "one shape and type"),
+    "floats-of-another-page.ome.tif": (
+        tiff((339, 1), which=2, data=DATA.view(np.int16), ome=True, metadata={"axes": "ZYX"}),
+        "one shape and type",
+    ),
     "narrow.tif": (tiff((256, 4)), "bytes of samples in each strip"),
     "narrow-packed.tif": (tiff((256, 4), compression="zlib"), "bytes of samples in each strip"),
     "wide.tif": (tiff((256, HUGE), (257, HUGE)), "StripByteCounts|strips or tiles"),
@@ -457,7 +463,7 @@ HOSTILE: dict[str, tuple[Maker, str]] = {
     "rows.png": (content(png(height=140)), "must hold 840 bytes of unpacked rows; found 24"),
     "shapes": (folder(a_png=png(), b_png=(lambda path: png_of(path, (3, 3)))), "one shape"),
     "kinds": (folder(a_png=png(), b_bmp=b""), "one kind"),
-}  # fmt: skip
+}
 
 if POSIX:
     HOSTILE |= {
@@ -571,7 +577,7 @@ SOUND: dict[str, Maker] = {
 
 @pytest.fixture(scope="module")
 def outcomes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[str, Any, float, int]]:
-    """What reading each file leads to; "died" for the one that ended the process. The sound ones come first: they import libraries."""
+    """What reading each file leads to; "died" for the one that ended the process. Sound ones come first: they import libraries."""
     for module in ("tifffile", "imagecodecs", "h5py", "zarr", "nibabel"):
         pytest.importorskip(module)
     root = tmp_path_factory.mktemp("hostile")
@@ -635,9 +641,11 @@ after = held()
 print(after[0] - before[0], after[1] - before[1])
 """
 
-OF_EACH = ("cut.npy", "checksum.npz", "checksum.nii.gz", "short.hdr", "type-9.mgh", "far-checksum.mgz", "bits-8-packed.tif", "round.tif",
-           "missing.ome.tif", "checksum.h5", "external.h5", "link.ims", "cut.zarr", "same-names.npz", "no-base64.vti", "checksum.vti",
-           "checksum.png", "shapes")  # fmt: skip
+OF_EACH = (
+    *("cut.npy", "checksum.npz", "same-names.npz", "checksum.nii.gz", "short.hdr", "type-9.mgh", "far-checksum.mgz"),
+    *("bits-8-packed.tif", "round.tif", "missing.ome.tif", "checksum.h5", "external.h5", "link.ims", "cut.zarr"),
+    *("no-base64.vti", "checksum.vti", "checksum.png", "shapes"),
+)
 
 
 def read_again(folder: Path, times: int) -> tuple[int, int]:
@@ -700,7 +708,7 @@ def test_logging_has_no_say(tmp_path: Path, silence: Callable[[], None]) -> None
     text = "ImageJ=1.54f\nimages=24\nslices=4\nframes=6\nhyperstack=true\n"
     tifffile.imwrite(tmp_path / "v.tif", DATA, description=text, metadata=None, photometric="minisblack", rowsperstrip=2)
     silence()
-    with pytest.raises(FormatError, match="damaged or unusual.*ImageJ"):
+    with pytest.raises(FormatError, match=r"damaged or unusual.*ImageJ"):
         clvol.read(tmp_path / "v.tif")
 
 

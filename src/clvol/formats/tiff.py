@@ -226,7 +226,8 @@ def _strict() -> Iterator[None]:
     if not isinstance(logger, _Overheard):  # for good: to change it back would deafen other threads
         logger.__class__ = type("Overheard", (_Overheard, type(logger)), {})
     before = getattr(_listening, "heard", None)
-    _listening.heard = heard = []
+    heard: list[FormatError] = []
+    _listening.heard = heard
     try:
         yield
     finally:
