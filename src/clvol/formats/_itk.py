@@ -19,6 +19,8 @@ from clvol.errors import DataError, FormatError
 from clvol.foreign import Content, from_simpleitk, simpleitk
 from clvol.formats._choice import Choice
 from clvol.formats._files import foreign_errors, require_default, scaled
+from clvol.formats._limits import announce
+from clvol.formats._wire import copied
 from clvol.volume import Volume
 from clvol.volumes import Leading, Volumes
 
@@ -45,6 +47,10 @@ class Header:
         What the values of a voxel are; "": the header does not say.
     timed : bool
         Whether the fourth axis is time.
+    bytes : int
+        Of the samples.
+    stored : int or None
+        Bytes of the file that holds them, where that is another.
     """
 
     size: tuple[int, ...]
@@ -54,6 +60,8 @@ class Header:
     offset: float = 0.0
     values: str = ""
     timed: bool = False
+    bytes: int = 0
+    stored: int | None = None
 
 
 def reason(error: Exception) -> str:
@@ -77,9 +85,10 @@ def quiet() -> Iterator[None]:
 def read_image(path: Path, image_io: str, header: Header, choose: Choice) -> Content:
     """Samples and geometry of what is chosen of a file that `header` was found sound for."""
     sitk = simpleitk()
+    announce(path.name, header.bytes, header.stored)
     with quiet(), foreign_errors(f"read {path}", reason):
         image = sitk.ReadImage(str(path), imageIO=image_io)
-    data, geometry = from_simpleitk(image, header.units)
+    data, geometry = from_simpleitk(image, header.units, copy=False)
     if sorted(n for n in data.shape if n > 1) != sorted(
         n for n in header.size if n > 1
     ):  # two readings of one header: trust neither
@@ -88,7 +97,7 @@ def read_image(path: Path, image_io: str, header: Header, choose: Choice) -> Con
         geometry["spacing"] = (float("nan"),) * len(geometry["spacing"])
     leading, guessed = _leading(geometry.pop("leading", {}), header)
     pick = choose(path.name, leading, guessed)
-    chosen = scaled(np.ascontiguousarray(data[pick.index]), header.slope, header.offset)
+    chosen = scaled(copied(data[pick.index]), header.slope, header.offset)
     return pick.finish(chosen), geometry | pick.about
 
 
