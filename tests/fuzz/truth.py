@@ -626,7 +626,8 @@ def _vti(files: Files, entry: str, _: object) -> Held | None:
     if order is None or not re.fullmatch(r"(UI|I)nt(8|16|32|64)|Float(32|64)", array.get("type", "")):
         return None
     dtype = np.dtype(array.get("type", "").lower()).newbyteorder(order)  # type: ignore[arg-type]
-    spacing = tuple(_reals(image.get("Spacing", "")))
+    spacing = tuple(_reals(image.get("Spacing", "1 1 1")))
+    _need(len(spacing) == 3, "Spacing")
     way = array.get("format")
     if way == "ascii":
         words = (array.text or "").split()
