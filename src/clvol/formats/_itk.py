@@ -128,7 +128,10 @@ def write_image(what: Volume | Volumes, path: Path, image_io: str, check: Callab
     except DataError as error:
         raise FormatError(str(error)) from error
     with quiet(), foreign_errors(f"write {path.name}", reason):
-        sitk.WriteImage(image, str(path), imageIO=image_io)
+        if path.suffix == ".nhdr":
+            _write_detached(sitk, image, path)
+        else:
+            sitk.WriteImage(image, str(path), imageIO=image_io)
         try:
             check(path)
         except FormatError as error:
@@ -141,3 +144,23 @@ def write_image(what: Volume | Volumes, path: Path, image_io: str, check: Callab
         ours, theirs = (np.asarray(getattr(one, f"Get{name}")()) for one in (image, reader))
         if ours.shape != theirs.shape or np.abs(ours - theirs).max() > _TOLERANCE * np.abs(ours).max():
             raise FormatError(f"the format cannot hold {name.lower()} {ours.tolist()}, it would become {theirs.tolist()}; .npz can")
+
+
+def _write_detached(sitk: Any, image: Any, path: Path) -> None:
+    """Write a NRRD header, and the samples beside it: ITK would keep their file open for good where the disk is full.
+
+    The header is that of an image of one sample on the same grid, with the sizes of this one.
+    """
+    one = sitk.Image([1] * image.GetDimension(), image.GetPixelID(), image.GetNumberOfComponentsPerPixel())
+    one.SetSpacing(image.GetSpacing())
+    one.SetOrigin(image.GetOrigin())
+    one.SetDirection(image.GetDirection())
+    samples, whole = path.with_suffix(".raw"), path.with_suffix(".nrrd")
+    sitk.WriteImage(one, str(whole), imageIO="NrrdImageIO")
+    head = whole.read_bytes().partition(b"\n\n")[0]
+    whole.unlink()
+    data = sitk.GetArrayViewFromImage(image)
+    sizes = f"sizes: {' '.join(map(str, data.shape[::-1]))}".encode()
+    path.write_bytes(re.sub(rb"(?m)^sizes: .*$", sizes, head) + f"\ndata file: {samples.name}\n".encode())
+    with samples.open("wb") as stream:
+        data.tofile(stream)
