@@ -23,7 +23,7 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=1000, help="mutants a format")
     parser.add_argument("--seconds", type=float, help="go on for so long instead")
     parser.add_argument("--first", type=int, help="first seed; default 0, or with --seconds one that is new")
-    parser.add_argument("--untrusted", action="store_true", help="read as files from outside are read, in a child process where it is so")
+    parser.add_argument("--trusted", action="store_true", help="read in one process what native code reads: finds what a child process survives")
     parser.add_argument("--results", type=Path, help="a JSON file, in which the rows of the formats are replaced")
     parser.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir()) / "clvol-fuzz", help="where inputs go that broke a promise")
     given = parser.parse_args()
@@ -40,7 +40,7 @@ def main() -> int:
             if end is not None and time.monotonic() > end:
                 break
             try:
-                tally = fuzz(kind, range(first, first + (_CHUNK if end else given.count)), given.keep, trusted=not given.untrusted)
+                tally = fuzz(kind, range(first, first + (_CHUNK if end else given.count)), given.keep, trusted=given.trusted)
             except ImportError as error:
                 print(f"{kind:<12}left out: {error}", flush=True)
                 missing.add(kind)

@@ -108,7 +108,7 @@ class Tally:
             found[0] += count
 
 
-def fuzz(kind: str, seeds: Sequence[int], keep: Path, *, trusted: bool = True) -> Tally:
+def fuzz(kind: str, seeds: Sequence[int], keep: Path, *, trusted: bool = False) -> Tally:
     """What becomes of the mutants of these seeds; inputs that break a promise are kept in a folder."""
     samples = list(CORPORA[kind]())
     total = Tally(kind)
@@ -201,6 +201,7 @@ def _child(kind: str, samples: list[Sample], seeds: list[int], keep: Path, trust
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     for sample in samples:  # what is imported once, and that the corpus is sound; threads do not live on in a fork
         _warm(kind, sample, trusted)
+    family = _Family()
     tally = Tally(kind)
     steady: tuple[float, int] | None = None
     for n, seed in enumerate(seeds):
@@ -208,7 +209,7 @@ def _child(kind: str, samples: list[Sample], seeds: list[int], keep: Path, trust
         mutated, original = mutant(samples, kind, seed)
         here = folder / "files"
         _save(mutated, here)
-        if not _one(mutated, original, kind, seed, here, trusted, tally):
+        if not _one(mutated, original, kind, seed, here, trusted, tally, family):
             _save(mutated, keep / f"{kind}-{seed}")
         tally.tried += 1
         if n == _WARM:
@@ -227,8 +228,8 @@ def _held() -> tuple[float, int]:
     return _status("VmRSS") / 1e6, len(os.listdir("/proc/self/fd"))
 
 
-def _status(name: str) -> int:
-    for line in Path("/proc/self/status").read_text().splitlines():
+def _status(name: str, process: str = "self") -> int:
+    for line in Path(f"/proc/{process}/status").read_text().splitlines():
         if line.startswith(name + ":"):
             return int(line.split()[1]) * 1024
     return 0
@@ -252,12 +253,53 @@ def _read(folder: Path, sample: Sample, trusted: bool) -> Any:
     return clvol.read(path, **sample.options, **how) if sample.options else clvol.read_all(path, **how)
 
 
-def _one(mutated: Sample, original: Sample, kind: str, seed: int, folder: Path, trusted: bool, tally: Tally) -> bool:
+class _Family:
+    """This process and the one that reads for it, if there is one: what both take."""
+
+    def __init__(self) -> None:
+        self._children = self._found()
+        self._any = bool(self._children)
+        self._before: dict[str, float] = {}
+        self._spent = 0.0
+
+    def begin(self) -> None:
+        """From here on time and memory count."""
+        if self._any and not all(Path(f"/proc/{child}").exists() for child in self._children):
+            self._children = self._found()
+        self._before = {}
+        for process in ("self", *self._children):
+            with contextlib.suppress(OSError):
+                Path(f"/proc/{process}/clear_refs").write_text("5")  # the peak begins anew
+                self._before[process] = _status("VmRSS", process)
+        self._spent = self._processor_time()
+
+    def end(self) -> tuple[float, float]:
+        """Seconds of processor time, and the most megabytes that one of them took beyond what it had."""
+        peaks = [0.0]
+        for process, before in self._before.items():
+            with contextlib.suppress(OSError):
+                peaks.append((_status("VmHWM", process) - before) / 1e6)
+        return max(0.0, self._processor_time() - self._spent), max(peaks)
+
+    def _processor_time(self) -> float:
+        return time.process_time() + sum(_processor_time(int(child)) for child in self._children)
+
+    @staticmethod
+    def _found() -> list[str]:
+        me, found = os.getpid(), []
+        for folder in Path("/proc").glob("[0-9]*"):
+            with contextlib.suppress(OSError):
+                if int((folder / "stat").read_text().rpartition(")")[2].split()[1]) == me:
+                    found.append(folder.name)
+        return found
+
+
+def _one(
+    mutated: Sample, original: Sample, kind: str, seed: int, folder: Path, trusted: bool, tally: Tally, family: _Family
+) -> bool:
     """Whether the reader keeps its promises for this input."""
     result, wrong = None, []
-    with contextlib.suppress(OSError):
-        Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
-    before, start = _status("VmRSS"), time.process_time()
+    family.begin()
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         try:
@@ -267,7 +309,7 @@ def _one(mutated: Sample, original: Sample, kind: str, seed: int, folder: Path, 
         except Exception as error:
             where = traceback.extract_tb(error.__traceback__)[-1]
             wrong.append(("foreign", f"{type(error).__name__} in {Path(where.filename).name}:{where.name}"))
-    seconds, peak = time.process_time() - start, (_status("VmHWM") - before) / 1e6
+    seconds, peak = family.end()
     tally.slowest_s, tally.peak_mb = max(tally.slowest_s, seconds), max(tally.peak_mb, peak)
     if seconds > SECONDS:
         wrong.append(("hangs", f"more than {SECONDS:g} s"))
