@@ -16,6 +16,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from clvol.errors import ClvolError, FormatError
 from clvol.foreign import Content, held_as
+from clvol.formats._limits import require_expansion
 from clvol.volume import Volume
 
 __all__ = [
@@ -37,8 +38,6 @@ Reader = Callable[..., Content]
 Writer = Callable[[Volume, Path], None]
 
 _CHUNK = 1 << 20
-_EXPANSION = 200  # bytes of samples for one of a file; masks that are nearly all zero have more, but not by the gigabyte
-_UNQUESTIONED = 1 << 30  # bytes of samples that any file may stand for: arrays of HDF5 and Zarr need not store their zeros
 
 
 @contextmanager
@@ -87,15 +86,6 @@ def require_bytes(source: object, found: int, shape: Sequence[int], dtype: DType
     if found < expected or (exact and found != expected):
         raise FormatError(
             f"{source} must hold {expected} bytes of samples for shape {tuple(shape)} and dtype {np.dtype(dtype)}; found {found}"
-        )
-
-
-def require_expansion(source: object, needed: int, stored: int) -> None:
-    """Raise before memory is asked for if `stored` bytes stand for an absurd number of bytes of samples."""
-    allowed = max(_UNQUESTIONED, _EXPANSION * stored)
-    if needed > allowed:
-        raise FormatError(
-            f"{source} must hold up to {allowed} bytes of samples, {_EXPANSION} for each of its {stored}; its header says {needed}"
         )
 
 

@@ -19,7 +19,7 @@ from clvol.errors import DataError, FormatError
 from clvol.foreign import Content, from_simpleitk, simpleitk
 from clvol.formats._choice import Choice
 from clvol.formats._files import foreign_errors, require_default, scaled
-from clvol.formats._limits import announce
+from clvol.formats._limits import announce, require_expansion
 from clvol.formats._wire import copied
 from clvol.volume import Volume
 from clvol.volumes import Leading, Volumes
@@ -49,8 +49,8 @@ class Header:
         Whether the fourth axis is time.
     bytes : int
         Of the samples.
-    stored : int or None
-        Bytes of the file that holds them, where that is another.
+    stored : int
+        Bytes of the file that holds them.
     """
 
     size: tuple[int, ...]
@@ -61,7 +61,7 @@ class Header:
     values: str = ""
     timed: bool = False
     bytes: int = 0
-    stored: int | None = None
+    stored: int = 0
 
 
 def reason(error: Exception) -> str:
@@ -85,7 +85,8 @@ def quiet() -> Iterator[None]:
 def read_image(path: Path, image_io: str, header: Header, choose: Choice) -> Content:
     """Samples and geometry of what is chosen of a file that `header` was found sound for."""
     sitk = simpleitk()
-    announce(path.name, header.bytes, header.stored)
+    require_expansion(path.name, header.bytes, header.stored)
+    announce(path.name, header.bytes)
     with quiet(), foreign_errors(f"read {path}", reason):
         image = sitk.ReadImage(str(path), imageIO=image_io)
     data, geometry = from_simpleitk(image, header.units, copy=False)

@@ -69,7 +69,7 @@ def read(path: Path, choose: Choice, series: int | str | None = None, level: int
         samples = image.data  # bioio-czi 3.0 gives one colour for all three where it reads parts
         return np.asarray((samples[..., ::-1] if path.suffix.lower() in _BLUE_FIRST else samples)[index])
 
-    data, chosen = layout.chosen(path.name, choose, load, leading)
+    data, chosen = layout.chosen(path.name, choose, load, image.dtype, leading)
     sizes_um = {axis: getattr(image.physical_pixel_sizes, axis.upper()) for axis in "xyz"}
     known: dict[str, Any] = {"space": "image", "name": listed[number].id if len(listed) > 1 else ""}
     if any(sizes_um.values()):

@@ -47,7 +47,9 @@ def read(path: Path, choose: Choice, series: int | str | None = None) -> Content
         by_axis = {axis: lines[i] for i, axis in enumerate(layout.axes) if i in lines}
         units_by_axis = {axis: units[i] for i, axis in enumerate(layout.axes) if i in units}
         space = {"space": "image"} if "um" in units_by_axis.values() else {}
-        data, chosen = layout.chosen(path.name, choose, lambda index: decoded(loaded(path.name, array, index), dict(array.attrs)), leading)
+        data, chosen = layout.chosen(
+            path.name, choose, lambda index: decoded(loaded(path.name, array, index), dict(array.attrs)), array.dtype, leading
+        )
         known = {"name": array.name.rpartition("/")[2]} | space | place(layout, by_axis, units_by_axis)
     return data, known | chosen
 
@@ -169,11 +171,13 @@ def _is_of_itk(array: Any) -> bool:
 
 def _itk(source: str, array: Any, choose: Choice) -> Content:
     """An image as ITK stores it: rows of ``Directions`` are where its axes go, x first; components come last."""
-    about = {name: np.asarray(loaded(source, member(array.parent, name)), np.float64) for name in ("Spacing", "Origin", "Directions")}
+    about = {
+        name: np.asarray(loaded(source, member(array.parent, name)), np.float64) for name in ("Spacing", "Origin", "Directions")
+    }
     d = len(about["Spacing"])
     words = [*"zyx"[3 - d :], *("channel",) * (array.ndim - d)] if d in (2, 3) else []
     layout: Layout = lay_out(source, words, array.shape)
     leading = Leading(layout.leading, layout.counts, vector="channel" in layout.leading and array.dtype.kind == "f")
-    data, chosen = layout.chosen(source, choose, lambda index: loaded(source, array, index), leading)
+    data, chosen = layout.chosen(source, choose, lambda index: loaded(source, array, index), array.dtype, leading)
     known = {"spacing": about["Spacing"], "origin": about["Origin"], "direction": about["Directions"].T, "space": "LPS"}
     return data, known | chosen

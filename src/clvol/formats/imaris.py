@@ -28,9 +28,10 @@ def read(path: Path, choose: Choice, level: int = 0) -> Content:
         sizes = [_size(_numbered(_numbered(one, "TimePoint")[0], "Channel")[0]) for one in levels]
         number = chosen_level(path.name, sizes, level)
         times, size = _numbered(levels[number], "TimePoint"), sizes[number]
-        channels = len(_numbered(times[0], "Channel"))
+        first = _numbered(times[0], "Channel")
+        channels, dtype = len(first), member(first[0], "Data").dtype
         layout = Layout(("time" * (len(times) > 1), "channel", "z", "y", "x"), (len(times), channels, *size))
-        data, chosen = layout.chosen(path.name, choose, lambda index: _load(times, size, index), _leading(file, layout))
+        data, chosen = layout.chosen(path.name, choose, lambda index: _load(times, size, index), dtype, _leading(file, layout))
         about = member(member(file, "DataSetInfo"), "Image")
         low, high = (np.array([float(_text(about, f"Ext{end}{i}")) for i in range(3)]) for end in ("Min", "Max"))
         unit = unit_name(_text(about, "Unit", "um"))
@@ -62,7 +63,10 @@ def _load(times: list[Any], size: tuple[int, ...], index: tuple[int | slice, ...
     def some(nodes: list[Any], at: int | slice) -> list[Any]:
         return nodes[at] if isinstance(at, slice) else [nodes[at]]
 
-    taken = [[loaded(channel.name, member(channel, "Data"), box) for channel in some(_numbered(time, "Channel"), at_channel)] for time in some(times, at_time)]
+    taken = [
+        [loaded(channel.name, member(channel, "Data"), box) for channel in some(_numbered(time, "Channel"), at_channel)]
+        for time in some(times, at_time)
+    ]
     kept = tuple(slice(None) if isinstance(at, slice) else 0 for at in (at_time, at_channel))
     return np.asarray(np.asarray(taken)[(*kept, *grid)])
 

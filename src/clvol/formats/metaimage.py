@@ -66,7 +66,7 @@ def check(path: Path) -> _itk.Header:
         fields = _fields(stream, path.name)
         size, dtype = _layout(fields, path.name)
         file = fields["ElementDataFile"]
-        expected, stored = math.prod(size) * np.dtype(dtype).itemsize, None
+        expected, stored = math.prod(size) * np.dtype(dtype).itemsize, path.stat().st_size
         if file.upper() == "LOCAL":
             found = _samples(stream, fields, path, expected)
         else:

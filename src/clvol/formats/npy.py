@@ -95,7 +95,7 @@ def _chosen(data: NDArray[Any], leading: Leading | None, about: dict[str, Any], 
     """The volumes that are chosen of an array; what the axes of four and more count is guessed if nothing says it."""
     if leading is None and data.ndim > 3 and 0 not in data.shape:
         samples, known = lay_out(name, unnamed(data.shape, data.dtype), data.shape, asked=choose.given).chosen(
-            name, choose, data.__getitem__
+            name, choose, data.__getitem__, data.dtype
         )
         return samples, about | known
     pick = choose(name, leading or Leading())

@@ -65,7 +65,7 @@ def check(path: Path) -> _itk.Header:
         fields = _fields(stream, path.name)
         size, dtype = _layout(fields, path.name)
         expected = math.prod(size) * np.dtype(dtype).itemsize
-        stored = None
+        stored = path.stat().st_size
         if "data file" in fields:
             place = data_path(path, fields["data file"])
             stored = place.stat().st_size

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from pathlib import Path
@@ -10,9 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import DataError, FormatError
+from clvol.errors import ClvolError, DataError, FormatError
 from clvol.formats import tiff
 from clvol.formats._choice import Choice
+from clvol.formats._limits import announce
+from clvol.formats._wire import empty
 from clvol.interop import Content
 from clvol.volumes import Leading
 
@@ -53,7 +56,8 @@ def read_folder(path: Path, choose: Choice) -> Content:
     guess = f"its {len(files)} images ({between}) were taken for slices in the order of their names, 1 apart: spacing= replaces it"
     pick = choose(path.name, leading, guess)
     taken = first[pick.index]
-    data = np.empty((*taken.shape[:-2], len(files), *taken.shape[-2:]), first.dtype)
+    announce(path.name, taken.nbytes * len(files))
+    data = empty((*taken.shape[:-2], len(files), *taken.shape[-2:]), first.dtype)
     for i, file in enumerate(files):
         samples = _slice(file)[0] if i else first
         if samples.shape != first.shape or samples.dtype != first.dtype:
@@ -97,7 +101,11 @@ def _picture(path: Path) -> tuple[NDArray[Any], Leading]:
     try:
         with iio.imopen(path, "r", plugin="pillow") as file:
             mode = file.metadata(index=0)["mode"]
+            about = file.properties(index=0)
+            announce(path.name, math.prod(about.shape) * about.dtype.itemsize)
             samples = np.asarray(file.read(index=0, **({} if mode in (*_MODES, "P") else {"mode": "RGB"})))
+    except ClvolError:
+        raise
     except (OSError, SyntaxError, ValueError) as error:  # imageio's own words are of plug-ins
         raise FormatError(f"cannot read {path}: it is damaged, or no image that imageio reads") from error
     if samples.ndim == 2:

@@ -26,6 +26,7 @@ from clvol.formats._directories import Directory, directories, segments
 from clvol.formats._files import inflated_size, require_default, require_expansion, sample_count, scaled, storable
 from clvol.formats._layout import Layout, lay_out
 from clvol.formats._units import METRES, scale, unit_name
+from clvol.formats._wire import copied, empty
 from clvol.interop import Content
 from clvol.volume import Volume
 from clvol.volumes import Leading, Volumes
@@ -74,12 +75,16 @@ def read(path: Path, choose: Choice, series: int | str | None = None, level: int
         image = levels[chosen_level(path.name, [one.shape for one in levels], level)]
         kind = file.series[number].kind.lower()  # not what the file says it is: that may not fit its pages
         about = (
-            _ome(file.ome_metadata, number, len(file.series), image.dtype) if kind == "ome" else _imagej(file) if kind == "imagej" else _About()
+            _ome(file.ome_metadata, number, len(file.series), image.dtype)
+            if kind == "ome"
+            else _imagej(file)
+            if kind == "imagej"
+            else _About()
         )
         layout, leading = _laid_out(path.name, image, about, choose)
         if image.dtype is None or image.dtype.kind not in "biuf":
             raise DataError(f"{path.name} must hold real numbers; got dtype {image.dtype}")
-        data, known = layout.chosen(path.name, choose, lambda index: _load(path.name, file, image, index), leading)
+        data, known = layout.chosen(path.name, choose, lambda index: _load(path.name, file, image, index), image.dtype, leading)
         full, small = (one.get_shape(squeeze=False) for one in (levels[0], image))
         shrunk = {axis: n / m for axis, n, m in zip(image.get_axes(squeeze=False), full, small, strict=True)}
         name = file.series[number].name if len(file.series) > 1 else ""
@@ -196,7 +201,7 @@ _listening = threading.local()
 class _Overheard:
     """Of a `logging.Logger`: what one thread wants to hear is raised there, whatever the program has set or switched off."""
 
-    def isEnabledFor(self, level: int) -> bool:  # noqa: N802  # logging's name
+    def isEnabledFor(self, level: int) -> bool:  # logging's name
         heard = getattr(_listening, "heard", None) is not None and level >= logging.WARNING
         return heard or super().isEnabledFor(level)  # type: ignore[misc]  # of the class that it is mixed into
 
@@ -274,18 +279,20 @@ def _load(name: str, file: Any, image: Any, index: tuple[int | slice, ...]) -> N
         numbers = np.arange(len(image)).reshape(shape[:split])[index[:split]]
         keys = [int(n) for n in np.ravel(numbers)]
         _check_samples(name, [image[key] for key in keys], image.keyframe, len(keys) * image.keyframe.size)
-        samples = file.asarray(key=keys, series=image).reshape(np.shape(numbers) + tuple(shape[split:]))
+        into = empty((len(keys), image.keyframe.size), image.dtype)
+        samples = file.asarray(key=keys, series=image, out=into).reshape(np.shape(numbers) + tuple(shape[split:]))
         return np.asarray(samples[(slice(None),) * np.ndim(numbers) + index[split:]])
     _check_samples(name, list(image), image.keyframe, sample_count(shape))
     if image.dataoffset is not None and image.transform is None and image.keyframe.is_memmappable:
         mapped = file.filehandle.memmap_array(file.byteorder + image.dtype.char, shape, image.dataoffset)
-        return np.array(mapped[index])  # a copy: the file may change
-    return np.asarray(image.asarray().reshape(shape)[index])
+        return copied(mapped[index])  # the file may change
+    return np.asarray(image.asarray(out=empty(shape, image.dtype)).reshape(shape)[index])
 
 
 def _check_samples(name: str, pages: Sequence[Any], keyframe: Any, count: int) -> None:
     """Raise if samples lie past the end of the file, a slice is missing or stored otherwise than tifffile takes it: it would give
-    zeros, or other numbers. Nothing is allocated before that."""
+    zeros, or other numbers. Nothing is allocated before that.
+    """
     files = {page.parent.filehandle.path: page.parent.filehandle.size for page in pages if page is not None}
     walked = {file: _directories_of(Path(file)) for file in files}
     first = walked.get(keyframe.parent.filehandle.path, {}).get(keyframe.offset)

@@ -16,6 +16,7 @@ from clvol.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._choice import Choice, Series, chosen_series
 from clvol.formats._files import sample_count
 from clvol.formats._layout import lay_out
+from clvol.formats._limits import announce
 from clvol.interop import Content
 from clvol.volumes import Leading
 
@@ -55,6 +56,7 @@ def read(path: Path, choose: Choice, series: int | str | None = None) -> Content
             selection.DisableAllArrays()
             if kind == array.kind:
                 selection.EnableArray(array.name)
+        announce(path.name, sample_count(array.shape) * array.components * np.dtype(array.dtype).itemsize)
         reader.Update()
         image = reader.GetOutput()
         found = getattr(image, f"Get{array.kind}Data")().GetArray(array.name)
@@ -73,7 +75,7 @@ def read(path: Path, choose: Choice, series: int | str | None = None) -> Content
         {"channel": names} if channels > 1 and all(names) else {},
         vector=channels in (2, 3) and data.dtype.kind == "f",
     )
-    data, chosen = layout.chosen(path.name, choose, lambda index: data[index], leading)
+    data, chosen = layout.chosen(path.name, choose, lambda index: data[index], data.dtype, leading)
     spacing, extent = np.array(image.GetSpacing()), np.array(image.GetExtent()).reshape(3, 2)
     matrix = image.GetDirectionMatrix()
     direction = np.array([[matrix.GetElement(i, j) for j in range(3)] for i in range(3)])

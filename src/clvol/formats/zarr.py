@@ -177,7 +177,7 @@ def _multiscale(source: str, image: _Image, level: int, choose: Choice) -> Conte
     known: dict[str, Any] = {"space": "image"} | place(layout, lines, units)
     if image.labels:
         known["labels"] = _labels(about) or True
-    data, chosen = layout.chosen(source, choose, lambda index: array[index], _leading(layout, channels))
+    data, chosen = layout.chosen(source, choose, lambda index: array[index], array.dtype, _leading(layout, channels))
     return data, known | chosen
 
 
@@ -229,7 +229,7 @@ def _plain(source: str, image: _Image, choose: Choice) -> Content:
             lines[axis] = uniform(values[:]) or (0.0, float("nan") if values.shape[0] > 1 else 1.0)
             units[axis] = str(values.attrs.get("units", ""))
     leading = layout.channels_of(array.dtype) if words[-1:] == ["channel"] and not named else None
-    data, chosen = layout.chosen(source, choose, lambda index: decoded(array[index], dict(array.attrs)), leading)
+    data, chosen = layout.chosen(source, choose, lambda index: decoded(array[index], dict(array.attrs)), array.dtype, leading)
     return data, {"name": image.id.rpartition("/")[2].strip(".")} | place(layout, lines, units) | chosen
 
 
