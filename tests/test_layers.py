@@ -13,7 +13,7 @@ LAYERS = [
     "errors moved memory checks rounding uniform files picture display foreign interop filter boundary missing noise volume volumes "
     "smoothing stored camera color light scaling histogram palette preset transfer mode look scene fit transform",
     "reference response phantoms formats",
-    "intel processor opencl program device",
+    "cache intel processor probe opencl program device",
     "spline",
     "ndimage",
     "interpolator resizing torch xarray",

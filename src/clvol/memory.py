@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import math
 import os
 import sys
 import threading
@@ -30,6 +31,7 @@ _KEPT = 32 * _MIB  # of what is available, for the small things that nobody asks
 _SECONDS = 0.1  # for which an answer is kept
 _ADDRESSABLE = (1 << 31) - 1  # samples along an axis: OpenCL's int
 _UNLIMITED = sys.maxsize
+_WIDEST = 16  # bytes of a sample
 
 
 class Room(NamedTuple):
@@ -90,9 +92,12 @@ def require(nbytes: int, what: str) -> None:
 
 
 def require_addressable(what: str, shape: tuple[int, ...]) -> None:
-    """Raise `OutOfMemoryError` for more samples along an axis than kernels can count."""
-    if max(shape, default=0) > _ADDRESSABLE:
-        raise OutOfMemoryError(f"out of memory: {what} must have at most {_ADDRESSABLE} samples along each axis; got shape {shape}")
+    """Raise `OutOfMemoryError` for more samples along an axis than kernels can count, or more of them than can have addresses."""
+    if max(shape, default=0) > _ADDRESSABLE or math.prod(shape) > _UNLIMITED // _WIDEST:
+        raise OutOfMemoryError(
+            f"out of memory: {what} must have at most {_ADDRESSABLE} samples along each axis, and {_UNLIMITED // _WIDEST} in all; "
+            f"got shape {shape}"
+        )
 
 
 # -- what sets limits ----------------------------------------------------------------------------------------------
