@@ -146,7 +146,7 @@ def _tiff_fields(content: bytes) -> Iterator[Field]:
             (at,) = struct.unpack_from(order + word, content, first + entry * entries)
             if not at:
                 return
-    except struct.error:
+    except (struct.error, OverflowError):
         return
 
 

@@ -163,6 +163,7 @@ def _mgh(files: Files, entry: str, _: object) -> Held:
     version, *counts, kind, _dof, good = struct.unpack_from(">7ih", content)
     dtype = {0: ">u1", 1: ">i4", 3: ">f4", 4: ">i2"}.get(kind)
     _need(version == 1 and dtype and min(counts) > 0, "version, type or size")
+    good = max(good, -good)  # nibabel looks whether it is 0
     data = _shaped(content[284:], np.dtype(dtype), tuple(counts), "F", exact=False)
     delta, turn = np.array((1.0, 1.0, 1.0)), np.eye(3)
     if good > 0:
@@ -417,12 +418,12 @@ def _directories(content: bytes) -> Iterator[dict[int, tuple[Any, ...]]]:
                 if tag not in tags:
                     try:
                         tags[tag] = struct.unpack_from(code, content, value)
-                    except struct.error:
+                    except (struct.error, OverflowError):
                         if tag in _NEEDED:
                             raise
             yield tags
             (at,) = struct.unpack_from(order + word, content, first + entry * entries)
-    except struct.error as error:
+    except (struct.error, OverflowError) as error:
         raise Damaged(str(error)) from error
 
 
