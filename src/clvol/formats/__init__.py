@@ -133,16 +133,7 @@ FORMATS = (
         native=("h5py",),
     ),
     Format("Imaris", (".ims",), imaris.read, None, frozenset({"level"}), several=True, native=("h5py",)),
-    Format(
-        "VTK image data",
-        (".vti",),
-        vti.read,
-        None,
-        frozenset({"series"}),
-        several=True,
-        series=vti.series,
-        native=("vtkmodules.vtkIOXML", "vtkmodules.util.numpy_support"),
-    ),
+    Format("VTK image data", (".vti",), vti.read, None, frozenset({"series"}), several=True, series=vti.series),
     Format(
         "microscope makers' files",
         bioio.SUFFIXES,

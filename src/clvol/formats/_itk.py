@@ -19,7 +19,7 @@ from clvol.errors import DataError, FormatError
 from clvol.foreign import Content, from_simpleitk, simpleitk
 from clvol.formats._choice import Choice
 from clvol.formats._files import foreign_errors, require_default, scaled
-from clvol.formats._limits import announce, require_expansion
+from clvol.formats._limits import announce
 from clvol.formats._wire import copied
 from clvol.volume import Volume
 from clvol.volumes import Leading, Volumes
@@ -85,8 +85,7 @@ def quiet() -> Iterator[None]:
 def read_image(path: Path, image_io: str, header: Header, choose: Choice) -> Content:
     """Samples and geometry of what is chosen of a file that `header` was found sound for."""
     sitk = simpleitk()
-    require_expansion(path.name, header.bytes, header.stored)
-    announce(path.name, header.bytes)
+    announce(path.name, header.bytes, header.stored)
     with quiet(), foreign_errors(f"read {path}", reason):
         image = sitk.ReadImage(str(path), imageIO=image_io)
     data, geometry = from_simpleitk(image, header.units, copy=False)

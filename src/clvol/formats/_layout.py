@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, DTypeLike, NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from clvol.errors import DataError
 from clvol.formats._choice import Choice
 from clvol.formats._files import scaled
-from clvol.formats._limits import announce
 from clvol.formats._units import scale, unit_name
 from clvol.interop import Content
 from clvol.volumes import AXES, Leading
@@ -85,22 +84,13 @@ class Layout:
         return [values.get(axis, default) for axis in "xyz" if axis in self.axes]
 
     def chosen(
-        self,
-        source: str,
-        choose: Choice,
-        load: Callable[[tuple[int | slice, ...]], NDArray[Any]],
-        dtype: DTypeLike,
-        leading: Leading | None = None,
+        self, source: str, choose: Choice, load: Callable[[tuple[int | slice, ...]], NDArray[Any]], leading: Leading | None = None
     ) -> Content:
-        """The samples that `choose` takes, [..., z, y, x], and what is known of them; `load` gives the array, of `dtype`, at an
-        index: not before there is room for it.
-        """
+        """The samples that `choose` takes, [..., z, y, x], and what is known of them; `load` gives the array at an index."""
         pick = choose(source, leading or Leading(self.leading, self.counts), self.guessed)
         taken = dict(zip(self.leading, pick.index, strict=True))
         index = tuple(taken.get(axis, slice(None) if axis else 0) for axis in self.axes)
         left = [axis for axis, place in zip(self.axes, index, strict=True) if isinstance(place, slice)]
-        counts = [n for n, place in zip(self.shape, index, strict=True) if isinstance(place, slice)]
-        announce(source, math.prod(counts) * np.dtype(dtype).itemsize)
         order = sorted(
             left, key=lambda axis: ("z", "y", "x").index(axis) + len(AXES) if axis in "zyx" else self.leading.index(axis)
         )

@@ -13,7 +13,7 @@ from clvol.checks import number
 from clvol.errors import FormatError, OutOfMemoryError
 from clvol.memory import available
 
-__all__ = ["Budget", "Limits", "announce", "limited", "require_expansion", "size_of"]
+__all__ = ["Budget", "Limits", "announce", "is_trusted", "limited", "size_of"]
 
 _MIB = 1 << 20
 _GIB = 1 << 30
@@ -116,29 +116,15 @@ def limited(budget: Budget | None) -> Iterator[None]:
         _budget.reset(token)
 
 
-def require_expansion(source: object, needed: int, stored: int) -> None:
-    """Raise before memory is asked for if `stored` bytes stand for an absurd number of bytes of samples.
-
-    Raises
-    ------
-    FormatError
-        The samples are larger than 1 GiB, and so many times as large as what is stored that the limits do not allow it.
-    """
-    budget = _budget.get()
-    if budget is None:
-        return
-    allowed = max(_GIB, int(min(budget.limits.expansion, 1e9)) * stored)
-    if needed > allowed:
-        raise FormatError(
-            f"{source} must hold up to {allowed} bytes of samples, {budget.limits.expansion:g} for each of its {stored} "
-            f"(Limits.expansion); its header says {needed}; {MORE}"
-        )
+def is_trusted() -> bool:
+    """Whether what is being read is held to no limits."""
+    return _budget.get() is None
 
 
-def announce(source: str, needed: int) -> None:
+def announce(source: str, needed: int, stored: int | None = None) -> None:
     """Say how many bytes the samples of a file will take, before they are allocated.
 
-    Every reader of native code calls it once it knows: its process gets memory and time by it.
+    Every reader calls it once it knows; libraries that run in a process of their own get memory and time by it.
 
     Parameters
     ----------
@@ -146,6 +132,8 @@ def announce(source: str, needed: int) -> None:
         The name of the file, for messages.
     needed : int
         Bytes of the samples that will be read.
+    stored : int, optional
+        Bytes of the file that holds them, if that is not the one that is being read.
 
     Raises
     ------
@@ -155,11 +143,20 @@ def announce(source: str, needed: int) -> None:
         They do not fit into the memory that is available.
     """
     budget = _budget.get()
-    room = available() if budget is None else budget.room
-    if budget is not None and budget.limits.bytes is not None and needed > budget.limits.bytes:
-        raise FormatError(
-            f"the samples of {source} must take at most {budget.limits.bytes} bytes (Limits.bytes); its header says {needed}; {MORE}"
-        )
+    if budget is None:
+        room = available()
+    else:
+        room, limits = budget.room, budget.limits
+        if limits.bytes is not None and needed > limits.bytes:
+            raise FormatError(
+                f"the samples of {source} must take at most {limits.bytes} bytes (Limits.bytes); its header says {needed}; {MORE}"
+            )
+        held = budget.stored if stored is None else stored
+        if held is not None and needed > max(_GIB, limits.expansion * held):
+            raise FormatError(
+                f"{source} must hold up to {limits.expansion:g} bytes of samples for each of its {held} (Limits.expansion), "
+                f"if they are more than 1 GiB; its header says {needed}; {MORE}"
+            )
     if needed > room:
         raise OutOfMemoryError(
             f"out of memory: the samples of {source} must fit into the {room // _MIB} MiB that are available; "

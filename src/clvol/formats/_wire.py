@@ -182,7 +182,7 @@ def send(peer: socket.socket, name: str, box: list[Any]) -> None:
         sent = socket.send_fds(peer, [head], handed) if handed else 0
         peer.sendall(head[sent:] + text)
         for blob in blobs:
-            peer.sendall(memoryview(blob.reshape(-1).view(np.uint8)))
+            peer.sendall(blob.reshape(-1).view(np.uint8).data)
     finally:
         for fd in handed:
             os.close(fd)
@@ -240,6 +240,8 @@ def receive(peer: socket.socket, wait: Callable[[], None]) -> tuple[str, Any]:
             name, packed, places = json.loads(bytes(_received(peer, np.empty(length, np.uint8), wait)))
         except (TypeError, ValueError, RecursionError) as error:
             raise WireError(f"{type(error).__name__}: {error}") from error
+        if not isinstance(places, list):
+            raise WireError("no list of places")
         turn = iter(places)
 
         def take(dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
@@ -265,7 +267,7 @@ def receive(peer: socket.socket, wait: Callable[[], None]) -> tuple[str, Any]:
 
 
 def _received(peer: socket.socket, into: NDArray[np.uint8], wait: Callable[[], None]) -> NDArray[Any]:
-    view, done = memoryview(into), 0
+    view, done = into.data, 0
     while done < len(view):
         wait()
         count = peer.recv_into(view[done:])

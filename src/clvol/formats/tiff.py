@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 from clvol.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
 from clvol.formats._directories import Directory, directories, segments
-from clvol.formats._files import inflated_size, require_default, require_expansion, sample_count, scaled, storable
+from clvol.formats._files import inflated_size, require_default, sample_count, scaled, storable
 from clvol.formats._layout import Layout, lay_out
+from clvol.formats._limits import announce
 from clvol.formats._units import METRES, scale, unit_name
 from clvol.formats._wire import copied, empty
 from clvol.interop import Content
@@ -84,7 +85,7 @@ def read(path: Path, choose: Choice, series: int | str | None = None, level: int
         layout, leading = _laid_out(path.name, image, about, choose)
         if image.dtype is None or image.dtype.kind not in "biuf":
             raise DataError(f"{path.name} must hold real numbers; got dtype {image.dtype}")
-        data, known = layout.chosen(path.name, choose, lambda index: _load(path.name, file, image, index), image.dtype, leading)
+        data, known = layout.chosen(path.name, choose, lambda index: _load(path.name, file, image, index), leading)
         full, small = (one.get_shape(squeeze=False) for one in (levels[0], image))
         shrunk = {axis: n / m for axis, n, m in zip(image.get_axes(squeeze=False), full, small, strict=True)}
         name = file.series[number].name if len(file.series) > 1 else ""
@@ -313,7 +314,7 @@ def _check_samples(name: str, pages: Sequence[Any], keyframe: Any, count: int) -
     stored = sum(files.values())
     if keyframe.compression == 1 and count * int(np.min(keyframe.bitspersample)) > 8 * stored:
         raise FormatError(f"{name} must hold {count} samples of {keyframe.dtype}; it has {stored} bytes")
-    require_expansion(name, count * keyframe.dtype.itemsize, stored)
+    announce(name, count * keyframe.dtype.itemsize, stored)
     if sizes is not None and keyframe.compression in _LOSSLESS:
         _check_unpacked(name, keyframe, sizes)
 
