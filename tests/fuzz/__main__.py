@@ -10,16 +10,18 @@ import time
 from dataclasses import asdict
 from pathlib import Path
 
+from tests.fuzz.calls import fuzz_calls
 from tests.fuzz.corpus import CORPORA
 from tests.fuzz.harness import Tally, fuzz
 
+_ALL = [*CORPORA, "calls"]
 _CHUNK = 4000  # inputs of one format before the next has its turn, where time is the limit
 
 
 def main() -> int:
     """Run, print a table, and say by the exit status whether a promise was broken."""
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
-    parser.add_argument("formats", nargs="*", metavar="FORMAT", help=f"of {', '.join(CORPORA)}; default: all")
+    parser.add_argument("formats", nargs="*", metavar="FORMAT", help=f"of {', '.join(_ALL)}; default: all")
     parser.add_argument("--count", type=int, default=1000, help="mutants a format")
     parser.add_argument("--seconds", type=float, help="go on for so long instead")
     parser.add_argument("--first", type=int, help="first seed; default 0, or with --seconds one that is new")
@@ -27,9 +29,9 @@ def main() -> int:
     parser.add_argument("--results", type=Path, help="a JSON file, in which the rows of the formats are replaced")
     parser.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir()) / "clvol-fuzz", help="where inputs go that broke a promise")
     given = parser.parse_args()
-    formats = given.formats or list(CORPORA)
-    if unknown := set(formats) - set(CORPORA):
-        parser.error(f"formats must be of {', '.join(CORPORA)}; got {', '.join(sorted(unknown))}")
+    formats = given.formats or _ALL
+    if unknown := set(formats) - set(_ALL):
+        parser.error(f"formats must be of {', '.join(_ALL)}; got {', '.join(sorted(unknown))}")
     first = given.first if given.first is not None else int(time.time()) * 1000 if given.seconds else 0
     totals = {kind: Tally(kind) for kind in formats}
     missing: set[str] = set()
@@ -39,8 +41,9 @@ def main() -> int:
         for kind in [kind for kind in formats if kind not in missing]:
             if end is not None and time.monotonic() > end:
                 break
+            seeds = range(first, first + (_CHUNK if end else given.count))
             try:
-                tally = fuzz(kind, range(first, first + (_CHUNK if end else given.count)), given.keep, trusted=given.trusted)
+                tally = fuzz_calls(seeds) if kind == "calls" else fuzz(kind, seeds, given.keep, trusted=given.trusted)
             except ImportError as error:
                 print(f"{kind:<12}left out: {error}", flush=True)
                 missing.add(kind)
@@ -69,7 +72,7 @@ def _store(path: Path, tallies: list[Tally]) -> None:
     for tally in tallies:
         row = {name: round(value, 3) if isinstance(value, float) else value for name, value in asdict(tally).items()}
         rows[tally.format] = row
-    path.write_text(json.dumps([rows[kind] for kind in CORPORA if kind in rows], indent=1) + "\n")
+    path.write_text(json.dumps([rows[kind] for kind in _ALL if kind in rows], indent=1) + "\n")
 
 
 if __name__ == "__main__":

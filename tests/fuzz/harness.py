@@ -341,7 +341,7 @@ def _judged(kind: str, mutated: Sample, original: Sample, result: Any, told: boo
             wrong = _difference(held, result, told)
             return ("silent", wrong) if wrong else None
         tally.compared += 1
-        wrong = _difference(truth(original.files, original.entry, original.options), result)
+        wrong = _difference(truth(original.files, original.entry, original.options), result, told)
     if damaged:
         return ("silent", f"read otherwise, but damaged: {damaged}") if wrong else ("lenient", f"read as before, but damaged: {damaged}")
     return ("silent", wrong) if wrong else None
