@@ -128,6 +128,9 @@ class Input:
     byte_order: Annotated[Literal["little", "big"] | None, Parameter(help="Of a raw file.")] = None
     offset: Annotated[int | None, Parameter(help="Bytes of a raw file before its samples.", converter=whole_numbers)] = None
     spacing: Annotated[tuple[float, float, float] | None, Parameter(help="Spacing along x, y, z, instead of the file's.")] = None
+    trusted: Annotated[
+        bool, Parameter(negative="", help="The file is known to be sound: read in this process, without limits.")
+    ] = False
     fill_nan: Annotated[
         float | Literal["smoothly"] | None, Parameter(help="Value that replaces NaN and infinite samples, or 'smoothly'.")
     ] = None
@@ -159,14 +162,14 @@ class Input:
         if self._phantom(source) is not None:
             return clvol.volumes.Leading()
         given = self._given()
-        return clvol.formats.leading_of(source, series=given.get("series"), level=given.get("level"))
+        return clvol.formats.leading_of(source, series=given.get("series"), level=given.get("level"), trusted=self.trusted)
 
     def _given(self) -> dict[str, Any]:
         """What was given, as `clvol.read` has it; numbers of channels and series are numbers."""
         given: dict[str, Any] = {}
         for field in fields(self):
             value = getattr(self, field.name)
-            if value is not None and value != "all" and field.name != "fill_nan":
+            if value is not None and value is not False and value != "all" and field.name != "fill_nan":
                 number = isinstance(value, str) and field.name in ("channel", "series") and value.isdecimal() and len(value) < 10
                 given[field.name] = int(value) if number else value
         return given

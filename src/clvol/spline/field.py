@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
+from functools import partial
 from types import TracebackType
 from typing import Any, Literal, Self, TypeAlias, TypeGuard, get_args
 
@@ -249,8 +250,23 @@ class Field:
         self._lease.close()
 
     def in_use(self) -> AbstractContextManager[None]:
-        """For the time of a block `close` frees nothing; `OptionError` if the field was closed before."""
+        """For the time of a block `close` frees nothing.
+
+        Raises
+        ------
+        OptionError
+            The field was closed before.
+        DeviceError
+            This is the child of a fork, where no OpenCL device works.
+        """
+        self.device.require_usable()
         return self._lease.held()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled is what the field is made of; another process makes its coefficients anew, on its device of the same name."""
+        with self._lease.held():
+            again = partial(type(self), precision=self.precision, nan=self.missing)
+            return again, (self.volume, self.filter, self.boundary, self.device)
 
     def __enter__(self) -> Self:
         return self
