@@ -28,8 +28,8 @@ def read(path: Path, choose: Choice) -> Content:
     library = nibabel()
     _require_samples(path)
     with _opened(path) as stream:
-        image = library.freesurfer.MGHImage.from_stream(stream)
         with np.errstate(all="ignore"):  # a geometry that is not finite is refused by its volume
+            image = library.freesurfer.MGHImage.from_stream(stream)
             about = nibabel_says(image)
         pick = choose(path.name, Leading(**about.pop("leading", {})))
         shape = tuple(int(n) for n in image.shape[:3])
