@@ -273,8 +273,7 @@ def test_warnings_come_with_the_line_of_the_caller(tmp_path: Path) -> None:
     with pytest.warns(ClvolWarning, match="3 pages") as told:
         clvol.read(tmp_path / "v.tif")
     assert told[0].filename == __file__
-    with warnings.catch_warnings(), pytest.raises(ClvolWarning, match="3 pages"):
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"), pytest.raises(ClvolWarning, match="3 pages"):
         clvol.read(tmp_path / "v.tif")
 
 
