@@ -730,7 +730,7 @@ for path in sorted(Path(sys.argv[1]).iterdir()):
 Outcomes = dict[str, tuple[str, Any]]
 
 
-def read_elsewhere(folder: Path, timeout: float = 60) -> Outcomes:
+def read_elsewhere(folder: Path, timeout: float = 240) -> Outcomes:
     """What reading each file of `folder` leads to; "died" for the one that ended the process."""
     run = subprocess.run([sys.executable, "-c", CHILD, str(folder)], capture_output=True, text=True, timeout=timeout, check=False)
     outcomes: Outcomes = {}

@@ -212,6 +212,19 @@ def test_what_is_trusted_is_read_here(plain: Path, monkeypatch: pytest.MonkeyPat
         clvol.read(plain)
 
 
+def test_transforms_are_read_there_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sitk = pytest.importorskip("SimpleITK")
+    sitk.WriteTransform(sitk.Euler3DTransform((1, 2, 3), 0.1, 0.2, 0.3, (4, 5, 6)), str(tmp_path / "t.tfm"))
+    (there,), (here,) = (clvol.read_transform(tmp_path / "t.tfm", trusted=trusted) for trusted in (False, True))
+    assert isinstance(there, clvol.AffineTransform)
+    assert isinstance(here, clvol.AffineTransform)
+    np.testing.assert_array_equal(there.matrix, here.matrix)
+    np.testing.assert_array_equal(there.offset, here.offset)
+    monkeypatch.setattr(_worker, "_taken", lambda what: (_ for _ in ()).throw(DataError(what)))
+    with pytest.raises(DataError, match="read"):
+        clvol.read_transform(tmp_path / "t.tfm")
+
+
 def test_arguments_are_checked(plain: Path) -> None:
     with pytest.raises(OptionError, match="trusted must be True or False"):
         clvol.read(plain, trusted="yes")  # type: ignore[arg-type]
@@ -260,8 +273,7 @@ def test_warnings_come_with_the_line_of_the_caller(tmp_path: Path) -> None:
     with pytest.warns(ClvolWarning, match="3 pages") as told:
         clvol.read(tmp_path / "v.tif")
     assert told[0].filename == __file__
-    with warnings.catch_warnings(), pytest.raises(ClvolWarning, match="3 pages"):
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"), pytest.raises(ClvolWarning, match="3 pages"):
         clvol.read(tmp_path / "v.tif")
 
 
