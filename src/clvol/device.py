@@ -33,7 +33,7 @@ _HUGE_PAGE = 1 << 21
 _SAMPLER_POSITIONS = 4097
 _PROGRAMS = 128  # that are kept built: PoCL holds a megabyte and more for each
 _SOON = 0.002
-_GONE = ("DEVICE_NOT_AVAILABLE", "INVALID_COMMAND_QUEUE", "INVALID_CONTEXT", "INVALID_DEVICE")
+_GONE = ("DEVICE_NOT_AVAILABLE", "INVALID_COMMAND_QUEUE")
 _MEMORY_SHARE = 0.9  # of the device's memory: PoCL allocates lazily, and the process aborts if there is none left
 
 
@@ -516,12 +516,15 @@ class Device:
         """At the end of the process: a runtime does not survive it while it compiles."""
         if self._process != os.getpid():
             return
+        queue = self.queue
         try:
             for task in list(self._building.values()):
                 with contextlib.suppress(Exception):
                     task.wait()
             with contextlib.suppress(Exception):
-                _Task(self.queue.finish).wait()
+                if self._fresh:
+                    _Task(lambda: self._done(queue)).wait()  # what was built is kept for the next process
+                queue.finish()
         except KeyboardInterrupt:
             os._exit(130)  # who cannot wait for it need not
 
