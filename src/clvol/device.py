@@ -170,6 +170,11 @@ class Device:
     def __repr__(self) -> str:
         return f"<Device {self.name!r} on {self.platform!r}>"
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Another process finds the device by its name; of several of one name by which of them it is."""
+        alike = [other for other in devices() if repr(other) == repr(self)]
+        return _found_again, (self.platform, self.name, alike.index(self) if self in alike else 0)
+
     @cached_property
     def name(self) -> str:
         return str(self.handle.name).strip()
@@ -669,7 +674,7 @@ def as_device(choice: Device | str | int | None = None) -> Device:
     if default:
         _tell_change(found)
     text = str(choice).strip().lower()
-    if text.isdigit():
+    if text.isdecimal() and len(text) < 10:  # "²" is a digit, but no number
         if int(text) < len(found):
             return found[int(text)]
     else:
@@ -678,6 +683,12 @@ def as_device(choice: Device | str | int | None = None) -> Device:
                 return device
     names = [f"{i} ({d.kind}: {d.name}, {d.platform})" for i, d in enumerate(found)]
     raise one_of("device", choice, ["'cpu', 'gpu', or a part of a name", *names])
+
+
+def _found_again(platform: str, name: str, number: int) -> Device:
+    """The device that was pickled in another process; `OptionError` where there is none of that name."""
+    alike = [device for device in devices() if (device.platform, device.name) == (platform, name)]
+    return alike[min(number, len(alike) - 1)] if alike else as_device(f"{platform} {name}")
 
 
 @lru_cache(maxsize=1)
