@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import atexit
 import contextlib
 import ctypes
@@ -33,7 +34,7 @@ _HUGE_PAGE = 1 << 21
 _SAMPLER_POSITIONS = 4097
 _PROGRAMS = 128  # that are kept built: PoCL holds a megabyte and more for each
 _SOON = 0.002
-_GONE = ("DEVICE_NOT_AVAILABLE", "INVALID_COMMAND_QUEUE", "INVALID_CONTEXT", "INVALID_DEVICE")
+_GONE = ("DEVICE_NOT_AVAILABLE", "INVALID_COMMAND_QUEUE")
 _MEMORY_SHARE = 0.9  # of the device's memory: PoCL allocates lazily, and the process aborts if there is none left
 
 
@@ -101,13 +102,19 @@ class _Once(cached_property[T]):
 
 
 class _Task(Generic[T]):
-    """Work in a thread of its own, so that Ctrl-C is heard by the thread that waits for it; the work goes on."""
+    """Work in a thread of its own, so that Ctrl-C is heard by the thread that waits for it; the work goes on.
+
+    Ctrl-C within `threading.Thread.start` or `threading.Event.wait` may leave their locks taken, and both threads waiting for ever;
+    so there is a bare thread here, and a lock that only wakes who waits.
+    """
 
     def __init__(self, work: Callable[[], T]) -> None:
         self._work, self._result = work, None
         self._error: BaseException | None = None
-        self._done = threading.Event()
-        threading.Thread(target=self._run, daemon=True, name="clvol").start()
+        self._done = False
+        self._awake = threading.Lock()
+        self._awake.acquire()
+        _thread.start_new_thread(self._run, ())
 
     def _run(self) -> None:
         try:
@@ -115,11 +122,13 @@ class _Task(Generic[T]):
         except BaseException as error:  # whoever waits is told
             self._error = error
         finally:
-            self._done.set()
+            self._done = True
+            self._awake.release()
 
     def wait(self) -> T:
-        while not self._done.wait(0.1):  # without an end, Windows would not hear Ctrl-C
-            pass
+        while not self._done:
+            if self._awake.acquire(timeout=0.1):  # without an end, Windows would not hear Ctrl-C
+                self._awake.release()  # for others who wait
         if self._error is not None:
             raise self._error
         return self._result  # type: ignore[return-value]
@@ -521,12 +530,15 @@ class Device:
         """At the end of the process: a runtime does not survive it while it compiles."""
         if self._process != os.getpid():
             return
+        queue = self.queue
         try:
             for task in list(self._building.values()):
                 with contextlib.suppress(Exception):
                     task.wait()
             with contextlib.suppress(Exception):
-                _Task(self.queue.finish).wait()
+                if self._fresh:
+                    _Task(lambda: self._done(queue)).wait()  # what was built is kept for the next process
+                queue.finish()
         except KeyboardInterrupt:
             os._exit(130)  # who cannot wait for it need not
 
