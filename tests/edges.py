@@ -54,7 +54,7 @@ def points(rules: Iterable[str], names: Iterable[str]) -> None:
                 at = far_points(shape, count)
                 for kind in (np.float64, np.float32):
                     with np.errstate(over="ignore"):
-                    given = at.astype(kind)
+                        given = at.astype(kind)
                     finite(clvol.sample(noise(*shape), given, name, rule, derivative=derivative), given)
                 finite(clvol.sample(noise(*shape), at, name, rule, derivative=derivative, fill=7.0), at)
 
@@ -74,7 +74,7 @@ def texels(names: Iterable[str]) -> None:
     for name in names:
         field = noise(5, 9, 12)
         at = far_points(field.shape, 33)
-        for evaluator in ("paired", "direct"):
+        for evaluator in ("paired", "taps"):
             finite(clvol.sample(field, at, name, evaluator=evaluator, fetch="image"), at)
             with clvol.Renderer(field, filter=name) as renderer:
                 assert np.isfinite(renderer.render(LOOKS[0], "composite", (9, 7), 0.7, evaluator=evaluator, fetch="image")).all()

@@ -20,7 +20,6 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clvol.device import Device, as_device
-from clvol.program import build
 
 sys.path.append(str(Path(__file__).parents[1]))
 from tests import edges  # noqa: E402
@@ -75,7 +74,7 @@ def guard(side: str) -> None:
 def read_past(bytes: int) -> None:
     """Of buffers of several lengths, the four bytes that end so far past the end; 0 is the last number itself."""
     device = as_device()
-    kernel = build(device.context, _READ_PAST).kernel("read_past")
+    kernel = cl.Kernel(cl.Program(device.context, _READ_PAST).build(), "read_past")
     got = device.allocate(4)
     for count in (1, 1000):
         kernel(device.queue, (1,), None, device.upload(np.ones(count, np.float32)), np.int32(count - 1 + bytes // 4), got)

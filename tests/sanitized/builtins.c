@@ -49,7 +49,7 @@ double clamp_d(double x, double low, double high) { return fmin(fmax(x, low), hi
 FLOOR(float4, 4, "_Z5floorDv4_f")
 FLOOR(float8, 8, "_Z5floorDv8_f")
 
-void store3(float3 v, size_t at, float *to) NAMED("_Z7vstore3Dv3_fmPU3AS1f");
+void store3(float3 v, size_t at, float *to) NAMED("_Z7vstore3Dv3_fmPU8CLglobalf");
 void store3(float3 v, size_t at, float *to) { to[3 * at] = v.x, to[3 * at + 1] = v.y, to[3 * at + 2] = v.z; }
 
 /* -- images: float, three-dimensional, read by one of two samplers ------------------------------------------------- */
