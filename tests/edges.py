@@ -37,7 +37,9 @@ def far_points(shape: tuple[int, ...], count: int) -> NDArray[np.float64]:
     """All of `PLACES` along each axis and along all at once, among points inside and a little outside."""
     d = len(shape)
     points = np.random.default_rng(count).uniform(-3, max(shape) + 3, (count, d))
-    odd = np.concatenate([np.array(PLACES)[:, None] * np.ones(d), *(np.where(np.eye(d)[k], np.array(PLACES)[:, None], 0.5) for k in range(d))])
+    odd = np.concatenate(
+        [np.array(PLACES)[:, None] * np.ones(d), *(np.where(np.eye(d)[k], np.array(PLACES)[:, None], 0.5) for k in range(d))]
+    )
     return np.concatenate([points, odd])
 
 
@@ -99,7 +101,9 @@ def pictures(names: Iterable[str], size: tuple[int, int] = (17, 15)) -> None:
             for camera, mode, step in itertools.product(LOOKS, modes(), (0.6, 8, 300)):
                 assert np.isfinite(renderer.render(camera, mode, size, step)).all()
             for mode in ("composite", "isosurface"):
-                made = renderer.render(LOOKS[0], mode, size, outputs=("rgba", "depth", "normal", "position", "visited"), clip=(low, high))
+                made = renderer.render(
+                    LOOKS[0], mode, size, outputs=("rgba", "depth", "normal", "position", "visited"), clip=(low, high)
+                )
                 assert np.isfinite(made["rgba"]).all()
                 with renderer.device.limited(tile=BY_RAYS):
                     assert np.isfinite(renderer.render(LOOKS[0], mode, size, 0.8, gradient="central")).all()
@@ -165,7 +169,7 @@ def uncertainty() -> None:
 RULES = tuple(boundaries())
 FEW: dict[str, Callable[[], None]] = {
     "points": lambda: points(("mirror", "constant(3)"), ("bspline3",)),
-    "texels": lambda: texels(("bspline3",)),
+    "texels": lambda: texels(("linear",)),
     "pictures": lambda: pictures(("bspline3",), (9, 7)),
 }
 GUARDED: dict[str, Callable[[], None]] = {

@@ -18,9 +18,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="memory is guard
 def run(device: Device, *arguments: str) -> subprocess.CompletedProcess[str]:
     if not device.is_pocl:
         pytest.skip("other runtimes copy memory that begins where their vectors may not, and other devices all")
-    return subprocess.run(
-        [sys.executable, PROGRAM, *arguments], capture_output=True, encoding="utf-8", timeout=1800, check=False
-    )
+    return subprocess.run([sys.executable, PROGRAM, *arguments], capture_output=True, encoding="utf-8", timeout=1800, check=False)
 
 
 @pytest.mark.parametrize("side", ["start", "end"])

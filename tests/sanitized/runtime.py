@@ -29,7 +29,9 @@ from clvol import opencl, probe
 HERE = Path(__file__).parent
 VERSIONS = ("", *(f"-{n}" for n in range(14, 23)))  # of clang
 FLAGS = ("-cl-std=CL1.2", "-Xclang", "-finclude-default-header", "-target", "x86_64-pc-linux-gnu")
-SANITIZED = ("-O0", "-g1", "-w", "-fPIC", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-shared-libasan")
+# what a mode or a filter has no use for is there for the others; and vectors are wider than the oldest processors' registers
+WARNINGS = ("-Wall", "-Wextra", "-Werror", "-Wno-unused-parameter", "-Wno-unused-function", "-Wno-psabi")
+SANITIZED = ("-O0", "-g1", "-fPIC", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-shared-libasan")
 FILLED = 0x7F  # the bytes of new buffers: large numbers, and no whole number that is an index
 
 ALIGNMENT = 128  # of buffers, in bytes
@@ -50,7 +52,9 @@ def clang() -> str | None:
 def _asan(compiler: str) -> str | None:
     name = f"libclang_rt.asan-{os.uname().machine}.so"
     for each in (name, "libclang_rt.asan.so"):
-        path = subprocess.run([compiler, f"-print-file-name={each}"], capture_output=True, encoding="utf-8", check=True).stdout.strip()
+        path = subprocess.run(
+            [compiler, f"-print-file-name={each}"], capture_output=True, encoding="utf-8", check=True
+        ).stdout.strip()
         if Path(path).is_file():
             return path
     return None
@@ -141,14 +145,23 @@ class Program:
         compiler = clang()
         assert compiler
         extra = os.environ.get("CLVOL_SANITIZED_FLAGS", "").split()
-        parts = [self.text, *SANITIZED, *extra, *(path.read_text() for path in sorted(HERE.glob("*.[ch]*"))), Path(__file__).read_text()]
+        parts = [
+            self.text,
+            *WARNINGS,
+            *SANITIZED,
+            *extra,
+            *(path.read_text() for path in sorted(HERE.glob("*.[ch]*"))),
+            Path(__file__).read_text(),
+        ]
         name = hashlib.sha256("\0".join(parts).encode()).hexdigest()[:24]
         folder = Path(os.environ.get("CLVOL_SANITIZED_CACHE") or Path(tempfile.gettempdir()) / "clvol-sanitized")
         made = folder / f"{name}.so"
         plain = {key: value for key, value in os.environ.items() if key != "LD_PRELOAD"}
 
         def run(*arguments: str, given: str) -> str:
-            done = subprocess.run([compiler, *arguments], input=given, capture_output=True, encoding="utf-8", env=plain, check=False)
+            done = subprocess.run(
+                [compiler, *arguments], input=given, capture_output=True, encoding="utf-8", env=plain, check=False
+            )
             if done.returncode:
                 raise real.RuntimeError(done.stderr)
             return done.stdout
@@ -163,8 +176,8 @@ class Program:
             temporary = folder / f"{name}.{os.getpid()}.so"
             text = f'#include "{HERE}/hostile.h"\n' + self.text + "".join(_runner(k, p) for k, p in self.kernels.items())
             object = f"{temporary}.o"
-            run("-x", "cl", *FLAGS, *SANITIZED, *extra, "-c", "-o", object, "-", given=text)
-            run("-shared", "-Wl,-z,defs", *SANITIZED, "-o", str(temporary), object, str(HERE / "builtins.c"), "-lm", given="")
+            run("-x", "cl", *FLAGS, *WARNINGS, *SANITIZED, *extra, "-c", "-o", object, "-", given=text)
+            run("-shared", "-w", "-Wl,-z,defs", *SANITIZED, "-o", str(temporary), object, str(HERE / "builtins.c"), "-lm", given="")
             os.unlink(object)
             temporary.replace(made)
         self.library = ctypes.CDLL(str(made))
@@ -310,4 +323,3 @@ def install() -> None:
     opencl._loaded = lambda: runtime  # type: ignore[assignment]
     opencl.shelf = lambda: None
     probe.tried = lambda: probe.Verdict(devices={probe.identity(DEVICE): ""})
-
