@@ -49,7 +49,7 @@ def finite(values: NDArray[np.generic], points: NDArray[np.float64]) -> None:
 
 
 def points(rules: Iterable[str], names: Iterable[str]) -> None:
-    """Values and derivatives at points anywhere, in both types of points, few and many, of volumes and images of every small size."""
+    """Values and derivatives at points anywhere, in both types of points, few and many, of volumes and images."""
     for rule, name in itertools.product(rules, names):
         for shape, count in (((7, 18, 21), 70), ((7, 18, 21), 1), ((5, 9), 33), ((1, 1), 3)):
             for derivative in (0, 1) if filters()[name].degree else (0,):

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from clvol.device import Device, as_device
 
 sys.path.append(str(Path(__file__).parents[1]))
-from tests import edges  # noqa: E402
+from tests import edges
 
 GUARD = 64 << 20  # bytes before and after
 _READ_PAST = """kernel void read_past(global const float *given, const int at, global float *got) { got[0] = given[at]; }"""

@@ -52,7 +52,7 @@ def test_results_do_not_depend_on_how_work_is_cut(device: Device) -> None:
 
 
 def test_tiles_of_rays_agree(device: Device) -> None:
-    """But for rounding: a plane is blended where it fits a tile, else samples are read one by one, the same sums in another order."""
+    """But for rounding: a plane is blended where it fits a tile, else samples are read one by one."""
     data = np.random.default_rng(0).standard_normal((9, 40, 21)).astype(np.float32)
     made = []
     for tile in (BY_PLANES, BY_PLANES._replace(width=8, height=8), BY_RAYS):

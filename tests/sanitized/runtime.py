@@ -6,6 +6,8 @@ leaves undefined, ends the process with a report that names the line of the kern
 before Python is: `environment` says how.
 """
 
+# ruff: noqa: ARG001, ARG002  (signatures are pyopencl's)
+
 from __future__ import annotations
 
 import ctypes
@@ -175,10 +177,21 @@ class Program:
             folder.mkdir(parents=True, exist_ok=True)
             temporary = folder / f"{name}.{os.getpid()}.so"
             text = f'#include "{HERE}/hostile.h"\n' + self.text + "".join(_runner(k, p) for k, p in self.kernels.items())
-            object = f"{temporary}.o"
-            run("-x", "cl", *FLAGS, *WARNINGS, *SANITIZED, *extra, "-c", "-o", object, "-", given=text)
-            run("-shared", "-w", "-Wl,-z,defs", *SANITIZED, "-o", str(temporary), object, str(HERE / "builtins.c"), "-lm", given="")
-            os.unlink(object)
+            compiled = Path(f"{temporary}.o")
+            run("-x", "cl", *FLAGS, *WARNINGS, *SANITIZED, *extra, "-c", "-o", str(compiled), "-", given=text)
+            run(
+                "-shared",
+                "-w",
+                "-Wl,-z,defs",
+                *SANITIZED,
+                "-o",
+                str(temporary),
+                str(compiled),
+                str(HERE / "builtins.c"),
+                "-lm",
+                given="",
+            )
+            compiled.unlink()
             temporary.replace(made)
         self.library = ctypes.CDLL(str(made))
         self.library.clvol_launch.argtypes = [ctypes.c_void_p] * 5
