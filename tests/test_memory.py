@@ -172,3 +172,14 @@ def test_axes_that_kernels_cannot_count_are_refused() -> None:
     memory.require_addressable("data", ((1 << 31) - 1, 1))
     with pytest.raises(OutOfMemoryError, match="2147483647 samples along each axis"):
         memory.require_addressable("data", (1, 1 << 31))
+
+
+@linux
+def test_results_that_are_not_written_yet_count(root: Path) -> None:
+    machine(root, available=1000)
+    result = memory.empty((400, MIB), "u1", "a result")
+    with pytest.raises(OutOfMemoryError):
+        memory.require(700 * MIB, "coefficients")
+    memory.require(500 * MIB, "coefficients")
+    del result
+    memory.require(700 * MIB, "coefficients")

@@ -102,7 +102,9 @@ class Stored:
         if self.identity:
             return stored
         with np.errstate(over="ignore"):
-            return np.asarray(self._scaled(stored) + gain * self.offset)
+            values = self._scaled(stored)
+            values += gain * self.offset
+            return values
 
     def derivatives(self, stored: NDArray[np.float32]) -> Reals:
         """Derivatives of the values, given those of stored ones: in float64 unless they are the same."""
@@ -110,7 +112,9 @@ class Stored:
 
     def _scaled(self, stored: NDArray[np.float32]) -> NDArray[np.float64]:
         with np.errstate(over="ignore"):
-            return np.asarray(np.ldexp(stored.astype(np.float64), self.exponent))
+            values = np.asarray(stored.astype(np.float64))
+            np.ldexp(values, self.exponent, out=values)
+            return values
 
 
 AS_THEY_ARE = Stored()

@@ -473,7 +473,7 @@ def test_a_closed_field_says_so(device: Device) -> None:
     assert "closed" in repr(field)
     calls = (field, field.gradient, field.hessian, lambda p: sample(field, p), lambda _: field.magnify(2))
     for call in (*calls, lambda _: field.resample((2, 2, 2)), lambda p: field(p, evaluator="paired")):
-        with pytest.raises(OptionError, match="the coefficients were released; make new ones"):
+        with pytest.raises(OptionError, match="its coefficients were released; make a new one"):
             call([[1.0, 2, 3]])
 
 

@@ -141,7 +141,7 @@ FORMATS = (
         frozenset({"series"}),
         several=True,
         series=vti.series,
-        native=("vtkmodules.vtkIOXML", "vtkmodules.util.numpy_support"),
+        native=("vtkmodules.vtkIOCore",),
     ),
     Format(
         "microscope makers' files",
@@ -326,7 +326,7 @@ def series_of(path: str | os.PathLike[str], *, trusted: bool = False, limits: Li
     chosen = _format_of(path)
     if chosen.series is None:
         return ()
-    return tuple(_called(chosen, path, _allowed(trusted, limits), chosen.series, path))
+    return tuple(_called(chosen.name, chosen.native, path, _allowed(trusted, limits), chosen.series, path))
 
 
 def leading_of(
@@ -351,7 +351,7 @@ def leading_of(
     if not chosen.several:
         return Leading()
     options = _options(chosen, path, {"series": series, "level": level})
-    found = _called(chosen, path, _allowed(trusted, limits), _counted, chosen.read, path, **options)
+    found = _called(chosen.name, chosen.native, path, _allowed(trusted, limits), _counted, chosen.read, path, **options)
     assert isinstance(found, Leading)
     return found
 
@@ -388,8 +388,16 @@ def _allowed(trusted: bool, limits: Limits | None) -> Limits | None:
     return None if trusted else limits or Limits()
 
 
-def _called(chosen: Format, path: Path, limits: Limits | None, function: Callable[..., Any], *given: Any, **options: Any) -> Any:
-    """What `function` returns; in another process if the format's reader is native code, and the file not trusted."""
+def _called(
+    reader: str,
+    native: tuple[str, ...],
+    path: Path,
+    limits: Limits | None,
+    function: Callable[..., Any],
+    *given: Any,
+    **options: Any,
+) -> Any:
+    """What `function` returns; in another process if it is `native` code that reads, and the file not trusted."""
     what = f"read {path}"
     with foreign_errors(what):
         if limits is None:
@@ -397,8 +405,8 @@ def _called(chosen: Format, path: Path, limits: Limits | None, function: Callabl
         else:
             stored, files = size_of(path)
             budget = Budget(limits, stored, available(), files)
-        if budget is not None and chosen.native:
-            return call(function, *given, what=what, reader=chosen.name, modules=chosen.native, budget=budget, options=options)
+        if budget is not None and native:
+            return call(function, *given, what=what, reader=reader, modules=native, budget=budget, options=options)
         with limited(budget):
             return function(*given, **options)
 
@@ -411,7 +419,7 @@ def _read(
     options = _options(chosen, path, given)
     if chosen.several:
         options["choose"] = choice
-    data, geometry = _called(chosen, path, limits, chosen.read, path, **options)
+    data, geometry = _called(chosen.name, chosen.native, path, limits, chosen.read, path, **options)
     with foreign_errors(f"read {path}"):
         if not chosen.several:
             pick = choice(path.name, Leading())  # refuses what is asked of one volume

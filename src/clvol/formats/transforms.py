@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 from clvol.checks import as_path
 from clvol.errors import FormatError
 from clvol.foreign import simpleitk
+from clvol.formats import Limits, _allowed, _called
 from clvol.formats._files import foreign_errors
 from clvol.formats._itk import quiet, reason
-from clvol.transform import Transform, displacements_of, from_simpleitk
+from clvol.formats._limits import announce
+from clvol.transform import AffineTransform, BSplineTransform, DisplacementField, Transform, displacements_of, from_simpleitk
 
 __all__ = ["read_transform"]
 
@@ -17,7 +23,10 @@ _TRANSFORMS = (".tfm", ".txt", ".h5", ".hdf5", ".hdf", ".mat", ".xfm")
 _IMAGES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd")
 
 
-def read_transform(path: str | os.PathLike[str]) -> list[Transform]:
+_UNPACKED = 20  # bytes in memory for one of a file, at most: a displacement of 0 takes two letters and eight bytes
+
+
+def read_transform(path: str | os.PathLike[str], *, trusted: bool = False, limits: Limits | None = None) -> list[Transform]:
     """Read a transform from a file that ITK, SimpleITK, elastix or ANTs wrote, or an image of displacements.
 
     SimpleITK reads them (``pip install clvol[medical]``).
@@ -27,6 +36,8 @@ def read_transform(path: str | os.PathLike[str]) -> list[Transform]:
     path : path-like
         ``.tfm .txt .h5 .hdf5 .hdf .mat .xfm``: a transform, composite or not. ``.nii .nii.gz .nrrd .nhdr .mha .mhd``: an image
         with a displacement in each voxel, in ITK's LPS world and in mm; it is interpolated linearly.
+    trusted, limits : optional
+        As of `clvol.read`: what is not trusted is read in a process of its own.
 
     Returns
     -------
@@ -47,13 +58,41 @@ def read_transform(path: str | os.PathLike[str]) -> list[Transform]:
         SimpleITK is not installed.
     """
     file = as_path(path)
-    name, sitk = file.name.lower(), simpleitk()
+    name = file.name.lower()
     if not name.endswith(_TRANSFORMS + _IMAGES):
         known = " ".join(_TRANSFORMS + _IMAGES)
         raise FormatError(f"the suffix of a transform must be one of {known}; got {file}")
     if not file.is_file():
         raise FormatError(f"cannot read {file}: there is no such file")
+    parts = _called("transforms", ("SimpleITK",), file, _allowed(trusted, limits), _parts, file)
+    return [_KINDS[str(kind)](*numbers) for kind, *numbers in parts]
+
+
+def _parts(file: Path) -> list[tuple[Any, ...]]:
+    """For each transform its kind, and what it is made of."""
+    sitk = simpleitk()
     with quiet(), foreign_errors(f"read {file}", reason):
-        if name.endswith(_TRANSFORMS):
-            return from_simpleitk(sitk.ReadTransform(str(file)))
-        return [displacements_of(sitk.ReadImage(str(file)))]
+        if file.name.lower().endswith(_TRANSFORMS):
+            announce(file.name, _UNPACKED * file.stat().st_size)
+            return [_taken_apart(one) for one in from_simpleitk(sitk.ReadTransform(str(file)))]
+        reader = sitk.ImageFileReader()
+        reader.SetFileName(str(file))
+        reader.ReadImageInformation()
+        announce(file.name, math.prod(reader.GetSize()) * reader.GetNumberOfComponents() * 8)
+        return [_taken_apart(displacements_of(reader.Execute()))]
+
+
+def _taken_apart(one: Transform) -> tuple[Any, ...]:
+    if isinstance(one, AffineTransform):
+        return "affine", one.matrix, one.offset
+    grid = one.grid.spacing, one.grid.origin, one.grid.direction
+    if isinstance(one, BSplineTransform):
+        return "bspline", one.coefficients, *grid, one.filter.degree
+    return "displacements", one.displacements, *grid
+
+
+_KINDS: dict[str, Callable[..., Transform]] = {
+    "affine": AffineTransform,
+    "bspline": BSplineTransform,
+    "displacements": DisplacementField,
+}

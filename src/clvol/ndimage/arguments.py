@@ -320,9 +320,8 @@ def _require_kind(dtype: np.dtype[Any], data: Array, copied: bool) -> None:
 
 def _empty(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
     with enough_memory(f"the result, {' x '.join(map(str, shape))} samples of {dtype},"):
-        memory.require(math.prod(shape) * dtype.itemsize, f"a result of {' × '.join(map(str, shape))} samples of {dtype}")
         try:
-            return np.empty(shape, dtype)
+            return memory.empty(shape, dtype, f"a result of {' × '.join(map(str, shape))} samples of {dtype}")
         except ValueError:  # more than can be addressed
             raise OptionError(f"the result must have a size that can be addressed; got shape {shape}") from None
 

@@ -226,8 +226,7 @@ def _grids(data: Array, passes: Sequence[_Pass], output: Array, spline: Spline) 
 
 def _between(size: tuple[int, ...], kind: type[np.generic]) -> Array:
     """Room for what one pass hands to the next."""
-    memory.require(np.dtype(kind).itemsize * math.prod(size), f"what is made on the way, {size} samples,")
-    return np.empty(size, kind)
+    return memory.empty(size, kind, f"what is made on the way, {size} samples,")
 
 
 def _joined(data: Array, axes: list[int], grid: Axes | Affine, spline: Spline) -> _Pass:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
+from functools import partial
 from types import TracebackType
 from typing import Any, Literal, Self, TypeAlias, TypeGuard, get_args
 
@@ -81,8 +82,8 @@ def coefficients_of(
     OutOfMemoryError
         The device has no room for them.
     """
+    device.require_room(bytes_of(volume.size, filter, boundary, kind))  # before samples are looked at
     volume.require_finite()
-    device.require_room(bytes_of(volume.size, filter, boundary, kind))  # before integers may be looked at
     row = settled(filter, volume)
     stored = Stored.of(volume, row, boundary) if kind == np.float32 else AS_THEY_ARE
     return _filled(Coefficients(volume, row, boundary, device, stored, kind))
@@ -249,8 +250,23 @@ class Field:
         self._lease.close()
 
     def in_use(self) -> AbstractContextManager[None]:
-        """For the time of a block `close` frees nothing; `OptionError` if the field was closed before."""
+        """For the time of a block `close` frees nothing.
+
+        Raises
+        ------
+        OptionError
+            The field was closed before.
+        DeviceError
+            This is the child of a fork, where no OpenCL device works.
+        """
+        self.device.require_usable()
         return self._lease.held()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled is what the field is made of; another process makes its coefficients anew, on its device of the same name."""
+        with self._lease.held():
+            again = partial(type(self), precision=self.precision, nan=self.missing)
+            return again, (self.volume, self.filter, self.boundary, self.device)
 
     def __enter__(self) -> Self:
         return self
@@ -484,7 +500,8 @@ class Field:
             own = self.filter, self.boundary, self.device, self.precision
             return _in(kind, _into(_coarser(volume, *own, grid, chosen, evaluator, fetch, fill, progress), out), self.filter)
         chain = Chain(stages, grid, self.device)
-        data = self._on_grid(*chain.to_indices(volume), grid.shape, evaluator, fetch, fill, progress, out, chain)
+        width = 0 if kind is None or kind == self.coefficients.kind else kind.itemsize
+        data = self._on_grid(*chain.to_indices(volume), grid.shape, evaluator, fetch, fill, progress, out, chain, width)
         return _in(kind, volume.placed(data, grid), self.filter)
 
     def magnify(
@@ -534,13 +551,14 @@ class Field:
         progress: Progress | None,
         out: Any = None,
         chain: Chain | None = None,
+        converted: int = 0,
     ) -> Reals:
         with self.in_use():
             device, made, given = self.device, self.coefficients, Given(fill_value(fill))
             target = None if out is None else as_output(out, shape)
             chosen = self._evaluator(evaluator, fetch)
             device.require_room(np.dtype(made.kind).itemsize * math.prod(shape), held=True)
-            memory.require(self._result_bytes(math.prod(shape), 0, out), _results(shape))
+            memory.require(self._result_bytes(math.prod(shape), 0, out) + converted * math.prod(shape), _results(shape))
             result = target if self._writes(target) else np.empty(shape, made.kind)
             first, second = _halves(progress) if self.gaps else (progress, None)
             with device.lent(result, write=True) as buffer:
