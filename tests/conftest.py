@@ -34,6 +34,8 @@ def _found() -> list[Device]:
         found = devices()
     except DeviceError:
         return []
+    wanted = os.environ.get("CLVOL_TEST_DEVICE", "").lower()  # part of a platform's name, where there are several
+    found = [device for device in found if wanted in device.platform.lower()]
     return [device for device in found if _usable(device)] or found
 
 

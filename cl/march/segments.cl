@@ -152,6 +152,7 @@ INLINE segments_t segments_of(const tile_t *tile, global const float2 *minmax, c
         for (s.parts = 0; s.parts << s.deep < s.slabs; ++s.parts) {
             const float start = madd(s.parts << s.deep, slab, tile->first), stop = madd(1 << s.deep, slab, start - 1.0f);
             const float2 values = values_of(minmax, frame, halo, tile, 0, PACKETS, start, stop);
+            (void)values;   // not every mode promises by them
             s.promise[s.parts] = PROMISE(values.x, values.y);
         }
     }

@@ -73,7 +73,7 @@ INLINE void merge(state_t *front, const state_t *back)
 INLINE color_t finish(const state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real *t)
 {
     const real per_opacity = 1.0f / MAX(s->opacity, (real)(1e-20f));
-    color_t color = { s->red * per_opacity, s->green * per_opacity, s->blue * per_opacity, s->opacity };
+    color_t color = { s->red * per_opacity, s->green * per_opacity, s->blue * per_opacity, s->opacity, (real)(0.0f) };
     *t = s->depth;
     return color;
 }

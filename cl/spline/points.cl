@@ -30,6 +30,7 @@
 INLINE void to_world(scalar value, gradient_t g, hessian_t h, constant coord *w, global scalar *result)
 {
     const scalar s = GRID_SCALE;
+    (void)s;   // values need none
 #if DERIVATIVE == 0
     result[0] = value;
 #elif DERIVATIVE == 1

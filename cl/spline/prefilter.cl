@@ -267,6 +267,6 @@ kernel void prefilter_slices(global scalar *data, const ulong origin, const int 
     global scalar *first = data + origin + get_global_id(1) * slice;
     for (int j = 0; j < rows; j += 2 * LANES)
         filter_some_rows(first + j * pitch, rows - j, count, pitch, PLAN);
-    for (int i = 0; i < pitch; i += LANES * CHAINS)
+    for (int i = 0; i < (int)pitch; i += LANES * CHAINS)
         filter_some_columns(first - halo + i, pitch - i, rows, pitch, plan_y, ends_y, head_y, tail_y);
 }

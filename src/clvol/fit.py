@@ -81,7 +81,9 @@ def fitted(
         reach = max(float(above.max() + below.max()) / 2, beside)
         shift = np.clip((above - below).mean() / 2, above.max() - reach, reach - below.max())
         center = center + shift / math.cos(half) * view.up
-        radius *= min(1.0, reach / float(np.linalg.norm(sphere.outer, axis=1).max()))
+        furthest = float(np.linalg.norm(sphere.outer, axis=1).max())
+        if furthest > 0:  # a single sample is seen as far as its voxel reaches
+            radius *= min(1.0, reach / furthest)
     x, y, z = (float(v) for v in center)
     return replace(camera, target=(x, y, z), radius=radius)
 
