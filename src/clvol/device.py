@@ -644,7 +644,7 @@ def as_device(choice: Device | str | int | None = None) -> Device:
     if default:
         _tell_change(found)
     text = str(choice).strip().lower()
-    if text.isdigit():
+    if text.isdecimal() and len(text) < 10:
         if int(text) < len(found):
             return found[int(text)]
     else:

@@ -132,7 +132,9 @@ def _warm(kind: str, sample: Sample, trusted: bool) -> None:
         raise AssertionError(f"the corpus of {kind} is not read as it is: {wrong}")
 
 
-def _run(kind: str, samples: list[Sample], seeds: list[int], keep: Path, trusted: bool) -> tuple[Tally, tuple[str, str, int] | None]:
+def _run(
+    kind: str, samples: list[Sample], seeds: list[int], keep: Path, trusted: bool
+) -> tuple[Tally, tuple[str, str, int] | None]:
     """Fork, and watch: what the child counted, and what it died of."""
     shared = mmap.mmap(-1, 16)  # how many were begun, and the processor time at the last
     with tempfile.TemporaryDirectory(dir=_memory_disk()) as folder:
@@ -315,7 +317,9 @@ def _one(
         wrong.append(("hangs", f"more than {SECONDS:g} s"))
     if peak > MEGABYTES:
         wrong.append(("memory", f"more than {MEGABYTES:g} MB"))
-    wrong += [("foreign", f"{w.category.__name__}: {str(w.message)[:60]}") for w in told if not issubclass(w.category, ClvolWarning)]
+    wrong += [
+        ("foreign", f"{w.category.__name__}: {str(w.message)[:60]}") for w in told if not issubclass(w.category, ClvolWarning)
+    ]
     if result is not None:
         tally.accepted += 1
         silent = _judged(kind, mutated, original, result, bool(told), tally)
@@ -343,7 +347,11 @@ def _judged(kind: str, mutated: Sample, original: Sample, result: Any, told: boo
         tally.compared += 1
         wrong = _difference(truth(original.files, original.entry, original.options), result, told)
     if damaged:
-        return ("silent", f"read otherwise, but damaged: {damaged}") if wrong else ("lenient", f"read as before, but damaged: {damaged}")
+        return (
+            ("silent", f"read otherwise, but damaged: {damaged}")
+            if wrong
+            else ("lenient", f"read as before, but damaged: {damaged}")
+        )
     return ("silent", wrong) if wrong else None
 
 

@@ -167,7 +167,10 @@ def _mgh(files: Files, entry: str, _: object) -> Held:
     data = _shaped(content[284:], np.dtype(dtype), tuple(counts), "F", exact=False)
     delta, turn = np.array((1.0, 1.0, 1.0)), np.eye(3)
     if good > 0:
-        delta, turn = np.array(struct.unpack_from(">3f", content, 30)), np.array(struct.unpack_from(">9f", content, 42)).reshape(3, 3)
+        delta, turn = (
+            np.array(struct.unpack_from(">3f", content, 30)),
+            np.array(struct.unpack_from(">9f", content, 42)).reshape(3, 3),
+        )
     return Held(data.T, tuple(np.abs(delta) * np.linalg.norm(turn, axis=1)))
 
 
@@ -353,7 +356,9 @@ def _slices(content: bytes) -> Array | None:
     if found.get(0x00020010, b"").strip(b"\0 ") not in (_UNTYPED, _UNTYPED + b".1"):
         return None
     try:
-        rows, columns, bits, stored, high, signed = (struct.unpack("<H", found[0x00280000 | t])[0] for t in (0x10, 0x11, 0x100, 0x101, 0x102, 0x103))
+        rows, columns, bits, stored, high, signed = (
+            struct.unpack("<H", found[0x00280000 | t])[0] for t in (0x10, 0x11, 0x100, 0x101, 0x102, 0x103)
+        )
         colours = struct.unpack("<H", found.get(0x00280002, b"\1\0"))[0]
         frames = int(found.get(0x00280008, b"1").strip(b"\0 ") or b"1")
         slope, intercept = (float(found.get(tag, d).strip(b"\0 ") or d) for tag, d in ((0x00281053, b"1"), (0x00281052, b"0")))
@@ -561,7 +566,9 @@ def _sound_png(content: bytes) -> None:
         size, kind = struct.unpack_from(">I4s", content, at)
         part = content[at + 4 : at + 8 + size]
         _need(len(part) == size + 4 and at + 12 + size <= len(content), "a chunk ends too early")
-        _need(kind[0] & 32 or content[at + 8 + size : at + 12 + size] == struct.pack(">I", zlib.crc32(part)), f"checksum of {kind!r}")
+        _need(
+            kind[0] & 32 or content[at + 8 + size : at + 12 + size] == struct.pack(">I", zlib.crc32(part)), f"checksum of {kind!r}"
+        )
         packed += part[4:] if kind == b"IDAT" else b""
         at += 12 + size
         if kind == b"IEND":
@@ -634,7 +641,9 @@ def _vti(files: Files, entry: str, _: object) -> Held | None:
         words = (array.text or "").split()
         _need(len(words) == math.prod(shape), f"{len(words)} samples for {math.prod(shape)}")
         try:
-            return Held(np.array([float(word) if dtype.kind == "f" else int(word) for word in words]).astype(dtype).reshape(shape), spacing)
+            return Held(
+                np.array([float(word) if dtype.kind == "f" else int(word) for word in words]).astype(dtype).reshape(shape), spacing
+            )
         except (ValueError, OverflowError) as error:
             raise Damaged(str(error)) from error
     if way not in ("binary", "appended") or root.get("compressor", "vtkZLibDataCompressor") != "vtkZLibDataCompressor":
