@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import gc
 import json
-import math
 import mmap
 import os
 import resource
@@ -17,8 +16,7 @@ import tempfile
 import time
 import traceback
 import warnings
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from inspect import signature
 from pathlib import Path
@@ -227,7 +225,7 @@ def _child(kind: str, samples: list[Sample], seeds: list[int], keep: Path, trust
 def _held() -> tuple[float, int]:
     """Megabytes in memory, and open handles."""
     gc.collect()
-    return _status("VmRSS") / 1e6, len(os.listdir("/proc/self/fd"))
+    return _status("VmRSS") / 1e6, sum(1 for _ in Path("/proc/self/fd").iterdir())
 
 
 def _status(name: str, process: str = "self") -> int:
@@ -324,7 +322,8 @@ def _one(
         tally.accepted += 1
         silent = _judged(kind, mutated, original, result, bool(told), tally)
         wrong += [silent] if silent else []
-    return not any([tally.find(what, why, seed) for what, why in wrong])  # each is counted
+    kept = [tally.find(what, why, seed) for what, why in wrong]  # each is counted
+    return not any(kept)
 
 
 def _judged(kind: str, mutated: Sample, original: Sample, result: Any, told: bool, tally: Tally) -> tuple[str, str] | None:

@@ -31,7 +31,7 @@ Files = Mapping[str, bytes]
 Array = NDArray[Any]
 
 
-class Damaged(Exception):  # noqa: N818  # it says what the file is
+class Damaged(Exception):  # it says what the file is
     """The file contradicts itself, or one of its checksums does."""
 
 
@@ -252,8 +252,13 @@ def _nrrd(files: Files, entry: str, _: object) -> Held:
     return Held(data, spacing if plain else None, loose=len(shape) > 3 or "vector" in kinds)
 
 
-_META = dict(zip("CHAR UCHAR SHORT USHORT INT UINT LONG ULONG LONG_LONG ULONG_LONG FLOAT DOUBLE".split(),
-                 "i1 u1 i2 u2 i4 u4 i4 u4 i8 u8 f4 f8".split(), strict=True))  # fmt: skip
+_META = dict(
+    zip(
+        ["CHAR", "UCHAR", "SHORT", "USHORT", "INT", "UINT", "LONG", "ULONG", "LONG_LONG", "ULONG_LONG", "FLOAT", "DOUBLE"],
+        ["i1", "u1", "i2", "u2", "i4", "u4", "i4", "u4", "i8", "u8", "f4", "f8"],
+        strict=True,
+    )
+)
 
 
 def _metaimage(files: Files, entry: str, _: object) -> Held:
@@ -389,7 +394,24 @@ def _dicom(files: Files, entry: str, _: object) -> Held | None:
 
 # -- TIFF ----------------------------------------------------------------------------------------------------------
 
-_TIFF_TYPES = {1: "B", 2: "c", 3: "H", 4: "I", 5: "II", 6: "b", 7: "B", 8: "h", 9: "i", 10: "ii", 11: "f", 12: "d", 13: "I", 16: "Q", 17: "q", 18: "Q"}  # fmt: skip
+_TIFF_TYPES = {
+    1: "B",
+    2: "c",
+    3: "H",
+    4: "I",
+    5: "II",
+    6: "b",
+    7: "B",
+    8: "h",
+    9: "i",
+    10: "ii",
+    11: "f",
+    12: "d",
+    13: "I",
+    16: "Q",
+    17: "q",
+    18: "Q",
+}
 
 
 _NEEDED = (256, 257, 258, 259, 273, 277, 278, 279, 317, 322, 323, 324, 325, 339)
@@ -443,8 +465,19 @@ def _page(content: bytes, tags: Mapping[int, tuple[Any, ...]], order: str) -> Ar
     _need(width > 0 and height > 0, "size")
     if len(bits) != 1 or len(formats) != 1 or one(284, 1) != 1 or one(266, 1) != 1 or one(32997, 1) != 1:
         return None
-    name = {(1, 8): "u1", (1, 16): "u2", (1, 32): "u4", (1, 64): "u8", (2, 8): "i1", (2, 16): "i2", (2, 32): "i4", (2, 64): "i8",
-            (3, 16): "f2", (3, 32): "f4", (3, 64): "f8"}.get((formats.pop(), bits.pop()))  # fmt: skip
+    name = {
+        (1, 8): "u1",
+        (1, 16): "u2",
+        (1, 32): "u4",
+        (1, 64): "u8",
+        (2, 8): "i1",
+        (2, 16): "i2",
+        (2, 32): "i4",
+        (2, 64): "i8",
+        (3, 16): "f2",
+        (3, 32): "f4",
+        (3, 64): "f8",
+    }.get((formats.pop(), bits.pop()))
     if name is None:
         return None
     dtype = np.dtype(order + name)
@@ -585,7 +618,7 @@ def _sound_png(content: bytes) -> None:
 
 
 def _hdf5(files: Files, entry: str, _: object) -> Held | None:
-    """The one array of numbers with two axes or more, as h5py gives it: the same library, so that only what is made of it counts."""
+    """The one array of numbers with two axes or more, as h5py gives it: by the same library, which is believed."""
     import h5py
 
     found: list[Any] = []
