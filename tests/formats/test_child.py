@@ -23,7 +23,7 @@ import clvol
 from clvol import ClvolWarning, Volume, formats
 from clvol.errors import DataError, FormatError, OptionError, OutOfMemoryError
 from clvol.formats import Limits, _wire, _worker
-from clvol.formats._limits import Budget, announce, limited, require_expansion
+from clvol.formats._limits import Budget, announce, limited
 from clvol.volumes import Leading
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="signals and limits of POSIX")
@@ -233,6 +233,27 @@ def test_large_arrays_are_not_copied(tmp_path: Path) -> None:
         assert "memfd:clvol" in Path("/proc/self/maps").read_text()
 
 
+def test_samples_that_lie_in_the_file_as_they_are_are_read_here(tmp_path: Path) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    data = np.random.default_rng(1).integers(0, 9999, (2, 40, 130, 210), np.uint16)
+    for order in "<>":
+        tifffile.imwrite(tmp_path / "v.tif", data, ome=True, photometric="minisblack", metadata={"axes": "CZYX"}, byteorder=order)
+        for trusted in (False, True):
+            read = clvol.read(tmp_path / "v.tif", channel=1, trusted=trusted)
+            np.testing.assert_array_equal(read.data, data[1])
+            assert read.data.dtype == np.uint16
+            assert type(np.asarray(read)) is np.ndarray
+            np.testing.assert_array_equal(np.asarray(clvol.read_all(tmp_path / "v.tif", trusted=trusted)), data)
+
+
+@linux
+@pytest.mark.parametrize(("name", "start"), [("/dev/zero", 0), ("v", 1), ("v", -8), ("gone", 0)])
+def test_files_that_are_no_files_are_not_read(tmp_path: Path, name: str, start: int) -> None:
+    (tmp_path / "v").write_bytes(bytes(32))
+    with pytest.raises(_wire.WireError, match="32 bytes at"):
+        _wire._read(tmp_path / name, start, np.dtype(np.int64), (4,))
+
+
 def test_warnings_come_with_the_line_of_the_caller(tmp_path: Path) -> None:
     tifffile = pytest.importorskip("tifffile")
     tifffile.imwrite(tmp_path / "v.tif", np.zeros((3, 4, 5), np.uint16), photometric="minisblack", metadata=None)
@@ -358,7 +379,7 @@ def test_limits_name_the_rule() -> None:
     with limited(Budget(Limits(), 1000, 1 << 34)):
         announce("v", 1 << 30)  # any file may stand for so much
         announce("v", 5 << 30, 1 << 23)
-        with pytest.raises(FormatError, match=r"up to 1000 bytes of samples for each of its 1000 \(Limits\.expansion\)"):
+        with pytest.raises(FormatError, match=r"at most 1000 times as large as what is stored, 1000 bytes \(Limits\.ex"):
             announce("v", 5 << 30)
         with pytest.raises(OutOfMemoryError, match=r"into the 16384 MiB that are available; they take 20480 MiB"):
             announce("v", 20 << 30, 1 << 30)

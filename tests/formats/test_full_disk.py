@@ -42,7 +42,8 @@ def figure(path):
     Drawing(drawn, []).save(path)
 
 writers = {suffix: lambda path: formats.write(noise, path) for suffix in formats.WRITTEN}
-writers |= {f"picture{suffix}": lambda path: picture.save(noise.reshape(96, 256), path) for suffix in (".png", ".jpg", ".tif", ".bmp")}
+pictures = (".png", ".jpg", ".tif", ".bmp")
+writers |= {f"picture{suffix}": lambda path: picture.save(noise.reshape(96, 256), path) for suffix in pictures}
 writers |= {"text.html": text} | {f"figure{suffix}": figure for suffix in (".png", ".svg", ".pdf")}
 held = lambda: len(os.listdir("/proc/self/fd")) if os.path.isdir("/proc/self/fd") else 0
 for name in sys.argv[3:] or writers:

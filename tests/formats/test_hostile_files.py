@@ -340,7 +340,7 @@ HOSTILE: dict[str, tuple[Maker, str]] = {
     "version-9.npy": (content(b"\x93NUMPY\x09\0" + bytes(99)), "version"),
     "checksum.npz": (npz(("data.npy", npy((2, 3, 4))), spoil=lambda whole: at(whole.index(BYTES), "B", 9)(whole)), "CRC"),
     "bomb.npz": (npz(("data.npy", npy((1, 1, 24))), spoil=sizes_of_the_archive(2**32 - 2)), "two sizes"),
-    "deflate-bomb.npz": (npz(("data.npy", npy((9, 9, 9))), kind=8, spoil=sizes_of_the_archive(2**32 - 2)), "times as large"),
+    "deflate-bomb.npz": (npz(("data.npy", npy((9, 9, 9))), kind=8, spoil=sizes_of_the_archive(2**32 - 2)), "Limits.expansion"),
     "bzip2.npz": (npz(("data.npy", npy((2, 3, 4))), kind=zipfile.ZIP_BZIP2), "packed by deflate"),
     "same-names.npz": (npz(("data.npy", npy((2, 3, 4))), ("data.npy", npy((4, 3, 2)))), "different names"),
     "nan.npz": (npz(("data.npy", npy((2, 3, 4))), ("spacing.npy", npy((3,), "<f8", struct.pack("<3d", 1, np.nan, 1)))), "finite"),
@@ -355,10 +355,13 @@ HOSTILE: dict[str, tuple[Maker, str]] = {
     "bomb-behind.nii.gz": (content(gzip.compress(nifti()) + bomb(10_000)), "24 bytes.*found 25"),
     "bomb.nii.gz": (
         content(gzip.compress(nifti(dim=(40, "8h", (3, 32000, 32000, 10, 1, 1, 1, 1)))) + bomb(10_000)),
-        "times as large.*its header says 10240000000",
+        "Limits.expansion.*its header says 10240000000",
     ),
     "absurd.nii.gz": (content(gzip.compress(nifti(dim=(40, "8h", (7, *(32767,) * 7))))), "bytes of samples"),
-    "small-lie.nii.gz": (content(gzip.compress(nifti(dim=(40, "8h", (3, 900, 900, 900, 1, 1, 1, 1))))), "729000000 bytes.*found 24"),
+    "small-lie.nii.gz": (
+        content(gzip.compress(nifti(dim=(40, "8h", (3, 900, 900, 900, 1, 1, 1, 1))))),
+        "729000000 bytes.*found 24",
+    ),
     "in-the-header.nii": (content(nifti(start=(108, "f", (100,)))), "at byte 352 or later"),
     "placed-nan.nii": (content(nifti(code=(254, "h", (1,)), rows=(280, "f", (float("nan"),)))), "finite"),
     "spacing-nan.nii": (content(nifti(pixdim=(76, "8f", (1, float("nan"), *(1,) * 6)))), "finite"),
@@ -368,7 +371,7 @@ HOSTILE: dict[str, tuple[Maker, str]] = {
     "far-checksum.mgz": (content(damaged_gzip(mgh(data=BYTES + noise(3 << 20)))), "CRC"),
     "bomb-behind.mgz": (content(gzip.compress(mgh()) + bomb(10_000)), "up to"),
     "bomb.mgz": (content(gzip.compress(mgh((HUGE, 3, 2, 1))) + bomb(10_000)), "its header says"),
-    "absurd.mgh": (content(mgh((HUGE, HUGE, HUGE, HUGE))), "times as large"),
+    "absurd.mgh": (content(mgh((HUGE, HUGE, HUGE, HUGE))), "Limits.expansion"),
     "minus.mgh": (content(mgh((-4, -3, 2, 1))), "at least one sample"),
     "type-9.mgh": (content(mgh(kind=9)), "type 9"),
     # TIFF
@@ -376,11 +379,14 @@ HOSTILE: dict[str, tuple[Maker, str]] = {
     "bits-8.tif": (tiff((258, 8)), "bytes of samples in each strip"),
     "bits-8-packed.tif": (tiff((258, 8), compression="zlib"), "bytes of samples in each strip"),
     "bits-of-another-page.ome.tif": (tiff((258, 8), which=1, ome=True, metadata={"axes": "ZYX"}), "one shape and type"),
-    "floats-of-another-page.ome.tif": (tiff((339, 1), which=2, data=DATA.view(np.int16), ome=True, metadata={"axes": "ZYX"}), "one shape and type"),
+    "floats-of-another-page.ome.tif": (
+        tiff((339, 1), which=2, data=DATA.view(np.int16), ome=True, metadata={"axes": "ZYX"}),
+        "one shape and type",
+    ),
     "narrow.tif": (tiff((256, 4)), "bytes of samples in each strip"),
     "narrow-packed.tif": (tiff((256, 4), compression="zlib"), "bytes of samples in each strip"),
     "wide.tif": (tiff((256, HUGE), (257, HUGE)), "StripByteCounts|strips or tiles"),
-    "wide-packed.tif": (tiff((256, HUGE), (257, HUGE), (278, HUGE), compression="zlib"), "times as large"),
+    "wide-packed.tif": (tiff((256, HUGE), (257, HUGE), (278, HUGE), compression="zlib"), "Limits.expansion"),
     "strips.tif": (tiff((278, 1)), "StripByteCounts|4 strips or tiles"),
     "round.tif": (next_directory(0), "reached twice"),
     "past.tif": (next_directory(10**9), "before its end"),
@@ -426,7 +432,7 @@ HOSTILE: dict[str, tuple[Maker, str]] = {
     "kind.zarr": (zarr(said(data_type="object")), "cannot read"),
     "up.zarr": (ome_zarr("../cut.zarr"), "cannot read"),
     "nan.zarr": (ome_zarr("0", float("nan")), "finite"),
-    "bomb.zarr.zip": (npz(("zarr.json", b"{}"), kind=8, spoil=sizes_of_the_archive(2**32 - 2)), "times as large"),
+    "bomb.zarr.zip": (npz(("zarr.json", b"{}"), kind=8, spoil=sizes_of_the_archive(2**32 - 2)), "Limits.expansion"),
     "nothing.zip": (npz(("../zarr.txt", b"{}")), "Zarr array or group"),
     # VTK
     "short.vti": (vti(inline(24, BYTES[:7])), "17 bytes too early"),
@@ -444,7 +450,7 @@ HOSTILE: dict[str, tuple[Maker, str]] = {
     "far.vti": (vti(element('format="appended" offset="999"'), tail=appended(24, BYTES)), "appended within the file"),
     "cut.vti": (vti(element('format="appended" offset="0"'), tail=appended(24, BYTES[:-1])), "1 bytes too early"),
     "components.vti": (vti(element('NumberOfComponents="-3" format="ascii"', "1")), "components"),
-    "extent.vti": (vti(extent=f"0 {HUGE - 1} 0 {HUGE - 1} 0 1"), "times as large"),
+    "extent.vti": (vti(extent=f"0 {HUGE - 1} 0 {HUGE - 1} 0 1"), "Limits.expansion"),
     "nan.vti": (vti(spacing="nan 1 1"), "finite numbers for Spacing"),
     "laughs.vti": (vti(head=ENTITIES), "declarations"),
     "entity.vti": (vti(head='<!DOCTYPE l [<!ENTITY x SYSTEM "file:///etc/passwd">]>'), "declarations"),
@@ -457,7 +463,7 @@ HOSTILE: dict[str, tuple[Maker, str]] = {
     "rows.png": (content(png(height=140)), "must hold 840 bytes of unpacked rows; found 24"),
     "shapes": (folder(a_png=png(), b_png=(lambda path: png_of(path, (3, 3)))), "one shape"),
     "kinds": (folder(a_png=png(), b_bmp=b""), "one kind"),
-}  # fmt: skip
+}
 
 if POSIX:
     HOSTILE |= {
@@ -571,7 +577,7 @@ SOUND: dict[str, Maker] = {
 
 @pytest.fixture(scope="module")
 def outcomes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[str, Any, float, int]]:
-    """What reading each file leads to; "died" for the one that ended the process. The sound ones come first: they import libraries."""
+    """What reading each file leads to; "died" for the one that ended the process. Sound ones come first: they import libraries."""
     for module in ("tifffile", "imagecodecs", "h5py", "zarr", "nibabel"):
         pytest.importorskip(module)
     root = tmp_path_factory.mktemp("hostile")
@@ -635,9 +641,11 @@ after = held()
 print(after[0] - before[0], after[1] - before[1])
 """
 
-OF_EACH = ("cut.npy", "checksum.npz", "checksum.nii.gz", "short.hdr", "type-9.mgh", "far-checksum.mgz", "bits-8-packed.tif", "round.tif",
-           "missing.ome.tif", "checksum.h5", "external.h5", "link.ims", "cut.zarr", "same-names.npz", "no-base64.vti", "checksum.vti",
-           "checksum.png", "shapes")  # fmt: skip
+OF_EACH = (
+    *("cut.npy", "checksum.npz", "same-names.npz", "checksum.nii.gz", "short.hdr", "type-9.mgh", "far-checksum.mgz"),
+    *("bits-8-packed.tif", "round.tif", "missing.ome.tif", "checksum.h5", "external.h5", "link.ims", "cut.zarr"),
+    *("no-base64.vti", "checksum.vti", "checksum.png", "shapes"),
+)
 
 
 def read_again(folder: Path, times: int) -> tuple[int, int]:
@@ -700,7 +708,7 @@ def test_logging_has_no_say(tmp_path: Path, silence: Callable[[], None]) -> None
     text = "ImageJ=1.54f\nimages=24\nslices=4\nframes=6\nhyperstack=true\n"
     tifffile.imwrite(tmp_path / "v.tif", DATA, description=text, metadata=None, photometric="minisblack", rowsperstrip=2)
     silence()
-    with pytest.raises(FormatError, match="damaged or unusual.*ImageJ"):
+    with pytest.raises(FormatError, match=r"damaged or unusual.*ImageJ"):
         clvol.read(tmp_path / "v.tif")
 
 

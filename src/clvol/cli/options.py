@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, make_dataclass, replace
@@ -169,7 +170,7 @@ class Input:
         for field in fields(self):
             value = getattr(self, field.name)
             if value is not None and value is not False and value != "all" and field.name != "fill_nan":
-                number = isinstance(value, str) and field.name in ("channel", "series") and value.isdecimal()
+                number = isinstance(value, str) and field.name in ("channel", "series") and value.isdecimal() and len(value) < 10
                 given[field.name] = int(value) if number else value
         return given
 
@@ -331,7 +332,8 @@ class Given:
         """What was given; a colour may be three numbers in one argument."""
         given = {name: value for name, value in vars(self).items() if value is not None}
         if isinstance(given.get("color"), str) and re.fullmatch(r"\s*([\d.e+-]+[\s,]+){2}[\d.e+-]+\s*", given["color"]):
-            given["color"] = tuple(float(v) for v in re.split(r"[\s,]+", given["color"].strip()))
+            with contextlib.suppress(ValueError):  # 1.2.3 is no number: it is refused as a name
+                given["color"] = tuple(float(v) for v in re.split(r"[\s,]+", given["color"].strip()))
         return given
 
 

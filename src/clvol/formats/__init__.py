@@ -133,7 +133,16 @@ FORMATS = (
         native=("h5py",),
     ),
     Format("Imaris", (".ims",), imaris.read, None, frozenset({"level"}), several=True, native=("h5py",)),
-    Format("VTK image data", (".vti",), vti.read, None, frozenset({"series"}), several=True, series=vti.series),
+    Format(
+        "VTK image data",
+        (".vti",),
+        vti.read,
+        None,
+        frozenset({"series"}),
+        several=True,
+        series=vti.series,
+        native=("vtkmodules.vtkIOCore",),
+    ),
     Format(
         "microscope makers' files",
         bioio.SUFFIXES,

@@ -154,8 +154,8 @@ def announce(source: str, needed: int, stored: int | None = None) -> None:
         held = budget.stored if stored is None else stored
         if held is not None and needed > max(_GIB, limits.expansion * held):
             raise FormatError(
-                f"{source} must hold up to {limits.expansion:g} bytes of samples for each of its {held} (Limits.expansion), "
-                f"if they are more than 1 GiB; its header says {needed}; {MORE}"
+                f"the samples of {source} must be at most {limits.expansion:g} times as large as what is stored, {held} bytes "
+                f"(Limits.expansion), if they are more than 1 GiB; its header says {needed} bytes; {MORE}"
             )
     if needed > room:
         raise OutOfMemoryError(

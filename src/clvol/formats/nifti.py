@@ -145,7 +145,7 @@ class _Header:
 def read(path: Path, choose: Choice) -> Content:
     """Samples of what is chosen, scaled as the header says, and geometry, turned from NIfTI's RAS to ITK's LPS.
 
-    Both are as nibabel has them. No other volume is loaded; a packed file is unpacked to its end all the same, where its checksum is.
+    Both are as nibabel has them. No other volume is loaded; a packed file is unpacked to its end all the same, for its checksum.
     """
     with _opened(path) as stream:
         header = _parse(stream, path.name)

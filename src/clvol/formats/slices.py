@@ -132,7 +132,7 @@ def _picture(path: Path) -> tuple[NDArray[Any], Leading]:
 
 
 def _check_png(path: Path) -> None:
-    """Raise if a part of the file is missing or has another checksum, or has too few samples: Pillow makes those that are not there 0."""
+    """Raise if a part of the file is missing or has another checksum, or has too few rows, which Pillow fills up with 0."""
     end, found, needed, packed = path.stat().st_size, 0, 0, zlib.decompressobj()
     with path.open("rb") as stream:
         if stream.read(len(_PNG)) != _PNG:  # Pillow goes by what files hold, not by their names

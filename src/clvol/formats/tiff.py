@@ -27,7 +27,7 @@ from clvol.formats._files import inflated_size, require_default, sample_count, s
 from clvol.formats._layout import Layout, lay_out
 from clvol.formats._limits import announce
 from clvol.formats._units import METRES, scale, unit_name
-from clvol.formats._wire import copied, empty
+from clvol.formats._wire import as_stored, empty
 from clvol.interop import Content
 from clvol.volume import Volume
 from clvol.volumes import Leading, Volumes
@@ -46,6 +46,7 @@ _DECLARED = re.compile(r"<!(DOCTYPE|ENTITY)")
 _NAMED = re.compile(r"""FileName\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 _DEFLATED = (8, 32946)
 _LOSSLESS = (*_DEFLATED, 5, 32773, 34925, 34926, 50000)  # and LZW, PackBits, LZMA, Zstandard
+_NATIVE = "<" if sys.byteorder == "little" else ">"
 _MOST_STORED, _HEAD = 2, 4096  # bytes that a codec may need at most for one of samples, and for itself
 
 Colors = tuple[tuple[float, float, float] | None, ...]
@@ -226,7 +227,8 @@ def _strict() -> Iterator[None]:
     if not isinstance(logger, _Overheard):  # for good: to change it back would deafen other threads
         logger.__class__ = type("Overheard", (_Overheard, type(logger)), {})
     before = getattr(_listening, "heard", None)
-    _listening.heard = heard = []
+    heard: list[FormatError] = []
+    _listening.heard = heard
     try:
         yield
     finally:
@@ -280,14 +282,23 @@ def _load(name: str, file: Any, image: Any, index: tuple[int | slice, ...]) -> N
         numbers = np.arange(len(image)).reshape(shape[:split])[index[:split]]
         keys = [int(n) for n in np.ravel(numbers)]
         _check_samples(name, [image[key] for key in keys], image.keyframe, len(keys) * image.keyframe.size)
+        if file.byteorder == _NATIVE and (mapped := _mapped(file, image, shape)) is not None:
+            return as_stored(mapped[index])
         into = empty((len(keys), image.keyframe.size), image.dtype)
         samples = file.asarray(key=keys, series=image, out=into).reshape(np.shape(numbers) + tuple(shape[split:]))
         return np.asarray(samples[(slice(None),) * np.ndim(numbers) + index[split:]])
     _check_samples(name, list(image), image.keyframe, sample_count(shape))
-    if image.dataoffset is not None and image.transform is None and image.keyframe.is_memmappable:
-        mapped = file.filehandle.memmap_array(file.byteorder + image.dtype.char, shape, image.dataoffset)
-        return copied(mapped[index])  # the file may change
+    if (mapped := _mapped(file, image, shape)) is not None:
+        return as_stored(mapped[index])
     return np.asarray(image.asarray(out=empty(shape, image.dtype)).reshape(shape)[index])
+
+
+def _mapped(file: Any, image: Any, shape: tuple[int, ...]) -> NDArray[Any] | None:
+    """All samples of an image, where they follow each other in the file, as they are."""
+    if image.dataoffset is None or image.transform is not None or not image.keyframe.is_memmappable:
+        return None
+    found: NDArray[Any] = file.filehandle.memmap_array(file.byteorder + image.dtype.char, shape, image.dataoffset)
+    return found
 
 
 def _check_samples(name: str, pages: Sequence[Any], keyframe: Any, count: int) -> None:

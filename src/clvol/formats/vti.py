@@ -44,7 +44,7 @@ _MOST_AXIS = 1 << 31  # of samples: an extent is of numbers of 32 bits
 
 @dataclass(frozen=True)
 class _Array:
-    """One array of a file: at points or in cells, and whether VTK's programs show it; where each piece of it lies, and what holds it."""
+    """One array of a file: at points or in cells, and whether VTK's programs show it; where its pieces lie, and what holds them."""
 
     kind: str
     name: str
@@ -363,11 +363,13 @@ def _unpacked_lz4(packed: bytes, size: int) -> bytes:
         from vtkmodules.vtkIOCore import vtkLZ4DataCompressor
     except ImportError as error:
         raise MissingDependencyError("VTK's files that are packed by LZ4 need vtk: pip install clvol[vtk]") from error
-    block, compressor = np.empty(size, np.uint8), vtkLZ4DataCompressor()
+    source: Any = np.frombuffer(packed, np.uint8)
+    block: Any = np.empty(size, np.uint8)
+    compressor = vtkLZ4DataCompressor()
     shown = compressor.GetGlobalWarningDisplay()
     compressor.SetGlobalWarningDisplay(False)  # what it would tell the terminal is raised
     try:
-        found = compressor.Uncompress(np.frombuffer(packed, np.uint8), len(packed), block, size)
+        found = compressor.Uncompress(source, len(packed), block, size)
     finally:
         compressor.SetGlobalWarningDisplay(shown)
-    return block[:found].tobytes()
+    return bytes(block[:found].tobytes())
