@@ -19,7 +19,7 @@ from clvol import memory
 from clvol.errors import ClvolError, ClvolWarning, OptionError, OutOfMemoryError
 from clvol.interop import as_array
 
-__all__ = ["as_path", "enough_memory", "instance", "number", "one_of", "reals", "require_room", "several", "warn", "whole"]
+__all__ = ["as_path", "enough_memory", "flag", "instance", "number", "one_of", "reals", "require_room", "several", "warn", "whole"]
 
 _MAX_SAMPLES = 1 << 36  # no machine holds the float64 positions of more
 
@@ -28,6 +28,13 @@ def instance(what: str, value: object, *kinds: type) -> None:
     """Raise `OptionError` unless `value` is of one of the classes; the first gives the rule its name."""
     if not isinstance(value, kinds):
         raise OptionError(f"{what} must be a {kinds[0].__name__}; got {value!r}")
+
+
+def flag(what: str, value: object) -> bool:
+    """`value` as a bool, if it is True or False, or a whole number in place of these; else `OptionError`."""
+    if not isinstance(value, (bool, np.bool_, int)):
+        raise OptionError(f"{what} must be True or False; got {value!r}")
+    return bool(value)
 
 
 def one_of(what: str, value: object, allowed: Iterable[str]) -> OptionError:

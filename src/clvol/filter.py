@@ -27,7 +27,7 @@ from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 
 from clvol import display
-from clvol.checks import number, one_of, reals, several, whole
+from clvol.checks import flag, number, one_of, reals, several, whole
 from clvol.errors import ClvolError, OptionError
 
 __all__ = [
@@ -129,6 +129,7 @@ class Filter:
             object.__setattr__(self, "length", number("length", self.length, minimum=0))
             if self.smoothing != 0:
                 raise OptionError(f"give smoothing or length, not both; got {self.smoothing!r} and {self.length!r}")
+        flag("prefilter", self.prefilter)
         if (self.smoothing != 0 or self.length is not None) and not self.prefilter:
             raise OptionError(f"smoothing takes a filter with a prefilter; {self.name!r} has none")
         if self.prefilter:
@@ -447,7 +448,7 @@ def bspline(
         filter without a prefilter (degrees 0 and 1 have none).
     """
     degree = whole("degree", degree, 0, 9)
-    made = _bspline(degree, bool(prefilter) and degree >= 2)  # the first two interpolate as they are
+    made = _bspline(degree, flag("prefilter", prefilter) and degree >= 2)  # the first two interpolate as they are
     given = _smoothing(smoothing)
     length = None if length is None else float(number("length", length, minimum=0))
     return made if length is None and given == 0 else _smoothed(made, given, length)
@@ -678,7 +679,7 @@ def sinc(radius: int = 4, *, normalized: bool = False) -> Filter:
     `normalized` they are divided by their sum, which is how programs use it; that is Berrut's rational interpolant of the
     nearest ``2 radius`` samples (Computers & Mathematics with Applications 15, 1988).
     """
-    return _sinc(_radius(radius), bool(normalized))
+    return _sinc(_radius(radius), flag("normalized", normalized))
 
 
 @lru_cache
@@ -693,7 +694,7 @@ def lanczos(radius: int, *, normalized: bool = False) -> Filter:
 
     Its weights sum to one only nearly; with `normalized` they are divided by their sum.
     """
-    return _lanczos(_radius(radius), bool(normalized))
+    return _lanczos(_radius(radius), flag("normalized", normalized))
 
 
 @lru_cache

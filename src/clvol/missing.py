@@ -68,7 +68,7 @@ class Missing:
     most: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.rule not in ("error", "propagate", "local"):
+        if not isinstance(self.rule, str) or self.rule not in ("error", "propagate", "local"):
             raise one_of("nan", self.rule, ("error", "propagate", "local"))
         object.__setattr__(self, "most", number("most", self.most, minimum=0, maximum=1))
         if self.mask is not None:

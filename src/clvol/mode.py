@@ -208,7 +208,7 @@ class Isosurface(Mode):
             _set(self, isovalue=number("isovalue", self.isovalue))
         _set(self, color=color_of("color", self.color), shading=_switch("shading", self.shading))
         _set(self, tolerance=number("tolerance", self.tolerance, minimum=0, maximum=1))
-        if self.method not in ("exact", "stepped"):
+        if not isinstance(self.method, str) or self.method not in ("exact", "stepped"):
             raise one_of("method", self.method, ("exact", "stepped"))
         if self.method == "stepped":
             _set(self, state_fields=4)  # the last sample too

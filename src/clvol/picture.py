@@ -18,6 +18,7 @@ from clvol import memory
 from clvol.checks import as_path, number, whole
 from clvol.errors import OptionError
 from clvol.files import require_suffix, staged
+from clvol.interop import as_array
 
 __all__ = [
     "SUFFIXES",
@@ -64,7 +65,7 @@ class Picture(np.ndarray[Any, np.dtype[Any]]):
     kind: str
 
     def __new__(cls, array: ArrayLike, kind: str = "rgba") -> Self:
-        result = np.asarray(array).view(cls)
+        result = as_array(array, "picture").view(cls)
         result.kind = kind
         return result
 

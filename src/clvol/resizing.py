@@ -123,7 +123,7 @@ def resize(
     if given.kind == "b" and chosen:
         raise OptionError(f"anti_aliasing must be False for booleans; got {anti_aliasing!r}")
     order = _order(order, given)
-    if mode not in _MODES:
+    if not isinstance(mode, str) or mode not in _MODES:
         raise one_of("mode", mode, _MODES)
     precision = as_precision(precision, given)
     single = given.kind == "f" and given.itemsize <= 4

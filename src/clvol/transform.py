@@ -16,6 +16,7 @@ from clvol.checks import reals
 from clvol.errors import DataError, GeometryError, OptionError
 from clvol.filter import Filter, as_filter, bspline
 from clvol.foreign import simpleitk
+from clvol.interop import as_array
 from clvol.volume import Volume
 
 __all__ = [
@@ -121,7 +122,7 @@ class _Grid:
     filter: Filter
 
     def __init__(self, what: str, values: ArrayLike, spacing: Any, origin: Any, direction: Any, filter: Filter) -> None:
-        array = np.asarray(values)
+        array = as_array(values, what)
         if array.dtype.kind not in "biuf":
             raise DataError(f"{what} must be real numbers; got {array.dtype}")
         if array.ndim not in (3, 4) or array.shape[-1] != array.ndim - 1:
@@ -236,7 +237,7 @@ class BSplineTransform(_Grid):
         direction: ArrayLike | None = None,
         order: int = 3,
     ) -> None:
-        if isinstance(order, bool) or order not in (1, 2, 3):
+        if isinstance(order, bool) or not isinstance(order, (int, np.integer)) or order not in (1, 2, 3):
             raise OptionError(f"order must be 1, 2 or 3; got {order!r}")
         super().__init__("coefficients", coefficients, spacing, origin, direction, bspline(order))
         if min(self.grid.shape) <= order:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol import memory
-from clvol.checks import one_of, whole
+from clvol.checks import instance, one_of, whole
 from clvol.color import color_of
 from clvol.errors import DataError, GeometryError, OptionError
 from clvol.foreign import to_nibabel, to_simpleitk, to_xarray
@@ -239,6 +239,7 @@ class Volumes(Sequence[Volume]):
             about = known | about
         if leading is None:
             leading = Leading(("volume",), array.shape[:1])
+        instance("leading", leading, Leading)
         n = len(leading.axes)
         if n == 0 or array.shape[:n] != leading.counts:
             raise OptionError(f"leading must count the first axes of the samples, of shape {array.shape}; got {leading.counts}")

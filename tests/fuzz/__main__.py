@@ -25,9 +25,13 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=1000, help="mutants a format")
     parser.add_argument("--seconds", type=float, help="go on for so long instead")
     parser.add_argument("--first", type=int, help="first seed; default 0, or with --seconds one that is new")
-    parser.add_argument("--trusted", action="store_true", help="read in one process what native code reads: finds what a child process survives")
+    parser.add_argument(
+        "--trusted", action="store_true", help="read in one process what native code reads: finds what a child process survives"
+    )
     parser.add_argument("--results", type=Path, help="a JSON file, in which the rows of the formats are replaced")
-    parser.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir()) / "clvol-fuzz", help="where inputs go that broke a promise")
+    parser.add_argument(
+        "--keep", type=Path, default=Path(tempfile.gettempdir()) / "clvol-fuzz", help="where inputs go that broke a promise"
+    )
     given = parser.parse_args()
     formats = given.formats or _ALL
     if unknown := set(formats) - set(_ALL):
@@ -36,7 +40,10 @@ def main() -> int:
     totals = {kind: Tally(kind) for kind in formats}
     missing: set[str] = set()
     end = time.monotonic() + given.seconds if given.seconds else None
-    print(f"{'format':<12}{'seeds from':>15}{'tried':>8}{'refused':>8}{'read':>8}{'compared':>9}{'broken':>7}{'s':>7}{'MB':>6}", flush=True)
+    print(
+        f"{'format':<12}{'seeds from':>15}{'tried':>8}{'refused':>8}{'read':>8}{'compared':>9}{'broken':>7}{'s':>7}{'MB':>6}",
+        flush=True,
+    )
     while True:
         for kind in [kind for kind in formats if kind not in missing]:
             if end is not None and time.monotonic() > end:
@@ -50,11 +57,11 @@ def main() -> int:
                 continue
             totals[kind].add(tally)
             _print(tally, first, given.keep)
+            if given.results:
+                _store(given.results, totals[kind])
         first += _CHUNK
         if end is None or time.monotonic() > end:
             break
-    if given.results:
-        _store(given.results, [tally for tally in totals.values() if tally.tried])
     return int(any(tally.broken for tally in totals.values()))
 
 
@@ -66,12 +73,10 @@ def _print(tally: Tally, first: int, keep: Path) -> None:
         print(f"    {count:>6} × {what}; {keep / f'{t.format}-{seed}'}", flush=True)
 
 
-def _store(path: Path, tallies: list[Tally]) -> None:
-    """Replace the rows of these formats, and keep the others."""
+def _store(path: Path, tally: Tally) -> None:
+    """Replace the row of a format, and keep the others."""
     rows = {row["format"]: row for row in json.loads(path.read_text())} if path.is_file() else {}
-    for tally in tallies:
-        row = {name: round(value, 3) if isinstance(value, float) else value for name, value in asdict(tally).items()}
-        rows[tally.format] = row
+    rows[tally.format] = {name: round(value, 3) if isinstance(value, float) else value for name, value in asdict(tally).items()}
     path.write_text(json.dumps([rows[kind] for kind in _ALL if kind in rows], indent=1) + "\n")
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import gc
 import json
-import math
 import mmap
 import os
 import resource
@@ -17,8 +16,7 @@ import tempfile
 import time
 import traceback
 import warnings
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from inspect import signature
 from pathlib import Path
@@ -132,7 +130,9 @@ def _warm(kind: str, sample: Sample, trusted: bool) -> None:
         raise AssertionError(f"the corpus of {kind} is not read as it is: {wrong}")
 
 
-def _run(kind: str, samples: list[Sample], seeds: list[int], keep: Path, trusted: bool) -> tuple[Tally, tuple[str, str, int] | None]:
+def _run(
+    kind: str, samples: list[Sample], seeds: list[int], keep: Path, trusted: bool
+) -> tuple[Tally, tuple[str, str, int] | None]:
     """Fork, and watch: what the child counted, and what it died of."""
     shared = mmap.mmap(-1, 16)  # how many were begun, and the processor time at the last
     with tempfile.TemporaryDirectory(dir=_memory_disk()) as folder:
@@ -225,7 +225,7 @@ def _child(kind: str, samples: list[Sample], seeds: list[int], keep: Path, trust
 def _held() -> tuple[float, int]:
     """Megabytes in memory, and open handles."""
     gc.collect()
-    return _status("VmRSS") / 1e6, len(os.listdir("/proc/self/fd"))
+    return _status("VmRSS") / 1e6, sum(1 for _ in Path("/proc/self/fd").iterdir())
 
 
 def _status(name: str, process: str = "self") -> int:
@@ -315,12 +315,15 @@ def _one(
         wrong.append(("hangs", f"more than {SECONDS:g} s"))
     if peak > MEGABYTES:
         wrong.append(("memory", f"more than {MEGABYTES:g} MB"))
-    wrong += [("foreign", f"{w.category.__name__}: {str(w.message)[:60]}") for w in told if not issubclass(w.category, ClvolWarning)]
+    wrong += [
+        ("foreign", f"{w.category.__name__}: {str(w.message)[:60]}") for w in told if not issubclass(w.category, ClvolWarning)
+    ]
     if result is not None:
         tally.accepted += 1
         silent = _judged(kind, mutated, original, result, bool(told), tally)
         wrong += [silent] if silent else []
-    return not any([tally.find(what, why, seed) for what, why in wrong])  # each is counted
+    kept = [tally.find(what, why, seed) for what, why in wrong]  # each is counted
+    return not any(kept)
 
 
 def _judged(kind: str, mutated: Sample, original: Sample, result: Any, told: bool, tally: Tally) -> tuple[str, str] | None:
@@ -343,7 +346,11 @@ def _judged(kind: str, mutated: Sample, original: Sample, result: Any, told: boo
         tally.compared += 1
         wrong = _difference(truth(original.files, original.entry, original.options), result, told)
     if damaged:
-        return ("silent", f"read otherwise, but damaged: {damaged}") if wrong else ("lenient", f"read as before, but damaged: {damaged}")
+        return (
+            ("silent", f"read otherwise, but damaged: {damaged}")
+            if wrong
+            else ("lenient", f"read as before, but damaged: {damaged}")
+        )
     return ("silent", wrong) if wrong else None
 
 

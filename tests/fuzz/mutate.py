@@ -20,14 +20,95 @@ Field = tuple[int, str]  # offset and type, as `struct` names it
 
 _WHOLE = (0, 1, 2, 3, 4, 5, 7, 8, 9, 16, 17, 255, 256, 1000, 1 << 15, 65535, 1 << 16, 10**6, 1 << 24, (1 << 31) - 1, 1 << 31)
 _WHOLE = (*_WHOLE, (1 << 32) - 1, 1 << 32, 10**12, (1 << 63) - 1, 1 << 63, (1 << 64) - 1)
-_REAL = (0.0, -0.0, 1.0, -1.0, 0.5, 1e-3, 1e-45, 1e-308, 5e-324, 1e10, 3e38, 1e308, float("inf"), float("-inf"), float("nan"), 2**31)
+_REAL = (
+    0.0,
+    -0.0,
+    1.0,
+    -1.0,
+    0.5,
+    1e-3,
+    1e-45,
+    1e-308,
+    5e-324,
+    1e10,
+    3e38,
+    1e308,
+    float("inf"),
+    float("-inf"),
+    float("nan"),
+    2**31,
+)
 _TEXTS = (b"0", b"-0", b"1", b"-1", b"2", b"3", b"4", b"5", b"7", b"16", b"255", b"65536", b"1000000", b"2147483647", b"2147483648")
-_TEXTS += (b"4294967296", b"-9223372036854775808", b"9223372036854775807", b"18446744073709551616", b"1" + 30 * b"0", b"0x9", b"010")
-_TEXTS += (b"0.5", b"1,5", b"1e308", b"-1e308", b"1e-308", b"1e400", b"nan", b"NaN", b"inf", b"-inf", b"0.5x9", b"", b" ", b"none", b"%d")
+_TEXTS += (
+    b"4294967296",
+    b"-9223372036854775808",
+    b"9223372036854775807",
+    b"18446744073709551616",
+    b"1" + 30 * b"0",
+    b"0x9",
+    b"010",
+)
+_TEXTS += (
+    b"0.5",
+    b"1,5",
+    b"1e308",
+    b"-1e308",
+    b"1e-308",
+    b"1e400",
+    b"nan",
+    b"NaN",
+    b"inf",
+    b"-inf",
+    b"0.5x9",
+    b"",
+    b" ",
+    b"none",
+    b"%d",
+)
 _TEXTS += (b"true", b"null", b"[]", b"{}", b'""', b"()", b"../x", b"/dev/zero", b"LIST", b"\xff\xfe", "１".encode(), b"A" * 300)
-_WORDS = (b"raw", b"gzip", b"zlib", b"bzip2", b"ascii", b"hex", b"little", b"big", b"short", b"float", b"uchar", b"double", b"int64")
-_WORDS += (b"MET_UCHAR", b"MET_SHORT", b"MET_DOUBLE", b"True", b"False", b"uint8", b"uint16", b"float64", b"<i2", b">f4", b"|b1", b"|O")
-_WORDS += (b"UInt8", b"Int16", b"Float64", b"LittleEndian", b"BigEndian", b"appended", b"LOCAL", b"zstd", b"C", b"F", b"time", b"domain")
+_WORDS = (
+    b"raw",
+    b"gzip",
+    b"zlib",
+    b"bzip2",
+    b"ascii",
+    b"hex",
+    b"little",
+    b"big",
+    b"short",
+    b"float",
+    b"uchar",
+    b"double",
+    b"int64",
+)
+_WORDS += (
+    b"MET_UCHAR",
+    b"MET_SHORT",
+    b"MET_DOUBLE",
+    b"True",
+    b"False",
+    b"uint8",
+    b"uint16",
+    b"float64",
+    b"<i2",
+    b">f4",
+    b"|b1",
+    b"|O",
+)
+_WORDS += (
+    b"UInt8",
+    b"Int16",
+    b"Float64",
+    b"LittleEndian",
+    b"BigEndian",
+    b"appended",
+    b"LOCAL",
+    b"zstd",
+    b"C",
+    b"F",
+    b"time",
+    b"domain",
+)
 _NUMBER = re.compile(rb"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 _WORD = re.compile(rb"[A-Za-z_|<>=][A-Za-z0-9_]+")
 _HEAD = 4096  # bytes in which texts are looked for
@@ -242,7 +323,9 @@ def _text(content: bytes, dice: random.Random) -> bytes:
         if not found:
             return content
         match = dice.choice(found)
-        new = dice.choice((*_TEXTS, *_TEXTS, *_WORDS, dice.choice(found)[0]) if way < 0.55 else (*_WORDS, dice.choice(found)[0], b""))
+        new = dice.choice(
+            (*_TEXTS, *_TEXTS, *_WORDS, dice.choice(found)[0]) if way < 0.55 else (*_WORDS, dice.choice(found)[0], b"")
+        )
         return content[: match.start()] + new + content[match.end() :]
     lines = head.splitlines(keepends=True)
     i, j = dice.randrange(len(lines)), dice.randrange(len(lines))
@@ -309,7 +392,9 @@ def _zeroed(content: bytes, dice: random.Random, _: list[bytes]) -> bytes:
 
 
 def _appended(content: bytes, dice: random.Random, others: list[bytes]) -> bytes:
-    return content + dice.choice((bytes(dice.choice((1, 100))), dice.randbytes(dice.choice((1, 2, 4, 8, 100))), dice.choice(others)))
+    return content + dice.choice(
+        (bytes(dice.choice((1, 100))), dice.randbytes(dice.choice((1, 2, 4, 8, 100))), dice.choice(others))
+    )
 
 
 _BLIND = (_bit, _bit, _byte, _byte, _number, _number, _truncated, _inserted, _deleted, _doubled, _spliced, _zeroed, _appended)

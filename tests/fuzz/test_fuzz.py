@@ -21,13 +21,32 @@ FEW = 60  # mutants of a format that a child process reads, or whose reader is s
 MANY = 600  # of the others
 CALLS = 3000
 QUICK = ("npy", "npz", "nii", "nii.gz", "hdr", "mgh", "mgz", "raw")
-OTHERS = ("nrrd", "nhdr", "mha", "mhd", "dcm", "tiff", "tiff-packed", "png", "jpg", "bmp", "h5", "nc", "ims", "vti", "zarr", "zarr.zip")
+OTHERS = (
+    "nrrd",
+    "nhdr",
+    "mha",
+    "mhd",
+    "dcm",
+    "tiff",
+    "tiff-packed",
+    "png",
+    "jpg",
+    "bmp",
+    "h5",
+    "nc",
+    "ims",
+    "vti",
+    "zarr",
+    "zarr.zip",
+)
 
 forks = pytest.mark.skipif(not hasattr(os, "fork") or sys.platform == "darwin", reason="limits are set, and kept, as Linux does it")
 
 
 @forks
-@pytest.mark.parametrize(("formats", "count"), [(QUICK, MANY), (OTHERS, FEW), (("calls",), CALLS)], ids=["quick", "others", "calls"])
+@pytest.mark.parametrize(
+    ("formats", "count"), [(QUICK, MANY), (OTHERS, FEW), (("calls",), CALLS)], ids=["quick", "others", "calls"]
+)
 def test_no_promise_is_broken(tmp_path: Path, formats: tuple[str, ...], count: int) -> None:
     results = tmp_path / "results.json"
     command = [sys.executable, "-m", "tests.fuzz", *formats, "--count", str(count), "--results", str(results)]

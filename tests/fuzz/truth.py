@@ -31,7 +31,7 @@ Files = Mapping[str, bytes]
 Array = NDArray[Any]
 
 
-class Damaged(Exception):  # noqa: N818  # it says what the file is
+class Damaged(Exception):  # it says what the file is
     """The file contradicts itself, or one of its checksums does."""
 
 
@@ -167,7 +167,10 @@ def _mgh(files: Files, entry: str, _: object) -> Held:
     data = _shaped(content[284:], np.dtype(dtype), tuple(counts), "F", exact=False)
     delta, turn = np.array((1.0, 1.0, 1.0)), np.eye(3)
     if good > 0:
-        delta, turn = np.array(struct.unpack_from(">3f", content, 30)), np.array(struct.unpack_from(">9f", content, 42)).reshape(3, 3)
+        delta, turn = (
+            np.array(struct.unpack_from(">3f", content, 30)),
+            np.array(struct.unpack_from(">9f", content, 42)).reshape(3, 3),
+        )
     return Held(data.T, tuple(np.abs(delta) * np.linalg.norm(turn, axis=1)))
 
 
@@ -249,8 +252,13 @@ def _nrrd(files: Files, entry: str, _: object) -> Held:
     return Held(data, spacing if plain else None, loose=len(shape) > 3 or "vector" in kinds)
 
 
-_META = dict(zip("CHAR UCHAR SHORT USHORT INT UINT LONG ULONG LONG_LONG ULONG_LONG FLOAT DOUBLE".split(),
-                 "i1 u1 i2 u2 i4 u4 i4 u4 i8 u8 f4 f8".split(), strict=True))  # fmt: skip
+_META = dict(
+    zip(
+        ["CHAR", "UCHAR", "SHORT", "USHORT", "INT", "UINT", "LONG", "ULONG", "LONG_LONG", "ULONG_LONG", "FLOAT", "DOUBLE"],
+        ["i1", "u1", "i2", "u2", "i4", "u4", "i4", "u4", "i8", "u8", "f4", "f8"],
+        strict=True,
+    )
+)
 
 
 def _metaimage(files: Files, entry: str, _: object) -> Held:
@@ -353,7 +361,9 @@ def _slices(content: bytes) -> Array | None:
     if found.get(0x00020010, b"").strip(b"\0 ") not in (_UNTYPED, _UNTYPED + b".1"):
         return None
     try:
-        rows, columns, bits, stored, high, signed = (struct.unpack("<H", found[0x00280000 | t])[0] for t in (0x10, 0x11, 0x100, 0x101, 0x102, 0x103))
+        rows, columns, bits, stored, high, signed = (
+            struct.unpack("<H", found[0x00280000 | t])[0] for t in (0x10, 0x11, 0x100, 0x101, 0x102, 0x103)
+        )
         colours = struct.unpack("<H", found.get(0x00280002, b"\1\0"))[0]
         frames = int(found.get(0x00280008, b"1").strip(b"\0 ") or b"1")
         slope, intercept = (float(found.get(tag, d).strip(b"\0 ") or d) for tag, d in ((0x00281053, b"1"), (0x00281052, b"0")))
@@ -384,7 +394,24 @@ def _dicom(files: Files, entry: str, _: object) -> Held | None:
 
 # -- TIFF ----------------------------------------------------------------------------------------------------------
 
-_TIFF_TYPES = {1: "B", 2: "c", 3: "H", 4: "I", 5: "II", 6: "b", 7: "B", 8: "h", 9: "i", 10: "ii", 11: "f", 12: "d", 13: "I", 16: "Q", 17: "q", 18: "Q"}  # fmt: skip
+_TIFF_TYPES = {
+    1: "B",
+    2: "c",
+    3: "H",
+    4: "I",
+    5: "II",
+    6: "b",
+    7: "B",
+    8: "h",
+    9: "i",
+    10: "ii",
+    11: "f",
+    12: "d",
+    13: "I",
+    16: "Q",
+    17: "q",
+    18: "Q",
+}
 
 
 _NEEDED = (256, 257, 258, 259, 273, 277, 278, 279, 317, 322, 323, 324, 325, 339)
@@ -438,8 +465,19 @@ def _page(content: bytes, tags: Mapping[int, tuple[Any, ...]], order: str) -> Ar
     _need(width > 0 and height > 0, "size")
     if len(bits) != 1 or len(formats) != 1 or one(284, 1) != 1 or one(266, 1) != 1 or one(32997, 1) != 1:
         return None
-    name = {(1, 8): "u1", (1, 16): "u2", (1, 32): "u4", (1, 64): "u8", (2, 8): "i1", (2, 16): "i2", (2, 32): "i4", (2, 64): "i8",
-            (3, 16): "f2", (3, 32): "f4", (3, 64): "f8"}.get((formats.pop(), bits.pop()))  # fmt: skip
+    name = {
+        (1, 8): "u1",
+        (1, 16): "u2",
+        (1, 32): "u4",
+        (1, 64): "u8",
+        (2, 8): "i1",
+        (2, 16): "i2",
+        (2, 32): "i4",
+        (2, 64): "i8",
+        (3, 16): "f2",
+        (3, 32): "f4",
+        (3, 64): "f8",
+    }.get((formats.pop(), bits.pop()))
     if name is None:
         return None
     dtype = np.dtype(order + name)
@@ -561,7 +599,9 @@ def _sound_png(content: bytes) -> None:
         size, kind = struct.unpack_from(">I4s", content, at)
         part = content[at + 4 : at + 8 + size]
         _need(len(part) == size + 4 and at + 12 + size <= len(content), "a chunk ends too early")
-        _need(kind[0] & 32 or content[at + 8 + size : at + 12 + size] == struct.pack(">I", zlib.crc32(part)), f"checksum of {kind!r}")
+        _need(
+            kind[0] & 32 or content[at + 8 + size : at + 12 + size] == struct.pack(">I", zlib.crc32(part)), f"checksum of {kind!r}"
+        )
         packed += part[4:] if kind == b"IDAT" else b""
         at += 12 + size
         if kind == b"IEND":
@@ -578,7 +618,7 @@ def _sound_png(content: bytes) -> None:
 
 
 def _hdf5(files: Files, entry: str, _: object) -> Held | None:
-    """The one array of numbers with two axes or more, as h5py gives it: the same library, so that only what is made of it counts."""
+    """The one array of numbers with two axes or more, as h5py gives it: by the same library, which is believed."""
     import h5py
 
     found: list[Any] = []
@@ -634,7 +674,9 @@ def _vti(files: Files, entry: str, _: object) -> Held | None:
         words = (array.text or "").split()
         _need(len(words) == math.prod(shape), f"{len(words)} samples for {math.prod(shape)}")
         try:
-            return Held(np.array([float(word) if dtype.kind == "f" else int(word) for word in words]).astype(dtype).reshape(shape), spacing)
+            return Held(
+                np.array([float(word) if dtype.kind == "f" else int(word) for word in words]).astype(dtype).reshape(shape), spacing
+            )
         except (ValueError, OverflowError) as error:
             raise Damaged(str(error)) from error
     if way not in ("binary", "appended") or root.get("compressor", "vtkZLibDataCompressor") != "vtkZLibDataCompressor":

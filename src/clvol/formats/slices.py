@@ -117,8 +117,8 @@ def _picture(path: Path) -> tuple[NDArray[Any], Leading]:
     if path.suffix.lower() == ".png":
         _check_png(path)
     try:
-        with warnings.catch_warnings(), iio.imopen(path, "r", plugin="pillow") as file:
-            warnings.simplefilter("ignore")  # of Pillow, that images of 90 megapixels are large
+        # Pillow warns that images of 90 megapixels are large
+        with warnings.catch_warnings(action="ignore"), iio.imopen(path, "r", plugin="pillow") as file:
             about = file.properties(index=0)
             announce(path.name, sample_count(about.shape) * about.dtype.itemsize)
             mode = file.metadata(index=0)["mode"]

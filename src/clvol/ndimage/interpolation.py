@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from clvol import memory
+from clvol.checks import flag
 from clvol.errors import OptionError, OptionTypeError, RefusedError, UnsupportedError
 from clvol.ndimage.antialiasing import low_passed, nearest_splines, widths
 from clvol.ndimage.arguments import (
@@ -536,7 +537,7 @@ def rotate(
     matrix = np.array([[c, s], [-s, c]])
     before = np.array([data.shape[axis] for axis in plane])
     after = before
-    if reshape:  # what follows is rounded as in SciPy
+    if flag("reshape", reshape):  # what follows is rounded as in SciPy
         iy, ix = before
         bounds = matrix @ [[0, 0, iy, iy], [0, ix, 0, ix]]
         after = (np.ptp(bounds, axis=1) + 0.5).astype(int)

@@ -740,7 +740,12 @@ def require_both(
 ) -> None:
     """Raise `OutOfMemoryError` if there is no room for the coefficients of so many samples and results of this shape together."""
     kind = precision_kind(precision or "single")
-    made = bytes_of(size, as_filter(filter or DEFAULT_FILTER), as_boundary(boundary or DEFAULT_BOUNDARY), kind)
+    made = bytes_of(
+        size,
+        as_filter(DEFAULT_FILTER if filter is None else filter),
+        as_boundary(DEFAULT_BOUNDARY if boundary is None else boundary),
+        kind,
+    )
     own = np.dtype(kind).itemsize * math.prod(results)
     shared = as_device(device).kind == "cpu"  # else coefficients lie in the device's memory
     memory.require(own + made * shared, f"{_results(results)}{' and the coefficients' * shared}")
