@@ -43,7 +43,9 @@ NOT_DONE = {
     "MissingDependencyError": "as above",
     "OptionError": "as above",
     "OutOfMemoryError": "as above",
-    "Device": "made by `devices`",
+    "Boundary": "what `boundaries` holds",
+    "Device": "what `devices` gives",
+    "Filter": "what `filters` holds, and `bspline`, `from_pieces` and others make",
     "Output": "a type",
     "Picture": "what `render` gives",
     "Warped": "what `warp` gives",
@@ -290,7 +292,8 @@ def modes_as_classes(world: World, random: Random) -> Any:
 @_deed(6)
 def uncertain_surfaces(world: World, random: Random) -> Any:
     sigma = float(random.uniform(0.001, 0.1))
-    return world.renderers[0].render(_camera(random), "isosurface", (40, 40), outputs=["rgba", "uncertainty"], sigma=sigma)
+    outputs = ["position"] if world.quick else ["rgba", "uncertainty"]
+    return world.renderers[0].render(_camera(random), "isosurface", (40, 40), outputs=outputs, sigma=sigma)
 
 
 @_deed(8)
@@ -367,6 +370,8 @@ def coefficients(world: World, random: Random) -> Any:
 
 @_deed(8)
 def gaps(world: World, random: Random) -> Any:
+    if world.quick:
+        return None
     volume = world.volumes["blob"]
     missing = clvol.Missing(mask=random.random(volume.shape) < 0.02, most=_one(random, [0.0, 0.3, 1.0]))
     return clvol.sample(volume, _points(volume, random), "bspline3", nan=missing)
@@ -469,8 +474,8 @@ def photographs(world: World, random: Random) -> Any:
 
 
 @_deed(4)
-def tensors(_: World, random: Random) -> Any:
-    if importlib.util.find_spec("torch") is None:
+def tensors(world: World, random: Random) -> Any:
+    if world.quick or importlib.util.find_spec("torch") is None:
         return None
     import torch
 
@@ -483,8 +488,8 @@ def tensors(_: World, random: Random) -> Any:
 
 
 @_deed(4)
-def labelled_arrays(_: World, random: Random) -> Any:
-    if importlib.util.find_spec("xarray") is None:
+def labelled_arrays(world: World, random: Random) -> Any:
+    if world.quick or importlib.util.find_spec("xarray") is None:
         return None
     import xarray
 

@@ -240,7 +240,8 @@ def grown(samples: Sequence[dict[str, float]]) -> dict[str, dict[str, Any]]:
         if all(name in sample for sample in steady) and steady:
             first, last = (median(s[name] for s in part) for part in (steady[:third], steady[-third:]))
             slack = max(_SLACK, _SLACK_SHARE * first) if name == "resident" else 0.0
-            rows[name] = {"first": first, "last": last, "most": max(s[name] for s in samples), "grew": last > first + slack}
+            most = max(sample[name] for sample in samples)
+            rows[name] = {"what": HELD[name], "first": first, "last": last, "most": most, "grew": last > first + slack}
     return rows
 
 
@@ -253,11 +254,12 @@ def _catalogue(
     chosen = {name: deed for name, deed in DEEDS.items() if name not in without}
     made, refusals, begun = {}, 0, time.perf_counter()
     for name, deed in chosen.items():
-        for seed in range(min(deed.count, 2) if quick else deed.count):
+        for seed in range(1 if quick else deed.count):
             made[name, seed], refused = reference.ask(name, seed)
             refusals += refused
             if made[name, seed].startswith("foreign "):
                 raise SystemExit(f"{name} {seed}: {made[name, seed]}")
+        console.print(f"{time.perf_counter() - begun:6.0f} s  {name}", highlight=False)
     console.print(f"catalogue: {len(made)} sets of arguments of {len(chosen)} deeds, in {time.perf_counter() - begun:.0f} s")
     return made, refusals
 
@@ -348,7 +350,7 @@ def _show(soak: Soak, rows: dict[str, dict[str, Any]], console: Console) -> None
         table.add_column(column, justify="left" if column == "held" else "right")
     for name, row in rows.items():
         shown = [f"{row[key] / (1e6 if name == 'resident' else 1):,.0f}" for key in ("first", "last", "most")]
-        table.add_row(HELD[name], *shown, "[red]yes[/red]" if row["grew"] else "no")
+        table.add_row(row["what"], *shown, "[red]yes[/red]" if row["grew"] else "no")
     console.print(table)
     for fault in soak.faults[:_SHOWN]:
         console.print(fault, markup=False, highlight=False)
