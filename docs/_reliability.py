@@ -35,8 +35,8 @@ def soak() -> str:
     machine, faults = run["machine"], len(run["faults"])
     told = (
         f"{run['date']}: {run['minutes']:g} minutes with {run['threads']} threads on {machine['cores']} cores "
-        f"({machine['opencl'].strip()}, Python {machine['python']}). {_count(run['draws'])} pieces of work: {run['catalogue']} sets "
-        f"of arguments, drawn again and again, and {_count(run['draws_of_new_arguments'])} that were drawn once. Results that "
+        f"({machine['opencl'].strip()}, Python {machine['python']}). {_count(run['draws'])} pieces of work: {run['catalogue']} "
+        f"sets of arguments, drawn again and again, and {_count(run['draws_of_new_arguments'])} that were drawn once. Results that "
         f"differed, and foreign exceptions: {faults or 'none'}.\n\n"
     )
     rows = []
