@@ -98,6 +98,7 @@ def test_quick_run_writes_a_report(tmp_path: Path) -> None:
     assert "128³/64³" in done.stdout
 
 
+@pytest.mark.thorough
 def test_ndimage_is_measured_beside_scipy_which_agrees(tmp_path: Path) -> None:
     output = tmp_path / "report.json"
     done = command("bench.ndimage", "--quick", "--only", "affine_transform", "--markdown", "--output", str(output))

@@ -822,8 +822,8 @@ DAMAGED: dict[str, tuple[bytes, str]] = {
     "empty.nii.gz": (b"", "348 bytes"),
     "empty.npy": (b"", "cannot read"),
     "empty.npz": (b"", "cannot read"),
-    "empty.tif": (b"", "cannot read"),
-    "text.tif": (b"this is not a picture", "cannot read"),
+    "empty.tif": (b"", "as a TIFF or BigTIFF file does"),
+    "text.tif": (b"this is not a picture", "as a TIFF or BigTIFF file does"),
     "text.npy": (b"this is not an array!", "cannot read"),
     "text.nii.gz": (b"this is not packed", "cannot read"),
     "zeros.mha": (bytes(500), "byte 0"),
@@ -860,14 +860,14 @@ DAMAGED: dict[str, tuple[bytes, str]] = {
     "complex.nii": (nifti(type=(70, "2h", (32, 64))), "datatype 32"),
     "text.dcm": (b"this is not a picture", "cannot read"),
     "empty.dcm": (b"", "cannot read"),
-    "empty.mgz": (b"", "cannot read"),
-    "zeros.mgh": (bytes(284), "cannot read|at least one sample"),
+    "empty.mgz": (b"", "284 bytes; found 0"),
+    "zeros.mgh": (bytes(284), "at least one sample"),
     "start-nan.nii": (nifti(start=(108, "f", (float("nan"),))), "where its samples begin"),
     "start-minus.nii": (nifti(start=(108, "f", (-5,))), "where its samples begin"),
     "placed-nowhere.nii": (nifti(code=(254, "h", (1,)), rows=(280, "4f", (1, float("inf"), 0, 0))), "finite"),
     "ifd-loop.tif": (
         b"II*\0\x08\0\0\0" + struct.pack("<H", 1) + struct.pack("<HHIHH", 256, 3, 1, 4, 0) + struct.pack("<I", 8),
-        "damaged|cannot read|hold",
+        "one at 8 is reached twice",
     ),
 }
 
@@ -1142,13 +1142,13 @@ def test_missing_extras(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module:
         np.testing.assert_array_equal(formats.read(tmp_path / f"v{suffix}").data.ravel(), np.arange(24))
     else:
         with pytest.raises(MissingDependencyError, match=rf"pip install clvol\[{extra}\]"):
-            formats.read(tmp_path / f"v{suffix}")
+            formats.read(tmp_path / f"v{suffix}", trusted=True)
     with pytest.raises(MissingDependencyError, match=rf"pip install clvol\[{extra}\]"):
         formats.write(samples("u1"), tmp_path / f"w{suffix}")
     if module == "SimpleITK":
         (tmp_path / "v.dcm").write_bytes(bytes(128) + b"DICM")
         with pytest.raises(MissingDependencyError):
-            formats.read(tmp_path)
+            formats.read(tmp_path, trusted=True)
 
 
 def test_importing_formats_imports_no_extra() -> None:

@@ -10,10 +10,10 @@ import pytest
 SOURCE = Path(__file__).resolve().parents[1] / "src"
 # top to bottom; a name stands for the module or for all of its package
 LAYERS = [
-    "errors moved checks rounding uniform files picture display foreign interop filter boundary missing noise volume volumes "
+    "errors moved memory checks rounding uniform files picture display foreign interop filter boundary missing noise volume volumes "
     "smoothing stored camera color light scaling histogram palette preset transfer mode look scene fit transform",
     "reference response phantoms formats",
-    "intel processor opencl program device",
+    "cache intel processor probe opencl program device",
     "spline",
     "ndimage",
     "interpolator resizing torch xarray",

@@ -168,6 +168,6 @@ def test_what_does_not_fit_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise MemoryError("1 GiB")
 
-    monkeypatch.setattr(phantoms, "_positions", full)
+    monkeypatch.setattr(phantoms, "marschner_lobb_function", full)
     with pytest.raises(OutOfMemoryError, match=r"out of memory: a phantom must fit .*1 GiB"):
         marschner_lobb(4)

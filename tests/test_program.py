@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import gc
+import os
 import re
+import signal
+import subprocess
+import sys
 import threading
+import time
+import weakref
+from collections import OrderedDict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from clvol import device as choosing
 from clvol import program
 from clvol.device import Device
 from clvol.errors import DeviceError
@@ -162,3 +171,176 @@ def test_floating_literals() -> None:
 
 def test_the_kernels_are_found() -> None:
     assert Path(FOLDER / "march/draw.cl").is_file()
+
+
+def tiny(device: Device, number: int) -> program.Program:
+    text = f"kernel void tiny(global float *a) {{ a[get_global_id(0)] = {number}; }}\n"
+    return device.build("tiny.cl", {"NUMBER": number}, generated={"tiny.cl": text})
+
+
+def test_programs_not_used_for_long_are_freed_unless_in_use(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(choosing, "_PROGRAMS", 2)
+    monkeypatch.setattr(device, "_programs", OrderedDict())
+    first, second = tiny(device, 1), tiny(device, 2)
+    kernel, freed = first.kernel("tiny"), [weakref.ref(first), weakref.ref(second.kernel("tiny"))]
+    del second
+    tiny(device, 1)  # was used now, so the other goes
+    tiny(device, 3)
+    assert tiny(device, 1) is first
+    assert freed[1]() is None
+    tiny(device, 4)
+    tiny(device, 5)
+    assert len(device._programs) == 2
+    del first
+    assert freed[0]() is None  # the kernel does not keep it, nor it the kernel
+    values = np.zeros(8, np.float32)
+    with device.lent(values, write=True) as buffer:
+        kernel(device.queue, (8,), None, buffer)
+    assert values.tolist() == [1] * 8
+
+
+def test_threads_build_a_program_once(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    builds, given, begun = [], [], threading.Barrier(4)
+    build = program.build
+
+    def slow(*arguments: Any) -> program.Program:
+        builds.append(arguments)
+        time.sleep(0.1)
+        return build(*arguments)
+
+    def work() -> None:
+        begun.wait(10)
+        given.append(tiny(device, 6))
+
+    monkeypatch.setattr(program, "build", slow)
+    threads = [threading.Thread(target=work) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60)
+    assert len(builds) == 1
+    assert len(given) == 4
+    assert len(set(map(id, given))) == 1
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers here")
+def test_ctrl_c_is_heard_while_a_program_is_built_and_the_program_kept(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    builds, go_on = [], threading.Event()
+    build = program.build
+
+    def slow(*arguments: Any) -> program.Program:
+        builds.append(arguments)
+        go_on.wait(30)
+        return build(*arguments)
+
+    device.context  # noqa: B018
+    monkeypatch.setattr(program, "build", slow)
+    interrupt_in(0.3)
+    begin = time.perf_counter()
+    with pytest.raises(KeyboardInterrupt):
+        tiny(device, 7)
+    assert time.perf_counter() - begin < 1.3
+    go_on.set()
+    assert tiny(device, 7).kernel("tiny")
+    assert len(builds) == 1
+    assert not device._building
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers here")
+def test_ctrl_c_is_heard_while_the_runtime_finishes_a_kernel(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """PoCL does that when a kernel is first launched; the memory it works in stays until it has."""
+    queue, go_on = device.queue, threading.Event()
+
+    class Slow:
+        def finish(self) -> None:
+            go_on.wait(30)
+            queue.finish()
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(queue, name)
+
+    kernel = tiny(device, 8).kernel("tiny")
+    monkeypatch.setitem(device.__dict__, "queue", Slow())
+    values = np.zeros(8, np.float32)
+    held = weakref.ref(values)
+    interrupt_in(0.3)
+    begin = time.perf_counter()
+    try:
+        with device.lent(values, write=True) as buffer:
+            kernel(queue, (8,), None, buffer)
+    except KeyboardInterrupt:
+        assert time.perf_counter() - begin < 1.3
+    else:
+        pytest.fail("it was not heard")
+    del buffer, values
+    gc.collect()
+    assert held() is not None
+    go_on.set()
+    monkeypatch.undo()
+    device.finish()
+    for _ in range(100):  # the thread that waits for the kernel lets go
+        if held() is None:
+            break
+        time.sleep(0.05)
+    assert held() is None
+    assert not device._lent
+
+
+def test_a_pyopencl_cache_that_fails_is_said(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    import sqlite3
+
+    import pyopencl
+
+    def fail(*_: Any) -> None:
+        raise sqlite3.OperationalError("attempt to write a readonly database")
+
+    built = tiny(device, 9)
+    monkeypatch.setattr(pyopencl, "Kernel", fail)
+    with pytest.raises(DeviceError, match="pyopencl cannot use its cache .*readonly database.*PYOPENCL_NO_CACHE"):
+        built.kernel("tiny")
+
+
+def interrupt_in(seconds: float) -> None:
+    """Ctrl-C."""
+    signal.signal(signal.SIGALRM, signal.default_int_handler)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+
+
+EXIT = """
+import os, signal, sys, threading, time
+import clvol
+from clvol.device import as_device
+as_device().queue
+threading.Timer({pause}, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+begin = time.perf_counter()
+try:
+    clvol.render(clvol.phantoms.sphere(12, radius=0.4), size=(24, 24))
+except KeyboardInterrupt:
+    print("out", time.perf_counter() - begin - {pause} < 1)
+"""
+
+
+@pytest.mark.thorough
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="signals are others here")
+@pytest.mark.parametrize("pause", [0.1, 0.5, 1, 2, 3, 5, 7])
+def test_the_end_of_the_process_while_kernels_are_built_is_no_crash(device: Device, pause: float, tmp_path: Path) -> None:
+    environment = {**os.environ, "POCL_CACHE_DIR": str(tmp_path)}
+    code = EXIT.format(pause=pause)
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout in ("out True\n", "")
+    assert device is not None
+
+
+@pytest.mark.thorough
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+def test_memory_is_flat_over_ever_new_programs(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(choosing, "_PROGRAMS", 20)
+    values, resident = np.zeros(64, np.float32), []
+    for number in range(100, 300):
+        with device.lent(values, write=True) as buffer:
+            tiny(device, number).kernel("tiny")(device.queue, (64,), None, buffer)
+        assert values[0] == number
+        if number % 100 == 49:
+            resident.append(int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE"))
+    assert resident[1] - resident[0] < 20 << 20

@@ -132,13 +132,13 @@ def test_pocl_comes_first_where_it_links_and_last_where_it_does_not(monkeypatch:
     monkeypatch.setattr(cl, "get_platforms", lambda: fakes)
     monkeypatch.setattr(choosing, "_devices", {})
     monkeypatch.delenv("CLVOL_DEVICE", raising=False)
-    monkeypatch.setattr(choosing, "why_pocl_fails", lambda: "")
+    monkeypatch.setattr(choosing, "_tell_change", lambda _: None)
+    monkeypatch.setattr(Device, "fault", "")
     assert [d.name[:3] for d in devices()] == ["NVI", "Por", "Int", "Ano"]
     assert doctor._used() == "NVIDIA CUDA (NVIDIA CUDA): GPUs come first"
     del fakes[2]
     assert "it can link its kernels here" in doctor._used()
-    for module in (choosing, doctor):
-        monkeypatch.setattr(module, "why_pocl_fails", lambda: "PoCL needs the linker 'ld'")
+    monkeypatch.setattr(Device, "fault", property(lambda self: "PoCL needs the linker 'ld'" if self.is_pocl else ""))
     assert [d.name[:3] for d in devices()] == ["Int", "Ano", "Por"]
     assert doctor._used() == "Intel(R) OpenCL (Intel(R) OpenCL): PoCL needs the linker 'ld'"
     monkeypatch.setenv("CLVOL_DEVICE", "portable")

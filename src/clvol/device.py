@@ -2,35 +2,37 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import ctypes
 import math
 import mmap
 import os
-import shutil
-import subprocess
-import sys
 import threading
-from collections.abc import Iterator, Mapping
+import warnings
+import weakref
+from collections import OrderedDict, deque
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol import processor, program
+from clvol import cache, memory, processor, program
 from clvol.checks import one_of
-from clvol.errors import DeviceError, OutOfMemoryError
-from clvol.opencl import INSTALL, opencl
-from clvol.program import Defines, Program
+from clvol.errors import ClvolWarning, DeviceError, OutOfMemoryError
+from clvol.opencl import INSTALL, built_kernels, kept_out, opencl, why_not
+from clvol.program import Defines, Launches, Program
 
 __all__ = ["Device", "Limits", "Tile", "as_device", "devices"]
 
 _KINDS = ("cpu", "gpu", "accelerator")
 _HUGE_PAGE = 1 << 21
 _SAMPLER_POSITIONS = 4097
+_PROGRAMS = 128  # that are kept built: PoCL holds a megabyte and more for each
+_GONE = ("DEVICE_NOT_AVAILABLE", "INVALID_COMMAND_QUEUE", "INVALID_CONTEXT", "INVALID_DEVICE")
 _MEMORY_SHARE = 0.9  # of the device's memory: PoCL allocates lazily, and the process aborts if there is none left
 
 
@@ -82,6 +84,48 @@ class Limits:
 
 
 _LIMITS = Limits()
+T = TypeVar("T")
+
+
+class _Once(cached_property[T]):
+    """As `cached_property`, made by one thread alone: since Python 3.12 that has no lock, and two contexts do not go together."""
+
+    def __get__(self, instance: Any, owner: type[Any] | None = None) -> Any:
+        if instance is None:
+            return self
+        with instance._lock:
+            if self.attrname in instance.__dict__:
+                return instance.__dict__[self.attrname]
+            return super().__get__(instance, owner)
+
+
+class _Task(Generic[T]):
+    """Work in a thread of its own, so that Ctrl-C is heard by the thread that waits for it; the work goes on."""
+
+    def __init__(self, work: Callable[[], T]) -> None:
+        self._work, self._result = work, None
+        self._error: BaseException | None = None
+        self._done = threading.Event()
+        threading.Thread(target=self._run, daemon=True, name="clvol").start()
+
+    def _run(self) -> None:
+        try:
+            self._result = self._work()  # type: ignore[assignment]
+        except BaseException as error:  # whoever waits is told
+            self._error = error
+        finally:
+            self._done.set()
+
+    def wait(self) -> T:
+        while not self._done.wait(0.1):  # without an end, Windows would not hear Ctrl-C
+            pass
+        if self._error is not None:
+            raise self._error
+        return self._result  # type: ignore[return-value]
+
+
+class _Lent:
+    """Lives as long as the block that memory was lent to."""
 
 
 class Device:
@@ -94,7 +138,13 @@ class Device:
         self.handle = handle
         self._process = os.getpid()
         self._lock = threading.RLock()
-        self._programs: dict[Any, Program] = {}
+        self._programs: OrderedDict[Any, Program] = OrderedDict()  # the one used last is last
+        self._building: dict[Any, _Task[Program]] = {}
+        self._programs_lock = threading.Lock()
+        self._fresh: set[Launches] = set()  # of kernels that PoCL may be finishing
+        self._lent: dict[int, Any] = {}  # memory that kernels may be using, by numbers of blocks
+        self._left: deque[Any] = deque()  # such memory that nobody else wants any more
+        self._gone = ""
         self._limited = threading.local()
 
     def __repr__(self) -> str:
@@ -114,17 +164,19 @@ class Device:
         kinds = opencl().device_type
         return "cpu" if self.handle.type & kinds.CPU else "gpu" if self.handle.type & kinds.GPU else "accelerator"
 
-    @cached_property
+    @_Once
     def context(self) -> Any:
         self.require_usable()
         with _errors(self):
             return opencl().Context([self.handle])
 
-    @cached_property
+    @_Once
     def queue(self) -> Any:
         context = self.context
         with _errors(self):
-            return opencl().CommandQueue(context)
+            queue = opencl().CommandQueue(context)
+        atexit.register(self._end)
+        return queue
 
     # -- quirks --------------------------------------------------------------------------------
 
@@ -136,7 +188,7 @@ class Device:
     def has_double(self) -> bool:
         return "cl_khr_fp64" in str(self.handle.extensions)
 
-    @cached_property
+    @_Once
     def has_images(self) -> bool:
         """Whether volumes can be stored as images and read with the linear sampler.
 
@@ -155,7 +207,7 @@ class Device:
         h = self.handle
         return int(min(h.image3d_max_width, h.image3d_max_height, h.image3d_max_depth))
 
-    @cached_property
+    @_Once
     def sampler_bits(self) -> float:
         """Bits of the linear sampler's fraction, measured once; 0 if it does not interpolate.
 
@@ -181,32 +233,78 @@ class Device:
         """Whether mapped buffers are the host's own memory."""
         return bool(self.handle.host_unified_memory)
 
+    @_Once
+    def fault(self) -> str:
+        """Why it cannot be used, as a trial in another process has shown; "" if it can."""
+        why = why_not(self.handle)
+        if not why:
+            return ""
+        if self.is_pocl and self.kind == "cpu":
+            # PoCL shells out to the linker for every kernel, and aborts the process where that or a file cannot be written
+            try:
+                kernels = built_kernels()
+                if kernels is not None:
+                    kernels.require_room()
+            except DeviceError as error:
+                return str(error)
+            return f"PoCL cannot build kernels here: a trial of it in another process {why}"
+        return f"{self.name} ({self.platform}) cannot be used: a trial of it in another process {why}. 'clvol doctor' tries again"
+
     def require_usable(self) -> None:
         """Raise `DeviceError` where using the device would hang or abort the process.
 
-        A PoCL context used after a fork hangs; PoCL shells out to the linker for every kernel
-        and aborts the process when there is none, or no libgcc and libc for it to link; it cannot
-        build for a processor that it has no name for, and is given one.
+        Its driver does so in a trial; a PoCL context used after a fork hangs. PoCL cannot build for a processor that it has no
+        name for, and is given one.
         """
         _require_unforked(self._process)
+        if self._gone:
+            raise DeviceError(self._gone)
+        if self.fault:
+            linker = "linker" in self.fault or "build kernels here" in self.fault
+            raise DeviceError(self.fault + (_LINKER if linker else ""))
         if self.is_pocl and self.kind == "cpu":
             _named(self.handle.int_ptr)
-            _require_linker()
 
     # -- kernels -------------------------------------------------------------------------------
 
     def build(
         self, name: str, defines: Defines, replacements: Mapping[str, str] | None = None, generated: Mapping[str, str] | None = None
     ) -> Program:
-        """The program of one kernel file (see `program.source`), specialised; built at most once for each set of defines."""
+        """The program of one kernel file (see `program.source`), specialised; built once for each set of defines.
+
+        Those that were not used for the longest time are built anew if many others were built since. Ctrl-C ends the wait for a
+        program, which is then there for the next time.
+        """
         self.require_usable()
         key = (name, *(tuple(sorted((given or {}).items())) for given in (defines, replacements, generated)))
-        with self._lock:
-            if key not in self._programs:
-                text = program.source(name, replacements, generated, defines)
-                with self.errors:
-                    self._programs[key] = program.build(self.context, text)
-            return self._programs[key]
+        with self._programs_lock:
+            if key in self._programs:
+                self._programs.move_to_end(key)
+                return self._programs[key]
+            task = self._building.get(key)
+        if task is None:
+            text, context = program.source(name, replacements, generated, defines), self.context
+
+            def work() -> Program:
+                try:
+                    built = program.build(self.handle, context, text, built_kernels(), self._fresh.add)
+                    with self._programs_lock:
+                        self._programs[key] = built
+                        if len(self._programs) > _PROGRAMS:
+                            self._programs.popitem(last=False)  # its kernels go with whoever still uses them
+                    return built
+                finally:
+                    with self._programs_lock:
+                        del self._building[key]
+
+            with self._programs_lock:
+                if key in self._programs:
+                    return self._programs[key]
+                task = self._building.get(key)
+                if task is None:
+                    task = self._building[key] = _Task(work)
+        with self.errors:
+            return task.wait()
 
     @property
     def limits(self) -> Limits:
@@ -235,14 +333,20 @@ class Device:
                 return cl.Buffer(self.context, cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR, hostbuf=_huge_pages(size, self))
             return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size)
 
-    def require_room(self, size: int) -> None:
-        """Raise `OutOfMemoryError` before a runtime would abort: PoCL finds out only when memory is touched."""
+    def require_room(self, size: int, *, held: bool = False) -> None:
+        """Raise `OutOfMemoryError` before a runtime would abort: PoCL finds out only when memory is touched.
+
+        What a processor allocates is this process's memory, of which a container may have less than the device says; `held`:
+        it has been allocated.
+        """
         largest, everything = int(self.handle.max_mem_alloc_size), int(self.handle.global_mem_size)
         if size > largest or size > _MEMORY_SHARE * everything:
             raise OutOfMemoryError(
                 f"{self.name} allows one allocation of up to {largest / 2**20:.0f} MiB and holds "
                 f"{everything / 2**20:.0f} MiB; got {size / 2**20:.0f} MiB"
             )
+        if self.kind == "cpu" and not held:
+            memory.require(size, f"a buffer of {self.name}")
 
     def upload(self, array: np.ndarray[Any, Any]) -> Any:
         """A read-only buffer with a copy of `array`."""
@@ -266,7 +370,7 @@ class Device:
         """
         cl = opencl()
         flags = cl.mem_flags.READ_WRITE if write else cl.mem_flags.READ_ONLY
-        self.require_room(array.nbytes)
+        self.require_room(array.nbytes, held=self.shares_memory)
         with _errors(self):
             if self.shares_memory:
                 buffer = cl.Buffer(self.context, flags | cl.mem_flags.USE_HOST_PTR, hostbuf=array)
@@ -274,18 +378,27 @@ class Device:
                 buffer = cl.Buffer(self.context, flags, array.nbytes)
             else:
                 buffer = cl.Buffer(self.context, flags | cl.mem_flags.COPY_HOST_PTR, hostbuf=array)
-            try:
-                yield buffer
-                if write and self.shares_memory:  # mapping is what makes the host's view complete
-                    view, _ = cl.enqueue_map_buffer(self.queue, buffer, cl.map_flags.READ, 0, array.shape, array.dtype)
-                    view.base.release(self.queue)
-                elif write:
-                    cl.enqueue_copy(self.queue, array, buffer)
-                self.queue.finish()
-            finally:
-                with contextlib.suppress(cl.Error):
-                    self.queue.finish()  # after an error too: a kernel may still be writing to the array
-                buffer.release()
+            block = _Lent()
+            number = id(block)
+            self._lent[number] = buffer, array
+            weakref.finalize(block, self._take_back, number).atexit = False  # however the block is left
+            yield buffer
+            self._settle()
+            if write and self.shares_memory:  # mapping is what makes the host's view complete
+                view, _ = cl.enqueue_map_buffer(self.queue, buffer, cl.map_flags.READ, 0, array.shape, array.dtype)
+                view.base.release(self.queue)
+            elif write:
+                cl.enqueue_copy(self.queue, array, buffer)
+            self.queue.finish()
+            del self._lent[number]
+            buffer.release()
+
+    def _take_back(self, number: int) -> None:
+        """What a block that ended too early was lent is kept until kernels are done with it: they may still be writing to it."""
+        lent = self._lent.pop(number, None)
+        if lent is not None:
+            self._left.append(lent)
+            self._sweep()
 
     @contextlib.contextmanager
     def lent_span(self, array: np.ndarray[Any, Any], *, write: bool) -> Iterator[tuple[Any, np.int64, NDArray[np.int64]]]:
@@ -326,6 +439,7 @@ class Device:
     def download(self, buffer: Any, array: np.ndarray[Any, Any]) -> None:
         """Copy the start of `buffer` into a contiguous `array`."""
         with _errors(self):
+            self._settle()
             opencl().enqueue_copy(self.queue, array, buffer)
 
     @contextlib.contextmanager
@@ -336,6 +450,7 @@ class Device:
         cl = opencl()
         flags = cl.map_flags.WRITE if write else cl.map_flags.READ
         with _errors(self):
+            self._settle()
             array, _ = cl.enqueue_map_buffer(self.queue, buffer, flags, 0, shape, kind, is_blocking=True)
         try:
             yield array
@@ -343,8 +458,59 @@ class Device:
             array.base.release(self.queue)
 
     def finish(self) -> None:
+        """Wait until all that was launched is done. Ctrl-C ends the wait where the runtime is still finishing a kernel."""
         with _errors(self):
+            self._settle()
             self.queue.finish()
+
+    def _settle(self) -> None:
+        """Wait for kernels that the runtime is finishing, in seconds that a wait of its own would not hear Ctrl-C in."""
+        if not self._fresh:
+            return
+        queue = self.queue
+        if threading.current_thread() is threading.main_thread():
+            _Task(lambda: self._done(queue)).wait()
+        else:
+            self._done(queue)
+
+    def _done(self, queue: Any) -> None:
+        """When all that was launched is done: keep what was built for it, let memory go that nobody wants any more."""
+        fresh, left = set(self._fresh), []
+        try:
+            with contextlib.suppress(IndexError):  # another thread took the last
+                while self._left:
+                    left.append(self._left.popleft())
+            queue.finish()
+        except BaseException:
+            self._left.extend(left)
+            raise
+        for launches in fresh:
+            launches.keep()
+        self._fresh -= fresh
+
+    def _sweep(self) -> None:
+        """Let memory go that nobody wants any more, when kernels are done with it."""
+        if self._process != os.getpid():
+            return  # the queue of a forked child never ends
+        queue = self.queue
+        if self._fresh:
+            _Task(lambda: self._done(queue))
+        else:
+            with contextlib.suppress(opencl().Error):
+                self._done(queue)
+
+    def _end(self) -> None:
+        """At the end of the process: a runtime does not survive it while it compiles."""
+        if self._process != os.getpid():
+            return
+        try:
+            for task in list(self._building.values()):
+                with contextlib.suppress(Exception):
+                    task.wait()
+            with contextlib.suppress(Exception):
+                _Task(self.queue.finish).wait()
+        except KeyboardInterrupt:
+            os._exit(130)  # who cannot wait for it need not
 
     @property
     def errors(self) -> contextlib.AbstractContextManager[None]:
@@ -364,8 +530,10 @@ class _Pages(mmap.mmap):
 
     def __del__(self) -> None:
         if self.device is not None:
+            device, self.device = self.device, None
+            device._left.append(self)
             with contextlib.suppress(Exception):
-                self.device.finish()
+                device._sweep()
 
 
 def _huge_pages(size: int, device: Device) -> NDArray[np.uint8]:
@@ -389,12 +557,17 @@ def _huge_pages(size: int, device: Device) -> NDArray[np.uint8]:
 @contextlib.contextmanager
 def _errors(device: Device) -> Iterator[None]:
     _require_unforked(device._process)
+    if device._gone:
+        raise DeviceError(device._gone)
     cl = opencl()
     try:
         yield
     except cl.MemoryError as error:
         raise OutOfMemoryError(f"{device.name} is out of memory: {error}") from error
     except cl.Error as error:
+        if any(name in str(error) for name in _GONE):
+            device._gone = f"{device.name} is gone, or its driver was started anew ({error}); start the program again to use it"
+            raise DeviceError(device._gone) from error
         raise DeviceError(f"{device.name} failed: {error}") from error
 
 
@@ -414,7 +587,7 @@ def _require_unforked(process: int | None) -> None:
 def devices() -> list[Device]:
     """Every OpenCL device found, the one used by default first: GPUs, then the processor.
 
-    Of several runtimes for the processor PoCL comes first, the fastest; but last where it cannot link its kernels.
+    Of several runtimes for the processor PoCL comes first, the fastest. Those that would end the process are last.
     """
     global _process
     _require_unforked(_process)
@@ -424,7 +597,7 @@ def devices() -> list[Device]:
         platforms = cl.get_platforms()
     except cl.Error:  # the loader reports an error where it finds no platform
         platforms = []
-    found = []
+    found: list[Device] = []
     for platform in platforms:
         try:
             handles = platform.get_devices()
@@ -434,11 +607,10 @@ def devices() -> list[Device]:
             if handle.available and handle.compiler_available:
                 with _lock:
                     found.append(_devices.setdefault(handle.int_ptr, Device(handle)))
-    several = sum(d.kind == "cpu" for d in found) > 1
 
-    def rank(device: Device) -> tuple[int, int]:
-        pocl = several and device.is_pocl and device.kind == "cpu"
-        return ("gpu", "cpu", "accelerator").index(device.kind), 1 if not pocl else 2 if why_pocl_fails() else 0
+    def rank(device: Device) -> tuple[bool, int, bool]:
+        pocl = device.is_pocl and device.kind == "cpu"
+        return len(found) > 1 and bool(device.fault), ("gpu", "cpu", "accelerator").index(device.kind), not pocl
 
     return sorted(found, key=rank)
 
@@ -461,11 +633,16 @@ def as_device(choice: Device | str | int | None = None) -> Device:
     """
     if isinstance(choice, Device):
         return choice
+    default = False
     if choice is None:
         choice = os.environ.get("CLVOL_DEVICE") or 0
+        default = choice == 0
     found = devices()
     if not found:
-        raise DeviceError(f"no OpenCL device was found. {INSTALL}. 'clvol doctor' says more")
+        faults = "".join(f"; {library} is left out, a trial of it {why}" for library, why in kept_out().items())
+        raise DeviceError(f"no OpenCL device was found{faults}. {INSTALL}. 'clvol doctor' says more")
+    if default:
+        _tell_change(found)
     text = str(choice).strip().lower()
     if text.isdigit():
         if int(text) < len(found):
@@ -478,72 +655,39 @@ def as_device(choice: Device | str | int | None = None) -> Device:
     raise one_of("device", choice, ["'cpu', 'gpu', or a part of a name", *names])
 
 
-# -- PoCL and the linker ---------------------------------------------------------------------------------
-
-_PROBE = """
-import runpy, pyopencl as cl
-for p in cl.get_platforms():
-    if "portable computing language" in p.name.lower():
-        d = p.get_devices()[0]
-        kept = runpy.run_path(%r)
-        kept["name_processor"](d.int_ptr)
-        c = cl.Context([d]); q = cl.CommandQueue(c)
-        k = cl.Program(c, "kernel void probe_%s(global int *a) { a[0] = 1; }").build()
-        cl.Kernel(k, "probe_%s")(q, (1,), None, cl.Buffer(c, cl.mem_flags.READ_WRITE, 4)); q.finish()
-"""
-
-
-_named = lru_cache(processor.name_processor)
-
-
-def _require_linker() -> None:
-    reason = why_pocl_fails()
-    if reason:
-        raise DeviceError(
-            f"{reason}; install 'binutils' and 'gcc' (Debian, Ubuntu: apt install binutils gcc), or another OpenCL runtime: "
-            "'pip install clvol[intel]' brings one that needs neither"
-        )
-
-
 @lru_cache(maxsize=1)
-def why_pocl_fails() -> str:
-    """Why PoCL cannot build kernels here; "" if it can.
-
-    PoCL links each kernel with ``ld`` against libc and libgcc; without them the process aborts. So another process tries first;
-    that it worked is noted in clvol's cache for the next time.
-    """
-    linker = shutil.which("ld")
-    if linker is None:
-        return "PoCL needs the linker 'ld' to finish a kernel, and there is none on PATH"
-    import pyopencl
-
-    stamp = f"{linker} {Path(linker).stat().st_mtime_ns} {os.environ.get('POCL_CACHE_DIR', '')} {pyopencl.VERSION_TEXT}"
-    mark = _cache_folder() / "pocl-links"
+def _last_default() -> str:
+    """The default device when it was last used, in any process; "" if that is not known."""
+    folder = cache.folder()
     with contextlib.suppress(OSError, UnicodeDecodeError):
-        if mark.read_text(encoding="utf-8") == stamp:
-            return ""
-    name = os.urandom(4).hex()  # a kernel that no cache knows
-    environment = {**os.environ, "PYOPENCL_NO_CACHE": "1"}
-    try:
-        trial = subprocess.run(
-            [sys.executable, "-c", _PROBE % (processor.__file__, name, name)],
-            capture_output=True,
-            env=environment,
-            timeout=120,
-            check=False,
-        )
-    except (OSError, subprocess.TimeoutExpired) as error:
-        return f"PoCL could not be tried: {error}"
-    if trial.returncode != 0:
-        last = trial.stderr.decode(errors="replace").strip().splitlines()[-1:] or ["no message"]
-        return f"PoCL cannot build kernels here ({last[0]})"
-    with contextlib.suppress(OSError):
-        mark.parent.mkdir(parents=True, exist_ok=True)
-        temporary = mark.with_name(f"{mark.name}.{os.getpid()}")
-        temporary.write_text(stamp, encoding="utf-8")
-        temporary.replace(mark)
+        return (folder / "default-device").read_text(encoding="utf-8") if folder else ""
     return ""
 
 
-def _cache_folder() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "clvol"
+def _tell_change(found: list[Device]) -> None:
+    """Warn where the default is another device than in the process before, as when a platform was installed; note it."""
+    names = [f"{device.name} ({device.platform})" for device in found]
+    last = _last_default()
+    if names[0] == last:
+        return
+    if last:
+        rest = "gone"
+        if last in names:
+            number = names.index(last)
+            rest = f"number {number} now; CLVOL_DEVICE={found[number].name!r} chooses it"
+        message = f"devices are numbered anew, and the default is {names[0]}: {last}, the default before, is {rest}"
+        warnings.warn(message, ClvolWarning, stacklevel=3)
+    folder = cache.folder()
+    if folder:
+        with contextlib.suppress(OSError):
+            cache.replace(folder / "default-device", names[0].encode())
+    _last_default.cache_clear()
+
+
+# -- PoCL ------------------------------------------------------------------------------------------------
+
+_named = lru_cache(processor.name_processor)
+_LINKER = (
+    "; install 'binutils' and 'gcc' (Debian, Ubuntu: apt install binutils gcc), or another OpenCL runtime: "
+    "'pip install clvol[intel]' brings one that needs neither"
+)

@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 import clvol
-from clvol import intel
-from clvol.device import Device, as_device, devices, why_pocl_fails
+from clvol import intel, probe
+from clvol.device import Device, as_device, devices
 from clvol.errors import DeviceError
-from clvol.opencl import INSTALL
+from clvol.opencl import INSTALL, kept_out
 
 __all__ = ["Check", "extras", "opencl"]
 
@@ -54,6 +54,7 @@ class Check(NamedTuple):
 
 def opencl() -> Iterator[Check]:
     """What computing needs, in the order of need; the last one is ``ok`` if clvol can be used. Nothing is raised."""
+    probe.forget()
     for what, look in (
         ("an OpenCL device", _found),
         ("the one that is used", _used),
@@ -103,9 +104,10 @@ def _named(device: Device) -> str:
 
 def _found() -> str:
     names = [_named(device) for device in devices()]
+    out = [f"{library} is left out: a trial of it {why}" for library, why in kept_out().items()]
     if not names:
-        raise DeviceError(f"none was found. {INSTALL}")
-    return ", ".join(names)
+        raise DeviceError("; ".join(["none was found", *out]) + f". {INSTALL}")
+    return "; ".join([", ".join(names), *out])
 
 
 def _used() -> str:
@@ -117,10 +119,10 @@ def _used() -> str:
         why = "the only one"
     elif device.kind != "cpu":
         why = "GPUs come first"
-    elif any(other.is_pocl and other.kind == "cpu" and other is not device for other in found):
-        why = why_pocl_fails()
+    elif device.is_pocl:
+        why = "the fastest on this processor, and it can link its kernels here"
     else:
-        why = "the fastest on this processor, and it can link its kernels here" if device.is_pocl else "the first one"
+        why = next((other.fault for other in found if other.fault), "the first one")
     return f"{_named(device)}: {why}"
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 
 from clvol.checks import as_path
@@ -41,9 +41,9 @@ def require_folder(target: Path) -> None:
     _hidden_folder(target).rmdir()
 
 
-@contextmanager
+@contextlib.contextmanager
 def staged(path: Path, suffix: str) -> Iterator[Path]:
-    """A path to write to, in a hidden folder beside `path`; moved into place when the block succeeds.
+    """A path to write to, in a hidden folder beside `path`; moved into place when the block succeeds and the disk has all of it.
 
     Other files that the writer leaves there (the samples beside a header) move along, before the header. It is a
     folder and not a temporary name because libraries choose formats by suffix, and headers name their data file.
@@ -61,6 +61,8 @@ def staged(path: Path, suffix: str) -> Iterator[Path]:
         written = folder / (target.name[: -len(suffix)] + suffix)  # libraries do not know ".NRRD"
         yield written
         data_files = [file for file in folder.iterdir() if file != written]
+        for file in (*data_files, written):
+            _sync(file)
         for file in data_files:
             _refuse_to_overwrite_anothers(target.with_name(file.name), target)
         if data_files:  # if this stops half-way, an old header must not describe new data
@@ -68,12 +70,29 @@ def staged(path: Path, suffix: str) -> Iterator[Path]:
         for file in data_files:
             file.replace(target.with_name(file.name))
         written.replace(target)
+        _sync_folder(target.parent)
     except ClvolError:
         raise
     except (OSError, ValueError) as error:
         raise FormatError(f"cannot write {path}: {str(error) or type(error).__name__}") from error
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def _sync(file: Path) -> None:
+    """Have the disk hold what was written: one that is full, or fails, may say so only now."""
+    with file.open("rb+") as stream:  # Windows refuses it for what was opened to be read
+        os.fsync(stream.fileno())
+
+
+def _sync_folder(folder: Path) -> None:
+    """Have the disk hold the new names, where folders can be opened; the files are whole without it."""
+    with contextlib.suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 def _hidden_folder(target: Path) -> Path:

@@ -123,13 +123,15 @@ def held_as(data: NDArray[Any], dtypes: Iterable[str], error: Callable[[str], Ex
 # -- SimpleITK ---------------------------------------------------------------------------------------------------
 
 
-def from_simpleitk(image: Any, units: str = "mm") -> Content:
+def from_simpleitk(image: Any, units: str = "mm", *, copy: bool = True) -> Content:
     """Samples and geometry of a SimpleITK image, without trailing axes of one sample.
 
-    Lengths are in millimetres, as ITK has them by convention, unless the header of its file gives other `units`.
+    Lengths are in millimetres, as ITK has them by convention, unless the header of its file gives other `units`. Samples that are
+    no `copy` live as long as the image.
     """
     about = simpleitk_says(image, units)
-    data = simpleitk().GetArrayFromImage(image)  # np.asarray would give a flat float64 array
+    library = simpleitk()  # np.asarray would give a flat float64 array
+    data = library.GetArrayFromImage(image) if copy else library.GetArrayViewFromImage(image)
     d, counts = len(about["spacing"]), about["leading"]["counts"] if "leading" in about else ()
     if image.GetNumberOfComponentsPerPixel() > 1:
         data = np.moveaxis(data, -1, data.ndim - 1 - d)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clvol import memory
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.checks import number, whole
 from clvol.device import Device
@@ -191,6 +192,9 @@ def _drawn(
     chosen, rule = as_filter(filter), as_boundary(boundary)
     if pixels.dtype.kind != "f":
         number("the value of the boundary", rule.cval)
+    channels = 1 if pixels.ndim == 2 else pixels.shape[2]
+    each = 2 * channels * pixels.itemsize + 4 + (0 if pixels.dtype.kind == "f" else 24)  # whole numbers are rounded in float64
+    memory.require(each * math.prod(grid.shape), f"an image of {grid.shape} pixels and {channels} channels")
     planes = [pixels] if pixels.ndim == 2 else list(np.moveaxis(pixels, 2, 0))
     drawn = [_channel(plane, grid, chosen, rule, fill, device) for plane in planes]
     return drawn[0] if pixels.ndim == 2 else np.stack(drawn, -1)

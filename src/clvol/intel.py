@@ -10,11 +10,11 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-__all__ = ["known_to_the_loader", "library"]
+__all__ = ["known_to_the_loader", "library", "vendors"]
 
 _NAMES = ("libintelocl.so", "intelocl64.dll")
 
@@ -32,12 +32,16 @@ def library() -> Path | None:
 
 
 @contextmanager
-def known_to_the_loader() -> Iterator[None]:
+def known_to_the_loader(without: Collection[str] = ()) -> Iterator[None]:
     """For the time of a block, in which the loader must first be used: it finds Intel's runtime beside all that it finds otherwise.
 
     Nothing changes where the runtime is not installed, where the system has one of Intel's for processors (a process takes no two),
-    or where ``OCL_ICD_VENDORS`` names no folder: then it was set to keep others out.
+    or where ``OCL_ICD_VENDORS`` names no folder: then it was set to keep others out. Libraries in `without` are kept out.
     """
+    if without:
+        with _only([text for text in vendors() or () if text not in without]):
+            yield
+        return
     runtime = library()
     if runtime is None:
         yield
@@ -52,15 +56,35 @@ def known_to_the_loader() -> Iterator[None]:
         with _set("OCL_ICD_FILENAMES", os.pathsep.join([str(runtime), *([others] if others else [])])):
             yield
         return
-    vendors = _vendor_files()
-    if vendors is None or any("libintelocl." in text for text in vendors):
+    found = vendors()
+    if found is None or str(runtime) not in found:
         yield
         return
+    with _only(found):
+        yield
+
+
+@contextmanager
+def _only(libraries: list[str]) -> Iterator[None]:
+    """For the time of a block the loader finds these, and what lies in its own folder."""
     with tempfile.TemporaryDirectory(prefix="clvol-vendors-") as folder:
-        for i, text in enumerate([*vendors, str(runtime)]):  # loaders take them by name or as they come
+        for i, text in enumerate(libraries):  # loaders take them by name or as they come
             Path(folder, f"{i:03}.icd").write_bytes(os.fsencode(text) + b"\n")
-        with _set("OCL_ICD_VENDORS", folder):
+        with _set("OCL_ICD_VENDORS", folder), _set("OPENCL_VENDOR_PATH", folder):
             yield
+
+
+def vendors() -> list[str] | None:
+    """The libraries that the loader will find, Intel's of this environment last; None where it must not look into a folder.
+
+    Those that lie in the loader's own folder, as PoCL by pip, are not among them, nor are those of Windows.
+    """
+    if sys.platform == "win32":
+        return None
+    found, runtime = _vendor_files(), library()
+    if found is None or runtime is None or any("libintelocl." in text for text in found):
+        return found
+    return [*found, str(runtime)]
 
 
 def _vendor_files() -> list[str] | None:

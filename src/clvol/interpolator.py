@@ -9,6 +9,7 @@ from typing import Any, Self, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clvol import memory
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.checks import reals, several, whole
 from clvol.device import Device
@@ -182,6 +183,9 @@ class Interpolator:
         d = len(self.grid)
         orders = self._orders(nu)
         at = _points(xi, d)
+        count, held = at.size // d, 1 if not sum(orders) else max(2, d) ** sum(orders)
+        wide = np.result_type(self.values.dtype, np.float64).itemsize * (len(self._fields) + 2)
+        memory.require(count * (24 * max(2, d) + 8 * held + wide), f"results at {count} points")
         outside = self._outside(at)
         steps = (0,) * (d == 1) + orders  # of a row's image
         where = np.concatenate([np.zeros((*at.shape[:-1], 1)), at], -1) if d == 1 else at

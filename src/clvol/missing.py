@@ -10,6 +10,7 @@ from typing import Any, Final, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clvol import memory
 from clvol.checks import number, one_of
 from clvol.errors import DataError
 from clvol.filter import MAX_TAPS, Filter
@@ -20,6 +21,9 @@ NanRule: TypeAlias = Literal["error", "propagate", "local"]
 
 _BAND: Final = 4  # samples from a valid one: what lies deeper is 1/200 of what it is at the edge once a cubic's prefilter is past
 _EXACT: Final = 1e-200  # squares of what is left, in units of the largest sample, whose products would be lost
+_EACH: Final = 4  # copies of the samples that are there at a time ...
+_EACH_MISSING: Final = 100  # ... bytes for each missing one ...
+_EACH_UNKNOWN: Final = 700  # ... and for each of those that are solved for
 _STEPS: Final = 20  # of conjugate gradients; the start is near, so that holes of 9 samples are within 2 % of the minimum
 
 
@@ -143,6 +147,9 @@ def filled_smoothly(data: NDArray[Any], missing: NDArray[np.bool_]) -> NDArray[n
     ndarray of the dtype of `data`; float32 for integers of 8 and 16 bits, and float64 for wider ones
     """
     kind = data.dtype if data.dtype.kind == "f" else np.dtype(np.float32 if data.dtype.itemsize < 4 else np.float64)
+    memory.require(
+        _EACH * kind.itemsize * data.size + _EACH_MISSING * int(np.count_nonzero(missing)), f"the fill of {data.size} samples"
+    )
     result = np.where(missing, 0, data).astype(kind)
     if missing.all():
         return result
@@ -153,6 +160,7 @@ def filled_smoothly(data: NDArray[Any], missing: NDArray[np.bool_]) -> NDArray[n
     result[at] = np.ldexp(start, exponent)
     band = _near_valid(missing)
     unknown = np.flatnonzero(band)
+    memory.require(_EACH_UNKNOWN * unknown.size, f"the fill of {unknown.size} samples beside others")
     smooth = _least_bent(result, unknown, exponent, start[band[at]])
     result.reshape(-1)[unknown] = np.ldexp(smooth, exponent)
     return result

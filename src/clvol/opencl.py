@@ -1,21 +1,22 @@
-"""The OpenCL runtime, found when it is first needed, with caches that can be written."""
+"""The OpenCL runtime, found when it is first needed and tried in another process; it keeps built kernels where clvol says."""
 
 from __future__ import annotations
 
 import os
 import platform
 import sys
-import tempfile
 import threading
-from contextlib import suppress
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
-from clvol import intel
-from clvol.errors import DeviceError
+from clvol import intel, probe
+from clvol.cache import Shelf, shelf
+from clvol.errors import ClvolWarning, DeviceError
 
-__all__ = ["INSTALL", "opencl"]
+__all__ = ["INSTALL", "built_kernels", "kept_out", "opencl", "why_not"]
 
 _WITHOUT_GPU = {
     "linux": (
@@ -27,41 +28,86 @@ _WITHOUT_GPU = {
 _X86 = platform.machine() in ("x86_64", "AMD64")
 _ADVICE = (_WITHOUT_GPU.get(sys.platform) if _X86 else None) or "install PoCL (apt install pocl-opencl-icd; conda install pocl)"
 INSTALL = f"Without a GPU, {_ADVICE}; with a GPU, install its vendor's OpenCL driver"
-_lock = threading.Lock()
+_lock = threading.RLock()
+_AGAIN = "'clvol doctor' tries again"
+
+
+def opencl() -> Any:
+    """pyopencl, when a device is needed; which runtimes may be loaded was tried in another process.
+
+    Its loader looks for runtimes once in a process, here, unless the program used pyopencl before clvol.
+
+    Raises
+    ------
+    DeviceError
+        pyopencl is not installed, or the runtimes that it would load end the process.
+    """
+    with _lock:  # lru_cache would let several threads in
+        return _loaded()
 
 
 @lru_cache(maxsize=1)
-def opencl() -> Any:
-    """pyopencl, with caches that can be written; imported only when a device is needed.
+def built_kernels() -> Shelf | None:
+    """Where PoCL keeps its kernels; None where it does as it likes."""
+    return shelf()
 
-    Its loader looks for runtimes once in a process, here, unless the program used pyopencl before clvol.
-    """
-    _require_caches()
-    with _lock, intel.known_to_the_loader():
+
+def kept_out() -> dict[str, str]:
+    """Libraries of vendors that were not loaded because they would end the process or stop it, and what they did in the trial."""
+    return _verdict().libraries
+
+
+@lru_cache(maxsize=1)
+def _verdict() -> probe.Verdict:
+    return probe.tried()
+
+
+def why_not(handle: Any) -> str:
+    """Why a device cannot be used, as the trial has shown; "" if it can."""
+    with _lock:
+        name = probe.identity(handle)
+        if name not in _verdict().devices:
+            probe.forget()  # the driver is another than when it was noted
+            _verdict.cache_clear()
+        return _verdict().devices.get(name, "")
+
+
+@lru_cache(maxsize=1)
+def _loaded() -> Any:
+    kernels = built_kernels()
+    verdict = _verdict()
+    if verdict.unloadable:
+        raise DeviceError(f"OpenCL's runtimes cannot be loaded: a trial in another process {verdict.unloadable}. {_AGAIN}")
+    for library, why in verdict.libraries.items():
+        message = f"the OpenCL runtime {library} is left out: a trial of it in another process {why}. {_AGAIN}"
+        warnings.warn(message, ClvolWarning, stacklevel=4)
+    with intel.known_to_the_loader(verdict.libraries), _variables(kernels):
         try:
             import pyopencl
         except ImportError as error:
             raise DeviceError(f"pyopencl cannot be imported: {error}. {INSTALL}. 'clvol doctor' says more") from error
         with suppress(pyopencl.Error):  # it finds none: whoever asks for devices is told
-            pyopencl.get_platforms()
+            for found in pyopencl.get_platforms():
+                with suppress(pyopencl.Error):
+                    found.get_devices()  # PoCL reads its variables when it is first asked for them
     return pyopencl
 
 
-@lru_cache(maxsize=1)
-def _require_caches() -> None:
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path(os.environ.get("HOME") or "/nonexistent") / ".cache")
-    if not _writable(home):
-        # PoCL shows no device, or fails without a reason, when it cannot write its cache
-        if not os.environ.get("POCL_CACHE_DIR"):
-            os.environ["POCL_CACHE_DIR"] = tempfile.mkdtemp(prefix="clvol-pocl-")
-        os.environ.setdefault("PYOPENCL_NO_CACHE", "1")
+@contextmanager
+def _variables(kernels: Shelf | None) -> Iterator[None]:
+    """What pyopencl and PoCL read when they are loaded; a program that clvol's starts has what it had before.
 
-
-def _writable(folder: Path) -> bool:
-    while not folder.exists() and folder != folder.parent:
-        folder = folder.parent
-    try:  # asking for permission is not enough: root may write anywhere, yet not in /proc
-        with tempfile.TemporaryFile(dir=folder):
-            return True
-    except OSError:
-        return False
+    pyopencl would keep in a database how arguments are set, which gains a millisecond and fails where it cannot be written; and
+    what other runtimes than PoCL have built, unchecked: `clvol.program` does that.
+    """
+    changes = {"PYOPENCL_NO_CACHE": "1", **({"POCL_CACHE_DIR": str(kernels.folder)} if kernels else {})}
+    before = {name: os.environ.get(name) for name in changes}
+    os.environ.update(changes)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

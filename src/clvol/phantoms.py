@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clvol import memory
 from clvol.checks import enough_memory, number, one_of, reals, require_room, whole
 from clvol.errors import OptionError
 from clvol.volume import Volume
@@ -28,6 +30,8 @@ __all__ = [
 Array: TypeAlias = NDArray[np.float64]
 Size: TypeAlias = int | Sequence[int]
 
+_AT_ONCE = 1 << 18  # samples whose positions are in memory at a time, but for one row
+
 
 @enough_memory("a phantom")
 def marschner_lobb(size: Size = 41, alpha: float = 0.25, f_m: float = 6.0) -> Volume:
@@ -40,9 +44,7 @@ def marschner_lobb(size: Size = 41, alpha: float = 0.25, f_m: float = 6.0) -> Vo
     alpha, f_m : float
         Amplitude and frequency of the waves; 0.25 and 6 are customary, and 41 samples are then just enough.
     """
-    shape = _shape(size, 2)
-    volume = _on_cube(np.broadcast_to(np.float32(0), shape))
-    return _on_cube(marschner_lobb_function(_positions(volume), alpha, f_m).astype(np.float32))
+    return _on_cube(size, lambda points: marschner_lobb_function(points, alpha, f_m))
 
 
 def marschner_lobb_function(points: ArrayLike, alpha: float = 0.25, f_m: float = 6.0) -> Array:
@@ -77,9 +79,7 @@ def sphere(size: Size = 64, radius: float = 0.75) -> Volume:
         In world units; the cube's faces lie at 1.
     """
     radius = number("radius", radius, above=0)
-    grid = _on_cube(np.broadcast_to(np.float32(0), _shape(size, 2)))
-    square = (_positions(grid) ** 2).sum(-1)
-    return _on_cube((0.5 + (radius**2 - square) / (2 * radius)).astype(np.float32))
+    return _on_cube(size, lambda points: 0.5 + (radius**2 - (points**2).sum(-1)) / (2 * radius))
 
 
 @enough_memory("a phantom")
@@ -102,8 +102,7 @@ def polynomial(size: Size = 16, degree: int = 3, seed: int = 0, coefficients: Ar
     polynomial_function : the same at any point.
     """
     chosen = _coefficients(degree, seed, coefficients)
-    grid = _on_cube(np.broadcast_to(np.float32(0), _shape(size, 2)))
-    return _on_cube(_polynomial_at(_positions(grid), chosen).astype(np.float32))
+    return _on_cube(size, lambda points: _polynomial_at(points, chosen))
 
 
 def polynomial_function(points: ArrayLike, degree: int = 3, seed: int = 0, coefficients: ArrayLike | None = None) -> Array:
@@ -125,8 +124,12 @@ def checker(size: Size = 64, period: int = 16) -> Volume:
     shape = _shape(size, 1)
     if whole("period", period, 2) % 2:
         raise OptionError(f"period must be an even whole number of at least 2; got {period!r}")
-    cell = sum(np.ix_(*(np.arange(n) // (int(period) // 2) for n in shape)))
-    return Volume((np.asarray(cell) % 2).astype(np.float32))
+    memory.require(4 * math.prod(shape), f"a phantom of {shape} samples")
+    z, y, x = np.ix_(*((np.arange(n) // (int(period) // 2) % 2).astype(np.uint8) for n in shape))
+    data = np.empty(shape, np.float32)
+    for layer, odd in zip(data, z, strict=True):
+        np.bitwise_xor(y[0], odd ^ x[0], out=layer)
+    return Volume(data)
 
 
 @enough_memory("a phantom")
@@ -138,10 +141,7 @@ def box(size: Size = 64) -> Volume:
     size : int or (nz, ny, nx)
         Samples along each axis, at least 2.
     """
-    grid = _on_cube(np.broadcast_to(np.float32(0), _shape(size, 2)))
-    p = _positions(grid)
-    inside = (np.abs(p) <= 0.6).all(-1) & (((p - 0.6) ** 2).sum(-1) > 0.5**2)
-    return _on_cube(inside.astype(np.float32))
+    return _on_cube(size, lambda p: (np.abs(p) <= 0.6).all(-1) & (((p - 0.6) ** 2).sum(-1) > 0.5**2))
 
 
 _TABLE: dict[str, Callable[..., Volume]] = {
@@ -199,15 +199,19 @@ def _shape(size: Size, minimum: int) -> tuple[int, int, int]:
     return nz, ny, nx
 
 
-def _on_cube(data: NDArray[np.float32]) -> Volume:
-    """`data` on [-1, 1]³, the outer samples on its faces."""
-    return Volume(data, tuple(2 / (n - 1) for n in data.shape[::-1]), (-1.0,) * 3)
-
-
-def _positions(grid: Volume) -> Array:
-    """World positions of the samples, shape (nz, ny, nx, 3), to the last bit those of linspace(-1, 1)."""
-    axes = np.meshgrid(*(np.linspace(-1, 1, n) for n in grid.shape), indexing="ij")
-    return np.stack(axes[::-1], -1)
+def _on_cube(size: Size, function: Callable[[Array], NDArray[Any]]) -> Volume:
+    """A function of points (..., 3) on [-1, 1]³, the outer samples on its faces; some layers and rows at a time."""
+    shape = _shape(size, 2)
+    memory.require(4 * math.prod(shape), f"a phantom of {shape} samples")
+    nz, ny, nx = shape
+    data, (z, y, x) = np.empty(shape, np.float32), (np.linspace(-1, 1, n) for n in shape)
+    layers, rows = max(1, _AT_ONCE // (ny * nx)), max(1, _AT_ONCE // nx)
+    for i in range(0, nz, layers):
+        for j in range(0, ny, rows):
+            part = np.s_[i : i + layers, j : j + rows]
+            axes = np.meshgrid(z[part[0]], y[part[1]], x, indexing="ij")
+            data[part] = function(np.stack(axes[::-1], -1))
+    return Volume(data, tuple(2 / (n - 1) for n in shape[::-1]), (-1.0,) * 3)
 
 
 def _points(points: ArrayLike) -> Array:

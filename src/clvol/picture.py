@@ -14,6 +14,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clvol import memory
 from clvol.checks import as_path, number, whole
 from clvol.errors import OptionError
 from clvol.files import require_suffix, staged
@@ -36,6 +37,7 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 _OPAQUE = (".jpg", ".jpeg", ".bmp")  # these hold no opacity
 _INK = (235, 235, 235)
 _BAND = (24, 24, 28)
+_AT_ONCE = 1 << 20  # numbers that are converted at a time
 _FARTHEST = 0.25  # the grey of what lies farthest, where depth is shown
 
 
@@ -172,7 +174,12 @@ def to_bytes(picture: ArrayLike) -> NDArray[np.uint8]:
         raise OptionError(f"a picture has shape (height, width) or (height, width, 1, 3 or 4); got {array.shape}")
     if array.dtype == np.uint8:
         return array
-    return np.asarray(np.rint(np.clip(np.nan_to_num(array), 0, 1) * 255), np.uint8)
+    made = np.empty(array.shape, np.uint8)
+    rows = max(1, _AT_ONCE // array[0].size)
+    for first in range(0, len(array), rows):
+        part = np.s_[first : first + rows]
+        made[part] = np.rint(np.clip(np.nan_to_num(array[part]), 0, 1) * 255)
+    return made
 
 
 def save(picture: ArrayLike, path: str | os.PathLike[str]) -> Path:
@@ -363,6 +370,8 @@ def grid(pictures: Sequence[ArrayLike], columns: int, gap: int = 4) -> NDArray[n
     columns, gap = whole("columns of a grid", columns, 1), whole("gap of a grid", gap, 0)
     height, width, *channels = tiles[0].shape
     rows = -(-len(tiles) // columns)
+    count = rows * (height + gap) * columns * (width + gap) * math.prod(channels)
+    memory.require(count, f"a sheet of {rows} × {columns} pictures")
     sheet = np.zeros((rows * (height + gap) - gap, columns * (width + gap) - gap, *channels), np.uint8)
     for i, tile in enumerate(tiles):
         y, x = i // columns * (height + gap), i % columns * (width + gap)

@@ -2,26 +2,34 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 import threading
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
+from clvol.cache import Shelf, Store
 from clvol.errors import DeviceError, OptionError
 from clvol.moved import forwarding
 from clvol.opencl import opencl
+from clvol.probe import identity
 
-__all__ = ["LANES", "Defines", "Program", "build", "literal", "source"]
+__all__ = ["LANES", "Defines", "Kernel", "Launches", "Program", "build", "literal", "source"]
 
 LANES = 8
 """Numbers that one vector of the kernels holds, and what rows of coefficients are padded to."""
 
 Defines = Mapping[str, str | int | float]
+_OPTIONS = ("-cl-std=CL1.2",)
+_POCL = "Portable Computing Language"
+_LAUNCHES = 1024  # sizes that are remembered for each program
+_building = threading.Lock()  # what appears in PoCL's folder then is of the one that is built
 _INCLUDE = re.compile(r'^#include "([\w/.]+)"[ \t]*$', re.MULTILINE)
 
 
@@ -72,28 +80,147 @@ def source(
 class Program:
     """A built program; `kernel` gives each thread kernels of its own, for they hold their arguments."""
 
-    def __init__(self, handle: Any) -> None:
+    def __init__(self, handle: Any, launches: Launches) -> None:
         self._handle = handle
+        self._launches = launches
         self._kernels = threading.local()
 
-    def kernel(self, name: str) -> Any:
+    def kernel(self, name: str) -> Kernel:
         """The kernel of this name; `DeviceError` if there is none."""
         mine = self._kernels.__dict__
         if name not in mine:
+            cl = opencl()
             try:
-                mine[name] = opencl().Kernel(self._handle, name)
-            except opencl().Error as error:
+                mine[name] = Kernel(cl.Kernel(self._handle, name), name, self._launches)
+            except cl.Error as error:
                 raise DeviceError(f"there is no kernel {name!r}: {error}") from error
-        return mine[name]
+            except Exception as error:
+                if type(error).__module__ != "sqlite3":
+                    raise
+                # pyopencl was imported before clvol, which would have kept it from writing there
+                raise DeviceError(f"pyopencl cannot use its cache ({error}); set PYOPENCL_NO_CACHE=1") from error
+        return cast(Kernel, mine[name])
 
 
-def build(context: Any, text: str) -> Program:
-    """The program of a text in a context; errors are the runtime's."""
+class Kernel:
+    """A kernel of one thread; called as pyopencl's are."""
+
+    def __init__(self, handle: Any, name: str, launches: Launches) -> None:
+        self._handle, self._name, self._launches = handle, name, launches
+
+    def __call__(self, queue: Any, size: Any, local: Any, *arguments: Any, global_offset: Any = None) -> Any:
+        self._launches.prepare(self._name, size, local, global_offset)
+        return self._handle(queue, size, local, *arguments, global_offset=global_offset)
+
+
+class Launches:
+    """Which launches of a program have been seen: PoCL finishes a kernel for some sizes when it is first launched, in seconds.
+
+    `new` is told before the first launch of each size. The program's kernels hold this rather than the program, so that it is
+    freed with the last of them.
+    """
+
+    def __init__(
+        self,
+        new: Callable[[Launches], None],
+        kernels: Shelf | None = None,
+        key: str = "",
+        place: str | None = None,
+        stored: set[str] | None = None,
+    ) -> None:
+        self._new = new
+        self._kernels = kernels if place else None  # where PoCL built it
+        self._key, self._place = key, place or ""
+        self._seen: set[Any] = set()
+        self._stored = stored or set()
+
+    def prepare(self, name: str, size: Any, local: Any, offset: Any) -> None:
+        """Before a launch; raises `DeviceError` where PoCL would have to finish a kernel and cannot."""
+        launch = (name, size, local, offset is not None and any(offset))
+        if launch in self._seen:
+            return
+        if self._kernels and not self._finished(*launch):
+            self._stored |= self._kernels.restore(self._key)  # another process may have finished it by now
+            if not self._finished(*launch):
+                self._kernels.require_room()
+        if len(self._seen) >= _LAUNCHES:
+            self._seen.clear()
+        self._seen.add(launch)
+        self._new(self)
+
+    def keep(self) -> None:
+        """After launches: put what PoCL has finished for them into the store."""
+        if self._kernels:
+            for name in set(self._kernels.files(self._place)) - self._stored:
+                with suppress(OSError):
+                    self._kernels.store.write(self._key, name, (self._kernels.folder / name).read_bytes())
+                self._stored.add(name)
+
+    def _finished(self, name: str, _: Any, local: Any, offset: bool) -> bool:
+        """Whether a library of a kernel is there: for these local sizes, or for any where PoCL is to choose them."""
+        if self._kernels is None:
+            return True
+        begin = "".join(f"{n}-" for n in local) if local else ""
+        with suppress(OSError):
+            variants = [variant.name for variant in (self._kernels.folder / self._place / name).iterdir()]
+            return any(variant.startswith(begin) and ("goffs0" in variant) != offset for variant in variants)
+        return False
+
+
+def build(device: Any, context: Any, text: str, kernels: Shelf | None, new: Callable[[Launches], None]) -> Program:
+    """The program of a text in a context, from the store of built ones if it is there; errors are the runtime's.
+
+    Parameters
+    ----------
+    device : pyopencl.Device
+        The only one of the context.
+    context : pyopencl.Context
+        Where it is built.
+    text : str
+        As `source` makes it.
+    kernels : Shelf or None
+        The store, and PoCL's folder; None: nothing is kept.
+    new : callable
+        Told of launches for which the runtime may have to finish a kernel.
+
+    Raises
+    ------
+    DeviceError
+        PoCL would have to build it, and has no room to.
+    """
+    key = hashlib.sha256("\0".join((identity(device), *_OPTIONS, text)).encode()).hexdigest()
+    with _building:
+        if kernels is None or device.platform.name != _POCL:
+            return Program(_built_elsewhere(device, context, text, kernels.store if kernels else None, key), Launches(new))
+        kernels.built()  # forget what the program itself has built
+        stored = kernels.restore(key)
+        if not any(name.endswith(".bc") for name in stored):
+            kernels.require_room()
+        handle = opencl().Program(context, text).build(options=list(_OPTIONS))
+        launches = Launches(new, kernels, key, kernels.built(), stored)
+        launches.keep()
+        return Program(handle, launches)
+
+
+def _built_elsewhere(device: Any, context: Any, text: str, store: Store | None, key: str) -> Any:
+    """A program by a runtime that is not PoCL: its binary is kept, unless the driver keeps its own."""
     cl = opencl()
+    from pyopencl.characterize import has_src_build_cache
+
+    if has_src_build_cache(device):
+        store = None
+    binary = store.read(key).get("binary") if store else None
     with warnings.catch_warnings():
         # Intel's runtime always has something to say; what is wrong comes as an error
         warnings.simplefilter("ignore", cl.CompilerWarning)
-        return Program(cl.Program(context, text).build(options=["-cl-std=CL1.2"]))
+        if binary is not None:
+            with suppress(cl.Error):  # it was another driver's
+                return cl.Program(context, [device], [binary]).build(options=list(_OPTIONS))
+        handle = cl.Program(context, text).build(options=list(_OPTIONS))
+    if store is not None:
+        with suppress(cl.Error):
+            store.write(key, "binary", handle.get_info(cl.program_info.BINARIES)[0])
+    return handle
 
 
 def literal(value: str | float) -> str:

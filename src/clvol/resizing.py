@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clvol import memory
 from clvol.checks import one_of, reals, whole
 from clvol.device import Device, as_device
 from clvol.errors import DataError, OptionError
@@ -230,6 +231,7 @@ def _resized(
     positions = {
         axis: (np.arange(m) + 0.5) * (n / m) - 0.5 for axis, (n, m) in enumerate(zip(array.shape, shape, strict=True)) if n != m
     }
+    memory.require(math.prod(shape) * kind.itemsize, f"a result of {' × '.join(map(str, shape))} samples")
     result = np.empty(shape, kind)
     if chosen == "least-squares" and positions:
         nearest_splines(array, positions, result, spline)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clvol import memory
 from clvol.checks import number, one_of, reals, whole
 from clvol.color import color_of
 from clvol.errors import DataError, GeometryError, OptionError
@@ -148,6 +149,13 @@ class Volume:
         object.__setattr__(self, "header", dict(self.header))
         if min(self.spacing) <= 0:
             raise GeometryError(f"spacing must be positive along every axis; got {self.spacing}")
+
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        """Of a pickle or a copy: its samples may only be read, as those of any volume, or what is known of them would go stale."""
+        self.__dict__.update(state)
+        object.__setattr__(self, "data", self.data.view())
+        for array in (self.data, self.direction):
+            array.flags.writeable = False
 
     def __repr__(self) -> str:
         patient = ", space='LPS'" if self.space == "LPS" else ""
@@ -287,9 +295,8 @@ class Volume:
     def limits(self) -> tuple[Any, Any]:
         """Smallest and largest sample in the type of the samples, NaN if there is one."""
         # each part is read for both while it is in the cache
-        step = max(1, _CACHED // self.data[0].size)
-        parts = [self.data[i : i + step] for i in range(0, len(self.data), step)]
-        return np.min([part.min() for part in parts]), np.max([part.max() for part in parts])
+        ends = [(part.min(), part.max()) for part in _parts(self.data)]
+        return np.min([low for low, _ in ends]), np.max([high for _, high in ends])
 
     @cached_property
     def value_range(self) -> tuple[float, float]:
@@ -303,11 +310,15 @@ class Volume:
         low, high = (float(v) for v in self.limits)
         if math.isfinite(low) and math.isfinite(high):
             return low, high
-        with np.errstate(over="ignore"):  # longdouble reaches further than float64
-            finite = self.data[np.isfinite(self.data.astype(np.float64, copy=False))]
-        if finite.size == 0:
+        ends: list[float] = []
+        for part in _parts(self.data):
+            with np.errstate(over="ignore"):  # longdouble reaches further than float64
+                finite = part[np.isfinite(part.astype(np.float64, copy=False))]
+            if finite.size:
+                ends += [float(finite.min()), float(finite.max())]
+        if not ends:
             raise DataError("no sample of the volume is finite")
-        return float(finite.min()), float(finite.max())
+        return min(ends), max(ends)
 
     def require_finite(self) -> None:
         """Raise `DataError` if a sample is NaN, infinite, or too large for float64."""
@@ -320,11 +331,17 @@ class Volume:
             if not held:
                 raise DataError(f"samples must lie within ±1.8e308, which float64 holds; got {low!s} to {high!s}")
             return
-        bad = ~np.isfinite(self.data)
-        first = tuple(int(i) for i in np.unravel_index(int(np.argmax(bad)), self.shape))
+        missing, infinite, first = 0, 0, None
+        for part, start in zip(_parts(self.data), _starts(self.data), strict=True):
+            bad = ~np.isfinite(part)
+            if bad.any():
+                at = np.unravel_index(int(np.argmax(bad)), part.shape)
+                first = first or [int(i) + s for i, s in zip(at, start, strict=True)]
+                nan = int(np.isnan(part).sum())
+                missing, infinite = missing + nan, infinite + int(bad.sum()) - nan
         raise DataError(
-            f"samples must be finite; got {int(np.isnan(self.data).sum())} NaN and {int(np.isinf(self.data).sum())} "
-            f"infinite, the first at index {list(first)}: replace them with Volume.filled(value)"
+            f"samples must be finite; got {missing} NaN and {infinite} infinite, the first at index {first}: "
+            "replace them with Volume.filled(value)"
         )
 
     def filled(self, value: float | None = None) -> Volume:
@@ -335,6 +352,7 @@ class Volume:
         if new is None:
             where = Missing("local").of(self.data)
             return self if where is None else self._with(filled_smoothly(self.data, where))
+        memory.require(self.data.nbytes + self.data.size, f"a copy of {self.data.size} samples")
         with np.errstate(over="ignore"):
             stored = self.data.dtype.type(new)
         if not np.isfinite(stored):
@@ -422,7 +440,11 @@ class Volume:
             raise OptionError("indicator needs at least one value; got none")
         for label in labels:
             number("each value of indicator", label)
-        return self._with(np.isin(self.data, labels).astype(np.float32), labels=None, window=None)
+        memory.require(4 * self.data.size, f"a region of {self.data.size} samples")
+        inside = np.empty(self.shape, np.float32)
+        for part, target in zip(_parts(self.data), _parts(inside), strict=True):
+            target[...] = np.isin(part, labels)
+        return self._with(inside, labels=None, window=None)
 
     def crop(self, low: Sequence[int], high: Sequence[int]) -> Volume:
         """The samples with index ``low <= index < high``, (x, y, z), at their place in the world."""
@@ -450,6 +472,7 @@ class Volume:
         voxels = [w / s for w, s in zip(widths, self.spacing, strict=True)][::-1]
         wide = self.data.dtype.itemsize > 4 if self.data.dtype.kind == "f" else self._beyond_float32()
         kind = np.float64 if wide else np.float32
+        memory.require(2 * np.dtype(kind).itemsize * self.data.size, f"the low-pass of {self.data.size} samples")
         return self._with(ndimage.gaussian_filter(self.data.astype(kind), voxels, mode="mirror"), labels=None)
 
     def downsample(self, n: int) -> Volume:
@@ -519,6 +542,28 @@ def array_of(data: NDArray[Any], dtype: Any, copy: bool | None) -> NDArray[Any]:
 def as_volume(data: Volume | ArrayLike) -> Volume:
     """`data` itself if it is a `Volume`, else a `Volume` of it."""
     return data if isinstance(data, Volume) else Volume(data)  # type: ignore[arg-type]  # __post_init__ converts
+
+
+def _places(shape: tuple[int, ...]) -> Iterator[tuple[slice, ...]]:
+    """Where the parts of an array lie that fit into a cache."""
+    row = math.prod(shape[1:])
+    if len(shape) > 1 and row > _CACHED:
+        for i in range(shape[0]):
+            yield from ((slice(i, i + 1), *rest) for rest in _places(shape[1:]))
+        return
+    step = max(1, _CACHED // row)
+    for first in range(0, shape[0], step):
+        yield (slice(first, first + step), *(slice(0, n) for n in shape[1:]))
+
+
+def _parts(data: NDArray[Any]) -> Iterator[NDArray[Any]]:
+    """Parts of an array, in its order, that fit into a cache."""
+    return (data[place] for place in _places(data.shape))
+
+
+def _starts(data: NDArray[Any]) -> Iterator[tuple[int, ...]]:
+    """The index of the first sample of each of these."""
+    return (tuple(along.start for along in place) for place in _places(data.shape))
 
 
 def _given(value: object) -> bool:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clvol import memory
 from clvol.checks import one_of, whole
 from clvol.color import color_of
 from clvol.errors import DataError, GeometryError, OptionError
@@ -153,6 +154,7 @@ class Leading:
         """
         kind = np.float64 if wide(data.dtype) else np.float32
         channels = np.moveaxis(data, axis, 0)
+        memory.require(3 * np.dtype(kind).itemsize * channels[0].size, f"the {self.computed or 'sum'} of {len(channels)} channels")
         total = np.zeros(channels.shape[1:], kind)
         if self.vector:
             for channel in channels:  # one at a time: no copy of all in floating point
@@ -217,6 +219,7 @@ class Volumes(Sequence[Volume]):
             first = volumes[0]
             for volume in volumes[1:]:
                 _require_same_grid(first, volume)
+            memory.require(sum(volume.data.nbytes for volume in volumes), f"{len(volumes)} volumes in one array")
             array = np.stack([volume.data for volume in volumes])
             about = {name: getattr(first, name) for name in _ABOUT}
             for name in ("color", "window"):
@@ -244,6 +247,17 @@ class Volumes(Sequence[Volume]):
         self._array = array.view()
         self._array.flags.writeable = False
         self._first = Volume(self._array[(0,) * n], **about)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For pickles and copies: the samples once, and what is said of the grid."""
+        about = {one.name: getattr(self._first, one.name) for one in fields(Volume) if one.name != "data"}
+        return {"leading": self.leading, "array": self._array, "about": about}
+
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        self.leading = state["leading"]
+        self._array = state["array"].view()
+        self._array.flags.writeable = False
+        self._first = Volume(self._array[(0,) * len(self.leading.axes)], **state["about"])
 
     @property
     def axes(self) -> tuple[str, ...]:

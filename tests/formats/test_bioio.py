@@ -74,4 +74,4 @@ def test_missing_readers_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(bioio, "find_spec", hidden)
     (tmp_path / f"v{suffix}").write_bytes(b"")
     with pytest.raises(MissingDependencyError, match=rf"{suffix.lower()} files need bioio.*pip install .*{command}"):
-        clvol.read(tmp_path / f"v{suffix}")
+        clvol.read(tmp_path / f"v{suffix}", trusted=True)

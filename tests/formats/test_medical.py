@@ -95,7 +95,7 @@ def test_only_the_chosen_volume_is_loaded(tmp_path: Path, suffix: str) -> None:
 
 
 def test_nifti_cut_short_in_a_later_volume(tmp_path: Path) -> None:
-    """Of a packed file nothing is looked at behind what is chosen; an unpacked one has its size."""
+    """Nothing is believed of it: a packed one has its checksum at its end, an unpacked one its size."""
     whole = save(tmp_path / "v.nii", np.random.default_rng(0).random((20, 20, 20, 3))).read_bytes()
     packed = save(tmp_path / "v.nii.gz", np.random.default_rng(0).random((20, 20, 20, 3))).read_bytes()
     (tmp_path / "v.nii").write_bytes(whole[:-100])
@@ -103,9 +103,8 @@ def test_nifti_cut_short_in_a_later_volume(tmp_path: Path) -> None:
     for k in range(3):
         with pytest.raises(FormatError, match="must hold 192000 bytes"):
             read(tmp_path / "v.nii", volume=k)
-    assert read(tmp_path / "v.nii.gz", volume=1).shape == (20, 20, 20)
-    with pytest.raises(FormatError, match="end-of-stream"):
-        read(tmp_path / "v.nii.gz", volume=2)
+        with pytest.raises(FormatError, match="end-of-stream"):
+            read(tmp_path / "v.nii.gz", volume=k)
 
 
 def test_nifti_of_vectors(tmp_path: Path) -> None:

@@ -205,4 +205,4 @@ def test_without_zarr(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "zarr.json").write_text("{}")
     monkeypatch.setitem(__import__("sys").modules, "zarr", None)
     with pytest.raises(MissingDependencyError, match=r"pip install clvol\[microscopy\]"):
-        clvol.read(tmp_path)
+        clvol.read(tmp_path, trusted=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from clvol.scene import Box, Scene
 from clvol.spline.evaluator import choose_evaluator
 from clvol.spline.minmax import MinMax
 from clvol.transfer import TransferFunction
+from tests.cases import thin
 from tests.march.looks import TILES, suited
 
 SIZE = (41, 35)
@@ -73,8 +75,7 @@ def check(got: dict[str, NDArray[Any]], want: dict[str, NDArray[Any]], mode: str
     np.testing.assert_allclose((got["rgba"] * cover)[seen], (want["rgba"] * cover)[seen], rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize("tile", ["planes", "rays"])
-@pytest.mark.parametrize("mode", modes())
+@pytest.mark.parametrize(("mode", "tile"), thin(3, product(modes(), ["planes", "rays"])))
 def test_two_halves_of_the_rays_merged_are_the_picture(renderer: Renderer, mode: str, tile: str) -> None:
     with renderer.device.limited(tile=TILES[tile]):
         for camera in CAMERAS.values():

@@ -6,6 +6,7 @@ their tolerances; they compute in float64, so everything does.
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Callable
 from typing import Any, ClassVar
@@ -32,6 +33,11 @@ class InDouble:
             return function(*arguments, precision="double", **options)
 
         return computed
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Only every so many of the tests, where the environment says so."""
+    items[:] = items[:: int(os.environ.get("EVERY", "1"))]
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:

@@ -16,6 +16,7 @@ import pytest
 from clvol import Volume, phantoms, reference
 from clvol.filter import as_filter
 from clvol.reports.advice import ADVISED, Advice, advise, settled_once
+from tests.cases import thin
 
 pytest.importorskip("matplotlib")
 Function: TypeAlias = Callable[[np.ndarray], np.ndarray]
@@ -90,7 +91,7 @@ SMOOTH = [
 ]
 
 
-@pytest.mark.parametrize(("function", "sigma", "times"), SMOOTH)
+@pytest.mark.parametrize(("function", "sigma", "times"), thin(2, SMOOTH))
 def test_the_recommended_filter_errs_least(function: Function, sigma: float, times: float) -> None:
     volume = sampled(function, sigma=sigma)
     given = advise(volume)

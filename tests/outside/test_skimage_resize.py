@@ -22,6 +22,7 @@ import pytest
 
 import clvol
 from clvol.device import Device
+from tests.cases import thin
 
 transform = pytest.importorskip("skimage.transform")
 
@@ -64,7 +65,7 @@ def cases() -> Iterator[dict[str, Any]]:
             }
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", thin(2, KINDS))
 def test_values_types_and_shapes_are_the_same(kind: str, device: Device) -> None:
     compared = 0
     for seed, options in enumerate(cases()):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -14,7 +16,7 @@ from clvol.spline.field import coefficients_of, resample, sample
 from clvol.spline.points import sample_coefficients
 from clvol.spline.sort import scattered
 from clvol.volume import Volume
-from tests.cases import RULES
+from tests.cases import RULES, thin
 
 ROWS = (*filters(), "sinc(3)")
 
@@ -35,9 +37,7 @@ def points_of(volume: Volume, count: int, seed: int = 0, dtype: type = np.float6
     return points
 
 
-@pytest.mark.parametrize("d", [2, 3])
-@pytest.mark.parametrize("derivative", [0, 1])
-@pytest.mark.parametrize("name", ROWS)
+@pytest.mark.parametrize(("name", "derivative", "d"), thin(3, product(ROWS, [0, 1], [2, 3])))
 def test_a_point_gives_the_same_wherever_it_stands(device: Device, name: str, derivative: int, d: int) -> None:
     volume = volume_of(d)
     points = points_of(volume, 600 + 5)

@@ -21,10 +21,13 @@ from clvol.files import staged
 from clvol.formats import bioio, dicom, hdf5, imaris, metaimage, mgz, nifti, npy, nrrd, raw, slices, tiff, vti, zarr
 from clvol.formats._choice import Choice, Series
 from clvol.formats._files import Reader, Writer, foreign_errors
+from clvol.formats._limits import Budget, Limits, limited, size_of
+from clvol.formats._worker import call
+from clvol.memory import available
 from clvol.volume import Volume, as_volume
 from clvol.volumes import Leading, Volumes
 
-__all__ = ["FORMATS", "WRITTEN", "Format", "Series", "leading_of", "read", "read_all", "series_of", "write"]
+__all__ = ["FORMATS", "WRITTEN", "Format", "Limits", "Series", "leading_of", "read", "read_all", "series_of", "write"]
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,9 @@ class Format:
         Whether a folder is of this format; None: files only.
     series : callable or None
         The images that a file or folder holds, where ``series=`` chooses one: a tuple of `Series`.
+    native : tuple of str
+        The modules that read it by native code: in a process of its own, which imports them, unless the file is trusted. Empty:
+        Python and NumPy alone read it, here.
     write_several : callable or None
         Writes `Volumes` into one file; None where the format holds one volume.
     """
@@ -66,16 +72,22 @@ class Format:
     file: Callable[[Path], bool] | None = None
     folder: Callable[[Path], bool] | None = None
     series: Callable[[Path], tuple[Series, ...]] | None = None
+    native: tuple[str, ...] = ()
     write_several: Callable[[Volumes, Path], None] | None = None
 
+
+_ITK = ("SimpleITK",)
+_PILLOW = ("imageio.v3", "PIL.Image")
 
 FORMATS = (
     Format("NumPy array, no geometry", (".npy",), npy.read, npy.write, several=True, write_several=npy.write),
     Format("NumPy archive", (".npz",), npy.read_archive, npy.write_archive, several=True, write_several=npy.write_archive),
     Format("NIfTI", (".nii", ".nii.gz"), nifti.read, nifti.write, several=True, write_several=nifti.write),
     Format("NIfTI in two files", (".hdr", ".img"), nifti.read_pair, several=True),
-    Format("NRRD", (".nrrd", ".nhdr"), nrrd.read, nrrd.write, several=True, write_several=nrrd.write),
-    Format("MetaImage", (".mha", ".mhd"), metaimage.read, metaimage.write, several=True, write_several=metaimage.write),
+    Format("NRRD", (".nrrd", ".nhdr"), nrrd.read, nrrd.write, several=True, native=_ITK, write_several=nrrd.write),
+    Format(
+        "MetaImage", (".mha", ".mhd"), metaimage.read, metaimage.write, several=True, native=_ITK, write_several=metaimage.write
+    ),
     Format("FreeSurfer MGH", (".mgh", ".mgz"), mgz.read, several=True),
     Format(
         "Zarr",
@@ -86,6 +98,7 @@ FORMATS = (
         several=True,
         folder=zarr.is_one,
         series=zarr.series,
+        native=("zarr",),
     ),
     Format(
         "DICOM",
@@ -96,6 +109,7 @@ FORMATS = (
         file=dicom.is_file,
         folder=dicom.is_folder,
         series=dicom.series_of,
+        native=_ITK,
     ),
     Format(
         "TIFF stack",
@@ -105,13 +119,30 @@ FORMATS = (
         frozenset({"series", "level"}),
         several=True,
         series=tiff.series,
+        native=("tifffile",),
         write_several=tiff.write_several,
     ),
     Format(
-        "HDF5", (".h5", ".hdf5", ".hdf", ".he5", ".nc"), hdf5.read, None, frozenset({"series"}), several=True, series=hdf5.series
+        "HDF5",
+        (".h5", ".hdf5", ".hdf", ".he5", ".nc"),
+        hdf5.read,
+        None,
+        frozenset({"series"}),
+        several=True,
+        series=hdf5.series,
+        native=("h5py",),
     ),
-    Format("Imaris", (".ims",), imaris.read, None, frozenset({"level"}), several=True),
-    Format("VTK image data", (".vti",), vti.read, None, frozenset({"series"}), several=True, series=vti.series),
+    Format("Imaris", (".ims",), imaris.read, None, frozenset({"level"}), several=True, native=("h5py",)),
+    Format(
+        "VTK image data",
+        (".vti",),
+        vti.read,
+        None,
+        frozenset({"series"}),
+        several=True,
+        series=vti.series,
+        native=("vtkmodules.vtkIOXML", "vtkmodules.util.numpy_support"),
+    ),
     Format(
         "microscope makers' files",
         bioio.SUFFIXES,
@@ -120,9 +151,10 @@ FORMATS = (
         frozenset({"series", "level"}),
         several=True,
         series=bioio.series,
+        native=("bioio",),
     ),
-    Format("image", slices.SUFFIXES, slices.read, several=True),
-    Format("folder of image slices", (), slices.read_folder, several=True, folder=slices.are_in),
+    Format("image", slices.SUFFIXES, slices.read, several=True, native=_PILLOW),
+    Format("folder of image slices", (), slices.read_folder, several=True, folder=slices.are_in, native=(*_PILLOW, "tifffile")),
     Format("raw samples", (".raw", ".bin"), raw.read, None, frozenset({"shape", "dtype", "byte_order", "offset"})),
 )
 
@@ -149,6 +181,8 @@ def read(
     direction: ArrayLike | None = None,
     byte_order: str | None = None,
     offset: int = 0,
+    trusted: bool = False,
+    limits: Limits | None = None,
 ) -> Volume:
     """Read a volume (or image) from a file or a folder; one of them, where it holds several.
 
@@ -182,6 +216,12 @@ def read(
         Raw files only: overrides the byte order of `dtype`.
     offset : int, optional
         Raw files only: bytes before the first sample.
+    trusted : bool, optional
+        Whether the file is known to be sound. Libraries of native code (for all formats but NumPy's, NIfTI, MGH and raw ones) read
+        what is not in a process of its own, within `limits`: a file that crashes them, hangs them or takes all memory is an
+        error. What is trusted is read in this process, without limits.
+    limits : Limits, optional
+        What reading may cost; see `clvol.formats.Limits` for the defaults.
 
     Returns
     -------
@@ -200,7 +240,8 @@ def read(
     Raises
     ------
     FormatError
-        The file is missing, of no known format, damaged, or shorter than its header says.
+        The file is missing, of no known format, damaged, or shorter than its header says; or its reader crashed, or took more time
+        or memory than `limits` allow.
     DataError
         The file holds complex numbers or objects.
     GeometryError
@@ -209,8 +250,8 @@ def read(
         An argument is invalid, or is not for this format; there is no such volume.
     MissingDependencyError
         The format needs an extra of clvol; the message names it.
-    MemoryError
-        The file is sound but does not fit into memory.
+    OutOfMemoryError
+        The file is sound but does not fit into memory. It is a `MemoryError` too.
 
     Examples
     --------
@@ -222,7 +263,8 @@ def read(
     wanted = {"volume": volume, "time": time, "position": position, "channel": channel}
     options = {"series": series, "level": level, "shape": shape, "dtype": dtype, "byte_order": byte_order, "offset": offset or None}
     replaced = {"spacing": spacing, "origin": origin, "direction": direction}
-    result = _read(path, Choice({name: v for name, v in wanted.items() if v is not None}), options, replaced)
+    choice = Choice({name: v for name, v in wanted.items() if v is not None})
+    result = _read(path, choice, options, replaced, _allowed(trusted, limits))
     assert isinstance(result, Volume)  # nothing was left open
     return result
 
@@ -238,6 +280,8 @@ def read_all(
     spacing: Sequence[float] | None = None,
     origin: Sequence[float] | None = None,
     direction: ArrayLike | None = None,
+    trusted: bool = False,
+    limits: Limits | None = None,
 ) -> Volumes:
     """Read all volumes of a file: the frames of a series, the channels of a microscope, the components of a vector.
 
@@ -247,7 +291,7 @@ def read_all(
         As of `read`; a file with one volume gives one.
     time, channel, position : optional
         Only these, as of `read`.
-    series, level, spacing, origin, direction : optional
+    series, level, spacing, origin, direction, trusted, limits : optional
         As of `read`.
 
     Returns
@@ -269,20 +313,33 @@ def read_all(
     wanted = {"time": time, "position": position, "channel": channel}
     replaced = {"spacing": spacing, "origin": origin, "direction": direction}
     choice = Choice({name: v for name, v in wanted.items() if v is not None}, whole=True)
-    result = _read(path, choice, {"series": series, "level": level}, replaced)
+    result = _read(path, choice, {"series": series, "level": level}, replaced, _allowed(trusted, limits))
     return Volumes([result]) if isinstance(result, Volume) else result
 
 
-def series_of(path: str | os.PathLike[str]) -> tuple[Series, ...]:
-    """The images that a file or folder holds, of which ``series=`` chooses one; none where its format has but one."""
+def series_of(path: str | os.PathLike[str], *, trusted: bool = False, limits: Limits | None = None) -> tuple[Series, ...]:
+    """The images that a file or folder holds, of which ``series=`` chooses one; none where its format has but one.
+
+    `trusted` and `limits` are as of `read`.
+    """
     path = as_path(path)
-    with foreign_errors(f"read {path}"):
-        found = _format_of(path).series
-        return () if found is None else found(path)
+    chosen = _format_of(path)
+    if chosen.series is None:
+        return ()
+    return tuple(_called(chosen, path, _allowed(trusted, limits), chosen.series, path))
 
 
-def leading_of(path: str | os.PathLike[str], *, series: int | str | None = None, level: int | None = None) -> Leading:
+def leading_of(
+    path: str | os.PathLike[str],
+    *,
+    series: int | str | None = None,
+    level: int | None = None,
+    trusted: bool = False,
+    limits: Limits | None = None,
+) -> Leading:
     """What the axes before z, y and x of a file count, from its header: no samples are read.
+
+    `trusted` and `limits` are as of `read`.
 
     Raises
     ------
@@ -294,9 +351,14 @@ def leading_of(path: str | os.PathLike[str], *, series: int | str | None = None,
     if not chosen.several:
         return Leading()
     options = _options(chosen, path, {"series": series, "level": level})
+    found = _called(chosen, path, _allowed(trusted, limits), _counted, chosen.read, path, **options)
+    assert isinstance(found, Leading)
+    return found
+
+
+def _counted(reader: Reader, path: Path, **options: Any) -> Leading:
     try:
-        with foreign_errors(f"read {path}"):
-            chosen.read(path, choose=_Counting(whole=True), **options)
+        reader(path, choose=_Counting(whole=True), **options)
     except _KnownError as known:
         return known.leading
     return Leading()
@@ -317,14 +379,40 @@ class _KnownError(ClvolError):
         self.leading = leading
 
 
-def _read(path: str | os.PathLike[str], choice: Choice, given: Mapping[str, Any], replaced: Mapping[str, Any]) -> Volume | Volumes:
+def _allowed(trusted: bool, limits: Limits | None) -> Limits | None:
+    """The limits of what is read; None: it is trusted."""
+    if not isinstance(trusted, bool):
+        raise OptionError(f"trusted must be True or False; got {trusted!r}")
+    if limits is not None and (trusted or not isinstance(limits, Limits)):
+        raise OptionError(f"limits must be clvol.formats.Limits, for a file that is not trusted; got {limits!r}")
+    return None if trusted else limits or Limits()
+
+
+def _called(chosen: Format, path: Path, limits: Limits | None, function: Callable[..., Any], *given: Any, **options: Any) -> Any:
+    """What `function` returns; in another process if the format's reader is native code, and the file not trusted."""
+    what = f"read {path}"
+    with foreign_errors(what):
+        if limits is None:
+            budget = None
+        else:
+            stored, files = size_of(path)
+            budget = Budget(limits, stored, available(), files)
+        if budget is not None and chosen.native:
+            return call(function, *given, what=what, reader=chosen.name, modules=chosen.native, budget=budget, options=options)
+        with limited(budget):
+            return function(*given, **options)
+
+
+def _read(
+    path: str | os.PathLike[str], choice: Choice, given: Mapping[str, Any], replaced: Mapping[str, Any], limits: Limits | None
+) -> Volume | Volumes:
     path = as_path(path)
     chosen = _format_of(path)
     options = _options(chosen, path, given)
     if chosen.several:
         options["choose"] = choice
+    data, geometry = _called(chosen, path, limits, chosen.read, path, **options)
     with foreign_errors(f"read {path}"):
-        data, geometry = chosen.read(path, **options)
         if not chosen.several:
             pick = choice(path.name, Leading())  # refuses what is asked of one volume
             geometry = geometry | pick.about

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import math
+import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -25,6 +26,8 @@ __all__ = [
     "inflated_size",
     "require_bytes",
     "require_default",
+    "require_expansion",
+    "require_members",
     "sample_count",
     "scaled",
     "storable",
@@ -34,6 +37,8 @@ Reader = Callable[..., Content]
 Writer = Callable[[Volume, Path], None]
 
 _CHUNK = 1 << 20
+_EXPANSION = 200  # bytes of samples for one of a file; masks that are nearly all zero have more, but not by the gigabyte
+_UNQUESTIONED = 1 << 30  # bytes of samples that any file may stand for: arrays of HDF5 and Zarr need not store their zeros
 
 
 @contextmanager
@@ -85,10 +90,41 @@ def require_bytes(source: object, found: int, shape: Sequence[int], dtype: DType
         )
 
 
+def require_expansion(source: object, needed: int, stored: int) -> None:
+    """Raise before memory is asked for if `stored` bytes stand for an absurd number of bytes of samples."""
+    allowed = max(_UNQUESTIONED, _EXPANSION * stored)
+    if needed > allowed:
+        raise FormatError(
+            f"{source} must hold up to {allowed} bytes of samples, {_EXPANSION} for each of its {stored}; its header says {needed}"
+        )
+
+
+def require_members(source: object, archive: zipfile.ZipFile) -> None:
+    """Raise before a member of an archive is unpacked: each must have a name of its own, and no absurd size."""
+    members = archive.infolist()
+    if len({member.filename for member in members}) != len(members):
+        raise FormatError(f"{source} must hold members of different names; some have the same")
+    for member in members:
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise FormatError(f"{source} must be packed by deflate, if at all; {member.filename[:80]!r} is not")
+        if member.compress_type == zipfile.ZIP_STORED and member.file_size != member.compress_size:
+            raise FormatError(f"{source} must hold what it says; {member.filename[:80]!r} is stored with two sizes")
+        require_expansion(f"{source}[{member.filename[:80]}]", member.file_size, member.compress_size)
+
+
 def gunzipped_size(stream: IO[bytes], limit: int) -> int:
-    """How many bytes the gzip `stream` holds, counted up to just past `limit`; checks its checksum."""
+    """How many bytes the gzip `stream` holds; its checksums are checked, for it is read to its end.
+
+    Raises
+    ------
+    FormatError
+        More than `limit` bytes: what has no end is not unpacked.
+    """
     with gzip.GzipFile(fileobj=stream) as unpacked:
-        return _count(unpacked.read, limit)
+        found = _count(unpacked.read, limit)
+    if found > limit:
+        raise FormatError(f"what is packed must have up to {limit} bytes; it has more")
+    return found
 
 
 def inflated_size(stream: IO[bytes], packed: int, limit: int) -> int:

@@ -19,6 +19,8 @@ from clvol.errors import DataError, FormatError
 from clvol.foreign import Content, from_simpleitk, simpleitk
 from clvol.formats._choice import Choice
 from clvol.formats._files import foreign_errors, require_default, scaled
+from clvol.formats._limits import announce
+from clvol.formats._wire import copied
 from clvol.volume import Volume
 from clvol.volumes import Leading, Volumes
 
@@ -45,6 +47,10 @@ class Header:
         What the values of a voxel are; "": the header does not say.
     timed : bool
         Whether the fourth axis is time.
+    bytes : int
+        Of the samples.
+    stored : int or None
+        Bytes of the file that holds them, where that is another.
     """
 
     size: tuple[int, ...]
@@ -54,6 +60,8 @@ class Header:
     offset: float = 0.0
     values: str = ""
     timed: bool = False
+    bytes: int = 0
+    stored: int | None = None
 
 
 def reason(error: Exception) -> str:
@@ -77,9 +85,10 @@ def quiet() -> Iterator[None]:
 def read_image(path: Path, image_io: str, header: Header, choose: Choice) -> Content:
     """Samples and geometry of what is chosen of a file that `header` was found sound for."""
     sitk = simpleitk()
+    announce(path.name, header.bytes, header.stored)
     with quiet(), foreign_errors(f"read {path}", reason):
         image = sitk.ReadImage(str(path), imageIO=image_io)
-    data, geometry = from_simpleitk(image, header.units)
+    data, geometry = from_simpleitk(image, header.units, copy=False)
     if sorted(n for n in data.shape if n > 1) != sorted(
         n for n in header.size if n > 1
     ):  # two readings of one header: trust neither
@@ -88,7 +97,7 @@ def read_image(path: Path, image_io: str, header: Header, choose: Choice) -> Con
         geometry["spacing"] = (float("nan"),) * len(geometry["spacing"])
     leading, guessed = _leading(geometry.pop("leading", {}), header)
     pick = choose(path.name, leading, guessed)
-    chosen = scaled(np.ascontiguousarray(data[pick.index]), header.slope, header.offset)
+    chosen = scaled(copied(data[pick.index]), header.slope, header.offset)
     return pick.finish(chosen), geometry | pick.about
 
 
@@ -119,7 +128,10 @@ def write_image(what: Volume | Volumes, path: Path, image_io: str, check: Callab
     except DataError as error:
         raise FormatError(str(error)) from error
     with quiet(), foreign_errors(f"write {path.name}", reason):
-        sitk.WriteImage(image, str(path), imageIO=image_io)
+        if path.suffix == ".nhdr":
+            _write_detached(sitk, image, path)
+        else:
+            sitk.WriteImage(image, str(path), imageIO=image_io)
         try:
             check(path)
         except FormatError as error:
@@ -132,3 +144,23 @@ def write_image(what: Volume | Volumes, path: Path, image_io: str, check: Callab
         ours, theirs = (np.asarray(getattr(one, f"Get{name}")()) for one in (image, reader))
         if ours.shape != theirs.shape or np.abs(ours - theirs).max() > _TOLERANCE * np.abs(ours).max():
             raise FormatError(f"the format cannot hold {name.lower()} {ours.tolist()}, it would become {theirs.tolist()}; .npz can")
+
+
+def _write_detached(sitk: Any, image: Any, path: Path) -> None:
+    """Write a NRRD header, and the samples beside it: ITK would keep their file open for good where the disk is full.
+
+    The header is that of an image of one sample on the same grid, with the sizes of this one.
+    """
+    one = sitk.Image([1] * image.GetDimension(), image.GetPixelID(), image.GetNumberOfComponentsPerPixel())
+    one.SetSpacing(image.GetSpacing())
+    one.SetOrigin(image.GetOrigin())
+    one.SetDirection(image.GetDirection())
+    samples, whole = path.with_suffix(".raw"), path.with_suffix(".nrrd")
+    sitk.WriteImage(one, str(whole), imageIO="NrrdImageIO")
+    head = whole.read_bytes().partition(b"\n\n")[0]
+    whole.unlink()
+    data = sitk.GetArrayViewFromImage(image)
+    sizes = f"sizes: {' '.join(map(str, data.shape[::-1]))}".encode()
+    path.write_bytes(re.sub(rb"(?m)^sizes: .*$", sizes, head) + f"\ndata file: {samples.name}\n".encode())
+    with samples.open("wb") as stream:
+        data.tofile(stream)

@@ -9,14 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clvol.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._choice import Choice, Series, chosen_series
+from clvol.formats._files import require_expansion, sample_count
 from clvol.formats._layout import Layout, decoded, lay_out, place, uniform, unnamed
 from clvol.interop import Content
 from clvol.volumes import Leading
 
-__all__ = ["opened", "read", "series"]
+__all__ = ["loaded", "member", "opened", "read", "series"]
 
 _NETCDF_3 = b"CDF"
 _NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"  # NAME of a scale that holds no coordinates
@@ -45,7 +47,7 @@ def read(path: Path, choose: Choice, series: int | str | None = None) -> Content
         by_axis = {axis: lines[i] for i, axis in enumerate(layout.axes) if i in lines}
         units_by_axis = {axis: units[i] for i, axis in enumerate(layout.axes) if i in units}
         space = {"space": "image"} if "um" in units_by_axis.values() else {}
-        data, chosen = layout.chosen(path.name, choose, lambda index: decoded(array[index], dict(array.attrs)), leading)
+        data, chosen = layout.chosen(path.name, choose, lambda index: decoded(loaded(path.name, array, index), dict(array.attrs)), leading)
         known = {"name": array.name.rpartition("/")[2]} | space | place(layout, by_axis, units_by_axis)
     return data, known | chosen
 
@@ -66,6 +68,31 @@ def opened(path: Path) -> Any:
         if stream.read(3) == _NETCDF_3:
             raise FormatError(f"{path.name} must be of netCDF-4, which is HDF5; it is of netCDF-3: nccopy -k nc4 makes it one")
     return h5py.File(path, "r", locking="best-effort")
+
+
+def member(group: Any, name: str) -> Any:
+    """A member of a group; `FormatError` for a link, which leads to another file or round in a circle, and where there is none."""
+    import h5py
+
+    link = group.get(name, getlink=True)
+    if not isinstance(link, h5py.HardLink):
+        what = "nothing" if link is None else f"a link to {getattr(link, 'filename', '')}{link.path}"
+        raise FormatError(f"{group.name} must hold {name!r} itself; it has {what}")
+    return group[name]
+
+
+def loaded(source: str, array: Any, index: Any = ()) -> NDArray[Any]:
+    """Samples of an array, which must be stored in this file. Chunks that are not stored have the array's fill value."""
+    elsewhere = array.external or (array.is_virtual and any(one.file_name != "." for one in array.virtual_sources()))
+    if elsewhere:
+        raise FormatError(f"{source} must hold its samples; those of {array.name} are in other files: h5py reads them")
+    stored = array.id.get_storage_size()
+    if not stored and not array.is_virtual and array.shape:
+        raise FormatError(f"{source} must hold samples of {array.name}; none were ever written")
+    chunk = sample_count(array.chunks or ()) * array.dtype.itemsize
+    size = array.file.id.get_filesize()
+    require_expansion(source, max(chunk, sample_count(array.shape) * array.dtype.itemsize), size)
+    return np.asarray(array[index])
 
 
 def _arrays(file: Any) -> list[Any]:
@@ -101,7 +128,7 @@ def _axes(array: Any) -> tuple[list[str], dict[int, tuple[float, float]], dict[i
             continue
         words[i] = _text(scales[0].attrs.get("axis")) or words[i] or scales[0].name.rpartition("/")[2]
         if not _text(scales[0].attrs.get("NAME")).startswith(_NO_VARIABLE):
-            lines[i] = uniform(scales[0][:]) or (0.0, math.nan if array.shape[i] > 1 else 1.0)
+            lines[i] = uniform(loaded(array.name, scales[0])) or (0.0, math.nan if array.shape[i] > 1 else 1.0)
             units[i] = _text(scales[0].attrs.get("units"))
     for i, tag in enumerate(_tags(attributes.get("axistags"), count)):
         words[i] = str(tag.get("key", ""))
@@ -142,11 +169,11 @@ def _is_of_itk(array: Any) -> bool:
 
 def _itk(source: str, array: Any, choose: Choice) -> Content:
     """An image as ITK stores it: rows of ``Directions`` are where its axes go, x first; components come last."""
-    about = {name: np.asarray(array.parent[name], dtype=np.float64) for name in ("Spacing", "Origin", "Directions")}
+    about = {name: np.asarray(loaded(source, member(array.parent, name)), np.float64) for name in ("Spacing", "Origin", "Directions")}
     d = len(about["Spacing"])
     words = [*"zyx"[3 - d :], *("channel",) * (array.ndim - d)] if d in (2, 3) else []
     layout: Layout = lay_out(source, words, array.shape)
     leading = Leading(layout.leading, layout.counts, vector="channel" in layout.leading and array.dtype.kind == "f")
-    data, chosen = layout.chosen(source, choose, lambda index: array[index], leading)
+    data, chosen = layout.chosen(source, choose, lambda index: loaded(source, array, index), leading)
     known = {"spacing": about["Spacing"], "origin": about["Origin"], "direction": about["Directions"].T, "space": "LPS"}
     return data, known | chosen

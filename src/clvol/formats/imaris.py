@@ -12,7 +12,7 @@ from clvol.errors import FormatError
 from clvol.formats._choice import Choice, chosen_level
 from clvol.formats._layout import Layout
 from clvol.formats._units import unit_name
-from clvol.formats.hdf5 import opened
+from clvol.formats.hdf5 import loaded, member, opened
 from clvol.interop import Content
 from clvol.volumes import Leading
 
@@ -24,14 +24,14 @@ def read(path: Path, choose: Choice, level: int = 0) -> Content:
     with opened(path) as file:
         if "DataSet" not in file or "DataSetInfo/Image" not in file:
             raise FormatError(f"{path.name} must be of Imaris 5.5 or later, which has the groups DataSet and DataSetInfo")
-        levels = _numbered(file["DataSet"], "ResolutionLevel")
+        levels = _numbered(member(file, "DataSet"), "ResolutionLevel")
         sizes = [_size(_numbered(_numbered(one, "TimePoint")[0], "Channel")[0]) for one in levels]
         number = chosen_level(path.name, sizes, level)
         times, size = _numbered(levels[number], "TimePoint"), sizes[number]
         channels = len(_numbered(times[0], "Channel"))
         layout = Layout(("time" * (len(times) > 1), "channel", "z", "y", "x"), (len(times), channels, *size))
         data, chosen = layout.chosen(path.name, choose, lambda index: _load(times, size, index), _leading(file, layout))
-        about = file["DataSetInfo/Image"]
+        about = member(member(file, "DataSetInfo"), "Image")
         low, high = (np.array([float(_text(about, f"Ext{end}{i}")) for i in range(3)]) for end in ("Min", "Max"))
         unit = unit_name(_text(about, "Unit", "um"))
     spacing = (high - low) / size[::-1]  # from edge to edge
@@ -40,7 +40,7 @@ def read(path: Path, choose: Choice, level: int = 0) -> Content:
 
 def _numbered(group: Any, word: str) -> list[Any]:
     """The members "word 0", "word 1", ..."""
-    found = [group[name] for name in (f"{word} {i}" for i in range(len(group))) if name in group]
+    found = [member(group, name) for name in (f"{word} {i}" for i in range(len(group))) if name in group]
     if not found:
         raise FormatError(f"{group.name} must hold {word!r} 0 and so on; it holds none")
     return found
@@ -48,7 +48,7 @@ def _numbered(group: Any, word: str) -> list[Any]:
 
 def _size(channel: Any) -> tuple[int, int, int]:
     """Samples along z, y and x without the padding."""
-    stored = channel["Data"].shape
+    stored = member(channel, "Data").shape
     z, y, x = (int(_text(channel, f"ImageSize{axis}", str(n))) for axis, n in zip("ZYX", stored, strict=True))
     if not all(0 < n <= m for n, m in zip((z, y, x), stored, strict=True)):
         raise FormatError(f"{channel.name} must hold {z} × {y} × {x} samples; its array has the shape {stored}")
@@ -62,7 +62,7 @@ def _load(times: list[Any], size: tuple[int, ...], index: tuple[int | slice, ...
     def some(nodes: list[Any], at: int | slice) -> list[Any]:
         return nodes[at] if isinstance(at, slice) else [nodes[at]]
 
-    taken = [[channel["Data"][box] for channel in some(_numbered(time, "Channel"), at_channel)] for time in some(times, at_time)]
+    taken = [[loaded(channel.name, member(channel, "Data"), box) for channel in some(_numbered(time, "Channel"), at_channel)] for time in some(times, at_time)]
     kept = tuple(slice(None) if isinstance(at, slice) else 0 for at in (at_time, at_channel))
     return np.asarray(np.asarray(taken)[(*kept, *grid)])
 

@@ -66,14 +66,17 @@ def check(path: Path) -> _itk.Header:
         fields = _fields(stream, path.name)
         size, dtype = _layout(fields, path.name)
         file = fields["ElementDataFile"]
+        expected, stored = math.prod(size) * np.dtype(dtype).itemsize, None
         if file.upper() == "LOCAL":
-            found = _samples(stream, fields, path, math.prod(size) * np.dtype(dtype).itemsize)
+            found = _samples(stream, fields, path, expected)
         else:
-            with data_path(path, file).open("rb") as samples:
-                found = _samples(samples, fields, path, math.prod(size) * np.dtype(dtype).itemsize)
+            place = data_path(path, file)
+            stored = place.stat().st_size
+            with place.open("rb") as samples:
+                found = _samples(samples, fields, path, expected)
     require_bytes(path.name, found, size[::-1], dtype, exact=_flag(fields, "CompressedData"))
     slope, offset = _intensity(fields, path.name)
-    return _itk.Header(size, _unit(fields, path.name), slope=slope, offset=offset)
+    return _itk.Header(size, _unit(fields, path.name), slope=slope, offset=offset, bytes=expected, stored=stored)
 
 
 def _fields(stream: IO[bytes], name: str) -> dict[str, str]:

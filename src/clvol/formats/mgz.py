@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
+import gzip
+import struct
 from pathlib import Path
+from typing import IO, cast
 
 import numpy as np
 
 from clvol.errors import FormatError
 from clvol.foreign import Content, nibabel, nibabel_says
 from clvol.formats._choice import Choice
-from clvol.formats._files import gunzipped_size, require_bytes
+from clvol.formats._files import gunzipped_size, require_bytes, require_expansion, sample_count
 from clvol.volumes import Leading
 
 __all__ = ["read"]
 
 _HEADER_BYTES = 284
+_DTYPES = {0: "uint8", 1: "int32", 3: "float32", 4: "int16"}
+_AFTER = 1 << 26  # bytes behind the samples, where FreeSurfer keeps times of the scan, commands and transforms
 
 
 def read(path: Path, choose: Choice) -> Content:
     """Samples of what is chosen, and geometry, turned from FreeSurfer's RAS to ITK's LPS."""
-    image = nibabel().freesurfer.MGHImage.from_filename(path)
-    _require_samples(path, image)
+    library = nibabel()
+    _require_samples(path)
+    image = library.freesurfer.MGHImage.from_filename(path)
     about = nibabel_says(image)
     pick = choose(path.name, Leading(**about.pop("leading", {})))
     shape = tuple(int(n) for n in image.shape[:3])
@@ -29,13 +35,24 @@ def read(path: Path, choose: Choice) -> Content:
     return pick.finish(data.astype(data.dtype.newbyteorder("="))), about | pick.about
 
 
-def _require_samples(path: Path, image: object) -> None:
-    """Raise before memory is asked for that the samples do not fill."""
-    shape, kind = tuple(int(n) for n in image.shape), image.get_data_dtype()  # type: ignore[attr-defined]  # nibabel's
-    if min(shape) < 1:
-        raise FormatError(f"{path.name} must have axes of at least one sample; its header says {shape}")
+def _require_samples(path: Path) -> None:
+    """Raise before memory is asked for that the samples do not fill; nibabel looks behind them for what else there is."""
+    packed = path.suffix.lower() == ".mgz"
+    with cast(IO[bytes], gzip.open(path)) if packed else path.open("rb") as stream:
+        head = stream.read(_HEADER_BYTES)
+    if len(head) < _HEADER_BYTES:
+        raise FormatError(f"{path.name} must begin with a header of {_HEADER_BYTES} bytes; found {len(head)}")
+    version, *shape, code = struct.unpack(">6i", head[:24])
+    if version != 1 or min(shape) < 1:
+        raise FormatError(
+            f"{path.name} must be of version 1, with axes of at least one sample; its header says version {version}, {shape}"
+        )
+    if code not in _DTYPES:
+        raise FormatError(f"{path.name} must have samples of type {', '.join(_DTYPES.values())}; its header says type {code}")
     found = path.stat().st_size
-    if path.suffix.lower() == ".mgz":
+    if packed:
+        expected = _HEADER_BYTES + sample_count(shape) * np.dtype(_DTYPES[code]).itemsize
+        require_expansion(path.name, expected, found)
         with path.open("rb") as stream:
-            found = gunzipped_size(stream, _HEADER_BYTES + int(np.prod(shape, dtype=object)) * kind.itemsize)
-    require_bytes(path.name, max(0, found - _HEADER_BYTES), shape, kind)
+            found = gunzipped_size(stream, expected + _AFTER)
+    require_bytes(path.name, max(0, found - _HEADER_BYTES), shape, _DTYPES[code])

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from clvol.errors import DataError, FormatError, GeometryError
 from clvol.foreign import NIFTI_MILLIMETRES, Content, Placement, affine_parts, from_ras, nifti_says, same_place
 from clvol.formats._choice import Choice
-from clvol.formats._files import gunzipped_size, require_bytes, require_default, scaled
+from clvol.formats._files import gunzipped_size, require_bytes, require_default, require_expansion, scaled
 from clvol.volume import Volume
 from clvol.volumes import Leading, Volumes
 
@@ -144,8 +144,7 @@ class _Header:
 def read(path: Path, choose: Choice) -> Content:
     """Samples of what is chosen, scaled as the header says, and geometry, turned from NIfTI's RAS to ITK's LPS.
 
-    Both are as nibabel has them. No other volume is loaded; of a packed file, nothing is unpacked behind the last that is chosen,
-    and thus what lies there is not checked.
+    Both are as nibabel has them. No other volume is loaded; a packed file is unpacked to its end all the same, where its checksum is.
     """
     with _opened(path) as stream:
         header = _parse(stream, path.name)
@@ -170,7 +169,9 @@ def _beside(path: Path, suffix: str) -> Path:
 def _read(path: Path, header: _Header, choose: Choice) -> Content:
     size = path.stat().st_size
     believed = max(_TRUSTED, _PACKED * size)
-    if header.volumes > believed if _packed(path) else header.end > size:
+    if _packed(path):
+        require_expansion(path.name, header.end, size)
+    if not _packed(path) or header.volumes > believed:
         _count(path, header)  # raises before memory is asked for that the samples do not fill
     pick = choose(path.name, header.leading, header.guessed)
     # colours lie beside each other in the file, and are parted when they are in memory
@@ -183,7 +184,7 @@ def _read(path: Path, header: _Header, choose: Choice) -> Content:
     with _opened(path) as stream:
         found = _fill(raw, stream, header, wanted.ravel())
     shape = header.size[::-1]
-    require_bytes(path.name, found, (header.volumes, header.parts, *shape), header.dtype)
+    require_bytes(path.name, found, (header.volumes, header.parts, *shape), header.dtype, exact=True)
     data = raw.view(header.dtype).reshape(*wanted.shape, *shape, *((header.parts,) if header.parts > 1 else ()))
     if not header.dtype.isnative:
         data = data.byteswap(inplace=True).view(header.dtype.newbyteorder("="))
@@ -220,7 +221,8 @@ def _count(path: Path, header: _Header) -> None:
             found = gunzipped_size(file, header.end)
     else:
         found = path.stat().st_size
-    require_bytes(path.name, max(0, found - header.start), (header.volumes, header.parts, *header.size[::-1]), header.dtype)
+    shape = (header.volumes, header.parts, *header.size[::-1])
+    require_bytes(path.name, max(0, found - header.start), shape, header.dtype, exact=True)
 
 
 def _packed(path: Path) -> bool:
@@ -232,7 +234,7 @@ def _opened(path: Path) -> BinaryIO:
 
 
 def _fill(raw: NDArray[np.uint8], stream: BinaryIO, header: _Header, wanted: NDArray[np.intp]) -> int:
-    """Fill `raw` from the volumes of `stream` with these numbers; how many bytes there were, had all volumes been read."""
+    """Fill `raw` from the volumes of `stream` with these numbers; how many bytes of samples there are, one more if more follow."""
     room = memoryview(raw.data)
     for n, volume in enumerate(wanted):
         stream.seek(header.start + int(volume) * header.step)
@@ -242,9 +244,9 @@ def _fill(raw: NDArray[np.uint8], stream: BinaryIO, header: _Header, wanted: NDA
             done += count
         if done < end:
             return max(0, stream.tell() - header.start)
-    if wanted[-1] == header.volumes - 1:
-        stream.read(1)  # past the end the checksum is compared
-    return header.volumes * header.step
+    stream.seek(header.end)
+    surplus = stream.read(1)  # past the end the checksum of a packed stream is compared
+    return stream.tell() - header.start if surplus else max(0, min(stream.tell(), header.end) - header.start)
 
 
 def _parse(stream: BinaryIO, name: str, pair: bool = False) -> _Header:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from clvol.errors import DataError, FormatError
 from clvol.foreign import Content
 from clvol.formats._choice import Choice
-from clvol.formats._files import require_bytes, require_default
+from clvol.formats._files import require_bytes, require_default, require_members
 from clvol.formats._layout import lay_out, unnamed
 from clvol.volume import Volume
 from clvol.volumes import Leading, Volumes
@@ -43,6 +43,7 @@ def write(what: Volume | Volumes, path: Path) -> None:
 def read_archive(path: Path, choose: Choice) -> Content:
     """What `write_archive` wrote, or any archive with one array or an array ``data``."""
     with zipfile.ZipFile(path) as archive:
+        require_members(path.name, archive)
         members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
 
         def array(name: str, kinds: str = "biuf") -> NDArray[Any]:

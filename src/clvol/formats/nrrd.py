@@ -65,8 +65,11 @@ def check(path: Path) -> _itk.Header:
         fields = _fields(stream, path.name)
         size, dtype = _layout(fields, path.name)
         expected = math.prod(size) * np.dtype(dtype).itemsize
+        stored = None
         if "data file" in fields:
-            with data_path(path, fields["data file"]).open("rb") as samples:
+            place = data_path(path, fields["data file"])
+            stored = place.stat().st_size
+            with place.open("rb") as samples:
                 found = _samples(samples, fields, path.name, expected)
         else:
             found = _samples(stream, fields, path.name, expected)
@@ -80,7 +83,9 @@ def check(path: Path) -> _itk.Header:
     if "time" in spans[:-1]:  # ITK would take it for an axis of space
         raise FormatError(f"{path.name} must have its axis of time last; its header says kinds: {fields['kinds'][:80]}")
     values = next((_KINDS.get(kind, "channel") for kind in kinds if kind not in _DOMAIN), "")
-    return _itk.Header(size, one_unit(path.name, units) or "mm", known, values=values, timed="time" in spans)
+    return _itk.Header(
+        size, one_unit(path.name, units) or "mm", known, values=values, timed="time" in spans, bytes=expected, stored=stored
+    )
 
 
 def _fields(stream: IO[bytes], name: str) -> dict[str, str]:

@@ -40,7 +40,10 @@ def are_in(path: Path) -> bool:
 
 def read_folder(path: Path, choose: Choice) -> Content:
     """The images of a folder, each a slice, in the natural order of their names: 9 before 10."""
-    files = sorted((file for file in path.iterdir() if _is_slice(file)), key=_natural)
+    entries = list(path.iterdir())
+    if gone := sorted(file.name for file in entries if _is_named_so(file) and not (file.is_file() or file.is_dir())):
+        raise FormatError(f"{path} must hold files; {gone[0]} is a link that leads nowhere, or no file: a slice would be missing")
+    files = sorted((file for file in entries if _is_slice(file)), key=_natural)
     kinds = Counter(_KINDS[file.suffix.lower()] for file in files)
     if len(kinds) > 1:
         found = ", ".join(f"{n} {kind}" for kind, n in kinds.most_common())
@@ -62,8 +65,12 @@ def read_folder(path: Path, choose: Choice) -> Content:
 
 
 def _is_slice(file: Path) -> bool:
+    return _is_named_so(file) and file.is_file()
+
+
+def _is_named_so(file: Path) -> bool:
     # programs leave hidden files beside images, such as ._1.tif
-    return file.suffix.lower() in _KINDS and not file.name.startswith(".") and file.is_file()
+    return file.suffix.lower() in _KINDS and not file.name.startswith(".")
 
 
 def _natural(file: Path) -> tuple[list[Any], str]:

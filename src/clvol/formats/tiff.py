@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import math
+import operator
 import re
+import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -12,13 +15,15 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
+from xml.sax.saxutils import unescape
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clvol.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
-from clvol.formats._files import require_default, sample_count, scaled, storable
+from clvol.formats._directories import Directory, directories, segments
+from clvol.formats._files import inflated_size, require_default, require_expansion, sample_count, scaled, storable
 from clvol.formats._layout import Layout, lay_out
 from clvol.formats._units import METRES, scale, unit_name
 from clvol.interop import Content
@@ -28,12 +33,18 @@ from clvol.volumes import Leading, Volumes
 __all__ = ["read", "series", "write", "write_several"]
 
 _DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64")  # those of OME
+_OME_DTYPES = {name: name for name in _DTYPES if not name.startswith("float")} | {"float": "float32", "double": "float64"}
 _OME_NAMES = {"": "pixel", "um": "µm", "inch": "in"}
 _MEANINGS = {"T": "time", "C": "channel", "S": "channel", "Z": "z", "Y": "y", "X": "x", "R": "position"}  # of tifffile's letters
 _OTHERS = {"A": "angle", "P": "phase", "H": "lifetime", "E": "wavelength", "L": "exposure", "V": "event"}  # Q, I: nothing is known
 _IN_COLOUR = (2, 6)  # photometric interpretations: RGB, YCbCr
 _PLACE = re.compile(r"^\s*((?:[czt]:\d+/\d+\s*)+)(?:-\s*)?")  # with which ImageJ's labels of slices begin
 _WHITE = (1.0, 1.0, 1.0)
+_DECLARED = re.compile(r"<!(DOCTYPE|ENTITY)")
+_NAMED = re.compile(r"""FileName\s*=\s*(?:"([^"]*)"|'([^']*)')""")
+_DEFLATED = (8, 32946)
+_LOSSLESS = (*_DEFLATED, 5, 32773, 34925, 34926, 50000)  # and LZW, PackBits, LZMA, Zstandard
+_MOST_STORED, _HEAD = 2, 4096  # bytes that a codec may need at most for one of samples, and for itself
 
 Colors = tuple[tuple[float, float, float] | None, ...]
 
@@ -57,13 +68,13 @@ def read(path: Path, choose: Choice, series: int | str | None = None, level: int
 
     A plain TIFF file has spacing 1: its resolution is meant for printing, and there is none along z.
     """
-    with _strict(), _tifffile().TiffFile(path) as file:
+    with _opened(path) as file:
         number = chosen_series(path.name, _images(path.name, file), series)
         levels = file.series[number].levels
         image = levels[chosen_level(path.name, [one.shape for one in levels], level)]
         kind = file.series[number].kind.lower()  # not what the file says it is: that may not fit its pages
         about = (
-            _ome(file.ome_metadata, number, len(file.series)) if kind == "ome" else _imagej(file) if kind == "imagej" else _About()
+            _ome(file.ome_metadata, number, len(file.series), image.dtype) if kind == "ome" else _imagej(file) if kind == "imagej" else _About()
         )
         layout, leading = _laid_out(path.name, image, about, choose)
         if image.dtype is None or image.dtype.kind not in "biuf":
@@ -89,7 +100,7 @@ def read(path: Path, choose: Choice, series: int | str | None = None, level: int
 
 def series(path: Path) -> tuple[Series, ...]:
     """The images of a file."""
-    with _strict(), _tifffile().TiffFile(path) as file:
+    with _opened(path) as file:
         return _images(path.name, file)
 
 
@@ -152,33 +163,70 @@ def _tifffile() -> Any:
 
 
 @contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """The file as tifffile has it, whose directories were found sound. What tifffile only logs is raised."""
+    library = _tifffile()
+    _directories_of(path)
+    with _strict(), library.TiffFile(path) as file:
+        _require_own_files(path, file)
+        yield file
+
+
+def _directories_of(path: Path) -> dict[int, Directory]:
+    with path.open("rb") as stream:
+        return directories(stream, path.stat().st_size, path.name)
+
+
+def _require_own_files(path: Path, file: Any) -> None:
+    """Raise before tifffile follows what an OME-XML names: it would wait for a pipe, and read a file from anywhere."""
+    text = file.ome_metadata or ""
+    if _DECLARED.search(text):
+        raise FormatError(f"{path.name} must have OME-XML without declarations of a document type or of entities")
+    for name in (unescape(a or b, {"&quot;": '"', "&apos;": "'"}) for a, b in _NAMED.findall(text)):
+        if re.search(r"[/\\]", name) or name in ("", ".."):
+            raise FormatError(f"{path.name} must name the other files of its set, beside it; got {name[:80]!r}")
+        other = path.with_name(name)
+        if other.exists() and (not other.is_file() or other.resolve().parent != path.resolve().parent):
+            raise FormatError(f"{path.name} must name files that lie beside it; {name[:80]!r} is elsewhere, or no file")
+
+
+_listening = threading.local()
+
+
+class _Overheard:
+    """Of a `logging.Logger`: what one thread wants to hear is raised there, whatever the program has set or switched off."""
+
+    def isEnabledFor(self, level: int) -> bool:  # noqa: N802  # logging's name
+        heard = getattr(_listening, "heard", None) is not None and level >= logging.WARNING
+        return heard or super().isEnabledFor(level)  # type: ignore[misc]  # of the class that it is mixed into
+
+    def handle(self, record: logging.LogRecord) -> None:
+        heard: list[FormatError] | None = getattr(_listening, "heard", None)
+        if heard is None:
+            super().handle(record)  # type: ignore[misc]
+        elif record.levelno >= logging.WARNING:
+            error = FormatError(
+                f"the file is damaged or unusual: {record.getMessage()}; "
+                "if you trust what tifffile makes of it, give its array to clvol.Volume"
+            )
+            heard.append(error)
+            raise error
+
+
+@contextmanager
 def _strict() -> Iterator[None]:
     """Raise what tifffile only logs: it reads on past damage, and leaves out slices or zeroes them."""
-    errors: list[FormatError] = []
-    thread = threading.get_ident()
-
-    class Raiser(logging.Handler):
-        def emit(self, record: logging.LogRecord) -> None:
-            if record.thread in (thread, None):  # other threads may read other files
-                errors.append(
-                    FormatError(
-                        f"the file is damaged or unusual: {record.getMessage()}; "
-                        "if you trust what tifffile makes of it, give its array to clvol.Volume"
-                    )
-                )
-                raise errors[0]
-
-    logger, raiser = logging.getLogger("tifffile"), Raiser(logging.WARNING)
-    level = logger.level
-    logger.addHandler(raiser)
-    logger.setLevel(logging.WARNING)  # even where the caller keeps tifffile silent
+    logger = logging.getLogger("tifffile")
+    if not isinstance(logger, _Overheard):  # for good: to change it back would deafen other threads
+        logger.__class__ = type("Overheard", (_Overheard, type(logger)), {})
+    before = getattr(_listening, "heard", None)
+    _listening.heard = heard = []
     try:
         yield
     finally:
-        logger.setLevel(level)
-        logger.removeHandler(raiser)
-    if errors:  # and tifffile caught it
-        raise errors[0]
+        _listening.heard = before
+    if heard:  # and tifffile caught it
+        raise heard[0]
 
 
 def _images(name: str, file: Any) -> tuple[Series, ...]:
@@ -236,24 +284,62 @@ def _load(name: str, file: Any, image: Any, index: tuple[int | slice, ...]) -> N
 
 
 def _check_samples(name: str, pages: Sequence[Any], keyframe: Any, count: int) -> None:
-    """Raise if samples lie past the end of the file, or a slice is missing: tifffile would give zeros."""
-    lengths = {}
+    """Raise if samples lie past the end of the file, a slice is missing or stored otherwise than tifffile takes it: it would give
+    zeros, or other numbers. Nothing is allocated before that."""
+    files = {page.parent.filehandle.path: page.parent.filehandle.size for page in pages if page is not None}
+    walked = {file: _directories_of(Path(file)) for file in files}
+    first = walked.get(keyframe.parent.filehandle.path, {}).get(keyframe.offset)
+    sizes = segments(first) if first is not None and not keyframe.parent.is_stk else None  # whose pages hold several slices
     for page in pages:
         if page is None:
             raise FormatError(f"{name} must hold all of its slices; some are missing")
-        lengths[page.parent.filehandle.path] = page.parent.filehandle.size
-        length = page.parent.filehandle.size
-        ends = [start + count for start, count in zip(page.dataoffsets, page.databytecounts, strict=True)]
-        if not ends or max(ends) > length or min(page.databytecounts) < 1:
+        handle = page.parent.filehandle
+        ends = map(operator.add, page.dataoffsets, page.databytecounts)
+        if max(ends, default=sys.maxsize) > handle.size or min(page.databytecounts) < 1:
             raise FormatError(f"{name} must hold the samples of every slice; some lie past the end of the file")
-    if keyframe.compression == 1:  # checked before memory is allocated
-        bits = count * keyframe.bitspersample
-        if bits > sum(lengths.values()) * 8:
-            raise FormatError(f"{name} must hold {bits // 8} bytes of samples; found {sum(lengths.values())}")
+        own = walked[handle.path].get(page.offset, first)  # pages of ImageJ and others may have no directory
+        if own is not first and first is not None and own is not None and own != first:
+            told = ", ".join(f"tag {tag}: {first[tag]} and {own[tag]}" for tag in own if own[tag] != first[tag])
+            raise FormatError(f"{name} must have pages of one shape and type; it has {told}")
+        if sizes is not None:
+            _check_lengths(name, page.databytecounts, sizes, keyframe.compression != 1)
+    stored = sum(files.values())
+    if keyframe.compression == 1 and count * int(np.min(keyframe.bitspersample)) > 8 * stored:
+        raise FormatError(f"{name} must hold {count} samples of {keyframe.dtype}; it has {stored} bytes")
+    require_expansion(name, count * keyframe.dtype.itemsize, stored)
+    if sizes is not None and keyframe.compression in _LOSSLESS:
+        _check_unpacked(name, keyframe, sizes)
 
 
-def _ome(description: str, number: int, count: int) -> _About:
-    """What OME-XML says of one image of those that have samples."""
+def _check_lengths(name: str, lengths: Sequence[int], sizes: tuple[int, int, int, int], packed: bool) -> None:
+    """Raise if the strips or tiles of a page have other bytes than the fields of its directory say."""
+    per_plane, planes, full, last = sizes
+    if len(lengths) != per_plane * planes:
+        raise FormatError(f"{name} must have {per_plane * planes} strips or tiles in each page; one has {len(lengths)}")
+    if packed:
+        wrong = [found for found in lengths if found > _MOST_STORED * full + _HEAD]
+    else:  # a last strip may be filled up
+        wrong = [found for i, found in enumerate(lengths) if found != full and (found != last or (i + 1) % per_plane)]
+    if wrong:
+        raise FormatError(f"{name} must hold {full} bytes of samples in each strip or tile; one has {wrong[0]}")
+
+
+def _check_unpacked(name: str, keyframe: Any, sizes: tuple[int, int, int, int]) -> None:
+    """Raise if a segment holds other bytes than its fields say: those that are too many are left out by tifffile."""
+    per_plane, _, full, last = sizes
+    handle = keyframe.parent.filehandle
+    handle.seek(keyframe.dataoffsets[0])
+    content = handle.read(keyframe.databytecounts[0])
+    if keyframe.compression in _DEFLATED:
+        found = inflated_size(io.BytesIO(content), len(content), full)
+    else:
+        found = len(_tifffile().TIFF.DECOMPRESSORS[keyframe.compression](content))
+    if found not in ((full, last) if per_plane == 1 else (full,)):
+        raise FormatError(f"{name} must hold {full} bytes of samples in each strip or tile; found {found}")
+
+
+def _ome(description: str, number: int, count: int, dtype: np.dtype[Any] | None) -> _About:
+    """What OME-XML says of one image of those that have samples, which are of `dtype`."""
 
     def below(element: ET.Element, tag: str) -> list[ET.Element]:
         return [child for child in element if child.tag.rpartition("}")[2] == tag]
@@ -264,6 +350,9 @@ def _ome(description: str, number: int, count: int) -> _About:
     if len(images) != count:
         raise FormatError(f"OME-XML must have an element Pixels for each of {count} images; it has {len(images)}")
     pixels = images[number]
+    said = pixels.get("Type", "")
+    if dtype is not None and said in _OME_DTYPES and dtype.name != _OME_DTYPES[said]:
+        raise FormatError(f"OME-XML must have samples of the type that its TIFF file has, {dtype.name}; it says {said}")
     channels = below(pixels, "Channel")
     names = tuple(channel.get("Name", "") for channel in channels)
     colors = tuple(_color(channel.get("Color")) for channel in channels)

@@ -13,6 +13,7 @@ from typing import Any
 
 from clvol.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
+from clvol.formats._files import require_members
 from clvol.formats._layout import Layout, decoded, lay_out, place, uniform, unnamed
 from clvol.interop import Content
 from clvol.volumes import Leading
@@ -78,9 +79,22 @@ def _images(path: Path) -> Iterator[list[_Image]]:
         from zarr.storage import LocalStore, ZipStore
     except ImportError as error:
         raise MissingDependencyError("Zarr needs zarr: pip install clvol[microscopy]") from error
+    root = path.resolve()
+
+    class OwnFiles(LocalStore):
+        """The files below the folder: zarr takes what is no file for a chunk that is not stored, and waits for pipes."""
+
+        async def get(self, key: str, *args: Any, **options: Any) -> Any:
+            _require_own_file(root, key)
+            return await super().get(key, *args, **options)
+
+        def get_sync(self, key: str, *args: Any, **options: Any) -> Any:
+            _require_own_file(root, key)
+            return super().get_sync(key, *args, **options)
+
     folder = path.is_dir()
     inner = "" if folder else _inside(path)
-    with closing(LocalStore(path, read_only=True) if folder else ZipStore(path, mode="r")) as store:
+    with closing(OwnFiles(path, read_only=True) if folder else ZipStore(path, mode="r")) as store:
         with warnings.catch_warnings():  # what else lies in the folders
             warnings.simplefilter("ignore")
             found = list(_below(zarr.open(store, path=inner, mode="r"), ""))
@@ -89,9 +103,21 @@ def _images(path: Path) -> Iterator[list[_Image]]:
         yield sorted(found, key=lambda image: image.labels)
 
 
+def _require_own_file(root: Path, key: str) -> None:
+    """Raise if what the store would read for a key is there, but is no file of its own with something in it."""
+    file = root / key
+    if not file.exists() and not file.is_symlink():
+        return
+    if not file.is_file() or not file.resolve().is_relative_to(root):
+        raise FormatError(f"{root.name} must hold files of its own; {key} is none, or leads elsewhere")
+    if file.stat().st_size == 0:
+        raise FormatError(f"{root.name} must hold whole chunks; {key} is empty")
+
+
 def _inside(path: Path) -> str:
     """Where an archive has its array or group: at its root, or in a folder that was packed."""
     with zipfile.ZipFile(path) as archive:
+        require_members(path.name, archive)
         found = [name for name in archive.namelist() if name.rpartition("/")[2] in _METADATA]
     if not found:
         raise FormatError(f"{path.name} must hold a Zarr array or group; unpack archives of other files, and read what they hold")

@@ -26,9 +26,10 @@ Picture: TypeAlias = NDArray[np.floating[Any]]
 CHANNELS: dict[str, tuple[int, ...]] = {"rgba": (4,), "depth": (), "normal": (3,), "position": (3,), "visited": ()}
 _ALONE, _BLENDED = 20, 64  # of so many pixels one has more rays at most; fewer where such rays miss the planes of a tile's others
 _GROUP = 8  # work-items along an edge of a group
-_AREA = 16  # pixels along an edge of the smallest launch
+_AREA = 8  # pixels along an edge of the smallest launch
 _CELLS = 8  # of so many on a ray one is looked at, at most guesses
 _ROW_SECONDS = 1.5e-9  # a generous guess of the time of one row of taps on one processor core; corrected as tiles finish
+_SHADED, _CENTRAL, _SOFTWARE = 3, 12, 8  # times as long with the gradient, with central differences, from images on a processor
 
 
 def draw(
@@ -235,10 +236,12 @@ class _Budget:
             order = drawn.degree + 1
             rows = drawn.support**2 * order * (drawn.support + order) / 32 + 40  # a polynomial, and the way to it
             count = float(frame.coefficients.size.sum()) * drawn.scale / _CELLS
-        costly = frame.central or frame.mode.shaded
+        rows *= _CENTRAL if frame.central else _SHADED if frame.mode.shaded else 1
+        if frame.evaluator.image and device.kind == "cpu":
+            rows *= _SOFTWARE
         self._across, self._down = (-(-_AREA // n) * n for n in frame.tile[:2])
         self._seconds = device.limits.launch_seconds
-        self._per_pixel = count * rows * _ROW_SECONDS * (3 if costly else 1) / max(1, cores)
+        self._per_pixel = count * rows * _ROW_SECONDS / max(1, cores)
 
     def tiles(self, width: int, height: int) -> Iterator[tuple[int, int, int, int]]:
         """(x, y, width, height) of each area, each a multiple of a tile, but at the picture's edges."""

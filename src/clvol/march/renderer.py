@@ -12,6 +12,7 @@ from typing import Any, Literal, Self, TypeAlias, get_args, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
+from clvol import memory
 from clvol.boundary import Boundary
 from clvol.camera import Camera
 from clvol.checks import instance, number, one_of, whole
@@ -31,6 +32,7 @@ from clvol.scene import Box, Medium, Scene, as_scene
 from clvol.smoothing import filter_for
 from clvol.spline.evaluator import Evaluator, EvaluatorName, FetchName, choose_evaluator
 from clvol.spline.field import RENUMBER, Field, as_field, names_beyond
+from clvol.spline.lease import Lease
 from clvol.spline.minmax import MinMax
 from clvol.spline.points import Progress
 from clvol.transfer import TransferFunction
@@ -45,6 +47,7 @@ OUTPUTS: tuple[Output, ...] = ("rgba", "depth", "normal", "position", "visited")
 _ALL_OUTPUTS = get_args(Output)
 _BITS = 8.0  # of the sampler's fraction, before pictures are made by it: what texture units have
 _MAX_SIZE = 1 << 15
+_CLOSED = "the renderer was closed, and its coefficients were released; make a new one"
 
 
 class Renderer:
@@ -89,7 +92,7 @@ class Renderer:
         device: Device | str | int | None = None,
     ) -> None:
         given = {name: value for name, value in (("filter", filter), ("boundary", boundary)) if value is not None}
-        self._own = not isinstance(scene, Field)
+        own = not isinstance(scene, Field)
         if isinstance(scene, Field):
             field = as_field(scene, filter, boundary, device)
             if field.gaps is not None:
@@ -106,7 +109,7 @@ class Renderer:
             raise OptionError(f"{' and '.join(given)} must be left to the medium of a scene; got {given}")
         self.scene = as_scene(scene)
         (medium,) = self.scene.media
-        if self._own:
+        if own:
             field = _single(medium.volume, filter_for(medium.volume, medium.filter, PICTURE_FILTER), medium.boundary, device)
         elif field.precision != "single":
             raise OptionError(f"rendering takes a field of single precision; got one of {field.precision} precision")
@@ -116,7 +119,9 @@ class Renderer:
         self._minmax: dict[tuple[Filter, Evaluator], MinMax] = {}
         self._uncertainty: Uncertainty | None = None
         self._lock = threading.Lock()
-        self._closed = False
+        self._lease = Lease(_CLOSED)
+        if own:
+            self._lease.frees(field.close)
 
     @property
     def volume(self) -> Volume:
@@ -135,17 +140,12 @@ class Renderer:
         return filter_for(self.volume, None, chosen.picture_filter) if free else self.filter
 
     def close(self) -> None:
-        """Free the device's memory, except that of a Field which was given."""
-        self._closed = True
-        if self._own:
-            self.field.close()
-        if self._unsmoothed is not None:
-            self._unsmoothed.close()
-        while self._minmax:
-            self._minmax.popitem()[1].release()
-        if self._uncertainty is not None:
-            self._uncertainty.release()
-            self._uncertainty = None
+        """Free the device's memory, except that of a Field which was given.
+
+        Pictures that other threads are making, or that whoever calls this from a callback is, are made to their end, and the memory
+        is freed then.
+        """
+        self._lease.close()
 
     def __enter__(self) -> Self:
         return self
@@ -330,51 +330,51 @@ class Renderer:
         rounding, ``sqrt(1/12)``.
         """
         chosen = as_mode(mode, options, _KEYWORDS)
-        if self._closed or self.field.closed:
-            raise OptionError("the renderer or its field was closed, and its coefficients were released; make new ones")
-        words = {"preset": preset, "window": window, "cmap": cmap, "opacity": opacity}
-        given = [name for name, value in words.items() if value is not None]
-        if given:
-            if transfer is not None:
-                raise OptionError(f"transfer must be left out where {' and '.join(given)} say what it is; got both")
-            transfer = look(self.volume, chosen, preset=preset, window=window, cmap=cmap, opacity=opacity)
-        scene = self._seen(transfer, material, lights, background, clip)
-        camera = Camera.orbit() if camera is None else camera
-        instance("camera", camera, Camera)
-        instance("skipping", skipping, bool, np.bool_)
-        if progress is not None and not callable(progress):
-            raise OptionError(f"progress must be callable; got {progress!r}")
-        if gradient not in ("analytic", "central"):
-            raise one_of("gradient", gradient, ("analytic", "central"))
-        wanted = _outputs(outputs)
-        sigma = None if sigma is None else number("sigma", sigma, minimum=0)
-        pixel_filter = as_pixel_filter(pixel_filter)
-        if samples != "auto":
-            samples = whole("samples", samples, minimum=1, maximum=4096)
-        elif not chosen.shaded:
-            samples = 1
-        field = self._field_of(chosen)
-        uncertain = self._uncertain(field, chosen) if "uncertainty" in wanted else None
-        way = choose_evaluator(self.device, field.filter, evaluator, fetch, bits=_BITS)
-        central = gradient == "central" or not field.filter.has_gradient
-        frame = Frame.of(
-            scene,
-            field.coefficients,
-            self._pyramid(field, way) if skipping and chosen.skips else None,
-            camera,
-            chosen.settled(self.volume),
-            _size(size),
-            number("step", step, above=0),
-            scene.media[0].transfer or chosen.transfer(self.volume),
-            way,
-            central=central,
-            guides=wanted != ("rgba",),
-        )
-        pictures = launch.draw(frame, samples, pixel_filter, progress)
-        if uncertain is not None:
-            pictures["uncertainty"] = uncertain(pictures["position"], self._noise(sigma), central=central)
-        shown = as_pictures({name: pictures[name] for name in wanted})
-        return shown[wanted[0]] if isinstance(outputs, str) else shown
+        with self._lease.held(), self.field.in_use():
+            words = {"preset": preset, "window": window, "cmap": cmap, "opacity": opacity}
+            given = [name for name, value in words.items() if value is not None]
+            if given:
+                if transfer is not None:
+                    raise OptionError(f"transfer must be left out where {' and '.join(given)} say what it is; got both")
+                transfer = look(self.volume, chosen, preset=preset, window=window, cmap=cmap, opacity=opacity)
+            scene = self._seen(transfer, material, lights, background, clip)
+            camera = Camera.orbit() if camera is None else camera
+            instance("camera", camera, Camera)
+            instance("skipping", skipping, bool, np.bool_)
+            if progress is not None and not callable(progress):
+                raise OptionError(f"progress must be callable; got {progress!r}")
+            if gradient not in ("analytic", "central"):
+                raise one_of("gradient", gradient, ("analytic", "central"))
+            wanted = _outputs(outputs)
+            sigma = None if sigma is None else number("sigma", sigma, minimum=0)
+            pixel_filter = as_pixel_filter(pixel_filter)
+            if samples != "auto":
+                samples = whole("samples", samples, minimum=1, maximum=4096)
+            elif not chosen.shaded:
+                samples = 1
+            _require_picture(_size(size), wanted, edges=samples == "auto")
+            field = self._field_of(chosen)
+            uncertain = self._uncertain(field, chosen) if "uncertainty" in wanted else None
+            way = choose_evaluator(self.device, field.filter, evaluator, fetch, bits=_BITS)
+            central = gradient == "central" or not field.filter.has_gradient
+            frame = Frame.of(
+                scene,
+                field.coefficients,
+                self._pyramid(field, way) if skipping and chosen.skips else None,
+                camera,
+                chosen.settled(self.volume),
+                _size(size),
+                number("step", step, above=0),
+                scene.media[0].transfer or chosen.transfer(self.volume),
+                way,
+                central=central,
+                guides=wanted != ("rgba",),
+            )
+            pictures = launch.draw(frame, samples, pixel_filter, progress)
+            if uncertain is not None:
+                pictures["uncertainty"] = uncertain(pictures["position"], self._noise(sigma), central=central)
+            shown = as_pictures({name: pictures[name] for name in wanted})
+            return shown[wanted[0]] if isinstance(outputs, str) else shown
 
     def _seen(
         self,
@@ -409,6 +409,7 @@ class Renderer:
         with self._lock:
             if self._unsmoothed is None:
                 self._unsmoothed = _single(self.volume, row, self.field.boundary, self.device)
+                self._lease.frees(self._unsmoothed.close)
             return self._unsmoothed
 
     def _uncertain(self, field: Field, mode: Mode) -> Uncertainty:
@@ -420,6 +421,7 @@ class Renderer:
         with self._lock:
             if self._uncertainty is None:
                 self._uncertainty = Uncertainty(field)
+                self._lease.frees(self._uncertainty.release)
             return self._uncertainty
 
     def _noise(self, sigma: float | None) -> Noise:
@@ -434,6 +436,7 @@ class Renderer:
             key = field.filter, evaluator
             if key not in self._minmax:
                 self._minmax[key] = MinMax(field.coefficients, evaluator)
+                self._lease.frees(self._minmax[key].release)
             return self._minmax[key]
 
 
@@ -499,6 +502,7 @@ def render(
     free = filter is None and not isinstance(scene, (Scene, Medium, Field))
     if free:
         scene = as_volume(scene)  # type: ignore[arg-type]  # what is left
+    _require_picture(_size(size), _outputs(outputs), edges=False)
     row = filter_for(scene, None, chosen.picture_filter) if free else filter  # type: ignore[arg-type]  # it is a volume then
     with Renderer(scene, row, boundary, device) as renderer:
         return renderer.render(camera, mode, size, step, outputs=outputs, **options)  # type: ignore[arg-type]  # either
@@ -522,6 +526,13 @@ def _outputs(outputs: object) -> tuple[str, ...]:
         if name not in _ALL_OUTPUTS:
             raise one_of("outputs", name, _ALL_OUTPUTS)
     return wanted
+
+
+def _require_picture(size: tuple[int, int], outputs: tuple[str, ...], *, edges: bool) -> None:
+    """Raise `OutOfMemoryError` if there is no room for a picture, its guides, and what its edges are found by."""
+    width, height = size
+    each = 16 + 56 * (outputs != ("rgba",)) + 32 * ("uncertainty" in outputs) + 28 * edges
+    memory.require(width * height * each, f"a picture of {width} × {height} pixels")
 
 
 def _size(size: tuple[int, int]) -> tuple[int, int]:

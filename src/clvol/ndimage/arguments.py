@@ -13,7 +13,7 @@ from typing import Any, TypeAlias, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol import interop
+from clvol import interop, memory
 from clvol.checks import enough_memory, one_of
 from clvol.device import Device, as_device
 from clvol.errors import AxisError, DataError, DtypeError, NotFiniteError, OptionError, OptionTypeError, RefusedError
@@ -320,6 +320,7 @@ def _require_kind(dtype: np.dtype[Any], data: Array, copied: bool) -> None:
 
 def _empty(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
     with enough_memory(f"the result, {' x '.join(map(str, shape))} samples of {dtype},"):
+        memory.require(math.prod(shape) * dtype.itemsize, f"a result of {' × '.join(map(str, shape))} samples of {dtype}")
         try:
             return np.empty(shape, dtype)
         except ValueError:  # more than can be addressed

@@ -12,6 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol import memory
 from clvol.boundary import as_boundary
 from clvol.device import Device, as_device
 from clvol.filter import Filter, as_filter
@@ -318,6 +319,9 @@ class _Store:
             yield output
             return
         if self._scratch.size < output.size:
+            memory.require(
+                np.dtype(self._kind).itemsize * output.size, f"results of shape {output.shape} before they are converted"
+            )
             self._scratch = np.empty(output.size, self._kind)
         results = self._scratch[: output.size].reshape(output.shape)
         yield results

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol import memory
 from clvol.errors import DataError, OptionError, OptionTypeError, UnsupportedError
 from clvol.ndimage import engine, gaps
 from clvol.ndimage.arguments import Array, Spline
@@ -161,6 +162,7 @@ def filtered(data: Array, axes: Sequence[int], output: Array, spline: Spline) ->
 def _in_parts(data: Array, output: Array, spline: Spline, compute: Callable[[Array, Array, Spline], None]) -> None:
     """Complex samples as two real arrays; what `output` overlaps is copied first."""
     if np.may_share_memory(data, output):
+        memory.require(data.nbytes, "a copy of the input, which the result overlaps,")
         data = data.copy()
     if data.dtype.kind == "c":
         for number, part in enumerate(("real", "imag")):
@@ -211,7 +213,7 @@ def _grids(data: Array, passes: Sequence[_Pass], output: Array, spline: Spline) 
         size = data.shape
         for number, (axes, grid) in enumerate(passes):
             size = tuple(target.shape[k] if k in axes else n for k, n in enumerate(size))
-            onto = target if number == len(passes) - 1 else np.empty(size, kind)
+            onto = target if number == len(passes) - 1 else _between(size, kind)
             _evaluate(source, axes, grid, onto, between.stage(number, len(passes)))
             source = onto
         if spline.mode == "constant":
@@ -220,6 +222,12 @@ def _grids(data: Array, passes: Sequence[_Pass], output: Array, spline: Spline) 
                 _beyond(target, axes)[_outside(grid, [data.shape[axis] for axis in axes])] = value
 
     _in_parts(data, output, spline, compute)
+
+
+def _between(size: tuple[int, ...], kind: type[np.generic]) -> Array:
+    """Room for what one pass hands to the next."""
+    memory.require(np.dtype(kind).itemsize * math.prod(size), f"what is made on the way, {size} samples,")
+    return np.empty(size, kind)
 
 
 def _joined(data: Array, axes: list[int], grid: Axes | Affine, spline: Spline) -> _Pass:
@@ -312,6 +320,7 @@ def _by_pieces(data: Array, output: Array, spline: Spline, positions: Callable[[
     size = output.size
     piece = max(_PIECE, data.size // 4)
     count = max(1, -(-size // piece))
+    memory.require(output.nbytes + 32 * min(piece, size) * data.ndim, "a result, until all of its positions are known,")
     result = np.empty(size, output.dtype)
     for number, first in enumerate(range(0, size, piece)):
         last = min(first + piece, size)

@@ -13,16 +13,17 @@ from numpy.typing import NDArray
 
 from clvol.boundary import Boundary
 from clvol.device import Device
-from clvol.errors import DeviceError, OptionError
+from clvol.errors import DeviceError, OptionError, OutOfMemoryError
 from clvol.filter import Filter
 from clvol.program import LANES, Program
 from clvol.spline.build import DefineDict, evaluator_defines, filter_defines, row_reach, scalar_defines
 from clvol.spline.evaluator import Evaluator
+from clvol.spline.lease import release
 from clvol.spline.prefilter import prefilter_in_place
 from clvol.stored import AS_THEY_ARE, Stored
 from clvol.volume import Volume
 
-__all__ = ["OPENCL_TYPES", "Coefficients", "Lattice", "addressable", "bundled"]
+__all__ = ["OPENCL_TYPES", "Coefficients", "Lattice", "addressable", "bundled", "bytes_of"]
 
 OPENCL_TYPES = {  # OpenCL's names of NumPy's types
     "b1": "uchar",
@@ -59,6 +60,17 @@ def bundled(array: NDArray[Any], apart: tuple[int, int]) -> tuple[NDArray[Any], 
 
 
 _BUNDLE = 16
+_MOST_ALONG = 1 << 30  # samples along an axis: a period has twice as many, and OpenCL's int counts them
+_AT_ONCE = 1 << 20  # places of an axis that are found at a time
+_COPIED = 1 << 22  # samples that NumPy copies at a time: Ctrl-C is heard in between
+
+
+def _slabs(data: NDArray[Any]) -> list[tuple[slice, ...]]:
+    """Parts of an array [z, y, x], one behind the other in its memory, and wide enough for whole lines of a cache."""
+    axis = int(np.argmax([abs(stride) if n > 1 else 0 for stride, n in zip(data.strides, data.shape, strict=True)]))
+    n = data.shape[axis]
+    some = max(_BUNDLE, _COPIED * n // data.size)
+    return [(slice(None),) * axis + (slice(first, first + some),) for first in range(0, n, some)]
 
 
 @dataclass(frozen=True)
@@ -140,6 +152,10 @@ class Coefficients:
         self.kind = kind
         self.ndim = volume.ndim
         sizes = (*volume.size, 1, 1)[:3]
+        if filter.scale * max(sizes) > _MOST_ALONG:
+            raise OutOfMemoryError(
+                f"out of memory: there must be at most {_MOST_ALONG // filter.scale} samples along each axis; got {max(sizes)}"
+            )
         prefiltered = (filter.magnified_by or filter).prefilter
         self.pad = boundary.padding(prefiltered, filter.support)
         self.reach = boundary.reach(filter.support)
@@ -232,13 +248,15 @@ class Coefficients:
         if not self._kernels_read(data):
             with device.mapped(self.buffer, self.shape, write=True, kind=self.kind) as room:
                 inner = room[self.inner]
-                if self.stored.identity and gain == 1.0:
-                    np.copyto(inner, data, casting="unsafe")
-                elif self.stored.identity:
-                    np.multiply(data, self.kind(gain), out=inner, casting="unsafe")
-                else:  # slice by slice, for each is made anew and wider
+                if not self.stored.identity:  # slice by slice, for each is made anew and wider
                     for target, slice_ in zip(inner, data, strict=True):
                         np.copyto(target, self.stored.samples(slice_), casting="unsafe")
+                    return
+                for slab in _slabs(data):
+                    if gain == 1.0:
+                        np.copyto(inner[slab], data[slab], casting="unsafe")
+                    else:
+                        np.multiply(data[slab], self.kind(gain), out=inner[slab], casting="unsafe")
             return
         kernel = self._build(OPENCL_TYPES[data.dtype.str[1:]]).kernel("copy_samples")
         origin, pitch, area = self.layout
@@ -286,11 +304,17 @@ class Coefficients:
         """Where the coefficients lie that belong into each stored column, row and slice."""
         if kept not in self._uploaded:
             halo, sizes = int(self.extent[3]), self.size.tolist()
-            places = [np.arange(stored) for stored in self.shape[::-1]]
-            for axis in range(self.ndim):
-                place = self.boundary.index(np.arange(self.shape[2 - axis]) - halo, sizes[axis], kept)
-                places[axis] = np.where(place < -kept, -1, place + halo)
-            self._uploaded[kept] = self.device.upload(np.concatenate(places).astype(np.int32))
+            places = np.empty(sum(self.shape), np.int32)
+            begin = 0
+            for axis, stored in enumerate(self.shape[::-1]):
+                for first in range(0, stored, _AT_ONCE):
+                    own = np.arange(first, min(first + _AT_ONCE, stored))
+                    if axis < self.ndim:
+                        place = self.boundary.index(own - halo, sizes[axis], kept)
+                        own = np.where(place < -kept, -1, place + halo)
+                    places[begin + first : begin + first + len(own)] = own
+                begin += stored
+            self._uploaded[kept] = self.device.upload(places)
         return self._uploaded[kept]
 
     def _kernels_read(self, data: NDArray[Any]) -> bool:
@@ -342,16 +366,27 @@ class Coefficients:
 
     def release(self) -> None:
         """Free the device's memory. Results that were computed stay valid."""
-        for memory in (self.buffer, self._image):
-            if memory is not None:
-                memory.release()
-        self.buffer = self._image = None
+        with self._lock:
+            memory = self.buffer, self._image
+            self.buffer = self._image = None
+        release(self.device, *memory)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.release()
+
+
+def bytes_of(size: tuple[int, ...], filter: Filter, boundary: Boundary, kind: type[np.generic]) -> int:
+    """What the coefficients of so many samples along x, y(, z) take, halo included; of a hybrid while it is made."""
+    past = boundary.padding((filter.magnified_by or filter).prefilter, filter.support) + boundary.reach(filter.support)
+    sizes = (*(filter.scale * n for n in size), 1, 1)[:3]
+    halo = 2 * (filter.support // 2 + 1 + filter.scale * (1 + past))
+    reach = max(0, row_reach(filter) - filter.support) + LANES
+    stored = math.prod(n + halo + (reach if axis == 0 else 0) if axis < len(size) else 1 for axis, n in enumerate(sizes))
+    own = np.dtype(kind).itemsize * stored
+    return own if filter.magnified_by is None else own + bytes_of(size, filter.magnified_by, boundary, kind)
 
 
 def _extent(filter: Filter, dimensions: int, sizes: tuple[int, ...], past: int) -> NDArray[np.int32]:

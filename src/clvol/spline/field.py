@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from types import TracebackType
 from typing import Any, Literal, Self, TypeAlias, TypeGuard, get_args
@@ -12,6 +12,7 @@ from typing import Any, Literal, Self, TypeAlias, TypeGuard, get_args
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
+from clvol import memory
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.checks import one_of, warn, whole
 from clvol.device import Device, as_device
@@ -22,8 +23,9 @@ from clvol.missing import Missing, as_missing, touching
 from clvol.rounding import as_kind, in_kind, wide
 from clvol.smoothing import filter_for, settled
 from clvol.spline.chain import Chain
-from clvol.spline.coefficients import Coefficients, Lattice
+from clvol.spline.coefficients import Coefficients, Lattice, bytes_of
 from clvol.spline.evaluator import DIRECT, Evaluator, EvaluatorName, FetchName, choose_evaluator
+from clvol.spline.lease import Lease
 from clvol.spline.points import Floats, Given, Progress, Reals, Transform, sample_coefficients, sample_grid
 from clvol.spline.reduce import AntiAliasing, as_anti_aliasing, low_passed, nearest_spline, steps_along
 from clvol.spline.resample import resample_coefficients
@@ -58,6 +60,7 @@ _PRECISIONS: dict[str, type[np.generic]] = {"single": np.float32, "double": np.f
 _CHANNELS = 4  # of an image in colour, at most
 _TURN = np.array([-1.0, -1.0, 1.0])  # between LPS and RAS
 RENUMBER = "renumber them, as numpy.unique(data, return_inverse=True) does"
+_CLOSED = "the field was closed, and its coefficients were released; make a new one"
 _LOOKED_AT = 256  # points of which the order of coordinates is guessed
 
 
@@ -79,7 +82,7 @@ def coefficients_of(
         The device has no room for them.
     """
     volume.require_finite()
-    device.require_room(np.dtype(kind).itemsize * volume.data.size * filter.scale**volume.ndim)  # before integers may be looked at
+    device.require_room(bytes_of(volume.size, filter, boundary, kind))  # before integers may be looked at
     row = settled(filter, volume)
     stored = Stored.of(volume, row, boundary) if kind == np.float32 else AS_THEY_ARE
     return _filled(Coefficients(volume, row, boundary, device, stored, kind))
@@ -199,7 +202,11 @@ class Field:
         present = self.volume if where is None else replace(self.volume, data=self.missing.filled(self.volume.data, where))
         self.coefficients = coefficients_of(present, row, self.boundary, self.device, kind)
         self.filter = self.coefficients.filter
+        self._lease = Lease(_CLOSED)
+        self._lease.frees(self.coefficients.release)
         self.gaps = None if where is None else self._gaps_at(where)
+        if self.gaps:
+            self._lease.frees(self.gaps.close)
 
     def _gaps_at(self, where: NDArray[np.bool_]) -> Field | None:
         """The share of missing samples as a function of its own; None where it decides nothing."""
@@ -231,14 +238,19 @@ class Field:
 
     @property
     def closed(self) -> bool:
-        """Whether the coefficients were released."""
-        return self.coefficients.buffer is None
+        """Whether `close` was called."""
+        return self._lease.closed
 
     def close(self) -> None:
-        """Free the device's memory. Results stay valid; asking for more raises `OptionError`."""
-        self.coefficients.release()
-        if self.gaps:
-            self.gaps.close()
+        """Free the device's memory. Results stay valid; asking for more raises `OptionError`.
+
+        What other threads are computing, or whoever calls this from a callback, goes on to its end, and the memory is freed then.
+        """
+        self._lease.close()
+
+    def in_use(self) -> AbstractContextManager[None]:
+        """For the time of a block `close` frees nothing; `OptionError` if the field was closed before."""
+        return self._lease.held()
 
     def __enter__(self) -> Self:
         return self
@@ -359,23 +371,27 @@ class Field:
         out: Any = None,
         frame: Frame = "LPS",
     ) -> Reals:
-        d, made = self.volume.ndim, self.coefficients
-        array = _in_world(_points(points, d), frame, self.volume)
-        _tell_reversed(array.reshape(-1, d), self.volume)
-        shape = array.shape[:-1] + (d,) * derivative
-        target = None if out is None else as_output(out, shape)
-        direct = target if self._writes(target) and not np.may_share_memory(target, array) else None
-        chosen = self._evaluator(evaluator, fetch)
-        first, second = _halves(progress) if self.gaps else (progress, None)
-        flat = sample_coefficients(made, chosen, array.reshape(-1, d), derivative, fill_value(fill), first, direct)
-        if self.gaps:
-            share = self.gaps._at(array.reshape(-1, d), 0, "taps", "buffer", None if fill is None else 0.0, second)
-            flat[share > self.missing.most] = np.nan
-        shaped = flat.reshape(shape)
-        if frame == "RAS" and derivative:
-            np.multiply(shaped, _TURN[:d] if derivative == 1 else np.outer(_TURN[:d], _TURN[:d]), out=shaped, casting="same_kind")
-        results = _put(shaped, target)
-        return results if out is None else out
+        with self.in_use():
+            d, made = self.volume.ndim, self.coefficients
+            array = _in_world(_points(points, d), frame, self.volume)
+            _tell_reversed(array.reshape(-1, d), self.volume)
+            shape = array.shape[:-1] + (d,) * derivative
+            target = None if out is None else as_output(out, shape)
+            memory.require(self._result_bytes(math.prod(shape), derivative, out), _results(shape))
+            direct = target if self._writes(target) and not np.may_share_memory(target, array) else None
+            chosen = self._evaluator(evaluator, fetch)
+            first, second = _halves(progress) if self.gaps else (progress, None)
+            flat = sample_coefficients(made, chosen, array.reshape(-1, d), derivative, fill_value(fill), first, direct)
+            if self.gaps:
+                share = self.gaps._at(array.reshape(-1, d), 0, "taps", "buffer", None if fill is None else 0.0, second)
+                flat[share > self.missing.most] = np.nan
+            shaped = flat.reshape(shape)
+            if frame == "RAS" and derivative:
+                np.multiply(
+                    shaped, _TURN[:d] if derivative == 1 else np.outer(_TURN[:d], _TURN[:d]), out=shaped, casting="same_kind"
+                )
+            results = _put(shaped, target)
+            return results if out is None else out
 
     def _writes(self, target: NDArray[Any] | None) -> TypeGuard[NDArray[Any]]:
         """Whether kernels can write their results into an array themselves."""
@@ -463,7 +479,8 @@ class Field:
         kind = _result_kind(dtype, volume, self.filter, out, fill)
         if chosen:
             _require_no_transform(stages)
-            self.coefficients.argument(DIRECT)  # a closed field is refused
+            with self.in_use():  # a closed field is refused
+                pass
             own = self.filter, self.boundary, self.device, self.precision
             return _in(kind, _into(_coarser(volume, *own, grid, chosen, evaluator, fetch, fill, progress), out), self.filter)
         chain = Chain(stages, grid, self.device)
@@ -501,6 +518,7 @@ class Field:
         volume, d = self.volume, self.volume.ndim
         factor = whole("factor", factor, minimum=1)
         shape = tuple(factor * n for n in volume.shape)
+        memory.require_addressable("a result", shape)
         data = self._on_grid(np.eye(d) / factor, np.zeros(d), shape, evaluator, fetch, None, progress)
         finer = replace(volume, data=data, spacing=tuple(s / factor for s in volume.spacing))
         return _in(_result_kind(None, volume, self.filter, None, None), finer, self.filter)
@@ -517,24 +535,32 @@ class Field:
         out: Any = None,
         chain: Chain | None = None,
     ) -> Reals:
-        device, made, given = self.device, self.coefficients, Given(fill_value(fill))
-        target = None if out is None else as_output(out, shape)
-        chosen = self._evaluator(evaluator, fetch)
-        device.require_room(np.dtype(made.kind).itemsize * math.prod(shape))
-        made.argument(chosen)  # a closed field is refused before the result is made
-        result = target if self._writes(target) else np.empty(shape, made.kind)
-        first, second = _halves(progress) if self.gaps else (progress, None)
-        with device.lent(result, write=True) as buffer:
-            if chain is not None and chain.stages:
-                last = Transform(matrix, offset, np.eye(len(offset)))
-                sample_grid(made, chosen, last, (1, *shape)[-3:], buffer, given, first, chain=chain)
-            else:
-                resample_coefficients(made, chosen, matrix, offset, (1, *shape)[-3:], buffer, given, first)
-        final = given.in_units_of_data(made, result, 0)
-        if self.gaps:
-            share = self.gaps._on_grid(matrix, offset, shape, "taps", "buffer", None if fill is None else 0.0, second, chain=chain)
-            final[share > self.missing.most] = np.nan
-        return _put(final, target)
+        with self.in_use():
+            device, made, given = self.device, self.coefficients, Given(fill_value(fill))
+            target = None if out is None else as_output(out, shape)
+            chosen = self._evaluator(evaluator, fetch)
+            device.require_room(np.dtype(made.kind).itemsize * math.prod(shape), held=True)
+            memory.require(self._result_bytes(math.prod(shape), 0, out), _results(shape))
+            result = target if self._writes(target) else np.empty(shape, made.kind)
+            first, second = _halves(progress) if self.gaps else (progress, None)
+            with device.lent(result, write=True) as buffer:
+                if chain is not None and chain.stages:
+                    last = Transform(matrix, offset, np.eye(len(offset)))
+                    sample_grid(made, chosen, last, (1, *shape)[-3:], buffer, given, first, chain=chain)
+                else:
+                    resample_coefficients(made, chosen, matrix, offset, (1, *shape)[-3:], buffer, given, first)
+            final = given.in_units_of_data(made, result, 0)
+            if self.gaps:
+                share = self.gaps._on_grid(
+                    matrix, offset, shape, "taps", "buffer", None if fill is None else 0.0, second, chain=chain
+                )
+                final[share > self.missing.most] = np.nan
+            return _put(final, target)
+
+    def _result_bytes(self, count: int, derivative: int, out: Any) -> int:
+        """What so many results take while they are made: float64 ones beside those of kernels, and the share of missing ones."""
+        own = np.dtype(self.coefficients.kind).itemsize if out is None else 0
+        return count * (own + 8 * self.coefficients.stored.alters(derivative) + 5 * (self.gaps is not None))
 
     def _evaluator(self, evaluator: str, fetch: str) -> Evaluator:
         """The one that is named, or suits the device: images hold float32 alone."""
@@ -668,14 +694,42 @@ def opened(
     device: Device | str | int | None = None,
     precision: Precision | None = None,
     nan: str | Missing | None = None,
+    *,
+    results: tuple[int, ...] = (),
 ) -> Iterator[Field]:
-    """`as_field` for the time of a block: a Field that was made for it is closed at its end, one that was given is not."""
+    """`as_field` for the time of a block: a Field that was made for it is closed at its end, one that was given is not.
+
+    There must be room for coefficients and `results` of this shape together, before the former are made.
+    """
+    if not isinstance(volume, Field) and results:
+        volume = as_volume(volume)
+        require_both(volume.size, filter, boundary, device, precision, results)
     field = as_field(volume, filter, boundary, device, precision, nan)
     try:
         yield field
     finally:
         if field is not volume:
             field.close()
+
+
+def require_both(
+    size: tuple[int, ...],
+    filter: str | Filter | None,
+    boundary: str | Boundary | None,
+    device: Device | str | int | None,
+    precision: Precision | None,
+    results: tuple[int, ...],
+) -> None:
+    """Raise `OutOfMemoryError` if there is no room for the coefficients of so many samples and results of this shape together."""
+    kind = precision_kind(precision or "single")
+    made = bytes_of(size, as_filter(filter or DEFAULT_FILTER), as_boundary(boundary or DEFAULT_BOUNDARY), kind)
+    own = np.dtype(kind).itemsize * math.prod(results)
+    shared = as_device(device).kind == "cpu"  # else coefficients lie in the device's memory
+    memory.require(own + made * shared, f"{_results(results)}{' and the coefficients' * shared}")
+
+
+def _results(shape: tuple[int, ...]) -> str:
+    return f"a result of {' × '.join(map(str, shape))} numbers"
 
 
 # -- functions -------------------------------------------------------------------------------------------------------
@@ -744,7 +798,10 @@ def sample(
         array = _in_world(_points(points, volume.ndim), frame, volume)  # before the volume is prefiltered
         if out is not None:
             as_output(out, array.shape[:-1] + (volume.ndim,) * derivative)
-    with opened(volume, filter, boundary, device, precision, nan) as field:
+        results = () if out is not None else array.shape[:-1] + (volume.ndim,) * derivative
+    else:
+        results = ()
+    with opened(volume, filter, boundary, device, precision, nan, results=results) as field:
         at = (field.__call__, field.gradient, field.hessian)[derivative]
         return at(points, frame=frame, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress, out=out)
 
@@ -812,7 +869,10 @@ def resample(
             _require_no_transform(transform)
             own = row, as_boundary(boundary or DEFAULT_BOUNDARY), as_device(device), precision or "single"
             return _in(kind, _into(_coarser(volume, *own, grid, chosen, evaluator, fetch, fill, progress), out), row)
-    with opened(volume, filter, boundary, device, precision, nan) as field:
+        results = grid.shape if out is None else ()
+    else:
+        results = ()
+    with opened(volume, filter, boundary, device, precision, nan, results=results) as field:
         return field.resample(
             shape,
             spacing,
@@ -867,7 +927,9 @@ def magnify(
         As `Field` and `Field.magnify` raise them.
     """
     factor = whole("factor", factor, minimum=1)
-    with opened(volume, filter, boundary, device, precision, nan) as field:
+    volume = volume if isinstance(volume, Field) else as_volume(volume)
+    results = tuple(factor * n for n in (volume.volume if isinstance(volume, Field) else volume).shape)
+    with opened(volume, filter, boundary, device, precision, nan, results=results) as field:
         return field.magnify(factor, evaluator=evaluator, fetch=fetch, progress=progress)
 
 
@@ -915,6 +977,7 @@ def prefilter(
     line = array.ndim == 1
     volume = Volume(array[None] if line else array)
     chosen, boundary, kind, device = as_filter(filter), as_boundary(boundary), precision_kind(precision), as_device(device)
+    require_both(array.shape[::-1], chosen, boundary, device, precision, array.shape)
     chosen = settled(chosen.magnified_by or chosen, volume)
     if line:
         volume.require_finite()
@@ -1066,8 +1129,9 @@ def _grid_for(
 def _sizes(shape: Sequence[int], d: int) -> tuple[int, ...]:
     try:
         sizes = tuple(int(n) for n in shape)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         sizes = ()
     if len(sizes) != d or min(sizes) < 1 or any(n != m for n, m in zip(sizes, shape, strict=True)):
         raise OptionError(f"shape must be {d} whole numbers of at least 1; got {shape!r}")
+    memory.require_addressable("a result", sizes)
     return sizes

@@ -22,6 +22,7 @@ from clvol.program import LANES
 from clvol.spline.build import DefineDict, literals
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, Evaluator
+from clvol.spline.lease import release
 from clvol.uniform import FLOAT, INT, Block, Values
 from clvol.volume import Volume
 
@@ -132,13 +133,17 @@ class MinMax:
         self._built, self._hull = device.build("spline/minmax.cl", defines), bool(defines["HULL"])
         self._lock = threading.Lock()
         self._sides: tuple[float, Any] | None = None
-        self._over_blocks("minmax_cells", self.buffer)
-        levels = [np.array([*size, at], np.int32) for size, at in zip(sizes, self.offsets, strict=True)]
-        with device.errors:
-            merge = self._built.kernel("minmax_blocks")
-            for finer, coarser in itertools.pairwise(levels):
-                merge(device.queue, tuple(int(n) for n in coarser[:3]), None, self.buffer, finer, coarser)
-        device.finish()
+        try:
+            self._over_blocks("minmax_cells", self.buffer)
+            levels = [np.array([*size, at], np.int32) for size, at in zip(sizes, self.offsets, strict=True)]
+            with device.errors:
+                merge = self._built.kernel("minmax_blocks")
+                for finer, coarser in itertools.pairwise(levels):
+                    merge(device.queue, tuple(int(n) for n in coarser[:3]), None, self.buffer, finer, coarser)
+            device.finish()
+        except BaseException:
+            self.release()
+            raise
 
     def sides(self, value: float) -> Any:
         """On which side of a value the function is in each cell, as sides.cl has it: 16 bytes for 64 cells.
@@ -181,9 +186,10 @@ class MinMax:
 
     def release(self) -> None:
         """Free the device's memory."""
-        self.buffer.release()
         with self._lock:
-            self._sides = None  # freed as soon as no frame holds them
+            memory = self.buffer, self._sides and self._sides[1]
+            self.buffer = self._sides = None
+        release(self.coefficients.device, *memory)
 
 
 def minmax_block(minmax: MinMax | None, volume: Volume, rounding: float) -> Values:

@@ -35,6 +35,7 @@ Floats: TypeAlias = NDArray[np.float32]
 
 _RUN = 512  # points that a work-item of a processor takes, a multiple of LANES
 _MIN_LAUNCH = 1 << 10  # points
+_POINT_TAPS = 16  # as much as a point costs besides its taps
 
 
 @dataclass(frozen=True)
@@ -317,6 +318,9 @@ def _in_lanes(coefficients: Coefficients, evaluator: Evaluator, derivative: int)
 
 
 def _launch_points(coefficients: Coefficients, evaluator: Evaluator) -> int:
-    """How many points a launch takes, so that it is short whatever the filter; images may be sampled in software."""
-    taps = coefficients.device.limits.launch_taps * (1 if evaluator.image else 4)
-    return max(_MIN_LAUNCH, taps // int(coefficients.filter.support**coefficients.ndim) // _RUN * _RUN)
+    """How many points a launch takes, so that it is short whatever the filter."""
+    device, row = coefficients.device, coefficients.filter
+    taps = 4 * device.limits.launch_taps
+    if evaluator.image:
+        taps //= 32 if device.kind == "cpu" else 4  # processors sample images in software
+    return max(_MIN_LAUNCH, taps // int(row.support**coefficients.ndim + _POINT_TAPS) // _RUN * _RUN)

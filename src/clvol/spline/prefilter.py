@@ -155,6 +155,8 @@ def prefilter_in_place(
         """Launches over `lines` lines or slices, `stride` apart, of so many voxels each."""
         step = max(1, device.limits.launch_voxels // voxels)
         for first in range(0, lines, step):
+            if first:  # a wait for several launches would be long, and hears no Ctrl-C
+                device.finish()
             built.kernel(name)(
                 device.queue,
                 (groups, min(step, lines - first)),

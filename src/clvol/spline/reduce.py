@@ -4,6 +4,7 @@ reduce.cl, which adds them up.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
+from clvol import memory
 from clvol.boundary import Boundary
 from clvol.checks import one_of
 from clvol.device import Device
@@ -109,6 +111,7 @@ def as_anti_aliasing(choice: object) -> AntiAliasing:
 def gaussian(sigma: float, n: int, boundary: Boundary) -> Sums:
     """A Gaussian of standard deviation `sigma` in samples, cut off as `scipy.ndimage.gaussian_filter` does."""
     radius = int(TRUNCATE * sigma + 0.5)
+    memory.require(32 * n * min(2 * radius + 1, n + 1), f"the weights of {2 * radius + 1} samples for each of {n}")
     x = np.arange(-radius, radius + 1)
     kernel = np.exp(-0.5 / max(sigma, 1e-9) ** 2 * x.astype(np.float64) ** 2)
     return Sums.of(np.arange(n) - radius, np.tile(kernel / kernel.sum(), (n, 1)), n, boundary)
@@ -159,6 +162,8 @@ def least_squares(
     if filter.magnified_by is not None:
         raise OptionError(f"least-squares reduction takes a filter with one kernel; got the hybrid {filter.name!r}")
     left_out, h = _LEFT_OUT[double], abs(step)
+    wide = filter.support * (math.ceil(h * filter.support) + filter.support + 1)
+    memory.require(40 * m * wide * (filter.degree + 1), f"the integrals of {wide} weights for each of {m} samples")
     if h <= 1 + _NO_STEP:
         base, t = filter.cell(start + step * np.arange(m))
         first, weights = base.astype(np.int64), filter.weights(t).T
@@ -344,6 +349,12 @@ def sum_along(
         raise DeviceError(f"sums of float64 need a device with double precision; got {device.name!r}, which has none")
     # what shrinks most goes first
     order = sorted(sums, key=lambda axis: len(sums[axis].places) / sums[axis].n)
+    shape, counts = list(data.shape), []
+    for axis in order:
+        shape[axis] = len(sums[axis].places)
+        counts.append(math.prod(shape))
+    most = max((a + b for a, b in itertools.pairwise([0, *counts])), default=data.size)  # the last two are there at a time
+    memory.require(np.dtype(kind).itemsize * most, f"a result of {' × '.join(map(str, shape))} sums")
     for done, axis in enumerate(order, 1):
         if done > 1 and device.shares_memory and len(sums[axis].places) == sums[axis].n:  # lines are brought to the scratch first
             _launch(data, axis, data, sums[axis], kind, outside, device)

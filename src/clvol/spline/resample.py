@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +18,37 @@ from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, Evaluator
 from clvol.spline.points import NOTHING_GIVEN, Given, Progress, Transform, sample_grid
 
-__all__ = ["along_axes", "resample_axes", "resample_coefficients"]
+__all__ = ["Positions", "along_axes", "resample_axes", "resample_coefficients"]
 
 _BLOCK = 16  # rows that resample.cl makes at once
 _ITEMS_A_CORE = 16  # work-items for each core, so that no core waits long for another
 _NO_SHEAR = 1e-9  # samples
+_LONG = 1 << 16  # points along an axis, and coefficients of a row that they are made from: longer ones are made in parts
+_PART = 1 << 24  # points of such a part, about
+_SCRATCH = 64 << 20  # bytes for all work-items, if there are not to be fewer of these than cores
+
+
+class Positions(Protocol):
+    """Positions along an axis, in samples: an array, or what makes parts of one."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, part: slice, /) -> NDArray[np.float64]: ...
+
+
+@dataclass(frozen=True)
+class _Steps:
+    """Even ones, that are made where they are asked for: an axis may have more points than memory has room for."""
+
+    first: float
+    step: float
+    count: int
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __getitem__(self, part: slice, /) -> NDArray[np.float64]:
+        return np.asarray(self.first + self.step * np.arange(*part.indices(self.count)))
 
 
 def resample_coefficients(
@@ -52,7 +81,7 @@ def resample_coefficients(
         Called with the fraction done.
     """
     if along_axes(coefficients, evaluator) and _no_shear(matrix, shape):
-        positions = [o + s * np.arange(n) for o, s, n in zip(offset, np.diag(matrix), shape[::-1], strict=False)]
+        positions = [_Steps(float(o), float(s), n) for o, s, n in zip(offset, np.diag(matrix), shape[::-1], strict=False)]
         resample_axes(coefficients, positions, buffer, given, progress)
     else:
         sample_grid(coefficients, evaluator, Transform(matrix, offset, np.eye(len(offset))), shape, buffer, given, progress)
@@ -86,7 +115,7 @@ def _axis_taps(
 
 def resample_axes(
     coefficients: Coefficients,
-    positions: Sequence[NDArray[np.float64]],
+    positions: Sequence[Positions],
     buffer: Any,
     given: Given = NOTHING_GIVEN,
     progress: Progress | None = None,
@@ -97,11 +126,77 @@ def resample_axes(
     ----------
     coefficients, buffer, given, progress
         As in `resample_coefficients`, of a device that is a processor.
-    positions : sequence of ndarray of float64
+    positions : sequence of Positions
         Those of the grid along x, y and z, in samples. They may lie anywhere.
+
+    Notes
+    -----
+    Each point along an axis has a place and a weight for every tap, and work-items keep rows of coefficients. So grids with long
+    axes, and those that leave most of a long row out, are made in parts, each in memory of its own, and copied.
     """
+    device, kind = coefficients.device, coefficients.kind
+    counts = [len(along) for along in positions]
+    parts = _parts(coefficients, positions, given)
+    if len(parts) == 1:
+        _resample_part(coefficients, [along[:] for along in positions], buffer, given, progress)
+        return
+    slices = coefficients.shape[0] if len(counts) < 3 else counts[2]
+    shape = (slices, *(*counts, 1)[1::-1])
+    with device.mapped(buffer, shape, write=True, kind=kind) as values:
+        for number, part in enumerate(parts):
+            place = (..., part[1], part[0]) if len(part) == 2 else (..., part[0]) if len(part) == 1 else part[::-1]
+            made = np.empty(values[place].shape, kind)
+            told = None if progress is None else partial(_tell_part, progress, number, len(parts))
+            with device.lent(made, write=True) as room:
+                _resample_part(coefficients, [along[p] for along, p in zip(positions, part, strict=True)], room, given, told)
+            values[place] = made
+
+
+def _tell_part(progress: Progress, number: int, count: int, done: float) -> None:
+    progress((number + done) / count)
+
+
+def _parts(coefficients: Coefficients, positions: Sequence[Positions], given: Given) -> list[tuple[slice, ...]]:
+    """The parts that a grid is made in, along x, y and z; one alone where its axes are short."""
+    counts = [len(along) for along in positions]
+    rows = list(_short_rows(coefficients, positions[0], given, slice(0, counts[0])))
+    if len(rows) == 1 and max(counts[1:], default=1) <= _LONG:
+        return [tuple(slice(0, n) for n in counts)]
+    longest, others = max(part.stop - part.start for part in rows), []
+    left = max(1, _PART // longest)
+    for n in counts[1:]:
+        step = min(n, _LONG, max(_BLOCK, left))
+        others.append([slice(first, min(first + step, n)) for first in range(0, n, step)])
+        left = max(1, left // step)
+    return list(itertools.product(rows, *others))
+
+
+def _short_rows(coefficients: Coefficients, along: Positions, given: Given, part: slice) -> Iterator[slice]:
+    """A part of a row, in parts that are short, and made from short rows of coefficients."""
+    count = part.stop - part.start
+    if count <= _LONG:
+        if count == 1 or coefficients.shape[2] <= _LONG:
+            yield part
+            return
+        places, _ = _axis_taps(coefficients, 0, along[part], _edge(coefficients, given))
+        if places.max() - places.min() < _LONG:
+            yield part
+            return
+    middle = part.start + (count // 2 if count <= _LONG else (count // 2 + _LONG - 1) // _LONG * _LONG)
+    yield from _short_rows(coefficients, along, given, slice(part.start, middle))
+    yield from _short_rows(coefficients, along, given, slice(middle, part.stop))
+
+
+def _edge(coefficients: Coefficients, given: Given) -> float:
+    return coefficients.boundary.edge if given.edge is None else given.edge
+
+
+def _resample_part(
+    coefficients: Coefficients, positions: Sequence[NDArray[np.float64]], buffer: Any, given: Given, progress: Progress | None
+) -> None:
+    """`resample_axes` of a grid with short axes."""
     device, taps, d = coefficients.device, coefficients.filter.support, coefficients.ndim
-    edge = coefficients.boundary.edge if given.edge is None else given.edge
+    edge = _edge(coefficients, given)
     nx, ny, nz = (*(len(along) for along in positions), 1, 1)[:3]
     nz = nz if d == 3 else coefficients.shape[0]
     whole_vectors = np.pad(positions[0], (0, -nx % LANES), mode="edge")
@@ -113,24 +208,28 @@ def resample_axes(
     left = places[0].min() // LANES * LANES
     width = int(places[0].max() // LANES * LANES + LANES - left)
     places[0][...] = LANES * (places[0] - left)
-    blocks, used = np.zeros((-(-ny // _BLOCK), 2), np.int64), [np.zeros(1, np.int64)]
+    blocks, used, first_used = np.zeros((-(-ny // _BLOCK), 2), np.int64), [np.zeros(1, np.int64)], 1
     if d == 3:
         for block, rows in enumerate(np.split(places[1], range(_BLOCK, ny, _BLOCK))):
             distinct, among = np.unique(rows, return_inverse=True)
             rows[...] = among.reshape(rows.shape)
-            blocks[block] = sum(map(np.size, used)), len(distinct)
+            blocks[block] = first_used, len(distinct)
             used.append(distinct)
+            first_used += len(distinct)
     tables = [
         device.upload(np.concatenate([part.ravel() for part in parts]).astype(kind))
         for parts, kind in ((places, np.int32), (weights, coefficients.kind), ([blocks], np.int32), (used, np.int32))
     ]
     units, pitch, area = nz * len(blocks), int(coefficients.extent[0]), int(coefficients.extent[0]) * int(coefficients.extent[1])
-    items, room = min(units, _ITEMS_A_CORE * device.units), width * (2 * LANES + int(blocks[:, 1].max()))
+    room = width * (2 * LANES + int(blocks[:, 1].max()))
+    items = min(
+        units, max(device.units, min(_ITEMS_A_CORE * device.units, _SCRATCH // (np.dtype(coefficients.kind).itemsize * room)))
+    )
     scratch = device.allocate(np.dtype(coefficients.kind).itemsize * items * room)
     grid = np.array([nx, ny, nz, places[0].size], np.int32)
     defines = {"TAPS": taps, "DIMENSIONS": max(2, d), "BLOCK": _BLOCK, "LANES": LANES, "COORD_DOUBLE": 0}
     built = device.build("spline/resample.cl", {**defines, **scalar_defines(coefficients.kind)})
-    some = max(1, LANES * device.limits.launch_taps // (_BLOCK * nx * taps * d))
+    some = max(1, LANES * device.limits.launch_taps // (_BLOCK * nx * (taps + 2) * d))  # writing a value costs as much as two taps
     for first in range(0, units, some):
         count = min(some, units - first)
         with device.errors:

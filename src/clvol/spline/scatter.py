@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clvol import memory
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary, boundaries
 from clvol.checks import several, whole
 from clvol.device import Device, as_device
@@ -118,6 +119,7 @@ def _grid(shape: Sequence[int]) -> Volume:
     sizes = [whole("each number of a shape", n, minimum=1) for n in several("like", shape, rule, 3)]
     if len(sizes) == 1:
         raise OptionError(f"like must be {rule}; got {shape!r}")
+    memory.require_addressable("a grid", tuple(sizes))
     return Volume(np.broadcast_to(np.float32(0), sizes))
 
 
@@ -157,7 +159,10 @@ def _scattered(
     size = np.array([*grid.size, 1, 0][:4], np.int32)
     period = np.array([*(rule.length(n) for n in grid.size), 0, 0][:4], np.int32)
     kind = np.float64 if device.has_double and points.dtype != np.float32 else np.float32
-    result = np.zeros(tuple(n + 2 * margin for n in grid.shape), scalar)
+    shape = tuple(n + 2 * margin for n in grid.shape)
+    taken = np.dtype(scalar).itemsize * (2 * math.prod(shape) + count * (2 * d + d**derivative)) + count * 40
+    memory.require(taken, f"{count} points on a grid of {' × '.join(map(str, grid.shape))} samples")
+    result = np.zeros(shape, scalar)
     if count == 0:
         return result
     built = device.build(

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from clvol import memory
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary
 from clvol.checks import instance, one_of, several, whole
 from clvol.device import Device, as_device
@@ -116,7 +117,8 @@ def warp(
     transforms = as_chain(transform, moving.ndim)
     steps = _steps(progress, 1 + derivative * (wrt == "fixed") + int(jacobian))
     gradient, determinants = None, None
-    with opened(volume, filter, boundary, device, precision, nan) as field:
+    room = (*like.shape, 1 + 2 * derivative * like.ndim + int(jacobian))
+    with opened(volume, filter, boundary, device, precision, nan, results=room) as field, field.in_use():
         chain, made, given = Chain(transforms, like, field.device), field.coefficients, Given(fill)
         results = _on_chain(field, chain, derivative, given, next(steps))
         if field.gaps:
@@ -141,10 +143,10 @@ def _on_chain(field: Field, chain: Chain, derivative: int, given: Given, progres
     """Values where a chain brings the points of its grid, each followed by the gradient if that is wanted, in stored units."""
     device, made, grid = field.device, field.coefficients, chain.grid
     evaluator = choose_evaluator(device, field.filter, "taps", "buffer")
-    made.argument(evaluator)  # a closed field is refused before the result is made
     matrix, offset = chain.to_indices(field.volume)
     shape = (*grid.shape, 1 + derivative * grid.ndim)
-    device.require_room(np.dtype(made.kind).itemsize * math.prod(shape))
+    device.require_room(np.dtype(made.kind).itemsize * math.prod(shape), held=True)
+    memory.require(np.dtype(made.kind).itemsize * (math.prod(shape) + math.prod(grid.shape)), f"a result of {shape} numbers")
     result = np.empty(shape, made.kind)
     last, slices = Transform(matrix, offset, field.volume.world_to_index_matrix), (1, *grid.shape)[-3:]
     with device.lent(result, write=True) as buffer:
@@ -254,7 +256,9 @@ def resample_series(
             progress=next(steps),
         )
         if result is None:
-            result = np.empty((len(frames), *grid.shape), made.data.dtype)
+            shape = len(frames), *grid.shape
+            memory.require(made.data.itemsize * math.prod(shape), f"a series of {shape} samples")
+            result = np.empty(shape, made.data.dtype)
         if (kind := np.result_type(made.data.dtype, result.dtype)) != result.dtype:
             wider = np.empty(result.shape, kind)
             wider[:n] = result[:n]  # what lies behind is not made yet: any bits, and some don't convert

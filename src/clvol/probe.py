@@ -1,0 +1,244 @@
+"""Whether the OpenCL runtimes of this machine can be used without harm: another process tries them first.
+
+A driver may abort, or never return, when it is loaded, when a context is made, or when a kernel is built. What happened in the
+trial is noted in clvol's cache with all that could change it: which libraries the loader finds and of what date they are, the
+linker, the environment's variables, and the versions of drivers.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Collection, Iterator
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from clvol import cache, intel, processor
+
+__all__ = ["Verdict", "forget", "identity", "tried"]
+
+SECONDS = 90.0
+"""Time for a trial of everything; longer is never."""
+
+_DOUBT = 600.0  # seconds for which the note of a failure is believed: what failed may have been put right
+_KEPT = 16
+_VARIABLES = ("OCL_", "OPENCL_", "POCL_", "CL_", "CUDA_", "HIP_", "ROCR_", "LD_", "DYLD_")
+
+_TRIAL = """
+import json, os, runpy, sys
+try:
+    import resource
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+except (ImportError, ValueError, OSError):
+    pass
+def say(*words):
+    print("clvol:" + json.dumps(words), flush=True)
+kept, first = runpy.run_path(sys.argv[1]), int(sys.argv[2])
+try:
+    import pyopencl as cl
+except ImportError:
+    os._exit(0)  # whoever imports it is told
+try:
+    platforms = cl.get_platforms()
+except cl.Error:
+    platforms = []
+found = []
+for p in platforms:
+    say("platform", p.name.strip())
+    try:
+        found += p.get_devices()
+    except cl.Error:
+        pass
+say("found", ["|".join(str(t).strip() for t in (d.platform.name, d.platform.version, d.name, d.driver_version)) for d in found])
+for i, d in enumerate(found[first:] if first >= 0 else []):
+    if not (d.available and d.compiler_available):
+        continue
+    say("trying", first + i)
+    try:
+        if d.platform.name == "Portable Computing Language":
+            kept["name_processor"](d.int_ptr)
+        c = cl.Context([d]); q = cl.CommandQueue(c)
+        k = cl.Program(c, "kernel void probe(global int *a) { a[0] = 1; }").build()
+        cl.Kernel(k, "probe")(q, (1,), None, cl.Buffer(c, cl.mem_flags.READ_WRITE, 4)); q.finish()
+        say("works", first + i)
+    except cl.Error as error:
+        say("fails", first + i, (str(error).strip().splitlines() or ["without a message"])[-1])
+os._exit(0)
+"""
+
+
+@dataclass
+class Verdict:
+    """What a trial has shown.
+
+    Attributes
+    ----------
+    unloadable : str
+        Why no runtime can be loaded at all; "" if they can.
+    libraries : dict of str to str
+        Vendors' libraries that must be kept from the loader, and why.
+    devices : dict of str to str
+        Why each device (its `identity`) cannot be used; "" if it can.
+    """
+
+    unloadable: str = ""
+    libraries: dict[str, str] = field(default_factory=dict)
+    devices: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def sound(self) -> bool:
+        return not (self.unloadable or self.libraries or any(self.devices.values()))
+
+
+def identity(handle: Any) -> str:
+    """A device by its names and its driver's versions."""
+    platform = handle.platform
+    return "|".join(str(text).strip() for text in (platform.name, platform.version, handle.name, handle.driver_version))
+
+
+def tried() -> Verdict:
+    """What the trial of this machine's runtimes has shown: as noted, or now."""
+    if not sys.executable or getattr(sys, "frozen", False):
+        return Verdict()  # a program of its own: what there is to start is not Python
+    note = _note()
+    if note is not None:
+        with suppress(OSError, ValueError, TypeError):
+            verdict = Verdict(**json.loads(note.read_text(encoding="utf-8")))
+            if verdict.sound or time.time() - note.stat().st_mtime < _DOUBT:
+                return verdict
+    verdict = _try()
+    if note is not None:
+        with suppress(OSError):
+            cache.replace(note, json.dumps(asdict(verdict)).encode())
+            notes = sorted(note.parent.glob("probe-*.json"), key=lambda file: file.stat().st_mtime)
+            for old in notes[:-_KEPT]:
+                old.unlink(missing_ok=True)
+    return verdict
+
+
+def forget() -> None:
+    """Let the next use try again."""
+    note = _note()
+    if note is not None:
+        with suppress(OSError):
+            note.unlink(missing_ok=True)
+
+
+def _note() -> Path | None:
+    """The file that notes the verdict on what is there now."""
+    folder = cache.folder()
+    if folder is None:
+        return None
+    stamp: list[object] = [sys.executable, sys.prefix, _TRIAL]
+    variables = (name for name in os.environ if name.startswith(_VARIABLES) and name != "POCL_CACHE_DIR")
+    stamp += sorted(f"{name}={os.environ[name]}" for name in variables)
+    loader = find_spec("pyopencl")
+    own = Path(loader.origin).parent if loader and loader.origin else None
+    linker = shutil.which("ld")
+    files = [Path(text) for text in intel.vendors() or () if Path(text).is_absolute()]
+    files += [own / "version.py", *sorted(own.glob(".libs/*"))] if own else []
+    for file in (*files, *([Path(linker)] if linker else ())):
+        with suppress(OSError):
+            about = file.stat()
+            stamp.append((str(file), about.st_size, about.st_mtime_ns))
+    stamp.append(intel.vendors())
+    return folder / f"probe-{hashlib.sha256(repr(stamp).encode()).hexdigest()[:16]}.json"
+
+
+def _try() -> Verdict:
+    verdict = Verdict()
+    for _ in range(2):
+        names, failures = _all(verdict.libraries)
+        if names is not None:
+            verdict.devices = {name: failures.get(i, "") for i, name in enumerate(names)}
+            return verdict
+        verdict.unloadable = failures[-1]
+        if not verdict.unloadable:
+            return verdict
+        for library in intel.vendors() or ():
+            others = {other for other in intel.vendors() or () if other != library}
+            found, why = _run(-1, {*others, *verdict.libraries})[1:]
+            if found is None:
+                verdict.libraries[library] = why
+        if not verdict.libraries:
+            return verdict
+        verdict.unloadable = ""
+    verdict.unloadable = failures[-1]
+    return verdict
+
+
+def _all(without: Collection[str]) -> tuple[list[str] | None, dict[int, str]]:
+    """The devices, None if loading them fails; why some fail, by their numbers (-1: loading)."""
+    failures: dict[int, str] = {}
+    first = 0
+    while True:
+        trying, names, why = _run(first, without, failures)
+        if names is None:
+            return None, {-1: why}
+        if trying is None:
+            return names, failures
+        failures[trying] = why
+        first = trying + 1
+
+
+def _run(first: int, without: Collection[str], failures: dict[int, str] | None = None) -> tuple[int | None, list[str] | None, str]:
+    """One trial, from device `first` on: the device at which it ended early, the devices found, and how it ended."""
+    trying, names, why, platform = None, None, "", ""
+    with tempfile.TemporaryDirectory(prefix="clvol-trial-") as folder, intel.known_to_the_loader(without):
+        environment = {
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+            "PYOPENCL_NO_CACHE": "1",
+            "POCL_CACHE_DIR": folder,
+        }
+        command = [sys.executable, "-P", "-c", _TRIAL, processor.__file__, str(first)]
+        try:
+            nothing = subprocess.DEVNULL  # where a driver would ask
+            done = subprocess.run(command, capture_output=True, env=environment, timeout=SECONDS, check=False, stdin=nothing)
+            output = done.stdout
+            why = "" if done.returncode == 0 else _ending(done.returncode, done.stderr)
+        except subprocess.TimeoutExpired as error:
+            output, why = error.stdout or b"", f"gave no answer within {SECONDS:g} s"
+        except OSError as error:
+            output, why = b"", f"could not be started: {error}"
+    for kind, *words in _said(output):
+        if kind == "platform":
+            platform = words[0]
+        elif kind == "found":
+            names = words[0]
+        elif kind == "trying":
+            trying = words[0]
+        else:
+            trying = None
+            if kind == "fails" and failures is not None:
+                failures[words[0]] = f"failed: {words[1]}"
+    if names is None and platform:
+        why = f"{why} (at {platform})"
+    return trying if why else None, names, why
+
+
+def _said(output: bytes) -> Iterator[list[Any]]:
+    for line in output.decode(errors="replace").splitlines():
+        _, found, text = line.partition("clvol:")
+        if found:
+            with suppress(ValueError):  # the last line of one that was ended
+                yield json.loads(text)
+
+
+def _ending(code: int, errors: bytes) -> str:
+    last = errors.decode(errors="replace").strip().splitlines()[-1:]
+    words = f" ({last[0]})" if last else ""
+    if code < 0:
+        with suppress(ValueError):
+            return f"ended by {signal.Signals(-code).name}{words}"
+    return f"ended with status {code}{words}"

@@ -1,0 +1,90 @@
+"""Who uses a device's memory, so that closing frees it when the last use has ended, and never under one."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from typing import Any
+
+from clvol.device import Device
+from clvol.errors import DeviceError, OptionError
+
+__all__ = ["Lease", "release"]
+
+
+class Lease:
+    """The uses of something that can be closed, by any number of threads.
+
+    `close` waits for nobody, and so cannot deadlock, not even in a callback of a use: what is being computed goes on to its end,
+    the last one to end frees, and whoever comes later is refused.
+
+    Parameters
+    ----------
+    refusal : str
+        What those are told who come after `close`.
+
+    Attributes
+    ----------
+    closed : bool
+        Whether `close` was called.
+    """
+
+    def __init__(self, refusal: str) -> None:
+        self.closed = False
+        self._refusal = refusal
+        self._frees = ExitStack()
+        self._users: dict[int, int] = {}  # how many uses of each thread are within one another
+        # a thread may come again while it holds this: the garbage collector calls what it likes, wherever it likes
+        self._lock = threading.RLock()
+
+    def frees(self, free: Callable[[], Any]) -> None:
+        """Have this called, once, when the last use has ended after `close`. (Of what holds the lease it would be a cycle.)"""
+        with self._lock:
+            self._frees.callback(free)
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """A use: nothing is freed before the block ends. A use within one of the same thread is part of it.
+
+        Raises
+        ------
+        OptionError
+            It was closed.
+        """
+        thread = threading.get_ident()
+        with self._lock:
+            self._users[thread] = self._users.get(thread, 0) + 1
+            refused = self.closed and self._users[thread] == 1
+        try:
+            if refused:
+                raise OptionError(self._refusal)
+            yield
+        finally:
+            with self._lock:
+                self._users[thread] -= 1
+                if not self._users[thread]:
+                    del self._users[thread]
+            self._freed_if_unused()
+
+    def close(self) -> None:
+        """Refuse whoever comes from now on, and free the memory when nobody uses it any more."""
+        self.closed = True
+        self._freed_if_unused()
+
+    def _freed_if_unused(self) -> None:
+        with self._lock:
+            if not self.closed or self._users:
+                return
+            frees = self._frees.pop_all()
+        frees.close()
+
+
+def release(device: Device, *memory: Any) -> None:
+    """Free buffers and images of a device, None among them, when no kernel is at them any more: after an error one may be."""
+    held = [one for one in memory if one is not None]
+    if held:
+        with suppress(DeviceError):  # it failed, or this is the child of a fork: nothing runs there
+            device.finish()
+    for one in held:
+        one.release()

@@ -1,0 +1,217 @@
+"""Built kernels on disk: what comes back is what was built, whatever became of the files."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import warnings
+from pathlib import Path
+
+import pytest
+
+from clvol import cache
+from clvol.cache import Shelf, Store
+from clvol.device import Device, as_device
+from clvol.errors import ClvolWarning, DeviceError
+
+pocl = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="PoCL by pip is for Linux")
+
+# A kernel that is built in an instant.
+TINY = """
+import numpy as np
+from clvol.device import as_device
+device = as_device()
+values = np.zeros(64, np.float32)
+with device.lent(values, write=True) as buffer:
+    made = {"tiny.cl": "kernel void tiny(global float *a) { size_t i = get_global_id(0); a[i] = i * i + 0.5f; }"}
+    device.build("tiny.cl", {}, generated=made).kernel("tiny")(device.queue, (64,), None, buffer)
+print("right" if (values == np.arange(64) ** 2 + 0.5).all() else values)
+"""
+SAMPLE = "import clvol; print(clvol.sample([[1.0, 2.0], [3.0, 4.0]], [[0.5, 0.5]], 'linear')[0])"
+
+
+def python(code: str, folder: Path, timeout: float = 120) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "POCL_CACHE_DIR": str(folder)}
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=timeout, check=False, env=environment
+    )
+
+
+def flip(data: bytes) -> bytes:
+    return data[: len(data) // 2] + bytes([data[len(data) // 2] ^ 1]) + data[len(data) // 2 + 1 :]
+
+
+DAMAGE = {"garbage": lambda data: bytes(len(data)), "bit": flip, "short": lambda data: data[: len(data) // 2], "empty": lambda _: b""}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_damaged_file_is_not_read_but_set_aside(damage: str, tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    store.write("key", "AB/CD/program.bc", b"program")
+    store.write("key", "AB/CD/k/1-1-1/k.so", bytes(range(256)))
+    store.write("other", "AB/CD/program.bc", b"another")
+    assert Store(tmp_path).read("key") == {"AB/CD/program.bc": b"program", "AB/CD/k/1-1-1/k.so": bytes(range(256))}
+    (file,) = tmp_path.glob("*/key/*k.so")
+    spoilt = DAMAGE[damage](file.read_bytes())
+    file.write_bytes(spoilt)
+    assert list(store.read("key")) == ["AB/CD/program.bc"]
+    assert not file.exists()
+    assert (tmp_path / "damaged").read_bytes() == spoilt
+    store.write("key", "AB/CD/k/1-1-1/k.so", b"anew")
+    assert store.read("key")["AB/CD/k/1-1-1/k.so"] == b"anew"
+    assert store.read("other") == {"AB/CD/program.bc": b"another"}
+
+
+def test_a_file_is_read_under_its_own_name_and_key_only(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    store.write("key", "a", b"content")
+    (file,) = tmp_path.glob("*/key/a")
+    for other in (file.with_name("b"), tmp_path / "el/else/a"):
+        other.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(file, other)
+    assert store.read("key") == {"a": b"content"}
+    assert store.read("else") == {}
+
+
+def test_a_store_that_cannot_be_written_holds_nothing(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    store = Store(tmp_path / "file")
+    store.write("key", "a", b"content")
+    assert store.read("key") == {}
+
+
+@pocl
+def test_folders_go_with_their_processes(tmp_path: Path) -> None:
+    mine = Shelf(tmp_path)
+    dead = mine.folder.with_name("dead")
+    (dead / "AB").mkdir(parents=True)
+    (dead / "lock").touch()
+    other = Shelf(tmp_path)
+    assert not dead.exists()
+    assert mine.folder.is_dir()
+    for one in (mine, other):
+        one._close()
+        assert not one.folder.exists()
+
+
+@pocl
+def test_room_and_the_linker_are_tried_before_a_kernel_is_built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import resource
+
+    if shutil.which("ld") is None:
+        pytest.skip("there is no linker")
+    kernels = Shelf(tmp_path)
+    kernels.require_room()
+    assert {file.name for file in kernels.folder.iterdir()} == {"lock"}
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20, before[1]))  # as a disk with no more room
+    try:
+        with pytest.raises(DeviceError, match="no room for 3 MiB") as raised:
+            kernels.require_room()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert "binutils" not in str(raised.value)
+    linker = tmp_path / "ld"
+    linker.write_text("#!/bin/sh\necho out of order >&2\nexit 1\n")
+    linker.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(DeviceError, match=rf"linker.* {linker} fails in .*out of order"):
+        kernels.require_room()
+    linker.unlink()
+    with pytest.raises(DeviceError, match="none on PATH"):
+        kernels.require_room()
+    monkeypatch.undo()
+    kernels.folder = tmp_path / "gone"
+    with pytest.raises(DeviceError, match="no room"):
+        kernels.require_room()
+
+
+@pocl
+def test_a_folder_that_cannot_be_written_is_said_and_another_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("POCL_CACHE_DIR", os.devnull)
+    monkeypatch.delenv("POCL_KERNEL_CACHE", raising=False)
+    with pytest.warns(ClvolWarning, match=f"POCL_CACHE_DIR names {os.devnull}, which cannot be written"):
+        kernels = cache.shelf()
+    assert kernels is not None
+    assert tmp_path in kernels.folder.parents
+    monkeypatch.delenv("POCL_CACHE_DIR")
+    monkeypatch.setenv("XDG_CACHE_HOME", os.devnull)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        temporary = cache.shelf()
+    assert temporary is not None
+    temporary._close()
+    assert not temporary.folder.parents[1].exists()
+    monkeypatch.setattr(cache.tempfile, "tempdir", os.devnull)
+    with pytest.raises(DeviceError, match="no folder can be written to build kernels in"):
+        cache.shelf()
+
+
+def test_no_home_at_all_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`Path.home` raises where a user has neither HOME nor an entry in the system's table."""
+
+    def nobody() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", nobody)
+    assert cache.folder() is None
+
+
+@pocl
+@pytest.mark.parametrize("damage", ["bit", *(pytest.param(d, marks=pytest.mark.thorough) for d in ("garbage", "short", "empty"))])
+def test_damaged_kernels_are_built_again(device: Device, damage: str, tmp_path: Path) -> None:
+    """PoCL would run them: a bus error, an illegal instruction, an abort."""
+    if not (device.is_pocl and as_device() is device):
+        pytest.skip("PoCL is not the default device")
+    assert python(TINY, tmp_path).stdout == "right\n"
+    files = [file for file in (tmp_path / "clvol/store").glob("*/*/*") if not file.name.startswith(".")]
+    assert {file.suffix for file in files} == {".bc", ".so"}
+    sound = {file: file.read_bytes() for file in files}
+    for file in files:
+        file.write_bytes(DAMAGE[damage](file.read_bytes()))
+    done = python(TINY, tmp_path)
+    assert done.stdout == "right\n", done.stderr
+    assert {file: len(file.read_bytes()) for file in files} == {file: len(data) for file, data in sound.items()}
+    assert (tmp_path / "clvol/store/damaged").is_file()
+    times = {file: file.stat().st_mtime_ns for file in files}
+    assert python(TINY, tmp_path).stdout == "right\n"  # from the store
+    assert times == {file: file.stat().st_mtime_ns for file in files}
+
+
+@pocl
+@pytest.mark.thorough
+def test_six_processes_at_once_on_a_cold_cache_compute_the_same(device: Device, tmp_path: Path) -> None:
+    code = (
+        "import clvol, hashlib; v = clvol.phantoms.sphere(12, radius=0.4)\n"
+        "print(hashlib.sha256(clvol.render(v, size=(24, 24)).tobytes()).hexdigest())"
+    )
+    environment = {**os.environ, "POCL_CACHE_DIR": str(tmp_path)}
+    running = [subprocess.Popen([sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE, text=True) for _ in range(6)]
+    told = [process.communicate(timeout=600)[0] for process in running]
+    assert len(set(told)) == 1
+    assert len(told[0]) == 65
+    assert python(code, tmp_path).stdout == told[0]
+    assert not list((tmp_path / "clvol/running").iterdir())
+    assert device is not None
+
+
+@pocl
+@pytest.mark.thorough
+def test_a_process_that_is_killed_while_it_builds_spoils_nothing(device: Device, tmp_path: Path) -> None:
+    environment = {**os.environ, "POCL_CACHE_DIR": str(tmp_path)}
+    for pause in (1.0, 1.5, 2.0, 2.5, 3.0, 4.0):
+        process = subprocess.Popen([sys.executable, "-c", SAMPLE], env=environment)
+        time.sleep(pause)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    done = python(SAMPLE, tmp_path)
+    assert done.stdout == "2.5\n", done.stderr
+    assert not list((tmp_path / "clvol/running").iterdir())
+    assert not list((tmp_path / "clvol/store").glob("damaged"))
+    assert device is not None
