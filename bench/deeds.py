@@ -13,7 +13,9 @@ import pickle
 import shutil
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -146,13 +148,17 @@ class World:
 def do(world: World, name: str, seed: int) -> tuple[str, bool]:
     """The hash of what a deed gives, and whether that was a refusal."""
     random = np.random.default_rng([seed, *name.encode()])
-    digest = hashlib.sha256()
     try:
-        _feed(digest.update, DEEDS[name].work(world, random))
-        return digest.hexdigest(), False
+        return _hash(DEEDS[name].work(world, random)), False
     except clvol.ClvolError as error:  # of options that do not go together: the same error each time
         text = str(error).replace(os.fspath(world.folder), "")
         return f"{type(error).__name__}: {text}", True
+
+
+def _hash(value: Any) -> str:
+    digest = hashlib.sha256()
+    _feed(digest.update, value)
+    return digest.hexdigest()
 
 
 def _feed(update: Callable[[bytes], Any], value: Any) -> None:
@@ -302,6 +308,27 @@ def pictures_kept(world: World, random: Random) -> Any:
     with world.own_folder() as folder:
         saved = clvol.save(picture, folder / f"picture{_one(random, ['.png', '.jpg', '.tif'])}")
         return [saved.read_bytes(), to_png(grid([picture, picture], 2)), labelled(picture, "soak")]
+
+
+@_deed(8)
+def closed_under_another(world: World, random: Random) -> Any:
+    """Closing while another thread draws gives it right pictures or a refusal."""
+    look = _look(world, random)
+    with clvol.Renderer(world.volumes["blob"], "bspline3") as renderer:
+        right = renderer.render(**look)
+    renderer = clvol.Renderer(world.volumes["blob"], "bspline3")
+
+    def drawn() -> list[Any]:
+        pictures: list[Any] = []
+        with suppress(clvol.OptionError):
+            pictures.extend(renderer.render(**look) for _ in range(3))
+        return pictures
+
+    with ThreadPoolExecutor(1) as other:
+        drawing = other.submit(drawn)
+        time.sleep(float(random.uniform(0, 0.03)))
+        renderer.close()
+        return [right, all(_hash(picture) == _hash(right) for picture in drawing.result())]
 
 
 @_deed(12)
