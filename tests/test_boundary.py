@@ -288,3 +288,9 @@ def test_linear_in_the_outer_half_voxel(device: Device) -> None:
     assert off[outer == 0].max() < 1e-6
     assert 0.35 < off[outer == 1].max() < 0.5  # half the difference of two samples in 0…1
     assert np.sqrt(np.mean(off[outer > 0] ** 2)) == pytest.approx(0.08, abs=0.005)
+
+
+@pytest.mark.parametrize("cval", [10**400, np.complex64(1), 1j, [0.0], None], ids=str)
+def test_what_float64_does_not_hold_is_no_value_outside(cval: Any) -> None:
+    with pytest.raises(OptionError, match="cval must be a number"):
+        Boundary("own", (2, -2), 0, "", "constant", cval)

@@ -45,7 +45,12 @@ def flip(data: bytes) -> bytes:
     return data[: len(data) // 2] + bytes([data[len(data) // 2] ^ 1]) + data[len(data) // 2 + 1 :]
 
 
-DAMAGE = {"garbage": lambda data: bytes(len(data)), "bit": flip, "short": lambda data: data[: len(data) // 2], "empty": lambda _: b""}
+DAMAGE = {
+    "garbage": lambda data: bytes(len(data)),
+    "bit": flip,
+    "short": lambda data: data[: len(data) // 2],
+    "empty": lambda _: b"",
+}
 
 
 @pytest.mark.parametrize("damage", DAMAGE)

@@ -1127,3 +1127,18 @@ main(["render", "phantom:sphere:64", "-o", "a.png", "--size", "4000", "4000", "-
     assert err == "clvol: interrupted\n"
     assert waited < 3  # about a second on an idle machine
     assert files() == []
+
+
+@pytest.mark.parametrize("name", ["²", "①", "½", "9" * 5000, "-1"])
+def test_digits_that_are_no_number_are_no_device(clvol_command: Command, name: str) -> None:
+    clvol_command("render", SPHERE, "-o", "a.png", *SMALL, f"--device={name}").fails(1, "device must be one of")
+
+
+def test_numbers_of_thousands_of_digits_are_refused(clvol_command: Command) -> None:
+    np.save("a.npy", np.zeros((2, 3, 4, 5), np.float32))
+    clvol_command("info", "a.npy", "--channel", "9" * 5000).fails(1, "channel")
+    clvol_command("render", f"phantom:sphere:{'9' * 5000}", "-o", "a.png").fails(1, "size of a phantom")
+
+
+def test_colours_of_no_numbers_are_refused(clvol_command: Command) -> None:
+    clvol_command("render", SPHERE, "-o", "a.png", "--mode", "isosurface", "--color", "1.2.3 4 5").fails(1, "color")

@@ -16,6 +16,7 @@ from clvol.errors import OptionError
 from clvol.histogram import isovalue_of
 from clvol.mode import DEFAULT_MODE, Composite, Isosurface, Mip, Mode, as_mode, every_option, mode_options, modes
 from clvol.reference.march import march
+from clvol.uniform import FLOAT, Block
 from clvol.volume import Volume
 
 KERNEL = ("state_t", "begin", "gather", "matters", "merge", "finish", "finished", "REACH", "ANY_ORDER", "PROMISE")
@@ -179,3 +180,44 @@ def test_what_is_near_stands_out(device: Device) -> None:
 def test_bad_attenuation(bad: Any) -> None:
     with pytest.raises(OptionError, match="attenuation must be a finite number, at least 0"):
         as_mode("attenuated", {"attenuation": bad})
+
+
+@pytest.mark.parametrize(
+    ("what", "wrong", "message"),
+    [
+        ("name", "../base/math", "name must be lowercase letters"),
+        ("name", 'mip"\n#error', "name must be lowercase letters"),
+        ("name", "mip\0", "name must be lowercase letters"),
+        ("name", "m" * 5000, "name must be lowercase letters"),
+        ("name", 5, "name must be lowercase letters"),
+        ("name", "composite", "named 'composite' must be a Composite"),
+        ("file", "../../secret.cl", "file must be lowercase letters"),
+        ("state_fields", "2\n#error", "state_fields must be a whole number"),
+        ("state_fields", -1, "state_fields must be a whole number"),
+        ("endpoints", "yes", "endpoints must be True or False"),
+        ("skips", None, "skips must be True or False"),
+        ("picture_filter", "nonesuch", "filter must be one of"),
+        ("shows", "everything", "what a mode shows must be one of"),
+        ("ramp", "steep", "ramp must be a finite number"),
+        ("BLOCK", Block("mode_block", **{"a; evil": FLOAT}), "fields have names of C"),
+        ("BLOCK", Block("evil", a=FLOAT), "BLOCK must be a 'mode_block'"),
+    ],
+)
+def test_modes_made_by_hand_are_looked_at_before_a_compiler_sees_them(what: str, wrong: object, message: str) -> None:
+    made = type("Made", (Mip,), {what: wrong})
+    for one in (made, made()):
+        with pytest.raises(OptionError, match=re.escape(message)):
+            as_mode(one)
+
+
+def test_a_mode_whose_name_was_changed_is_refused() -> None:
+    mode = Mip()
+    object.__setattr__(mode, "name", "#include <evil>")
+    with pytest.raises(OptionError, match="name must be lowercase letters"):
+        as_mode(mode)
+
+
+def test_every_mode_of_the_table_is_sound() -> None:
+    for mode in modes().values():
+        assert as_mode(mode) == mode
+        assert as_mode(type(mode)) == mode

@@ -88,11 +88,12 @@ def test_a_failed_write_leaves_the_old_picture(tmp_path: Path, monkeypatch: pyte
     save(np.zeros((2, 2)), path)
     before = path.read_bytes()
 
-    def fail(file: Path, *_: object, **__: object) -> None:
-        Path(file).write_bytes(b"half")
+    def fail(file: Path, _: object) -> None:
+        with file.open("wb") as stream:
+            stream.write(b"half")
         raise error
 
-    monkeypatch.setattr(iio, "imwrite", fail)
+    monkeypatch.setattr(Path, "write_bytes", fail)
     with pytest.raises(KeyboardInterrupt if isinstance(error, KeyboardInterrupt) else FormatError):
         save(np.ones((2, 2)), path)
     assert path.read_bytes() == before

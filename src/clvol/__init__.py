@@ -12,6 +12,9 @@ Importing it needs no OpenCL; a device is looked for when something is computed 
 
 from __future__ import annotations
 
+from clvol import interrupted as interrupted  # before all that takes long to import
+
+# isort: split
 from importlib import import_module
 from typing import Any
 

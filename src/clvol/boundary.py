@@ -79,9 +79,12 @@ class Boundary:
     def __post_init__(self) -> None:
         if self.outside not in _OUTSIDE:
             raise one_of("a boundary's outside", self.outside, _OUTSIDE)
-        if isinstance(self.cval, (bool, str)) or not isinstance(self.cval, (int, float, np.number)):
-            raise OptionError(f"a boundary's cval must be a number; got {self.cval!r}")
-        object.__setattr__(self, "cval", float(self.cval))
+        try:
+            if isinstance(self.cval, (bool, str)) or not isinstance(self.cval, (int, float, np.integer, np.floating)):
+                raise TypeError
+            object.__setattr__(self, "cval", float(self.cval))
+        except (TypeError, OverflowError):
+            raise OptionError(f"a boundary's cval must be a number that float64 holds; got {self.cval!r}") from None
         if self.outside != "rule" and self.period is None:
             raise OptionError(f"a boundary whose outside is {self.outside!r} must have a period for its prefilter; got None")
         for what in ("name", "description"):

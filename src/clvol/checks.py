@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol import memory
 from clvol.errors import ClvolError, ClvolWarning, OptionError, OutOfMemoryError
 from clvol.interop import as_array
 
@@ -84,6 +85,8 @@ def reals(what: str, value: object, rule: str = "real numbers", error: type[Clvo
         array = as_array(value, what, error, rule)
         known = array.dtype.kind in "biuf" or (array.dtype.kind == "O" and all(isinstance(v, Real) for v in array.flat))
         if known:
+            if array.dtype != np.float64:
+                memory.require(8 * array.size, f"{what} in float64, {array.size} numbers,")
             with np.errstate(over="ignore"):
                 return array.astype(np.float64, copy=False)
     except OverflowError:  # beyond float64

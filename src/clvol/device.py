@@ -9,8 +9,8 @@ import math
 import mmap
 import os
 import threading
+import time
 import warnings
-import weakref
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -32,6 +32,7 @@ _KINDS = ("cpu", "gpu", "accelerator")
 _HUGE_PAGE = 1 << 21
 _SAMPLER_POSITIONS = 4097
 _PROGRAMS = 128  # that are kept built: PoCL holds a megabyte and more for each
+_SOON = 0.002
 _GONE = ("DEVICE_NOT_AVAILABLE", "INVALID_COMMAND_QUEUE", "INVALID_CONTEXT", "INVALID_DEVICE")
 _MEMORY_SHARE = 0.9  # of the device's memory: PoCL allocates lazily, and the process aborts if there is none left
 
@@ -124,8 +125,19 @@ class _Task(Generic[T]):
         return self._result  # type: ignore[return-value]
 
 
-class _Lent:
-    """Lives as long as the block that memory was lent to."""
+class _Block:
+    """Lives as long as the block that memory was lent to, however it ends; what that did not give back is taken back then."""
+
+    __slots__ = ("_device", "lent")
+
+    def __init__(self, device: Device, *lent: Any) -> None:
+        self._device, self.lent = device, lent
+
+    def __del__(self) -> None:
+        if self.lent:
+            self._device._left.append(self.lent)
+            with contextlib.suppress(Exception):
+                self._device._sweep()
 
 
 class Device:
@@ -142,13 +154,17 @@ class Device:
         self._building: dict[Any, _Task[Program]] = {}
         self._programs_lock = threading.Lock()
         self._fresh: set[Launches] = set()  # of kernels that PoCL may be finishing
-        self._lent: dict[int, Any] = {}  # memory that kernels may be using, by numbers of blocks
-        self._left: deque[Any] = deque()  # such memory that nobody else wants any more
+        self._left: deque[Any] = deque()  # memory that kernels may be using, and nobody else wants any more
         self._gone = ""
         self._limited = threading.local()
 
     def __repr__(self) -> str:
         return f"<Device {self.name!r} on {self.platform!r}>"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Another process finds the device by its name; of several of one name by which of them it is."""
+        alike = [other for other in devices() if repr(other) == repr(self)]
+        return _found_again, (self.platform, self.name, alike.index(self) if self in alike else 0)
 
     @cached_property
     def name(self) -> str:
@@ -378,10 +394,7 @@ class Device:
                 buffer = cl.Buffer(self.context, flags, array.nbytes)
             else:
                 buffer = cl.Buffer(self.context, flags | cl.mem_flags.COPY_HOST_PTR, hostbuf=array)
-            block = _Lent()
-            number = id(block)
-            self._lent[number] = buffer, array
-            weakref.finalize(block, self._take_back, number).atexit = False  # however the block is left
+            block = _Block(self, buffer, array)  # kernels may still be writing to it after an error
             yield buffer
             self._settle()
             if write and self.shares_memory:  # mapping is what makes the host's view complete
@@ -390,15 +403,8 @@ class Device:
             elif write:
                 cl.enqueue_copy(self.queue, array, buffer)
             self.queue.finish()
-            del self._lent[number]
+            block.lent = ()
             buffer.release()
-
-    def _take_back(self, number: int) -> None:
-        """What a block that ended too early was lent is kept until kernels are done with it: they may still be writing to it."""
-        lent = self._lent.pop(number, None)
-        if lent is not None:
-            self._left.append(lent)
-            self._sweep()
 
     @contextlib.contextmanager
     def lent_span(self, array: np.ndarray[Any, Any], *, write: bool) -> Iterator[tuple[Any, np.int64, NDArray[np.int64]]]:
@@ -468,10 +474,22 @@ class Device:
         if not self._fresh:
             return
         queue = self.queue
-        if threading.current_thread() is threading.main_thread():
+        if threading.current_thread() is threading.main_thread() and not self._soon_done(queue):
             _Task(lambda: self._done(queue)).wait()
         else:
             self._done(queue)
+
+    def _soon_done(self, queue: Any) -> bool:
+        """Whether all that was launched is done before a thread that waits for it would be worth its while."""
+        cl = opencl()
+        last = cl.enqueue_marker(queue)
+        queue.flush()
+        end = time.perf_counter() + _SOON
+        while last.command_execution_status > cl.command_execution_status.COMPLETE:  # below are errors
+            if time.perf_counter() > end:
+                return False
+            time.sleep(_SOON / 50)
+        return True
 
     def _done(self, queue: Any) -> None:
         """When all that was launched is done: keep what was built for it, let memory go that nobody wants any more."""
@@ -644,7 +662,7 @@ def as_device(choice: Device | str | int | None = None) -> Device:
     if default:
         _tell_change(found)
     text = str(choice).strip().lower()
-    if text.isdigit():
+    if text.isdecimal() and len(text) < 10:  # "²" is a digit, but no number
         if int(text) < len(found):
             return found[int(text)]
     else:
@@ -653,6 +671,12 @@ def as_device(choice: Device | str | int | None = None) -> Device:
                 return device
     names = [f"{i} ({d.kind}: {d.name}, {d.platform})" for i, d in enumerate(found)]
     raise one_of("device", choice, ["'cpu', 'gpu', or a part of a name", *names])
+
+
+def _found_again(platform: str, name: str, number: int) -> Device:
+    """The device that was pickled in another process; `OptionError` where there is none of that name."""
+    alike = [device for device in devices() if (device.platform, device.name) == (platform, name)]
+    return alike[min(number, len(alike) - 1)] if alike else as_device(f"{platform} {name}")
 
 
 @lru_cache(maxsize=1)

@@ -16,7 +16,7 @@ import difflib
 import math
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
 from numbers import Rational
@@ -150,6 +150,10 @@ class Filter:
     def __hash__(self) -> int:
         """Computed once: that of many fractions takes longer than a small array."""
         return self._hash
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Its fields alone are pickled: what follows from them is computed anew, and hashes of strings differ between processes."""
+        return Filter, tuple(getattr(self, field.name) for field in fields(self))
 
     @cached_property
     def matrix(self) -> Array:

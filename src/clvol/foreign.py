@@ -427,8 +427,8 @@ def nibabel() -> Any:
 
 def affine_parts(matrix: NDArray[np.float64], origin: NDArray[np.float64]) -> Placement:
     """Of an affine map from indices; an axis that it gives no length has the direction NaN."""
-    spacing = np.linalg.norm(matrix, axis=0)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):  # a volume refuses what is not finite
+        spacing = np.linalg.norm(matrix, axis=0)
         return spacing, origin, matrix / spacing
 
 

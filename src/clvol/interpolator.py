@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from types import TracebackType
 from typing import Any, Self, TypeAlias
 
@@ -18,6 +19,7 @@ from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.interop import as_array
 from clvol.ndimage.arguments import as_precision
 from clvol.spline.field import Field, Precision
+from clvol.spline.lease import Lease
 from clvol.volume import Volume
 
 __all__ = ["Interpolator"]
@@ -113,11 +115,16 @@ class Interpolator:
         if len(shape) == 1:  # an image of one row
             flat, low, step = flat[None], [0.0, *low], [1.0, *step]
         self._fields: list[tuple[Field, ...]] = []
+        self._lease = Lease("the interpolator was closed, and its coefficients were released; make a new one")
         try:
             for i in range(flat.shape[-1]):
                 parts = (flat[..., i].real, flat[..., i].imag) if data.dtype.kind == "c" else (flat[..., i],)
                 grids = [Volume(part, tuple(step[::-1]), tuple(low[::-1])) for part in parts]
-                self._fields.append(tuple(Field(grid, row, self.boundary, device, precision=chosen_precision) for grid in grids))
+                made = []
+                for grid in grids:
+                    made.append(Field(grid, row, self.boundary, device, precision=chosen_precision))
+                    self._lease.frees(made[-1].close)
+                self._fields.append(tuple(made))
         except BaseException:
             self.close()
             raise
@@ -130,18 +137,26 @@ class Interpolator:
     @property
     def nbytes(self) -> int:
         """Bytes of the coefficients on the device; 0 once closed."""
-        return sum(field.nbytes for fields in self._fields for field in fields)
+        return 0 if self.closed else sum(field.nbytes for fields in self._fields for field in fields)
 
     @property
     def closed(self) -> bool:
-        """Whether the coefficients were released."""
-        return any(field.closed for fields in self._fields for field in fields)
+        """Whether `close` was called."""
+        return self._lease.closed
 
     def close(self) -> None:
-        """Free the device's memory. Results stay valid; asking for more raises `OptionError`."""
-        for fields in self._fields:
-            for field in fields:
-                field.close()
+        """Free the device's memory. Results stay valid; asking for more raises `OptionError`.
+
+        What other threads are computing goes on to its end, and the memory is freed then.
+        """
+        self._lease.close()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled is what it is made of; another process makes its coefficients anew, on its device of the same name."""
+        with self._lease.held():
+            field = self._fields[0][0]
+            again = partial(type(self), boundary=self.boundary, precision=field.precision, device=field.device)
+            return again, (self.grid, self.values, self.filter, self.bounds_error, self.fill_value)
 
     def __enter__(self) -> Self:
         return self
@@ -191,11 +206,12 @@ class Interpolator:
         where = np.concatenate([np.zeros((*at.shape[:-1], 1)), at], -1) if d == 1 else at
         where = np.ascontiguousarray(where[..., ::-1])
         each = []
-        for i, fields in enumerate(self._fields):
-            drawn = [self._gain(field) * _derivative(field, where, steps[::-1]) for field in fields]
-            each.append(drawn[0] if len(drawn) == 1 else drawn[0] + 1j * drawn[1])
-            if progress is not None:
-                progress((i + 1) / len(self._fields))
+        with self._lease.held():
+            for i, fields in enumerate(self._fields):
+                drawn = [self._gain(field) * _derivative(field, where, steps[::-1]) for field in fields]
+                each.append(drawn[0] if len(drawn) == 1 else drawn[0] + 1j * drawn[1])
+                if progress is not None:
+                    progress((i + 1) / len(self._fields))
         result = np.stack(each, -1)
         if outside is not None and self.fill_value is not None:
             result[outside] = self.fill_value

@@ -23,7 +23,7 @@ _BAND: Final = 4  # samples from a valid one: what lies deeper is 1/200 of what 
 _EXACT: Final = 1e-200  # squares of what is left, in units of the largest sample, whose products would be lost
 _EACH: Final = 4  # copies of the samples that are there at a time ...
 _EACH_MISSING: Final = 100  # ... bytes for each missing one ...
-_EACH_UNKNOWN: Final = 700  # ... and for each of those that are solved for
+_EACH_UNKNOWN: Final = 900  # ... and for each of those that are solved for
 _STEPS: Final = 20  # of conjugate gradients; the start is near, so that holes of 9 samples are within 2 % of the minimum
 
 
@@ -95,6 +95,7 @@ class Missing:
                 raise DataError('the mask excludes samples, which nan="error" refuses; nan may be "propagate" or "local"')
             return None
         if data.dtype.kind == "f":
+            memory.require(2 * data.size, f"which of {data.size} samples are missing")
             kind = np.float64 if data.dtype.itemsize > 8 else data.dtype
             with np.errstate(over="ignore"):  # longdouble reaches further than float64
                 lost = ~np.isfinite(data.astype(kind, copy=False))

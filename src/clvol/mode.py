@@ -16,11 +16,11 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from clvol.checks import number, one_of
+from clvol.checks import number, one_of, whole
 from clvol.color import color_of
 from clvol.display import Named
 from clvol.errors import OptionError
-from clvol.filter import DEFAULT_FILTER, PICTURE_FILTER
+from clvol.filter import DEFAULT_FILTER, PICTURE_FILTER, as_filter
 from clvol.histogram import Projection, isovalue_of, matter_of, window_of
 from clvol.palette import diverging
 from clvol.scaling import share_of
@@ -46,6 +46,11 @@ __all__ = [
 ]
 
 DEFAULT_MODE = "composite"
+_WORD = re.compile("[a-z][a-z0-9_]{0,63}")
+_FILE = re.compile(f"modes/{_WORD.pattern}[.]cl")
+_FIELD = re.compile("[A-Za-z_][A-Za-z0-9_]{0,63}")
+_MOST_FIELDS = 64  # of a ray's state
+_SHOWN = ("matter", "max", "min", "mean")
 
 
 @dataclass(frozen=True)
@@ -328,9 +333,7 @@ def as_mode(choice: str | Mode | type[Mode], options: Mapping[str, Any] | None =
         if not isinstance(choice, str) or choice not in _TABLE:
             raise one_of("mode", choice, _TABLE)
         choice = _TABLE[choice]()
-    for name in ("name", "state_fields"):
-        if not hasattr(choice, name):
-            raise OptionError(f"a mode must have a name and state_fields; {type(choice).__name__} has no {name}")
+    _require_sound(choice)
     own = _option_names(choice)
     for name in options or {}:
         if name not in own:
@@ -346,6 +349,28 @@ def as_mode(choice: str | Mode | type[Mode], options: Mapping[str, Any] | None =
 
 def _option_names(mode: Mode | type[Mode]) -> list[str]:
     return [field.name for field in fields(mode)]
+
+
+def _require_sound(mode: Mode) -> None:
+    """Refuse a mode made by hand whose class says what none may: some of it becomes text that a compiler reads."""
+    for name in ("name", "state_fields"):
+        if not hasattr(mode, name):
+            raise OptionError(f"a mode must have a name and state_fields; {type(mode).__name__} has no {name}")
+    for what, text, rule in (("name", mode.name, _WORD), ("file", mode.file, _FILE)):
+        if not isinstance(text, str) or not rule.fullmatch(text):
+            raise OptionError(f"a mode's {what} must be lowercase letters, digits and _ (its file modes/<name>.cl); got {text!r}")
+    if mode.name in _TABLE and not isinstance(mode, _TABLE[mode.name]):
+        raise OptionError(f"a mode named {mode.name!r} must be a {_TABLE[mode.name].__name__}, whose kernel it has; got {mode!r}")
+    whole("a mode's state_fields", mode.state_fields, 0, _MOST_FIELDS)
+    for what in ("endpoints", "skips", "stretches", "shaded"):
+        _switch(f"a mode's {what}", getattr(mode, what))
+    if mode.shows not in _SHOWN:
+        raise one_of("what a mode shows", mode.shows, _SHOWN)
+    number("a mode's ramp", mode.ramp, above=0)
+    as_filter(mode.picture_filter)
+    block = mode.BLOCK
+    if not isinstance(block, Block) or block.name != Mode.BLOCK.name or not all(map(_FIELD.fullmatch, block.fields)):
+        raise OptionError(f"a mode's BLOCK must be a {Mode.BLOCK.name!r} whose fields have names of C; got {block!r}")
 
 
 def _set(mode: Mode, **values: Any) -> None:

@@ -69,6 +69,10 @@ class _FormerModule(ModuleType):
         target, _, new = _ELSEWHERE.get(former, self._target).partition(":")
         return _found(former, target, new or name)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """By its name, as cloudpickle takes modules along with functions in which their names occur."""
+        return import_module, (self.__name__,)
+
 
 class _FormerFunction(ModuleType):
     """A module whose name was that of a function before: it can still be called."""

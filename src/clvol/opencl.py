@@ -29,6 +29,7 @@ _X86 = platform.machine() in ("x86_64", "AMD64")
 _ADVICE = (_WITHOUT_GPU.get(sys.platform) if _X86 else None) or "install PoCL (apt install pocl-opencl-icd; conda install pocl)"
 INSTALL = f"Without a GPU, {_ADVICE}; with a GPU, install its vendor's OpenCL driver"
 _lock = threading.RLock()
+_module: Any = None
 _AGAIN = "'clvol doctor' tries again"
 
 
@@ -42,8 +43,7 @@ def opencl() -> Any:
     DeviceError
         pyopencl is not installed, or the runtimes that it would load end the process.
     """
-    with _lock:  # lru_cache would let several threads in
-        return _loaded()
+    return _module or _loaded()
 
 
 @lru_cache(maxsize=1)
@@ -72,8 +72,14 @@ def why_not(handle: Any) -> str:
         return _verdict().devices.get(name, "")
 
 
-@lru_cache(maxsize=1)
 def _loaded() -> Any:
+    global _module
+    with _lock:
+        _module = _module or _load()  # whoever came first
+    return _module
+
+
+def _load() -> Any:
     kernels = built_kernels()
     verdict = _verdict()
     if verdict.unloadable:

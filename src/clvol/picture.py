@@ -198,7 +198,9 @@ def save(picture: ArrayLike, path: str | os.PathLike[str]) -> Path:
     data = _stored(picture, opaque=suffix in _OPAQUE)
     options: dict[str, Any] = {"quality": 95, "subsampling": 0} if suffix in (".jpg", ".jpeg") else {}
     with staged(path, suffix) as temporary:
-        iio.imwrite(temporary, data, plugin="pillow", **options)
+        stream = io.BytesIO()  # Pillow does not notice where a disk is full
+        iio.imwrite(stream, data, extension=suffix, plugin="pillow", **options)
+        temporary.write_bytes(stream.getbuffer())
     return path
 
 

@@ -189,7 +189,9 @@ def build(device: Any, context: Any, text: str, kernels: Shelf | None, new: Call
         PoCL would have to build it, and has no room to.
     """
     key = hashlib.sha256("\0".join((identity(device), *_OPTIONS, text)).encode()).hexdigest()
-    with _building:
+    with _building, warnings.catch_warnings():
+        # Intel's runtime always has something to say; what is wrong comes as an error
+        warnings.simplefilter("ignore", opencl().CompilerWarning)
         if kernels is None or device.platform.name != _POCL:
             return Program(_built_elsewhere(device, context, text, kernels.store if kernels else None, key), Launches(new))
         kernels.built()  # forget what the program itself has built
@@ -210,13 +212,10 @@ def _built_elsewhere(device: Any, context: Any, text: str, store: Store | None, 
     if has_src_build_cache(device):
         store = None
     binary = store.read(key).get("binary") if store else None
-    with warnings.catch_warnings():
-        # Intel's runtime always has something to say; what is wrong comes as an error
-        warnings.simplefilter("ignore", cl.CompilerWarning)
-        if binary is not None:
-            with suppress(cl.Error):  # it was another driver's
-                return cl.Program(context, [device], [binary]).build(options=list(_OPTIONS))
-        handle = cl.Program(context, text).build(options=list(_OPTIONS))
+    if binary is not None:
+        with suppress(cl.Error):  # it was another driver's
+            return cl.Program(context, [device], [binary]).build(options=list(_OPTIONS))
+    handle = cl.Program(context, text).build(options=list(_OPTIONS))
     if store is not None:
         with suppress(cl.Error):
             store.write(key, "binary", handle.get_info(cl.program_info.BINARIES)[0])

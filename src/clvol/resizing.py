@@ -228,10 +228,10 @@ def _resized(
     array: NDArray[Any], shape: tuple[int, ...], kind: np.dtype[Any], spline: Spline, chosen: AntiAliasing, sigma: dict[int, float]
 ) -> NDArray[Any]:
     """Values in the array's units."""
+    memory.require(math.prod(shape) * kind.itemsize + 24 * max(shape), f"a result of {' × '.join(map(str, shape))} samples")
     positions = {
         axis: (np.arange(m) + 0.5) * (n / m) - 0.5 for axis, (n, m) in enumerate(zip(array.shape, shape, strict=True)) if n != m
     }
-    memory.require(math.prod(shape) * kind.itemsize, f"a result of {' × '.join(map(str, shape))} samples")
     result = np.empty(shape, kind)
     if chosen == "least-squares" and positions:
         nearest_splines(array, positions, result, spline)

@@ -468,6 +468,7 @@ class Volume:
         widths = _vector("sigma", values, self.ndim)
         if min(widths) < 0:
             raise OptionError(f"sigma must not be negative; got {sigma!r}")
+        memory.require(4 * 2 * self.data.size, f"the low-pass of {self.data.size} samples")  # before they are looked at
         self.require_finite()
         voxels = [w / s for w, s in zip(widths, self.spacing, strict=True)][::-1]
         wide = self.data.dtype.itemsize > 4 if self.data.dtype.kind == "f" else self._beyond_float32()

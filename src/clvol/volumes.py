@@ -24,6 +24,7 @@ __all__ = ["AXES", "Leading", "Volumes", "as_grid"]
 AXES = ("volume", "time", "position", "channel")
 """What an axis before z, y and x may count: the volumes of a series (of any meaning), times, places of the stage, channels."""
 
+_DIGITS = 18  # of a number in words, at most
 _SHOWN = 4  # volumes of which notebooks show a slice
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. 709
 _COLORS = (("red", (1.0, 0.0, 0.0)), ("green", (0.0, 1.0, 0.0)), ("blue", (0.0, 0.0, 1.0)), ("alpha", None))
@@ -110,7 +111,7 @@ class Leading:
         if isinstance(choice, str):
             if choice in names:
                 return names.index(choice)
-            if not choice.isdecimal():  # a number from a command line is one
+            if not choice.isdecimal() or len(choice) > _DIGITS:  # a number from a command line is one
                 raise OptionError(f"{axis} must be {self._choices(axis)}; got {choice!r}")
             choice = int(choice)
         number = whole(axis, choice)

@@ -23,7 +23,9 @@ DATA = np.arange(24, dtype=np.float32).reshape(2, 3, 4)
 DIRECTION = (0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
-def written(path: Path, *, mode: str = "Appended", compressor: str = "ZLib", active: str = "", **arrays: np.ndarray) -> Any:
+def written(
+    path: Path, *, mode: str = "Appended", compressor: str = "ZLib", active: str = "", encoded: bool = True, **arrays: np.ndarray
+) -> Any:
     """An image of 4 × 3 × 2 points whose extent begins at 5, 0, 0; arrays of six values are of cells."""
     image = vtkImageData()
     image.SetExtent(5, 8, 0, 2, 0, 1)
@@ -40,21 +42,44 @@ def written(path: Path, *, mode: str = "Appended", compressor: str = "ZLib", act
     writer = vtkXMLImageDataWriter()
     getattr(writer, f"SetDataModeTo{mode}")()
     getattr(writer, f"SetCompressorTypeTo{compressor}")()
+    writer.SetEncodeAppendedData(encoded)
     writer.SetFileName(str(path))
     writer.SetInputData(image)
     assert writer.Write()
     return image
 
 
-@pytest.mark.parametrize(("mode", "compressor"), [("Ascii", "None"), ("Binary", "LZ4"), ("Appended", "None"), ("Appended", "LZMA")])
-def test_points(tmp_path: Path, mode: str, compressor: str) -> None:
-    image = written(tmp_path / "v.vti", mode=mode, compressor=compressor, density=DATA)
+@pytest.mark.parametrize("encoded", [True, False])
+@pytest.mark.parametrize("compressor", ["None", "ZLib", "LZ4", "LZMA"])
+@pytest.mark.parametrize("mode", ["Ascii", "Binary", "Appended"])
+def test_points(tmp_path: Path, mode: str, compressor: str, encoded: bool) -> None:
+    image = written(tmp_path / "v.vti", mode=mode, compressor=compressor, encoded=encoded, density=DATA)
     volume = clvol.read(tmp_path / "v.vti")
     np.testing.assert_array_equal(volume.data, DATA)
     assert (volume.data.dtype, volume.name, volume.space) == (np.float32, "density", "")
     for z, y, x in ((0, 0, 0), (1, 2, 3)):
         there = image.GetPoint(int(DATA[z, y, x]))
         np.testing.assert_allclose(volume.index_to_world([x, y, z]), there)
+
+
+def test_blocks_and_big_endian(tmp_path: Path) -> None:
+    """As VTK cuts large arrays, and as other machines have them."""
+    image = vtkImageData()
+    image.SetDimensions(40, 30, 20)
+    data = np.random.default_rng(3).integers(-9, 9, (20, 30, 40)).astype(np.int16)
+    array = numpy_to_vtk(data.ravel(), deep=True)
+    array.SetName("a")
+    image.GetPointData().AddArray(array)
+    for bits, big, pieces in ((32, False, 1), (64, True, 1), (64, False, 3)):
+        writer = vtkXMLImageDataWriter()
+        writer.SetFileName(str(tmp_path / "v.vti"))
+        writer.SetInputData(image)
+        writer.SetBlockSize(4096)
+        getattr(writer, f"SetHeaderTypeToUInt{bits}")()
+        getattr(writer, f"SetByteOrderTo{'Big' if big else 'Little'}Endian")()
+        writer.SetNumberOfPieces(pieces)
+        assert writer.Write()
+        np.testing.assert_array_equal(clvol.read(tmp_path / "v.vti").data, data)
 
 
 def test_cells_lie_between_points(tmp_path: Path) -> None:
@@ -122,6 +147,8 @@ def test_packed_samples_that_are_damaged_raise(tmp_path: Path) -> None:
 
 def test_without_vtk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     written(tmp_path / "v.vti", a=DATA)
-    monkeypatch.setitem(sys.modules, "vtkmodules.vtkIOXML", None)
+    monkeypatch.setitem(sys.modules, "vtkmodules.vtkIOCore", None)
+    np.testing.assert_array_equal(clvol.read(tmp_path / "v.vti").data, DATA)
+    written(tmp_path / "v.vti", compressor="LZ4", a=DATA)
     with pytest.raises(MissingDependencyError, match=r"pip install clvol\[vtk\]"):
         clvol.read(tmp_path / "v.vti", trusted=True)

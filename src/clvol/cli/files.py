@@ -34,7 +34,7 @@ def info(source: Source, /, *, input: Input | None = None, json: Json = False) -
     Of a file or folder with several images the list alone is shown, until --series says which.
     """
     reader = input or Input()
-    images = () if reader.chooses() or str(source).startswith("phantom:") else series_of(source)
+    images = () if reader.chooses() or str(source).startswith("phantom:") else series_of(source, trusted=reader.trusted)
     if len(images) > 1:
         rows = [[str(n), image.id, display.numbers(image.shape), image.text] for n, image in enumerate(images)]
         if json:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, make_dataclass, replace
@@ -127,6 +128,9 @@ class Input:
     byte_order: Annotated[Literal["little", "big"] | None, Parameter(help="Of a raw file.")] = None
     offset: Annotated[int | None, Parameter(help="Bytes of a raw file before its samples.", converter=whole_numbers)] = None
     spacing: Annotated[tuple[float, float, float] | None, Parameter(help="Spacing along x, y, z, instead of the file's.")] = None
+    trusted: Annotated[
+        bool, Parameter(negative="", help="The file is known to be sound: read in this process, without limits.")
+    ] = False
     fill_nan: Annotated[
         float | Literal["smoothly"] | None, Parameter(help="Value that replaces NaN and infinite samples, or 'smoothly'.")
     ] = None
@@ -158,15 +162,15 @@ class Input:
         if self._phantom(source) is not None:
             return clvol.volumes.Leading()
         given = self._given()
-        return clvol.formats.leading_of(source, series=given.get("series"), level=given.get("level"))
+        return clvol.formats.leading_of(source, series=given.get("series"), level=given.get("level"), trusted=self.trusted)
 
     def _given(self) -> dict[str, Any]:
         """What was given, as `clvol.read` has it; numbers of channels and series are numbers."""
         given: dict[str, Any] = {}
         for field in fields(self):
             value = getattr(self, field.name)
-            if value is not None and value != "all" and field.name != "fill_nan":
-                number = isinstance(value, str) and field.name in ("channel", "series") and value.isdecimal()
+            if value is not None and value is not False and value != "all" and field.name != "fill_nan":
+                number = isinstance(value, str) and field.name in ("channel", "series") and value.isdecimal() and len(value) < 10
                 given[field.name] = int(value) if number else value
         return given
 
@@ -328,7 +332,8 @@ class Given:
         """What was given; a colour may be three numbers in one argument."""
         given = {name: value for name, value in vars(self).items() if value is not None}
         if isinstance(given.get("color"), str) and re.fullmatch(r"\s*([\d.e+-]+[\s,]+){2}[\d.e+-]+\s*", given["color"]):
-            given["color"] = tuple(float(v) for v in re.split(r"[\s,]+", given["color"].strip()))
+            with contextlib.suppress(ValueError):  # 1.2.3 is no number: it is refused as a name
+                given["color"] = tuple(float(v) for v in re.split(r"[\s,]+", given["color"].strip()))
         return given
 
 

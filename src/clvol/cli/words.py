@@ -17,6 +17,8 @@ _PHRASES = (
     (r"replace them with Volume\.filled\(\w*\)", "replace them with --fill-nan VALUE (or --fill-nan smoothly)"),
     (r"replace missing samples with Volume\.filled\(\)", "replace missing samples with --fill-nan VALUE"),
     (r": choose by ([a-z= ]+), or read all by clvol\.read_all", r": choose by \1"),
+    (r"limits=clvol\.formats\.Limits\(\.\.\.\) or trusted=True", "--trusted"),
+    (r"trusted=True", "--trusted"),
     (r"spacing=, origin= or direction= replace what the file says", "--spacing replaces that of the file"),
     (r"shape=\(nz, ny, nx\)", "--shape NZ NY NX"),
     (r"window=\(center, width\)", "--window CENTER WIDTH"),

@@ -141,7 +141,7 @@ FORMATS = (
         frozenset({"series"}),
         several=True,
         series=vti.series,
-        native=("vtkmodules.vtkIOXML", "vtkmodules.util.numpy_support"),
+        native=("vtkmodules.vtkIOCore",),
     ),
     Format(
         "microscope makers' files",

@@ -127,7 +127,9 @@ def _told(error: BaseException, request: Request) -> tuple[str, str]:
     text = str(error)
     cause = f"{error.__cause__}".lower()
     foreign = not isinstance(error, ClvolError)
-    if isinstance(error, MemoryError) and foreign or isinstance(error, FormatError) and any(word in cause for word in _ALLOCATION):
+    if (isinstance(error, MemoryError) and foreign) or (
+        isinstance(error, FormatError) and any(word in cause for word in _ALLOCATION)
+    ):
         text = (
             f"cannot {request.what}: its reader must take at most {request.budget.memory // _MIB} MiB of memory, "
             f"for {request.budget.samples} bytes of samples, and asked for more: the file is damaged or hostile; {MORE}"

@@ -79,7 +79,9 @@ def directories(stream: IO[bytes], size: int, name: str) -> dict[int, Directory]
             if tag not in _TOLD:
                 continue
             if kind not in _WHOLE or count > _MOST_VALUES:
-                raise FormatError(f"{name} must have up to {_MOST_VALUES} whole numbers for tag {tag}; it has {count} of type {kind}")
+                raise FormatError(
+                    f"{name} must have up to {_MOST_VALUES} whole numbers for tag {tag}; it has {count} of type {kind}"
+                )
             content = value[:length] if length <= room else _at(stream, pointer.unpack(value)[0], length)
             values = struct.unpack(f"{order}{count}{_WHOLE[kind]}", content)
             if tag == _CHILDREN:

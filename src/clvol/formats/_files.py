@@ -14,19 +14,20 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from clvol.errors import ClvolError, FormatError
+from clvol.errors import ClvolError, ClvolWarning, DataError, FormatError
 from clvol.foreign import Content, held_as
+from clvol.formats._limits import announce
 from clvol.volume import Volume
 
 __all__ = [
     "Reader",
     "Writer",
+    "bytes_at",
     "foreign_errors",
     "gunzipped_size",
     "inflated_size",
     "require_bytes",
     "require_default",
-    "require_expansion",
     "require_members",
     "sample_count",
     "scaled",
@@ -37,8 +38,6 @@ Reader = Callable[..., Content]
 Writer = Callable[[Volume, Path], None]
 
 _CHUNK = 1 << 20
-_EXPANSION = 200  # bytes of samples for one of a file; masks that are nearly all zero have more, but not by the gigabyte
-_UNQUESTIONED = 1 << 30  # bytes of samples that any file may stand for: arrays of HDF5 and Zarr need not store their zeros
 
 
 @contextmanager
@@ -46,7 +45,11 @@ def foreign_errors(what: str, reason: Callable[[Exception], str] = str) -> Itera
     """Turn whatever a library raises into a `FormatError` that says what was being done."""
     try:
         yield
-    except (ClvolError, MemoryError):  # sizes are checked first: a MemoryError is a fact of this machine, not of the file
+    except (
+        ClvolError,
+        ClvolWarning,
+        MemoryError,
+    ):  # sizes are checked first: a MemoryError is a fact of this machine, not of the file
         raise
     except Exception as error:
         raise FormatError(f"cannot {what}: {reason(error) or type(error).__name__}") from error
@@ -62,8 +65,14 @@ def scaled(data: NDArray[Any], slope: float, offset: float) -> NDArray[Any]:
     if slope == 1 and offset == 0:
         return data
     values = data.astype(np.float64)
-    values *= slope
-    values += offset
+    try:
+        with np.errstate(over="raise"):
+            values *= slope
+            values += offset
+    except FloatingPointError as error:
+        raise DataError(
+            f"samples must be finite when they are scaled; {slope:g} times {data.dtype} and {offset:g} are not"
+        ) from error
     return values
 
 
@@ -90,13 +99,10 @@ def require_bytes(source: object, found: int, shape: Sequence[int], dtype: DType
         )
 
 
-def require_expansion(source: object, needed: int, stored: int) -> None:
-    """Raise before memory is asked for if `stored` bytes stand for an absurd number of bytes of samples."""
-    allowed = max(_UNQUESTIONED, _EXPANSION * stored)
-    if needed > allowed:
-        raise FormatError(
-            f"{source} must hold up to {allowed} bytes of samples, {_EXPANSION} for each of its {stored}; its header says {needed}"
-        )
+def bytes_at(shape: Sequence[int], index: Sequence[int | slice], dtype: np.dtype[Any]) -> int:
+    """Bytes of the samples at an index of an array, which may leave out its last axes."""
+    taken = (len(range(n)[at]) for n, at in zip(shape, index, strict=False) if isinstance(at, slice))
+    return sample_count([*taken, *shape[len(index) :]]) * dtype.itemsize
 
 
 def require_members(source: object, archive: zipfile.ZipFile) -> None:
@@ -109,7 +115,9 @@ def require_members(source: object, archive: zipfile.ZipFile) -> None:
             raise FormatError(f"{source} must be packed by deflate, if at all; {member.filename[:80]!r} is not")
         if member.compress_type == zipfile.ZIP_STORED and member.file_size != member.compress_size:
             raise FormatError(f"{source} must hold what it says; {member.filename[:80]!r} is stored with two sizes")
-        require_expansion(f"{source}[{member.filename[:80]}]", member.file_size, member.compress_size)
+        announce(f"{source}[{member.filename[:80]}]", member.file_size, member.compress_size)
+        with archive.open(member):  # compares the name with that of the directory
+            pass
 
 
 def gunzipped_size(stream: IO[bytes], limit: int) -> int:
@@ -127,8 +135,11 @@ def gunzipped_size(stream: IO[bytes], limit: int) -> int:
     return found
 
 
-def inflated_size(stream: IO[bytes], packed: int, limit: int) -> int:
-    """How many bytes the next `packed` bytes of `stream` (zlib or gzip) hold, counted up to just past `limit`."""
+def inflated_size(stream: IO[bytes], packed: int, limit: int, *, exact: bool = False) -> int:
+    """How many bytes the next `packed` bytes of `stream` (zlib or gzip) hold, counted up to just past `limit`.
+
+    Where they are `exact`, nothing may follow the packed samples among them.
+    """
     inflater = zlib.decompressobj(47)  # 47: either kind of header
     end = stream.tell() + packed
 
@@ -139,6 +150,8 @@ def inflated_size(stream: IO[bytes], packed: int, limit: int) -> int:
                 return chunk
             if not part:
                 raise EOFError("the compressed samples end too early")
+        if exact and (inflater.unused_data or stream.tell() < end):
+            raise FormatError(f"the compressed samples must end where the file does; {len(inflater.unused_data)} bytes follow them")
         return b""
 
     return _count(read, limit)

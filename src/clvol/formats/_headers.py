@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import IO
 
 from clvol.errors import FormatError
 from clvol.files import MAX_HEADER
+from clvol.formats._limits import is_trusted
 
 __all__ = ["data_path", "line", "numbers", "whole"]
 
 _MAX_LINE = 1 << 16
+_LARGEST = 1e30
+_NUMBER = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
 
 
 def line(stream: IO[bytes], name: str) -> str | None:
@@ -23,14 +27,17 @@ def line(stream: IO[bytes], name: str) -> str | None:
     return raw.decode("utf-8", "surrogateescape").rstrip("\r\n") if raw else None
 
 
-def numbers(name: str, key: str, text: str, count: int) -> tuple[float, ...]:
-    """`count` numbers in `text`; NaN and infinite ones too."""
-    try:
-        values = tuple(float(word) for word in text.split())
-    except ValueError:
-        values = ()
-    if len(values) != count:
-        raise FormatError(f"{name} must give {count} numbers for {key!r}; got {text[:80]!r}")
+def numbers(name: str, key: str, text: str, count: int, *, nan: bool = False) -> tuple[float, ...]:
+    """`count` finite numbers in `text`, or what `nan` allows: libraries read as far as they understand, and take the rest for 0.
+
+    None is larger than any length or place needs to be, for libraries multiply them.
+    """
+    words = text.split()
+    known = all(re.fullmatch(_NUMBER, word) or (nan and word.lower() == "nan") for word in words)
+    values = tuple(map(float, words)) if known else ()
+    if len(values) != count or any(abs(value) > _LARGEST for value in values):
+        missing = " or nan" if nan else ""
+        raise FormatError(f"{name} must give {count} finite numbers{missing} up to {_LARGEST:g} for {key!r}; got {text[:80]!r}")
     return values
 
 
@@ -46,11 +53,21 @@ def whole(name: str, key: str, text: str, low: int, count: int = 1) -> tuple[int
 
 
 def data_path(header: Path, text: str) -> Path:
-    """The one file with the samples of a detached header, which may lie anywhere but must be there."""
+    """The one file with the samples of a detached header: it must be there, and in the folder of the header or below.
+
+    A hostile header would have any file on this machine read, and shown. One that is trusted may name a file anywhere.
+    """
     # ITK passes a pattern to sprintf, and reads "-" from the terminal.
     if not text or text == "-" or "%" in text or text.split()[0].upper() == "LIST":
         raise FormatError(f"{header.name} must name one file with all samples; got {text[:80]!r}")
     path = header.parent / text
     if not path.is_file():  # a pipe or a device would never end
         raise FormatError(f"{header.name} names the file {text[:80]!r} for its samples, which is not there")
+    if path.samefile(header):
+        raise FormatError(f"{header.name} must name a file with its samples; it names itself")
+    if not is_trusted() and not path.resolve().is_relative_to(header.parent.resolve()):
+        raise FormatError(
+            f"{header.name} must name a file for its samples in its own folder or below; {text[:80]!r} is elsewhere: "
+            "trusted=True reads it"
+        )
     return path

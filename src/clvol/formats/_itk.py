@@ -49,8 +49,8 @@ class Header:
         Whether the fourth axis is time.
     bytes : int
         Of the samples.
-    stored : int or None
-        Bytes of the file that holds them, where that is another.
+    stored : int
+        Bytes of the file that holds them.
     """
 
     size: tuple[int, ...]
@@ -61,7 +61,7 @@ class Header:
     values: str = ""
     timed: bool = False
     bytes: int = 0
-    stored: int | None = None
+    stored: int = 0
 
 
 def reason(error: Exception) -> str:

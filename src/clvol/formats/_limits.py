@@ -13,7 +13,7 @@ from clvol.checks import number
 from clvol.errors import FormatError, OutOfMemoryError
 from clvol.memory import available
 
-__all__ = ["Budget", "Limits", "announce", "limited", "size_of"]
+__all__ = ["Budget", "Limits", "announce", "is_trusted", "limited", "size_of"]
 
 _MIB = 1 << 20
 _GIB = 1 << 30
@@ -116,6 +116,11 @@ def limited(budget: Budget | None) -> Iterator[None]:
         _budget.reset(token)
 
 
+def is_trusted() -> bool:
+    """Whether what is being read is held to no limits."""
+    return _budget.get() is None
+
+
 def announce(source: str, needed: int, stored: int | None = None) -> None:
     """Say how many bytes the samples of a file will take, before they are allocated.
 
@@ -128,7 +133,7 @@ def announce(source: str, needed: int, stored: int | None = None) -> None:
     needed : int
         Bytes of the samples that will be read.
     stored : int, optional
-        Bytes that they take in the file, if that is not the one that is being read.
+        Bytes of the file that holds them, if that is not the one that is being read.
 
     Raises
     ------
@@ -138,18 +143,19 @@ def announce(source: str, needed: int, stored: int | None = None) -> None:
         They do not fit into the memory that is available.
     """
     budget = _budget.get()
-    room = available() if budget is None else budget.room
-    if budget is not None:
-        limits = budget.limits
+    if budget is None:
+        room = available()
+    else:
+        room, limits = budget.room, budget.limits
         if limits.bytes is not None and needed > limits.bytes:
             raise FormatError(
                 f"the samples of {source} must take at most {limits.bytes} bytes (Limits.bytes); its header says {needed}; {MORE}"
             )
         held = budget.stored if stored is None else stored
-        if held is not None and needed > _GIB and needed > limits.expansion * held:
+        if held is not None and needed > max(_GIB, limits.expansion * held):
             raise FormatError(
                 f"the samples of {source} must be at most {limits.expansion:g} times as large as what is stored, {held} bytes "
-                f"(Limits.expansion); its header says {needed} bytes; {MORE}"
+                f"(Limits.expansion), if they are more than 1 GiB; its header says {needed} bytes; {MORE}"
             )
     if needed > room:
         raise OutOfMemoryError(

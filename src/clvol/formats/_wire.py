@@ -17,6 +17,7 @@ import struct
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from clvol.volumes import Leading
 __all__ = ["WireError", "copied", "empty", "pack", "receive", "send", "share_samples", "unpack"]
 
 _LARGE = 1 << 20  # bytes from which on arrays are handed over
+_STRETCH = 1 << 26  # bytes that are read at a time: an interrupt waits for no more
 _MOST_TEXT = 1 << 28  # bytes of a message but its arrays
 _MOST_HANDED = 16
 _HEAD = struct.Struct("<QQ")  # bytes of the text, and of the arrays behind it
@@ -75,6 +77,22 @@ def copied(samples: NDArray[Any]) -> NDArray[Any]:
     return made
 
 
+def as_stored(samples: NDArray[Any]) -> NDArray[Any]:
+    """Samples of a file that is mapped into memory, which may change: copied; or left to whom they are sent to, to read."""
+    return samples if _sharing and _place_of(samples) else copied(samples)
+
+
+def _place_of(array: NDArray[Any]) -> tuple[str, int] | None:
+    """The file that `array` is mapped from, and where it begins there; None where it is no such, or has its samples elsewhere."""
+    base: Any = array
+    while isinstance(base, np.ndarray) and not (isinstance(base, np.memmap) and not isinstance(base.base, np.ndarray)):
+        base = base.base
+    if not isinstance(base, np.memmap) or not array.flags.c_contiguous or array.nbytes < _LARGE:
+        return None
+    name = getattr(base, "filename", None)
+    return (os.fspath(name), base.offset + array.ctypes.data - base.ctypes.data) if name else None
+
+
 def _segment(size: int, dtype: np.dtype[Any], shape: Sequence[int]) -> NDArray[Any]:
     fd = os.memfd_create("clvol", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
     try:
@@ -117,6 +135,8 @@ def pack(value: Any, arrays: list[NDArray[Any]]) -> Any:
         array = np.asarray(value)
         if array.dtype.kind not in _KINDS:
             raise TypeError(f"arrays of {array.dtype} are not sent")
+        if _sharing and (place := _place_of(array)):
+            return {"stored": [array.dtype.str, list(array.shape), *place]}
         arrays.append(array)
         return {"scalar" if isinstance(value, np.generic) else "array": [array.dtype.str, list(array.shape)]}
     if type(value).__name__ in _OURS:
@@ -144,15 +164,33 @@ def unpack(value: Any, take: Callable[[np.dtype[Any], tuple[int, ...]], NDArray[
             return {unpack(key, take): unpack(part, take) for key, part in inner}
         if kind == "bytes":
             return inner.encode("latin-1")
-        if kind in ("array", "scalar"):
+        if kind in ("array", "scalar", "stored"):
             dtype, shape = np.dtype(str(inner[0])), tuple(int(n) for n in inner[1])
             if dtype.kind not in _KINDS or min(shape, default=0) < 0:
                 raise WireError(f"an array of {dtype} and shape {shape}")
+            if kind == "stored":
+                return _read(Path(inner[2]), int(inner[3]), dtype, shape)
             array = take(dtype, shape)
             return array if kind == "array" else array[()]
         return _OURS[kind](**{str(name): unpack(part, take) for name, part in inner})
     except (AttributeError, KeyError, IndexError, TypeError, ValueError) as error:
         raise WireError(f"{type(error).__name__}: {error}") from error
+
+
+def _read(path: Path, start: int, dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+    """Samples that a file holds as they are."""
+    size = math.prod(shape) * dtype.itemsize
+    if not path.is_file() or not 0 <= start <= path.stat().st_size - size:
+        raise WireError(f"{size} bytes at {start} of {path.name}")
+    into = np.empty(size, np.uint8)
+    with path.open("rb", buffering=0) as stream:
+        stream.seek(start)
+        done = 0
+        while done < size and (count := stream.readinto(into.data[done : done + _STRETCH])):
+            done += count
+    if done < size:
+        raise WireError(f"{done} bytes at {start} of {path.name}, which must be {size}")
+    return into.view(dtype).reshape(shape)
 
 
 # -- messages ------------------------------------------------------------------------------------------------------
@@ -182,7 +220,7 @@ def send(peer: socket.socket, name: str, box: list[Any]) -> None:
         sent = socket.send_fds(peer, [head], handed) if handed else 0
         peer.sendall(head[sent:] + text)
         for blob in blobs:
-            peer.sendall(memoryview(blob.reshape(-1).view(np.uint8)))
+            peer.sendall(blob.reshape(-1).view(np.uint8).data)
     finally:
         for fd in handed:
             os.close(fd)
@@ -240,6 +278,8 @@ def receive(peer: socket.socket, wait: Callable[[], None]) -> tuple[str, Any]:
             name, packed, places = json.loads(bytes(_received(peer, np.empty(length, np.uint8), wait)))
         except (TypeError, ValueError, RecursionError) as error:
             raise WireError(f"{type(error).__name__}: {error}") from error
+        if not isinstance(places, list):
+            raise WireError("no list of places")
         turn = iter(places)
 
         def take(dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
@@ -265,7 +305,7 @@ def receive(peer: socket.socket, wait: Callable[[], None]) -> tuple[str, Any]:
 
 
 def _received(peer: socket.socket, into: NDArray[np.uint8], wait: Callable[[], None]) -> NDArray[Any]:
-    view, done = memoryview(into), 0
+    view, done = into.data, 0
     while done < len(view):
         wait()
         count = peer.recv_into(view[done:])

@@ -1,7 +1,7 @@
 """Reading in a process of its own what libraries of native code read, so that no file ends or hangs the caller's.
 
-A process is started when it is first needed, by ``subprocess`` (so that scripts need no ``if __name__ == "__main__"``), and kept for
-the next file; it is ended when a file ends it, when it takes too long, on an interrupt, and with this process.
+A process is started when it is first needed, by ``subprocess`` (so that scripts need no ``if __name__ == "__main__"``), and kept
+for the next file; it is ended when a file ends it, when it takes too long, on an interrupt, and with this process.
 """
 
 from __future__ import annotations
@@ -233,7 +233,8 @@ class _Worker:
 
     def _late(self, request: Request, reader: str, begun: bool, allowed: float) -> str:
         if not begun:
-            return f"cannot {request.what}: the process that reads it did not start within {allowed:g} s; trusted=True reads in this one"
+            late = f"the process that reads it did not start within {allowed:g} s"
+            return f"cannot {request.what}: {late}; trusted=True reads in this one"
         return (
             f"cannot {request.what}: the reader of {reader} must be done within {allowed:.3g} s (Limits.seconds) and was not: "
             f"the file is damaged or hostile; {MORE}"
@@ -317,7 +318,7 @@ def _command() -> list[str]:
 
 
 def _environment() -> dict[str, str]:
-    """This one's; NumPy's threads for linear algebra, of which a reader has none, would take time and memory."""
+    """That of this process; NumPy's threads for linear algebra, of which a reader has none, would take time and memory."""
     return {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
 
 

@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 
 from clvol.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
+from clvol.formats._files import bytes_at
 from clvol.formats._layout import lay_out
+from clvol.formats._limits import announce
 from clvol.interop import Content
 from clvol.volumes import Leading
 
@@ -64,6 +66,8 @@ def read(path: Path, choose: Choice, series: int | str | None = None, level: int
         leading = layout.in_colour
 
     def load(index: tuple[int | slice, ...]) -> NDArray[Any]:
+        whole = (slice(None),) * len(shape)
+        announce(path.name, bytes_at(shape, whole if "S" in order else index, image.dtype))
         if "S" not in order:
             return np.asarray(image.dask_data[index])
         samples = image.data  # bioio-czi 3.0 gives one colour for all three where it reads parts

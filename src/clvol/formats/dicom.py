@@ -16,7 +16,10 @@ from clvol.errors import DataError, FormatError, OptionError
 from clvol.foreign import Content, simpleitk, simpleitk_says
 from clvol.formats import _itk
 from clvol.formats._choice import Choice, Pick, Series, chosen_series
+from clvol.formats._elements import check_samples
 from clvol.formats._files import foreign_errors
+from clvol.formats._limits import announce
+from clvol.formats._wire import copied
 from clvol.volumes import Leading
 
 __all__ = ["SUFFIXES", "is_file", "is_folder", "read", "series_of"]
@@ -42,12 +45,13 @@ Points = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class _Slice:
-    """What the header of a file says: where its first sample lies, and texts by their tags."""
+    """What the header of a file says: where its first sample lies, texts by their tags, and the bytes of its samples."""
 
     path: str
     origin: tuple[float, ...]
     channels: int
     texts: dict[str, str]
+    bytes: int
 
     def number(self, tag: str) -> float:
         """The first of the numbers of a tag, NaN if there is none."""
@@ -143,11 +147,12 @@ def _read_files(path: Path, slices: Sequence[_Slice], choose: Choice) -> Content
     middle = slices[len(slices) // 2]
     pick = choose(path.name, _leading(order, middle.channels), guessed)
     wanted = _wanted(order, pick)
+    announce(path.name, sum(slices[int(n)].bytes for n in wanted.ravel()))
     reader = simpleitk().ImageSeriesReader()
     reader.SetImageIO(_IO)
     reader.SetFileNames([slices[int(n)].path for n in wanted.ravel()])
     image = reader.Execute()
-    samples = simpleitk().GetArrayFromImage(image)
+    samples = simpleitk().GetArrayViewFromImage(image)
     if len(samples) != wanted.size:
         raise DataError(f"{path} must hold one slice a file; found {len(samples)} slices in {wanted.size} files")
     geometry = simpleitk_says(image) | _about(middle)
@@ -184,8 +189,9 @@ def _require_parallel(path: Path, slices: Sequence[_Slice]) -> None:
 def _read_file(path: Path, choose: Choice, alone: bool = False) -> Content:
     """A slice, or the many frames of an enhanced object or of a film; `alone`: as the caller knows it to be."""
     head = _header(str(path))
+    announce(path.name, head.bytes)
     image = simpleitk().ReadImage(head.path, imageIO=_IO)
-    samples = simpleitk().GetArrayFromImage(image)
+    samples = simpleitk().GetArrayViewFromImage(image)
     frames = samples.shape[0]
     content = path.read_bytes() if frames > 1 else b""
     geometry = simpleitk_says(image) | _about(head, content)
@@ -247,12 +253,16 @@ def _texts(content: bytes, tag: str, *otherwise: str) -> list[str]:
 
 
 def _header(file: str) -> _Slice:
+    check_samples(Path(file))
     reader = simpleitk().ImageFileReader()
     reader.SetImageIO(_IO)
     reader.SetFileName(file)
     reader.ReadImageInformation()
     texts = {tag: reader.GetMetaData(tag).strip() for tag in _TAGS if reader.HasMetaDataKey(tag)}
-    return _Slice(file, tuple(reader.GetOrigin()[:3]), reader.GetNumberOfComponents(), texts)
+    channels = reader.GetNumberOfComponents()
+    bits = re.search(r"(\d+)-bit", simpleitk().GetPixelIDValueAsString(reader.GetPixelID()))
+    size = math.prod(reader.GetSize()) * channels * int(bits[1] if bits else 64) // 8
+    return _Slice(file, tuple(reader.GetOrigin()[:3]), channels, texts, size)
 
 
 def _about(head: _Slice, content: bytes = b"") -> dict[str, Any]:
@@ -310,7 +320,7 @@ def _taken(samples: NDArray[Any], channels: int, pick: Pick) -> NDArray[Any]:
     if channels > 1:
         lead = samples.ndim - 4
         samples = np.moveaxis(samples, -1, lead)[(slice(None),) * lead + (pick.index[-1],)]
-    return pick.finish(np.ascontiguousarray(samples))
+    return pick.finish(copied(samples))
 
 
 def _merged(geometry: dict[str, Any], pick: Pick) -> dict[str, Any]:

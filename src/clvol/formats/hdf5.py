@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from clvol.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._choice import Choice, Series, chosen_series
-from clvol.formats._files import require_expansion, sample_count
+from clvol.formats._files import bytes_at, sample_count
 from clvol.formats._layout import Layout, decoded, lay_out, place, uniform, unnamed
+from clvol.formats._limits import announce
 from clvol.interop import Content
 from clvol.volumes import Leading
 
@@ -47,7 +48,9 @@ def read(path: Path, choose: Choice, series: int | str | None = None) -> Content
         by_axis = {axis: lines[i] for i, axis in enumerate(layout.axes) if i in lines}
         units_by_axis = {axis: units[i] for i, axis in enumerate(layout.axes) if i in units}
         space = {"space": "image"} if "um" in units_by_axis.values() else {}
-        data, chosen = layout.chosen(path.name, choose, lambda index: decoded(loaded(path.name, array, index), dict(array.attrs)), leading)
+        data, chosen = layout.chosen(
+            path.name, choose, lambda index: decoded(loaded(path.name, array, index), dict(array.attrs)), leading
+        )
         known = {"name": array.name.rpartition("/")[2]} | space | place(layout, by_axis, units_by_axis)
     return data, known | chosen
 
@@ -81,7 +84,7 @@ def member(group: Any, name: str) -> Any:
     return group[name]
 
 
-def loaded(source: str, array: Any, index: Any = ()) -> NDArray[Any]:
+def loaded(source: str, array: Any, index: tuple[int | slice, ...] = ()) -> NDArray[Any]:
     """Samples of an array, which must be stored in this file. Chunks that are not stored have the array's fill value."""
     elsewhere = array.external or (array.is_virtual and any(one.file_name != "." for one in array.virtual_sources()))
     if elsewhere:
@@ -89,10 +92,24 @@ def loaded(source: str, array: Any, index: Any = ()) -> NDArray[Any]:
     stored = array.id.get_storage_size()
     if not stored and not array.is_virtual and array.shape:
         raise FormatError(f"{source} must hold samples of {array.name}; none were ever written")
-    chunk = sample_count(array.chunks or ()) * array.dtype.itemsize
-    size = array.file.id.get_filesize()
-    require_expansion(source, max(chunk, sample_count(array.shape) * array.dtype.itemsize), size)
+    if array.chunks and not array.id.get_create_plist().get_nfilters():
+        _check_chunks(source, array)
+    announce(source, max(sample_count(array.chunks or ()) * array.dtype.itemsize, bytes_at(array.shape, index, array.dtype)))
     return np.asarray(array[index])
+
+
+def _check_chunks(source: str, array: Any) -> None:
+    """Raise if a chunk that is stored as it is has other bytes than it should: HDF5 takes what is missing from anywhere."""
+    whole = sample_count(array.chunks) * array.dtype.itemsize
+    wrong: list[int] = []
+
+    def look(chunk: Any) -> None:
+        if chunk.size != whole:
+            wrong.append(chunk.size)
+
+    array.id.chunk_iter(look)
+    if wrong:
+        raise FormatError(f"{source} must hold {whole} bytes of samples in each chunk of {array.name}; one has {wrong[0]}")
 
 
 def _arrays(file: Any) -> list[Any]:
@@ -169,7 +186,9 @@ def _is_of_itk(array: Any) -> bool:
 
 def _itk(source: str, array: Any, choose: Choice) -> Content:
     """An image as ITK stores it: rows of ``Directions`` are where its axes go, x first; components come last."""
-    about = {name: np.asarray(loaded(source, member(array.parent, name)), np.float64) for name in ("Spacing", "Origin", "Directions")}
+    about = {
+        name: np.asarray(loaded(source, member(array.parent, name)), np.float64) for name in ("Spacing", "Origin", "Directions")
+    }
     d = len(about["Spacing"])
     words = [*"zyx"[3 - d :], *("channel",) * (array.ndim - d)] if d in (2, 3) else []
     layout: Layout = lay_out(source, words, array.shape)

@@ -62,7 +62,10 @@ def _load(times: list[Any], size: tuple[int, ...], index: tuple[int | slice, ...
     def some(nodes: list[Any], at: int | slice) -> list[Any]:
         return nodes[at] if isinstance(at, slice) else [nodes[at]]
 
-    taken = [[loaded(channel.name, member(channel, "Data"), box) for channel in some(_numbered(time, "Channel"), at_channel)] for time in some(times, at_time)]
+    taken = [
+        [loaded(channel.name, member(channel, "Data"), box) for channel in some(_numbered(time, "Channel"), at_channel)]
+        for time in some(times, at_time)
+    ]
     kept = tuple(slice(None) if isinstance(at, slice) else 0 for at in (at_time, at_channel))
     return np.asarray(np.asarray(taken)[(*kept, *grid)])
 

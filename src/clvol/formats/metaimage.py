@@ -35,6 +35,7 @@ _DTYPES = {
     "MET_FLOAT": "float32",
     "MET_DOUBLE": "float64",
 }
+_STEEPEST = 1.01  # direction cosines that were rounded
 _UNITS = {"?": "mm", "um": "um", "mm": "mm", "cm": "cm"}
 # How many numbers a field has, as a power of the number of axes: ITK reads past what is not there.
 _NUMBERS = {
@@ -66,7 +67,7 @@ def check(path: Path) -> _itk.Header:
         fields = _fields(stream, path.name)
         size, dtype = _layout(fields, path.name)
         file = fields["ElementDataFile"]
-        expected, stored = math.prod(size) * np.dtype(dtype).itemsize, None
+        expected, stored = math.prod(size) * np.dtype(dtype).itemsize, path.stat().st_size
         if file.upper() == "LOCAL":
             found = _samples(stream, fields, path, expected)
         else:
@@ -74,7 +75,8 @@ def check(path: Path) -> _itk.Header:
             stored = place.stat().st_size
             with place.open("rb") as samples:
                 found = _samples(samples, fields, path, expected)
-    require_bytes(path.name, found, size[::-1], dtype, exact=_flag(fields, "CompressedData"))
+    # -1: the samples end with the file, whatever stands before them
+    require_bytes(path.name, found, size[::-1], dtype, exact=fields.get("HeaderSize") != "-1")
     slope, offset = _intensity(fields, path.name)
     return _itk.Header(size, _unit(fields, path.name), slope=slope, offset=offset, bytes=expected, stored=stored)
 
@@ -109,11 +111,15 @@ def _layout(fields: dict[str, str], name: str) -> tuple[tuple[int, ...], str]:
     if fields["ElementType"] not in _DTYPES:
         raise FormatError(f"{name} must have an ElementType of {', '.join(_DTYPES)}; got {fields['ElementType']!r}")
     channels = whole(name, "ElementNumberOfChannels", fields.get("ElementNumberOfChannels", "1"), 1)
-    if not _flag(fields, "BinaryData", "True"):
+    if not _flag(fields, "BinaryData", name, "True"):
         raise FormatError(f"{name} must hold its samples in binary; its header says BinaryData = False")
     for key, power in _NUMBERS.items():
-        if key in fields and not all(map(math.isfinite, numbers(name, key, fields[key], rank**power))):
-            raise FormatError(f"{name} must give finite numbers for {key!r}; got {fields[key][:80]!r}")
+        if key in fields:
+            values = numbers(name, key, fields[key], rank**power)
+            if power == 2 and max(map(abs, values)) > _STEEPEST:  # ITK never returns from a matrix of 1e308
+                raise FormatError(f"{name} must give direction cosines for {key!r}; got {fields[key][:80]!r}")
+    for key in ("BinaryDataByteOrderMSB", "ElementByteOrderMSB"):
+        _flag(fields, key, name)
     return size + channels, _DTYPES[fields["ElementType"]]
 
 
@@ -124,17 +130,16 @@ def _samples(stream: IO[bytes], fields: dict[str, str], path: Path, expected: in
     end = stream.seek(0, 2)
     if 0 < skip < start:  # ITK would take the header's text for samples
         raise FormatError(f"{path.name} must not have samples inside its header of {start} bytes; HeaderSize = {skip}")
-    if not _flag(fields, "CompressedData"):
-        # -1: the samples end with the file, and whatever stands before them is skipped
+    if not _flag(fields, "CompressedData", path.name):
         return end if skip == -1 else end - max(start, skip)
     if skip:
         raise FormatError(f"{path.name} must not skip bytes before compressed samples; HeaderSize = {skip}")
     # Without this number ITK unpacks nothing, and returns uninitialised memory.
     (packed,) = whole(path.name, "CompressedDataSize", fields.get("CompressedDataSize", ""), 1)
-    if packed > end - start:
+    if packed != end - start:
         raise FormatError(f"{path.name} must hold {packed} compressed bytes; found {end - start}")
     stream.seek(start)
-    return inflated_size(stream, packed, expected)
+    return inflated_size(stream, packed, expected, exact=True)
 
 
 def _intensity(fields: dict[str, str], name: str) -> tuple[float, float]:
@@ -143,8 +148,8 @@ def _intensity(fields: dict[str, str], name: str) -> tuple[float, float]:
         numbers(name, key, fields.get(key, default), 1)[0]
         for key, default in (("ElementToIntensityFunctionSlope", "1"), ("ElementToIntensityFunctionOffset", "0"))
     )
-    if not (math.isfinite(slope) and math.isfinite(offset) and slope):
-        raise FormatError(f"{name} must scale its samples by finite numbers, the slope not 0; its header says {slope} and {offset}")
+    if not slope:
+        raise FormatError(f"{name} must scale its samples by a slope that is not 0; its header says {slope}")
     return slope, offset
 
 
@@ -156,5 +161,9 @@ def _unit(fields: dict[str, str], name: str) -> str:
     return _UNITS[unit]
 
 
-def _flag(fields: dict[str, str], key: str, default: str = "False") -> bool:
-    return fields.get(key, default)[:1] in ("T", "t", "1")  # MetaIO looks at the first letter
+def _flag(fields: dict[str, str], key: str, name: str, default: str = "False") -> bool:
+    """Whether a field says so; MetaIO looks at the first letter, and takes what it does not know for a no."""
+    text = fields.get(key, default)
+    if text.lower() not in ("true", "false", "t", "f", "1", "0"):
+        raise FormatError(f"{name} must say True or False for {key!r}; got {text[:80]!r}")
+    return text[0] in "Tt1"

@@ -12,7 +12,8 @@ import numpy as np
 from clvol.errors import FormatError
 from clvol.foreign import Content, nibabel, nibabel_says
 from clvol.formats._choice import Choice
-from clvol.formats._files import gunzipped_size, require_bytes, require_expansion, sample_count
+from clvol.formats._files import gunzipped_size, require_bytes, sample_count
+from clvol.formats._limits import announce
 from clvol.volumes import Leading
 
 __all__ = ["read"]
@@ -26,19 +27,20 @@ def read(path: Path, choose: Choice) -> Content:
     """Samples of what is chosen, and geometry, turned from FreeSurfer's RAS to ITK's LPS."""
     library = nibabel()
     _require_samples(path)
-    image = library.freesurfer.MGHImage.from_filename(path)
-    about = nibabel_says(image)
-    pick = choose(path.name, Leading(**about.pop("leading", {})))
-    shape = tuple(int(n) for n in image.shape[:3])
-    data = np.asanyarray(image.dataobj[(..., *pick.index)] if pick.index else image.dataobj).reshape(*shape, -1, order="F").T
+    with _opened(path) as stream:
+        with np.errstate(all="ignore"):  # a geometry that is not finite is refused by its volume
+            image = library.freesurfer.MGHImage.from_stream(stream)
+            about = nibabel_says(image)
+        pick = choose(path.name, Leading(**about.pop("leading", {})))
+        shape = tuple(int(n) for n in image.shape[:3])
+        data = np.asanyarray(image.dataobj[(..., *pick.index)] if pick.index else image.dataobj).reshape(*shape, -1, order="F").T
     data = data if any(isinstance(at, slice) for at in pick.index) else data[0]
     return pick.finish(data.astype(data.dtype.newbyteorder("="))), about | pick.about
 
 
 def _require_samples(path: Path) -> None:
     """Raise before memory is asked for that the samples do not fill; nibabel looks behind them for what else there is."""
-    packed = path.suffix.lower() == ".mgz"
-    with cast(IO[bytes], gzip.open(path)) if packed else path.open("rb") as stream:
+    with _opened(path) as stream:
         head = stream.read(_HEADER_BYTES)
     if len(head) < _HEADER_BYTES:
         raise FormatError(f"{path.name} must begin with a header of {_HEADER_BYTES} bytes; found {len(head)}")
@@ -49,10 +51,17 @@ def _require_samples(path: Path) -> None:
         )
     if code not in _DTYPES:
         raise FormatError(f"{path.name} must have samples of type {', '.join(_DTYPES.values())}; its header says type {code}")
-    found = path.stat().st_size
-    if packed:
-        expected = _HEADER_BYTES + sample_count(shape) * np.dtype(_DTYPES[code]).itemsize
-        require_expansion(path.name, expected, found)
+    found, expected = path.stat().st_size, _HEADER_BYTES + sample_count(shape) * np.dtype(_DTYPES[code]).itemsize
+    announce(path.name, expected)
+    if _packed(path):
         with path.open("rb") as stream:
             found = gunzipped_size(stream, expected + _AFTER)
     require_bytes(path.name, max(0, found - _HEADER_BYTES), shape, _DTYPES[code])
+
+
+def _packed(path: Path) -> bool:
+    return path.suffix.lower() == ".mgz"
+
+
+def _opened(path: Path) -> IO[bytes]:
+    return cast(IO[bytes], gzip.open(path)) if _packed(path) else path.open("rb")

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from clvol.errors import DataError, FormatError, GeometryError
 from clvol.foreign import NIFTI_MILLIMETRES, Content, Placement, affine_parts, from_ras, nifti_says, same_place
 from clvol.formats._choice import Choice
-from clvol.formats._files import gunzipped_size, require_bytes, require_default, require_expansion, scaled
+from clvol.formats._files import gunzipped_size, require_bytes, require_default, scaled
+from clvol.formats._limits import announce
 from clvol.volume import Volume
 from clvol.volumes import Leading, Volumes
 
@@ -144,7 +145,7 @@ class _Header:
 def read(path: Path, choose: Choice) -> Content:
     """Samples of what is chosen, scaled as the header says, and geometry, turned from NIfTI's RAS to ITK's LPS.
 
-    Both are as nibabel has them. No other volume is loaded; a packed file is unpacked to its end all the same, where its checksum is.
+    Both are as nibabel has them. No other volume is loaded; a packed file is unpacked to its end all the same, for its checksum.
     """
     with _opened(path) as stream:
         header = _parse(stream, path.name)
@@ -169,8 +170,6 @@ def _beside(path: Path, suffix: str) -> Path:
 def _read(path: Path, header: _Header, choose: Choice) -> Content:
     size = path.stat().st_size
     believed = max(_TRUSTED, _PACKED * size)
-    if _packed(path):
-        require_expansion(path.name, header.end, size)
     if not _packed(path) or header.volumes > believed:
         _count(path, header)  # raises before memory is asked for that the samples do not fill
     pick = choose(path.name, header.leading, header.guessed)
@@ -178,6 +177,7 @@ def _read(path: Path, header: _Header, choose: Choice) -> Content:
     own = len(header.leading.axes) - (header.parts > 1)
     wanted = np.arange(header.volumes).reshape(header.leading.counts[:own])[pick.index[:own]]
     needed = wanted.size * header.step
+    announce(path.name, needed)
     if _packed(path) and needed > believed:
         _count(path, header)
     raw = np.empty(needed, np.uint8)

@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.errors import DataError, FormatError
+from clvol.files import MAX_HEADER
 from clvol.foreign import Content
 from clvol.formats._choice import Choice
 from clvol.formats._files import require_bytes, require_default, require_members
 from clvol.formats._layout import lay_out, unnamed
+from clvol.formats._limits import announce
 from clvol.volume import Volume
 from clvol.volumes import Leading, Volumes
 
@@ -105,6 +107,10 @@ def _chosen(data: NDArray[Any], leading: Leading | None, about: dict[str, Any], 
 def _read_array(stream: IO[bytes], size: int, source: str, kinds: str = "biuf") -> NDArray[Any]:
     """The array in `stream` of `size` bytes; nothing is allocated before the header has been believed."""
     version = np.lib.format.read_magic(stream)
+    at = stream.tell()
+    if int.from_bytes(stream.read(2 if version == (1, 0) else 4), "little") > MAX_HEADER:
+        raise FormatError(f"{source} must have a header of up to {MAX_HEADER} bytes")
+    stream.seek(at)
     if version == (1, 0):
         shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
     elif version == (2, 0):
@@ -114,5 +120,6 @@ def _read_array(stream: IO[bytes], size: int, source: str, kinds: str = "biuf") 
     if dtype.kind not in kinds:  # objects are pickles, and reading a pickle runs code
         raise DataError(f"{source} must hold boolean, integer or floating samples; got dtype {dtype}")
     require_bytes(source, size - stream.tell(), shape, dtype, exact=True)
+    announce(source, size)
     stream.seek(0)
     return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))

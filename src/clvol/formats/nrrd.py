@@ -15,7 +15,7 @@ from clvol.foreign import Content
 from clvol.formats import _itk
 from clvol.formats._choice import Choice
 from clvol.formats._files import gunzipped_size, require_bytes
-from clvol.formats._headers import data_path, line, whole
+from clvol.formats._headers import data_path, line, numbers, whole
 from clvol.formats._units import one_unit
 from clvol.volume import Volume
 from clvol.volumes import Volumes
@@ -43,6 +43,9 @@ _VALUES = {  # what an axis of these kinds counts: the values of a voxel, or in 
 }
 _KINDS = {kind: value for value, kinds in _VALUES.items() for kind in kinds.split(", ")}
 _DOMAIN = ("domain", "space", "time", "???", "none")
+_PER_AXIS = ("spacings", "thicknesses", "axis mins", "axismins", "axis maxs", "axismaxs")
+_VECTORS = ("space directions", "space origin", "measurement frame")
+_PART = r"(?:none|\([^()]*\))"
 _ENCODINGS = ("raw", "gzip", "gz")
 _MAX_FIELD = 500  # the reader inside ITK writes a field that it rejects into a buffer of 1024 bytes
 
@@ -65,7 +68,7 @@ def check(path: Path) -> _itk.Header:
         fields = _fields(stream, path.name)
         size, dtype = _layout(fields, path.name)
         expected = math.prod(size) * np.dtype(dtype).itemsize
-        stored = None
+        stored = path.stat().st_size
         if "data file" in fields:
             place = data_path(path, fields["data file"])
             stored = place.stat().st_size
@@ -73,7 +76,9 @@ def check(path: Path) -> _itk.Header:
                 found = _samples(samples, fields, path.name, expected)
         else:
             found = _samples(stream, fields, path.name, expected)
-    require_bytes(path.name, found, size[::-1], dtype)
+    # -1: the samples end with the file, whatever stands before them
+    require_bytes(path.name, found, size[::-1], dtype, exact=fields.get("byte skip") != "-1")
+    _check_numbers(fields, path.name, len(size))
     units = re.findall(r'"([^"]*)"', fields.get("space units", fields.get("units", "")))
     kinds = [*fields.get("kinds", "").lower().split(), *["domain"] * len(size)][: len(size)]
     texts = (fields.get("spacings", "").split(), re.findall(r"none|\(.*?\)", fields.get("space directions", "").lower()))
@@ -122,6 +127,36 @@ def _layout(fields: dict[str, str], name: str) -> tuple[tuple[int, ...], str]:
     if fields["encoding"].lower() not in _ENCODINGS:
         raise FormatError(f"{name} must have an encoding of {', '.join(_ENCODINGS)}; got {fields['encoding']!r}")
     return size, dtype
+
+
+def _check_numbers(fields: dict[str, str], name: str, rank: int) -> None:
+    """Raise for a number that is none: the reader inside ITK takes "1,5" for 1, and what is too large for no spacing."""
+    for key in _PER_AXIS:
+        if key in fields:
+            numbers(name, key, fields[key], rank, nan=True)
+    for key in ("old min", "oldmin", "old max", "oldmax"):
+        if key in fields:
+            numbers(name, key, fields[key], 1, nan=True)
+    spaces = {len(_vector(name, key, part)) for key in _VECTORS if key in fields for part in _parts(name, key, fields[key])} - {0}
+    told = whole(name, "space dimension", fields["space dimension"], 1) if "space dimension" in fields else ()
+    if len(spaces.union(told)) > 1:
+        raise FormatError(f"{name} must give vectors of one space; some have {' and some '.join(map(str, sorted(spaces)))} numbers")
+    if "space directions" in fields and len(parts := _parts(name, "space directions", fields["space directions"])) != rank:
+        raise FormatError(f"{name} must give {rank} vectors for 'space directions', one for each axis; got {len(parts)}")
+
+
+def _parts(name: str, key: str, text: str) -> list[str]:
+    """The vectors of a field, and "none" where an axis has none."""
+    if not re.fullmatch(rf"\s*{_PART}(\s+{_PART})*\s*", text, re.IGNORECASE):
+        raise FormatError(f"{name} must give vectors such as (1,0,0), or none, for {key!r}; got {text[:80]!r}")
+    return re.findall(_PART, text, re.IGNORECASE)
+
+
+def _vector(name: str, key: str, text: str) -> tuple[float, ...]:
+    if text.lower() == "none":
+        return ()
+    words = text.strip("()").split(",")
+    return numbers(name, key, " ".join(words), len(words), nan=True)
 
 
 def _samples(stream: IO[bytes], fields: dict[str, str], name: str, expected: int) -> int:

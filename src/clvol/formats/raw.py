@@ -11,6 +11,7 @@ from numpy.typing import DTypeLike
 from clvol.checks import one_of
 from clvol.errors import OptionError
 from clvol.formats._files import require_bytes, sample_count
+from clvol.formats._limits import announce
 from clvol.interop import Content
 
 __all__ = ["read"]
@@ -34,6 +35,7 @@ def read(
         raise OptionError("a raw file says nothing about its samples: give shape=(nz, ny, nx) and dtype=")
     counts, kind, start = _shape(shape), _dtype(dtype, byte_order), _offset(0 if offset is None else offset)
     require_bytes(f"{path.name} from offset {start}", path.stat().st_size - start, counts, kind, exact=True)
+    announce(path.name, sample_count(counts) * kind.itemsize)
     if kind.kind == "b":  # any byte but 0 is true, yet NumPy expects 1
         data = np.fromfile(path, np.uint8, sample_count(counts), offset=start) != 0
     else:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import re
+import struct
+import warnings
+import zlib
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -13,6 +16,9 @@ from numpy.typing import NDArray
 from clvol.errors import DataError, FormatError
 from clvol.formats import tiff
 from clvol.formats._choice import Choice
+from clvol.formats._files import sample_count
+from clvol.formats._limits import announce
+from clvol.formats._wire import empty
 from clvol.interop import Content
 from clvol.volumes import Leading
 
@@ -23,6 +29,19 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
 
 _KINDS = {suffix: {".jpeg": ".jpg", ".tiff": ".tif"}.get(suffix, suffix) for suffix in (*SUFFIXES, ".tif", ".tiff")}
 _MODES = ("1", "L", "I", "F", "I;16", "I;16B", "I;16L", "LA", "RGB", "RGBA")  # of Pillow, whose samples mean what they seem to
+_IHDR = struct.Struct(">IIBBBBB")  # width, height, bits, colours, compression, filter, whether it is interlaced
+_CHANNELS = {2: 3, 4: 2, 6: 4}  # of the kinds of colour; the others have one
+_ADAM7 = (
+    (0, 0, 8, 8),
+    (4, 0, 8, 8),
+    (0, 4, 4, 8),
+    (2, 0, 4, 4),
+    (0, 2, 2, 4),
+    (1, 0, 2, 2),
+    (0, 1, 1, 2),
+)  # first and step of x, y
+_AT_ONCE = 1 << 20
+_PNG = b"\x89PNG\r\n\x1a\n"
 _GREY = Leading(("channel",), (2,), {"channel": ("grey", "alpha")})
 
 
@@ -53,7 +72,8 @@ def read_folder(path: Path, choose: Choice) -> Content:
     guess = f"its {len(files)} images ({between}) were taken for slices in the order of their names, 1 apart: spacing= replaces it"
     pick = choose(path.name, leading, guess)
     taken = first[pick.index]
-    data = np.empty((*taken.shape[:-2], len(files), *taken.shape[-2:]), first.dtype)
+    announce(path.name, len(files) * taken.nbytes)
+    data = empty((*taken.shape[:-2], len(files), *taken.shape[-2:]), first.dtype)
     for i, file in enumerate(files):
         samples = _slice(file)[0] if i else first
         if samples.shape != first.shape or samples.dtype != first.dtype:
@@ -94,8 +114,13 @@ def _picture(path: Path) -> tuple[NDArray[Any], Leading]:
     """Samples [y, x] or [channel, y, x] as imageio reads them; of colours in other models than RGB, those in RGB."""
     import imageio.v3 as iio
 
+    if path.suffix.lower() == ".png":
+        _check_png(path)
     try:
-        with iio.imopen(path, "r", plugin="pillow") as file:
+        with warnings.catch_warnings(), iio.imopen(path, "r", plugin="pillow") as file:
+            warnings.simplefilter("ignore")  # of Pillow, that images of 90 megapixels are large
+            about = file.properties(index=0)
+            announce(path.name, sample_count(about.shape) * about.dtype.itemsize)
             mode = file.metadata(index=0)["mode"]
             samples = np.asarray(file.read(index=0, **({} if mode in (*_MODES, "P") else {"mode": "RGB"})))
     except (OSError, SyntaxError, ValueError) as error:  # imageio's own words are of plug-ins
@@ -104,3 +129,36 @@ def _picture(path: Path) -> tuple[NDArray[Any], Leading]:
         return samples, Leading()
     channels = samples.shape[-1]
     return np.moveaxis(samples, -1, 0), _GREY if channels == 2 else Leading.of_rgb(channels)
+
+
+def _check_png(path: Path) -> None:
+    """Raise if a part of the file is missing or has another checksum, or has too few rows, which Pillow fills up with 0."""
+    end, found, needed, packed = path.stat().st_size, 0, 0, zlib.decompressobj()
+    with path.open("rb") as stream:
+        if stream.read(len(_PNG)) != _PNG:  # Pillow goes by what files hold, not by their names
+            return
+        name = b""
+        while name != b"IEND":
+            length, name = struct.unpack(">I4s", stream.read(8).rjust(8, b"\xff"))
+            if stream.tell() + length + 4 > end:
+                raise FormatError(f"cannot read {path}: it is damaged, or no image that imageio reads; it ends too early")
+            checksum = zlib.crc32(name)
+            while length:
+                part = stream.read(min(length, _AT_ONCE))
+                checksum, length = zlib.crc32(part, checksum), length - len(part)
+                if name == b"IHDR" and len(part) == _IHDR.size:
+                    needed = _unpacked(*_IHDR.unpack(part))
+                while name == b"IDAT" and part and found <= needed:
+                    found += len(packed.decompress(part, _AT_ONCE))
+                    part = packed.unconsumed_tail
+            if stream.read(4) != checksum.to_bytes(4, "big"):
+                raise FormatError(f"cannot read {path}: it is damaged, its part {name!r} has another checksum")
+    if found < needed or not needed or not packed.eof:
+        raise FormatError(f"cannot read {path}: it must hold {needed} bytes of unpacked rows; found {found}")
+
+
+def _unpacked(width: int, height: int, depth: int, color: int, _: int, __: int, interlaced: int) -> int:
+    """Bytes of the rows of a PNG image, each with one that says how it is filtered; in seven parts where it is interlaced."""
+    bits = depth * _CHANNELS.get(color, 1)
+    sizes = [(-(-(width - x) // dx), -(-(height - y) // dy)) for x, y, dx, dy in _ADAM7] if interlaced else [(width, height)]
+    return sum(h * (1 + -(-w * bits // 8)) for w, h in sizes if w > 0 and h > 0)

@@ -23,9 +23,11 @@ from numpy.typing import NDArray
 from clvol.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
 from clvol.formats._directories import Directory, directories, segments
-from clvol.formats._files import inflated_size, require_default, require_expansion, sample_count, scaled, storable
+from clvol.formats._files import inflated_size, require_default, sample_count, scaled, storable
 from clvol.formats._layout import Layout, lay_out
+from clvol.formats._limits import announce
 from clvol.formats._units import METRES, scale, unit_name
+from clvol.formats._wire import as_stored, empty
 from clvol.interop import Content
 from clvol.volume import Volume
 from clvol.volumes import Leading, Volumes
@@ -44,6 +46,7 @@ _DECLARED = re.compile(r"<!(DOCTYPE|ENTITY)")
 _NAMED = re.compile(r"""FileName\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 _DEFLATED = (8, 32946)
 _LOSSLESS = (*_DEFLATED, 5, 32773, 34925, 34926, 50000)  # and LZW, PackBits, LZMA, Zstandard
+_NATIVE = "<" if sys.byteorder == "little" else ">"
 _MOST_STORED, _HEAD = 2, 4096  # bytes that a codec may need at most for one of samples, and for itself
 
 Colors = tuple[tuple[float, float, float] | None, ...]
@@ -74,7 +77,11 @@ def read(path: Path, choose: Choice, series: int | str | None = None, level: int
         image = levels[chosen_level(path.name, [one.shape for one in levels], level)]
         kind = file.series[number].kind.lower()  # not what the file says it is: that may not fit its pages
         about = (
-            _ome(file.ome_metadata, number, len(file.series), image.dtype) if kind == "ome" else _imagej(file) if kind == "imagej" else _About()
+            _ome(file.ome_metadata, number, len(file.series), image.dtype)
+            if kind == "ome"
+            else _imagej(file)
+            if kind == "imagej"
+            else _About()
         )
         layout, leading = _laid_out(path.name, image, about, choose)
         if image.dtype is None or image.dtype.kind not in "biuf":
@@ -196,7 +203,7 @@ _listening = threading.local()
 class _Overheard:
     """Of a `logging.Logger`: what one thread wants to hear is raised there, whatever the program has set or switched off."""
 
-    def isEnabledFor(self, level: int) -> bool:  # noqa: N802  # logging's name
+    def isEnabledFor(self, level: int) -> bool:  # logging's name
         heard = getattr(_listening, "heard", None) is not None and level >= logging.WARNING
         return heard or super().isEnabledFor(level)  # type: ignore[misc]  # of the class that it is mixed into
 
@@ -220,7 +227,8 @@ def _strict() -> Iterator[None]:
     if not isinstance(logger, _Overheard):  # for good: to change it back would deafen other threads
         logger.__class__ = type("Overheard", (_Overheard, type(logger)), {})
     before = getattr(_listening, "heard", None)
-    _listening.heard = heard = []
+    heard: list[FormatError] = []
+    _listening.heard = heard
     try:
         yield
     finally:
@@ -274,18 +282,29 @@ def _load(name: str, file: Any, image: Any, index: tuple[int | slice, ...]) -> N
         numbers = np.arange(len(image)).reshape(shape[:split])[index[:split]]
         keys = [int(n) for n in np.ravel(numbers)]
         _check_samples(name, [image[key] for key in keys], image.keyframe, len(keys) * image.keyframe.size)
-        samples = file.asarray(key=keys, series=image).reshape(np.shape(numbers) + tuple(shape[split:]))
+        if file.byteorder == _NATIVE and (mapped := _mapped(file, image, shape)) is not None:
+            return as_stored(mapped[index])
+        into = empty((len(keys), image.keyframe.size), image.dtype)
+        samples = file.asarray(key=keys, series=image, out=into).reshape(np.shape(numbers) + tuple(shape[split:]))
         return np.asarray(samples[(slice(None),) * np.ndim(numbers) + index[split:]])
     _check_samples(name, list(image), image.keyframe, sample_count(shape))
-    if image.dataoffset is not None and image.transform is None and image.keyframe.is_memmappable:
-        mapped = file.filehandle.memmap_array(file.byteorder + image.dtype.char, shape, image.dataoffset)
-        return np.array(mapped[index])  # a copy: the file may change
-    return np.asarray(image.asarray().reshape(shape)[index])
+    if (mapped := _mapped(file, image, shape)) is not None:
+        return as_stored(mapped[index])
+    return np.asarray(image.asarray(out=empty(shape, image.dtype)).reshape(shape)[index])
+
+
+def _mapped(file: Any, image: Any, shape: tuple[int, ...]) -> NDArray[Any] | None:
+    """All samples of an image, where they follow each other in the file, as they are."""
+    if image.dataoffset is None or image.transform is not None or not image.keyframe.is_memmappable:
+        return None
+    found: NDArray[Any] = file.filehandle.memmap_array(file.byteorder + image.dtype.char, shape, image.dataoffset)
+    return found
 
 
 def _check_samples(name: str, pages: Sequence[Any], keyframe: Any, count: int) -> None:
     """Raise if samples lie past the end of the file, a slice is missing or stored otherwise than tifffile takes it: it would give
-    zeros, or other numbers. Nothing is allocated before that."""
+    zeros, or other numbers. Nothing is allocated before that.
+    """
     files = {page.parent.filehandle.path: page.parent.filehandle.size for page in pages if page is not None}
     walked = {file: _directories_of(Path(file)) for file in files}
     first = walked.get(keyframe.parent.filehandle.path, {}).get(keyframe.offset)
@@ -306,7 +325,7 @@ def _check_samples(name: str, pages: Sequence[Any], keyframe: Any, count: int) -
     stored = sum(files.values())
     if keyframe.compression == 1 and count * int(np.min(keyframe.bitspersample)) > 8 * stored:
         raise FormatError(f"{name} must hold {count} samples of {keyframe.dtype}; it has {stored} bytes")
-    require_expansion(name, count * keyframe.dtype.itemsize, stored)
+    announce(name, count * keyframe.dtype.itemsize, stored)
     if sizes is not None and keyframe.compression in _LOSSLESS:
         _check_unpacked(name, keyframe, sizes)
 

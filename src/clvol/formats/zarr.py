@@ -11,10 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from clvol.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
-from clvol.formats._files import require_members
+from clvol.formats._files import bytes_at, require_members, sample_count
 from clvol.formats._layout import Layout, decoded, lay_out, place, uniform, unnamed
+from clvol.formats._limits import announce
 from clvol.interop import Content
 from clvol.volumes import Leading
 
@@ -177,7 +181,7 @@ def _multiscale(source: str, image: _Image, level: int, choose: Choice) -> Conte
     known: dict[str, Any] = {"space": "image"} | place(layout, lines, units)
     if image.labels:
         known["labels"] = _labels(about) or True
-    data, chosen = layout.chosen(source, choose, lambda index: array[index], _leading(layout, channels))
+    data, chosen = layout.chosen(source, choose, lambda index: _loaded(source, array, index), _leading(layout, channels))
     return data, known | chosen
 
 
@@ -205,6 +209,13 @@ def _color(text: str | None) -> tuple[float, float, float] | None:
     return r, g, b
 
 
+def _loaded(source: str, array: Any, index: tuple[int | slice, ...] = ()) -> NDArray[Any]:
+    """Samples of an array. Chunks that are not stored have its fill value, as Zarr has it; those that are must be whole."""
+    chunk = sample_count(array.shards or array.chunks) * array.dtype.itemsize
+    announce(source, max(chunk, bytes_at(array.shape, index, array.dtype)))
+    return np.asarray(array[index])
+
+
 def _labels(about: Mapping[str, Any]) -> dict[int, str]:
     """What the label values stand for, where their properties have a name."""
     names = {}
@@ -226,10 +237,10 @@ def _plain(source: str, image: _Image, choose: Choice) -> Content:
     for axis, word in zip(layout.axes, words, strict=True):
         values = _beside(image, word) if axis in ("x", "y", "z") and word else None
         if values is not None and values.shape == (layout.shape[layout.axes.index(axis)],):
-            lines[axis] = uniform(values[:]) or (0.0, float("nan") if values.shape[0] > 1 else 1.0)
+            lines[axis] = uniform(_loaded(source, values)) or (0.0, float("nan") if values.shape[0] > 1 else 1.0)
             units[axis] = str(values.attrs.get("units", ""))
     leading = layout.channels_of(array.dtype) if words[-1:] == ["channel"] and not named else None
-    data, chosen = layout.chosen(source, choose, lambda index: decoded(array[index], dict(array.attrs)), leading)
+    data, chosen = layout.chosen(source, choose, lambda index: decoded(_loaded(source, array, index), dict(array.attrs)), leading)
     return data, {"name": image.id.rpartition("/")[2].strip(".")} | place(layout, lines, units) | chosen
 
 

@@ -29,9 +29,6 @@ __all__ = ["BY_PLANES", "BY_RAYS", "PICTURE", "Frame", "frame_block"]
 
 BY_RAYS = Tile(1, 1, 1, shared=False)  # for GPUs, and wherever coefficients are not read as rows of a buffer
 BY_PLANES = Tile(16, 16, 8, shared=True)  # for processors
-BY_MANY_PLANES = Tile(8, 2, 8, shared=True)  # where a launch over one of those would be long; the picture is the same
-
-_MANY = 1 << 15  # planes
 
 _STRETCHES = 2.0, 4 * SEGMENT  # step and segments of modes that look at all between samples, in voxels
 
@@ -151,7 +148,7 @@ class Frame:
             ),
         )
         table = transfer.table(stored)
-        tile = _tile(coefficients.device, evaluator, planes)
+        tile = _tile(coefficients.device, evaluator)
         labels = volume.is_labels and not coefficients.filter.has_gradient
         sides = minmax.sides(float(values["mode"]["isovalue"])) if minmax is not None and mode.stretches else None
         return cls(coefficients, minmax, sides, mode, evaluator, planes, tile, central, labels, guides, values, table)
@@ -204,10 +201,8 @@ class Frame:
         return self.device.build(name, defines, {"mode.cl": mode.file}, {"frame.cl": declaration})
 
 
-def _tile(device: Device, evaluator: Evaluator, planes: Planes) -> Tile:
+def _tile(device: Device, evaluator: Evaluator) -> Tile:
     """The device's limit, else blended planes for processors that read rows of taps from a buffer."""
     if device.limits.tile is not None:
         return Tile(*device.limits.tile)
-    if device.kind != "cpu" or evaluator != DIRECT:
-        return BY_RAYS
-    return BY_PLANES if planes.count < _MANY else BY_MANY_PLANES
+    return BY_PLANES if device.kind == "cpu" and evaluator == DIRECT else BY_RAYS

@@ -27,6 +27,7 @@ CHANNELS: dict[str, tuple[int, ...]] = {"rgba": (4,), "depth": (), "normal": (3,
 _ALONE, _BLENDED = 20, 64  # of so many pixels one has more rays at most; fewer where such rays miss the planes of a tile's others
 _GROUP = 8  # work-items along an edge of a group
 _AREA = 8  # pixels along an edge of the smallest launch
+_STEP = 0.005  # seconds
 _CELLS = 8  # of so many on a ray one is looked at, at most guesses
 _ROW_SECONDS = 1.5e-9  # a generous guess of the time of one row of taps on one processor core; corrected as tiles finish
 _SHADED, _CENTRAL, _SOFTWARE = 3, 12, 8  # times as long with the gradient, with central differences, from images on a processor
@@ -48,7 +49,7 @@ def draw(
         for i, (offset, weight) in enumerate(rays):
             block = frame.device.upload(frame.sampled(offset, weight, i, len(rays))[None])
             for x, y, w, h in budget.tiles(width, height):
-                _launch(frame, kernel, (x, y, w, h), *inputs.of_rays(block), inputs.table, *buffers)
+                _launch(frame, kernel, (x, y, w, h), *inputs.of_rays(block), inputs.table, *buffers, long=budget.exceeded(w * h))
                 if progress:
                     progress((i + min(1.0, ((y + h) * width) / (width * height))) / len(rays))
     if samples == "auto":
@@ -70,7 +71,7 @@ def _smooth_edges(frame: Frame, kernel: Any, inputs: _Inputs, budget: _Budget, p
     block, listed = (frame.device.upload(a) for a in (rays.values[None], np.resize(places, (width * height, 2))))
     with _pictures(rays) as (arrays, buffers):
         for area in budget.tiles(width, height):
-            _launch(rays, kernel, area, *inputs.of_rays(block), listed, *buffers)
+            _launch(rays, kernel, area, *inputs.of_rays(block), listed, *buffers, long=budget.exceeded(area[2] * area[3]))
     colors = arrays["rgba"].reshape(-1, 4)[: len(places)].reshape(len(pixels), -1, 4)
     where = tuple(pixels.T)
     first, opaque = picture[where], bool(frame.values["picture"]["opaque"])
@@ -207,15 +208,24 @@ def _in_world(frame: Frame, arrays: dict[str, Picture]) -> dict[str, Picture]:
     return arrays
 
 
-def _launch(frame: Frame, kernel: Any, area: tuple[int, int, int, int], *arguments: Any) -> None:
-    """One launch over the pixels of an area (x, y, width, height) that begins a tile, to its end."""
+def _launch(frame: Frame, kernel: Any, area: tuple[int, int, int, int], *arguments: Any, long: bool = False) -> None:
+    """One launch over the pixels of an area (x, y, width, height) that begins a tile, to its end; `long` if it may take long."""
     (x, y, w, h), tile, device = area, frame.tile, frame.device
     shape = (1, 1) if tile.shared else (_GROUP, _GROUP)
     tiles = (-(-w // tile.width), -(-h // tile.height))
     items = tuple(-(-n // m) * m for n, m in zip(tiles, shape, strict=True))
     with device.errors:
-        kernel(device.queue, items, shape, *arguments, global_offset=(x // tile.width, y // tile.height))
+        event = kernel(device.queue, items, shape, *arguments, global_offset=(x // tile.width, y // tile.height))
+        if long:
+            device.queue.flush()
+            _await(event)
     device.finish()
+
+
+def _await(event: Any) -> None:
+    """Wait for a launch in small steps: a signal is heard in between, which a wait of the runtime is deaf to."""
+    while event.command_execution_status > 0:  # CL_COMPLETE
+        time.sleep(_STEP)
 
 
 class _Budget:
@@ -242,6 +252,10 @@ class _Budget:
         self._across, self._down = (-(-_AREA // n) * n for n in frame.tile[:2])
         self._seconds = device.limits.launch_seconds
         self._per_pixel = count * rows * _ROW_SECONDS / max(1, cores)
+
+    def exceeded(self, pixels: int) -> bool:
+        """Whether so many pixels may take longer than a launch should: a tile of very many samples cannot be cut."""
+        return pixels * self._per_pixel > self._seconds
 
     def tiles(self, width: int, height: int) -> Iterator[tuple[int, int, int, int]]:
         """(x, y, width, height) of each area, each a multiple of a tile, but at the picture's edges."""

@@ -92,7 +92,7 @@ class Renderer:
         device: Device | str | int | None = None,
     ) -> None:
         given = {name: value for name, value in (("filter", filter), ("boundary", boundary)) if value is not None}
-        own = not isinstance(scene, Field)
+        self._own = own = not isinstance(scene, Field)
         if isinstance(scene, Field):
             field = as_field(scene, filter, boundary, device)
             if field.gaps is not None:
@@ -146,6 +146,11 @@ class Renderer:
         is freed then.
         """
         self._lease.close()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled is the scene, or the field that was given; another process makes its coefficients anew."""
+        with self._lease.held():
+            return type(self), (self.scene, None, None, self.device) if self._own else (self.field,)
 
     def __enter__(self) -> Self:
         return self
@@ -330,6 +335,7 @@ class Renderer:
         rounding, ``sqrt(1/12)``.
         """
         chosen = as_mode(mode, options, _KEYWORDS)
+        self.device.require_usable()
         with self._lease.held(), self.field.in_use():
             words = {"preset": preset, "window": window, "cmap": cmap, "opacity": opacity}
             given = [name for name, value in words.items() if value is not None]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from clvol import memory
 from clvol.errors import OptionError, OptionTypeError, RefusedError, UnsupportedError
 from clvol.ndimage.antialiasing import low_passed, nearest_splines, widths
 from clvol.ndimage.arguments import (
@@ -400,6 +401,7 @@ def shift(
     result = as_output(output, data, data.shape)
     spline = Spline.of(data, number, mode, cval, prefilter, precision, device, nan, progress)
     by = per_axis("shift", shift, data.ndim)
+    _require_positions(max(data.shape))
     positions = [None if one == 0 else np.arange(n) - float(one) for one, n in zip(by, data.shape, strict=True)]
     along_axes(data, positions, result, spline)
     return result
@@ -568,11 +570,17 @@ def _plane(axes: Sequence[int], ndim: int) -> list[int]:
 
 def _scaled(size: int, scale: float, start: float) -> Array:
     """Positions along an axis of a diagonal matrix, rounded as SciPy does."""
+    _require_positions(size)
     return (np.arange(size) + start / scale) * scale if scale != 0 else np.full(size, start)
+
+
+def _require_positions(count: int) -> None:
+    memory.require(24 * count, f"the positions of {count} samples along an axis")
 
 
 def _magnified(n: int, m: int, whole: bool) -> Array:
     """Positions of m samples along n, rounded as SciPy does; between the outermost centres, or with `whole` between the edges."""
+    _require_positions(m)
     index = np.arange(m)
     if whole:
         return (index + 0.5) * (n / max(m, 1)) - 0.5

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
+from functools import partial
 from types import TracebackType
 from typing import Any, Literal, Self, TypeAlias, TypeGuard, get_args
 
@@ -81,8 +82,8 @@ def coefficients_of(
     OutOfMemoryError
         The device has no room for them.
     """
+    device.require_room(bytes_of(volume.size, filter, boundary, kind))  # before samples are looked at
     volume.require_finite()
-    device.require_room(bytes_of(volume.size, filter, boundary, kind))  # before integers may be looked at
     row = settled(filter, volume)
     stored = Stored.of(volume, row, boundary) if kind == np.float32 else AS_THEY_ARE
     return _filled(Coefficients(volume, row, boundary, device, stored, kind))
@@ -249,8 +250,23 @@ class Field:
         self._lease.close()
 
     def in_use(self) -> AbstractContextManager[None]:
-        """For the time of a block `close` frees nothing; `OptionError` if the field was closed before."""
+        """For the time of a block `close` frees nothing.
+
+        Raises
+        ------
+        OptionError
+            The field was closed before.
+        DeviceError
+            This is the child of a fork, where no OpenCL device works.
+        """
+        self.device.require_usable()
         return self._lease.held()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled is what the field is made of; another process makes its coefficients anew, on its device of the same name."""
+        with self._lease.held():
+            again = partial(type(self), precision=self.precision, nan=self.missing)
+            return again, (self.volume, self.filter, self.boundary, self.device)
 
     def __enter__(self) -> Self:
         return self

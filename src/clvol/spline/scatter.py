@@ -97,6 +97,7 @@ def adjoint(
         raise OptionError(
             f"values must be real numbers of shape {expected}, as points are; got {added.dtype} of shape {added.shape}"
         )
+    memory.require(at.size // d * (4 * (2 * d + d**derivative) + 40), f"what is kept of {at.size // d} points")
     if not np.isfinite(added).all():
         raise OptionError("values must be finite; got NaN or infinite ones")
     (row, rule), kind, chosen = linear(filter, boundary), precision_kind(precision), as_device(device)

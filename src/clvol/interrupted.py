@@ -1,0 +1,33 @@
+"""Ctrl-C while the command still imports its parts, which takes a second: one line, as `clvol.cli.main` gives later on.
+
+Imported before all else, and by itself without effect unless this process is the command.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from itertools import pairwise
+from types import TracebackType
+
+__all__ = ["told"]
+
+
+def _is_the_command() -> bool:
+    started = getattr(sys, "orig_argv", [])
+    as_module = any(pair == ("-m", "clvol") for pair in pairwise(started))
+    script = started[1].replace("\\", "/").rpartition("/")[2] if len(started) > 1 else ""
+    return as_module or script in ("clvol", "clvol.exe", "clvol-script.py")
+
+
+def told(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """What `sys.excepthook` is in the command: an interrupt ends it with one line and the code 130."""
+    if not issubclass(kind, KeyboardInterrupt):
+        sys.__excepthook__(kind, error, trace)
+        return
+    print("clvol: interrupted", file=sys.stderr, flush=True)
+    os._exit(130)
+
+
+if _is_the_command():
+    sys.excepthook = told

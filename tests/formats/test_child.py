@@ -1,0 +1,395 @@
+"""Native code reads in a process of its own: nothing that happens there harms this one, and nothing there is is lost on the way."""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clvol
+from clvol import ClvolWarning, Volume, formats
+from clvol.errors import DataError, FormatError, OptionError, OutOfMemoryError
+from clvol.formats import Limits, _wire, _worker
+from clvol.formats._limits import Budget, announce, limited
+from clvol.volumes import Leading
+
+posix = pytest.mark.skipif(sys.platform == "win32", reason="signals and limits of POSIX")
+linux = pytest.mark.skipif(sys.platform != "linux", reason="what Linux alone has")
+
+
+def run(function: Callable[..., Any], *arguments: Any, limits: Limits | None = None, room: int = 8 << 30) -> Any:
+    budget = Budget(limits or Limits(), 1000, room)
+    return _worker.call(function, *arguments, what="read v.x", reader="X", modules=(), budget=budget)
+
+
+def workers() -> set[int]:
+    return {worker._process.pid for worker in _worker._idle}
+
+
+# -- what happens there ---------------------------------------------------------------------------------------
+
+
+@posix
+@pytest.mark.parametrize(("end", "name"), [("SIGSEGV", "SIGSEGV"), ("SIGABRT", "SIGABRT"), ("SIGKILL", "memory runs out")])
+def test_a_crash_is_an_error(end: str, name: str) -> None:
+    with pytest.raises(FormatError, match=rf"cannot read v\.x: the reader of X crashed \({name}|{name}.*damaged or hostile"):
+        run(exec, f"import os; os.kill(os.getpid(), {getattr(signal, end).value})")
+    assert run(len, "abc") == 3  # by a new one
+
+
+@posix
+def test_a_crash_of_native_code_is_an_error() -> None:
+    with pytest.raises(FormatError, match="crashed \\(SIGSEGV\\)"):
+        run(ctypes.string_at, 0)
+
+
+@pytest.mark.parametrize("hang", ["while True: pass", "import time; time.sleep(100)"])
+def test_a_hang_is_an_error(hang: str) -> None:
+    start = time.monotonic()
+    with pytest.raises(FormatError, match=r"must be done within 0\.3 s \(Limits\.seconds\).*limits="):
+        run(exec, hang, limits=Limits(seconds=0.3))
+    assert time.monotonic() - start < 30  # what waits counts a tenth, and the machine may be busy
+
+
+@linux
+def test_memory_that_nobody_announced_is_refused() -> None:
+    with pytest.raises(FormatError, match=r"must take at most 128 MiB of memory, for 0 bytes of samples"):
+        run(exec, "bytearray(1 << 30)")
+    with pytest.raises(FormatError, match=r"must take at most 1 MiB"):
+        run(exec, "bytearray(8 << 20)", limits=Limits(bytes=1 << 20))
+    run(exec, "from clvol.formats._limits import announce; announce('v.x', 1 << 27); bytearray(1 << 30)")
+    with pytest.raises(FormatError, match="must take at most 128 MiB"):  # it was given back
+        run(exec, "bytearray(1 << 30)")
+
+
+def test_an_interrupt_ends_it() -> None:
+    """Of this process, which waits; the terminal's own reaches no other."""
+    run(len, "")
+    timer = threading.Timer(0.5, signal.raise_signal, [signal.SIGINT])
+    timer.start()
+    start = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        run(exec, "import time; time.sleep(100)")
+    assert time.monotonic() - start < 5
+    assert run(len, "abc") == 3
+
+
+@linux
+def test_it_ends_with_this_process() -> None:
+    """Whatever it is doing."""
+    code = """
+import os, threading, time
+from clvol.formats import _worker
+from clvol.formats._limits import Budget, Limits
+def busy():
+    _worker.call(exec, "while True: pass", what="read", reader="X", modules=(), budget=Budget(Limits(seconds=99), 1, 1 << 30))
+threading.Thread(target=busy, daemon=True).start()
+while not list(_worker._all): time.sleep(0.01)
+time.sleep(1.5)
+print(list(_worker._all)[0]._process.pid, flush=True)
+os.kill(os.getpid(), 9)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    stat, end = Path(f"/proc/{int(done.stdout)}/stat"), time.monotonic() + 20
+
+    def gone() -> bool:
+        return not stat.exists() or stat.read_text().rpartition(")")[2].split()[0] == "Z"  # nobody may be there to reap it
+
+    while not gone():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def test_a_process_that_somebody_ended_is_replaced() -> None:
+    run(len, "")
+    for pid in workers():
+        os.kill(pid, signal.SIGTERM)
+    time.sleep(0.2)
+    assert run(len, "abc") == 3
+
+
+def test_one_process_serves_many_and_threads_do_not_wait() -> None:
+    assert run(os.getpid) == run(os.getpid) != os.getpid()
+    found: list[int] = []
+
+    def ask() -> None:
+        found.append(run(exec, "import time; time.sleep(0.4)") or run(os.getpid))
+
+    threads = [threading.Thread(target=ask) for _ in range(3)]
+    for one in threads:
+        one.start()
+    for one in threads:
+        one.join()
+    assert len(found) == 3
+    assert len(workers()) <= 4
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of forking beside threads
+def test_a_forked_process_has_its_own() -> None:
+    mine = run(os.getpid)
+    pid = os.fork()
+    if pid == 0:
+        code = 1
+        try:
+            code = 0 if run(os.getpid) not in (mine, os.getpid()) else 2
+            _worker._end_all()
+        finally:
+            os._exit(code)
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
+    assert run(os.getpid) == mine
+
+
+def test_scripts_without_a_guard_and_paths_of_their_own(tmp_path: Path) -> None:
+    """Nothing is said at the end, and no process is left."""
+    Path(tmp_path / "v.npy").touch()
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from clvol.formats import _worker\nfrom clvol.formats._limits import Budget, Limits\n"
+        "print(_worker.call(len, 'abc', what='read', reader='X', modules=(), budget=Budget(Limits(), 1, 1)))\n"
+        "print(list(_worker._all)[0]._process.pid)\n"
+    )
+    (tmp_path / "numpy.py").write_text("raise SystemExit('the wrong module')")  # the folder of the file is no place for modules
+    script_folder = tmp_path / "elsewhere"
+    script_folder.mkdir()
+    script = script.rename(script_folder / "script.py")
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=60, cwd=tmp_path, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    count, pid = map(int, done.stdout.split())
+    assert count == 3
+    if sys.platform == "linux":
+        assert not Path(f"/proc/{pid}").exists()
+
+
+def test_where_no_process_can_be_started(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Protection that silently lapses is none: the error says how to do without."""
+    for executable in (None, "/nowhere/python"):
+        monkeypatch.setattr(sys, "executable", executable)
+        monkeypatch.setattr(_worker, "_idle", [])
+        with pytest.raises(FormatError, match=r"cannot be started.*trusted=True reads in this one"):
+            run(len, "")
+
+
+# -- what comes back ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def plain(tmp_path: Path) -> Path:
+    path = tmp_path / "v.nrrd"
+    pytest.importorskip("SimpleITK")
+    clvol.write(Volume(np.arange(24, dtype=np.int16).reshape(2, 3, 4), (1, 2, 3)), path)
+    return path
+
+
+def test_what_is_trusted_is_read_here(plain: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    there, here = clvol.read(plain), clvol.read(plain, trusted=True)
+    np.testing.assert_array_equal(there.data, here.data)
+    assert (there.spacing, there.units, there.space) == (here.spacing, here.units, here.space)
+    assert not there.data.flags.writeable
+
+    def refuse(*_: Any, **__: Any) -> None:
+        raise DataError("another process was asked")
+
+    monkeypatch.setattr(formats, "call", refuse)
+    clvol.read(plain, trusted=True)
+    clvol.read_all(plain, trusted=True)
+    formats.series_of(plain, trusted=True)
+    formats.leading_of(plain, trusted=True)
+    with pytest.raises(DataError, match="another process"):
+        clvol.read(plain)
+
+
+def test_arguments_are_checked(plain: Path) -> None:
+    with pytest.raises(OptionError, match="trusted must be True or False"):
+        clvol.read(plain, trusted="yes")  # type: ignore[arg-type]
+    with pytest.raises(OptionError, match="not trusted"):
+        clvol.read(plain, trusted=True, limits=Limits())
+    for wrong in ({"seconds": 0}, {"bytes": -1}, {"expansion": "x"}):
+        with pytest.raises(OptionError):
+            Limits(**wrong)  # type: ignore[arg-type]
+
+
+def test_large_arrays_are_not_copied(tmp_path: Path) -> None:
+    pytest.importorskip("SimpleITK")
+    data = np.random.default_rng(1).integers(0, 9999, (40, 130, 210), np.uint16)
+    clvol.write(Volume(data), tmp_path / "v.nrrd")
+    read = clvol.read(tmp_path / "v.nrrd")
+    np.testing.assert_array_equal(read.data, data)
+    assert read.data.dtype == data.dtype
+    if sys.platform == "linux":
+        assert "memfd:clvol" in Path("/proc/self/maps").read_text()
+
+
+def test_samples_that_lie_in_the_file_as_they_are_are_read_here(tmp_path: Path) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    data = np.random.default_rng(1).integers(0, 9999, (2, 40, 130, 210), np.uint16)
+    for order in "<>":
+        tifffile.imwrite(tmp_path / "v.tif", data, ome=True, photometric="minisblack", metadata={"axes": "CZYX"}, byteorder=order)
+        for trusted in (False, True):
+            read = clvol.read(tmp_path / "v.tif", channel=1, trusted=trusted)
+            np.testing.assert_array_equal(read.data, data[1])
+            assert read.data.dtype == np.uint16
+            assert type(np.asarray(read)) is np.ndarray
+            np.testing.assert_array_equal(np.asarray(clvol.read_all(tmp_path / "v.tif", trusted=trusted)), data)
+
+
+@linux
+@pytest.mark.parametrize(("name", "start"), [("/dev/zero", 0), ("v", 1), ("v", -8), ("gone", 0)])
+def test_files_that_are_no_files_are_not_read(tmp_path: Path, name: str, start: int) -> None:
+    (tmp_path / "v").write_bytes(bytes(32))
+    with pytest.raises(_wire.WireError, match="32 bytes at"):
+        _wire._read(tmp_path / name, start, np.dtype(np.int64), (4,))
+
+
+def test_warnings_come_with_the_line_of_the_caller(tmp_path: Path) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    tifffile.imwrite(tmp_path / "v.tif", np.zeros((3, 4, 5), np.uint16), photometric="minisblack", metadata=None)
+    with pytest.warns(ClvolWarning, match="3 pages") as told:
+        clvol.read(tmp_path / "v.tif")
+    assert told[0].filename == __file__
+    with warnings.catch_warnings(), pytest.raises(ClvolWarning, match="3 pages"):
+        warnings.simplefilter("error")
+        clvol.read(tmp_path / "v.tif")
+
+
+def test_what_libraries_warn_of_and_log(caplog: pytest.LogCaptureFixture) -> None:
+    with pytest.warns(FutureWarning, match="later"):
+        run(exec, "import warnings; warnings.warn('later', FutureWarning)")
+    with caplog.at_level(logging.WARNING):
+        run(exec, "import logging; logging.getLogger('some.library').warning('odd %s', 'file')")
+    assert [(r.name, r.levelname, r.getMessage()) for r in caplog.records] == [("some.library", "WARNING", "odd file")]
+
+
+@pytest.mark.parametrize("kind", [DataError, OptionError, OutOfMemoryError, FormatError])
+def test_errors_keep_their_class(kind: type[Exception]) -> None:
+    with pytest.raises(kind, match=r"^it is so$") as told:
+        run(exec, f"from clvol import errors; raise errors.{kind.__name__}('it is so')")
+    assert type(told.value) is kind
+    with pytest.raises(FormatError, match=r"cannot read v\.x: 'gone'"):
+        run(exec, "{}['gone']")
+
+
+def test_names_are_relative_to_the_folder_of_the_caller(plain: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clvol.read(plain)
+    monkeypatch.chdir(plain.parent)
+    assert clvol.read("v.nrrd").shape == (2, 3, 4)
+
+
+# -- nonsense that a process may send once a file has taken it over --------------------------------------------
+
+
+VALUES: list[Any] = [
+    None,
+    True,
+    3,
+    -0.0,
+    float("inf"),
+    "µm",
+    b"\x00\xff",
+    [1, (2.5, "x")],
+    {3: "liver", "a": (None,)},
+    np.arange(6, dtype=">u2").reshape(2, 3),
+    np.float32(0.1),
+    np.array("text"),
+    Leading(("time", "channel"), (2, 2), {"channel": ("DAPI", "GFP")}, ((1.0, 0.0, 0.0), None)),
+    formats.Series("a", "CT", (1, 2)),
+]
+
+
+def sent(*messages: Any) -> list[Any]:
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        for message in messages:
+            _wire.send(theirs, "x", [message])
+        return [_wire.receive(ours, lambda: None)[1] for _ in messages]
+
+
+def test_values_come_back() -> None:
+    for value, found in zip(VALUES, sent(*VALUES), strict=True):
+        assert type(found) is type(value)
+        assert str(found) == str(value)
+        assert not isinstance(value, np.ndarray) or found.dtype == value.dtype
+
+
+NONSENSE = [
+    b"",
+    b"[]",
+    b"[1, 2, 3]",
+    b'["x", {"eval": "1"}, []]',
+    b'["x", {"Leading": [["axes", ["a"]]]}, []]',
+    b'["x", {"Series": [["__class__", 1]]}, []]',
+    b'["x", {"array": ["|O", [1]]}, [false]]',
+    b'["x", {"array": ["<f8", [1000000000000]]}, [false]]',
+    b'["x", {"array": ["<f8", [-1]]}, [false]]',
+    b'["x", {"array": ["<f8", [2]]}, []]',
+    b'["x", {"array": ["<f8", [2]]}, [true]]',
+    b'["x", {"dict": [[{"dict": []}, 1]]}, []]',
+    b'["x", ' + b"[" * 100_000 + b"]" * 100_000 + b", []]",
+    b"\xff\xfe",
+]
+
+
+@pytest.mark.parametrize("text", NONSENSE, ids=range(len(NONSENSE)))
+def test_nonsense_is_refused(text: bytes) -> None:
+    ours, theirs = socket.socketpair()
+    with ours:
+        with theirs:
+            theirs.sendall(_wire._HEAD.pack(len(text), 0) + text[: 1 << 16])
+        with pytest.raises((_wire.WireError, EOFError)):
+            _wire.receive(ours, lambda: None)
+
+
+def test_absurd_lengths_are_refused() -> None:
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        theirs.sendall(_wire._HEAD.pack(1 << 60, 1 << 60))
+        with pytest.raises(_wire.WireError, match="a message of"):
+            _wire.receive(ours, lambda: None)
+
+
+@linux
+def test_memory_that_can_still_change_is_copied() -> None:
+    """Whoever may cut a mapped file can end the process that maps it."""
+    fd = os.memfd_create("x", os.MFD_ALLOW_SEALING)
+    os.write(fd, np.arange(4, dtype=np.int64).tobytes())
+    found = _wire._mapped(os.dup(fd), 32, np.dtype(np.int64), (4,))
+    os.ftruncate(fd, 0)
+    assert found.tolist() == [0, 1, 2, 3]
+    with pytest.raises(_wire.WireError, match="0 bytes for an array of 32"):
+        _wire._mapped(fd, 32, np.dtype(np.int64), (4,))
+
+
+# -- limits ---------------------------------------------------------------------------------------------------
+
+
+def test_limits_name_the_rule() -> None:
+    with limited(Budget(Limits(), 1000, 1 << 34)):
+        announce("v", 1 << 30)  # any file may stand for so much
+        announce("v", 5 << 30, 1 << 23)
+        with pytest.raises(FormatError, match=r"at most 1000 times as large as what is stored, 1000 bytes \(Limits\.ex"):
+            announce("v", 5 << 30)
+        with pytest.raises(OutOfMemoryError, match=r"into the 16384 MiB that are available; they take 20480 MiB"):
+            announce("v", 20 << 30, 1 << 30)
+    with limited(Budget(Limits(expansion=1e9), 1000, 1 << 34)):
+        announce("v", 5 << 30)
+    with limited(Budget(Limits(bytes=1000), 1000, 1 << 34)), pytest.raises(FormatError, match=r"at most 1000 bytes \(Limits\.byt"):
+        announce("v", 1001)
+    announce("v", 1 << 30, 1)  # trusted
+
+
+def test_limits_are_those_of_the_caller(plain: Path) -> None:
+    with pytest.raises(FormatError, match=r"must take at most 47 bytes \(Limits\.bytes\); its header says 48"):
+        clvol.read(plain, limits=Limits(bytes=47))

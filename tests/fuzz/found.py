@@ -1,0 +1,177 @@
+"""Files that the fuzzer found, each of which did harm before it was refused; packed by zlib, in base 85."""
+
+from __future__ import annotations
+
+__all__ = ["FOUND"]
+
+FOUND: tuple[tuple[str, str, str], ...] = (
+    (
+        "v.npy",
+        "a header of 4 GB was asked for",
+        'c-oun7wQ`j$;9v<2&&anQj3#|)U6cMZPF~%brjUo@{3A}67%Boi&9cS;vq$)sX7Xip?XRf7#N7v0|0O-A~O',
+    ),
+    (
+        "v.npz",
+        "the unit was lost with the name of its member",
+        'c-jl_W@gc4U|`??Vnv2G0=29DLjeba2t!I@Nupj}K_w%D0K*Rk2si?zXTK4DB`t9BM8L6tweu!L&52o(w{$_?<jf`O7B84LEj}b@$_(-'
+        'O@lz&o36*=F(ez{O5>HnVTf+2H>X;RmnibcwSyo(Ixt=iUm9g2e1+q!9rLyU=IkR!IRkNA1#kUExWwfcZ`Lr>$6}4Hlg|*4Go#fdpA!f8DA>#ao-bDS'
+        'wf^C<1rc2}**(6k)`_T7L`>;G)nwy@RqZ_ANrJJc+tedb~wwt<}|1pMR1;;Fog&dPPmUK+(nA<VFV|B+edx|Be8!#~hp!k0OWR<fp-'
+        '*W?fUtExwoSByn3xF9=kNe{ffV72#0|4xI5e7XrgNg+Hh4BuVV(e&c;hr=-'
+        '66O{zpj+~bGSf5j(47)MO{WADHe66+SJ*O_8O<%*K1vJ0+`<b=6`4h;$t9WjaOa$$o^!a4fgO~>40O<sg!2vJ0@KigW{TOKlQ8FS0-'
+        'aNumswH_b4mx)2_ATzBAi7ql|sUWaa{}>8=C+d&<Tu8y3D9K1(XwhKt*7nfe}Q)@(sE!PznPjA5i>pqv-'
+        'kvB$3h^x<*iP2!LwjLeba-v=EUv(Di|$4x|qhL%b;Z#F!XRBNAOJD40Q^2ntb76s=2vS`A@=9^lQ&1`=ikLP?-oG?+m=08GnDbN',
+    ),
+    (
+        "v.png",
+        "a wrong checksum: other samples",
+        'c-'
+        'rd>@N?(olHy`uVBq!ia0vp^>_E)M!2~25a)cFul%}VPV@SoE<do;aM_GC{i>*7Lv?@EP*Y(SRkHrx#&36_HZS1hC{>>UJ!r<c|xXoK%J_@Ld!PC{xWt'
+        '~$(69BVJ9EA',
+    ),
+    (
+        "v.png",
+        "134 rows that are not there: zeros",
+        'c-rd>@N?(olHy`uVBq!ia0vp^>_FTj03;ZW-ZKaXQsSO2jv*Cul2a1g+jMx^Qi>%d{~0J1GNv47y8h<R#CniYPgg&ebxsLQ0KO#^V*',
+    ),
+    (
+        "v.vti",
+        "a letter that is none of base64: zeros",
+        'c-'
+        'n1~U2mH(6o&8fD~^1>gwmikQb@&DTAHvfByFYLR8Hc#Zoy=ZwS=qv^_>Hh_F^CmkKgxv7{m1DTo&+0n4_w+&n|`zyO|B9Pn*SD6#{I15I##wE=9~OXP'
+        '-`Ic)?&>Tk%qvy)ZsoDr*ao=)K~a!K>gn`_jfgrrKV*Y&HOx_POBswL<^d3T-'
+        'hRjKP6Ryj%tkMoC58IPlHIS%<;;z;{YZs_TI>yz;;udJJM^#Ll*@V=SHhy{-'
+        '2{iJgG|l_8l7mD09pXuablH%FiCg+3}<cMkNB92mpv?uE>YiqneVJ1@njAAVJ)<XC2_G&jgO*HUD(l&cTmXP=E-'
+        'r_T*=9kj<d!QnOx{{~UDS`pL4Il`e@$sov+lyv0qn)r?Q{(u}cx_w8^a^!eTJSP3YBX0cRV@CO695$;Hrg}$?=5doBdFdd>KZz&Ad4il+<Zw;=O!2oN'
+        'u_oS9{M}RB^mB>=NqUN$Mk(oU7%$Ta>d}Vug8cUf()XlS=$DH;Zu&?4H`QNENUuq^=$Ffa^a<%F>L){g8sCv#qhDrT+^qNH`yZP%>UXQ#;ZeWE-'
+        '9#jc;tP(xGP>!DX&?KK6@Q6Q_fO0Q{{TFI?W+',
+    ),
+    (
+        "v.vti",
+        "too little base64: memory of the process",
+        'c-'
+        'n1IO>e?5488L!EZ^6LLdOoIXc|L8`xNZsh)nTHq%=ioG|_**gqFf#ilW5!v){8logGUJziew&8HvM4;4B+VzdoK8N;A0Tz!H}w6+9<LctMJ2h_G!OZz'
+        '{WEEAd%5r}@$B6d8m)llN}g{LiIvqXe@7z_hOg-'
+        '}}nrkB*J=<zNf~M*b!UZ&np5s1b0Jc&|WMA1GI*2)rqXXp%w_r3iCnId`pepBqm9wtVl3bB6zDLO1{_W!y>7IwwuGmbhb6E7x=gj|t&>YpLl5vd|TUj'
+        '^LF_zTn}fvL$(%tukc2y&_ZaOK4?sHs~mEoQS?Qz}>0Z?O4h)UEK3^8slDM=XhYPugv(`_UO=a`|Zc=ml}6l%?5wF`Hy)',
+    ),
+    (
+        "v.vti",
+        "the process was aborted",
+        'c-oy)U2~f-'
+        '5PbKqxY28;1_S<@G0r&PG;Y&4i4!O8i${h7s|AS&)iM9R5~R49@l(YhM$6va?n#<l9P<ngC`%@|PkLROTueKY_2aiImLaIBK%Xpfnqo*5B`2oc?Ge~j'
+        '3b#VWD1CCnl*(|<V@5fFJyMNsoA{>%SFS@K5_uu9EQO{Y)UTT#o=F<CD4BKuCT%r%-V2@asE{jN5InHK)vwO9lq_XNuMM9ajoJiO1&tU_jj}%2-C-'
+        'Y`Zl6HNBu1(+r(@02e(QR=;vK^X;cTJ*8%<u5Sun0@FRO@VRF*!8k(W$W<S$3F3}GfEt>DzJ5rJEp<B1Q6kU7=*Xi*@KF(&Xpd5YgnAKbG_oB#Ca6Q_'
+        'U9i%60ZjpK9CR%^m)U9?buS@r?2J|a5C^t9ejtKHCgIeV91cLjMQ;(FJ1w8VkebY(lcpXm{p$?17RZ{!ZVp;_IfX7>G2U|)y(r)W`$<1!q7d0ap2HhK'
+        '0IyMwErUzb!+c2LrtS7Uw1mdWpN@)idB`R2OXsM}BltM%o}OTI26_w|x3K0R}K@7G%YRj2QP^?nhioj;5Z+>`',
+    ),
+    (
+        "v.h5",
+        "chunks of too few bytes: memory of the process",
+        'c-'
+        'rgqaB<`1lHy_j0S*oZ76t(ZWbhvfW{9KmVe$!3nh{EOK<O1sFmXn(oCH){5NbZUx{x4OSCH!eXaHu<16Byl!7vI&BJgl^3;@v)P(Cb`o?t>%mxz`gJt'
+        '(vnSNio}hVV03iA%p09HZ%XH2q?x-'
+        'wsw(b;+qYImJ{=zrlX~E}#?)OLq#)X!!#z9ghNB<p2jH%ot&O3kb~&5ny3J&EK3*8kaaTFa<C|(*YAwieQD>!^F%4Hkcb|4<lR+h~@y7NW~eYX=ypBa'
+        'B)VccuHzoPGU(alD!HL`<Pf7IAKOWoW+S`EYNm{{Rc#$>4AX(Ev4d5R~qc2X@ndAsy7&c(ScrXL=mZ9LkvQrt7pNXz6q*6jscMv@PRux)Z;SWN*tAsZ'
+        'aycG_Kt#4FbYP&C>RB!U=)mkQ7{TH0S|NpmJ!%b6Jd~GNX<#jP0cHbFV3t=jW5k*5LB>-'
+        '_R$;|Ot=|L{=@qJjEvBJC<6)&1r8AEfjxx2U|$iJ{9Jfy;5DNy8_GZPcKV&t(O94TcBW1C!>+HlzsXtFzI@jF{QbUvKhGc2R$99xGa>K!D`A<bGbYA|'
+        '-M(a-`K;;b>uv8WYhFF-{eAvkU7`Y$fsr5^!}3omQ-'
+        'CHv6Phw1{IcoBvQIo5{oZFa*JZtVG2g8G<SSomei{4nujd|z%h&%&dn6(-J@~5OwxTZ|_`7{i>aEJjct6`J{o|@$>u>Vb)la`Io-QxZ$>4LQ1=u@RQ{'
+        'Gb%_xoS}RQCw4K<E2st{t`3FjBN#zh&9Z>_<I6PhZQsS^MHi>+A3H_Er9WtIxfC!jh(4^H%n54o`5YiOTaV4SwG8^7FKHH}|}L(E0iLJG;cRG)0bx$j'
+        'F-'
+        '<j10HmsTu%H|I<COIo>DC_4bKN2k+{es9CPwuxQ`f@>6eIwas(xmw!3)G@3tt&%ZB|8|V6mxJ916aOmDya}_Ji%?tLd+nWAqO{?~`{M*$}zAT;19}yA'
+        '3$z*0`R_4UOkfWp$0RTLZFPi',
+    ),
+    (
+        "v.nc",
+        "the process was aborted",
+        'c-rk*F=$g^5WagaX<yUSrl@UNiv|P<f>5D@;E=@h#RSu|G(`o$7@HIVNm@*bZ3o3cs3159B7%e9(9KP{2pt>*m*VEu%}&xq=pe-'
+        'Zy?6g>{vQ&fEkg1CI$ZwC-Tikj-@W1MljKCA&o|-&3x)w62tYF$1UN0733tdM*)_838uz39U6A|(R9}vpoiR--x*>tzGv;xu*qy@vf}|Onw(Lzhhsl1'
+        '@#JD=yRkAB&mnEK#b$BmAuakrPe95u8<IpLN=m}o3t^EPJRKNhxni%Z`!}e>MW*0VSV{}~hiW4~SLzMdIgA**eHkU6KbMyJR`ocYX&q5LAwGf5zUKnr'
+        'a;{1eYfbQR=Teg7jnd2V|innJoQxnLhGUy!A+dsb$+09e!<M{hwZMc0L-~Y|Qqs`}TI0h$S6wbnVxX3safdov#EZl;-P=ZCc4-'
+        'eomJcZ}*3f{mvyo2}f0Y1WK_yS*H8@|DJ_yIo|KYTcVK|F)!@B)tGWxRqZoW>h?8;e-R8m{6aT*GJh0$<}>+~-'
+        'ZN&6|9okXx9auN7%=I^)f5#LxGD)$y~8T%uGiU(c79iu5~4{6=?fnZI3jA4}Czy~fVNh;~N6%`t?0%Wih<f4&-@N@Ei-P}=irWHrfFD&l_1{_Ylj&U-'
+        '`RVUOhJJod@)(jFxH)w^9mK|w)5K|w)5K|w)5;demr3;G<_t=36U+Lq#V2-'
+        '=~obdJ_K+}4m25ftkANlCPH41@i})3I!posSC|2EasW(#&L2Q<+>g9!r}nFHCt}J1-NPG=cK8raZ1=^0{`Xi=^9u(eCj?DLeYNdW+Qy*IP7u-'
+        'bMPppXCIb=1Qlsv#cJ~8lp;wqE4#2zuSIYLpt|JXP<p`o_ni$e%NsPs<YS`Ghxn{nYc-'
+        'P4Qftbg?v5lid}8M`!AF##cHjzQ0?St)9j9>6cYNCbtzdlMK-0VGmG<boyv1y9={xcrv47b<3^+LurnU7NIc%4E)491$J-'
+        'Id?vmY$90s2~N0>L*A#eEq9lQsB|BX5k;eY!6Tb6jUH~J^M*@}q#*>QPv82srz!u;X7_AeJ^+S>',
+    ),
+    (
+        "v.tif",
+        "a strip that does not unpack: zeros",
+        'c-pOzd6XAY6vyv=pR^68dhLp26rvLCgQh`*NJSeVLR6xXMx~H;+aR(ei9#hyR7w$ptjQ8Zi$qarvAmh{qx|9c$9?B>-uHdqz3-'
+        'fNzWMn%5CEVw019AIWfGXt$pu0#(d84I(K-ykGP;<o)X!<3lE~iAuaJ316BUzR+%qFl8MVZpov4!0^AmOVn-zkR%1ei$#Hh3y|9$%x(V;A4Lsh5^InV'
+        '%_Kuc%??Vtm6f!GszLthvOLt!M0fk{vZQ(-'
+        '#Hf_V@Zz!F#iD`6F^f%UKjw!_}^xl)*gu@ct6I#?eYVpGh;d~A;$u`Bk%J{bGqAS}SqI1cZ|2k|j{3ZKIlaUm|lScD(p=eQO(;a2<=|3ITMbO=?US`?'
+        '3@W9bBHL8sCgbS`zK9&|ZfL)X(y6i3h<G?DJ3hv^A=hUU^M^g6vo@6)FgzoPHx2l|Ef5b*(Ao-1;7KAh|E@f=U$*4&oQ;`8|;zJ#yj>-a_<#-'
+        'n&F$Gi9eew1hMvpk<)<2U#n{*YJmH@uPKPrQ?VXO+@&uvC^qrLG(!jitGqBL7eJh4kOqPosU=&!m0X&!K;2Ut9~5mzRc$_}{WGu6VkfBb}tXTqak`02'
+        'v~~<#w4M_sT;Or^(YYM_!i2@}|5epU9W;t!$Q`Ww%7spyjlJR@1}uC_PS3)K;3OXX<$xFVu_m3cXfu(3|yEy;CRa{rZSLsk1e{ps(sueOo`!&-'
+        '82Epg-yk{Y}LVw0Mw3t7%8r(bmYC*~xaAooyFbH@np0Ro34I+bwpRjkkMjial;K?Rk627Fk?w@7l-'
+        'qg{`yiZJX^faQCvF?NvS2_8f2EO}wSI@pj(9yLeCU?R|Zq$Duyb$M_^K^r=4GXZbu|;7fdkuk^Ue*Z6wh;@f?%b0`(ELZwh6)Cu)NY#5q`+>jsIhmN6'
+        'Z=oR{eeqm532&2QF&Tp+x',
+    ),
+    (
+        "v.tif",
+        "memory for absurd pages",
+        'c-r&y)MDUZU|`^3U|?inU<9&w85jf@p=_Wi0}~@Nm@NRr%usf~VUPfX4Z?yz^~^we9uSK%BE-d@=CA^>I8Yp<W)%=iF|vZiHvq9Tl)VFpHIVdv0}=;-'
+        'v^9|43B=V5bquy}Ss2#Xs{dD^X(}^=Qirs1!PB!W@($mBygQ}2Zq6eN!mq}Q@%g^k>asW2*M={*i>)eoael6O`o5UTq9@0D#ntU%DhduTF#dVDS^fN6'
+        'tHN7LG=-OWPtyvVrJ^ac#Jx|-Flvd0;3DTXE<q_34GyT)Yk^jK$S4<B%W`b>Q}(FZb-+J+?bFvLO-r655$BdXVYJ<PCD8frmdn1zd$(NjRIc4}(N)-'
+        'X%LPZ~+WUJ-A8+%GHhXh@UG(O-wN|ECmzTIUe>)RtoOXJOs&m<y2*aeqEv(ExlKZWnRV4QsA7g^pZnBV(VJh<+=Ecmbm^U)-'
+        'VBXJsjQK3{73SN_kC<OFe_;O3{EwNHg@;9$MT$j{MT143#f-'
+        '(4#f1eWwi$?tZ8k>C*zRE>9NROP5V1Xv2@%`Nm{4OI1U3N0^njX{0dXBe1(w)mKnZl!f~(IMo@Od%HN|a^Tf_ePU=@OrvHP^?>x;9VO4{-'
+        'dKQ}VJ+iU&(?XAtp`}6i%eSLXpv2*>qJ(i!Jo|>#|pLeEW<D(-T{L*?h5epg^K3(a&tmZq@Aa+wo=Oq=-'
+        'i3+wwS2`{#xpoT3GD2;y1=@Z>O0i+D<XM@QUk%Nk9<P;|e!MV7?s#FP%<-'
+        'p%AkOOTqO63{+5`3<m(%^{S(iTA;u);wGhHWik%?!Jibuc9|9?qaJOY(m+Id8kOgsVv5V3ue{Q>)P_IK=G+5fOJb8vA8a!7E<bEt9Xa+q*fb2xE$as+'
+        'UMbHs6^a^!Fnb5wCOa&&M203Z+>Is',
+    ),
+    (
+        "v.mha",
+        "packed samples read as they are",
+        'c-mc%JxBvV5QX1hA#5R72qJ<9f`t%COoD=l<QId+ljOich-~6UR_-'
+        'V4t(aH{7NUh<Ay^0&f`y%(o!Hpf+1c6I+1UxY7ovzP%QD}4!^~T|zAYNs>9mA3Z<Rd0CD=+{dZDS3EGvDkI(e?SDIK*V{*Y`(3tMdpRjy`@TI6mhST6'
+        '8dN`#@<>^1!(Rk;_<NhA}@QQQxkf%3{+E7^{y74M$km)Xr`D0C#nt=M$jO2%1E_*y8tSqU`PGVqPqb+e4mb>PVccWot&=|`<(O03`t&!B3HH>AH6wM?'
+        'bWok?5MQ)y=6_V!9!DU-VA?)^!*;A~VE?TYimqZ~!)M%uES%Pg~YjoLW+>c;?vFp6<ZB7s>fpolUYtfLNz7Iv|ZL!96Y7r4R=ZgGcuJmLw@c)=^)@Qx'
+        '3BqK_C2(lCwD1jQ&tbCjhLt<oCRNRUe*?a=`p(<z<PC0*0Q(#ZHXCq9A8',
+    ),
+    (
+        "v.mha",
+        "a matrix of 1e308: never an end",
+        'c-'
+        'r$%%1TWx38^edRj^g?%uP&B<??gM%q<4;jJcdL^Ad|HT@p(Yf!vUy(o`f7r^=F4|Du%CBHv&qpsZVBPH`%ibAE0?QEG8<Y6?^nL^z}<F|Rl+zbMx?v7'
+        '{)o0w`{%U;u=Msm2BtP&Saq<)4;ToLT~sHc-$tGEgu!;BrpQD@iT#PYcQ~Ni50C&jU(=RdYG!C6?spW+o@*_!ngY6~SbK96h;Qb5e7GLcs-'
+        'z$(ecSAT4^PKx}TRV5Dct1@vBUW);Z4rV1uNUqV&;mF6aaY;w*>%*#v7frJ254jMkbt|9TE&K{0IFmaGC-'
+        '7<4Paz6gfjy_!Me4;YST80+(ZoVPWNtp%Zb*(*<XDwW@e%sz7r!U=n@ciA^Kg?W$67p)gCe}`#0pW2#o2nW+`lroZvU=0b1IN!@z4Q3h#~=UMctxa@G'
+        '!4w{Tz!J05;OA4YFoM|&0Mg2-PS#aPhGrm|JmCwznM4%#N||VjIA6!{KH~XvWqGk+WV%?S-'
+        'fiFj{V2ZUb+3~<%jS8Sb2n{6gBkCY+byAA`{Z{N^6?CCeE0@Z0(lahfZF&e(&iU00@7<QU',
+    ),
+    (
+        "v.nrrd",
+        "a spacing of 0.5x9",
+        'c-mEtEl31G7>0vEm>?JggW$k{c(OlpKa08sK}9fl$RQX6Vcq$5@59}hVP=lg3xYu~2nN9*7zBgOX0zFBHk-'
+        '|6vl$$JE||WDm*@R>TkZA=W2{LkbXk_F01LF`GMZrlG?ThaEHw&J%rH$XN<kAFJG*18io?(Xl!1|5or05d2n5(rXwAdlZqTu1LF|Eon0AH1TmYwOC(('
+        'ps2`-Q#rVV0Lk~*V+%=$_i3mT>NO;`N@G1vza(}*?)F6F2p{odp9X%<8t^H|l9$AZ~tfcx`aJ&3Ag4+VD~mt}(D{~;h!$x-'
+        'An)k*K~xzw1W8#Y~Io?mBPgH;I`9vPdc%+%%<SJyYUcTx2Yk5A7puW#?}A0D5cUtZtdKR$=Z==kK6-&|N)+t}KH!t{?$&MvNQz5s&WdiD',
+    ),
+    (
+        "v.dcm",
+        "four frames of which one was read",
+        'c-qC0KS*0q6vn^v65B`7G^uIG5a^?ok_tZVi!UV5K}cdTVESzSkb*%(=upTYI4BN^gWw=Y6*?3g1P2Gf&CSiNTQ|3C-MYC++wWdqL+fI;-'
+        'pAv7_nhDT&UyC%|94fY<(kFVnvJ5%Xh9H^bmS6?u~p5$b8~LdSFWd&D!O^sbA7%#>ye0%u?;in`rOC4Pu@B6hke4@gIg9hQun&sNdMz*V-'
+        'e+sg>uuu2rE%tfrD7zH;=5Ix}m=$izw+~)PlD`d8QuJrgIMHQDxP4vU<{no<EC(QA1P^t>RSDSC&zasUk*k)nDy5-htBqKYyY3p3y<-lg?$rT+-'
+        'wUsBi+Wqs+so`x<U6<TRhg9JwesKkJIxhH?w}j^YQ^mFaaF^3RR$sPRaJxtPi2c#gNw$+3&hj{QZZLo(hcZA0pggSzGib}i7gw;4y!2G&@6$UpRyH}e'
+        'AH@KD4Q-k^pi=COp2SjH+gu#H_D;0um$f-{`s0+;xTZ@5Aa-|++2xZ(Xjl7yt?nY@$<@#VFYq$+dLmIe7BU0IQJ*^(XElh1M}$MPFDG=_5',
+    ),
+    (
+        "v.zarr.zip",
+        "the name of a chunk: fill values",
+        'c-'
+        'jl_W@Zs#fB;1XhwticjEoEnAj}RF(W^=<DoU)Z=2B2lD$YnONL8{@hz4>L6pVGilnI0~1(LBKrc!c7X<l|QT$zy$GKEl<Qc?*vOvx_ONC_;GmYI_iUz'
+        'V6t3KBK|3*{H3q!xh`xxtl`q!xh;&nwNzftZt-'
+        'o0?agnV%P5oLZ1rlvt7v)}RN`ker`eP?TC+3>K^gJ3%Qk1*D)VCo@S2;wYt@)UwnZpr9d;TMO0)@^yS#eo<~>2~gaKt2O{7l$`f3Tg(JxfiN_bN=k}~'
+        'tI?EkvdnvC2xNgUD-av#0bvDWazgryGYgJx=xyvz6l+#I9LE;e*2*Ks<1UdR5oU11curbCTEzJW#|k(ZX6)gpMm1BNU*)s`$Sk;-'
+        'hF~*4r0zHwaNt9`V#`BDXG>*cXOqLlZB}l2Z7OZ$JZpQJcxLj%OIAs!GF%Gb{EliQPw|a*6(CCmYNR35nN!je5=xkoOclPdB*iN5F(e5q@UbUlEA%BN'
+        '0KMGJRD)_vP~`CqsK!8C=98L`@P^@$jKVwiM@b6v*p7rc*ob#XH&$>mGc%-rXSE3MW@Hj!#+?RXpn;JAks{GGp+^ZqlNuvDg3vXgM-'
+        'W1jFC#R%(6yk4KSIkwMrdrHYe5fRgqAOi(9lNLf*zI#E!IE}8tRyWw6L;)gxG-43}{Xh$ma|IOSQRi',
+    ),
+)
+"""Name, what happened, and content."""

@@ -1,0 +1,59 @@
+"""Mutants of every format, the same in every run: ``make fuzz`` goes on with others."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import subprocess
+import sys
+import zlib
+from pathlib import Path
+
+import pytest
+
+import clvol
+from clvol.errors import FormatError
+from tests.fuzz.found import FOUND
+
+ROOT = Path(__file__).resolve().parents[2]
+FEW = 60  # mutants of a format that a child process reads, or whose reader is slow
+MANY = 600  # of the others
+CALLS = 3000
+QUICK = ("npy", "npz", "nii", "nii.gz", "hdr", "mgh", "mgz", "raw")
+OTHERS = ("nrrd", "nhdr", "mha", "mhd", "dcm", "tiff", "tiff-packed", "png", "jpg", "bmp", "h5", "nc", "ims", "vti", "zarr", "zarr.zip")
+
+forks = pytest.mark.skipif(not hasattr(os, "fork") or sys.platform == "darwin", reason="limits are set, and kept, as Linux does it")
+
+
+@forks
+@pytest.mark.parametrize(("formats", "count"), [(QUICK, MANY), (OTHERS, FEW), (("calls",), CALLS)], ids=["quick", "others", "calls"])
+def test_no_promise_is_broken(tmp_path: Path, formats: tuple[str, ...], count: int) -> None:
+    results = tmp_path / "results.json"
+    command = [sys.executable, "-m", "tests.fuzz", *formats, "--count", str(count), "--results", str(results)]
+    paths = os.pathsep.join([str(ROOT), *sys.path])
+    run = subprocess.run(
+        [*command, "--keep", str(tmp_path / "kept")],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=600,
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": paths},
+    )
+    assert run.returncode == 0, run.stdout + run.stderr
+    rows = json.loads(results.read_text())
+    assert sum(row["tried"] for row in rows) == count * len(rows) > 0
+    assert all(row["refused"] > 0 and row["accepted"] > 0 for row in rows), run.stdout
+
+
+@pytest.mark.parametrize(("name", "harm", "content"), FOUND, ids=[f"{n}: {harm}" for n, harm, _ in FOUND])
+def test_what_was_found_is_refused(tmp_path: Path, name: str, harm: str, content: str) -> None:  # noqa: ARG001  # it is in the id
+    if not name.endswith((".npy", ".npz", ".png")):
+        need = {".vti": "xml", ".h5": "h5py", ".nc": "h5py", ".tif": "tifffile", ".mha": "SimpleITK", ".nrrd": "SimpleITK"}
+        pytest.importorskip(next((module for suffix, module in need.items() if name.endswith(suffix)), "SimpleITK"))
+    if name.endswith(".zip"):
+        pytest.importorskip("zarr")
+    (tmp_path / name).write_bytes(zlib.decompress(base64.b85decode(content)))
+    with pytest.raises(FormatError):
+        clvol.read_all(tmp_path / name)
