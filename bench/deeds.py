@@ -674,7 +674,9 @@ def pickles(world: World, random: Random) -> Any:
         clvol.boundaries()["mirror"],
     )
     volume, camera, transfer, rule = pickle.loads(pickle.dumps(given))
-    return clvol.render(volume, camera, "composite", "bspline3", rule, (32, 32), transfer=transfer)
+    with pickle.loads(pickle.dumps(_one(random, [*world.fields, *world.renderers[:1]]))) as other:
+        made = other(_points(other.volume, random, 50)) if isinstance(other, clvol.Field) else other.render(camera, size=(32, 32))
+    return [made, clvol.render(volume, camera, "composite", "bspline3", rule, (32, 32), transfer=transfer)]
 
 
 # -- failing calls ----------------------------------------------------------------------------------------------------
