@@ -16,7 +16,9 @@ from typing import Any
 __all__ = ["TABLES", "with_tables"]
 
 HERE = Path(__file__).parent
-FUZZ, SOAK = HERE.parent / "fuzz" / "results.json", HERE.parent / "bench" / "results" / "soak"
+FUZZ, SOAK = HERE.parent / "tests" / "fuzz" / "results.json", HERE.parent / "bench" / "results" / "soak"
+_NONE = "No run has been recorded.\n"
+_WORST = "slowest_s", "peak_mb"
 _PLACE = re.compile(r"(<!-- table: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
@@ -31,7 +33,10 @@ def _count(number: float) -> str:
 
 def soak() -> str:
     """Of the latest soak: what was drawn, and what was held."""
-    run = json.loads(max(SOAK.glob("*.json")).read_text(encoding="utf-8"))
+    runs = sorted(SOAK.glob("*.json"))
+    if not runs:
+        return _NONE
+    run = json.loads(runs[-1].read_text(encoding="utf-8"))
     machine, faults = run["machine"], len(run["faults"])
     told = (
         f"{run['date']}: {run['minutes']:g} minutes with {run['threads']} threads on {machine['cores']} cores "
@@ -48,17 +53,24 @@ def soak() -> str:
 
 def fuzz() -> str:
     """Of all runs of the fuzzers, a row a format."""
-    rows = [
-        (
-            row["format"],
-            *(_count(row[key]) for key in ("tried", "refused", "accepted", "crashes", "hangs", "silent")),
-            f"{row['slowest_s']:.1f}",
-            _count(row["peak_mb"]),
-        )
-        for row in json.loads(FUZZ.read_text(encoding="utf-8"))
-    ]
-    head = ("format", "tried", "refused", "read", "crashes", "hangs", "silent changes", "slowest, s", "most memory, MB")
-    return _table(head, rows)
+    if not FUZZ.exists():
+        return _NONE
+    counts = {
+        "tried": "tried",
+        "refused": "refused",
+        "accepted": "read",
+        "crashes": "crashes",
+        "hangs": "over 5 s",
+        "memory": "over 200 MB",
+        "foreign": "foreign errors",
+        "silent": "silent changes",
+        "leaks": "leaks",
+    }
+    found = json.loads(FUZZ.read_text(encoding="utf-8"))
+    rows = [[row["format"], *(row[key] for key in counts), *(row[key] for key in _WORST)] for row in found]
+    rows.append(["all", *(sum(row[key] for row in found) for key in counts), *(max(row[key] for row in found) for key in _WORST)])
+    told = [[row[0], *map(_count, row[1:-2]), f"{row[-2]:.1f}", _count(row[-1])] for row in rows]
+    return _table(("input", *counts.values(), "slowest, s", "most memory, MB"), told)
 
 
 TABLES: dict[str, Callable[[], str]] = {"soak": soak, "fuzz": fuzz}
