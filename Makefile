@@ -6,7 +6,13 @@ BIN = $(VENV)/bin
 # OpenCL for the processor: PoCL needs a linker and libgcc
 RUNTIME := $(if $(and $(shell command -v ld),$(shell command -v gcc)),pocl,intel)
 
-.PHONY: demo test thorough check bench docs clean
+# Of the long runs
+MINUTES ?= 60
+HOURS ?= 1
+# What tells whether a version of a dependency is too old
+LOWEST = test_package.py test_picture.py test_interpolator.py ndimage/test_refused.py $(addprefix formats/test_,medical.py tiff.py hdf5.py)
+
+.PHONY: demo test thorough check bench docs fuzz soak lowest sbom clean
 
 demo: $(VENV)/demo.stamp
 	$(BIN)/python examples/figure6.py --output figure6.png
@@ -28,8 +34,30 @@ bench: $(VENV)/bench.stamp
 docs: $(VENV)/docs.stamp
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --jobs 2 --doctree-dir docs/_build/doctrees docs docs/_build/html
 
+# Damaged files, for hours; findings are kept
+fuzz: $(VENV)/test.stamp
+	$(BIN)/python -m tests.fuzz --seconds $$(( 3600 * $(HOURS) ))
+
+# Random work over all that is public, in threads
+soak: $(VENV)/test.stamp
+	$(BIN)/python -m bench.soak --minutes $(MINUTES)
+
+# With the lowest versions that pyproject.toml allows; they have wheels for Python 3.11
+lowest: $(VENV)/lowest.stamp
+	$(VENV)/lowest/bin/clvol render phantom:box --mode mip --size 64 64 --output $(VENV)/lowest/frame.png
+	$(VENV)/lowest/bin/python -m pytest --numprocesses=2 --dist=loadfile $(addprefix tests/,$(LOWEST))
+
+# What an installation of the package alone brings along, in CycloneDX's format
+sbom:
+	$(PYTHON) -m venv --clear $(VENV)/sbom/clvol
+	$(VENV)/sbom/clvol/bin/python -m pip install --quiet .
+	$(PYTHON) -m venv --clear $(VENV)/sbom/tool
+	$(VENV)/sbom/tool/bin/python -m pip install --quiet cyclonedx-bom
+	$(VENV)/sbom/tool/bin/cyclonedx-py environment --pyproject pyproject.toml --mc-type library --output-reproducible \
+		--output-file sbom.cdx.json $(VENV)/sbom/clvol/bin/python
+
 clean:
-	rm -rf $(VENV) dist figure6.png docs/_build docs/auto_gallery docs/api/generated
+	rm -rf $(VENV) dist figure6.png sbom.cdx.json docs/_build docs/auto_gallery docs/api/generated
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
@@ -40,6 +68,11 @@ $(VENV)/demo.stamp: pyproject.toml | $(BIN)/python
 
 $(VENV)/test.stamp: pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --editable ".[$(RUNTIME),dev]"
+	touch $@
+
+$(VENV)/lowest.stamp: pyproject.toml $(VENV)/test.stamp
+	$(BIN)/uv venv --quiet --clear --no-python-downloads --python $(BIN)/python $(VENV)/lowest
+	$(BIN)/uv pip install --quiet --python $(VENV)/lowest/bin/python --resolution lowest-direct --editable ".[$(RUNTIME),test]"
 	touch $@
 
 $(VENV)/bench.stamp: $(VENV)/test.stamp

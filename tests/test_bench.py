@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +14,8 @@ import numpy as np
 import pytest
 
 import clvol
-from bench import cases, machine, ndimage, scene
+from bench import cases, machine, ndimage, scene, soak
+from bench.deeds import DEEDS, NOT_DONE
 from clvol.device import as_device
 from clvol.march.planes import Planes
 
@@ -153,3 +155,28 @@ def test_roofline_names_the_limit_that_binds() -> None:
     limits = machine.Limits(copy=10.0, update=20.0, loads=100.0, multiply_adds=1000.0)
     assert limits.share(machine.Cost(bytes=2, loads=1, multiply_adds=10), 5.0) == (0.5, "bandwidth")
     assert limits.share(machine.Cost(bytes=1, loads=50), 1.0) == (0.5, "loads")
+
+
+def test_a_short_soak_finds_nothing_and_what_it_would_find(tmp_path: Path) -> None:
+    output = tmp_path / "soak.json"
+    done = command("bench.soak", "--minutes", "0.1", "--quick", "--output", str(output))
+    report = json.loads(output.read_text(encoding="utf-8"))
+    assert report["faults"] == [], done.stderr
+    assert report["draws"] > report["catalogue"] > 30
+    assert set(report["by_deed"]) <= set(DEEDS)
+    assert {"buffers", "files"} <= {name for name, row in report["held"].items() if row["first"] > 0}
+    # so short a time says nothing of memory, in which caches still fill
+    assert [name for name, row in report["held"].items() if row["grew"] and name != "resident"] == []
+
+
+@pytest.mark.parametrize(
+    ("name", "step", "grew"), [("buffers", 0, False), ("buffers", 1, True), ("resident", 1e5, False), ("resident", 1e6, True)]
+)
+def test_what_grows_in_a_soak_is_told(name: str, step: float, grew: bool) -> None:
+    after_a_jump = [{name: 0.0}] * 15 + [{name: 1e8 + step * i} for i in range(45)]
+    assert soak.grown(after_a_jump)[name]["grew"] is grew
+
+
+def test_a_soak_works_at_all_that_is_public() -> None:
+    text = (ROOT / "bench/deeds.py").read_text(encoding="utf-8")
+    assert [name for name in clvol.__all__ if not re.search(rf"\b(clvol\.{name}|{name}\.\w)", text) and name not in NOT_DONE] == []

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 import shlex
 from concurrent.futures import ThreadPoolExecutor
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import numpy as np
@@ -84,3 +85,24 @@ def test_the_commands_of_the_pages_are_ones() -> None:
     assert len(found) > 15
     for line in found:
         app.parse_args(shlex.split(line, comments=True)[1:], exit_on_error=False, print_error=False)  # raises what is wrong
+
+
+RELIABILITY = DOCS / "reliability.md"
+
+
+def test_the_tests_that_reliability_names_are_there() -> None:
+    named = re.findall(r"`(tests/[\w/]+\.py)(?:::(\w+))?`", RELIABILITY.read_text(encoding="utf-8"))
+    assert len(named) > 30
+    text = {file: (DOCS.parent / file).read_text(encoding="utf-8") for file, _ in named}
+    assert [f"{file}::{name}" for file, name in named if name and f"\ndef {name}(" not in text[file]] == []
+
+
+def test_the_tables_of_reliability_are_those_of_the_results() -> None:
+    spec = spec_from_file_location("_reliability", DOCS / "_reliability.py")
+    assert spec is not None
+    assert spec.loader is not None
+    made = module_from_spec(spec)
+    spec.loader.exec_module(made)
+    page = RELIABILITY.read_text(encoding="utf-8")
+    assert [name for name in made.TABLES if f"<!-- table: {name} -->" not in page] == []
+    assert page == made.with_tables(page), "run: python docs/_reliability.py"

@@ -204,14 +204,19 @@ def archives(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """The source archive, and the wheel made from it, built without the network."""
     if not (ROOT / "pyproject.toml").is_file() or any(find_spec(name) is None for name in ("build", "hatchling")):
         pytest.skip("needs a checkout, build and hatchling")
-    folder = tmp_path_factory.mktemp("package")
-    # the build reads a copy: it must not see, or leave, anything in the checkout
+    return built(tmp_path_factory.mktemp("package"))
+
+
+def built(folder: Path, **environment: str) -> tuple[Path, Path]:
+    """The archives of a copy of the checkout: the build must not see, or leave, anything in it."""
     tree = folder / "tree"
-    shutil.copytree(ROOT, tree, ignore=shutil.ignore_patterns(*_NOT_OURS, "clean"))
+    if not tree.exists():
+        shutil.copytree(ROOT, tree, ignore=shutil.ignore_patterns(*_NOT_OURS, "clean"))
     done = subprocess.run(
         [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(folder / "dist"), str(tree)],
         capture_output=True,
         encoding="utf-8",
+        env={**os.environ, **environment},
         timeout=120,
         check=False,
     )
@@ -235,6 +240,28 @@ def test_the_wheel_holds_what_runs(archives: tuple[Path, Path]) -> None:
     assert all(name.startswith(("clvol/", info)) for name in names)
     assert f"Version: {clvol.__version__}" in metadata
     assert "Requires-Python: >=3.11" in metadata
+
+
+def test_built_elsewhere_and_at_another_time_they_are_the_same_files(archives: tuple[Path, Path], tmp_path: Path) -> None:
+    """Other dates, permissions and order of files, another time zone, language and hash seed."""
+    tree = tmp_path / "another place" / "tree"
+    tree.mkdir(parents=True)
+    for path in sorted((archives[0].parents[1] / "tree").rglob("*"), reverse=True):
+        if path.is_file():
+            copy = tree / path.relative_to(archives[0].parents[1] / "tree")
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(path, copy)
+            copy.chmod(0o600)
+            os.utime(copy, (1e9, 1e9))
+    again = built(tree.parent, TZ="Asia/Kathmandu", LC_ALL="C", PYTHONHASHSEED="7")
+    for first, second in zip(archives, again, strict=True):
+        assert (first.name, first.read_bytes()) == (second.name, second.read_bytes())
+
+
+def test_nothing_but_the_package_is_in_the_wheel(archives: tuple[Path, Path]) -> None:
+    with zipfile.ZipFile(archives[1]) as wheel:
+        kinds = {Path(name).suffix for name in wheel.namelist() if name.startswith("clvol/")}
+    assert kinds == {".py", ".cl", ".typed"}  # no data, no binary
 
 
 def test_the_wheel_runs_from_where_it_is_unpacked(archives: tuple[Path, Path], tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -352,3 +354,9 @@ def test_bad_points_are_refused() -> None:
     for bad in BAD_REALS:
         with pytest.raises(OptionError, match="world must be numbers of shape"):
             VOLUME.world_to_index(bad)
+
+
+def test_a_library_that_another_thread_is_importing_is_not_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Until its import is done, a module is there without what it holds."""
+    monkeypatch.setitem(sys.modules, "torch", ModuleType("torch"))
+    assert Volume(DATA.tolist()).shape == DATA.shape

@@ -187,8 +187,8 @@ def memory_of(out: Any, what: str) -> NDArray[Any]:
 
 def _is_tensor(source: object) -> bool:
     """Whether it is a tensor of PyTorch, which needs no import to know."""
-    torch = sys.modules.get("torch")
-    return torch is not None and isinstance(source, torch.Tensor)
+    tensor = getattr(sys.modules.get("torch"), "Tensor", None)  # none either while another thread is importing it
+    return tensor is not None and isinstance(source, tensor)
 
 
 def _on_host(source: Any) -> bool:

@@ -1,0 +1,363 @@
+"""Random work over all that is public, for a long time, in several threads; nothing may change and nothing may grow.
+
+    python -m bench.soak --minutes N [--threads T] [--seed S] [--output FILE]
+
+Each deed of deeds.py gives the same result, to the last bit, whenever it is drawn with the same seed. Those of a catalogue are
+computed beforehand, one after the other in the one thread of another process, and then drawn again and again by all threads of
+this one; some draws are of seeds that were never seen, which the other process computes after. Now and then all threads wait,
+and what the process holds is counted: resident memory, open descriptors, threads, files left behind, and buffers on the device.
+After a first quarter, in which caches fill, the median of the last third must not exceed that of the first: memory by 2 % or
+20 MB at most (in runs of ten minutes or more, until when caches fill), all else by nothing. Exit status 1 says that a result
+changed, a foreign exception came, or something grew.
+
+Kernels are built anew, in a temporary cache, unless POCL_CACHE_DIR says where one is.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import datetime as dt
+import faulthandler
+import gc
+import json
+import os
+import queue
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import traceback
+import warnings
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from statistics import median
+from typing import IO, Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+__all__ = ["HELD", "grown", "main"]
+
+RESULTS = Path(__file__).parent / "results" / "soak"
+FORMAT = 1
+HELD = {"resident": "resident memory, MB", "descriptors": "descriptors", "threads": "threads", "files": "files left behind"} | {
+    "buffers": "buffers on the device",
+    "buffer_bytes": "bytes in these",
+}
+"""What is counted, in words."""
+_NEW = 0.04  # share of draws whose seed was never seen
+_WARM_UP = 0.25  # of the time
+_SLACK, _SLACK_SHARE = 20e6, 0.02  # bytes by which resident memory may differ
+_FILLING = 10  # minutes in which caches fill
+_STUCK = 600  # seconds that a deed may take
+_SHOWN = 5
+
+
+class Buffers:
+    """OpenCL's memory objects that are alive, counted as they are made and released."""
+
+    def __init__(self) -> None:
+        self.sizes: dict[int, int] = {}
+
+    def watch(self) -> None:
+        """Put counting classes in place of pyopencl's."""
+        import pyopencl as cl
+
+        for name in ("Buffer", "Image"):
+            setattr(cl, name, self._counted(getattr(cl, name)))
+
+    def _counted(self, kind: Any) -> Any:
+        sizes = self.sizes
+
+        class Counted(kind):  # type: ignore[misc]  # pyopencl tells no types
+            def __init__(self, *given: Any, **options: Any) -> None:
+                super().__init__(*given, **options)
+                sizes[id(self)] = self.size
+
+            def release(self) -> None:
+                super().release()
+                sizes.pop(id(self), None)
+
+            def __del__(self) -> None:
+                sizes.pop(id(self), None)
+
+        return Counted
+
+
+class Reference:
+    """The process that computes one deed after the other in one thread."""
+
+    def __init__(self, quick: bool) -> None:
+        command = [sys.executable, "-m", "bench.soak", "--reference", *(["--quick"] if quick else [])]
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, encoding="utf-8", cwd=Path(__file__).parents[1]
+        )
+        self._lock = threading.Lock()
+
+    def ask(self, name: str, seed: int) -> tuple[str, bool]:
+        """As `deeds.do`."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        with self._lock:
+            print(name, seed, file=self._process.stdin, flush=True)
+            line = self._process.stdout.readline()
+        if not line:
+            raise RuntimeError(f"the reference process ended at {name} {seed} with status {self._process.wait(60)}")
+        told, refused = json.loads(line)
+        return told, refused
+
+    def close(self) -> None:
+        """End it."""
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self._process.wait(60)
+
+
+def answer(questions: IO[str], answers: IO[str], quick: bool) -> None:
+    """The reference process: a line with a deed's name and its seed each, and what comes of it."""
+    from bench.deeds import World, do
+
+    with tempfile.TemporaryDirectory(prefix="clvol-soak-") as folder:
+        world = World(Path(folder), quick)
+        for line in questions:
+            name, seed = line.split()
+            try:
+                told, refused = do(world, name, int(seed))
+            except Exception as error:
+                told, refused = f"foreign {type(error).__name__}: {error}", False
+            print(json.dumps([told, refused]), file=answers, flush=True)
+        world.close()
+
+
+class Soak:
+    """One run."""
+
+    def __init__(self, world: Any, reference: Reference, catalogue: dict[tuple[str, int], str], seed: int) -> None:
+        self.world, self.reference, self.catalogue, self.seed = world, reference, catalogue, seed
+        self.done: Counter[str] = Counter()
+        self.refused: Counter[str] = Counter()
+        self.seconds: defaultdict[str, float] = defaultdict(float)
+        self.new = 0
+        self.faults: list[str] = []
+        self.ends = time.perf_counter()
+        self._lock = threading.Lock()
+        self._pausing = threading.Event()
+        self._to_check: queue.Queue[tuple[str, int, str] | None] = queue.Queue(64)
+
+    def run(self, seconds: float, threads: int, buffers: Buffers) -> list[dict[str, float]]:
+        """Work for that long, and what was held from time to time."""
+        self._gate = threading.Barrier(threads + 1)
+        begun = time.perf_counter()
+        self.ends = begun + seconds
+        checker = threading.Thread(target=self._check_new)
+        workers = [threading.Thread(target=self._work, args=(number,)) for number in range(threads)]
+        for thread in (checker, *workers):
+            thread.start()
+        pause = min(30.0, max(0.5, seconds / 60))
+        samples: list[dict[str, float]] = []
+        while time.perf_counter() + pause < self.ends and not self._gate.broken:
+            time.sleep(pause)
+            self._pausing.set()
+            with contextlib.suppress(threading.BrokenBarrierError):
+                self._gate.wait(_STUCK)  # all threads have come
+                self._pausing.clear()
+                gc.collect()
+                samples.append({"seconds": time.perf_counter() - begun, **held(self.world.folder, buffers)})
+                self._gate.wait(_STUCK)
+        if self._gate.broken:
+            faulthandler.dump_traceback()
+            self.faults.append(f"a deed took more than {_STUCK} s; where all threads are stands above")
+            return samples
+        for worker in workers:
+            worker.join()
+        self._to_check.put(None)
+        checker.join()
+        return samples
+
+    def _work(self, number: int) -> None:
+        from bench.deeds import do
+
+        random = np.random.default_rng([self.seed, number])
+        known = list(self.catalogue)
+        while time.perf_counter() < self.ends:
+            if self._pausing.is_set():
+                self._gate.wait(_STUCK)
+                self._gate.wait(_STUCK)
+            name, seed = known[int(random.integers(len(known)))]
+            if is_new := random.random() < _NEW:
+                seed = int(random.integers(1 << 20, 1 << 62))
+            started = time.perf_counter()
+            try:
+                told, refused = do(self.world, name, seed)
+            except Exception:
+                self._fault(f"{name} {seed}: {traceback.format_exc()}")
+                continue
+            took = time.perf_counter() - started
+            with self._lock:
+                self.done[name] += 1
+                self.refused[name] += refused
+                self.seconds[name] += took
+                self.new += is_new
+            if is_new:
+                self._to_check.put((name, seed, told))
+            elif told != self.catalogue[name, seed]:
+                self._fault(f"{name} {seed}: {told}, not {self.catalogue[name, seed]}")
+
+    def _check_new(self) -> None:
+        while (item := self._to_check.get()) is not None:
+            name, seed, told = item
+            try:
+                expected, _ = self.reference.ask(name, seed)
+            except RuntimeError as error:
+                expected = str(error)
+            if told != expected:
+                self._fault(f"{name} {seed}, drawn once: {told}, not {expected}")
+
+    def _fault(self, text: str) -> None:
+        with self._lock:
+            self.faults.append(text)
+        print(text, file=sys.stderr, flush=True)
+
+
+def held(folder: Path, buffers: Buffers) -> dict[str, float]:
+    """What the process holds now; nothing of the system's where it does not tell."""
+    told: dict[str, float] = {"threads": threading.active_count()}
+    with contextlib.suppress(OSError):
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+        told |= {"resident": pages * os.sysconf("SC_PAGE_SIZE"), "descriptors": len(list(Path("/proc/self/fd").iterdir()))}
+    told |= {"files": sum(len(files) + len(folders) for _, folders, files in os.walk(folder))}
+    return told | {"buffers": len(buffers.sizes), "buffer_bytes": sum(buffers.sizes.values())}
+
+
+def grown(samples: Sequence[dict[str, float]]) -> dict[str, dict[str, Any]]:
+    """Of each thing that was counted the medians of the first and last third after the warm-up, and whether it grew."""
+    steady = samples[int(_WARM_UP * len(samples)) :]
+    third = max(1, len(steady) // 3)
+    rows: dict[str, dict[str, Any]] = {}
+    for name in HELD:
+        if all(name in sample for sample in steady) and steady:
+            first, last = (median(s[name] for s in part) for part in (steady[:third], steady[-third:]))
+            slack = max(_SLACK, _SLACK_SHARE * first) if name == "resident" else 0.0
+            most = max(sample[name] for sample in samples)
+            rows[name] = {"what": HELD[name], "first": first, "last": last, "most": most, "grew": last > first + slack}
+    return rows
+
+
+def _catalogue(
+    reference: Reference, without: Sequence[str], quick: bool, console: Console
+) -> tuple[dict[tuple[str, int], str], int]:
+    """The hash of each deed and seed, and how many of them are refusals."""
+    from bench.deeds import DEEDS
+
+    chosen = {name: deed for name, deed in DEEDS.items() if name not in without}
+    made, refusals, begun = {}, 0, time.perf_counter()
+    for name, deed in chosen.items():
+        for seed in range(1 if quick else deed.count):
+            made[name, seed], refused = reference.ask(name, seed)
+            refusals += refused
+            if made[name, seed].startswith("foreign "):
+                raise SystemExit(f"{name} {seed}: {made[name, seed]}")
+        console.print(f"{time.perf_counter() - begun:6.0f} s  {name}", highlight=False)
+    console.print(f"catalogue: {len(made)} sets of arguments of {len(chosen)} deeds, in {time.perf_counter() - begun:.0f} s")
+    return made, refusals
+
+
+@contextlib.contextmanager
+def _kernels() -> Iterator[None]:
+    """A cache of kernels that ends with the run, unless there is one to use: ever new programs would stay in the user's."""
+    if os.environ.get("POCL_CACHE_DIR"):
+        yield
+        return
+    with tempfile.TemporaryDirectory(prefix="clvol-soak-kernels-") as folder:
+        os.environ["POCL_CACHE_DIR"] = folder
+        yield
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("--minutes", type=float, default=60, help="how long all threads work; the catalogue is made before")
+    arguments.add_argument("--threads", type=int, default=2)
+    arguments.add_argument("--seed", type=int, default=0, help="of what is drawn")
+    arguments.add_argument("--quick", action="store_true", help="the commonest options alone: a check that all of it runs")
+    arguments.add_argument("--without", nargs="*", default=[], metavar="DEED")
+    arguments.add_argument("--output", type=Path, help="default: bench/results/soak/<date>.json; not written with --quick")
+    arguments.add_argument("--reference", action="store_true", help=argparse.SUPPRESS)
+    options = arguments.parse_args()
+    faulthandler.enable()
+    warnings.simplefilter("ignore")
+    if options.reference:
+        answer(sys.stdin, sys.stdout, options.quick)
+        return
+    with _kernels(), tempfile.TemporaryDirectory(prefix="clvol-soak-") as folder:
+        sys.exit(_soak(options, Path(folder)))
+
+
+def _soak(options: argparse.Namespace, folder: Path) -> int:
+    import clvol
+    from bench.deeds import World
+    from bench.machine import describe
+    from clvol.device import as_device
+
+    console = Console(width=120)
+    device = as_device()
+    buffers = Buffers()
+    buffers.watch()
+    reference = Reference(options.quick)
+    catalogue, refusals = _catalogue(reference, options.without, options.quick, console)
+    world = World(folder, options.quick)
+    soak = Soak(world, reference, catalogue, options.seed)
+    samples = soak.run(60 * options.minutes, options.threads, buffers)
+    rows = grown(samples)
+    world.close()
+    gc.collect()
+    left = len(buffers.sizes)
+    reference.close()
+    _show(soak, rows, console)
+    judged = [row for name, row in rows.items() if name != "resident" or options.minutes >= _FILLING]
+    failed = bool(soak.faults) or any(row["grew"] for row in judged)
+    report = {
+        "format": FORMAT,
+        "date": dt.date.today().isoformat(),
+        "version": clvol.__version__,
+        "machine": describe(device),
+        "minutes": options.minutes,
+        "threads": options.threads,
+        "seed": options.seed,
+        "catalogue": len(catalogue),
+        "catalogue_refusals": refusals,
+        "draws": sum(soak.done.values()),
+        "draws_of_new_arguments": soak.new,
+        "refused": sum(soak.refused.values()),
+        "by_deed": {name: {"draws": soak.done[name], "seconds": round(soak.seconds[name], 1)} for name in sorted(soak.done)},
+        "faults": soak.faults,
+        "held": rows,
+        "buffers_after": left,
+        "samples": samples,
+        "failed": failed,
+    }
+    output = options.output or (None if options.quick else RESULTS / f"{report['date']}.json")
+    if output:
+        output.parent.mkdir(parents=True, exist_ok=True)
+        output.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+        console.print(f"written to {output}")
+    return int(failed)
+
+
+def _show(soak: Soak, rows: dict[str, dict[str, Any]], console: Console) -> None:
+    table = Table(title=f"{sum(soak.done.values())} draws, {soak.new} of them of new arguments; {len(soak.faults)} faults")
+    for column in ("held", "first third", "last third", "most", "grew"):
+        table.add_column(column, justify="left" if column == "held" else "right")
+    for name, row in rows.items():
+        shown = [f"{row[key] / (1e6 if name == 'resident' else 1):,.0f}" for key in ("first", "last", "most")]
+        table.add_row(row["what"], *shown, "[red]yes[/red]" if row["grew"] else "no")
+    console.print(table)
+    for fault in soak.faults[:_SHOWN]:
+        console.print(fault, markup=False, highlight=False)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,87 @@
+"""The tables of reliability.md that come from what tests and soaks wrote down.
+
+    python docs/_reliability.py
+
+puts them into the page, between ``<!-- table: NAME -->`` and ``<!-- end -->``.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+__all__ = ["TABLES", "with_tables"]
+
+HERE = Path(__file__).parent
+FUZZ, SOAK = HERE.parent / "tests" / "fuzz" / "results.json", HERE.parent / "bench" / "results" / "soak"
+_NONE = "No run has been recorded.\n"
+_WORST = "slowest_s", "peak_mb"
+_PLACE = re.compile(r"(<!-- table: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+
+
+def _table(head: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
+    lines = [list(head), ["---"] * len(list(head)), *rows]
+    return "".join(f"| {' | '.join(map(str, line))} |\n" for line in lines)
+
+
+def _count(number: float) -> str:
+    return f"{number:,.0f}"
+
+
+def soak() -> str:
+    """Of the latest soak: what was drawn, and what was held."""
+    runs = sorted(SOAK.glob("*.json"))
+    if not runs:
+        return _NONE
+    run = json.loads(runs[-1].read_text(encoding="utf-8"))
+    machine, faults = run["machine"], len(run["faults"])
+    told = (
+        f"{run['date']}: {run['minutes']:g} minutes with {run['threads']} threads on {machine['cores']} cores "
+        f"({machine['opencl'].strip()}, Python {machine['python']}). {_count(run['draws'])} pieces of work: {run['catalogue']} "
+        f"sets of arguments, drawn again and again, and {_count(run['draws_of_new_arguments'])} that were drawn once. Results that "
+        f"differed, and foreign exceptions: {faults or 'none'}.\n\n"
+    )
+    rows = []
+    for name, row in run["held"].items():
+        scale = 1e6 if name == "resident" else 1
+        rows.append((row["what"], *(_count(row[key] / scale) for key in ("first", "last", "most")), "yes" if row["grew"] else "no"))
+    return told + _table(("what the process holds", "first third", "last third", "most", "grew"), rows)
+
+
+def fuzz() -> str:
+    """Of all runs of the fuzzers, a row a format."""
+    if not FUZZ.exists():
+        return _NONE
+    counts = {
+        "tried": "tried",
+        "refused": "refused",
+        "accepted": "read",
+        "crashes": "crashes",
+        "hangs": "over 5 s",
+        "memory": "over 200 MB",
+        "foreign": "foreign errors",
+        "silent": "silent changes",
+        "leaks": "leaks",
+    }
+    found = json.loads(FUZZ.read_text(encoding="utf-8"))
+    rows = [[row["format"], *(row[key] for key in counts), *(row[key] for key in _WORST)] for row in found]
+    rows.append(["all", *(sum(row[key] for row in found) for key in counts), *(max(row[key] for row in found) for key in _WORST)])
+    told = [[row[0], *map(_count, row[1:-2]), f"{row[-2]:.1f}", _count(row[-1])] for row in rows]
+    return _table(("input", *counts.values(), "slowest, s", "most memory, MB"), told)
+
+
+TABLES: dict[str, Callable[[], str]] = {"soak": soak, "fuzz": fuzz}
+"""By the name that the page has for them."""
+
+
+def with_tables(page: str) -> str:
+    """The page with its tables made anew."""
+    return _PLACE.sub(lambda match: match[1] + "\n" + TABLES[match[2]]() + "\n" + match[3], page)
+
+
+if __name__ == "__main__":
+    file = HERE / "reliability.md"
+    file.write_text(with_tables(file.read_text(encoding="utf-8")), encoding="utf-8")
