@@ -153,7 +153,7 @@ def test_interrupts_while_importing(capsys: pytest.CaptureFixture[str]) -> None:
         code, said, _ = signalled(["-X", "faulthandler", "-c", "import clvol"], random.uniform(0.05, usual), ready=False)
         codes[code] += 1
         assert code in (0, -signal.SIGINT, 1), said
-        assert code == 0 or "KeyboardInterrupt" in said
+        assert code == 0 or not said or "KeyboardInterrupt" in said  # nothing is said before Python itself has begun
         assert "Fatal" not in said
     with capsys.disabled():
         print(f"\nhow imports ended: {dict(codes)}")
