@@ -13,7 +13,7 @@ import threading
 import time
 import warnings
 from collections import OrderedDict, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -168,7 +168,6 @@ class Device:
         self._programs_lock = threading.RLock()  # the garbage collector may come back here, and so may a handler of signals
         self._fresh: set[Launches] = set()  # of kernels that PoCL may be finishing
         self._left: deque[Any] = deque()  # memory that kernels may be using, and nobody else wants any more
-        self._sweeps: list[_Task[None]] = []
         self._gone = ""
         self._limited = threading.local()
 
@@ -527,37 +526,11 @@ class Device:
         if self._process != os.getpid():
             return  # the queue of a forked child never ends
         queue = self.queue
-        with contextlib.suppress(opencl().Error):
-            if self._fresh or not self._soon_done(queue):
-                self._later(lambda: self._done(queue))
-            else:
-                self._done(queue)
-
-    def release(self, memory: Sequence[Any]) -> None:
-        """Free buffers and images when no kernel is at them any more, which after an error or Ctrl-C may not be at once."""
-
-        def free() -> None:
-            for one in memory:
-                one.release()
-
-        def free_when_done() -> None:
-            try:
-                self._done(queue)
-            finally:
-                free()
-
-        busy = False
-        with contextlib.suppress(DeviceError), _errors(self):  # it failed, or this is the child of a fork: nothing runs there
-            queue = self.queue
-            busy = bool(self._fresh) or not self._soon_done(queue)
-        if busy:
-            self._later(free_when_done)
+        if self._fresh:
+            _Task(lambda: self._done(queue))
         else:
-            free()
-
-    def _later(self, work: Callable[[], None]) -> None:
-        """Do what waits for kernels in another thread: a wait of the runtime hears no Ctrl-C."""
-        self._sweeps = [*(task for task in self._sweeps if not task.done), _Task(work)]
+            with contextlib.suppress(opencl().Error):
+                self._done(queue)
 
     def _end(self) -> None:
         """At the end of the process: a runtime does not survive it while it compiles."""
@@ -565,7 +538,7 @@ class Device:
             return
         queue = self.__dict__.get("queue")
         try:
-            for task in [*self._building.values(), *self._sweeps]:
+            for task in list(self._building.values()):
                 with contextlib.suppress(Exception):
                     task.wait()
             with contextlib.suppress(Exception):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from typing import Any
 
 from clvol.device import Device
-from clvol.errors import OptionError
+from clvol.errors import DeviceError, OptionError
 
 __all__ = ["Lease", "release"]
 
@@ -85,4 +85,7 @@ def release(device: Device, *memory: Any) -> None:
     """Free buffers and images of a device, None among them, when no kernel is at them any more: after an error one may be."""
     held = [one for one in memory if one is not None]
     if held:
-        device.release(held)
+        with suppress(DeviceError):  # it failed, or this is the child of a fork: nothing runs there
+            device.finish()
+    for one in held:
+        one.release()
