@@ -7,8 +7,11 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
+import threading
 import time
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -104,6 +107,27 @@ def test_folders_go_with_their_processes(tmp_path: Path) -> None:
 
 
 @pocl
+def test_what_was_built_is_found_while_another_thread_tries_the_linker(tmp_path: Path) -> None:
+    kernels = Shelf(tmp_path)
+    (kernels.folder / "AB" / "CDEF").mkdir(parents=True)
+    done = threading.Event()
+
+    def tries() -> None:
+        while not done.is_set():
+            with tempfile.TemporaryDirectory(dir=kernels.folder, prefix="trial-"):
+                pass
+
+    with ThreadPoolExecutor(2) as others:
+        for _ in range(2):
+            others.submit(tries)
+        try:
+            for _ in range(1000):
+                (kernels.folder / "AB" / "CDEF" / "last_accessed").touch()
+                assert kernels.built() == "AB/CDEF"
+        finally:
+            done.set()
+
+
 def test_room_and_the_linker_are_tried_before_a_kernel_is_built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import resource
 

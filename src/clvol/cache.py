@@ -150,7 +150,8 @@ class Shelf:
     def built(self) -> str | None:
         """The folder in `folder` of the program that PoCL has built since this was last asked; None if it works elsewhere."""
         place = None
-        for mark in self.folder.glob("*/*/last_accessed"):  # PoCL touches it in each build, and needs it for nothing else
+        # PoCL touches it in each build, and needs it for nothing else; its folders have two letters, and others may go meanwhile
+        for mark in self.folder.glob("??/*/last_accessed"):
             place = mark.parent.relative_to(self.folder).as_posix()
             mark.unlink()
         return place

@@ -59,7 +59,7 @@ class Tile(NamedTuple):
 
 @dataclass(frozen=True)
 class Limits:
-    """How the work on a device is cut into parts; no result depends on it.
+    """How the work on a device is cut into parts. No result depends on it, but for rounding in pictures by other tiles.
 
     Parameters
     ----------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -108,8 +109,11 @@ def _read_array(stream: IO[bytes], size: int, source: str, kinds: str = "biuf") 
     """The array in `stream` of `size` bytes; nothing is allocated before the header has been believed."""
     version = np.lib.format.read_magic(stream)
     at = stream.tell()
-    if int.from_bytes(stream.read(2 if version == (1, 0) else 4), "little") > MAX_HEADER:
+    length = int.from_bytes(stream.read(2 if version == (1, 0) else 4), "little")
+    if length > MAX_HEADER:
         raise FormatError(f"{source} must have a header of up to {MAX_HEADER} bytes")
+    if found := re.search(rb"\\|'[<>|=]?a\d*'", stream.read(length)):  # Python and NumPy warn of these, or refuse them one day
+        raise FormatError(f"{source} must have a header as NumPy writes it; found {found[0]!r}")
     stream.seek(at)
     if version == (1, 0):
         shape, _, dtype = np.lib.format.read_array_header_1_0(stream)

@@ -73,8 +73,8 @@ def read(path: Path, choose: Choice, series: int | str | None = None, level: int
     """
     with _opened(path) as file:
         number = chosen_series(path.name, _images(path.name, file), series)
-        levels = file.series[number].levels
-        image = levels[chosen_level(path.name, [one.shape for one in levels], level)]
+        levels = _whole(file)[number].levels
+        image = levels[chosen_level(path.name, [one.shape for one in file.series[number].levels], level)]
         kind = file.series[number].kind.lower()  # not what the file says it is: that may not fit its pages
         about = (
             _ome(file.ome_metadata, number, len(file.series), image.dtype)
@@ -87,8 +87,7 @@ def read(path: Path, choose: Choice, series: int | str | None = None, level: int
         if image.dtype is None or image.dtype.kind not in "biuf":
             raise DataError(f"{path.name} must hold real numbers; got dtype {image.dtype}")
         data, known = layout.chosen(path.name, choose, lambda index: _load(path.name, file, image, index), leading)
-        full, small = (one.get_shape(squeeze=False) for one in (levels[0], image))
-        shrunk = {axis: n / m for axis, n, m in zip(image.get_axes(squeeze=False), full, small, strict=True)}
+        shrunk = {axis: n / m for (axis, m), (_, n) in zip(_axes(image), _axes(levels[0]), strict=True)}
         name = file.series[number].name if len(file.series) > 1 else ""
     shrunk = {axis: shrunk.get(axis.upper(), 1.0) for axis in "xyz"}
     spacing = {axis: about.spacing.get(axis, 1.0) for axis in "xyz"}
@@ -251,9 +250,23 @@ def _images(name: str, file: Any) -> tuple[Series, ...]:
     )
 
 
+def _whole(file: Any) -> Sequence[Any]:
+    """The images of a file, with all of their axes."""
+    images = file.series
+    found: Sequence[Any] = images(squeeze=False) if callable(images) else images
+    return found
+
+
+def _axes(image: Any) -> list[tuple[str, int]]:
+    """Letters and lengths of all axes, those of one sample too; until 2026.5 tifffile's images had them beside the others."""
+    both = hasattr(image, "get_axes")
+    letters, shape = (image.get_axes(squeeze=False), image.get_shape(squeeze=False)) if both else (image.axes, image.shape)
+    return list(zip(letters, shape, strict=True))
+
+
 def _laid_out(name: str, image: Any, about: _About, choose: Choice) -> tuple[Layout, Leading]:
     """What the axes of an image count; pages that are not named (I, Q) are slices."""
-    pairs = list(zip(image.get_axes(squeeze=False), image.get_shape(squeeze=False), strict=True))
+    pairs = _axes(image)
     words = [_MEANINGS.get(axis, _OTHERS.get(axis, "")) if axis != "S" or n > 1 else "" for axis, n in pairs]
     keep = [*("z",) * about.deep, *("channel",) * bool(about.names or any(about.colors))]
     layout = lay_out(name, words, [n for _, n in pairs], keep, choose.given)
@@ -276,7 +289,7 @@ def _laid_out(name: str, image: Any, about: _About, choose: Choice) -> tuple[Lay
 
 def _load(name: str, file: Any, image: Any, index: tuple[int | slice, ...]) -> NDArray[Any]:
     """The samples of an image at an index of its axes; pages without any of them are not touched."""
-    shape = image.get_shape(squeeze=False)
+    shape = tuple(n for _, n in _axes(image))
     split = next((k for k in range(len(shape)) if sample_count(shape[k:]) == image.keyframe.size), None)
     if image.transform is None and split is not None and sample_count(shape[:split]) == len(image):
         numbers = np.arange(len(image)).reshape(shape[:split])[index[:split]]
