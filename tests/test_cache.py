@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import platform
 import shutil
 import signal
 import subprocess
@@ -56,6 +57,35 @@ DAMAGE = {
 }
 
 
+def test_what_was_not_read_for_long_goes_where_there_is_too_much(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cache, "_MOST", 10_000)
+    monkeypatch.setattr(cache, "_LOOK", 1_000)
+    store = Store(tmp_path)
+    for number in range(40):
+        store.write(f"{number:02} key", "a", bytes(900))
+        store.write(f"{number:02} key", "b", bytes(100))
+        for place in tmp_path.glob(f"*/{number:02} key"):
+            os.utime(place, (number, number))
+        if number:
+            assert store.read("00 key")  # is used
+    held = sum(file.stat().st_size for file in tmp_path.glob("*/*/*"))
+    assert 7_000 < held < 12_000
+    assert store.read("00 key")
+    assert store.read("39 key")
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="no owners here")
+def test_a_folder_of_others_holds_nothing_that_is_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert cache._fault(tmp_path / "own") is None
+    assert (tmp_path / "own").stat().st_mode & 0o777 == 0o700
+    (tmp_path / "open").mkdir()
+    (tmp_path / "open").chmod(0o777)
+    assert "everybody may write" in str(cache._fault(tmp_path / "open"))
+    os.chown(tmp_path / "own", 12345, -1) if os.getuid() == 0 else None
+    monkeypatch.setattr(os, "getuid", lambda: 54321)
+    assert "another user" in str(cache._fault(tmp_path / "own"))
+
+
 @pytest.mark.parametrize("damage", DAMAGE)
 def test_a_damaged_file_is_not_read_but_set_aside(damage: str, tmp_path: Path) -> None:
     store = Store(tmp_path)
@@ -95,11 +125,15 @@ def test_a_store_that_cannot_be_written_holds_nothing(tmp_path: Path) -> None:
 @pocl
 def test_folders_go_with_their_processes(tmp_path: Path) -> None:
     mine = Shelf(tmp_path)
-    dead = mine.folder.with_name("dead")
-    (dead / "AB").mkdir(parents=True)
-    (dead / "lock").touch()
+    dead, elsewhere, forgotten = (mine.folder.with_name(f"{name}-dead") for name in (platform.node(), "another", "third"))
+    for folder in (dead, elsewhere, forgotten):
+        (folder / "AB").mkdir(parents=True)
+        (folder / "lock").touch()
+    os.utime(forgotten / "lock", (0, 0))
     other = Shelf(tmp_path)
     assert not dead.exists()
+    assert elsewhere.exists()  # its process may be running on a machine whose locks are not seen here
+    assert not forgotten.exists()
     assert mine.folder.is_dir()
     for one in (mine, other):
         one._close()

@@ -111,6 +111,10 @@ def test_failures_are_tried_again_after_a_while(notes: Path, monkeypatch: pytest
     os.utime(note, (hour, hour))
     probe.tried()
     assert len(trials) == 2
+    note.write_text('{"libraries": {"libbad.so": "gave no answer"}}')
+    os.utime(note, (hour, hour))
+    assert probe.tried().libraries  # the note is of this very library, which takes long to try
+    assert len(trials) == 2
 
 
 def test_where_nothing_can_be_noted_it_is_tried_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -127,6 +131,7 @@ import json, os, sys
 def say(*words): print("clvol:" + json.dumps(words), flush=True)
 first = int(sys.argv[2])
 print("a driver's own words")
+say("begun")
 say("platform", "P")
 say("found", ["one", "two", "three"])
 for i in range(first, 3):
@@ -144,12 +149,13 @@ for i in range(first, 3):
 def test_a_loader_that_ends_the_trial_is_an_error_that_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(intel, "vendors", lambda: None)
     monkeypatch.setattr(probe, "SECONDS", 1.0)
+    begun = "print('clvol:[\"begun\"]', flush=True)\n"
     for script, words in (
         ("import os\nos.abort()", "ended by SIGABRT"),
         ("import sys\nsys.exit('no such thing')", r"ended with status 1 \(no such thing\)"),
         ('print(\'clvol:["platform", "P"]\', flush=True)\nimport time\ntime.sleep(60)', r"gave no answer within 1 s \(at P\)"),
     ):
-        monkeypatch.setattr(probe, "_TRIAL", script)
+        monkeypatch.setattr(probe, "_TRIAL", begun + script)
         verdict = probe._try()
         monkeypatch.setattr(opencl, "_verdict", lambda verdict=verdict: verdict)
         monkeypatch.setattr(opencl, "_module", None)
@@ -170,6 +176,15 @@ def test_nothing_is_tried_where_python_is_part_of_another_program(monkeypatch: p
     monkeypatch.setattr(probe, "_try", lambda: pytest.fail("it was"))
     monkeypatch.setattr(sys, "executable", "")
     assert probe.tried() == Verdict()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="other programs are at hand there")
+@pytest.mark.parametrize("program", ["true", "false", "no such program"])
+def test_nothing_follows_from_a_trial_that_never_began(program: str, notes: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where Python is part of another program, `sys.executable` may be that."""
+    monkeypatch.setattr(sys, "executable", shutil.which(program) or program)
+    assert probe.tried() == Verdict()
+    assert not list(notes.glob("probe-*.json"))
 
 
 def test_notes_are_few(notes: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -259,6 +259,23 @@ def test_ctrl_c_is_heard_while_a_program_is_built_and_the_program_kept(
     assert not device._building
 
 
+def test_where_no_thread_can_be_started_programs_are_built_all_the_same(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As at the end of the interpreter in Python 3.12, or where a container allows no more of them."""
+
+    def no(*_: Any) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(choosing._thread, "start_new_thread", no)
+    values = np.zeros(8, np.float32)
+    with device.lent(values, write=True) as buffer:
+        tiny(device, 10).kernel("tiny")(device.queue, (8,), None, buffer)
+    assert values.tolist() == [10] * 8
+    assert not device._building
+    with pytest.raises(DeviceError):
+        device.build("spoilt.cl", {}, generated={"spoilt.cl": "nonsense"})
+    assert not device._building
+
+
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers here")
 def test_ctrl_c_is_heard_while_the_runtime_finishes_a_kernel(
     device: Device, interrupt_in: Callable[[float], None], monkeypatch: pytest.MonkeyPatch

@@ -10,11 +10,15 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import errno
 import hashlib
 import os
+import platform
 import shutil
+import stat
 import subprocess
 import tempfile
+import time
 import warnings
 from pathlib import Path
 
@@ -28,6 +32,9 @@ except ImportError:  # Windows has no PoCL to keep folders for
 __all__ = ["Shelf", "Store", "folder", "replace", "shelf"]
 
 _DIGEST = hashlib.sha256
+_MOST = 256 << 20  # bytes in a store; each program has some hundred thousand
+_LOOK = 16 << 20  # bytes that a process writes before it looks again whether there are more
+_FORGOTTEN = 30 * 86400.0  # seconds after which a folder of another machine's process is nobody's
 _TRIAL = 1 << 20  # bytes that are linked before a kernel is built, which has some hundred thousand
 
 
@@ -41,9 +48,18 @@ def folder() -> Path | None:
 
 
 def _fault(folder: Path) -> OSError | None:
-    """Why a folder cannot be written; None if it can, and then it is there."""
+    """Why a folder cannot be written, or not by us alone; None if it can, and then it is there.
+
+    What lies in it is run: it must be ours or root's, and not open to everybody.
+    """
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if hasattr(os, "getuid"):
+            about = folder.stat()
+            if os.getuid() and about.st_uid not in (0, os.getuid()):
+                raise PermissionError(errno.EPERM, f"{folder} belongs to another user")
+            if about.st_mode & stat.S_IWOTH:
+                raise PermissionError(errno.EPERM, f"everybody may write into {folder}")
         with tempfile.TemporaryFile(dir=folder):  # asking for permission is not enough: root may write anywhere, yet not in /proc
             return None
     except OSError as error:
@@ -65,18 +81,23 @@ def replace(file: Path, data: bytes) -> None:
 class Store:
     """Files under keys, each with a digest of its name and content: what comes out is what was put in.
 
-    A file that is not is renamed to ``damaged`` (the last one remains to be looked at). Nothing here raises for a folder that
-    cannot be read or written: then there is nothing in store.
+    A file that is not is renamed to ``damaged`` (the last one remains to be looked at). Where there is more in store than there may
+    be, keys go that were not read for the longest time. Nothing here raises for a folder that cannot be read or written: then there
+    is nothing in store.
     """
 
     def __init__(self, root: Path) -> None:
         self._root = root
+        self._until_look = 0  # bytes
 
     def read(self, key: str) -> dict[str, bytes]:
         """Every sound file of a key, by its name."""
         found = {}
         with contextlib.suppress(OSError):
-            for file in sorted(self._place(key).iterdir()):
+            place = self._place(key)
+            os.utime(place)
+        with contextlib.suppress(OSError):
+            for file in sorted(place.iterdir()):
                 name = file.name.replace("+", "/")
                 if not name.startswith("."):
                     content = self._content(key, name, file)
@@ -90,6 +111,26 @@ class Store:
             place = self._place(key)
             place.mkdir(parents=True, exist_ok=True)
             replace(place / name.replace("/", "+"), content + self._digest(key, name, content))
+            self._until_look -= len(content)
+            if self._until_look < 0:
+                self._until_look = _LOOK
+                self._prune()
+
+    def _prune(self) -> None:
+        """Remove the keys that were not read for the longest time, to three quarters of what may be in store."""
+        keys, everything = [], 0
+        for place in self._root.glob("*/*"):
+            with contextlib.suppress(OSError):  # another process removes it
+                size = sum(file.stat().st_size for file in place.iterdir())
+                keys.append((place.stat().st_mtime, size, place))
+                everything += size
+        if everything <= _MOST:
+            return
+        for _, size, place in sorted(keys):
+            shutil.rmtree(place, ignore_errors=True)
+            everything -= size
+            if everything <= _MOST * 3 // 4:
+                return
 
     def _content(self, key: str, name: str, file: Path) -> bytes | None:
         try:
@@ -229,9 +270,9 @@ def _run(command: list[str]) -> subprocess.CompletedProcess[bytes]:
 
 
 def _locked(running: Path) -> Path:
-    """A new folder with a lock that ends with the process."""
+    """A new folder with a lock that ends with the process. Its name begins with the machine's, which alone may know of the lock."""
     while True:
-        folder = Path(tempfile.mkdtemp(dir=running))
+        folder = Path(tempfile.mkdtemp(dir=running, prefix=f"{platform.node()}-"))
         number = os.open(folder / "lock", os.O_CREAT | os.O_RDWR, 0o600)
         with contextlib.suppress(OSError):  # a file system without locks: then nobody else gets one either
             fcntl.flock(number, fcntl.LOCK_EX)
@@ -244,6 +285,8 @@ def _clear(running: Path) -> None:
     """Remove the folders of processes that are gone."""
     for lock in running.glob("*/lock"):
         with contextlib.suppress(OSError):
+            if not lock.parent.name.startswith(f"{platform.node()}-") and time.time() - lock.stat().st_mtime < _FORGOTTEN:
+                continue
             number = os.open(lock, os.O_RDWR)
             try:
                 fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)

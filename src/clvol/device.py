@@ -105,16 +105,20 @@ class _Task(Generic[T]):
     """Work in a thread of its own, so that Ctrl-C is heard by the thread that waits for it; the work goes on.
 
     Ctrl-C within `threading.Thread.start` or `threading.Event.wait` may leave their locks taken, and both threads waiting for ever;
-    so there is a bare thread here, and a lock that only wakes who waits.
+    so there is a bare thread here, and a lock that only wakes who waits. Where there can be no thread more, as at the end of the
+    interpreter in Python 3.12, the work is done at once.
     """
 
     def __init__(self, work: Callable[[], T]) -> None:
         self._work, self._result = work, None
         self._error: BaseException | None = None
-        self._done = False
+        self.done = False
         self._awake = threading.Lock()
         self._awake.acquire()
-        _thread.start_new_thread(self._run, ())
+        try:
+            _thread.start_new_thread(self._run, ())
+        except RuntimeError:
+            self._run()
 
     def _run(self) -> None:
         try:
@@ -122,11 +126,11 @@ class _Task(Generic[T]):
         except BaseException as error:  # whoever waits is told
             self._error = error
         finally:
-            self._done = True
+            self.done = True
             self._awake.release()
 
     def wait(self) -> T:
-        while not self._done:
+        while not self.done:
             if self._awake.acquire(timeout=0.1):  # without an end, Windows would not hear Ctrl-C
                 self._awake.release()  # for others who wait
         if self._error is not None:
@@ -161,7 +165,7 @@ class Device:
         self._lock = threading.RLock()
         self._programs: OrderedDict[Any, Program] = OrderedDict()  # the one used last is last
         self._building: dict[Any, _Task[Program]] = {}
-        self._programs_lock = threading.Lock()
+        self._programs_lock = threading.RLock()  # the garbage collector may come back here, and so may a handler of signals
         self._fresh: set[Launches] = set()  # of kernels that PoCL may be finishing
         self._left: deque[Any] = deque()  # memory that kernels may be using, and nobody else wants any more
         self._gone = ""
@@ -193,15 +197,15 @@ class Device:
     def context(self) -> Any:
         self.require_usable()
         with _errors(self):
-            return opencl().Context([self.handle])
+            context = opencl().Context([self.handle])
+        atexit.register(self._end)
+        return context
 
     @_Once
     def queue(self) -> Any:
         context = self.context
         with _errors(self):
-            queue = opencl().CommandQueue(context)
-        atexit.register(self._end)
-        return queue
+            return opencl().CommandQueue(context)
 
     # -- quirks --------------------------------------------------------------------------------
 
@@ -320,14 +324,16 @@ class Device:
                     return built
                 finally:
                     with self._programs_lock:
-                        del self._building[key]
+                        self._building.pop(key, None)
 
             with self._programs_lock:
                 if key in self._programs:
                     return self._programs[key]
                 task = self._building.get(key)
                 if task is None:
-                    task = self._building[key] = _Task(work)
+                    task = _Task(work)
+                    if not task.done:  # else it was done here
+                        self._building[key] = task
         with self.errors:
             return task.wait()
 
@@ -530,7 +536,7 @@ class Device:
         """At the end of the process: a runtime does not survive it while it compiles."""
         if self._process != os.getpid():
             return
-        queue = self.queue
+        queue = self.__dict__.get("queue")
         try:
             for task in list(self._building.values()):
                 with contextlib.suppress(Exception):
@@ -538,7 +544,8 @@ class Device:
             with contextlib.suppress(Exception):
                 if self._fresh:
                     _Task(lambda: self._done(queue)).wait()  # what was built is kept for the next process
-                queue.finish()
+                if queue is not None:
+                    queue.finish()
         except KeyboardInterrupt:
             os._exit(130)  # who cannot wait for it need not
 

@@ -54,7 +54,7 @@ class Room(NamedTuple):
 
 _TOUCHED = 1.0  # seconds, after which results are there, or the work on them has begun
 
-_lock = threading.Lock()
+_lock = threading.RLock()  # a handler of signals may come back here
 _waiting: list[tuple[weakref.ref[NDArray[Any]], float]] = []
 _answer: tuple[float, Path, Room] | None = None
 

@@ -31,11 +31,13 @@ SECONDS = 90.0
 """Time for a trial of everything; longer is never."""
 
 _DOUBT = 600.0  # seconds for which the note of a failure is believed: what failed may have been put right
+_LEFT_OUT = 86400.0  # the same of libraries, which are known by their dates: one that never answers takes minutes to try
 _KEPT = 16
 _VARIABLES = ("OCL_", "OPENCL_", "POCL_", "CL_", "CUDA_", "HIP_", "ROCR_", "LD_", "DYLD_")
 
 _TRIAL = """
-import json, os, runpy, sys
+import json, os, runpy, signal, sys
+signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that waits: nothing follows from it for a driver
 try:
     import resource
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -43,6 +45,7 @@ except (ImportError, ValueError, OSError):
     pass
 def say(*words):
     print("clvol:" + json.dumps(words), flush=True)
+say("begun")
 kept, first = runpy.run_path(sys.argv[1]), int(sys.argv[2])
 try:
     import pyopencl as cl
@@ -100,6 +103,10 @@ class Verdict:
         return not (self.unloadable or self.libraries or any(self.devices.values()))
 
 
+class _NotBegun(Exception):
+    """A trial said nothing: what was started is not Python, as in a program that it is a part of. Nothing follows for drivers."""
+
+
 def identity(handle: Any) -> str:
     """A device by its names and its driver's versions."""
     platform = handle.platform
@@ -114,9 +121,13 @@ def tried() -> Verdict:
     if note is not None:
         with suppress(OSError, ValueError, TypeError):
             verdict = Verdict(**json.loads(note.read_text(encoding="utf-8")))
-            if verdict.sound or time.time() - note.stat().st_mtime < _DOUBT:
+            others = verdict.unloadable or any(verdict.devices.values())
+            if verdict.sound or time.time() - note.stat().st_mtime < (_DOUBT if others else _LEFT_OUT):
                 return verdict
-    verdict = _try()
+    try:
+        verdict = _try()
+    except _NotBegun:
+        return Verdict()
     if note is not None:
         with suppress(OSError):
             cache.replace(note, json.dumps(asdict(verdict)).encode())
@@ -193,7 +204,7 @@ def _all(without: Collection[str]) -> tuple[list[str] | None, dict[int, str]]:
 
 def _run(first: int, without: Collection[str], failures: dict[int, str] | None = None) -> tuple[int | None, list[str] | None, str]:
     """One trial, from device `first` on: the device at which it ended early, the devices found, and how it ended."""
-    trying, names, why, platform = None, None, "", ""
+    begun, trying, names, why, platform = False, None, None, "", ""
     with tempfile.TemporaryDirectory(prefix="clvol-trial-") as folder, intel.known_to_the_loader(without):
         environment = {
             **os.environ,
@@ -210,9 +221,11 @@ def _run(first: int, without: Collection[str], failures: dict[int, str] | None =
         except subprocess.TimeoutExpired as error:
             output, why = error.stdout or b"", f"gave no answer within {SECONDS:g} s"
         except OSError as error:
-            output, why = b"", f"could not be started: {error}"
+            raise _NotBegun from error
     for kind, *words in _said(output):
-        if kind == "platform":
+        if kind == "begun":
+            begun = True
+        elif kind == "platform":
             platform = words[0]
         elif kind == "found":
             names = words[0]
@@ -222,6 +235,8 @@ def _run(first: int, without: Collection[str], failures: dict[int, str] | None =
             trying = None
             if kind == "fails" and failures is not None:
                 failures[words[0]] = f"failed: {words[1]}"
+    if not begun:
+        raise _NotBegun
     if names is None and platform:
         why = f"{why} (at {platform})"
     return trying if why else None, names, why

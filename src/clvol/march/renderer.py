@@ -118,7 +118,7 @@ class Renderer:
         self._unsmoothed: Field | None = None
         self._minmax: dict[tuple[Filter, Evaluator], MinMax] = {}
         self._uncertainty: Uncertainty | None = None
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # a handler of signals may come back here
         self._lease = Lease(_CLOSED)
         if own:
             self._lease.frees(field.close)

@@ -169,7 +169,7 @@ class Coefficients:
         device.clear(self.buffer, math.prod(self.shape), LANES, kind)  # vectors past the last row enter bounds
         self._image: Any = None
         self._uploaded: dict[int, Any] = {}
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # a handler of signals may come back here
 
     @property
     def volume(self) -> Volume:

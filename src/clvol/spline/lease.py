@@ -52,19 +52,20 @@ class Lease:
         OptionError
             It was closed.
         """
-        thread = threading.get_ident()
-        with self._lock:
-            self._users[thread] = self._users.get(thread, 0) + 1
-            refused = self.closed and self._users[thread] == 1
+        thread, within = threading.get_ident(), None
         try:
-            if refused:
+            with self._lock:
+                within = self._users.get(thread, 0)
+                self._users[thread] = within + 1  # nothing is called here, so an interrupt comes before both or after
+            if self.closed and not within:
                 raise OptionError(self._refusal)
             yield
         finally:
-            with self._lock:
-                self._users[thread] -= 1
-                if not self._users[thread]:
-                    del self._users[thread]
+            if within is not None:
+                with self._lock:
+                    self._users[thread] -= 1
+                    if not self._users[thread]:
+                        del self._users[thread]
             self._freed_if_unused()
 
     def close(self) -> None:

@@ -131,7 +131,7 @@ class MinMax:
         self.buffer = device.allocate(8 * sum(counts))
         defines = _defines(coefficients.filter, blur)
         self._built, self._hull = device.build("spline/minmax.cl", defines), bool(defines["HULL"])
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # a handler of signals may come back here
         self._sides: tuple[float, Any] | None = None
         try:
             self._over_blocks("minmax_cells", self.buffer)
