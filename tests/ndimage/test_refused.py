@@ -235,7 +235,7 @@ def test_shapes(name: str) -> None:
 
 
 def test_results_that_are_too_large() -> None:
-    agree(OutOfMemoryError, "out of memory: the result, 10000000 x 10000000 samples", "affine_transform", A, EYE, 0, (10**7, 10**7))
+    agree(OutOfMemoryError, "out of memory: a result of 10000000 × 10000000 samples", "affine_transform", A, EYE, 0, (10**7, 10**7))
     agree(OptionError, "the result must have a size that can be addressed", "affine_transform", A, EYE, 0, (10**12, 10**12))
     agree(OptionError, "the result must have a size that can be addressed", "zoom", A, 1e9)
 
