@@ -298,7 +298,7 @@ def modes_as_classes(world: World, random: Random) -> Any:
 @_deed(6)
 def uncertain_surfaces(world: World, random: Random) -> Any:
     sigma = float(random.uniform(0.001, 0.1))
-    outputs = ["position"] if world.quick else ["rgba", "uncertainty"]
+    outputs: list[clvol.Output] = ["position"] if world.quick else ["rgba", "uncertainty"]
     return world.renderers[0].render(_camera(random), "isosurface", (40, 40), outputs=outputs, sigma=sigma)
 
 
