@@ -92,8 +92,8 @@ def thin(step: int, rows: Iterable[Any]) -> list[Any]:
     """
     marked = []
     for place, row in enumerate(rows):
-        values = row if isinstance(row, tuple) else (row,)
-        marked.append(pytest.param(*values, marks=pytest.mark.thorough if place % step else ()))
+        one = row if hasattr(row, "marks") else pytest.param(*(row if isinstance(row, tuple) else (row,)))
+        marked.append(one._replace(marks=(*one.marks, pytest.mark.thorough)) if place % step else one)
     return marked
 
 

@@ -78,7 +78,7 @@ def test_memory_that_nobody_announced_is_refused() -> None:
 def test_an_interrupt_ends_it() -> None:
     """Of this process, which waits; the terminal's own reaches no other."""
     run(len, "")
-    timer = threading.Timer(0.5, signal.raise_signal, [signal.SIGINT])
+    timer = threading.Timer(0.5, signal.pthread_kill, [threading.main_thread().ident, signal.SIGINT])
     timer.start()
     start = time.monotonic()
     with pytest.raises(KeyboardInterrupt):

@@ -319,11 +319,11 @@ def _require_kind(dtype: np.dtype[Any], data: Array, copied: bool) -> None:
 
 
 def _empty(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Array:
-    with enough_memory(f"the result, {' x '.join(map(str, shape))} samples of {dtype},"):
-        try:
-            return memory.empty(shape, dtype, f"a result of {' × '.join(map(str, shape))} samples of {dtype}")
-        except ValueError:  # more than can be addressed
-            raise OptionError(f"the result must have a size that can be addressed; got shape {shape}") from None
+    if math.prod(shape) * dtype.itemsize > np.iinfo(np.intp).max:
+        raise OptionError(f"the result must have a size that can be addressed; got shape {shape}")
+    what = f"a result of {' × '.join(map(str, shape))} samples of {dtype}"
+    with enough_memory(what):
+        return memory.empty(shape, dtype, what)
 
 
 def as_cval(cval: Any, complex_: bool) -> float | complex:
