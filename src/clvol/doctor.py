@@ -24,7 +24,7 @@ _USES = {
     "medical": "DICOM, NRRD, MetaImage, MGH; writing NIfTI",
     "microscopy": "TIFF stacks, Zarr",
     "hdf5": "HDF5, netCDF-4, Imaris",
-    "vtk": "VTK's files",
+    "vtk": "VTK's files packed by LZ4",
     "bioio": "files of microscopes' makers",
     "figures": "figures and reports",
     "xarray": "labelled arrays",

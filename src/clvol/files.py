@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import re
 import shutil
@@ -17,6 +18,8 @@ __all__ = ["MAX_HEADER", "require_folder", "require_suffix", "staged"]
 
 MAX_HEADER = 1 << 20
 """Bytes. No honest text header is longer, and libraries overrun their stack on headers of megabytes."""
+
+_NO_SYNC = (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP)  # what file systems say that have no such thing: some of networks
 
 
 def require_suffix(path: str | os.PathLike[str], allowed: Sequence[str], what: str) -> str:
@@ -53,7 +56,10 @@ def staged(path: Path, suffix: str) -> Iterator[Path]:
     FormatError
         `path` is a folder, its folder is missing, or writing failed with an `OSError` or a `ValueError`.
     """
-    target = path.resolve()  # replaces what a link points to; the link stays
+    try:
+        target = path.resolve()  # replaces what a link points to; the link stays
+    except (OSError, RuntimeError) as error:  # links that lead in a circle
+        raise FormatError(f"cannot write {path}: {error}") from error
     if target.is_dir():
         raise FormatError(f"cannot write {target}: it is a folder")
     folder = _hidden_folder(target)
@@ -82,7 +88,11 @@ def staged(path: Path, suffix: str) -> Iterator[Path]:
 def _sync(file: Path) -> None:
     """Have the disk hold what was written: one that is full, or fails, may say so only now."""
     with file.open("rb+") as stream:  # Windows refuses it for what was opened to be read
-        os.fsync(stream.fileno())
+        try:
+            os.fsync(stream.fileno())
+        except OSError as error:
+            if error.errno not in _NO_SYNC:
+                raise
 
 
 def _sync_folder(folder: Path) -> None:

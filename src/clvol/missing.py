@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
-from typing import Any, Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from clvol import memory
 from clvol.checks import number, one_of
 from clvol.errors import DataError
-from clvol.filter import MAX_TAPS, Filter
+
+if TYPE_CHECKING:
+    from clvol.filter import Filter
 
 __all__ = ["Missing", "NanRule", "as_missing", "filled_smoothly", "touching"]
 
@@ -122,6 +124,8 @@ def touching(filter: Filter, rule: NanRule) -> Filter:
     It has the support of `filter`. For "local" its weights are those of the mean over a box, one sample less wide, of the linear
     interpolation, which are positive where a kernel of this support may differ from zero; for "propagate" they are equal.
     """
+    from clvol.filter import MAX_TAPS, Filter  # its table takes 0.1 s, which processes that read files can do without
+
     by = filter.magnified_by
     taps = filter.support if by is None else min(MAX_TAPS, by.support + -(-filter.support // filter.scale))
     if rule == "propagate" or taps == 1:

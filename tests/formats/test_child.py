@@ -13,6 +13,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -246,6 +247,21 @@ def test_large_arrays_are_not_copied(tmp_path: Path) -> None:
         assert "memfd:clvol" in Path("/proc/self/maps").read_text()
 
 
+@linux
+def test_memory_that_must_not_be_handed_over_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
+    def forbidden(*_: Any) -> int:
+        raise PermissionError(13, "vm.memfd_noexec")
+
+    monkeypatch.setattr(os, "memfd_create", forbidden)
+    monkeypatch.setattr(_wire, "_sharing", True)
+    ours, theirs = socket.socketpair()
+    with ours, theirs, ThreadPoolExecutor(1) as pool:
+        data = _wire.empty((1 << 19,), np.uint32)
+        data[:] = np.arange(1 << 19)
+        pool.submit(_wire.send, theirs, "x", [data])
+        np.testing.assert_array_equal(_wire.receive(ours, lambda: None)[1], data)
+
+
 def test_samples_that_lie_in_the_file_as_they_are_are_read_here(tmp_path: Path) -> None:
     tifffile = pytest.importorskip("tifffile")
     data = np.random.default_rng(1).integers(0, 9999, (2, 40, 130, 210), np.uint16)
@@ -298,6 +314,17 @@ def test_names_are_relative_to_the_folder_of_the_caller(plain: Path, monkeypatch
     clvol.read(plain)
     monkeypatch.chdir(plain.parent)
     assert clvol.read("v.nrrd").shape == (2, 3, 4)
+
+
+@linux
+def test_it_holds_no_folder_and_not_much_memory_for_threads(plain: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(plain.parent)
+    monkeypatch.setattr(sys, "path", [*sys.path, plain])  # as some add it, in vain
+    for pid in workers():
+        os.kill(pid, signal.SIGKILL)
+    clvol.read("v.nrrd")
+    assert {Path(f"/proc/{pid}/cwd").readlink() for pid in workers()} == {Path("/")}
+    assert run(threading.stack_size) <= 4 << 20
 
 
 # -- nonsense that a process may send once a file has taken it over --------------------------------------------

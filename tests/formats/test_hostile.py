@@ -152,6 +152,7 @@ HOSTILE: dict[str, tuple[bytes, type[ClvolError], str]] = {
     "above.nhdr": (nrrd("data file: ../outside.raw", data=b""), FormatError, "own folder or below"),
     "around.nhdr": (nrrd("data file: sub/../../outside.raw", data=b""), FormatError, "own folder or below|not there"),
     "link.mhd": (mha("LOCAL", "link.raw", b""), FormatError, "own folder or below"),
+    "list.nhdr": (nrrd("data file: LIST 2", "v.raw", data=b""), FormatError, "one file with all samples; got 'LIST 2'"),
     "pipe.nhdr": (nrrd("data file: pipe.raw", data=b""), FormatError, "not there"),
     "folder.nhdr": (nrrd("data file: .", data=b""), FormatError, "not there"),
     "zero.mhd": (mha("LOCAL", "/dev/zero", b""), FormatError, "not there"),
@@ -217,6 +218,10 @@ def test_hostile_files_are_refused(folder: Path, name: str) -> None:
     assert peaks() < MEGABYTES
 
 
+# in a sequence of unknown type there are no types, whatever the syntax of the file
+ENDS = bytes.fromhex("feff0de000000000 feffdde000000000")  # of an item, and of its sequence
+ITEM_OF_ITS_OWN = bytes.fromhex("feff00e0ffffffff 4300011004000000") + b"abcd" + ENDS
+
 SOUND: dict[str, bytes] = {
     "v.mha": MHA.encode() + BYTES,
     "packed.mha": packed(zlib.compress(BYTES)),
@@ -232,6 +237,8 @@ SOUND: dict[str, bytes] = {
     "mins.nrrd": nrrd("axis mins: 0 0 -1", "axis maxs: 4 3 1e0"),
     "below.nhdr": nrrd("data file: sub/v.raw", data=b""),
     "v.dcm": dicom(),
+    "unknown-sequence.dcm": dicom(between=element(0x43, 0x1099, "UN", ITEM_OF_ITS_OWN, 0xFFFFFFFF)),
+    "filled-up.dcm": dicom() + bytes(2),
 }  # fmt: skip
 
 

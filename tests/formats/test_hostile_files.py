@@ -396,6 +396,7 @@ HOSTILE: dict[str, tuple[Maker, str]] = {
     "nan.ome.tif": (ome('SizeX="5"', 'SizeX="5" PhysicalSizeX="nan" PhysicalSizeY="1" PhysicalSizeZ="1"'), "finite"),
     "laughs.ome.tif": (ome("<OME", ENTITIES + "<OME"), "declarations"),
     "elsewhere.ome.tif": (ome("<TiffData", OTHER_FILE.format("../elsewhere.tif")), "beside it"),
+    "elsewhere-by-number.ome.tif": (ome("<TiffData", OTHER_FILE.format("..&#47;elsewhere.tif")), "beside it"),
     "absolute.ome.tif": (ome("<TiffData", OTHER_FILE.format("/etc/passwd")), "beside it"),
     "missing.ome.tif": (ome('SizeZ="3"', 'SizeZ="4"'), "missing"),
     # HDF5

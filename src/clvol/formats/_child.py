@@ -12,6 +12,7 @@ import pickle
 import signal
 import socket
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -30,6 +31,7 @@ __all__ = ["Request", "serve"]
 _ALLOCATION = ("alloc", "memory")  # in what libraries say where they get none
 _GIVEN_UP = (RuntimeError, MemoryError)  # with which native code says so
 _MIB = 1 << 20
+_STACK = 2 * _MIB
 
 
 @dataclass
@@ -102,6 +104,7 @@ def _answer(peer: socket.socket, request: Request) -> None:
             retire = isinstance(error, _GIVEN_UP) or isinstance(error.__cause__, _GIVEN_UP)
     logging.getLogger().removeHandler(records)
     _hold(None)
+    os.chdir(os.sep)  # nobody need wait for this process to unmount a disk, or to remove a folder
     # whatever a library that gave up on a file has left behind must not touch the next
     send(peer, "told", [(_listed(told), records.kept, retire)])
     send(peer, name, box)
@@ -152,7 +155,11 @@ def _peer() -> socket.socket:
 
 
 def _harmless() -> None:
-    """Leave the terminal alone, in both directions, and be what the system ends first where memory runs out."""
+    """Leave the terminal alone, in both directions, and be what the system ends first where memory runs out.
+
+    Threads get a stack that many of them can have at a time within the limit on memory, whatever ``ulimit -s`` says.
+    """
+    threading.stack_size(_STACK)
     null = os.open(os.devnull, os.O_RDWR)
     for fd in (0, 1, 2):
         os.dup2(null, fd)

@@ -99,7 +99,10 @@ class _Walk:
             pass
 
     def _element(self, end: int, depth: int) -> bool:
-        """Pass one element; False for what ends an item or a sequence."""
+        """Pass one element; False for what ends an item or a sequence, and for zeros that fill up a file."""
+        left = end - self._stream.tell()
+        if depth == 0 and left < 8 and not self._stream.read(left).strip(b"\0"):
+            return False
         head = self._read(8, end)
         tag: Tag = struct.unpack(self.order + "HH", head[:4])
         kind = head[4:6]
@@ -114,7 +117,11 @@ class _Walk:
         if depth == 0:
             self.lengths[tag] = length
         if length == _UNDEFINED:
+            before = self.order, self.implicit
+            if kind == b"UN":  # PS3.5, 6.2.2: whatever the file's syntax, a sequence of unknown type has its own
+                self.order, self.implicit = "<", True
             self.data_set(end, depth + 1) if tag == _ITEM else self._items(end, depth, tag)
+            self.order, self.implicit = before
             return True
         start = self._stream.tell()
         if length > end - start:

@@ -105,9 +105,14 @@ def bytes_at(shape: Sequence[int], index: Sequence[int | slice], dtype: np.dtype
     return sample_count([*taken, *shape[len(index) :]]) * dtype.itemsize
 
 
-def require_members(source: object, archive: zipfile.ZipFile) -> None:
-    """Raise before a member of an archive is unpacked: each must have a name of its own, and no absurd size."""
+def require_members(source: object, archive: zipfile.ZipFile, *, replaced: bool = False) -> None:
+    """Raise before a member of an archive is unpacked: each must have a name of its own, and no absurd size.
+
+    Members may be `replaced` by later ones of the same name: so does zarr whenever attributes change.
+    """
     members = archive.infolist()
+    if replaced:
+        members = list({member.filename: member for member in members}.values())
     if len({member.filename for member in members}) != len(members):
         raise FormatError(f"{source} must hold members of different names; some have the same")
     for member in members:

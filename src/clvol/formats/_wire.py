@@ -67,7 +67,10 @@ def empty(shape: Sequence[int], dtype: DTypeLike) -> NDArray[Any]:
     """An array for the samples of a file, as `numpy.empty`; in a process that reads for another, one that costs no copy to send."""
     kind = np.dtype(dtype)
     size = math.prod(shape) * kind.itemsize
-    return _segment(size, kind, shape) if _sharing and size >= _LARGE else np.empty(tuple(shape), kind)
+    if _sharing and size >= _LARGE:
+        with contextlib.suppress(OSError):  # systems may forbid such memory
+            return _segment(size, kind, shape)
+    return np.empty(tuple(shape), kind)
 
 
 def copied(samples: NDArray[Any]) -> NDArray[Any]:
@@ -207,9 +210,10 @@ def send(peer: socket.socket, name: str, box: list[Any]) -> None:
         while arrays:
             array = arrays.pop(0)
             large = _sharing and array.nbytes >= _LARGE and len(handed) < _MOST_HANDED
-            places.append(large)
-            if large:
-                handed.append(_descriptor(array))
+            fd = _descriptor(array) if large else None
+            places.append(fd is not None)
+            if fd is not None:
+                handed.append(fd)
             else:
                 blobs.append(np.ascontiguousarray(array))
             del array
@@ -226,13 +230,12 @@ def send(peer: socket.socket, name: str, box: list[Any]) -> None:
             os.close(fd)
 
 
-def _descriptor(array: NDArray[Any]) -> int:
-    """Of memory that holds the samples of an array, and nothing else."""
+def _descriptor(array: NDArray[Any]) -> int | None:
+    """Of memory that holds the samples of an array, and nothing else; None where the system has no such memory."""
     memory = _segment_of(array)
     if memory is None:
         memory = _segment_of(copied(array))
-    assert memory is not None
-    return os.dup(memory.fd)
+    return None if memory is None else os.dup(memory.fd)
 
 
 def _seal(fd: int) -> None:

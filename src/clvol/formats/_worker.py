@@ -313,7 +313,7 @@ def _ending(code: int) -> str:
 def _command() -> list[str]:
     given = sys.flags
     flags = {"-E": given.ignore_environment, "-s": given.no_user_site, "-S": given.no_site, "-I": given.isolated}
-    paths = [[path or _folder() for path in sys.path], str(Path(__file__).parents[1])]
+    paths = [[path or _folder() for path in sys.path if isinstance(path, str)], str(Path(__file__).parents[1])]
     return [sys.executable, *(flag for flag, on in flags.items() if on), "-P", "-c", _PROGRAM, json.dumps(paths)]
 
 

@@ -109,6 +109,8 @@ def _fields(stream: IO[bytes], name: str) -> dict[str, str]:
         if (length := len(os.fsencode(text))) > _MAX_FIELD and key != "content":
             raise FormatError(f"{name} must have fields of up to {_MAX_FIELD} bytes; {key[:80]!r} has {length}")
         fields[key] = value.strip()
+        if key == "data file" and fields[key].upper().startswith("LIST"):  # names follow, up to the end
+            break
     return fields
 
 

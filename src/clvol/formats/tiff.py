@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import io
 import logging
 import math
@@ -15,7 +16,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
-from xml.sax.saxutils import unescape
 
 import numpy as np
 from numpy.typing import NDArray
@@ -188,7 +188,7 @@ def _require_own_files(path: Path, file: Any) -> None:
     text = file.ome_metadata or ""
     if _DECLARED.search(text):
         raise FormatError(f"{path.name} must have OME-XML without declarations of a document type or of entities")
-    for name in (unescape(a or b, {"&quot;": '"', "&apos;": "'"}) for a, b in _NAMED.findall(text)):
+    for name in (html.unescape(a or b) for a, b in _NAMED.findall(text)):  # "&#47;" too
         if re.search(r"[/\\]", name) or name in ("", ".."):
             raise FormatError(f"{path.name} must name the other files of its set, beside it; got {name[:80]!r}")
         other = path.with_name(name)

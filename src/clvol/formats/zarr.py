@@ -121,7 +121,7 @@ def _require_own_file(root: Path, key: str) -> None:
 def _inside(path: Path) -> str:
     """Where an archive has its array or group: at its root, or in a folder that was packed."""
     with zipfile.ZipFile(path) as archive:
-        require_members(path.name, archive)
+        require_members(path.name, archive, replaced=True)
         found = [name for name in archive.namelist() if name.rpartition("/")[2] in _METADATA]
     if not found:
         raise FormatError(f"{path.name} must hold a Zarr array or group; unpack archives of other files, and read what they hold")
