@@ -47,12 +47,12 @@ lowest: $(VENV)/lowest.stamp
 	$(VENV)/lowest/bin/clvol render phantom:box --mode mip --size 64 64 --output $(VENV)/lowest/frame.png
 	$(VENV)/lowest/bin/python -m pytest --numprocesses=2 --dist=loadfile $(addprefix tests/,$(LOWEST))
 
-# What an installation of the package alone brings along, in CycloneDX's format
+# What an installation of the package alone brings along, in CycloneDX's format; pip, which installs it, is not part of it
 sbom:
-	$(PYTHON) -m venv --clear $(VENV)/sbom/clvol
-	$(VENV)/sbom/clvol/bin/python -m pip install --quiet .
 	$(PYTHON) -m venv --clear $(VENV)/sbom/tool
 	$(VENV)/sbom/tool/bin/python -m pip install --quiet cyclonedx-bom
+	$(PYTHON) -m venv --clear --without-pip $(VENV)/sbom/clvol
+	$(VENV)/sbom/tool/bin/python -m pip --python $(VENV)/sbom/clvol/bin/python install --quiet .
 	$(VENV)/sbom/tool/bin/cyclonedx-py environment --pyproject pyproject.toml --mc-type library --output-reproducible \
 		--output-file sbom.cdx.json $(VENV)/sbom/clvol/bin/python
 

@@ -97,6 +97,17 @@ def test_the_tests_that_reliability_names_are_there() -> None:
     assert [f"{file}::{name}" for file, name in named if name and f"\ndef {name}(" not in text[file]] == []
 
 
+def test_reliability_says_which_tests_run_only_by_make_thorough() -> None:
+    named = re.findall(r"`(tests/[\w/]+\.py)::(\w+)`( \(thorough\))?", RELIABILITY.read_text(encoding="utf-8"))
+    wrong = []
+    for file, name, marked in named:
+        text = (DOCS.parent / file).read_text(encoding="utf-8")
+        marks = text[: text.index(f"\ndef {name}(")].rpartition("\n\n")[2]
+        if bool(marked) != ("\n@pytest.mark.thorough" in f"\n{marks}"):
+            wrong.append(f"{file}::{name}")
+    assert wrong == []
+
+
 def test_the_tables_of_reliability_are_those_of_the_results() -> None:
     spec = spec_from_file_location("_reliability", DOCS / "_reliability.py")
     assert spec is not None

@@ -68,6 +68,6 @@ def test_constants_come_back_to_the_ends_of_every_type(device: Device, kind: str
     type_ = np.dtype(kind)
     ends = [np.finfo(type_).max, np.finfo(type_).min] if type_.kind == "f" else [np.iinfo(type_).max, np.iinfo(type_).min]
     points = np.random.default_rng(2).uniform(0, 4, (20, 3))
-    for end in [end for end in ends if abs(float(end)) < 1e38]:
+    for end in ends:
         got = clvol.sample(np.full((5, 6, 7), end, type_), points, device=device)
         np.testing.assert_allclose(got, float(end), rtol=1e-6)

@@ -1,4 +1,4 @@
-"""Runs kernels at the edges of their memory and of their numbers, sanitized: `python -m tests.sanitized few|all|far|past N`.
+"""Runs kernels at the edges of their memory and of their numbers, sanitized: `python -m tests.sanitized few|all|far|fault NAME`.
 
 test_sanitized.py runs this, in an environment that brings the sanitizer (runtime.environment).
 """

@@ -26,7 +26,7 @@ import numpy as np
 import pyopencl as real
 from numpy.typing import NDArray
 
-from clvol import opencl, probe
+from clvol import cache, opencl, probe
 
 HERE = Path(__file__).parent
 VERSIONS = ("", *(f"-{n}" for n in range(14, 23)))  # of clang
@@ -274,8 +274,14 @@ def enqueue_map_buffer(
     return np.asarray(Mapped(buffer, offset, shape, np.dtype(dtype))), None
 
 
+def enqueue_marker(queue: Any) -> Any:
+    return SimpleNamespace(command_execution_status=real.command_execution_status.COMPLETE)  # launches end before they return
+
+
 class Queue:
     def __init__(self, context: Any) -> None: ...
+
+    def flush(self) -> None: ...
 
     def finish(self) -> None: ...
 
@@ -315,7 +321,7 @@ PLATFORM.get_devices = lambda *_: [DEVICE]
 def module() -> ModuleType:
     """What clvol imports as pyopencl."""
     made = _Module("pyopencl")
-    mine = (Buffer, Program, Kernel, enqueue_copy, enqueue_fill_buffer, enqueue_map_buffer)
+    mine = (Buffer, Program, Kernel, enqueue_copy, enqueue_fill_buffer, enqueue_map_buffer, enqueue_marker)
     made.__dict__.update({each.__name__: each for each in mine})
     made.__dict__.update(
         get_platforms=lambda: [PLATFORM],
@@ -335,4 +341,5 @@ def install() -> None:
     runtime = module()
     opencl._loaded = lambda: runtime  # type: ignore[assignment]
     opencl.shelf = lambda: None
+    cache.folder = lambda: None  # its device is not to be noted as this user's default
     probe.tried = lambda: probe.Verdict(devices={probe.identity(DEVICE): ""})
