@@ -240,8 +240,7 @@ def _of_nodes(transfer: TransferFunction, at: NDArray[np.float64], cells: int) -
     seen = np.where(nodes[:, 3] > 0, np.arange(len(nodes), dtype=np.float32), np.float32(np.inf))
     following = np.minimum.accumulate(seen[::-1])[::-1]
     scale = cells / (at[-1] - at[0]) if at[-1] > at[0] else 0.0
-    rest = np.full(-len(nodes) % 4, np.inf, np.float32)  # kernels read vectors of four
-    return _Layout(float(at[0]), float(scale), float(cells), 0, 0, np.concatenate([nodes.ravel(), following, rest]))
+    return _Layout(float(at[0]), float(scale), float(cells), 0, 0, np.concatenate([nodes.ravel(), following]))
 
 
 def _of_pieces(transfer: TransferFunction, colors: NDArray[np.float64], opacities: NDArray[np.float64]) -> _Layout:
