@@ -157,6 +157,7 @@ def test_roofline_names_the_limit_that_binds() -> None:
     assert limits.share(machine.Cost(bytes=1, loads=50), 1.0) == (0.5, "loads")
 
 
+@pytest.mark.thorough
 def test_a_short_soak_finds_nothing_and_what_it_would_find(tmp_path: Path) -> None:
     output = tmp_path / "soak.json"
     done = command("bench.soak", "--minutes", "0.1", "--quick", "--output", str(output))

@@ -54,7 +54,7 @@ def test_no_promise_is_broken(tmp_path: Path, formats: tuple[str, ...], count: i
     run = subprocess.run(
         [*command, "--keep", str(tmp_path / "kept")],
         capture_output=True,
-        text=True,
+        encoding="utf-8",
         check=False,
         timeout=600,
         cwd=ROOT,
