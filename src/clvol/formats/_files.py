@@ -44,7 +44,8 @@ _CHUNK = 1 << 20
 def foreign_errors(what: str, reason: Callable[[Exception], str] = str) -> Iterator[None]:
     """Turn whatever a library raises into a `FormatError` that says what was being done."""
     try:
-        yield
+        with np.errstate(over="ignore", invalid="ignore"):  # absurd numbers are refused, and need no warning
+            yield
     except (
         ClvolError,
         ClvolWarning,
