@@ -52,7 +52,7 @@ def guard(side: str) -> None:
         return cl.Buffer(self.context, cl.mem_flags.USE_HOST_PTR, hostbuf=guarded(max(int(size), 4), side))
 
     def upload(self: Device, array: NDArray[Any]) -> Any:
-        memory = guarded(max(array.nbytes, 4), side)
+        memory = guarded(-(-max(array.nbytes, 4) // 16) * 16, side)  # tables are read as float4, which are aligned
         memory[: array.nbytes] = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
         return cl.Buffer(self.context, cl.mem_flags.USE_HOST_PTR, hostbuf=memory)
 
