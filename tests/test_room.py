@@ -83,7 +83,7 @@ CALLS = [
     "ndimage.zoom(small.data, 200)",
     "ndimage.zoom(image, (1, 2**28))",
     "ndimage.affine_transform(image, np.eye(2), output_shape=(2**16, 2**16))",
-    "ndimage.affine_transform(image, np.eye(2), output_shape=(2**31, 2**31))",
+    "ndimage.affine_transform(image, np.eye(2), output_shape=(2**29, 2**29))",
     "ndimage.geometric_transform(image, lambda i: i, output_shape=(2**16, 2**16))",
     "ndimage.map_coordinates(small.data, points.T)",
     "ndimage.rotate(huge, 10)",

@@ -215,7 +215,7 @@ PAIRWISE = [("bspline3", mode, way) for mode in MODES for way in range(1, len(WA
 
 
 @pytest.mark.parametrize(
-    ("filter", "mode", "way"), thin(3, PAIRWISE), ids=[f"{f}-{m}-{'-'.join(WAYS[w].values())}" for f, m, w in PAIRWISE]
+    ("filter", "mode", "way"), thin(5, PAIRWISE), ids=[f"{f}-{m}-{'-'.join(WAYS[w].values())}" for f, m, w in PAIRWISE]
 )
 def test_every_way_to_the_coefficients(device: Device, keep: dict[Any, Renderer], filter: str, mode: str, way: int) -> None:
     ways = WAYS[way]

@@ -112,7 +112,7 @@ def _read_array(stream: IO[bytes], size: int, source: str, kinds: str = "biuf") 
     length = int.from_bytes(stream.read(2 if version == (1, 0) else 4), "little")
     if length > MAX_HEADER:
         raise FormatError(f"{source} must have a header of up to {MAX_HEADER} bytes")
-    if found := re.search(rb"\\|'[<>|=]?a\d*'", stream.read(length)):  # Python and NumPy warn of these, or refuse them one day
+    if found := re.search(rb"\\|'descr': '[<>|=]?a\d*'", stream.read(length)):  # NumPy warns of these, or will refuse them
         raise FormatError(f"{source} must have a header as NumPy writes it; found {found[0]!r}")
     stream.seek(at)
     if version == (1, 0):
