@@ -53,7 +53,7 @@ def test_no_linker_is_an_error_not_an_abort(device: Device, tmp_path: Path) -> N
     """PoCL would abort the process; the error says what to install."""
     if not uses_pocl(device):
         pytest.skip("PoCL is not the default device")
-    done = python(USE, PATH=str(tmp_path), XDG_CACHE_HOME=str(tmp_path))
+    done = python(USE, PATH=str(tmp_path), XDG_CACHE_HOME=str(tmp_path), POCL_CACHE_DIR=str(tmp_path))  # nothing is built yet
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("DeviceError PoCL needs the linker 'ld'"), done.stdout
     assert "binutils" in done.stdout
@@ -65,7 +65,7 @@ def test_linker_that_fails_is_an_error_not_an_abort(device: Device, tmp_path: Pa
     linker = tmp_path / "ld"
     linker.write_text("#!/bin/sh\nexit 1\n")
     linker.chmod(0o755)
-    done = python(USE, PATH=f"{tmp_path}:{os.environ['PATH']}", XDG_CACHE_HOME=str(tmp_path))
+    done = python(USE, PATH=f"{tmp_path}:{os.environ['PATH']}", XDG_CACHE_HOME=str(tmp_path), POCL_CACHE_DIR=str(tmp_path))
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("DeviceError PoCL needs the linker to finish a kernel"), done.stdout
     assert f"{linker} fails in" in done.stdout
