@@ -30,7 +30,7 @@ ROOT = Path("/")
 """Where ``proc`` and ``sys`` are: tests have others."""
 
 _MIB = 1 << 20
-_SMALL = 64 * _MIB  # requests that are not looked into: to ask takes 0.2 ms
+_SMALL = 64 * _MIB  # requests that are not looked into: to ask takes 0.5 ms
 _KEPT = 32 * _MIB  # of what is available, for the small things that nobody asks for
 _SECONDS = 0.1  # for which an answer is kept
 _ADDRESSABLE = (1 << 31) - 1  # samples along an axis: OpenCL's int

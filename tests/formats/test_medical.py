@@ -20,6 +20,7 @@ from clvol.foreign import nibabel_says, simpleitk_says
 from clvol.formats import read, read_all, write
 from clvol.volume import Volume
 from clvol.volumes import Leading, Volumes, as_grid
+from tests.dicom import element, sequence
 
 nibabel = pytest.importorskip("nibabel")
 sitk = pytest.importorskip("SimpleITK")
@@ -393,20 +394,6 @@ def test_mgh(tmp_path: Path, suffix: str) -> None:
 
 
 # -- DICOM -------------------------------------------------------------------------------------
-
-
-def element(tag: int, kind: str, value: str | bytes) -> bytes:
-    """Of an explicit, little-endian file."""
-    group, number = tag >> 16, tag & 0xFFFF
-    content = value.encode() if isinstance(value, str) else value
-    content += (b"\0" if kind == "UI" else b" ") * (len(content) % 2)
-    if kind in ("OB", "OW", "SQ"):
-        return struct.pack("<HH2sHI", group, number, kind.encode(), 0, len(content)) + content
-    return struct.pack("<HH2sH", group, number, kind.encode(), len(content)) + content
-
-
-def sequence(tag: int, *items: bytes) -> bytes:
-    return element(tag, "SQ", b"".join(struct.pack("<HHI", 0xFFFE, 0xE000, len(item)) + item for item in items))
 
 
 def enhanced(data: np.ndarray, positions: list[tuple[float, ...]]) -> bytes:

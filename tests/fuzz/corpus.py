@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.dicom import element, sequence
+
 __all__ = ["CORPORA", "Sample"]
 
 AFFINE = np.array([[-0.5, 0, 0, 10], [0, 0.75, 0, -20], [0, 0, 2.5, 30], [0, 0, 0, 1]])
@@ -215,36 +217,23 @@ def _dicom() -> Iterator[Sample]:
     yield one("v.dcm", _enhanced(data("uint16", (4, 3, 5))))
 
 
-def _element(tag: int, kind: str, value: str | bytes) -> bytes:
-    group, number = tag >> 16, tag & 0xFFFF
-    content = value.encode() if isinstance(value, str) else value
-    content += (b"\0" if kind == "UI" else b" ") * (len(content) % 2)
-    if kind in ("OB", "OW", "SQ"):
-        return struct.pack("<HH2sHI", group, number, kind.encode(), 0, len(content)) + content
-    return struct.pack("<HH2sH", group, number, kind.encode(), len(content)) + content
-
-
-def _sequence(tag: int, *items: bytes) -> bytes:
-    return _element(tag, "SQ", b"".join(struct.pack("<HHI", 0xFFFE, 0xE000, len(item)) + item for item in items))
-
-
 def _enhanced(frames: NDArray[Any]) -> bytes:
     """A CT of many frames, as section C.7.6.16 of the standard has them."""
     kind = "1.2.840.10008.5.1.4.1.1.2.1"
-    shared = _sequence(0x00209116, _element(0x00200037, "DS", "1\\0\\0\\0\\1\\0"))
-    shared += _sequence(0x00289110, _element(0x00180050, "DS", "2.5") + _element(0x00280030, "DS", "0.75\\0.5"))
-    places = [_sequence(0x00209113, _element(0x00200032, "DS", f"1\\2\\{2.5 * k:g}")) for k in range(len(frames))]
-    meta = _element(0x00020001, "OB", b"\0\1") + _element(0x00020002, "UI", kind) + _element(0x00020003, "UI", "1.2.3.4")
-    meta += _element(0x00020010, "UI", "1.2.840.10008.1.2.1") + _element(0x00020012, "UI", "1.2.3")
-    body = _element(0x00080016, "UI", kind) + _element(0x00080018, "UI", "1.2.3.4") + _element(0x00080060, "CS", "CT")
-    body += _element(0x0020000D, "UI", "1.2") + _element(0x0020000E, "UI", "1.2.5")
-    body += _element(0x00280002, "US", struct.pack("<H", 1)) + _element(0x00280004, "CS", "MONOCHROME2")
-    body += _element(0x00280008, "IS", str(len(frames)))
+    shared = sequence(0x00209116, element(0x00200037, "DS", "1\\0\\0\\0\\1\\0"))
+    shared += sequence(0x00289110, element(0x00180050, "DS", "2.5") + element(0x00280030, "DS", "0.75\\0.5"))
+    places = [sequence(0x00209113, element(0x00200032, "DS", f"1\\2\\{2.5 * k:g}")) for k in range(len(frames))]
+    meta = element(0x00020001, "OB", b"\0\1") + element(0x00020002, "UI", kind) + element(0x00020003, "UI", "1.2.3.4")
+    meta += element(0x00020010, "UI", "1.2.840.10008.1.2.1") + element(0x00020012, "UI", "1.2.3")
+    body = element(0x00080016, "UI", kind) + element(0x00080018, "UI", "1.2.3.4") + element(0x00080060, "CS", "CT")
+    body += element(0x0020000D, "UI", "1.2") + element(0x0020000E, "UI", "1.2.5")
+    body += element(0x00280002, "US", struct.pack("<H", 1)) + element(0x00280004, "CS", "MONOCHROME2")
+    body += element(0x00280008, "IS", str(len(frames)))
     for tag, value in zip((0x10, 0x11, 0x100, 0x101, 0x102, 0x103), (*frames.shape[1:], 16, 16, 15, 0), strict=True):
-        body += _element(0x00280000 | tag, "US", struct.pack("<H", value))
-    body += _sequence(0x52009229, shared) + _sequence(0x52009230, *places)
-    body += _element(0x7FE00010, "OW", frames.astype("<u2").tobytes())
-    return bytes(128) + b"DICM" + _element(0x00020000, "UL", struct.pack("<I", len(meta))) + meta + body
+        body += element(0x00280000 | tag, "US", struct.pack("<H", value))
+    body += sequence(0x52009229, shared) + sequence(0x52009230, *places)
+    body += element(0x7FE00010, "OW", frames.astype("<u2").tobytes())
+    return bytes(128) + b"DICM" + element(0x00020000, "UL", struct.pack("<I", len(meta))) + meta + body
 
 
 def _tiff() -> Iterator[Sample]:

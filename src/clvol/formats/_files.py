@@ -46,12 +46,8 @@ def foreign_errors(what: str, reason: Callable[[Exception], str] = str) -> Itera
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # absurd numbers are refused, and need no warning
             yield
-    except (
-        ClvolError,
-        ClvolWarning,
-        MemoryError,
-    ):  # sizes are checked first: a MemoryError is a fact of this machine, not of the file
-        raise
+    except (ClvolError, ClvolWarning, MemoryError):
+        raise  # sizes are checked first: a MemoryError is a fact of this machine, not of the file
     except Exception as error:
         raise FormatError(f"cannot {what}: {reason(error) or type(error).__name__}") from error
 
