@@ -50,6 +50,7 @@ NOT_DONE = {
     "Filter": "what `filters` holds, and `bspline`, `from_pieces` and others make",
     "Output": "a type",
     "Picture": "what `render` gives",
+    "Refined": "what `Renderer.refine` gives",
     "Warped": "what `warp` gives",
     "show": "opens a viewer",
 }

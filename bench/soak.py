@@ -1,13 +1,14 @@
 """Random work over all that is public, for a long time, in several threads; nothing may change and nothing may grow.
 
-    python -m bench.soak --minutes N [--threads T] [--seed S] [--output FILE]
+    python -m bench.soak --minutes N [--threads T] [--seed S] [--new SHARE] [--output FILE]
 
 Each deed of deeds.py gives the same result, to the last bit, whenever it is drawn with the same seed. Those of a catalogue are
 computed beforehand, one after the other in the one thread of another process, and then drawn again and again by all threads of
 this one; some draws are of seeds that were never seen, which the other process computes after. Now and then all threads wait,
 and what the process holds is counted: resident memory, open descriptors, threads, files left behind, and buffers on the device.
 After a first quarter, in which caches fill, the median of the last third must not exceed that of the first: memory by 2 % or
-20 MB at most (in runs of ten minutes or more, until when caches fill), all else by nothing. Exit status 1 says that a result
+20 MB at most, all else by nothing. Memory is judged in runs of ten minutes or more, until when caches fill, and of ``--new 0``:
+runtimes keep some of each program that they compile, and new arguments may need new ones. Exit status 1 says that a result
 changed, a foreign exception came, or something grew.
 
 Kernels are built anew, in a temporary cache, unless POCL_CACHE_DIR says where one is.
@@ -49,7 +50,6 @@ HELD = {"resident": "resident memory, MB", "descriptors": "descriptors", "thread
     "buffer_bytes": "bytes in these",
 }
 """What is counted, in words."""
-_NEW = 0.04  # share of draws whose seed was never seen
 _WARM_UP = 0.25  # of the time
 _SLACK, _SLACK_SHARE = 20e6, 0.02  # bytes by which resident memory may differ
 _FILLING = 10  # minutes in which caches fill
@@ -136,8 +136,8 @@ def answer(questions: IO[str], answers: IO[str], quick: bool) -> None:
 class Soak:
     """One run."""
 
-    def __init__(self, world: Any, reference: Reference, catalogue: dict[tuple[str, int], str], seed: int) -> None:
-        self.world, self.reference, self.catalogue, self.seed = world, reference, catalogue, seed
+    def __init__(self, world: Any, reference: Reference, catalogue: dict[tuple[str, int], str], seed: int, share: float) -> None:
+        self.world, self.reference, self.catalogue, self.seed, self.share = world, reference, catalogue, seed, share
         self.done: Counter[str] = Counter()
         self.refused: Counter[str] = Counter()
         self.seconds: defaultdict[str, float] = defaultdict(float)
@@ -188,7 +188,7 @@ class Soak:
                 self._gate.wait(_STUCK)
                 self._gate.wait(_STUCK)
             name, seed = known[int(random.integers(len(known)))]
-            if is_new := random.random() < _NEW:
+            if is_new := random.random() < self.share:
                 seed = int(random.integers(1 << 20, 1 << 62))
             started = time.perf_counter()
             try:
@@ -266,6 +266,27 @@ def _catalogue(
     return made, refusals
 
 
+def _programs_counted() -> Counter[str]:
+    """How many programs were made, and of these how many the compiler had to build or finish, counted from now on."""
+    from clvol import program
+    from clvol.cache import Shelf
+
+    counts: Counter[str] = Counter()
+    make, room = program.build, Shelf.require_room
+
+    def made(*given: Any) -> Any:
+        counts["made"] += 1
+        return make(*given)
+
+    def compiled(shelf: Shelf) -> None:  # asked for before each call of the compiler
+        counts["compiled"] += 1
+        room(shelf)
+
+    setattr(program, "build", made)  # noqa: B010  # mypy lets nobody assign to them
+    setattr(Shelf, "require_room", compiled)  # noqa: B010
+    return counts
+
+
 @contextlib.contextmanager
 def _kernels() -> Iterator[None]:
     """A cache of kernels that ends with the run, unless there is one to use: ever new programs would stay in the user's."""
@@ -282,6 +303,7 @@ def main() -> None:
     arguments.add_argument("--minutes", type=float, default=60, help="how long all threads work; the catalogue is made before")
     arguments.add_argument("--threads", type=int, default=2)
     arguments.add_argument("--seed", type=int, default=0, help="of what is drawn")
+    arguments.add_argument("--new", type=float, default=0.04, metavar="SHARE", help="of draws whose seed was never seen")
     arguments.add_argument("--quick", action="store_true", help="the commonest options alone: a check that all of it runs")
     arguments.add_argument("--without", nargs="*", default=[], metavar="DEED")
     arguments.add_argument("--output", type=Path, help="default: bench/results/soak/<date>.json; not written with --quick")
@@ -306,10 +328,11 @@ def _soak(options: argparse.Namespace, folder: Path) -> int:
     device = as_device()
     buffers = Buffers()
     buffers.watch()
+    programs = _programs_counted()
     reference = Reference(options.quick)
     catalogue, refusals = _catalogue(reference, options.without, options.quick, console)
     world = World(folder, options.quick)
-    soak = Soak(world, reference, catalogue, options.seed)
+    soak = Soak(world, reference, catalogue, options.seed, options.new)
     samples = soak.run(60 * options.minutes, options.threads, buffers)
     rows = grown(samples)
     world.close()
@@ -317,7 +340,7 @@ def _soak(options: argparse.Namespace, folder: Path) -> int:
     left = len(buffers.sizes)
     reference.close()
     _show(soak, rows, console)
-    judged = [row for name, row in rows.items() if name != "resident" or options.minutes >= _FILLING]
+    judged = [row for name, row in rows.items() if name != "resident" or (options.minutes >= _FILLING and not options.new)]
     failed = bool(soak.faults) or any(row["grew"] for row in judged)
     report = {
         "format": FORMAT,
@@ -327,6 +350,8 @@ def _soak(options: argparse.Namespace, folder: Path) -> int:
         "minutes": options.minutes,
         "threads": options.threads,
         "seed": options.seed,
+        "new": options.new,
+        "programs": dict(programs),
         "catalogue": len(catalogue),
         "catalogue_refusals": refusals,
         "draws": sum(soak.done.values()),

@@ -33,17 +33,20 @@ def _count(number: float) -> str:
 
 
 def soak() -> str:
-    """Of the latest soak: what was drawn, and what was held."""
-    runs = sorted(SOAK.glob("*.json"))
-    if not runs:
-        return _NONE
-    run = json.loads(runs[-1].read_text(encoding="utf-8"))
-    machine, faults = run["machine"], len(run["faults"])
+    """Of the soaks of the last day: what was drawn, and what was held."""
+    runs = [json.loads(file.read_text(encoding="utf-8")) for file in sorted(SOAK.glob("*.json"))]
+    last = max((run["date"] for run in runs), default="")
+    return "\n".join(_soak(run) for run in runs if run["date"] == last) or _NONE
+
+
+def _soak(run: dict[str, Any]) -> str:
+    machine, faults, programs = run["machine"], len(run["faults"]), run["programs"]
     told = (
         f"{run['date']}: {run['minutes']:g} minutes with {run['threads']} threads on {machine['cores']} cores "
         f"({machine['opencl'].strip()}, Python {machine['python']}). {_count(run['draws'])} pieces of work: {run['catalogue']} "
-        f"sets of arguments, drawn again and again, and {_count(run['draws_of_new_arguments'])} that were drawn once. Results that "
-        f"differed, and foreign exceptions: {faults or 'none'}.\n\n"
+        f"sets of arguments, drawn again and again, and {_count(run['draws_of_new_arguments'])} that were drawn once, for which "
+        f"{_count(programs['made'])} programs were made, {_count(programs.get('compiled', 0))} kernels of them compiled anew. "
+        f"Results that differed, and foreign exceptions: {faults or 'none'}.\n\n"
     )
     rows = []
     for name, row in run["held"].items():

@@ -181,3 +181,13 @@ def test_what_grows_in_a_soak_is_told(name: str, step: float, grew: bool) -> Non
 def test_a_soak_works_at_all_that_is_public() -> None:
     text = (ROOT / "bench/deeds.py").read_text(encoding="utf-8")
     assert [name for name in clvol.__all__ if not re.search(rf"\b(clvol\.{name}|{name}\.\w)", text) and name not in NOT_DONE] == []
+
+
+@pytest.mark.thorough
+def test_budgets_of_pictures_are_measured(tmp_path: Path) -> None:
+    done = command("bench.refine", "--quick", "--output", str(tmp_path / "report.json"))
+    assert done.returncode == 0, done.stderr
+    report = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
+    assert all(0 <= row["kept"] <= 1 and 0 < row["median"] <= row["worst"] for row in report["kept"].values())
+    assert all(0 < row["between_99"] <= row["between"] for row in report["asked"].values())
+    assert len(report["asked"]) == 6

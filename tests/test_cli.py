@@ -254,7 +254,11 @@ def test_what_the_user_got_wrong_is_one_line(clvol_command: Command, options: tu
     [
         (
             ("bogus",),
-            ('"bogus"', "compare, completion, convert, devices, doctor, figure, filters, info", "resample: see 'clvol --help'"),
+            (
+                '"bogus"',
+                "compare, completion, convert, devices, doctor, figure, filters, info",
+                "resample, view: see 'clvol --help'",
+            ),
         ),
         (("rendr", SPHERE), ("(did you mean render?)",)),
         (("completion", "csh"), ("bash", "fish")),

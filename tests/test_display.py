@@ -123,6 +123,32 @@ def test_every_volume_shows_itself(data: np.ndarray) -> None:
         assert "none is finite" in page.texts
 
 
+def bars(page: str) -> list[tuple[float, float]]:
+    """Of a histogram: where each begins, and its height."""
+    path = page.rpartition('<path d="')[2].partition('"')[0]
+    return [(float(x), float(h)) for x, h in re.findall(r"M([\d.]+) [\d.]+v-([\d.]+)", path)]
+
+
+def test_a_volume_shows_how_many_samples_have_which_value() -> None:
+    data = np.repeat(np.array([3, 4, 6], np.uint8), (1000, 100, 10)).reshape(10, 111, 1)
+    found = bars(clvol.Volume(data)._repr_html_())
+    assert [x for x, _ in found] == [0, 90, 270]  # a quarter each for 3, 4, 5 and 6
+    np.testing.assert_allclose([h for _, h in found], np.log1p([1000, 100, 10]) / np.log1p(1000) * 92, atol=0.1)
+    assert len(bars(clvol.Volume(np.full((2, 2, 2), 5.0))._repr_html_())) == 1
+    many = bars(clvol.Volume(np.random.default_rng(0).random((200, 200, 200), np.float32))._repr_html_())
+    assert len(many) == 90
+    np.testing.assert_allclose([h for _, h in many], 92, rtol=0.02)
+
+
+def test_a_field_shows_its_kernel_and_what_it_is_made_of(device: clvol.Device) -> None:
+    field = clvol.Field(clvol.Volume(np.ones((3, 4, 5), np.float32)), "bspline3", device=device)
+    texts = Page(field._repr_html_()).texts
+    for text in ("Field", "3 × 4 × 5 float32", "bspline3", "mirror", device.name):
+        assert text in texts
+    field.close()
+    assert "freed, the field is closed" in Page(field._repr_html_()).texts
+
+
 def test_several_volumes_show_the_first_few_in_their_colours() -> None:
     leading = Leading(("time", "channel"), (3, 2), {"channel": ("DAPI", "GFP")}, ((0, 0, 1), (0, 1, 0)), ((0, 1), None))
     page = Page(clvol.Volumes(np.ones((3, 2, 4, 5, 6), np.uint8), leading=leading)._repr_html_())

@@ -78,7 +78,7 @@ def test_the_api_names_all_that_is_public() -> None:
 
 
 def test_the_commands_of_the_pages_are_ones() -> None:
-    pages = [DOCS / "start.md", *(DOCS / "how-to").glob("*.md"), *(DOCS / "tutorials").glob("*.md")]
+    pages = [DOCS / "start.md", DOCS / "viewing.md", *(DOCS / "how-to").glob("*.md"), *(DOCS / "tutorials").glob("*.md")]
     text = "".join(page.read_text(encoding="utf-8") for page in pages)
     found = [line for block in SHELL.findall(text) for line in block.splitlines() if line.startswith("clvol ")]
     found += INLINE.findall(text)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from typing import Any
 
 import numpy as np
@@ -149,3 +150,17 @@ def test_labels_of_any_width_are_counted(dtype: str, first: int) -> None:
     background, numbers = label_numbers(Volume(data, labels=True))
     assert background == float(first)
     np.testing.assert_array_equal(np.unique(numbers), np.unique(np.array([first, first + 100], np.float64)))
+
+
+def test_a_look_at_a_volume_copies_no_volume() -> None:
+    """Arrays in Fortran's order, too, as files of NIfTI and MATLAB give them."""
+    samples = np.random.default_rng(0).integers(0, 255, (320, 300, 280), np.uint8)
+    peaks = {}
+    for layout in (samples, np.asfortranarray(samples)):
+        tracemalloc.start()
+        before = tracemalloc.get_traced_memory()[0]
+        labels, matter = Volume(layout).is_labels, matter_of(Volume(layout))
+        peaks[layout.flags.c_contiguous] = tracemalloc.get_traced_memory()[1] - before, labels, matter
+        tracemalloc.stop()
+    assert peaks[True][1:] == peaks[False][1:]
+    assert peaks[False][0] < peaks[True][0] + samples.nbytes / 4

@@ -100,15 +100,14 @@ def test_hundreds_of_interrupts_of_all_work(device: Device, capsys: pytest.Captu
             f"memory grown by {found['grown'] / 2**20:.0f} MiB"
         )
     assert len(latencies) >= 150
-    assert np.quantile(latencies, 0.99) < 1.0
-    assert latencies[-1] < 2.0  # on a machine that does other things, too
+    assert latencies[-1] < 1.0
     assert found["grown"] < 64 << 20
 
 
 MAKING = """
 import sys, numpy as np, clvol
 data = np.random.default_rng(0).random((200, 200, 200), np.float32)
-clvol.Field(data[:20, :20, :20], "bspline3").close()
+clvol.Field(data, "bspline3").close()  # kernels are built
 print("ready", flush=True)
 while True:
     field = clvol.Field(data, "bspline3")
@@ -214,7 +213,7 @@ def test_the_prefilter_waits_between_launches(device: Device, monkeypatch: pytes
     Field(data, "bspline3", device=device).close()
     few = len(waits)
     with device.limited(launch_voxels=1000), Field(data, "bspline3", device=device) as field:
-        assert len(waits) - few > few + 20
+        assert len(waits) - few > few + 24 // max(2, device.units)
         np.testing.assert_array_equal(field.magnify(2).data, expected)
 
 

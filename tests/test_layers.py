@@ -10,8 +10,9 @@ import pytest
 SOURCE = Path(__file__).resolve().parents[1] / "src"
 # top to bottom; a name stands for the module or for all of its package
 LAYERS = [
-    "interrupted errors moved memory checks rounding uniform files picture display foreign interop filter boundary missing noise "
-    "volume volumes smoothing stored camera color light scaling histogram palette preset transfer mode look scene fit transform",
+    "interrupted errors moved memory checks rounding uniform files picture display foreign foreign_images interop filter "
+    "boundary missing noise volume volumes smoothing stored camera color light scaling histogram palette preset transfer "
+    "mode look scene fit transform",
     "reference response phantoms formats",
     "cache intel processor probe opencl program device",
     "spline",
@@ -21,6 +22,7 @@ LAYERS = [
     "images analysis",
     "figures",
     "reports",
+    "view",
     "doctor cli __main__",
 ]
 

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.skipif(not README.is_file(), reason="not in a checkout"
 
 def test_the_python_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: Device) -> None:
     blocks = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
-    assert len(blocks) == 4
+    assert len(blocks) == 5
     monkeypatch.chdir(tmp_path)
     image = np.random.default_rng(0).integers(0, 255, (30, 40, 3)).astype(np.uint8)
     nibabel, tifffile = pytest.importorskip("nibabel"), pytest.importorskip("tifffile")

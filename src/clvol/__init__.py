@@ -38,6 +38,7 @@ from clvol.formats import read, read_all, write
 from clvol.formats.transforms import read_transform
 from clvol.interpolator import Interpolator
 from clvol.light import Light, Material
+from clvol.march.refine import Refined
 from clvol.march.renderer import Output, Renderer, render
 from clvol.missing import Missing
 from clvol.mode import Attenuated, Composite, Isosurface, Mean, Minip, Mip, Mode, modes
@@ -91,6 +92,7 @@ __all__ = [
     "OutOfMemoryError",
     "Output",
     "Picture",
+    "Refined",
     "Renderer",
     "Scene",
     "TransferFunction",

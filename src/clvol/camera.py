@@ -118,13 +118,15 @@ class View:
         one_side = (rays > 0).all(0) | (rays < 0).all(0)
         return np.where(one_side, np.linalg.norm(rays[:, [[1, 2], [2, 0], [0, 1]]], axis=-1).max(0), 1.0)
 
-    def block(self, volume: Volume, width: int, height: int) -> Values:
+    def block(self, volume: Volume, width: int, height: int, aspect: float | None = None) -> Values:
         """What kernels read: rays in index space as linear functions of the pixel, (0, 0) top left.
+
+        Pixels are square unless a picture's ``width / height = aspect`` is given, which a smaller one of it may have by rounding.
 
         They start on the plane through the volume's centre that faces the camera, where float32 is most precise. World units
         are mean spacings, so that none is too large or too small for float32.
         """
-        aspect = width / height
+        aspect = width / height if aspect is None else aspect
         inverse, origin = volume.world_to_index_matrix, np.asarray(volume.origin)
         # picture coordinates: from -1 to 1 along `right` and along `up`
         across, down = self.right * self.half_height * aspect, -self.up * self.half_height

@@ -6,13 +6,15 @@ import _thread
 import atexit
 import contextlib
 import ctypes
+import itertools
 import math
 import mmap
 import os
 import threading
 import time
 import warnings
-from collections import OrderedDict, deque
+import weakref
+from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -78,7 +80,7 @@ class Limits:
     """
 
     launch_seconds: float = 0.25
-    launch_voxels: int = 1 << 26
+    launch_voxels: int = 1 << 24
     launch_taps: int = 1 << 25
     sorted_bytes: int = 32 << 20
     sorting: bool | None = None
@@ -139,18 +141,9 @@ class _Task(Generic[T]):
 
 
 class _Block:
-    """Lives as long as the block that memory was lent to, however it ends; what that did not give back is taken back then."""
+    """Lives as long as the block that memory was lent to, however it ends."""
 
-    __slots__ = ("_device", "lent")
-
-    def __init__(self, device: Device, *lent: Any) -> None:
-        self._device, self.lent = device, lent
-
-    def __del__(self) -> None:
-        if self.lent:
-            self._device._left.append(self.lent)
-            with contextlib.suppress(Exception):
-                self._device._sweep()
+    __slots__ = ("__weakref__",)
 
 
 class Device:
@@ -167,7 +160,8 @@ class Device:
         self._building: dict[Any, _Task[Program]] = {}
         self._programs_lock = threading.RLock()  # the garbage collector may come back here, and so may a handler of signals
         self._fresh: set[Launches] = set()  # of kernels that PoCL may be finishing
-        self._left: deque[Any] = deque()  # memory that kernels may be using, and nobody else wants any more
+        self._held: dict[int, tuple[weakref.ref[Any], Any]] = {}  # memory that kernels may be using, and who else wants it
+        self._numbers = itertools.count()
         self._gone = ""
         self._limited = threading.local()
 
@@ -394,10 +388,10 @@ class Device:
             opencl().enqueue_fill_buffer(self.queue, buffer, np.float32(0), width * first, width * count)
 
     @contextlib.contextmanager
-    def lent(self, array: np.ndarray[Any, Any], *, write: bool) -> Iterator[Any]:
+    def lent(self, array: np.ndarray[Any, Any], *, write: bool, begun: bool = False) -> Iterator[Any]:
         """A contiguous array as a buffer for the time of a block, read or written by kernels.
 
-        No copy where the device shares the host's memory.
+        No copy where the device shares the host's memory. Elsewhere kernels that write find in it what it holds only if `begun`.
         """
         cl = opencl()
         flags = cl.mem_flags.READ_WRITE if write else cl.mem_flags.READ_ONLY
@@ -405,11 +399,11 @@ class Device:
         with _errors(self):
             if self.shares_memory:
                 buffer = cl.Buffer(self.context, flags | cl.mem_flags.USE_HOST_PTR, hostbuf=array)
-            elif write:
+            elif write and not begun:
                 buffer = cl.Buffer(self.context, flags, array.nbytes)
             else:
                 buffer = cl.Buffer(self.context, flags | cl.mem_flags.COPY_HOST_PTR, hostbuf=array)
-            block = _Block(self, buffer, array)  # kernels may still be writing to it after an error
+            held = self._hold(block := _Block(), (buffer, array))  # kernels may still be writing to it after an error
             yield buffer
             self._settle()
             if write and self.shares_memory:  # mapping is what makes the host's view complete
@@ -418,7 +412,7 @@ class Device:
             elif write:
                 cl.enqueue_copy(self.queue, array, buffer)
             self.queue.finish()
-            block.lent = ()
+            del self._held[held], block
             buffer.release()
 
     @contextlib.contextmanager
@@ -508,29 +502,38 @@ class Device:
 
     def _done(self, queue: Any) -> None:
         """When all that was launched is done: keep what was built for it, let memory go that nobody wants any more."""
-        fresh, left = set(self._fresh), []
-        try:
-            with contextlib.suppress(IndexError):  # another thread took the last
-                while self._left:
-                    left.append(self._left.popleft())
-            queue.finish()
-        except BaseException:
-            self._left.extend(left)
-            raise
+        fresh = set(self._fresh)
+        left = [number for number, (owner, _) in list(self._held.items()) if owner() is None]
+        queue.finish()
+        for number in left:
+            self._held.pop(number, None)
         for launches in fresh:
             launches.keep()
         self._fresh -= fresh
 
-    def _sweep(self) -> None:
-        """Let memory go that nobody wants any more, when kernels are done with it."""
-        if self._process != os.getpid():
-            return  # the queue of a forked child never ends
-        queue = self.queue
-        if self._fresh:
-            _Task(lambda: self._done(queue))
-        else:
-            with contextlib.suppress(opencl().Error):
+    def _hold(self, owner: Any, memory: Any) -> int:
+        """Keep memory until its owner is gone, and kernels are done with it; what it is held under.
+
+        An owner that took the memory with it in its own ``__del__`` would free it under a kernel where Ctrl-C comes just then.
+        """
+        number = next(self._numbers)  # never given twice: two threads may let go of the same one
+        self._held[number] = weakref.ref(owner, self._sweep), memory
+        return number
+
+    def _sweep(self, _: object = None) -> None:
+        """Let memory go that nobody wants any more, when kernels are done with it; for what raises here there is no caller."""
+        try:
+            if self._process != os.getpid():
+                return  # the queue of a forked child never ends
+            queue = self.queue
+            if self._fresh:
+                _Task(lambda: self._done(queue))
+            else:
                 self._done(queue)
+        except KeyboardInterrupt:
+            _thread.interrupt_main()  # to be raised where somebody hears it
+        except Exception:
+            return  # it is tried again when more is to go
 
     def _end(self) -> None:
         """At the end of the process: a runtime does not survive it while it compiles."""
@@ -560,17 +563,8 @@ def _float_format() -> Any:
     return cl.ImageFormat(cl.channel_order.R, cl.channel_type.FLOAT)
 
 
-class _Pages(mmap.mmap):
-    """Memory that kernels work in. It goes when they are done: after an interrupt some may still be running."""
-
-    device: Device | None = None
-
-    def __del__(self) -> None:
-        if self.device is not None:
-            device, self.device = self.device, None
-            device._left.append(self)
-            with contextlib.suppress(Exception):
-                device._sweep()
+class _Pages(np.ndarray[Any, np.dtype[np.uint8]]):
+    """What owns memory that kernels work in: the base of all its views."""
 
 
 def _huge_pages(size: int, device: Device) -> NDArray[np.uint8]:
@@ -580,15 +574,15 @@ def _huge_pages(size: int, device: Device) -> NDArray[np.uint8]:
     pages, and most of an upload's to getting them.
     """
     try:
-        area = _Pages(-1, size + _HUGE_PAGE, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+        area = mmap.mmap(-1, size + _HUGE_PAGE, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
     except OSError as error:
         raise OutOfMemoryError(f"there is no room for {size / 2**20:.0f} MiB: {error}") from error
-    area.device = device
     with contextlib.suppress(OSError):  # a kernel built without them
         area.madvise(mmap.MADV_HUGEPAGE)
-    memory = np.frombuffer(area, np.uint8)
+    memory = np.frombuffer(area, np.uint8).view(_Pages)
+    device._hold(memory, area)  # after an interrupt some kernels may still be running
     skip = -memory.ctypes.data % _HUGE_PAGE
-    return memory[skip : skip + size]
+    return memory[skip : skip + size].view(np.ndarray)
 
 
 @contextlib.contextmanager

@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import html
 import itertools
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, ClassVar, TypeVar
@@ -17,13 +18,28 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.picture import to_png
 
-__all__ = ["Named", "beside", "curve", "facts", "image", "in_window", "numbers", "slices", "strip", "table", "text_table"]
+__all__ = [
+    "Named",
+    "beside",
+    "curve",
+    "facts",
+    "histogram",
+    "image",
+    "in_window",
+    "numbers",
+    "slices",
+    "strip",
+    "table",
+    "text_table",
+]
 
 Row = TypeVar("Row")
 _SIDE = 160  # pixels of a slice's longer side
 _TAILS = (0.5, 99.5)  # percentiles of what slices show, where no window is known
 _WIDTH, _HEIGHT = 360, 120  # of curves
 _MARGIN = 14  # around curves, for numbers
+_BINS = 90  # of histograms
+_COUNTED = 1 << 18  # samples that a histogram is made of, about
 _INK = "currentColor"  # of the notebook's theme
 _LINE = "#1769c2"
 _NUMBER = re.compile(r"[-–]|[-+]?[\d.,]+(e[-+]?\d+)?( ?%)?")  # a dash: there is none
@@ -208,6 +224,32 @@ def curve(x: NDArray[np.float64], y: NDArray[np.float64]) -> str:
     line = f'<polyline points="{points}" fill="none" stroke="{_LINE}" stroke-width="2" stroke-linejoin="round"/>'
     words = _word(4, 10, f"{high:.4g}", "start") + _word(4, _HEIGHT, f"{x[0]:.4g}", "start")
     return _svg(axis + line + words + _word(_WIDTH - 4, _HEIGHT, f"{x[-1]:.4g}", "end"))
+
+
+def histogram(data: NDArray[Any], low: float, high: float) -> str:
+    """How many samples have which value, between the smallest and the largest; of every few samples of a large array.
+
+    Heights are logarithms: the background would leave nothing else to see.
+    """
+    each = max(1, math.ceil((data.size / _COUNTED) ** (1 / max(1, data.ndim))))
+    values = data[(slice(None, None, each),) * data.ndim].astype(np.float64).ravel()
+    values = values[np.isfinite(values)]
+    discrete = data.dtype.kind in "biu" and high - low < _BINS  # a bar for each value
+    bins = int(high - low) + 1 if discrete else _BINS
+    first, last = (low - 0.5, high + 0.5) if discrete else (low, high)
+    if first < last:
+        place = np.clip((values / 2 - first / 2) / (last / 2 - first / 2) * bins, 0, bins - 1).astype(np.int64)
+        counts = np.bincount(place, minlength=bins)
+    else:
+        counts = np.full(1, values.size)
+    heights = np.log1p(counts)
+    heights = heights / (heights.max() or 1.0) * (_HEIGHT - 2 * _MARGIN)
+    wide = _WIDTH / len(counts)
+    bars = "".join(
+        f"M{i * wide:.1f} {_HEIGHT - _MARGIN}v{-h:.1f}h{wide:.1f}V{_HEIGHT - _MARGIN}z" for i, h in enumerate(heights) if h
+    )
+    words = _word(0, _HEIGHT, f"{low:.6g}", "start") + _word(_WIDTH, _HEIGHT, f"{high:.6g}", "end")
+    return _svg(f'<path d="{bars}" fill="{_LINE}" fill-opacity="0.6"/>{words}')
 
 
 def strip(values: Sequence[float], colors: Sequence[Sequence[float]], opacities: Sequence[tuple[float, float]]) -> str:

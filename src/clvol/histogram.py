@@ -263,9 +263,7 @@ def _ground(volume: Volume, distinct: Array, counts: NDArray[np.int64], exponent
     padded = np.pad(counts, 1)
     beside = np.maximum(padded[:-2], padded[2:])
     common = (counts >= _COMMON * counts.sum()) & (counts >= _STANDS_OUT * beside)
-    faces = np.concatenate(
-        [scaled(volume.data.take(end, axis).ravel(), exponent) for axis in range(volume.ndim) for end in (0, -1)]
-    )
+    faces = _faces(volume, exponent)
     best, most = None, -1.0
     for place in np.flatnonzero(common):
         value, share = float(distinct[place]), float(counts[place] / counts.sum())
@@ -277,7 +275,8 @@ def _ground(volume: Volume, distinct: Array, counts: NDArray[np.int64], exponent
 
 def _faces(volume: Volume, exponent: int) -> Array:
     """Samples on the faces of the volume."""
-    ends = [volume.data.take(end, axis).ravel() for axis in range(volume.ndim) for end in (0, -1)]
+    # ndarray.take would copy all of an array that is not in C order
+    ends = [np.moveaxis(volume.data, axis, 0)[end].ravel() for axis in range(volume.ndim) for end in (0, -1)]
     return scaled(np.concatenate(ends), exponent)
 
 

@@ -150,7 +150,7 @@ def rotate(
 
 
 def _pixels(image: ArrayLike) -> NDArray[Any]:
-    pixels, _ = read_array(image)
+    pixels, _ = read_array(image, placed=False)
     if pixels.ndim not in (2, 3) or 0 in pixels.shape or (pixels.ndim == 3 and pixels.shape[2] > 4):
         raise DataError(
             f"image must have shape (height, width), or (height, width, channels) with up to 4 channels; got {pixels.shape}"

@@ -1,7 +1,8 @@
-"""Reading other libraries' objects: SimpleITK and nibabel images, tensors, and arrays of any kind; and writing into these."""
+"""Reading other libraries' objects: their images and layers, tensors, and arrays of any kind; and writing into these."""
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from typing import Any, Protocol, runtime_checkable
@@ -9,8 +10,10 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol import memory
 from clvol.errors import ClvolError, DataError, OptionError
 from clvol.foreign import Content, from_nibabel, from_simpleitk, is_ours, nibabel_says, simpleitk_says, xarray_says
+from clvol.foreign_images import is_labelled, kind_of
 
 __all__ = ["Content", "as_array", "as_output", "is_image", "memory_of", "read_array", "read_grid", "read_several"]
 
@@ -31,8 +34,14 @@ class _Gridded(Protocol):
     units: str
 
 
-def read_array(source: Any) -> Content:
+def read_array(source: Any, *, placed: bool = True) -> Content:
     """The samples of one volume, and what its kind of object says of them.
+
+    Parameters
+    ----------
+    source : object
+    placed : bool
+        Whether it matters where the samples lie; if not, coordinates of xarray are not looked at.
 
     Raises
     ------
@@ -40,7 +49,8 @@ def read_array(source: Any) -> Content:
         Ragged or masked data, data in the memory of a device, an image that holds several volumes or values per voxel, too
         few axes, or the name of a file.
     GeometryError
-        The affine of a nibabel image is singular or not finite, or its unit of length unknown.
+        The affine of a nibabel image is singular or not finite, or its unit of length unknown; coordinates of xarray are not
+        evenly spaced.
     """
     if isinstance(source, (str, os.PathLike)):
         raise DataError(f"data must be an array, an image or a Volume; got {os.fspath(source)!r}: clvol.read(path) reads a file")
@@ -48,9 +58,14 @@ def read_array(source: Any) -> Content:
         raise DataError(f"data must be one volume; got Volumes of {leading}: take one, as volumes[0], or each of them in turn")
     about = simpleitk_says(source) if _is_simpleitk(source) else nibabel_says(source) if _is_nibabel(source) else {}
     about = xarray_says(source) if is_ours(source) else about
+    labelled = is_labelled(source) and not is_ours(source)
+    if (kind := kind_of(source)) is not None and not about and not (labelled and not placed):
+        about = kind.says(source)
     if "leading" in about:
         counts = " × ".join(f"{n} {axis}s" for axis, n in zip(about["leading"]["axes"], about["leading"]["counts"], strict=True))
         raise DataError(f"data must be one volume; got an image of {counts}: take one as clvol.Volumes(image)[k]")
+    if labelled:  # of one volume, however its first dimension is called
+        return as_array(source), about
     return read_several(source)
 
 
@@ -62,6 +77,10 @@ def read_several(source: Any) -> Content:
         return from_nibabel(source)
     if is_ours(source):
         return as_array(source), xarray_says(source)
+    kind = kind_of(source)
+    if kind is not None and not (is_labelled(source) and source.ndim < 4):  # the first of three dimensions may count volumes
+        about = kind.says(source)
+        return kind.samples(source, as_array), about
     if not isinstance(source, np.ndarray) and isinstance(source, _Gridded):  # asked for `data`, an array of dates raises
         return as_array(source.data), {name: getattr(source, name) for name in _OWN if hasattr(source, name)}
     return as_array(source), {}
@@ -75,6 +94,8 @@ def read_grid(source: Any) -> Content:
         about, size = nibabel_says(source), source.shape
     elif is_ours(source):
         about, size = xarray_says(source), source.shape[::-1]
+    elif (kind := kind_of(source)) is not None:
+        about, size = kind.says(source), kind.shape(source)[::-1]
     else:
         return read_array(source)
     about.pop("leading", None)
@@ -83,12 +104,12 @@ def read_grid(source: Any) -> Content:
 
 
 def is_image(source: Any) -> bool:
-    """Whether it is an image of SimpleITK or nibabel, or an array that `clvol.foreign.to_xarray` made."""
-    return _is_simpleitk(source) or _is_nibabel(source) or is_ours(source)
+    """Whether it is another library's image of one volume or several, or an array that `clvol.foreign.to_xarray` made."""
+    return _is_simpleitk(source) or _is_nibabel(source) or is_ours(source) or kind_of(source) is not None
 
 
 def _is_simpleitk(source: Any) -> bool:
-    return hasattr(source, "GetSpacing") and hasattr(source, "GetDirection")
+    return hasattr(source, "GetPixelIDTypeAsString") and hasattr(source, "GetDirection")
 
 
 def _is_nibabel(source: Any) -> bool:
@@ -127,6 +148,7 @@ def as_array(
         advice = _TO_HOST.get(type(source).__module__.partition(".")[0], "with what its library has for that")
         kind = f"{type(source).__module__}.{type(source).__qualname__}"
         raise error(f"{what} must lie in the host's memory; got a {kind} on a device: copy it to the host first, {advice}")
+    _require_room(source, what, error, rule)
     try:
         if _is_tensor(source):
             return _of_tensor(source)
@@ -135,6 +157,28 @@ def as_array(
     except (TypeError, ValueError, RuntimeError, BufferError) as reason:
         raise error(f"{what} must be {rule}; got one that NumPy cannot read: {reason}") from None
     return array.astype(np.float32) if array.dtype.name == "bfloat16" else array
+
+
+def _require_room(source: Any, what: str, error: type[ClvolError], rule: str) -> None:
+    """Raise before an array that is not in memory is read or computed whole: of Zarr, dask and HDF5, and of xarray over these."""
+    module = type(source).__module__.partition(".")[0]
+    if not hasattr(source, "shape") or not hasattr(source, "dtype"):
+        if module == "zarr":
+            raise error(
+                f"{what} must be {rule}; got a {type(source).__qualname__} of zarr: give one of its arrays, "
+                "or read it with clvol.read(path), which knows what OME-Zarr says"
+            )
+        return
+    if module not in ("zarr", "dask", "h5py") and getattr(source, "chunks", None) is None:
+        return
+    shape = tuple(source.shape)
+    if any(isinstance(n, float) and math.isnan(n) for n in shape):
+        raise error(f"{what} must have a known shape; got {shape}: compute_chunk_sizes() of the dask array finds it")
+    copies = 2 if hasattr(source, "__dask_graph__") else 1  # its blocks, and the array that they are put into
+    memory.require(
+        copies * math.prod(int(n) for n in shape) * np.dtype(source.dtype).itemsize,
+        f"reading an array of {module} of shape {shape} whole",
+    )
 
 
 def as_output(out: Any, shape: tuple[int, ...], what: str = "out") -> NDArray[Any]:

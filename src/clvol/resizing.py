@@ -153,7 +153,7 @@ def _arguments(
     image: ArrayLike, output_shape: Iterable[int], channel_axis: int | None
 ) -> tuple[NDArray[Any], tuple[int, ...], list[bool]]:
     """The array, its new shape, and which axes are no channels."""
-    array, _ = read_array(image)
+    array, _ = read_array(image, placed=False)
     if array.dtype.kind not in "biuf":
         raise DataError(f"image must be boolean, integer or floating; got dtype {array.dtype}")
     if array.size == 0 or array.ndim == 0:

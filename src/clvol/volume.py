@@ -54,8 +54,11 @@ class Volume:
         viewed, not copied, so the caller's array must not change afterwards: earlier results would
         no longer match it. `Volume.data` is read-only. A masked array may have no masked element.
         SimpleITK and nibabel images give their spacing, origin and direction too, in ITK's LPS frame and
-        in mm, and what else a NIfTI header says: see `window`, `labels` and `header`. Arrays of xarray that
-        `to_xarray` made, and parts of these, give theirs.
+        in mm, and what else a NIfTI header says: see `window`, `labels` and `header`. So do images of ITK, image data of VTK and
+        PyVista (the active scalars; those of cells lie in their middles), and Image and Labels layers of napari, with their
+        units, contrast limits and colour; of several sizes the first. Arrays of xarray give what their coordinates say, which
+        must be evenly spaced. Arrays of Zarr and dask are read whole, if there is memory for them, and say nothing of geometry:
+        that of OME-Zarr stands with its group, `clvol.read`.
     spacing : sequence of float, optional
         Distance between neighbouring samples along x, y(, z) in world units; default 1.
     origin : sequence of float, optional
@@ -165,7 +168,7 @@ class Volume:
         )
 
     def _repr_html_(self) -> str:
-        """For notebooks: three slices through the middle, and what is known of it."""
+        """For notebooks: three slices through the middle, what is known of it, and its histogram. No device is asked."""
         from clvol import display
 
         known = {
@@ -183,7 +186,11 @@ class Volume:
             self.data, self.spacing, self.direction, space=self.space, window=self.window, color=self.color, blended=blended
         )
         pictures = (display.image(picture, plane) for plane, picture in middle)
-        return display.beside(*pictures, display.facts("Volume" if self.ndim == 3 else "Image", known))
+        try:
+            counts = display.histogram(self.data, *self.value_range)
+        except DataError:  # nothing is finite
+            counts = ""
+        return display.beside(*pictures, display.facts("Volume" if self.ndim == 3 else "Image", known), counts)
 
     def _range_in_words(self) -> str:
         try:
@@ -312,6 +319,10 @@ class Volume:
             return low, high
         ends: list[float] = []
         for part in _parts(self.data):
+            low, high = float(part.min()), float(part.max())  # far faster than a choice of samples, which few parts need
+            if math.isfinite(low) and math.isfinite(high):
+                ends += [low, high]
+                continue
             with np.errstate(over="ignore"):  # longdouble reaches further than float64
                 finite = part[np.isfinite(part.astype(np.float64, copy=False))]
             if finite.size:
@@ -582,8 +593,9 @@ def _vector(what: str, value: Any, d: int) -> tuple[float, ...]:
 
 def _many_labels(data: NDArray[Any]) -> bool:
     """Whether there are more values than `clvol.noise` takes for labels, and they fill regions beside others of any number."""
-    lines = data.reshape(-1, data.shape[-1])
-    lines = lines[:: max(1, lines.size >> 20)]
+    shape = data.shape[:-1]
+    chosen = np.unravel_index(np.arange(0, math.prod(shape), max(1, data.size >> 20)), shape)
+    lines = data[chosen]  # a reshape would copy all of an array that is not in C order
     values, counts = np.unique(lines, return_counts=True)
     if len(values) <= MOST_LABELS:
         return False

@@ -173,5 +173,51 @@ FOUND: tuple[tuple[str, str, str], ...] = (
         "0KMGJRD)_vP~`CqsK!8C=98L`@P^@$jKVwiM@b6v*p7rc*ob#XH&$>mGc%-rXSE3MW@Hj!#+?RXpn;JAks{GGp+^ZqlNuvDg3vXgM-"
         "W1jFC#R%(6yk4KSIkwMrdrHYe5fRgqAOi(9lNLf*zI#E!IE}8tRyWw6L;)gxG-43}{Xh$ma|IOSQRi",
     ),
+    (
+        "v.tif",
+        "ImageJ's slices at other places than their directories say",
+        "c-r&y)MDUZU|`^7U|?inU<9&QftV4>W&vU*MrJTu0En5PY!GHcV)HRFF?a*%RX{8V)f)gLM3K~pA(<%-WorPj6eBB`Z2}~up==u<p@F3L1d#B|"
+        "O-xVqvNhB*G)&~m1aXROjk$_*GLylKjLL%4qT-Uo<ZRoLqS92Z-29YO+w`Ku%Hrh2oK&vjg2d#^ymVV5JyR|Q3IP+;RWKSEuru&6h%(49C^Kj="
+        "7&2He*fY2>_%ehrL^C8YWHJ;mlrz*Zv@-NCOlFwHu#jN|!+M5o40{=lFq~$%#Bh`00mE~KcMM+{{s2Roi&2nKf>EAPjZv4;gwdMOiP4iWfH9mg"
+        "jxm)nhq0Kkim{QggR!4+8sl8XC5${2#h)OOdQ##njtLQGX-uebmdAt{Qq*zf0!He&5?g!%0G(JpV*",
+    ),
+    (
+        "v.tif",
+        "tiles before the file: zeros",
+        "c-r&y)MDUZU|`^7U|?inU<9%ZfS3`=RsdoqMrJS@q>35J24OZNwkQ%?ijfseuL5FeD0>qSYapp{f|@S?#Lh@;7a*GrNbdq-SD<<j`w|d8U}J#m"
+        "h2aMv3}ifD0%B$$W&vVWup|O9u=9z^C~Fy7*t_|LL?>kygvX`k6jwEN^iP|+Wc8+<2bQnfy65nzi#P5+d;8@#6Q{uUf2=&hQi>Y-X0|TgL6HgW"
+        "exWhRS%nq#ZM{=wFIu@_`n;uUHt#xk;{3I{PhNle$?*K$*FVf$f)es-x+d06o&n}|u0Fw0i5dB2wJqI~W-e&&n>uIls*OALA3J;H_M?{{uHSq5"
+        "=JPK`4t_CN6>TF+2X#GD8)vV;i1@VJlIo_;3FURIJ(FiGT(N%J-Xo_k-F$HT+|@geUw!=XpN&^UT1nGDTuxQT*viqvKP)ySyQs1uJ+HK;xohH#"
+        "`ODUB*?s8bh3)%}p1FMM;fwd*{<3fjNh(m=yrCAJgFSv|9iF4<e>DA%<n&Mddaa2aQLlBe6I-vbf$OqK?1*}86_CxqfLX5{0E!;~I_dx?5OV=B"
+        "HxTon*K05^n!iW$_h|h#n*K-A|Hw@L0In<$K>",
+    ),
+    (
+        "v.tif",
+        "more places than lengths",
+        "c-r&y)MDUZU|`^7U|?inU<9%ZfS3`=RsdoqMrJS@q>35J24OZNwkQ%?ijfseuL5FeD0>qSYapp{f|@S?#Lh@;7a$wN*#%^~0@bqt=}SQTfQ<pJ"
+        "7lt2zFp%+p35c127^w9DD_9Z%8QA$mWt6oHE$rQVL!y&13&P`4bBe1PJNl>1U9x)9&I8NWZQXPD)WsY3pS}I^n~784`#)A5VJSroeKT7Z@1V#8"
+        "cfZh><gCJq`nKLFvlp%0Fn!+AHJf)GJaPWo-6yX<{bYFl?&}|BE<p)-HC+>HC(i(LJ6E6JsKku?vf7sJNi!F;_f4I%c-6)o`;VQya{JNC57+NK"
+        "ee?MjBL}~jtctdgrGvVjsg1K&U_^XcZb@}h=Y;aQ)}G0;7Oq&oZSRrOmu@~de(vg>$FDyA_|L{GBCVupATFn>V{GN<;U5;8l3i5Uke*js)7&+2"
+        "#{6Y#x9mQ2^1}9gN6%co_3*{}Z+}_1g(MZIZQf7|&%qu)v<}bF^go*ZM{@e7e!bSjj;PnV*om*#Ky}$9c0|3l3dm+)z^vB}0L2dg9d&>ch`E56"
+        "8;E((>opjlM)(zH<QJ8UX7JGrK3c(zrvK6OKeWOV089lCv;",
+    ),
+    (
+        "v.tif",
+        "a tile at 0: zeros",
+        "c-r&y)MDUZU|`^7U|?inU<9%ZfS3`=RsdoqMrJS@q>35J24OZNwkQ%?ijfseuL5FeD0>qSYapp{f|@S?#Lh@;7a*GrNbdq-SD<<j`w|d8U}J#m"
+        "h2aMv3}ifD0%B$$W&vVWup|O9u=9z^C~Fy7*t_|LL?>kygvX`k6jwEN^iP|+Wc8+<2bQnfy65nzi#P5+d;8@#6Q{uUf2=&hQi>Y-X0|TgL6HgW"
+        "exWhRS%nq#ZM{=wFIu@_`n;uUHt#xk;{3I{PhNle$?*K$*FVf$f)es-x+d06o&n}|u0Fw0i5dB2wJqI~W-e&&n>uIls*OALA3J;H_M?{{uHSq5"
+        "=JPK`4t_CN6>TF+2X#GD8)vV;i1@VJlIo_;3FURIJ(FiGT(N%J-Xo_k-F$HT+|@geUw!=XpN&^UT1nGDTuxQT*viqvKP)ySyQs1uJ+HK;xohH#"
+        "`ODUB*?s8bh3)%}p1FMM;fwd*{<3fjNh(m=yrCAJgFSv|9iF4<e>DA%<n&Mddaa2aQLlBelUA=yVn@_#tAK0<2F!X51P%Zlb$}Cyxqz4(h<VWK"
+        "H5eGp-=q0^w0;{+|D)-DWTt-r({>Md",
+    ),
+    (
+        "v.tif",
+        "a slice of three was left out",
+        "c-r&y)MDUZU|`^7U|?inU<9&QftV4>W&vU*MrJTu0En5PY!GHcV)HRFF?a*%RX{8V)f)gLM3K~pA(<%-WorPj6eBB`Z2}~up==u<p@F3L1d#B|"
+        "O-xVqvNhB*G)&~m1aXROjk$_*GLwM}Bd(0fg4CkolEma}+mfQvRIc3olvLaFqQuJL<iwm*uHu5k<jlNuTO&PFE(Qt#6Vz2O8X2%N@G*!o$S^1~"
+        "XfYTvSTNW#xH0%LgfK)iBr#+%6fl%C)G@R&^e{|jn8mP=VFkl_hHVUc8ICZVX1K&~li>lwbB1>eUm5-YLz;_GkWqqBo>7fam(hgLn$d~TlQDoX"
+        "oH33ul`)60n6Zknk+FlZpK%)FT*f7gJQT$rEY2!OjI%f<M4Y8Dp~hJr6J|(J$CV4H=t^wy2>=q;J=X",
+    ),
 )
 """Name, what happened, and content."""

@@ -327,6 +327,8 @@ def _elements(content: bytes, at: int, end: int, depth: int = 0) -> Iterator[tup
     _need(depth < 8, "sequences in sequences")
     typed = True
     while at < end:
+        if depth == 0 and at + 8 > end and not content[at:end].strip(b"\0"):
+            return  # zeros that fill up a file
         _need(at + 8 <= end, "an element ends too early")
         group, number, kind, size = struct.unpack_from("<HH2sH", content, at)
         if group == 0xFFFE or not (typed or group == 2):
@@ -549,6 +551,8 @@ def _tiff(files: Files, entry: str, _: object) -> Held | None:
         try:
             pages.append(_page(content, one, order))
         except Damaged:  # what is said once, for the first page, may be believed of the others
+            if any(one.get(tag, of) != of for tag, of in tags[0].items() if tag in (*_NEEDED[:4], 277, 339)):
+                return None  # another image, of which nothing is read
             pages.append(_page(content, tags[0] | {tag: one[tag] for tag in (273, 279, 324, 325) if tag in one}, order))
     if any(page is None for page in pages):
         return None

@@ -194,7 +194,7 @@ def allowance(filter: str, mode: str, device: Device, ways: dict[str, str] | Non
 
 # "attenuated" ranks samples as "mip" does, in the same kernel file: it meets each filter's values where mip does
 @pytest.mark.parametrize(
-    ("mode", "filter"), thin(5, product([mode for mode in MODES if mode != "attenuated"], [*filters(), "bspline3(0.1)"]))
+    ("mode", "filter"), thin(8, product([mode for mode in MODES if mode != "attenuated"], [*filters(), "bspline3(0.1)"]))
 )
 def test_every_filter_in_every_mode(device: Device, keep: dict[Any, Renderer], mode: str, filter: str) -> None:
     assert clear_of_knots(block(), CAMERA, STEP)
@@ -215,7 +215,7 @@ PAIRWISE = [("bspline3", mode, way) for mode in MODES for way in range(1, len(WA
 
 
 @pytest.mark.parametrize(
-    ("filter", "mode", "way"), thin(5, PAIRWISE), ids=[f"{f}-{m}-{'-'.join(WAYS[w].values())}" for f, m, w in PAIRWISE]
+    ("filter", "mode", "way"), thin(8, PAIRWISE), ids=[f"{f}-{m}-{'-'.join(WAYS[w].values())}" for f, m, w in PAIRWISE]
 )
 def test_every_way_to_the_coefficients(device: Device, keep: dict[Any, Renderer], filter: str, mode: str, way: int) -> None:
     ways = WAYS[way]

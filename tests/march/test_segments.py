@@ -80,7 +80,7 @@ def same(
     assert (with_["visited"][seen] <= without["visited"][seen]).all()
 
 
-@pytest.mark.parametrize(("mode", "tile"), thin(2, product(MODES, TILES)))
+@pytest.mark.parametrize(("mode", "tile"), thin(4, product(MODES, TILES)))
 @settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
 @given(volume=volumes(), view=views(), boundary=st.sampled_from(RULES), shading=st.booleans())
 def test_skipping_changes_no_bit(
@@ -90,7 +90,7 @@ def test_skipping_changes_no_bit(
         same(device, volume, "bspline3", mode, view, boundary, shading=shading)
 
 
-@pytest.mark.parametrize("filter", thin(2, [*filters(), *SMOOTHED]))
+@pytest.mark.parametrize("filter", thin(4, [*filters(), *SMOOTHED]))
 @settings(deadline=None, max_examples=25, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
 @given(volume=volumes(), view=views())
 def test_skipping_changes_no_bit_of_any_filter(device: Device, filter: str, volume: Volume, view: dict[str, Any]) -> None:
@@ -106,7 +106,7 @@ FITTED = {
 }
 
 
-@pytest.mark.parametrize("name", thin(3, FITTED))
+@pytest.mark.parametrize("name", thin(4, FITTED))
 @settings(deadline=None, max_examples=25, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
 @given(volume=volumes(), view=views(), mode=st.sampled_from(["isosurface", "mip"]), constant=st.booleans())
 def test_skipping_changes_no_bit_of_a_filter_that_was_fitted(

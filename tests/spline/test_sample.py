@@ -104,7 +104,7 @@ def skip_without_images(device: Device, path: tuple[str, str]) -> None:
 
 @pytest.mark.parametrize(
     ("name", "rule", "derivative", "path", "d"),
-    thin(5, COMBINATIONS),
+    thin(8, COMBINATIONS),
     ids=[f"{n}-{r}-d{k}-{p[0]}-{p[1]}-{d}D" for n, r, k, p, d in COMBINATIONS],
 )
 def test_parity(device: Device, name: str, rule: str, derivative: int, path: tuple[str, str], d: int) -> None:

@@ -16,13 +16,13 @@ from typing import Any, NoReturn
 
 from cyclopts import CycloptsError, UnknownCommandError
 
-from clvol.cli import files, lists, pictures
+from clvol.cli import files, lists, pictures, view
 from clvol.cli.root import app
 from clvol.cli.speech import one_line
 from clvol.cli.words import in_the_shell
 from clvol.errors import ClvolError, ClvolWarning
 
-__all__ = ["app", "files", "lists", "main", "pictures"]
+__all__ = ["app", "files", "lists", "main", "pictures", "view"]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

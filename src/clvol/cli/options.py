@@ -153,6 +153,15 @@ class Input:
         raw = {"shape", "dtype", "byte_order", "offset"} & given.keys()
         return clvol.Volumes([clvol.read(source, **given)]) if raw else clvol.read_all(source, **given)
 
+    def python(self, source: str | Path) -> str | None:
+        """The call in Python that reads the volume; None if there is none that is short."""
+        given = self._given()
+        if str(source).startswith("phantom:"):
+            return None if given else f"clvol.phantoms.by_name({str(source).removeprefix('phantom:')!r})"
+        arguments = "".join(f", {name}={value!r}" for name, value in given.items())
+        filled = "" if self.fill_nan is None else f".filled({'' if self.fill_nan == 'smoothly' else self.fill_nan})"
+        return f"clvol.read({str(source)!r}{arguments}){filled}"
+
     def chooses(self) -> bool:
         """Whether it says which image of a file or folder."""
         return self.series is not None
@@ -274,12 +283,13 @@ class Look:
         if self.value_range is None:
             if (self.preset, self.window, self.cmap, self.opacity) == (None, None, None, None):
                 return None
-            return look_of(volume, self.mode, preset=self.preset, window=self.window, cmap=self.cmap, opacity=self._opacity())
+            return look_of(volume, self.mode, preset=self.preset, window=self.window, cmap=self.cmap, opacity=self.opacity_points())
         spread = clvol.TransferFunction.from_cmap(self.cmap or "gray", self.value_range)
-        look = look_of(volume, self.mode, preset=self.preset, window=self.window, opacity=self._opacity())
+        look = look_of(volume, self.mode, preset=self.preset, window=self.window, opacity=self.opacity_points())
         return replace(look, colors=spread.colors)
 
-    def _opacity(self) -> float | tuple[tuple[float, float], ...] | None:
+    def opacity_points(self) -> float | tuple[tuple[float, float], ...] | None:
+        """The opacity as `clvol.render` takes it."""
         if self.opacity is None or len(self.opacity) == 1:
             return None if self.opacity is None else self.opacity[0]
         if len(self.opacity) % 2:

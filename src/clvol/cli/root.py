@@ -18,6 +18,7 @@ SETUP = Group("Set-up", sort_key=4)
 _EXAMPLES = (
     "clvol info head.nii.gz",
     "clvol render head.nii.gz -o head.png",
+    "clvol view head.nii.gz",
     "clvol render chest/ -o bones.png --preset ct-bone",
     "clvol render cells.ome.tif -o nuclei.png --channel DAPI --mode mip",
     "clvol render tooth.nhdr -o tooth.png --mode isosurface --threshold 900",

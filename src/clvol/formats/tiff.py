@@ -48,6 +48,7 @@ _DEFLATED = (8, 32946)
 _LOSSLESS = (*_DEFLATED, 5, 32773, 34925, 34926, 50000)  # and LZW, PackBits, LZMA, Zstandard
 _NATIVE = "<" if sys.byteorder == "little" else ">"
 _MOST_STORED, _HEAD = 2, 4096  # bytes that a codec may need at most for one of samples, and for itself
+_HEADER = 8  # bytes before anything else in a file; tifffile takes a place of 0 for one that is not stored
 
 Colors = tuple[tuple[float, float, float] | None, ...]
 
@@ -289,6 +290,7 @@ def _laid_out(name: str, image: Any, about: _About, choose: Choice) -> tuple[Lay
 
 def _load(name: str, file: Any, image: Any, index: tuple[int | slice, ...]) -> NDArray[Any]:
     """The samples of an image at an index of its axes; pages without any of them are not touched."""
+    _check_order(name, image)
     shape = tuple(n for _, n in _axes(image))
     split = next((k for k in range(len(shape)) if sample_count(shape[k:]) == image.keyframe.size), None)
     if image.transform is None and split is not None and sample_count(shape[:split]) == len(image):
@@ -326,9 +328,12 @@ def _check_samples(name: str, pages: Sequence[Any], keyframe: Any, count: int) -
         if page is None:
             raise FormatError(f"{name} must hold all of its slices; some are missing")
         handle = page.parent.filehandle
+        if len(page.dataoffsets) != len(page.databytecounts):
+            told = f"{len(page.dataoffsets)} places and {len(page.databytecounts)} lengths"
+            raise FormatError(f"{name} must have a place and a length for each strip or tile; one page has {told}")
         ends = map(operator.add, page.dataoffsets, page.databytecounts)
-        if max(ends, default=sys.maxsize) > handle.size or min(page.databytecounts) < 1:
-            raise FormatError(f"{name} must hold the samples of every slice; some lie past the end of the file")
+        if max(ends, default=sys.maxsize) > handle.size or min(page.databytecounts) < 1 or min(page.dataoffsets) < _HEADER:
+            raise FormatError(f"{name} must hold the samples of every slice; some lie before or past the samples of the file")
         own = walked[handle.path].get(page.offset, first)  # pages of ImageJ and others may have no directory
         if own is not first and first is not None and own is not None and own != first:
             told = ", ".join(f"tag {tag}: {first[tag]} and {own[tag]}" for tag in own if own[tag] != first[tag])
@@ -341,6 +346,18 @@ def _check_samples(name: str, pages: Sequence[Any], keyframe: Any, count: int) -
     announce(name, count * keyframe.dtype.itemsize, stored)
     if sizes is not None and keyframe.compression in _LOSSLESS:
         _check_unpacked(name, keyframe, sizes)
+
+
+def _check_order(name: str, image: Any) -> None:
+    """Raise if an image is read from one place on, as ImageJ's are, and the directories of its pages name others."""
+    if image.dataoffset is None:
+        return
+    for number, page in enumerate(image):
+        expected = image.dataoffset + number * image.keyframe.nbytes
+        if page is not None and page.dataoffsets and page.dataoffsets[0] != expected:
+            raise FormatError(
+                f"{name} must have slices that follow each other; slice {number} is at {page.dataoffsets[0]}, not at {expected}"
+            )
 
 
 def _check_lengths(name: str, lengths: Sequence[int], sizes: tuple[int, int, int, int], packed: bool) -> None:
@@ -420,6 +437,10 @@ def _imagej(file: Any) -> _About:
     if "spacing" in metadata:
         spacing["z"] = abs(float(metadata["spacing"]))
     channels = int(metadata.get("channels", 1))
+    counts = {what: int(metadata[what]) for what in ("channels", "slices", "frames") if what in metadata}
+    if counts and math.prod(counts.values()) < int(metadata.get("images", 1)):
+        told = " × ".join(f"{n} {what}" for what, n in counts.items())
+        raise FormatError(f"{file.filename} must say of each of its {metadata['images']} images where it belongs; it has {told}")
     slope, offset = 1.0, 0.0
     if metadata.get("cf") == 0:  # a straight line; signed samples are stored with c0 = -32768
         slope, offset = float(metadata.get("c1", 1)), float(metadata.get("c0", 0))

@@ -22,10 +22,11 @@ from clvol.spline.build import along_defines
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, Evaluator
 from clvol.spline.minmax import BLOCK, MINMAX, MinMax, minmax_block
+from clvol.spline.points import Progress
 from clvol.transfer import TransferFunction
 from clvol.uniform import FLOAT, INT, Block, Values
 
-__all__ = ["BY_PLANES", "BY_RAYS", "PICTURE", "Frame", "frame_block"]
+__all__ = ["BY_PLANES", "BY_RAYS", "PICTURE", "Frame", "Subject", "frame_block"]
 
 BY_RAYS = Tile(1, 1, 1, shared=False)  # for GPUs, and wherever coefficients are not read as rows of a buffer
 BY_PLANES = Tile(16, 16, 8, shared=True)  # for processors
@@ -119,15 +120,22 @@ class Frame:
         *,
         central: bool,
         guides: bool,
+        aspect: float | None = None,
+        told: Progress | None = None,
     ) -> Frame:
-        """The frame of a scene whose medium's coefficients are resident, by a camera and a mode."""
+        """The frame of a scene whose medium's coefficients are resident, by a camera and a mode.
+
+        `aspect` is ``width / height`` of the picture that is shown, if that is not quite this one's. `told` is told how much is
+        done of what takes long, and may raise.
+        """
         (medium,), (width, height) = scene.media, size
+        aspect = width / height if aspect is None else aspect
         volume, stored = medium.volume, coefficients.stored
-        view = fitted(camera, volume, mode, transfer, scene.clip, width / height).view(volume, width / height)
-        planes = Planes(volume, view, width / height, *(_STRETCHES if mode.stretches else (step, SEGMENT)))
+        view = fitted(camera, volume, mode, transfer, scene.clip, aspect).view(volume, aspect)
+        planes = Planes(volume, view, aspect, *(_STRETCHES if mode.stretches else (step, SEGMENT)))
         block, _ = frame_block(mode.BLOCK)
         values = block(
-            camera=view.block(volume, width, height),
+            camera=view.block(volume, width, height, aspect),
             geometry=medium.block(stored),
             clip=clip_block(scene.clip, volume),
             planes=planes.block(),
@@ -150,7 +158,7 @@ class Frame:
         table = transfer.table(stored)
         tile = _tile(coefficients.device, evaluator)
         labels = volume.is_labels and not coefficients.filter.has_gradient
-        sides = minmax.sides(float(values["mode"]["isovalue"])) if minmax is not None and mode.stretches else None
+        sides = minmax.sides(float(values["mode"]["isovalue"]), told) if minmax is not None and mode.stretches else None
         return cls(coefficients, minmax, sides, mode, evaluator, planes, tile, central, labels, guides, values, table)
 
     @property
@@ -199,6 +207,45 @@ class Frame:
         }
         _, declaration = frame_block(mode.BLOCK)
         return self.device.build(name, defines, {"mode.cl": mode.file}, {"frame.cl": declaration})
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What a picture shows, however fine it is: all that `Frame.of` takes but size and step, made ready on the device."""
+
+    scene: Scene
+    coefficients: Coefficients
+    minmax: MinMax | None
+    camera: Camera
+    mode: Mode
+    transfer: TransferFunction
+    evaluator: Evaluator
+    central: bool
+
+    def frame(
+        self, size: tuple[int, int], step: float, *, guides: bool = False, aspect: float | None = None, told: Progress | None = None
+    ) -> Frame:
+        """The frame of so many pixels; `aspect` and `told` as for `Frame.of`."""
+        return Frame.of(
+            self.scene,
+            self.coefficients,
+            self.minmax,
+            self.camera,
+            self.mode,
+            size,
+            step,
+            self.transfer,
+            self.evaluator,
+            central=self.central,
+            guides=guides,
+            aspect=aspect,
+            told=told,
+        )
+
+    def placed(self, aspect: float) -> Subject:
+        """The same by a camera that has its place, if that was left open."""
+        volume = self.scene.media[0].volume
+        return replace(self, camera=fitted(self.camera, volume, self.mode, self.transfer, self.scene.clip, aspect))
 
 
 def _tile(device: Device, evaluator: Evaluator) -> Tile:

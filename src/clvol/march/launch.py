@@ -18,7 +18,7 @@ from clvol.march.pixels import DEFAULT_PIXEL_FILTER, EDGE_RAYS, as_pixel_filter,
 from clvol.spline.build import row_reach, row_width
 from clvol.spline.points import Progress
 
-__all__ = ["CHANNELS", "Picture", "States", "draw", "finish_states", "march_rays", "merge_states"]
+__all__ = ["CHANNELS", "Drawing", "Picture", "States", "draw", "finish_states", "march_rays", "merge_states"]
 
 Picture: TypeAlias = NDArray[np.floating[Any]]
 """Float32, but for positions, which are float64."""
@@ -28,6 +28,10 @@ _ALONE, _BLENDED = 20, 64  # of so many pixels one has more rays at most; fewer 
 _GROUP = 8  # work-items along an edge of a group
 _AREA = 8  # pixels along an edge of the smallest launch
 _STEP = 0.005  # seconds
+_LONG = 0.05  # seconds; a wait for less is not cut into steps
+_FORGOTTEN = 0.8  # what is left of the time of a slow launch behind the next one
+_SCATTERED = 8  # times as long takes a ray whose neighbours are far away, at most guesses
+_BEFORE_EDGES, _FINDING = 0.75, 0.2  # of the progress: before edges, and of that of edges until they are found
 _CELLS = 8  # of so many on a ray one is looked at, at most guesses
 _ROW_SECONDS = 1.5e-9  # a generous guess of the time of one row of taps on one processor core; corrected as tiles finish
 _SHADED, _CENTRAL, _SOFTWARE = 3, 12, 8  # times as long with the gradient, with central differences, from images on a processor
@@ -42,49 +46,123 @@ def draw(
 
     Guides are those of the ray through the pixel's middle, which is cast for them if the picture does without it.
     """
-    kernel, inputs = frame.program("march/draw.cl").kernel("draw"), _Inputs(frame)
-    (width, height), budget, row = frame.size, _Budget(frame), as_pixel_filter(filter)
-    with _pictures(frame) as (arrays, buffers):
-        rays = pixel_rays(1 if samples == "auto" else samples, row, middle=frame.guides)
-        for i, (offset, weight) in enumerate(rays):
-            block = frame.device.upload(frame.sampled(offset, weight, i, len(rays))[None])
-            for x, y, w, h in budget.tiles(width, height):
-                _launch(frame, kernel, (x, y, w, h), *inputs.of_rays(block), inputs.table, *buffers, long=budget.exceeded(w * h))
-                if progress:
-                    progress((i + min(1.0, ((y + h) * width) / (width * height))) / len(rays))
+    drawing = Drawing(frame, samples, filter)
+    share = 1.0 if samples != "auto" else _BEFORE_EDGES
+    drawing.cast(drawing.rays, progress and (lambda done: progress(share * done)))
     if samples == "auto":
-        _smooth_edges(frame, kernel, inputs, budget, arrays["rgba"], row)
-    return _in_world(frame, arrays)
+        drawing.smooth_edges(progress and (lambda done: progress(share + (1 - share) * done)))
+    return _in_world(frame, drawing.arrays)
 
 
-def _smooth_edges(frame: Frame, kernel: Any, inputs: _Inputs, budget: _Budget, picture: Picture, filter: Filter) -> None:
-    """Adds rays to those of the pixels on edges of a picture, one through the middle of each."""
-    pixels = on_edges(picture, _BLENDED if frame.tile.shared and not frame.mode.stretches else _ALONE)
-    if not len(pixels):
-        return
-    (_, share), *more = pixel_rays(EDGE_RAYS, filter, middle=True)
-    offsets, weights = zip(*more, strict=True)
-    places = (pixels[:, None, ::-1].astype(np.float32) + np.array(offsets, np.float32)).reshape(-1, 2)
-    width = frame.tile.width if frame.tile.shared else _GROUP  # so that neighbours share a tile or a group
-    height = -(-len(places) // width)
-    rays = frame.of_rays(width, height)
-    block, listed = (frame.device.upload(a) for a in (rays.values[None], np.resize(places, (width * height, 2))))
-    with _pictures(rays) as (arrays, buffers):
-        for area in budget.tiles(width, height):
-            _launch(rays, kernel, area, *inputs.of_rays(block), listed, *buffers, long=budget.exceeded(area[2] * area[3]))
-    colors = arrays["rgba"].reshape(-1, 4)[: len(places)].reshape(len(pixels), -1, 4)
-    where = tuple(pixels.T)
-    first, opaque = picture[where], bool(frame.values["picture"]["opaque"])
-    if not opaque:
-        first[:, :3] *= first[:, 3:]
-    means = np.einsum("prc,r->pc", colors, np.array(weights, np.float32))
-    if opaque:
-        means[:, :3] += (1 - share - means[:, 3:]) * frame.values["picture"]["background"]
-        means[:, 3] = 1 - share
-    means += share * first
-    if not opaque:
-        np.divide(means[:, :3], means[:, 3:], out=means[:, :3], where=means[:, 3:] > 0)
-    picture[where] = np.clip(means, 0, 1)
+class Drawing:
+    """A picture in the making: rays are cast in launches, between which whoever draws is told how much of it is done.
+
+    What is told may raise, which ends the drawing. Nothing is kept on the device between calls, but for what a frame has there.
+
+    Parameters
+    ----------
+    frame, samples, filter
+        As for `draw`.
+    expected : float
+        Seconds that one ray of each pixel may take, if more is known than guesses.
+
+    Attributes
+    ----------
+    frame : Frame
+    rays, cast_rays : int
+        How many rays a pixel has, and how many of them were cast.
+    arrays : dict of ndarray
+        The pictures; without all rays they are sums of what was cast, which `shown` makes a picture of.
+    """
+
+    def __init__(
+        self, frame: Frame, samples: int | Literal["auto"] = 1, filter: str | Filter = DEFAULT_PIXEL_FILTER, expected: float = 0.0
+    ) -> None:
+        self.frame = frame
+        self._filter = as_pixel_filter(filter)
+        self._pattern = pixel_rays(1 if samples == "auto" else samples, self._filter, middle=frame.guides)
+        self._kernel, self._inputs, self._budget = frame.program("march/draw.cl").kernel("draw"), _Inputs(frame), _Budget(frame)
+        self._budget.expect(expected / math.prod(frame.size))
+        self._areas: Iterator[tuple[int, int, int, int]] | None = None  # of the ray that was begun
+        self.rays, self.cast_rays = len(self._pattern), 0
+        self.arrays = _arrays(frame)
+
+    def cast(self, rays: int, told: Progress | None = None, until: float = math.inf) -> bool:
+        """So many further rays of each pixel.
+
+        Stops behind the launch in which `time.perf_counter` passes `until`, and is then not done: the next call goes on.
+        """
+        frame, (width, height), kernel = self.frame, self.frame.size, self._kernel
+        last = min(self.rays, self.cast_rays + rays)
+        with _pictures(frame, self.arrays, begun=self.cast_rays > 0 or self._areas is not None) as buffers:
+            while self.cast_rays < last:
+                i = self.cast_rays
+                block = frame.device.upload(frame.sampled(*self._pattern[i], i, self.rays)[None])
+                if self._areas is None:
+                    self._areas = self._budget.tiles(width, height)
+                arguments = *self._inputs.of_rays(block), self._inputs.table, *buffers
+                for x, y, w, h in _launched(frame, kernel, self._areas, self._budget, *arguments):
+                    if told:
+                        told((i + min(1.0, ((y + h) * width) / (width * height))) / self.rays)
+                    if time.perf_counter() > until and (x + w < width or y + h < height):
+                        return False
+                self._areas = None
+                self.cast_rays += 1
+        return True
+
+    def shown(self) -> Picture:
+        """A copy of the picture by the rays that were cast; there must be one."""
+        picture: Picture = self.arrays["rgba"].copy()
+        if self.cast_rays == self.rays:
+            return picture
+        picture /= sum(weight for _, weight in self._pattern[: self.cast_rays])
+        block, colors, opacity = self.frame.values["picture"], picture[..., :3], picture[..., 3:]
+        if block["opaque"]:
+            colors += (1 - opacity) * block["background"]
+            opacity[...] = 1
+        else:
+            np.divide(colors, opacity, out=colors, where=opacity > 0)
+        return np.clip(picture, 0, 1, out=picture)
+
+    def smooth_edges(self, told: Progress | None = None) -> None:
+        """Adds rays to those of the pixels on edges of a picture of one ray a pixel, which went through its middle."""
+        frame, picture = self.frame, self.arrays["rgba"]
+        most = _BLENDED if frame.tile.shared and not frame.mode.stretches else _ALONE
+        pixels = on_edges(picture, most, told and (lambda done: told(_FINDING * done)))
+        if len(pixels):
+            self._smooth(picture, pixels, told)
+        if told:
+            told(1.0)
+
+    def _smooth(self, picture: Picture, pixels: NDArray[np.intp], told: Progress | None) -> None:
+        frame, budget = self.frame, self._budget
+        (_, share), *more = pixel_rays(EDGE_RAYS, self._filter, middle=True)
+        offsets, weights = zip(*more, strict=True)
+        places = (pixels[:, None, ::-1].astype(np.float32) + np.array(offsets, np.float32)).reshape(-1, 2)
+        width = frame.tile.width if frame.tile.shared else _GROUP  # so that neighbours share a tile or a group
+        height = -(-len(places) // width)
+        rays = frame.of_rays(width, height)
+        block, listed = (frame.device.upload(a) for a in (rays.values[None], np.resize(places, (width * height, 2))))
+        arrays = _arrays(rays)
+        budget.slow_down(_SCATTERED)
+        with _pictures(rays, arrays) as buffers:
+            areas, arguments = budget.tiles(width, height), (*self._inputs.of_rays(block), listed, *buffers)
+            for _, y, _, h in _launched(rays, self._kernel, areas, budget, *arguments):
+                if told:
+                    told(_FINDING + (1 - _FINDING) * (y + h) / height)
+        colors = arrays["rgba"].reshape(-1, 4)[: len(places)].reshape(len(pixels), -1, 4)
+        where = tuple(pixels.T)
+        first, opaque = picture[where], bool(frame.values["picture"]["opaque"])
+        if not opaque:
+            first[:, :3] *= first[:, 3:]
+        means = np.einsum("prc,r->pc", colors, np.array(weights, np.float32))
+        if opaque:
+            means[:, :3] += (1 - share - means[:, 3:]) * frame.values["picture"]["background"]
+            means[:, 3] = 1 - share
+        means += share * first
+        if not opaque:
+            np.divide(means[:, :3], means[:, 3:], out=means[:, :3], where=means[:, 3:] > 0)
+        picture[where] = np.clip(means, 0, 1)
 
 
 # -- in parts ----------------------------------------------------------------------------------------------
@@ -143,8 +221,10 @@ def march_rays(frame: Frame, first: float = -math.inf, last: float = math.inf, s
     carried, states = states is not None, States(frame) if states is None else states
     buffer = states.argument(frame)
     block = frame.device.upload(frame.values[None])
-    for area in _Budget(frame).tiles(*frame.size):
-        _launch(frame, kernel, area, *inputs.of_rays(block), np.float32(first), np.float32(last), np.int32(carried), buffer)
+    budget = _Budget(frame)
+    arguments = *inputs.of_rays(block), np.float32(first), np.float32(last), np.int32(carried), buffer
+    for _ in _launched(frame, kernel, budget.tiles(*frame.size), budget, *arguments):
+        pass
     return states
 
 
@@ -169,7 +249,8 @@ def finish_states(states: States) -> dict[str, Picture]:
     frame, buffer = states.frame, states.argument(states.frame)
     kernel, inputs = frame.program("march/split.cl").kernel("finish_states"), _Inputs(frame)
     block = frame.device.upload(frame.values[None])
-    with _pictures(frame) as (arrays, buffers):
+    arrays = _arrays(frame)
+    with _pictures(frame, arrays) as buffers:
         _launch(frame, kernel, (0, 0, *frame.size), inputs.source, inputs.extent, block, inputs.table, buffer, *buffers)
     return _in_world(frame, arrays)
 
@@ -191,14 +272,18 @@ class _Inputs:
         return self.source, self.extent, self.minmax, self.sides, block, self.table
 
 
-@contextlib.contextmanager
-def _pictures(frame: Frame) -> Iterator[tuple[dict[str, Picture], list[Any]]]:
-    """The arrays of a frame's pictures, and the buffers that kernels write them through."""
+def _arrays(frame: Frame) -> dict[str, Picture]:
+    """What a frame's pictures are written to."""
     width, height = frame.size
-    arrays = {name: np.empty((height, width, *n), np.float32) for name, n in CHANNELS.items() if frame.guides or name == "rgba"}
+    return {name: np.empty((height, width, *n), np.float32) for name, n in CHANNELS.items() if frame.guides or name == "rgba"}
+
+
+@contextlib.contextmanager
+def _pictures(frame: Frame, arrays: dict[str, Picture], *, begun: bool = False) -> Iterator[list[Any]]:
+    """The buffers that kernels write the arrays of a frame's pictures through; `begun` if these hold something already."""
     unused = [frame.device.allocate(4) for _ in range(len(CHANNELS) - len(arrays))]  # nobody wants them: never written
     with contextlib.ExitStack() as lent:
-        yield arrays, [lent.enter_context(frame.device.lent(array, write=True)) for array in arrays.values()] + unused
+        yield [lent.enter_context(frame.device.lent(array, write=True, begun=begun)) for array in arrays.values()] + unused
 
 
 def _in_world(frame: Frame, arrays: dict[str, Picture]) -> dict[str, Picture]:
@@ -222,6 +307,17 @@ def _launch(frame: Frame, kernel: Any, area: tuple[int, int, int, int], *argumen
     device.finish()
 
 
+def _launched(
+    frame: Frame, kernel: Any, areas: Iterator[tuple[int, int, int, int]], budget: _Budget, *arguments: Any
+) -> Iterator[tuple[int, int, int, int]]:
+    """Each area, when it was launched and is done."""
+    for area in areas:
+        pixels, started = area[2] * area[3], time.perf_counter()
+        _launch(frame, kernel, area, *arguments, long=budget.exceeded(pixels))
+        budget.spent(pixels, time.perf_counter() - started)
+        yield area
+
+
 def _await(event: Any) -> None:
     """Wait for a launch in small steps: a signal is heard in between, which a wait of the runtime is deaf to."""
     while event.command_execution_status > 0:  # CL_COMPLETE
@@ -232,7 +328,8 @@ class _Budget:
     """Cuts a frame into areas, none of which should take longer than the device's limit for a launch.
 
     The time of a ray is bounded by its number of planes, or guessed from its number of cells, few of which are looked at;
-    the guess is raised when an area took longer, and never lowered: the next one may hold what this one did not.
+    the guess is raised when an area took longer. It falls again slowly, and not below the first guess: the next area may hold
+    what this one did not, but what took long may have been another program.
     """
 
     def __init__(self, frame: Frame) -> None:
@@ -251,11 +348,23 @@ class _Budget:
             rows *= _SOFTWARE
         self._across, self._down = (-(-_AREA // n) * n for n in frame.tile[:2])
         self._seconds = device.limits.launch_seconds
-        self._per_pixel = count * rows * _ROW_SECONDS / max(1, cores)
+        self._per_pixel = self._guess = count * rows * _ROW_SECONDS / max(1, cores)
 
     def exceeded(self, pixels: int) -> bool:
         """Whether so many pixels may take longer than a launch should: a tile of very many samples cannot be cut."""
-        return pixels * self._per_pixel > self._seconds
+        return pixels * self._per_pixel > max(self._seconds, _LONG)
+
+    def spent(self, pixels: int, seconds: float) -> None:
+        """A launch over so many pixels took so long."""
+        self._per_pixel = max(self._guess, _FORGOTTEN * self._per_pixel, seconds / pixels)
+
+    def expect(self, seconds: float) -> None:
+        """A pixel was found to take so long on average: some take twice as long."""
+        self._per_pixel = max(self._per_pixel, 2 * seconds)
+
+    def slow_down(self, times: float) -> None:
+        """The next areas take so many times as long as those before, at first."""
+        self._per_pixel *= times
 
     def tiles(self, width: int, height: int) -> Iterator[tuple[int, int, int, int]]:
         """(x, y, width, height) of each area, each a multiple of a tile, but at the picture's edges."""
@@ -266,8 +375,6 @@ class _Budget:
             x = 0
             while x < width:
                 w = min(width - x, max(1, int(self._seconds / self._per_pixel / h) // self._across) * self._across)
-                started = time.perf_counter()
                 yield x, y, w, h
-                self._per_pixel = max(self._per_pixel, (time.perf_counter() - started) / (w * h))
                 x += w
             y += h

@@ -11,6 +11,7 @@ On a zone plate, "linear" leaves half of the aliasing of "nearest", the pixel's 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -28,6 +29,7 @@ _LUMINANCE = np.array([0.2126, 0.7152, 0.0722, 0.0], np.float32)
 _CONTRAST = 0.125  # to a neighbour, of a pixel on an edge
 _NEAR = 8  # pixels along an edge of the squares in whose order they are listed
 _GOLDEN = (5**0.5 - 1) / 2
+_AT_ONCE = 1 << 16  # pixels, whose edges are looked for in a few milliseconds
 _FINE = 4096  # pieces of a pixel in which the filter is summed
 
 
@@ -60,7 +62,7 @@ def pixel_rays(samples: int, filter: Filter, *, middle: bool) -> list[tuple[NDAr
     return [(np.array([0.5, 0.5]), 0.0), *rays] if middle and samples % 2 == 0 else rays
 
 
-def on_edges(picture: NDArray[np.float32], most: int = 20) -> NDArray[np.intp]:
+def on_edges(picture: NDArray[np.float32], most: int = 20, told: Callable[[float], object] | None = None) -> NDArray[np.intp]:
     """The pixels (row, column) that differ from one beside, above or below them, near ones together; shape (N, 2).
 
     Where these are too many, they are those that differ most.
@@ -71,15 +73,23 @@ def on_edges(picture: NDArray[np.float32], most: int = 20) -> NDArray[np.intp]:
         Red, green, blue, not premultiplied, and opacity in 0..1: what differs is luminance or opacity.
     most : int
         Of so many pixels that differ from their neighbours at all one is on an edge, at most.
+    told : callable, optional
+        Called with the fraction done, every few milliseconds.
     """
     height, width = picture.shape[:2]
-    seen = (picture.reshape(-1, 4) @ _LUMINANCE + 1).reshape(height, width) * picture[..., 3]
     contrast = np.zeros((height, width), np.float32)
-    for one, other in (np.s_[1:], np.s_[:-1]), (np.s_[:, 1:], np.s_[:, :-1]):
-        apart = np.abs(seen[one] - seen[other])
-        for side in (one, other):
-            np.maximum(contrast[side], apart, out=contrast[side])
-    least, count = _CONTRAST, -(-int((contrast > 0).sum()) // most)
+    rows = max(1, _AT_ONCE // width)
+    for first in range(0, height, rows):
+        some = picture[first : first + rows + 1]  # and the row below them
+        seen = ((some.reshape(-1, 4) @ _LUMINANCE + 1) * some[..., 3].reshape(-1)).reshape(some.shape[:2])
+        own = contrast[first : first + len(some)]
+        for one, other in (np.s_[1:], np.s_[:-1]), (np.s_[:rows, 1:], np.s_[:rows, :-1]):
+            apart = np.abs(seen[one] - seen[other])
+            for side in (one, other):
+                np.maximum(own[side], apart, out=own[side])
+        if told:
+            told(min(1.0, (first + rows) / height))
+    least, count = _CONTRAST, -(-int(np.count_nonzero(contrast)) // most)
     strong = contrast[contrast > least]
     if strong.size > count:
         least = float(np.partition(strong, -count - 1)[-count - 1])

@@ -5,7 +5,9 @@ from __future__ import annotations
 import inspect
 import math
 import threading
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from types import EllipsisType, TracebackType
 from typing import Any, Literal, Self, TypeAlias, get_args, overload
 
@@ -22,8 +24,9 @@ from clvol.filter import PICTURE_FILTER, Filter
 from clvol.light import Light, Material
 from clvol.look import look
 from clvol.march import launch
-from clvol.march.frame import Frame
+from clvol.march.frame import Subject
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter
+from clvol.march.refine import Rates, Refined, Wanted, refined
 from clvol.march.uncertainty import Uncertainty
 from clvol.mode import DEFAULT_MODE, Isosurface, Mode, as_mode
 from clvol.noise import Noise
@@ -118,6 +121,7 @@ class Renderer:
         self._unsmoothed: Field | None = None
         self._minmax: dict[tuple[Filter, Evaluator], MinMax] = {}
         self._uncertainty: Uncertainty | None = None
+        self._rates = Rates()
         self._lock = threading.RLock()  # a handler of signals may come back here
         self._lease = Lease(_CLOSED)
         if own:
@@ -337,50 +341,164 @@ class Renderer:
         chosen = as_mode(mode, options, _KEYWORDS)
         self.device.require_usable()
         with self._lease.held(), self.field.in_use():
-            words = {"preset": preset, "window": window, "cmap": cmap, "opacity": opacity}
-            given = [name for name, value in words.items() if value is not None]
-            if given:
-                if transfer is not None:
-                    raise OptionError(f"transfer must be left out where {' and '.join(given)} say what it is; got both")
-                transfer = look(self.volume, chosen, preset=preset, window=window, cmap=cmap, opacity=opacity)
-            scene = self._seen(transfer, material, lights, background, clip)
-            camera = Camera.orbit() if camera is None else camera
-            instance("camera", camera, Camera)
-            instance("skipping", skipping, bool, np.bool_)
             if progress is not None and not callable(progress):
                 raise OptionError(f"progress must be callable; got {progress!r}")
-            if gradient not in ("analytic", "central"):
-                raise one_of("gradient", gradient, ("analytic", "central"))
             wanted = _outputs(outputs)
             sigma = None if sigma is None else number("sigma", sigma, minimum=0)
+            words = {"preset": preset, "window": window, "cmap": cmap, "opacity": opacity}
+            scene = self._seen(self._transfer(chosen, transfer, words), material, lights, background, clip)
+            size, step, rays = _fineness(chosen, size, step, samples)
             pixel_filter = as_pixel_filter(pixel_filter)
-            if samples != "auto":
-                samples = whole("samples", samples, minimum=1, maximum=4096)
-            elif not chosen.shaded:
-                samples = 1
-            _require_picture(_size(size), wanted, edges=samples == "auto")
-            field = self._field_of(chosen)
-            uncertain = self._uncertain(field, chosen) if "uncertainty" in wanted else None
-            way = choose_evaluator(self.device, field.filter, evaluator, fetch, bits=_BITS)
-            central = gradient == "central" or not field.filter.has_gradient
-            frame = Frame.of(
-                scene,
-                field.coefficients,
-                self._pyramid(field, way) if skipping and chosen.skips else None,
-                camera,
-                chosen.settled(self.volume),
-                _size(size),
-                number("step", step, above=0),
-                scene.media[0].transfer or chosen.transfer(self.volume),
-                way,
-                central=central,
-                guides=wanted != ("rgba",),
-            )
-            pictures = launch.draw(frame, samples, pixel_filter, progress)
+            _require_picture(size, wanted, edges=rays == "auto")
+            uncertain = self._uncertain(self._field_of(chosen), chosen) if "uncertainty" in wanted else None
+            subject = self._subject(scene, camera, chosen, gradient, skipping, evaluator, fetch)
+            frame = subject.frame(size, step, guides=wanted != ("rgba",))
+            pictures = launch.draw(frame, rays, pixel_filter, progress)
             if uncertain is not None:
-                pictures["uncertainty"] = uncertain(pictures["position"], self._noise(sigma), central=central)
+                pictures["uncertainty"] = uncertain(pictures["position"], self._noise(sigma), central=subject.central)
             shown = as_pictures({name: pictures[name] for name in wanted})
             return shown[wanted[0]] if isinstance(outputs, str) else shown
+
+    def refine(
+        self,
+        camera: Camera | None = None,
+        mode: str | Mode = DEFAULT_MODE,
+        size: tuple[int, int] = (512, 512),
+        step: float = 0.5,
+        *,
+        budget: float = 0.05,
+        cancelled: Callable[[], bool] | None = None,
+        transfer: TransferFunction | None = None,
+        preset: str | None = None,
+        window: tuple[float, float] | None = None,
+        cmap: str | None = None,
+        opacity: float | Sequence[tuple[float, float]] | None = None,
+        material: Material | None = None,
+        lights: Light | Sequence[Light] | None = None,
+        background: Sequence[float] | str | EllipsisType | None = ...,
+        clip: Box | EllipsisType | None = ...,
+        gradient: Literal["analytic", "central"] = "analytic",
+        samples: int | Literal["auto"] = "auto",
+        pixel_filter: str | Filter = DEFAULT_PIXEL_FILTER,
+        skipping: bool = True,
+        evaluator: EvaluatorName = "auto",
+        fetch: FetchName = "auto",
+        **options: Any,
+    ) -> Iterator[Refined]:
+        """Pictures that become finer: the first soon, the last the one that `render` makes of the same arguments, to the last bit.
+
+        The first has as few pixels as `budget` asks for: how long pictures take is measured, and remembered by the renderer, so
+        that a camera that moves has one picture after the other in time. Where pixels would become too few, those of "composite"
+        and "mean" have longer steps too. Then come one or two finer ones, if the whole picture takes much longer; then that with
+        one ray a pixel; then that with its other rays. All show the same part of the world: scale them to `size`.
+
+        Parameters
+        ----------
+        camera, mode, size, step
+            As for `render`.
+        budget : float
+            Seconds within which the first picture is wanted. It takes longer where the budget is less than the smallest picture
+            takes, where kernels are built first, and where something is computed for the first time: a volume's histogram, its
+            pyramid, for "isosurface" where each new isovalue may lie (0.04 s of 256³ on two cores).
+        cancelled : callable, optional
+            Asked every few milliseconds whether the pictures are no longer wanted; the iterator then ends, without the last one.
+            It must be quick, and is called by the thread that iterates. What was computed for the first time is completed before.
+        transfer, preset, window, cmap, opacity, material, lights, background, clip, gradient, samples, pixel_filter, skipping, \
+        evaluator, fetch, **options
+            As for `render`. Pictures are of colours alone: there are no `outputs`.
+
+        Yields
+        ------
+        Refined
+            A `Picture` which says whether it is the last, by what step it was made, and how long the iterator took until then. Each
+            is an array of its own.
+
+        Raises
+        ------
+        OptionError, GeometryError, DeviceError, OutOfMemoryError
+            As by `render`: of options when it is called, of the camera's place with the first picture. The renderer was closed: a
+            picture that another thread is making then is made to its end, and the next one refused.
+
+        Notes
+        -----
+        Nothing is drawn between one picture and the request for the next, and the renderer can then be closed. Whoever has enough
+        just stops iterating. Several threads may refine with one renderer; each waits for the launches of the others.
+
+        Examples
+        --------
+        >>> import clvol
+        >>> renderer = clvol.Renderer(clvol.phantoms.marschner_lobb(32))
+        >>> for picture in renderer.refine(clvol.Camera.orbit(40, 10), "mip", (200, 150), budget=0.02):
+        ...     last = picture  # show it, scaled to 200 × 150
+        >>> last.final, last.shape
+        (True, (150, 200, 4))
+        """
+        asked_at = time.perf_counter()
+        refused = [name for name in ("outputs", "sigma", "progress") if name in options]
+        if refused and (refused != ["outputs"] or options["outputs"] != "rgba"):
+            raise OptionError(f"refine gives colours alone, and no progress: leave out {' and '.join(refused)}, or use render")
+        chosen = as_mode(mode, {name: value for name, value in options.items() if name != "outputs"}, _KEYWORDS)
+        budget = number("budget", budget, above=0)
+        if cancelled is not None and not callable(cancelled):
+            raise OptionError(f"cancelled must be callable; got {cancelled!r}")
+        self.device.require_usable()
+        with self._lease.held(), self.field.in_use():
+            words = {"preset": preset, "window": window, "cmap": cmap, "opacity": opacity}
+            scene = self._seen(self._transfer(chosen, transfer, words), material, lights, background, clip)
+            size, step, rays = _fineness(chosen, size, step, samples)
+            pixel_filter = as_pixel_filter(pixel_filter)
+            _require_picture(size, ("rgba",), edges=rays == "auto")
+            subject = self._subject(scene, camera, chosen, gradient, skipping, evaluator, fetch)
+        return refined(
+            Wanted(subject, size, step, rays, pixel_filter),
+            budget,
+            cancelled,
+            self._rates,
+            self._drawing,
+            time.perf_counter() - asked_at,
+        )
+
+    @contextmanager
+    def _drawing(self) -> Iterator[None]:
+        """The time in which something is drawn."""
+        with self._lease.held(), self.field.in_use():
+            yield
+
+    def _transfer(self, mode: Mode, transfer: TransferFunction | None, words: Mapping[str, Any]) -> TransferFunction | None:
+        """The transfer function that is given, by itself or by words, if any is."""
+        given = [name for name, value in words.items() if value is not None]
+        if given and transfer is not None:
+            raise OptionError(f"transfer must be left out where {' and '.join(given)} say what it is; got both")
+        return look(self.volume, mode, **words) if given else transfer
+
+    def _subject(
+        self,
+        scene: Scene,
+        camera: Camera | None,
+        mode: Mode,
+        gradient: str,
+        skipping: bool,
+        evaluator: EvaluatorName,
+        fetch: FetchName,
+    ) -> Subject:
+        """What is to be seen of a scene, with all on the device that is needed for it."""
+        camera = Camera.orbit() if camera is None else camera
+        instance("camera", camera, Camera)
+        instance("skipping", skipping, bool, np.bool_)
+        if gradient not in ("analytic", "central"):
+            raise one_of("gradient", gradient, ("analytic", "central"))
+        field = self._field_of(mode)
+        way = choose_evaluator(self.device, field.filter, evaluator, fetch, bits=_BITS)
+        return Subject(
+            scene,
+            field.coefficients,
+            self._pyramid(field, way) if skipping and mode.skips else None,
+            camera,
+            mode.settled(self.volume),
+            scene.media[0].transfer or mode.transfer(self.volume),
+            way,
+            gradient == "central" or not field.filter.has_gradient,
+        )
 
     def _seen(
         self,
@@ -539,6 +657,17 @@ def _require_picture(size: tuple[int, int], outputs: tuple[str, ...], *, edges: 
     width, height = size
     each = 16 + 56 * (outputs != ("rgba",)) + 32 * ("uncertainty" in outputs) + 28 * edges
     memory.require(width * height * each, f"a picture of {width} × {height} pixels")
+
+
+def _fineness(
+    mode: Mode, size: tuple[int, int], step: float, samples: int | Literal["auto"]
+) -> tuple[tuple[int, int], float, int | Literal["auto"]]:
+    """Size, step and rays a pixel, checked; on edges there are more rays only where a mode lights what it shows."""
+    if samples != "auto":
+        samples = whole("samples", samples, minimum=1, maximum=4096)
+    elif not mode.shaded:
+        samples = 1
+    return _size(size), number("step", step, above=0), samples
 
 
 def _size(size: tuple[int, int]) -> tuple[int, int]:

@@ -227,6 +227,22 @@ class Field:
         state = ", closed" if self.closed else ""
         return f"<Field of {shape} samples, {self.filter.name}, {self.boundary.name}, on {self.device.name!r}{state}>"
 
+    def _repr_html_(self) -> str:
+        """For notebooks: the kernel, and what the function is made of."""
+        from clvol import display
+
+        known = {
+            "samples": f"{display.numbers(self.volume.shape)} {self.volume.data.dtype}",
+            "filter": self.filter.name,
+            "boundary": self.boundary.name,
+            "device": self.device.name,
+            "coefficients": "freed, the field is closed"
+            if self.closed
+            else f"{self.precision} precision, {self.nbytes / 1e6:.4g} MB",
+            "missing samples": self.missing.rule if self.missing.rule != "error" else "",
+        }
+        return display.beside(display.curve(*self.filter.plot(33)), display.facts("Field", known))
+
     @property
     def precision(self) -> Precision:
         """Of coefficients and results: "single" or "double"."""
@@ -996,7 +1012,7 @@ def prefilter(
     OutOfMemoryError
         The device has no room for the coefficients.
     """
-    array, _ = read_array(data)  # coefficients have no geometry
+    array, _ = read_array(data, placed=False)  # coefficients have no geometry
     line = array.ndim == 1
     volume = Volume(array[None] if line else array)
     chosen, boundary, kind, device = as_filter(filter), as_boundary(boundary), precision_kind(precision), as_device(device)

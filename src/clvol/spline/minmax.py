@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 import threading
+from collections.abc import Callable
 from fractions import Fraction
 from functools import lru_cache
 from typing import Any
@@ -145,24 +146,24 @@ class MinMax:
             self.release()
             raise
 
-    def sides(self, value: float) -> Any:
+    def sides(self, value: float, told: Callable[[float], object] | None = None) -> Any:
         """On which side of a value the function is in each cell, as sides.cl has it: 16 bytes for 64 cells.
 
-        It is kept until another value is asked for.
+        It is kept until another value is asked for. `told` is told how much of it is done, and may raise.
         """
         with self._lock:
             if self._sides is None or self._sides[0] != value:
                 self._sides = None  # not two at a time
-                self._sides = (value, self._sides_of(value))
+                self._sides = (value, self._sides_of(value, told))
             return self._sides[1]
 
-    def _sides_of(self, value: float) -> Any:
+    def _sides_of(self, value: float, told: Callable[[float], object] | None) -> Any:
         coefficients, device = self.coefficients, self.coefficients.device
         buffer = device.allocate(2 * math.prod(self.blocks) * (BLOCK * coefficients.filter.scale) ** 3 // 8)
-        self._over_blocks("side_cells", self.buffer, np.float32(value), buffer)
+        self._over_blocks("side_cells", self.buffer, np.float32(value), buffer, told=told)
         return buffer
 
-    def _over_blocks(self, name: str, *arguments: Any) -> None:
+    def _over_blocks(self, name: str, *arguments: Any, told: Callable[[float], object] | None = None) -> None:
         """A kernel over all blocks of the finest level, in launches that are not long."""
         coefficients, device, (x, y, z) = self.coefficients, self.coefficients.device, self.blocks
         cells = BLOCK * coefficients.filter.scale
@@ -183,6 +184,8 @@ class MinMax:
                     global_offset=(0, 0, first),
                 )
                 device.finish()
+                if told:
+                    told(min(1.0, (first + deep) / z))
 
     def release(self) -> None:
         """Free the device's memory."""

@@ -153,7 +153,7 @@ def prefilter_in_place(
 
     def launch(name: str, groups: int, lines: int, origin: int, stride: int, voxels: int, *arguments: Any) -> None:
         """Launches over `lines` lines or slices, `stride` apart, of so many voxels each."""
-        step = max(1, device.limits.launch_voxels // voxels)
+        step = max(device.units, device.limits.launch_voxels // voxels)  # one for each core, at least
         for first in range(0, lines, step):
             if first:  # a wait for several launches would be long, and hears no Ctrl-C
                 device.finish()

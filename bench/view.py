@@ -1,0 +1,211 @@
+"""How the viewer feels, in a real browser on the machine that draws: seconds from a drag to something new on the screen, pictures a
+second, the still picture after rest, and the first picture after the command.
+
+    python -m bench.view [--samples 256] [--size 512] [--rounds 12] [--json FILE]
+
+Needs Chromium with its driver and selenium (tests/view/browser.py). Times are the page's own: from the event's stamp to the first
+frame of the screen after the picture was drawn on the canvas. The browser draws without a GPU beside the volume, on the same cores.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import clvol
+from clvol.view import View
+from tests.view.browser import Browser, open_browser, why_none
+
+CANVAS = ".clvol-pane[data-pane='3d'] canvas"
+PANE = ".clvol-pane[data-pane='3d']"
+_HOOKS = """
+    window.benchDrawn = []; window.benchFrames = []; window.benchEvents = [];
+    const draw = CanvasRenderingContext2D.prototype.drawImage;
+    CanvasRenderingContext2D.prototype.drawImage = function (image, ...rest) {
+      const result = draw.call(this, image, ...rest);
+      const entry = {width: image.width, height: image.height, drawn: performance.now(), shown: null, epoch: Date.now()};
+      window.benchDrawn.push(entry);
+      requestAnimationFrame(() => (entry.shown = performance.now()));
+      return result;
+    };
+    const Socket = window.WebSocket;
+    window.WebSocket = class extends Socket {
+      constructor(...rest) {
+        super(...rest);
+        this.addEventListener("message", ({ data }) => {
+          const message = typeof data === "string" ? JSON.parse(data) : {};
+          if (message.type === "frame") window.benchFrames.push({...message, at: performance.now()});
+        });
+      }
+    };
+    for (const type of ["pointermove", "pointerup"]) {
+      window.addEventListener(type, (e) => window.benchEvents.push({type, at: e.timeStamp, x: e.clientX}), {capture: true});
+    }
+"""
+_AIMS = {
+    "drag to new": (0.06, "s", "least"),
+    "surface": (25.0, "pictures/s", "most"),
+    "translucent": (12.0, "pictures/s", "most"),
+    "still": (0.3, "s", "least"),
+    "first picture": (1.0, "s", "least"),
+}
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("--samples", type=int, default=256, help="along each axis of the volume")
+    arguments.add_argument("--size", type=int, default=512, help="pixels along each edge of the pane")
+    arguments.add_argument("--rounds", type=int, default=12)
+    arguments.add_argument("--json", type=Path, help="a file for the figures")
+    options = arguments.parse_args()
+    if why := why_none():
+        sys.exit(f"bench.view {why}")
+    load = os.getloadavg()[0]
+    print(f"load {load:.1f} on {os.cpu_count()} cores; volume {options.samples}³, pane {options.size}²")
+    volume = clvol.phantoms.marschner_lobb(options.samples)
+    found: dict[str, Any] = {"load": load, "samples": options.samples, "size": options.size}
+    with open_browser() as browser:
+        browser.driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": _HOOKS})
+        for name, mode in (("surface", "isosurface"), ("translucent", "composite")):
+            with View(volume, mode=mode).serve() as server:
+                begin(browser, server.url, options.size)
+                found[name] = {
+                    "drag to new": [drag_to_new(browser) for _ in range(options.rounds)],
+                    "still": [drag_to_still(browser) for _ in range(max(3, options.rounds // 3))],
+                    **rate(browser, 4.0),
+                }
+                report(name, found[name])
+        found["first picture"] = first_pictures(browser, volume, 3)
+        print(f"first picture after the command: {times(found['first picture'])}, aim {_AIMS['first picture'][0]} s")
+    print(f"load at the end {os.getloadavg()[0]:.1f}")
+    if options.json:
+        options.json.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+
+
+def begin(browser: Browser, url: str, size: int) -> None:
+    """The page with a pane of that size, when its still picture is there."""
+    browser.open(url)
+    browser.wait(f"document.querySelector({PANE!r})")
+    _, _, width, height = browser.box(PANE)
+    inner = browser.js("return [innerWidth, innerHeight]")
+    metrics = {
+        "width": round(inner[0] + size - width),
+        "height": round(inner[1] + size - height),
+        "deviceScaleFactor": 1,
+        "mobile": False,
+    }
+    browser.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    settle(browser)
+
+
+def settle(browser: Browser) -> None:
+    browser.wait("benchFrames.length && benchFrames.at(-1).final && performance.now() - benchFrames.at(-1).at > 500", 120)
+
+
+def press(browser: Browser) -> tuple[float, float]:
+    left, top, width, height = browser.box(PANE)
+    x, y = left + width / 2, top + height / 2
+    browser.mouse("mouseMoved", x, y)
+    browser.mouse("mousePressed", x, y, buttons=1)
+    return x, y
+
+
+def drag_to_new(browser: Browser) -> float:
+    """Seconds from a move of the mouse, after rest, to the first new picture on the screen."""
+    settle(browser)
+    x, y = press(browser)
+    time.sleep(0.6)
+    browser.js("benchDrawn.length = 0; benchEvents.length = 0")
+    browser.mouse("mouseMoved", x + 25, y + 5, button="left", buttons=1)
+    browser.wait("benchDrawn.length && benchDrawn[0].shown !== null", 30)
+    took = browser.js("return benchDrawn[0].shown - benchEvents[0].at")
+    browser.mouse("mouseReleased", x + 25, y + 5)
+    return float(took) / 1000
+
+
+def drag_to_still(browser: Browser) -> float:
+    """Seconds from the mouse's release, after a drag, to the still picture."""
+    settle(browser)
+    browser.js("benchFrames.length = 0; benchDrawn.length = 0; benchEvents.length = 0")
+    browser.drag((60, 20), CANVAS, buttons=1)
+    browser.wait("benchFrames.length && benchFrames.at(-1).final && benchDrawn.at(-1).drawn >= benchFrames.at(-1).at", 60)
+    took = browser.js("return benchDrawn.at(-1).drawn - benchEvents.findLast((e) => e.type === 'pointerup').at")
+    return float(took) / 1000
+
+
+def rate(browser: Browser, seconds: float) -> dict[str, Any]:
+    """Pictures a second while the mouse moves with each frame of the screen."""
+    settle(browser)
+    x, y = press(browser)
+    done = browser.driver.execute_async_script(
+        """
+        const [selector, x, y, seconds, done] = arguments, pane = document.querySelector(selector), begun = performance.now();
+        benchDrawn.length = 0; let n = 0;
+        const move = () => {
+          const now = performance.now() - begun;
+          if (now > 1000 * seconds) { done([benchDrawn, now]); return; }
+          n += 1;
+          const at = {clientX: x + 150 * Math.sin(n / 40), clientY: y + 40 * Math.sin(n / 25)};
+          const held = {pointerId: 1, pointerType: "mouse", buttons: 1, bubbles: true};
+          pane.dispatchEvent(new PointerEvent("pointermove", {...held, ...at}));
+          requestAnimationFrame(move);
+        };
+        move();
+        """,
+        PANE,
+        x,
+        y,
+        seconds,
+    )
+    browser.mouse("mouseReleased", x, y)
+    drawn, took = done
+    pixels = [entry["width"] * entry["height"] for entry in drawn]
+    gaps = np.diff([entry["drawn"] for entry in drawn]) / 1000
+    return {
+        "pictures/s": 1000 * len(drawn) / took,
+        "edge": statistics.median(pixels) ** 0.5 if pixels else 0.0,
+        "longest gap": float(gaps.max()) if len(gaps) else seconds,
+    }
+
+
+def first_pictures(browser: Browser, volume: clvol.Volume, rounds: int) -> list[float]:
+    """Seconds from the start of the command, whose kernels are built, to the first picture in a browser that is open."""
+    found = []
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "volume.nrrd"
+        clvol.write(volume, path)
+        for _ in range(rounds + 1):
+            begun = time.time()
+            command = [sys.executable, "-m", "clvol", "view", str(path), "--serve"]
+            with subprocess.Popen(command, stdout=subprocess.PIPE, encoding="utf-8") as process:
+                assert process.stdout is not None
+                browser.open(process.stdout.readline().strip())
+                browser.wait("benchDrawn.length", 60)
+                found.append(float(browser.js("return benchDrawn[0].epoch")) / 1000 - begun)
+                process.terminate()
+    return found[1:]
+
+
+def report(name: str, found: dict[str, Any]) -> None:
+    print(f"{name}: drag to something new {times(found['drag to new'])}, aim {_AIMS['drag to new'][0]} s")
+    print(f"{name}: still picture after rest {times(found['still'])}, aim {_AIMS['still'][0]} s")
+    rate = f"{found['pictures/s']:.1f} pictures/s of {found['edge']:.0f}² pixels, longest gap {found['longest gap']:.2f} s"
+    print(f"{name}: while dragged {rate}; aim {_AIMS[name][0]:g} pictures/s")
+
+
+def times(values: list[float]) -> str:
+    return f"{statistics.median(values):.3f} s ({min(values):.3f} to {max(values):.3f})"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,215 @@
+"""The command that shows: a page in a browser, drawn by this machine."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import webbrowser
+from concurrent.futures import Future
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Group, Parameter
+
+from clvol.cli.options import DeviceName, FilterName, Input, Look, ModeOptions, Source, Whole, own_options
+from clvol.cli.root import PICTURES, command
+from clvol.cli.words import in_the_shell
+from clvol.errors import ClvolError, FormatError, OptionError
+
+if TYPE_CHECKING:
+    from clvol.view import View
+    from clvol.view.server import Server
+
+__all__ = ["view"]
+
+_SERVER = Group("The server", sort_key=1)
+_WARM = 64, 64  # pixels of a picture that nobody sees
+
+
+@command(PICTURES)
+def view(
+    source: Source,
+    /,
+    *,
+    filter: Annotated[FilterName | None, Parameter(show_default=False)] = None,
+    device: DeviceName = None,
+    terminal: Annotated[bool, Parameter(negative="")] = False,
+    desktop: Annotated[bool, Parameter(negative="")] = False,
+    serve: Annotated[bool, Parameter(negative="", group=_SERVER)] = False,
+    port: Annotated[Whole, Parameter(group=_SERVER)] = 0,
+    host: Annotated[str, Parameter(group=_SERVER)] = "127.0.0.1",
+    root_path: Annotated[str, Parameter(group=_SERVER)] = "",
+    allow_host: Annotated[tuple[str, ...], Parameter(group=_SERVER)] = (),
+    allow_frame: Annotated[tuple[str, ...], Parameter(group=_SERVER)] = (),
+    certificate: Annotated[Path | None, Parameter(group=_SERVER)] = None,
+    key: Annotated[Path | None, Parameter(group=_SERVER)] = None,
+    idle: Annotated[float, Parameter(group=_SERVER)] = 30.0,
+    clients: Annotated[Whole, Parameter(group=_SERVER)] = 8,
+    input: Input | None = None,
+    look: Look | None = None,
+    own: ModeOptions | None = None,
+) -> None:
+    """Look at a volume in a browser: turn it, cut it, change its colours. Ctrl-C ends it.
+
+    The address that is printed has a token in it: whoever has the address may look.
+
+    Parameters
+    ----------
+    filter
+        How it is reconstructed between its samples; see 'clvol filters'. [default: bspline3(auto), which smooths the noise that it
+        finds; bspline3 in modes that show extremes, such as mip]
+    terminal
+        Show it in this terminal, in 24-bit colours; arrow keys turn it, q ends it. One still picture where nobody can type.
+    desktop
+        Show it in a window of its own, by Qt (pip install clvol[desktop]).
+    serve
+        Open no browser here: the page is looked at from elsewhere.
+    port
+        Where the page is served; 0 is a free port.
+    host
+        Address to listen at. Any but that of this machine itself lets others reach the page.
+    root_path
+        Path under which a proxy shows the page, such as /user/ada/clvol.
+    allow_host
+        Name by which a proxy shows the page, such as hub.example.org; may be given several times.
+    allow_frame
+        Site that may show the page in a frame, such as https://hub.example.org; may be given several times.
+    certificate
+        File of PEM with which the page is served by https; its key may be in it.
+    key
+        File of PEM with the certificate's key.
+    idle
+        Minutes without a message after which a page is disconnected and its memory freed.
+    clients
+        Pages that may be open at once.
+    """
+    look = look or Look()
+    options = own_options(look, own)
+    reader = input or Input()
+    name = str(source)
+    if not name.startswith("phantom:") and not Path(source).exists():
+        raise FormatError(f"cannot read {source}: there is no such file or folder")
+    if not idle > 0:
+        raise OptionError(f"--idle must be above 0; got {idle:g}")
+
+    if terminal or desktop:
+        if terminal + desktop + serve > 1:
+            raise OptionError("give one of --terminal, --desktop and --serve")
+        if desktop:
+            from clvol.view.desktop import require_display, show_on_desktop
+
+            require_display()  # before the volume is read
+            show_on_desktop(_made(name, filter, device, reader, look, options))
+        else:
+            from clvol.view.terminal import show_in_terminal
+
+            show_in_terminal(_made(name, filter, device, reader, look, options))
+        return
+    made: Future[View] = Future()  # begun before the server's parts are imported, which takes as long as reading a small file
+
+    def make() -> None:
+        try:
+            made.set_result(_made(name, filter, device, reader, look, options))
+        except BaseException as error:
+            made.set_exception(error)
+
+    reading = threading.Thread(target=make, name="clvol: reading", daemon=True)
+    reading.start()
+    from clvol.view.server import Limits, Server, run, said
+
+    server = Server(
+        made.result,
+        host=host,
+        port=port,
+        names=allow_host,
+        root_path=root_path,
+        frame_ancestors=allow_frame,
+        certificate=certificate,
+        key=key,
+        limits=Limits(clients=clients, idle=60 * idle),
+        doing=f"reading {Path(name).name}",
+    )
+
+    def failed(error: BaseException) -> bool:
+        """Say so; a file may be looked for while the page tells it too, a wrong command line ends the command."""
+        if isinstance(error, OptionError):
+            return False
+        words = in_the_shell(error, ["view"]) if isinstance(error, ClvolError) else said(error)
+        print(f"clvol: {words}", file=sys.stderr, flush=True)
+        return True
+
+    def warm() -> None:
+        """The first picture's parts, while the browser starts."""
+        try:
+            made.result().picture(_WARM)
+        except Exception as error:  # of the file it is told already; of the device each page tells it too
+            if made.exception() is None:
+                failed(error)
+
+    def ready(server: Server) -> None:
+        print(server.url, flush=True)
+        if server.public:
+            safe = "" if certificate is not None else " Nothing is encrypted: give --certificate, or put a proxy in front."
+            _note(f"other machines reach this page, and whoever has its address may look.{safe}")
+        threading.Thread(target=warm, name="clvol: first picture", daemon=True).start()
+        if not serve:
+            _open(server.url)
+
+    why = run(server, ready, failed)
+    if isinstance(why, OptionError):
+        raise why
+    _leave(1 if why is not None else 0, reading)
+
+
+def _made(name: str, filter: str | None, device: str | None, reader: Input, look: Look, own: dict[str, Any]) -> View:
+    """The view that the command line asks for."""
+    from clvol.view import View
+
+    volume = reader.read(name)
+    options = look.options(volume) | own
+    for usual in ("gradient", "pixel_filter", "evaluator", "fetch"):  # which copied programs need not say
+        if getattr(look, usual) == getattr(Look, usual):
+            del options[usual]
+    if look.value_range is None:  # by their names, so that the page shows them
+        words = {"preset": look.preset, "window": look.window, "cmap": look.cmap, "opacity": look.opacity_points()}
+        del options["transfer"]
+        options |= {word: value for word, value in words.items() if value is not None}
+    elif options["transfer"] is None:
+        del options["transfer"]
+    return View(
+        volume,
+        device=device,
+        source=reader.python(name),
+        title=volume.name or Path(name).name,
+        filter=filter,
+        boundary=look.boundary,
+        **options,
+    )
+
+
+def _open(url: str) -> None:
+    """The browser of a desktop; a thread, since some wait for it."""
+    if sys.platform not in ("win32", "darwin") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        _note("there is no desktop here: open the address in a browser, with --port and a tunnel from another machine")
+        return
+
+    def work() -> None:
+        if not webbrowser.open(url):
+            _note("no browser was found: open the address yourself")
+
+    threading.Thread(target=work, name="clvol: browser", daemon=True).start()
+
+
+def _note(text: str) -> None:
+    print(f"clvol: note: {text}", file=sys.stderr, flush=True)
+
+
+def _leave(code: int, reading: threading.Thread) -> None:
+    """End here if something still reads or draws in another thread: Python would end in the midst of it."""
+    reading.join(0.2)
+    if any(thread.name.startswith("clvol") for thread in threading.enumerate()):
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    raise SystemExit(code)

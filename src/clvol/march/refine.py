@@ -1,0 +1,394 @@
+"""Pictures that become finer, the first within a budget of time.
+
+How long a picture takes grows with its pixels by a power, 0.4 to 1, that depends on what is drawn: rays that lie far apart share
+less. It is measured, with the time of the last first picture; from both follows how many pixels the next one may have. Another
+view, or another transfer function, may take several times as long: then a quarter of the budget goes into a coarser picture,
+which says how long this one takes, and which is shown where a finer one would come too late.
+
+The last pictures are one that is drawn on: first with one ray a pixel, then with the others, or those on edges.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clvol.filter import Filter
+from clvol.march.frame import Frame, Subject
+from clvol.march.launch import Drawing
+from clvol.picture import Picture
+
+__all__ = ["Rate", "Rates", "Refined", "Wanted", "refined"]
+
+_LAUNCH = 0.008  # seconds of a launch: whether pictures are still wanted is asked in between
+_KEPT = 0.75  # share of the budget that is planned for: the rest is for what cannot be known
+_LATE = 0.95  # share of the budget behind which a finer picture than the one at hand is given up
+_COARSE = 0.25  # share of the budget that goes into a coarser picture, where it is not known how long one takes
+_WORTH = 2.0  # times as many pixels must a finer picture have
+_SMALLEST = 256  # pixels: those of a tile, which take as long as a single one
+_TRIAL = 1024  # pixels of the first picture of all
+_FEW = 96  # pixels along the shorter side, below which steps become longer
+_LONGEST = 2.0  # such steps, in voxels
+_SHORTER = 0.8  # the power of the number of samples on a ray by which its time grows
+_POWERS = 0.4, 1.0
+_APART = 3.0  # times as many pixels have pictures from which the power is measured
+_BETWEEN = 8.0  # times as long as the one before may a picture take; else there is one in between
+_NEAR = 0.1  # share of the way through a picture that its rays move at most, from one view to one that takes about as long
+
+
+class Refined(Picture):
+    """One of the pictures of `Renderer.refine`: a `Picture` which knows how far it has come.
+
+    Parameters
+    ----------
+    array : array-like, shape (height, width, 4)
+        Viewed, not copied.
+    final : bool
+        Whether it is the last one, that of `render`.
+    step : float
+        The most that its rays advanced between samples, in voxels.
+    seconds : float
+        How long the iterator worked until it was ready; the time in which nobody asked for the next picture does not count.
+
+    Attributes
+    ----------
+    kind : str
+        "rgba".
+    final, step, seconds
+        The same.
+    """
+
+    final: bool
+    step: float
+    seconds: float
+
+    def __new__(cls, array: ArrayLike, final: bool = False, step: float = math.nan, seconds: float = math.nan) -> Self:
+        result = super().__new__(cls, array)
+        result.final, result.step, result.seconds = final, step, seconds
+        return result
+
+    def __array_finalize__(self, other: Any) -> None:
+        super().__array_finalize__(other)
+        self.final = getattr(other, "final", False)
+        self.step, self.seconds = getattr(other, "step", math.nan), getattr(other, "seconds", math.nan)
+
+    def __reduce__(self) -> Any:
+        make, arguments, state = super().__reduce__()
+        return make, arguments, (*state, (self.final, self.step, self.seconds))
+
+    def __setstate__(self, state: Any) -> None:
+        self.final, self.step, self.seconds = state[-1]
+        super().__setstate__(state[:-1])
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A picture as it was asked for."""
+
+    subject: Subject
+    size: tuple[int, int]
+    step: float
+    samples: int | Literal["auto"]
+    filter: Filter
+
+    @property
+    def kind(self) -> tuple[Any, ...]:
+        """What pictures whose times may be compared have in common: what they are drawn by."""
+        subject, drawn = self.subject, self.subject.coefficients
+        mode, tile = subject.mode, drawn.device.limits.tile
+        return mode.file, mode.shaded, drawn.filter, subject.evaluator, subject.central, subject.minmax is None, tile
+
+    @property
+    def shown(self) -> tuple[Any, ...]:
+        """What they also have in common if they take about as long from one view."""
+        subject, clip = self.subject, self.subject.scene.clip
+        box = None if clip is None else tuple(tuple(map(float, corner)) for corner in clip)  # arrays do not compare as one
+        return subject.mode, subject.transfer, box
+
+    @property
+    def long_steps(self) -> list[float]:
+        """Steps that a first picture may have; longer ones only where all samples count, and where there are steps."""
+        mode, steps = self.subject.mode, [self.step]
+        if mode.shows in ("matter", "mean") and not mode.stretches:
+            while 2 * steps[-1] <= _LONGEST:
+                steps.append(2 * steps[-1])
+        return steps
+
+    def size_of(self, pixels: float) -> tuple[int, int]:
+        """Of a picture of about so many pixels and about the same shape, no larger than this."""
+        width, height = self.size
+        scale = math.sqrt(min(1.0, max(pixels, min(_SMALLEST, width * height)) / (width * height)))
+        return max(1, round(scale * width)), max(1, round(scale * height))
+
+
+@dataclass(frozen=True)
+class Rate:
+    """How long pictures of one kind take, from the last first one.
+
+    Attributes
+    ----------
+    pixels, step, seconds : float
+        Of that picture.
+    power : float
+        Of the number of pixels, by which seconds grow.
+    edges : float
+        How long edges take, as a share of the picture without.
+    view : ndarray
+        From where it was seen.
+    shown : tuple
+        `Wanted.shown` of it.
+    """
+
+    pixels: float
+    step: float
+    seconds: float
+    view: NDArray[np.float64]
+    shown: tuple[Any, ...]
+    power: float = 1.0
+    edges: float = 1.0
+
+    def seconds_of(self, pixels: float, step: float) -> float:
+        """How long a picture of so many pixels should take."""
+        return float(self.seconds * (self.step / step) ** _SHORTER * (pixels / self.pixels) ** self.power)
+
+    def pixels_in(self, seconds: float, step: float) -> float:
+        """How many pixels a picture may have which should take so long."""
+        share = max(seconds, 0.0) / (self.seconds * (self.step / step) ** _SHORTER)
+        return float(min(self.pixels * min(share, 1e6) ** (1 / self.power), 1e12))
+
+    def sees(self, view: NDArray[np.float64], shown: tuple[Any, ...]) -> bool:
+        """Whether a picture should take as long as this one took."""
+        near = bool(np.linalg.norm(view - self.view) <= _NEAR * np.linalg.norm(self.view))
+        return near and bool(self.shown == shown)
+
+    def grown(self, pixels: float, step: float, seconds: float) -> Rate:
+        """With what a further picture of the same view and step says of the power."""
+        if step != self.step or not max(pixels / self.pixels, self.pixels / pixels) > _APART:
+            return self
+        measured = math.log(seconds / self.seconds) / math.log(pixels / self.pixels)
+        low, high = _POWERS
+        return replace(self, power=(self.power + min(max(measured, low), high)) / 2)
+
+
+class Rates:
+    """The rates of a renderer, by kind of picture. Any thread may read and write them: the last one is right."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[Any, ...], Rate] = {}
+
+    def of(self, kind: tuple[Any, ...]) -> Rate | None:
+        return self._known.get(kind)
+
+    def learn(self, kind: tuple[Any, ...], rate: Rate) -> None:
+        self._known[kind] = rate
+
+
+class _Cancelled(Exception):
+    """Nobody wants the pictures any more."""
+
+
+def refined(
+    wanted: Wanted,
+    budget: float,
+    cancelled: Callable[[], bool] | None,
+    rates: Rates,
+    drawing: Callable[[], AbstractContextManager[None]],
+    seconds: float,
+) -> Iterator[Refined]:
+    """The pictures of `Renderer.refine`.
+
+    Parameters
+    ----------
+    wanted : Wanted
+    budget : float
+        In seconds.
+    cancelled : callable, optional
+    rates : Rates
+        What is known, and is added to.
+    drawing : callable
+        Gives what is entered whenever something is drawn, and left when a picture is ready.
+    seconds : float
+        How long it took until now.
+    """
+    return _Refinement(wanted, budget, cancelled, rates, seconds).pictures(drawing)
+
+
+class _Refinement:
+    """One call of `refined`: its stages, one after the other, and what they leave to the next."""
+
+    def __init__(self, wanted: Wanted, budget: float, cancelled: Callable[[], bool] | None, rates: Rates, seconds: float) -> None:
+        self._wanted, self._budget, self._cancelled, self._rates = wanted, budget, cancelled, rates
+        width, height = wanted.size
+        self._aspect, self._pixels = width / height, width * height
+        self._worked, self._began = seconds, 0.0  # before this picture; when work on this one began
+        self._shown, self._shown_at = 0.0, 0.0  # pixels of the last picture, and when it was ready
+        self._casting = 0.0  # seconds of the whole picture's first ray
+
+    def pictures(self, drawing: Callable[[], AbstractContextManager[None]]) -> Iterator[Refined]:
+        stages, device = self._stages(), self._wanted.subject.coefficients.device
+        while True:
+            self._began = time.perf_counter()
+            with drawing(), device.limited(launch_seconds=min(_LAUNCH, device.limits.launch_seconds)):
+                try:
+                    self._ask()
+                    picture = next(stages)
+                except (StopIteration, _Cancelled):
+                    return
+            self._worked = self._seconds
+            yield picture
+            if picture.final:
+                return
+
+    @property
+    def _seconds(self) -> float:
+        """How long all took until now."""
+        return self._worked + time.perf_counter() - self._began
+
+    def _ask(self, _: float = 0.0) -> None:
+        if self._cancelled is not None and self._cancelled():
+            raise _Cancelled
+
+    def _stages(self) -> Iterator[Refined]:
+        self._wanted = wanted = replace(self._wanted, subject=self._wanted.subject.placed(self._aspect))
+        self._ask()
+        full = wanted.subject.frame(wanted.size, wanted.step, told=self._ask)
+        self._ask()
+        self._view, self._rate = _view_of(full), self._rates.of(wanted.kind)
+        self._whole = Drawing(full, wanted.samples, wanted.filter, self._expected(self._pixels, wanted.step))
+        yield from self._first()
+        yield from self._between()
+        yield from self._last()
+
+    # -- the first one, unless the whole picture is in time ---------------------------------------------------------
+
+    def _first(self) -> Iterator[Refined]:
+        coarse = self._coarse()
+        size, step = self._best()
+        until = math.inf if coarse is None else time.perf_counter() + _LATE * self._budget - self._seconds
+        if (size, step) == (self._wanted.size, self._wanted.step):
+            if self._cast(until):
+                return
+        elif coarse is None or step != coarse.step or size[0] * size[1] >= _WORTH * coarse[..., 0].size:
+            finer = self._small(size, step, until)
+            coarse = coarse if finer is None else finer
+        assert coarse is not None  # a picture can only be late if there is another
+        yield self._shows(coarse, coarse.step)
+
+    def _coarse(self) -> Refined | None:
+        """A coarse picture, if nothing is known of how long one of this view takes, and the whole one is not as coarse."""
+        wanted, rate = self._wanted, self._rate
+        if rate is not None and rate.sees(self._view, wanted.shown):
+            return None
+        count = _TRIAL if rate is None else rate.pixels_in(_COARSE * (self._budget - self._seconds), wanted.step)
+        size = wanted.size_of(count)
+        if size == wanted.size:
+            return None
+        if rate is None:  # the runtime finishes kernels when they are first used, which says nothing
+            self._small(wanted.size_of(_SMALLEST), wanted.step)
+        return self._small(size, wanted.step)
+
+    def _best(self) -> tuple[tuple[int, int], float]:
+        """Size and step of the finest picture in time; few pixels are worse than long steps."""
+        wanted, rate = self._wanted, self._rate
+        if rate is None:
+            return wanted.size, wanted.step
+        left = _KEPT * self._budget - self._seconds
+        size, step = wanted.size, wanted.step
+        for step in wanted.long_steps:
+            size = wanted.size_of(rate.pixels_in(left, step))
+            if min(size) >= min(_FEW, *wanted.size):
+                break
+        return size, step
+
+    # -- those between it and the whole one -------------------------------------------------------------------------
+
+    def _between(self) -> Iterator[Refined]:
+        rate, step = self._rate, self._wanted.step
+        if not self._shown or self._casting or rate is None:
+            return  # the whole one is next, or was begun
+        whole = rate.seconds_of(self._pixels, step)
+        times = whole / rate.seconds
+        count = math.ceil(math.log(max(times, 1.0), _BETWEEN)) - 1
+        for i in range(1, count + 1):
+            pixels = rate.pixels_in(rate.seconds * times ** (i / (count + 1)), step)
+            if _WORTH * self._shown <= pixels <= self._pixels / _WORTH:
+                picture = self._small(self._wanted.size_of(pixels), step)
+                assert picture is not None  # it cannot be late
+                yield self._shows(picture, step)
+
+    # -- the whole one ----------------------------------------------------------------------------------------------
+
+    def _last(self) -> Iterator[Refined]:
+        whole, wanted = self._whole, self._wanted
+        self._cast()
+        self._learn(self._pixels, wanted.step, self._casting, first=not self._shown)
+        smoothed = wanted.samples == "auto"
+        if smoothed or whole.rays > 1:
+            more = self._casting * (whole.rays - 1 if not smoothed or self._rate is None else self._rate.edges)
+            if self._shown or self._seconds + more > self._budget:
+                yield self._shows(whole.shown(), wanted.step)
+        if smoothed:
+            begun = time.perf_counter()
+            whole.smooth_edges(self._ask)
+            if self._rate is not None:
+                self._rate = replace(self._rate, edges=(time.perf_counter() - begun) / self._casting)
+                self._rates.learn(wanted.kind, self._rate)
+        while whole.cast_rays < whole.rays:
+            whole.cast(whole.cast_rays, self._ask)
+            if whole.cast_rays < whole.rays and self._seconds - self._shown_at > self._budget:
+                yield self._shows(whole.shown(), wanted.step)
+        yield self._shows(whole.arrays["rgba"], wanted.step, final=True)
+
+    def _cast(self, until: float = math.inf) -> bool:
+        """The first ray of the whole picture, or what is left of it; whether it was in time."""
+        begun = time.perf_counter()
+        done = self._whole.cast_rays > 0 or self._whole.cast(1, self._ask, until)
+        self._casting += time.perf_counter() - begun
+        return done
+
+    # -- what they all need -----------------------------------------------------------------------------------------
+
+    def _small(self, size: tuple[int, int], step: float, until: float = math.inf) -> Refined | None:
+        """A picture of fewer pixels, from which the rate is learnt; None if it was not in time."""
+        begun = time.perf_counter()
+        frame = self._wanted.subject.frame(size, step, aspect=self._aspect, told=self._ask)
+        drawing = Drawing(frame, 1, self._wanted.filter, self._expected(size[0] * size[1], step))
+        if not drawing.cast(1, self._ask, until):
+            return None
+        self._learn(size[0] * size[1], step, time.perf_counter() - begun, first=not self._shown)
+        return Refined(drawing.arrays["rgba"], step=step)
+
+    def _expected(self, pixels: int, step: float) -> float:
+        """How many seconds a picture should take; 0 if nothing is known."""
+        return 0.0 if self._rate is None else self._rate.seconds_of(pixels, step)
+
+    def _learn(self, pixels: int, step: float, seconds: float, *, first: bool) -> None:
+        """What one picture tells: the first ones, how long those of this view take; further ones, how that grows."""
+        wanted, rate = self._wanted, self._rate
+        if rate is not None and rate.sees(self._view, wanted.shown):
+            rate = rate.grown(pixels, step, seconds)
+        if first or rate is None:
+            known = {} if rate is None else {"power": rate.power, "edges": rate.edges}
+            rate = Rate(pixels, step, seconds, self._view, wanted.shown, **known)
+        self._rate = rate
+        self._rates.learn(wanted.kind, rate)
+
+    def _shows(self, array: NDArray[Any], step: float, *, final: bool = False) -> Refined:
+        self._shown, self._shown_at = float(array[..., 0].size), self._seconds
+        return Refined(array, final, step, self._shown_at)
+
+
+def _view_of(frame: Frame) -> NDArray[np.float64]:
+    """From where a picture is seen, in voxels: where its rays start, and where they are when they have crossed the volume."""
+    camera, (width, height), far = frame.values["camera"], frame.size, max(frame.coefficients.volume.size)
+    start, way = (
+        np.array([camera[what], width * camera[f"{what}_u"], height * camera[f"{what}_v"]]) for what in ("origin", "direction")
+    )
+    return np.concatenate([start, start + far * way]).astype(np.float64)

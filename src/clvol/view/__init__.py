@@ -1,0 +1,124 @@
+"""A viewer without any GUI library: events go in, states follow, frames come out; hosts carry them.
+
+>>> view = clvol.view.View(clvol.read("scan.nii.gz"), mode="isosurface")
+>>> session = view.session(send)            # send(message, data) is called from the session's thread
+>>> session.receive({"type": "event", "event": {"event_type": "resize", "width": 512, "height": 512, "ratio": 1}})
+
+`state` holds what is shown, `events` what a pointer does to it, `session` the thread that draws it, `code` its text. Hosts are
+beside it: a page from a server, notebooks, windows.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from clvol.errors import ClvolError, MissingDependencyError
+from clvol.picture import Picture, to_png
+from clvol.view import code
+from clvol.view.code import from_toml, from_url
+from clvol.view.panes import PaneSize
+from clvol.view.resident import Resident
+from clvol.view.session import Session
+from clvol.view.slices import section
+from clvol.view.state import State
+
+if TYPE_CHECKING:
+    from clvol.view.server import Serving
+
+__all__ = ["Session", "State", "View", "from_toml", "from_url", "section", "show"]
+
+
+class View(Resident):
+    """A volume to look at, in as many sessions as there are clients; they share its coefficients, not what they show.
+
+    It is light: options are checked at once, and the device is asked at the first picture.
+
+    Parameters
+    ----------
+    scene : Volume, Scene, Medium, Field or array-like, 3-D
+    device : Device, str or int, optional
+    source : str, optional
+        Python text by which copied programs get the volume, such as ``clvol.read("scan.nii.gz")``.
+    title : str, optional
+        For people; by default the volume's name.
+    **options
+        As for `clvol.render`, but `size`, `outputs`, `sigma` and `progress`: what is shown first.
+
+    Raises
+    ------
+    OptionError
+        An unknown option, or a value that is not allowed.
+    DataError
+        The data are no volume.
+    """
+
+    @property
+    def state(self) -> State:
+        """What new sessions show first."""
+        return self.initial
+
+    @state.setter
+    def state(self, state: State) -> None:
+        self.initial = state
+
+    def serve(self, **options: Any) -> Serving:
+        """Show it in a browser: a page of a server in a thread of this process.
+
+        Parameters
+        ----------
+        **options
+            Those of `clvol.view.server.Server`: `host`, `port`, `names`, `root_path`, ...
+
+        Returns
+        -------
+        Serving
+            Its `url` has the token that lets a browser in; `close()`, or the end of a ``with`` block, ends it.
+
+        Raises
+        ------
+        MissingDependencyError
+            aiohttp is not installed.
+        OptionError
+            The port is taken, or an option is not allowed.
+        """
+        from clvol.view.server import serve
+
+        return serve(self, **options)
+
+    def session(self, send: Any, state: State | None = None) -> Session:
+        """A client's session: see `Session`."""
+        return Session(self, send, state)
+
+    def picture(self, size: tuple[int, int] = (512, 512)) -> Picture:
+        """The still picture of the first state."""
+        with self.renderer(self.initial.filter, self.initial.boundary) as renderer:
+            made: Picture = renderer.render(size=size, **self.arguments(self.initial))
+        return made
+
+    def python(self, size: tuple[int, int] = (512, 512)) -> str:
+        """A program that draws `picture(size)`, bit for bit."""
+        return code.python(self, self.initial, "3d", PaneSize(*map(float, size)), size)
+
+    def widget(self) -> Any:
+        """A widget of notebooks: see `clvol.view.notebook.Widget` (``pip install clvol[view]``)."""
+        from clvol.view.notebook import Widget
+
+        return Widget(self)
+
+    def _repr_mimebundle_(self, **_: Any) -> Any:
+        """For notebooks: the viewer, or a still picture where there is no anywidget."""
+        try:
+            return self.widget()._repr_mimebundle_()
+        except MissingDependencyError as missing:
+            plain = f"{self!r}\n{missing}"
+        try:
+            return {"image/png": to_png(self.picture()), "text/plain": plain}
+        except ClvolError as error:  # no device, for example
+            return {"text/plain": f"{plain}\n{error}"}
+
+
+def show(view: View) -> None:
+    """Show a view below the cell of a notebook: see `clvol.view.notebook.show`."""
+    from clvol.view import notebook
+
+    notebook.show(view)

@@ -1,0 +1,269 @@
+"""A state as text that draws it again: Python, the options of `clvol render` as TOML and command, the fragment of an address."""
+
+from __future__ import annotations
+
+import ast
+import base64
+import binascii
+import json
+import math
+import shlex
+import tomllib
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from clvol.camera import Camera
+from clvol.errors import OptionError
+from clvol.light import Light, Material
+from clvol.transfer import TransferFunction
+from clvol.view.panes import PaneSize, SlicePane, camera_of, vertical
+from clvol.view.resident import Resident
+from clvol.view.state import State
+
+__all__ = ["from_toml", "from_url", "python", "to_url", "toml"]
+
+_PREFIX = "#s="
+_LONGEST = 1 << 18  # characters
+_WIDE = 110  # characters of a line
+
+
+# -- Python --------------------------------------------------------------------------------------------------
+
+
+def python(resident: Resident, state: State, name: str, shown: PaneSize, size: tuple[int, int]) -> str:
+    """A program whose `picture` is what a pane shows, in so many pixels.
+
+    Parameters
+    ----------
+    resident : Resident
+        Its `source` is how the program gets the volume; without one it expects `volume`.
+    state : State
+    name : str
+        The pane.
+    shown : PaneSize
+        Of the pane.
+    size : (width, height)
+        Of the picture.
+    """
+    lines = ["import clvol"]
+    lines += ["import numpy as np"] if state.wiper is not None else []
+    lines += ["from clvol.picture import heat, to_bytes"] if state.heat and name == "3d" else []
+    lines += ["from clvol.view import section"] if name != "3d" else []
+    lines += [""]
+    lines += ["# volume: the clvol.Volume that was viewed"] if resident.source is None else [f"volume = {resident.source}"]
+    draw = _drawn if name == "3d" else _cut
+    if state.wiper is None:
+        lines += draw(resident, state, state.filter, name, shown, size, "picture")
+    else:
+        edge = round(state.wiper.at * size[0])
+        for side, chosen in (("left", state.filter), ("right", state.wiper.filter)):
+            lines += draw(resident, state, chosen, name, shown, size, side)
+        lines += [f"picture = np.concatenate([left[:, :{edge}], right[:, {edge}:]], axis=1)"]
+    return "\n".join(lines) + "\n"
+
+
+def _drawn(
+    resident: Resident,
+    state: State,
+    filter: str | None,
+    name: str,  # noqa: ARG001
+    shown: PaneSize,  # noqa: ARG001
+    size: tuple[int, int],
+    result: str,
+) -> list[str]:
+    given = resident.arguments(state)
+    camera, mode = given.pop("camera"), given.pop("mode")
+    words = {"filter": filter} if filter is not None else {}
+    words |= {"boundary": state.boundary} if state.boundary != "mirror" else {}
+    words |= {"size": size} | given
+    words |= {"outputs": "visited"} if state.heat else {}
+    words |= _device(resident)
+    texts = ["volume", _camera(camera), repr(mode), *(f"{key}={_text(value)}" for key, value in words.items())]
+    call = _call("clvol.render", texts)
+    return [f"{result} = to_bytes(heat({call}))" if state.heat else f"{result} = {call}"]
+
+
+def _cut(
+    resident: Resident, state: State, filter: str | None, name: str, shown: PaneSize, size: tuple[int, int], result: str
+) -> list[str]:
+    pane = SlicePane.of(state, resident.volume, "xyz".index(name), shown)
+    pixel = shown.width * pane.per_pixel / size[0], shown.height * pane.per_pixel / size[1]
+    words: dict[str, Any] = {
+        "middle": tuple(pane.middle.tolist()),
+        "right": tuple(pane.right.tolist()),
+        "down": tuple(pane.down.tolist()),
+        "pixel": pixel,
+        "size": size,
+    }
+    words |= {key: value for key in ("window", "cmap") if (value := getattr(state, key)) is not None}
+    words |= {"filter": filter} if filter is not None else {}
+    words |= {"boundary": state.boundary} if state.boundary != "mirror" else {}
+    words |= {"background": state.background} | _device(resident)
+    return [f"{result} = " + _call("section", ["volume", *(f"{key}={_text(value)}" for key, value in words.items())])]
+
+
+def _device(resident: Resident) -> dict[str, Any]:
+    return {"device": resident.device} if isinstance(resident.device, (str, int)) else {}
+
+
+def _call(function: str, texts: list[str]) -> str:
+    """A call on one line, or a line for each argument."""
+    line = f"{function}({', '.join(texts)})"
+    return line if len(line) <= _WIDE else f"{function}(\n" + "".join(f"    {text},\n" for text in texts) + ")"
+
+
+def _camera(camera: Camera) -> str:
+    default = Camera()
+    given = [
+        f"{field.name}={_text(getattr(camera, field.name))}"
+        for field in fields(Camera)
+        if getattr(camera, field.name) != getattr(default, field.name)
+    ]
+    return f"clvol.Camera({', '.join(given)})"
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, TransferFunction):
+        unit = "" if value.unit_distance is None else f", unit_distance={value.unit_distance!r}"
+        return f"clvol.TransferFunction({value.colors!r}, {value.opacities!r}{unit})"
+    if isinstance(value, Light):
+        return f"clvol.Light({value.direction!r}, {value.color!r}, {value.frame!r})"
+    if isinstance(value, Material):
+        return f"clvol.Material({', '.join(f'{f.name}={getattr(value, f.name)!r}' for f in fields(value))})"
+    if isinstance(value, (tuple, list)):
+        inner = ", ".join(map(_text, value))
+        return f"({inner}{',' if len(value) == 1 else ''})"
+    if isinstance(value, np.generic):
+        return repr(value.item())
+    return repr(getattr(value, "name", value) if not isinstance(value, (str, bool, int, float)) and value is not None else value)
+
+
+# -- the command ---------------------------------------------------------------------------------------------
+
+
+def toml(resident: Resident, state: State, name: str, shown: PaneSize, size: tuple[int, int]) -> str:  # noqa: ARG001
+    """The state as TOML: ``[view]`` reads back whole (`from_toml`), ``[render]`` has what flags of `clvol render` can say.
+
+    The command stands above; so does what its flags cannot say of this state.
+    """
+    flags, unsaid = _flags(resident, state, size)
+    command = ["clvol", "render", _path(resident.source), "-o", "picture.png"]
+    for flag, value in flags.items():
+        command += _flag(flag, value)
+    lines = [f"# {shlex.join(command)}"]
+    lines += [f"# (no flag says: {', '.join(unsaid)})"] if unsaid else []
+    lines += ["", "[render]", *(f"{flag} = {_toml_value(value)}" for flag, value in flags.items())]
+    lines += ["", "[view]", f"state = {json.dumps(state.text())}"]
+    return "\n".join(lines) + "\n"
+
+
+def from_toml(text: str) -> State:
+    """The state of a text of `toml`; `OptionError` if it has none."""
+    try:
+        found = tomllib.loads(text)
+        coded = found["view"]["state"]
+    except (tomllib.TOMLDecodeError, KeyError, TypeError) as error:
+        raise OptionError(f"a copied view must be TOML with a state in [view]; {error}") from None
+    if not isinstance(coded, str):
+        raise OptionError(f"the state in [view] must be a text; got {coded!r:.120}")
+    return State.from_text(coded)
+
+
+def _flags(resident: Resident, state: State, size: tuple[int, int]) -> tuple[dict[str, Any], list[str]]:
+    """Options of `clvol render`, and what they leave out."""
+    camera, volume = state.camera, resident.volume
+    view = camera_of(state).view(volume)
+    x, y, z = (float(v) for v in view.forward)
+    if volume.space == "image":
+        y, z = -y, -z
+    made: dict[str, Any] = {"mode": state.mode, "size": list(size)}
+    made |= {"filter": state.filter} if state.filter is not None else {}
+    made |= {"boundary": state.boundary, "step": state.step}
+    made |= {
+        "azimuth": round(math.degrees(math.atan2(-x, y)), 9),
+        "elevation": round(math.degrees(math.asin(max(-1.0, min(1.0, -z)))), 9),
+    }
+    made |= {"zoom": camera.zoom, "fit": camera.fit, "projection": camera.projection}
+    made |= {flag: value for flag in ("preset", "cmap", "opacity") if (value := getattr(state, flag)) is not None}
+    made |= {"window": list(state.window)} if state.window is not None else {}
+    made["background"] = "none" if state.background is None else "#" + "".join(f"{round(255 * v):02x}" for v in state.background)
+    made |= {"clip": [*state.clip[0], *state.clip[1]]} if state.clip is not None else {}
+    made |= {flag.replace("_", "-"): _text(value).strip("'") if not isinstance(value, (bool, int, float)) else value
+             for flag, value in resident.beside.items() if flag != "skipping"}  # fmt: skip
+    made |= dict(state.options)
+    unsaid = []
+    if camera.target is not None or camera.distance is not None or camera.radius is not None:
+        unsaid.append("where the camera was moved to")
+    if abs(float(view.right @ vertical(volume))) > 1e-6:
+        unsaid.append("that it was rolled")
+    if camera.fov != Camera().fov:
+        unsaid.append("its field of view")
+    if state.transfer is not None:
+        unsaid.append("the transfer function")
+        for flag in ("preset", "cmap", "opacity", "window"):
+            made.pop(flag, None)
+    unsaid += ["lights"] if state.lights is not None else []
+    unsaid += ["the material"] if state.material not in (None, Material()) else []
+    unsaid += ["the other filter of the wiper"] if state.wiper is not None else []
+    unsaid += ["the heat map (--heat-map FILE)"] if state.heat else []
+    return made, unsaid
+
+
+def _path(source: str | None) -> str:
+    """The file of a Python text such as ``clvol.read("scan.nii.gz")``."""
+    try:
+        tree = ast.parse(source or "", mode="eval").body
+    except SyntaxError:
+        return "INPUT"
+    if isinstance(tree, ast.Call) and tree.args and isinstance(tree.args[0], ast.Constant) and isinstance(tree.args[0].value, str):
+        name = tree.args[0].value
+        return f"phantom:{name}" if getattr(tree.func, "attr", "") == "by_name" else name
+    return "INPUT"
+
+
+def _flag(flag: str, value: Any) -> list[str]:
+    word = f"--{flag.replace('_', '-')}"
+    if isinstance(value, bool):
+        return [word if value else f"--no-{flag.replace('_', '-')}"]
+    if flag == "color" and isinstance(value, (list, tuple)):
+        return [word, " ".join(map(repr, value))]
+    return [word, *(repr(v) if not isinstance(v, str) else v for v in (value if isinstance(value, (list, tuple)) else [value]))]
+
+
+def _toml_value(value: Any) -> str:
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(_toml_value, value))}]"
+    if isinstance(value, float):
+        return repr(value)
+    return json.dumps(value)
+
+
+# -- an address ----------------------------------------------------------------------------------------------
+
+
+def to_url(state: State) -> str:
+    """The fragment of an address, ``#s=...``: base64url of compact JSON, of what differs from a state's defaults."""
+    default, own = State().json(), state.json()
+    brief = {name: value for name, value in own.items() if name == "version" or value != default[name]}
+    text = json.dumps(brief, separators=(",", ":"), allow_nan=False).encode()
+    return _PREFIX + base64.urlsafe_b64encode(text).decode().rstrip("=")
+
+
+def from_url(text: str) -> State:
+    """The state of an address, or of its fragment.
+
+    Raises
+    ------
+    OptionError
+        There is none in it, or it is no state.
+    """
+    if not isinstance(text, str) or len(text) > _LONGEST or "s=" not in text:
+        raise OptionError(f"an address must end in #s= and a state; got {text!r:.120}")
+    coded = text.rpartition("s=")[2]
+    try:
+        raw = base64.b64decode(coded + "=" * (-len(coded) % 4), altchars=b"-_", validate=True)
+    except (binascii.Error, ValueError) as error:
+        raise OptionError(f"the state of an address must be base64url; {error}") from None
+    return State.from_text(raw)

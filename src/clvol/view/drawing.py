@@ -1,0 +1,185 @@
+"""The pictures of a pane: of the volume, of a slice, of two filters side by side, and the heat map of samples looked at."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Generator
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.march.renderer import Renderer
+from clvol.picture import heat, to_bytes
+from clvol.view.events import Place
+from clvol.view.panes import SlicePane
+from clvol.view.resident import Resident
+from clvol.view.slices import plane_points, shaded
+from clvol.view.state import State
+from clvol.view.wiper import joined
+
+__all__ = ["Drawer", "Shot", "share_visited"]
+
+_COARSE = 3  # pixels of a heat map that is dragged, along each edge
+_TOUR = 96  # pixels of the picture whose share of samples looked at is reported, along its longer edge
+_KEPT = 2  # still pictures of the wiper's two filters
+
+
+class Shot(NamedTuple):
+    """A picture that was drawn.
+
+    Attributes
+    ----------
+    pixels : ndarray of uint8, shape (height, width, 3 or 4)
+    final : bool
+        Whether it is the still picture.
+    step : float or None
+        In voxels; None for slices.
+    visited : float or None
+        The mean share of samples that was looked at, where that is shown.
+    """
+
+    pixels: NDArray[np.uint8]
+    final: bool
+    step: float | None = None
+    visited: float | None = None
+
+
+class Drawer:
+    """Draws what states say; of one session, in its thread."""
+
+    def __init__(self, resident: Resident) -> None:
+        self.resident = resident
+        self._stills: dict[object, Shot] = {}
+        self._slice_rate = 0.0  # seconds a pixel, of the last slice
+
+    def _of_slice(self, size: tuple[int, int], budget: float) -> tuple[int, int]:
+        """The size of a slice that takes no longer than a budget, no less than a quarter along each edge."""
+        pixels = size[0] * size[1]
+        scale = min(1.0, max(0.25, math.sqrt(budget / max(self._slice_rate * pixels, 1e-9))))
+        return max(1, round(scale * size[0])), max(1, round(scale * size[1]))
+
+    def still(self, place: Place, state: State, name: str, size: tuple[int, int]) -> NDArray[np.uint8]:
+        """The still picture, in one go."""
+        last = None
+        for shot in self.shots(place, state, name, size, math.inf, lambda: False):
+            last = shot
+        assert last is not None  # nothing stopped it
+        return last.pixels
+
+    def shots(
+        self,
+        place: Place,
+        state: State,
+        name: str,
+        size: tuple[int, int],
+        budget: float,
+        stop: Callable[[], bool],
+        *,
+        coarse: bool = False,
+    ) -> Generator[Shot, None, None]:
+        """Pictures of a pane, each better than the one before; the last one is final unless `stop` said so or it is `coarse`.
+
+        Parameters
+        ----------
+        place : Place
+        state : State
+        name : str
+            The pane.
+        size : (width, height)
+            Of the still picture, in pixels.
+        budget : float
+            Seconds, for the first picture.
+        stop : callable
+            Asked while pictures of the volume are drawn.
+        coarse : bool
+            The first picture alone: something is dragged.
+        """
+        if state.wiper is None:
+            self._stills.clear()
+            yield from self._of(place, state, state.filter, name, size, budget, stop, coarse)
+            return
+        at, edge = state.wiper.at, round(state.wiper.at * size[0])
+        sides = [(state.filter, edge > 0), (state.wiper.filter, edge < size[0])]
+        plain = replace(state, wiper=None, layout="3d", active="3d", tool=None)
+        parts: list[Shot | None] = []
+        for chosen, seen in sides:
+            key = plain, chosen, name, size, tuple(place.size(name))
+            known = self._stills.get(key)
+            if known is None and seen:
+                for shot in self._of(place, plain, chosen, name, size, budget / 2, stop, coarse):
+                    known = shot
+                if known is None or not (known.final or coarse):
+                    return  # it was stopped
+                if known.final:
+                    self._stills[key] = known
+                    for old in list(self._stills)[: -2 * _KEPT]:
+                        del self._stills[old]
+            parts.append(known if seen else None)
+        left, right = parts
+        shown = [shot for shot in parts if shot is not None]
+        pixels = joined(None if left is None else left.pixels, None if right is None else right.pixels, at)
+        yield Shot(pixels, all(shot.final for shot in shown), shown[0].step, shown[0].visited)
+
+    def _of(
+        self,
+        place: Place,
+        state: State,
+        chosen: str | None,
+        name: str,
+        size: tuple[int, int],
+        budget: float,
+        stop: Callable[[], bool],
+        coarse: bool,
+    ) -> Generator[Shot, None, None]:
+        """Pictures by one filter."""
+        with self.resident.renderer(chosen, state.boundary) as renderer:
+            if name != "3d":
+                shape = self._of_slice(size, budget) if coarse else size
+                began = time.perf_counter()
+                pixels = to_bytes(_slice(renderer, place, state, name, shape))
+                self._slice_rate = (time.perf_counter() - began) / (shape[0] * shape[1])
+                yield Shot(pixels, not coarse)
+            elif state.heat:
+                shape = (max(1, size[0] // _COARSE), max(1, size[1] // _COARSE)) if coarse else size
+                share = np.asarray(renderer.render(size=shape, outputs="visited", **self.resident.arguments(state)))
+                yield Shot(to_bytes(heat(share)), not coarse, state.step, _mean(share))
+            else:
+                yield from _refined(renderer, size, budget, stop, coarse, self.resident.arguments(state))
+
+
+def _slice(renderer: Renderer, place: Place, state: State, name: str, size: tuple[int, int]) -> NDArray[Any]:
+    pane, shown = place.pane(state, name), place.size(name)
+    assert isinstance(pane, SlicePane)  # by its name
+    pixel = shown.width * pane.per_pixel / size[0], shown.height * pane.per_pixel / size[1]
+    values = renderer.field(plane_points(pane.middle, pane.right, pane.down, pixel, size), fill=np.nan)
+    return shaded(values, renderer.volume, state.window, state.cmap, state.background)
+
+
+def _refined(
+    renderer: Renderer, size: tuple[int, int], budget: float, stop: Callable[[], bool], coarse: bool, given: dict[str, Any]
+) -> Generator[Shot, None, None]:
+    if not math.isfinite(budget):
+        yield Shot(to_bytes(renderer.render(size=size, **given)), True, given["step"])
+        return
+    camera, mode, step = (given.pop(name) for name in ("camera", "mode", "step"))
+    for picture in renderer.refine(camera, mode, size, step, budget=budget, cancelled=stop, **given):
+        yield Shot(to_bytes(picture), picture.final and not coarse, picture.step)
+        if coarse:
+            return
+
+
+def share_visited(resident: Resident, state: State, shape: tuple[float, float]) -> float | None:
+    """The mean share of samples that a picture of this shape looks at, from a small one."""
+    edge = _TOUR / max(shape)
+    size = max(1, round(shape[0] * edge)), max(1, round(shape[1] * edge))
+    with resident.renderer(state.filter, state.boundary) as renderer:
+        given = resident.arguments(state) | {"samples": 1}
+        return _mean(np.asarray(renderer.render(size=size, outputs="visited", **given)))
+
+
+def _mean(share: NDArray[Any]) -> float | None:
+    met = np.isfinite(share)
+    return round(float(share[met].mean()), 4) if met.any() else None

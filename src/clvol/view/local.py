@@ -1,0 +1,236 @@
+"""A client in this process: what windows and terminals share. It puts the panes of a session into one picture.
+
+A session's thread decodes and scales its own frames, so that the host's loop only shows the newest picture.
+"""
+
+from __future__ import annotations
+
+import io
+import threading
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.view.panes import visible
+from clvol.view.state import State
+
+if TYPE_CHECKING:
+    from clvol.view import View
+
+__all__ = ["LocalClient", "decoded", "scaled"]
+
+_MOST_RATIO = 2.0  # pixels a CSS pixel, along each axis: what screens have beyond that nobody sees, and all wait for
+_CROSS = 8  # pixels
+_MARK = np.array([120, 96, 24], np.uint8)  # half of an amber
+_AT_A_POINTER = ("pointer_down", "pointer_move", "pointer_up", "double_click", "wheel")
+
+Array = NDArray[np.uint8]
+Rectangle = tuple[int, int, int, int]
+
+
+class LocalClient:
+    """A session whose frames are put together here.
+
+    Parameters
+    ----------
+    view : View
+    changed : callable
+        Called from the session's thread when `take` would give something new; it must return at once.
+    state : State, optional
+        What is shown first; by default the view's.
+    """
+
+    def __init__(self, view: View, changed: Callable[[], Any], state: State | None = None) -> None:
+        self._changed = changed
+        self._lock = threading.Lock()
+        self._state = view.initial if state is None else state
+        self._size, self._ratio = (0, 0), 1.0
+        self._canvas: Array = np.zeros((0, 0, 3), np.uint8)
+        self._parts: dict[str, Rectangle] = {}
+        self._shown: list[int] = []
+        self._still: set[str] = set()
+        self._crosshairs: dict[str, tuple[float, float]] = {}
+        self._held: str | None = None
+        self.title = ""
+        self.text = ""
+        self.closed = False
+        self.session = view.session(self._take_message, state)
+
+    # -- for the host ----------------------------------------------------------------------------------------------
+
+    def resize(self, width: int, height: int, ratio: float = 1.0) -> None:
+        """The picture is so many pixels wide and high, `ratio` of them a CSS pixel along each axis."""
+        with self._lock:
+            if ((width, height), ratio) == (self._size, self._ratio) or min(width, height) < 1:
+                return
+            self._size, self._ratio = (width, height), ratio
+            self._lay_out()
+
+    def event(self, event: Mapping[str, Any]) -> None:
+        """One of rendercanvas's events, in CSS pixels of the whole picture; it goes to the pane that lies there."""
+        kind = event.get("event_type")
+        sent = dict(event)
+        if kind in _AT_A_POINTER:
+            x, y = float(event.get("x", 0)), float(event.get("y", 0))
+            with self._lock:
+                name = self._held if self._held in self._parts else self._pane_at(x, y)
+                left, top = self._parts.get(name or "", (0, 0, 0, 0))[:2]
+            if name is None:
+                return
+            if kind == "pointer_down":
+                self._held = name  # a drag stays with the pane where it began
+            elif kind == "pointer_up":
+                self._held = None
+            sent |= {"pane": name, "x": x - left / self._ratio, "y": y - top / self._ratio}
+        self.session.receive({"type": "event", "event": sent})
+
+    def do(self, what: str, **arguments: Any) -> None:
+        """One of the deeds of the protocol, such as "undo"."""
+        self.session.receive({"type": "do", "what": what, **arguments})
+
+    def take(self) -> Array:
+        """The newest picture, (height, width, 3) uint8; what is in it counts as shown."""
+        with self._lock:
+            picture, shown = self._canvas.copy(), self._shown
+            self._shown = []
+            for name, at in self._crosshairs.items():
+                self._mark(picture, name, at)
+        for number in shown:
+            self.session.receive({"type": "ack", "frame": number})
+        return picture
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Pixels along x and y."""
+        return self._size
+
+    @property
+    def still(self) -> bool:
+        """Whether all panes show their last picture."""
+        with self._lock:
+            return bool(self._parts) and self._still >= self._parts.keys()
+
+    def close(self) -> None:
+        """End the session."""
+        self.closed = True
+        self.session.close()
+
+    # -- from the session's thread ------------------------------------------------------------------------------------
+
+    def _take_message(self, message: dict[str, Any], data: bytes | None) -> None:
+        if self.closed:
+            raise ConnectionError("the window was closed")
+        kind = message["type"]
+        if kind == "frame" and data is not None:
+            self._take_frame(message, data)
+        elif kind == "info":
+            self.title = str(message.get("title") or "")
+        elif kind == "state":
+            with self._lock:
+                before = visible(self._state)
+                self._state = State.from_json(message["state"])
+                if visible(self._state) != before:
+                    self._lay_out()
+        elif kind == "overlay":
+            with self._lock:
+                self._crosshairs.pop(message["pane"], None)
+                if message.get("crosshair") is not None:
+                    x, y = message["crosshair"]
+                    self._crosshairs[message["pane"]] = float(x), float(y)
+        elif kind == "status":
+            self.text = str(message.get("text") or "")
+        elif kind == "reply" and message.get("value") is not None:
+            self.text = f"value {message['value']:.6g} at {', '.join(f'{x:.4g}' for x in message.get('position') or ())}"
+        else:
+            return
+        self._changed()
+
+    def _take_frame(self, message: dict[str, Any], data: bytes) -> None:
+        name = message["pane"]
+        with self._lock:
+            part = self._parts.get(name)
+        pixels = None if part is None else scaled(decoded(data), (part[2], part[3]))
+        with self._lock:
+            self._shown.append(message["number"])
+            if pixels is None or self._parts.get(name) != part or part is None:
+                return  # of a layout that is gone
+            left, top, width, height = part
+            self._canvas[top : top + height, left : left + width] = pixels
+            (self._still.add if message.get("final") else self._still.discard)(name)
+
+    # -- panes -----------------------------------------------------------------------------------------------------
+
+    def _lay_out(self) -> None:
+        """Places of the panes: one has all, four have a quarter each. What was shown stays until there is something new."""
+        width, height = self._size
+        names = visible(self._state)
+        if not width or not height:
+            return
+        self._canvas = scaled(self._canvas, self._size) if self._canvas.size else np.zeros((height, width, 3), np.uint8)
+        columns = 1 if len(names) == 1 else 2
+        rows = -(-len(names) // columns)
+        self._still.clear()
+        self._parts = {}
+        for i, name in enumerate(names):
+            left, right = (width * k // columns for k in (i % columns, i % columns + 1))
+            top, bottom = (height * k // rows for k in (i // columns, i // columns + 1))
+            self._parts[name] = part = (left, top, max(1, right - left), max(1, bottom - top))
+            size = {"width": part[2] / self._ratio, "height": part[3] / self._ratio, "ratio": min(self._ratio, _MOST_RATIO)}
+            self.session.receive({"type": "event", "event": {"event_type": "resize", "pane": name, **size}})
+
+    def _mark(self, picture: Array, name: str, at: tuple[float, float]) -> None:
+        """Draw the crosshair of linked panes: lines across slices, a small cross in the volume."""
+        part = self._parts.get(name)
+        if part is None or len(self._parts) == 1:
+            return
+        left, top, width, height = part
+        pane = picture[top : top + height, left : left + width]
+        x, y = (int(v * self._ratio) for v in at)
+        reach = _CROSS if name == "3d" else max(width, height)
+        for line in (
+            pane[y : y + 1, max(0, x - reach) : max(0, x + reach + 1)] if 0 <= y < height else pane[:0],
+            pane[max(0, y - reach) : max(0, y + reach + 1), x : x + 1] if 0 <= x < width else pane[:0],
+        ):
+            line[:] = line // 2 + _MARK
+
+    def _pane_at(self, x: float, y: float) -> str | None:
+        for name, (left, top, width, height) in self._parts.items():
+            if left <= x * self._ratio < left + width and top <= y * self._ratio < top + height:
+                return name
+        return None
+
+
+def decoded(data: bytes) -> Array:
+    """The picture of a frame, (height, width, 3), over black."""
+    from PIL import Image
+
+    pixels = np.asarray(Image.open(io.BytesIO(data)))
+    if pixels.ndim == 2:
+        pixels = np.repeat(pixels[..., None], 3, 2)
+    if pixels.shape[2] == 4:
+        pixels = (pixels[..., :3].astype(np.uint16) * pixels[..., 3:] // 255).astype(np.uint8)
+    return np.asarray(pixels, np.uint8)
+
+
+def scaled(pixels: Array, size: tuple[int, int]) -> Array:
+    """A picture (width, height) pixels large: the linear filter, and where there are fewer pixels means of what they cover.
+
+    It is computed here and not on the device: a first picture must not wait for kernels to be built.
+    """
+    for axis, count in ((0, size[1]), (1, size[0])):
+        n = pixels.shape[axis]
+        if n == count:
+            continue
+        if n % count == 0:
+            split = (*pixels.shape[:axis], count, n // count, *pixels.shape[axis + 1 :])
+            pixels = np.rint(pixels.reshape(split).mean(axis + 1, dtype=np.float32)).astype(np.uint8)
+            continue
+        at = np.clip((np.arange(count) + 0.5) * (n / count) - 0.5, 0, n - 1)
+        first = np.minimum(at.astype(np.intp), max(0, n - 2))
+        share = np.rint(256 * (at - first)).astype(np.uint16)
+        share = share.reshape([-1 if k == axis else 1 for k in range(3)])
+        low, high = pixels.take(first, axis), pixels.take(np.minimum(first + 1, n - 1), axis)
+        pixels = ((low * (256 - share) + high * share + 128) >> 8).astype(np.uint8)
+    return np.ascontiguousarray(pixels)

@@ -1,0 +1,137 @@
+"""In napari: a dock widget and an action of layers, which draw the selected layer as it is seen (``pip install clvol[napari]``)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.camera import Camera
+from clvol.errors import MissingDependencyError, OptionError
+from clvol.filter import filters
+from clvol.march.renderer import render
+from clvol.mode import DEFAULT_MODE, modes
+from clvol.picture import to_bytes
+from clvol.preset import presets
+from clvol.volume import Volume
+from clvol.volumes import Volumes
+
+try:
+    from magicgui import widgets
+except ImportError as missing:
+    raise MissingDependencyError("clvol in napari needs napari and magicgui: pip install clvol[napari]") from missing
+
+__all__ = ["RenderWidget", "camera_of", "picture_of", "render_selected", "volume_of"]
+
+_AUTO = "(default)"
+_SIZE = 512
+_MOST = 4096
+
+
+class RenderWidget(widgets.Container):  # type: ignore[misc]  # magicgui has no types
+    """The dock widget: draws the selected layer from where napari's camera looks, into a layer in colours."""
+
+    def __init__(self, napari_viewer: Any) -> None:
+        self._viewer = napari_viewer
+        self.mode = widgets.ComboBox(label="mode", choices=list(modes()), value=DEFAULT_MODE)
+        self.filter = widgets.ComboBox(label="filter", choices=[_AUTO, *(f.name for f in filters().values())], value=_AUTO)
+        self.preset = widgets.ComboBox(label="preset", choices=[_AUTO, *presets()], value=_AUTO)
+        self.pixels = widgets.SpinBox(label="pixels", value=_SIZE, min=16, max=_MOST)
+        self.button = widgets.PushButton(text="Render")
+        self.told = widgets.Label(value="")
+        super().__init__(widgets=[self.mode, self.filter, self.preset, self.pixels, self.button, self.told])
+        self.button.changed.connect(self.draw)
+
+    def draw(self) -> None:
+        """Draw it; what cannot be is said beneath the button."""
+        options = {"filter": self.filter.value, "preset": self.preset.value}
+        try:
+            _show(self._viewer, self.mode.value, self.pixels.value, **{k: v for k, v in options.items() if v != _AUTO})
+        except Exception as error:  # a user looks at the widget, not at a terminal
+            self.told.value = str(error)
+        else:
+            self.told.value = ""
+
+
+def render_selected() -> None:
+    """The action of a layer's menu: the selected layer, in the default mode."""
+    import napari
+
+    viewer = napari.current_viewer()
+    if viewer is None:
+        raise OptionError("there must be a viewer of napari; there is none")
+    _show(viewer, DEFAULT_MODE, _SIZE)
+
+
+def picture_of(viewer: Any, layer: Any, mode: str = DEFAULT_MODE, pixels: int = _SIZE, **options: Any) -> NDArray[np.uint8]:
+    """The picture of a layer, square, as the viewer's camera looks at it; what is fitted is the layer.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer
+    layer : napari.layers.Image or Labels
+    mode : str
+    pixels : int
+        Along each edge.
+    **options
+        As for `clvol.render`.
+    """
+    camera, mirrored = camera_of(viewer.camera)
+    picture = to_bytes(render(volume_of(viewer, layer), camera=camera, mode=mode, size=(pixels, pixels), **options))
+    return np.ascontiguousarray(picture[:, ::-1]) if mirrored else picture
+
+
+def camera_of(camera: Any) -> tuple[Camera, bool]:
+    """A camera of napari's direction, and whether its pictures are mirrored.
+
+    napari counts z, y, x as right-handed since its version 0.6, if nobody turns an axis; that world is the mirror image of x, y, z.
+    """
+    direction, up = (tuple(float(v) for v in vector[::-1]) for vector in (camera.view_direction, camera.up_direction))
+    handed = getattr(camera, "handedness", "left")
+    fov = float(camera.perspective)
+    flat = not 1 <= fov < 175
+    made = Camera(
+        direction=direction,  # type: ignore[arg-type]  # of three
+        up=up,  # type: ignore[arg-type]
+        upright=False,
+        fit="volume",  # the whole layer, as steady as in the viewer
+        projection="orthographic" if flat else "perspective",
+        fov=30.0 if flat else fov,
+    )
+    return made, str(getattr(handed, "value", handed)) == "right"
+
+
+def volume_of(viewer: Any, layer: Any) -> Volume:
+    """The layer's volume; of several the one at the viewer's sliders.
+
+    Raises
+    ------
+    OptionError
+        The layer is in colours, or has no three axes.
+    """
+    if getattr(layer, "rgb", False):
+        raise OptionError(f"a layer must have one value a voxel; {layer.name!r} is in colours: split it into channels")
+    if layer.ndim < 3:
+        raise OptionError(f"a layer must have three axes to be rendered; {layer.name!r} has {layer.ndim}")
+    if layer.ndim == 3:
+        return Volume(layer)
+    volumes = Volumes(layer)
+    counts = volumes.leading.counts
+    at = layer.world_to_data(tuple(viewer.dims.point)[-layer.ndim :])[: len(counts)]
+    place = tuple(min(max(round(float(x)), 0), n - 1) for x, n in zip(at, counts, strict=True))
+    return volumes[int(np.ravel_multi_index(place, counts))]
+
+
+def _show(viewer: Any, mode: str, pixels: int, **options: Any) -> None:
+    """Put the picture of the selected layer into a layer of its own, that of the last one if it is there."""
+    layer = viewer.layers.selection.active
+    if layer is None:
+        raise OptionError("one layer must be selected, of an image or of labels")
+    picture = picture_of(viewer, layer, mode, pixels, **options)
+    name = f"{layer.name} by clvol"
+    if name in viewer.layers:
+        viewer.layers[name].data = picture
+    else:
+        viewer.add_image(picture, rgb=True, name=name)
+        viewer.layers.selection.active = layer  # the next picture is of it again

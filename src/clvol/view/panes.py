@@ -1,0 +1,204 @@
+"""Where a pane's pixels lie in the world: of pictures of the volume, and of slices through it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.camera import Camera, View
+from clvol.view.state import State
+from clvol.volume import Volume
+
+__all__ = ["Pane3D", "PaneSize", "SlicePane", "bounds", "camera_of", "pane_of", "vertical", "visible"]
+
+Vector: TypeAlias = NDArray[np.float64]
+_MARGIN = 1.04
+
+
+class PaneSize(NamedTuple):
+    """Of a pane on the client's screen: CSS pixels, and how many pixels of the screen each of them is."""
+
+    width: float = 512.0
+    height: float = 512.0
+    ratio: float = 1.0
+
+
+def vertical(volume: Volume) -> Vector:
+    """The direction of the world that is up: z, or -z for stacks of images, whose slices run away from the viewer."""
+    return np.array([0.0, 0.0, -1.0 if volume.space == "image" else 1.0])
+
+
+def bounds(volume: Volume) -> tuple[Vector, Vector]:
+    """The box of the world that holds the volume's domain."""
+    return volume.corners.min(0), volume.corners.max(0)
+
+
+def visible(state: State) -> tuple[str, ...]:
+    """The panes that a layout shows."""
+    if state.layout == "3d":
+        return ("3d",)
+    if state.layout == "slice":
+        return (state.active if state.active != "3d" else "z",)
+    return ("3d", "x", "y", "z")
+
+
+def camera_of(state: State) -> Camera:
+    """The camera of the volume's picture."""
+    own = state.camera
+    return Camera(
+        target=own.target,
+        direction=own.direction,
+        up=own.up,
+        projection=own.projection,
+        fov=own.fov,
+        distance=own.distance,
+        zoom=own.zoom,
+        radius=own.radius,
+        fit=own.fit,
+    )
+
+
+@dataclass(frozen=True)
+class Pane3D:
+    """A picture of the volume; its camera must be placed.
+
+    Parameters
+    ----------
+    size : PaneSize
+    view : View
+        Of the placed camera.
+    target : ndarray, shape (3,)
+        What it looks at.
+    """
+
+    size: PaneSize
+    view: View
+    target: Vector
+
+    @classmethod
+    def of(cls, camera: Camera, volume: Volume, size: PaneSize) -> Pane3D:
+        """The pane of a camera whose target is known, or is the volume's centre."""
+        view = camera.view(volume, size.width / size.height)
+        return cls(size, view, np.asarray(volume.center if camera.target is None else camera.target, np.float64))
+
+    @property
+    def right(self) -> Vector:
+        return self.view.right
+
+    @property
+    def down(self) -> Vector:
+        return -self.view.up
+
+    @property
+    def distance(self) -> float:
+        """From the eye to the target, along the view."""
+        return float((self.target - self.view.eye) @ self.view.forward)
+
+    def pixel(self, depth: float | None = None) -> float:
+        """World units a CSS pixel, at a distance from the eye's plane; by default the target's."""
+        scale = 2 * self.view.half_height / self.size.height
+        return scale if self.view.orthographic else scale * (self.distance if depth is None else depth)
+
+    def ray(self, x: float, y: float) -> tuple[Vector, Vector]:
+        """Where the ray of a place in CSS pixels begins, and its direction, of length 1."""
+        view, (width, height, _) = self.view, self.size
+        scale = 2 * view.half_height / height
+        offset = (x - width / 2) * scale * view.right - (y - height / 2) * scale * view.up
+        if view.orthographic:
+            return view.eye + offset, view.forward
+        way = view.forward + offset
+        return view.eye, way / np.linalg.norm(way)
+
+    def at_depth(self, x: float, y: float, depth: float) -> Vector:
+        """The world point under a place at a distance from the eye's plane."""
+        origin, way = self.ray(x, y)
+        return np.asarray(origin + way * (depth / float(way @ self.view.forward)))
+
+    def depth_of(self, point: Vector) -> float:
+        """Distance of a world point from the eye's plane."""
+        return float((point - self.view.eye) @ self.view.forward)
+
+    def project(self, point: Any) -> tuple[float, float] | None:
+        """The place of a world point, in CSS pixels; None behind the eye."""
+        to = np.asarray(point, np.float64) - self.view.eye
+        depth = float(to @ self.view.forward)
+        if not self.view.orthographic and depth <= 1e-9 * max(1.0, float(np.linalg.norm(to))):
+            return None
+        scale = self.pixel(depth)
+        return (self.size.width / 2 + float(to @ self.view.right) / scale, self.size.height / 2 - float(to @ self.view.up) / scale)
+
+    @property
+    def unit_pixels(self) -> float:
+        """CSS pixels a world unit, at the target."""
+        return 1 / self.pixel()
+
+
+@dataclass(frozen=True)
+class SlicePane:
+    """A slice across an axis of the world, seen as radiologists do: a patient's right on the viewer's left, from the feet.
+
+    Parameters
+    ----------
+    size : PaneSize
+    axis : int
+        The axis of the world that it is across: 0, 1 or 2.
+    middle : ndarray, shape (3,)
+        The world point in the middle of the pane, on the slice.
+    right, down : ndarray, shape (3,)
+        Directions of the world to the right and down in the picture.
+    per_pixel : float
+        World units a CSS pixel.
+    """
+
+    size: PaneSize
+    axis: int
+    middle: Vector
+    right: Vector
+    down: Vector
+    per_pixel: float
+
+    @classmethod
+    def of(cls, state: State, volume: Volume, axis: int, size: PaneSize) -> SlicePane:
+        """The pane of a state."""
+        across, along = [(1, 2), (0, 2), (0, 1)][axis]
+        right, down = np.eye(3)[across], np.eye(3)[along]
+        # z runs up in pictures of volumes that are seen with z up, y up in their slices across z; rows of images run down
+        if volume.space != "image" and not (axis == 2 and volume.space == "LPS"):
+            down = -down
+        extents = np.ptp(volume.corners, axis=0)
+        fitted = _MARGIN * max(extents[across] / size.width, extents[along] / size.height)
+        middle = np.array(volume.center if state.slice.center is None else state.slice.center, np.float64)
+        middle[axis] = (volume.center if state.crosshair is None else state.crosshair)[axis]
+        return cls(size, axis, middle, right, down, float(fitted) / state.slice.zoom)
+
+    def point(self, x: Any, y: Any) -> Vector:
+        """World points under places in CSS pixels; (..., 3)."""
+        u = (np.asarray(x, np.float64) - self.size.width / 2) * self.per_pixel
+        v = (np.asarray(y, np.float64) - self.size.height / 2) * self.per_pixel
+        return np.asarray(self.middle + u[..., None] * self.right + v[..., None] * self.down)
+
+    def project(self, point: Any) -> tuple[float, float]:
+        """The place of a world point, or of the one beside it on the slice, in CSS pixels."""
+        to = (np.asarray(point, np.float64) - self.middle) / self.per_pixel
+        return self.size.width / 2 + float(to @ self.right), self.size.height / 2 + float(to @ self.down)
+
+    @property
+    def unit_pixels(self) -> float:
+        """CSS pixels a world unit."""
+        return 1 / self.per_pixel
+
+
+def pane_of(state: State, name: str, volume: Volume, size: PaneSize, placed: Camera) -> Pane3D | SlicePane:
+    """The pane of a name; `placed` is the camera with its target."""
+    return Pane3D.of(placed, volume, size) if name == "3d" else SlicePane.of(state, volume, "xyz".index(name), size)
+
+
+def rotation(axis: Vector, angle: float) -> Vector:
+    """The matrix that turns by an angle, in radians, about an axis of length 1 (right hand)."""
+    x, y, z = axis
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(math.cos(angle) * np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * np.outer(axis, axis))

@@ -1,0 +1,849 @@
+"""A view as a page of a web server: the page's files, and a websocket for each client.
+
+It listens on this machine alone unless told otherwise. Who may look proves it by a random token: once in the address, then by a
+cookie. The names that requests ask for (`Host`) and come from (`Origin`) are checked whatever token they bring, so that neither
+another site in the same browser nor a name that is made to point here gets in. No path of a request is ever opened: there is a
+table of the package's own files.
+
+On the wire each message is one JSON text; where bytes follow it, it says how many (``"bytes"``), and they are the next message.
+
+One client costs no more than its share: messages are read at a limited rate, what waits for a slow one is bounded (of two frames of
+a pane the older is dropped), silent ones are sent away.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hmac
+import ipaddress
+import json
+import mimetypes
+import re
+import secrets
+import socket
+import ssl
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Protocol, Self
+from urllib.parse import urlsplit
+
+from clvol.checks import number, whole
+from clvol.errors import ClvolError, MissingDependencyError, OptionError
+
+try:
+    from aiohttp import WSCloseCode, WSMsgType, web
+except ImportError as missing:
+    raise MissingDependencyError("the viewer's page needs aiohttp, which is not installed: pip install clvol[view]") from missing
+
+__all__ = ["Limits", "Server", "Serving", "serve"]
+
+Message = dict[str, Any]
+Send = Callable[[Message, bytes | None], None]
+
+_LOOPBACK = ("127.0.0.1", "::1", "localhost")
+_IDLE, _FAILED = 4000, 4001  # close codes that an application may define
+_NEWEST_WINS = ("frame", "overlay", "state", "stats", "status")  # messages of which a slow client gets the last alone, of each pane
+_FAREWELL = 0.4  # seconds that a client has to answer when it is sent away
+_PAUSE = 0.05  # seconds between looks at whether something has ended
+
+
+class _Session(Protocol):
+    def receive(self, message: Message) -> None: ...
+    def close(self) -> None: ...
+
+
+class _View(Protocol):
+    def session(self, send: Send) -> _Session: ...
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What one client, and all of them, may cost.
+
+    Parameters
+    ----------
+    clients : int
+        Pages that may be open at once.
+    message : int
+        Bytes of the longest message that a client may send.
+    rate, burst : float
+        Messages a second that are read of one client, and how many at once; further ones wait in its own connection.
+    flood : float
+        Seconds for which it may send more than that, before it is sent away.
+    waiting : int
+        Bytes that may wait for one client: pictures that it asked for included.
+    messages : int
+        How many messages may wait for one client.
+    idle : float
+        Seconds without a message of its own after which a client is sent away, and its view is freed.
+    stuck : float
+        Seconds in which a client must take a message.
+    """
+
+    clients: int = 8
+    message: int = 64 << 10
+    rate: float = 500.0
+    burst: float = 1000.0
+    flood: float = 10.0
+    waiting: int = 64 << 20
+    messages: int = 256
+    idle: float = 1800.0
+    stuck: float = 30.0
+
+    def __post_init__(self) -> None:
+        for name in ("clients", "message", "waiting", "messages"):
+            whole(name, getattr(self, name), minimum=1)
+        for name in ("rate", "burst", "flood", "idle", "stuck"):
+            number(name, getattr(self, name), above=0)
+
+
+# -- what waits for a client -----------------------------------------------------------------------------------
+
+
+class _Outbox:
+    """Messages on their way to one client, put in by any thread; bounded, whatever the loop and the client do."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, limits: Limits) -> None:
+        self._loop, self._limits = loop, limits
+        self._lock = threading.Lock()
+        self._waiting: deque[tuple[Message, bytes | None]] = deque()
+        self._bytes = 0
+        self._woken = False
+        self._filled = asyncio.Event()
+        self.closed = False
+        self.overflowed = False
+        self.dropped: list[int] = []  # numbers of frames that the client will never see
+
+    def put(self, message: Message, data: bytes | None = None) -> None:
+        kind = message.get("type")
+        with self._lock:
+            if self.closed:
+                return
+            if kind in _NEWEST_WINS:
+                self._drop(lambda other: other.get("type") == kind and other.get("pane") == message.get("pane"))
+            elif data is not None and len(data) > self._limits.waiting // 2:
+                size = f"{len(data) / 2**20:.0f} MiB, more than the {self._limits.waiting / 2**21:g} that a page may get at once"
+                message, data = {**message, "error": f"the file has {size}; make it smaller"}, None
+            self._waiting.append((message, data))
+            self._bytes += _size(message, data)
+            if self._full():
+                self._drop(lambda other: other.get("type") == "frame")
+            self.overflowed |= self._full()  # of what may not be dropped
+            wake = not self._woken
+            self._woken = True
+        if wake:
+            with contextlib.suppress(RuntimeError):  # the loop has ended
+                self._loop.call_soon_threadsafe(self._filled.set)
+
+    def _full(self) -> bool:
+        return self._bytes > self._limits.waiting or len(self._waiting) > self._limits.messages
+
+    def _drop(self, wrong: Callable[[Message], bool]) -> None:
+        kept = deque[tuple[Message, bytes | None]]()
+        for message, data in self._waiting:
+            if not wrong(message):
+                kept.append((message, data))
+                continue
+            self._bytes -= _size(message, data)
+            if message.get("type") == "frame" and "number" in message:
+                self.dropped.append(message["number"])
+        self._waiting = kept
+
+    async def take(self) -> tuple[Message, bytes | None] | None:
+        """The next message; None once it is closed or has overflowed."""
+        while True:
+            with self._lock:
+                if self.closed or self.overflowed:
+                    return None
+                if self._waiting:
+                    message, data = self._waiting.popleft()
+                    self._bytes -= _size(message, data)
+                    return message, data
+                self._woken = False
+                self._filled.clear()
+            await self._filled.wait()
+
+    def take_dropped(self) -> list[int]:
+        with self._lock:
+            dropped, self.dropped = self.dropped, []
+        return dropped
+
+    def close(self) -> None:
+        with self._lock:
+            self.closed = True
+            self._waiting.clear()
+            self._bytes = 0
+        with contextlib.suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(self._filled.set)
+
+
+def _size(message: Message, data: bytes | None) -> int:
+    return 256 + (len(data) if data is not None else 0) + (0 if message.get("type") == "frame" else 8 * len(message))
+
+
+class _Rate:
+    """Tokens that a client spends: `take` says how many seconds it must wait for the next one."""
+
+    def __init__(self, rate: float, burst: float) -> None:
+        self._rate, self._burst = rate, burst
+        self._tokens, self._last = burst, time.monotonic()
+
+    def take(self) -> float:
+        now = time.monotonic()
+        self._tokens = min(self._burst, self._tokens + (now - self._last) * self._rate) - 1
+        self._last = now
+        return max(0.0, -self._tokens / self._rate)
+
+    @property
+    def calm(self) -> bool:
+        """Whether half of the tokens have come back: a sleep that was a little long does not count."""
+        return 2 * self._tokens > self._burst
+
+
+# -- one client ------------------------------------------------------------------------------------------------
+
+
+class _Client:
+    """A websocket and the session behind it."""
+
+    def __init__(self, server: Server, socket: web.WebSocketResponse) -> None:
+        self._server, self._socket, self._limits = server, socket, server.limits
+        self._outbox = _Outbox(asyncio.get_running_loop(), server.limits)
+        self._session: _Session | None = None
+        self._making: asyncio.Future[_Session] | None = None
+        self._early: deque[Message] = deque(maxlen=64)  # sent before there was a session
+        self._last = time.monotonic()
+        self._ended: tuple[int, str] | None = None
+
+    async def run(self) -> None:
+        """Until the client is gone, or is sent away."""
+        tasks = [asyncio.ensure_future(part) for part in (self._read(), self._write(), self._open(), self._watch())]
+        try:
+            await asyncio.wait([tasks[0], tasks[1], tasks[3]], return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            self._outbox.close()
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+            code, reason = self._ended or (WSCloseCode.OK, "")
+            with contextlib.suppress(Exception):
+                await asyncio.wait_for(self._socket.close(code=code, message=reason.encode()[:120]), _FAREWELL)
+            if self._making is not None:  # a client may be gone before its session is there
+                with contextlib.suppress(Exception):
+                    session: _Session = await self._making
+                    await in_thread(session.close, "closing a view")
+
+    def end(self, code: int, reason: str) -> None:
+        self._ended = self._ended or (code, reason)
+        self._outbox.close()
+
+    async def _open(self) -> None:
+        """The session, as soon as there is a view; what prevents it is told to the client, which stays."""
+        if not self._server.opened.done():
+            self._outbox.put({"type": "status", "kind": "busy", "text": self._server.doing})
+        try:
+            view = await asyncio.shield(self._server.opened)
+            self._making = asyncio.ensure_future(in_thread(lambda: view.session(self._outbox.put), "a view"))
+            session = await asyncio.shield(self._making)
+        except Exception as error:
+            self._outbox.put({"type": "status", "kind": "error", "text": said(error)})
+            return
+        while self._early:
+            self._pass(session, self._early.popleft())
+        self._session = session
+
+    async def _read(self) -> None:
+        rate, since = _Rate(self._limits.rate, self._limits.burst), 0.0
+        async for got in self._socket:
+            if got.type is not WSMsgType.TEXT:
+                self.end(WSCloseCode.UNSUPPORTED_DATA, "messages are JSON texts")
+                return
+            wait = rate.take()
+            if wait:
+                now = time.monotonic()
+                since = since or now
+                if now - since > self._limits.flood:
+                    self.end(WSCloseCode.POLICY_VIOLATION, f"more than {self._limits.rate:g} messages a second")
+                    return
+                await asyncio.sleep(wait)  # its own connection fills up: others notice nothing
+            elif rate.calm:
+                since = 0.0
+            message = parsed(got.data)
+            if isinstance(message, str):
+                self._outbox.put({"type": "status", "kind": "error", "text": message})
+                continue
+            if message["type"] != "ack":
+                self._last = time.monotonic()
+            if self._session is None:
+                self._early.append(message)
+            else:
+                self._pass(self._session, message)
+
+    def _pass(self, session: _Session, message: Message) -> None:
+        try:
+            session.receive(message)
+        except Exception as error:  # of a session: it must not end what serves the others
+            self._outbox.put({"type": "status", "kind": "error", "text": said(error)})
+
+    async def _write(self) -> None:
+        while (taken := await self._outbox.take()) is not None:
+            message, data = taken
+            try:
+                text = json.dumps(message if data is None else message | {"bytes": len(data)}, allow_nan=False)
+            except (TypeError, ValueError) as error:
+                text = json.dumps({"type": "status", "kind": "error", "text": f"a message could not be written: {error}"})
+                data = None
+            try:
+                async with asyncio.timeout(self._limits.stuck):
+                    await self._socket.send_str(text)
+                    if data is not None:
+                        await self._socket.send_bytes(data)
+            except (TimeoutError, ConnectionError):
+                return
+            if self._session is not None:  # a session waits for frames that were dropped, too
+                for number_ in self._outbox.take_dropped():
+                    self._pass(self._session, {"type": "ack", "frame": number_, "dropped": True})
+        if self._outbox.overflowed:
+            self.end(WSCloseCode.TRY_AGAIN_LATER, "the connection is too slow for what was asked for")
+
+    async def _watch(self) -> None:
+        """Ends with what a server ends: silence."""
+        while (left := self._last + self._limits.idle - time.monotonic()) > 0:
+            await asyncio.sleep(left)
+        self.end(_IDLE, f"nothing was done for {_duration(self._limits.idle)}")
+
+
+def parsed(text: str) -> Message | str:
+    """A message, or what is wrong with it."""
+    try:
+        message = json.loads(text, parse_constant=_no_number)
+    except (ValueError, RecursionError) as error:
+        return f"a message must be JSON; {type(error).__name__}: {str(error)[:80]}"
+    if not isinstance(message, dict) or not isinstance(message.get("type"), str):
+        return 'a message must be an object with a "type"'
+    return message
+
+
+def _no_number(name: str) -> float:
+    raise ValueError(f"{name} is no number of JSON")
+
+
+def said(error: BaseException) -> str:
+    """What people read of an error: its words, and its type where it is none of ours."""
+    words = " ".join(str(error).split())
+    if isinstance(error, (ClvolError, OSError)) and words:
+        return words
+    if isinstance(error, MemoryError):
+        return f"out of memory: {words}" if words else "out of memory"
+    return f"{type(error).__name__}: {words}" if words else type(error).__name__
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds / 60:g} minutes" if seconds >= 60 else f"{seconds:g} s"
+
+
+async def in_thread(work: Callable[[], Any], name: str) -> Any:
+    """Work in a thread of its own that does not keep the process: asyncio's are waited for at its end."""
+    loop = asyncio.get_running_loop()
+    future: asyncio.Future[Any] = loop.create_future()
+
+    def done(result: Any, error: BaseException | None) -> None:
+        if future.done():
+            return
+        if error is None:
+            future.set_result(result)
+        else:
+            future.set_exception(error)
+
+    def run() -> None:
+        result, error = None, None
+        try:
+            result = work()
+        except BaseException as raised:
+            error = raised if isinstance(raised, Exception) else RuntimeError(f"{name} ended by {type(raised).__name__}")
+        with contextlib.suppress(RuntimeError):  # the loop has ended
+            loop.call_soon_threadsafe(done, result, error)
+
+    threading.Thread(target=run, name=f"clvol: {name}", daemon=True).start()
+    return await future
+
+
+# -- the server ------------------------------------------------------------------------------------------------
+
+
+class Server:
+    """Serves a view to browsers; `start` and `stop` it in an event loop, or use `serve`.
+
+    Parameters
+    ----------
+    view : View or callable
+        What is shown, or what makes it: called in a thread, so that the page is there while a volume is still read.
+    host, port : str, int
+        Where to listen; port 0 is a free one.
+    names : sequence of str
+        Further names, with or without a port, by which browsers may ask for it: those of a proxy. Its pages may come from there.
+    root_path : str
+        The path under which a proxy shows it, such as ``"/user/ada/clvol"``; requests may come with it or without.
+    frame_ancestors : sequence of str
+        Sites that may show the page in a frame; none by default.
+    certificate, key : path, optional
+        Of a server that speaks TLS itself (https and wss).
+    limits : Limits
+        What clients may cost.
+    doing : str
+        What is said while the view is made.
+    """
+
+    def __init__(
+        self,
+        view: _View | Callable[[], _View],
+        *,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        names: Iterable[str] = (),
+        root_path: str = "",
+        frame_ancestors: Iterable[str] = (),
+        certificate: str | Path | None = None,
+        key: str | Path | None = None,
+        limits: Limits | None = None,
+        doing: str = "reading the volume",
+    ) -> None:
+        self.host, self.port = host, whole("port", port, minimum=0, maximum=65535)
+        self.limits, self.doing = limits or Limits(), doing
+        self.token = secrets.token_urlsafe(32)
+        self._secret = secrets.token_urlsafe(32)  # of the cookie: the address does not give it away
+        self._make = (lambda: view) if hasattr(view, "session") else view
+        self._names = frozenset(map(_as_name, names))
+        self._root = _as_root(root_path)
+        self._tls = _tls(certificate, key)
+        self._files = _static()
+        self._headers = _headers([*map(_as_ancestor, frame_ancestors)])
+        self._clients: set[_Client] = set()
+        self._rest: asyncio.TimerHandle | None = None
+        self._runner: web.AppRunner | None = None
+        self.opened: asyncio.Future[Any]
+
+    @property
+    def url(self) -> str:
+        """The address with the token: whoever has it may look."""
+        return f"{self.address}?token={self.token}"
+
+    @property
+    def address(self) -> str:
+        """The address without the token."""
+        host = "127.0.0.1" if self.host in ("0.0.0.0", "") else "::1" if self.host == "::" else self.host
+        bracketed = f"[{host}]" if ":" in host else host
+        return f"{'http' if self._tls is None else 'https'}://{bracketed}:{self.port}{self._root}/"
+
+    @property
+    def public(self) -> bool:
+        """Whether other machines reach it."""
+        return not _is_loopback(self.host)
+
+    @property
+    def clients(self) -> int:
+        """How many are connected."""
+        return len(self._clients)
+
+    async def start(self) -> None:
+        """Listen, and begin to make the view."""
+        app = web.Application(client_max_size=1 << 10)
+        app.router.add_route("*", "/{path:.*}", self._answer)
+        self._runner = web.AppRunner(
+            app,
+            access_log=None,
+            handle_signals=False,
+            keepalive_timeout=15,
+            shutdown_timeout=0.2,
+            max_line_size=4096,
+            max_field_size=8190,
+        )
+        await self._runner.setup()
+        try:
+            site = web.TCPSite(self._runner, self.host or None, self.port, ssl_context=self._tls)
+            await site.start()
+        except OSError as error:
+            await self._runner.cleanup()
+            raise OptionError(_why_not(error, self.host, self.port)) from error
+        if not self.port:
+            self.port = int(self._runner.addresses[0][1])
+        self.opened = asyncio.ensure_future(in_thread(self._make, "reading"))
+        self.opened.add_done_callback(lambda made: made.cancelled() or made.exception())  # it is told to clients
+
+    async def stop(self) -> None:
+        """Send all clients away, and listen no more."""
+        self.opened.cancel()
+        if self._rest is not None:
+            self._rest.cancel()
+        for client in [*self._clients]:
+            client.end(WSCloseCode.GOING_AWAY, "clvol has ended")
+        until = time.monotonic() + _FAREWELL + 0.1
+        while self._clients and time.monotonic() < until:
+            await asyncio.sleep(0.01)
+        if self._runner is not None:
+            await self._runner.cleanup()
+
+    # -- requests --------------------------------------------------------------------------------------------
+
+    async def _answer(self, request: web.Request) -> web.StreamResponse:
+        try:
+            return await self._routed(request)
+        except _Refused as refused:
+            return self._response(f"clvol: {refused}\n".encode(), "text/plain; charset=utf-8", refused.status)
+
+    async def _routed(self, request: web.Request) -> web.StreamResponse:
+        host = self._known_host(request)
+        self._known_origin(request, host)
+        if request.method not in ("GET", "HEAD"):
+            raise _Refused(405, "GET is all that is answered here")
+        path = request.rel_url.raw_path
+        if self._root and (path == self._root or path.startswith(f"{self._root}/")):
+            path = path[len(self._root) :]
+        given = request.query.get("token")
+        if given is not None:
+            return self._let_in(request, given)
+        if not self._has_cookie(request):
+            raise _Refused(403, "open the address that was printed where clvol was started, with its token")
+        if path == "":
+            return self._redirect()
+        name = "index.html" if path == "/" else path[1:]
+        if name == "ws":
+            return await self._connect(request)
+        found = self._files.get(name)
+        if found is None:
+            raise _Refused(404, "there is no such page")
+        return self._response(*found)
+
+    def _known_host(self, request: web.Request) -> str:
+        """The name that was asked for, if it is one of ours: another could be made to point here."""
+        values = request.headers.getall("Host", [])
+        asked = values[0].lower() if len(values) == 1 else ""
+        name = _without_port(asked)
+        if name and (name in _names_of(self.host) or asked in self._names or name in self._names or (self.public and _is_ip(name))):
+            return asked
+        raise _Refused(403, f"it is not served under the name {asked[:80]!r}; names of a proxy are given by --allow-host")
+
+    def _known_origin(self, request: web.Request, host: str) -> None:
+        """Refuse what a page of another site asks for; other programs send no origin."""
+        origins = request.headers.getall("Origin", [])
+        for origin in origins:
+            try:
+                parts = urlsplit(origin.lower() if origin.isascii() else "")
+            except ValueError:  # brackets that hold no address
+                parts = urlsplit("")
+            known = parts.scheme in ("http", "https") and (
+                parts.netloc == host or parts.netloc in self._names or _without_port(parts.netloc) in self._names
+            )
+            if not known:
+                raise _Refused(403, f"pages of {origin[:80]!r} may not ask; names of a proxy are given by --allow-host")
+        fetched = request.headers.get("Sec-Fetch-Site", "none")
+        if fetched in ("cross-site", "same-site") and request.headers.get("Sec-Fetch-Mode") != "navigate" and not origins:
+            raise _Refused(403, "pages of other sites may not ask")
+
+    def _let_in(self, request: web.Request, given: str) -> web.Response:
+        """From the token to the cookie, and to the address without the token."""
+        if not _equal(given, self.token):
+            raise _Refused(403, "the token is not that of this server, which has a new one each time it starts")
+        if request.headers.get("Sec-Fetch-Site") in ("cross-site", "same-site"):
+            # A redirect would be part of the other site's navigation, which brings no strict cookie: the page goes on by itself.
+            body = f'<!doctype html><meta http-equiv="refresh" content="0; url={self._root or "."}/">'.encode()
+            response = self._response(body, "text/html; charset=utf-8")
+        else:
+            response = self._redirect()
+        secure = self._tls is not None or request.headers.get("X-Forwarded-Proto", "").lower() == "https"
+        response.set_cookie(
+            self._cookie, self._secret, path=f"{self._root}/", httponly=True, samesite="Strict", secure=secure or None
+        )
+        return response
+
+    @property
+    def _cookie(self) -> str:
+        return f"clvol-{self.port}"  # browsers keep one jar for all ports of a machine
+
+    def _has_cookie(self, request: web.Request) -> bool:
+        return _equal(request.cookies.get(self._cookie, ""), self._secret)
+
+    def _redirect(self) -> web.Response:
+        response = self._response(b"", "text/plain", 303)
+        response.headers["Location"] = f"{self._root or '.'}/"
+        return response
+
+    def _response(self, body: bytes, kind: str, status: int = 200) -> web.Response:
+        return web.Response(body=body, status=status, headers={**self._headers, "Content-Type": kind})
+
+    async def _connect(self, request: web.Request) -> web.StreamResponse:
+        socket = web.WebSocketResponse(
+            max_msg_size=self.limits.message, compress=False, heartbeat=min(30.0, self.limits.stuck), timeout=1.0, decode_text=True
+        )
+        if not socket.can_prepare(request).ok:
+            raise _Refused(400, "this is the address of a websocket")
+        await socket.prepare(request)
+        if len(self._clients) >= self.limits.clients:  # told here: pages do not learn why a handshake failed
+            text = f"{self.limits.clients} pages are open, which is the most; close one"
+            await socket.close(code=WSCloseCode.TRY_AGAIN_LATER, message=text.encode())
+            return socket
+        client = _Client(self, socket)
+        self._clients.add(client)
+        try:
+            await client.run()
+        finally:
+            self._clients.discard(client)
+            if not self._clients:
+                self._rest_later()
+        return socket
+
+    def _rest_later(self) -> None:
+        """Free what the view holds on the device, if nobody comes for as long as one may be silent."""
+        if self._rest is not None:
+            self._rest.cancel()
+        self._rest = asyncio.get_running_loop().call_later(self.limits.idle, self._free)
+
+    def _free(self) -> None:
+        made = self.opened.done() and not self.opened.cancelled() and self.opened.exception() is None
+        close = getattr(self.opened.result(), "close", None) if made else None
+        if not self._clients and close is not None:
+            threading.Thread(target=close, name="clvol: freeing a view", daemon=True).start()
+
+
+class _Refused(Exception):
+    def __init__(self, status: int, why: str) -> None:
+        super().__init__(why)
+        self.status = status
+
+
+def _equal(given: str, expected: str) -> bool:
+    """Whether two secrets are equal, in a time that does not tell how much of them is."""
+    return hmac.compare_digest(given.encode("utf-8", "replace"), expected.encode())
+
+
+def _static() -> Mapping[str, tuple[bytes, str]]:
+    """The page's files by name, read once: requests choose from these alone."""
+    folder = resources.files("clvol.view") / "static"
+    kinds = {".js": "text/javascript", ".css": "text/css", ".html": "text/html", ".svg": "image/svg+xml"}
+    found = {}
+    for file in folder.iterdir():
+        if file.is_file():
+            suffix = Path(file.name).suffix
+            kind = kinds.get(suffix) or mimetypes.guess_type(file.name)[0] or "application/octet-stream"
+            found[file.name] = file.read_bytes(), f"{kind}; charset=utf-8" if suffix in kinds else kind
+    return found
+
+
+def _headers(ancestors: list[str]) -> Mapping[str, str]:
+    """No request leaves the server's page for another machine, no other site holds it in a frame, nothing tells its address."""
+    policy = {
+        "default-src": "'none'",
+        "script-src": "'self'",
+        "style-src": "'self'",
+        "img-src": "'self' blob: data:",
+        "media-src": "blob:",
+        "connect-src": "'self'",
+        "base-uri": "'none'",
+        "form-action": "'none'",
+        "frame-ancestors": " ".join(ancestors) or "'none'",
+    }
+    return {
+        "Content-Security-Policy": "; ".join(f"{name} {value}" for name, value in policy.items()),
+        "X-Content-Type-Options": "nosniff",
+        "Referrer-Policy": "no-referrer",
+        "Cross-Origin-Opener-Policy": "same-origin",
+        "Cross-Origin-Resource-Policy": "same-origin",
+        "Cache-Control": "no-store",
+        "Server": "clvol",
+        **({} if ancestors else {"X-Frame-Options": "DENY"}),
+    }
+
+
+def _as_ancestor(given: str) -> str:
+    if not given or any(c in given for c in ";, \t\r\n") or not given.isascii():
+        raise OptionError(f"frame_ancestors must be sites such as https://hub.example.org, or 'self'; got {given!r}")
+    return "'self'" if given.strip("'") == "self" else given
+
+
+def _as_name(given: str) -> str:
+    name = given.lower().removeprefix("http://").removeprefix("https://").rstrip("/")
+    if not name or any(c in name for c in "/@?#* \t\r\n") or not name.isascii():
+        raise OptionError(f"names must be hosts such as hub.example.org or hub.example.org:8000; got {given!r}")
+    return name
+
+
+def _as_root(given: str) -> str:
+    root = "/" + given.strip("/") if given.strip("/") else ""
+    if any(not (c.isalnum() or c in "/-._~@%+") for c in root) or not root.isascii() or ".." in root or "//" in root:
+        raise OptionError(f"root_path must be a path such as /user/ada/clvol; got {given!r}")
+    return root
+
+
+_NETLOC = re.compile(r"(?:\[([0-9a-f:.]+)\]|([a-z0-9._-]+))(?::\d{1,5})?")
+
+
+def _without_port(netloc: str) -> str:
+    """The name in ``name:port``; brackets of IPv6 are taken off. Nothing of what is no such text."""
+    found = _NETLOC.fullmatch(netloc)
+    return (found[1] or found[2]) if found else ""
+
+
+def _is_ip(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def _is_loopback(host: str) -> bool:
+    return host.lower() == "localhost" or (_is_ip(host) and ipaddress.ip_address(host).is_loopback)
+
+
+def _names_of(host: str) -> frozenset[str]:
+    """By which names a server at `host` is asked for."""
+    if _is_loopback(host):
+        return frozenset((*_LOOPBACK, host.lower()))
+    here = socket.gethostname().lower()
+    return frozenset((*_LOOPBACK, host.lower(), here))
+
+
+def _tls(certificate: str | Path | None, key: str | Path | None) -> ssl.SSLContext | None:
+    if certificate is None:
+        if key is not None:
+            raise OptionError("key is for a certificate; got a key alone")
+        return None
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    try:
+        context.load_cert_chain(certificate, key)
+    except (OSError, ssl.SSLError) as error:
+        raise OptionError(
+            f"certificate must be a file of PEM with its key, which may be in a file of its own; {said(error)}"
+        ) from error
+    return context
+
+
+def _why_not(error: OSError, host: str, port: int) -> str:
+    import errno
+
+    if error.errno == errno.EADDRINUSE:
+        return f"port {port} of {host} is taken; give another, or none for a free one"
+    if error.errno in (errno.EACCES, errno.EPERM):
+        return f"port {port} may not be listened on here; give one above 1023, or none for a free one"
+    return f"host must be an address or a name of this machine; got {host!r} ({error.strerror or error})"
+
+
+# -- in a thread of its own ------------------------------------------------------------------------------------
+
+
+class Serving:
+    """A server that runs in a thread: its address, and how to end it; also a context manager."""
+
+    def __init__(self, server: Server) -> None:
+        self._server = server
+        self._ready = threading.Event()
+        self._failed: BaseException | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._enough: asyncio.Event | None = None
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._run()), name="clvol: page", daemon=True)
+        self._thread.start()
+        self._ready.wait()
+        if self._failed is not None:
+            raise self._failed
+
+    async def _run(self) -> None:
+        self._loop, self._enough = asyncio.get_running_loop(), asyncio.Event()
+        try:
+            await self._server.start()
+        except Exception as error:
+            self._failed = error
+            return
+        finally:
+            self._ready.set()
+        try:
+            await self._enough.wait()
+        finally:
+            await self._server.stop()
+
+    @property
+    def url(self) -> str:
+        """The address with the token: whoever has it may look."""
+        return self._server.url
+
+    @property
+    def clients(self) -> int:
+        """How many are connected."""
+        return self._server.clients
+
+    def wait(self, seconds: float | None = None) -> None:
+        """Return when it has ended, or after so many seconds."""
+        until = None if seconds is None else time.monotonic() + seconds
+        while self._thread.is_alive() and (until is None or time.monotonic() < until):
+            self._thread.join(_PAUSE)
+
+    def close(self) -> None:
+        """Send all clients away, and free the port."""
+        if self._loop is not None and self._enough is not None and self._thread.is_alive():
+            with contextlib.suppress(RuntimeError):  # it ended just now
+                self._loop.call_soon_threadsafe(self._enough.set)
+        self._thread.join()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        state = self.url if self._thread.is_alive() else "ended"
+        return f"<{type(self).__name__} {state}>"
+
+
+def serve(view: _View | Callable[[], _View], **options: Any) -> Serving:
+    """Serve a view from a thread of this process; `options` are those of `Server`.
+
+    Returns
+    -------
+    Serving
+        It has the address (``url``), and ends by ``close()`` or a ``with`` block.
+
+    Raises
+    ------
+    OptionError
+        The port is taken, or an option is not allowed.
+    """
+    return Serving(Server(view, **options))
+
+
+def run(server: Server, ready: Callable[[Server], None], failed: Callable[[BaseException], bool]) -> BaseException | None:
+    """Serve until Ctrl-C or SIGTERM; returns why there was no view, if there was none.
+
+    `ready` is called when the server listens, `failed` when the view could not be made: the server goes on if that is wanted, and
+    tells its clients.
+    """
+    import signal
+
+    async def main() -> BaseException | None:
+        enough, loop = asyncio.Event(), asyncio.get_running_loop()
+        for name in (signal.SIGINT, signal.SIGTERM):
+            with contextlib.suppress(NotImplementedError, RuntimeError):  # no such handlers on Windows: KeyboardInterrupt there
+                loop.add_signal_handler(name, enough.set)
+
+        def opened(made: asyncio.Future[Any]) -> None:
+            error = None if made.cancelled() else made.exception()
+            if error is not None and not failed(error):
+                enough.set()
+
+        await server.start()
+        try:
+            server.opened.add_done_callback(opened)
+            ready(server)
+            await enough.wait()
+            made = server.opened
+            return made.exception() if made.done() and not made.cancelled() else None
+        finally:
+            await server.stop()
+
+    return asyncio.run(main())

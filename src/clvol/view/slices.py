@@ -1,0 +1,141 @@
+"""Pictures of slices: the function that is drawn, at the middle of every pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.boundary import Boundary
+from clvol.checks import whole
+from clvol.device import Device
+from clvol.errors import OptionError
+from clvol.filter import PICTURE_FILTER, Filter
+from clvol.picture import Picture
+from clvol.smoothing import filter_for
+from clvol.spline.field import Field
+from clvol.transfer import TransferFunction
+from clvol.volume import Volume, as_volume
+
+__all__ = ["plane_points", "section", "shaded", "window_of_slices"]
+
+_LOOKED_AT = 1 << 20
+_ENDS = 0.002, 0.998  # of the samples: what slices show from black to white where nothing says it
+
+
+def section(
+    volume: Volume | Any,
+    middle: Sequence[float],
+    right: Sequence[float],
+    down: Sequence[float],
+    pixel: tuple[float, float],
+    size: tuple[int, int],
+    *,
+    filter: str | Filter | None = None,
+    boundary: str | Boundary = "mirror",
+    window: tuple[float, float] | None = None,
+    cmap: str | None = None,
+    background: Sequence[float] | None = (0.0, 0.0, 0.0),
+    device: Device | str | int | None = None,
+) -> Picture:
+    """A picture of the plane through a world point: what `View` shows as a slice, bit for bit.
+
+    Parameters
+    ----------
+    volume : Volume or array-like
+    middle : (x, y, z)
+        The world point in the middle of the picture.
+    right, down : (x, y, z)
+        Unit vectors of the world along rows and columns of the picture.
+    pixel : (float, float)
+        World units a pixel, along rows and columns.
+    size : (width, height)
+        In pixels.
+    filter, boundary, device
+        As for `clvol.render`.
+    window : (center, width), optional
+        Values from black to white; by default the volume's own window, or nearly all of its values.
+    cmap : str, optional
+        Colours by the name of a map.
+    background : three numbers or None
+        Of what lies outside the volume; None leaves it transparent.
+    """
+    volume = as_volume(volume)
+    with Field(volume, filter_for(volume, filter, PICTURE_FILTER), boundary, device, precision="single") as field:
+        points = plane_points(middle, right, down, pixel, size)
+        return shaded(field(points, fill=np.nan), volume, window, cmap, background)
+
+
+def plane_points(
+    middle: Sequence[float] | NDArray[np.float64],
+    right: Sequence[float] | NDArray[np.float64],
+    down: Sequence[float] | NDArray[np.float64],
+    pixel: tuple[float, float],
+    size: tuple[int, int],
+) -> NDArray[np.float64]:
+    """World points at the middles of pixels; (height, width, 3)."""
+    width, height = whole("width", size[0], 1, 1 << 15), whole("height", size[1], 1, 1 << 15)
+    u = (np.arange(width) + 0.5 - width / 2) * pixel[0]
+    v = (np.arange(height) + 0.5 - height / 2) * pixel[1]
+    return np.asarray(
+        np.asarray(middle) + v[:, None, None] * np.asarray(down, np.float64) + u[None, :, None] * np.asarray(right, np.float64)
+    )
+
+
+def shaded(
+    values: NDArray[Any], volume: Volume, window: tuple[float, float] | None, cmap: str | None, background: Sequence[float] | None
+) -> Picture:
+    """Values in colours, (height, width, 4) float32; NaN is background."""
+    if volume.is_labels and window is None and cmap is None:
+        colors = _of_labels(values, volume)
+    else:
+        center, width = window_of_slices(volume) if window is None else window
+        low = center - width / 2
+        if not width > 0:
+            raise OptionError(f"window must be (center, width), the width positive; got {window!r}")
+        with np.errstate(invalid="ignore"):
+            share = np.clip((values - low) / width, 0, 1)
+        share = np.nan_to_num(share, nan=0.0)
+        if cmap is None:
+            colors = np.repeat(share[..., None], 3, -1)
+        else:
+            table = TransferFunction.from_cmap(cmap, (0.0, 1.0))(np.linspace(0, 1, 1024))[:, :3]
+            colors = table[np.rint(share * 1023).astype(np.intp)]
+    made = np.ones((*values.shape, 4), np.float32)
+    made[..., :3] = colors
+    outside = np.isnan(values)
+    if outside.any():
+        made[outside] = (0, 0, 0, 0) if background is None else (*background, 1)
+    return Picture(made)
+
+
+def _of_labels(values: NDArray[Any], volume: Volume) -> NDArray[np.float64]:
+    numbers, inverse = np.unique(np.nan_to_num(values), return_inverse=True)
+    look = TransferFunction.preset("labels", volume)(numbers)
+    colors = look[:, :3] * (look[:, 3:] > 0)
+    return np.asarray(colors[inverse.reshape(values.shape)])
+
+
+def window_of_slices(volume: Volume) -> tuple[float, float]:
+    """(center, width) of the values that slices show from black to white by default."""
+    if volume in _WINDOWS:
+        return _WINDOWS[volume]
+    if volume.window is not None:
+        low, high = volume.window
+    else:
+        step = max(1, -(-volume.data.size // _LOOKED_AT))
+        each = max(1, round(step ** (1 / 3)))
+        some = volume.data[::each, ::each, ::each].astype(np.float64)
+        low, high = np.quantile(some[np.isfinite(some)], _ENDS).tolist()
+        if not low < high:
+            low, high = volume.value_range
+    if not low < high:
+        low, high = low - 0.5, high + 0.5
+    _WINDOWS[volume] = found = float(low / 2 + high / 2), float(high - low)
+    return found
+
+
+_WINDOWS: WeakKeyDictionary[Volume, tuple[float, float]] = WeakKeyDictionary()

@@ -1,0 +1,545 @@
+"""What a viewer shows, as one value: frozen, checked, and the same in JSON; and the history of such values for undo.
+
+Everything that a picture depends on is here, and nothing else: two equal states of one volume give equal pictures.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from bisect import bisect
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Literal, Self, TypeAlias
+
+from clvol.boundary import as_boundary
+from clvol.checks import number, one_of, reals
+from clvol.errors import ClvolError, OptionError
+from clvol.filter import as_filter
+from clvol.light import MAX_LIGHTS, Light, Material
+from clvol.mode import as_mode
+from clvol.preset import as_preset
+from clvol.transfer import TransferFunction
+
+__all__ = ["MOST_POINTS", "PANES", "CameraState", "History", "SliceState", "State", "Wiper", "points_of", "transfer_json"]
+
+Triple: TypeAlias = tuple[float, float, float]
+Pane: TypeAlias = Literal["3d", "x", "y", "z"]
+
+PANES: tuple[Pane, ...] = ("3d", "x", "y", "z")
+"""Names of panes: the volume, and slices across x, y and z of the world."""
+
+VERSION = 1
+_LAYOUTS = ("3d", "slice", "linked")
+_STYLES = ("turntable", "trackball")
+_PROJECTIONS = ("perspective", "orthographic")
+_FITS = ("matter", "volume")
+TOOLS = ("orbit", "pan", "zoom", "roll", "window", "isovalue", "crop", "crosshair")
+_ZOOMS = 0.05, 1000.0
+MOST_POINTS = 512  # of a transfer function: no editor makes more, and they fit into one message of a page
+_FARTHEST = 1e15  # of numbers of places: far from what float64 overflows by
+
+
+def _triple(what: str, value: object) -> Triple:
+    rule = "three finite numbers"
+    vector = reals(what, value, rule)
+    if vector.shape != (3,) or not all(math.isfinite(v) and abs(v) <= _FARTHEST for v in vector.tolist()):
+        raise OptionError(f"{what} must be {rule}; got {value!r}")
+    x, y, z = vector.tolist()
+    return float(x), float(y), float(z)
+
+
+def _optional_triple(what: str, value: object) -> Triple | None:
+    return None if value is None else _triple(what, value)
+
+
+def _way(what: str, value: object) -> Triple:
+    way = _triple(what, value)
+    if not math.hypot(*way) > 1e-12:
+        raise OptionError(f"{what} must not have zero length; got {value!r}")
+    return way
+
+
+def _color(what: str, value: object) -> Triple:
+    """Numbers only: names would not come back from JSON as they went."""
+    color = _triple(what, value)
+    if not all(0 <= v <= 1 for v in color):
+        raise OptionError(f"{what} must be three numbers in 0..1; got {value!r}")
+    return color
+
+
+def _name_of(what: str, value: object, allowed: Sequence[str]) -> str:
+    if not isinstance(value, str) or value not in allowed:
+        raise one_of(what, value, allowed)
+    return value
+
+
+def _switch(what: str, value: object) -> bool:
+    if not isinstance(value, bool):
+        raise OptionError(f"{what} must be true or false; got {value!r}")
+    return value
+
+
+def _known(what: str, value: object, known: frozenset[str] | set[str]) -> dict[str, Any]:
+    """A mapping all of whose keys are known."""
+    if not isinstance(value, Mapping):
+        raise OptionError(f"{what or 'a state'} must be an object of JSON; got {value!r:.200}")
+    for key in value:
+        if key not in known:
+            raise OptionError(
+                f"{what + '.' if what else ''}{key!s:.60} is no field; {what or 'a state'} has {', '.join(sorted(known))}"
+            )
+    return dict(value)
+
+
+@dataclass(frozen=True)
+class CameraState:
+    """Where from, as `clvol.Camera` has it; what is None is fitted.
+
+    Parameters
+    ----------
+    target, direction, up, distance, radius, zoom, projection, fov, fit
+        See `clvol.Camera`.
+    style : {"turntable", "trackball"}
+        How a drag turns it: about the world's vertical, which stays upright in the picture, or freely.
+    """
+
+    target: Triple | None = None
+    direction: Triple = (0.0, 1.0, 0.0)
+    up: Triple = (0.0, 0.0, 1.0)
+    distance: float | None = None
+    radius: float | None = None
+    zoom: float = 1.0
+    projection: Literal["perspective", "orthographic"] = "perspective"
+    fov: float = 30.0
+    fit: Literal["matter", "volume"] = "matter"
+    style: Literal["turntable", "trackball"] = "turntable"
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        put(self, "target", _optional_triple("camera.target", self.target))
+        put(self, "direction", _way("camera.direction", self.direction))
+        put(self, "up", _way("camera.up", self.up))
+        for what in ("distance", "radius"):
+            value = getattr(self, what)
+            put(self, what, None if value is None else number(f"camera.{what}", value, above=0, maximum=_FARTHEST))
+        put(self, "zoom", number("camera.zoom", self.zoom, minimum=_ZOOMS[0], maximum=_ZOOMS[1]))
+        put(self, "fov", number("camera.fov", self.fov, minimum=1, maximum=150))
+        _name_of("camera.projection", self.projection, _PROJECTIONS)
+        _name_of("camera.fit", self.fit, _FITS)
+        _name_of("camera.style", self.style, _STYLES)
+
+
+@dataclass(frozen=True)
+class SliceState:
+    """What all slices have in common: how much they are magnified, and about which world point (None: the volume's centre)."""
+
+    zoom: float = 1.0
+    center: Triple | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "zoom", number("slice.zoom", self.zoom, minimum=_ZOOMS[0], maximum=_ZOOMS[1]))
+        object.__setattr__(self, "center", _optional_triple("slice.center", self.center))
+
+
+@dataclass(frozen=True)
+class Wiper:
+    """Another filter's picture to the right of a line, which lies at this share of the width."""
+
+    filter: str
+    at: float = 0.5
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "filter", _filter("wiper.filter", self.filter))
+        object.__setattr__(self, "at", number("wiper.at", self.at, minimum=0, maximum=1))
+
+
+@dataclass(frozen=True)
+class State:
+    """All that a viewer shows of a volume; `json` and `from_json` are its text.
+
+    Parameters
+    ----------
+    layout : {"3d", "slice", "linked"}
+        One picture of the volume, one slice (that of `active`), or both with three slices and one crosshair.
+    active : {"3d", "x", "y", "z"}
+        The pane that keys and copies are for.
+    tool : str or None
+        What the first button drags; None: "orbit" in the volume, "crosshair" in slices.
+    camera : CameraState
+    slice : SliceState
+    mode, options, filter, boundary, step
+        As for `clvol.render`; `options` are the mode's. Without `filter` it is the mode's own.
+    transfer : TransferFunction, optional
+        In JSON ``{"points": [[value, [r, g, b], opacity], ...]}``. Where it is given, `preset`, `window`, `cmap` and
+        `opacity` are not used for the volume's picture.
+    preset, window, cmap, opacity
+        As for `clvol.render`; slices take `window` and `cmap`.
+    lights : tuple of Light, optional
+    material : Material, optional
+    background : three numbers in 0..1, or None
+    clip : (low, high), optional
+        The crop box, in the world.
+    crosshair : three numbers, optional
+        In the world; None: the volume's centre.
+    wiper : Wiper, optional
+    heat : bool
+        Whether the share of samples that were looked at is shown instead of the picture.
+    """
+
+    layout: Literal["3d", "slice", "linked"] = "3d"
+    active: Pane = "3d"
+    tool: str | None = None
+    camera: CameraState = field(default_factory=CameraState)
+    slice: SliceState = field(default_factory=SliceState)
+    mode: str = "composite"
+    options: Mapping[str, Any] = field(default_factory=dict)
+    filter: str | None = None
+    boundary: str = "mirror"
+    step: float = 0.5
+    transfer: TransferFunction | None = None
+    preset: str | None = None
+    window: tuple[float, float] | None = None
+    cmap: str | None = None
+    opacity: float | None = None
+    lights: tuple[Light, ...] | None = None
+    material: Material | None = None
+    background: Triple | None = (0.0, 0.0, 0.0)
+    clip: tuple[Triple, Triple] | None = None
+    crosshair: Triple | None = None
+    wiper: Wiper | None = None
+    heat: bool = False
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        _name_of("layout", self.layout, _LAYOUTS)
+        _name_of("active", self.active, PANES)
+        if self.tool is not None:
+            _name_of("tool", self.tool, TOOLS)
+        mode = as_mode(self.mode, _options(self.options))
+        put(self, "options", {name: _plain(getattr(mode, name)) for name in self.options})
+        put(self, "filter", None if self.filter is None else _filter("filter", self.filter))
+        put(self, "boundary", _named("boundary", self.boundary, as_boundary))
+        put(self, "step", number("step", self.step, minimum=0.02, maximum=16))
+        if self.transfer is not None and not isinstance(self.transfer, TransferFunction):
+            raise OptionError(f"transfer must be a TransferFunction; got {self.transfer!r:.200}")
+        if self.preset is not None:
+            put(self, "preset", _named("preset", self.preset, as_preset))
+        if self.window is not None:
+            put(self, "window", _window(self.window))
+        if self.cmap is not None:
+            put(self, "cmap", _named("cmap", self.cmap, lambda name: TransferFunction.from_cmap(name, (0.0, 1.0))))
+        if self.opacity is not None:
+            put(self, "opacity", number("opacity", self.opacity, minimum=0, maximum=1e6))
+        if self.lights is not None:
+            lights = tuple(self.lights)
+            if len(lights) > MAX_LIGHTS or not all(isinstance(light, Light) for light in lights):
+                raise OptionError(f"lights must be up to {MAX_LIGHTS} of Light; got {self.lights!r:.200}")
+            put(self, "lights", lights)
+        put(self, "background", None if self.background is None else _color("background", self.background))
+        if self.clip is not None:
+            put(self, "clip", _box(self.clip))
+        put(self, "crosshair", _optional_triple("crosshair", self.crosshair))
+        put(self, "heat", _switch("heat", self.heat))
+
+    def __hash__(self) -> int:
+        return hash(self.text())
+
+    # -- in JSON -----------------------------------------------------------------------------------------------
+
+    def json(self) -> dict[str, Any]:
+        """What `json.dumps` takes; `from_json` gives the same state back."""
+        made: dict[str, Any] = {"version": VERSION}
+        for each in fields(self):
+            value = getattr(self, each.name)
+            made[each.name] = _WRITERS[each.name](value) if value is not None and each.name in _WRITERS else _plain(value)
+        return made
+
+    def text(self) -> str:
+        """The same as one compact line."""
+        return json.dumps(self.json(), separators=(",", ":"), allow_nan=False)
+
+    @classmethod
+    def from_json(cls, value: object) -> Self:
+        """The state of what `json` gave; fields that are left out have their defaults.
+
+        Raises
+        ------
+        OptionError
+            It is none: the message names the field, what is allowed and what came.
+        """
+        given = _known("", value, {"version", *(each.name for each in fields(cls))})
+        version = given.pop("version", VERSION)
+        if version != VERSION or isinstance(version, bool):
+            raise OptionError(f"version must be {VERSION}, that of this program's states; got {version!r:.60}")
+        return cls(**{name: _read(name, part) for name, part in given.items()})
+
+    @classmethod
+    def from_text(cls, text: str | bytes) -> Self:
+        """The state of a line of JSON; `OptionError` if it is none."""
+        try:
+            value = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise OptionError(f"a state must be JSON; {error}") from None
+        return cls.from_json(value)
+
+    def changed(self, changes: Mapping[str, Any]) -> Self:
+        """The same with other values, in JSON, by dotted names such as "camera.zoom" or "options.isovalue".
+
+        Options of another mode go with it, unless they are given.
+
+        Raises
+        ------
+        OptionError
+            A name is no field, or a value is not allowed there.
+        """
+        if not isinstance(changes, Mapping):
+            raise OptionError(f"changes must be an object of JSON; got {changes!r:.200}")
+        made = self.json()
+        names = sorted(changes, key=str)  # "options" before "options.isovalue"
+        if "mode" in changes and changes["mode"] != self.mode:
+            made["options"] = {}
+        for name in names:
+            head, *rest = str(name).split(".")
+            if head not in made or head == "version":
+                raise OptionError(f"{name!s:.80} is no field; a state has {', '.join(each.name for each in fields(self))}")
+            part, key = made, head
+            for word in rest:
+                if part[key] is None:
+                    part[key] = {}
+                if not isinstance(part[key], dict):
+                    raise OptionError(f"{name!s:.80} is no field; {key} has no parts of that name")
+                part, key = part[key], word
+            part[key] = changes[name]
+        return type(self).from_json(made)
+
+
+def _plain(value: Any) -> Any:
+    """As JSON gives it back: lists for tuples."""
+    if isinstance(value, (tuple, list)):
+        return [_plain(part) for part in value]
+    if isinstance(value, Mapping):
+        return {str(key): _plain(part) for key, part in value.items()}
+    return value
+
+
+def _options(value: object) -> dict[str, Any]:
+    if not isinstance(value, Mapping) or not all(isinstance(name, str) for name in value):
+        raise OptionError(f"options must be an object of JSON, by names of the mode's options; got {value!r:.200}")
+    return dict(value)
+
+
+def _named(what: str, value: object, known: Callable[[str], object]) -> str:
+    """A name that `known` knows: its own error says which there are."""
+    if not isinstance(value, str) or len(value) > 200:
+        raise OptionError(f"{what} must be a name; got {value!r:.200}")
+    known(value)
+    return value
+
+
+def _filter(what: str, value: object) -> str:
+    name = _named(what, value, as_filter)
+    if as_filter(name).support > 32:
+        raise OptionError(f"{what} must be a filter of at most 32 taps an axis; got {value!r}")
+    return name
+
+
+def _window(value: object) -> tuple[float, float]:
+    rule = "two finite numbers, (center, width), the width positive"
+    pair = reals("window", value, rule)
+    if pair.shape != (2,) or not all(map(math.isfinite, pair.tolist())) or not pair[1] > 0:
+        raise OptionError(f"window must be {rule}; got {value!r:.200}")
+    center, width = pair.tolist()
+    if not center - width / 2 < center + width / 2:
+        raise OptionError(f"window must be {rule}, and wide enough to tell its ends apart; got {value!r}")
+    return float(center), float(width)
+
+
+def _box(value: object) -> tuple[Triple, Triple]:
+    rule = "two corners, low and high, each coordinate of low less than of high"
+    pair: Any = value
+    try:
+        first, last = pair
+    except (TypeError, ValueError):
+        raise OptionError(f"clip must be {rule}; got {value!r:.200}") from None
+    low, high = _triple("clip.low", first), _triple("clip.high", last)
+    if not all(a < b for a, b in zip(low, high, strict=True)):
+        raise OptionError(f"clip must be {rule}; got {value!r:.200}")
+    return low, high
+
+
+# -- parts in JSON -------------------------------------------------------------------------------------------
+
+
+def points_of(transfer: TransferFunction) -> list[list[Any]]:
+    """Points of colour and opacity together, ``[value, [r, g, b], opacity]``; two at one value are a jump."""
+    colors, opacities = _Ends(transfer.colors), _Ends(transfer.opacities)
+    made = []
+    for value in sorted({*colors.values, *opacities.values}):
+        before, after = (
+            [value, [float(c) for c in colors.at(value, side)], float(min(1.0, max(0.0, opacities.at(value, side))))]
+            for side in (0, 1)
+        )
+        made += [before, after] if before != after else [after]
+    return made
+
+
+class _Ends:
+    """Points of colour, or of opacity, by their values: what is reached there from below and from above."""
+
+    def __init__(self, points: Sequence[tuple[float, Any]]) -> None:
+        self._ends: dict[float, tuple[Any, Any]] = {}
+        for value, part in points:
+            self._ends[value] = self._ends.get(value, (part, part))[0], part
+        self.values = sorted(self._ends)
+
+    def at(self, value: float, side: int) -> Any:
+        """What stands at a value, reached from below (0) or above (1)."""
+        if value in self._ends:
+            return self._ends[value][side]
+        i = bisect(self.values, value)
+        if i in (0, len(self.values)):
+            return self._ends[self.values[min(i, len(self.values) - 1)]][i > 0]
+        a, b = self.values[i - 1 : i + 1]
+        one, other = self._ends[a][1], self._ends[b][0]
+        share = (value / 2 - a / 2) / (b / 2 - a / 2)
+        if isinstance(one, tuple):
+            return tuple(p + (q - p) * share for p, q in zip(one, other, strict=True))
+        return one + (other - one) * share
+
+
+def transfer_json(transfer: TransferFunction) -> dict[str, Any]:
+    """A transfer function as a state's text has it."""
+    made: dict[str, Any] = {"points": points_of(transfer)}
+    return made if transfer.unit_distance is None else made | {"unit_distance": transfer.unit_distance}
+
+
+def _transfer_of(value: object) -> TransferFunction:
+    given = _known("transfer", value, {"points", "unit_distance"})
+    points = given.get("points")
+    rule = f"1 to {MOST_POINTS} of [value, [r, g, b], opacity]"
+    if not isinstance(points, (list, tuple)) or not 1 <= len(points) <= MOST_POINTS:
+        raise OptionError(f"transfer.points must be {rule}; got {points!r:.200}")
+    colors, opacities = [], []
+    for point in points:
+        if not isinstance(point, (list, tuple)) or len(point) != 3:
+            raise OptionError(f"transfer.points must be {rule}; got {point!r:.200}")
+        at = number("a value of transfer.points", point[0])
+        colors.append((at, _color("a colour of transfer.points", point[1])))
+        opacities.append((at, number("an opacity of transfer.points", point[2], minimum=0, maximum=1)))
+    try:
+        return TransferFunction(tuple(colors), tuple(opacities), given.get("unit_distance"))
+    except ClvolError as error:
+        raise OptionError(f"transfer: {error}") from None
+
+
+def _light_json(light: Light) -> dict[str, Any]:
+    return {"direction": _plain(light.direction), "color": _plain(light.color), "frame": light.frame}
+
+
+def _light_of(value: object) -> Light:
+    given = _known("lights", value, {"direction", "color", "frame"})
+    direction = _optional_triple("lights.direction", given.get("direction"))
+    try:
+        light = Light(direction, _color("lights.color", given.get("color", (1.0, 1.0, 1.0))), given.get("frame", "world"))
+    except ClvolError as error:
+        raise OptionError(f"lights: {error}") from None
+    if direction is not None and abs(math.hypot(*direction) - 1) < 1e-15:
+        # divided by its length it may differ in the last bit, and go to and fro: it shall come back as it went
+        object.__setattr__(light, "direction", direction)
+    return light
+
+
+def _lights_of(value: object) -> tuple[Light, ...]:
+    if not isinstance(value, (list, tuple)):
+        raise OptionError(f"lights must be a list of up to {MAX_LIGHTS}; got {value!r:.200}")
+    return tuple(map(_light_of, value[: MAX_LIGHTS + 1]))
+
+
+def _dataclass_of(what: str, kind: Callable[..., Any], names: set[str]) -> Callable[[object], Any]:
+    def read(value: object) -> Any:
+        given = _known(what, value, names)
+        try:
+            return kind(**given)
+        except TypeError as error:
+            raise OptionError(f"{what}: {error}") from None
+
+    return read
+
+
+def _clip_of(value: object) -> tuple[Triple, Triple]:
+    given = _known("clip", value, {"low", "high"})
+    return _box((given.get("low"), given.get("high")))
+
+
+def _own_fields(value: Any) -> dict[str, Any]:
+    return {each.name: _plain(getattr(value, each.name)) for each in fields(value)}
+
+
+_WRITERS: dict[str, Callable[[Any], Any]] = {
+    "camera": _own_fields,
+    "slice": _own_fields,
+    "transfer": transfer_json,
+    "lights": lambda lights: [_light_json(light) for light in lights],
+    "material": _own_fields,
+    "clip": lambda clip: {"low": list(clip[0]), "high": list(clip[1])},
+    "wiper": _own_fields,
+}
+_READERS: dict[str, Callable[[object], Any]] = {
+    "camera": _dataclass_of("camera", CameraState, {each.name for each in fields(CameraState)}),
+    "slice": _dataclass_of("slice", SliceState, {each.name for each in fields(SliceState)}),
+    "transfer": _transfer_of,
+    "lights": _lights_of,
+    "material": _dataclass_of("material", Material, {each.name for each in fields(Material)}),
+    "clip": _clip_of,
+    "wiper": _dataclass_of("wiper", Wiper, {each.name for each in fields(Wiper)}),
+}
+_REQUIRED = frozenset({"camera", "slice"})
+
+
+def _read(name: str, value: object) -> Any:
+    if value is None and name not in _REQUIRED:
+        return None
+    return _READERS[name](value) if name in _READERS else value
+
+
+# -- undo ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class History:
+    """A state, those before it and those that were undone.
+
+    A gesture, such as a drag, is one step: its states after the first have the same `gesture` and replace each other.
+    """
+
+    present: State
+    past: tuple[State, ...] = ()
+    future: tuple[State, ...] = ()
+    gesture: object = None
+
+    MOST = 200
+
+    def with_state(self, state: State, gesture: object = None) -> History:
+        """The history after a change; changes of one gesture that is not None are one step."""
+        if state == self.present:
+            return self
+        if gesture is not None and gesture == self.gesture:
+            return replace(self, present=state, future=())
+        return History(state, (*self.past, self.present)[-self.MOST :], (), gesture)
+
+    def ended(self) -> History:
+        """The same; what comes next is a step of its own."""
+        return replace(self, gesture=None)
+
+    def undone(self) -> History:
+        """One step back, if there is one."""
+        if not self.past:
+            return self.ended()
+        return History(self.past[-1], self.past[:-1], (self.present, *self.future))
+
+    def redone(self) -> History:
+        """One step forward again, if there is one."""
+        if not self.future:
+            return self.ended()
+        return History(self.future[0], (*self.past, self.present), self.future[1:])

@@ -1,0 +1,195 @@
+"""A headless Chromium that looks at a page of this machine, and what tests ask it: pictures, gestures, requests that it made.
+
+Debian's ``chromium`` and ``chromium-driver`` are enough (or those that CHROMIUM and CHROMEDRIVER name), driven by selenium.
+Tests are skipped, with the reason, where one of them is missing.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+
+__all__ = ["Browser", "browser", "open_browser", "why_none"]
+
+# A driver's browser must not look for updates and the like, nor find a machine that is not this one.
+FLAGS = (
+    "--headless",
+    "--no-sandbox",  # tests run as root in containers
+    "--disable-gpu",
+    "--disable-dev-shm-usage",
+    "--disable-quic",
+    "--no-first-run",
+    "--no-default-browser-check",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-default-apps",
+    "--disable-sync",
+    "--disable-extensions",
+    "--no-proxy-server",
+    "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1 , EXCLUDE localhost",
+    "--force-device-scale-factor=1",
+)
+_CANVAS = "canvas"
+
+
+def why_none() -> str:
+    """What is missing for a test with a browser; nothing if all is there."""
+    if not _program("CHROMIUM", "chromium", "chromium-browser", "google-chrome"):
+        return "needs Chromium (Debian: apt-get install chromium chromium-driver), which is not installed"
+    if not _program("CHROMEDRIVER", "chromedriver"):
+        return "needs Chromium's driver (Debian: apt-get install chromium-driver), which is not installed"
+    try:
+        import selenium  # noqa: F401
+    except ImportError:
+        return "needs selenium (pip install selenium), which is not installed"
+    return ""
+
+
+def _program(variable: str, *names: str) -> str:
+    """A program: the one that is named by the environment, else the first that is found."""
+    return os.environ.get(variable) or next(filter(None, map(shutil.which, names)), "")
+
+
+class Browser:
+    """One window of the browser; `driver` is selenium's, for what is not here."""
+
+    def __init__(self, driver: Any) -> None:
+        self.driver = driver
+        self._log: list[dict[str, Any]] = []
+
+    def open(self, url: str) -> None:
+        self.driver.get(url)
+
+    def js(self, code: str, *arguments: Any) -> Any:
+        """What JavaScript returns; ``arguments[0]`` and on are given."""
+        return self.driver.execute_script(code, *arguments)
+
+    def wait(self, condition: Callable[[], Any] | str, seconds: float = 20, what: str = "") -> Any:
+        """The first true answer of a function, or of an expression of JavaScript; an assertion that fails if there is none."""
+
+        def ask() -> Any:
+            return self.js(f"return {condition}") if isinstance(condition, str) else condition()
+
+        until = time.monotonic() + seconds
+        while True:
+            if found := ask():
+                return found
+            assert time.monotonic() < until, f"{what or condition} is not so after {seconds} s; the console says {self.console()}"
+            time.sleep(0.02)
+
+    def screenshot(self, path: Path | None = None) -> np.ndarray:
+        """The page as it is seen: (height, width, 3) of uint8; written down too if a path is given."""
+        import imageio.v3 as iio
+
+        data = self.driver.get_screenshot_as_png()
+        if path is not None:
+            path.write_bytes(data)
+        return np.asarray(iio.imread(io.BytesIO(data)))[..., :3]
+
+    def canvas(self, selector: str = _CANVAS) -> np.ndarray:
+        """The pixels that a canvas holds: (height, width, 4) of uint8."""
+        import imageio.v3 as iio
+
+        url = self.js("return document.querySelector(arguments[0]).toDataURL('image/png')", selector)
+        return np.asarray(iio.imread(io.BytesIO(base64.b64decode(url.partition(",")[2])), mode="RGBA"))
+
+    def box(self, selector: str = _CANVAS) -> tuple[float, float, float, float]:
+        """Left, top, width and height of an element in CSS pixels of the window."""
+        found = self.js(
+            "const r = document.querySelector(arguments[0]).getBoundingClientRect(); return [r.left, r.top, r.width, r.height]",
+            selector,
+        )
+        left, top, width, height = map(float, found)
+        return left, top, width, height
+
+    def mouse(self, kind: str, x: float, y: float, **more: Any) -> None:
+        """One event of the mouse at a place of the window: mouseMoved, mousePressed, mouseReleased, mouseWheel (deltaX, deltaY)."""
+        held = {"button": "left", "clickCount": 1} if kind in ("mousePressed", "mouseReleased") else {}
+        self.driver.execute_cdp_cmd("Input.dispatchMouseEvent", {"type": kind, "x": x, "y": y, **held, **more})
+
+    def drag(self, by: tuple[float, float], selector: str = _CANVAS, *, steps: int = 8, **more: Any) -> None:
+        """Drag from the middle of an element."""
+        left, top, width, height = self.box(selector)
+        x, y = left + width / 2, top + height / 2
+        self.mouse("mouseMoved", x, y)
+        self.mouse("mousePressed", x, y, **more)
+        for n in range(1, steps + 1):
+            self.mouse("mouseMoved", x + by[0] * n / steps, y + by[1] * n / steps, **{"button": "left", "buttons": 1} | more)
+        self.mouse("mouseReleased", x + by[0], y + by[1], **more)
+
+    def wheel(self, dy: float, selector: str = _CANVAS, **more: Any) -> None:
+        left, top, width, height = self.box(selector)
+        self.mouse("mouseWheel", left + width / 2, top + height / 2, deltaX=0, deltaY=dy, **more)
+
+    def key(self, key: str, **more: Any) -> None:
+        """Press and release a key, by its name in JavaScript (``"ArrowLeft"``, ``"r"``)."""
+        text = {"text": key} if len(key) == 1 else {}
+        for kind in ("keyDown", "keyUp"):
+            self.driver.execute_cdp_cmd(
+                "Input.dispatchKeyEvent", {"type": kind, "key": key, **(text if kind == "keyDown" else {}), **more}
+            )
+
+    # -- what went over the wire -----------------------------------------------------------------------------
+
+    def log(self) -> list[dict[str, Any]]:
+        """All events of the browser's protocol since it began: {"method", "params"}."""
+        entries = self.driver.get_log("performance")
+        self._log += [json.loads(entry["message"])["message"] for entry in entries]
+        return self._log
+
+    def requests(self) -> list[str]:
+        """Addresses of all requests and websockets so far, but for those that need no network (``data:``, ``blob:``)."""
+        urls = []
+        for event in self.log():
+            if event["method"] == "Network.requestWillBeSent":
+                urls.append(event["params"]["request"]["url"])
+            elif event["method"] == "Network.webSocketCreated":
+                urls.append(event["params"]["url"])
+        return [url for url in urls if urlsplit(url).scheme not in ("data", "blob", "about", "chrome")]
+
+    def console(self) -> list[str]:
+        """What the console holds since it was last asked: errors, and what the content security policy refused."""
+        return [f"{entry['level']}: {entry['message']}" for entry in self.driver.get_log("browser")]
+
+
+@contextmanager
+def open_browser(width: int = 1280, height: int = 800) -> Iterator[Browser]:
+    """A browser with a window of that size and an empty profile."""
+    from selenium import webdriver
+    from selenium.webdriver.chrome.service import Service
+
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        options = webdriver.ChromeOptions()
+        options.binary_location = _program("CHROMIUM", "chromium", "chromium-browser", "google-chrome")
+        for flag in (*FLAGS, f"--window-size={width},{height}", f"--user-data-dir={profile}"):
+            options.add_argument(flag)
+        options.set_capability("goog:loggingPrefs", {"performance": "ALL", "browser": "ALL"})
+        driver = webdriver.Chrome(options=options, service=Service(_program("CHROMEDRIVER", "chromedriver")))
+        try:
+            metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+            driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)  # of the page, not of the window
+            yield Browser(driver)
+        finally:
+            driver.quit()
+
+
+@pytest.fixture
+def browser() -> Iterator[Browser]:
+    """A fresh browser; the test is skipped where there is none."""
+    if why := why_none():
+        pytest.skip(why)
+    with open_browser() as found:
+        yield found

@@ -1,0 +1,396 @@
+"""The page of `clvol view` in a real browser, before a real session: gestures, the panel, keys, addresses, sizes."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+
+import clvol
+from clvol.device import Device
+from clvol.view import Session, State, View
+from clvol.view.code import from_url
+from tests.view.browser import Browser, open_browser, why_none
+
+pytest.importorskip("aiohttp", reason="needs aiohttp")
+from clvol.view.server import Serving, serve
+
+pytestmark = pytest.mark.skipif(bool(why_none()), reason=why_none())
+SHOWN = "document.querySelector('.clvol-pane[data-frame]')"
+FINAL = "[...document.querySelectorAll('.clvol-pane')].every((pane) => pane.dataset.final === 'true')"
+NAME = "(e.getAttribute('aria-label') || e.closest('label')?.textContent || e.textContent)"  # of an element `e`
+PANE = ".clvol-pane[data-pane='3d']"
+
+
+class Watched(View):
+    """A view that keeps its sessions."""
+
+    last: Session
+
+    def session(self, send: Any, state: State | None = None) -> Session:
+        self.last = super().session(send, state)
+        return self.last
+
+
+def head() -> clvol.Volume:
+    """Air, a shell of bone, and inside it something to one side."""
+    z, y, x = (np.mgrid[:24, :24, :24] - 11.5) / 11.5
+    r = np.sqrt(x**2 + 1.2 * y**2 + 0.8 * z**2)
+    data = np.where(r < 0.85, 40, -1000) + np.where((r > 0.6) & (r < 0.75), 800, 0)
+    data[np.sqrt((x - 0.3) ** 2 + y**2 + z**2) < 0.2] = 300
+    return clvol.Volume(data.astype(np.int16), spacing=(8, 8, 8), units="mm", space="LPS", name="a head")
+
+
+class Page:
+    """The page, and the session behind it."""
+
+    def __init__(self, browser: Browser, server: Serving, view: Watched) -> None:
+        self.browser, self.url, self.view = browser, server.url, view
+        self.js, self.wait = browser.js, browser.wait
+
+    @property
+    def state(self) -> State:
+        return self.view.last.state
+
+    def open(self, fragment: str = "") -> None:
+        self.browser.open("about:blank")  # else only the fragment changes
+        if fragment:
+            self.browser.open(self.url)  # for the cookie; the token's redirect has no fragment
+            self.browser.open("about:blank")
+            self.browser.open(self.url.partition("?")[0] + fragment)
+        else:
+            self.browser.open(self.url)
+        self.wait(f"{SHOWN} && {FINAL}", 60)
+
+    def choose(self, label: str, value: str) -> None:
+        """In a list of the panel."""
+        code = """const row = [...document.querySelectorAll('.clvol-row')].find((r) => r.firstChild.textContent === arguments[0]);
+            const list = row.querySelector('select');
+            list.value = arguments[1];
+            list.dispatchEvent(new Event('change'));"""
+        self.js(code, label, value)
+
+    def type(self, label: str, value: str) -> None:
+        """Into the number beside a slider."""
+        code = """const number = document.querySelector(`input[aria-label="${arguments[0]}, as a number"]`);
+            number.value = arguments[1];
+            number.dispatchEvent(new Event('change'));"""
+        self.js(code, label, value)
+
+    def tick(self, label: str) -> None:
+        self.js(
+            "[...document.querySelectorAll('.clvol-check')].find((c) => c.textContent === arguments[0]).firstChild.click()", label
+        )
+
+    def press(self, text: str) -> None:
+        self.js("[...document.querySelectorAll('button')].find((b) => b.textContent === arguments[0]).click()", text)
+
+    def told(self) -> str:
+        return str(self.js("return document.querySelector('.clvol-status').textContent"))
+
+    def picture(self, pane: str = "3d") -> np.ndarray:
+        return self.browser.canvas(f".clvol-pane[data-pane='{pane}'] canvas")
+
+    def becomes(self, what: Any) -> None:
+        self.wait(lambda: what(self.state), 20, "the state")
+
+
+@pytest.fixture(scope="module")
+def shared() -> Iterator[tuple[Browser, Serving, Watched]]:
+    view = Watched(head())
+    with serve(view) as server, open_browser(1000, 700) as browser:
+        yield browser, server, view
+
+
+@pytest.fixture
+def page(shared: tuple[Browser, Serving, Watched], device: Device) -> Page:  # noqa: ARG001  # sessions use the default one
+    made = Page(*shared)
+    made.open()
+    return made
+
+
+# -- pictures and gestures -----------------------------------------------------------------------------------
+
+
+def test_the_still_picture_is_that_of_the_library(page: Page) -> None:
+    shown = page.picture()
+    height, width = shown.shape[:2]
+    from clvol.picture import to_bytes
+
+    expected = to_bytes(page.view.picture((width, height)))[..., :3]
+    np.testing.assert_array_equal(shown[..., :3], expected)
+
+
+def test_drag_turns_wheel_zooms_and_undo_goes_back(page: Page) -> None:
+    first, before = page.state, page.picture()
+    page.browser.drag((120, 40), PANE)
+    page.becomes(lambda state: state.camera.direction != first.camera.direction)
+    page.wait(FINAL)
+    assert np.abs(page.picture().astype(int) - before).mean() > 1
+    turned = page.state
+    page.browser.wheel(-200, PANE)
+    page.becomes(lambda state: state.camera.zoom > 1.2 or state.camera.distance != turned.camera.distance)
+    page.wait("!document.querySelector('.clvol-buttons button').disabled")
+    for _ in range(2):
+        page.press("Undo")
+    page.becomes(lambda state: state.camera.direction == first.camera.direction and state.camera.zoom == first.camera.zoom)
+    page.press("Redo")
+    page.becomes(lambda state: state.camera.direction == turned.camera.direction)
+
+
+def test_two_fingers_zoom(page: Page) -> None:
+    zoom = page.state.camera.zoom
+    left, top, width, height = page.browser.box(PANE)
+    x, y = left + width / 2, top + height / 2
+
+    def touch(kind: str, apart: float) -> None:
+        points = [{"x": x - apart, "y": y, "id": 0}, {"x": x + apart, "y": y, "id": 1}] if kind != "touchEnd" else []
+        page.browser.driver.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    touch("touchStart", 40)
+    for apart in (60, 80, 100, 120):
+        touch("touchMove", apart)
+    touch("touchEnd", 0)
+    page.becomes(lambda state: state.camera.zoom > 1.5 * zoom)
+
+
+def test_linked_slices_share_a_crosshair(page: Page) -> None:
+    page.choose("Layout", "linked")
+    page.wait("document.querySelectorAll('.clvol-pane[data-frame]').length === 4")
+    page.browser.drag((30, 20), ".clvol-pane[data-pane='z']")
+    page.becomes(lambda state: state.crosshair is not None)
+    x, y, _ = page.state.crosshair or (0, 0, 0)
+    assert x > 92
+    assert y > 92  # rows of a patient's axial slices run to the back
+    page.wait("document.querySelector('.clvol-pane[data-pane=x] .clvol-crosshair')")
+    letters = page.js(
+        "return [...document.querySelectorAll('.clvol-pane[data-pane=z] .clvol-letter')].map((l) => l.className + l.textContent)"
+    )
+    assert {"clvol-letter clvol-leftR", "clvol-letter clvol-downP"} <= set(letters)
+
+
+# -- the panel -----------------------------------------------------------------------------------------------
+
+
+def test_mode_filter_and_option_are_set(page: Page) -> None:
+    page.choose("Mode", "isosurface")
+    page.becomes(lambda state: state.mode == "isosurface")
+    page.choose("Filter", "linear")
+    page.becomes(lambda state: state.filter == "linear")
+    page.type("isovalue", "120")
+    page.becomes(lambda state: state.options.get("isovalue") == 120)
+    page.choose("Mode", "mip")
+    page.becomes(lambda state: state.mode == "mip" and not state.options)
+    assert page.js("return document.querySelector('input[aria-label=\"isovalue, as a number\"]')") is None
+
+
+def test_a_point_of_the_transfer_function_is_dragged_as_one_step(page: Page) -> None:
+    page.choose("Preset", "ct-bone")
+    page.becomes(lambda state: state.preset == "ct-bone")
+    page.wait("document.querySelectorAll('.clvol-dot').length > 2")
+    page.browser.drag((0, -30), ".clvol-dot:nth-child(2)")
+    page.becomes(lambda state: state.transfer is not None)
+    page.wait("[...document.querySelectorAll('select')].some((s) => s.selectedOptions[0]?.textContent === 'edited')")
+    page.press("Undo")
+    page.becomes(lambda state: state.transfer is None and state.preset == "ct-bone")
+
+
+def test_points_are_added_coloured_and_deleted(page: Page) -> None:
+    count = page.js("return document.querySelectorAll('.clvol-dot').length")
+    left, top, width, _ = page.browser.box(".clvol-graph")
+    for clicks in (1, 2):
+        for kind in ("mousePressed", "mouseReleased"):
+            page.browser.mouse(kind, left + 0.9 * width, top + 60, clickCount=clicks)
+    page.becomes(lambda state: state.transfer is not None)
+    assert page.js("return document.querySelectorAll('.clvol-dot').length") == count + 1
+    color = "const box = document.querySelector('.clvol-point input[type=color]'); box.value = '#00ff00';"
+    page.js(color + "box.dispatchEvent(new Event('change'))")
+    page.becomes(lambda state: any(color == (0, 1, 0) for _, color in state.transfer.colors))
+    page.press("Delete")
+    page.becomes(lambda state: not any(color == (0, 1, 0) for _, color in state.transfer.colors))
+    assert page.js("return document.querySelectorAll('.clvol-dot').length") == count
+
+
+def test_two_filters_are_compared_and_the_bar_is_dragged(page: Page) -> None:
+    page.tick("Compare with")
+    page.becomes(lambda state: state.wiper is not None and state.wiper.at == 0.5)
+    page.wait("document.querySelector('.clvol-wiper-right')?.textContent.includes('error')", 60)
+    page.browser.drag((-100, 0), ".clvol-wiper")
+    page.becomes(lambda state: state.wiper is not None and 0.2 < state.wiper.at < 0.45)
+    assert page.state.camera.direction == page.view.initial.camera.direction  # the bar, not the volume
+
+
+def test_a_crop_box_a_light_and_the_heat_map_are_set(page: Page) -> None:
+    page.js("for (const s of document.querySelectorAll('details')) s.open = true")
+    before = page.picture()
+    page.tick("Crop to a box")
+    page.becomes(lambda state: state.clip is not None)
+    page.type("x to", "90")
+    page.becomes(lambda state: state.clip is not None and state.clip[1][0] == 90)
+    page.wait(f"document.querySelector('.clvol-box') && {FINAL}")
+    page.wait(lambda: np.abs(page.picture().astype(int) - before).mean() > 1, 20, "the cropped picture")
+    assert page.told() == ""
+    page.choose("Lights", "from above")
+    page.becomes(lambda state: state.lights is not None and len(state.lights) == 1)
+    page.tick("Show where rays looked")
+    page.becomes(lambda state: state.heat)
+
+
+def test_what_is_wrong_is_told_and_nothing_changes(page: Page) -> None:
+    before = page.state
+    page.type("Step", "-1")
+    page.wait(lambda: "step must be" in page.told(), 20, "the error")
+    assert page.state == before
+    page.wait(
+        "document.querySelector('input[aria-label=\"Step, as a number\"]').value === '0.5'", what="the old value is shown again"
+    )
+
+
+# -- out of it -----------------------------------------------------------------------------------------------
+
+
+def test_the_copied_address_shows_the_same_elsewhere(page: Page) -> None:
+    page.js("navigator.clipboard.writeText = async (text) => { window.copied = text; }")
+    page.choose("Mode", "mip")
+    page.browser.drag((60, 30), PANE)
+    page.becomes(lambda state: state.mode == "mip" and state.camera.target is not None)
+    page.press("URL")
+    url = page.wait("window.copied")
+    wanted = page.state
+    assert from_url(url) == wanted
+    page.view.initial = replace(page.view.initial, step=0.7)  # of which the address knows nothing: what it leaves out is a default
+    try:
+        page.open(url[url.index("#") :])
+        page.becomes(lambda state: state == wanted)
+    finally:
+        page.view.initial = replace(page.view.initial, step=0.5)
+
+
+def test_the_saved_picture_is_the_still_one(page: Page) -> None:
+    page.js(
+        "URL.createObjectURL = (b) => { b.arrayBuffer().then((a) => { window.saved = [...new Uint8Array(a)]; }); return 'data:,'; }"
+    )
+    page.press("Save picture")
+    data = bytes(page.wait("window.saved"))
+    np.testing.assert_array_equal(iio.imread(io.BytesIO(data))[..., :3], page.picture()[..., :3])
+
+
+def test_copied_python_is_shown_where_the_clipboard_is_closed(page: Page) -> None:
+    page.js("navigator.clipboard.writeText = async () => { throw new Error('no'); }; document.execCommand = () => false")
+    page.press("Python")
+    text = page.wait("document.querySelector('.clvol-text:not([hidden])')?.value")
+    compile(text, "copied", "exec")
+    assert "clvol.render(" in text
+
+
+def test_an_address_that_was_cut_is_told(page: Page) -> None:
+    page.open("#s=eyJ2")
+    page.wait(lambda: "cannot be read" in page.told(), 20, "the error")
+
+
+def test_a_lost_connection_comes_back_with_what_was_shown(page: Page) -> None:
+    kept = "const W = WebSocket; window.WebSocket = class extends W { constructor(url) { super(url); window.socket = this; } };"
+    added = page.browser.driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": kept})
+    try:
+        page.open()
+    finally:
+        page.browser.driver.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", added)
+    page.choose("Mode", "minip")
+    page.becomes(lambda state: state.mode == "minip")
+    old = page.view.last
+    page.js("window.socket.close()")
+    page.wait(lambda: "trying again in 0.5 s" in page.told(), 20, "the lost connection")
+    page.wait(lambda: page.view.last is not old, 20, "a new session")
+    page.becomes(lambda state: state.mode == "minip")
+    page.wait(lambda: page.told() == "", 20, "no complaint is left")
+
+
+# -- for everybody -------------------------------------------------------------------------------------------
+
+
+def test_it_is_used_by_keys_alone(page: Page) -> None:
+    first = page.state
+    page.js("document.activeElement.blur()")
+    page.browser.key("Tab")
+    assert page.js("return document.activeElement.dataset.pane") == "3d"
+    page.browser.key("ArrowLeft")
+    page.becomes(lambda state: state.camera.direction != first.camera.direction)
+    page.browser.key("z", modifiers=2)
+    page.becomes(lambda state: state.camera.direction == first.camera.direction)
+    reached = set()
+    for _ in range(60):
+        page.browser.key("Tab")
+        reached.add(page.js(f"const e = document.activeElement; return {NAME}"))
+        if page.js("return document.activeElement.classList.contains('clvol-dot')"):
+            break
+    assert {"Settings", "Fit"} <= reached
+    page.browser.key("ArrowUp")
+    page.becomes(lambda state: state.transfer is not None)
+
+
+def test_every_control_has_a_name(page: Page) -> None:
+    page.js("for (const s of document.querySelectorAll('details')) s.open = true")
+    unnamed = f"""return [...document.querySelectorAll('input, select, textarea, button, [tabindex="0"]')]
+        .filter((e) => !{NAME}.trim()).map((e) => e.outerHTML)"""
+    assert page.js(unnamed) == []
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_texts_stand_out_from_what_is_behind_them(page: Page, scheme: str) -> None:
+    """WCAG AA: 4.5 to 1."""
+    media = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+    page.browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
+    code = """for (const s of document.querySelectorAll('details')) s.open = true;
+        return [...document.querySelectorAll('.clvol-panel *, .clvol-foot *')].filter((e) => !e.disabled && e.checkVisibility()
+            && (e.value || [...e.childNodes].some((n) => n.nodeType === 3 && n.data.trim()))).map((e) => {
+          let behind = e;
+          const back = () => getComputedStyle(behind).backgroundColor;
+          while (back() === 'rgba(0, 0, 0, 0)' && behind.parentElement) behind = behind.parentElement;
+          return [e.textContent.slice(0, 40), getComputedStyle(e).color, back()];
+        });"""
+    rows = page.js(code)
+    assert len(rows) > 40
+    ratios = {text: contrast(ink, back) for text, ink, back in rows}
+    assert {text: ratio for text, ratio in ratios.items() if ratio < 4.5} == {}
+
+
+def contrast(one: str, two: str) -> float:
+    """Of two colours as `getComputedStyle` gives them, by WCAG 2."""
+
+    def luminance(text: str) -> float:
+        shares = [float(c) / 255 for c in text[text.index("(") + 1 : -1].split(",")[:3]]
+        linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in shares]
+        return sum(w * c for w, c in zip((0.2126, 0.7152, 0.0722), linear, strict=True))
+
+    low, high = sorted((luminance(one), luminance(two)))
+    return (high + 0.05) / (low + 0.05)
+
+
+def test_on_a_phone_the_panel_is_below_and_nothing_sticks_out(page: Page) -> None:
+    metrics = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
+    page.browser.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    try:
+        page.wait(f"{FINAL} && document.querySelector('canvas').width === 780")
+        pane, panel = page.browser.box(PANE), page.browser.box(".clvol-panel")
+        assert pane[1] + pane[3] <= panel[1]
+        assert pane[3] > 844 * 0.4
+        assert page.js("return document.documentElement.scrollWidth") <= 390
+        assert page.js("const p = document.querySelector('.clvol-panel'); return p.scrollWidth - p.clientWidth") <= 0
+        page.press("Settings")
+        page.wait("document.querySelector('canvas').height > 1500")
+    finally:
+        metrics = {"width": 1000, "height": 700, "deviceScaleFactor": 1, "mobile": False}
+        page.browser.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+
+
+def test_no_request_leaves_and_the_console_is_clean(page: Page) -> None:
+    page.choose("Layout", "linked")
+    page.wait(f"document.querySelectorAll('.clvol-pane[data-frame]').length === 4 && {FINAL}", 30)
+    address = page.url.partition("?")[0]
+    assert {url.replace("ws:", "http:").startswith(address) for url in page.browser.requests()} == {True}
+    assert page.browser.console() == []

@@ -1,0 +1,563 @@
+"""Sessions: what they draw is what copied programs draw, the newest state wins, and nothing is left of them."""
+
+from __future__ import annotations
+
+import gc
+import math
+import random
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import clvol
+from clvol import Light, Material, TransferFunction, Volume
+from clvol.device import Device
+from clvol.errors import DataError, OptionError
+from clvol.picture import to_bytes
+from clvol.view import State, View, from_toml, from_url
+from clvol.view.session import Session
+from tests.view.clients import Client, decoded, random_event
+
+SIZE = 96, 72
+
+
+@pytest.fixture(scope="module")
+def volume() -> Volume:
+    """A ball in a gradient, in a patient's world, with unequal spacings."""
+    z, y, x = np.mgrid[0:20, 0:24, 0:28].astype(np.float32)
+    ball = 900 * np.exp(-(((x - 14) / 7) ** 2 + ((y - 12) / 6) ** 2 + ((z - 9) / 5) ** 2))
+    return Volume((ball + 3 * x).astype(np.int16), spacing=(1.0, 1.1, 1.4), origin=(-13, 5, 40), space="LPS", units="mm")
+
+
+@pytest.fixture(scope="module")
+def view(volume: Volume, device: Device) -> Iterator[View]:
+    made = View(volume, device=device)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def client(view: View) -> Iterator[Client]:
+    made = Client(view)
+    yield made
+    made.close()
+
+
+def drawn(text: str, volume: Volume) -> NDArray[np.uint8]:
+    """What a copied program draws, as a PNG holds it."""
+    space: dict[str, Any] = {"volume": volume}
+    exec(text, space)
+    pixels = to_bytes(space["picture"])
+    return pixels[..., :3] if pixels.shape[2] == 4 and pixels[..., 3].min() == 255 else pixels
+
+
+LOOKS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "surface": {"mode": "isosurface", "options.isovalue": 400.5, "options.color": [0.2, 0.5, 0.9], "filter": "bspline3"},
+    "moved": {
+        "mode": "isosurface",
+        "camera.target": [0, 20, 52],
+        "camera.radius": 11,
+        "camera.up": [0.3, 0.1, 0.9],
+        "camera.zoom": 1.3,
+        "camera.projection": "orthographic",
+        "clip": {"low": [-8, 8, 45], "high": [8, 30, 60.5]},
+        "lights": [
+            {"direction": [1, -2, 0.5], "color": [1, 0.9, 0.8], "frame": "camera"},
+            {"direction": None, "color": [0.2, 0.2, 0.2]},
+        ],
+        "material": {"ambient": 0.1, "diffuse": 0.8, "specular": 0.4, "shininess": 12.5},
+        "background": None,
+    },
+    "transfer": {"transfer.points": [[100, [0.1, 0, 0], 0], [400, [1, 0.5, 0], 0.3], [400, [0, 0.5, 1], 0.6], [950, [1, 1, 1], 1]]},
+    "words": {"mode": "mip", "window": [500, 800], "cmap": "viridis", "background": [0.1, 0.2, 0.3]},
+    "heat": {"heat": True},
+    "wiper": {"mode": "isosurface", "filter": "bspline3", "wiper": {"filter": "nearest", "at": 0.4}},
+    "axial": {"layout": "slice", "active": "z", "crosshair": [0, 18, 51.3], "slice.zoom": 1.4},
+    "sagittal": {"layout": "slice", "active": "x", "filter": "linear", "window": [450, 700], "cmap": "bone", "background": None},
+    "cut wiper": {"layout": "slice", "active": "y", "filter": "bspline3", "wiper": {"filter": "nearest", "at": 0.5}},
+}
+
+
+@pytest.mark.parametrize("look", LOOKS)
+def test_the_still_picture_is_that_of_the_copied_program(client: Client, volume: Volume, look: str) -> None:
+    client.set(**LOOKS[look])
+    client.resize(*SIZE)
+    shown = client.session.state.active if client.session.state.layout == "slice" else None
+    message, pixels = client.wait(lambda m: m["type"] == "frame" and m["final"])
+    shown = message["pane"]
+    assert (message["format"], message["width"], message["height"]) == ("png", *SIZE)
+    assert client.session.state.layout != "slice" or shown == client.session.state.active
+    assert np.array_equal(decoded(pixels), drawn(client.session.python(), volume))
+    assert from_url(client.session.url()) == client.session.state
+    assert from_toml(client.session.toml()) == client.session.state
+    assert not client.of("status")
+
+
+def test_a_view_starts_as_render_draws(volume: Volume, device: Device) -> None:
+    options: dict[str, Any] = {
+        "camera": clvol.Camera.orbit(40, 25, zoom=1.2),
+        "mode": "isosurface",
+        "isovalue": 500,
+        "filter": "catmull-rom",
+        "lights": Light(),
+        "material": Material(0.3, 0.6),
+        "background": "navy",
+        "gradient": "central",
+        "samples": 2,
+    }
+    view = View(volume, device=device, **options)
+    picture = view.picture(SIZE)
+    assert np.array_equal(to_bytes(picture), to_bytes(clvol.render(volume, size=SIZE, device=device, **options)))
+    space: dict[str, Any] = {"volume": volume}
+    exec(view.python(SIZE), space)
+    assert np.array_equal(space["picture"], picture)
+    view.close()
+
+
+def test_a_scene_brings_what_it_has(volume: Volume, device: Device) -> None:
+    transfer = TransferFunction(((0, "black"), (900, "red")), ((100, 0.0), (500, 1.0)))
+    medium = clvol.Medium(volume, transfer=transfer, material=Material(0.4), filter="linear")  # type: ignore[arg-type]  # converted
+    scene = clvol.Scene((medium,), lights=(Light(),), background=None, clip=((-9, 6, 41), (9, 28, 60)))
+    view = View(scene, device=device)
+    assert view.state.transfer is not None
+    assert [view.state.filter, view.state.background, view.state.lights] == ["linear", None, (Light(),)]
+    with clvol.Renderer(scene, device=device) as renderer:
+        there = np.asarray(renderer.render(size=SIZE), np.float64)
+    assert np.abs(view.picture(SIZE) - there).max() < 2e-3  # points of colour and opacity are merged
+    view.close()
+    with clvol.Field(volume, "bspline3", device=device, precision="single") as field:
+        view = View(field)
+        assert np.array_equal(view.picture(SIZE), clvol.render(volume, filter="bspline3", size=SIZE, device=device))
+        view.close()
+        assert not field.closed
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"isovalue": 3}, "isovalue is no option of composite"),
+        ({"modus": "mip"}, "modus is no option"),
+        ({"mode": "iso"}, "mode must be one of"),
+        ({"filter": "cubik"}, "filter must be one of"),
+        ({"step": -1}, "step must be"),
+        ({"size": (3, 3)}, "size is no option of a view"),
+        ({"camera": 3}, "camera must be a Camera"),
+        ({"clip": ((1, 1, 1), (0, 2, 2))}, "clip must be two corners"),
+    ],
+    ids=str,
+)
+def test_a_view_says_at_once_what_is_wrong(volume: Volume, options: dict[str, Any], says: str) -> None:
+    with pytest.raises(OptionError, match=says):
+        View(volume, **options)
+
+
+def test_a_view_takes_volumes_alone() -> None:
+    with pytest.raises(DataError, match="3 axes"):
+        View(np.zeros((4, 5)))
+
+
+# -- what comes and goes -----------------------------------------------------------------------------------------
+
+
+def test_what_a_client_is_told_first(client: Client, volume: Volume) -> None:
+    client.wait(lambda m: m["type"] == "state")
+    info, state = client.of("info")[0], client.of("state")[0]
+    assert client.got[0][0] is info
+    assert info["volume"]["shape"] == [20, 24, 28]
+    assert sum(info["histogram"]["counts"]) == volume.data.size
+    assert len(info["histogram"]["edges"]) == len(info["histogram"]["counts"]) + 1
+    assert info["modes"]["isosurface"]["isovalue"]["kind"] == "number"
+    assert info["modes"]["isosurface"]["method"] | {"help": ""} == {
+        "kind": "choice",
+        "default": "exact",
+        "choices": ["exact", "stepped"],
+        "help": "",
+    }
+    assert "bspline3(auto)" in info["filters"]
+    assert state["effective"]["transfer"]["points"]
+    assert [state["can_undo"], state["can_redo"]] == [False, False]
+    assert clvol.view.State.from_json(state["state"]) == client.session.state
+
+
+def test_a_drag_shows_previews_then_the_still_picture_and_is_one_step(client: Client) -> None:
+    client.set(mode="isosurface")
+    client.resize(*SIZE)
+    client.still()
+    client.wait(lambda m: m["type"] == "stats")
+    client.forget()
+    client.event("pointer_down", x=20, y=20, button=1)
+    for i in range(12):
+        client.event("pointer_move", x=20 + 4 * i, y=20, button=1)
+        time.sleep(0.02)
+    client.event("pointer_up", x=66, y=20, button=1)
+    client.still()
+    kinds = [(m["format"], m["final"]) for m in client.of("frame")]
+    assert kinds.count(("png", True)) == 1
+    assert kinds[-1] == ("png", True)
+    assert ("jpeg", False) in kinds
+    states = client.of("state")
+    assert len(states) == 1  # after the drag
+    assert states[0]["can_undo"]
+    client.forget()
+    client.session.receive({"type": "do", "what": "undo", "id": 7})
+    client.wait(lambda m: m["type"] == "reply" and m["id"] == 7)
+    assert client.session.state.camera.direction == pytest.approx(client.session._resident.initial.camera.direction)
+    assert client.session.state.mode == "isosurface"
+
+
+def test_the_newest_state_wins(view: View) -> None:
+    """Of hundreds of states that come faster than pictures, few are drawn, and the last one is."""
+    client = Client(view)
+    client.resize(*SIZE)
+    client.still()
+    client.forget()
+    for i in range(300):
+        client.session.receive({"type": "set", "changes": {"camera.zoom": 1 + i / 300}, "live": True})
+    client.set(camera__zoom=2.0)
+    deadline = time.monotonic() + 30
+    while client.session.state.camera.zoom != 2 and time.monotonic() < deadline:
+        time.sleep(0.005)
+    client.forget()
+    client.still()
+    assert client.session.state.camera.zoom == 2
+    assert len(client.of("frame")) <= 20
+    message, data = client.wait(lambda m: m["type"] == "frame" and m["final"])
+    assert message["final"]
+    assert np.array_equal(decoded(data), drawn(client.session.python(), view.volume))
+    client.close()
+
+
+def test_a_long_picture_is_given_up_when_something_comes(view: View) -> None:
+    """A still picture that would take many seconds; the next change is answered long before it would be done."""
+    client = Client(view)
+    client.set(mode="composite", step=0.02, options__termination=0.0, opacity=0.01)
+    client.resize(1800, 1400)
+    client.wait(lambda m: m["type"] == "frame")
+    time.sleep(0.3)
+    assert not any(m["final"] for m in client.of("frame"))
+    began = time.monotonic()
+    client.session.receive({"type": "do", "what": "copy_url", "id": 1})
+    client.wait(lambda m: m["type"] == "reply")
+    assert time.monotonic() - began < 0.5  # 20 ms on an idle machine
+    began = time.monotonic()
+    client.close()
+    assert time.monotonic() - began < 2
+
+
+def test_no_more_than_two_frames_are_under_way(view: View) -> None:
+    client = Client(view, acknowledges=False)
+    client.resize(*SIZE)
+    client.set(mode="isosurface")
+    client.wait(lambda m: m["type"] == "frame")
+    for i in range(20):
+        client.set(camera__zoom=1 + i / 20)
+        time.sleep(0.02)
+    time.sleep(0.2)
+    assert len(client.of("frame")) <= 2
+    client.acknowledges = True
+    for message in client.of("frame"):
+        client.session.receive({"type": "ack", "frame": message["number"]})
+    client.wait(lambda m: m["type"] == "frame" and m["final"] and m["number"] > 2)
+    client.close()
+
+
+def test_errors_are_told_and_the_session_goes_on(client: Client) -> None:
+    client.resize(*SIZE)
+    client.still()
+    for message, says in [
+        ({"type": "set", "changes": {"step": -1}}, "step must be"),
+        ({"type": "set", "changes": 3}, "changes must be an object"),
+        ({"type": "set", "changes": {"preset": "ct"}}, "preset"),
+        ({"type": "nonsense"}, "the type of a message must be one of"),
+        ({"type": "event", "event": {"event_type": "resize", "width": "a"}}, "width must be"),
+        ({"type": "do", "what": "_close"}, "what to do must be one of"),
+        ({"type": "do", "what": "save_picture", "width": 1 << 20}, "width must be"),
+        ([], "a message must be an object"),
+    ]:
+        client.forget()
+        client.session.receive(message)  # type: ignore[arg-type]  # what clients send
+        status, _ = client.wait(lambda m: m["type"] == "status" and m["kind"] == "error")
+        assert says in status["text"]
+    # what only the picture refuses: one so wide that float32 misses the rays
+    client.forget()
+    client.set(camera__target=[0, 0, 0], camera__radius=1e9, mode="isosurface")
+    client.wait(lambda m: m["type"] == "status" and m["kind"] == "error")
+    client.forget()
+    client.set(camera__target=None, camera__radius=None)
+    client.still()
+
+
+def test_a_failing_device_is_told_and_asked_again(view: View, monkeypatch: pytest.MonkeyPatch) -> None:
+    client = Client(view)
+    client.resize(*SIZE)
+    client.still()
+    forgotten = []
+    refine, forget = clvol.Renderer.refine, view.forget
+    monkeypatch.setattr(view, "forget", lambda: forgotten.append(forget()))
+    fails = [clvol.DeviceError("the device was lost"), MemoryError(), ZeroDivisionError("a fault of ours")]
+
+    def broken(*args: Any, **options: Any) -> Any:
+        if fails:
+            raise fails[0]
+        return refine(*args, **options)
+
+    monkeypatch.setattr(clvol.Renderer, "refine", broken)
+    for zoom, says in ((1.1, "the device was lost"), (1.2, "out of memory"), (1.3, "ZeroDivisionError: a fault of ours")):
+        client.forget()
+        client.set(camera__zoom=zoom)
+        status, _ = client.wait(lambda m: m["type"] == "status" and m["kind"] == "error")
+        assert says in status["text"]
+        time.sleep(0.1)
+        fails.pop(0)
+    assert len(forgotten) == 2  # it was tried once more
+    client.forget()
+    client.set(camera__zoom=1.4)
+    client.still()
+    client.close()
+
+
+def test_a_client_that_vanishes_ends_its_session(view: View) -> None:
+    def send(message: dict[str, Any], data: bytes | None) -> None:  # noqa: ARG001
+        if message["type"] == "frame":
+            raise ConnectionResetError
+
+    session = view.session(send)
+    session.receive({"type": "event", "event": {"event_type": "resize", "width": 64, "height": 64, "ratio": 1}})
+    session._thread.join(60)
+    assert session.closed
+    assert not session._thread.is_alive()
+    session.receive({"type": "do", "what": "fit"})
+    session.close()
+
+
+def test_two_sessions_share_the_coefficients_not_the_state(view: View) -> None:
+    one, two = Client(view), Client(view)
+    one.set(mode="isosurface", filter="linear")
+    two.set(mode="isosurface", filter="linear", camera__zoom=2.0)
+    for client in (one, two):
+        client.resize(*SIZE)
+        client.still()
+    assert [client.session.state.camera.zoom for client in (one, two)] == [1, 2]
+    assert sum(key[0] == "linear" for key in view._entries) == 1
+    for name in ("nearest", "bspline3"):
+        one.forget()
+        one.set(filter=name)
+        one.still()
+    one.close()
+    two.close()
+    deadline = time.monotonic() + 60  # statistics beside a picture may still build a kernel
+    while any(entry.users for entry in view._entries.values()) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert len(view._entries) == 2  # the last two, now that nobody uses another
+    assert not any(entry.users for entry in view._entries.values())
+
+
+def test_linked_panes_are_drawn_and_follow_the_crosshair(client: Client) -> None:
+    client.set(layout="linked", mode="isosurface", options__isovalue=500)
+    for name in ("3d", "x", "y", "z"):
+        client.resize(64, 48, pane=name)
+    for name in ("3d", "x", "y", "z"):
+        client.still(name)
+    client.wait(lambda m: m["type"] == "overlay" and m["pane"] == "z" and m["crosshair"] is not None)
+    client.forget()
+    client.event("pointer_down", pane="z", x=40, y=20, button=1)
+    client.event("pointer_up", pane="z", x=40, y=20, button=1)
+    for name in ("x", "y"):
+        client.still(name)
+    overlay, _ = client.wait(lambda m: m["type"] == "overlay" and m["pane"] == "z")
+    assert overlay["crosshair"] == pytest.approx([40, 20])
+    assert not any(m["pane"] in ("z", "3d") for m in client.of("frame"))  # these show the same as before
+    # a click on the surface takes it there
+    client.forget()
+    client.event("pointer_down", pane="3d", x=32, y=24, button=1)
+    client.event("pointer_up", pane="3d", x=32, y=24, button=1)
+    found, _ = client.wait(lambda m: m["type"] == "reply" and m["what"] == "pick")
+    assert client.session.state.crosshair == pytest.approx(tuple(found["position"]))
+    assert found["value"] == pytest.approx(500, abs=0.5)
+
+
+def test_a_pick_is_exact(client: Client, volume: Volume, device: Device) -> None:
+    client.set(mode="isosurface", options__isovalue=500, filter="bspline3")
+    client.resize(*SIZE)
+    client.still()
+    client.session.receive({"type": "do", "what": "pick", "x": 48.5, "y": 36.5, "id": 1})
+    found, _ = client.wait(lambda m: m["type"] == "reply")
+    camera = client.session._place().placed(client.session.state, 4 / 3)
+    options: dict[str, Any] = {"isovalue": 500, "filter": "bspline3", "size": SIZE, "device": device}
+    at = clvol.render(volume, camera, "isosurface", outputs="position", **options)[36, 48]
+    assert np.linalg.norm(np.subtract(found["position"], at)) < 1e-3
+    assert found["value"] == pytest.approx(500, abs=0.05)
+    slope = clvol.sample(volume, at, filter="bspline3", derivative=1, device=device)
+    assert found["gradient"] == pytest.approx(slope.tolist(), rel=1e-3)
+    client.forget()
+    client.session.receive({"type": "do", "what": "pick", "x": 0.5, "y": 0.5, "id": 2})
+    nothing, _ = client.wait(lambda m: m["type"] == "reply")
+    assert nothing["position"] is None
+    client.forget()
+    client.session.receive({"type": "do", "what": "pick", "x": 40, "y": 30, "pane": "y", "id": 3})
+    cut, _ = client.wait(lambda m: m["type"] == "reply")
+    assert cut["position"][1] == pytest.approx(volume.center[1])
+    assert cut["value"] == pytest.approx(float(clvol.sample(volume, cut["position"], filter="bspline3", device=device)), abs=1e-2)
+
+
+def test_the_point_under_the_cursor_stays_on_a_surface(client: Client) -> None:
+    client.set(mode="isosurface", options__isovalue=500)
+    client.resize(*SIZE)
+    client.still()
+    before = client.session._pick("3d", 58, 30)["position"]
+    client.event("wheel", x=58, y=30, dy=-300)
+    client.forget()
+    client.wait(lambda m: m["type"] == "frame" and m["final"])
+    place = client.session._place()
+    assert place.pane(client.session.state, "3d").project(before) == pytest.approx((58, 30), abs=1e-3)
+
+
+def test_the_crop_box_is_dragged_in_the_volume_and_shown(client: Client, volume: Volume) -> None:
+    """Several boxes, one after the other: what is known of the time of one picture is used for the next."""
+    client.set(mode="isosurface", tool="crop", camera__direction=[0, 1, 0], camera__projection="orthographic")
+    client.resize(*SIZE)
+    client.still()
+    client.forget()
+    high = volume.corners.max(0)
+    place = client.session._place()
+    x, y = place.pane(client.session.state, "3d").project([high[0], volume.center[1], volume.center[2]])
+    client.event("pointer_down", x=x, y=y, button=1)
+    for i in range(5):
+        client.event("pointer_move", x=x - 4 * i, y=y, button=1)
+        time.sleep(0.03)
+    client.event("pointer_up", x=x - 16, y=y, button=1)
+    _, pixels = client.still()
+    clip = client.session.state.clip
+    assert clip is not None
+    assert clip[1][0] == pytest.approx(high[0] - 16 / place.pane(client.session.state, "3d").unit_pixels, rel=1e-6)
+    assert np.array_equal(pixels, drawn(client.session.python(), volume))
+    overlay, _ = client.wait(lambda m: m["type"] == "overlay" and m["box"] is not None)
+    assert len(overlay["box"]) == 8
+    assert not client.of("status")
+
+
+def test_the_wiper_tells_the_error_of_both_filters(view: View) -> None:
+    client = Client(view)
+    client.set(mode="isosurface", filter="bspline3", wiper={"filter": "nearest", "at": 0.5})
+    client.resize(*SIZE)
+    message, _ = client.wait(lambda m: m["type"] == "wiper")
+    one, other = message["errors"]["filters"]
+    assert [one["filter"], other["filter"]] == ["bspline3", "nearest"]
+    assert 0 <= one["rms"] < other["rms"]
+    assert one["expected"] < other["expected"]
+    expected = clvol.analysis.leave_out(Volume(view.volume.data, view.volume.spacing), ["nearest"], sigma=0)[0]
+    noise = view.volume.noise.sigma
+    assert math.hypot(other["x"], noise) == pytest.approx(expected.x or 0, rel=1e-3, abs=noise)
+    client.close()
+    assert not any(thread.name == "clvol view: aside" for thread in threading.enumerate())
+
+
+def test_pictures_and_movies_are_saved(client: Client, volume: Volume) -> None:
+    client.set(mode="isosurface", options__isovalue=500)
+    client.resize(*SIZE)
+    client.session.receive({"type": "do", "what": "save_picture", "width": 50, "height": 70, "id": 1})
+    message, data = client.wait(lambda m: m["type"] == "reply" and m["id"] == 1)
+    assert message["format"] == "png"
+    state = client.session.state
+    assert np.array_equal(decoded(data), to_bytes(clvol.render(volume, mode="isosurface", isovalue=500, size=(50, 70)))[..., :3]), (
+        state
+    )
+    client.session.receive({"type": "do", "what": "movie", "width": 32, "height": 24, "frames": 3, "id": 2})
+    _, data = client.wait(lambda m: m["type"] == "reply" and m["id"] == 2)
+    assert data is not None
+    assert data[:6] == b"GIF89a"
+    client.session.receive({"type": "do", "what": "movie", "width": 32, "height": 24, "frames": 2, "format": "zip", "id": 3})
+    _, data = client.wait(lambda m: m["type"] == "reply" and m["id"] == 3)
+    assert data is not None
+    assert data[:2] == b"PK"
+
+
+def test_events_by_chance_leave_a_session_that_draws(view: View) -> None:
+    chance = random.Random(5)
+    client = Client(view)
+    client.resize(48, 36)
+    for i in range(2000):
+        client.session.receive({"type": "event", "event": random_event(chance, 48, 36)})
+        if i % 100 == 0:
+            time.sleep(0.02)
+    client.session.receive({"type": "do", "what": "reset", "id": 1})
+    client.wait(lambda m: m["type"] == "reply" and m["id"] == 1)
+    client.forget()
+    client.session.receive({"type": "event", "event": {"event_type": "blur"}})
+    client.set(layout="3d", mode="isosurface", options__isovalue=333)
+    client.still()
+    assert [m for m in client.of("status") if m["kind"] == "error" and "Error" in m["text"]] == []
+    client.close()
+
+
+def test_a_flood_is_bounded(view: View) -> None:
+    client = Client(view)
+    for _ in range(20000):
+        client.session.receive({"type": "set", "changes": {"camera.zoom": 1.5}})
+    assert len(client.session._inbox) <= 4096
+    client.session.receive({"type": "event", "event": {"event_type": "blur"}})
+    began = time.monotonic()
+    client.close()
+    assert time.monotonic() - began < 2
+
+
+def test_nothing_is_left_of_sessions(view: View) -> None:
+    def one() -> None:
+        client = Client(view)
+        client.set(mode="isosurface")
+        client.resize(32, 24)
+        client.still()
+        client.close()
+
+    one()
+    gc.collect()
+    threads, sessions = threading.active_count(), _sessions()
+    for _ in range(20):
+        one()
+    gc.collect()
+    assert threading.active_count() == threads
+    assert _sessions() <= sessions
+    assert all(entry.users == 0 for entry in view._entries.values())
+
+
+def _sessions() -> int:
+    return sum(isinstance(thing, Session) for thing in gc.get_objects())
+
+
+def test_a_volume_without_a_finite_sample_is_told_and_the_session_lives(device: Device) -> None:
+    client = Client(View(Volume(np.full((4, 4, 4), np.nan, np.float32)), device=device))
+    client.resize()
+    told, _ = client.wait(lambda m: m["type"] == "status" and m["kind"] == "error")
+    assert told["text"]
+    assert not client.session.closed
+    client.close()
+
+
+def test_editing_a_point_keeps_the_length_that_opacities_are_of(device: Device) -> None:
+    view = View(clvol.phantoms.sphere(24), device=device)
+    resident = view.session(lambda *_: None)._resident
+    transfer = resident.effective(State())["transfer"]
+    own = resident.transfer(State())
+    assert transfer.get("unit_distance") == own.unit_distance
+    edited = State().changed({f"transfer.{name}": value for name, value in transfer.items()})
+    assert resident.transfer(edited).unit_distance == own.unit_distance
+    view.close()
+
+
+def test_a_renderer_that_is_forgotten_is_closed_by_who_draws_it_last(view: View) -> None:
+    session = view.session(lambda *_: None)
+    resident = session._resident
+    with resident.renderer("linear", "mirror") as mine:
+        resident.forget()
+        with resident.renderer("linear", "mirror") as other:
+            assert other is not mine
+        assert mine.render(size=(8, 8)).shape == (8, 8, 4)
+    with pytest.raises(OptionError, match="closed"):
+        mine.render(size=(8, 8))
+    session.close()
