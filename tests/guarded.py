@@ -57,7 +57,7 @@ def guard(side: str) -> None:
         return cl.Buffer(self.context, cl.mem_flags.USE_HOST_PTR, hostbuf=memory)
 
     @contextmanager
-    def lent(self: Device, array: NDArray[Any], *, write: bool, begun: bool = False) -> Iterator[Any]:
+    def lent(self: Device, array: NDArray[Any], *, write: bool, begun: bool = False) -> Iterator[Any]:  # noqa: ARG001  # as the device has it
         memory = guarded(array.nbytes, side)
         memory[:] = array.reshape(-1).view(np.uint8)
         buffer = cl.Buffer(self.context, cl.mem_flags.USE_HOST_PTR, hostbuf=memory)

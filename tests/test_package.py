@@ -94,6 +94,12 @@ def test_importing_is_cheap_and_needs_no_opencl(module: str) -> None:
     assert done.stdout.split() == []
 
 
+def test_importing_it_imports_nothing_yet() -> None:
+    code = "import clvol, sys; print('numpy' in sys.modules, [name for name in clvol.__all__ if not hasattr(clvol, name)])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", timeout=60, check=True)
+    assert done.stdout.strip() == "False []"
+
+
 def test_no_module_is_hidden_by_a_function_of_its_name() -> None:
     for found in pkgutil.walk_packages(clvol.__path__, "clvol."):
         if not found.name.endswith("__main__"):

@@ -6,8 +6,8 @@
 >>> values = clvol.sample(volume, points)                             # at world positions (x, y, z)
 >>> gradients = clvol.sample(volume, points, derivative=1)            # exact, per world unit
 
-Importing it needs no OpenCL; a device is looked for when something is computed on one. `clvol.analysis`, `clvol.figures`,
-`clvol.reports` and `clvol.reference` are imported when they are first used.
+Importing it takes no time and needs no OpenCL: its parts are imported when they are first used, and a device is looked for when
+something is computed on one.
 """
 
 from __future__ import annotations
@@ -16,47 +16,47 @@ from clvol import interrupted as interrupted  # before all that takes long to im
 
 # isort: split
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from clvol import images, ndimage, phantoms
-from clvol.boundary import Boundary, boundaries
-from clvol.camera import Camera
-from clvol.device import Device, devices
-from clvol.errors import (
-    ClvolError,
-    ClvolWarning,
-    DataError,
-    DeviceError,
-    FormatError,
-    GeometryError,
-    MissingDependencyError,
-    OptionError,
-    OutOfMemoryError,
-)
-from clvol.filter import Filter, bc, bspline, filters, from_callable, from_pieces, lanczos, moms3, quasi, register, sinc
-from clvol.formats import read, read_all, write
-from clvol.formats.transforms import read_transform
-from clvol.interpolator import Interpolator
-from clvol.light import Light, Material
-from clvol.march.refine import Refined
-from clvol.march.renderer import Output, Renderer, render
-from clvol.missing import Missing
-from clvol.mode import Attenuated, Composite, Isosurface, Mean, Minip, Mip, Mode, modes
-from clvol.moved import callable_as_before
-from clvol.picture import Picture, save, show
-from clvol.preset import presets
-from clvol.resizing import resize
-from clvol.response import frequency_response, prefilter_response
-from clvol.scene import Medium, Scene
-from clvol.spline.field import Field, magnify, prefilter, resample, sample
-from clvol.spline.scatter import adjoint
-from clvol.spline.warp import Warped, resample_series, warp
-from clvol.transfer import TransferFunction
-from clvol.transform import AffineTransform, BSplineTransform, DisplacementField
-from clvol.volume import Volume
-from clvol.volumes import Volumes
+from clvol.moved import submodule
 
-callable_as_before("clvol.spline.prefilter", "clvol.spline.resample")
+if TYPE_CHECKING:
+    from clvol import images, ndimage, phantoms
+    from clvol.boundary import Boundary, boundaries
+    from clvol.camera import Camera
+    from clvol.device import Device, devices
+    from clvol.errors import (
+        ClvolError,
+        ClvolWarning,
+        DataError,
+        DeviceError,
+        FormatError,
+        GeometryError,
+        MissingDependencyError,
+        OptionError,
+        OutOfMemoryError,
+    )
+    from clvol.filter import Filter, bc, bspline, filters, from_callable, from_pieces, lanczos, moms3, quasi, register, sinc
+    from clvol.formats import read, read_all, write
+    from clvol.formats.transforms import read_transform
+    from clvol.interpolator import Interpolator
+    from clvol.light import Light, Material
+    from clvol.march.refine import Refined
+    from clvol.march.renderer import Output, Renderer, render
+    from clvol.missing import Missing
+    from clvol.mode import Attenuated, Composite, Isosurface, Mean, Minip, Mip, Mode, modes
+    from clvol.picture import Picture, save, show
+    from clvol.preset import presets
+    from clvol.resizing import resize
+    from clvol.response import frequency_response, prefilter_response
+    from clvol.scene import Medium, Scene
+    from clvol.spline.field import Field, magnify, prefilter, resample, sample
+    from clvol.spline.scatter import adjoint
+    from clvol.spline.warp import Warped, resample_series, warp
+    from clvol.transfer import TransferFunction
+    from clvol.transform import AffineTransform, BSplineTransform, DisplacementField
+    from clvol.volume import Volume
+    from clvol.volumes import Volumes
 
 __version__ = "0.1.0"
 
@@ -135,16 +135,48 @@ __all__ = [
     "write",
 ]
 
-_LATE = ("analysis", "figures", "reference", "reports")  # heavier, and few need them
+_PLACES = {  # where each name is from; a test holds it to what is imported above
+    "boundary": "Boundary boundaries",
+    "camera": "Camera",
+    "device": "Device devices",
+    "errors": "ClvolError ClvolWarning DataError DeviceError FormatError GeometryError MissingDependencyError OptionError "
+    "OutOfMemoryError",
+    "filter": "Filter bc bspline filters from_callable from_pieces lanczos moms3 quasi register sinc",
+    "formats": "read read_all write",
+    "formats.transforms": "read_transform",
+    "interpolator": "Interpolator",
+    "light": "Light Material",
+    "march.refine": "Refined",
+    "march.renderer": "Output Renderer render",
+    "missing": "Missing",
+    "mode": "Attenuated Composite Isosurface Mean Minip Mip Mode modes",
+    "picture": "Picture save show",
+    "preset": "presets",
+    "resizing": "resize",
+    "response": "frequency_response prefilter_response",
+    "scene": "Medium Scene",
+    "spline.field": "Field magnify prefilter resample sample",
+    "spline.scatter": "adjoint",
+    "spline.warp": "Warped resample_series warp",
+    "transfer": "TransferFunction",
+    "transform": "AffineTransform BSplineTransform DisplacementField",
+    "volume": "Volume",
+    "volumes": "Volumes",
+}
+_PLACE = {name: place for place, names in _PLACES.items() for name in names.split()}
 _OPTIONAL = {"torch": "torch", "xarray": "xarray"}  # with what they need
 
 
 def __getattr__(name: str) -> Any:
-    if name in _LATE:
-        return import_module(f"clvol.{name}")
+    if name in _PLACE:
+        value = getattr(import_module(f"clvol.{_PLACE[name]}"), name)
+        globals()[name] = value
+        return value
+    if name not in _OPTIONAL and (part := submodule("clvol", name)) is not None:
+        return part
     hint = f"; it needs {_OPTIONAL[name]}: import clvol.{name} first" if name in _OPTIONAL else ""
     raise AttributeError(f"module 'clvol' has no attribute {name!r}{hint}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_LATE})
+    return sorted({*globals(), *__all__})

@@ -11,10 +11,11 @@ import warnings
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from importlib.machinery import ModuleSpec
+from importlib.util import find_spec
 from types import ModuleType
 from typing import Any
 
-__all__ = ["callable_as_before", "forwarding"]
+__all__ = ["callable_as_before", "forwarding", "submodule"]
 
 _MODULES = {
     "clvol.analysis.compare": "clvol.analysis.comparison",
@@ -40,11 +41,20 @@ _ELSEWHERE = {  # names of those modules that are in another one now, or have an
 }
 
 
+def submodule(package: str, name: str) -> ModuleType | None:
+    """A part of a package, imported now that it is asked for; None if the package has none of that name."""
+    if name.startswith("_") or not hasattr(sys.modules[package], "__path__") or find_spec(f"{package}.{name}") is None:
+        return None
+    return import_module(f"{package}.{name}")
+
+
 def forwarding(module: str, places: Mapping[str, str]) -> Callable[[str], Any]:
     """A module's `__getattr__` for names that moved: from each to "module" or to "module:new name"."""
 
     def __getattr__(name: str) -> Any:
         if name not in places:
+            if (part := submodule(module, name)) is not None:
+                return part
             raise AttributeError(f"module {module!r} has no attribute {name!r}")
         target, _, new = places[name].partition(":")
         return _found(f"{module}.{name}", target, new or name)

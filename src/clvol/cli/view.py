@@ -68,7 +68,7 @@ def view(
     port
         Where the page is served; 0 is a free port.
     host
-        Address to listen at. Any but that of this machine itself lets others reach the page.
+        Address to listen on. Any but that of this machine itself lets others reach the page.
     root_path
         Path under which a proxy shows the page, such as /user/ada/clvol.
     allow_host
@@ -76,9 +76,9 @@ def view(
     allow_frame
         Site that may show the page in a frame, such as https://hub.example.org; may be given several times.
     certificate
-        File of PEM with which the page is served by https; its key may be in it.
+        PEM file with the certificate with which the page is served by https; its key may be in it.
     key
-        File of PEM with the certificate's key.
+        PEM file with the certificate's key.
     idle
         Minutes without a message after which a page is disconnected and its memory freed.
     clients
@@ -151,10 +151,10 @@ def view(
         print(server.url, flush=True)
         if server.public:
             safe = "" if certificate is not None else " Nothing is encrypted: give --certificate, or put a proxy in front."
-            _note(f"other machines reach this page, and whoever has its address may look.{safe}")
+            _note(f"other machines reach this page, at {server.elsewhere}; whoever has the address may look.{safe}")
         threading.Thread(target=warm, name="clvol: first picture", daemon=True).start()
         if not serve:
-            _open(server.url)
+            _open(server.ticket())
 
     why = run(server, ready, failed)
     if isinstance(why, OptionError):

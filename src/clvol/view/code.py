@@ -149,7 +149,9 @@ def toml(resident: Resident, state: State, name: str, shown: PaneSize, size: tup
     The command stands above; so does what its flags cannot say of this state.
     """
     flags, unsaid = _flags(resident, state, size)
-    command = ["clvol", "render", _path(resident.source), "-o", "picture.png"]
+    path, given = _input(resident.source)
+    flags |= {flag.replace("_", "-"): value for flag, value in given.items()}
+    command = ["clvol", "render", path, "-o", "picture.png"]
     for flag, value in flags.items():
         command += _flag(flag, value)
     lines = [f"# {shlex.join(command)}"]
@@ -211,16 +213,24 @@ def _flags(resident: Resident, state: State, size: tuple[int, int]) -> tuple[dic
     return made, unsaid
 
 
-def _path(source: str | None) -> str:
-    """The file of a Python text such as ``clvol.read("scan.nii.gz")``."""
+def _input(source: str | None) -> tuple[str, dict[str, Any]]:
+    """The file of a Python text such as ``clvol.read("scan.nii.gz", channel=1).filled(0)``, and the options by which it is read."""
     try:
         tree = ast.parse(source or "", mode="eval").body
-    except SyntaxError:
-        return "INPUT"
-    if isinstance(tree, ast.Call) and tree.args and isinstance(tree.args[0], ast.Constant) and isinstance(tree.args[0].value, str):
-        name = tree.args[0].value
-        return f"phantom:{name}" if getattr(tree.func, "attr", "") == "by_name" else name
-    return "INPUT"
+        filled: dict[str, Any] = {}
+        if isinstance(tree, ast.Call) and isinstance(tree.func, ast.Attribute) and tree.func.attr == "filled":
+            filled = {"fill_nan": ast.literal_eval(tree.args[0]) if tree.args else "smoothly"}
+            tree = tree.func.value
+        if (
+            isinstance(tree, ast.Call)
+            and isinstance(tree.func, ast.Attribute)
+            and isinstance(name := ast.literal_eval(tree.args[0]), str)
+        ):
+            given = {keyword.arg: ast.literal_eval(keyword.value) for keyword in tree.keywords if keyword.arg} | filled
+            return f"phantom:{name}" if tree.func.attr == "by_name" else name, given
+    except (SyntaxError, ValueError, IndexError):  # text of another program
+        pass
+    return "INPUT", {}
 
 
 def _flag(flag: str, value: Any) -> list[str]:

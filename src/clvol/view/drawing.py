@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Generator
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -61,13 +62,14 @@ class Drawer:
         scale = min(1.0, max(0.25, math.sqrt(budget / max(self._slice_rate * pixels, 1e-9))))
         return max(1, round(scale * size[0])), max(1, round(scale * size[1]))
 
-    def still(self, place: Place, state: State, name: str, size: tuple[int, int]) -> NDArray[np.uint8]:
-        """The still picture, in one go."""
+    def still(
+        self, place: Place, state: State, name: str, size: tuple[int, int], stop: Callable[[], bool] = lambda: False
+    ) -> NDArray[np.uint8] | None:
+        """The still picture, in one go; None if it was stopped."""
         last = None
-        for shot in self.shots(place, state, name, size, math.inf, lambda: False):
+        for shot in self.shots(place, state, name, size, math.inf, stop):
             last = shot
-        assert last is not None  # nothing stopped it
-        return last.pixels
+        return None if last is None else last.pixels
 
     def shots(
         self,
@@ -104,24 +106,28 @@ class Drawer:
         at, edge = state.wiper.at, round(state.wiper.at * size[0])
         sides = [(state.filter, edge > 0), (state.wiper.filter, edge < size[0])]
         plain = replace(state, wiper=None, layout="3d", active="3d", tool=None)
-        parts: list[Shot | None] = []
-        for chosen, seen in sides:
-            key = plain, chosen, name, size, tuple(place.size(name))
-            known = self._stills.get(key)
-            if known is None and seen:
-                for shot in self._of(place, plain, chosen, name, size, budget / 2, stop, coarse):
-                    known = shot
-                if known is None or not (known.final or coarse):
-                    return  # it was stopped
-                if known.final:
-                    self._stills[key] = known
-                    for old in list(self._stills)[: -2 * _KEPT]:
-                        del self._stills[old]
-            parts.append(known if seen else None)
-        left, right = parts
-        shown = [shot for shot in parts if shot is not None]
-        pixels = joined(None if left is None else left.pixels, None if right is None else right.pixels, at)
-        yield Shot(pixels, all(shot.final for shot in shown), shown[0].step, shown[0].visited)
+        for first in (True, False) if math.isfinite(budget) else (False,):
+            parts: list[Shot | None] = []
+            for chosen, seen in sides:
+                key = plain, chosen, name, size, tuple(place.size(name))
+                known = self._stills.get(key)
+                if known is None and seen:
+                    for shot in self._of(place, plain, chosen, name, size, budget / 2, stop, first):
+                        known = shot
+                    if known is None or not (known.final or first):
+                        return  # it was stopped
+                    if known.final:
+                        self._stills[key] = known
+                        for old in list(self._stills)[: -2 * _KEPT]:
+                            del self._stills[old]
+                parts.append(known if seen else None)
+            left, right = parts
+            shown = [shot for shot in parts if shot is not None]
+            pixels = joined(None if left is None else left.pixels, None if right is None else right.pixels, at)
+            final = all(shot.final for shot in shown)
+            yield Shot(pixels, final, shown[0].step, shown[0].visited)
+            if final or coarse:
+                return
 
     def _of(
         self,
@@ -162,13 +168,23 @@ def _refined(
     renderer: Renderer, size: tuple[int, int], budget: float, stop: Callable[[], bool], coarse: bool, given: dict[str, Any]
 ) -> Generator[Shot, None, None]:
     if not math.isfinite(budget):
-        yield Shot(to_bytes(renderer.render(size=size, **given)), True, given["step"])
+
+        def on(_: float) -> None:
+            if stop():
+                raise _Stopped
+
+        with suppress(_Stopped):
+            yield Shot(to_bytes(renderer.render(size=size, progress=on, **given)), True, given["step"])
         return
     camera, mode, step = (given.pop(name) for name in ("camera", "mode", "step"))
     for picture in renderer.refine(camera, mode, size, step, budget=budget, cancelled=stop, **given):
         yield Shot(to_bytes(picture), picture.final and not coarse, picture.step)
         if coarse:
             return
+
+
+class _Stopped(Exception):  # nothing went wrong
+    """The picture is no longer wanted."""
 
 
 def share_visited(resident: Resident, state: State, shape: tuple[float, float]) -> float | None:

@@ -28,8 +28,8 @@ __all__ = ["KEYS", "Drag", "Hands", "Place", "Reduced", "reduce"]
 Vector = NDArray[np.float64]
 
 KEYS: Mapping[str, str] = {
-    "Arrow keys": "turn by 15°; on a slice: the next and the last one",
-    "PageUp, PageDown": "the next and the last slice",
+    "Arrow keys": "turn by 15°; on a slice: the next or previous slice",
+    "PageUp, PageDown": "next / previous slice",
     "+, -": "zoom",
     "[, ]": "roll by 15°",
     "1 to 6": "the mode",
@@ -45,7 +45,7 @@ KEYS: Mapping[str, str] = {
     "c (held)": "drag a face of the crop box",
     "Shift (held)": "drag pans; the wheel moves slices five at a time",
     "Control (held)": "drag rolls; the wheel zooms slices",
-    "Escape": "without tool and crop box",
+    "Escape": "drop the tool and the crop box",
     "Control+z, u": "undo",
     "Control+y, Control+Shift+z": "redo",
 }
@@ -183,9 +183,8 @@ def _down(state: State, hands: Hands, event: Mapping[str, Any], place: Place, na
     began = state if state.active == name else replace(state, active=name)  # type: ignore[arg-type]  # a pane's
     kind = _drag_kind(state, hands, event, place, name, x, button)
     face = _nearest_face(began, place, name, x, y) if kind == "crop" else None
-    if kind in ("orbit", "pan", "roll", "zoom") and name == "3d":
-        began = place.pinned(began)
-    drag = Drag(kind, name, button, x, y, began, face)
+    pinned = place.pinned(began) if kind in ("orbit", "pan", "roll", "zoom") and name == "3d" else began
+    drag = Drag(kind, name, button, x, y, pinned, face)
     moved = _crosshair_at(began, place, name, x, y) if kind == "crosshair" else began
     return Reduced(moved, replace(hands, drag=drag, anchor=None), (), "drag")
 

@@ -23,7 +23,7 @@ __all__ = ["FORMATS", "turntable"]
 
 FORMATS = ("gif", "mp4", "zip")
 _PER_SECOND = 24
-_MOST_BYTES = 1 << 30
+_MOST_BYTES = 1 << 28
 
 
 def turntable(
@@ -63,7 +63,10 @@ def turntable(
         for i in range(frames):
             camera = turned(upright, place, 2 * math.pi * i / frames, 0.0) if i else state.camera
             given = resident.arguments(replace(state, camera=camera))
-            pictures.append(to_bytes(renderer.render(size=size, **given)))
+            picture = to_bytes(renderer.render(size=size, **given))
+            pictures.append(
+                np.asarray(np.rint(picture[..., :3] * (picture[..., 3:] / 255)), np.uint8) if form != "zip" else picture
+            )
             if not progress((i + 1) / frames):
                 raise OptionError("the movie was stopped")
     return _packed(pictures, form)
@@ -76,17 +79,16 @@ def _packed(pictures: list[NDArray[np.uint8]], form: str) -> bytes:
             for i, picture in enumerate(pictures):
                 archive.writestr(f"{i:04d}.png", png(picture))
         return stream.getvalue()
-    opaque = [np.asarray(np.rint(p[..., :3] * (p[..., 3:] / 255)), np.uint8) for p in pictures]
     if form == "gif":
         from PIL import Image
 
-        first, *rest = [Image.fromarray(picture).quantize(128, dither=Image.Dither.NONE) for picture in opaque]
+        first, *rest = [Image.fromarray(picture).quantize(128, dither=Image.Dither.NONE) for picture in pictures]
         first.save(stream, "GIF", save_all=True, append_images=rest, duration=round(1000 / _PER_SECOND), loop=0)
         return stream.getvalue()
     if importlib.util.find_spec("imageio_ffmpeg") is None:
         raise MissingDependencyError("movies as mp4 need imageio-ffmpeg: pip install imageio-ffmpeg (gif and zip need nothing)")
     import imageio.v3 as iio
 
-    even = [picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2] for picture in opaque]
+    even = [picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2] for picture in pictures]
     iio.imwrite(stream, np.stack(even), extension=".mp4", plugin="FFMPEG", fps=_PER_SECOND)
     return stream.getvalue()

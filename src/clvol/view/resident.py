@@ -125,6 +125,10 @@ class Resident:
         self._counter = itertools.count(1)
         self._entries: dict[tuple[str | None, str], _Entry] = {}
         self._info: dict[str, Any] | None = None
+        if any(
+            getattr(self.initial, name) is not None for name in ("preset", "window", "cmap", "opacity")
+        ):  # what only the volume can refuse
+            self.transfer(self.initial)
 
     # -- on the device -----------------------------------------------------------------------------------------
 

@@ -18,6 +18,7 @@ import contextlib
 import hmac
 import ipaddress
 import json
+import math
 import mimetypes
 import re
 import secrets
@@ -51,6 +52,8 @@ _LOOPBACK = ("127.0.0.1", "::1", "localhost")
 _IDLE, _FAILED = 4000, 4001  # close codes that an application may define
 _NEWEST_WINS = ("frame", "overlay", "state", "stats", "status")  # messages of which a slow client gets the last alone, of each pane
 _FAREWELL = 0.4  # seconds that a client has to answer when it is sent away
+_TICKET = 60.0  # seconds that a browser has to start
+_PORTS = 5  # tries to find a port that is free for all families of addresses
 _PAUSE = 0.05  # seconds between looks at whether something has ended
 
 
@@ -263,7 +266,7 @@ class _Client:
         rate, since = _Rate(self._limits.rate, self._limits.burst), 0.0
         async for got in self._socket:
             if got.type is not WSMsgType.TEXT:
-                self.end(WSCloseCode.UNSUPPORTED_DATA, "messages are JSON texts")
+                self.end(WSCloseCode.UNSUPPORTED_DATA, "messages must be JSON text")
                 return
             wait = rate.take()
             if wait:
@@ -425,6 +428,7 @@ class Server:
         self._tls = _tls(certificate, key)
         self._files = _static()
         self._headers = _headers([*map(_as_ancestor, frame_ancestors)])
+        self._tickets: dict[str, float] = {}  # until when each lets somebody in
         self._clients: set[_Client] = set()
         self._rest: asyncio.TimerHandle | None = None
         self._runner: web.AppRunner | None = None
@@ -436,9 +440,22 @@ class Server:
         return f"{self.address}?token={self.token}"
 
     @property
+    def elsewhere(self) -> str:
+        """The address with the token, by the name of this machine that others may know."""
+        return f"{self._address(socket.gethostname() if _is_any(self.host) else self.host)}?token={self.token}"
+
+    def ticket(self) -> str:
+        """An address that lets in once, within a minute: command lines of browsers can be read by others on the machine."""
+        made = secrets.token_urlsafe(32)
+        self._tickets[made] = time.monotonic() + _TICKET
+        return f"{self.address}?token={made}"
+
+    @property
     def address(self) -> str:
         """The address without the token."""
-        host = "127.0.0.1" if self.host in ("0.0.0.0", "") else "::1" if self.host == "::" else self.host
+        return self._address(("::1" if self.host == "::" else "127.0.0.1") if _is_any(self.host) else self.host)
+
+    def _address(self, host: str) -> str:
         bracketed = f"[{host}]" if ":" in host else host
         return f"{'http' if self._tls is None else 'https'}://{bracketed}:{self.port}{self._root}/"
 
@@ -467,15 +484,31 @@ class Server:
         )
         await self._runner.setup()
         try:
-            site = web.TCPSite(self._runner, self.host or None, self.port, ssl_context=self._tls)
-            await site.start()
+            self.port = await self._listen(self._runner)
         except OSError as error:
             await self._runner.cleanup()
             raise OptionError(_why_not(error, self.host, self.port)) from error
-        if not self.port:
-            self.port = int(self._runner.addresses[0][1])
         self.opened = asyncio.ensure_future(in_thread(self._make, "reading"))
         self.opened.add_done_callback(lambda made: made.cancelled() or made.exception())  # it is told to clients
+
+    async def _listen(self, runner: web.AppRunner) -> int:
+        """One port for all families of addresses that the host has, also where it is a free one."""
+        port = self.port
+        for tries in range(_PORTS, 0, -1):
+            site = web.TCPSite(runner, self.host or None, port, ssl_context=self._tls)
+            try:
+                await site.start()
+            except OSError:
+                if self.port or tries == 1:
+                    raise
+                port = 0  # it was free for one family only
+                continue
+            ports = {int(address[1]) for address in runner.addresses}
+            port = ports.pop()
+            if not ports or tries == 1:
+                break
+            await site.stop()
+        return port
 
     async def stop(self) -> None:
         """Send all clients away, and listen no more."""
@@ -528,7 +561,7 @@ class Server:
         name = _without_port(asked)
         if name and (name in _names_of(self.host) or asked in self._names or name in self._names or (self.public and _is_ip(name))):
             return asked
-        raise _Refused(403, f"it is not served under the name {asked[:80]!r}; names of a proxy are given by --allow-host")
+        raise _Refused(403, f"this server does not answer to the name {asked[:80]!r}; allow it with --allow-host")
 
     def _known_origin(self, request: web.Request, host: str) -> None:
         """Refuse what a page of another site asks for; other programs send no origin."""
@@ -542,14 +575,16 @@ class Server:
                 parts.netloc == host or parts.netloc in self._names or _without_port(parts.netloc) in self._names
             )
             if not known:
-                raise _Refused(403, f"pages of {origin[:80]!r} may not ask; names of a proxy are given by --allow-host")
+                raise _Refused(403, f"requests from {origin[:80]!r} are not allowed; allow a proxy's name with --allow-host")
         fetched = request.headers.get("Sec-Fetch-Site", "none")
         if fetched in ("cross-site", "same-site") and request.headers.get("Sec-Fetch-Mode") != "navigate" and not origins:
-            raise _Refused(403, "pages of other sites may not ask")
+            raise _Refused(403, "requests from other sites are not allowed")
 
     def _let_in(self, request: web.Request, given: str) -> web.Response:
         """From the token to the cookie, and to the address without the token."""
-        if not _equal(given, self.token):
+        now, until = time.monotonic(), self._tickets.pop(given, -math.inf)
+        self._tickets = {ticket: end for ticket, end in self._tickets.items() if end > now}
+        if not (_equal(given, self.token) or now < until or self._has_cookie(request)):
             raise _Refused(403, "the token is not that of this server, which has a new one each time it starts")
         if request.headers.get("Sec-Fetch-Site") in ("cross-site", "same-site"):
             # A redirect would be part of the other site's navigation, which brings no strict cookie: the page goes on by itself.
@@ -690,6 +725,11 @@ def _without_port(netloc: str) -> str:
     return (found[1] or found[2]) if found else ""
 
 
+def _is_any(host: str) -> bool:
+    """Whether it stands for all addresses of this machine."""
+    return host == "" or (_is_ip(host) and ipaddress.ip_address(host).is_unspecified)
+
+
 def _is_ip(name: str) -> bool:
     try:
         ipaddress.ip_address(name)
@@ -720,7 +760,7 @@ def _tls(certificate: str | Path | None, key: str | Path | None) -> ssl.SSLConte
         context.load_cert_chain(certificate, key)
     except (OSError, ssl.SSLError) as error:
         raise OptionError(
-            f"certificate must be a file of PEM with its key, which may be in a file of its own; {said(error)}"
+            f"certificate must be a PEM file with its key, which may be in a file of its own; {said(error)}"
         ) from error
     return context
 
@@ -747,11 +787,19 @@ class Serving:
         self._failed: BaseException | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._enough: asyncio.Event | None = None
-        self._thread = threading.Thread(target=lambda: asyncio.run(self._run()), name="clvol: page", daemon=True)
+        self._thread = threading.Thread(target=self._work, name="clvol: page", daemon=True)
         self._thread.start()
         self._ready.wait()
         if self._failed is not None:
             raise self._failed
+
+    def _work(self) -> None:
+        try:
+            asyncio.run(self._run())
+        except Exception as error:  # there was no loop to be had
+            self._failed = self._failed or error
+        finally:
+            self._ready.set()
 
     async def _run(self) -> None:
         self._loop, self._enough = asyncio.get_running_loop(), asyncio.Event()

@@ -96,6 +96,7 @@ class Session:
         self._shown: dict[str, _Shown] = {}
         self._overlays: dict[str, object] = {}
         self._told: State | None = None
+        self._compared: object = None
         self._lost_at: State | None = None
         self._wheel_at = self._moved_at = -math.inf
         self._number = 0
@@ -110,6 +111,7 @@ class Session:
         self._condition = threading.Condition()
         self._closed = False
         self._overflowed = False
+        self._undrawn = False
         self._thread = threading.Thread(target=self._run, name="clvol view", daemon=True)
         self._thread.start()
 
@@ -192,19 +194,24 @@ class Session:
             work()
         except _Gone:
             raise
-        except DeviceError as error:
+        except Exception as error:
+            self._undrawn = work == self._draw_next
+            self._fail(error)
+
+    def _fail(self, error: Exception) -> None:
+        if isinstance(error, DeviceError):
             if not isinstance(error, MemoryError):
                 self._resident.forget()
                 if self._lost_at != self.state:  # once more with a device that is asked anew
                     self._lost_at = self.state
                     self._shown.clear()
             self._status(str(error), "error")
-        except ClvolError as error:
+        elif isinstance(error, ClvolError):
             self._status(str(error), "error")
-        except MemoryError:
+        elif isinstance(error, MemoryError):
             self._status("out of memory: what is shown does not fit; take a smaller window or another filter", "error")
-        except Exception as error:
-            _LOG.exception("in a session of a view")
+        else:
+            _LOG.error("in a session of a view", exc_info=error)
             self._status(f"{type(error).__name__}: {error}", "error")
 
     def _wait(self) -> bool:
@@ -407,6 +414,8 @@ class Session:
         height = whole("height", message.get("height", own[1]), 1, _MOST_PICTURE)
         self._status("drawing the picture", "busy")
         pixels = self._still(name, (width, height))
+        if pixels is None:
+            raise _Gone
         self._status("", "info")
         return {"format": "png", "width": width, "height": height, "name": "clvol.png"}, png(pixels)
 
@@ -469,12 +478,12 @@ class Session:
 
     # -- pictures ----------------------------------------------------------------------------------------------
 
-    def _still(self, name: str, size: tuple[int, int]) -> Array:
+    def _still(self, name: str, size: tuple[int, int]) -> Array | None:
         """The still picture of a pane in so many pixels, seen as high as it is shown."""
         place = self._place()
         own = place.size(name)
         fitted = PaneSize(own.height * size[0] / size[1], own.height, own.ratio)
-        return self._drawer.still(replace(place, sizes={**self._sizes, name: fitted}), self.state, name, size)
+        return self._drawer.still(replace(place, sizes={**self._sizes, name: fitted}), self.state, name, size, lambda: self._closed)
 
     def _job(self) -> tuple[str, bool] | None:
         """The pane to draw next, and whether it is the first picture of what it shows now."""
@@ -573,6 +582,9 @@ class Session:
             message["step"] = shot.step
         if shot.visited is not None:
             message["share_visited"] = shot.visited
+        if self._undrawn:  # what hindered it is over
+            self._undrawn = False
+            self._status("", "info")
         with self._condition:
             self._unseen[self._number] = time.monotonic()
         self._rates.append(time.monotonic())
@@ -615,12 +627,15 @@ class Session:
                     return
                 kind = next(iter(self._asides))
                 work = self._asides.pop(kind)
+                key = self._asked.get(kind)
             try:
                 message = work()
             except Exception as error:  # the picture is there all the same
                 _LOG.debug("beside a picture: %s", error)
                 continue
             with self._condition:
+                if self._asked.get(kind) != key:  # something else is compared by now
+                    continue
                 self._outgoing.append(message)
                 self._condition.notify_all()
 
@@ -641,6 +656,11 @@ class Session:
         if state == self._told:
             return
         self._told = state
+        compared = None if state.wiper is None else (state.filter, state.wiper.filter, state.boundary)
+        if compared != self._compared:  # what was measured of other filters is not shown beside these
+            self._compared = compared
+            self._asked.pop("wiper", None)
+            self._tell({"type": "wiper", "errors": None})
         self._tell(
             {
                 "type": "state",
@@ -703,8 +723,8 @@ def _replaces(message: Any, other: Any) -> bool:
     one, two = message.get("event"), other.get("event")
     if not (isinstance(one, Mapping) and isinstance(two, Mapping)) or one.get("pane") != two.get("pane"):
         return False
-    kinds = {event.get("event_type", event.get("type")) for event in (one, two)}
-    return len(kinds) == 1 and kinds <= {"pointer_move", "resize"}
+    kinds = [event.get("event_type", event.get("type")) for event in (one, two)]
+    return kinds[0] == kinds[1] and kinds[0] in ("pointer_move", "resize")
 
 
 def _pixels(size: PaneSize, most: float | None = None) -> tuple[int, int]:

@@ -35,6 +35,8 @@ _KEYS = {
     "\x1b[5~": "PageUp", "\x1b[6~": "PageDown", "\x1b": "Escape",
 }  # fmt: skip
 _SEQUENCE = re.compile(r"\x1b\[[0-9;]*[ -/]*[@-~]|\x1bO.|.", re.DOTALL)
+_BEGUN = re.compile(rb"\x1b(\[[0-9;]*[ -/]*|O)?$")
+_PIECES = 0.05  # seconds between the pieces of a sequence; Escape alone is known after them
 _QUIT = ("q", "Q", "\x03", "\x04")
 _TICK = 0.25  # seconds, after which the terminal's size is looked at again
 _LONGEST = 400  # characters along an edge
@@ -86,7 +88,7 @@ class _Shown:
                 while True:
                     self._fit()
                     ready, _, _ = select.select([terminal, self._reader], [], [], _TICK)
-                    if terminal in ready and not self._typed(os.read(terminal, 1024)):
+                    if terminal in ready and not self._typed(_read(terminal)):
                         return
                     if self._reader in ready:
                         os.read(self._reader, 1024)
@@ -170,6 +172,19 @@ def ansi(pixels: NDArray[np.uint8]) -> str:
             parts.append("▀")
         lines.append("".join(parts) + "\x1b[0m")
     return "\n".join(lines)
+
+
+def _read(terminal: int) -> bytes:
+    """What was typed; a key's sequence that comes in pieces, as over a network, whole."""
+    import select
+
+    typed = os.read(terminal, 1024)
+    while _BEGUN.search(typed) and select.select([terminal], [], [], _PIECES)[0]:
+        more = os.read(terminal, 1024)
+        if not more:
+            break
+        typed += more
+    return typed
 
 
 def keys_of(typed: str) -> Iterator[str]:

@@ -381,6 +381,7 @@ class Pane {
     if (event.target !== this.element) return;
     const down = event.type === "keydown";
     const command = (event.ctrlKey || event.metaKey) && !["Control", "Meta"].includes(event.key);
+    if (down && event.altKey && event.key !== "Alt") return;
     if (down && (event.key === "Tab" || /^F\d/.test(event.key) || (command && !["z", "y"].includes(event.key.toLowerCase())))) return;
     event.preventDefault();
     event.stopPropagation(); // notebooks have shortcuts of their own
@@ -1307,7 +1308,7 @@ class Viewer {
     const box = this.panel.text;
     Object.assign(box, { hidden: copied, value: text });
     if (!copied) box.select();
-    this.status(copied ? `copied as ${name}` : "the clipboard is closed to this page: copy the text that is marked", copied ? "info" : "error");
+    this.status(copied ? `copied as ${name}` : "this page may not use the clipboard: copy the selected text", copied ? "info" : "error");
   }
 
   async save(what) {
