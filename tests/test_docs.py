@@ -18,6 +18,7 @@ import skimage.transform
 import clvol
 from clvol.cli import app
 from clvol.device import Device
+from clvol.view.events import KEYS
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 BLOCK = re.compile(r"```python\n(.*?)```", re.DOTALL)
@@ -117,3 +118,8 @@ def test_the_tables_of_reliability_are_those_of_the_results() -> None:
     page = RELIABILITY.read_text(encoding="utf-8")
     assert [name for name in made.TABLES if f"<!-- table: {name} -->" not in page] == []
     assert page == made.with_tables(page), "run: python docs/_reliability.py"
+
+
+def test_the_guide_names_every_key_of_the_viewer() -> None:
+    text = (DOCS / "viewing.md").read_text(encoding="utf-8")
+    assert [key for key, what in KEYS.items() if f"| {key} | {what} |" not in text] == []

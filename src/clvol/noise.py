@@ -27,6 +27,7 @@ MOST_LABELS = 256
 Array: TypeAlias = NDArray[np.float64]
 
 _LOOKED_AT = 1 << 20  # samples: a larger volume is looked at in blocks
+_SHORT = 256  # samples of a cosine transform by its matrix
 _BLOCK = {2: 256, 3: 32}  # samples along each axis of such a block
 # Daubechies' extremal phase wavelet with four vanishing moments (Ten Lectures on Wavelets, table 6.1): the low-pass
 _LOW = np.array(
@@ -266,8 +267,6 @@ class _Cells:
 
 def _cells(blocks: NDArray[np.float32]) -> _Cells:
     """Mean spectrum of the blocks without their means, by the cosine transform."""
-    from scipy import fft
-
     axes = tuple(range(1, blocks.ndim))
     blocks = blocks - blocks.mean(axes, keepdims=True)
     weight = float(blocks[0].size)
@@ -277,7 +276,9 @@ def _cells(blocks: NDArray[np.float32]) -> _Cells:
             window = (np.sin(np.pi * (np.arange(n) + 0.5) / n) ** _WINDOW).astype(np.float32)
             blocks *= window.reshape([-1 if i == axis else 1 for i in range(blocks.ndim)])
             weight *= float((window**2).mean())
-    power = (fft.dctn(blocks, axes=axes, norm="ortho") ** 2).mean(0, dtype=np.float64) / weight
+    for axis in axes:
+        blocks = _cosine_transform(blocks, axis)
+    power = (blocks**2).mean(0, dtype=np.float64) / weight
     edges = []
     for axis, n in enumerate(power.shape):
         first = np.arange(n)
@@ -287,6 +288,18 @@ def _cells(blocks: NDArray[np.float32]) -> _Cells:
         power = np.add.reduceat(power, first, axis)
         edges.append(np.pi / n * np.append(first, n))
     return _Cells(power, tuple(edges), tuple(np.pi / n for n in blocks.shape[1:]))
+
+
+def _cosine_transform(array: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
+    """Orthonormal, of the second kind; SciPy's for long axes alone, for its import takes longer than all else here."""
+    n = array.shape[axis]
+    if n > _SHORT:
+        from scipy import fft
+
+        return np.asarray(fft.dct(array, axis=axis, norm="ortho"))
+    waves = np.cos(np.pi / n * np.outer(np.arange(n) + 0.5, np.arange(n))) * np.sqrt(2 / n)
+    waves[:, 0] = n**-0.5
+    return np.moveaxis(np.moveaxis(array, axis, -1) @ waves.astype(np.float32), -1, axis)
 
 
 def _finer(
@@ -391,8 +404,6 @@ def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[f
 
     0 where no place shows it.
     """
-    from scipy import ndimage
-
     axes = [axis for axis in range(1, blocks.ndim) if blocks.shape[axis] >= len(_LOW)]
     white = (1.0,) * (blocks.ndim - 1)
     if not axes:
@@ -409,9 +420,11 @@ def _variance(blocks: NDArray[np.float32], ground: NDArray[np.bool_]) -> tuple[f
     if used.sum() < _FEWEST:
         return 0.0, 0.0, white
     squares = {key: band**2 for key, band in bands.items()}
-    # power of all bands round about
-    box = (1, *(3 if axis in axes else 1 for axis in range(1, blocks.ndim)))
-    around = ndimage.uniform_filter(np.sum(list(squares.values()), 0), box, mode="nearest") * math.prod(box)
+    around = np.sum(list(squares.values()), 0)  # power of all bands, and then round about
+    for axis in axes:
+        n = around.shape[axis]
+        before, after = (np.take(around, np.clip(np.arange(n) + i, 0, n - 1), axis) for i in (-1, 1))
+        around = before + around + after
     level, around = level[used], around[used]
     squares = {key: square[used] for key, square in squares.items()}
 
