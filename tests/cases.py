@@ -27,7 +27,6 @@ __all__ = [
     "SMOOTHED",
     "every",
     "rotation",
-    "thin",
 ]
 
 MASKED: Final = np.ma.array([1.0, 2.0, 3.0], mask=[False, True, False])
@@ -83,18 +82,6 @@ def every(**calls: tuple[Callable[[Any], object], Iterable[Any]]) -> list[Any]:
 
 
 # -- what is computed with ------------------------------------------------------------------------
-
-
-def thin(step: int, rows: Iterable[Any]) -> list[Any]:
-    """Every `step`-th of a test's parameters; the others are marked as thorough: `make thorough` runs them.
-
-    Rows of a product, ``thin(3, product(modes(), filters()))``, should come in columns of which no length is a multiple of `step`.
-    """
-    marked = []
-    for place, row in enumerate(rows):
-        one = row if hasattr(row, "marks") else pytest.param(*(row if isinstance(row, tuple) else (row,)))
-        marked.append(one._replace(marks=(*one.marks, pytest.mark.thorough)) if place % step else one)
-    return marked
 
 
 def rotation(d: int = 3, seed: int = 0) -> np.ndarray:

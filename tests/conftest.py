@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import random
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -46,6 +47,26 @@ def _usable(device: Device) -> bool:
     except DeviceError:
         return False
     return True
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Of a test that is marked ``one_in(n)``, all but one in n of its parameters are thorough: chosen at random, always the same.
+
+    A test that is asked for by its whole name always runs.
+    """
+    families: dict[object, list[pytest.Item]] = {}
+    for item in items:
+        if item.get_closest_marker("one_in"):
+            on = getattr(item, "callspec", None) and item.callspec.params.get("device")  # type: ignore[attr-defined]  # a function's
+            families.setdefault((item.parent, getattr(item, "originalname", item.name), on), []).append(item)
+    for family in families.values():
+        marker = family[0].get_closest_marker("one_in")
+        assert marker is not None  # it is what they are here for
+        kept = random.Random(len(family)).sample(family, -(-len(family) // marker.args[0]))
+        for item in family:
+            if item not in kept:
+                item.add_marker(pytest.mark.thorough)
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

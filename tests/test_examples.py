@@ -15,7 +15,6 @@ import pytest
 import clvol
 from clvol.device import Device
 from clvol.figures import FIGURES
-from tests.cases import thin
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "examples"
@@ -80,26 +79,24 @@ def test_figure6_tells_what_is_wrong(tmp_path: Path, device: Device, arguments: 
     assert device is not None
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(
     ("name", "arguments", "words"),
-    thin(
-        3,
-        [
-            ("figure1", ("--samples", 9, "--pixels", 30), "samples along the ray of pixel"),
-            ("figure2", (), "hybrid, ×2 then linear: error up to 0.064"),
-            ("figure3", ("--samples", 9, "--pixels", 24), "ms a frame"),
-            ("figure4", ("--samples", 9), "Marschner–Lobb, 3-D: smallest with"),
-            ("figure5", ("--samples", 17), "zone plate, B-spline interpolation: RMS error 0."),
-            ("impulse", (), "B-spline interpolation: 1.000 at its own sample, smallest value -0.137"),
-            ("gradients", ("--samples", 9, "--pixels", 24), "B-spline interpolation: mean error of the normals"),
-            ("convergence", ("--points", 200), "bspline3: the error falls with power "),
-            ("noise", ("--samples", 9, "--points", 100), "linear: keeps 0.667 of the noise's variance along an axis"),
-            ("slices", ("--samples", 7), "slices 2 pixels apart: smallest RMS error with "),
-            ("edges", ("--samples", 12, "--pixels", 24), "ideal low-pass, nearest neighbour: values rise again by 0."),
-            ("reduction", ("--samples", 16), "zone plate, 2 times fewer samples: RMS error decimated 0."),
-            ("cost", ("--samples", 9, "--points", 200), "* nothing is both faster and better"),
-        ],
-    ),
+    [
+        ("figure1", ("--samples", 9, "--pixels", 30), "samples along the ray of pixel"),
+        ("figure2", (), "hybrid, ×2 then linear: error up to 0.064"),
+        ("figure3", ("--samples", 9, "--pixels", 24), "ms a frame"),
+        ("figure4", ("--samples", 9), "Marschner–Lobb, 3-D: smallest with"),
+        ("figure5", ("--samples", 17), "zone plate, B-spline interpolation: RMS error 0."),
+        ("impulse", (), "B-spline interpolation: 1.000 at its own sample, smallest value -0.137"),
+        ("gradients", ("--samples", 9, "--pixels", 24), "B-spline interpolation: mean error of the normals"),
+        ("convergence", ("--points", 200), "bspline3: the error falls with power "),
+        ("noise", ("--samples", 9, "--points", 100), "linear: keeps 0.667 of the noise's variance along an axis"),
+        ("slices", ("--samples", 7), "slices 2 pixels apart: smallest RMS error with "),
+        ("edges", ("--samples", 12, "--pixels", 24), "ideal low-pass, nearest neighbour: values rise again by 0."),
+        ("reduction", ("--samples", 16), "zone plate, 2 times fewer samples: RMS error decimated 0."),
+        ("cost", ("--samples", 9, "--points", 200), "* nothing is both faster and better"),
+    ],
 )
 def test_every_figure_has_an_example(tmp_path: Path, device: Device, name: str, arguments: tuple[object, ...], words: str) -> None:
     pytest.importorskip("matplotlib")

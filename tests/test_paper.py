@@ -17,7 +17,6 @@ from clvol.device import Device
 from clvol.figures import FIGURE_6, edges, figure6, noise, panels, pipeline, slices
 from clvol.figures.errors import mean_square, measure
 from clvol.filter import as_filter
-from tests.cases import thin
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "paper.md"
@@ -186,7 +185,8 @@ def test_whether_the_sinc_errs_least_depends_on_the_data(errors: dict[tuple[str,
     assert least[("zone plate", 3)] == least[("zone plate", 2)] == "bspline3"
 
 
-@pytest.mark.parametrize("size", thin(3, [48, 49, 50, 51, 53]))
+@pytest.mark.one_in(3)
+@pytest.mark.parametrize("size", [48, 49, 50, 51, 53])
 def test_at_hard_edges_linear_errs_least_and_the_sinc_more_than_the_spline(size: int) -> None:
     """For any size: where the edges lie among the samples kept is averaged over."""
     hard = mean_square([analysis.compare(phantoms.box(size), FIGURE_6, lowpass="none", points=1000, timing=False)])

@@ -23,7 +23,6 @@ from clvol.scene import Box, Scene
 from clvol.spline.evaluator import choose_evaluator
 from clvol.spline.minmax import MinMax
 from clvol.transfer import TransferFunction
-from tests.cases import thin
 from tests.march.looks import TILES, suited
 
 SIZE = (41, 35)
@@ -75,7 +74,8 @@ def check(got: dict[str, NDArray[Any]], want: dict[str, NDArray[Any]], mode: str
     np.testing.assert_allclose((got["rgba"] * cover)[seen], (want["rgba"] * cover)[seen], rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize(("mode", "tile"), thin(3, product(modes(), ["planes", "rays"])))
+@pytest.mark.one_in(3)
+@pytest.mark.parametrize(("mode", "tile"), [*product(modes(), ["planes", "rays"])])
 def test_two_halves_of_the_rays_merged_are_the_picture(renderer: Renderer, mode: str, tile: str) -> None:
     with renderer.device.limited(tile=TILES[tile]):
         for camera in CAMERAS.values():

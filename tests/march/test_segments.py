@@ -20,7 +20,7 @@ from clvol.mode import modes
 from clvol.phantoms import marschner_lobb
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
-from tests.cases import RULES, SMOOTHED, thin
+from tests.cases import RULES, SMOOTHED
 from tests.march.looks import TILES, suited
 
 MODES = [name for name, mode in modes().items() if mode.skips]
@@ -80,7 +80,8 @@ def same(
     assert (with_["visited"][seen] <= without["visited"][seen]).all()
 
 
-@pytest.mark.parametrize(("mode", "tile"), thin(4, product(MODES, TILES)))
+@pytest.mark.one_in(4)
+@pytest.mark.parametrize(("mode", "tile"), [*product(MODES, TILES)])
 @settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
 @given(volume=volumes(), view=views(), boundary=st.sampled_from(RULES), shading=st.booleans())
 def test_skipping_changes_no_bit(
@@ -90,7 +91,8 @@ def test_skipping_changes_no_bit(
         same(device, volume, "bspline3", mode, view, boundary, shading=shading)
 
 
-@pytest.mark.parametrize("filter", thin(4, [*filters(), *SMOOTHED]))
+@pytest.mark.one_in(4)
+@pytest.mark.parametrize("filter", [*filters(), *SMOOTHED])
 @settings(deadline=None, max_examples=25, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
 @given(volume=volumes(), view=views())
 def test_skipping_changes_no_bit_of_any_filter(device: Device, filter: str, volume: Volume, view: dict[str, Any]) -> None:
@@ -106,7 +108,8 @@ FITTED = {
 }
 
 
-@pytest.mark.parametrize("name", thin(4, FITTED))
+@pytest.mark.one_in(4)
+@pytest.mark.parametrize("name", FITTED)
 @settings(deadline=None, max_examples=25, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
 @given(volume=volumes(), view=views(), mode=st.sampled_from(["isosurface", "mip"]), constant=st.booleans())
 def test_skipping_changes_no_bit_of_a_filter_that_was_fitted(

@@ -16,7 +16,6 @@ import pytest
 from clvol import Volume, phantoms, reference
 from clvol.filter import as_filter
 from clvol.reports.advice import ADVISED, Advice, advise, settled_once
-from tests.cases import thin
 
 pytest.importorskip("matplotlib")
 Function: TypeAlias = Callable[[np.ndarray], np.ndarray]
@@ -91,7 +90,8 @@ SMOOTH = [
 ]
 
 
-@pytest.mark.parametrize(("function", "sigma", "times"), thin(2, SMOOTH))
+@pytest.mark.one_in(2)
+@pytest.mark.parametrize(("function", "sigma", "times"), SMOOTH)
 def test_the_recommended_filter_errs_least(function: Function, sigma: float, times: float) -> None:
     volume = sampled(function, sigma=sigma)
     given = advise(volume)

@@ -13,7 +13,7 @@ import clvol
 from clvol import AffineTransform, BSplineTransform, DisplacementField, Volume, reference
 from clvol.device import Device
 from clvol.errors import DataError, GeometryError, OptionError
-from tests.cases import rotation, thin
+from tests.cases import rotation
 
 Array = NDArray[np.float64]
 WITHIN = {"single": 4e-6, "double": 1e-12}  # of the data's range
@@ -79,15 +79,13 @@ CHAINS: dict[str, Any] = {
 }
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(
     ("precision", "name", "d"),
-    thin(
-        3,
-        [
-            *(("double", name, d) for name in CHAINS for d in (2, 3)),
-            *(("single", name, 3) for name in ("nothing", "field", "all")),  # of the same text; each chain is four new kernels
-        ],
-    ),
+    [
+        *(("double", name, d) for name in CHAINS for d in (2, 3)),
+        *(("single", name, 3) for name in ("nothing", "field", "all")),  # of the same text; each chain is four new kernels
+    ],
 )
 def test_values_gradients_and_jacobians_are_those_of_the_reference(device: Device, precision: Any, name: str, d: int) -> None:
     if precision == "double" and not device.has_double:

@@ -19,7 +19,7 @@ from clvol.device import Device
 from clvol.filter import as_filter, filters
 from clvol.spline.field import sample
 from clvol.volume import Volume
-from tests.cases import RULES, SMOOTHED, thin
+from tests.cases import RULES, SMOOTHED
 
 # Greatest error allowed, in units of the greatest coefficient (and, for derivatives, of the reciprocal
 # spacing and its square: the least is 0.7). Measured on PoCL, buffers: values 3.2e-7, gradients 9e-7,
@@ -102,9 +102,10 @@ def skip_without_images(device: Device, path: tuple[str, str]) -> None:
         pytest.skip(f"the sampler of {device.name} does not interpolate")
 
 
+@pytest.mark.one_in(8)
 @pytest.mark.parametrize(
     ("name", "rule", "derivative", "path", "d"),
-    thin(8, COMBINATIONS),
+    COMBINATIONS,
     ids=[f"{n}-{r}-d{k}-{p[0]}-{p[1]}-{d}D" for n, r, k, p, d in COMBINATIONS],
 )
 def test_parity(device: Device, name: str, rule: str, derivative: int, path: tuple[str, str], d: int) -> None:

@@ -10,7 +10,7 @@ Messages are JSON objects; a frame is one with bytes beside it. Beyond the proto
 - `{"type": "overlay", "pane", "crosshair": [x, y] | null, "box": [[x, y] | null, ... 8] | null, "unit_pixels", "right", "down"}`:
   where to draw the crosshair and the crop box, in CSS pixels of the pane (corner ``i`` is at the high end along x, y, z where bit
   0, 1, 2 of ``i`` is set); how many CSS pixels a world unit has, and what runs to the right and down. Sent when one changed.
-- `{"type": "wiper", "errors": {...}}`: the measured error of both filters, when it is known (`clvol.view.wiper`).
+- `{"type": "wiper", "errors": {...}}`: the measured error of both filters, when it is known (`clvol.view.wiper`); null before.
 - `{"type": "do", "what": "save_picture", "width", "height", "pane"?}` replies with a PNG; "movie" with a file of `frames` pictures
   ("format": "gif", "mp4" or "zip" of PNG).
 - "pick" takes x, y and pane; a double click is answered by a reply without an id.

@@ -1092,7 +1092,7 @@ class Panel {
   tellErrors(errors) {
     const known = (value, digits = 3) => (Number.isFinite(value) ? short(value, digits) : "unknown");
     const lines = (errors?.filters ?? []).map((e) => `${e.filter}: left out ${known(e.rms)}, expected ${known(e.expected)}`);
-    this.errors.replaceChildren(...lines.flatMap((line) => [line, make("br")]), errors?.problem ?? errors?.meaning ?? "");
+    this.errors.replaceChildren(...lines.flatMap((line) => [line, make("br")]), errors ? errors.problem ?? errors.meaning ?? "" : "the errors are being measured");
   }
 
   stats(stats) {
