@@ -21,7 +21,7 @@ test: $(VENV)/test.stamp
 	$(BIN)/python -m pytest
 
 thorough: $(VENV)/test.stamp
-	$(BIN)/python -m pytest -m thorough
+	CLVOL_TEST_THOROUGH=1 $(BIN)/python -m pytest -m "" --numprocesses=auto --dist=loadfile
 
 check: $(VENV)/test.stamp
 	$(BIN)/ruff check .

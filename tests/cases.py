@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable
 from typing import Any, Final
 
@@ -26,6 +27,7 @@ __all__ = [
     "RULES",
     "SMOOTHED",
     "every",
+    "examples",
     "rotation",
 ]
 
@@ -82,6 +84,11 @@ def every(**calls: tuple[Callable[[Any], object], Iterable[Any]]) -> list[Any]:
 
 
 # -- what is computed with ------------------------------------------------------------------------
+
+
+def examples(count: int) -> int:
+    """Of a property, a quarter of them, or all in `make thorough`."""
+    return count if os.environ.get("CLVOL_TEST_THOROUGH") else max(4, count // 4)
 
 
 def rotation(d: int = 3, seed: int = 0) -> np.ndarray:

@@ -72,6 +72,7 @@ def test_linker_that_fails_is_an_error_not_an_abort(device: Device, tmp_path: Pa
     assert "binutils" in done.stdout
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("home", ["/dev/null", "/nonexistent/home", "read-only", None])
 def test_home_that_cannot_be_written_is_no_hindrance(device: Device, home: str | None, tmp_path: Path) -> None:
     if home == "read-only":

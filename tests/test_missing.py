@@ -117,6 +117,7 @@ def touched(missing: np.ndarray, index: np.ndarray, name: str, rule: str) -> np.
     return np.asarray((close & near[tuple(np.moveaxis(place, -1, 0))]).any(-1))
 
 
+@pytest.mark.one_in(5)
 @pytest.mark.parametrize(
     ("name", "rule"),
     [
@@ -206,6 +207,7 @@ def test_one_sample_is_a_27th_of_a_cubics_taps() -> None:
 # -- propagate ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize(
     ("rule", "mode"), [("mirror", "mirror"), ("wrap", "grid-wrap"), ("nearest", "nearest"), ("overlap", "wrap")]
 )
@@ -228,6 +230,7 @@ def test_propagated_as_scipy_does(device: Device, name: str, order: int, rule: s
 # -- all of it -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", ["linear", "bspline3", "hybrid"])
 @pytest.mark.parametrize("rule", ["local", "propagate"])
 def test_nothing_but_missing_samples(device: Device, rule: str, name: str) -> None:

@@ -16,9 +16,9 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from clvol import reference
 from clvol.boundary import as_boundary
 from clvol.filter import Filter, as_filter, bspline, filters
-from tests.cases import RULES, SMOOTHED
+from tests.cases import RULES, SMOOTHED, examples
 
-MAX_EXAMPLES = 60
+MAX_EXAMPLES = examples(60)
 
 NAMES = (*filters(), *SMOOTHED)
 names, rules = st.sampled_from(NAMES), st.sampled_from(RULES)

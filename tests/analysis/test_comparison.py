@@ -44,6 +44,7 @@ def known() -> ErrorTable:
     return compare(marschner_lobb_function, list(RMSE), gradient=marschner_lobb_gradient, timing=False)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("name", RMSE)
 def test_rms_on_marschner_lobb_is_as_known(known: ErrorTable, name: str) -> None:
     row = next(r for r in known if r.filter == name)
@@ -334,6 +335,7 @@ def test_constant_data_give_values(source: Any) -> None:
     assert "nan" not in table.to_csv() + table.to_json() + table.to_markdown()
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("unit", [1e-300, 1e-200, 1e-81, 1e-20, 1e34, 1e200, 1e300])
 def test_units_of_the_data_change_nothing(unit: float) -> None:
     data = np.random.default_rng(0).normal(size=(14, 15)).cumsum(0)
@@ -346,6 +348,7 @@ def test_units_of_the_data_change_nothing(unit: float) -> None:
             assert getattr(scaled, key) == (None if one is None else pytest.approx(one, rel=1e-6))
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("shape", [(1, 1), (1, 2), (2, 2), (3, 5), (1, 1, 1), (1, 7, 2), (2, 3, 4)])
 def test_data_smaller_than_the_filter_give_values(shape: tuple[int, ...]) -> None:
     data = np.random.default_rng(0).normal(size=shape)

@@ -193,7 +193,7 @@ def allowance(filter: str, mode: str, device: Device, ways: dict[str, str] | Non
 
 
 # "attenuated" ranks samples as "mip" does, in the same kernel file: it meets each filter's values where mip does
-@pytest.mark.one_in(8)
+@pytest.mark.one_in(20)
 @pytest.mark.parametrize(
     ("mode", "filter"), [*product([mode for mode in MODES if mode != "attenuated"], [*filters(), "bspline3(0.1)"])]
 )
@@ -215,7 +215,7 @@ PAIRWISE = [("bspline3", mode, way) for mode in MODES for way in range(1, len(WA
 ]
 
 
-@pytest.mark.one_in(8)
+@pytest.mark.one_in(20)
 @pytest.mark.parametrize(("filter", "mode", "way"), PAIRWISE, ids=[f"{f}-{m}-{'-'.join(WAYS[w].values())}" for f, m, w in PAIRWISE])
 def test_every_way_to_the_coefficients(device: Device, keep: dict[Any, Renderer], filter: str, mode: str, way: int) -> None:
     ways = WAYS[way]
@@ -270,6 +270,7 @@ VIEWS |= {
 }
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("view", VIEWS)
 def test_every_view(device: Device, keep: dict[Any, Renderer], view: str, mode: str) -> None:
@@ -297,12 +298,14 @@ def test_every_boundary(device: Device, keep: dict[Any, Renderer], boundary: str
         check(held(keep, device, block(), name, boundary), CAMERA, mode, allowance(name, mode, device))
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("mode", ["composite", "isosurface"])
 @pytest.mark.parametrize("filter", ["linear", "bspline3", "hybrid"])
 def test_central_differences(device: Device, keep: dict[Any, Renderer], filter: str, mode: str) -> None:
     check(held(keep, device, block(oblique=True), filter), CAMERA, mode, allowance("bspline3", mode, device), gradient="central")
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("filter", ["nearest", "linear", "mitchell", "bspline3", "hybrid", "sinc"])
 def test_stepped_surfaces(device: Device, keep: dict[Any, Renderer], filter: str) -> None:
     """Drawn to rounding, not to 1e-4 of what lies between two samples."""
@@ -382,6 +385,7 @@ def test_the_default_look_is_the_references(device: Device, mode: str) -> None:
 # -- what the picture may not depend on ------------------------------------------------------------------------------
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("mode", MODES)
 def test_tiles_of_rays_draw_the_same(device: Device, keep: dict[Any, Renderer], mode: str) -> None:
     """One ray a work-item, eight at once, and tiles that share planes."""

@@ -70,6 +70,7 @@ def checked(pictures: Iterator[Refined], want: Picture) -> list[Refined]:
 # -- the last one is that of render --------------------------------------------------------------------------------
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("samples", [1, "auto", 4])
 @pytest.mark.parametrize("mode", modes())
 def test_the_last_is_the_picture_to_the_last_bit(renderer: Renderer, mode: str, samples: Any) -> None:
@@ -109,6 +110,7 @@ def test_all_that_render_takes(renderer: Renderer) -> None:
     checked(renderer.refine(size=SIZE, budget=TINY, outputs="rgba"), renderer.render(size=SIZE))
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("tile", TILES)
 def test_other_tiles_and_devices_that_do_not_share_memory(renderer: Renderer, tile: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for shares in (True, False):

@@ -57,6 +57,7 @@ def renderer(device: Device) -> Iterator[Renderer]:
 # -- symmetries ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("mode", MODES)
 def test_moving_volume_camera_and_light_together_changes_nothing(device: Device, mode: str) -> None:
     still = noise()
@@ -79,6 +80,7 @@ def test_moving_volume_camera_and_light_together_changes_nothing(device: Device,
     assert a[..., :3].max() > 0.1
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("filter", ["linear", "catmull-rom", "bspline2", "bspline3", "bspline4", "bspline5", "omoms3"])
 def test_one_polynomial_on_turned_grids_gives_one_picture(device: Device, filter: str) -> None:
     """Each filter gets a polynomial that it reproduces on any grid, away from edges (Strang and Fix)."""
@@ -110,6 +112,7 @@ def test_one_polynomial_on_turned_grids_gives_one_picture(device: Device, filter
         np.testing.assert_allclose(other["normal"][both], first["normal"][both], atol=5e-3)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("mode", MODES)
 def test_tiles_do_not_show(renderer: Renderer, mode: str) -> None:
     size = (37, 29)

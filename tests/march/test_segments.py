@@ -20,7 +20,7 @@ from clvol.mode import modes
 from clvol.phantoms import marschner_lobb
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume
-from tests.cases import RULES, SMOOTHED
+from tests.cases import RULES, SMOOTHED, examples
 from tests.march.looks import TILES, suited
 
 MODES = [name for name, mode in modes().items() if mode.skips]
@@ -80,9 +80,12 @@ def same(
     assert (with_["visited"][seen] <= without["visited"][seen]).all()
 
 
-@pytest.mark.one_in(4)
+UNHURRIED = [HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
+
+
+@pytest.mark.one_in(8)
 @pytest.mark.parametrize(("mode", "tile"), [*product(MODES, TILES)])
-@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
+@settings(deadline=None, max_examples=examples(60), suppress_health_check=UNHURRIED)
 @given(volume=volumes(), view=views(), boundary=st.sampled_from(RULES), shading=st.booleans())
 def test_skipping_changes_no_bit(
     device: Device, mode: str, tile: str, volume: Volume, view: dict[str, Any], boundary: str, shading: bool
@@ -91,9 +94,9 @@ def test_skipping_changes_no_bit(
         same(device, volume, "bspline3", mode, view, boundary, shading=shading)
 
 
-@pytest.mark.one_in(4)
+@pytest.mark.one_in(9)
 @pytest.mark.parametrize("filter", [*filters(), *SMOOTHED])
-@settings(deadline=None, max_examples=25, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
+@settings(deadline=None, max_examples=examples(25), suppress_health_check=UNHURRIED)
 @given(volume=volumes(), view=views())
 def test_skipping_changes_no_bit_of_any_filter(device: Device, filter: str, volume: Volume, view: dict[str, Any]) -> None:
     mode = MODES[[*filters(), *SMOOTHED].index(filter) % len(MODES)]
@@ -110,7 +113,7 @@ FITTED = {
 
 @pytest.mark.one_in(4)
 @pytest.mark.parametrize("name", FITTED)
-@settings(deadline=None, max_examples=25, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
+@settings(deadline=None, max_examples=examples(25), suppress_health_check=UNHURRIED)
 @given(volume=volumes(), view=views(), mode=st.sampled_from(["isosurface", "mip"]), constant=st.booleans())
 def test_skipping_changes_no_bit_of_a_filter_that_was_fitted(
     device: Device, name: str, volume: Volume, view: dict[str, Any], mode: str, constant: bool
@@ -122,8 +125,9 @@ def test_skipping_changes_no_bit_of_a_filter_that_was_fitted(
     same(device, volume, from_callable(name.replace(" ", "-"), kernel, radius, degree=degree), mode, view)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(("evaluator", "fetch"), [("eight-fetch", "buffer"), ("eight-fetch", "image"), ("taps", "image")])
-@settings(deadline=None, max_examples=15, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
+@settings(deadline=None, max_examples=examples(15), suppress_health_check=UNHURRIED)
 @given(volume=volumes(), view=views())
 def test_skipping_changes_no_bit_on_any_path(
     device: Device, evaluator: Any, fetch: Any, volume: Volume, view: dict[str, Any]

@@ -13,13 +13,16 @@ from scipy import ndimage as scipy_ndimage
 
 from clvol import ndimage
 from clvol.device import Device
+from tests.cases import examples
 from tests.ndimage.truth import MODES, Array, assert_holds, reflected, tolerance, truth
 
 DTYPES = ("?", "b", "B", "h", ">u2", "i", "I", ">i8", "Q", "e", "f", ">f4", "d", ">f8", "F", "D", ">c16")
 OUTPUTS = (None, "f", "d", ">f4", ">f8", "h", "B", "?", "i")
 CVALS = (0.0, 2.5, -7.0)
 
-tried = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+tried = settings(
+    max_examples=examples(60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+)
 
 
 def samples(seed: int, dtype: Any, shape: tuple[int, ...], layout: str) -> Array:
@@ -157,7 +160,7 @@ def test_affine_transform(device: Device, case: dict[str, Any], seed: int, kind:
     compare("affine_transform", device, case, *arguments)
 
 
-@settings(tried, max_examples=25)
+@settings(tried, max_examples=examples(25))
 @given(case=cases(most=3, longest=9), seed=st.integers(0, 99))
 def test_geometric_transform(device: Device, case: dict[str, Any], seed: int) -> None:
     n, rng = case["data"].ndim, np.random.default_rng(seed)
@@ -217,6 +220,7 @@ def test_halves_are_rounded_away_from_zero_and_clipped(device: Device, dtype: st
     np.testing.assert_array_equal(ndimage.map_coordinates(data, at, dtype, order=1, precision=precision, device=device), exact)
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_points_that_are_not_finite_have_the_value_beyond(device: Device, mode: str, value: float) -> None:
@@ -255,6 +259,7 @@ def test_axes_of_points_may_be_named(device: Device, order: int) -> None:
     assert one.shape == (3, 2, 6, 9)
 
 
+@pytest.mark.one_in(6)
 @pytest.mark.parametrize("order", range(6))
 @pytest.mark.parametrize("mode", ["mirror", "wrap", "nearest", "grid-constant"])
 def test_a_few_points_need_only_the_samples_around_them(
@@ -371,6 +376,7 @@ def test_lines_hear_nothing_of_each_other(device: Device, dtype: str, axis: int)
     np.testing.assert_allclose(ndimage.shift(data, shift, mode="mirror", device=device), expected, atol=1e-12)
 
 
+@pytest.mark.one_in(8)
 @pytest.mark.parametrize("order", [1, 3])
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("cval", [0.3, np.nan, np.inf])
@@ -387,21 +393,20 @@ def test_five_axes_are_resampled_in_two_passes(device: Device, mode: str, order:
         assert_holds(whole, exact, 1e-11)
 
 
-def test_matrices_that_are_not_square(device: Device) -> None:
+@pytest.mark.one_in(6)
+@pytest.mark.parametrize("order", [0, 1, 3])
+@pytest.mark.parametrize("mode", MODES)
+def test_matrices_that_are_not_square(device: Device, mode: str, order: int) -> None:
     data, rng = samples(5, "d", (6, 5), "c"), np.random.default_rng(1)
-    for order in (0, 1, 3):
-        for mode in MODES:
-            for columns, shape in ((1, (4,)), (3, (4, 3, 2))):
-                matrix, offset = rng.uniform(-1, 1.5, (2, columns)), (0.3, -0.2)
-                if columns != 3:
-                    exact = truth("affine_transform", data, matrix, offset, shape, order=order, mode=mode, cval=2)
-                    result = ndimage.affine_transform(data, matrix, offset, shape, order=order, mode=mode, cval=2, device=device)
-                else:  # of two axes, a matrix with three columns is homogeneous
-                    exact = truth("affine_transform", data[0], matrix[:1], offset[:1], shape, order=order, mode=mode, cval=2)
-                    result = ndimage.affine_transform(
-                        data[0], matrix[:1], offset[:1], shape, order=order, mode=mode, cval=2, device=device
-                    )
-                assert_holds(result, exact, 1e-11)
+    for columns, shape in ((1, (4,)), (3, (4, 3, 2))):
+        matrix, offset = rng.uniform(-1, 1.5, (2, columns)), (0.3, -0.2)
+        if columns != 3:
+            exact = truth("affine_transform", data, matrix, offset, shape, order=order, mode=mode, cval=2)
+            result = ndimage.affine_transform(data, matrix, offset, shape, order=order, mode=mode, cval=2, device=device)
+        else:  # of two axes, a matrix with three columns is homogeneous
+            exact = truth("affine_transform", data[0], matrix[:1], offset[:1], shape, order=order, mode=mode, cval=2)
+            result = ndimage.affine_transform(data[0], matrix[:1], offset[:1], shape, order=order, mode=mode, cval=2, device=device)
+        assert_holds(result, exact, 1e-11)
 
 
 def test_a_zero_in_a_matrix_of_one_axis_means_what_it_says(device: Device) -> None:

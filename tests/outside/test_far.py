@@ -184,12 +184,12 @@ def test_long_axes_are_exact_or_refused(device: Device, axis: int) -> None:
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_samples_are_exact_on_axes_that_pictures_refuse(device: Device, axis: int) -> None:
-    n, shape = 5_000_000, [2, 2, 2]
+    n, shape = 2_000_000, [2, 2, 2]
     shape[2 - axis] = n
     line = np.zeros(n, np.float32)
     line[-64:] = np.arange(64)
     data = np.broadcast_to(line.reshape([-1 if k == 2 - axis else 1 for k in range(3)]), shape)
     points = np.random.default_rng(axis).uniform(0, 1, (500, 3))
     points[:, axis] = n - 60 + 50 * points[:, axis]
-    bound = 1e-4 if device.has_double else 1.0  # rounded to float32, positions err by up to half a voxel
+    bound = 1e-4 if device.has_double else 1.0  # rounded to float32, positions err by up to an eighth of a voxel
     assert np.abs(clvol.sample(data, points, "linear", device=device) - (points[:, axis] - (n - 64))).max() < bound

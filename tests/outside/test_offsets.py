@@ -375,6 +375,7 @@ def looks(shift: float) -> dict[str, dict[str, Any]]:
     }
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("filter", ["bspline3", "linear", "hybrid"])
 def test_pictures_are_those_without_the_offset(device: Device, filter: str) -> None:
     options: dict[str, Any] = {

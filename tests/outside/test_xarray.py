@@ -81,6 +81,7 @@ def scipy_spline(data: Array, at: Any, order: int, mode: str) -> Array:
     return np.asarray(ndimage.map_coordinates(np.pad(data, pad, "symmetric"), np.add(at, pad), order=order, mode=mode))
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize(
     ("boundary", "mode"), [("mirror", "mirror"), ("reflect", "reflect"), ("wrap", "grid-wrap"), ("nearest", "nearest")]
 )
@@ -259,6 +260,7 @@ def test_one_point_takes_its_surroundings_alone() -> None:
     assert peak < values.nbytes
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("kind", ["f8", "f4"])
 @pytest.mark.parametrize("name", ["linear", "bspline3", "bspline5"])
 def test_blocks_of_dask_give_what_the_whole_array_gives(name: str, kind: str) -> None:

@@ -37,7 +37,7 @@ def points_of(volume: Volume, count: int, seed: int = 0, dtype: type = np.float6
     return points
 
 
-@pytest.mark.one_in(5)
+@pytest.mark.one_in(12)
 @pytest.mark.parametrize(("name", "derivative", "d"), [*product(ROWS, [0, 1], [2, 3])])
 def test_a_point_gives_the_same_wherever_it_stands(device: Device, name: str, derivative: int, d: int) -> None:
     volume = volume_of(d)
@@ -106,6 +106,7 @@ def test_a_turned_grid_is_its_points(device: Device, shape: tuple[int, ...]) -> 
 # -- sorted ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.one_in(5)
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64, ">f4", ">f8", "i4"])
 @pytest.mark.parametrize("derivative", [0, 1])
@@ -148,6 +149,7 @@ def test_an_interrupt_while_points_are_sorted_does_no_harm(device: Device) -> No
     np.testing.assert_array_equal(sample(volume, points, device=device), wanted)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", ["nearest", "linear", "bspline5", "lanczos5", "hybrid"])
 def test_sorted_points_and_other_filters(device: Device, name: str) -> None:
     volume = volume_of(3)

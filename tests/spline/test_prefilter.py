@@ -72,6 +72,7 @@ def test_every_prefiltered_row_has_a_tolerance() -> None:
     assert set(TOLERANCE) == set(ROWS)
 
 
+@pytest.mark.one_in(6)
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("name", ROWS)
 def test_coefficients(device: Device, name: str, rule: str) -> None:
@@ -80,6 +81,7 @@ def test_coefficients(device: Device, name: str, rule: str) -> None:
         check(device, rng.normal(size=shape).astype(np.float32), name, rule)
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize(
     "name",
@@ -106,6 +108,7 @@ def test_coefficients_of_smoothing_splines(device: Device, name: str, rule: str)
         np.testing.assert_allclose(prefilter(data, name, rule, device), wanted, rtol=0, atol=allowed * largest)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(
     ("name", "error"),
     [("bspline2(30)", 2e-5), ("bspline3(100)", 2e-5), ("bspline3(1e5)", 1e-4), ("bspline5(1e3)", 2e-5), ("bspline5(1e5)", 5e-4)],

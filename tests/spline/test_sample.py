@@ -102,7 +102,7 @@ def skip_without_images(device: Device, path: tuple[str, str]) -> None:
         pytest.skip(f"the sampler of {device.name} does not interpolate")
 
 
-@pytest.mark.one_in(8)
+@pytest.mark.one_in(24)
 @pytest.mark.parametrize(
     ("name", "rule", "derivative", "path", "d"),
     COMBINATIONS,
@@ -121,6 +121,7 @@ def test_parity(device: Device, name: str, rule: str, derivative: int, path: tup
 PLACES = [(n, r) for n in ("nearest", "linear", "bspline2", "bspline3", "lanczos2", "hybrid") for r in RULES]
 
 
+@pytest.mark.one_in(6)
 @pytest.mark.parametrize(("name", "rule"), PLACES)
 def test_exactly_at_samples_halves_and_faces(device: Device, name: str, rule: str) -> None:
     """Knots of the filters; with spacing 1 and origin 0 both sides reach them exactly, and go to the same side."""
