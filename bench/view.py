@@ -10,16 +10,20 @@ frame of the screen after the picture was drawn on the canvas. The browser draws
 from __future__ import annotations
 
 import argparse
+import asyncio
 import json
+import math
 import os
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
+import aiohttp
 import numpy as np
 
 import clvol
@@ -84,6 +88,8 @@ def main() -> None:
                     "still": [drag_to_still(browser) for _ in range(max(3, options.rounds // 3))],
                     **rate(browser, 4.0),
                 }
+                browser.open("about:blank")
+                found[name]["elsewhere"] = elsewhere(server.url, options.size, 4.0)
                 report(name, found[name])
         found["first picture"] = first_pictures(browser, volume, 3)
         print(f"first picture after the command: {times(found['first picture'])}, aim {_AIMS['first picture'][0]} s")
@@ -178,6 +184,46 @@ def rate(browser: Browser, seconds: float) -> dict[str, Any]:
     }
 
 
+def elsewhere(url: str, size: int, seconds: float) -> dict[str, float]:
+    """Pictures a second while something is dragged, and how large they are, where the browser is on another machine.
+
+    A client that only acknowledges what it gets stands for it.
+    """
+
+    async def drag() -> list[tuple[int, float]]:
+        async with aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True)) as client:
+            await (await client.get(url)).read()
+            async with client.ws_connect(url.partition("?")[0] + "ws", max_msg_size=0) as socket:
+
+                async def event(kind: str, **more: Any) -> None:
+                    await socket.send_json({"type": "event", "event": {"event_type": kind, "pane": "3d", **more}})
+
+                async def frames() -> AsyncIterator[dict[str, Any]]:
+                    async for message in socket:
+                        if message.type == aiohttp.WSMsgType.TEXT and (told := json.loads(message.data))["type"] == "frame":
+                            await socket.send_json({"type": "ack", "frame": told["number"]})
+                            yield told
+
+                await event("resize", width=size, height=size, pixel_ratio=1)
+                async for frame in frames():
+                    if frame["final"]:
+                        break
+                await event("pointer_down", x=size / 2, y=size / 2, button=1, buttons=[1])
+                found, begun, n = [], time.monotonic(), 0
+                await event("pointer_move", x=size / 2 + 9, y=size / 2, buttons=[1])
+                async for frame in frames():
+                    found.append((frame["width"] * frame["height"], time.monotonic() - begun))
+                    if found[-1][1] > seconds:
+                        return found
+                    n += 1
+                    x, y = size / 2 + 150 * math.sin(n / 40), size / 2 + 40 * math.sin(n / 25)
+                    await event("pointer_move", x=x, y=y, buttons=[1])
+        raise RuntimeError("the server ended the connection")
+
+    found = asyncio.run(drag())
+    return {"pictures/s": len(found) / found[-1][1], "edge": statistics.median(pixels for pixels, _ in found) ** 0.5}
+
+
 def first_pictures(browser: Browser, volume: clvol.Volume, rounds: int) -> list[float]:
     """Seconds from the start of the command, whose kernels are built, to the first picture in a browser that is open."""
     found = []
@@ -201,6 +247,8 @@ def report(name: str, found: dict[str, Any]) -> None:
     print(f"{name}: still picture after rest {times(found['still'])}, aim {_AIMS['still'][0]} s")
     rate = f"{found['pictures/s']:.1f} pictures/s of {found['edge']:.0f}² pixels, longest gap {found['longest gap']:.2f} s"
     print(f"{name}: while dragged {rate}; aim {_AIMS[name][0]:g} pictures/s")
+    alone = found["elsewhere"]
+    print(f"{name}: likewise, the browser elsewhere: {alone['pictures/s']:.1f} pictures/s of {alone['edge']:.0f}² pixels")
 
 
 def times(values: list[float]) -> str:

@@ -21,7 +21,9 @@ import clvol
 from clvol.view import View
 
 SIZE = 512  # pixels of the page
-POINTER = "({ type: $event.type, x: $event.offsetX, y: $event.offsetY, button: $event.button + 1, buttons: $event.buttons })"
+POINTER = (
+    "({ type: $event.type, x: $event.offsetX, y: $event.offsetY, button: [1, 3, 2, 4, 5][$event.button], buttons: $event.buttons })"
+)
 WHEEL = "({ type: 'wheel', x: $event.offsetX, y: $event.offsetY, dy: $event.deltaY })"
 NAMES = {"pointerdown": "pointer_down", "pointermove": "pointer_move", "pointerup": "pointer_up", "wheel": "wheel"}
 

@@ -608,8 +608,8 @@ def from_callable(
     for n in [degree] if degree is not None else range(_MAX_DEGREE + 1):
         nodes = chebyshev.chebpts1(n + 1)
         at = (nodes + 1) / 2 - np.arange(2 * radius)[:, None] + radius - 1
-        fits = [_shift(chebyshev.cheb2poly(chebyshev.chebfit(nodes, row, n)), n) for row in _kernel_at(name, kernel, at)]
-        error = float(np.abs(np.polynomial.polynomial.polyval(t, np.array(fits).T) - wanted).max())
+        fits = chebyshev.chebfit(nodes, _kernel_at(name, kernel, at).T, n).T @ _chebyshev_powers(n)
+        error = float(np.abs(np.polynomial.polynomial.polyval(t, fits.T) - wanted).max())
         if error <= _FIT_TOLERANCE * peak:
             break
     if degree is None and error > _MISFIT * peak:
@@ -638,10 +638,15 @@ def _radius(radius: object) -> int:
     return whole("radius", radius, 1, MAX_TAPS // 2)
 
 
-def _shift(coefficients: NDArray[Any], degree: int) -> Array:
-    """Coefficients in powers of t in [0, 1], `degree` + 1 of them, of a polynomial given in powers of 2t - 1."""
-    polynomial = np.polynomial.Polynomial(coefficients)(np.polynomial.Polynomial([-1.0, 2.0]))
-    return np.pad(polynomial.coef, (0, degree + 1 - polynomial.coef.size))
+@lru_cache
+def _chebyshev_powers(degree: int) -> Array:
+    """Coefficients in powers of t, one row each, of the Chebyshev polynomials of 2t - 1 up to a degree: whole numbers, exact."""
+    rows = np.zeros((degree + 2, degree + 2))
+    rows[0, 0], rows[1, :2] = 1, (-1, 2)
+    for k in range(2, degree + 1):
+        rows[k] = -2 * rows[k - 1] - rows[k - 2]
+        rows[k, 1:] += 4 * rows[k - 1, :-1]
+    return rows[: degree + 1, : degree + 1]
 
 
 def bc(B: Number, C: Number) -> Filter:

@@ -6,7 +6,6 @@ import base64
 import builtins
 import json
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -19,6 +18,7 @@ from clvol.device import Device
 from clvol.errors import OptionError
 from clvol.view import View, show
 from tests.view.browser import Browser, why_none
+from tests.view.threads import sessions, wait_for_sessions
 
 pytest.importorskip("anywidget", reason="needs anywidget")
 from clvol.view.notebook import Widget
@@ -96,10 +96,11 @@ def test_closing_it_ends_its_sessions(widget: Sent) -> None:
 
 
 def test_places_that_said_no_farewell_are_forgotten(widget: Sent) -> None:
+    before = sessions()
     for i in range(20):
         widget._receive(widget, {"type": "open", "client": str(i)}, [])
     assert list(widget._sessions) == [str(i) for i in range(12, 20)]
-    assert sum(thread.name == "clvol view" for thread in threading.enumerate()) <= 8
+    wait_for_sessions(8, before)
 
 
 @pytest.mark.parametrize(
@@ -172,6 +173,8 @@ until = time.monotonic() + 60
 while "frame" not in sent and time.monotonic() < until:
     time.sleep(0.05)
 widget.close()
+while any(thread.name == "clvol view" for thread in threading.enumerate()) and time.monotonic() < until:
+    time.sleep(0.05)
 print(sum(thread.name == "clvol view" for thread in threading.enumerate()))
 """
     book = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(made), nbformat.v4.new_code_cell(used)])

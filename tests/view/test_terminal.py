@@ -22,6 +22,7 @@ from clvol.picture import to_bytes
 from clvol.view import View
 from clvol.view.local import scaled
 from clvol.view.terminal import _printable, ansi, keys_of, show_in_terminal
+from tests.view.threads import sessions, wait_for_sessions
 
 _CODE = re.compile(r"\x1b\[(?:(\d+);(\d+)H|([34]8);2;(\d+);(\d+);(\d+)m|0m|\?\d+[hl]|2J)")
 
@@ -92,6 +93,7 @@ def test_arrows_turn_it_and_q_ends_it(device: Device) -> None:
     import pty
     import termios
 
+    earlier = sessions()
     ours, theirs = pty.openpty()
     terminal = os.fdopen(theirs, "r+b", buffering=0)
     before = termios.tcgetattr(theirs)
@@ -140,7 +142,7 @@ def test_arrows_turn_it_and_q_ends_it(device: Device) -> None:
     assert termios.tcgetattr(theirs) == before
     time.sleep(0.2)
     assert text[0].endswith(b"\x1b[0m\x1b[?25h\x1b[?1049l")
-    assert not [thread for thread in threading.enumerate() if thread.name == "clvol view" and thread.is_alive()]
+    wait_for_sessions(0, earlier)
 
 
 def test_the_command() -> None:

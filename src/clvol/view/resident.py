@@ -38,7 +38,7 @@ __all__ = ["Resident"]
 
 _KEPT = 2  # renderers that nobody uses: one to come back to
 _BINS = 256
-_LOOKED_AT = 1 << 21  # samples of a histogram
+_LOOKED_AT = 1 << 19  # samples of a histogram
 _BESIDE = ("gradient", "samples", "pixel_filter", "skipping", "evaluator", "fetch")  # passed on, and in no state
 _STATED = ("step", "transfer", "preset", "window", "cmap", "opacity", "material", "lights", "background", "clip")
 _COLOR_MAPS = (
@@ -122,6 +122,7 @@ class Resident:
         """Arguments of `clvol.render` that no state has."""
         self.initial = _initial(volume, given)
         self._lock = threading.Lock()
+        self._knowing = threading.RLock()  # what takes long to find out of the volume is found once, however many ask
         self._counter = itertools.count(1)
         self._entries: dict[tuple[str | None, str], _Entry] = {}
         self._info: dict[str, Any] | None = None
@@ -158,6 +159,7 @@ class Resident:
             self._free(_KEPT)
 
     def _made(self, filter: str | None, boundary: str) -> Renderer:
+        self.effective(self.initial)  # waits for a session that finds out the same
         own = self._field
         if own is not None and filter == own.filter.name and boundary == own.boundary.name:
             return Renderer(own)
@@ -231,13 +233,14 @@ class Resident:
 
     def effective(self, state: State) -> dict[str, Any]:
         """What applies where the state leaves it open: for a panel."""
-        found: dict[str, Any] = {
-            "transfer": self._transfer_shown(state),
-            "window": list(state.window or window_of_slices(self.volume)),
-            "filter": self.filter_name(state, state.filter),
-            "crosshair": list(state.crosshair or map(float, self.volume.center)),
-        }
-        mode = self.mode(state)
+        with self._knowing:
+            found: dict[str, Any] = {
+                "transfer": self._transfer_shown(state),
+                "window": list(state.window or window_of_slices(self.volume)),
+                "filter": self.filter_name(state, state.filter),
+                "crosshair": list(state.crosshair or map(float, self.volume.center)),
+            }
+            mode = self.mode(state)
         found["options"] = {f.name: _json_value(getattr(mode, f.name)) for f in fields(mode)}
         return found
 

@@ -46,6 +46,8 @@ __all__ = ["Session"]
 
 _LOG = logging.getLogger("clvol.view")
 _BUDGET = 0.04  # seconds for a first picture
+_LONGER = 0.065  # and for those of a drag that goes on, where they would be coarser than so many pixels
+_FINE = 160 * 160
 _STILL = 0.25  # seconds for the first one at rest: if the still picture itself takes no longer, nothing comes before it
 _PAUSE = 0.1  # seconds after which a pointer that is down rests
 _WHEEL_REST = 0.12
@@ -111,7 +113,7 @@ class Session:
         self._condition = threading.Condition()
         self._closed = False
         self._overflowed = False
-        self._undrawn = False
+        self._undrawn = self._coarse = False
         self._thread = threading.Thread(target=self._run, name="clvol view", daemon=True)
         self._thread.start()
 
@@ -535,7 +537,7 @@ class Session:
 
         began = time.perf_counter()
         done = False
-        budget = _BUDGET if first else _STILL
+        budget = _STILL if not first else _LONGER if moving and self._coarse else _BUDGET
         with closing(self._drawer.shots(place, state, name, wanted, budget, stop, coarse=moving)) as shots:
             for shot in shots:
                 if (shot.final or not sent) and not self._may_send():
@@ -543,6 +545,7 @@ class Session:
                 if len(self._unseen) < _UNSEEN:  # a picture in between is left out, if the client is slow
                     self._send_frame(name, size, shot, time.perf_counter() - began)
                     sent, done = sent + 1, shot.final
+                    self._coarse = moving and shot.pixels.shape[0] * shot.pixels.shape[1] < min(_FINE, wanted[0] * wanted[1])
                 if stop():
                     break
         self._shown[name] = _Shown(key, done)
