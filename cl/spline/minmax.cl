@@ -100,7 +100,7 @@ INLINE void control_lines(lines_t lines, global const float *restrict coefficien
 
 kernel void minmax_cells(global const float *restrict coefficients, const int4 extent, const int4 blocks, global float2 *bounds)
 {
-    const int bx = (int)get_global_id(0) * (LANES / BLOCK), by = get_global_id(1), bz = get_global_id(2);
+    const int bx = (int)get_global_id(0) * (LANES / BLOCK), by = get_global_id(1), bz = (int)get_global_id(2) + blocks.w;
     float8 tap_min, tap_max, low[CONTROLS], high[CONTROLS];     // apart, so that they need not wait for each other
     for (int r = 0; r < CONTROLS; ++r) {
         low[r] = (float8)(INFINITY);
@@ -141,7 +141,7 @@ kernel void minmax_cells(global const float *restrict coefficients, const int4 e
 kernel void side_cells(global const float *restrict coefficients, const int4 extent, const int4 blocks, global const float2 *bounds,
                        const float value, global ulong2 *sides)
 {
-    const int bx = (int)get_global_id(0) * (LANES / BLOCK), by = get_global_id(1), bz = get_global_id(2);
+    const int bx = (int)get_global_id(0) * (LANES / BLOCK), by = get_global_id(1), bz = (int)get_global_id(2) + blocks.w;
     float low = INFINITY, high = -INFINITY;
     for (int b = 0; b < LANES / BLOCK && bx + b < blocks.x; ++b) {
         const float2 bound = bounds[((size_t)bz * blocks.y + by) * blocks.x + bx + b];
@@ -198,7 +198,7 @@ kernel void side_cells(global const float *restrict coefficients, const int4 ext
 // f = m sum(w) + sum(w (c - m)), with m the middle of the taps c and w their weights.
 kernel void minmax_cells(global const float *restrict coefficients, const int4 extent, const int4 blocks, global float2 *bounds)
 {
-    const int bx = get_global_id(0), by = get_global_id(1), bz = get_global_id(2);
+    const int bx = get_global_id(0), by = get_global_id(1), bz = (int)get_global_id(2) + blocks.w;
     float tap_min = INFINITY, tap_max = -INFINITY;
     for (int k = 0; k < EDGE; ++k)
         for (int j = 0; j < EDGE; ++j) {
@@ -220,7 +220,7 @@ kernel void minmax_cells(global const float *restrict coefficients, const int4 e
 kernel void side_cells(global const float *restrict coefficients, const int4 extent, const int4 blocks, global const float2 *bounds,
                        const float value, global ulong2 *sides)
 {
-    const int bx = get_global_id(0), by = get_global_id(1), bz = get_global_id(2);
+    const int bx = get_global_id(0), by = get_global_id(1), bz = (int)get_global_id(2) + blocks.w;
     const float2 bound = bounds[((size_t)bz * blocks.y + by) * blocks.x + bx];
     const int above = bound.x > value, held = !(above || bound.y < value);
     ulong2 bricks[BRICKS][BRICKS][BRICKS];
@@ -231,17 +231,20 @@ kernel void side_cells(global const float *restrict coefficients, const int4 ext
 
 #endif
 
-// Two blocks along each axis make one of the next level. Levels: blocks along x, y and z, and where they begin.
+// Two blocks along each axis make one of the next level, a row of it for each work-item. Levels: blocks along x, y and z, and where
+// they begin.
 kernel void minmax_blocks(global float2 *bounds, const int4 finer, const int4 coarser)
 {
-    const int x = get_global_id(0), y = get_global_id(1), z = get_global_id(2);
-    float2 hull = (float2)(INFINITY, -INFINITY);
-    for (int k = 2 * z; k < MIN(2 * z + 2, finer.z); ++k)
-        for (int j = 2 * y; j < MIN(2 * y + 2, finer.y); ++j)
-            for (int i = 2 * x; i < MIN(2 * x + 2, finer.x); ++i) {
-                const float2 b = bounds[finer.w + ((size_t)k * finer.y + j) * finer.x + i];
-                hull.x = MIN(b.x, hull.x);
-                hull.y = MAX(b.y, hull.y);
-            }
-    bounds[coarser.w + ((size_t)z * coarser.y + y) * coarser.x + x] = hull;
+    const int y = get_global_id(0), z = get_global_id(1);
+    for (int x = 0; x < coarser.x; ++x) {
+        float2 hull = (float2)(INFINITY, -INFINITY);
+        for (int k = 2 * z; k < MIN(2 * z + 2, finer.z); ++k)
+            for (int j = 2 * y; j < MIN(2 * y + 2, finer.y); ++j)
+                for (int i = 2 * x; i < MIN(2 * x + 2, finer.x); ++i) {
+                    const float2 b = bounds[finer.w + ((size_t)k * finer.y + j) * finer.x + i];
+                    hull.x = MIN(b.x, hull.x);
+                    hull.y = MAX(b.y, hull.y);
+                }
+        bounds[coarser.w + ((size_t)z * coarser.y + y) * coarser.x + x] = hull;
+    }
 }

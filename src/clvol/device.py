@@ -552,6 +552,13 @@ class Device:
         except KeyboardInterrupt:
             os._exit(130)  # who cannot wait for it need not
 
+    def alone(self, dimensions: int) -> tuple[int, ...] | None:
+        """Groups of one work-item on a processor, of as many as the runtime likes elsewhere.
+
+        PoCL builds a kernel for each size of its groups; left to itself it takes another for almost each size of the work.
+        """
+        return (1,) * dimensions if self.kind == "cpu" else None
+
     @property
     def errors(self) -> contextlib.AbstractContextManager[None]:
         """OpenCL's errors, raised inside, come out as ours."""

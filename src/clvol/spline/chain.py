@@ -131,7 +131,15 @@ class Chain:
                 for y in range(0, ny, rows):
                     size = (-(-nx // run), min(rows, ny - y), min(slices, nz - z))
                     with device.errors:
-                        kernel(device.queue, size, None, uploaded, np.array([nx, ny, y, z], np.int32), target, *self.arguments)
+                        kernel(
+                            device.queue,
+                            size,
+                            device.alone(3),
+                            uploaded,
+                            np.array([nx, ny, y, z], np.int32),
+                            target,
+                            *self.arguments,
+                        )
                     device.finish()
                 if progress:
                     progress(min(1.0, (z + slices) / nz))

@@ -290,7 +290,7 @@ class Coefficients:
             self._build("float").kernel("fill_halo")(
                 device.queue,
                 self.shape[1::-1],
-                None,
+                device.alone(2),
                 self.buffer,
                 self.extent,
                 np.int32(columns.start),

@@ -140,7 +140,7 @@ class MinMax:
             with device.errors:
                 merge = self._built.kernel("minmax_blocks")
                 for finer, coarser in itertools.pairwise(levels):
-                    merge(device.queue, tuple(int(n) for n in coarser[:3]), None, self.buffer, finer, coarser)
+                    merge(device.queue, tuple(int(n) for n in coarser[1:3]), device.alone(2), self.buffer, finer, coarser)
             device.finish()
         except BaseException:
             self.release()
@@ -169,7 +169,6 @@ class MinMax:
         cells = BLOCK * coefficients.filter.scale
         across = -(-x // (LANES // cells)) if self._hull else x  # work-items along x
         deep = max(1, _BLOCKS_A_LAUNCH // (x * y))
-        level = np.array([*self.blocks, 0], np.int32)
         with device.errors:
             kernel = self._built.kernel(name)
             for first in range(0, z, deep):
@@ -179,9 +178,8 @@ class MinMax:
                     (1, 1, 1),
                     coefficients.argument(DIRECT),
                     coefficients.extent,
-                    level,
+                    np.array([*self.blocks, first], np.int32),
                     *arguments,
-                    global_offset=(0, 0, first),
                 )
                 device.finish()
                 if told:

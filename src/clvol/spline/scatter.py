@@ -221,7 +221,7 @@ def _scattered(
                 built.kernel("scatter_points")(
                     device.queue,
                     tuple(half),
-                    None,
+                    device.alone(3),
                     stored,
                     bricks,
                     np.array([x, y, z, 0], np.int32),
