@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import clvol
 from clvol import device as choosing
 from clvol import program
 from clvol.device import Device
@@ -187,6 +188,27 @@ def interrupt_in() -> Iterator[Callable[[float], None]]:
 def tiny(device: Device, number: int) -> program.Program:
     text = f"kernel void tiny(global float *a) {{ a[get_global_id(0)] = {number}; }}\n"
     return device.build("tiny.cl", {"NUMBER": number}, generated={"tiny.cl": text})
+
+
+def test_a_kernel_has_one_size_of_groups_whatever_the_shape(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """PoCL builds it for each, and apart for launches that begin at 0."""
+    if device.kind != "cpu":
+        pytest.skip("other devices choose their groups themselves")
+    seen: dict[str, set[Any]] = {}
+    prepare = program.Launches.prepare
+
+    def noted(self: program.Launches, name: str, size: Any, local: Any, offset: Any) -> None:
+        seen.setdefault(name, set()).add((local, offset is not None and any(offset)))
+        prepare(self, name, size, local, offset)
+
+    monkeypatch.setattr(program.Launches, "prepare", noted)
+    for shape in ((5, 6, 7), (9, 20, 33), (40, 17, 24)):
+        data = np.random.default_rng(0).random(shape, np.float32)
+        with clvol.Renderer(data, "bspline3", device=device) as renderer:
+            renderer.render(mode="isosurface", isovalue=0.5, size=(19, 70))
+        clvol.sample(data, np.zeros((200, 3)), "bspline3", device=device)
+    assert {"fill_halo", "minmax_blocks", "draw"} <= seen.keys()
+    assert {name: sizes for name, sizes in seen.items() if len(sizes) > 1 or (None, False) in sizes} == {}
 
 
 def test_programs_not_used_for_long_are_freed_unless_in_use(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:

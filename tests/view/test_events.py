@@ -130,6 +130,14 @@ def test_a_camera_that_was_fitted_is_pinned_where_it_was() -> None:
     assert made.camera.radius == at.volume.radius
 
 
+def test_a_click_changes_nothing_of_a_camera_that_was_fitted() -> None:
+    pressed = reduce(State(), Hands(), {"event_type": "pointer_down", "pane": "3d", "x": 9, "y": 9, "button": 1}, place())
+    assert pressed.state == State()
+    assert (
+        reduce(pressed.state, pressed.hands, {"event_type": "pointer_up", "pane": "3d", "x": 9, "y": 9}, place()).state == State()
+    )
+
+
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
 @pytest.mark.parametrize("more", [{"button": 2}, {"button": 3}, {"modifiers": ["Shift"]}], ids=str)
 def test_pan_moves_the_targets_plane_with_the_pointer(projection: Any, more: dict[str, Any]) -> None:

@@ -155,6 +155,34 @@ def test_the_token_becomes_a_cookie_and_leaves_the_address() -> None:
         visit(server, work)
 
 
+def test_a_ticket_lets_in_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def work(visitor: Visitor) -> None:
+        assert await visitor.status(url=ticket) == 303
+        assert await visitor.status(url=ticket) == 303  # who has the cookie may come again
+        async with aiohttp.ClientSession() as other:
+            for url in (ticket, late):
+                async with other.get(url, allow_redirects=False) as answer:
+                    assert answer.status == 403
+
+    with serving() as server:
+        ticket = server._server.ticket()
+        monkeypatch.setattr("clvol.view.server._TICKET", -1.0)
+        late = server._server.ticket()
+        assert len({ticket, late, server.url}) == 3
+        visit(server, work)
+
+
+def test_all_families_of_addresses_have_one_port() -> None:
+    async def main() -> None:
+        server = Server(View(), host="localhost")
+        await server.start()
+        assert server._runner is not None
+        assert {address[1] for address in server._runner.addresses} == {server.port}
+        await server.stop()
+
+    asyncio.run(main())
+
+
 def test_a_link_on_another_site_leads_in_too() -> None:
     """Its navigation brings no strict cookie, so a redirect would not: the page goes on by itself."""
 
@@ -763,6 +791,7 @@ def test_who_listens_to_all_is_asked_by_numbers_or_its_own_name() -> None:
         assert server.url.startswith("http://127.0.0.1:")
         visit(server, work)
     assert Server(View(), host="0.0.0.0").public
+    assert Server(View(), host="0.0.0.0", port=80).elsewhere.startswith(f"http://{socket.gethostname()}:80/?token=")
     assert not Server(View()).public
 
 

@@ -149,6 +149,7 @@ def test_a_scene_brings_what_it_has(volume: Volume, device: Device) -> None:
         ({"size": (3, 3)}, "size is no option of a view"),
         ({"camera": 3}, "camera must be a Camera"),
         ({"clip": ((1, 1, 1), (0, 2, 2))}, "clip must be two corners"),
+        ({"preset": "labels", "window": (0, 1)}, "window"),
     ],
     ids=str,
 )
@@ -319,6 +320,7 @@ def test_a_failing_device_is_told_and_asked_again(view: View, monkeypatch: pytes
     client.forget()
     client.set(camera__zoom=1.4)
     client.still()
+    assert [(m["text"], m["kind"]) for m in client.of("status")] == [("", "info")]  # what was wrong is over
     client.close()
 
 
@@ -446,7 +448,7 @@ def test_the_wiper_tells_the_error_of_both_filters(view: View) -> None:
     client = Client(view)
     client.set(mode="isosurface", filter="bspline3", wiper={"filter": "nearest", "at": 0.5})
     client.resize(*SIZE)
-    message, _ = client.wait(lambda m: m["type"] == "wiper")
+    message, _ = client.wait(lambda m: m["type"] == "wiper" and m["errors"])
     one, other = message["errors"]["filters"]
     assert [one["filter"], other["filter"]] == ["bspline3", "nearest"]
     assert 0 <= one["rms"] < other["rms"]
@@ -454,6 +456,15 @@ def test_the_wiper_tells_the_error_of_both_filters(view: View) -> None:
     expected = clvol.analysis.leave_out(Volume(view.volume.data, view.volume.spacing), ["nearest"], sigma=0)[0]
     noise = view.volume.noise.sigma
     assert math.hypot(other["x"], noise) == pytest.approx(expected.x or 0, rel=1e-3, abs=noise)
+    client.forget()
+    client.set(wiper={"filter": "linear", "at": 0.5})  # what was measured of another is not shown beside it
+    client.wait(lambda m: m["type"] == "wiper" and m["errors"] is None)
+    message, _ = client.wait(lambda m: m["type"] == "wiper" and m["errors"])
+    assert [row["filter"] for row in message["errors"]["filters"]] == ["bspline3", "linear"]
+    client.forget()
+    client.set(wiper__at=0.7)
+    client.still()
+    assert not client.of("wiper")
     client.close()
     assert not any(thread.name == "clvol view: aside" for thread in threading.enumerate())
 

@@ -21,7 +21,7 @@ from clvol.device import Device
 from clvol.picture import to_bytes
 from clvol.view import View
 from clvol.view.local import scaled
-from clvol.view.terminal import _printable, ansi, keys_of, show_in_terminal
+from clvol.view.terminal import _printable, _read, ansi, keys_of, show_in_terminal
 from tests.view.threads import sessions, wait_for_sessions
 
 _CODE = re.compile(r"\x1b\[(?:(\d+);(\d+)H|([34]8);2;(\d+);(\d+);(\d+)m|0m|\?\d+[hl]|2J)")
@@ -68,6 +68,23 @@ def test_half_blocks_hold_two_pixels_each() -> None:
     assert text.count("▀") == 15
     assert ansi(np.zeros((2, 300, 3), np.uint8)).count("\x1b") == 3  # a colour is said once
     assert_array_equal(seen(ansi(picture[:5]), 5, 3)[0][:5], picture[:5])
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="select takes no pipes there")
+def test_a_key_that_comes_in_pieces_is_one() -> None:
+    reader, writer = os.pipe()
+    for pieces, keys in (
+        ((b"\x1b", b"[", b"C"), ["ArrowRight"]),
+        ((b"\x1b",), ["Escape"]),
+        ((b"a\x1bO", b"Bb"), ["a", "ArrowDown", "b"]),
+    ):
+        late = threading.Thread(target=lambda rest=pieces[1:]: [(time.sleep(0.01), os.write(writer, piece)) for piece in rest])
+        os.write(writer, pieces[0])
+        late.start()
+        assert list(keys_of(_read(reader).decode())) == keys
+        late.join()
+    os.close(reader)
+    os.close(writer)
 
 
 def test_what_a_file_is_called_is_no_command() -> None:
