@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import pickle
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +16,7 @@ from scipy import fft, ndimage
 
 import clvol
 from clvol.errors import DataError
-from clvol.noise import Noise, estimate
+from clvol.noise import Noise, _cosine_transform, estimate
 
 
 def gaussian(*shape: int, seed: int = 0) -> NDArray[np.float64]:
@@ -234,3 +236,16 @@ def test_smooth_data_of_few_values_are_no_labels(levels: int) -> None:
     # the same regions under other names are labels: neighbours then differ by any number
     names = np.random.default_rng(0).permutation(levels).astype(np.uint8)
     assert clvol.Volume(names[rounded]).noise.kind == "labels"
+
+
+@pytest.mark.parametrize("n", [1, 2, 33, 256, 257])
+def test_the_cosine_transform_is_scipys(n: int) -> None:
+    data = np.random.default_rng(n).normal(size=(3, n, 4)).astype(np.float32)
+    np.testing.assert_allclose(_cosine_transform(data, 1), fft.dct(data, axis=1, norm="ortho"), rtol=0, atol=1e-5)
+
+
+def test_estimating_noise_waits_for_no_import_of_scipy() -> None:
+    made = "clvol.Volume(numpy.random.default_rng(0).random((64,) * 3)).noise"
+    code = f"import clvol, numpy, sys; {made}; print('scipy' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", check=True)
+    assert done.stdout == "False\n"

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import ast
 import os
 import pkgutil
 import re
@@ -98,6 +99,36 @@ def test_importing_it_imports_nothing_yet() -> None:
     code = "import clvol, sys; print('numpy' in sys.modules, [name for name in clvol.__all__ if not hasattr(clvol, name)])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", timeout=60, check=True)
     assert done.stdout.strip() == "False []"
+
+
+def test_each_name_is_from_where_type_checkers_see_it() -> None:
+    tree = ast.parse(Path(str(clvol.__file__)).read_text(encoding="utf-8"))
+    (seen,) = (node.body for node in tree.body if isinstance(node, ast.If))
+    places = {n.name: one.module for one in seen if isinstance(one, ast.ImportFrom) for n in one.names if one.module != "clvol"}
+    assert {name: f"clvol.{place}" for name, place in clvol._PLACE.items()} == places
+    assert {*clvol.__all__} == {*places, "images", "ndimage", "phantoms"}
+
+
+def test_every_module_is_an_attribute_before_it_is_imported() -> None:
+    code = """
+import clvol, pkgutil
+lost = []
+for found in pkgutil.walk_packages(clvol.__path__, "clvol."):
+    value = clvol
+    for name in found.name.split(".")[1:]:
+        if name.startswith("_") or name in ("torch", "xarray", "figures", "view"):  # which are imported by their names
+            break
+        try:
+            value = getattr(value, name)
+        except AttributeError:
+            lost.append(found.name)
+            break
+        except clvol.MissingDependencyError:
+            break
+print(lost, getattr(clvol, "a.b", None))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", timeout=60, check=True)
+    assert done.stdout.strip() == "[] None"
 
 
 def test_no_module_is_hidden_by_a_function_of_its_name() -> None:

@@ -164,6 +164,7 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "volumes": "Volumes",
 }
 _PLACE = {name: place for place, names in _PLACES.items() for name in names.split()}
+_PARTS = ("analysis", "figures", "reference", "reports")  # that are for people, too
 _OPTIONAL = {"torch": "torch", "xarray": "xarray"}  # with what they need
 
 
@@ -179,4 +180,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *__all__, *_PARTS})

@@ -553,7 +553,7 @@ class Device:
             os._exit(130)  # who cannot wait for it need not
 
     def alone(self, dimensions: int) -> tuple[int, ...] | None:
-        """Groups of one work-item on a processor, of as many as the runtime likes elsewhere.
+        """One work-item a group on processors; elsewhere the runtime chooses.
 
         PoCL builds a kernel for each size of its groups; left to itself it takes another for almost each size of the work.
         """

@@ -43,7 +43,12 @@ _ELSEWHERE = {  # names of those modules that are in another one now, or have an
 
 def submodule(package: str, name: str) -> ModuleType | None:
     """A part of a package, imported now that it is asked for; None if the package has none of that name."""
-    if name.startswith("_") or not hasattr(sys.modules[package], "__path__") or find_spec(f"{package}.{name}") is None:
+    if (
+        name.startswith("_")
+        or "." in name
+        or not hasattr(sys.modules[package], "__path__")
+        or find_spec(f"{package}.{name}") is None
+    ):
         return None
     return import_module(f"{package}.{name}")
 

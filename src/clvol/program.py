@@ -110,7 +110,8 @@ class Kernel:
 
     def __call__(self, queue: Any, size: Any, local: Any, *arguments: Any, global_offset: Any = None) -> Any:
         if global_offset is not None and len(size) < 3:
-            # PoCL builds one kernel for launches that begin at 0 and one for all others: an axis more, of a single place, is no 0
+            # PoCL builds one kernel for launches that begin at 0 and one for all others: an extra axis of size 1 that begins at 1
+            # makes them all such others
             size, local, global_offset = (*size, 1), local and (*local, 1), (*global_offset, 1)
         self._launches.prepare(self._name, size, local, global_offset)
         return self._handle(queue, size, local, *arguments, global_offset=global_offset)

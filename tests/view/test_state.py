@@ -13,7 +13,7 @@ import pytest
 from clvol import Light, TransferFunction
 from clvol.errors import OptionError
 from clvol.view import State, from_url
-from clvol.view.code import to_url
+from clvol.view.code import _input, to_url
 from clvol.view.state import History, points_of
 from tests.view.clients import random_changes
 
@@ -147,3 +147,22 @@ def test_points_of_many_labels_come_soon_and_are_those_of_the_function() -> None
     at = np.array([0.0, 1, 2, 777, 19_999])
     told = [[*points[int(v)][1], points[int(v)][2]] for v in at]
     np.testing.assert_allclose(told, transfer(at + 1e-9), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("source", "path", "options"),
+    [
+        ("clvol.read('a b.nrrd', channel=1, trusted=True)", "a b.nrrd", {"channel": 1, "trusted": True}),
+        ("clvol.read('a.raw', spacing=(1.0, 2.0, 3.0)).filled(-1.0)", "a.raw", {"spacing": (1.0, 2.0, 3.0), "fill_nan": -1.0}),
+        ("clvol.read('a.nii').filled()", "a.nii", {"fill_nan": "smoothly"}),
+        ("clvol.phantoms.by_name('sphere:9')", "phantom:sphere:9", {}),
+        ("my.volume(3)", "INPUT", {}),
+        ("clvol.read({[]: 1})", "INPUT", {}),
+        ("clvol.read(path)", "INPUT", {}),
+        ("volume", "INPUT", {}),
+        ("a b", "INPUT", {}),
+        (None, "INPUT", {}),
+    ],
+)
+def test_a_copied_command_reads_the_file_as_it_was_read(source: str | None, path: str, options: dict[str, Any]) -> None:
+    assert _input(source) == (path, options)

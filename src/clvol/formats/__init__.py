@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from numpy.typing import ArrayLike, DTypeLike
 
@@ -24,10 +24,14 @@ from clvol.formats._files import Reader, Writer, foreign_errors
 from clvol.formats._limits import Budget, Limits, limited, size_of
 from clvol.formats._worker import call
 from clvol.memory import available
+from clvol.moved import forwarding
 from clvol.volume import Volume, as_volume
 from clvol.volumes import Leading, Volumes
 
 __all__ = ["FORMATS", "WRITTEN", "Format", "Limits", "Series", "leading_of", "read", "read_all", "series_of", "write"]
+
+if not TYPE_CHECKING:  # checkers see the modules
+    __getattr__ = forwarding(__name__, {})
 
 
 @dataclass(frozen=True)

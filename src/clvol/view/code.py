@@ -221,14 +221,11 @@ def _input(source: str | None) -> tuple[str, dict[str, Any]]:
         if isinstance(tree, ast.Call) and isinstance(tree.func, ast.Attribute) and tree.func.attr == "filled":
             filled = {"fill_nan": ast.literal_eval(tree.args[0]) if tree.args else "smoothly"}
             tree = tree.func.value
-        if (
-            isinstance(tree, ast.Call)
-            and isinstance(tree.func, ast.Attribute)
-            and isinstance(name := ast.literal_eval(tree.args[0]), str)
-        ):
+        if isinstance(tree, ast.Call) and isinstance(tree.func, ast.Attribute) and tree.func.attr in ("read", "by_name"):
+            name = str(ast.literal_eval(tree.args[0]))
             given = {keyword.arg: ast.literal_eval(keyword.value) for keyword in tree.keywords if keyword.arg} | filled
             return f"phantom:{name}" if tree.func.attr == "by_name" else name, given
-    except (SyntaxError, ValueError, IndexError):  # text of another program
+    except (SyntaxError, TypeError, ValueError, IndexError):  # text of another program
         pass
     return "INPUT", {}
 

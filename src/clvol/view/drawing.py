@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Generator
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -25,6 +25,7 @@ __all__ = ["Drawer", "Shot", "share_visited"]
 
 _COARSE = 3  # pixels of a heat map that is dragged, along each edge
 _TOUR = 96  # pixels of the picture whose share of samples looked at is reported, along its longer edge
+_WHOLE = 3600.0  # seconds: a budget in which any picture comes whole at once
 _KEPT = 2  # still pictures of the wiper's two filters
 
 
@@ -112,8 +113,12 @@ class Drawer:
                 key = plain, chosen, name, size, tuple(place.size(name))
                 known = self._stills.get(key)
                 if known is None and seen:
-                    for shot in self._of(place, plain, chosen, name, size, budget / 2, stop, first):
-                        known = shot
+                    seconds = budget / 2 if first else max(budget, _WHOLE)
+                    with closing(self._of(place, plain, chosen, name, size, seconds, stop, coarse)) as found:
+                        for shot in found:
+                            known = shot
+                            if first:
+                                break
                     if known is None or not (known.final or first):
                         return  # it was stopped
                     if known.final:

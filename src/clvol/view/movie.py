@@ -23,7 +23,7 @@ __all__ = ["FORMATS", "turntable"]
 
 FORMATS = ("gif", "mp4", "zip")
 _PER_SECOND = 24
-_MOST_BYTES = 1 << 28
+_MOST_BYTES = 1 << 29
 
 
 def turntable(
@@ -52,7 +52,7 @@ def turntable(
     """
     if form not in FORMATS:
         raise OptionError(f"format must be one of {', '.join(FORMATS)}; got {form!r}")
-    if 3 * frames * size[0] * size[1] > _MOST_BYTES:
+    if (4 if form == "zip" else 3) * frames * size[0] * size[1] > _MOST_BYTES:
         raise OptionError(
             f"a movie must take at most {_MOST_BYTES >> 20} MiB before it is packed; got {frames} of {size[0]} × {size[1]}"
         )

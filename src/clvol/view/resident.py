@@ -17,7 +17,7 @@ from clvol.boundary import boundaries
 from clvol.camera import Camera
 from clvol.checks import instance
 from clvol.device import Device
-from clvol.errors import DataError, OptionError, OutOfMemoryError
+from clvol.errors import ClvolError, DataError, OptionError, OutOfMemoryError
 from clvol.filter import filters
 from clvol.fit import fitted
 from clvol.look import look
@@ -159,7 +159,8 @@ class Resident:
             self._free(_KEPT)
 
     def _made(self, filter: str | None, boundary: str) -> Renderer:
-        self.effective(self.initial)  # waits for a session that finds out the same
+        with contextlib.suppress(ClvolError):  # of that state, which need not be what is drawn
+            self.effective(self.initial)  # waits for a session that finds out the same
         own = self._field
         if own is not None and filter == own.filter.name and boundary == own.boundary.name:
             return Renderer(own)
@@ -251,6 +252,10 @@ class Resident:
 
     def info(self) -> dict[str, Any]:
         """What a client is told first."""
+        with self._knowing:
+            return self._info_found()
+
+    def _info_found(self) -> dict[str, Any]:
         if self._info is None:
             volume = self.volume
             low, high = volume.value_range

@@ -453,7 +453,7 @@ class Server:
     @property
     def address(self) -> str:
         """The address without the token."""
-        return self._address(("::1" if self.host == "::" else "127.0.0.1") if _is_any(self.host) else self.host)
+        return self._address(("::1" if ":" in self.host else "127.0.0.1") if _is_any(self.host) else self.host)
 
     def _address(self, host: str) -> str:
         bracketed = f"[{host}]" if ":" in host else host
@@ -585,7 +585,7 @@ class Server:
         now, until = time.monotonic(), self._tickets.pop(given, -math.inf)
         self._tickets = {ticket: end for ticket, end in self._tickets.items() if end > now}
         if not (_equal(given, self.token) or now < until or self._has_cookie(request)):
-            raise _Refused(403, "the token is not that of this server, which has a new one each time it starts")
+            raise _Refused(403, "this address does not let in, or no longer: open the one that was printed where clvol was started")
         if request.headers.get("Sec-Fetch-Site") in ("cross-site", "same-site"):
             # A redirect would be part of the other site's navigation, which brings no strict cookie: the page goes on by itself.
             body = f'<!doctype html><meta http-equiv="refresh" content="0; url={self._root or "."}/">'.encode()
@@ -797,7 +797,9 @@ class Serving:
         try:
             asyncio.run(self._run())
         except Exception as error:  # there was no loop to be had
-            self._failed = self._failed or error
+            if self._ready.is_set():
+                raise
+            self._failed = error
         finally:
             self._ready.set()
 

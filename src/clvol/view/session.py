@@ -106,14 +106,15 @@ class Session:
         self._quality, self._scale, self._latency = 85, 1.0, 0.0
         self._rates: deque[float] = deque(maxlen=16)
         self._asked: dict[str, object] = {}
-        self._asides: dict[str, Callable[[], dict[str, Any]]] = {}
+        self._asides: dict[str, tuple[tuple[Any, ...], Callable[[], dict[str, Any]]]] = {}
         self._aside_thread: threading.Thread | None = None
         self._outgoing: deque[dict[str, Any]] = deque()
         self._inbox: deque[Mapping[str, Any]] = deque()
         self._condition = threading.Condition()
         self._closed = False
         self._overflowed = False
-        self._undrawn = self._coarse = False
+        self._undrawn: set[str] = set()  # panes of which something hindered the picture
+        self._coarse: set[str] = set()  # panes of which the pictures of this drag would be coarse
         self._thread = threading.Thread(target=self._run, name="clvol view", daemon=True)
         self._thread.start()
 
@@ -197,7 +198,6 @@ class Session:
         except _Gone:
             raise
         except Exception as error:
-            self._undrawn = work == self._draw_next
             self._fail(error)
 
     def _fail(self, error: Exception) -> None:
@@ -273,6 +273,7 @@ class Session:
             if self._closed:
                 return
             self._guarded(lambda message=message: self._handle(message))  # type: ignore[misc]  # bound at once
+        self._forget_errors()
         if self._hands.drag is None and not self._moving:
             self._tell_state()
         self._tell_overlays()
@@ -524,6 +525,15 @@ class Session:
         moving = self._moving
         if not first and moving:
             return
+        try:
+            self._draw(name, first, moving)
+        except _Gone:
+            raise
+        except Exception:
+            self._undrawn.add(name)
+            raise
+
+    def _draw(self, name: str, first: bool, moving: bool) -> None:
         state, place = self.state, self._place()
         key, size = self._key(state, name), place.size(name)
         # what fails is not tried again before something changes
@@ -537,7 +547,9 @@ class Session:
 
         began = time.perf_counter()
         done = False
-        budget = _STILL if not first else _LONGER if moving and self._coarse else _BUDGET
+        if not moving:
+            self._coarse.clear()
+        budget = _STILL if not first else _LONGER if name in self._coarse else _BUDGET
         with closing(self._drawer.shots(place, state, name, wanted, budget, stop, coarse=moving)) as shots:
             for shot in shots:
                 if (shot.final or not sent) and not self._may_send():
@@ -545,13 +557,14 @@ class Session:
                 if len(self._unseen) < _UNSEEN:  # a picture in between is left out, if the client is slow
                     self._send_frame(name, size, shot, time.perf_counter() - began)
                     sent, done = sent + 1, shot.final
-                    self._coarse = moving and shot.pixels.shape[0] * shot.pixels.shape[1] < min(_FINE, wanted[0] * wanted[1])
+                    if moving and shot.pixels.shape[0] * shot.pixels.shape[1] < min(_FINE, wanted[0] * wanted[1]):
+                        self._coarse.add(name)  # until it rests, or sizes would alternate
                 if stop():
                     break
         self._shown[name] = _Shown(key, done)
         if not sent and not self._busy():
             self._moved_at = time.monotonic()  # nothing came of it: not again at once
-        if done and not self._busy():
+        if done:
             self._report(state, name, shot)
 
     def _may_send(self) -> bool:
@@ -585,8 +598,8 @@ class Session:
             message["step"] = shot.step
         if shot.visited is not None:
             message["share_visited"] = shot.visited
-        if self._undrawn:  # what hindered it is over
-            self._undrawn = False
+        if name in self._undrawn:  # what hindered it is over
+            self._undrawn.remove(name)
             self._status("", "info")
         with self._condition:
             self._unseen[self._number] = time.monotonic()
@@ -611,13 +624,26 @@ class Session:
                 lambda: {"type": "wiper", "errors": wiper.measured(volume, names, boundary, lambda: self._closed)},
             )
 
+    def _forget_errors(self) -> None:
+        """What was measured of other filters is not shown beside those that are compared now."""
+        wiper = self.state.wiper
+        compared = None if wiper is None else (self.state.filter, wiper.filter, self.state.boundary)
+        if compared == self._compared:
+            return
+        self._compared = compared
+        with self._condition:
+            self._asked.pop("wiper", None)
+            self._asides.pop("wiper", None)
+            self._outgoing = deque(message for message in self._outgoing if message["type"] != "wiper")
+        self._tell({"type": "wiper", "errors": None})
+
     def _aside(self, key: tuple[Any, ...], work: Callable[[], dict[str, Any]]) -> None:
         """Have a message made by another thread, unless the last one of its kind was the same; pictures do not wait for it."""
-        if self._asked.get(key[0]) == key:
-            return
-        self._asked[key[0]] = key
         with self._condition:
-            self._asides[key[0]] = work
+            if self._asked.get(key[0]) == key:
+                return
+            self._asked[key[0]] = key
+            self._asides[key[0]] = key, work
             if self._aside_thread is None:
                 self._aside_thread = threading.Thread(target=self._run_asides, name="clvol view: aside", daemon=True)
                 self._aside_thread.start()
@@ -629,13 +655,14 @@ class Session:
                     self._aside_thread = None
                     return
                 kind = next(iter(self._asides))
-                work = self._asides.pop(kind)
-                key = self._asked.get(kind)
+                key, work = self._asides.pop(kind)
             try:
                 message = work()
             except Exception as error:  # the picture is there all the same
                 _LOG.debug("beside a picture: %s", error)
-                continue
+                if kind != "wiper":
+                    continue
+                message = {"type": "wiper", "errors": {"problem": str(error) or type(error).__name__, "filters": []}}
             with self._condition:
                 if self._asked.get(kind) != key:  # something else is compared by now
                     continue
@@ -659,11 +686,6 @@ class Session:
         if state == self._told:
             return
         self._told = state
-        compared = None if state.wiper is None else (state.filter, state.wiper.filter, state.boundary)
-        if compared != self._compared:  # what was measured of other filters is not shown beside these
-            self._compared = compared
-            self._asked.pop("wiper", None)
-            self._tell({"type": "wiper", "errors": None})
         self._tell(
             {
                 "type": "state",

@@ -380,8 +380,9 @@ class Pane {
   key(event) {
     if (event.target !== this.element) return;
     const down = event.type === "keydown";
-    const command = (event.ctrlKey || event.metaKey) && !["Control", "Meta"].includes(event.key);
-    if (down && event.altKey && event.key !== "Alt") return;
+    const typed = event.getModifierState("AltGraph"); // with which some keyboards have brackets
+    const command = (event.ctrlKey || event.metaKey) && !typed && !["Control", "Meta"].includes(event.key);
+    if (down && event.altKey && event.key.startsWith("Arrow")) return;
     if (down && (event.key === "Tab" || /^F\d/.test(event.key) || (command && !["z", "y"].includes(event.key.toLowerCase())))) return;
     event.preventDefault();
     event.stopPropagation(); // notebooks have shortcuts of their own
