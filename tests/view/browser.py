@@ -151,14 +151,14 @@ class Browser:
         return self._log
 
     def requests(self) -> list[str]:
-        """Addresses of all requests and websockets so far, but for those that need no network (``data:``, ``blob:``)."""
+        """Addresses of all requests and websockets so far, but for those without a network (``blob:``) and of the browser's own pages."""
         urls = []
         for event in self.log():
             if event["method"] == "Network.requestWillBeSent":
                 urls.append(event["params"]["request"]["url"])
             elif event["method"] == "Network.webSocketCreated":
                 urls.append(event["params"]["url"])
-        return [url for url in urls if urlsplit(url).scheme not in ("data", "blob", "about", "chrome")]
+        return [url for url in urls if urlsplit(url).scheme not in ("data", "blob", "about", "chrome", "chrome-untrusted")]
 
     def console(self) -> list[str]:
         """What the console holds since it was last asked: errors, and what the content security policy refused."""

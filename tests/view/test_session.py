@@ -20,6 +20,7 @@ from clvol.device import Device
 from clvol.errors import DataError, OptionError
 from clvol.picture import to_bytes
 from clvol.view import State, View, from_toml, from_url
+from clvol.view.drawing import Drawer, Shot
 from clvol.view.session import Session
 from tests.view.clients import Client, decoded, random_event
 
@@ -210,6 +211,107 @@ def test_a_drag_shows_previews_then_the_still_picture_and_is_one_step(client: Cl
     client.wait(lambda m: m["type"] == "reply" and m["id"] == 7)
     assert client.session.state.camera.direction == pytest.approx(client.session._resident.initial.camera.direction)
     assert client.session.state.mode == "isosurface"
+
+
+def test_the_sizes_of_a_drag_do_not_alternate(view: View, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where its pictures would be coarse they may take longer, until it rests."""
+    client = Client(view)
+    client.resize(512, 512)
+    client.still()
+    budgets: list[float] = []
+
+    def shots(*given: Any, coarse: bool = False) -> Iterator[Shot]:
+        budget = given[4]
+        if coarse:
+            budgets.append(budget)
+        edge = 100 if budget < 0.05 else 200
+        yield Shot(np.zeros((edge, edge, 3), np.uint8), not coarse)
+
+    monkeypatch.setattr(client.session._drawer, "shots", shots)
+    for _ in range(2):
+        client.event("pointer_down", x=200, y=200, button=1)
+        for i in range(8):
+            client.event("pointer_move", x=210 + i, y=200, button=1)
+            time.sleep(0.03)
+        client.event("pointer_up", x=217, y=200, button=1)
+        client.forget()
+        client.set(camera__zoom=1.3)
+        client.still()
+    assert len(budgets) > 4
+    first = [i for i, budget in enumerate(budgets) if budget < 0.05]
+    assert 1 <= len(first) <= 2  # of each drag
+    client.close()
+
+
+def test_an_error_of_one_pane_stays_while_others_are_drawn(view: View, monkeypatch: pytest.MonkeyPatch) -> None:
+    client = Client(view)
+
+    def broken(*_: Any, **__: Any) -> Any:
+        raise MemoryError
+
+    monkeypatch.setattr(clvol.Renderer, "refine", broken)
+    client.set(layout="linked", camera__zoom=1.7)
+    client.resize(*SIZE)
+    for pane in "xyz":
+        client.still(pane)
+    client.wait(lambda m: m["type"] == "status" and m["kind"] == "error")
+    client.forget()
+    client.set(slice__zoom=1.5)
+    for pane in "xyz":
+        client.still(pane)
+    assert not client.of("status")
+    client.close()
+
+
+def test_the_wiper_shows_previews_and_draws_nothing_twice(view: View, monkeypatch: pytest.MonkeyPatch) -> None:
+    client = Client(view)
+    made: list[tuple[str | None, float]] = []
+    of = Drawer._of
+
+    def noted(self: Drawer, *given: Any) -> Any:
+        made.append((given[2], given[5]))
+        return of(self, *given)
+
+    monkeypatch.setattr(Drawer, "_of", noted)
+    client.set(mode="isosurface", filter="bspline3", wiper={"filter": "nearest", "at": 0.5})
+    client.resize(*SIZE)
+    client.still()
+    assert sorted({row for row, _ in made}, key=str) == ["bspline3", "nearest"]
+    made.clear()
+    client.forget()
+    client.set(wiper__at=0.6)
+    client.still()
+    assert made == []  # both are known
+    client.set(step=0.01, filter="linear")
+    client.resize(900, 900)
+    client.wait(lambda m: m["type"] == "frame" and not m["final"])
+    client.close()
+
+
+def test_what_cannot_be_measured_is_said(view: View, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: Any) -> Any:
+        raise clvol.DataError("no such samples")
+
+    monkeypatch.setattr("clvol.view.wiper.measured", broken)
+    client = Client(view)
+    client.set(mode="isosurface", filter="bspline3", wiper={"filter": "nearest", "at": 0.5})
+    client.resize(*SIZE)
+    message, _ = client.wait(lambda m: m["type"] == "wiper" and m["errors"])
+    assert message["errors"] == {"problem": "no such samples", "filters": []}
+    client.close()
+
+
+def test_a_picture_that_is_saved_ends_with_its_session(view: View) -> None:
+    client = Client(view)
+    client.resize(*SIZE)
+    client.still()
+    client.set(mode="composite", step=0.02, options__termination=0.0, opacity=0.01)
+    client.forget()
+    client.session.receive({"type": "do", "what": "save_picture", "width": 3000, "height": 3000, "id": 1})
+    client.wait(lambda m: m["type"] == "status" and m["kind"] == "busy")
+    began = time.monotonic()
+    client.close()
+    assert time.monotonic() - began < 2
 
 
 def test_the_newest_state_wins(view: View) -> None:
