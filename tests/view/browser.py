@@ -151,7 +151,7 @@ class Browser:
         return self._log
 
     def requests(self) -> list[str]:
-        """Addresses of all requests and websockets so far, but for those without a network (``blob:``) and of the browser's own pages."""
+        """Addresses of all requests and websockets so far, but for ``blob:`` and the like, and those of the browser's own pages."""
         urls = []
         for event in self.log():
             if event["method"] == "Network.requestWillBeSent":
