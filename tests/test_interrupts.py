@@ -196,7 +196,7 @@ def test_the_command_ends_with_one_line_even_while_it_imports(tmp_path: Path, mo
     """In place of a library that it imports is one that waits."""
     (tmp_path / "numpy.py").write_text("import time; print('ready', flush=True); time.sleep(30)\n")
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
-    code, said, seconds = signalled(["-m", "clvol", "--version"], 0, ready=True)
+    code, said, seconds = signalled(["-m", "clvol", "--version"], 0.2, ready=True)
     assert (code, said) == (130, "clvol: interrupted\n")
     assert seconds < 10
 
