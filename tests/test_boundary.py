@@ -261,7 +261,7 @@ def test_names_are_strings() -> None:
     assert Boundary("own", [2, np.int64(-1)], np.int32(0), "").period == (2, -1)  # type: ignore[arg-type]
 
 
-@pytest.mark.one_in(4)
+@pytest.mark.one_in(8)
 @pytest.mark.parametrize(("period", "fold"), [((2, -1), 0), ((2, -1), 1)])
 @pytest.mark.parametrize("filter", ["linear", "bspline3", "bspline5", "hybrid"])
 def test_a_rule_that_mirrors_and_reflects_is_that_of_the_longer_axis(device: Device, filter: str, period: Any, fold: int) -> None:

@@ -839,6 +839,7 @@ NO_PYOPENCL = (
 )
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("code", [NO_PLATFORM, NO_PYOPENCL], ids=["no platform", "no pyopencl"])
 def test_without_opencl_the_doctor_says_what_to_install(code: str) -> None:
     done = subprocess_of("doctor", code=code, OCL_ICD_VENDORS=os.devnull)

@@ -21,7 +21,7 @@ def run(device: Device, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, PROGRAM, *arguments], capture_output=True, encoding="utf-8", timeout=1800, check=False)
 
 
-@pytest.mark.parametrize("side", ["start", "end"])
+@pytest.mark.parametrize("side", [pytest.param("start", marks=pytest.mark.thorough), "end"])
 def test_nothing_past_a_buffer_is_touched(device: Device, side: str) -> None:
     done = run(device, side)
     assert done.returncode == 0, done.stdout[-200:] + done.stderr[-2000:]

@@ -43,7 +43,7 @@ def test_linear_is_scipys(d: int, trailing: tuple[int, ...], precision: Any, dev
         np.testing.assert_allclose(at(several), wanted(several), atol=allowed)
 
 
-@pytest.mark.one_in(5)
+@pytest.mark.one_in(10)
 @pytest.mark.parametrize("precision", ALLOWED)
 @pytest.mark.parametrize("order", [2, 3, 5])
 @pytest.mark.parametrize("d", [1, 2, 3])

@@ -276,6 +276,7 @@ def nearest_of_every_second(data: np.ndarray, first: tuple[int, ...], margin: in
     return float(((data[np.ix_(*near)] - data[np.ix_(*at)]) ** 2).mean())
 
 
+@pytest.mark.thorough
 def test_the_page_tells_what_the_six_were_measured_to_do(
     page: str, errors: dict[tuple[str, int], dict[str, float]], device: Device
 ) -> None:

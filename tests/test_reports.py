@@ -241,6 +241,7 @@ def test_what_cannot_be_reported_is_said_first(tmp_path: Path, device: Device) -
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.thorough
 def test_a_report_takes_filters_that_no_table_knows(tmp_path: Path, device: Device) -> None:
     wide = clvol.from_callable("wide tent", lambda x: np.maximum(1 - np.abs(x) / 2, 0) / 2, 2)
     for filters in ((clvol.bspline(7), wide), (wide,)):

@@ -44,6 +44,7 @@ def known() -> ErrorTable:
     return compare(marschner_lobb_function, list(RMSE), gradient=marschner_lobb_gradient, timing=False)
 
 
+@pytest.mark.thorough
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("name", RMSE)
 def test_rms_on_marschner_lobb_is_as_known(known: ErrorTable, name: str) -> None:

@@ -207,6 +207,7 @@ def test_a_figure_in_which_no_surface_shows_measures_no_normals(device: Device) 
     assert panels[0].rms is not None
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(("count", "across", "down"), [(1, 1, 1), (2, 2, 1), (3, 3, 1), (4, 4, 1), (5, 4, 2), (6, 3, 2), (7, 4, 2)])
 def test_compare_puts_panels_in_rows(device: Device, count: int, across: int, down: int) -> None:
     names = ("linear", "nearest", "bspline3", "mitchell", "bspline2", "catmull-rom", "bspline")[:count]

@@ -19,7 +19,7 @@ from tests.fuzz.found import FOUND
 
 ROOT = Path(__file__).resolve().parents[2]
 FEW = 40  # mutants of a format that a child process reads, or whose reader is slow
-MANY = 400  # of the others
+MANY = 150  # of the others
 CALLS = 3000
 QUICK = ("npy", "npz", "nii", "nii.gz", "hdr", "mgh", "mgz", "raw")
 OTHERS = (

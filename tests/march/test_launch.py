@@ -74,7 +74,7 @@ def check(got: dict[str, NDArray[Any]], want: dict[str, NDArray[Any]], mode: str
     np.testing.assert_allclose((got["rgba"] * cover)[seen], (want["rgba"] * cover)[seen], rtol=0, atol=1e-6)
 
 
-@pytest.mark.one_in(8)
+@pytest.mark.one_in(16)
 @pytest.mark.parametrize(("mode", "tile"), [*product(modes(), ["planes", "rays"])])
 def test_two_halves_of_the_rays_merged_are_the_picture(renderer: Renderer, mode: str, tile: str) -> None:
     with renderer.device.limited(tile=TILES[tile]):
@@ -86,7 +86,7 @@ def test_two_halves_of_the_rays_merged_are_the_picture(renderer: Renderer, mode:
                     check(finish_states(merge_states(front, back)), whole, mode)
 
 
-@pytest.mark.one_in(3)
+@pytest.mark.one_in(6)
 @pytest.mark.parametrize("mode", modes())
 def test_states_that_are_carried_on_are_the_picture_to_the_last_bit(renderer: Renderer, mode: str) -> None:
     """In parts of any length, skipping or not."""
@@ -119,6 +119,7 @@ def test_rays_of_few_samples_in_parts_are_the_picture_to_the_last_bit(renderer: 
                 np.testing.assert_array_equal(picture, whole[name], err_msg=name)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("mode", modes())
 def test_merging_does_not_depend_on_the_grouping(renderer: Renderer, mode: str) -> None:
     """(a b) c and a (b c)."""

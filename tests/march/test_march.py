@@ -215,7 +215,7 @@ PAIRWISE = [("bspline3", mode, way) for mode in MODES for way in range(1, len(WA
 ]
 
 
-@pytest.mark.one_in(20)
+@pytest.mark.one_in(60)
 @pytest.mark.parametrize(("filter", "mode", "way"), PAIRWISE, ids=[f"{f}-{m}-{'-'.join(WAYS[w].values())}" for f, m, w in PAIRWISE])
 def test_every_way_to_the_coefficients(device: Device, keep: dict[Any, Renderer], filter: str, mode: str, way: int) -> None:
     ways = WAYS[way]
@@ -385,7 +385,7 @@ def test_the_default_look_is_the_references(device: Device, mode: str) -> None:
 # -- what the picture may not depend on ------------------------------------------------------------------------------
 
 
-@pytest.mark.one_in(3)
+@pytest.mark.one_in(6)
 @pytest.mark.parametrize("mode", MODES)
 def test_tiles_of_rays_draw_the_same(device: Device, keep: dict[Any, Renderer], mode: str) -> None:
     """One ray a work-item, eight at once, and tiles that share planes."""
@@ -418,6 +418,7 @@ def test_early_termination_errs_by_no_more_than_its_share(device: Device, keep: 
     assert difference > 0 or termination < 0.01  # rays do end early
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("mode", ["composite", "isosurface"])
 def test_touching_labels_have_no_seam(mode: str, device: Device) -> None:
     """Labels are lit by the surface of what is solid, whatever numbers they bear."""

@@ -57,7 +57,7 @@ def renderer(device: Device) -> Iterator[Renderer]:
 # -- symmetries ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.one_in(3)
+@pytest.mark.one_in(6)
 @pytest.mark.parametrize("mode", MODES)
 def test_moving_volume_camera_and_light_together_changes_nothing(device: Device, mode: str) -> None:
     still = noise()
@@ -80,7 +80,7 @@ def test_moving_volume_camera_and_light_together_changes_nothing(device: Device,
     assert a[..., :3].max() > 0.1
 
 
-@pytest.mark.one_in(4)
+@pytest.mark.one_in(7)
 @pytest.mark.parametrize("filter", ["linear", "catmull-rom", "bspline2", "bspline3", "bspline4", "bspline5", "omoms3"])
 def test_one_polynomial_on_turned_grids_gives_one_picture(device: Device, filter: str) -> None:
     """Each filter gets a polynomial that it reproduces on any grid, away from edges (Strang and Fix)."""
@@ -112,7 +112,7 @@ def test_one_polynomial_on_turned_grids_gives_one_picture(device: Device, filter
         np.testing.assert_allclose(other["normal"][both], first["normal"][both], atol=5e-3)
 
 
-@pytest.mark.one_in(3)
+@pytest.mark.one_in(6)
 @pytest.mark.parametrize("mode", MODES)
 def test_tiles_do_not_show(renderer: Renderer, mode: str) -> None:
     size = (37, 29)
@@ -171,6 +171,7 @@ def test_a_sphere_is_where_it_should_be(device: Device) -> None:
     np.testing.assert_allclose(p, (view.eye + got["depth"][..., None] * d)[hit], atol=1e-5)
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("filter", ["linear", "bspline3", "mitchell", "hybrid"])
 @pytest.mark.parametrize("fov", [30.0, 120.0])
 def test_surfaces_lie_within_a_ten_thousandth_of_the_isovalue(device: Device, filter: str, fov: float) -> None:
@@ -222,6 +223,7 @@ def test_the_mean_of_a_ramp(device: Device) -> None:
     np.testing.assert_allclose(got[..., 0], np.broadcast_to(x / (n - 1), (6, 6)), atol=2e-3)  # mirrored ends are no ramp
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("filter", ["nearest", "linear", "bspline3-approx"])
 def test_projections_are_in_order(device: Device, filter: str) -> None:
     volume = noise((20, 18, 16), 4)

@@ -94,7 +94,7 @@ def test_skipping_changes_no_bit(
         same(device, volume, "bspline3", mode, view, boundary, shading=shading)
 
 
-@pytest.mark.one_in(9)
+@pytest.mark.one_in(27)
 @pytest.mark.parametrize("filter", [*filters(), *SMOOTHED])
 @settings(deadline=None, max_examples=examples(25), suppress_health_check=UNHURRIED)
 @given(volume=volumes(), view=views())
@@ -138,6 +138,7 @@ def test_skipping_changes_no_bit_on_any_path(
         pytest.skip(str(error))
 
 
+@pytest.mark.one_in(5)
 @pytest.mark.parametrize("tile", TILES)
 @pytest.mark.parametrize("mode", MODES)
 def test_most_of_an_empty_volume_is_skipped(device: Device, mode: str, tile: str) -> None:

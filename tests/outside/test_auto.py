@@ -160,6 +160,7 @@ def test_images(function: Callable[[Array], Array], sigma: float) -> None:
     assert chosen.sigma == pytest.approx(sigma, rel=0.1)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("function", [random_field, vessels, hard_sphere, smooth_sphere], ids=lambda f: f.__name__)
 def test_blocks_of_a_volume_tell_of_all_of_it(function: Callable[[Array], Array]) -> None:
     data = noisy(function, (112, 96, 128), 0.1)

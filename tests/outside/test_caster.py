@@ -45,6 +45,7 @@ FILTERS = {1: "linear", 3: "bspline3", 5: "bspline5"}
 CASES = [("perspective", 3), ("orthographic", 5), ("aside", 1)]
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(("camera", "order"), CASES)
 def test_surfaces(device: Device, camera: str, order: int) -> None:
     """Hit or missed as it should be, and where it should be, to 0.004 of a voxel at a tenth of one."""
@@ -86,6 +87,7 @@ def test_maxima(device: Device, camera: str, order: int) -> None:
     assert below.min() > -1e-5
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(("camera", "order"), CASES)
 def test_emission_and_absorption(device: Device, camera: str, order: int) -> None:
     """Colours and opacities of matter that is clear at the faces, to 1e-4 at a twentieth of a voxel."""

@@ -122,6 +122,7 @@ def drawn(device: Device, camera: str, box: Box, step: float, **options: Any) ->
     }
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("tile", TILES)
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_the_error_at_clip_planes_is_of_second_order(device: Device, camera: str, tile: str) -> None:

@@ -77,6 +77,7 @@ SLOPES = [
 ]
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(("name", "points", "truth"), table(SLOPES, 2))
 def test_derivatives(device: Device, name: str, points: Any, truth: Any) -> None:
     z, y, x = np.indices((41, 41, 41)) - 20.0
@@ -105,6 +106,7 @@ def as_image(volume: clvol.Volume) -> Any:
 FILTERS = {"linear": "sitkLinear", "bspline3": "sitkBSpline", **{f"bspline{n}": f"sitkBSpline{n}" for n in (2, 4, 5)}}
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("name", FILTERS)
 def test_resampling_onto_a_turned_grid(device: Device, name: str, seed: int) -> None:

@@ -57,6 +57,7 @@ def response(name: str, f: float) -> float:
     return float((k * np.cos(2 * np.pi * f * x)).sum() / k.sum())
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("f", [0.1, 0.25, 0.4, 0.8])
 @pytest.mark.parametrize("name", ["nearest", "linear", "bspline2-approx", "bspline3-approx", "mitchell", "catmull-rom", "lanczos3"])
 def test_waves_are_damped_as_the_filter_says(device: Device, name: str, f: float) -> None:
@@ -117,6 +118,7 @@ def test_patterns_are_even_and_within_the_filter(samples: int, name: str) -> Non
         np.testing.assert_allclose(weights @ (offsets - 0.5) ** 2, wanted, rtol=0.08)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("samples", [2, 3, 4, 16])
 def test_guides_are_of_the_ray_through_the_middle(device: Device, samples: int) -> None:
     volume = clvol.phantoms.sphere(20)

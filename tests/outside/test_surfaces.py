@@ -22,6 +22,7 @@ from tests.march.looks import TILES
 from tests.outside import caster
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("scene", SCENES)
 def test_no_ray_misses_the_first_root(scene: str) -> None:
     """Some thousand random rays here; ``python -m bench.roots`` holds a million."""
@@ -73,7 +74,7 @@ def test_a_thin_sheet_is_seen_by_every_ray(thickness: float) -> None:
     assert np.abs(depth[..., 0] - (crest - thickness / 2)).max() < 0.02
 
 
-@pytest.mark.one_in(3)
+@pytest.mark.one_in(6)
 @pytest.mark.parametrize("filter", ["nearest", "linear", "bspline3", "catmull-rom", "lanczos3", "hybrid"])
 def test_the_picture_is_the_same_however_rays_are_cut(device: Device, filter: str) -> None:
     """Steps, tiles, and whether space is skipped: not one bit differs."""

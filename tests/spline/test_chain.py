@@ -79,7 +79,7 @@ CHAINS: dict[str, Any] = {
 }
 
 
-@pytest.mark.one_in(9)
+@pytest.mark.one_in(27)
 @pytest.mark.parametrize(
     ("precision", "name", "d"),
     [
@@ -144,6 +144,7 @@ def test_data_far_from_one(device: Device, factor: float) -> None:
     np.testing.assert_allclose(got.gradient / factor, plain.gradient, rtol=0, atol=1e-4)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("rule", ["local", "propagate"])
 def test_missing_samples_spoil_what_touches_them(device: Device, rule: str) -> None:
     volume, like, chain = moving(3), fixed(3), CHAINS["all"](3)

@@ -420,7 +420,7 @@ def test_resample_of_an_image_in_colour_says_where_to_go() -> None:
 FIELD_SHAPES = [(5, 6, 7), (6, 7), (1, 1, 1), (1, 1)]
 
 
-@pytest.mark.one_in(4)
+@pytest.mark.one_in(12)
 @pytest.mark.parametrize("name", ["bspline3", "hybrid", "mitchell"])
 @pytest.mark.parametrize("shape", FIELD_SHAPES)
 def test_a_field_is_the_functions_and_the_reference(device: Device, shape: tuple[int, ...], name: str) -> None:

@@ -72,7 +72,7 @@ def test_every_prefiltered_row_has_a_tolerance() -> None:
     assert set(TOLERANCE) == set(ROWS)
 
 
-@pytest.mark.one_in(6)
+@pytest.mark.one_in(15)
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("name", ROWS)
 def test_coefficients(device: Device, name: str, rule: str) -> None:

@@ -42,7 +42,7 @@ def scipy_matrix(shape: tuple[int, ...], at: Array, order: int, mode: str) -> Ar
     return np.stack([ndimage.map_coordinates(one, where, order=order, mode=mode) for one in impulses], 1)
 
 
-@pytest.mark.one_in(5)
+@pytest.mark.one_in(12)
 @pytest.mark.parametrize(("name", "boundary"), [*(("bspline3", rule) for rule in MODES), *((name, "mirror") for name in ORDERS)])
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
 def test_it_is_the_transpose_of_scipys_spline(device: Device, name: str, boundary: str, shape: tuple[int, ...]) -> None:
@@ -53,7 +53,7 @@ def test_it_is_the_transpose_of_scipys_spline(device: Device, name: str, boundar
     assert_allclose(got, expected, rtol=0, atol=EXACT * np.abs(expected).max())
 
 
-@pytest.mark.one_in(9)
+@pytest.mark.one_in(20)
 @pytest.mark.parametrize(("name", "boundary", "derivative"), [(*pair, d) for pair in PAIRS for d in (0, 1)])
 def test_the_inner_products_are_equal(device: Device, name: str, boundary: str, derivative: int) -> None:
     if derivative and not as_filter(name).has_gradient:
