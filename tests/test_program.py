@@ -415,3 +415,22 @@ def test_memory_is_flat_over_ever_new_programs(device: Device, monkeypatch: pyte
         if number % 100 == 49:
             resident.append(int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE"))
     assert resident[1] - resident[0] < 20 << 20
+
+
+def test_a_build_that_a_signal_hinders_is_done_again(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """LLVM removes what it writes when SIGINT comes, whoever hears it."""
+    cl = program.opencl()
+    build, calls = cl.Program.build, []
+
+    def hindered(self: Any, *given: Any, **options: Any) -> Any:
+        calls.append(1)
+        if len(calls) == 1:
+            raise cl.RuntimeError("error: unable to rename temporary 'a.cl.tmp' to output file 'a.cl': 'No such file or directory'")
+        return build(self, *given, **options)
+
+    monkeypatch.setattr(cl.Program, "build", hindered)
+    if not device.is_pocl:
+        pytest.skip("other runtimes build otherwise")
+    made = device.build("base/sampler.cl", {"COORD_DOUBLE": 0, "SOME": 7})
+    assert len(calls) == 2
+    assert made.kernel("sample_ramp") is not None

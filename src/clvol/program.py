@@ -28,6 +28,8 @@ LANES = 8
 Defines = Mapping[str, str | int | float]
 _OPTIONS = ("-cl-std=CL1.2",)
 _POCL = "Portable Computing Language"
+# LLVM's own handler of SIGINT removes what it is writing, whoever hears the signal: the program is then built once more
+_INTERRUPTED = "unable to rename temporary"
 _LAUNCHES = 1024  # sizes that are remembered for each program
 _building = threading.Lock()  # what appears in PoCL's folder then is of the one that is built
 _INCLUDE = re.compile(r'^#include "([\w/.]+)"[ \t]*$', re.MULTILINE)
@@ -202,7 +204,12 @@ def build(device: Any, context: Any, text: str, kernels: Shelf | None, new: Call
         stored = kernels.restore(key)
         if not any(name.endswith(".bc") for name in stored):
             kernels.require_room()
-        handle = opencl().Program(context, text).build(options=list(_OPTIONS))
+        try:
+            handle = opencl().Program(context, text).build(options=list(_OPTIONS))
+        except opencl().RuntimeError as error:
+            if _INTERRUPTED not in str(error):
+                raise
+            handle = opencl().Program(context, text).build(options=list(_OPTIONS))
         launches = Launches(new, kernels, key, kernels.built(), stored)
         launches.keep()
         return Program(handle, launches)
