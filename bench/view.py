@@ -185,12 +185,12 @@ def rate(browser: Browser, seconds: float) -> dict[str, Any]:
 
 
 def elsewhere(url: str, size: int, seconds: float) -> dict[str, float]:
-    """Pictures a second while something is dragged, and how large they are, where the browser is on another machine.
+    """Pictures a second while something is dragged, how large they are, and seconds from its end to the still picture.
 
-    A client that only acknowledges what it gets stands for it.
+    Of a browser on another machine, that is: a client that only acknowledges what it gets stands for it.
     """
 
-    async def drag() -> list[tuple[int, float]]:
+    async def drag() -> tuple[list[tuple[int, float]], float]:
         async with aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True)) as client:
             await (await client.get(url)).read()
             async with client.ws_connect(url.partition("?")[0] + "ws", max_msg_size=0) as socket:
@@ -214,14 +214,20 @@ def elsewhere(url: str, size: int, seconds: float) -> dict[str, float]:
                 async for frame in frames():
                     found.append((frame["width"] * frame["height"], time.monotonic() - begun))
                     if found[-1][1] > seconds:
-                        return found
+                        break
                     n += 1
                     x, y = size / 2 + 150 * math.sin(n / 40), size / 2 + 40 * math.sin(n / 25)
                     await event("pointer_move", x=x, y=y, buttons=[1])
+                released = time.monotonic()
+                await event("pointer_up", x=x, y=y, button=1, buttons=[])
+                async for frame in frames():
+                    if frame["final"]:
+                        return found, time.monotonic() - released
         raise RuntimeError("the server ended the connection")
 
-    found = asyncio.run(drag())
-    return {"pictures/s": len(found) / found[-1][1], "edge": statistics.median(pixels for pixels, _ in found) ** 0.5}
+    found, still = asyncio.run(drag())
+    edge = statistics.median(pixels for pixels, _ in found) ** 0.5
+    return {"pictures/s": len(found) / found[-1][1], "edge": edge, "still": still}
 
 
 def first_pictures(browser: Browser, volume: clvol.Volume, rounds: int) -> list[float]:
@@ -248,7 +254,10 @@ def report(name: str, found: dict[str, Any]) -> None:
     rate = f"{found['pictures/s']:.1f} pictures/s of {found['edge']:.0f}² pixels, longest gap {found['longest gap']:.2f} s"
     print(f"{name}: while dragged {rate}; aim {_AIMS[name][0]:g} pictures/s")
     alone = found["elsewhere"]
-    print(f"{name}: likewise, the browser elsewhere: {alone['pictures/s']:.1f} pictures/s of {alone['edge']:.0f}² pixels")
+    print(
+        f"{name}: the browser elsewhere: {alone['pictures/s']:.1f} pictures/s of {alone['edge']:.0f}² pixels, "
+        f"still picture after {alone['still']:.3f} s"
+    )
 
 
 def times(values: list[float]) -> str:
