@@ -87,8 +87,8 @@ def every(**calls: tuple[Callable[[Any], object], Iterable[Any]]) -> list[Any]:
 
 
 def examples(count: int) -> int:
-    """Of a property, a quarter of them, or all in `make thorough`."""
-    return count if os.environ.get("CLVOL_TEST_THOROUGH") else max(4, count // 4)
+    """Of a property, a sixth of them, or all in `make thorough`."""
+    return count if os.environ.get("CLVOL_TEST_THOROUGH") else max(4, count // 6)
 
 
 def rotation(d: int = 3, seed: int = 0) -> np.ndarray:

@@ -179,6 +179,7 @@ def test_the_page_tells_what_noise_filters_keep(page: str) -> None:
     assert [float(within) for _, _, within in lines] == sorted((float(within) for _, _, within in lines), reverse=True)
 
 
+@pytest.mark.thorough
 def test_whether_the_sinc_errs_least_depends_on_the_data(errors: dict[tuple[str, int], dict[str, float]]) -> None:
     least = {case: min(made, key=lambda name: made[name]) for case, made in errors.items()}
     assert least[("Marschner–Lobb", 3)] == least[("Marschner–Lobb, z = 0", 2)] == analysis.EXACT_SINC
@@ -196,6 +197,7 @@ def test_at_hard_edges_linear_errs_least_and_the_sinc_more_than_the_spline(size:
     assert hard["mitchell"] < hard["bspline3"] < 0.95 * hard[analysis.EXACT_SINC]
 
 
+@pytest.mark.thorough
 def test_the_table_of_errors_on_the_page_is_what_is_measured(page: str, errors: dict[tuple[str, int], dict[str, float]]) -> None:
     head, _, *lines = re.findall(r"^\|.*\|$", page[page.index("| input |") :], re.MULTILINE)[: len(errors) + 2]
     assert len(head.split("|")) - 3 == len(FIGURE_6)

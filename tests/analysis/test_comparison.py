@@ -52,12 +52,14 @@ def test_rms_on_marschner_lobb_is_as_known(known: ErrorTable, name: str) -> None
     assert row.rms == pytest.approx(RMSE[name], rel=0.02)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", DEGREES)
 def test_angle_on_marschner_lobb_is_as_known(known: ErrorTable, name: str) -> None:
     row = next(r for r in known if r.filter == name)
     assert row.angle_mean == pytest.approx(DEGREES[name], abs=0.5)
 
 
+@pytest.mark.thorough
 def test_a_table_says_what_was_compared(known: ErrorTable) -> None:
     assert [row.filter for row in known] == list(RMSE)
     assert (known.points, known.boundary, known.evaluated_on, known.timed_on) == (200_000, "mirror", "NumPy, float64", "")

@@ -18,9 +18,9 @@ from clvol.errors import FormatError
 from tests.fuzz.found import FOUND
 
 ROOT = Path(__file__).resolve().parents[2]
-FEW = 40  # mutants of a format that a child process reads, or whose reader is slow
+FEW = 20  # mutants of a format that a child process reads, or whose reader is slow
 MANY = 150  # of the others
-CALLS = 3000
+CALLS = 1500
 QUICK = ("npy", "npz", "nii", "nii.gz", "hdr", "mgh", "mgz", "raw")
 OTHERS = (
     "nrrd",

@@ -420,6 +420,7 @@ def test_an_interrupt_leaves_the_renderer_usable(renderer: Renderer) -> None:
 # -- odd input -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 9, 9), (9, 1, 9), (9, 9, 1), (1, 1, 40), (2, 2, 2), (3, 1, 2)])
 @pytest.mark.parametrize("mode", MODES)
 def test_thin_volumes(device: Device, shape: tuple[int, int, int], mode: str) -> None:

@@ -139,6 +139,7 @@ def require_good(function: Callable[[Array], Array], data: Array, allowed: float
     return chosen
 
 
+@pytest.mark.one_in(3)
 @functions
 @pytest.mark.parametrize("sigma", [0.02, 0.1, 0.3])
 def test_volumes(function: Callable[[Array], Array], sigma: float) -> None:

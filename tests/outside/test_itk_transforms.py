@@ -102,7 +102,7 @@ CHAINS: dict[str, Any] = {
 }
 
 
-@pytest.mark.one_in(6)
+@pytest.mark.one_in(16)
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize("name", CHAINS)
 @pytest.mark.parametrize("precision", WITHIN)

@@ -115,6 +115,7 @@ def sampled(phantom: Phantom, sigma: float = 0.0, n: int = N) -> Volume:
 FILTERS = ["linear", "bspline3", "bspline3-approx", "bspline3(0.1)", "mitchell", "catmull-rom"]
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("filter", FILTERS)
 def test_the_filter_s_error_is_covered(device: Device, filter: str) -> None:
     """Without noise. The bound may be a few times what it must be: neighbouring places have errors of all sizes."""

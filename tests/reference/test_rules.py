@@ -47,6 +47,7 @@ def test_scipys_modes(order: int, rule: str) -> None:
         np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-11, err_msg=f"{shape} {prefilter}")
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("rule", ["nearest", "constant(2.5)", "grid-constant(-1)", "overlap"])
 @pytest.mark.parametrize("name", ["nearest", "linear", "bspline3", "bspline5", "mitchell", "lanczos3", "hybrid"])
 def test_axis_by_axis_is_point_by_point(name: str, rule: str) -> None:

@@ -375,6 +375,7 @@ def test_prefilter_of_volumes_and_images(device: Device) -> None:
     np.testing.assert_array_equal(prefilter(nibabel.Nifti1Image(data.T, np.eye(4)), device=device), want)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("filter", ["bspline3", "sinc(8)", "hybrid"])
 def test_launches_are_short_and_do_not_show(device: Device, filter: str) -> None:
     """However few points a launch takes, grids and points come out the same."""

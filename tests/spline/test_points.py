@@ -37,7 +37,7 @@ def points_of(volume: Volume, count: int, seed: int = 0, dtype: type = np.float6
     return points
 
 
-@pytest.mark.one_in(12)
+@pytest.mark.one_in(24)
 @pytest.mark.parametrize(("name", "derivative", "d"), [*product(ROWS, [0, 1], [2, 3])])
 def test_a_point_gives_the_same_wherever_it_stands(device: Device, name: str, derivative: int, d: int) -> None:
     volume = volume_of(d)

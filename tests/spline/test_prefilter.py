@@ -81,7 +81,7 @@ def test_coefficients(device: Device, name: str, rule: str) -> None:
         check(device, rng.normal(size=shape).astype(np.float32), name, rule)
 
 
-@pytest.mark.one_in(4)
+@pytest.mark.one_in(12)
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize(
     "name",

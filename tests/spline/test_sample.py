@@ -102,7 +102,7 @@ def skip_without_images(device: Device, path: tuple[str, str]) -> None:
         pytest.skip(f"the sampler of {device.name} does not interpolate")
 
 
-@pytest.mark.one_in(48)
+@pytest.mark.one_in(96)
 @pytest.mark.parametrize(
     ("name", "rule", "derivative", "path", "d"),
     COMBINATIONS,

@@ -42,7 +42,7 @@ def scipy_matrix(shape: tuple[int, ...], at: Array, order: int, mode: str) -> Ar
     return np.stack([ndimage.map_coordinates(one, where, order=order, mode=mode) for one in impulses], 1)
 
 
-@pytest.mark.one_in(12)
+@pytest.mark.one_in(36)
 @pytest.mark.parametrize(("name", "boundary"), [*(("bspline3", rule) for rule in MODES), *((name, "mirror") for name in ORDERS)])
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
 def test_it_is_the_transpose_of_scipys_spline(device: Device, name: str, boundary: str, shape: tuple[int, ...]) -> None:
@@ -71,6 +71,7 @@ def test_the_inner_products_are_equal(device: Device, name: str, boundary: str, 
         assert abs(forward - (back * v.data).sum()) <= EXACT * np.linalg.norm(y) * np.linalg.norm(v.data)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", ["linear", "bspline3", "bspline5"])
 def test_single_precision_is_that_of_float32(device: Device, name: str) -> None:
     rng = np.random.default_rng(4)
