@@ -21,7 +21,7 @@ test: $(VENV)/test.stamp
 	$(BIN)/python -m pytest
 
 thorough: $(VENV)/test.stamp
-	CLVOL_TEST_THOROUGH=1 $(BIN)/python -m pytest -m "" --numprocesses=auto --dist=loadfile
+	CLVOL_TEST_THOROUGH=1 $(BIN)/python -m pytest -m "" --numprocesses=auto --dist=loadfile --no-loadscope-reorder
 
 check: $(VENV)/test.stamp
 	$(BIN)/ruff check .

@@ -15,6 +15,12 @@ from clvol.device import Device, devices
 from clvol.errors import DeviceError
 from clvol.filter import filters, register, unregister
 
+# Files of few tests that take long
+_LONG = {
+    f"test_{name}.py"
+    for name in ("guarded", "sanitized", "fuzz", "scipy", "docs", "examples", "page", "browser", "readme", "bench")
+}
+
 # One cache of built kernels for all workers, subprocesses and later runs, also those in other clones and with another HOME:
 # PoCL's own. (PoCL and NVIDIA's driver cache by themselves, so pyopencl keeps no cache for them. PoCL reads the variable when
 # pyopencl is first imported, later than here.)
@@ -50,11 +56,13 @@ def _usable(device: Device) -> bool:
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Of a test that is marked ``one_in(n)``, all but one in n of its parameters are thorough: chosen at random, always the same.
 
-    A test that is asked for by its whole name always runs.
+    A test that is asked for by its whole name always runs. Where several processes share the files, the longest come first.
     """
+    if hasattr(config, "workerinput"):
+        items.sort(key=lambda item: item.path.name not in _LONG)
     families: dict[object, list[pytest.Item]] = {}
     for item in items:
         if item.get_closest_marker("one_in"):
