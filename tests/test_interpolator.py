@@ -24,6 +24,7 @@ def grid_and_points(d: int, seed: int = 0) -> tuple[tuple[Array, ...], Array]:
     return axes, np.random.default_rng(seed).uniform(low, high, (60, d))
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("precision", ALLOWED)
 @pytest.mark.parametrize("trailing", [(), (2, 3)])
 @pytest.mark.parametrize("d", [1, 2, 3])
@@ -43,7 +44,7 @@ def test_linear_is_scipys(d: int, trailing: tuple[int, ...], precision: Any, dev
         np.testing.assert_allclose(at(several), wanted(several), atol=allowed)
 
 
-@pytest.mark.one_in(10)
+@pytest.mark.one_in(40)
 @pytest.mark.parametrize("precision", ALLOWED)
 @pytest.mark.parametrize("order", [2, 3, 5])
 @pytest.mark.parametrize("d", [1, 2, 3])
@@ -127,7 +128,7 @@ def test_points_outside_are_refused_filled_or_continued(device: Device) -> None:
     np.testing.assert_allclose(beyond, [1.25, 1.0, 0.0, 1.5, np.nan], atol=1e-14)
 
 
-@pytest.mark.one_in(4)
+@pytest.mark.one_in(6)
 @pytest.mark.parametrize("boundary", ["mirror", "reflect", "wrap", "zero"])
 @pytest.mark.parametrize("filter", ["nearest", "linear", "bspline3", "bspline5", "lanczos3"])
 def test_a_single_axis_goes_through_its_values(filter: str, boundary: str, device: Device) -> None:

@@ -117,7 +117,7 @@ def touched(missing: np.ndarray, index: np.ndarray, name: str, rule: str) -> np.
     return np.asarray((close & near[tuple(np.moveaxis(place, -1, 0))]).any(-1))
 
 
-@pytest.mark.one_in(15)
+@pytest.mark.one_in(30)
 @pytest.mark.parametrize(
     ("name", "rule"),
     [

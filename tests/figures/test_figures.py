@@ -734,7 +734,7 @@ def test_a_figure_holds_as_many_panels_as_there_are_letters(name: str) -> None:
         figures.draw(name, filters=("linear",) * 27)
 
 
-@pytest.mark.one_in(4)
+@pytest.mark.one_in(12)
 @pytest.mark.parametrize(
     ("name", "options"),
     [

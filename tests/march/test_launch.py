@@ -101,6 +101,7 @@ def test_states_that_are_carried_on_are_the_picture_to_the_last_bit(renderer: Re
             check(finish_states(states), whole, mode, carried=True)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("mode", ["composite", "mean", "mip"])
 def test_rays_of_few_samples_in_parts_are_the_picture_to_the_last_bit(renderer: Renderer, mode: str) -> None:
     """Rays between two planes have one sample, wherever they are parted; those through some have two ends."""

@@ -111,7 +111,7 @@ def test_types_of_samples(name: str, dtype: str) -> None:
     agree(DtypeError, "input must be an array of bool, integers", name, data, *CALLS[name], order=3)
 
 
-@pytest.mark.one_in(4)
+@pytest.mark.one_in(8)
 @pytest.mark.parametrize("name", CALLS)
 def test_masked_samples(name: str) -> None:
     refuse(DataError, "input must have no masked samples", name, np.ma.masked_greater(A, 5), *CALLS[name])

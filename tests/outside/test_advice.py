@@ -90,7 +90,7 @@ SMOOTH = [
 ]
 
 
-@pytest.mark.one_in(6)
+@pytest.mark.one_in(10)
 @pytest.mark.parametrize(("function", "sigma", "times"), SMOOTH)
 def test_the_recommended_filter_errs_least(function: Function, sigma: float, times: float) -> None:
     volume = sampled(function, sigma=sigma)

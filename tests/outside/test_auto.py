@@ -161,7 +161,7 @@ def test_images(function: Callable[[Array], Array], sigma: float) -> None:
     assert chosen.sigma == pytest.approx(sigma, rel=0.1)
 
 
-@pytest.mark.one_in(2)
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("function", [random_field, vessels, hard_sphere, smooth_sphere], ids=lambda f: f.__name__)
 def test_blocks_of_a_volume_tell_of_all_of_it(function: Callable[[Array], Array]) -> None:
     data = noisy(function, (112, 96, 128), 0.1)
@@ -172,6 +172,7 @@ def test_blocks_of_a_volume_tell_of_all_of_it(function: Callable[[Array], Array]
     assert chosen.sigma == pytest.approx(0.1, rel=0.05)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("function", [smooth_sphere, random_field, blobs], ids=lambda f: f.__name__)
 def test_slices_that_are_far_apart_have_their_own(function: Callable[[Array], Array]) -> None:
     data = noisy(function, (14, 56, 56), 0.1)
@@ -183,6 +184,7 @@ def test_slices_that_are_far_apart_have_their_own(function: Callable[[Array], Ar
     assert chosen.values[0] > 4 * chosen.values[2]
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("function", [smooth_sphere, hard_sphere, marschner_lobb, blobs], ids=lambda f: f.__name__)
 @pytest.mark.parametrize("photons", [30, 300])
 def test_counts_of_photons(function: Callable[[Array], Array], photons: int) -> None:

@@ -122,7 +122,7 @@ def drawn(device: Device, camera: str, box: Box, step: float, **options: Any) ->
     }
 
 
-@pytest.mark.one_in(3)
+@pytest.mark.one_in(6)
 @pytest.mark.parametrize("tile", TILES)
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_the_error_at_clip_planes_is_of_second_order(device: Device, camera: str, tile: str) -> None:
@@ -158,6 +158,7 @@ def test_a_thin_slab_has_its_opacity_wherever_it_lies(device: Device, tile: str)
                 assert (made["visited"][hit] == 1).all()
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_a_thin_slab_shows_what_lies_in_it(device: Device, camera: str) -> None:
     """Rays between two planes have one sample, in their middle: value, light and place are right, in every mode."""
@@ -186,6 +187,7 @@ def test_a_thin_slab_shows_what_lies_in_it(device: Device, camera: str) -> None:
             np.testing.assert_allclose(one[name], made[0][name], atol=2e-6)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("tile", TILES)
 def test_light_on_a_thin_slab(device: Device, tile: str) -> None:
     """Shading takes the gradient at the sample in the middle: a slab about it is shaded as matter is anywhere."""

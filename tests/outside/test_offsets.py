@@ -256,7 +256,7 @@ def test_low_pass(device: Device) -> None:
 # -- large integers in pictures --------------------------------------------------------------------------------------
 
 
-@pytest.mark.one_in(4)
+@pytest.mark.one_in(6)
 @pytest.mark.parametrize("kind", [np.int32, np.uint32, np.int64, np.uint64], ids=lambda k: k.__name__)
 @pytest.mark.parametrize("name", ["nearest", "linear", "bspline3", "bspline5", "catmull-rom", "lanczos3", "hybrid"])
 def test_pictures_of_integers_come_back(device: Device, kind: type[np.generic], name: str) -> None:

@@ -87,7 +87,7 @@ FUNCTIONS: dict[str, tuple[Any, Any, tuple[float, float]]] = {
 }
 
 
-@pytest.mark.one_in(21)
+@pytest.mark.one_in(24)
 @pytest.mark.parametrize("tile", TILES)
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_it_is_linear_between_its_points(device: Device, name: str, tile: str) -> None:

@@ -127,6 +127,7 @@ def test_the_filter_s_error_is_covered(device: Device, filter: str) -> None:
         assert sharp[1] > 0.04, (name, sharp)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("filter", ["bspline4", "bspline5"])
 def test_so_is_that_of_high_degrees_where_samples_hold_the_function(device: Device, filter: str) -> None:
     for name in ("soft ball", "short wave", "marschner-lobb"):

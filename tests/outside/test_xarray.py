@@ -260,7 +260,7 @@ def test_one_point_takes_its_surroundings_alone() -> None:
     assert peak < values.nbytes
 
 
-@pytest.mark.one_in(3)
+@pytest.mark.one_in(6)
 @pytest.mark.parametrize("kind", ["f8", "f4"])
 @pytest.mark.parametrize("name", ["linear", "bspline3", "bspline5"])
 def test_blocks_of_dask_give_what_the_whole_array_gives(name: str, kind: str) -> None:

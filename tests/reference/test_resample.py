@@ -15,6 +15,7 @@ Y, X = np.array([-0.5, 0.2, 1.0, 2.5]), np.array([-0.5, 0.0, 3.3, 4.5, 6.9, 7.5]
 POINTS = np.stack(np.meshgrid(Y, X, indexing="ij")[::-1], -1)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("name", [*filters(), *SMOOTHED, "bspline3(0.1,0)"])
 def test_it_is_sampling_at_each_point(name: str, rule: str) -> None:

@@ -241,6 +241,7 @@ def test_points_at_the_edge_of_a_grid_are_inside_and_past_it_stay(device: Device
 # -- series --------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("d", [2, 3])
 def test_a_series_is_its_frames(device: Device, d: int) -> None:
     frames = np.random.default_rng(0).normal(size=(4, *moving(d).shape)).astype(np.float32)

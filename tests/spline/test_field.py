@@ -36,6 +36,7 @@ def random_volume(shape: tuple[int, ...] = (5, 6, 7)) -> Volume:
 POINTS = np.random.default_rng(0).uniform(-0.8, 0.8, (200_000, 3))
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("name", RMSE)
 def test_error_on_marschner_lobb(device: Device, name: str) -> None:
     got = sample(marschner_lobb(), POINTS, name, device=device)

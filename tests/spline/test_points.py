@@ -37,7 +37,7 @@ def points_of(volume: Volume, count: int, seed: int = 0, dtype: type = np.float6
     return points
 
 
-@pytest.mark.one_in(24)
+@pytest.mark.one_in(72)
 @pytest.mark.parametrize(("name", "derivative", "d"), [*product(ROWS, [0, 1], [2, 3])])
 def test_a_point_gives_the_same_wherever_it_stands(device: Device, name: str, derivative: int, d: int) -> None:
     volume = volume_of(d)
@@ -58,6 +58,7 @@ def test_a_point_gives_the_same_wherever_it_stands(device: Device, name: str, de
         np.testing.assert_array_equal(at(points[order]), everything[order])
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize("fill", [None, 7.5, np.nan])
 @pytest.mark.parametrize("derivative", [0, 1])
@@ -106,7 +107,7 @@ def test_a_turned_grid_is_its_points(device: Device, shape: tuple[int, ...]) -> 
 # -- sorted ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.one_in(5)
+@pytest.mark.one_in(14)
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64, ">f4", ">f8", "i4"])
 @pytest.mark.parametrize("derivative", [0, 1])
@@ -149,7 +150,7 @@ def test_an_interrupt_while_points_are_sorted_does_no_harm(device: Device) -> No
     np.testing.assert_array_equal(sample(volume, points, device=device), wanted)
 
 
-@pytest.mark.one_in(3)
+@pytest.mark.one_in(12)
 @pytest.mark.parametrize("name", ["nearest", "linear", "bspline5", "lanczos5", "hybrid"])
 def test_sorted_points_and_other_filters(device: Device, name: str) -> None:
     volume = volume_of(3)

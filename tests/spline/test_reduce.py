@@ -40,6 +40,7 @@ def matrix(filter: str, boundary: str, n: int, m: int, start: float, step: float
 # -- the weights -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize("boundary", ["mirror", "reflect", "wrap"])
 @pytest.mark.parametrize("filter", FILTERS)
 def test_the_result_is_the_least_squares_solution(filter: str, boundary: str) -> None:

@@ -46,7 +46,7 @@ def agree(got: Volume, wanted: Volume, volume: Volume, name: str, rule: str) -> 
     np.testing.assert_allclose(got.data, wanted.data, rtol=0, atol=TOLERANCE * largest, err_msg=f"{volume.shape} {wanted.shape}")
 
 
-@pytest.mark.one_in(20)
+@pytest.mark.one_in(60)
 @pytest.mark.usefixtures("only_separable")
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("name", [*filters(), "sinc(8)", *SMOOTHED])
