@@ -219,5 +219,15 @@ FOUND: tuple[tuple[str, str, str], ...] = (
         "XfYTvSTNW#xH0%LgfK)iBr#+%6fl%C)G@R&^e{|jn8mP=VFkl_hHVUc8ICZVX1K&~li>lwbB1>eUm5-YLz;_GkWqqBo>7fam(hgLn$d~TlQDoX"
         "oH33ul`)60n6Zknk+FlZpK%)FT*f7gJQT$rEY2!OjI%f<M4Y8Dp~hJr6J|(J$CV4H=t^wy2>=q;J=X",
     ),
+    (
+        "v.bmp",
+        "samples that begin within the palette: another shape",
+        "c-k$B2UG|O07Y*@dnh6mNhA>}DuoDTl~q<HB`H!VR7NsV6dGnIp@b+aO--xJD2h^{VMNm?;^)6}?s?}8QwwKd{z(8d|C;DuM7pC`cm3a7AoCBw|9{;kAb_BtAVNYy2n!3-qel-!L_`o36-7);3~_OBBqSt|l$1nDN(yOdX=G$%kd>9CXV0F<$;lxvFHf&tz3AP$Hwp?0^y$-wzJ2?msHjN4e*I8VQbJi-85I>3`uFe8fB^$gRaIr+z=5c#sWE8KAk@{>89aC}Lxv1NLqmh1Lx-ZNsmZWm!_d;wV)*dkj2JNjZEbBvjvUFTQKJ|=dNevZI_T=^qNk_Fm@#7*J9aGk`uZ3c7+`2<$hdLiFfua2*w~oy<Hs{$!UQHxoQR2u36myGV)Eq4n3|e0Wy%z$PMylMY11$>GsE26oaxi2Gh@aKX3m_+tXZ>|J$p7578Y1qS~6$O9OllQ%e;B>m_L6$3l=QE%E}6BYikxRT*#tDi&(sPF-w*#Vd>JP*x1-$Yio<0ogK@TEyLd4p5@Dz<KW<cqoX4$R;<9u$%&OKSK{pK%&JwZaB*?L)zy{Nt5>sT%^KX?+*rGIE$;5_czAf=>FLS3b?fl*^1|EOoAvA0vth#qHg4RAkB<+&zP|YR`LSu!CN^*0%$6-%*t&Hq{{H@K+qR8>fB?2{-_DL5JJ`8%C%bm-A}}zJ-Me=a6cj{oa4>uJ>|yWTy@Z5>5E>fFzJ2@Hzkfdm4jdpXER68*a3Ufih>VQn;K73&I&_G`hYxe)$PtbnJ<73T$B2rG;`s67oH%iUlP6CS9UV<fObn+^ogy|imeZ$CbLPw$&YnF>TwEOS@$sBHcaDUF1kRs7&xH#YxOnj*iHV6^x^#)lmoJl)ltglJGFPr#;p)|^T)TFS>({Sy<HikAQc}2i^CqdOsidW)k)EDTMn(pinVDo|WpV4)EwZz-$;rtfH#e8Oygc&r^C>7O;P&m?+_`gyyLaz$@7_J`-@i{`VIf6DMLc-$fQJts^61ec9zTA}lP6Dj`t&Kq#l<{(_KfGxpHos&LTPC!FJ8Rh<;$0pm6cImUe2pmuXz3XH5C;VR905<=FJ<bs;a22uBN7@hPQ9u^6uR`-oJlOZEY=eb#>I&*VE9@z=sbX`1tW7pFVx!^XJbrHa7C*%NM?W{Yq0)6V1)dw6wI)+S*E6TN~}|?R@+8jql&T^W(=4e*XMPM@I*pot^yp^^4!Xf78{~MW>L2oT91*Ma5-Rb&YLA#U>=BWEJ4*>Ej<58i}EanT3^&Bcd`2D(YG~`~lutlq3",
+    ),
+    (
+        "v.mha",
+        "a digit that is none of ASCII: another origin",
+        "c-l>mJ4gdT6h-gDLYP9Z5G({21Pj5Cm;?n8$rl5OE6IX|piGiU7}-yl9nqu^ECdTdM6eJn1PePmEA8y;?Ck99w6e2sHb#-*F}!>3D~?^?77gumJHlGBN*-?uwwjk-XtpHFN}sE4o@;JaN9~AzNw%wnt(rnrYFR^z+zkcG1ztyqFci(f(NF9s?uV^Fc@?ge+%tK?iud2&&+Jw!6gon2>*M~^O2%1E_*y8tRSh)PGVl%Tw^_#LI`CwJyS9?1^h>Lm5-YgEGf}O>8`5t_C$Y4d`Ls0`OEaTZlfB3_ZKaIipgr)f6r8Qvid}Vn^T?to-H4U#T&B#1F@iBnU<xxxU;)c0q5=mSs6(QIUF_o!$2h|Uu5g1}+~EO_c)~MY@QOFQ;}c&PB1WS$PLniEvy`Gm%2J8eXq`4mkV_%;=zxysgwE-buIU@(-FX2",
+    ),
 )
 """Name, what happened, and content."""

@@ -33,7 +33,7 @@ def numbers(name: str, key: str, text: str, count: int, *, nan: bool = False) ->
     None is larger than any length or place needs to be, for libraries multiply them.
     """
     words = text.split()
-    known = all(re.fullmatch(_NUMBER, word) or (nan and word.lower() == "nan") for word in words)
+    known = text.isascii() and all(re.fullmatch(_NUMBER, word) or (nan and word.lower() == "nan") for word in words)
     values = tuple(map(float, words)) if known else ()
     if len(values) != count or any(abs(value) > _LARGEST for value in values):
         missing = " or nan" if nan else ""

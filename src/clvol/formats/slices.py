@@ -30,6 +30,8 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
 _KINDS = {suffix: {".jpeg": ".jpg", ".tiff": ".tif"}.get(suffix, suffix) for suffix in (*SUFFIXES, ".tif", ".tiff")}
 _MODES = ("1", "L", "I", "F", "I;16", "I;16B", "I;16L", "LA", "RGB", "RGBA")  # of Pillow, whose samples mean what they seem to
 _IHDR = struct.Struct(">IIBBBBB")  # width, height, bits, colours, compression, filter, whether it is interlaced
+_PADDING = 4  # bytes that may follow the palette, and the samples, of a BMP image
+_BMP = struct.Struct("<2s8xIIii2xHI12xI")  # start of the samples; length of the header, width, height, bits, packing, colours
 _CHANNELS = {2: 3, 4: 2, 6: 4}  # of the kinds of colour; the others have one
 _ADAM7 = (
     (0, 0, 8, 8),
@@ -116,6 +118,8 @@ def _picture(path: Path) -> tuple[NDArray[Any], Leading]:
 
     if path.suffix.lower() == ".png":
         _check_png(path)
+    elif path.suffix.lower() == ".bmp":
+        _check_bmp(path)
     try:
         # Pillow warns that images of 90 megapixels are large
         with warnings.catch_warnings(action="ignore"), iio.imopen(path, "r", plugin="pillow") as file:
@@ -155,6 +159,26 @@ def _check_png(path: Path) -> None:
                 raise FormatError(f"cannot read {path}: it is damaged, its part {name!r} has another checksum")
     if found < needed or not needed or not packed.eof:
         raise FormatError(f"cannot read {path}: it must hold {needed} bytes of unpacked rows; found {found}")
+
+
+def _check_bmp(path: Path) -> None:
+    """Raise if the samples do not follow the palette, or end long before the file: Pillow takes what is there."""
+    with path.open("rb") as stream:
+        head = stream.read(_BMP.size)
+    if len(head) < _BMP.size or not head.startswith(b"BM"):
+        return
+    _, start, size, width, height, bits, packing, colours = _BMP.unpack(head)
+    if size != 40:  # others have their fields elsewhere, or may have profiles behind the samples
+        return
+    palette = 4 * (colours or 1 << bits) if bits <= 8 else 0
+    head_end = 14 + size + palette + (12 if packing == 3 else 0)  # with masks of the colours
+    if not 0 <= start - head_end <= _PADDING:
+        raise FormatError(
+            f"cannot read {path}: it is damaged: its header and palette end at byte {head_end}, its samples begin at {start}"
+        )
+    end, stored = start + (width * bits + 31) // 32 * 4 * abs(height), path.stat().st_size
+    if packing == 0 and end + _PADDING < stored:
+        raise FormatError(f"cannot read {path}: it is damaged: its samples end at byte {end} of {stored}")
 
 
 def _unpacked(width: int, height: int, depth: int, color: int, _: int, __: int, interlaced: int) -> int:

@@ -155,7 +155,7 @@ _USUAL = {"Spacing": "1 1 1", "Origin": "0 0 0", "Direction": "1 0 0 0 1 0 0 0 1
 def _numbers(name: str, key: str, text: str) -> list[float]:
     """As many finite numbers as the attribute has by default."""
     try:
-        values = [float(word) for word in text.split()]
+        values = [float(word) for word in text.split()] if text.isascii() else []
     except ValueError:
         values = []
     if len(values) != len(_USUAL[key].split()) or not all(map(math.isfinite, values)):
@@ -166,7 +166,7 @@ def _numbers(name: str, key: str, text: str) -> list[float]:
 def _extent(name: str, text: str) -> tuple[int, ...]:
     """First and last index along x, y and z."""
     words = text.split()
-    values = tuple(map(int, words)) if all(re.fullmatch(r"-?\d{1,10}", word) for word in words) else ()
+    values = tuple(map(int, words)) if all(re.fullmatch(r"-?[0-9]{1,10}", word) for word in words) else ()
     if len(values) != 6 or not all(0 <= high - low < _MOST_AXIS for low, high in zip(values[::2], values[1::2], strict=True)):
         raise FormatError(f"{name} must hold at least one sample along each axis; its extent is {text[:80]!r}")
     return values
@@ -206,7 +206,7 @@ def _arrays(name: str, grid: ET.Element, whole: tuple[int, ...]) -> list[_Array]
 
 def _array(name: str, kind: str, element: ET.Element, dtype: np.dtype[Any], whole: tuple[int, ...], active: bool) -> _Array:
     text = element.get("NumberOfComponents", "1")
-    if not re.fullmatch(r"[1-9]\d{0,3}", text):
+    if not re.fullmatch(r"[1-9][0-9]{0,3}", text):
         raise FormatError(f"{name} must have 1 to 9999 components in {element.get('Name')!r}; it says {text[:80]!r}")
     names = tuple(element.get(f"ComponentName{i}", "") for i in range(int(text)))
     return _Array(kind, element.get("Name", ""), int(text), names, dtype, _size(kind, whole), active)
@@ -331,7 +331,7 @@ def _stored(file: _File, element: ET.Element) -> _Stored:
     if element.get("format") == "binary":
         return _Stored(file.name, memoryview("".join((element.text or "").split()).encode()), True, True)
     offset = element.get("offset", "")
-    if element.get("format") != "appended" or not re.fullmatch(r"\d{1,18}", offset) or int(offset) >= len(file.appended):
+    if element.get("format") != "appended" or not re.fullmatch(r"[0-9]{1,18}", offset) or int(offset) >= len(file.appended):
         told = {key: element.get(key) for key in ("format", "offset")}
         raise FormatError(
             f"{file.name} must hold arrays as ascii, binary, or appended within the file; {element.get('Name')!r} has {told}"
