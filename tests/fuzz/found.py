@@ -229,5 +229,20 @@ FOUND: tuple[tuple[str, str, str], ...] = (
         "a digit that is none of ASCII: another origin",
         "c-l>mJ4gdT6h-gDLYP9Z5G({21Pj5Cm;?n8$rl5OE6IX|piGiU7}-yl9nqu^ECdTdM6eJn1PePmEA8y;?Ck99w6e2sHb#-*F}!>3D~?^?77gumJHlGBN*-?uwwjk-XtpHFN}sE4o@;JaN9~AzNw%wnt(rnrYFR^z+zkcG1ztyqFci(f(NF9s?uV^Fc@?ge+%tK?iud2&&+Jw!6gon2>*M~^O2%1E_*y8tRSh)PGVl%Tw^_#LI`CwJyS9?1^h>Lm5-YgEGf}O>8`5t_C$Y4d`Ls0`OEaTZlfB3_ZKaIipgr)f6r8Qvid}Vn^T?to-H4U#T&B#1F@iBnU<xxxU;)c0q5=mSs6(QIUF_o!$2h|Uu5g1}+~EO_c)~MY@QOFQ;}c&PB1WS$PLniEvy`Gm%2J8eXq`4mkV_%;=zxysgwE-buIU@(-FX2",
     ),
+    (
+        "v.dcm",
+        "rows that are given twice: a row of three",
+        "c-qC0KS*0q6vn^vlIlY=CjJQ-gg$I2vEbvr_(B2>1!GGCO<&9(6bwZK2O)#tpg1TFf`cF`I21Y*I&>&>bL-ZvTeoi6y18{Ljo-a}iERgU^FAKuyXXAwch0*HxZgEjDwZwA#>*&Lj1~mJoQ_;#F*ZsQ@Z79h@RjQ+r3!A&^<1B?&Uz#wWNgFCxIXuB?#KQ+(`83k>-)pPM)Fp78>xTXZLFYJvrw!%7-A)=D{v6&`R0((6V&vVWDq4ih;r~MD88r$<!4zZLyr=xzSHF*<Pt_bpn_->r;?tsj2fnj7{yhcI;|~$(*VCaXfH83NS^52M3@^hxjg1Mf!9>#VbpyMmkv42r%)jm1?Oj7QQJ^%KG#(IpsF&xK8F0H@f|fD$uJi)xh&7|7MfXh(b@E0WGW=%J<>L$?s)Cm>D=U+yR&PauI;@zf<<7PwSNAgao)@$Jb{M-p5i&msACzcSjPsou!{p6;S6u^4j=Fd7x;`X_=<1%jy8Va5<l^a_dg&BNy$TbEYsr4tjtMCDzYfAWldVLDLb++hjJ|E@>br<6}hp90{",
+    ),
+    (
+        "v.dcm",
+        "no word of how samples are encoded: a frame of four",
+        "c-qC0F=!J}7{~wL<<vuBdaX6w5b&^}M4`vKct-*bLN1C2rWbPw6&j=zIutqx4oZiLgWw>D3J!vU;NT#*xw*Nyxw&O?b90l{|9hUH6@+ZQ<M{sX`+o2Lz55RMzpI-jJsn5aZR{{w5M&)4xx``|r8R^>GiXOD2$fRpAP&MH;;XYEi4qydFc*V}dzbsgzs~$&7g#&~n}vg_aR>hG?!Y_Z?qCB+ZXp@^IK_&sEAUa7`o?JJTj%;q8nEeJMlV~<l52ykcctk!=#jD-QMraIk()Q_7!^b-mrAC}GHQ;hWE9un{ImQ9cpG5<0F#@HKB`Z3u2$q0O|FG*UPd@p=3&%*4OcHX&3ovRvpI>Fbw%w!1+93j_(20@dc7<7bH?|y@u(KLipe#3j#C&n*+pmThe)p=-6`o9Qg@uyHJ;hEMc2uF7ugzckF^v0LuWXdC0sy=HZJ2TdKh9Io7l!}+{GRq;xV4%C0^q#-s1y4;uAjO3%+84Z}^TM_{sU7lzH*wtSrllL~=<wl1g9J<d$s7j@*%5c_5GEiM)_k@<x6EbQguB",
+    ),
+    (
+        "v.dcm",
+        "a blank for a slope: zeros",
+        "c-p;_JBU+36o$Xt4a>N=G46`W3UU#I2<~|1KJpL|*K9DsjgdSoBnvB82o{2cU?Exv7J`UiAy^0&f`woqSO^w^g<v6A2o{QkU?Ert7J_*0BpXn$b%x9TpZ`2(m<xZbEBxoR+^V+&#lcFRmx=*~&fyGo<pRY)YXN5?TTR3|5vkhLI-BUHs`{ri!uW{TirPiB=l;qVMb4?`z{nGot@><Su8JhFD$Xf5spzMrMY&6D=FnzNTScn6IAES$bA}_!^>*mJ0b5yW6uh#p)jt}hI$G6eFQW&DBr1y&XEbkGZ5Qb{Vl-zVv;KK1!*-v)ekwyaspni28-#+|l1Md9Z7q?sRtpWs{hb=t{QcGYhMQg~>K<V@Mj7KFk0G<<NBxu+MzdzU)hdo7Hji=M*Oo9OVkV1|;bJ7iI8!QY%#@+{t*BaeQZ1oG;Inhe@;<iRIo7E+yPb9;3QO86@bj0nTgEmh6Q6G@>CmPn|0c4zOXMaj@NAQ^soZ+?ZZTtvn$hzt)arfD2EC7$i~e4wwf?MD*upk;u#;WvW)FL{W2`6H&q0=G&}4-UJx*|vRZel5Go0ld=efW|F6l3Gm1|t*2DiA)9qw|E`#j(wk9f=zp7M<6ywKPEir2j1E$?{G2R`wcFMQ=2-}%8$e(@V;cWwg",
+    ),
 )
 """Name, what happened, and content."""

@@ -5,6 +5,7 @@ Source: DICOM PS3.5, 7 (data sets) and annex A (transfer syntaxes), PS3.10, 7 (t
 
 from __future__ import annotations
 
+import re
 import struct
 from pathlib import Path
 from typing import IO
@@ -28,9 +29,10 @@ _NESTED = 32
 _EXPANSION, _UNQUESTIONED = 1000, 1 << 26  # as of compressed samples: times the file, and bytes that any may have
 
 Tag = tuple[int, int]
-_SAMPLES, _PHOTOMETRIC, _FRAMES, _ROWS, _COLUMNS, _BITS = (
-    (0x0028, element) for element in (0x0002, 0x0004, 0x0008, 0x0010, 0x0011, 0x0100)
+_SAMPLES, _PHOTOMETRIC, _FRAMES, _ROWS, _COLUMNS, _BITS, _INTERCEPT, _SLOPE = (
+    (0x0028, element) for element in (0x0002, 0x0004, 0x0008, 0x0010, 0x0011, 0x0100, 0x1052, 0x1053)
 )
+_NUMBER = re.compile(rb" *[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)? *")
 
 
 def check_samples(path: Path) -> None:
@@ -44,10 +46,16 @@ def check_samples(path: Path) -> None:
             return
         walk = _Walk(stream, size, path.name)
         syntax, walk.order, walk.implicit = walk.meta()
+        if not syntax:
+            raise FormatError(f"{path.name} must say how its samples are encoded, in (0002,0010); it is damaged")
         if syntax == _DEFLATED:
             return
         walk.data_set(size)
     values = walk.values
+    for tag, what, none in ((_INTERCEPT, "offset", False), (_SLOPE, "slope", True)):
+        text = values.get(tag, b"").rstrip(b"\0")
+        if text and (not _NUMBER.fullmatch(text) or (none and not float(text))):  # GDCM takes it for 0
+            raise FormatError(f"{path.name} must have a number as its {what}; it says {text.decode('latin-1')!r}")
     counts = [walk.number(tag) for tag in (_ROWS, _COLUMNS, _BITS)]
     if None in counts or _PIXELS not in walk.lengths:
         return
@@ -115,6 +123,8 @@ class _Walk:
         if tag in (_ITEM_END, _SEQUENCE_END):
             return False
         if depth == 0:
+            if tag in self.lengths:  # of two, readers take either
+                raise FormatError(f"{self._name} must give each element once; ({tag[0]:04x},{tag[1]:04x}) is there twice")
             self.lengths[tag] = length
         if length == _UNDEFINED:
             before = self.order, self.implicit
