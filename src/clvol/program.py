@@ -205,14 +205,18 @@ def build(device: Any, context: Any, text: str, kernels: Shelf | None, new: Call
         if not any(name.endswith(".bc") for name in stored):
             kernels.require_room()
         try:
-            handle = opencl().Program(context, text).build(options=list(_OPTIONS))
+            handle = _compiled(context, text)
         except opencl().RuntimeError as error:
             if _INTERRUPTED not in str(error):
                 raise
-            handle = opencl().Program(context, text).build(options=list(_OPTIONS))
+            handle = _compiled(context, text)
         launches = Launches(new, kernels, key, kernels.built(), stored)
         launches.keep()
         return Program(handle, launches)
+
+
+def _compiled(context: Any, text: str) -> Any:
+    return opencl().Program(context, text).build(options=list(_OPTIONS))
 
 
 def _built_elsewhere(device: Any, context: Any, text: str, store: Store | None, key: str) -> Any:
@@ -226,7 +230,7 @@ def _built_elsewhere(device: Any, context: Any, text: str, store: Store | None, 
     if binary is not None:
         with suppress(cl.Error):  # it was another driver's
             return cl.Program(context, [device], [binary]).build(options=list(_OPTIONS))
-    handle = cl.Program(context, text).build(options=list(_OPTIONS))
+    handle = _compiled(context, text)
     if store is not None:
         with suppress(cl.Error):
             store.write(key, "binary", handle.get_info(cl.program_info.BINARIES)[0])

@@ -109,23 +109,12 @@ class Drawer:
         plain = replace(state, wiper=None, layout="3d", active="3d", tool=None)
         for first in (True, False) if math.isfinite(budget) else (False,):
             parts: list[Shot | None] = []
+            seconds = budget / 2 if first else max(budget, _WHOLE)
             for chosen, seen in sides:
-                key = plain, chosen, name, size, tuple(place.size(name))
-                known = self._stills.get(key)
-                if known is None and seen:
-                    seconds = budget / 2 if first else max(budget, _WHOLE)
-                    with closing(self._of(place, plain, chosen, name, size, seconds, stop, coarse)) as found:
-                        for shot in found:
-                            known = shot
-                            if first:
-                                break
-                    if known is None or not (known.final or first):
-                        return  # it was stopped
-                    if known.final:
-                        self._stills[key] = known
-                        for old in list(self._stills)[: -2 * _KEPT]:
-                            del self._stills[old]
-                parts.append(known if seen else None)
+                part = self._side(place, plain, chosen, name, size, seconds, stop, coarse, first) if seen else None
+                if seen and part is None:
+                    return  # it was stopped
+                parts.append(part)
             left, right = parts
             shown = [shot for shot in parts if shot is not None]
             pixels = joined(None if left is None else left.pixels, None if right is None else right.pixels, at)
@@ -133,6 +122,33 @@ class Drawer:
             yield Shot(pixels, final, shown[0].step, shown[0].visited)
             if final or coarse:
                 return
+
+    def _side(
+        self,
+        place: Place,
+        state: State,
+        chosen: str | None,
+        name: str,
+        size: tuple[int, int],
+        budget: float,
+        stop: Callable[[], bool],
+        coarse: bool,
+        first: bool,
+    ) -> Shot | None:
+        """The first picture of one filter, or its last, which is kept; None if it was stopped."""
+        key = state, chosen, name, size, tuple(place.size(name))
+        if key in self._stills:
+            return self._stills[key]
+        made = None
+        with closing(self._of(place, state, chosen, name, size, budget, stop, coarse)) as shots:
+            for made in shots:  # noqa: B007  # the last is wanted
+                if first:
+                    break
+        if made is not None and made.final:
+            self._stills[key] = made
+            for old in list(self._stills)[: -2 * _KEPT]:
+                del self._stills[old]
+        return made if made is None or made.final or first else None
 
     def _of(
         self,
