@@ -11,7 +11,7 @@ SOURCE = Path(__file__).resolve().parents[1] / "src"
 # top to bottom; a name stands for the module or for all of its package
 LAYERS = [
     "interrupted errors moved memory checks rounding uniform files picture display foreign foreign_images interop filter "
-    "boundary missing noise volume volumes smoothing stored camera color light scaling histogram palette preset transfer "
+    "boundary missing noise volume lazy volumes smoothing stored camera color light scaling histogram palette preset transfer "
     "mode look scene fit transform",
     "reference response phantoms formats",
     "cache intel processor probe opencl program device",

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from clvol.formats import read, read_all, write
     from clvol.formats.transforms import read_transform
     from clvol.interpolator import Interpolator
+    from clvol.lazy import LazyVolume
     from clvol.light import Light, Material
     from clvol.march.refine import Refined
     from clvol.march.renderer import Output, Renderer, render
@@ -79,6 +80,7 @@ __all__ = [
     "GeometryError",
     "Interpolator",
     "Isosurface",
+    "LazyVolume",
     "Light",
     "Material",
     "Mean",
@@ -145,6 +147,7 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "formats": "read read_all write",
     "formats.transforms": "read_transform",
     "interpolator": "Interpolator",
+    "lazy": "LazyVolume",
     "light": "Light Material",
     "march.refine": "Refined",
     "march.renderer": "Output Renderer render",

@@ -1,0 +1,348 @@
+"""Volumes that are read part by part, when their samples are needed: larger than memory, or far away."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Protocol, TypeAlias, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from clvol import memory
+from clvol.checks import number, reals
+from clvol.errors import ClvolError, DataError, FormatError, OptionError
+from clvol.noise import Noise
+from clvol.volume import Volume
+
+__all__ = ["Bounds", "LazyVolume", "Sliced"]
+
+Index: TypeAlias = tuple[int, int, int]
+"""Along x, y and z."""
+
+_SKETCHED = 1 << 21  # samples from which looks are decided, about
+_PART = 128  # samples along an edge of the part whose noise is estimated
+_CHUNKS_LOOKED_INTO = 6  # along an axis, where there is no smaller copy to look at
+_SMALL = 1 << 26  # samples of which all are looked at for their range
+
+
+@runtime_checkable
+class Sliced(Protocol):
+    """What samples can be read from: an array of Zarr, HDF5, dask or NumPy, or anything else with a shape and slices."""
+
+    @property
+    def shape(self) -> tuple[int, ...]: ...
+
+    @property
+    def dtype(self) -> Any: ...
+
+    def __getitem__(self, index: Any, /) -> Any: ...
+
+
+@runtime_checkable
+class Bounds(Protocol):
+    """Minima and maxima of the function that a filter makes of samples, kept beside them; see `clvol.pyramid`."""
+
+    @property
+    def filter(self) -> str:
+        """The name of the filter whose function they bound."""
+
+    @property
+    def boundary(self) -> str:
+        """The name of the boundary rule."""
+
+    @property
+    def value_range(self) -> tuple[float, float]:
+        """The smallest and the largest sample."""
+
+    def within(self, low: Index, high: Index) -> tuple[float, float]:
+        """The smallest and the largest value in the cells between samples `low` and `high`, or bounds of these."""
+
+
+class LazyVolume:
+    """A volume whose samples are read part by part, when they are needed.
+
+    It takes the place of a `Volume` for `clvol.render`, `Renderer` and `BrickedField`, which read it by bricks.
+
+    Parameters
+    ----------
+    data : array-like, shape (nz, ny, nx)
+        Anything with a shape, a dtype and slices: an array of Zarr, HDF5 (h5py), dask, or a memory map of NumPy. It is not copied.
+    spacing, origin, direction, units, space, name, window, labels : optional
+        As of `Volume`.
+    levels : sequence of LazyVolume, optional
+        The same at lower resolutions, finer ones first: a pyramid without its base.
+    limits : (float, float), optional
+        The smallest and the largest sample, if these are known. Otherwise they are estimated from what is looked at.
+    missing : float, optional
+        What stands for samples that are NaN or infinite; without it these are an error once they are read.
+    bounds : Bounds, optional
+        Minima and maxima of the function, if they are kept beside the samples.
+
+    Attributes
+    ----------
+    data : array-like
+        As it was given.
+    grid : Volume
+        Where the samples lie. Its own are zeros that take no memory.
+    levels : tuple of LazyVolume
+        Lower resolutions.
+
+    Raises
+    ------
+    DataError
+        `data` has no shape, dtype and slices, not three axes, an empty axis, or holds no real numbers; a level is no LazyVolume, or
+        one larger than that before.
+    GeometryError, OptionError
+        As of `Volume`.
+    """
+
+    def __init__(
+        self,
+        data: Sliced,
+        spacing: Sequence[float] = (),
+        origin: Sequence[float] = (),
+        direction: ArrayLike | None = None,
+        units: str = "",
+        space: str = "",
+        name: str = "",
+        *,
+        window: tuple[float, float] | None = None,
+        labels: bool | Mapping[int, str] | None = None,
+        levels: Sequence[LazyVolume] = (),
+        limits: tuple[float, float] | None = None,
+        missing: float | None = None,
+        bounds: Bounds | None = None,
+    ) -> None:
+        if isinstance(data, (Volume, LazyVolume)) or not isinstance(data, Sliced):
+            raise DataError(f"data must have a shape, a dtype and slices; got {type(data).__name__}")
+        shape, dtype = tuple(data.shape), np.dtype(data.dtype)
+        if len(shape) != 3 or any(n != int(n) for n in shape):  # dask does not know all sizes: nan
+            raise DataError(f"data must have 3 axes [z, y, x] of known sizes; got shape {shape}")
+        if dtype.kind not in "biuf":
+            raise DataError(f"data must be boolean, integer or floating; got dtype {dtype}")
+        if 0 in shape:
+            raise DataError(f"every axis of data must hold at least one sample; got shape {shape}")
+        self.data = data
+        self.missing = None if missing is None else number("missing", missing)
+        self.bounds = bounds
+        self.levels = tuple(levels)
+        self._lock = threading.RLock()
+        self._limits = None if limits is None else _ends(limits)
+        self._sketch: Volume | None = None
+        self._part: Volume | None = None
+        self.grid = Volume(
+            np.broadcast_to(np.zeros((), dtype), shape),
+            tuple(spacing),
+            tuple(origin),
+            direction,  # type: ignore[arg-type]  # __post_init__ converts
+            units,
+            space,
+            name,
+            window=window,
+            labels=labels,
+        )
+        for finer, coarser in itertools.pairwise((self, *self.levels)):
+            if not isinstance(coarser, LazyVolume):
+                raise DataError(f"levels must be LazyVolumes; got {type(coarser).__name__}")
+            if any(a < b for a, b in zip(finer.shape, coarser.shape, strict=True)):
+                raise DataError(f"levels must become smaller; got shapes {finer.shape} and then {coarser.shape}")
+
+    def __repr__(self) -> str:
+        smaller = f", {len(self.levels)} smaller" if self.levels else ""
+        return f"<LazyVolume of shape {self.shape}, {self.dtype}, spacing {self.spacing} {self.units}{smaller}>"
+
+    # -- where they lie ------------------------------------------------------------------------------------------------
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Samples along z, y and x."""
+        return self.grid.shape
+
+    @property
+    def size(self) -> tuple[int, ...]:
+        """Samples along x, y and z."""
+        return self.grid.size
+
+    @property
+    def ndim(self) -> int:
+        """3."""
+        return 3
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Of the samples."""
+        return self.grid.data.dtype
+
+    @property
+    def nbytes(self) -> int:
+        """Of all samples, once they are read."""
+        return math.prod(self.shape) * self.dtype.itemsize
+
+    @property
+    def spacing(self) -> tuple[float, ...]:
+        """Between neighbouring samples along x, y and z."""
+        return self.grid.spacing
+
+    @property
+    def units(self) -> str:
+        """Of the world."""
+        return self.grid.units
+
+    @property
+    def name(self) -> str:
+        """Of the samples."""
+        return self.grid.name
+
+    @property
+    def chunks(self) -> Index | None:
+        """Samples along x, y and z that are stored together; None where any part is read as fast."""
+        stored = getattr(self.data, "chunksize", None) or getattr(self.data, "chunks", None)
+        if stored is None or len(stored) != 3 or not all(isinstance(n, (int, np.integer)) for n in stored):
+            return None
+        x, y, z = (int(n) for n in stored[::-1])
+        return x, y, z
+
+    # -- samples ---------------------------------------------------------------------------------------------------------
+
+    def read(self, low: Index, high: Index) -> NDArray[Any]:
+        """The samples with index ``low <= index < high``, (x, y, z), as an array [z, y, x].
+
+        Raises
+        ------
+        FormatError
+            They cannot be read, or what comes has another shape or type than was said; the message names the part.
+        DataError
+            Some are NaN or infinite, and nothing stands for `missing` ones.
+        """
+        index = tuple(slice(a, b) for a, b in zip(low[::-1], high[::-1], strict=True))
+        if not all(0 <= a < b <= n for a, b, n in zip(low, high, self.size, strict=True)):
+            raise OptionError(f"read needs 0 <= low < high <= {self.size} along x, y, z; got {low} to {high}")
+        memory.require(math.prod(b - a for a, b in zip(low, high, strict=True)) * self.dtype.itemsize, f"{self._words(low, high)}")
+        try:
+            part = np.asarray(self.data[index])
+        except (ClvolError, MemoryError):
+            raise
+        except Exception as error:  # of any library, a disk or a network
+            raise FormatError(f"cannot read {self._words(low, high)}: {error or type(error).__name__}") from error
+        expected = tuple(s.stop - s.start for s in index)
+        if part.shape != expected or part.dtype != self.dtype:
+            raise FormatError(
+                f"cannot read {self._words(low, high)}: they must be {self.dtype} of shape {expected}; "
+                f"got {part.dtype} of shape {part.shape}"
+            )
+        return self._finite(part, low, high)
+
+    def _finite(self, part: NDArray[Any], low: Index, high: Index) -> NDArray[Any]:
+        if part.dtype.kind != "f" or (np.isfinite(part.min()) and np.isfinite(part.max())):
+            return part
+        if self.missing is None:
+            bad = ~np.isfinite(part)
+            at = np.unravel_index(int(np.argmax(bad)), part.shape)
+            first = [int(i) + a for i, a in zip(at, low[::-1], strict=True)]
+            raise DataError(
+                f"samples must be finite; got {int(bad.sum())} NaN or infinite of {self._words(low, high)}, the first at index "
+                f"{first}: LazyVolume(..., missing=value) replaces them"
+            )
+        return np.where(np.isfinite(part), part, part.dtype.type(self.missing))
+
+    def _words(self, low: Index, high: Index) -> str:
+        z, y, x = (f"{a}:{b}" for a, b in zip(low[::-1], high[::-1], strict=True))
+        return f"samples [{z}, {y}, {x}] of {self.name or 'the volume'}"
+
+    # -- what is known of them -------------------------------------------------------------------------------------------
+
+    def sketch(self) -> Volume:
+        """Few samples of all the volume, from which is decided how it looks: of a lower resolution, or every so many.
+
+        About 2²¹ samples. Of a volume without levels few chunks are read, at equal distances.
+        """
+        with self._lock:
+            if self._sketch is None:
+                small = next((one for one in self.levels if math.prod(one.shape) <= 2 * _SKETCHED), None)
+                coarse = small or (self.levels[-1] if self.levels else self)
+                self._sketch = coarse._thinned() if small is None else small.whole()
+            return self._sketch
+
+    def whole(self) -> Volume:
+        """All samples, in memory.
+
+        Raises
+        ------
+        OutOfMemoryError
+            There is no room for them.
+        """
+        return replace(self.grid, data=self.read((0, 0, 0), (self.size[0], self.size[1], self.size[2])))
+
+    def _thinned(self) -> Volume:
+        """Samples at about equal distances, of a few chunks."""
+        if math.prod(self.shape) <= _SKETCHED:
+            return self.whole()
+        edge = (_SKETCHED / math.prod(self.shape)) ** (1 / 3)
+        runs, steps = [], []
+        for n, chunk in zip(self.size, self.chunks or (1, 1, 1), strict=True):
+            wanted = max(1, min(n, round(n * edge)))
+            several = min(-(-n // chunk), _CHUNKS_LOOKED_INTO if self.chunks else wanted)
+            firsts = [int((k + 0.5) * (n // chunk or 1) / several) * chunk for k in range(several)]
+            each = max(1, wanted // several)
+            step = max(1, min(chunk, n) // each)
+            runs.append([range(first, min(first + chunk, n), step) for first in firsts])
+            steps.append(n / sum(map(len, runs[-1])))
+        rows = []
+        for z in runs[2]:
+            columns = []
+            for y in runs[1]:
+                parts = [
+                    self.read((x[0], y[0], z[0]), (x[-1] + 1, y[-1] + 1, z[-1] + 1))[:: z.step, :: y.step, :: x.step]
+                    for x in runs[0]
+                ]
+                columns.append(np.concatenate(parts, axis=2))
+            rows.append(np.concatenate(columns, axis=1))
+        data = np.concatenate(rows, axis=0)
+        spacing = tuple(s * step for s, step in zip(self.spacing, steps, strict=True))
+        first = self.grid.index_to_world([(step - 1) / 2 for step in steps])  # of the same domain
+        return replace(self.grid, data=data, spacing=spacing, origin=tuple(map(float, first)))
+
+    def part(self) -> Volume:
+        """Neighbouring samples from the middle, from which is told how much noise there is, and whether they are labels."""
+        with self._lock:
+            if self._part is None:
+                low = [max(0, (n - _PART) // 2) for n in self.size]
+                high = [min(n, a + _PART) for a, n in zip(low, self.size, strict=True)]
+                self._part = replace(self.grid, data=self.read((low[0], low[1], low[2]), (high[0], high[1], high[2])))
+            return self._part
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The smallest and the largest sample: as given, else of the bounds, else of those that were looked at."""
+        with self._lock:
+            if self._limits is None:
+                if self.bounds is not None:
+                    self._limits = self.bounds.value_range
+                else:
+                    few = math.prod(self.shape) <= _SMALL and self.chunks is None
+                    self._limits = (self.whole() if few else self.sketch()).value_range
+            return self._limits
+
+    @property
+    def noise(self) -> Noise:
+        """Of the samples in the middle."""
+        return self.part().noise
+
+    @property
+    def is_labels(self) -> bool:
+        """Whether samples are names of regions: as `labels` says, else as those in the middle look."""
+        return self.part().is_labels if self.grid.labels is None else bool(self.grid.is_labels)
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
+        raise DataError("a LazyVolume becomes no array by accident: take .whole().data for all samples, or read(low, high)")
+
+
+def _ends(limits: Any) -> tuple[float, float]:
+    ends = reals("limits", limits, "the smallest and the largest sample")
+    if ends.shape != (2,) or not np.isfinite(ends).all() or ends[0] > ends[1]:
+        raise OptionError(f"limits must be the smallest and the largest sample, finite; got {limits!r}")
+    return float(ends[0]), float(ends[1])
