@@ -26,7 +26,7 @@ from clvol.spline.points import Progress
 from clvol.transfer import TransferFunction
 from clvol.uniform import FLOAT, INT, Block, Values
 
-__all__ = ["BY_PLANES", "BY_RAYS", "PICTURE", "Frame", "Subject", "frame_block"]
+__all__ = ["BY_PLANES", "BY_RAYS", "PICTURE", "WINDOW", "Frame", "Subject", "frame_block"]
 
 BY_RAYS = Tile(1, 1, 1, shared=False)  # for GPUs, and wherever coefficients are not read as rows of a buffer
 BY_PLANES = Tile(16, 16, 8, shared=True)  # for processors
@@ -45,6 +45,17 @@ PICTURE = Block(
     **{"pass": INT, "last_pass": INT},
 )
 
+WINDOW = Block(  # the part of the volume that is at hand, where not all is: window.cl
+    "window_block",
+    low=(FLOAT, 3),
+    high=(FLOAT, 3),
+    cells_from=(INT, 3),
+    cells_to=(INT, 3),
+    stored_from=(INT, 3),
+    stored_to=(INT, 3),
+    whole=(INT, 3),
+)
+
 
 @lru_cache
 def frame_block(mode: Block) -> tuple[Block, str]:
@@ -60,6 +71,7 @@ def frame_block(mode: Block) -> tuple[Block, str]:
         lights=LIGHTS,
         mode=mode,
         minmax=MINMAX,
+        window=WINDOW,
         picture=PICTURE,
     )
     return block, "// generated\n" + block.declaration()
@@ -144,6 +156,7 @@ class Frame:
             lights=lights_block(scene.lights, view),
             mode=mode.block(volume, stored),
             minmax=minmax_block(minmax, volume, planes.margin),
+            window=np.zeros((), WINDOW.dtype),
             picture=PICTURE(
                 offset=0.5,
                 background=scene.background or 0.0,
@@ -185,8 +198,8 @@ class Frame:
         picture["listed"], picture["width"], picture["height"], picture["last_pass"] = True, width, height, 1
         return replace(self, values=values)
 
-    def program(self, name: str) -> Program:
-        """A kernel file of the ray loop, specialised for this frame."""
+    def program(self, name: str, *, windowed: bool = False) -> Program:
+        """A kernel file of the ray loop, specialised for this frame; `windowed`: for parts of the volume, one after the other."""
         tile, mode = self.tile, self.mode
         defines: Mapping[str, Any] = {
             **self.coefficients.defines(self.evaluator),
@@ -202,6 +215,7 @@ class Frame:
             "GUIDES": int(self.guides),
             "BLOCK": BLOCK * self.coefficients.filter.scale,
             "SLAB": SLAB,
+            "WINDOWED": int(windowed),
             "COORD_DOUBLE": 0,
             **(along_defines(self.coefficients.filter) if mode.stretches else {}),
         }
