@@ -25,6 +25,7 @@ typedef struct {
     int u, v;                        // the first stored coefficient under the tile ...
     float from_u, from_v;            // ... and where its cell begins (cell_origin)
     int columns, rows;               // how many there are
+    int first_column, first_row;     // those before are not at hand, and nobody needs them
     int slice;                       // the first slice that takes part, and the fraction past it
     float t;
     int made, usable;                // whether it was needed yet, and whether the tile's footprint fits
@@ -43,8 +44,8 @@ OUT_OF_LINE void plane_blend(const plane_t *plane, global const float *coefficie
     else
         unpack_weights(plane->t, w);
     if (plane->along_u == 1) {
-        for (int j = 0; j < plane->rows; ++j)
-            for (int i = 0; i < plane->columns; i += 8) {
+        for (int j = plane->first_row; j < plane->rows; ++j)
+            for (int i = plane->first_column; i < plane->columns; i += 8) {
                 global const float *p = first + j * plane->along_v + i;
                 float8 sum = (float8)(0.0f);
 #pragma unroll
@@ -58,8 +59,8 @@ OUT_OF_LINE void plane_blend(const plane_t *plane, global const float *coefficie
 #pragma unroll
         for (int k = 0; k < WEIGHTS; ++k)
             weights[k / ROW].each[k % ROW] = w[k];
-        for (int j = 0; j < plane->rows; ++j)
-            for (int i = 0; i < plane->columns; ++i) {
+        for (int j = plane->first_row; j < plane->rows; ++j)
+            for (int i = plane->first_column; i < plane->columns; ++i) {
                 global const float *p = first + j * plane->along_v + i * plane->along_u;
                 float sum = 0.0f;
 #pragma unroll
@@ -76,10 +77,11 @@ INLINE void plane_ahead(const plane_t *plane, global const float *coefficients, 
     const int slice = plane->slice + (way > 0.0f ? TAPS + 1 : -2), axis = frame->planes.axis;
     if (axis == 0 || slice < STORED_FROM(frame, axis) || slice >= STORED_TO(frame, extent, axis))   // along x they lie in the lines at hand
         return;
-    global const float *row = coefficients + plane->u + plane->v * plane->along_v + slice * plane->across;
-    for (int j = 0; j < plane->rows; ++j, row += plane->along_v)
-        for (int i = 0; i < plane->columns + 15; i += 16)
+    for (int j = plane->first_row; j < plane->rows; ++j) {
+        global const float *row = coefficients + plane->u + (plane->v + j) * plane->along_v + slice * plane->across;
+        for (int i = plane->first_column; i < plane->columns + 15; i += 16)
             PREFETCH(row + i);
+    }
 }
 
 // Moves to the plane at `across`, for rays that go up (way > 0) or down its axis, under positions from (low_u, low_v) to
@@ -98,13 +100,16 @@ INLINE void plane_move(plane_t *plane, global const float *coefficients, const i
     plane->slice = locate_axis(across, &plane->t) + halo;
     const int u0 = locate_axis(low_u - margin, &t) + halo, u1 = locate_axis(high_u + margin, &t) + halo + WEIGHTS;
     const int v0 = locate_axis(low_v - margin, &t) + halo, v1 = locate_axis(high_v + margin, &t) + halo + TAPS;
-    plane->u = MAX(u0, STORED_FROM(frame, axis_u));
-    plane->v = MAX(v0, STORED_FROM(frame, axis_v));
-    plane->columns = MIN(u1, STORED_TO(frame, extent, axis_u)) - plane->u;
-    plane->rows = MIN(v1, STORED_TO(frame, extent, axis_v)) - plane->v;
-    // a window's plane is usable if that of the whole volume is: both give the same picture to the last bit
-    const int columns = MIN(u1, WHOLE(frame, extent, axis_u)) - MAX(u0, 0), rows = MIN(v1, WHOLE(frame, extent, axis_v)) - MAX(v0, 0);
-    plane->usable = columns <= PLANE_EDGE && rows <= PLANE_EDGE && plane->columns > 0 && plane->rows > 0;
+    plane->u = MAX(u0, 0);
+    plane->v = MAX(v0, 0);
+    plane->columns = MIN(u1, WHOLE(frame, extent, axis_u)) - plane->u;
+    plane->rows = MIN(v1, WHOLE(frame, extent, axis_v)) - plane->v;
+    plane->usable = plane->columns <= PLANE_EDGE && plane->rows <= PLANE_EDGE && plane->columns > 0 && plane->rows > 0;
+    // all but these follows from the whole volume, so that fractions are rounded alike in each window
+    plane->first_column = MAX(STORED_FROM(frame, axis_u) - plane->u, 0);
+    plane->first_row = MAX(STORED_FROM(frame, axis_v) - plane->v, 0);
+    plane->columns = MIN(plane->columns, STORED_TO(frame, extent, axis_u) - plane->u);
+    plane->rows = MIN(plane->rows, STORED_TO(frame, extent, axis_v) - plane->v);
     plane->sloped = 0;
     plane->from_u = cell_origin(halo - plane->u);
     plane->from_v = cell_origin(halo - plane->v);

@@ -122,7 +122,8 @@ INLINE axes_t axes_along(const ray_t *ray, constant geometry_block *geometry, co
 // whole brick.
 typedef struct { mask held, above, uniform; } sides_t;
 
-INLINE mask limit_whole(mask i, mask last) { return choose_whole(i > last, last, i); }
+// Numbers from 0 to `last`: lanes that are not active may be anywhere.
+INLINE mask limit_whole(mask i, mask last) { return choose_whole(i > last, last, choose_whole(i < 0, NONE, i)); }
 
 INLINE sides_t sides_of(global const ulong2 *sides, constant frame_t *frame, const cells_t *cell)
 {
@@ -160,7 +161,8 @@ typedef struct {
     lane_masks_u found;   // whether it holds a root
 } walker_t;
 
-OUT_OF_LINE void set_out(walker_t *w, const ray_t *ray, const state_t *state, constant frame_t *frame, const int halo,
+// Sets rays out on a stretch, and says how long it is.
+OUT_OF_LINE real set_out(walker_t *w, const ray_t *ray, const state_t *state, constant frame_t *frame, const int halo,
                     const real from, const real to, const mask active)
 {
     real begin = MAX(from, ray->enter);
@@ -182,6 +184,7 @@ OUT_OF_LINE void set_out(walker_t *w, const ray_t *ray, const state_t *state, co
     w->t = MAX(MAX(entry_of(&w->axes.x, w->cell.x), entry_of(&w->axes.y, w->cell.y)), MAX(entry_of(&w->axes.z, w->cell.z), ray->enter));
     w->side.all = state->side;
     w->found.all = NONE;
+    return choose(w->active, w->end - begin, (real)(0.0f));
 }
 
 // The first place past a jump at which a sample of the function is on its far side, so that every pixel is lit from there; the jump
@@ -334,12 +337,13 @@ OUT_OF_LINE void walk_segment(tile_t *tile, COEFFICIENTS coefficients, const int
     roots.count = 0;
     for (int g = 0; g < PACKETS; ++g) {
         const ray_t *ray = tile->rays + g;
-        const real samples = MIN((real)(stop), ray->end + MARGIN) - MAX((real)(start), ray->begin - MARGIN) + 1.0f;
-        tile->gathered[g] += choose(wanted[g], samples, (real)(0.0f));
         walkers[g].active = wanted[g];
-        if (any_lane(wanted[g]))
-            set_out(walkers + g, ray, tile->states + g, frame, extent.w, madd(start, ray->step, ray->first),
-                    madd(stop + 1.0f, ray->step, ray->first), wanted[g]);
+        if (!any_lane(wanted[g]))
+            continue;
+        const real length = set_out(walkers + g, ray, tile->states + g, frame, extent.w, madd(start, ray->step, ray->first),
+                                    madd(stop + 1.0f, ray->step, ray->first), wanted[g]);
+        const real samples = MIN((real)(stop), ray->end + MARGIN) - MAX((real)(start), ray->begin - MARGIN) + 1.0f;
+        tile->gathered[g] += choose(wanted[g], WINDOWED ? MIN(length / ray->step, samples) : samples, (real)(0.0f));
     }
     for (int looked = 0;; looked = 1) {
         int count = 0;

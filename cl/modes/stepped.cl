@@ -61,8 +61,8 @@ INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample
     const mask crossed = active & s->started & ((difference < 0.0f) != (s->before < 0.0f));
     if (any_lane(crossed))
         s->hit = choose(crossed, refine(coefficients, sample, s->before_t, s->before, t, difference, crossed), s->hit);
-    s->before = difference;
-    s->before_t = t;
+    s->before = choose(active, difference, s->before);
+    s->before_t = choose(active, t, s->before_t);
     s->started = s->started | active;
     return crossed;
 }

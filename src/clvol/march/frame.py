@@ -18,6 +18,7 @@ from clvol.march.planes import SEGMENT, SLAB, Planes
 from clvol.mode import Isosurface, Mode
 from clvol.program import Program
 from clvol.scene import CLIP, Medium, Scene, clip_block
+from clvol.spline.bricked import Whole
 from clvol.spline.build import along_defines
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, Evaluator
@@ -25,6 +26,7 @@ from clvol.spline.minmax import BLOCK, MINMAX, MinMax, minmax_block
 from clvol.spline.points import Progress
 from clvol.transfer import TransferFunction
 from clvol.uniform import FLOAT, INT, Block, Values
+from clvol.volume import Volume
 
 __all__ = ["BY_PLANES", "BY_RAYS", "PICTURE", "WINDOW", "Frame", "Subject", "frame_block"]
 
@@ -83,7 +85,7 @@ class Frame:
 
     Attributes
     ----------
-    coefficients : Coefficients
+    coefficients : Coefficients or Whole
         Of the medium.
     minmax : MinMax or None
         Of the medium, where space is skipped.
@@ -91,6 +93,7 @@ class Frame:
         Of the value that the mode seeks, if it looks at stretches, where space is skipped.
     mode : Mode
         Settled for the medium's volume.
+    transfer : TransferFunction
     evaluator : Evaluator
     planes : Planes
     tile : Tile
@@ -104,10 +107,11 @@ class Frame:
         The transfer function's nodes or pieces.
     """
 
-    coefficients: Coefficients
+    coefficients: Coefficients | Whole
     minmax: MinMax | None
     sides: Any
     mode: Mode
+    transfer: TransferFunction
     evaluator: Evaluator
     planes: Planes
     tile: Tile
@@ -121,7 +125,7 @@ class Frame:
     def of(
         cls,
         scene: Scene,
-        coefficients: Coefficients,
+        coefficients: Coefficients | Whole,
         minmax: MinMax | None,
         camera: Camera,
         mode: Mode,
@@ -172,7 +176,7 @@ class Frame:
         tile = _tile(coefficients.device, evaluator)
         labels = volume.is_labels and not coefficients.filter.has_gradient
         sides = minmax.sides(float(values["mode"]["isovalue"]), told) if minmax is not None and mode.stretches else None
-        return cls(coefficients, minmax, sides, mode, evaluator, planes, tile, central, labels, guides, values, table)
+        return cls(coefficients, minmax, sides, mode, transfer, evaluator, planes, tile, central, labels, guides, values, table)
 
     @property
     def device(self) -> Device:
@@ -228,13 +232,14 @@ class Subject:
     """What a picture shows, however fine it is: all that `Frame.of` takes but size and step, made ready on the device."""
 
     scene: Scene
-    coefficients: Coefficients
+    coefficients: Coefficients | Whole
     minmax: MinMax | None
     camera: Camera
     mode: Mode
     transfer: TransferFunction
     evaluator: Evaluator
     central: bool
+    looked: Volume | None = None
 
     def frame(
         self, size: tuple[int, int], step: float, *, guides: bool = False, aspect: float | None = None, told: Progress | None = None
@@ -244,7 +249,7 @@ class Subject:
             self.scene,
             self.coefficients,
             self.minmax,
-            self.camera,
+            self.camera if self.looked is None else self.placed(size[0] / size[1] if aspect is None else aspect).camera,
             self.mode,
             size,
             step,
@@ -256,9 +261,18 @@ class Subject:
             told=told,
         )
 
+    def seen_as(self, volume: Volume) -> Subject:
+        """The same with a camera that is fitted to what is seen of another volume, which has samples at hand."""
+        return replace(self, looked=volume)
+
+    def view(self, size: tuple[int, int]) -> View:
+        """From where a picture of so many pixels is seen."""
+        aspect, volume = size[0] / size[1], self.scene.media[0].volume
+        return self.placed(aspect).camera.view(volume, aspect)
+
     def placed(self, aspect: float) -> Subject:
         """The same by a camera that has its place, if that was left open."""
-        volume = self.scene.media[0].volume
+        volume = self.looked or self.scene.media[0].volume
         return replace(self, camera=fitted(self.camera, volume, self.mode, self.transfer, self.scene.clip, aspect))
 
 

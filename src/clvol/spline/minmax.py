@@ -126,7 +126,7 @@ class MinMax:
         while max(sizes[-1]) > 1 and len(sizes) < MAX_LEVELS:
             x_, y_, z_ = sizes[-1]
             sizes.append((-(-x_ // 2), -(-y_ // 2), -(-z_ // 2)))
-        self.blocks = sizes[0]
+        self.blocks, self._coarsest = sizes[0], sizes[-1]
         counts = [math.prod(size) for size in sizes]
         self.offsets = tuple(int(n) for n in np.cumsum([0, *counts[:-1]]))
         self.buffer = device.allocate(8 * sum(counts))
@@ -145,6 +145,13 @@ class MinMax:
         except BaseException:
             self.release()
             raise
+
+    def extremes(self) -> tuple[float, float]:
+        """Bounds of all values, in stored units."""
+        count = self.offsets[-1] + math.prod(self._coarsest)
+        with self.coefficients.device.mapped(self.buffer, (count, 2), write=False) as ends:
+            coarsest = ends[self.offsets[-1] :]
+            return float(coarsest[:, 0].min()), float(coarsest[:, 1].max())
 
     def sides(self, value: float, told: Callable[[float], object] | None = None) -> Any:
         """On which side of a value the function is in each cell, as sides.cl has it: 16 bytes for 64 cells.
