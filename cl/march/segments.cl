@@ -54,7 +54,7 @@ INLINE float2 values_in(global const float2 *minmax, constant frame_t *frame, co
     constant minmax_block *block = &frame->minmax;
     const float m = block->margin;
     int nx = block->blocks[0], ny = block->blocks[1], nz = block->blocks[2];
-    const int x_ = STORED_FROM(frame, 0), y_ = STORED_FROM(frame, 1), z_ = STORED_FROM(frame, 2);
+    const int x_ = BLOCKS_FROM(frame, 0), y_ = BLOCKS_FROM(frame, 1), z_ = BLOCKS_FROM(frame, 2);
     int x0 = block_of(min_lane(box->low.x) - m, halo, x_, nx), x1 = block_of(max_lane(box->high.x) + m, halo, x_, nx);
     int y0 = block_of(min_lane(box->low.y) - m, halo, y_, ny), y1 = block_of(max_lane(box->high.y) + m, halo, y_, ny);
     int z0 = block_of(min_lane(box->low.z) - m, halo, z_, nz), z1 = block_of(max_lane(box->high.z) + m, halo, z_, nz);

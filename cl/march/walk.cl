@@ -129,9 +129,9 @@ INLINE sides_t sides_of(global const ulong2 *sides, constant frame_t *frame, con
 {
     constant minmax_block *block = &frame->minmax;
     const int nx = block->blocks[0] * BRICKS, ny = block->blocks[1] * BRICKS, nz = block->blocks[2] * BRICKS;
-    const mask x = limit_whole((cell->x - STORED_FROM(frame, 0)) / SIDES_EDGE, nx - 1);
-    const mask y = limit_whole((cell->y - STORED_FROM(frame, 1)) / SIDES_EDGE, ny - 1);
-    const mask z = limit_whole((cell->z - STORED_FROM(frame, 2)) / SIDES_EDGE, nz - 1);
+    const mask x = limit_whole((cell->x - BLOCKS_FROM(frame, 0)) / SIDES_EDGE, nx - 1);
+    const mask y = limit_whole((cell->y - BLOCKS_FROM(frame, 1)) / SIDES_EDGE, ny - 1);
+    const mask z = limit_whole((cell->z - BLOCKS_FROM(frame, 2)) / SIDES_EDGE, nz - 1);
     const lane_indices_u at = { (z * ny + y) * nx + x };
     const lane_masks_u bits = { BIT_OF(cell->x, cell->y, cell->z) };
     lane_masks_u known;

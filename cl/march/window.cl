@@ -13,6 +13,8 @@
 #define STORED_FROM(frame, axis) (frame)->window.stored_from[axis]
 #define STORED_TO(frame, extent, axis) (frame)->window.stored_to[axis]
 #define WHOLE(frame, extent, axis) (frame)->window.whole[axis]
+// The first cell of the first block of the pyramid.
+#define BLOCKS_FROM(frame, axis) (frame)->window.blocks_from[axis]
 
 INLINE global const float *whole_pointer(global const float *coefficients, const int4 extent, constant frame_t *frame)
 {
@@ -34,5 +36,6 @@ INLINE mask in_window(constant frame_t *frame, const ray_t *ray, const real t)
 #define STORED_FROM(frame, axis) 0
 #define STORED_TO(frame, extent, axis) ((axis) == 0 ? (extent).x : (axis) == 1 ? (extent).y : (extent).z)
 #define WHOLE STORED_TO
+#define BLOCKS_FROM(frame, axis) 0
 
 #endif

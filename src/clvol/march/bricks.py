@@ -22,8 +22,9 @@ from clvol.march.launch import Drawing, Picture, Progress, launched_over, lent_p
 from clvol.mode import Composite, Isosurface
 from clvol.program import Program
 from clvol.spline.bricked import Brick, BrickedField, Resident
-from clvol.spline.minmax import minmax_block
+from clvol.spline.minmax import MinMax, minmax_block
 from clvol.transfer import TransferFunction
+from clvol.uniform import Values
 from clvol.volume import Volume
 
 __all__ = ["BrickedDrawing", "front_to_back"]
@@ -31,7 +32,6 @@ __all__ = ["BrickedDrawing", "front_to_back"]
 Area: TypeAlias = tuple[int, int, int, int]
 """Of pixels: x, y, width and height."""
 
-_FAR = 1 << 30  # cells: past any
 _SHARE = 8  # of the budget, what states may take at a time
 
 
@@ -165,11 +165,11 @@ class _Pass:
         x, y = left * tile.width, top * tile.height
         return x, y, min(width, right * tile.width) - x, min(height, bottom * tile.height) - y
 
-    def march(self, own: Resident, minmax: Any, brick: Brick, field: BrickedField, area: Area) -> None:
+    def march(self, own: Resident, minmax: MinMax | None, brick: Brick, field: BrickedField, area: Area) -> None:
         """Rays through a brick, whose coefficients are at hand."""
         frame, device = self.frame, self.frame.device
         values = frame.values.copy()
-        values["window"] = _window(own, brick, field)
+        values["window"] = _window(own, minmax, brick, field)
         values["minmax"] = minmax_block(minmax, field.volume.grid, frame.planes.margin)
         made = own.coefficients
         nothing = self._table  # any buffer: it is not read
@@ -255,16 +255,12 @@ def _fields(frame: Frame) -> int:
     return mode.state_fields + 1 + 3 * isinstance(mode, Isosurface) + 3 * frame.guides
 
 
-def _window(own: Resident, brick: Brick, field: BrickedField) -> Any:
+def _window(own: Resident, minmax: MinMax | None, brick: Brick, field: BrickedField) -> Values:
     """What kernels read of the part that is at hand."""
-    made, row = own.coefficients, field.filter
-    halo, left = int(made.extent[3]), row.support / 2 - 1
-    stored_from = [first * row.scale for first in brick.first]
-    z, y, x = made.shape
-    cells = [
-        [end if abs(end) == math.inf else round(end * row.scale - left) + halo for end in ends] for ends in (brick.low, brick.high)
-    ]
-    cells_from, cells_to = ([int(min(max(c, -_FAR), _FAR)) for c in ends] for ends in cells)
+    stored_from = [first * field.filter.scale for first in brick.first]
+    z, y, x = own.coefficients.shape
+    cells_from, cells_to = field.cells_of(brick)
+    first = (0, 0, 0) if minmax is None else minmax.first
     return WINDOW(
         low=brick.low,
         high=brick.high,
@@ -272,6 +268,7 @@ def _window(own: Resident, brick: Brick, field: BrickedField) -> Any:
         cells_to=cells_to,
         stored_from=stored_from,
         stored_to=[first + n for first, n in zip(stored_from, (x, y, z), strict=True)],
+        blocks_from=[a + b for a, b in zip(stored_from, first, strict=True)],
         whole=field.coefficients.extent[:3],
     )
 

@@ -55,6 +55,7 @@ WINDOW = Block(  # the part of the volume that is at hand, where not all is: win
     cells_to=(INT, 3),
     stored_from=(INT, 3),
     stored_to=(INT, 3),
+    blocks_from=(INT, 3),
     whole=(INT, 3),
 )
 

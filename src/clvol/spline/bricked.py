@@ -62,6 +62,7 @@ BUDGET = 2 << 30  # bytes
 _EDGES = (256, 128, 64, 32)  # samples along those of a brick that are tried, the first of which several fit into the budget
 _SEVERAL = 8
 _AROUND = 3  # samples that positions may be off by, and that neighbours take for central differences
+_FAR = float(1 << 30)  # cells: past any
 _ALIGNED = 4  # cells: those of which it is kept together on which side of a value they are
 _BLOCK_OF_RESULTS = 96  # along an edge, of grids that are not along the volume's axes
 _CLOSED = "the field was closed, and its coefficients were released; make a new one"
@@ -395,9 +396,29 @@ class BrickedField:
         """Minima and maxima of a brick's cells."""
         with self._lock:
             if own.minmax is None:
-                own.minmax = MinMax(own.coefficients, evaluator)
+                own.minmax = MinMax(own.coefficients, evaluator, self._blocks(own))
                 self._bounds[own.at] = self._in_units(own.minmax.extremes())
             return own.minmax
+
+    def cells_of(self, brick: Brick) -> tuple[Index, Index]:
+        """A brick's own cells, as numbered in the whole volume by their first taps among all that would be stored."""
+        halo, left = int(self.coefficients.extent[3]), self.filter.support / 2 - 1
+        ends = [
+            tuple(round(min(max(end * self.filter.scale, -_FAR), _FAR) - left) + halo for end in ends)
+            for ends in (brick.low, brick.high)
+        ]
+        return ends[0], ends[1]  # type: ignore[return-value]  # three each
+
+    def _blocks(self, own: Resident) -> tuple[Index, Index]:
+        """The cells of a brick's pyramid, by their numbers in the brick: its own, and some beside, which neighbours may ask for."""
+        brick, scale, support = self.brick(own.at), self.filter.scale, self.filter.support
+        first, past = [], []
+        cells = self.cells_of(brick)
+        for low, high, begin, n in zip(*cells, brick.first, own.coefficients.shape[::-1], strict=True):
+            a = low - begin * scale - BLOCK * scale
+            first.append(max(0, a // _ALIGNED * _ALIGNED))
+            past.append(min(n - support + 1, high - begin * scale + BLOCK * scale))
+        return (first[0], first[1], first[2]), (past[0], past[1], past[2])
 
     def bounds_of(self, brick: Brick) -> tuple[float, float] | None:
         """Between which values the function lies in a brick and beside it, in units of the data, as far as is known."""
@@ -430,13 +451,17 @@ class BrickedField:
         """Free the device's memory. Results stay valid; asking for more raises `OptionError`."""
         self._lease.close()
 
-    def _release(self) -> None:
+    def drop(self) -> None:
+        """Free the device's memory of all bricks that nobody uses; they are read again when they are needed."""
         self.forget_ahead()
+        with self._lock:
+            for at in [at for at, one in self._resident.items() if not one.users]:
+                self._resident.pop(at).release()
+
+    def _release(self) -> None:
+        self.drop()
         if self._reader is not None:
             self._reader.shutdown(wait=False, cancel_futures=True)
-        with self._lock:
-            while self._resident:
-                self._resident.popitem()[1].release()
 
     def in_use(self) -> AbstractContextManager[None]:
         """For the time of a block `close` frees nothing; errors as of `Field.in_use`."""
