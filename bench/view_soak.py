@@ -146,7 +146,8 @@ def _soak(options: argparse.Namespace, folder: Path) -> int:
         logging.getLogger(name).addHandler(faults)
     samples: list[dict[str, float]] = []
     begun, rounds = time.monotonic(), 0
-    with View(clvol.phantoms.marschner_lobb(options.samples)).serve() as server:
+    view = View(clvol.phantoms.marschner_lobb(options.samples))
+    with view.serve() as server:
         while time.monotonic() < begun + 60 * options.minutes:
             seeds = [f"{options.seed}-{rounds}-{number}" for number in range(options.clients)]
 
@@ -157,6 +158,7 @@ def _soak(options: argparse.Namespace, folder: Path) -> int:
             rounds += 1
             if not _quiet(server):
                 faults.add(f"round {rounds}: sessions have not ended; {[thread.name for thread in threading.enumerate()]}")
+            view.close()  # or what is held on the device would depend on what was looked at last
             gc.collect()
             samples.append({"seconds": time.monotonic() - begun, **held(folder, buffers)})
     rows = grown(samples)
