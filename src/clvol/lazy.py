@@ -155,6 +155,14 @@ class LazyVolume:
         smaller = f", {len(self.levels)} smaller" if self.levels else ""
         return f"<LazyVolume of shape {self.shape}, {self.dtype}, spacing {self.spacing} {self.units}{smaller}>"
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What a pickle holds: no samples but what the array itself pickles."""
+        return {name: value for name, value in vars(self).items() if name not in ("_lock", "_sketch", "_part")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._lock, self._sketch, self._part = threading.RLock(), None, None
+
     # -- where they lie ------------------------------------------------------------------------------------------------
 
     @property
@@ -227,7 +235,7 @@ class LazyVolume:
         except (ClvolError, MemoryError):
             raise
         except Exception as error:  # of any library, a disk or a network
-            raise FormatError(f"cannot read {self._words(low, high)}: {error or type(error).__name__}") from error
+            raise FormatError(f"cannot read {self._words(low, high)}: {str(error) or type(error).__name__}") from error
         expected = tuple(s.stop - s.start for s in index)
         if part.shape != expected or part.dtype != self.dtype:
             raise FormatError(
@@ -262,8 +270,8 @@ class LazyVolume:
         """
         with self._lock:
             if self._sketch is None:
-                small = next((one for one in self.levels if math.prod(one.shape) <= 2 * _SKETCHED), None)
-                coarse = small or (self.levels[-1] if self.levels else self)
+                small = next((one for one in (self, *self.levels) if math.prod(one.shape) <= 2 * _SKETCHED), None)
+                coarse = small or (self, *self.levels)[-1]
                 self._sketch = coarse._thinned() if small is None else small.whole()
             return self._sketch
 
@@ -286,7 +294,7 @@ class LazyVolume:
         for n, chunk in zip(self.size, self.chunks or (1, 1, 1), strict=True):
             wanted = max(1, min(n, round(n * edge)))
             several = min(-(-n // chunk), _CHUNKS_LOOKED_INTO if self.chunks else wanted)
-            firsts = [int((k + 0.5) * (n // chunk or 1) / several) * chunk for k in range(several)]
+            firsts = [int((k + 0.5) * -(-n // chunk) / several) * chunk for k in range(several)]
             each = max(1, wanted // several)
             step = max(1, min(chunk, n) // each)
             runs.append([range(first, min(first + chunk, n), step) for first in firsts])

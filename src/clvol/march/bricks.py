@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from clvol import memory
 from clvol.camera import View
 from clvol.filter import Filter
+from clvol.lazy import LazyVolume
 from clvol.march.frame import WINDOW, Frame
 from clvol.march.launch import Drawing, Picture, Progress, launched_over, lent_pictures, pictures_of
 from clvol.mode import Composite, Isosurface
@@ -27,11 +28,13 @@ from clvol.transfer import TransferFunction
 from clvol.uniform import Values
 from clvol.volume import Volume
 
-__all__ = ["BrickedDrawing", "front_to_back"]
+__all__ = ["STEPPED_AT_MOST", "BrickedDrawing", "front_to_back", "level_of"]
 
 Area: TypeAlias = tuple[int, int, int, int]
 """Of pixels: x, y, width and height."""
 
+STEPPED_AT_MOST = 3.0
+"""Voxels between two samples of a ray, of modes that look between them: bricks hold so many around their own."""
 _SHARE = 8  # of the budget, what states may take at a time
 
 
@@ -239,6 +242,15 @@ def front_to_back(field: BrickedField, view: View) -> list[Brick]:
     lists = [(x, y, z)[axis] for axis in order]
     places = (dict(zip(order, at, strict=True)) for at in itertools.product(*lists))
     return [field.brick((at[0], at[1], at[2])) for at in places]
+
+
+def level_of(volume: LazyVolume, view: View, size: tuple[int, int], pixels: float) -> int:
+    """The coarsest level whose voxels span at most so many pixels where the volume is nearest to the viewer; 0 is the finest."""
+    ahead = (volume.grid.corners - view.eye) @ view.forward
+    nearest = 1.0 if view.orthographic else max(float(ahead.min()), 1e-6 * volume.grid.radius)
+    pixel = 2 * view.half_height * nearest / size[1]
+    levels = (volume, *volume.levels)
+    return max((i for i, level in enumerate(levels) if max(level.spacing) <= pixels * pixel), default=0)
 
 
 def opacity_within(transfer: TransferFunction, low: float, high: float) -> float:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.boundary import Boundary
 from clvol.camera import Camera, View
 from clvol.device import Device, Tile
 from clvol.fit import fitted
@@ -265,6 +266,14 @@ class Subject:
     def seen_as(self, volume: Volume) -> Subject:
         """The same with a camera that is fitted to what is seen of another volume, which has samples at hand."""
         return replace(self, looked=volume)
+
+    def of(self, coefficients: Whole, boundary: Boundary) -> Subject:
+        """The same of other coefficients: of another level of the volume."""
+        (medium,) = self.scene.media
+        seen = Medium(coefficients.volume, medium.transfer, medium.material, medium.filter, boundary)
+        scene = Scene((seen,), self.scene.lights, self.scene.background, self.scene.clip)
+        central = self.central or not coefficients.filter.has_gradient
+        return replace(self, scene=scene, coefficients=coefficients, central=central)
 
     def view(self, size: tuple[int, int]) -> View:
         """From where a picture of so many pixels is seen."""

@@ -22,10 +22,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.filter import Filter
 from clvol.march.frame import Frame, Subject
-from clvol.march.launch import Drawing
+from clvol.march.launch import Drawing, Progress
 from clvol.picture import Picture
 
-__all__ = ["Rate", "Rates", "Refined", "Wanted", "refined"]
+__all__ = ["Rate", "Rates", "Refined", "Wanted", "refined", "refined_by_levels"]
 
 _LAUNCH = 0.008  # seconds of a launch: whether pictures are still wanted is asked in between
 _KEPT = 0.75  # share of the budget that is planned for: the rest is for what cannot be known
@@ -218,6 +218,43 @@ def refined(
         How long it took until now.
     """
     return _Refinement(wanted, budget, cancelled, rates, seconds).pictures(drawing)
+
+
+def refined_by_levels(
+    draw: Callable[[int, Progress], NDArray[Any]],
+    levels: int,
+    finest: int,
+    step: float,
+    cancelled: Callable[[], bool] | None,
+    drawing: Callable[[], AbstractContextManager[None]],
+    began: float,
+) -> Iterator[Refined]:
+    """The pictures of `Renderer.refine` of a volume that is read brick by brick: of its levels, the coarsest first.
+
+    Parameters
+    ----------
+    draw : callable
+        Draws a level; it tells how much is done, and what it tells may raise.
+    levels, finest : int
+        How many levels there are beside the whole volume, and which is the last to be drawn.
+    step, cancelled, drawing
+        As of `refined`.
+    began : float
+        When it was asked for.
+    """
+
+    def ask(_: float) -> None:
+        if cancelled is not None and cancelled():
+            raise _Cancelled
+
+    for level in range(levels, finest - 1, -1):
+        with drawing():
+            try:
+                ask(0.0)
+                picture = draw(level, ask)
+            except _Cancelled:
+                return
+        yield Refined(picture, level == finest, step, time.perf_counter() - began)
 
 
 class _Refinement:

@@ -19,16 +19,16 @@ from clvol.boundary import Boundary
 from clvol.camera import Camera
 from clvol.checks import instance, number, one_of, whole
 from clvol.device import Device
-from clvol.errors import DataError, OptionError
+from clvol.errors import DataError, OptionError, OutOfMemoryError
 from clvol.filter import PICTURE_FILTER, Filter
 from clvol.lazy import LazyVolume
 from clvol.light import Light, Material
 from clvol.look import look
 from clvol.march import launch
-from clvol.march.bricks import BrickedDrawing
+from clvol.march.bricks import STEPPED_AT_MOST, BrickedDrawing, level_of
 from clvol.march.frame import Subject
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter
-from clvol.march.refine import Rates, Refined, Wanted, refined
+from clvol.march.refine import Rates, Refined, Wanted, refined, refined_by_levels
 from clvol.march.uncertainty import Uncertainty
 from clvol.mode import DEFAULT_MODE, Isosurface, Mode, as_mode
 from clvol.noise import Noise
@@ -61,8 +61,9 @@ class Renderer:
 
     Parameters
     ----------
-    scene : Scene, Medium, Volume, Field or array-like, 3-D
-        What to draw. A Field's coefficients are used as they are, and stay when the renderer is closed.
+    scene : Scene, Medium, Volume, LazyVolume, Field, BrickedField or array-like, 3-D
+        What to draw. A Field's coefficients are used as they are, and stay when the renderer is closed. A LazyVolume is read brick
+        by brick (`BrickedField`, which takes a budget of memory), and so is a volume whose coefficients the device has no room for.
     filter, boundary : str, Filter, Boundary, optional
         How a volume is reconstructed between its samples, where `scene` is no more than a volume. By default the boundary is
         "mirror", and the filter "bspline3(auto)", which takes from the volume how much noise there is to smooth, or "bspline3" in
@@ -104,7 +105,8 @@ class Renderer:
         if isinstance(scene, (LazyVolume, BrickedField)):
             bricked = _bricked(scene, filter, boundary, device)
             self._looked = bricked.volume.sketch()
-            scene = Medium(bricked.coefficients.volume, filter=bricked.filter, boundary=bricked.boundary)
+            own_filter = bricked.filter if filter is not None or isinstance(scene, BrickedField) else None
+            scene = Medium(bricked.coefficients.volume, filter=own_filter, boundary=bricked.boundary)
         elif isinstance(scene, Field):
             given_field = as_field(scene, filter, boundary, device)
             if given_field.gaps is not None:
@@ -125,13 +127,19 @@ class Renderer:
         if bricked is not None:
             field = bricked
         elif own:
-            field = _single(medium.volume, filter_for(medium.volume, medium.filter, PICTURE_FILTER), medium.boundary, device)
+            row = filter_for(medium.volume, medium.filter, PICTURE_FILTER)
+            try:
+                field = _single(medium.volume, row, medium.boundary, device)
+            except OutOfMemoryError:  # of a buffer, perhaps, which is less than the memory
+                field = BrickedField(medium.volume, row, medium.boundary, device)
+                self._looked = medium.volume
         elif given_field.precision != "single":
             raise OptionError(f"rendering takes a field of single precision; got one of {given_field.precision} precision")
         else:
             field = given_field
         self.field = field
         self.device = field.device
+        self._levels: dict[tuple[int, str], BrickedField] = {}
         self._unsmoothed: Field | BrickedField | None = None
         self._minmax: dict[tuple[Filter, Evaluator], MinMax] = {}
         self._uncertainty: Uncertainty | None = None
@@ -199,6 +207,7 @@ class Renderer:
         skipping: bool = ...,
         evaluator: EvaluatorName = ...,
         fetch: FetchName = ...,
+        lod: float | Literal["auto"] = ...,
         outputs: Output = ...,
         sigma: float | None = ...,
         progress: Progress | None = ...,
@@ -228,6 +237,7 @@ class Renderer:
         skipping: bool = ...,
         evaluator: EvaluatorName = ...,
         fetch: FetchName = ...,
+        lod: float | Literal["auto"] = ...,
         outputs: list[Output] | tuple[Output, ...],
         sigma: float | None = ...,
         progress: Progress | None = ...,
@@ -256,6 +266,7 @@ class Renderer:
         skipping: bool = True,
         evaluator: EvaluatorName = "auto",
         fetch: FetchName = "auto",
+        lod: float | Literal["auto"] = "auto",
         outputs: Output | Sequence[Output] = "rgba",
         sigma: float | None = None,
         progress: Progress | None = None,
@@ -301,6 +312,9 @@ class Renderer:
             last bit.
         evaluator, fetch
             As for `clvol.sample`.
+        lod : float or "auto"
+            Of a `LazyVolume` that has levels: how many pixels a voxel may span, of the level that is drawn, where the volume is
+            nearest to the viewer. "auto" is 1; 0 draws the finest level whatever the picture's size. Steps count its voxels.
         outputs : str or sequence of str
             Of "rgba", "depth", "normal", "position", "visited", "uncertainty". Several give a dictionary. Depth is the world
             distance from the eye along the ray (orthographic: from the camera's plane), inf where there is nothing;
@@ -366,12 +380,13 @@ class Renderer:
             _require_picture(size, wanted, edges=rays == "auto")
             uncertain = self._uncertain(self._field_of(chosen), chosen) if "uncertainty" in wanted else None
             subject = self._subject(scene, camera, chosen, gradient, skipping, evaluator, fetch)
-            frame = subject.frame(size, step, guides=wanted != ("rgba",))
-            field = self._field_of(chosen)
+            guides, field = wanted != ("rgba",), self._field_of(chosen)
             if isinstance(field, BrickedField):
-                drawing = BrickedDrawing(frame, rays, pixel_filter, field, subject.view(size), skipping=skipping)
-                pictures = launch.drawn(drawing, rays, progress)
+                detail = _pixels_a_voxel(lod)
+                level = level_of(field.volume, subject.view(size), size, detail)
+                pictures = self._by_bricks(subject, chosen, level, size, step, rays, pixel_filter, guides, skipping, progress)
             else:
+                frame = subject.frame(size, step, guides=guides)
                 pictures = launch.draw(frame, rays, pixel_filter, progress)
             if uncertain is not None:
                 pictures["uncertainty"] = uncertain(pictures["position"], self._noise(sigma), central=subject.central)
@@ -402,6 +417,7 @@ class Renderer:
         skipping: bool = True,
         evaluator: EvaluatorName = "auto",
         fetch: FetchName = "auto",
+        lod: float | Literal["auto"] = "auto",
         **options: Any,
     ) -> Iterator[Refined]:
         """Pictures that become finer: the first soon, the last the one that `render` makes of the same arguments, to the last bit.
@@ -468,6 +484,15 @@ class Renderer:
             pixel_filter = as_pixel_filter(pixel_filter)
             _require_picture(size, ("rgba",), edges=rays == "auto")
             subject = self._subject(scene, camera, chosen, gradient, skipping, evaluator, fetch)
+            field = self._field_of(chosen)
+            if isinstance(field, BrickedField):
+                finest = level_of(field.volume, subject.view(size), size, _pixels_a_voxel(lod))
+
+                def draw(level: int, told: Progress) -> Picture:
+                    made = self._by_bricks(subject, chosen, level, size, step, rays, pixel_filter, False, skipping, told)
+                    return as_pictures(made)["rgba"]
+
+                return refined_by_levels(draw, len(field.volume.levels), finest, step, cancelled, self._drawing, asked_at)
         return refined(
             Wanted(subject, size, step, rays, pixel_filter),
             budget,
@@ -476,6 +501,51 @@ class Renderer:
             self._drawing,
             time.perf_counter() - asked_at,
         )
+
+    def _by_bricks(
+        self,
+        subject: Subject,
+        mode: Mode,
+        level: int,
+        size: tuple[int, int],
+        step: float,
+        rays: int | Literal["auto"],
+        pixel_filter: Filter,
+        guides: bool,
+        skipping: bool,
+        progress: Progress | None,
+    ) -> dict[str, Any]:
+        """The picture of a level of a volume that is read brick by brick; the whole volume is level 0."""
+        field = self._field_at(mode, level)
+        if not mode.stretches and isinstance(mode, Isosurface) and step > STEPPED_AT_MOST:
+            raise OptionError(
+                f"step must be at most {STEPPED_AT_MOST:g} for stepped surfaces of a volume that is read by bricks; got {step:g}"
+            )
+        with field.in_use():
+            own = subject.of(field.coefficients, field.boundary)
+            frame = own.frame(size, step, guides=guides)
+            drawing = BrickedDrawing(frame, rays, pixel_filter, field, own.view(size), skipping=skipping)
+            return launch.drawn(drawing, rays, progress)
+
+    def _field_at(self, mode: Mode, level: int) -> BrickedField:
+        """The field of a level; those of others keep no bricks while it is drawn."""
+        base = self._field_of(mode)
+        assert isinstance(base, BrickedField)
+        with self._lock:
+            field = base
+            if level:
+                key = level, base.filter.name
+                if key not in self._levels:
+                    coarser = base.volume.levels[level - 1]
+                    free = self.scene.media[0].filter is None and mode.picture_filter == PICTURE_FILTER
+                    row = _usual(coarser) if free else base.filter
+                    self._levels[key] = BrickedField(coarser, row, base.boundary, base.device, budget=base.budget)
+                    self._lease.frees(self._levels[key].close)
+                field = self._levels[key]
+            for other in (base, self.field, self._unsmoothed, *self._levels.values()):
+                if isinstance(other, BrickedField) and other is not field and other.nbytes + field.nbytes > field.budget:
+                    other.drop()
+            return field
 
     @contextmanager
     def _drawing(self) -> Iterator[None]:
@@ -678,8 +748,17 @@ def _bricked(
         if scene.closed:
             raise OptionError("the field was closed, and its coefficients were released; make a new one")
         return scene
-    usual = PICTURE_FILTER if scene.bounds is None else None  # which is then the bounds' own
-    return BrickedField(scene, usual if filter is None else filter, boundary, device)
+    return BrickedField(scene, _usual(scene) if filter is None else filter, boundary, device)
+
+
+def _usual(volume: LazyVolume) -> str | None:
+    """The filter of pictures where none is given; None: that of the volume's bounds."""
+    return PICTURE_FILTER if volume.bounds is None else None
+
+
+def _pixels_a_voxel(lod: object) -> float:
+    """How many pixels a voxel may span."""
+    return 1.0 if isinstance(lod, str) and lod == "auto" else number("lod", lod, minimum=0)
 
 
 def _single(volume: Volume, row: Filter, boundary: Boundary, device: Device | str | int | None) -> Field:

@@ -27,7 +27,7 @@ from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.checks import whole
 from clvol.device import Device, as_device
 from clvol.errors import DataError, OptionError
-from clvol.filter import DEFAULT_FILTER, Filter
+from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.interop import as_output
 from clvol.lazy import Index, LazyVolume
 from clvol.rounding import in_kind
@@ -51,7 +51,7 @@ from clvol.spline.field import (
 from clvol.spline.lease import Lease
 from clvol.spline.minmax import BLOCK, MinMax
 from clvol.spline.points import NOTHING_GIVEN, Transform, sample_into
-from clvol.spline.resample import resample_coefficients
+from clvol.spline.resample import no_shear, resample_coefficients
 from clvol.stored import Stored
 from clvol.volume import Volume
 
@@ -138,12 +138,10 @@ class Whole:
         As of `Coefficients`.
     """
 
-    def __init__(self, volume: Volume, filter: Filter, boundary: Boundary, device: Device, stored: Stored) -> None:
+    def __init__(self, volume: Volume, filter: Filter, extent: NDArray[np.int32], device: Device, stored: Stored) -> None:
         self.volume, self.filter, self.device, self.stored, self.ndim = volume, filter, device, stored, volume.ndim
         self.size = np.array([*volume.size, 0], np.int32)
-        pad = boundary.padding((filter.magnified_by or filter).prefilter, filter.support)
-        past = filter.scale * (pad + boundary.reach(filter.support))
-        self.extent = extent_of(filter, volume.ndim, tuple(filter.scale * n for n in volume.size), past)
+        self.extent = extent
 
     def defines(self, evaluator: Evaluator) -> DefineDict:
         """As of `Coefficients`."""
@@ -221,9 +219,10 @@ class BrickedField:
         chosen = kept.filter if filter is None and kept is not None else filter
         if boundary is None:
             boundary = DEFAULT_BOUNDARY if kept is None else kept.boundary
-        part = volume.part()
-        self.filter = settled(filter_for(part, chosen, DEFAULT_FILTER), part)
-        if self.filter.support == 1 and names_beyond(24, part, self.filter):
+        row = filter_for(volume.part(), None, DEFAULT_FILTER) if chosen is None else as_filter(chosen)
+        known = row.settled and (row.magnified_by is None or row.magnified_by.settled)
+        self.filter = settled(row, volume.grid if known else volume.part())
+        if self.filter.support == 1 and volume.dtype.itemsize > 2 and names_beyond(24, volume.known(), self.filter):
             low, high = volume.limits
             raise DataError(f"labels must be whole numbers that float32 holds, up to 2**24; got {low} to {high}: {RENUMBER}")
         self.boundary = as_boundary(boundary)
@@ -231,8 +230,10 @@ class BrickedField:
         self.budget = whole("budget", budget, 1)
         self.reads = Reads()
         self.stored = Stored.of(_ends_of(volume), self.filter, self.boundary)
-        self.coefficients = Whole(volume.known(), self.filter, self.boundary, self.device, self.stored)
         self._margin = margin_of(self.filter)
+        pad = self.boundary.padding((self.filter.magnified_by or self.filter).prefilter, self.filter.support)
+        past = self.filter.scale * (pad + self.boundary.reach(self.filter.support))
+        self._extent = extent_of(self.filter, 3, tuple(self.filter.scale * n for n in volume.size), past)
         self.edge = self._edge_for(edge)
         self._bounds: dict[Index, tuple[float, float]] = {}
         self._resident: OrderedDict[Index, Resident] = OrderedDict()
@@ -283,6 +284,11 @@ class BrickedField:
         support = -(-self.filter.support // self.filter.scale)
         coarse = self.filter.magnified_by.support if self.filter.magnified_by else 0
         return self._margin + support + coarse + _AROUND
+
+    @cached_property
+    def coefficients(self) -> Whole:
+        """What pictures ask of the whole volume's."""
+        return Whole(self.volume.known(), self.filter, self._extent, self.device, self.stored)
 
     @cached_property
     def counts(self) -> Index:
@@ -402,7 +408,7 @@ class BrickedField:
 
     def cells_of(self, brick: Brick) -> tuple[Index, Index]:
         """A brick's own cells, as numbered in the whole volume by their first taps among all that would be stored."""
-        halo, left = int(self.coefficients.extent[3]), self.filter.support / 2 - 1
+        halo, left = int(self._extent[3]), self.filter.support / 2 - 1
         ends = [
             tuple(round(min(max(end * self.filter.scale, -_FAR), _FAR) - left) + halo for end in ends)
             for ends in (brick.low, brick.high)
@@ -645,8 +651,7 @@ class BrickedField:
             inverse = self.volume.grid.world_to_index_matrix
             matrix = inverse @ grid.index_to_world_matrix
             offset = inverse @ (np.asarray(grid.origin) - np.asarray(self.volume.grid.origin))
-            straight = np.count_nonzero(matrix) == 3 and bool((np.abs(np.diag(matrix)) > 0).all())
-            parts = self._along_axes if straight else self._in_blocks
+            parts = self._along_axes if no_shear(matrix, grid.shape) else self._in_blocks
             for place, values, done in parts(matrix, offset, grid.shape, outside):
                 data[place] = values if kind is None else in_kind(values, kind)
                 if progress:
@@ -713,6 +718,7 @@ def as_lazy(volume: LazyVolume | Volume | ArrayLike) -> LazyVolume:
     if isinstance(volume, Volume):
         if volume.ndim != 3:
             raise DataError(f"bricks are of a volume with 3 axes; got shape {volume.shape}")
+        volume.require_finite()
         return LazyVolume(
             volume.data,
             volume.spacing,
@@ -723,6 +729,7 @@ def as_lazy(volume: LazyVolume | Volume | ArrayLike) -> LazyVolume:
             volume.name,
             window=volume.window,
             labels=volume.labels,
+            limits=volume.value_range,
         )
     return LazyVolume(volume)  # type: ignore[arg-type]  # which says what it takes
 

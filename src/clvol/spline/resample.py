@@ -19,7 +19,7 @@ from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, Evaluator
 from clvol.spline.points import NOTHING_GIVEN, Given, Progress, Transform, sample_grid
 
-__all__ = ["Positions", "along_axes", "resample_axes", "resample_coefficients"]
+__all__ = ["Positions", "along_axes", "no_shear", "resample_axes", "resample_coefficients"]
 
 _BLOCK = 16  # rows that resample.cl makes at once
 _ITEMS_A_CORE = 16  # work-items for each core, so that no core waits long for another
@@ -81,7 +81,7 @@ def resample_coefficients(
     progress : callable, optional
         Called with the fraction done.
     """
-    if along_axes(coefficients, evaluator) and _no_shear(matrix, shape):
+    if along_axes(coefficients, evaluator) and no_shear(matrix, shape):
         positions = [_Steps(float(o), float(s), n) for o, s, n in zip(offset, np.diag(matrix), shape[::-1], strict=False)]
         resample_axes(coefficients, positions, buffer, given, progress)
     else:
@@ -93,7 +93,7 @@ def along_axes(coefficients: Coefficients, evaluator: Evaluator) -> bool:
     return coefficients.device.kind == "cpu" and evaluator == DIRECT
 
 
-def _no_shear(matrix: NDArray[np.float64], shape: tuple[int, ...]) -> bool:
+def no_shear(matrix: NDArray[np.float64], shape: tuple[int, ...]) -> bool:
     """Whether the axes of a grid of shape (z, y, x) are the volume's, but for rounding."""
     across = matrix - np.diag(np.diag(matrix))
     return bool((np.abs(across) * np.array(shape[::-1])[: len(matrix)]).max() < _NO_SHEAR)

@@ -1,0 +1,214 @@
+"""The function of a volume that is read brick by brick is that of the whole volume."""
+
+from __future__ import annotations
+
+import pickle
+import threading
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clvol
+from clvol.boundary import boundaries
+from clvol.errors import DataError, FormatError, OptionError
+from clvol.spline.bricked import LEFT_OUT, BrickedField, margin_of
+from tests.test_lazy import Broken, Counted
+
+FILTERS = ("nearest", "linear", "catmull-rom", "bspline2", "bspline3", "bspline3(0.2)", "bspline5", "hybrid", "omoms3")
+BOUND = {"bspline5": 4e-6}  # of a range of 1: what float32 leaves of its prefilter, as of the whole volume's
+
+
+@pytest.fixture(scope="module")
+def volume() -> clvol.Volume:
+    rng = np.random.default_rng(1)
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    return clvol.Volume(rng.random((37, 41, 52)).astype(np.float32), (1, 2, 3), (5, 6, 7), turn)
+
+
+def points(volume: clvol.Volume, past: float, n: int = 4000) -> Any:
+    at = np.random.default_rng(2).uniform(-past, np.asarray(volume.size) - 1 + past, (n, 3))
+    return volume.index_to_world(at)
+
+
+@pytest.mark.one_in(5)
+@pytest.mark.parametrize("boundary", boundaries())
+@pytest.mark.parametrize("filter", FILTERS)
+def test_values_and_derivatives(volume: clvol.Volume, filter: str, boundary: str) -> None:
+    bound = BOUND.get(filter, 1e-6)
+    with clvol.Field(volume, filter, boundary) as whole, BrickedField(volume, filter, boundary, edge=16) as bricked:
+        assert bricked.counts == (4, 3, 3)
+        for past in (0.5, 70.0):  # within the domain, and far outside
+            at = points(volume, past)
+            np.testing.assert_allclose(bricked(at), whole(at), rtol=0, atol=bound)
+            if whole.filter.has_gradient:
+                np.testing.assert_allclose(bricked.gradient(at), whole.gradient(at), rtol=0, atol=4 * bound)
+        at = points(volume, 3.0, 500)
+        np.testing.assert_allclose(bricked(at, fill=-7.0), whole(at, fill=-7.0), rtol=0, atol=bound)
+
+
+def test_hessians_and_frames(volume: clvol.Volume) -> None:
+    patient = clvol.Volume(volume.data, volume.spacing, volume.origin, volume.direction, space="LPS")
+    at = points(volume, 5.0, 500) * (-1, -1, 1)
+    with clvol.Field(patient) as whole, BrickedField(patient, edge=16) as bricked:
+        np.testing.assert_allclose(bricked.hessian(at, frame="RAS"), whole.hessian(at, frame="RAS"), rtol=0, atol=4e-6)
+        np.testing.assert_allclose(bricked.gradient(at, frame="RAS"), whole.gradient(at, frame="RAS"), rtol=0, atol=4e-6)
+
+
+@pytest.mark.parametrize("filter", ["linear", "catmull-rom", "nearest"])
+def test_without_a_prefilter_nothing_differs(volume: clvol.Volume, filter: str) -> None:
+    at = points(volume, 0.4)
+    with clvol.Field(volume, filter) as whole, BrickedField(volume, filter, edge=16) as bricked:
+        np.testing.assert_allclose(bricked(at), whole(at), rtol=0, atol=2e-7)  # positions are rounded otherwise
+        np.testing.assert_array_equal(bricked.resample(shape=(20, 50, 60)).data, whole.resample(shape=(20, 50, 60)).data)
+
+
+def test_other_grids(volume: clvol.Volume) -> None:
+    turned = clvol.Volume(np.zeros((9, 20, 30), np.float32), (2, 1, 3), tuple(volume.center - 20))
+    with clvol.Field(volume) as whole, BrickedField(volume, edge=16) as bricked:
+        for grid in ({"shape": (50, 20, 60)}, {"spacing": 2.5}, {"like": turned}, {"like": volume}):
+            a, b = whole.resample(**grid), bricked.resample(**grid)
+            np.testing.assert_allclose(b.data, a.data, rtol=0, atol=1e-6)
+            assert (a.spacing, a.origin) == (b.spacing, b.origin)
+        out = np.zeros((50, 20, 60), np.float32)
+        bricked.resample(shape=(50, 20, 60), out=out)
+        np.testing.assert_array_equal(out, bricked.resample(shape=(50, 20, 60)).data)
+        counts = clvol.Volume((100 * volume.data).astype(np.uint8), volume.spacing)
+    with clvol.Field(counts) as whole, BrickedField(counts, edge=16) as bricked:
+        a, b = (one.resample(shape=(30, 30, 30), dtype="same").data for one in (whole, bricked))
+        assert a.dtype == b.dtype == np.uint8
+        assert np.abs(a.astype(int) - b.astype(int)).max() <= 1  # halves may be rounded either way
+        assert (a != b).mean() < 1e-3
+
+
+def test_the_margin_is_where_less_than_stated_is_left_out() -> None:
+    for name in ("bspline2", "bspline3", "bspline5", "omoms3", "bspline3(0.5)", "bspline3(20)"):
+        row = clvol.filters()[name] if name in clvol.filters() else BrickedField(np.zeros((2, 2, 2)), name).filter
+        largest = np.abs(row.along(0).poles).max()
+        assert largest ** margin_of(row) <= LEFT_OUT < largest ** (margin_of(row) - 1)
+    assert margin_of(clvol.filters()["linear"]) == 0
+
+
+def test_memory_stays_within_the_budget(volume: clvol.Volume) -> None:
+    """Bricks make room for others, each is read once while it fits, and what was read is counted."""
+    data = Counted(volume.data)
+    at = points(volume, 0.5)
+    with BrickedField(clvol.LazyVolume(data, limits=(0, 1)), "linear", edge=16, budget=1 << 20) as bricked:
+        before = data.read
+        bricked(at - 0)
+        assert bricked.reads.dropped > 10
+        assert bricked.nbytes <= 1 << 20
+        assert data.read - before == bricked.reads.samples
+    with BrickedField(clvol.LazyVolume(data, limits=(0, 1)), "linear", edge=16) as roomy:
+        expected = roomy(at)
+        reads = roomy.reads.bricks
+        np.testing.assert_array_equal(roomy(at), expected)
+        assert roomy.reads.bricks == reads <= 4 * 3 * 3
+        assert roomy.reads.dropped == 0
+
+
+def test_only_bricks_in_which_points_lie_are_read() -> None:
+    data = Counted(np.zeros((256, 256, 256), np.uint8))
+    with BrickedField(clvol.LazyVolume(data, limits=(0, 255)), edge=32) as bricked:
+        settled = data.read  # the middle, for what kind of samples they are
+        bricked([[100.0, 100.0, 100.0], [101.0, 102.0, 103.0]])
+        assert bricked.reads.bricks == 1
+        assert data.read - settled == bricked.reads.samples < 80**3
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1), (1, 5, 1), (3, 1, 40), (2, 2, 2), (17, 16, 33)])
+@pytest.mark.parametrize("boundary", ["mirror", "wrap", "nearest"])
+def test_small_and_thin_volumes(shape: tuple[int, int, int], boundary: str) -> None:
+    volume = clvol.Volume(np.random.default_rng(3).random(shape).astype(np.float32))
+    at = points(volume, 4.0, 200)
+    with clvol.Field(volume, "bspline3", boundary) as whole, BrickedField(volume, "bspline3", boundary, edge=8) as bricked:
+        np.testing.assert_allclose(bricked(at), whole(at), rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["u1", "i2", ">u2", "u4", "f8", ">f4", "?"])
+def test_every_type(kind: str) -> None:
+    data = (200 * np.random.default_rng(4).random((20, 20, 20))).astype(kind)
+    data.setflags(write=False)
+    volume = clvol.Volume(data)
+    at = points(volume, 0.4, 500)
+    with clvol.Field(volume, "bspline3") as whole, BrickedField(volume, "bspline3", edge=8) as bricked:
+        np.testing.assert_allclose(bricked(at), whole(at), rtol=0, atol=2e-4)
+
+
+def test_values_far_from_zero_are_exact_to_their_range() -> None:
+    volume = clvol.Volume(101325.0 + np.random.default_rng(5).random((20, 20, 20)))
+    at = points(volume, 0.4, 500)
+    with clvol.Field(volume) as whole, BrickedField(volume, edge=8) as bricked:
+        assert bricked(at).dtype == np.float64
+        np.testing.assert_allclose(bricked(at), whole(at), rtol=0, atol=2e-6)
+
+
+def test_points_that_are_not_finite(volume: clvol.Volume) -> None:
+    with BrickedField(volume, edge=16) as bricked:
+        assert np.isnan(bricked([[np.nan, 0, 0], [np.inf, 0, 0]])).all()
+        assert bricked([[np.nan, 0, 0]], fill=3.0).tolist() == [3.0]
+        assert bricked(np.zeros((0, 3))).shape == (0,)
+
+
+def test_threads_get_what_one_gets(volume: clvol.Volume) -> None:
+    at = points(volume, 0.4, 20000)
+    with BrickedField(volume, edge=16, budget=1 << 21) as bricked:
+        expected, found = bricked(at), {}
+        threads = [threading.Thread(target=lambda i=i: found.update({i: bricked(at)})) for i in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    for one in found.values():
+        np.testing.assert_array_equal(one, expected)
+    assert len(found) == 4
+
+
+def test_it_is_closed_and_pickled(volume: clvol.Volume) -> None:
+    with BrickedField(volume, "linear", edge=16) as bricked:
+        again = pickle.loads(pickle.dumps(bricked))
+        at = points(volume, 0.4, 50)
+        np.testing.assert_array_equal(again(at), bricked(at))
+        assert (again.edge, again.budget) == (bricked.edge, bricked.budget)
+        again.close()
+    assert bricked.closed
+    assert "closed" in repr(bricked)
+    with pytest.raises(OptionError, match="the field was closed"):
+        bricked(at)
+
+
+def test_bad_input(volume: clvol.Volume) -> None:
+    with pytest.raises(OptionError, match=r"budget must be at least \d+ bytes, which a brick of 32³ samples takes; got 100000"):
+        BrickedField(volume, budget=100_000)
+    with pytest.raises(OptionError, match=r"budget must be at least \d+ bytes, which a brick of 64³ samples takes"):
+        BrickedField(volume, edge=64, budget=1000)
+    with pytest.raises(OptionError, match="edge must be a whole number"):
+        BrickedField(volume, edge=7)
+    with pytest.raises(OptionError, match="filter must be"):
+        BrickedField(volume, "cubik")
+    with pytest.raises(DataError, match="bricks are of a volume with 3 axes"):
+        BrickedField(clvol.Volume(np.zeros((3, 3))))
+    with BrickedField(volume, edge=16) as bricked:
+        for wrong in ({}, {"shape": (3, 3)}, {"shape": (3, 3, 3), "spacing": 1}):
+            with pytest.raises(OptionError):
+                bricked.resample(**wrong)
+        with pytest.raises(OptionError, match="out must have the shape"):
+            bricked.resample(shape=(3, 3, 3), out=np.zeros((3, 3, 4)))
+
+
+def test_a_brick_that_cannot_be_read_is_an_error_and_nothing_is_lost() -> None:
+    with (
+        BrickedField(clvol.LazyVolume(Broken(OSError("disk on fire")), limits=(0, 1)), "linear") as bricked,
+        pytest.raises(FormatError, match="disk on fire"),
+    ):
+        bricked([[1.0, 1.0, 1.0]])
+
+
+def test_a_brick_with_missing_samples_is_named() -> None:
+    data = np.zeros((64, 64, 64), np.float32)
+    data[60, 61, 62] = np.nan
+    with BrickedField(clvol.LazyVolume(data, limits=(0, 1)), "linear", edge=16) as bricked:
+        assert bricked([[5.0, 5.0, 5.0]]).tolist() == [0.0]
+        with pytest.raises(DataError, match=r"the first at index \[60, 61, 62\]"):
+            bricked([[60.0, 60.0, 60.0]])
+        assert bricked([[6.0, 5.0, 5.0]]).tolist() == [0.0]

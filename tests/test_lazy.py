@@ -1,0 +1,149 @@
+"""Volumes that are read part by part."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clvol
+from clvol import LazyVolume
+from clvol.errors import ClvolError, DataError, FormatError, OptionError
+
+
+class Counted:
+    """An array that counts what is read of it."""
+
+    def __init__(self, data: np.ndarray[Any, Any], chunks: tuple[int, ...] | None = None) -> None:
+        self.data, self.shape, self.dtype, self.chunks, self.read = data, data.shape, data.dtype, chunks, 0
+
+    def __getitem__(self, index: Any) -> np.ndarray[Any, Any]:
+        part = self.data[index]
+        self.read += part.size
+        return part
+
+
+def noise(*shape: int) -> np.ndarray[Any, Any]:
+    return np.random.default_rng(0).random(shape).astype(np.float32)
+
+
+def test_nothing_is_read_before_it_is_needed() -> None:
+    data = Counted(noise(40, 50, 60))
+    volume = LazyVolume(data, (1, 2, 3), (4, 5, 6), units="mm", name="cells")
+    assert (volume.size, volume.shape, volume.spacing, volume.units, volume.name) == (
+        (60, 50, 40),
+        (40, 50, 60),
+        (1, 2, 3),
+        "mm",
+        "cells",
+    )
+    assert volume.grid.center.tolist() == clvol.Volume(data.data, (1, 2, 3), (4, 5, 6)).center.tolist()
+    repr(volume)
+    assert data.read == 0
+    np.testing.assert_array_equal(volume.read((1, 2, 3), (11, 22, 33)), data.data[3:33, 2:22, 1:11])
+    assert data.read == 10 * 20 * 30
+    np.testing.assert_array_equal(volume.whole().data, data.data)
+
+
+@pytest.mark.parametrize("chunks", [None, (32, 32, 32), (7, 300, 11), (1, 1, 1)])
+def test_a_sketch_is_of_all_the_volume_and_reads_little(chunks: tuple[int, ...] | None) -> None:
+    z, y, x = np.ogrid[:300, :280, :320]
+    data = Counted((x + 2.0 * y + 3.0 * z).astype(np.float32), chunks)
+    volume = LazyVolume(data, (1, 1, 2), (5, 6, 7))
+    sketch = volume.sketch()
+    assert sketch.data.size < 1 << 23
+    if chunks == (32, 32, 32):
+        assert data.read < 0.3 * data.data.size
+    np.testing.assert_allclose(sketch.corners, volume.grid.corners, rtol=1e-12)
+    assert volume.sketch() is sketch
+    assert sketch.data.mean() == pytest.approx(data.data.mean(), rel=0.05)
+
+
+def test_a_sketch_is_a_level_where_there_is_one() -> None:
+    fine, coarse = Counted(noise(256, 256, 256)), Counted(noise(128, 128, 128))
+    volume = LazyVolume(fine, levels=[LazyVolume(coarse, (2, 2, 2), (0.5, 0.5, 0.5))])
+    assert volume.sketch().shape == (128, 128, 128)
+    assert (fine.read, coarse.read) == (0, 128**3)
+
+
+def test_limits_are_those_given_or_found() -> None:
+    data = noise(20, 20, 20)
+    assert LazyVolume(data).limits == (data.min(), data.max())
+    assert LazyVolume(data, limits=(-1, 2)).limits == (-1.0, 2.0)
+    assert LazyVolume(data, limits=(-1, 2)).known().value_range == (-1.0, 2.0)
+    for wrong in ((1, 0), (0, np.nan), 3, "ab", (1, 2, 3)):
+        with pytest.raises(OptionError, match="limits must be the smallest and the largest sample"):
+            LazyVolume(data, limits=wrong)  # type: ignore[arg-type]
+
+
+def test_missing_samples_are_refused_where_they_are_read_or_replaced() -> None:
+    data = noise(8, 8, 8)
+    data[5, 6, 7] = np.nan
+    assert np.isfinite(LazyVolume(data).read((0, 0, 0), (8, 8, 5))).all()
+    with pytest.raises(DataError, match=r"1 NaN or infinite of samples \[4:8, 0:8, 0:8\] of scan, the first at index \[5, 6, 7\]"):
+        LazyVolume(data, name="scan").read((0, 0, 4), (8, 8, 8))
+    assert LazyVolume(data, missing=3.5).read((7, 6, 5), (8, 7, 6)).tolist() == [[[3.5]]]
+
+
+class Broken(Counted):
+    def __init__(self, raised: Exception | None = None, gives: Any = None) -> None:
+        super().__init__(noise(9, 9, 9))
+        self._raised, self._gives = raised, gives
+
+    def __getitem__(self, index: Any) -> Any:
+        if self._raised is not None:
+            raise self._raised
+        return self._gives
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (Broken(OSError("chunk c/0/0/1 is gone")), "chunk c/0/0/1 is gone"),
+        (Broken(ZeroDivisionError()), "ZeroDivisionError"),
+        (Broken(gives=np.zeros((3, 3, 3), np.float32)), r"must be float32 of shape \(2, 2, 2\); got float32 of shape \(3, 3, 3\)"),
+        (Broken(gives=np.zeros((2, 2, 2), np.uint8)), "must be float32 of shape"),
+    ],
+)
+def test_what_cannot_be_read_is_named(data: Broken, words: str) -> None:
+    with pytest.raises(FormatError, match=rf"cannot read samples \[1:3, 1:3, 1:3\] of the volume.*{words}"):
+        LazyVolume(data).read((1, 1, 1), (3, 3, 3))
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        3.0,
+        None,
+        [1, 2, 3],
+        "file.zarr",
+        noise(3, 3),
+        noise(0, 3, 3),
+        noise(2, 3, 3, 3),
+        np.zeros((2, 2, 2), complex),
+        np.zeros((2, 2, 2), object),
+        clvol.Volume(noise(3, 3, 3)),
+        LazyVolume(noise(3, 3, 3)),
+    ],
+)
+def test_what_is_no_volume_is_refused(data: Any) -> None:
+    with pytest.raises(DataError, match=r"^(data|every axis of data) must"):
+        LazyVolume(data)
+
+
+def test_levels_must_become_smaller() -> None:
+    data = noise(8, 8, 8)
+    with pytest.raises(DataError, match=r"levels must become smaller; got shapes \(8, 8, 8\) and then \(8, 9, 8\)"):
+        LazyVolume(data, levels=[LazyVolume(noise(8, 9, 8))])
+    with pytest.raises(DataError, match="levels must be LazyVolumes; got ndarray"):
+        LazyVolume(data, levels=[data])  # type: ignore[list-item]
+    for low, high in (((0, 0, 0), (9, 8, 8)), ((-1, 0, 0), (8, 8, 8)), ((3, 3, 3), (3, 4, 4))):
+        with pytest.raises(OptionError, match=r"read needs 0 <= low < high <= \(8, 8, 8\)"):
+            LazyVolume(data).read(low, high)
+
+
+def test_it_becomes_no_array_by_accident() -> None:
+    volume = LazyVolume(noise(4, 4, 4))
+    with pytest.raises(ClvolError, match="becomes no array by accident"):
+        np.asarray(volume)
