@@ -25,8 +25,8 @@ except ImportError as missing:
 
 from clvol.dask.filtering import prefilter, spline_filter, spline_filter1d
 from clvol.dask.grids import affine_transform, rotate, shift, zoom
+from clvol.dask.margins import reach
 from clvol.dask.points import geometric_transform, map_coordinates
-from clvol.dask.reach import reach
 from clvol.dask.volumes import magnify, resample
 
 __all__ = [

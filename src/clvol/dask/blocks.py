@@ -141,16 +141,18 @@ class Window:
     positions: Floats
 
 
-def window_along(positions: Floats, n: int, boundary: Boundary, reach: int) -> Window:
+def window_along(positions: Floats, n: int, boundary: Boundary, margin: tuple[int, int], more: int = 0) -> Window:
     """What positions along an axis of `n` samples need, so that the boundary rule means the same in it as in the whole axis.
 
-    It ends `reach` samples beyond the outermost positions, and at the array's edge where these come near it or lie past it. What is
-    reflected back from the edge is within. Whole numbers are taken from positions, so the rest of these stays as it is.
+    It goes as far before and after the outermost positions as `margin` says, and `more` samples further, and ends at the array's
+    edge where these come near it or lie past it. What is reflected back from the edge is within. Whole numbers are taken from
+    positions, so the rest of these stays as it is.
     """
     if not positions.size or not n:
         return Window((0, 0), positions)
+    before, after = margin[0] + more, margin[1] + more
     if boundary.fold is None and boundary.period is not None:
-        return _around_the_seam(positions, n, boundary, reach)
+        return _around_the_seam(positions, n, boundary, before, after)
     if boundary.outside == "overlap":
         outside = (positions < 0) | (positions > n - 1)
         positions = np.where(outside, boundary.position(positions, n), positions)
@@ -163,18 +165,18 @@ def window_along(positions: Floats, n: int, boundary: Boundary, reach: int) -> W
             start, stop = 0, max(stop, -low)
         if high > n - 1:
             start, stop = min(start, 2 * (n - 1) - high), n - 1
-    span = max(math.floor(start) - reach, 0), min(math.ceil(stop) + reach + 1, n)
+    span = max(math.floor(start) - before, 0), min(math.floor(stop) + after + 1, n)
     return Window(span, positions - span[0])
 
 
-def _around_the_seam(positions: Floats, n: int, boundary: Boundary, reach: int) -> Window:
+def _around_the_seam(positions: Floats, n: int, boundary: Boundary, before: int, after: int) -> Window:
     """Of a rule that repeats the samples: the span is of the repeated axis."""
     inside = (positions >= 0) & (positions < n)
     if not inside.all():
         turns = np.where(inside, 0, np.floor(positions / n))
         turns -= turns.min()
         positions = np.where(inside, positions, boundary.position(positions, n)) + n * turns
-    low, high = math.floor(positions.min()) - reach, math.ceil(positions.max()) + reach + 1
+    low, high = math.floor(positions.min()) - before, math.floor(positions.max()) + after + 1
     if high - low >= n:
         return Window((0, n), positions)
     return Window((low, high), positions - low)

@@ -11,7 +11,7 @@ import numpy as np
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.checks import whole
 from clvol.dask.blocks import Array, Block, Plan, Span, as_lazy, blockwise, checked_device, located, no_memory, refused
-from clvol.dask.reach import margin, reach
+from clvol.dask.margins import Margin, margin, reach, require_settled
 from clvol.errors import DataError, OptionError, UnsupportedError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.ndimage import engine, interpolation
@@ -177,11 +177,11 @@ def as_volumes(data: Any, dimensions: int | None, least: int) -> tuple[Any, int]
 
 
 def settled_row(row: Filter, shape: Sequence[int]) -> Filter:
-    """A filter whose lengths are numbers, for samples at distances of 1; smoothing "auto" stays, and is refused by `reach`."""
-    if row.smoothing == "auto" or (len(shape) < 2 and row.settled and not isinstance(row.smoothing, tuple)):
-        return row
-    by = row.magnified_by
-    if by is not None and by.smoothing == "auto":
+    """A filter whose lengths are numbers, for samples at distances of 1; smoothing "auto" is refused."""
+    for one in (row, row.magnified_by):
+        if one is not None and one.smoothing == "auto":
+            require_settled(one)
+    if len(shape) < 2 and row.settled and not isinstance(row.smoothing, tuple):
         return row
     return settled(row, Volume(np.broadcast_to(np.float32(0), shape if len(shape) > 1 else (1, *shape))))
 
@@ -216,8 +216,8 @@ def refused_local(interpolates: bool) -> None:
     raise UnsupportedError('nan must be "propagate" or "error" for an array of dask, whose gaps may span blocks; got "local"')
 
 
-def splines_margin(spline: Spline) -> int:
-    """How many samples on each side a value depends on."""
+def splines_margin(spline: Spline) -> Margin:
+    """How many samples before and after a position its value depends on."""
     return margin(engine.row_of(spline.order, spline.prefilter), spline.precision)
 
 

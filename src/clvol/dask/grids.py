@@ -304,10 +304,10 @@ def _along(
         more = radii.get(axis, 0)
         row: list[Window | None] = []
         for low, high in spans(sizes):
-            row.append(None if along is None else window_along(along[low:high], n, boundary, reach + more))
+            row.append(None if along is None else window_along(along[low:high], n, boundary, reach, more))
             if (made := row[-1]) is not None and more and boundary.outside == "overlap" and _touches(made.span, n):
                 # what stands past an edge lies at the other one
-                row[-1] = window_along(along[low:high], n, boundary, n) if along is not None else None
+                row[-1] = window_along(along[low:high], n, boundary, (n, n)) if along is not None else None
         windows.append(row)
     outside = options.mode == "constant" and not copied
 

@@ -27,7 +27,7 @@ from clvol.dask.blocks import (
     window_along,
 )
 from clvol.dask.filtering import as_volumes, settled_row
-from clvol.dask.reach import margin
+from clvol.dask.margins import margin
 from clvol.dask.reduced import Reduction, gaussian_radius
 from clvol.device import as_device
 from clvol.errors import OptionError, UnsupportedError
@@ -250,9 +250,9 @@ def _on_grid(
         reach, more = margin(row, work.precision), gaussian_radius(float(sigma[k]))
         made = []
         for low, high in spans(sizes[leading + k]):
-            one = window_along(along[low:high], n, work.boundary, reach + more)
+            one = window_along(along[low:high], n, work.boundary, reach, more)
             if more and work.boundary.outside == "overlap" and (one.span[0] <= 0 or one.span[1] >= n):
-                one = window_along(along[low:high], n, work.boundary, n)  # what stands past an edge lies at the other one
+                one = window_along(along[low:high], n, work.boundary, (n, n))  # what stands past an edge lies at the other one
             made.append(one)
         windows.append(made)
 
@@ -273,7 +273,6 @@ def _reduction(row: Filter, along: Floats, step: float, n: int, work: _Work) -> 
         raise OptionError(f"least-squares reduction takes a boundary rule that continues the samples; got {work.boundary.name!r}")
     if row.magnified_by is not None:
         raise OptionError(f"least-squares reduction takes a filter with one kernel; got the hybrid {row.name!r}")
-    margin(row, work.precision)  # refuses smoothing that is decided from all samples
     return Reduction(row, float(along[0]), step, len(along), n, work.boundary, work.precision == "double", True)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,10 @@ from clvol.errors import OptionError
 from clvol.filter import Filter, as_filter
 from clvol.spline.field import Precision
 
-__all__ = ["LEFT_OUT", "margin", "reach"]
+__all__ = ["LEFT_OUT", "Margin", "margin", "reach", "require_settled"]
+
+Margin: TypeAlias = tuple[int, int]
+"""Samples before and after."""
 
 LEFT_OUT = {"single": 2.0**-24, "double": 1e-14}
 """The share of a prefilter's weights that a margin may leave out."""
@@ -46,20 +50,34 @@ def reach(filter: str | Filter, precision: Precision = "single") -> int:
         raise one_of("precision", precision, LEFT_OUT)
     row = as_filter(filter)
     row = row.magnified_by or row
+    require_settled(row)
+    count = len(row.smoothing) if isinstance(row.smoothing, tuple) else 1
+    return max(_reach(row.along(axis), LEFT_OUT[precision]) for axis in range(count))
+
+
+def require_settled(row: Filter) -> None:
+    """Refuse a filter whose smoothing is decided from samples."""
     if not row.settled:
         raise OptionError(
             f"the smoothing of {row.name!r} is decided from all samples, and blocks are computed before these are known: "
             "give a number, as in 'bspline3(0.1)'; clvol.smoothing.choose(volume) finds one for a part of the data"
         )
-    count = len(row.smoothing) if isinstance(row.smoothing, tuple) else 1
-    return max(_reach(row.along(axis), LEFT_OUT[precision]) for axis in range(count))
 
 
-def margin(filter: Filter, precision: Precision) -> int:
-    """How many samples on each side a value depends on: those of its taps, and what their coefficients do."""
+def margin(filter: Filter, precision: Precision) -> Margin:
+    """How many samples before and after the one before a position its value depends on: its taps, and what these depend on."""
+    low, high = _taps(filter)
     row = filter.magnified_by
-    taps = filter.support // 2 + 1
-    return taps + reach(filter, precision) if row is None else taps + row.support // 2 + 1 + reach(row, precision)
+    if row is not None:  # its taps lie between two samples, and are made of others
+        (low, high), more = _taps(row), 1
+    else:
+        row, more = filter, 0
+    depth = reach(row, precision) + more
+    return low + depth, high + depth
+
+
+def _taps(row: Filter) -> Margin:
+    return (row.support - 1) // 2, (row.support + 1) // 2
 
 
 @lru_cache(maxsize=256)
