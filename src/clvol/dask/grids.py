@@ -131,7 +131,7 @@ def affine_transform(
     if table.ndim == 1:
         positions = interpolation.diagonal(table, start, source.shape, shape)
         return _along("affine_transform", source, positions, sizes, dtype, spline, options)
-    return _affinely("affine_transform", source, table, start, sizes, dtype, spline, options)
+    return _affinely("affine_transform", source, list(range(source.ndim)), table, start, sizes, dtype, spline, options)
 
 
 def shift(
@@ -274,7 +274,7 @@ def rotate(
     table, start = np.eye(source.ndim), np.zeros(source.ndim)
     table[np.ix_(plane, plane)], start[plane] = matrix, offset
     sizes = as_chunks(chunks, source, shape, range(source.ndim), dtype)
-    return _affinely("rotate", source, table, start, sizes, dtype, spline, options)
+    return _affinely("rotate", source, plane, table, start, sizes, dtype, spline, options)
 
 
 # -- along the axes --------------------------------------------------------------------------------------------------
@@ -402,6 +402,7 @@ def as_stored(value: complex, dtype: np.dtype[Any]) -> Any:
 def _affinely(
     name: str,
     source: Any,
+    axes: list[int],
     matrix: Floats,
     offset: Floats,
     chunks: tuple[Any, ...],
@@ -409,10 +410,10 @@ def _affinely(
     spline: Spline,
     options: Options,
 ) -> Any:
-    """A grid at ``matrix @ i + offset``."""
+    """A grid at ``matrix @ i + offset``; axes that are not among `axes` are left as they are."""
     rows, columns = matrix.shape
     shape = tuple(map(sum, chunks))
-    if rows == columns and not (matrix - np.diag(np.diag(matrix))).any():
+    if rows == columns == len(axes) and not (matrix - np.diag(np.diag(matrix))).any():
         steps, starts = np.diag(matrix).tolist(), offset.tolist()
         positions = [
             None if (step, start, m) == (1, 0, n) else np.arange(m) * step + start
@@ -421,7 +422,8 @@ def _affinely(
         return _along(name, source, positions, chunks, dtype, spline, options)
     if not source.size:
         _require_samples(source, chunks, spline, [offset])
-    left = [k for k in range(rows) if rows == columns and spline.interpolates and _is_left(k, matrix, offset, shape, source.shape)]
+    same = rows == columns and spline.interpolates
+    left = [k for k in range(rows) if k not in axes or (same and _is_left(k, matrix, offset, shape, source.shape))]
     moved = [k for k in range(rows) if k not in left]
     passes.require_mixable(matrix, moved, columns > rows)
     boundary, reach = options.boundary, splines_margin(spline)
@@ -450,8 +452,8 @@ def _affinely(
         mended = len(moved) <= passes.NATIVE and (spline.order == 0 or (spline.mode in _JUMPS and not inside))
         return tuple(found), mended
 
-    compute = _Affine(matrix, offset, left, options, dtype)
-    return blockwise(name, source, chunks, dtype, plan, compute, [*options.identity, matrix, offset])
+    compute = _Affine(axes, matrix, offset, left, options, dtype)
+    return blockwise(name, source, chunks, dtype, plan, compute, [*options.identity, axes, matrix, offset])
 
 
 def _is_left(k: int, matrix: Floats, offset: Floats, after: Sequence[int], before: Sequence[int]) -> bool:
@@ -464,6 +466,7 @@ def _is_left(k: int, matrix: Floats, offset: Floats, after: Sequence[int], befor
 
 @dataclass(frozen=True, eq=False)
 class _Affine:
+    axes: list[int]
     matrix: Floats
     offset: Floats
     left: list[int]
@@ -480,7 +483,10 @@ class _Affine:
         assert block.spans is not None
         first = np.array([start for start, _ in block.spans], np.float64)
         start = np.asarray(block.start, np.float64)
-        passes.affinely(window, range(window.ndim), self.matrix, self.offset + self.matrix @ start - first, made, spline)
+        matrix, offset = self.matrix, self.offset + self.matrix @ start - first
+        if len(self.axes) < window.ndim:
+            matrix, offset = matrix[np.ix_(self.axes, self.axes)], offset[self.axes]
+        passes.affinely(window, self.axes, matrix, offset, made, spline)
         if block.extra:
             self._mend(window, block, first, made, spline)
         return made

@@ -360,7 +360,7 @@ def _scattered(
             for axis, i in zip(along, chunk, strict=True):
                 low, high = places[axis][i]
                 # a point that belongs to the last sample of a chunk lies before the first one of the next
-                last = high - 0.5 if boundary.name == "wrap" else min(high, source.shape[axis] - 1)
+                last = high - 0.5 if boundary.name == "wrap" else min(high - 0.5, source.shape[axis] - 1)
                 own[axis] = window_along(np.array([low, last], np.float64), source.shape[axis], boundary, reach).span
             layout, keys = gather(own)
             key = (f"{name}-window", *batch, *chunk)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import DTypeLike
+from numpy.typing import DTypeLike, NDArray
 
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.checks import whole
@@ -262,9 +262,12 @@ def _on_grid(
         row = [along[i] for along, i in zip(windows, index[leading:], strict=True)]
         return (*where[:leading], *(one.span for one in row)), [one.positions for one in row]
 
-    compute: Any = _Grid(work, steps, low_pass == "gaussian")
+    edge = work.boundary.edge
+    beyond = [(p < -edge) | (p > n - 1 + edge) for p, n in zip(positions, source.shape[leading:], strict=True)]
+
+    compute: Any = _Grid(work, steps, low_pass == "gaussian", None if work.fill is None else beyond)
     if reductions:
-        compute = _LeastSquares(work, reductions, positions)
+        compute = _LeastSquares(work, reductions, None if work.fill is None else beyond)
     return blockwise(name, source, sizes, work.dtype, plan, compute, [*work.identity, positions, low_pass])
 
 
@@ -281,12 +284,15 @@ class _Grid:
     work: _Work
     steps: Floats
     smooth: bool
+    beyond: list[NDArray[np.bool_]] | None
 
     def __call__(self, window: Array, block: Block) -> Array:
         made = np.empty(block.shape, self.work.dtype)
         with located(window, block, "samples must be finite"):
             for index in np.ndindex(window.shape[: -self.work.count]):
-                made[index] = in_kind(self._one(window[index], block.extra), self.work.dtype)
+                values = self._one(window[index], block.extra)
+                _fill(values, self.beyond, block, self.work)
+                made[index] = in_kind(values, self.work.dtype)
         return made
 
     def _one(self, samples: Array, positions: list[Floats]) -> Array:
@@ -295,7 +301,7 @@ class _Grid:
         volume = Volume(samples)
         if self.smooth:
             volume = low_passed(volume, self.steps[::-1], boundary, kind, device)
-        given, shape = Given(self.work.fill), tuple(map(len, positions))
+        given, shape = Given(), tuple(map(len, positions))
         evaluator = choose_evaluator(device, row, "auto", "auto" if kind == np.float32 else "buffer")
         result = np.empty(shape, kind)
         with coefficients_of(volume, row, boundary, device, kind) as made, device.lent(result, write=True) as buffer:
@@ -312,27 +318,30 @@ class _Grid:
 class _LeastSquares:
     work: _Work
     reductions: list[Reduction]
-    positions: list[Floats]
+    beyond: list[NDArray[np.bool_]] | None
 
     def __call__(self, window: Array, block: Block) -> Array:
         made = np.empty(block.shape, self.work.dtype)
         assert block.spans is not None
         count, leading = self.work.count, window.ndim - self.work.count
         device, kind = self.work.here()
-        sums, outside = {}, []
+        sums = {}
         for k, one in enumerate(self.reductions):
             first, length = block.start[leading + k], block.shape[leading + k]
             sums[k] = one.within((first, first + length), block.spans[leading + k])
-            own, edge = self.positions[k][first : first + length], self.work.boundary.edge
-            outside.append((own < -edge) | (own > one.n - 1 + edge))
         with located(window, block, "samples must be finite"):
             for index in np.ndindex(window.shape[:-count]):
                 volume = Volume(window[index])
                 volume.require_finite()
                 enough = wide_enough(kind, volume, self.work.filter, self.work.boundary)
                 values = sum_along(volume.data, sums, enough, device, self.work.boundary.cval)
-                if self.work.fill is not None:
-                    for k, where in enumerate(outside):
-                        np.moveaxis(values, k, 0)[where] = self.work.fill
+                _fill(values, self.beyond, block, self.work)
                 made[index] = in_kind(values, self.work.dtype)
         return made
+
+
+def _fill(values: Array, beyond: list[NDArray[np.bool_]] | None, block: Block, work: _Work) -> None:
+    """Put the value that is given for what lies outside the domain, of which windows know nothing where the rule repeats samples."""
+    for k, along in enumerate(beyond or []):
+        first = block.start[len(block.start) - work.count + k]
+        np.moveaxis(values, k, 0)[along[first : first + values.shape[k]]] = work.fill
