@@ -341,7 +341,7 @@ class _LeastSquares:
 
 
 def _fill(values: Array, beyond: list[NDArray[np.bool_]] | None, block: Block, work: _Work) -> None:
-    """Put the value that is given for what lies outside the domain, of which windows know nothing where the rule repeats samples."""
+    """Put the value that is given outside the domain, of which windows know nothing where the rule repeats samples."""
     for k, along in enumerate(beyond or []):
         first = block.start[len(block.start) - work.count + k]
         np.moveaxis(values, k, 0)[along[first : first + values.shape[k]]] = work.fill
