@@ -65,7 +65,7 @@ def calls(source: Any, side: int, chunk: int) -> dict[str, dict[str, Callable[[]
     floating = source.astype(np.float32)
     found: dict[str, dict[str, Callable[[], Any]]] = {
         "prefilter, cubic": {"clvol": partial(clvol.prefilter, source)},
-        "halve, cubic": {"clvol": lambda: clvol.resample(source, half, dtype="same")},
+        "halve, cubic": {"clvol": lambda: clvol.resample(source, half, boundary="nearest", dtype="same")},
         "halve, least squares": {"clvol": lambda: clvol.resample(source, half, anti_aliasing="least-squares", dtype="same")},
         "copy": {"dask": lambda: source},
     }
@@ -74,7 +74,7 @@ def calls(source: Any, side: int, chunk: int) -> dict[str, dict[str, Callable[[]
 
         found["prefilter, cubic"]["dask-image"] = lambda: ndinterp.spline_filter(floating, output=np.float32, mode="mirror")
         found["halve, cubic"]["dask-image"] = lambda: ndinterp.affine_transform(
-            source, np.full(3, 2.0), np.full(3, 0.5), output_shape=half, output_chunks=(chunk,) * 3, order=3, mode="mirror"
+            source, np.full(3, 2.0), np.full(3, 0.5), output_shape=half, output_chunks=(chunk,) * 3, order=3, mode="nearest"
         )
     return found
 

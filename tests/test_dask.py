@@ -210,9 +210,9 @@ def test_grids_and_points_are_those_of_the_whole_array(name: str, mode: str, dat
     assert (made.shape, made.dtype) == (wanted.shape, wanted.dtype)
     got = made.compute()
     assert (got.shape, got.dtype) == (wanted.shape, wanted.dtype)
-    if kind == "u1":  # halves may be rounded either way
+    if kind == "u1":  # halves may be rounded either way, as each window is computed in float32 or float64
         assert np.abs(got.astype(int) - wanted.astype(int)).max(initial=0) <= 1
-        assert np.mean(got != wanted) < 0.01
+        assert np.count_nonzero(got != wanted) <= max(9, 0.01 * got.size)
         return
     allowed = 2e-5 if kind == "f4" else 3e-11
     np.testing.assert_allclose(got, wanted, rtol=0, atol=allowed)
@@ -281,7 +281,7 @@ def test_resampled_volumes_are_those_of_the_whole_array(low_pass: Any, data: st.
     largest = float(np.abs(whole.astype(float)).max()) + 1e-9
     if made.dtype.kind in "iu":
         assert np.abs(got.astype(int) - wanted.astype(int)).max(initial=0) <= 1
-        assert np.mean(got != wanted) <= 0.01
+        assert np.count_nonzero(got != wanted) <= max(9, 0.01 * got.size)
     else:
         np.testing.assert_allclose(got, wanted, rtol=0, atol=largest * (2e-5 if options.get("precision") != "double" else 1e-11))
 
