@@ -9,7 +9,12 @@ import pytest
 
 
 @pytest.mark.parametrize(
-    ("missing", "code"), [("torch", "import clvol.torch; clvol.torch.sample(None, None)"), ("xarray", "import clvol.xarray")]
+    ("missing", "code"),
+    [
+        ("torch", "import clvol.torch; clvol.torch.sample(None, None)"),
+        ("xarray", "import clvol.xarray"),
+        ("dask", "import clvol.dask"),
+    ],
 )
 def test_a_missing_package_is_named_with_its_extra(missing: str, code: str) -> None:
     hidden = f"import sys; sys.modules[{missing!r}] = None; {code}"

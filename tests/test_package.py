@@ -54,6 +54,8 @@ def test_extras_are_declared() -> None:
         ("figures", "matplotlib"),
         ("xarray", "xarray"),
         ("torch", "torch"),
+        ("dask", "dask"),
+        ("dask", "distributed"),
         ("hdf5", "h5py"),
         ("vtk", "vtk"),
         ("bioio", "bioio"),
@@ -88,6 +90,7 @@ def test_importing_is_cheap_and_needs_no_opencl(module: str) -> None:
         "matplotlib",
         "torch",
         "xarray",
+        "dask",
         "aiohttp",
     )
     code = f"import {module}, sys; print(*[m for m in {heavy!r} if m in sys.modules])"
@@ -116,7 +119,7 @@ lost = []
 for found in pkgutil.walk_packages(clvol.__path__, "clvol."):
     value = clvol
     for name in found.name.split(".")[1:]:
-        if name.startswith("_") or name in ("torch", "xarray", "figures", "view"):  # which are imported by their names
+        if name.startswith("_") or name in ("dask", "torch", "xarray", "figures", "view"):  # which are imported by their names
             break
         try:
             value = getattr(value, name)

@@ -168,7 +168,7 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
 }
 _PLACE = {name: place for place, names in _PLACES.items() for name in names.split()}
 _PARTS = ("analysis", "figures", "reference", "reports")  # that are for people, too
-_OPTIONAL = {"torch": "torch", "xarray": "xarray"}  # with what they need
+_OPTIONAL = {"dask": "dask", "torch": "torch", "xarray": "xarray"}  # with what they need
 
 
 def __getattr__(name: str) -> Any:

@@ -28,6 +28,7 @@ _USES = {
     "bioio": "files of microscopes' makers",
     "figures": "figures and reports",
     "xarray": "labelled arrays",
+    "dask": "arrays larger than memory, clusters",
     "torch": "gradients of tensors",
     "bench": "measuring beside other libraries",
 }

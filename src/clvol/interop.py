@@ -5,7 +5,10 @@ from __future__ import annotations
 import math
 import os
 import sys
-from typing import Any, Protocol, runtime_checkable
+from collections.abc import Callable
+from functools import wraps
+from importlib import import_module
+from typing import Any, ParamSpec, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +18,21 @@ from clvol.errors import ClvolError, DataError, OptionError
 from clvol.foreign import Content, from_nibabel, from_simpleitk, is_ours, nibabel_says, simpleitk_says, xarray_says
 from clvol.foreign_images import is_labelled, kind_of
 
-__all__ = ["Content", "as_array", "as_output", "is_image", "memory_of", "read_array", "read_grid", "read_several"]
+__all__ = [
+    "Content",
+    "as_array",
+    "as_output",
+    "is_image",
+    "is_lazy",
+    "lazily",
+    "memory_of",
+    "read_array",
+    "read_grid",
+    "read_several",
+]
+
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
 
 _ON_HOST = {1, 3, 11, 13}  # DLPack's types of device whose memory the host can read: its own, pinned, and managed
 _TO_HOST = {"torch": "tensor.cpu()", "cupy": "array.get()", "jax": "jax.device_get(array)", "jaxlib": "jax.device_get(array)"}
@@ -250,3 +267,31 @@ def _of_tensor(tensor: Any) -> NDArray[Any]:
     """The memory of a tensor of PyTorch on the host."""
     plain = tensor.detach().resolve_conj().resolve_neg()
     return np.asarray((plain.float() if str(plain.dtype) == "torch.bfloat16" else plain).numpy())
+
+
+def is_lazy(source: object) -> bool:
+    """Whether it is an array of dask, which needs no import to know."""
+    kind = getattr(sys.modules.get("dask.array"), "Array", None)  # none either while another thread is importing it
+    return kind is not None and isinstance(source, kind)
+
+
+def lazily(*names: str) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
+    """A function that hands arrays of dask to the one of its name in `clvol.dask`, whose result is an array of dask too.
+
+    Parameters
+    ----------
+    *names : str
+        The function's first parameters, as far as arrays of dask are looked for among them.
+    """
+
+    def decorator(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+        @wraps(function)
+        def either(*arguments: Arguments.args, **options: Arguments.kwargs) -> Result:
+            if any(map(is_lazy, (*arguments[: len(names)], *(options.get(name) for name in names)))):
+                lazy: Result = getattr(import_module("clvol.dask"), function.__name__)(*arguments, **options)
+                return lazy
+            return function(*arguments, **options)
+
+        return either
+
+    return decorator

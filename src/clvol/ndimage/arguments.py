@@ -304,7 +304,7 @@ def _as_dtype(output: Any, data: Array, copied: bool) -> np.dtype[Any]:
         if data.dtype.kind != "c" and dtype.kind not in "iufc":
             raise RefusedError(f"output must be a numeric dtype where it is a string; got {output!r}")
     elif data.dtype.kind == "c" and dtype.char in _REAL:
-        warnings.warn("promoting specified output dtype to complex", stacklevel=4)
+        warnings.warn("promoting specified output dtype to complex", stacklevel=5)
         dtype = np.promote_types(dtype, np.complex64)
     _require_kind(dtype, data, copied)
     return dtype

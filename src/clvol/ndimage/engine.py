@@ -24,7 +24,19 @@ from clvol.spline.points import Given, Transform, sample_grid, sample_into
 from clvol.spline.prefilter import gain_along, prefilter_in_place
 from clvol.spline.resample import resample_axes
 
-__all__ = ["BOUNDARIES", "Affine", "Axes", "Points", "Target", "coefficients", "converted", "evaluate", "kind_for"]
+__all__ = [
+    "BOUNDARIES",
+    "FILTERED_AS",
+    "Affine",
+    "Axes",
+    "Points",
+    "Target",
+    "coefficients",
+    "converted",
+    "evaluate",
+    "kind_for",
+    "row_of",
+]
 
 Array: TypeAlias = NDArray[Any]
 
@@ -154,7 +166,7 @@ def evaluate(
     kind = kind_for(precision, data, output, chosen)
     boundary = as_boundary(BOUNDARIES[mode])
     boundary = boundary if cval == boundary.cval else replace(boundary, cval=cval)
-    given, store, row = Given(cval, missing=True, edge=0.0), _Store(chosen, kind), _row(order, prefilter)
+    given, store, row = Given(cval, missing=True, edge=0.0), _Store(chosen, kind), row_of(order, prefilter)
     length = moved.shape[outer] if outer < batch else 1
     room = max(math.prod(n + 2 * (row.support + _PADS) for n in size), math.prod(onto.shape[batch:])) * np.dtype(kind).itemsize
     some = max(1, min(length, _PART // room))
@@ -240,7 +252,7 @@ def _beyond_float32(data: Array) -> bool:
 
 
 @lru_cache
-def _row(order: int, prefilter: bool) -> Filter:
+def row_of(order: int, prefilter: bool) -> Filter:
     """The filter of an order of SciPy's."""
     return as_filter({0: "nearest", 1: "linear"}.get(order, f"bspline{order}" if prefilter else f"bspline{order}-approx"))
 
@@ -260,9 +272,9 @@ def coefficients(
 
     Parameters are those of `evaluate`; `output` has the shape of `data` and any real dtype. An axis of one sample stays as it is.
     """
-    chosen, row = as_device(device), _row(order, True)
+    chosen, row = as_device(device), row_of(order, True)
     kind = kind_for(precision, data, output, chosen)
-    boundary = as_boundary(_FILTERED_AS.get(mode, BOUNDARIES[mode])).ends
+    boundary = as_boundary(FILTERED_AS.get(mode, BOUNDARIES[mode])).ends
     filtered = [axis for axis in axes if data.shape[axis] > 1]
     others = sorted((axis for axis in range(data.ndim) if axis not in filtered), key=lambda axis: -data.shape[axis])
     held = sorted(filtered + others[: 3 - len(filtered)], key=lambda axis: -abs(data.strides[axis]))
@@ -283,7 +295,7 @@ def coefficients(
                 progress(number / math.prod(batch))
 
 
-_FILTERED_AS = {"nearest": "reflect", "constant": "mirror", "grid-constant": "mirror", "wrap": "mirror"}
+FILTERED_AS = {"nearest": "reflect", "constant": "mirror", "grid-constant": "mirror", "wrap": "mirror"}
 """The rules that SciPy's prefilter ends with where its mode has none: those of the interpolation are made so by padding."""
 
 

@@ -7,11 +7,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from clvol import memory
 from clvol.checks import flag
 from clvol.errors import OptionError, OptionTypeError, RefusedError, UnsupportedError
+from clvol.interop import lazily
 from clvol.ndimage.antialiasing import low_passed, nearest_splines, widths
 from clvol.ndimage.arguments import (
     AnyDevice,
@@ -46,6 +47,7 @@ __all__ = [
 ]
 
 
+@lazily("input")
 def spline_filter1d(
     input: ArrayLike,
     order: int = 3,
@@ -101,6 +103,7 @@ def spline_filter1d(
     return result
 
 
+@lazily("input")
 def spline_filter(
     input: ArrayLike,
     order: int = 3,
@@ -143,6 +146,7 @@ def spline_filter(
     return result
 
 
+@lazily("input")
 def geometric_transform(
     input: ArrayLike,
     mapping: Callable[..., Sequence[float]],
@@ -194,7 +198,7 @@ def geometric_transform(
     number = as_order(order)
     data = as_array(input)
     shape = data.shape if output_shape is None else as_shape(output_shape)
-    _require_rank(data, shape)
+    require_rank(data.ndim, len(shape))
     if not isinstance(extra_arguments, tuple):
         raise RefusedError(f"extra_arguments must be a tuple; got {extra_arguments!r}")
     if not isinstance(extra_keywords, (dict, type(None))):
@@ -212,6 +216,7 @@ def geometric_transform(
     return result
 
 
+@lazily("input", "coordinates")
 def map_coordinates(
     input: ArrayLike,
     coordinates: ArrayLike,
@@ -272,7 +277,7 @@ def map_coordinates(
     at = as_coordinates(coordinates, len(along)) if data.ndim else np.empty(0)
     kept = [n for axis, n in enumerate(data.shape) if axis not in along]
     shape = (*kept, *at.shape[1:])
-    _require_rank(data, shape)
+    require_rank(data.ndim, len(shape))
     result = as_output(output, data, shape)
     spline = Spline.of(data, number, mode, cval, prefilter, precision, device, nan, progress)
     if along != sorted(along):
@@ -281,6 +286,7 @@ def map_coordinates(
     return result
 
 
+@lazily("input")
 def affine_transform(
     input: ArrayLike,
     matrix: ArrayLike,
@@ -333,33 +339,19 @@ def affine_transform(
     data = as_array(input)
     like = output if isinstance(output, np.ndarray) else data
     shape = like.shape if output_shape is None else as_shape(output_shape)
-    _require_rank(data, shape)
+    require_rank(data.ndim, len(shape))
     result = as_output(output, data, shape)
     spline = Spline.of(data, number, mode, cval, prefilter, precision, device, nan, progress)
-    n = data.ndim
-    table = as_matrix(matrix)
-    if table.ndim == 2 and table.shape[1] == n + 1 and table.shape[0] in (n, n + 1):
-        if len(table) == n + 1 and table[n].tolist() != [0] * n + [1]:
-            raise OptionError(f"the last row of a homogeneous matrix must be {[0] * n + [1]}; got {table[n].tolist()}")
-        start = table[:n, n]
-        table = table[:n, :n]
-    else:
-        start = np.array(per_axis("offset", offset, n), np.float64)
-    if len(table) != n:
-        raise RefusedError(f"matrix must have a row for each of the {n} axes of input; got shape {table.shape}")
-    if table.shape[-1] != len(shape):
-        raise RefusedError(f"matrix must have a column for each of the {len(shape)} axes of the result; got shape {table.shape}")
+    table, start = placed(matrix, offset, data.ndim, len(shape))
     if table.ndim == 1:
-        positions = [
-            None if (scale, first, size) == (1, 0, length) else _scaled(size, scale, first)
-            for scale, first, size, length in zip(table.tolist(), start.tolist(), shape, data.shape, strict=True)
-        ]
+        positions = diagonal(table, start, data.shape, shape)
         along_axes(data, positions, result, spline)
     else:
-        affinely(data, range(n), table, start, result, spline)
+        affinely(data, range(data.ndim), table, start, result, spline)
     return result
 
 
+@lazily("input")
 def shift(
     input: ArrayLike,
     shift: float | Sequence[float] | Array,
@@ -398,16 +390,14 @@ def shift(
     """
     number = as_order(order)
     data = as_array(input)
-    _require_rank(data, data.shape)
+    require_rank(data.ndim, data.ndim)
     result = as_output(output, data, data.shape)
     spline = Spline.of(data, number, mode, cval, prefilter, precision, device, nan, progress)
-    by = per_axis("shift", shift, data.ndim)
-    _require_positions(max(data.shape))
-    positions = [None if one == 0 else np.arange(n) - float(one) for one, n in zip(by, data.shape, strict=True)]
-    along_axes(data, positions, result, spline)
+    along_axes(data, shifted(shift, data.shape), result, spline)
     return result
 
 
+@lazily("input")
 def zoom(
     input: ArrayLike,
     zoom: float | Sequence[float] | Array,
@@ -459,12 +449,8 @@ def zoom(
     """
     number = as_order(order)
     data = as_array(input)
-    factors = per_axis("zoom", zoom, data.ndim)
-    shape = tuple(round(n * factor) for n, factor in zip(data.shape, factors, strict=True))
-    _require_rank(data, shape)
-    if any(n < 0 for n in shape):
-        raise OptionError(f"zoom must be at least 0; got {zoom!r}")
-    unchanged = bool(prefilter) and all(factor == 1 for factor in factors)
+    shape, unchanged = zoomed(zoom, data.shape)
+    unchanged = unchanged and bool(prefilter)
     chosen = as_anti_aliasing(anti_aliasing)
     result = as_output(output, data, shape, copied=unchanged)
     spline = Spline.of(data, number, mode, cval, prefilter, precision, device, nan, progress)
@@ -473,9 +459,9 @@ def zoom(
         return result
     if grid_mode and mode in ("constant", "wrap"):
         warnings.warn(
-            f"It is recommended to use mode = grid-{mode} instead of {mode} when grid_mode is True.", UserWarning, stacklevel=2
+            f"It is recommended to use mode = grid-{mode} instead of {mode} when grid_mode is True.", UserWarning, stacklevel=3
         )
-    positions = [None if m == n else _magnified(n, m, grid_mode) for n, m in zip(data.shape, shape, strict=True)]
+    positions = magnified(data.shape, shape, grid_mode)
     if chosen == "least-squares" and data.size and result.size:
         nearest_splines(data, {axis: p for axis, p in enumerate(positions) if p is not None}, result, spline)
         return result
@@ -485,6 +471,7 @@ def zoom(
     return result
 
 
+@lazily("input")
 def rotate(
     input: ArrayLike,
     angle: float,
@@ -525,34 +512,95 @@ def rotate(
     RefusedError, OptionTypeError, DtypeError
         As for `map_coordinates`.
     """
-    from scipy import special
-
     data = as_array(input)
-    n = data.ndim
-    if n < 2:
-        raise OptionError(f"input must have at least two axes; got {n}")
-    plane = _plane(axes, n)
-    turn = finite("angle", angle)
-    c, s = special.cosdg(turn), special.sindg(turn)
-    matrix = np.array([[c, s], [-s, c]])
-    before = np.array([data.shape[axis] for axis in plane])
-    after = before
-    if flag("reshape", reshape):  # what follows is rounded as in SciPy
-        iy, ix = before
-        bounds = matrix @ [[0, 0, iy, iy], [0, ix, 0, ix]]
-        after = (np.ptp(bounds, axis=1) + 0.5).astype(int)
-    offset = (before - 1) / 2 - matrix @ ((after - 1) / 2)
-    shape = list(data.shape)
-    shape[plane[0]], shape[plane[1]] = after.tolist()
+    plane, matrix, offset, shape = turned(angle, axes, reshape, data.shape)
     result = as_output(output, data, shape)
     spline = Spline.of(data, order, mode, cval, prefilter, precision, device, nan, progress)
     affinely(data, plane, matrix, offset, result, spline)
     return result
 
 
-def _require_rank(data: Array, shape: Sequence[int]) -> None:
-    if data.ndim < 1 or len(shape) < 1:
-        raise RefusedError(f"input and the result must have at least one axis; got {data.ndim} and {len(shape)}")
+# -- arguments in one form, for arrays of dask too -----------------------------------------------------------------------
+
+
+def require_rank(ndim: int, result: int) -> None:
+    """Refuse arrays without axes."""
+    if ndim < 1 or result < 1:
+        raise RefusedError(f"input and the result must have at least one axis; got {ndim} and {result}")
+
+
+def placed(
+    matrix: ArrayLike, offset: float | Sequence[float] | Array, ndim: int, result: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The matrix and offset of `affine_transform`, for an input and a result of so many axes; a diagonal has one axis."""
+    table = as_matrix(matrix)
+    if table.ndim == 2 and table.shape[1] == ndim + 1 and table.shape[0] in (ndim, ndim + 1):
+        if len(table) == ndim + 1 and table[ndim].tolist() != [0] * ndim + [1]:
+            raise OptionError(f"the last row of a homogeneous matrix must be {[0] * ndim + [1]}; got {table[ndim].tolist()}")
+        start = table[:ndim, ndim]
+        table = table[:ndim, :ndim]
+    else:
+        start = np.array(per_axis("offset", offset, ndim), np.float64)
+    if len(table) != ndim:
+        raise RefusedError(f"matrix must have a row for each of the {ndim} axes of input; got shape {table.shape}")
+    if table.shape[-1] != result:
+        raise RefusedError(f"matrix must have a column for each of the {result} axes of the result; got shape {table.shape}")
+    return table, start
+
+
+def diagonal(table: Array, start: Array, before: Sequence[int], after: Sequence[int]) -> list[Array | None]:
+    """Positions along each axis by a diagonal matrix; None where they are those of the samples."""
+    return [
+        None if (scale, first, size) == (1, 0, length) else _scaled(size, scale, first)
+        for scale, first, size, length in zip(table.tolist(), start.tolist(), after, before, strict=True)
+    ]
+
+
+def shifted(shift: float | Sequence[float] | Array, shape: Sequence[int]) -> list[Array | None]:
+    """Positions along each axis of `shift`; None where they are those of the samples."""
+    by = per_axis("shift", shift, len(shape))
+    _require_positions(max(shape))
+    return [None if one == 0 else np.arange(n) - float(one) for one, n in zip(by, shape, strict=True)]
+
+
+def zoomed(zoom: float | Sequence[float] | Array, shape: Sequence[int]) -> tuple[tuple[int, ...], bool]:
+    """The shape after `zoom`, and whether all of its factors are 1."""
+    factors = per_axis("zoom", zoom, len(shape))
+    after = tuple(round(n * factor) for n, factor in zip(shape, factors, strict=True))
+    require_rank(len(shape), len(after))
+    if any(n < 0 for n in after):
+        raise OptionError(f"zoom must be at least 0; got {zoom!r}")
+    return after, all(factor == 1 for factor in factors)
+
+
+def magnified(before: Sequence[int], after: Sequence[int], whole: bool) -> list[Array | None]:
+    """Positions along each axis of `zoom`; None where they are those of the samples."""
+    return [None if m == n else _magnified(n, m, whole) for n, m in zip(before, after, strict=True)]
+
+
+def turned(
+    angle: float, axes: Sequence[int], reshape: bool, before: Sequence[int]
+) -> tuple[list[int], NDArray[np.float64], NDArray[np.float64], list[int]]:
+    """The plane of `rotate`, the matrix and offset in it, and the shape of the result."""
+    from scipy import special
+
+    n = len(before)
+    if n < 2:
+        raise OptionError(f"input must have at least two axes; got {n}")
+    plane = _plane(axes, n)
+    turn = finite("angle", angle)
+    c, s = special.cosdg(turn), special.sindg(turn)
+    matrix = np.array([[c, s], [-s, c]])
+    sides = np.array([before[axis] for axis in plane])
+    after = sides
+    if flag("reshape", reshape):  # what follows is rounded as in SciPy
+        iy, ix = sides
+        bounds = matrix @ [[0, 0, iy, iy], [0, ix, 0, ix]]
+        after = (np.ptp(bounds, axis=1) + 0.5).astype(int)
+    offset = (sides - 1) / 2 - matrix @ ((after - 1) / 2)
+    shape = list(before)
+    shape[plane[0]], shape[plane[1]] = after.tolist()
+    return plane, matrix, offset, shape
 
 
 def _plane(axes: Sequence[int], ndim: int) -> list[int]:

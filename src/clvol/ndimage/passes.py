@@ -17,9 +17,9 @@ from clvol.ndimage import engine, gaps
 from clvol.ndimage.arguments import Array, Spline
 from clvol.ndimage.engine import Affine, Axes, Points, Target
 
-__all__ = ["affinely", "along_axes", "at_points", "filtered", "mapped"]
+__all__ = ["NATIVE", "affinely", "along_axes", "as_rows", "at_points", "filtered", "mapped", "require_mixable", "stored"]
 
-_NATIVE = 3
+NATIVE = 3
 """Axes that the engine resamples at a time."""
 _PIECE = 1 << 20
 """Points whose positions are in memory at a time, at least."""
@@ -93,7 +93,7 @@ def affinely(data: Array, axes: Sequence[int], matrix: _Floats, offset: _Floats,
         _along(alone, data, output, spline)
         return
     together = sorted([axis for group in mixed for axis in group] + list(alone))
-    if len(together) <= _NATIVE:
+    if len(together) <= NATIVE:
         mixed, alone = [together], {}
     passes: list[_Pass] = []
     for group in mixed:
@@ -120,7 +120,7 @@ def mapped(data: Array, mapping: Callable[[tuple[int, ...]], Sequence[float]], o
         for start in range(0, last - first, 4096):
             rows = found[start : start + 4096]
             answers = [mapping(next(indices)) for _ in range(len(rows))]
-            rows[...] = _as_rows(answers, data.ndim)
+            rows[...] = as_rows(answers, data.ndim)
         return found.T
 
     _by_pieces(data, output, spline, positions)
@@ -134,7 +134,7 @@ def filtered(data: Array, axes: Sequence[int], output: Array, spline: Spline) ->
     if spline.local:
         raise OptionError('nan must be "propagate" or "error" for coefficients, which depend on all samples; got "local"')
     exact = output.dtype.kind in "fc"
-    count = _NATIVE if exact else 1
+    count = NATIVE if exact else 1
     groups = [list(axes[k : k + count]) for k in range(0, len(axes), count)]
 
     def compute(source: Array, target: Array, spline: Spline) -> None:
@@ -177,7 +177,7 @@ def _evaluate(data: Array, axes: Sequence[int], target: Target, output: Array, s
     if data.size == 0:
         if spline.mode not in ("constant", "grid-constant"):
             raise DataError(f'input must have samples where mode is not "constant" or "grid-constant"; got shape {data.shape}')
-        output[...] = _stored(spline.cval, output.dtype)
+        output[...] = stored(spline.cval, output.dtype)
         return
     evaluate = gaps.evaluate if spline.local else engine.evaluate
     evaluate(
@@ -197,11 +197,7 @@ def _evaluate(data: Array, axes: Sequence[int], target: Target, output: Array, s
 
 def _grids(data: Array, passes: Sequence[_Pass], output: Array, spline: Spline) -> None:
     """One pass after the other, each over some of the axes: their grids are independent of each other."""
-    large = max(passes, key=lambda one: len(one[0]))[0]
-    if len(large) > _NATIVE:
-        raise UnsupportedError(
-            f"a matrix must not mix more than {_NATIVE} axes of input with each other; got one that mixes axes {large}"
-        )
+    _require_unmixed(max(passes, key=lambda one: len(one[0]))[0])
     if len(passes) == 1:
         axes, grid = _joined(data, *passes[0], spline)
         _in_parts(data, output, spline, lambda *parts: _evaluate(parts[0], axes, grid, *parts[1:]))
@@ -217,11 +213,28 @@ def _grids(data: Array, passes: Sequence[_Pass], output: Array, spline: Spline) 
             _evaluate(source, axes, grid, onto, between.stage(number, len(passes)))
             source = onto
         if spline.mode == "constant":
-            value = _stored(spline.cval, target.dtype)
+            value = stored(spline.cval, target.dtype)
             for axes, grid in passes:
                 _beyond(target, axes)[_outside(grid, [data.shape[axis] for axis in axes])] = value
 
     _in_parts(data, output, spline, compute)
+
+
+def _require_unmixed(axes: Sequence[int]) -> None:
+    if len(axes) > NATIVE:
+        raise UnsupportedError(
+            f"a matrix must not mix more than {NATIVE} axes of input with each other; got one that mixes axes {axes}"
+        )
+
+
+def require_mixable(matrix: _Floats, axes: Sequence[int], pieces: bool) -> None:
+    """Refuse a matrix that `affinely` cannot take: `pieces`: whether it has more columns than rows."""
+    if pieces:
+        _require_few(len(axes))
+        return
+    rows, columns = matrix.shape
+    square = np.hstack([matrix, np.zeros((rows, rows - columns))])[np.ix_(axes, axes)].tolist()
+    _require_unmixed(max(_groups(axes, square), key=len))
 
 
 def _between(size: tuple[int, ...], kind: type[np.generic]) -> Array:
@@ -235,7 +248,7 @@ def _joined(data: Array, axes: list[int], grid: Axes | Affine, spline: Spline) -
     A sample that is not finite would spread along them.
     """
     others = [axis for axis, n in enumerate(data.shape) if axis not in axes and n > 1]
-    if not isinstance(grid, Axes) or len(axes) != 1 or not 0 < len(others) < _NATIVE or not spline.interpolates:
+    if not isinstance(grid, Axes) or len(axes) != 1 or not 0 < len(others) < NATIVE or not spline.interpolates:
         return axes, grid
     with np.errstate(all="ignore"):
         if not np.isfinite(data.sum()):
@@ -263,9 +276,9 @@ def _around(data: Array, axes: Sequence[int], coordinates: Array, spline: Spline
 
 
 def _require_few(count: int) -> None:
-    if count > _NATIVE:
+    if count > NATIVE:
         raise UnsupportedError(
-            f"points must have coordinates along at most {_NATIVE} axes of input; got {count}. "
+            f"points must have coordinates along at most {NATIVE} axes of input; got {count}. "
             "map_coordinates(..., axes=...) leaves the other axes as they are"
         )
 
@@ -276,7 +289,7 @@ def _separately(positions: dict[int, _Floats], shape: Sequence[int]) -> list[_Pa
     There are as many in each as can be, for an axis alone takes longest.
     """
     ordered = sorted(positions, key=lambda axis: len(positions[axis]) / max(shape[axis], 1))
-    count = -(-len(ordered) // _NATIVE)
+    count = -(-len(ordered) // NATIVE)
     groups = [sorted(ordered[k * len(ordered) // count : (k + 1) * len(ordered) // count]) for k in range(count)]
     return [(group, Axes(tuple(positions[axis] for axis in group))) for group in groups]
 
@@ -338,7 +351,7 @@ def _positions(matrix: _Floats, offset: _Floats, shape: Sequence[int], first: in
     return found
 
 
-def _as_rows(answers: list[Any], count: int) -> _Floats:
+def as_rows(answers: list[Any], count: int) -> _Floats:
     try:
         rows = np.array(answers, np.float64)
     except (TypeError, ValueError):
@@ -360,7 +373,7 @@ def _samples(n: int) -> _Floats:
     return np.arange(n, dtype=np.float64)
 
 
-def _stored(value: complex, dtype: np.dtype[Any]) -> Any:
+def stored(value: complex, dtype: np.dtype[Any]) -> Any:
     """A number as the engine would write it: whole numbers rounded, halves away from zero, and clipped to their type."""
     number = float(value.real)
     if dtype.kind not in "iu" or math.isnan(number):

@@ -154,7 +154,8 @@ class _Patch:
 
     def taking(self, name: str) -> Callable[..., Any]:
         """A function in the place of SciPy's."""
-        original, ours = self.originals[name], getattr(interpolation, name)
+        # arrays of dask are computed, as SciPy does it
+        original, ours = self.originals[name], inspect.unwrap(getattr(interpolation, name))
 
         @functools.wraps(ours)
         def replacement(*arguments: Any, **options: Any) -> Any:

@@ -41,10 +41,10 @@ from clvol.spline.field import (
     Frame,
     Progress,
     Reals,
-    as_grid_for,
     as_points,
     fill_value,
     filled,
+    grid_for,
     names_beyond,
     result_kind,
 )
@@ -637,7 +637,7 @@ class BrickedField:
         OptionError, OutOfMemoryError
             As by `Field.resample`.
         """
-        grid = as_grid_for(self.volume.grid, shape, spacing, like, anchor)
+        grid = grid_for(self.volume.grid, shape, spacing, like, anchor)
         kind = result_kind(dtype, self.volume.grid, self.filter, out, fill)
         outside = fill_value(fill)
         with self.in_use():

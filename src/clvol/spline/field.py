@@ -19,7 +19,7 @@ from clvol.checks import one_of, warn, whole
 from clvol.device import Device, as_device
 from clvol.errors import DataError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
-from clvol.interop import as_array, as_output, read_array
+from clvol.interop import as_array, as_output, lazily, read_array
 from clvol.missing import Missing, as_missing, touching
 from clvol.rounding import as_kind, in_kind, wide
 from clvol.smoothing import filter_for, settled
@@ -45,11 +45,11 @@ __all__ = [
     "Progress",
     "Reals",
     "as_field",
-    "as_grid_for",
     "as_points",
     "coefficients_of",
     "fill_value",
     "filled",
+    "grid_for",
     "magnify",
     "names_beyond",
     "opened",
@@ -511,7 +511,7 @@ class Field:
             The device has no room for the result.
         """
         volume = self.volume
-        grid = as_grid_for(volume, shape, spacing, like, anchor)
+        grid = grid_for(volume, shape, spacing, like, anchor)
         chosen, stages = as_anti_aliasing(anti_aliasing), as_chain(transform, volume.ndim)
         kind = result_kind(dtype, volume, self.filter, out, fill)
         if chosen:
@@ -850,6 +850,7 @@ def sample(
         return at(points, frame=frame, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress, out=out)
 
 
+@lazily("volume")
 def resample(
     volume: Volume | ArrayLike | Field,
     shape: Sequence[int] | None = None,
@@ -876,7 +877,7 @@ def resample(
     Parameters
     ----------
     volume : Volume, array-like or Field
-        2-D or 3-D samples; an array has spacing 1 and origin 0.
+        2-D or 3-D samples; an array has spacing 1 and origin 0. One of dask gives one of dask: see `clvol.dask.resample`.
     shape, spacing, like, anchor, transform, anti_aliasing, dtype, fill
         As in `Field.resample`; without `anti_aliasing` larger voxels bring aliases of what is finer. With it no sample may be NaN.
     filter, boundary, device, nan
@@ -901,7 +902,7 @@ def resample(
     """
     if not isinstance(volume, Field):
         volume = as_volume(volume)
-        grid = as_grid_for(volume, shape, spacing, like, anchor)  # before the volume is prefiltered
+        grid = grid_for(volume, shape, spacing, like, anchor)  # before the volume is prefiltered
         if out is not None:
             as_output(out, grid.shape)
         transform = as_chain(transform, volume.ndim)
@@ -933,6 +934,7 @@ def resample(
         )
 
 
+@lazily("volume")
 def magnify(
     volume: Volume | ArrayLike | Field,
     factor: int = 2,
@@ -951,7 +953,7 @@ def magnify(
     Parameters
     ----------
     volume : Volume, array-like or Field
-        2-D or 3-D samples; an array has spacing 1 and origin 0.
+        2-D or 3-D samples; an array has spacing 1 and origin 0. One of dask gives one of dask: see `clvol.dask.magnify`.
     factor : int
         At least 1; see `Field.magnify` for where the new samples lie.
     filter, boundary, device, precision, nan
@@ -977,6 +979,7 @@ def magnify(
         return field.magnify(factor, evaluator=evaluator, fetch=fetch, progress=progress)
 
 
+@lazily("data")
 def prefilter(
     data: ArrayLike,
     filter: str | Filter = DEFAULT_FILTER,
@@ -990,7 +993,7 @@ def prefilter(
     Parameters
     ----------
     data : Volume or array-like, shape (nx,), (ny, nx) or (nz, ny, nx)
-        Samples of any integer or floating dtype.
+        Samples of any integer or floating dtype. An array of dask gives one of dask: see `clvol.dask.prefilter`.
     filter : str or Filter
         One that needs no prefilter gives the samples back; a hybrid gives those of the filter that magnifies.
     boundary : str or Boundary
@@ -1132,7 +1135,7 @@ def fill_value(fill: float | None) -> float | None:
     return None if fill is None else float(fill)
 
 
-def as_grid_for(
+def grid_for(
     volume: Volume,
     shape: Sequence[int] | None,
     spacing: Sequence[float] | float | None,

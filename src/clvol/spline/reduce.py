@@ -37,6 +37,7 @@ __all__ = [
     "nearest_spline",
     "steps_along",
     "sum_along",
+    "wide_enough",
 ]
 
 Array: TypeAlias = NDArray[np.float64]
@@ -248,7 +249,7 @@ def low_passed(volume: Volume, steps: Array, boundary: Boundary, kind: type[np.g
     sums = {axis: gaussian(float(s), volume.shape[axis], boundary) for axis, s in enumerate(sigma) if s > 0}
     if not sums:
         return volume
-    made = sum_along(volume.data, sums, _wide_enough(kind, volume, bspline(1), boundary), device, boundary.cval)
+    made = sum_along(volume.data, sums, wide_enough(kind, volume, bspline(1), boundary), device, boundary.cval)
     return replace(volume, data=made)
 
 
@@ -292,7 +293,7 @@ def nearest_spline(
         )
     if row.prefilter and boundary.period is None:
         raise OptionError(f"least-squares reduction takes a boundary rule that continues the samples; got {boundary.name!r}")
-    kind = _wide_enough(kind, volume, row, boundary)
+    kind = wide_enough(kind, volume, row, boundary)
     sums = {
         d - 1 - axis: least_squares(
             row.along(axis), float(offset[axis]), float(matrix[axis, axis]), shape[d - 1 - axis], n, boundary, kind == np.float64
@@ -307,7 +308,7 @@ def steps_along(matrix: Array) -> Array:
     return np.asarray(np.linalg.norm(matrix, axis=1))
 
 
-def _wide_enough(kind: type[np.generic], volume: Volume, filter: Filter, boundary: Boundary) -> type[np.generic]:
+def wide_enough(kind: type[np.generic], volume: Volume, filter: Filter, boundary: Boundary) -> type[np.generic]:
     """float64 where a Field of float32 would take an offset or a power of two off the samples."""
     return kind if Stored.of(volume, filter, boundary).identity else np.float64
 

@@ -1,0 +1,408 @@
+"""Arrays of dask block by block: what a block of the result reads, the graph that gathers it, and errors that name the block."""
+
+from __future__ import annotations
+
+import math
+import os
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import pairwise, product
+from typing import Any, TypeAlias
+
+import dask.array as da
+import numpy as np
+from dask.base import tokenize
+from dask.highlevelgraph import HighLevelGraph
+from numpy.typing import NDArray
+
+from clvol.boundary import Boundary
+from clvol.device import Device
+from clvol.errors import ClvolError, DataError, DtypeError, OptionError, OptionTypeError, UnsupportedError
+
+__all__ = [
+    "Array",
+    "Block",
+    "Chunks",
+    "Span",
+    "Window",
+    "as_chunks",
+    "as_lazy",
+    "blockwise",
+    "checked_device",
+    "located",
+    "one_at_a_time",
+    "refused",
+    "spans",
+    "window_along",
+]
+
+Array: TypeAlias = NDArray[Any]
+Floats: TypeAlias = NDArray[np.float64]
+Chunks: TypeAlias = Any  # whatever dask.array.normalize_chunks takes
+Span: TypeAlias = tuple[int, int]
+"""From which to before which index along an axis. Under a periodic rule it may begin before 0 and end past the last one."""
+
+
+# -- arguments -------------------------------------------------------------------------------------------------------
+
+
+def as_lazy(source: Any, what: str = "input", kinds: str = "biufc") -> Any:
+    """An array of dask that can be computed with: of NumPy's arrays of numbers, in chunks of known sizes."""
+    meta = source._meta
+    if not isinstance(meta, np.ndarray) or isinstance(meta, np.ma.MaskedArray):
+        kind = f"{type(meta).__module__}.{type(meta).__qualname__}"
+        raise DataError(f"{what} must be an array of dask made of arrays of NumPy; got one of {kind}")
+    if source.dtype.kind not in kinds or source.dtype.char in "gG":
+        allowed = "bool, integers, float16, float32, float64" + (", complex64 or complex128" if "c" in kinds else "")
+        raise DtypeError(f"{what} must be an array of {allowed}; got {source.dtype}")
+    if any(math.isnan(n) for sizes in source.chunks for n in sizes):
+        raise DataError(f"{what} must have a known shape; got {source.shape}: compute_chunk_sizes() of the dask array finds it")
+    return source
+
+
+def checked_device(choice: object) -> Any:
+    """A device, or what names one, which each process looks up: the one that makes the graph may have none."""
+    if choice is None or (isinstance(choice, (Device, str, int)) and not isinstance(choice, bool)):
+        return choice
+    raise OptionError(f"device must be a Device, a name or a number; got {choice!r}")
+
+
+def refused(name: str, **options: object) -> None:
+    """Refuse options that have no meaning block by block."""
+    reasons = {
+        "progress": "dask shows its own: dask.diagnostics.ProgressBar",
+        "out": "store() of the dask array writes it",
+        "like": "an array of dask lies nowhere: give shape or spacing",
+        "transform": "affine_transform and map_coordinates take arrays of dask through one",
+    }
+    for option, value in options.items():
+        if value is not None and not (isinstance(value, (list, tuple)) and not value):
+            raise UnsupportedError(f"{name} takes no {option} for an array of dask: {reasons[option]}")
+
+
+def no_memory(output: object) -> None:
+    """Refuse an array that results would be written into."""
+    if output is not None and not isinstance(output, (type, np.dtype, str)):
+        raise OptionTypeError(f"output must be a dtype for an array of dask; got {type(output).__qualname__}")
+
+
+def as_chunks(chunks: Chunks, source: Any, shape: Sequence[int], alike: Sequence[int | None], dtype: Any) -> tuple[Any, ...]:
+    """The chunks of a result.
+
+    Parameters
+    ----------
+    chunks : as `dask.array.normalize_chunks` takes it, or None
+        None: those of `source` along axes of the same length, else chunks as long as its longest.
+    source : dask.array.Array
+    shape : sequence of int
+        Of the result.
+    alike : sequence of int or None
+        For each axis of the result the one of `source` that it follows, if any.
+    dtype : dtype
+        Of the result.
+    """
+    if chunks is None:
+        chunks = []
+        for n, axis in zip(shape, alike, strict=True):
+            same = axis is not None and n == source.shape[axis]
+            longest = max(max(sizes) for sizes in (source.chunks if axis is None else source.chunks[axis : axis + 1]))
+            chunks.append(source.chunks[axis] if same else min(max(longest, 1), n))
+        chunks = tuple(chunks)
+    try:
+        known: tuple[Any, ...] = da.core.normalize_chunks(chunks, tuple(shape), dtype=dtype)
+    except (TypeError, ValueError, NotImplementedError) as error:
+        raise OptionError(f"chunks must fit a result of shape {tuple(shape)}; got {chunks!r}: {error}") from None
+    return known
+
+
+# -- what a block reads ----------------------------------------------------------------------------------------------
+
+
+def spans(sizes: Sequence[int]) -> list[Span]:
+    """Where the chunks of an axis lie."""
+    ends = np.cumsum([0, *sizes]).tolist()
+    return list(pairwise(ends))
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """What positions along an axis need.
+
+    Attributes
+    ----------
+    span : (int, int)
+    positions : ndarray of float64
+        In samples from the span's start on.
+    """
+
+    span: Span
+    positions: Floats
+
+
+def window_along(positions: Floats, n: int, boundary: Boundary, margin: tuple[int, int], more: int = 0) -> Window:
+    """What positions along an axis of `n` samples need, so that the boundary rule means the same in it as in the whole axis.
+
+    It goes as far before and after the outermost positions as `margin` says, and `more` samples further, and ends at the array's
+    edge where these come near it or lie past it. What is reflected back from the edge is within. Whole numbers are taken from
+    positions, so the rest of these stays as it is.
+    """
+    if not positions.size or not n:
+        return Window((0, 0), positions)
+    before, after = margin[0] + more, margin[1] + more
+    if boundary.fold is None and boundary.period is not None:
+        return _around_the_seam(positions, n, boundary, before, after)
+    if boundary.outside == "overlap":
+        outside = (positions < 0) | (positions > n - 1)
+        positions = np.where(outside, boundary.position(positions, n), positions)
+    low, high = float(positions.min()), float(positions.max())
+    start, stop = min(max(low, 0.0), n - 1), max(min(high, n - 1), 0.0)
+    if boundary.outside == "rule" and boundary.fold is not None:
+        if low < 1 - n or high > 2 * (n - 1):  # reflected at both ends
+            return Window((0, n), positions)
+        if low < 0:
+            start, stop = 0, max(stop, -low)
+        if high > n - 1:
+            start, stop = min(start, 2 * (n - 1) - high), n - 1
+    span = max(math.floor(start) - before, 0), min(math.floor(stop) + after + 1, n)
+    return Window(span, positions - span[0])
+
+
+def _around_the_seam(positions: Floats, n: int, boundary: Boundary, before: int, after: int) -> Window:
+    """Of a rule that repeats the samples: the span is of the repeated axis."""
+    inside = (positions >= 0) & (positions < n)
+    if not inside.all():
+        turns = np.where(inside, 0, np.floor(positions / n))
+        turns -= turns.min()
+        positions = np.where(inside, positions, boundary.position(positions, n)) + n * turns
+    low, high = math.floor(positions.min()) - before, math.floor(positions.max()) + after + 1
+    if high - low >= n:
+        return Window((0, n), positions)
+    return Window((low, high), positions - low)
+
+
+# -- the graph -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """One block of a result.
+
+    Attributes
+    ----------
+    name : str
+        The function that makes the array.
+    index : tuple of int
+        Which block it is.
+    start, shape : tuple of int
+        Where it lies in the result.
+    spans : tuple of (int, int), optional
+        What it reads; None: nothing.
+    limits : tuple of int
+        The lengths of the axes that it reads from.
+    extra : object
+        What else its computation needs.
+    """
+
+    name: str
+    index: tuple[int, ...]
+    start: tuple[int, ...]
+    shape: tuple[int, ...]
+    spans: tuple[Span, ...] | None
+    limits: tuple[int, ...]
+    extra: Any = None
+
+    def __str__(self) -> str:
+        ranges = ", ".join(f"{first}:{first + n}" for first, n in zip(self.start, self.shape, strict=True))
+        return f"in block {self.index} of {self.name}, which is [{ranges}] of the result"
+
+
+Compute: TypeAlias = Callable[[Any, Block], Array]
+Plan: TypeAlias = Callable[[tuple[int, ...], tuple[Span, ...]], tuple[tuple[Span, ...] | None, Any]]
+
+
+def blockwise(
+    name: str, source: Any, chunks: tuple[Any, ...], dtype: Any, plan: Plan, compute: Compute, identity: Sequence[object]
+) -> Any:
+    """An array of dask whose blocks are computed from windows of another.
+
+    Parameters
+    ----------
+    name : str
+        Of the function, for keys and errors.
+    source : dask.array.Array
+    chunks : tuple of tuples of int
+        Of the result.
+    dtype : dtype
+        Of the result.
+    plan : callable
+        From the index of a block and where it lies in the result to what it reads (None: nothing) and what else it needs.
+    compute : callable
+        From the window (None where nothing is read) and the `Block` to its samples.
+    identity : sequence
+        What determines the result beside the array: equal calls have equal keys.
+    """
+    places = [spans(sizes) for sizes in chunks]
+    gather = Gathering(source, f"{name}-read-")
+    tasks: list[Any] = []
+    for index in np.ndindex(*(len(sizes) for sizes in chunks)):
+        where = tuple(axis[i] for axis, i in zip(places, index, strict=True))
+        shape = tuple(stop - start for start, stop in where)
+        wanted, extra = plan(index, where) if all(shape) else (None, None)
+        block = Block(f"clvol.dask.{name}", index, tuple(start for start, _ in where), shape, wanted, source.shape, extra)
+        tasks.append((index, block))
+    own = f"{name}-{tokenize(name, source.name, chunks, str(dtype), *identity)}"
+    layer: dict[Any, Any] = {}
+    for index, block in tasks:
+        layout, keys = gather(block.spans) if block.spans is not None else (None, [])
+        layer[(own, *index)] = (_computed, compute, block, np.dtype(dtype), layout, keys)
+    layer.update(gather.pieces)
+    graph = HighLevelGraph.from_collections(own, layer, dependencies=[source])
+    return da.Array(graph, own, chunks, dtype=dtype)
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Where the parts of a window go."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    targets: list[tuple[slice, ...]]
+
+
+class Gathering:
+    """The tasks that cut what is read out of the chunks of an array; each is made once.
+
+    Attributes
+    ----------
+    pieces : dict
+        The tasks.
+    """
+
+    def __init__(self, source: Any, prefix: str) -> None:
+        self._source, self._prefix = source, f"{prefix}{source.name}"
+        self._places = [spans(sizes) for sizes in source.chunks]
+        self.pieces: dict[Any, Any] = {}
+
+    def __call__(self, window: Sequence[Span]) -> tuple[Layout, list[Any]]:
+        """How a window is put together, and the keys of its parts."""
+        along = [self._segments(places, n, span) for places, n, span in zip(self._places, self._source.shape, window, strict=True)]
+        targets, keys = [], []
+        for parts in product(*along):
+            targets.append(tuple(target for _, _, target in parts))
+            keys.append(self._piece(tuple(i for i, _, _ in parts), tuple(cut for _, cut, _ in parts)))
+        shape = tuple(stop - start for start, stop in window)
+        return Layout(shape, self._source.dtype, targets), keys
+
+    @staticmethod
+    def _segments(places: list[Span], n: int, span: Span) -> list[tuple[int, Span, slice]]:
+        """The chunks along an axis that hold a span, which part of each, and where that goes."""
+        found = []
+        at = span[0]
+        starts = [start for start, _ in places]
+        while at < span[1]:
+            index = at % n
+            i = int(np.searchsorted(starts, index, "right")) - 1  # the last of those that start there: it is not empty
+            start, stop = places[i]
+            count = min(stop - index, span[1] - at)
+            found.append((i, (index - start, index - start + count), slice(at - span[0], at - span[0] + count)))
+            at += count
+        return found
+
+    def _piece(self, index: tuple[int, ...], cuts: tuple[Span, ...]) -> Any:
+        key = (self._source.name, *index)
+        sizes = tuple(self._source.chunks[axis][i] for axis, i in enumerate(index))
+        if cuts == tuple((0, n) for n in sizes):
+            return key
+        name = f"{self._prefix}-{'.'.join(f'{start}:{stop}' for start, stop in cuts)}"
+        made = (name, *index)
+        if made not in self.pieces:
+            self.pieces[made] = (_cut, key, _Cuts(cuts, sizes))
+        return made
+
+
+@dataclass(frozen=True, eq=False)
+class _Cuts:
+    spans: tuple[Span, ...]
+    sizes: tuple[int, ...]
+
+
+def _cut(chunk: Array, cuts: _Cuts) -> Array:
+    """Part of a chunk, in memory of its own, so that the chunk can be let go."""
+    _require_shape(chunk, cuts.sizes)
+    return np.ascontiguousarray(chunk[tuple(slice(*span) for span in cuts.spans)])
+
+
+def _require_shape(chunk: Any, shape: tuple[int, ...]) -> None:
+    if np.shape(chunk) != shape:
+        raise DataError(f"a chunk of an array of dask must have the shape that the array says, {shape}; got {np.shape(chunk)}")
+
+
+def gathered(layout: Layout, parts: Sequence[Array]) -> Array:
+    """A window of its parts."""
+    for part, target in zip(parts, layout.targets, strict=True):
+        _require_shape(part, tuple(one.stop - one.start for one in target))
+    if len(parts) == 1:
+        return np.asarray(parts[0])
+    window = np.empty(layout.shape, layout.dtype)
+    for part, target in zip(parts, layout.targets, strict=True):
+        window[target] = part
+    return window
+
+
+# -- in a worker -----------------------------------------------------------------------------------------------------
+
+_turn = threading.Lock()
+"""Kernels use all cores: a process computes one block at a time, while other threads read and gather the next ones."""
+
+
+def _new_turn() -> None:
+    global _turn
+    _turn = threading.Lock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_new_turn)  # the thread that had it is not there
+
+
+@contextmanager
+def one_at_a_time() -> Iterator[None]:
+    """Work on the device."""
+    with _turn:
+        yield
+
+
+def _computed(compute: Compute, block: Block, dtype: np.dtype[Any], layout: Layout | None, parts: Sequence[Array]) -> Array:
+    """The task of a block."""
+    if not all(block.shape):
+        return np.empty(block.shape, dtype)
+    with named(block):
+        window = None if layout is None else gathered(layout, parts)
+        with one_at_a_time():
+            return compute(window, block)
+
+
+@contextmanager
+def named(block: Block) -> Iterator[None]:
+    """Say of an error which block it is about."""
+    try:
+        yield
+    except ClvolError as error:
+        raise type(error)(f"{error} ({block})") from error
+    except Exception as error:
+        error.add_note(str(block))
+        raise
+
+
+@contextmanager
+def located(window: Array, block: Block, rule: str) -> Iterator[None]:
+    """Say of an error about samples that are not finite where in the array the first of them lies."""
+    try:
+        yield
+    except DataError:
+        if window.dtype.kind not in "fc" or (known := np.isfinite(window)).all() or block.spans is None:
+            raise
+        here = np.unravel_index(int(np.argmin(known)), window.shape)
+        at = tuple((int(i) + start) % n for i, (start, _), n in zip(here, block.spans, block.limits, strict=True))
+        raise DataError(f"{rule}; got {window[here]} at {at}") from None

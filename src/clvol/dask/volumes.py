@@ -1,0 +1,347 @@
+"""Volumes on other grids, block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.checks import whole
+from clvol.dask.blocks import (
+    Array,
+    Block,
+    Chunks,
+    Floats,
+    Span,
+    Window,
+    as_chunks,
+    blockwise,
+    checked_device,
+    located,
+    refused,
+    spans,
+    window_along,
+)
+from clvol.dask.filtering import as_volumes, settled_row
+from clvol.dask.margins import margin
+from clvol.dask.reduced import Reduction, gaussian_radius
+from clvol.device import as_device
+from clvol.errors import OptionError, UnsupportedError
+from clvol.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.ndimage.arguments import AnyDevice
+from clvol.rounding import as_kind, in_kind, wide
+from clvol.spline.evaluator import DIRECT, choose_evaluator
+from clvol.spline.field import Precision, coefficients_of, fill_value, grid_for, precision_kind
+from clvol.spline.points import Given
+from clvol.spline.reduce import AntiAliasing, as_anti_aliasing, low_passed, sum_along, wide_enough
+from clvol.spline.resample import along_axes, resample_axes, resample_coefficients
+from clvol.volume import Volume
+
+__all__ = ["magnify", "resample"]
+
+
+def resample(
+    volume: Any,
+    shape: Sequence[int] | None = None,
+    spacing: Sequence[float] | float | None = None,
+    like: None = None,
+    filter: str | Filter | None = None,
+    boundary: str | Boundary | None = None,
+    *,
+    anchor: str = "center",
+    transform: None = None,
+    anti_aliasing: AntiAliasing | bool = False,
+    dtype: DTypeLike | None = None,
+    evaluator: str = "auto",
+    fetch: str = "auto",
+    fill: float | None = None,
+    device: AnyDevice = None,
+    precision: Precision | None = None,
+    nan: str | None = None,
+    progress: None = None,
+    out: None = None,
+    chunks: Chunks = None,
+    dimensions: int | None = None,
+) -> Any:
+    """Volumes on another grid, as `clvol.resample` gives them, as an array of dask.
+
+    A block reads what its samples are made of: those between which they lie, the margin that the prefilter needs, and with
+    `anti_aliasing` what the low-pass takes.
+
+    Parameters
+    ----------
+    volume : dask.array.Array
+        Its spacing is 1.
+    shape, spacing, filter, boundary, anchor, anti_aliasing, dtype, fill, device, precision
+        As of `clvol.resample`; `filter` is "bspline3" where none is given, since whether samples are labels is known only when they
+        are read, and its smoothing is not "auto". `shape` is that of a volume.
+    evaluator, fetch
+        "auto" alone.
+    nan : {"error"}, optional
+        Missing samples are refused.
+    like, transform, progress, out
+        None: they have no meaning here.
+    chunks : as of `dask.array.normalize_chunks`, optional
+        Of the result. By default, along axes of another length, chunks as long as the longest of `volume`.
+    dimensions : int, optional
+        How many of the last axes are a volume's, 2 or 3; every index of the others is one of its own. By default all, at most 3.
+
+    Returns
+    -------
+    dask.array.Array of float32, or of float64 in double precision, or of `dtype`
+        Where the filter has no prefilter it is bit for bit the result in one piece; where it has one, coefficients differ as those
+        of `clvol.dask.prefilter` do. With "least-squares" the weights are the same, and sums differ by rounding.
+
+    Raises
+    ------
+    DataError
+        As `clvol.dask.prefilter` raises it.
+    OptionError
+        As `clvol.resample` raises it.
+    UnsupportedError
+        An option that an array of dask cannot have.
+    """
+    refused("resample", like=like, transform=transform, progress=progress, out=out)
+    if (evaluator, fetch) != ("auto", "auto"):
+        raise UnsupportedError(f"resample takes 'auto' as evaluator and fetch for an array of dask; got {evaluator!r}, {fetch!r}")
+    source, count = as_volumes(volume, dimensions, least=2)
+    own = source.shape[-count:]
+    grid = grid_for(Volume(np.broadcast_to(np.float32(0), own)), shape, spacing, None, anchor)
+    steps = np.asarray(grid.spacing)[::-1]
+    starts = np.asarray(grid.origin)[::-1]
+    positions = []
+    for start, step, m in zip(starts.tolist(), steps.tolist(), grid.shape, strict=True):
+        positions.append(np.asarray(start + step * np.arange(m), np.float64))
+    work = _Work.of(source, filter, boundary, dtype, fill, device, precision, nan, count)
+    return _on_grid("resample", source, positions, steps, as_anti_aliasing(anti_aliasing), work, chunks)
+
+
+def magnify(
+    volume: Any,
+    factor: int = 2,
+    filter: str | Filter | None = None,
+    boundary: str | Boundary | None = None,
+    *,
+    evaluator: str = "auto",
+    fetch: str = "auto",
+    device: AnyDevice = None,
+    precision: Precision | None = None,
+    nan: str | None = None,
+    progress: None = None,
+    chunks: Chunks = None,
+    dimensions: int | None = None,
+) -> Any:
+    """Volumes with `factor` times the samples along each axis, the given ones among them, as `clvol.magnify` gives them.
+
+    Parameters
+    ----------
+    volume : dask.array.Array
+    factor : int
+        At least 1.
+    filter, boundary, evaluator, fetch, device, precision, nan, progress, chunks, dimensions
+        As of `clvol.dask.resample`.
+
+    Returns
+    -------
+    dask.array.Array of float32, or of float64 in double precision
+    """
+    refused("magnify", progress=progress)
+    if (evaluator, fetch) != ("auto", "auto"):
+        raise UnsupportedError(f"magnify takes 'auto' as evaluator and fetch for an array of dask; got {evaluator!r}, {fetch!r}")
+    factor = whole("factor", factor, minimum=1)
+    source, count = as_volumes(volume, dimensions, least=2)
+    positions = [np.asarray(1 / factor * np.arange(factor * n), np.float64) for n in source.shape[-count:]]
+    work = _Work.of(source, filter, boundary, None, None, device, precision, nan, count)
+    return _on_grid("magnify", source, positions, np.full(count, 1 / factor), None, work, chunks)
+
+
+@dataclass(frozen=True, eq=False)
+class _Work:
+    """What is the same for all blocks.
+
+    Attributes
+    ----------
+    filter, boundary : Filter, Boundary
+    precision : {"single", "double"}
+    wide : bool
+        Whether single precision gives way to double on devices that have it.
+    dtype : dtype
+        Of the result.
+    fill : float or None
+    device : object
+    count : int
+        The last axes that are a volume's.
+    """
+
+    filter: Filter
+    boundary: Boundary
+    precision: Precision
+    wide: bool
+    dtype: np.dtype[Any]
+    fill: float | None
+    device: Any
+    count: int
+
+    @classmethod
+    def of(
+        cls,
+        source: Any,
+        filter: str | Filter | None,
+        boundary: str | Boundary | None,
+        dtype: DTypeLike | None,
+        fill: float | None,
+        device: AnyDevice,
+        precision: Precision | None,
+        nan: str | None,
+        count: int,
+    ) -> _Work:
+        """Options, checked; no device is looked for."""
+        if nan not in (None, "error"):
+            raise UnsupportedError(f'nan must be "error" for an array of dask, whose gaps may span blocks; got {nan!r}')
+        row = settled_row(as_filter(DEFAULT_FILTER if filter is None else filter), source.shape[-count:])
+        fill = fill_value(fill)
+        kind = None if dtype is None else as_kind(dtype, source.dtype)
+        if kind is not None and kind.kind != "f" and fill is not None and np.isnan(fill):
+            raise OptionError(f"fill must be a number that {kind} holds; got {fill!r}")
+        more = precision is None and kind is not None and wide(kind)
+        made = np.dtype(precision_kind(precision or "single"))
+        chosen: Precision = "double" if more else precision or "single"
+        return cls(
+            row,
+            as_boundary(DEFAULT_BOUNDARY if boundary is None else boundary),
+            chosen,
+            more,
+            made if kind is None else kind,
+            fill,
+            checked_device(device),
+            count,
+        )
+
+    def here(self) -> tuple[Any, type[np.generic]]:
+        """The device of this process, and the type that is computed in."""
+        device = as_device(self.device)
+        return device, precision_kind("single" if self.wide and not device.has_double else self.precision)
+
+    @property
+    def identity(self) -> list[object]:
+        """What tells it from others."""
+        return [self.filter, self.boundary, self.precision, self.wide, repr(self.fill), repr(self.device), self.count]
+
+
+def _on_grid(
+    name: str, source: Any, positions: list[Floats], steps: Floats, low_pass: AntiAliasing, work: _Work, chunks: Chunks
+) -> Any:
+    """A grid along the axes of volumes, at positions in samples."""
+    leading = source.ndim - work.count
+    shape = (*source.shape[:leading], *(len(p) for p in positions))
+    sizes = as_chunks(chunks, source, shape, range(source.ndim), work.dtype)
+    reductions: list[Reduction] = []
+    windows: list[list[Window]] = []
+    sigma = np.maximum(0, (steps - 1) / 2) if low_pass == "gaussian" else np.zeros(work.count)
+    for k, (along, n) in enumerate(zip(positions, source.shape[leading:], strict=True)):
+        row = work.filter if work.filter.magnified_by else work.filter.along(work.count - 1 - k)
+        if low_pass == "least-squares":
+            reductions.append(_reduction(row, along, float(steps[k]), n, work))
+            continue
+        reach, more = margin(row, work.precision), gaussian_radius(float(sigma[k]))
+        made = []
+        for low, high in spans(sizes[leading + k]):
+            one = window_along(along[low:high], n, work.boundary, reach, more)
+            if more and work.boundary.outside == "overlap" and (one.span[0] <= 0 or one.span[1] >= n):
+                one = window_along(along[low:high], n, work.boundary, (n, n))  # what stands past an edge lies at the other one
+            made.append(one)
+        windows.append(made)
+
+    def plan(index: tuple[int, ...], where: tuple[Span, ...]) -> tuple[tuple[Span, ...], Any]:
+        if reductions:
+            return (*where[:leading], *(r.span(place) for r, place in zip(reductions, where[leading:], strict=True))), None
+        row = [along[i] for along, i in zip(windows, index[leading:], strict=True)]
+        return (*where[:leading], *(one.span for one in row)), [one.positions for one in row]
+
+    edge = work.boundary.edge
+    beyond = [(p < -edge) | (p > n - 1 + edge) for p, n in zip(positions, source.shape[leading:], strict=True)]
+
+    compute: Any = _Grid(work, steps, low_pass == "gaussian", None if work.fill is None else beyond)
+    if reductions:
+        compute = _LeastSquares(work, reductions, None if work.fill is None else beyond)
+    return blockwise(name, source, sizes, work.dtype, plan, compute, [*work.identity, positions, low_pass])
+
+
+def _reduction(row: Filter, along: Floats, step: float, n: int, work: _Work) -> Reduction:
+    if row.prefilter and work.boundary.period is None:
+        raise OptionError(f"least-squares reduction takes a boundary rule that continues the samples; got {work.boundary.name!r}")
+    if row.magnified_by is not None:
+        raise OptionError(f"least-squares reduction takes a filter with one kernel; got the hybrid {row.name!r}")
+    return Reduction(row, float(along[0]), step, len(along), n, work.boundary, work.precision == "double", True)
+
+
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    work: _Work
+    steps: Floats
+    smooth: bool
+    beyond: list[NDArray[np.bool_]] | None
+
+    def __call__(self, window: Array, block: Block) -> Array:
+        made = np.empty(block.shape, self.work.dtype)
+        with located(window, block, "samples must be finite"):
+            for index in np.ndindex(window.shape[: -self.work.count]):
+                values = self._one(window[index], block.extra)
+                _fill(values, self.beyond, block, self.work)
+                made[index] = in_kind(values, self.work.dtype)
+        return made
+
+    def _one(self, samples: Array, positions: list[Floats]) -> Array:
+        device, kind = self.work.here()
+        row, boundary = self.work.filter, self.work.boundary
+        volume = Volume(samples)
+        if self.smooth:
+            volume = low_passed(volume, self.steps[::-1], boundary, kind, device)
+        given, shape = Given(), tuple(map(len, positions))
+        evaluator = choose_evaluator(device, row, "auto", "auto" if kind == np.float32 else "buffer")
+        result = np.empty(shape, kind)
+        with coefficients_of(volume, row, boundary, device, kind) as made, device.lent(result, write=True) as buffer:
+            if along_axes(made, DIRECT):
+                resample_axes(made, positions[::-1], buffer, given)
+            else:
+                first = np.array([p[0] for p in positions[::-1]])
+                resample_coefficients(made, evaluator, np.diag(self.steps[::-1]), first, (1, *shape)[-3:], buffer, given)
+            stored = made
+        return given.in_units_of_data(stored, result, 0)
+
+
+@dataclass(frozen=True, eq=False)
+class _LeastSquares:
+    work: _Work
+    reductions: list[Reduction]
+    beyond: list[NDArray[np.bool_]] | None
+
+    def __call__(self, window: Array, block: Block) -> Array:
+        made = np.empty(block.shape, self.work.dtype)
+        assert block.spans is not None
+        count, leading = self.work.count, window.ndim - self.work.count
+        device, kind = self.work.here()
+        sums = {}
+        for k, one in enumerate(self.reductions):
+            first, length = block.start[leading + k], block.shape[leading + k]
+            sums[k] = one.within((first, first + length), block.spans[leading + k])
+        with located(window, block, "samples must be finite"):
+            for index in np.ndindex(window.shape[:-count]):
+                volume = Volume(window[index])
+                volume.require_finite()
+                enough = wide_enough(kind, volume, self.work.filter, self.work.boundary)
+                values = sum_along(volume.data, sums, enough, device, self.work.boundary.cval)
+                _fill(values, self.beyond, block, self.work)
+                made[index] = in_kind(values, self.work.dtype)
+        return made
+
+
+def _fill(values: Array, beyond: list[NDArray[np.bool_]] | None, block: Block, work: _Work) -> None:
+    """Put the value that is given outside the domain, of which windows know nothing where the rule repeats samples."""
+    for k, along in enumerate(beyond or []):
+        first = block.start[len(block.start) - work.count + k]
+        np.moveaxis(values, k, 0)[along[first : first + values.shape[k]]] = work.fill
