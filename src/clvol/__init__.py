@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     )
     from clvol.filter import Filter, bc, bspline, filters, from_callable, from_pieces, lanczos, moms3, quasi, register, sinc
     from clvol.formats import read, read_all, write
+    from clvol.formats.opening import open  # noqa: A004  # as files are opened: clvol.open
     from clvol.formats.transforms import read_transform
     from clvol.interpolator import Interpolator
     from clvol.lazy import LazyVolume
@@ -116,6 +117,7 @@ __all__ = [
     "modes",
     "moms3",
     "ndimage",
+    "open",
     "phantoms",
     "prefilter",
     "prefilter_response",
@@ -145,6 +147,7 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "OutOfMemoryError",
     "filter": "Filter bc bspline filters from_callable from_pieces lanczos moms3 quasi register sinc",
     "formats": "read read_all write",
+    "formats.opening": "open",
     "formats.transforms": "read_transform",
     "interpolator": "Interpolator",
     "lazy": "LazyVolume",

@@ -23,12 +23,28 @@ from clvol.formats._choice import Choice, Series
 from clvol.formats._files import Reader, Writer, foreign_errors
 from clvol.formats._limits import Budget, Limits, limited, size_of
 from clvol.formats._worker import call
+from clvol.interop import Content
 from clvol.memory import available
 from clvol.moved import forwarding
 from clvol.volume import Volume, as_volume
 from clvol.volumes import Leading, Volumes
 
-__all__ = ["FORMATS", "WRITTEN", "Format", "Limits", "Series", "leading_of", "read", "read_all", "series_of", "write"]
+__all__ = [
+    "FORMATS",
+    "WRITTEN",
+    "Format",
+    "Limits",
+    "Series",
+    "allowed",
+    "called",
+    "format_of",
+    "leading_of",
+    "options_of",
+    "read",
+    "read_all",
+    "series_of",
+    "write",
+]
 
 if not TYPE_CHECKING:  # checkers see the modules
     __getattr__ = forwarding(__name__, {})
@@ -65,6 +81,9 @@ class Format:
         Python and NumPy alone read it, here.
     write_several : callable or None
         Writes `Volumes` into one file; None where the format holds one volume.
+    lazily : callable or None
+        As `read`, but it gives a list of sizes, the largest first, each with a `Window` of its samples; an empty one where those of
+        this file cannot be read part by part. None: those of no file can.
     """
 
     name: str
@@ -78,6 +97,7 @@ class Format:
     series: Callable[[Path], tuple[Series, ...]] | None = None
     native: tuple[str, ...] = ()
     write_several: Callable[[Volumes, Path], None] | None = None
+    lazily: Callable[..., list[Content]] | None = None
 
 
 _ITK = ("SimpleITK",)
@@ -103,6 +123,7 @@ FORMATS = (
         folder=zarr.is_one,
         series=zarr.series,
         native=("zarr",),
+        lazily=zarr.lazily,
     ),
     Format(
         "DICOM",
@@ -268,7 +289,7 @@ def read(
     options = {"series": series, "level": level, "shape": shape, "dtype": dtype, "byte_order": byte_order, "offset": offset or None}
     replaced = {"spacing": spacing, "origin": origin, "direction": direction}
     choice = Choice({name: v for name, v in wanted.items() if v is not None})
-    result = _read(path, choice, options, replaced, _allowed(trusted, limits))
+    result = _read(path, choice, options, replaced, allowed(trusted, limits))
     assert isinstance(result, Volume)  # nothing was left open
     return result
 
@@ -317,7 +338,7 @@ def read_all(
     wanted = {"time": time, "position": position, "channel": channel}
     replaced = {"spacing": spacing, "origin": origin, "direction": direction}
     choice = Choice({name: v for name, v in wanted.items() if v is not None}, whole=True)
-    result = _read(path, choice, {"series": series, "level": level}, replaced, _allowed(trusted, limits))
+    result = _read(path, choice, {"series": series, "level": level}, replaced, allowed(trusted, limits))
     return Volumes([result]) if isinstance(result, Volume) else result
 
 
@@ -327,10 +348,10 @@ def series_of(path: str | os.PathLike[str], *, trusted: bool = False, limits: Li
     `trusted` and `limits` are as of `read`.
     """
     path = as_path(path)
-    chosen = _format_of(path)
+    chosen = format_of(path)
     if chosen.series is None:
         return ()
-    return tuple(_called(chosen.name, chosen.native, path, _allowed(trusted, limits), chosen.series, path))
+    return tuple(called(chosen.name, chosen.native, path, allowed(trusted, limits), chosen.series, path))
 
 
 def leading_of(
@@ -351,11 +372,11 @@ def leading_of(
         As `read` raises it.
     """
     path = as_path(path)
-    chosen = _format_of(path)
+    chosen = format_of(path)
     if not chosen.several:
         return Leading()
-    options = _options(chosen, path, {"series": series, "level": level})
-    found = _called(chosen.name, chosen.native, path, _allowed(trusted, limits), _counted, chosen.read, path, **options)
+    options = options_of(chosen, path, {"series": series, "level": level})
+    found = called(chosen.name, chosen.native, path, allowed(trusted, limits), _counted, chosen.read, path, **options)
     assert isinstance(found, Leading)
     return found
 
@@ -383,7 +404,7 @@ class _KnownError(ClvolError):
         self.leading = leading
 
 
-def _allowed(trusted: bool, limits: Limits | None) -> Limits | None:
+def allowed(trusted: bool, limits: Limits | None) -> Limits | None:
     """The limits of what is read; None: it is trusted."""
     if not isinstance(trusted, bool):
         raise OptionError(f"trusted must be True or False; got {trusted!r}")
@@ -392,7 +413,7 @@ def _allowed(trusted: bool, limits: Limits | None) -> Limits | None:
     return None if trusted else limits or Limits()
 
 
-def _called(
+def called(
     reader: str,
     native: tuple[str, ...],
     path: Path,
@@ -419,11 +440,11 @@ def _read(
     path: str | os.PathLike[str], choice: Choice, given: Mapping[str, Any], replaced: Mapping[str, Any], limits: Limits | None
 ) -> Volume | Volumes:
     path = as_path(path)
-    chosen = _format_of(path)
-    options = _options(chosen, path, given)
+    chosen = format_of(path)
+    options = options_of(chosen, path, given)
     if chosen.several:
         options["choose"] = choice
-    data, geometry = _called(chosen.name, chosen.native, path, limits, chosen.read, path, **options)
+    data, geometry = called(chosen.name, chosen.native, path, limits, chosen.read, path, **options)
     with foreign_errors(f"read {path}"):
         if not chosen.several:
             pick = choice(path.name, Leading())  # refuses what is asked of one volume
@@ -438,7 +459,7 @@ def _read(
             raise GeometryError(f"{path}: {error}; {mend}") from error
 
 
-def _options(chosen: Format, path: Path, given: Mapping[str, Any]) -> dict[str, Any]:
+def options_of(chosen: Format, path: Path, given: Mapping[str, Any]) -> dict[str, Any]:
     """Those options that are given; `OptionError` for one that is not for this format."""
     options = {name: value for name, value in given.items() if value is not None}
     for name in options:
@@ -448,7 +469,7 @@ def _options(chosen: Format, path: Path, given: Mapping[str, Any]) -> dict[str, 
     return options
 
 
-def _format_of(path: Path) -> Format:
+def format_of(path: Path) -> Format:
     """That of a file by its name, of a folder by what it holds."""
     with foreign_errors(f"read {path}"):
         if not path.exists():
