@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from clvol.march.renderer import Output, Renderer, render
     from clvol.missing import Missing
     from clvol.mode import Attenuated, Composite, Isosurface, Mean, Minip, Mip, Mode, modes
+    from clvol.multiscale import pyramid
     from clvol.picture import Picture, save, show
     from clvol.preset import presets
     from clvol.resizing import resize
@@ -122,6 +123,7 @@ __all__ = [
     "prefilter",
     "prefilter_response",
     "presets",
+    "pyramid",
     "quasi",
     "read",
     "read_all",
@@ -156,6 +158,7 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "march.renderer": "Output Renderer render",
     "missing": "Missing",
     "mode": "Attenuated Composite Isosurface Mean Minip Mip Mode modes",
+    "multiscale": "pyramid",
     "picture": "Picture save show",
     "preset": "presets",
     "resizing": "resize",

@@ -23,7 +23,7 @@ from clvol.lazy import LazyVolume
 from clvol.volume import Volume
 from clvol.volumes import Leading
 
-__all__ = ["open", "opened"]
+__all__ = ["WholeOnlyError", "open", "opened"]
 
 _OFF = 1.5  # samples of a level, by which its ends may lie beside those of the finest: shapes are rounded, and many writers have
 # the first samples of all levels in one place, though they are means
@@ -139,8 +139,12 @@ def _look(lazily: Callable[..., list[Content]], path: Path, choice: Choice, opti
         lazily(path, choice, **options)
 
 
-def _whole_only(path: Path, chosen: Format) -> FormatError:
-    return FormatError(
+class WholeOnlyError(FormatError):
+    """A file that can only be read as one."""
+
+
+def _whole_only(path: Path, chosen: Format) -> WholeOnlyError:
+    return WholeOnlyError(
         f"{path} must be of a format that is read part by part, and its samples not compressed as one; it is read as: "
         f"{chosen.name}: clvol.read reads it whole, clvol.pyramid makes a Zarr store of it"
     )

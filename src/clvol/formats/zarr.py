@@ -19,12 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.errors import ClvolError, DataError, FormatError, MissingDependencyError
+from clvol.formats._bounds import KEY, bounds_of
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
 from clvol.formats._files import bytes_at, require_members, sample_count
 from clvol.formats._layout import Layout, decoded, lay_out, place, shrunk, uniform, unnamed
 from clvol.formats._limits import announce
 from clvol.formats._window import Index, Signature, Window, signature
 from clvol.interop import Content
+from clvol.volume import SPACES
 from clvol.volumes import Leading
 
 __all__ = ["is_one", "lazily", "read", "series"]
@@ -91,21 +93,23 @@ def lazily(
     store, inner, name = _store(source, storage_options, watched=True)
     image = _one_of(name, _found(store, inner, name), series)
 
-    def window(source: str, array: Any, index: Index = ()) -> Window:
-        return Window(_Chunked(source, array, store), array.shape, array.dtype, array.chunks, index)
-
     if image.multiscales is None:
         chosen_level(name, [image.node.shape], level)
         _require_chunks(name, image.node, store)
-        return [_plain(name, image, choose, window)]
+        return [_plain(name, image, choose, _window)]
     sizes = _sizes(image)
     contents = []
     for number in range(chosen_level(name, sizes, level), len(sizes)):
         _require_chunks(name, image.level(number), store)
-        contents.append(_multiscale(name, image, number, choose, window))
+        contents.append(_multiscale(name, image, number, choose, _window))
     if not any(one.get("coordinateTransformations") for one in image.multiscales["datasets"]):
         contents = [shrunk(contents[0], content) for content in contents]  # before 0.4 the shapes alone told how far apart
     return contents
+
+
+def _window(source: str, array: Any, index: Index = ()) -> Window:
+    """Of an array in a store that is watched."""
+    return Window(_Chunked(source, array, array.store_path.store), array.shape, array.dtype, array.chunks, index)
 
 
 def _one_of(name: str, images: list[_Image], series: int | str | None) -> _Image:
@@ -381,10 +385,26 @@ def _multiscale(source: str, image: _Image, level: int, choose: Choice, load: Lo
     lines = {axis: (float(shift), float(factor)) for axis, factor, shift in zip(layout.axes, factors, shifts, strict=True)}
     units = {axis: str(one.get("unit") or "") for axis, one in zip(layout.axes, axes, strict=True)}
     known: dict[str, Any] = {"space": "image"} | place(layout, lines, units)
+    own = dict(image.node.attrs).get(KEY, {})
+    if own and layout.axes == ("z", "y", "x"):  # clvol.pyramid wrote it
+        known |= _of_pyramid(own, known)
+        if load is not _loaded:
+            known["bounds"] = bounds_of(
+                image.node, own, multiscales["datasets"][level]["path"], array.shape[::-1], lambda one: _window(source, one)
+            )
     if image.labels:
         known["labels"] = _labels(about) or True
     data, chosen = layout.chosen(source, choose, lambda index: load(source, array, index), _leading(layout, channels))
     return data, known | chosen
+
+
+def _of_pyramid(own: Mapping[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
+    """What OME-Zarr has no place for: which way the axes go, and of what space they are."""
+    about: dict[str, Any] = {"space": own["space"]} if own.get("space") in SPACES else {"space": ""}
+    if "direction" in own:
+        direction = np.asarray(own["direction"], np.float64)
+        about |= {"direction": direction, "origin": (direction @ known["origin"]).tolist()}
+    return about
 
 
 def _leading(layout: Layout, channels: list[Mapping[str, Any]]) -> Leading:
