@@ -367,7 +367,8 @@ def _multiscale(source: str, image: _Image, level: int, choose: Choice, load: Lo
     axes = [axis if isinstance(axis, dict) else {"name": axis} for axis in given]
     words = [axis["type"] if axis.get("type") in ("time", "channel") else axis["name"] for axis in axes]
     channels = about.get("omero", {}).get("channels", [])
-    layout = lay_out(source, words, array.shape, ("channel",) if channels else ())
+    keep = [*("channel",) * bool(channels), *("z",) * (load is not _loaded)]  # what is read part by part has three axes
+    layout = lay_out(source, words, array.shape, keep)
     factors, shifts = [1.0] * array.ndim, [0.0] * array.ndim
     for step in (
         *multiscales["datasets"][level].get("coordinateTransformations", ()),
@@ -385,6 +386,8 @@ def _multiscale(source: str, image: _Image, level: int, choose: Choice, load: Lo
     lines = {axis: (float(shift), float(factor)) for axis, factor, shift in zip(layout.axes, factors, shifts, strict=True)}
     units = {axis: str(one.get("unit") or "") for axis, one in zip(layout.axes, axes, strict=True)}
     known: dict[str, Any] = {"space": "image"} | place(layout, lines, units)
+    if len(channels) == 1 and "channel" not in layout.axes:
+        known |= _leading(Layout(("channel",), (1,)), channels).about([0])
     own = dict(image.node.attrs).get(KEY, {})
     if own and layout.axes == ("z", "y", "x"):  # clvol.pyramid wrote it
         known |= _of_pyramid(own, known)

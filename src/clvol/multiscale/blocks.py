@@ -15,7 +15,7 @@ from clvol.device import Device
 from clvol.errors import OptionError
 from clvol.filter import Filter
 from clvol.formats._bounds import BLOCK, blocks_of
-from clvol.multiscale.levels import gathered, runs_of
+from clvol.multiscale.levels import FIXED, gathered, runs_of
 from clvol.spline.evaluator import DIRECT
 from clvol.spline.field import coefficients_of
 from clvol.spline.minmax import BLOCK as CELLS
@@ -98,7 +98,10 @@ class Bricks:
             needed = _BYTES * (edge * BLOCK + 2 * margin(filter) + 8) ** 3
             if needed <= budget:
                 return edge
-        raise OptionError(f"budget must hold a brick of {8 * BLOCK}³ samples and its margin, {-(-needed // _MIB)} MiB")
+        least = -(-needed // _MIB) + FIXED // _MIB
+        raise OptionError(
+            f"budget must hold a brick of {8 * BLOCK}³ samples and its margin, {least} MiB; got {(budget + FIXED) // _MIB} MiB"
+        )
 
     def places(self) -> Iterator[tuple[tuple[int, int], ...]]:
         """The blocks of each brick, from one to before another along x, y and z."""

@@ -13,10 +13,13 @@ from clvol.boundary import Boundary
 from clvol.filter import Filter
 from clvol.spline.reduce import Sums, least_squares
 
-__all__ = ["METHODS", "Level", "Method", "Rows", "gathered", "levels_of", "runs_of", "sums_for"]
+__all__ = ["FIXED", "METHODS", "Level", "Method", "Rows", "gathered", "levels_of", "runs_of", "sums_for"]
 
 Method: TypeAlias = Literal["least-squares", "average", "nearest"]
 METHODS: tuple[Method, ...] = ("least-squares", "average", "nearest")
+
+FIXED = 96 << 20
+"""Bytes of a budget that Zarr and the device take beside what is counted."""
 
 Runs: TypeAlias = tuple[tuple[int, int], ...]
 """Samples of an axis, those from one to before another, and from a third on."""

@@ -28,7 +28,7 @@ from clvol.formats.opening import open as open_lazily
 from clvol.lazy import LazyVolume, Sliced
 from clvol.multiscale.blocks import Bricks, coarser, outwards, require_bounded
 from clvol.multiscale.journal import Journal
-from clvol.multiscale.levels import METHODS, Level, Method, levels_of, sums_for
+from clvol.multiscale.levels import FIXED, METHODS, Level, Method, levels_of, sums_for
 from clvol.multiscale.reduce import Reduction
 from clvol.rounding import wide
 from clvol.smoothing import filter_for, settled
@@ -43,7 +43,6 @@ _CHUNK = 64
 _BLOCKS = 32  # of bounds, along an edge of a chunk
 _FEW = 8  # blocks along an axis from which no coarser ones are kept
 _BUDGET = 2 << 30
-_FIXED = 96 << 20  # bytes of a budget that Python, Zarr and the device take
 _COST = {"reduce": 1.0, "bounds": 2.0}  # of a sample, about, for telling how much is done
 
 
@@ -143,6 +142,8 @@ def pyramid(
         volume, filter, boundary, method, levels, chunks, shards, compressor, bounds, coefficients, version, as_device(device)
     )
     room = _room(budget)
+    if plan.bounds or plan.coefficients:
+        Bricks.edge_for(plan.filter, room)
     target = target.resolve()
     replaced = flag("overwrite", overwrite)
     if (target.exists() or target.is_symlink()) and not replaced:
@@ -173,11 +174,11 @@ def _lazy(source: Any) -> LazyVolume:
 def _room(budget: int | None) -> int:
     """Bytes for what a part takes."""
     if budget is None:
-        return max(_FIXED, min(_BUDGET, memory.available() // 2) - _FIXED)
+        return max(FIXED, min(_BUDGET, memory.available() // 2) - FIXED)
     given = whole("budget", budget, 1)
-    if given <= _FIXED:
-        raise OptionError(f"budget must be more than {_FIXED >> 20} MiB; got {given >> 20} MiB")
-    return given - _FIXED
+    if given <= FIXED:
+        raise OptionError(f"budget must be more than {FIXED >> 20} MiB; got {given >> 20} MiB")
+    return given - FIXED
 
 
 # -- what is made ------------------------------------------------------------------------------------------------------
@@ -295,7 +296,7 @@ class _Making:
         self._format: Literal[2, 3] = 3 if plan.version == "0.5" else 2
         self._made = 0.0
         sizes = [math.prod(level.size) for level in plan.levels]
-        self._all = _COST["reduce"] * sum(sizes) + _COST["bounds"] * sum(sizes) * (plan.bounds or plan.coefficients)
+        self._all = _COST["reduce"] * sum(sizes[:-1] or sizes) + _COST["bounds"] * sum(sizes) * (plan.bounds or plan.coefficients)
         self.dtype = volume.dtype.newbyteorder("=")
 
     def run(self) -> None:

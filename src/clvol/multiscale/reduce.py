@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from clvol.device import Device
 from clvol.errors import OptionError
-from clvol.multiscale.levels import Level, Rows, gathered
+from clvol.multiscale.levels import FIXED, Level, Rows, gathered
 from clvol.rounding import in_kind
 from clvol.spline.reduce import Sums, sum_along
 
@@ -97,8 +97,10 @@ class Reduction:
         while self._bytes(x, y) > budget:
             wide = [(n, axis) for axis, n in enumerate((x, y)) if n > self.units[axis]]
             if not wide:
-                least = -(-self._bytes(x, y) // _MIB)
-                raise OptionError(f"budget must hold at least one column of chunks, {least} MiB; got {budget // _MIB} MiB")
+                least = -(-(self._bytes(x, y) + FIXED) // _MIB)
+                raise OptionError(
+                    f"budget must hold at least one column of chunks, {least} MiB; got {(budget + FIXED) // _MIB} MiB"
+                )
             edge, axis = max(wide)
             half = -(-edge // (2 * self.units[axis])) * self.units[axis]
             x, y = (half, y) if axis == 0 else (x, half)
@@ -146,23 +148,24 @@ class Reduction:
         rows = [Rows.of(self._sums[axis], *ends) for axis, ends in enumerate((tile.x, tile.y))]
         n = self.finer.size[2]
         kept: dict[int, NDArray[Any]] = {}
-        copied = min((a for a, _ in blocks), default=0) * self.coarser.steps[2] // self.deep
+        begun = min((first for first, _ in blocks), default=0) * self.coarser.steps[2] // self.deep
+        copied = set(range(begun))  # when the blocks before were made
         for first, last in blocks:
             along = Rows.of(self._sums[2], first, last)
-            needed = sorted({k for a, b in along.runs for k in range(a // self.deep, -(-b // self.deep))})
-            own = range(copied, -(-min(last * self.coarser.steps[2], n) // self.deep)) if copy else range(0)
-            for k in [k for k in kept if k not in needed]:
+            needed = {k for a, b in along.runs for k in range(a // self.deep, -(-b // self.deep))}
+            own = set(range(-(-min(last * self.coarser.steps[2], n) // self.deep))) if copy is not None else set()
+            for k in kept.keys() - needed:
                 del kept[k]
-            for k in sorted({*own, *(k for k in needed if k not in kept)}):
+            for k in sorted((own - copied) | (needed - kept.keys())):
                 span = (k * self.deep, min((k + 1) * self.deep, n))
                 read = gathered(self._read, ((span,), rows[1].runs, rows[0].runs))
-                if copy is not None and k in own:
+                if copy is not None and k not in copied:
                     place, inside = self._own(tile, rows, span)
                     copy(place, read[inside])
+                    copied.add(k)
                 if k in needed:
                     kept[k] = self._flat(read, rows)
                 del read
-            copied = max(copied, own.stop)
             yield self._made(kept, along, tile, rows)
 
     def _own(self, tile: Tile, rows: list[Rows], span: tuple[int, int]) -> tuple[tuple[slice, slice, slice], tuple[slice, ...]]:
