@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import http.server
 import json
+import os
 import shutil
 import threading
 import time
@@ -321,3 +322,130 @@ def test_faults_behind_http(served: tuple[str, Path, type[Slow]], monkeypatch: p
 def test_a_store_in_fsspecs_memory() -> None:
     stored(zarr.storage.FsspecStore.from_url("memory://clvol/v.zarr", read_only=False))
     np.testing.assert_array_equal(clvol.open("memory://clvol/v.zarr").read(LOW, HIGH), DATA[0, 0][PART])
+
+
+# -- other formats -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+@pytest.mark.parametrize("dtype", ["uint16", ">f4", "bool"])
+def test_flat_samples(tmp_path: Path, order: Any, dtype: str) -> None:
+    """Of NumPy and raw, in boxes of any size: whole planes, whole rows, and narrow ones."""
+    data = DATA[0, 0].astype(dtype) if dtype != "bool" else DATA[0, 0] > 30000
+    np.save(tmp_path / "v.npy", np.asarray(data, order=order))
+    same(tmp_path / "v.npy")
+    lazy = clvol.open(tmp_path / "v.npy")
+    for part in (
+        (slice(2, 4), slice(0, 30), slice(0, 40)),
+        (slice(2, 9), slice(3, 4), slice(1, 40)),
+        (slice(7, 8), slice(0, 30), slice(39, 40)),
+    ):
+        np.testing.assert_array_equal(lazy.data[part], data[part])
+    data.tofile(tmp_path / "v.raw")
+    about: dict[str, Any] = {"shape": data.shape, "dtype": data.dtype}
+    same(tmp_path / "v.raw", **about)
+    np.save(tmp_path / "several.npy", DATA[0].astype("u2"))
+    same(tmp_path / "several.npy", volume=1)
+    with (tmp_path / "v.npy").open("r+b") as file:
+        file.truncate(3000)
+    with pytest.raises(FormatError, match=r"samples .*v\.npy has changed since it was opened"):
+        lazy.whole()
+    with pytest.raises(FormatError, match="must hold"):
+        clvol.open(tmp_path / "v.npy")
+
+
+TIFFS: dict[str, dict[str, Any]] = {
+    "plain": {},
+    "OME": {
+        "ome": True,
+        "metadata": {"axes": "TCZYX", "PhysicalSizeX": 0.25, "PhysicalSizeZ": 2.0, "Channel": {"Name": ["a", "b", "c"]}},
+    },
+    "ImageJ": {"imagej": True, "metadata": {"axes": "TZCYX", "spacing": 3.0, "unit": "um"}},
+    "deflate": {"compression": "zlib"},
+    "tiles": {"tile": (16, 16), "ome": True, "metadata": {"axes": "TCZYX"}},
+    "big-endian": {"byteorder": ">"},
+}
+
+
+@pytest.mark.parametrize("kind", TIFFS)
+def test_tiff(tmp_path: Path, kind: str) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    path = tmp_path / ("v.ome.tif" if TIFFS[kind].get("ome") else "v.tif")
+    options = {"photometric": "minisblack"} | TIFFS[kind]
+    several = "metadata" in options
+    data = DATA[0, 0] if not several else DATA.swapaxes(1, 2) if kind == "ImageJ" else DATA
+    tifffile.imwrite(path, np.ascontiguousarray(data), **options)
+    same(path, **({"time": 1, "channel": 2} if several else {}))
+
+
+def test_sizes_of_a_tiff(tmp_path: Path) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    with tifffile.TiffWriter(tmp_path / "v.ome.tif", ome=True) as file:
+        about = {"axes": "ZYX", "PhysicalSizeX": 0.5, "PhysicalSizeY": 0.5}
+        file.write(DATA[0, 0][:, :28], subifds=1, tile=(16, 16), metadata=about, photometric="minisblack")
+        file.write(DATA[0, 0][:, :28:2, ::2], subfiletype=1, tile=(16, 16), photometric="minisblack")
+    with warnings.catch_warnings(action="ignore"):
+        lazy = same(tmp_path / "v.ome.tif", parts=False)
+        small = clvol.read(tmp_path / "v.ome.tif", level=1, trusted=True)
+    assert len(lazy.levels) == 1
+    np.testing.assert_array_equal(lazy.levels[0].whole().data, small.data)
+    assert (lazy.levels[0].spacing, lazy.levels[0].grid.origin) == (small.spacing, small.origin)
+    blob = (tmp_path / "v.ome.tif").read_bytes()
+    (tmp_path / "v.ome.tif").write_bytes(blob[:-50000])
+    with pytest.raises(ClvolError, match=r"v\.ome\.tif"):
+        clvol.open(tmp_path / "v.ome.tif")
+    with pytest.raises(FormatError, match="changed since it was opened"):
+        lazy.whole()
+
+
+def test_hdf5_and_netcdf(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "v.h5", "w") as file:
+        file.create_dataset("flat", data=DATA[0, 0])
+        packed = file.create_dataset("packed", data=DATA[0, 0], chunks=(10, 10, 10), compression="gzip", fletcher32=True)
+        packed.attrs["element_size_um"] = (3, 2, 1)
+        file.create_dataset("never", shape=(4, 5, 6), chunks=(2, 2, 2), dtype="u2")
+        place = packed.id.get_chunk_info_by_coord((10, 20, 30)).byte_offset
+    assert same(tmp_path / "v.h5", series="packed").chunks == (10, 10, 10)
+    same(tmp_path / "v.h5", series="flat")
+    with pytest.raises(FormatError, match="none were ever written"):
+        clvol.open(tmp_path / "v.h5", series="never")
+    before = clvol.open(tmp_path / "v.h5", series="packed", trusted=True)
+    with (tmp_path / "v.h5").open("r+b") as stream:
+        stream.seek(place + 20)
+        stream.write(b"damaged")
+    os.utime(tmp_path / "v.h5", ns=(1, 1))
+    with pytest.raises(FormatError, match="changed since it was opened"):
+        before.whole()
+    with pytest.raises(FormatError, match=r"samples \[0:20, 0:30, 0:40\].*chunk \(1, 2, 3\) of /packed in v\.h5"):
+        clvol.open(tmp_path / "v.h5", series="packed", trusted=True).whole()
+
+
+def test_sizes_of_imaris(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+
+    def text(word: str) -> Any:
+        return np.array(list(word), "S1")
+
+    with h5py.File(tmp_path / "v.ims", "w") as file:
+        for number, size in enumerate([(20, 30, 40), (10, 15, 20)]):
+            for channel in (0, 1):
+                group = file.create_group(f"DataSet/ResolutionLevel {number}/TimePoint 0/Channel {channel}")
+                stored = np.zeros((32, 32, 64), np.uint16)
+                stored[: size[0], : size[1], : size[2]] = DATA[0, channel, : size[0], : size[1], : size[2]]
+                group.create_dataset("Data", data=stored, chunks=(8, 16, 16))
+                group.attrs.update({f"ImageSize{axis}": text(str(n)) for axis, n in zip("ZYX", size, strict=True)})
+        image = file.create_group("DataSetInfo/Image")
+        image.attrs.update(
+            {f"ExtMin{i}": text("0") for i in range(3)} | {f"ExtMax{i}": text(str(n)) for i, n in enumerate((40, 30, 20))}
+        )
+    lazy = same(tmp_path / "v.ims", channel=1)
+    assert lazy.chunks == (16, 16, 8)
+    assert [level.shape for level in lazy.levels] == [(10, 15, 20)]
+    np.testing.assert_array_equal(lazy.levels[0].whole().data, DATA[0, 1, :10, :15, :20])
+
+
+def test_formats_without_parts_say_so(tmp_path: Path) -> None:
+    clvol.write(clvol.Volume(DATA[0, 0]), tmp_path / "v.npz")
+    with pytest.raises(FormatError, match=r"part by part.*NumPy archive: clvol\.read reads it whole, clvol\.pyramid makes a Zarr"):
+        clvol.open(tmp_path / "v.npz")

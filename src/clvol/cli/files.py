@@ -279,7 +279,7 @@ def pyramid(
     levels: Whole | None = None,
     chunks: Annotated[tuple[int, int, int], Parameter(converter=whole_numbers)] = (64, 64, 64),
     shards: Annotated[tuple[int, int, int] | None, Parameter(converter=whole_numbers)] = None,
-    compressor: Literal["zstd", "lz4", "none"] = "zstd",
+    compressor: Literal["lz4", "zstd", "none"] = "lz4",
     bounds: bool = True,
     coefficients: Annotated[bool, Parameter(negative="")] = False,
     ome: Literal["0.4", "0.5"] = "0.5",

@@ -104,7 +104,7 @@ _ITK = ("SimpleITK",)
 _PILLOW = ("imageio.v3", "PIL.Image")
 
 FORMATS = (
-    Format("NumPy array, no geometry", (".npy",), npy.read, npy.write, several=True, write_several=npy.write),
+    Format("NumPy array, no geometry", (".npy",), npy.read, npy.write, several=True, write_several=npy.write, lazily=npy.lazily),
     Format("NumPy archive", (".npz",), npy.read_archive, npy.write_archive, several=True, write_several=npy.write_archive),
     Format("NIfTI", (".nii", ".nii.gz"), nifti.read, nifti.write, several=True, write_several=nifti.write),
     Format("NIfTI in two files", (".hdr", ".img"), nifti.read_pair, several=True),
@@ -145,6 +145,7 @@ FORMATS = (
         several=True,
         series=tiff.series,
         native=("tifffile",),
+        lazily=tiff.lazily,
         write_several=tiff.write_several,
     ),
     Format(
@@ -156,8 +157,9 @@ FORMATS = (
         several=True,
         series=hdf5.series,
         native=("h5py",),
+        lazily=hdf5.lazily,
     ),
-    Format("Imaris", (".ims",), imaris.read, None, frozenset({"level"}), several=True, native=("h5py",)),
+    Format("Imaris", (".ims",), imaris.read, None, frozenset({"level"}), several=True, native=("h5py",), lazily=imaris.lazily),
     Format(
         "VTK image data",
         (".vti",),
@@ -180,7 +182,9 @@ FORMATS = (
     ),
     Format("image", slices.SUFFIXES, slices.read, several=True, native=_PILLOW),
     Format("folder of image slices", (), slices.read_folder, several=True, folder=slices.are_in, native=(*_PILLOW, "tifffile")),
-    Format("raw samples", (".raw", ".bin"), raw.read, None, frozenset({"shape", "dtype", "byte_order", "offset"})),
+    Format(
+        "raw samples", (".raw", ".bin"), raw.read, None, frozenset({"shape", "dtype", "byte_order", "offset"}), lazily=raw.lazily
+    ),
 )
 
 _FOLDERS = "DICOM files, image slices (.tif .png .jpg .bmp) or a Zarr array or group"

@@ -55,9 +55,8 @@ def open(  # noqa: A001  # as files are opened: clvol.open
     Parameters
     ----------
     path : path-like or address
-        Zarr 2 and 3 and OME-Zarr (a folder or ``.zarr.zip``), TIFF, HDF5, netCDF-4 and Imaris, ``.npy``, raw samples, and NIfTI,
-        NRRD and MetaImage that are not compressed. Or the address of a Zarr store: ``s3://...``, ``https://...``, ``memory://...``
-        and all else that fsspec knows.
+        Zarr 2 and 3 and OME-Zarr (a folder or ``.zarr.zip``), TIFF, HDF5, netCDF-4 and Imaris, ``.npy``, and raw samples. Or the
+        address of a Zarr store: ``s3://...``, ``https://...``, ``memory://...`` and all else that fsspec knows.
     volume, time, channel, position, series, shape, dtype, byte_order, offset : optional
         As of `clvol.read`.
     level : int, optional
@@ -145,8 +144,8 @@ class WholeOnlyError(FormatError):
 
 def _whole_only(path: Path, chosen: Format) -> WholeOnlyError:
     return WholeOnlyError(
-        f"{path} must be of a format that is read part by part, and its samples not compressed as one; it is read as: "
-        f"{chosen.name}: clvol.read reads it whole, clvol.pyramid makes a Zarr store of it"
+        f"{path} must be of a format that is read part by part; it is read as: {chosen.name}: clvol.read reads it whole, "
+        "clvol.pyramid makes a Zarr store of it"
     )
 
 

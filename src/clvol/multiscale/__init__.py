@@ -5,6 +5,7 @@
 | `levels`  | which sizes there are, and sums along axes for parts of them                       |
 | `reduce`  | the next size, streamed along z                                                   |
 | `blocks`  | minima and maxima of the function in blocks of cells, and coefficients, by bricks |
+| `cache`   | chunks that were unpacked                                                          |
 | `journal` | the unfinished store, and what of it is done                                      |
 | `make`    | `pyramid`                                                                         |
 """

@@ -26,7 +26,7 @@ __all__ = ["Bricks", "coarser", "outwards", "require_bounded"]
 
 _LEFT_OUT = 1e-9  # of the range, what samples beyond a brick's margin would change
 _APART = 1e-6  # of the range, by which functions of bricks may differ from one of a whole
-_BYTES = 24  # of a sample of a brick: samples, coefficients, and what the host holds of them
+_BYTES = 16  # of a sample of a brick: samples, coefficients, and what the host holds of them
 _MIB = 1 << 20
 
 
@@ -95,13 +95,18 @@ class Bricks:
             It does not hold the least.
         """
         for edge in (32, 16, 8):
-            needed = _BYTES * (edge * BLOCK + 2 * margin(filter) + 8) ** 3
-            if needed <= budget:
+            needed = Bricks.bytes_of(filter, edge)
+            if needed <= (budget if edge == 8 else budget // 2):  # the other half for chunks that neighbours share
                 return edge
         least = -(-needed // _MIB) + FIXED // _MIB
         raise OptionError(
             f"budget must hold a brick of {8 * BLOCK}³ samples and its margin, {least} MiB; got {(budget + FIXED) // _MIB} MiB"
         )
+
+    @staticmethod
+    def bytes_of(filter: Filter, edge: int) -> int:
+        """What a brick takes while it is worked on."""
+        return int(_BYTES * (edge * BLOCK + 2 * margin(filter) + 8) ** 3)
 
     def places(self) -> Iterator[tuple[tuple[int, int], ...]]:
         """The blocks of each brick, from one to before another along x, y and z."""
@@ -123,7 +128,7 @@ class Bricks:
         for axis, (one, run) in enumerate(zip(taken, runs, strict=True)):
             at = np.searchsorted(np.concatenate([np.arange(*part) for part in run]), one)
             if not np.array_equal(at, np.arange(data.shape[2 - axis])):
-                data = np.take(data, at, 2 - axis)
+                data = _taken(data, at, 2 - axis)
         inside = data[tuple(slice(m, m + b - a) for a, b in own[::-1])]
         value_range = float(inside.min()), float(inside.max())
         volume = Volume(data)
@@ -172,6 +177,21 @@ class Bricks:
             part = room[tuple(slice(halo, halo + b - a) for a, b in own[::-1])].copy()
         stored = coefficients.stored
         return np.asarray(part if stored.identity else stored.values(part), np.float32)
+
+
+def _taken(data: NDArray[Any], at: NDArray[Any], axis: int) -> NDArray[Any]:
+    """``np.take``, which is slow along the last axis: most of what is taken lies in a row."""
+    before: tuple[Any, ...] = (slice(None),) * axis
+    ends = np.flatnonzero(np.diff(at) != 1) + 1
+    spans = np.split(at, ends)
+    longest = int(np.argmax([len(span) for span in spans]))
+    first = sum(len(span) for span in spans[:longest])
+    last = first + len(spans[longest])
+    result = np.empty((*data.shape[:axis], len(at), *data.shape[axis + 1 :]), data.dtype)
+    result[(*before, slice(first, last))] = data[(*before, slice(int(at[first]), int(at[last - 1]) + 1))]
+    for part in (slice(0, first), slice(last, len(at))):
+        result[(*before, part)] = data[(*before, at[part])]
+    return result
 
 
 def outwards(values: NDArray[np.float64], dtype: np.dtype[Any]) -> NDArray[Any]:

@@ -27,6 +27,7 @@ from clvol.formats.opening import WholeOnlyError
 from clvol.formats.opening import open as open_lazily
 from clvol.lazy import LazyVolume, Sliced
 from clvol.multiscale.blocks import Bricks, coarser, outwards, require_bounded
+from clvol.multiscale.cache import ChunkCache
 from clvol.multiscale.journal import Journal
 from clvol.multiscale.levels import FIXED, METHODS, Level, Method, levels_of, sums_for
 from clvol.multiscale.reduce import Reduction
@@ -37,7 +38,7 @@ from clvol.volume import Volume, as_volume
 __all__ = ["COMPRESSORS", "VERSIONS", "pyramid"]
 
 VERSIONS = ("0.4", "0.5")
-COMPRESSORS = ("zstd", "lz4", "none")
+COMPRESSORS = ("lz4", "zstd", "none")
 _SUFFIXES = (".zarr",)
 _CHUNK = 64
 _BLOCKS = 32  # of bounds, along an edge of a chunk
@@ -56,7 +57,7 @@ def pyramid(
     levels: int | None = None,
     chunks: int | Sequence[int] = _CHUNK,
     shards: int | Sequence[int] | None = None,
-    compressor: Literal["zstd", "lz4", "none"] = "zstd",
+    compressor: Literal["lz4", "zstd", "none"] = "lz4",
     bounds: bool = True,
     coefficients: bool = False,
     version: Literal["0.4", "0.5"] = "0.5",
@@ -89,8 +90,8 @@ def pyramid(
         samples lie nearest to each other.
     chunks, shards : int or sequence of int
         Samples along x, y and z that are stored together, and those in one file (Zarr 3, version "0.5" only).
-    compressor : {"zstd", "lz4", "none"}
-        By way of Blosc, whose shuffle suits samples.
+    compressor : {"lz4", "zstd", "none"}
+        By way of Blosc, whose shuffle suits samples. "zstd" makes stores about a tenth smaller, and takes twice the time.
     bounds : bool
         Whether to keep minima and maxima of the function in blocks of 8³ cells, and of coarser ones. Renderers do not read what
         these exclude, and `LazyVolume.limits` are exact.
@@ -317,7 +318,7 @@ class _Making:
             self._reduce(number, reads[number - 1], arrays)
         if self._plan.bounds or self._plan.coefficients:
             for number, array in enumerate(arrays):
-                self._bound(root, number, array.__getitem__)
+                self._bound(root, number, array)
         for name, array in root.members(max_depth=None):
             if hasattr(array, "shape"):
                 self._keep_one_chunk(name, array)
@@ -427,11 +428,13 @@ class _Making:
 
     # -- bounds ----------------------------------------------------------------------------------------------------
 
-    def _bound(self, root: Any, number: int, read: Callable[[Any], NDArray[Any]]) -> None:
+    def _bound(self, root: Any, number: int, read: Any) -> None:
         """Bounds and coefficients of a size."""
         plan, level = self._plan, self._plan.levels[number]
         row = plan.filter_at(number)
-        bricks = Bricks(read, level.size, row, plan.boundary, Bricks.edge_for(row, self._room), plan.device)
+        edge = Bricks.edge_for(row, self._room)
+        cached = ChunkCache(read, self._room - Bricks.bytes_of(row, edge))
+        bricks = Bricks(cached, level.size, row, plan.boundary, edge, plan.device)
         dtype = np.dtype(np.float64 if wide(self.dtype) else np.float32)
         blocks = kept = None
         if plan.bounds:
