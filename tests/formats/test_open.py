@@ -358,7 +358,13 @@ TIFFS: dict[str, dict[str, Any]] = {
     "plain": {},
     "OME": {
         "ome": True,
-        "metadata": {"axes": "TCZYX", "PhysicalSizeX": 0.25, "PhysicalSizeZ": 2.0, "Channel": {"Name": ["a", "b", "c"]}},
+        "metadata": {
+            "axes": "TCZYX",
+            "PhysicalSizeX": 0.25,
+            "PhysicalSizeY": 0.5,
+            "PhysicalSizeZ": 2.0,
+            "Channel": {"Name": ["a", "b", "c"]},
+        },
     },
     "ImageJ": {"imagej": True, "metadata": {"axes": "TZCYX", "spacing": 3.0, "unit": "um"}},
     "deflate": {"compression": "zlib"},
@@ -381,7 +387,7 @@ def test_tiff(tmp_path: Path, kind: str) -> None:
 def test_sizes_of_a_tiff(tmp_path: Path) -> None:
     tifffile = pytest.importorskip("tifffile")
     with tifffile.TiffWriter(tmp_path / "v.ome.tif", ome=True) as file:
-        about = {"axes": "ZYX", "PhysicalSizeX": 0.5, "PhysicalSizeY": 0.5}
+        about = {"axes": "ZYX", "PhysicalSizeX": 0.5, "PhysicalSizeY": 0.5, "PhysicalSizeZ": 1.5}
         file.write(DATA[0, 0][:, :28], subifds=1, tile=(16, 16), metadata=about, photometric="minisblack")
         file.write(DATA[0, 0][:, :28:2, ::2], subfiletype=1, tile=(16, 16), photometric="minisblack")
     with warnings.catch_warnings(action="ignore"):
