@@ -422,7 +422,14 @@ def test_an_interrupt_leaves_no_store_but_what_to_go_on_with(tmp_path: Path) -> 
     other = clvol.Volume(waves((50, 90, 70), seed=1), spacing=volume.spacing, units="um", space="image")
     with pytest.raises(FormatError, match="another command began"):
         clvol.pyramid(other, target, chunks=16)
-    clvol.pyramid(volume, target, chunks=16)
+    with pytest.raises(KeyboardInterrupt):  # another command that may replace what it finds
+        clvol.pyramid(other, target, chunks=16, overwrite=True, progress=interrupted)
+    with pytest.raises(FormatError, match="another command began"):
+        clvol.pyramid(volume, target, chunks=16)
+    told: list[float] = []
+    clvol.pyramid(other, target, chunks=16, overwrite=True, progress=told.append)
+    assert told[0] > 0.2  # and goes on with its own
+    clvol.pyramid(volume, target, chunks=16, overwrite=True)
     assert [one.name for one in tmp_path.iterdir()] == ["v.zarr"]
     np.testing.assert_array_equal(clvol.open(target).whole().data, volume.data)
 

@@ -32,7 +32,7 @@ class Journal:
     command : mapping
         All that decides what is made: another command does not go on with what this one began.
     anew : bool
-        Whether to begin from nothing.
+        Whether to begin from nothing where another command has begun.
 
     Attributes
     ----------
@@ -61,7 +61,9 @@ class Journal:
         try:
             self._lock()
             self._stream.seek(0)
-            lines = [] if anew else self._stream.read().splitlines()
+            lines = self._stream.read().splitlines()
+            if anew and lines and lines[0] != head:
+                lines = []
             self.begun = bool(lines)
             if lines and lines[0] != head:
                 raise FormatError(
