@@ -11,6 +11,7 @@ rates are those of one file of as many bytes, written and synchronised, and read
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 import os
 import shutil
@@ -48,7 +49,8 @@ def make(path: Path, size: int) -> None:
     group = zarr.create_group(path)
     axes = [{"name": axis, "type": "space"} for axis in "zyx"]
     scale = [{"path": "0", "coordinateTransformations": [{"type": "scale", "scale": [1.0, 1.0, 1.0]}]}]
-    group.attrs["ome"] = {"version": "0.5", "multiscales": [{"name": "waves", "axes": axes, "datasets": scale}]}
+    about: Any = {"version": "0.5", "multiscales": [{"name": "waves", "axes": axes, "datasets": scale}]}
+    group.attrs["ome"] = about
     array = group.create_array("0", shape=(size,) * 3, chunks=(_CHUNK,) * 3, dtype="u2", compressors=codec)
     for first in range(0, size, _CHUNK):
         array[first : first + _CHUNK] = planes(size, first, min(_CHUNK, size - first))
@@ -79,7 +81,7 @@ def clvol_average(source: Path, target: Path, budget: int) -> None:
 
 def ome_zarr(source: Path, target: Path, budget: int) -> None:  # noqa: ARG001  # it knows none
     """Its writer of dask arrays, which copies and halves them (skimage's resize, by blocks)."""
-    import dask.array as da
+    da: Any = importlib.import_module("dask.array")
     from ome_zarr.writer import write_image
 
     write_image(da.from_zarr(str(source), "0"), str(target), axes="zyx", scale_factors=[{"z": 2, "y": 2, "x": 2}])
@@ -87,8 +89,7 @@ def ome_zarr(source: Path, target: Path, budget: int) -> None:  # noqa: ARG001  
 
 def dask_mean(source: Path, target: Path, budget: int) -> None:  # noqa: ARG001
     """Means of blocks, and a copy."""
-    import dask.array as da
-
+    da: Any = importlib.import_module("dask.array")
     array = da.from_zarr(str(source), "0")
     small = da.coarsen(np.mean, array, {0: 2, 1: 2, 2: 2}).round().astype("u2").rechunk((_CHUNK,) * 3)
     da.store([array, small], _arrays(target, array.shape, small.shape), lock=False)
@@ -189,7 +190,7 @@ def main() -> None:
                 target,
                 str(given.budget * _MIB),
             ]
-            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            done = subprocess.run([str(word) for word in command], capture_output=True, text=True, check=False)
             shutil.rmtree(target, ignore_errors=True)
             if done.returncode:
                 print(f"{name}: {done.stderr.strip().splitlines()[-1:]}")
