@@ -41,7 +41,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-__all__ = ["HELD", "grown", "main"]
+__all__ = ["HELD", "Buffers", "grown", "held", "kernels", "main", "table_of"]
 
 RESULTS = Path(__file__).parent / "results" / "soak"
 FORMAT = 1
@@ -288,7 +288,7 @@ def _programs_counted() -> Counter[str]:
 
 
 @contextlib.contextmanager
-def _kernels() -> Iterator[None]:
+def kernels() -> Iterator[None]:
     """A cache of kernels that ends with the run, unless there is one to use: ever new programs would stay in the user's."""
     if os.environ.get("POCL_CACHE_DIR"):
         yield
@@ -314,7 +314,7 @@ def main() -> None:
     if options.reference:
         answer(sys.stdin, sys.stdout, options.quick)
         return
-    with _kernels(), tempfile.TemporaryDirectory(prefix="clvol-soak-") as folder:
+    with kernels(), tempfile.TemporaryDirectory(prefix="clvol-soak-") as folder:
         sys.exit(_soak(options, Path(folder)))
 
 
@@ -373,15 +373,21 @@ def _soak(options: argparse.Namespace, folder: Path) -> int:
 
 
 def _show(soak: Soak, rows: dict[str, dict[str, Any]], console: Console) -> None:
-    table = Table(title=f"{sum(soak.done.values())} draws, {soak.new} of them of new arguments; {len(soak.faults)} faults")
+    title = f"{sum(soak.done.values())} draws, {soak.new} of them of new arguments; {len(soak.faults)} faults"
+    console.print(table_of(rows, title))
+    for fault in soak.faults[:_SHOWN]:
+        console.print(fault, markup=False, highlight=False)
+
+
+def table_of(rows: dict[str, dict[str, Any]], title: str) -> Table:
+    """What was held, for people."""
+    table = Table(title=title)
     for column in ("held", "first third", "last third", "most", "grew"):
         table.add_column(column, justify="left" if column == "held" else "right")
     for name, row in rows.items():
         shown = [f"{row[key] / (1e6 if name == 'resident' else 1):,.0f}" for key in ("first", "last", "most")]
         table.add_row(row["what"], *shown, "[red]yes[/red]" if row["grew"] else "no")
-    console.print(table)
-    for fault in soak.faults[:_SHOWN]:
-        console.print(fault, markup=False, highlight=False)
+    return table
 
 
 if __name__ == "__main__":

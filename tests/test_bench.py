@@ -170,6 +170,18 @@ def test_a_short_soak_finds_nothing_and_what_it_would_find(tmp_path: Path) -> No
     assert [name for name, row in report["held"].items() if row["grew"] and name != "resident"] == []
 
 
+@pytest.mark.thorough
+def test_a_short_soak_of_the_viewer_finds_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("aiohttp")
+    monkeypatch.setenv("POCL_CACHE_DIR", str(tmp_path))
+    output = tmp_path / "soak.json"
+    done = command("bench.view_soak", "--minutes", "0.01", "--samples", "12", "--output", str(output))
+    report = json.loads(output.read_text(encoding="utf-8"))
+    assert report["faults"] == [], done.stderr
+    assert report["counts"]["sent"] > 20
+    assert report["counts"]["info"] == report["clients"] * report["rounds"]
+
+
 @pytest.mark.parametrize(
     ("name", "step", "grew"), [("buffers", 0, False), ("buffers", 1, True), ("resident", 1e5, False), ("resident", 1e6, True)]
 )

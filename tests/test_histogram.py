@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from clvol import histogram
 from clvol.histogram import isovalue_of, label_numbers, matter_of, window_of
 from clvol.palette import automatic
 from clvol.transfer import TransferFunction
@@ -164,3 +165,16 @@ def test_a_look_at_a_volume_copies_no_volume() -> None:
         tracemalloc.stop()
     assert peaks[True][1:] == peaks[False][1:]
     assert peaks[False][0] < peaks[True][0] + samples.nbytes / 4
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "int16", ">i2", "float16", "float32", ">f8", "longdouble"])
+def test_what_is_sorted_and_counted_is_as_numpy_has_it(dtype: str) -> None:
+    """In the data's own type, of signed data, of bright backgrounds: `numpy.unique` of float64 says what is there."""
+    chance = np.random.default_rng(5)
+    data = (50 * chance.random((20, 20, 20))).astype(dtype)
+    found = histogram._sorted(histogram._some(Volume(data)))
+    assert np.array_equal(found, np.sort(data.astype(np.float64), axis=None))
+    distinct = histogram._distinct(found.astype(np.float64))
+    for got, expected in zip(distinct, np.unique(data.astype(np.float64), return_counts=True), strict=True):
+        assert np.array_equal(got, expected)
+    assert [part.size for part in histogram._distinct(np.empty(0))] == [0, 0]

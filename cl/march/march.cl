@@ -13,14 +13,17 @@
 //                                 whether a value from low to high, at t or past it, could change what any active lane shows
 //   finished(state, frame)        the lanes that need no more samples, whichever come: for states that are carried on
 //   merge(front, back)            two stretches of the same rays, `back` behind `front`, into `front`
-//   finish(state, coefficients, sample, &t)
-//                                 the colour, not premultiplied, and at which t it lies, or NOWHERE
+//   place_of(state)               at which t that lies which is shown, or NOWHERE
+//   finish(state, coefficients, sample)
+//                                 the colour, not premultiplied
+//   FINISHED_THERE                1: `finish` reads coefficients, at that place
 //   REACH                         how many samples away others may depend on a sample: a surface lies between two
 //   ANY_ORDER                     whether samples may be gathered in any order: then the segments where
 //                                 PROMISE(low, high) is largest come first
 //   STRETCHES                     1: instead of samples, which `gather` would take, all that lies between them is looked at (walk.cl)
 //
-// Set by the host: SLAB, LANES, TILE_WIDTH, TILE_HEIGHT, PLANES, ENDPOINTS, SHADED, CENTRAL, STATE_FIELDS, and what is included.
+// Set by the host: SLAB, LANES, TILE_WIDTH, TILE_HEIGHT, PLANES, ENDPOINTS, SHADED, CENTRAL, STATE_FIELDS, WINDOWED, and what is
+// included.
 
 // Twice as many rays where registers hold sixteen numbers. (Elsewhere PoCL 3.0 aborts on float16 on some processors.)
 #if LANES == 8 && TILE_HEIGHT % 2 == 0 && defined(__clang__) && defined(__AVX512F__)
@@ -103,7 +106,7 @@ OUT_OF_LINE void make_plane(plane_t *plane, COEFFICIENTS coefficients, const int
     float2 u, v;
     plane->made = 1;
     if (tile_footprint(frame, left, top, right, bottom, way, across, &u, &v))
-        plane_move(plane, coefficients, extent, frame->planes.axis, way, across, u.x, u.y, v.x, v.y, frame->planes.margin);
+        plane_move(plane, coefficients, extent, frame, way, across, u.x, u.y, v.x, v.y);
 }
 #endif
 
@@ -149,9 +152,14 @@ INLINE void take_samples(tile_t *tile, COEFFICIENTS coefficients, const int4 ext
         const int apart = any_lane(going & ray->alone);
         float n = start;
         for (plane_t *plane = planes; plane < planes + SLAB && n <= stop; ++plane, n += 1.0f) {
-            const mask active = lanes_within(ray, going, n, n);
+            mask active = lanes_within(ray, going, n, n);
             if (!any_lane(active))
                 continue;
+#if WINDOWED
+            active &= in_window(frame, ray, sample_t_of(ray, n));
+            if (!any_lane(active))
+                continue;
+#endif
 #if PLANES
             // before and after the planes, where rays have their ends alone, one may lie past what is stored
             if (tile->planar && !plane->made && n >= 0.0f && n < frame->planes.count)

@@ -34,26 +34,36 @@ INLINE void store_pixel(constant frame_t *frame, const int x, const int y, float
     }
 }
 
-// The end of the rays of a packet.
-INLINE void finish_packet(COEFFICIENTS coefficients, const sample_t *sample, const state_t *state, real gathered, const int x,
-                          const int y, const pictures_t *pictures)
+// The normals at t, which face the viewer; NaN where there are none, as in lanes that are not active.
+INLINE real3 normals_at(COEFFICIENTS coefficients, const sample_t *sample, real t, mask active)
 {
-    constant frame_t *frame = sample->frame;
+    real3 normal = real3_of((real)(NAN), (real)(NAN), (real)(NAN)), facing;
+    if (!any_lane(active))
+        return normal;
     const ray_t *ray = sample->ray;
-    real t;
-    const color_t color = finish(state, coefficients, sample, &t);
+    const real at = choose(active, t, ray->enter);
+    const real3 g = gradient_at(coefficients, sample, at, active);
+    const mask known = active & !flat_or_normal(sample->frame, g, value_at(coefficients, sample, at, active), ray->world, &facing);
+    normal = real3_of(choose(known, facing.x, normal.x), choose(known, facing.y, normal.y), choose(known, facing.z, normal.z));
+    return normal;
+}
 
-    real3 normal = real3_of((real)(NAN), (real)(NAN), (real)(NAN)), place = normal;
+// Where rays are at t, counted from the volume's centre, in world units.
+INLINE real3 places_at(constant frame_t *frame, const ray_t *ray, real t)
+{
+    constant float *center = frame->geometry.center;
+    const real3 origin = real3_of(ray->origin.x - center[0], ray->origin.y - center[1], ray->origin.z - center[2]);
+    return scale3(matrix3(frame->geometry.index_to_world, at3(origin, ray->direction, t)), (real)(frame->geometry.unit));
+}
+
+// The rays of a packet into the picture: their colours, at t, and normals.
+INLINE void store_packet(constant frame_t *frame, const ray_t *ray, const color_t color, real t, const real3 normal, real gathered,
+                         const int x, const int y, const pictures_t *pictures)
+{
     const mask somewhere = t < NOWHERE;
+    real3 place = real3_of((real)(NAN), (real)(NAN), (real)(NAN));
     if (GUIDES && any_lane(somewhere)) {
-        const real at = choose(somewhere, t, ray->enter);
-        const real3 g = gradient_at(coefficients, sample, at, somewhere);
-        real3 facing;
-        const mask known = somewhere & !flat_or_normal(frame, g, value_at(coefficients, sample, at, somewhere), ray->world, &facing);
-        constant float *center = frame->geometry.center;
-        const real3 origin = real3_of(ray->origin.x - center[0], ray->origin.y - center[1], ray->origin.z - center[2]);
-        const real3 p = scale3(matrix3(frame->geometry.index_to_world, at3(origin, ray->direction, at)), (real)(frame->geometry.unit));
-        normal = real3_of(choose(known, facing.x, normal.x), choose(known, facing.y, normal.y), choose(known, facing.z, normal.z));
+        const real3 p = places_at(frame, ray, choose(somewhere, t, ray->enter));
         place = real3_of(choose(somewhere, p.x, place.x), choose(somewhere, p.y, place.y), choose(somewhere, p.z, place.z));
     }
     const lanes_u red = { color.red }, green = { color.green }, blue = { color.blue }, opacity = { color.opacity }, depths = { t + ray->ahead };
@@ -67,6 +77,16 @@ INLINE void finish_packet(COEFFICIENTS coefficients, const sample_t *sample, con
         EACH_PIXEL(x, y)
             pictures->visited[(size_t)(y + i / LANES_ACROSS) * frame->picture.width + x + i % LANES_ACROSS] = share.each[i];
     }
+}
+
+// The end of the rays of a packet.
+INLINE void finish_packet(COEFFICIENTS coefficients, const sample_t *sample, const state_t *state, real gathered, const int x,
+                          const int y, const pictures_t *pictures)
+{
+    const real t = place_of(state);
+    const color_t color = finish(state, coefficients, sample);
+    const real3 normal = normals_at(coefficients, sample, t, (t < NOWHERE) & (mask)(GUIDES ? ~0 : 0));
+    store_packet(sample->frame, sample->ray, color, t, normal, gathered, x, y, pictures);
 }
 
 INLINE void finish_tile(const tile_t *tile, COEFFICIENTS coefficients, const int4 extent, constant frame_t *frame,

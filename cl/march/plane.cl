@@ -15,6 +15,7 @@
 #include "spline/cell.cl"
 #include "spline/fetch.cl"
 #include "spline/filter.cl"
+#include "march/window.cl"
 
 #define PLANE_EDGE 48   // coefficients along an edge of a plane, at most
 #define PLANE_ROOM (PLANE_EDGE * PLANE_EDGE + 8)
@@ -24,6 +25,7 @@ typedef struct {
     int u, v;                        // the first stored coefficient under the tile ...
     float from_u, from_v;            // ... and where its cell begins (cell_origin)
     int columns, rows;               // how many there are
+    int first_column, first_row;     // those before are not at hand, and nobody needs them
     int slice;                       // the first slice that takes part, and the fraction past it
     float t;
     int made, usable;                // whether it was needed yet, and whether the tile's footprint fits
@@ -42,8 +44,8 @@ OUT_OF_LINE void plane_blend(const plane_t *plane, global const float *coefficie
     else
         unpack_weights(plane->t, w);
     if (plane->along_u == 1) {
-        for (int j = 0; j < plane->rows; ++j)
-            for (int i = 0; i < plane->columns; i += 8) {
+        for (int j = plane->first_row; j < plane->rows; ++j)
+            for (int i = plane->first_column; i < plane->columns; i += 8) {
                 global const float *p = first + j * plane->along_v + i;
                 float8 sum = (float8)(0.0f);
 #pragma unroll
@@ -57,8 +59,8 @@ OUT_OF_LINE void plane_blend(const plane_t *plane, global const float *coefficie
 #pragma unroll
         for (int k = 0; k < WEIGHTS; ++k)
             weights[k / ROW].each[k % ROW] = w[k];
-        for (int j = 0; j < plane->rows; ++j)
-            for (int i = 0; i < plane->columns; ++i) {
+        for (int j = plane->first_row; j < plane->rows; ++j)
+            for (int i = plane->first_column; i < plane->columns; ++i) {
                 global const float *p = first + j * plane->along_v + i * plane->along_u;
                 float sum = 0.0f;
 #pragma unroll
@@ -70,41 +72,49 @@ OUT_OF_LINE void plane_blend(const plane_t *plane, global const float *coefficie
 }
 
 // Asks memory for the coefficients that the planes after this one will need.
-INLINE void plane_ahead(const plane_t *plane, global const float *coefficients, const int4 extent, int axis, float way)
+INLINE void plane_ahead(const plane_t *plane, global const float *coefficients, const int4 extent, constant frame_t *frame, float way)
 {
-    const int slice = plane->slice + (way > 0.0f ? TAPS + 1 : -2), slices = axis == 1 ? extent.y : extent.z;
-    if (axis == 0 || slice < 0 || slice >= slices)   // along x they lie in the lines at hand
+    const int slice = plane->slice + (way > 0.0f ? TAPS + 1 : -2), axis = frame->planes.axis;
+    if (axis == 0 || slice < STORED_FROM(frame, axis) || slice >= STORED_TO(frame, extent, axis))   // along x they lie in the lines at hand
         return;
-    global const float *row = coefficients + plane->u + plane->v * plane->along_v + slice * plane->across;
-    for (int j = 0; j < plane->rows; ++j, row += plane->along_v)
-        for (int i = 0; i < plane->columns + 15; i += 16)
+    for (int j = plane->first_row; j < plane->rows; ++j) {
+        global const float *row = coefficients + plane->u + (plane->v + j) * plane->along_v + slice * plane->across;
+        for (int i = plane->first_column; i < plane->columns + 15; i += 16)
             PREFETCH(row + i);
+    }
 }
 
 // Moves to the plane at `across`, for rays that go up (way > 0) or down its axis, under positions from (low_u, low_v) to
-// (high_u, high_v), all in samples, which may be off by `margin`.
-INLINE void plane_move(plane_t *plane, global const float *coefficients, const int4 extent, int axis, float way, float across,
-                       float low_u, float high_u, float low_v, float high_v, float margin)
+// (high_u, high_v), all in samples, which may be off by the planes' margin. Of a window those that are at hand are blended.
+INLINE void plane_move(plane_t *plane, global const float *coefficients, const int4 extent, constant frame_t *frame, float way,
+                       float across, float low_u, float high_u, float low_v, float high_v)
 {
     const long row = extent.x, slice = row * extent.y;
+    const int axis = frame->planes.axis, axis_u = axis == 0 ? 1 : 0, axis_v = axis == 2 ? 1 : 2;
+    const float margin = frame->planes.margin;
     plane->along_u = axis == 0 ? row : 1;
     plane->along_v = axis == 2 ? row : slice;
     plane->across = axis == 0 ? 1 : axis == 1 ? row : slice;
-    const int halo = extent.w, limit_u = axis == 0 ? extent.y : extent.x, limit_v = axis == 2 ? extent.y : extent.z;
+    const int halo = extent.w;
     float t;
     plane->slice = locate_axis(across, &plane->t) + halo;
     const int u0 = locate_axis(low_u - margin, &t) + halo, u1 = locate_axis(high_u + margin, &t) + halo + WEIGHTS;
     const int v0 = locate_axis(low_v - margin, &t) + halo, v1 = locate_axis(high_v + margin, &t) + halo + TAPS;
     plane->u = MAX(u0, 0);
     plane->v = MAX(v0, 0);
-    plane->columns = MIN(u1, limit_u) - plane->u;
-    plane->rows = MIN(v1, limit_v) - plane->v;
+    plane->columns = MIN(u1, WHOLE(frame, extent, axis_u)) - plane->u;
+    plane->rows = MIN(v1, WHOLE(frame, extent, axis_v)) - plane->v;
     plane->usable = plane->columns <= PLANE_EDGE && plane->rows <= PLANE_EDGE && plane->columns > 0 && plane->rows > 0;
+    // all but these follows from the whole volume, so that fractions are rounded alike in each window
+    plane->first_column = MAX(STORED_FROM(frame, axis_u) - plane->u, 0);
+    plane->first_row = MAX(STORED_FROM(frame, axis_v) - plane->v, 0);
+    plane->columns = MIN(plane->columns, STORED_TO(frame, extent, axis_u) - plane->u);
+    plane->rows = MIN(plane->rows, STORED_TO(frame, extent, axis_v) - plane->v);
     plane->sloped = 0;
     plane->from_u = cell_origin(halo - plane->u);
     plane->from_v = cell_origin(halo - plane->v);
     if (plane->usable) {
-        plane_ahead(plane, coefficients, extent, axis, way);
+        plane_ahead(plane, coefficients, extent, frame, way);
         plane_blend(plane, coefficients, 0, plane->values);
     }
 }

@@ -1,7 +1,8 @@
 // The function along a ray: what a mode may query at one sample, for LANES rays at a time.
 //
 // Set by the host: PLANES (whether the rays of a tile share blended planes), CENTRAL (gradients by central differences), LABELS
-// (whether values are labels, and what of them is solid: 1 what the transfer function shows, 2 what the isovalue bounds).
+// (whether values are labels, and what of them is solid: 1 what the transfer function shows, 2 what the isovalue bounds),
+// WINDOWED (whether a part of the volume's coefficients is at hand, a brick: window.cl).
 
 #include "base/lanes.cl"
 #include "base/math.cl"
@@ -13,6 +14,7 @@
 #include "spline/pairs.cl"
 #include "spline/cell.cl"
 #include "march/camera.cl"
+#include "march/window.cl"
 #include "transfer/ramp.cl"
 
 #if PLANES
@@ -40,21 +42,22 @@ typedef struct {
 
 // The cell of a position on a ray. However a ray was rounded, no tap of it, nor of the cells a sample away, lies
 // past what is stored.
-INLINE int stored_cell(int i, int last) { return i < GRID_SCALE ? GRID_SCALE : i > last ? last : i; }
+INLINE int stored_cell(int i, int first, int last) { return i < first ? first : i > last ? last : i; }
 
-INLINE cell_t locate_stored(const int4 extent, float x, float y, float z)
+INLINE cell_t locate_stored(const sample_t *sample, float x, float y, float z)
 {
     const int reach = TAPS + GRID_SCALE + PAIRED_VALUE;
+    const int4 extent = sample->extent;
     cell_t c = locate(x, y, z, extent.w);
-    c.x = stored_cell(c.x, extent.x - (WEIGHTS > reach ? WEIGHTS : reach));
-    c.y = stored_cell(c.y, extent.y - reach);
-    c.z = stored_cell(c.z, extent.z - reach);
+    c.x = stored_cell(c.x, STORED_FROM(sample->frame, 0) + GRID_SCALE, STORED_TO(sample->frame, extent, 0) - (WEIGHTS > reach ? WEIGHTS : reach));
+    c.y = stored_cell(c.y, STORED_FROM(sample->frame, 1) + GRID_SCALE, STORED_TO(sample->frame, extent, 1) - reach);
+    c.z = stored_cell(c.z, STORED_FROM(sample->frame, 2) + GRID_SCALE, STORED_TO(sample->frame, extent, 2) - reach);
     return c;
 }
 
-RARE float value_one(COEFFICIENTS coefficients, const int4 extent, float x, float y, float z)
+RARE float value_one(COEFFICIENTS coefficients, const sample_t *sample, float x, float y, float z)
 {
-    return sample_value(coefficients, extent, locate_stored(extent, x, y, z));
+    return sample_value(coefficients, sample->extent, locate_stored(sample, x, y, z));
 }
 
 // The value some stored coefficients away: the same fraction of another cell. (Adding to the position would round,
@@ -80,7 +83,7 @@ RARE gradient_t gradient_one(COEFFICIENTS coefficients, const sample_t *sample, 
 {
     gradient_t g = { 0.0f, 0.0f, 0.0f };
     const int4 extent = sample->extent;
-    const cell_t c = locate_stored(extent, x, y, z);
+    const cell_t c = locate_stored(sample, x, y, z);
     for (int k = -1; k <= 1; ++k)
         for (int j = -1; j <= 1; ++j)
             for (int i = -1; i <= 1; ++i) {
@@ -101,7 +104,7 @@ RARE gradient_t gradient_one(COEFFICIENTS coefficients, const sample_t *sample, 
 {
     gradient_t g;
     const int4 extent = sample->extent;
-    const cell_t c = locate_stored(extent, x, y, z);
+    const cell_t c = locate_stored(sample, x, y, z);
 #if CENTRAL
     g.x = 0.5f * (value_beside(coefficients, extent, c, 1, 0, 0) - value_beside(coefficients, extent, c, -1, 0, 0));
     g.y = 0.5f * (value_beside(coefficients, extent, c, 0, 1, 0) - value_beside(coefficients, extent, c, 0, -1, 0));
@@ -127,7 +130,7 @@ INLINE real value_at(COEFFICIENTS coefficients, const sample_t *sample, real t, 
     lanes_u value = { (real)(0.0f) };
     for (int i = 0; i < LANES; ++i)
         if (wanted.each[i])
-            value.each[i] = value_one(coefficients, sample->extent, x.each[i], y.each[i], z.each[i]);
+            value.each[i] = value_one(coefficients, sample, x.each[i], y.each[i], z.each[i]);
     return value.all;
 }
 

@@ -10,6 +10,7 @@
 #include "base/vector.cl"
 #include "spline/cell.cl"
 #include "march/camera.cl"
+#include "march/window.cl"
 
 #define MAX_LOOKS 32    // blocks that are read for a box, at most
 #define COARSEST 4      // 1 << COARSEST slabs are skipped at once at most
@@ -41,20 +42,22 @@ INLINE void extend_boxes(boxes_t *box, const ray_t *ray, float first, float last
 }
 
 // The block of a position's first tap, on an axis of `blocks` of them.
-INLINE int block_of(float x, int halo, int blocks)
+INLINE int block_of(float x, int halo, int origin, int blocks)
 {
-    const float cell = GRID_POSITION(x, cell_origin(halo)), last = (float)(blocks * BLOCK - 1);
+    const float cell = GRID_POSITION(x, cell_origin(halo)) - (float)origin, last = (float)(blocks * BLOCK - 1);
     return (int)(cell > 0.0f ? MIN(cell, last) : 0.0f) / BLOCK;   // infinite where no lane is active
 }
 
 // The smallest and the largest value in the lanes' boxes. The margin covers what positions are rounded by.
-INLINE float2 values_in(global const float2 *minmax, constant minmax_block *block, const int halo, const boxes_t *box)
+INLINE float2 values_in(global const float2 *minmax, constant frame_t *frame, const int halo, const boxes_t *box)
 {
+    constant minmax_block *block = &frame->minmax;
     const float m = block->margin;
     int nx = block->blocks[0], ny = block->blocks[1], nz = block->blocks[2];
-    int x0 = block_of(min_lane(box->low.x) - m, halo, nx), x1 = block_of(max_lane(box->high.x) + m, halo, nx);
-    int y0 = block_of(min_lane(box->low.y) - m, halo, ny), y1 = block_of(max_lane(box->high.y) + m, halo, ny);
-    int z0 = block_of(min_lane(box->low.z) - m, halo, nz), z1 = block_of(max_lane(box->high.z) + m, halo, nz);
+    const int x_ = BLOCKS_FROM(frame, 0), y_ = BLOCKS_FROM(frame, 1), z_ = BLOCKS_FROM(frame, 2);
+    int x0 = block_of(min_lane(box->low.x) - m, halo, x_, nx), x1 = block_of(max_lane(box->high.x) + m, halo, x_, nx);
+    int y0 = block_of(min_lane(box->low.y) - m, halo, y_, ny), y1 = block_of(max_lane(box->high.y) + m, halo, y_, ny);
+    int z0 = block_of(min_lane(box->low.z) - m, halo, z_, nz), z1 = block_of(max_lane(box->high.z) + m, halo, z_, nz);
     int level = 0;
     while (level < block->levels - 1 && (x1 - x0 + 1) * (y1 - y0 + 1) * (z1 - z0 + 1) > MAX_LOOKS) {
         x0 >>= 1; x1 >>= 1; y0 >>= 1; y1 >>= 1; z0 >>= 1; z1 >>= 1;
@@ -100,7 +103,7 @@ INLINE float2 values_of(global const float2 *minmax, constant frame_t *frame, co
     boxes_t box = empty_boxes();
     for (int g = packet; g < packet + packets; ++g)
         extend_boxes(&box, tile->rays + g, first - REACH, last + REACH, lanes_within(tile->rays + g, tile->going[g], first, last));
-    return values_in(minmax, &frame->minmax, halo, &box);
+    return values_in(minmax, frame, halo, &box);
 }
 
 // Whether any value among samples first to last of a packet could matter to it.

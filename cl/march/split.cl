@@ -1,44 +1,8 @@
 // Kernels: the same picture in parts. Stretches of the rays are marched apart, merged, and finished last.
-//
-// States lie in a buffer as planes of pixels: STATE_FIELDS numbers of the mode, and how many samples were gathered.
 
 #include "march/march.cl"
 #include "march/picture.cl"
-
-typedef union { state_t state; lanes_u fields[STATE_FIELDS]; } state_u;
-typedef char state_has_its_fields[sizeof(state_t) == STATE_FIELDS * sizeof(real) ? 1 : -1];
-
-#define STATE_AT(field) states[((size_t)(field) * frame->picture.height + y + i / LANES_ACROSS) * frame->picture.width + x + i % LANES_ACROSS]
-
-INLINE void store_states(const tile_t *tile, constant frame_t *frame, global float *states)
-{
-    for (int g = 0; g < PACKETS; ++g) {
-        const int x = PACKET_X(tile->left, g), y = PACKET_Y(tile->top, g);
-        const state_u state = { tile->states[g] };
-        const lanes_u gathered = { tile->gathered[g] };
-        EACH_PIXEL(x, y) {
-            for (int field = 0; field < STATE_FIELDS; ++field)
-                STATE_AT(field) = state.fields[field].each[i];
-            STATE_AT(STATE_FIELDS) = gathered.each[i];
-        }
-    }
-}
-
-INLINE void load_states(tile_t *tile, constant frame_t *frame, global const float *states)
-{
-    for (int g = 0; g < PACKETS; ++g) {
-        const int x = PACKET_X(tile->left, g), y = PACKET_Y(tile->top, g);
-        state_u state = { tile->states[g] };
-        lanes_u gathered = { tile->gathered[g] };
-        EACH_PIXEL(x, y) {
-            for (int field = 0; field < STATE_FIELDS; ++field)
-                state.fields[field].each[i] = STATE_AT(field);
-            gathered.each[i] = STATE_AT(STATE_FIELDS);
-        }
-        tile->states[g] = state.state;
-        tile->gathered[g] = gathered.all;
-    }
-}
+#include "march/states.cl"
 
 #define TILE_OF_THIS_ITEM                                                                                           \
     const int left = (int)get_global_id(0) * TILE_WIDTH, top = (int)get_global_id(1) * TILE_HEIGHT;                  \

@@ -87,6 +87,22 @@ INLINE real fraction_at(const axis_t *a, const mask cell, const real t)
     return MIN(MAX(madd(t, a->direction, a->origin) - to_real(cell), (real)(0.0f)), (real)(1.0f));
 }
 
+#if WINDOWED
+
+// Where rays enter the cells of a window along an axis, if that is past `begin`, and leave them, if that is before `out`. Their
+// faces are crossed where the planes between cells are, so that each cell of a ray is walked through in one window.
+INLINE void keep_in_window(const axis_t *a, const int cells_from, const int cells_to, real *begin, real *out, mask *active)
+{
+    const mask first = choose_whole(a->up, a->from, a->to), past = choose_whole(a->up, a->to, a->from);
+    const mask low = choose_whole(first > cells_from, first, NONE + cells_from), high = choose_whole(past < cells_to, past, NONE + cells_to);
+    const mask into = choose_whole(a->up, low, high), beyond = choose_whole(a->up, high, low);
+    *begin = MAX(*begin, choose(into == a->from, -NOWHERE, plane_t_of(a, into)));
+    *out = MIN(*out, choose(beyond == a->to, NOWHERE, plane_t_of(a, beyond)));
+    *active &= low < high;
+}
+
+#endif
+
 // -- three ------------------------------------------------------------------------------------------------------
 
 typedef struct { axis_t x, y, z; } axes_t;
@@ -106,13 +122,16 @@ INLINE axes_t axes_along(const ray_t *ray, constant geometry_block *geometry, co
 // whole brick.
 typedef struct { mask held, above, uniform; } sides_t;
 
-INLINE mask limit_whole(mask i, mask last) { return choose_whole(i > last, last, i); }
+// Numbers from 0 to `last`: lanes that are not active may be anywhere.
+INLINE mask limit_whole(mask i, mask last) { return choose_whole(i > last, last, choose_whole(i < 0, NONE, i)); }
 
-INLINE sides_t sides_of(global const ulong2 *sides, constant minmax_block *block, const cells_t *cell)
+INLINE sides_t sides_of(global const ulong2 *sides, constant frame_t *frame, const cells_t *cell)
 {
+    constant minmax_block *block = &frame->minmax;
     const int nx = block->blocks[0] * BRICKS, ny = block->blocks[1] * BRICKS, nz = block->blocks[2] * BRICKS;
-    const mask x = limit_whole(cell->x / SIDES_EDGE, nx - 1), y = limit_whole(cell->y / SIDES_EDGE, ny - 1);
-    const mask z = limit_whole(cell->z / SIDES_EDGE, nz - 1);
+    const mask x = limit_whole((cell->x - BLOCKS_FROM(frame, 0)) / SIDES_EDGE, nx - 1);
+    const mask y = limit_whole((cell->y - BLOCKS_FROM(frame, 1)) / SIDES_EDGE, ny - 1);
+    const mask z = limit_whole((cell->z - BLOCKS_FROM(frame, 2)) / SIDES_EDGE, nz - 1);
     const lane_indices_u at = { (z * ny + y) * nx + x };
     const lane_masks_u bits = { BIT_OF(cell->x, cell->y, cell->z) };
     lane_masks_u known;
@@ -142,13 +161,22 @@ typedef struct {
     lane_masks_u found;   // whether it holds a root
 } walker_t;
 
-OUT_OF_LINE void set_out(walker_t *w, const ray_t *ray, const state_t *state, constant geometry_block *geometry, const int halo,
+// Sets rays out on a stretch, and says how long it is.
+OUT_OF_LINE real set_out(walker_t *w, const ray_t *ray, const state_t *state, constant frame_t *frame, const int halo,
                     const real from, const real to, const mask active)
 {
-    const real begin = MAX(from, ray->enter);
-    w->axes = axes_along(ray, geometry, halo);
+    real begin = MAX(from, ray->enter);
+    w->axes = axes_along(ray, &frame->geometry, halo);
     w->end = MIN(to, ray->leave);
     w->active = active & (begin <= w->end);
+#if WINDOWED
+    real out = NOWHERE;
+    keep_in_window(&w->axes.x, frame->window.cells_from[0], frame->window.cells_to[0], &begin, &out, &w->active);
+    keep_in_window(&w->axes.y, frame->window.cells_from[1], frame->window.cells_to[1], &begin, &out, &w->active);
+    keep_in_window(&w->axes.z, frame->window.cells_from[2], frame->window.cells_to[2], &begin, &out, &w->active);
+    w->end = MIN(w->end, out);
+    w->active &= (begin <= w->end) & (begin < out);
+#endif
     w->cell.x = cell_at(&w->axes.x, begin);
     w->cell.y = cell_at(&w->axes.y, begin);
     w->cell.z = cell_at(&w->axes.z, begin);
@@ -156,6 +184,7 @@ OUT_OF_LINE void set_out(walker_t *w, const ray_t *ray, const state_t *state, co
     w->t = MAX(MAX(entry_of(&w->axes.x, w->cell.x), entry_of(&w->axes.y, w->cell.y)), MAX(entry_of(&w->axes.z, w->cell.z), ray->enter));
     w->side.all = state->side;
     w->found.all = NONE;
+    return choose(w->active, w->end - begin, (real)(0.0f));
 }
 
 // The first place past a jump at which a sample of the function is on its far side, so that every pixel is lit from there; the jump
@@ -194,7 +223,7 @@ OUT_OF_LINE void go_on(walker_t *w, state_t *state, COEFFICIENTS coefficients, c
         if (!looked) {
             if (!sample->frame->minmax.skipping)
                 return;   // any may
-            const sides_t known = sides_of(sides, &sample->frame->minmax, &w->cell);
+            const sides_t known = sides_of(sides, sample->frame, &w->cell);
             w->sign.all = choose(known.above, (real)(1.0f), (real)(-1.0f));
             passed &= !known.held;
             far = passed & known.uniform;
@@ -308,12 +337,13 @@ OUT_OF_LINE void walk_segment(tile_t *tile, COEFFICIENTS coefficients, const int
     roots.count = 0;
     for (int g = 0; g < PACKETS; ++g) {
         const ray_t *ray = tile->rays + g;
-        const real samples = MIN((real)(stop), ray->end + MARGIN) - MAX((real)(start), ray->begin - MARGIN) + 1.0f;
-        tile->gathered[g] += choose(wanted[g], samples, (real)(0.0f));
         walkers[g].active = wanted[g];
-        if (any_lane(wanted[g]))
-            set_out(walkers + g, ray, tile->states + g, &frame->geometry, extent.w, madd(start, ray->step, ray->first),
-                    madd(stop + 1.0f, ray->step, ray->first), wanted[g]);
+        if (!any_lane(wanted[g]))
+            continue;
+        const real length = set_out(walkers + g, ray, tile->states + g, frame, extent.w, madd(start, ray->step, ray->first),
+                                    madd(stop + 1.0f, ray->step, ray->first), wanted[g]);
+        const real samples = MIN((real)(stop), ray->end + MARGIN) - MAX((real)(start), ray->begin - MARGIN) + 1.0f;
+        tile->gathered[g] += choose(wanted[g], WINDOWED ? MIN(length / ray->step, samples) : samples, (real)(0.0f));
     }
     for (int looked = 0;; looked = 1) {
         int count = 0;

@@ -9,6 +9,7 @@ typedef struct { real red, green, blue, opacity, rest, depth; } state_t;
 
 #define REACH 0.0f
 #define ANY_ORDER 0
+#define FINISHED_THERE 0
 #define PROMISE(low, high) 0.0f
 
 INLINE void begin(state_t *s)
@@ -70,10 +71,11 @@ INLINE void merge(state_t *front, const state_t *back)
     front->depth = choose(front->depth < NOWHERE, front->depth, back->depth);
 }
 
-INLINE color_t finish(const state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real *t)
+INLINE real place_of(const state_t *s) { return s->depth; }
+
+INLINE color_t finish(const state_t *s, COEFFICIENTS coefficients, const sample_t *sample)
 {
     const real per_opacity = 1.0f / MAX(s->opacity, (real)(1e-20f));
     color_t color = { s->red * per_opacity, s->green * per_opacity, s->blue * per_opacity, s->opacity, (real)(0.0f) };
-    *t = s->depth;
     return color;
 }

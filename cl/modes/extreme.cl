@@ -11,6 +11,7 @@ typedef struct { real best, t; } state_t;
 
 #define REACH 0.0f
 #define ANY_ORDER 1
+#define FINISHED_THERE 0
 
 INLINE void begin(state_t *s)
 {
@@ -47,10 +48,11 @@ INLINE void merge(state_t *front, const state_t *back)
     front->t = choose(better, back->t, front->t);
 }
 
-INLINE color_t finish(const state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real *t)
+INLINE real place_of(const state_t *s) { return s->t; }
+
+INLINE color_t finish(const state_t *s, COEFFICIENTS coefficients, const sample_t *sample)
 {
     color_t color = classify(sample->frame, sample->table, SHOWN(sample->frame, s->best));
     color.opacity = choose(s->t < NOWHERE, (real)(1.0f), (real)(0.0f));
-    *t = s->t;
     return color;
 }

@@ -8,6 +8,7 @@ typedef struct { real hit, side; } state_t;
 #define SOUGHT(frame) (frame)->mode.isovalue
 #define REACH 1.0f   // a stretch goes on to where the next begins
 #define ANY_ORDER 0
+#define FINISHED_THERE 1
 #define PROMISE(low, high) 0.0f
 
 INLINE void begin(state_t *s)
@@ -30,8 +31,9 @@ INLINE void merge(state_t *front, const state_t *back)
     front->side = choose(back->side == 0.0f, front->side, back->side);
 }
 
-INLINE color_t finish(const state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real *t)
+INLINE real place_of(const state_t *s) { return s->hit; }
+
+INLINE color_t finish(const state_t *s, COEFFICIENTS coefficients, const sample_t *sample)
 {
-    *t = s->hit;
     return surface_color(coefficients, sample, s->hit);
 }

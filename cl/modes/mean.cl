@@ -8,6 +8,7 @@ typedef struct { real sum, steps; } state_t;
 
 #define REACH 0.0f
 #define ANY_ORDER 0
+#define FINISHED_THERE 0
 #define PROMISE(low, high) 0.0f
 
 INLINE void begin(state_t *s) { s->sum = s->steps = (real)(0.0f); }
@@ -36,11 +37,12 @@ INLINE void merge(state_t *front, const state_t *back)
     front->steps += back->steps;
 }
 
-INLINE color_t finish(const state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real *t)
+INLINE real place_of(const state_t *s) { return NOWHERE; }
+
+INLINE color_t finish(const state_t *s, COEFFICIENTS coefficients, const sample_t *sample)
 {
     const mask some = s->steps > 0.0f;
     color_t color = classify(sample->frame, sample->table, s->sum / choose(some, s->steps, (real)(1.0f)));
     color.opacity = choose(some, (real)(1.0f), (real)(0.0f));
-    *t = NOWHERE;
     return color;
 }

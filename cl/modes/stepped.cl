@@ -7,6 +7,7 @@ typedef struct { real before, before_t, hit; mask started; } state_t;
 
 #define REACH 1.0f   // a crossing lies between two samples
 #define ANY_ORDER 0
+#define FINISHED_THERE 1
 #define PROMISE(low, high) 0.0f
 
 INLINE void begin(state_t *s)
@@ -60,8 +61,8 @@ INLINE mask gather(state_t *s, COEFFICIENTS coefficients, const sample_t *sample
     const mask crossed = active & s->started & ((difference < 0.0f) != (s->before < 0.0f));
     if (any_lane(crossed))
         s->hit = choose(crossed, refine(coefficients, sample, s->before_t, s->before, t, difference, crossed), s->hit);
-    s->before = difference;
-    s->before_t = t;
+    s->before = choose(active, difference, s->before);
+    s->before_t = choose(active, t, s->before_t);
     s->started = s->started | active;
     return crossed;
 }
@@ -75,8 +76,9 @@ INLINE void merge(state_t *front, const state_t *back)
     front->started = front->started | back->started;
 }
 
-INLINE color_t finish(const state_t *s, COEFFICIENTS coefficients, const sample_t *sample, real *t)
+INLINE real place_of(const state_t *s) { return s->hit; }
+
+INLINE color_t finish(const state_t *s, COEFFICIENTS coefficients, const sample_t *sample)
 {
-    *t = s->hit;
     return surface_color(coefficients, sample, s->hit);
 }

@@ -66,17 +66,17 @@ constant float bernstein[CONTROLS][TAPS] = BERNSTEIN;
 typedef float8 lines_t[EDGE][POINTS][CONTROLS];
 
 // Those of block (bx, by, bz) and what follows along x; and the extremes of the taps.
-INLINE void control_lines(lines_t lines, global const float *restrict coefficients, const int4 extent, const int bx, const int by,
+INLINE void control_lines(lines_t lines, global const float *restrict coefficients, const int4 extent, const int4 first, const int bx, const int by,
                           const int bz, float8 *tap_min, float8 *tap_max)
 {
     *tap_min = (float8)(INFINITY);
     *tap_max = -*tap_min;
     for (int k = 0; k < EDGE; ++k) {
         float8 rows[EDGE][CONTROLS];
-        const size_t z = MIN(bz * BLOCK + k, extent.z - 1);
+        const size_t z = MIN(first.z + bz * BLOCK + k, extent.z - 1);
         for (int j = 0; j < EDGE; ++j) {
-            const size_t y = MIN(by * BLOCK + j, extent.y - 1);
-            global const float *p = coefficients + (z * extent.y + y) * extent.x + bx * BLOCK;
+            const size_t y = MIN(first.y + by * BLOCK + j, extent.y - 1);
+            global const float *p = coefficients + (z * extent.y + y) * extent.x + first.x + bx * BLOCK;
             float8 taps[TAPS];
 #pragma unroll
             for (int i = 0; i < TAPS; ++i) {
@@ -98,7 +98,8 @@ INLINE void control_lines(lines_t lines, global const float *restrict coefficien
     }
 }
 
-kernel void minmax_cells(global const float *restrict coefficients, const int4 extent, const int4 blocks, global float2 *bounds)
+kernel void minmax_cells(global const float *restrict coefficients, const int4 extent, const int4 first, const int4 blocks,
+                         global float2 *bounds)
 {
     const int bx = (int)get_global_id(0) * (LANES / BLOCK), by = get_global_id(1), bz = (int)get_global_id(2) + blocks.w;
     float8 tap_min, tap_max, low[CONTROLS], high[CONTROLS];     // apart, so that they need not wait for each other
@@ -107,7 +108,7 @@ kernel void minmax_cells(global const float *restrict coefficients, const int4 e
         high[r] = -low[r];
     }
     lines_t lines;
-    control_lines(lines, coefficients, extent, bx, by, bz, &tap_min, &tap_max);
+    control_lines(lines, coefficients, extent, first, bx, by, bz, &tap_min, &tap_max);
     for (int q = 0; q < POINTS; ++q)
         for (int d = 0; d < CONTROLS; ++d)
             for (int cell = 0; cell < BLOCK; ++cell)
@@ -138,8 +139,8 @@ kernel void minmax_cells(global const float *restrict coefficients, const int4 e
 }
 
 // The same for each cell by itself: on which side of a value the function is. A brick is SIDES_EDGE cells along each axis.
-kernel void side_cells(global const float *restrict coefficients, const int4 extent, const int4 blocks, global const float2 *bounds,
-                       const float value, global ulong2 *sides)
+kernel void side_cells(global const float *restrict coefficients, const int4 extent, const int4 first, const int4 blocks,
+                       global const float2 *bounds, const float value, global ulong2 *sides)
 {
     const int bx = (int)get_global_id(0) * (LANES / BLOCK), by = get_global_id(1), bz = (int)get_global_id(2) + blocks.w;
     float low = INFINITY, high = -INFINITY;
@@ -154,7 +155,7 @@ kernel void side_cells(global const float *restrict coefficients, const int4 ext
     if (!(low > value || high < value)) {
         float8 tap_min, tap_max;
         lines_t lines;
-        control_lines(lines, coefficients, extent, bx, by, bz, &tap_min, &tap_max);
+        control_lines(lines, coefficients, extent, first, bx, by, bz, &tap_min, &tap_max);
         union { float8 all; float each[LANES]; } tap_mins = { tap_min }, tap_maxs = { tap_max };
         for (int i = 1; i < LANES; ++i) {
             tap_mins.each[0] = MIN(tap_mins.each[i], tap_mins.each[0]);
@@ -196,16 +197,17 @@ kernel void side_cells(global const float *restrict coefficients, const int4 ext
 #else
 
 // f = m sum(w) + sum(w (c - m)), with m the middle of the taps c and w their weights.
-kernel void minmax_cells(global const float *restrict coefficients, const int4 extent, const int4 blocks, global float2 *bounds)
+kernel void minmax_cells(global const float *restrict coefficients, const int4 extent, const int4 first, const int4 blocks,
+                         global float2 *bounds)
 {
     const int bx = get_global_id(0), by = get_global_id(1), bz = (int)get_global_id(2) + blocks.w;
     float tap_min = INFINITY, tap_max = -INFINITY;
     for (int k = 0; k < EDGE; ++k)
         for (int j = 0; j < EDGE; ++j) {
-            const size_t z = MIN(bz * BLOCK + k, extent.z - 1), y = MIN(by * BLOCK + j, extent.y - 1);
+            const size_t z = MIN(first.z + bz * BLOCK + k, extent.z - 1), y = MIN(first.y + by * BLOCK + j, extent.y - 1);
             global const float *p = coefficients + (z * extent.y + y) * extent.x;
             for (int i = 0; i < EDGE; ++i) {
-                const float c = p[MIN(bx * BLOCK + i, extent.x - 1)];
+                const float c = p[MIN(first.x + bx * BLOCK + i, extent.x - 1)];
                 tap_min = MIN(c, tap_min);
                 tap_max = MAX(c, tap_max);
             }
@@ -217,8 +219,8 @@ kernel void minmax_cells(global const float *restrict coefficients, const int4 e
 }
 
 // No better than whole blocks.
-kernel void side_cells(global const float *restrict coefficients, const int4 extent, const int4 blocks, global const float2 *bounds,
-                       const float value, global ulong2 *sides)
+kernel void side_cells(global const float *restrict coefficients, const int4 extent, const int4 first, const int4 blocks,
+                       global const float2 *bounds, const float value, global ulong2 *sides)
 {
     const int bx = get_global_id(0), by = get_global_id(1), bz = (int)get_global_id(2) + blocks.w;
     const float2 bound = bounds[((size_t)bz * blocks.y + by) * blocks.x + bx];

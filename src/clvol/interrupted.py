@@ -10,10 +10,11 @@ import sys
 from itertools import pairwise
 from types import TracebackType
 
-__all__ = ["told"]
+__all__ = ["is_the_command", "told"]
 
 
-def _is_the_command() -> bool:
+def is_the_command() -> bool:
+    """Whether this process is the command ``clvol``, rather than a program that imports it."""
     started = getattr(sys, "orig_argv", [])
     as_module = any(pair == ("-m", "clvol") for pair in pairwise(started))
     script = started[1].replace("\\", "/").rpartition("/")[2] if len(started) > 1 else ""
@@ -29,5 +30,5 @@ def told(kind: type[BaseException], error: BaseException, trace: TracebackType |
     os._exit(130)
 
 
-if _is_the_command():
+if is_the_command():
     sys.excepthook = told

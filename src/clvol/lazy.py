@@ -336,6 +336,13 @@ class LazyVolume:
                 self._part = replace(self.grid, data=self.read((low[0], low[1], low[2]), (high[0], high[1], high[2])))
             return self._part
 
+    def known(self) -> Volume:
+        """The grid, with what is known of the samples, which are none: their limits, whether they are labels."""
+        low, high = self.limits
+        volume = replace(self.grid, labels=self.is_labels if self.grid.labels is None else self.grid.labels)
+        vars(volume).update(limits=(low, high), value_range=(low, high))  # in place of what its own samples would give
+        return volume
+
     @property
     def limits(self) -> tuple[float, float]:
         """The smallest and the largest sample: as given, else of the bounds, else of those that were looked at."""

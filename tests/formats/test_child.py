@@ -126,6 +126,21 @@ def test_a_process_that_somebody_ended_is_replaced() -> None:
     assert run(len, "abc") == 3
 
 
+def test_one_that_was_started_beforehand_reads(tmp_path: Path) -> None:
+    pytest.importorskip("SimpleITK")
+    clvol.write(Volume(np.arange(8.0).reshape(2, 2, 2)), tmp_path / "v.nrrd")
+    _worker._end_all()
+    for name in ("none.nrrd", "v.txt"):  # what is wrong with them, `read` says
+        formats.begin_to_read(tmp_path / name)
+    assert not workers()
+    formats.begin_to_read(tmp_path / "v.nrrd")
+    begun = workers()
+    assert len(begun) == 1
+    assert clvol.read(tmp_path / "v.nrrd").shape == (2, 2, 2)
+    assert run(eval, "'SimpleITK' in __import__('sys').modules")
+    assert workers() == begun
+
+
 def test_one_process_serves_many_and_threads_do_not_wait() -> None:
     assert run(os.getpid) == run(os.getpid) != os.getpid()
     found: list[int] = []

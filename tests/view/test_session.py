@@ -42,6 +42,21 @@ def view(volume: Volume, device: Device) -> Iterator[View]:
     made.close()
 
 
+def test_a_rehearsal_builds_what_another_volume_needs(volume: Volume, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    built: list[str] = []
+    build = device.build
+    View(clvol.phantoms.marschner_lobb(32), device=device, mode="attenuated").rehearse()
+    known = set(device._programs)
+    monkeypatch.setattr(device, "build", lambda *given, **more: built.append(given[0]) or build(*given, **more))
+    made = View(volume, device=device, mode="attenuated")
+    made.prepare()
+    new = {key[0] for key in device._programs if key not in known}
+    assert "march/draw.cl" in built
+    assert not {"march/draw.cl", "spline/minmax.cl"} & new
+    assert made._info is not None
+    made.close()
+
+
 @pytest.fixture
 def client(view: View) -> Iterator[Client]:
     made = Client(view)

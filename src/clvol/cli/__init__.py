@@ -6,6 +6,9 @@ Exit codes: 0 done, 1 the request failed (the reason is on standard error), 2 th
 
 from __future__ import annotations
 
+from clvol.cli import ahead as ahead  # before all that takes long to import
+
+# isort: split
 import difflib
 import io
 import os

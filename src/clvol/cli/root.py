@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib.metadata import version
 from typing import Any
 
 from cyclopts import App, Group, Parameter
@@ -30,11 +29,18 @@ _EPILOGUE = f"""Examples:{_BREAK}{_BREAK.join(_EXAMPLES)}
 'clvol COMMAND --help' says more of each; 'clvol completion --help', how the Tab key completes names.
 """
 
+
+def _version() -> str:
+    from importlib.metadata import version  # which takes a while, and few ask
+
+    return version("clvol")
+
+
 app = App(
     name="clvol",
     help="Volume rendering and reconstruction with B-splines, on OpenCL.",
     help_epilogue=_EPILOGUE,
-    version=lambda: version("clvol"),
+    version=_version,
     default_parameter=Parameter(negative_iterable=()),
     suppress_keyboard_interrupt=False,
 )

@@ -7,11 +7,14 @@ import sys
 import threading
 import webbrowser
 from concurrent.futures import Future
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
+from clvol import phantoms
 from clvol.cli.options import DeviceName, FilterName, Input, Look, ModeOptions, Source, Whole, own_options
 from clvol.cli.root import PICTURES, command
 from clvol.cli.words import in_the_shell
@@ -20,11 +23,12 @@ from clvol.errors import ClvolError, FormatError, OptionError
 if TYPE_CHECKING:
     from clvol.view import View
     from clvol.view.server import Server
+    from clvol.volume import Volume
 
 __all__ = ["view"]
 
 _SERVER = Group("The server", sort_key=1)
-_WARM = 64, 64  # pixels of a picture that nobody sees
+_REHEARSED = 32  # samples along each axis
 
 
 @command(PICTURES)
@@ -100,17 +104,17 @@ def view(
             from clvol.view.desktop import require_display, show_on_desktop
 
             require_display()  # before the volume is read
-            show_on_desktop(_made(name, filter, device, reader, look, options))
+            show_on_desktop(_made(reader.read(name), name, filter, device, reader, look, options))
         else:
             from clvol.view.terminal import show_in_terminal
 
-            show_in_terminal(_made(name, filter, device, reader, look, options))
+            show_in_terminal(_made(reader.read(name), name, filter, device, reader, look, options))
         return
     made: Future[View] = Future()  # begun before the server's parts are imported, which takes as long as reading a small file
 
     def make() -> None:
         try:
-            made.set_result(_made(name, filter, device, reader, look, options))
+            made.set_result(_made(reader.read(name), name, filter, device, reader, look, options))
         except BaseException as error:
             made.set_exception(error)
 
@@ -139,10 +143,16 @@ def view(
         print(f"clvol: {words}", file=sys.stderr, flush=True)
         return True
 
-    def warm() -> None:
+    def rehearse() -> None:
+        """Kernels, while the file is read."""
+        shown = replace(look, preset=None, clip=None)  # which may not suit another volume
+        with suppress(Exception):  # what is wrong is told with the volume, or on each page
+            _made(phantoms.marschner_lobb(_REHEARSED), name, filter, device, reader, shown, options).rehearse()
+
+    def prepare() -> None:
         """The first picture's parts, while the browser starts."""
         try:
-            made.result().picture(_WARM)
+            made.result().prepare()
         except Exception as error:  # of the file it is told already; of the device each page tells it too
             if made.exception() is None:
                 failed(error)
@@ -152,9 +162,10 @@ def view(
         if server.public:
             safe = "" if certificate is not None else " Nothing is encrypted: give --certificate, or put a proxy in front."
             _note(f"other machines reach this page, at {server.elsewhere}; whoever has the address may look.{safe}")
-        threading.Thread(target=warm, name="clvol: first picture", daemon=True).start()
         if not serve:
             _open(server.ticket())
+        threading.Thread(target=rehearse, name="clvol: rehearsal", daemon=True).start()
+        threading.Thread(target=prepare, name="clvol: first picture", daemon=True).start()
 
     why = run(server, ready, failed)
     if isinstance(why, OptionError):
@@ -162,11 +173,12 @@ def view(
     _leave(1 if why is not None else 0, reading)
 
 
-def _made(name: str, filter: str | None, device: str | None, reader: Input, look: Look, own: dict[str, Any]) -> View:
-    """The view that the command line asks for."""
+def _made(
+    volume: Volume, name: str, filter: str | None, device: str | None, reader: Input, look: Look, own: dict[str, Any]
+) -> View:
+    """The view of a volume that the command line asks for."""
     from clvol.view import View
 
-    volume = reader.read(name)
     options = look.options(volume) | own
     for usual in ("gradient", "pixel_filter", "evaluator", "fetch"):  # which copied programs need not say
         if getattr(look, usual) == getattr(Look, usual):

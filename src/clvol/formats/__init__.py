@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -22,7 +23,7 @@ from clvol.formats import bioio, dicom, hdf5, imaris, metaimage, mgz, nifti, npy
 from clvol.formats._choice import Choice, Series
 from clvol.formats._files import Reader, Writer, foreign_errors
 from clvol.formats._limits import Budget, Limits, limited, size_of
-from clvol.formats._worker import call
+from clvol.formats._worker import call, prepare
 from clvol.interop import Content
 from clvol.memory import available
 from clvol.moved import forwarding
@@ -344,6 +345,16 @@ def read_all(
     choice = Choice({name: v for name, v in wanted.items() if v is not None}, whole=True)
     result = _read(path, choice, {"series": series, "level": level}, replaced, allowed(trusted, limits))
     return Volumes([result]) if isinstance(result, Volume) else result
+
+
+def begin_to_read(path: str | os.PathLike[str]) -> None:
+    """Start the process that will read a file of this name, if one will, so that `read` need not wait for it.
+
+    What is wrong with the file is for `read` to say.
+    """
+    with suppress(ClvolError, OSError):
+        if native := format_of(as_path(path)).native:
+            prepare(native)
 
 
 def series_of(path: str | os.PathLike[str], *, trusted: bool = False, limits: Limits | None = None) -> tuple[Series, ...]:

@@ -63,11 +63,12 @@ class Request:
     folder: str = ""
 
 
-def serve() -> None:
-    """Answer requests that come by standard input, a socket, until it closes."""
+def serve(modules: Sequence[str] = ()) -> None:
+    """Answer requests that come by standard input, a socket, until it closes; these modules are imported before."""
     peer = _peer()
     _harmless()
     share_samples()
+    _import(modules)
     while True:
         try:
             _, request = receive(peer, lambda: None)
@@ -80,9 +81,7 @@ def _answer(peer: socket.socket, request: Request) -> None:
     """Do what is asked, and tell how it ended: what it warned of and logged, and whether to go on; the result or the error."""
     with contextlib.suppress(OSError):  # it is gone: names that are relative to it are too
         os.chdir(request.folder)
-    for module in request.modules:
-        with contextlib.suppress(Exception):  # whoever needs it says what is missing
-            import_module(module)
+    _import(request.modules)
     before, budget, records = _data(), request.budget, _Records()
 
     def announced(needed: int) -> None:
@@ -108,6 +107,12 @@ def _answer(peer: socket.socket, request: Request) -> None:
     # whatever a library that gave up on a file has left behind must not touch the next
     send(peer, "told", [(_listed(told), records.kept, retire)])
     send(peer, name, box)
+
+
+def _import(modules: Sequence[str]) -> None:
+    for module in modules:
+        with contextlib.suppress(Exception):  # whoever needs it says what is missing
+            import_module(module)
 
 
 def _listed(told: Sequence[warnings.WarningMessage]) -> list[tuple[str, str, str, int]]:

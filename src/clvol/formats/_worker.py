@@ -32,7 +32,7 @@ from clvol.formats._child import Request
 from clvol.formats._limits import MORE, Budget
 from clvol.formats._wire import WireError, receive, send
 
-__all__ = ["call"]
+__all__ = ["call", "prepare"]
 
 _STARTING = 120.0  # seconds for Python to start, and to import what the file needs: disks may sleep, networks stall
 _TICK = 0.05  # seconds between looks at the clock
@@ -42,11 +42,11 @@ _ENDING = 2.0  # seconds
 # The package without what its __init__ imports: a reader needs none of it.
 _PROGRAM = """
 import json, sys, types
-sys.path[:], folder = json.loads(sys.argv[1])
+sys.path[:], folder, modules = json.loads(sys.argv[1])
 package = sys.modules["clvol"] = types.ModuleType("clvol")
 package.__path__ = [folder]
 from clvol.formats._child import serve
-serve()
+serve(modules)
 """
 
 _idle: list[_Worker] = []
@@ -99,6 +99,12 @@ def call(
             raise
         _keep(worker)
         return result()
+
+
+def prepare(modules: tuple[str, ...]) -> None:
+    """Start a process now for the next `call`, which need not wait then until it has imported these modules."""
+    with contextlib.suppress(FormatError):  # whoever reads is told
+        _keep(_Worker("start a reader", modules))
 
 
 class _EndedError(Exception):
@@ -155,13 +161,13 @@ class _Worker:
         It cannot be started.
     """
 
-    def __init__(self, what: str) -> None:
+    def __init__(self, what: str, modules: tuple[str, ...] = ()) -> None:
         ours, theirs = socket.socketpair()
         self._peer = ours
         try:
             if not sys.executable or getattr(sys, "frozen", False):
                 raise OSError("this program is no Python that could be started again")
-            self._process = subprocess.Popen(_command(), env=_environment(), stderr=subprocess.DEVNULL, **_separate(theirs))
+            self._process = subprocess.Popen(_command(modules), env=_environment(), stderr=subprocess.DEVNULL, **_separate(theirs))
             if sys.platform == "win32":
                 _share(theirs, self._process)
         except (OSError, ValueError) as error:
@@ -310,11 +316,12 @@ def _ending(code: int) -> str:
 # -- starting ------------------------------------------------------------------------------------------------------
 
 
-def _command() -> list[str]:
-    given = sys.flags
-    flags = {"-E": given.ignore_environment, "-s": given.no_user_site, "-S": given.no_site, "-I": given.isolated}
-    paths = [[path or _folder() for path in sys.path if isinstance(path, str)], str(Path(__file__).parents[1])]
-    return [sys.executable, *(flag for flag, on in flags.items() if on), "-P", "-c", _PROGRAM, json.dumps(paths)]
+def _command(modules: tuple[str, ...]) -> list[str]:
+    own = sys.flags
+    flags = {"-E": own.ignore_environment, "-s": own.no_user_site, "-S": own.no_site, "-I": own.isolated}
+    paths = [path or _folder() for path in sys.path if isinstance(path, str)]
+    given = json.dumps([paths, str(Path(__file__).parents[1]), modules])
+    return [sys.executable, *(flag for flag, on in flags.items() if on), "-P", "-c", _PROGRAM, given]
 
 
 def _environment() -> dict[str, str]:

@@ -18,6 +18,7 @@ from clvol.march.planes import SEGMENT, SLAB, Planes
 from clvol.mode import Isosurface, Mode
 from clvol.program import Program
 from clvol.scene import CLIP, Medium, Scene, clip_block
+from clvol.spline.bricked import Whole
 from clvol.spline.build import along_defines
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, Evaluator
@@ -25,8 +26,9 @@ from clvol.spline.minmax import BLOCK, MINMAX, MinMax, minmax_block
 from clvol.spline.points import Progress
 from clvol.transfer import TransferFunction
 from clvol.uniform import FLOAT, INT, Block, Values
+from clvol.volume import Volume
 
-__all__ = ["BY_PLANES", "BY_RAYS", "PICTURE", "Frame", "Subject", "frame_block"]
+__all__ = ["BY_PLANES", "BY_RAYS", "PICTURE", "WINDOW", "Frame", "Subject", "frame_block"]
 
 BY_RAYS = Tile(1, 1, 1, shared=False)  # for GPUs, and wherever coefficients are not read as rows of a buffer
 BY_PLANES = Tile(16, 16, 8, shared=True)  # for processors
@@ -45,6 +47,18 @@ PICTURE = Block(
     **{"pass": INT, "last_pass": INT},
 )
 
+WINDOW = Block(  # the part of the volume that is at hand, where not all is: window.cl
+    "window_block",
+    low=(FLOAT, 3),
+    high=(FLOAT, 3),
+    cells_from=(INT, 3),
+    cells_to=(INT, 3),
+    stored_from=(INT, 3),
+    stored_to=(INT, 3),
+    blocks_from=(INT, 3),
+    whole=(INT, 3),
+)
+
 
 @lru_cache
 def frame_block(mode: Block) -> tuple[Block, str]:
@@ -60,6 +74,7 @@ def frame_block(mode: Block) -> tuple[Block, str]:
         lights=LIGHTS,
         mode=mode,
         minmax=MINMAX,
+        window=WINDOW,
         picture=PICTURE,
     )
     return block, "// generated\n" + block.declaration()
@@ -71,7 +86,7 @@ class Frame:
 
     Attributes
     ----------
-    coefficients : Coefficients
+    coefficients : Coefficients or Whole
         Of the medium.
     minmax : MinMax or None
         Of the medium, where space is skipped.
@@ -79,6 +94,7 @@ class Frame:
         Of the value that the mode seeks, if it looks at stretches, where space is skipped.
     mode : Mode
         Settled for the medium's volume.
+    transfer : TransferFunction
     evaluator : Evaluator
     planes : Planes
     tile : Tile
@@ -92,10 +108,11 @@ class Frame:
         The transfer function's nodes or pieces.
     """
 
-    coefficients: Coefficients
+    coefficients: Coefficients | Whole
     minmax: MinMax | None
     sides: Any
     mode: Mode
+    transfer: TransferFunction
     evaluator: Evaluator
     planes: Planes
     tile: Tile
@@ -109,7 +126,7 @@ class Frame:
     def of(
         cls,
         scene: Scene,
-        coefficients: Coefficients,
+        coefficients: Coefficients | Whole,
         minmax: MinMax | None,
         camera: Camera,
         mode: Mode,
@@ -144,6 +161,7 @@ class Frame:
             lights=lights_block(scene.lights, view),
             mode=mode.block(volume, stored),
             minmax=minmax_block(minmax, volume, planes.margin),
+            window=np.zeros((), WINDOW.dtype),
             picture=PICTURE(
                 offset=0.5,
                 background=scene.background or 0.0,
@@ -159,7 +177,7 @@ class Frame:
         tile = _tile(coefficients.device, evaluator)
         labels = volume.is_labels and not coefficients.filter.has_gradient
         sides = minmax.sides(float(values["mode"]["isovalue"]), told) if minmax is not None and mode.stretches else None
-        return cls(coefficients, minmax, sides, mode, evaluator, planes, tile, central, labels, guides, values, table)
+        return cls(coefficients, minmax, sides, mode, transfer, evaluator, planes, tile, central, labels, guides, values, table)
 
     @property
     def device(self) -> Device:
@@ -185,8 +203,8 @@ class Frame:
         picture["listed"], picture["width"], picture["height"], picture["last_pass"] = True, width, height, 1
         return replace(self, values=values)
 
-    def program(self, name: str) -> Program:
-        """A kernel file of the ray loop, specialised for this frame."""
+    def program(self, name: str, *, windowed: bool = False) -> Program:
+        """A kernel file of the ray loop, specialised for this frame; `windowed`: for parts of the volume, one after the other."""
         tile, mode = self.tile, self.mode
         defines: Mapping[str, Any] = {
             **self.coefficients.defines(self.evaluator),
@@ -202,6 +220,7 @@ class Frame:
             "GUIDES": int(self.guides),
             "BLOCK": BLOCK * self.coefficients.filter.scale,
             "SLAB": SLAB,
+            "WINDOWED": int(windowed),
             "COORD_DOUBLE": 0,
             **(along_defines(self.coefficients.filter) if mode.stretches else {}),
         }
@@ -214,13 +233,14 @@ class Subject:
     """What a picture shows, however fine it is: all that `Frame.of` takes but size and step, made ready on the device."""
 
     scene: Scene
-    coefficients: Coefficients
+    coefficients: Coefficients | Whole
     minmax: MinMax | None
     camera: Camera
     mode: Mode
     transfer: TransferFunction
     evaluator: Evaluator
     central: bool
+    looked: Volume | None = None
 
     def frame(
         self, size: tuple[int, int], step: float, *, guides: bool = False, aspect: float | None = None, told: Progress | None = None
@@ -230,7 +250,7 @@ class Subject:
             self.scene,
             self.coefficients,
             self.minmax,
-            self.camera,
+            self.camera if self.looked is None else self.placed(size[0] / size[1] if aspect is None else aspect).camera,
             self.mode,
             size,
             step,
@@ -242,9 +262,18 @@ class Subject:
             told=told,
         )
 
+    def seen_as(self, volume: Volume) -> Subject:
+        """The same with a camera that is fitted to what is seen of another volume, which has samples at hand."""
+        return replace(self, looked=volume)
+
+    def view(self, size: tuple[int, int]) -> View:
+        """From where a picture of so many pixels is seen."""
+        aspect, volume = size[0] / size[1], self.scene.media[0].volume
+        return self.placed(aspect).camera.view(volume, aspect)
+
     def placed(self, aspect: float) -> Subject:
         """The same by a camera that has its place, if that was left open."""
-        volume = self.scene.media[0].volume
+        volume = self.looked or self.scene.media[0].volume
         return replace(self, camera=fitted(self.camera, volume, self.mode, self.transfer, self.scene.clip, aspect))
 
 

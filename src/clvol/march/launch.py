@@ -16,9 +16,24 @@ from clvol.filter import Filter
 from clvol.march.frame import Frame
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER, EDGE_RAYS, as_pixel_filter, on_edges, pixel_rays
 from clvol.spline.build import row_reach, row_width
+from clvol.spline.coefficients import Coefficients
 from clvol.spline.points import Progress
 
-__all__ = ["CHANNELS", "Drawing", "Picture", "States", "draw", "finish_states", "march_rays", "merge_states"]
+__all__ = [
+    "CHANNELS",
+    "Drawing",
+    "Picture",
+    "Progress",
+    "States",
+    "draw",
+    "drawn",
+    "finish_states",
+    "launched_over",
+    "lent_pictures",
+    "march_rays",
+    "merge_states",
+    "pictures_of",
+]
 
 Picture: TypeAlias = NDArray[np.floating[Any]]
 """Float32, but for positions, which are float64."""
@@ -46,12 +61,16 @@ def draw(
 
     Guides are those of the ray through the pixel's middle, which is cast for them if the picture does without it.
     """
-    drawing = Drawing(frame, samples, filter)
+    return drawn(Drawing(frame, samples, filter), samples, progress)
+
+
+def drawn(drawing: Drawing, samples: int | Literal["auto"], progress: Progress | None = None) -> dict[str, Picture]:
+    """What a drawing with so many rays a pixel shows once it is complete."""
     share = 1.0 if samples != "auto" else _BEFORE_EDGES
     drawing.cast(drawing.rays, progress and (lambda done: progress(share * done)))
     if samples == "auto":
         drawing.smooth_edges(progress and (lambda done: progress(share + (1 - share) * done)))
-    return _in_world(frame, drawing.arrays)
+    return _in_world(drawing.frame, drawing.arrays)
 
 
 class Drawing:
@@ -81,11 +100,16 @@ class Drawing:
         self.frame = frame
         self._filter = as_pixel_filter(filter)
         self._pattern = pixel_rays(1 if samples == "auto" else samples, self._filter, middle=frame.guides)
-        self._kernel, self._inputs, self._budget = frame.program("march/draw.cl").kernel("draw"), _Inputs(frame), _Budget(frame)
+        self._budget = _Budget(frame)
         self._budget.expect(expected / math.prod(frame.size))
         self._areas: Iterator[tuple[int, int, int, int]] | None = None  # of the ray that was begun
         self.rays, self.cast_rays = len(self._pattern), 0
-        self.arrays = _arrays(frame)
+        self.arrays = pictures_of(frame)
+        self._make_ready()
+
+    def _make_ready(self) -> None:
+        """The kernel, and what it reads."""
+        self._kernel, self._inputs = self.frame.program("march/draw.cl").kernel("draw"), _Inputs(self.frame)
 
     def cast(self, rays: int, told: Progress | None = None, until: float = math.inf) -> bool:
         """So many further rays of each pixel.
@@ -94,7 +118,7 @@ class Drawing:
         """
         frame, (width, height), kernel = self.frame, self.frame.size, self._kernel
         last = min(self.rays, self.cast_rays + rays)
-        with _pictures(frame, self.arrays, begun=self.cast_rays > 0 or self._areas is not None) as buffers:
+        with lent_pictures(frame, self.arrays, begun=self.cast_rays > 0 or self._areas is not None) as buffers:
             while self.cast_rays < last:
                 i = self.cast_rays
                 block = frame.device.upload(frame.sampled(*self._pattern[i], i, self.rays)[None])
@@ -135,21 +159,15 @@ class Drawing:
             told(1.0)
 
     def _smooth(self, picture: Picture, pixels: NDArray[np.intp], told: Progress | None) -> None:
-        frame, budget = self.frame, self._budget
+        frame = self.frame
         (_, share), *more = pixel_rays(EDGE_RAYS, self._filter, middle=True)
         offsets, weights = zip(*more, strict=True)
         places = (pixels[:, None, ::-1].astype(np.float32) + np.array(offsets, np.float32)).reshape(-1, 2)
         width = frame.tile.width if frame.tile.shared else _GROUP  # so that neighbours share a tile or a group
         height = -(-len(places) // width)
         rays = frame.of_rays(width, height)
-        block, listed = (frame.device.upload(a) for a in (rays.values[None], np.resize(places, (width * height, 2))))
-        arrays = _arrays(rays)
-        budget.slow_down(_SCATTERED)
-        with _pictures(rays, arrays) as buffers:
-            areas, arguments = budget.tiles(width, height), (*self._inputs.of_rays(block), listed, *buffers)
-            for _, y, _, h in _launched(rays, self._kernel, areas, budget, *arguments):
-                if told:
-                    told(_FINDING + (1 - _FINDING) * (y + h) / height)
+        casting = told and (lambda done: told(_FINDING + (1 - _FINDING) * done))
+        arrays = self._cast_listed(rays, np.resize(places, (width * height, 2)), casting)
         colors = arrays["rgba"].reshape(-1, 4)[: len(places)].reshape(len(pixels), -1, 4)
         where = tuple(pixels.T)
         first, opaque = picture[where], bool(frame.values["picture"]["opaque"])
@@ -163,6 +181,19 @@ class Drawing:
         if not opaque:
             np.divide(means[:, :3], means[:, 3:], out=means[:, :3], where=means[:, 3:] > 0)
         picture[where] = np.clip(means, 0, 1)
+
+    def _cast_listed(self, rays: Frame, places: NDArray[np.float32], told: Progress | None) -> dict[str, Picture]:
+        """What a list of rays shows, which cross the picture at these places."""
+        budget, device, (width, height) = self._budget, rays.device, rays.size
+        block, listed = device.upload(rays.values[None]), device.upload(places)
+        arrays = pictures_of(rays)
+        budget.slow_down(_SCATTERED)
+        with lent_pictures(rays, arrays) as buffers:
+            areas, arguments = budget.tiles(width, height), (*self._inputs.of_rays(block), listed, *buffers)
+            for _, y, _, h in _launched(rays, self._kernel, areas, budget, *arguments):
+                if told:
+                    told((y + h) / height)
+        return arrays
 
 
 # -- in parts ----------------------------------------------------------------------------------------------
@@ -249,8 +280,8 @@ def finish_states(states: States) -> dict[str, Picture]:
     frame, buffer = states.frame, states.argument(states.frame)
     kernel, inputs = frame.program("march/split.cl").kernel("finish_states"), _Inputs(frame)
     block = frame.device.upload(frame.values[None])
-    arrays = _arrays(frame)
-    with _pictures(frame, arrays) as buffers:
+    arrays = pictures_of(frame)
+    with lent_pictures(frame, arrays) as buffers:
         _launch(frame, kernel, (0, 0, *frame.size), inputs.source, inputs.extent, block, inputs.table, buffer, *buffers)
     return _in_world(frame, arrays)
 
@@ -262,6 +293,7 @@ class _Inputs:
     """What a frame's kernels read, on the device."""
 
     def __init__(self, frame: Frame) -> None:
+        assert isinstance(frame.coefficients, Coefficients)  # all of them are there
         self.source, self.extent = frame.coefficients.argument(frame.evaluator), frame.coefficients.extent
         self.table = frame.device.upload(frame.table)
         self.minmax = self.table if frame.minmax is None else frame.minmax.buffer  # any buffer: it is not read
@@ -272,14 +304,14 @@ class _Inputs:
         return self.source, self.extent, self.minmax, self.sides, block, self.table
 
 
-def _arrays(frame: Frame) -> dict[str, Picture]:
+def pictures_of(frame: Frame) -> dict[str, Picture]:
     """What a frame's pictures are written to."""
     width, height = frame.size
     return {name: np.empty((height, width, *n), np.float32) for name, n in CHANNELS.items() if frame.guides or name == "rgba"}
 
 
 @contextlib.contextmanager
-def _pictures(frame: Frame, arrays: dict[str, Picture], *, begun: bool = False) -> Iterator[list[Any]]:
+def lent_pictures(frame: Frame, arrays: dict[str, Picture], *, begun: bool = False) -> Iterator[list[Any]]:
     """The buffers that kernels write the arrays of a frame's pictures through; `begun` if these hold something already."""
     unused = [frame.device.allocate(4) for _ in range(len(CHANNELS) - len(arrays))]  # nobody wants them: never written
     with contextlib.ExitStack() as lent:
@@ -316,6 +348,15 @@ def _launched(
         _launch(frame, kernel, area, *arguments, long=budget.exceeded(pixels))
         budget.spent(pixels, time.perf_counter() - started)
         yield area
+
+
+def launched_over(frame: Frame, kernel: Any, area: tuple[int, int, int, int], *arguments: Any) -> Iterator[None]:
+    """A kernel over an area that begins a tile, in launches that are not long."""
+    left, top, width, height = area
+    budget = _Budget(frame)
+    areas = ((left + x, top + y, w, h) for x, y, w, h in budget.tiles(width, height))
+    for _ in _launched(frame, kernel, areas, budget, *arguments):
+        yield
 
 
 def _await(event: Any) -> None:

@@ -21,9 +21,11 @@ from clvol.checks import instance, number, one_of, whole
 from clvol.device import Device
 from clvol.errors import DataError, OptionError
 from clvol.filter import PICTURE_FILTER, Filter
+from clvol.lazy import LazyVolume
 from clvol.light import Light, Material
 from clvol.look import look
 from clvol.march import launch
+from clvol.march.bricks import BrickedDrawing
 from clvol.march.frame import Subject
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter
 from clvol.march.refine import Rates, Refined, Wanted, refined
@@ -33,7 +35,8 @@ from clvol.noise import Noise
 from clvol.picture import Picture, as_pictures
 from clvol.scene import Box, Medium, Scene, as_scene
 from clvol.smoothing import filter_for
-from clvol.spline.evaluator import Evaluator, EvaluatorName, FetchName, choose_evaluator
+from clvol.spline.bricked import BrickedField
+from clvol.spline.evaluator import DIRECT, Evaluator, EvaluatorName, FetchName, choose_evaluator
 from clvol.spline.field import RENUMBER, Field, as_field, names_beyond
 from clvol.spline.lease import Lease
 from clvol.spline.minmax import MinMax
@@ -89,16 +92,22 @@ class Renderer:
 
     def __init__(
         self,
-        scene: Scene | Medium | Volume | Field | ArrayLike,
+        scene: Scene | Medium | Volume | LazyVolume | Field | BrickedField | ArrayLike,
         filter: str | Filter | None = None,
         boundary: str | Boundary | None = None,
         device: Device | str | int | None = None,
     ) -> None:
         given = {name: value for name, value in (("filter", filter), ("boundary", boundary)) if value is not None}
-        self._own = own = not isinstance(scene, Field)
-        if isinstance(scene, Field):
-            field = as_field(scene, filter, boundary, device)
-            if field.gaps is not None:
+        self._own = own = not isinstance(scene, (Field, BrickedField))
+        self._looked: Volume | None = None
+        bricked: BrickedField | None = None
+        if isinstance(scene, (LazyVolume, BrickedField)):
+            bricked = _bricked(scene, filter, boundary, device)
+            self._looked = bricked.volume.sketch()
+            scene = Medium(bricked.coefficients.volume, filter=bricked.filter, boundary=bricked.boundary)
+        elif isinstance(scene, Field):
+            given_field = as_field(scene, filter, boundary, device)
+            if given_field.gaps is not None:
                 raise OptionError(
                     "rendering takes a field without gaps; this one has missing samples: replace them with Volume.filled(), or "
                     'keep them filled with nan=Missing("local", most=1)'
@@ -112,13 +121,18 @@ class Renderer:
             raise OptionError(f"{' and '.join(given)} must be left to the medium of a scene; got {given}")
         self.scene = as_scene(scene)
         (medium,) = self.scene.media
-        if own:
+        field: Field | BrickedField
+        if bricked is not None:
+            field = bricked
+        elif own:
             field = _single(medium.volume, filter_for(medium.volume, medium.filter, PICTURE_FILTER), medium.boundary, device)
-        elif field.precision != "single":
-            raise OptionError(f"rendering takes a field of single precision; got one of {field.precision} precision")
+        elif given_field.precision != "single":
+            raise OptionError(f"rendering takes a field of single precision; got one of {given_field.precision} precision")
+        else:
+            field = given_field
         self.field = field
         self.device = field.device
-        self._unsmoothed: Field | None = None
+        self._unsmoothed: Field | BrickedField | None = None
         self._minmax: dict[tuple[Filter, Evaluator], MinMax] = {}
         self._uncertainty: Uncertainty | None = None
         self._rates = Rates()
@@ -353,7 +367,12 @@ class Renderer:
             uncertain = self._uncertain(self._field_of(chosen), chosen) if "uncertainty" in wanted else None
             subject = self._subject(scene, camera, chosen, gradient, skipping, evaluator, fetch)
             frame = subject.frame(size, step, guides=wanted != ("rgba",))
-            pictures = launch.draw(frame, rays, pixel_filter, progress)
+            field = self._field_of(chosen)
+            if isinstance(field, BrickedField):
+                drawing = BrickedDrawing(frame, rays, pixel_filter, field, subject.view(size), skipping=skipping)
+                pictures = launch.drawn(drawing, rays, progress)
+            else:
+                pictures = launch.draw(frame, rays, pixel_filter, progress)
             if uncertain is not None:
                 pictures["uncertainty"] = uncertain(pictures["position"], self._noise(sigma), central=subject.central)
             shown = as_pictures({name: pictures[name] for name in wanted})
@@ -469,7 +488,7 @@ class Renderer:
         given = [name for name, value in words.items() if value is not None]
         if given and transfer is not None:
             raise OptionError(f"transfer must be left out where {' and '.join(given)} say what it is; got both")
-        return look(self.volume, mode, **words) if given else transfer
+        return look(self._looked or self.volume, mode, **words) if given else transfer
 
     def _subject(
         self,
@@ -487,18 +506,23 @@ class Renderer:
         instance("skipping", skipping, bool, np.bool_)
         if gradient not in ("analytic", "central"):
             raise one_of("gradient", gradient, ("analytic", "central"))
-        field = self._field_of(mode)
-        way = choose_evaluator(self.device, field.filter, evaluator, fetch, bits=_BITS)
-        return Subject(
+        field, looked = self._field_of(mode), self._looked or self.volume
+        if isinstance(field, BrickedField) and (fetch == "image" or evaluator not in ("auto", "taps")):
+            raise OptionError(f"bricks are read by direct taps from buffers; got evaluator {evaluator!r} and fetch {fetch!r}")
+        way = (
+            DIRECT if isinstance(field, BrickedField) else choose_evaluator(self.device, field.filter, evaluator, fetch, bits=_BITS)
+        )
+        subject = Subject(
             scene,
             field.coefficients,
-            self._pyramid(field, way) if skipping and mode.skips else None,
+            self._pyramid(field, way) if skipping and mode.skips and isinstance(field, Field) else None,
             camera,
-            mode.settled(self.volume),
-            scene.media[0].transfer or mode.transfer(self.volume),
+            mode.settled(looked),
+            scene.media[0].transfer or mode.transfer(looked),
             way,
             gradient == "central" or not field.filter.has_gradient,
         )
+        return subject if self._looked is None else subject.seen_as(self._looked)
 
     def _seen(
         self,
@@ -525,19 +549,25 @@ class Renderer:
             scene.clip if clip is ... else clip,
         )
 
-    def _field_of(self, mode: Mode) -> Field:
+    def _field_of(self, mode: Mode) -> Field | BrickedField:
         """What pictures of a mode show; that of modes which show extremes is made for the first of them."""
         row = self.filter_of(mode)
         if row == self.filter:
             return self.field
         with self._lock:
             if self._unsmoothed is None:
-                self._unsmoothed = _single(self.volume, row, self.field.boundary, self.device)
+                own = self.field
+                if isinstance(own, BrickedField):
+                    self._unsmoothed = BrickedField(own.volume, row, own.boundary, own.device, budget=own.budget, edge=own.edge)
+                else:
+                    self._unsmoothed = _single(self.volume, row, own.boundary, self.device)
                 self._lease.frees(self._unsmoothed.close)
             return self._unsmoothed
 
-    def _uncertain(self, field: Field, mode: Mode) -> Uncertainty:
+    def _uncertain(self, field: Field | BrickedField, mode: Mode) -> Uncertainty:
         """The errors of surfaces, made ready for the first picture."""
+        if isinstance(field, BrickedField):
+            raise OptionError('the output "uncertainty" takes a volume that is in memory; got one that is read by bricks')
         if not isinstance(mode, Isosurface):
             raise OptionError(f'the output "uncertainty" is of surfaces: mode must be isosurface; got {mode.name!r}')
         if not field.filter.has_gradient:
@@ -569,7 +599,7 @@ _KEYWORDS = tuple(name for name in inspect.signature(Renderer.render).parameters
 
 @overload
 def render(
-    scene: Scene | Medium | Volume | Field | ArrayLike,
+    scene: Scene | Medium | Volume | LazyVolume | Field | BrickedField | ArrayLike,
     camera: Camera | None = ...,
     mode: str | Mode = ...,
     filter: str | Filter | None = ...,
@@ -585,7 +615,7 @@ def render(
 
 @overload
 def render(
-    scene: Scene | Medium | Volume | Field | ArrayLike,
+    scene: Scene | Medium | Volume | LazyVolume | Field | BrickedField | ArrayLike,
     camera: Camera | None = ...,
     mode: str | Mode = ...,
     filter: str | Filter | None = ...,
@@ -600,7 +630,7 @@ def render(
 
 
 def render(
-    scene: Scene | Medium | Volume | Field | ArrayLike,
+    scene: Scene | Medium | Volume | LazyVolume | Field | BrickedField | ArrayLike,
     camera: Camera | None = None,
     mode: str | Mode = DEFAULT_MODE,
     filter: str | Filter | None = None,
@@ -623,13 +653,33 @@ def render(
     """
     chosen = as_mode(mode, {name: value for name, value in options.items() if name not in _KEYWORDS}, _KEYWORDS)  # before any work,
     as_pixel_filter(options.get("pixel_filter", DEFAULT_PIXEL_FILTER))  # and so is this
-    free = filter is None and not isinstance(scene, (Scene, Medium, Field))
-    if free:
+    free = filter is None and not isinstance(scene, (Scene, Medium, Field, BrickedField))
+    if isinstance(scene, LazyVolume):
+        free = free and scene.bounds is None
+    elif free:
         scene = as_volume(scene)  # type: ignore[arg-type]  # what is left
     _require_picture(_size(size), _outputs(outputs), edges=False)
-    row = filter_for(scene, None, chosen.picture_filter) if free else filter  # type: ignore[arg-type]  # it is a volume then
+    looked = scene.part() if free and isinstance(scene, LazyVolume) else scene
+    row = filter_for(looked, None, chosen.picture_filter) if free else filter  # type: ignore[arg-type]  # it is a volume then
     with Renderer(scene, row, boundary, device) as renderer:
         return renderer.render(camera, mode, size, step, outputs=outputs, **options)  # type: ignore[arg-type]  # either
+
+
+def _bricked(
+    scene: LazyVolume | BrickedField,
+    filter: str | Filter | None,
+    boundary: str | Boundary | None,
+    device: Device | str | int | None,
+) -> BrickedField:
+    """What pictures are made of that are made by bricks; of a volume a new one."""
+    if isinstance(scene, BrickedField):
+        if filter is not None or boundary is not None or device is not None:
+            raise OptionError("filter, boundary and device must be left to the field; got them beside it")
+        if scene.closed:
+            raise OptionError("the field was closed, and its coefficients were released; make a new one")
+        return scene
+    usual = PICTURE_FILTER if scene.bounds is None else None  # which is then the bounds' own
+    return BrickedField(scene, usual if filter is None else filter, boundary, device)
 
 
 def _single(volume: Volume, row: Filter, boundary: Boundary, device: Device | str | int | None) -> Field:

@@ -23,7 +23,7 @@ from clvol.spline.prefilter import prefilter_in_place
 from clvol.stored import AS_THEY_ARE, Stored
 from clvol.volume import Volume
 
-__all__ = ["OPENCL_TYPES", "Coefficients", "Lattice", "addressable", "bundled", "bytes_of"]
+__all__ = ["OPENCL_TYPES", "Coefficients", "Lattice", "addressable", "bundled", "bytes_of", "extent_of"]
 
 OPENCL_TYPES = {  # OpenCL's names of NumPy's types
     "b1": "uchar",
@@ -162,7 +162,7 @@ class Coefficients:
         self.size = np.array([*sizes, 0], np.int32)
         self.period = np.array([*(boundary.length(n) for n in sizes), 0], np.int32)
         past = filter.scale * (self.pad + self.reach)
-        self.extent = _extent(filter, self.ndim, tuple(filter.scale * n for n in sizes), past)
+        self.extent = extent_of(filter, self.ndim, tuple(filter.scale * n for n in sizes), past)
         if self.ndim < 3:
             self.extent[2] = batch
         self.buffer: Any = device.allocate(self.nbytes)
@@ -389,7 +389,7 @@ def bytes_of(size: tuple[int, ...], filter: Filter, boundary: Boundary, kind: ty
     return own if filter.magnified_by is None else own + bytes_of(size, filter.magnified_by, boundary, kind)
 
 
-def _extent(filter: Filter, dimensions: int, sizes: tuple[int, ...], past: int) -> NDArray[np.int32]:
+def extent_of(filter: Filter, dimensions: int, sizes: tuple[int, ...], past: int) -> NDArray[np.int32]:
     """(row pitch, rows, slices, halo) of what is stored for so many coefficients along x, y and z.
 
     The halo covers the taps of every point of the domain, and of points a sample beyond it, for central differences; and `past`

@@ -37,20 +37,26 @@ from clvol.volumes import Volumes, as_grid
 
 __all__ = [
     "RENUMBER",
+    "Anchor",
     "Field",
     "Floats",
+    "Frame",
     "Precision",
     "Progress",
     "Reals",
     "as_field",
+    "as_grid_for",
+    "as_points",
     "coefficients_of",
     "fill_value",
+    "filled",
     "magnify",
     "names_beyond",
     "opened",
     "precision_kind",
     "prefilter",
     "resample",
+    "result_kind",
     "sample",
 ]
 
@@ -86,27 +92,27 @@ def coefficients_of(
     volume.require_finite()
     row = settled(filter, volume)
     stored = Stored.of(volume, row, boundary) if kind == np.float32 else AS_THEY_ARE
-    return _filled(Coefficients(volume, row, boundary, device, stored, kind))
+    return filled(Coefficients(volume, row, boundary, device, stored, kind), volume.data)
 
 
-def _filled(made: Coefficients) -> Coefficients:
-    """The coefficients that there is room for; it is released if that fails."""
+def filled(made: Coefficients, data: NDArray[Any]) -> Coefficients:
+    """The coefficients that there is room for, of samples [z, y, x]; it is released if that fails."""
     try:
         if made.filter.magnified_by is not None:
-            _fill_hybrid(made, made.filter.magnified_by)
+            _fill_hybrid(made, made.filter.magnified_by, data)
         else:
-            made.fill(made.volume.data)
+            made.fill(data)
     except BaseException:
         made.release()
         raise
     return made
 
 
-def _fill_hybrid(made: Coefficients, by: Filter) -> None:
+def _fill_hybrid(made: Coefficients, by: Filter, data: NDArray[Any]) -> None:
     """Fill the coefficients of a hybrid, halo included, by samples of the spline of `by`."""
     scale, halo, d = made.filter.scale, int(made.extent[3]), made.ndim
     steps = np.eye(d) / scale
-    with _filled(Coefficients(made.volume, by, made.boundary, made.device, made.stored, made.kind)) as coarse:
+    with filled(Coefficients(made.volume, by, made.boundary, made.device, made.stored, made.kind), data) as coarse:
         resample_coefficients(coarse, DIRECT, steps, np.full(d, -halo / scale), made.shape, made.buffer, Given(edge=0.5))
 
 
@@ -405,8 +411,7 @@ class Field:
     ) -> Reals:
         with self.in_use():
             d, made = self.volume.ndim, self.coefficients
-            array = _in_world(_points(points, d), frame, self.volume)
-            _tell_reversed(array.reshape(-1, d), self.volume)
+            array = as_points(points, frame, self.volume)
             shape = array.shape[:-1] + (d,) * derivative
             target = None if out is None else as_output(out, shape)
             memory.require(self._result_bytes(math.prod(shape), derivative, out), _results(shape))
@@ -506,9 +511,9 @@ class Field:
             The device has no room for the result.
         """
         volume = self.volume
-        grid = _grid_for(volume, shape, spacing, like, anchor)
+        grid = as_grid_for(volume, shape, spacing, like, anchor)
         chosen, stages = as_anti_aliasing(anti_aliasing), as_chain(transform, volume.ndim)
-        kind = _result_kind(dtype, volume, self.filter, out, fill)
+        kind = result_kind(dtype, volume, self.filter, out, fill)
         if chosen:
             _require_no_transform(stages)
             with self.in_use():  # a closed field is refused
@@ -554,7 +559,7 @@ class Field:
         memory.require_addressable("a result", shape)
         data = self._on_grid(np.eye(d) / factor, np.zeros(d), shape, evaluator, fetch, None, progress)
         finer = replace(volume, data=data, spacing=tuple(s / factor for s in volume.spacing))
-        return _in(_result_kind(None, volume, self.filter, None, None), finer, self.filter)
+        return _in(result_kind(None, volume, self.filter, None, None), finer, self.filter)
 
     def _on_grid(
         self,
@@ -605,7 +610,7 @@ class Field:
         return choose_evaluator(self.device, self.filter, evaluator, "buffer")
 
 
-def _result_kind(dtype: DTypeLike | None, volume: Volume, row: Filter, out: Any, fill: float | None) -> np.dtype[Any] | None:
+def result_kind(dtype: DTypeLike | None, volume: Volume, row: Filter, out: Any, fill: float | None) -> np.dtype[Any] | None:
     """The type that results are brought to; None: that in which they are computed."""
     fill = fill_value(fill)
     if names_beyond(53, volume, row):  # results would name no region, or another
@@ -896,12 +901,12 @@ def resample(
     """
     if not isinstance(volume, Field):
         volume = as_volume(volume)
-        grid = _grid_for(volume, shape, spacing, like, anchor)  # before the volume is prefiltered
+        grid = as_grid_for(volume, shape, spacing, like, anchor)  # before the volume is prefiltered
         if out is not None:
             as_output(out, grid.shape)
         transform = as_chain(transform, volume.ndim)
         row = filter_for(volume, filter, DEFAULT_FILTER)
-        kind = _result_kind(dtype, volume, row, out, fill)
+        kind = result_kind(dtype, volume, row, out, fill)
         if precision is None and kind is not None and wide(kind) and (device := as_device(device)).has_double:
             precision = "double"
         if chosen := as_anti_aliasing(anti_aliasing):
@@ -1045,6 +1050,13 @@ def _halves(progress: Progress | None) -> tuple[Progress, Progress] | tuple[None
 # -- arguments -------------------------------------------------------------------------------------------------------
 
 
+def as_points(points: ArrayLike, frame: Frame, volume: Volume) -> NDArray[np.generic]:
+    """Points of a frame in a volume's world, of any type; those that seem to be in another order cause a `ClvolWarning`."""
+    array = _in_world(_points(points, volume.ndim), frame, volume)
+    _tell_reversed(array.reshape(-1, volume.ndim), volume)
+    return array
+
+
 def _points(points: ArrayLike, d: int) -> NDArray[np.generic]:
     """`points` as an array, if they are real numbers of shape (..., d)."""
     array = as_array(points, "points", OptionError, f"numbers of shape (..., {d})")
@@ -1120,7 +1132,7 @@ def fill_value(fill: float | None) -> float | None:
     return None if fill is None else float(fill)
 
 
-def _grid_for(
+def as_grid_for(
     volume: Volume,
     shape: Sequence[int] | None,
     spacing: Sequence[float] | float | None,

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable
 from fractions import Fraction
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,8 @@ from clvol.uniform import FLOAT, INT, Block, Values
 from clvol.volume import Volume
 
 __all__ = ["BLOCK", "MAX_LEVELS", "MINMAX", "MinMax", "bernstein", "minmax_block"]
+
+Cell: TypeAlias = tuple[int, int, int]
 
 BLOCK = 4  # samples along an edge of the finest blocks
 MAX_LEVELS = 12
@@ -102,6 +104,9 @@ class MinMax:
         Of a volume with 3 axes.
     evaluator : Evaluator
         How they will be evaluated: a texture unit is less exact than arithmetic, so bounds for it are wider.
+    part : ((int, int, int), (int, int, int)), optional
+        Of the cells, by the numbers of their first taps among those stored, along x, y and z: the first, and past the last. All by
+        default.
 
     Attributes
     ----------
@@ -111,9 +116,11 @@ class MinMax:
         Blocks along (x, y, z) on the finest level; halved, rounded up, on each next one.
     offsets : tuple of int
         Where each level begins in the buffer, in blocks.
+    first : tuple of int
+        The first cell.
     """
 
-    def __init__(self, coefficients: Coefficients, evaluator: Evaluator) -> None:
+    def __init__(self, coefficients: Coefficients, evaluator: Evaluator, part: tuple[Cell, Cell] | None = None) -> None:
         self.coefficients = coefficients
         device, scale, support = coefficients.device, coefficients.filter.scale, coefficients.filter.support
         blur = 0.0
@@ -121,12 +128,14 @@ class MinMax:
             # paired fetches read at a position that is rounded, in a texture unit to some bits of a texel
             blur = max(coefficients.shape) * 2.0**-22 + (2.0**-device.sampler_bits if evaluator.image else 0.0)
         cells = BLOCK * scale
-        z, y, x = (max(1, -(-(n - support + 1) // cells)) for n in coefficients.shape)
+        past = tuple(n - support + 1 for n in coefficients.shape[::-1])
+        self.first, past = part or ((0, 0, 0), (past[0], past[1], past[2]))
+        x, y, z = (max(1, -(-(b - a) // cells)) for a, b in zip(self.first, past, strict=True))
         sizes = [(x, y, z)]
         while max(sizes[-1]) > 1 and len(sizes) < MAX_LEVELS:
             x_, y_, z_ = sizes[-1]
             sizes.append((-(-x_ // 2), -(-y_ // 2), -(-z_ // 2)))
-        self.blocks = sizes[0]
+        self.blocks, self._coarsest = sizes[0], sizes[-1]
         counts = [math.prod(size) for size in sizes]
         self.offsets = tuple(int(n) for n in np.cumsum([0, *counts[:-1]]))
         self.buffer = device.allocate(8 * sum(counts))
@@ -145,6 +154,13 @@ class MinMax:
         except BaseException:
             self.release()
             raise
+
+    def extremes(self) -> tuple[float, float]:
+        """Bounds of all values, in stored units."""
+        count = self.offsets[-1] + math.prod(self._coarsest)
+        with self.coefficients.device.mapped(self.buffer, (count, 2), write=False) as ends:
+            coarsest = ends[self.offsets[-1] :]
+            return float(coarsest[:, 0].min()), float(coarsest[:, 1].max())
 
     def sides(self, value: float, told: Callable[[float], object] | None = None) -> Any:
         """On which side of a value the function is in each cell, as sides.cl has it: 16 bytes for 64 cells.
@@ -178,6 +194,7 @@ class MinMax:
                     (1, 1, 1),
                     coefficients.argument(DIRECT),
                     coefficients.extent,
+                    np.array([*self.first, 0], np.int32),
                     np.array([*self.blocks, first], np.int32),
                     *arguments,
                 )

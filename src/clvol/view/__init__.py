@@ -10,9 +10,14 @@ beside it: a page from a server, notebooks, windows.
 
 from __future__ import annotations
 
+import threading
+from contextlib import suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from clvol.errors import ClvolError, MissingDependencyError
+from clvol.filter import as_filter
+from clvol.march.renderer import Renderer
 from clvol.picture import Picture, to_png
 from clvol.view import code
 from clvol.view.code import from_toml, from_url
@@ -26,6 +31,8 @@ if TYPE_CHECKING:
     from clvol.view.server import Serving
 
 __all__ = ["Session", "State", "View", "from_toml", "from_url", "section", "show"]
+
+_SMALL = 64  # pixels along the edges of a picture that nobody sees
 
 
 class View(Resident):
@@ -94,6 +101,37 @@ class View(Resident):
         with self.renderer(self.initial.filter, self.initial.boundary) as renderer:
             made: Picture = renderer.render(size=size, **self.arguments(self.initial))
         return made
+
+    def prepare(self) -> None:
+        """Have at hand what a first picture takes, and what a page tells beside it: found out side by side.
+
+        Raises
+        ------
+        ClvolError
+            As for `picture`.
+        """
+
+        def known() -> None:
+            with suppress(Exception):  # whoever asks for it is told
+                self.info()
+                self.effective(self.initial)
+
+        told = threading.Thread(target=known, name="clvol view: facts", daemon=True)
+        told.start()
+        self.picture((_SMALL, _SMALL))
+        told.join()
+
+    def rehearse(self) -> None:
+        """Draw the volume small, without its prefilter, and forget the picture: what is left are kernels for other volumes.
+
+        Kernels that take longest to load or to build depend on no volume, so a small one rehearses what another will need that
+        is still being read. The prefilter's do depend on it, if it has noise.
+        """
+        row = as_filter(self.initial.filter or self.mode(self.initial).picture_filter)
+        if row.prefilter:
+            row = replace(row, prefilter=False, smoothing=0.0, length=None)
+        with Renderer(self.volume, row, self.initial.boundary, self.device) as renderer:
+            renderer.render(size=(_SMALL, _SMALL), **self.arguments(self.initial))
 
     def python(self, size: tuple[int, int] = (512, 512)) -> str:
         """A program that draws `picture(size)`, bit for bit."""

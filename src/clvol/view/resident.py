@@ -145,6 +145,8 @@ class Resident:
             with entry.making:
                 if entry.renderer is None:
                     entry.renderer = self._made(filter, boundary)
+                    with contextlib.suppress(ClvolError):  # of that state, which need not be what is drawn
+                        self.effective(self.initial)  # waits for a session that finds out the same
             yield entry.renderer
         finally:
             with self._lock:
@@ -159,8 +161,6 @@ class Resident:
             self._free(_KEPT)
 
     def _made(self, filter: str | None, boundary: str) -> Renderer:
-        with contextlib.suppress(ClvolError):  # of that state, which need not be what is drawn
-            self.effective(self.initial)  # waits for a session that finds out the same
         own = self._field
         if own is not None and filter == own.filter.name and boundary == own.boundary.name:
             return Renderer(own)

@@ -1,0 +1,162 @@
+// Kernels: a picture of a volume that is at hand brick by brick (window.cl). Rays go through one brick after the other, front to
+// back, and carry their states on; what reads coefficients where a ray ends is found out while these are at hand.
+//
+// States lie in a buffer as planes of pixels, as in split.cl; so does what was found, SHOWN_FIELDS numbers: the colour, if
+// FINISHED_THERE, then the normal, if GUIDES.
+
+#include "march/march.cl"
+#include "march/picture.cl"
+#include "march/states.cl"
+
+#define SHOWN_NORMALS (FINISHED_THERE ? 3 : 0)   // which field they begin at
+#define SHOWN_AT(field) shown[((size_t)(field) * frame->picture.height + y + i / LANES_ACROSS) * frame->picture.width + x + i % LANES_ACROSS]
+
+#define TILE_OF_THIS_ITEM                                                                                           \
+    const int left = (int)get_global_id(0) * TILE_WIDTH, top = (int)get_global_id(1) * TILE_HEIGHT;                  \
+    if (left >= frame->picture.width || top >= frame->picture.height)                                               \
+        return;                                                                                                     \
+    tile_t tile;                                                                                                    \
+    begin_tile(&tile, frame, left, top, places)
+
+// Before the first brick. `going`: for each tile whether rays of it want more samples.
+kernel void begin_states(constant frame_t *frame, global const float2 *places, global float *states, global uchar *going)
+{
+    TILE_OF_THIS_ITEM;
+    store_states(&tile, frame, states);
+    int some = 0;
+    for (int g = 0; g < PACKETS; ++g)
+        some |= any_lane(tile.going[g]);
+    going[top / TILE_HEIGHT * ((frame->picture.width + TILE_WIDTH - 1) / TILE_WIDTH) + left / TILE_WIDTH] = some;
+}
+
+// Leaves rays of a tile going that may have samples in the window, and of these the numbers that may lie there.
+INLINE int enter_window(tile_t *tile, constant frame_t *frame)
+{
+    const float reserve = 2.0f * frame->planes.margin;
+    float first = INFINITY, last = -INFINITY;
+    int some = 0;
+    for (int g = 0; g < PACKETS; ++g) {
+        const ray_t *ray = tile->rays + g;
+        real enter = ray->enter, leave = ray->leave;
+        clip_axis(ray->origin.x, ray->direction.x, frame->window.low[0] - reserve, frame->window.high[0] + reserve, &enter, &leave);
+        clip_axis(ray->origin.y, ray->direction.y, frame->window.low[1] - reserve, frame->window.high[1] + reserve, &enter, &leave);
+        clip_axis(ray->origin.z, ray->direction.z, frame->window.low[2] - reserve, frame->window.high[2] + reserve, &enter, &leave);
+        tile->going[g] &= enter <= leave;
+        if (!any_lane(tile->going[g]))
+            continue;
+        some = 1;
+        const mask apart = ray->alone;   // its step is 0
+        const real per_step = 1.0f / choose(apart, (real)(1.0f), ray->step);
+        const real from = choose(apart, ray->begin, round_down((enter - ray->first) * per_step) - 1.0f);
+        const real to = choose(apart, ray->end, round_down((leave - ray->first) * per_step) + 2.0f);
+        first = MIN(first, min_lane(choose(tile->going[g], from, NOWHERE)));
+        last = MAX(last, max_lane(choose(tile->going[g], to, -NOWHERE)));
+    }
+    tile->first = MAX(tile->first, first);
+    tile->last = MIN(tile->last, last);
+    return some;
+}
+
+// What is shown of the rays of a packet that have just got to where they end, for as far as is known.
+INLINE void show(COEFFICIENTS coefficients, const sample_t *sample, const state_t *state, mask changed, const int x, const int y,
+                 global float *shown)
+{
+    constant frame_t *frame = sample->frame;
+    const lane_masks_u wanted = { changed };
+#if FINISHED_THERE
+    const color_t color = finish(state, coefficients, sample);
+    const lanes_u red = { color.red }, green = { color.green }, blue = { color.blue };
+    EACH_PIXEL(x, y)
+        if (wanted.each[i]) {
+            SHOWN_AT(0) = red.each[i];
+            SHOWN_AT(1) = green.each[i];
+            SHOWN_AT(2) = blue.each[i];
+        }
+#endif
+    if (GUIDES && frame->picture.pass == 0) {
+        const real3 normal = normals_at(coefficients, sample, place_of(state), changed);
+        const lanes_u nx = { normal.x }, ny = { normal.y }, nz = { normal.z };
+        EACH_PIXEL(x, y)
+            if (wanted.each[i]) {
+                SHOWN_AT(SHOWN_NORMALS) = nx.each[i];
+                SHOWN_AT(SHOWN_NORMALS + 1) = ny.each[i];
+                SHOWN_AT(SHOWN_NORMALS + 2) = nz.each[i];
+            }
+    }
+}
+
+// Rays through the brick in the window.
+kernel void march_brick(COEFFICIENTS coefficients, const int4 extent, global const float2 *minmax, global const ulong2 *sides,
+                        constant frame_t *frame, global const float4 *table, global const float2 *places, global float *states,
+                        global float *shown, global uchar *going)
+{
+    TILE_OF_THIS_ITEM;
+    load_states(&tile, frame, states);
+    real before[PACKETS];
+    mask hits[PACKETS];
+    for (int g = 0; g < PACKETS; ++g) {
+        hits[g] = tile.going[g];
+        tile.going[g] &= !finished(tile.states + g, frame);
+        before[g] = place_of(tile.states + g);
+    }
+    if (!enter_window(&tile, frame))
+        return;
+    global const float *whole = whole_pointer(coefficients, extent, frame);
+    march_tile(&tile, whole, extent, minmax, sides, frame, table);
+    store_states(&tile, frame, states);
+    plane_t none;   // no sample is being gathered
+    none.usable = 0;
+    int some = 0;
+    for (int g = 0; g < PACKETS; ++g) {
+        const real t = place_of(tile.states + g);
+        const mask changed = hits[g] & (t < NOWHERE) & (t != before[g]);
+        const sample_t sample = { frame, table, extent, tile.rays + g, &none, 0, 0.0f, 0 };
+        if ((FINISHED_THERE || GUIDES) && any_lane(changed))
+            show(whole, &sample, tile.states + g, changed, PACKET_X(left, g), PACKET_Y(top, g), shown);
+        some |= any_lane(hits[g] & !finished(tile.states + g, frame));
+    }
+    going[top / TILE_HEIGHT * ((frame->picture.width + TILE_WIDTH - 1) / TILE_WIDTH) + left / TILE_WIDTH] = some;
+}
+
+// After the last brick: the picture. No coefficients are at hand.
+kernel void finish_bricks(COEFFICIENTS nothing, const int4 extent, constant frame_t *frame, global const float4 *table,
+                          global const float2 *places, global const float *states, global const float *shown, global float4 *rgba,
+                          global float *depth, global float *normals, global float *positions, global float *visited)
+{
+    const pictures_t pictures = { rgba, depth, normals, positions, visited };
+    TILE_OF_THIS_ITEM;
+    load_states(&tile, frame, states);
+    plane_t none;
+    none.usable = 0;
+    for (int g = 0; g < PACKETS; ++g) {
+        const int x = PACKET_X(left, g), y = PACKET_Y(top, g);
+        if (x >= frame->picture.width || y >= frame->picture.height)
+            continue;
+        const ray_t *ray = tile.rays + g;
+        const real t = place_of(tile.states + g);
+        const mask somewhere = t < NOWHERE;
+        lanes_u nx = { (real)(NAN) }, ny = nx, nz = nx;
+        const lane_masks_u known = { somewhere };
+#if FINISHED_THERE
+        lanes_u red = { (real)(0.0f) }, green = red, blue = red;
+        EACH_PIXEL(x, y)
+            if (known.each[i]) {
+                red.each[i] = SHOWN_AT(0);
+                green.each[i] = SHOWN_AT(1);
+                blue.each[i] = SHOWN_AT(2);
+            }
+        const color_t color = { red.all, green.all, blue.all, choose(somewhere, (real)(1.0f), (real)(0.0f)), (real)(0.0f) };
+#else
+        const sample_t sample = { frame, table, extent, ray, &none, 0, 0.0f, 0 };
+        const color_t color = finish(tile.states + g, nothing, &sample);
+#endif
+        if (GUIDES && frame->picture.pass == 0)
+            EACH_PIXEL(x, y)
+                if (known.each[i]) {
+                    nx.each[i] = SHOWN_AT(SHOWN_NORMALS);
+                    ny.each[i] = SHOWN_AT(SHOWN_NORMALS + 1);
+                    nz.each[i] = SHOWN_AT(SHOWN_NORMALS + 2);
+                }
+        store_packet(frame, ray, color, t, real3_of(nx.all, ny.all, nz.all), tile.gathered[g], x, y, &pictures);
+    }
+}

@@ -1,0 +1,41 @@
+// The part of a volume whose coefficients are at hand: a brick.
+//
+// All that has a number keeps the one that it has in the whole volume: stored coefficients, cells, samples of rays. So whatever
+// follows from a number or a position is the same to the last bit, whichever part is at hand. The pointer to the coefficients lies
+// as far before them as the whole volume's first would lie (`whole_pointer`). A sample belongs to the window in which it lies, a
+// cell to that which has its number.
+//
+// Set by the host: WINDOWED; without it the whole volume is at hand.
+
+#if WINDOWED
+
+// Stored coefficients along an axis, in the numbers of the whole volume: the first at hand, past the last, and past the last of all.
+#define STORED_FROM(frame, axis) (frame)->window.stored_from[axis]
+#define STORED_TO(frame, extent, axis) (frame)->window.stored_to[axis]
+#define WHOLE(frame, extent, axis) (frame)->window.whole[axis]
+// The first cell of the first block of the pyramid.
+#define BLOCKS_FROM(frame, axis) (frame)->window.blocks_from[axis]
+
+INLINE global const float *whole_pointer(global const float *coefficients, const int4 extent, constant frame_t *frame)
+{
+    constant int *from = frame->window.stored_from;
+    const size_t before = ((size_t)from[2] * extent.y + from[1]) * extent.x + from[0];
+    return (global const float *)((size_t)coefficients - before * sizeof(float));
+}
+
+// Whether samples at t lie in the window: the same question to two windows has one answer, for a position is what it is.
+INLINE mask in_window(constant frame_t *frame, const ray_t *ray, const real t)
+{
+    const real3 p = at3(ray->origin, ray->direction, t);
+    constant float *low = frame->window.low, *high = frame->window.high;
+    return (p.x >= low[0]) & (p.x < high[0]) & (p.y >= low[1]) & (p.y < high[1]) & (p.z >= low[2]) & (p.z < high[2]);
+}
+
+#else
+
+#define STORED_FROM(frame, axis) 0
+#define STORED_TO(frame, extent, axis) ((axis) == 0 ? (extent).x : (axis) == 1 ? (extent).y : (extent).z)
+#define WHOLE STORED_TO
+#define BLOCKS_FROM(frame, axis) 0
+
+#endif

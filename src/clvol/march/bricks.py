@@ -1,0 +1,292 @@
+"""Pictures of volumes that are at hand brick by brick: the host side of bricks.cl.
+
+Rays go through the bricks front to back and carry their states on, so a picture by bricks is the picture. Bricks are left out, and
+never read, that no ray reaches which wants more samples, and those in which no value can be seen.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol import memory
+from clvol.camera import View
+from clvol.filter import Filter
+from clvol.march.frame import WINDOW, Frame
+from clvol.march.launch import Drawing, Picture, Progress, launched_over, lent_pictures, pictures_of
+from clvol.mode import Composite, Isosurface
+from clvol.program import Program
+from clvol.spline.bricked import Brick, BrickedField, Resident
+from clvol.spline.minmax import MinMax, minmax_block
+from clvol.transfer import TransferFunction
+from clvol.uniform import Values
+from clvol.volume import Volume
+
+__all__ = ["BrickedDrawing", "front_to_back"]
+
+Area: TypeAlias = tuple[int, int, int, int]
+"""Of pixels: x, y, width and height."""
+
+_SHARE = 8  # of the budget, what states may take at a time
+
+
+class BrickedDrawing(Drawing):
+    """A picture in the making of a volume that is at hand brick by brick.
+
+    Parameters
+    ----------
+    frame, samples, filter
+        As of `Drawing`; the frame is of the whole volume (`BrickedField.coefficients`), without a pyramid.
+    field : BrickedField
+        Where bricks come from.
+    view : View
+        Of the picture.
+    skipping : bool
+        Whether bricks are left out in which nothing can be seen.
+    """
+
+    def __init__(
+        self, frame: Frame, samples: int | Literal["auto"], filter: str | Filter, field: BrickedField, view: View, *, skipping: bool
+    ) -> None:
+        super().__init__(frame, samples, filter)
+        self._field, self._view, self._skipping = field, view, skipping
+
+    def _make_ready(self) -> None:
+        self._program = self.frame.program("march/bricks.cl", windowed=True)
+        self._table = self.frame.device.upload(self.frame.table)
+
+    def cast(self, rays: int, told: Progress | None = None, until: float = math.inf) -> bool:  # noqa: ARG002  # all or nothing
+        """So many further rays of each pixel, in one sweep over the bricks, or several if their states take much memory."""
+        frame, (width, height) = self.frame, self.frame.size
+        last = min(self.rays, self.cast_rays + rays)
+        each = 4 * width * height * _fields(frame)
+        together = max(1, self._field.budget // _SHARE // each)
+        while self.cast_rays < last:
+            first, past = self.cast_rays, min(last, self.cast_rays + together)
+            memory.require((past - first) * each, f"the states of {(past - first) * width * height} rays")
+            frames = [replace(frame, values=frame.sampled(*self._pattern[i], i, self.rays)) for i in range(first, past)]
+            self._sweep([(one, None) for one in frames], self.arrays, told, begun=first > 0)
+            self.cast_rays = past
+        return True
+
+    def _cast_listed(self, rays: Frame, places: NDArray[np.float32], told: Progress | None) -> dict[str, Picture]:
+        arrays = pictures_of(rays)
+        self._sweep([(rays, places)], arrays, told)
+        return arrays
+
+    def _sweep(
+        self,
+        frames: list[tuple[Frame, NDArray[np.float32] | None]],
+        arrays: dict[str, Picture],
+        told: Progress | None,
+        *,
+        begun: bool = False,
+    ) -> None:
+        """Rays of each of the frames through the bricks, and what they show after the last one, into `arrays`."""
+        field, grid = self._field, self._field.volume.grid
+        bricks = [brick for brick in front_to_back(field, self._view) if self._may_matter(brick)]
+        passes: list[_Pass] = []
+        try:
+            for frame, places in frames:
+                passes.append(_Pass(frame, places, self._program, self._table))
+            for number, brick in enumerate(bricks):
+                wanted = [(one, area) for one in passes if (area := one.wanted(brick, self._view, grid)) is not None]
+                if wanted:
+                    with field.resident(brick) as own:
+                        for following in bricks[number + 1 : number + 2]:
+                            field.read_ahead(following)
+                        minmax = field.pyramid(own, self.frame.evaluator) if self._skipping and self.frame.mode.skips else None
+                        if self._may_matter(brick):  # of what was just read more is known
+                            for one, area in wanted:
+                                one.march(own, minmax, brick, field, area)
+                if told:
+                    told((number + 1) / len(bricks))
+            with lent_pictures(self.frame if frames[0][1] is None else frames[0][0], arrays, begun=begun) as buffers:
+                for one in passes:
+                    one.finish(buffers)
+        finally:
+            field.forget_ahead()
+            for one in passes:
+                one.release()
+
+    def _may_matter(self, brick: Brick) -> bool:
+        """Whether some value in a brick can be seen, as far as is known."""
+        mode = self.frame.mode
+        if not (self._skipping and mode.skips):
+            return True
+        ends = self._field.bounds_of(brick)
+        if ends is None:
+            return True
+        low, high = ends
+        if isinstance(mode, Isosurface):
+            assert mode.isovalue is not None  # it is settled
+            return low <= mode.isovalue <= high
+        return not isinstance(mode, Composite) or opacity_within(self.frame.transfer, low, high) > 0
+
+
+class _Pass:
+    """One ray of each pixel, or one of each of a list, on its way through the bricks."""
+
+    def __init__(self, frame: Frame, places: NDArray[np.float32] | None, program: Program, table: Any) -> None:
+        device, tile, (width, height) = frame.device, frame.tile, frame.size
+        self.frame = frame
+        self._program, self._table = program, table
+        self._places = table if places is None else device.upload(places)  # any buffer: it is not read
+        self._listed = places is not None
+        self._memory = device.allocate(4 * width * height * (frame.mode.state_fields + 1))
+        shown = _fields(frame) - frame.mode.state_fields - 1
+        self._shown = device.allocate(4 * max(1, width * height * shown))
+        self._going = np.zeros((-(-height // tile.height), -(-width // tile.width)), np.uint8)
+        self._flags = device.upload(self._going)
+        self._over(
+            "begin_states", (0, 0, width, height), device.upload(frame.values[None]), self._places, self._memory, self._flags
+        )
+        device.download(self._flags, self._going)
+
+    def wanted(self, brick: Brick, view: View, grid: Volume) -> Area | None:
+        """The pixels whose rays may have samples in a brick, whole tiles; None if no ray of theirs wants any."""
+        tile, (width, height) = self.frame.tile, self.frame.size
+        left, top, right, bottom = (0, 0, width, height) if self._listed else _pixels_of(brick, view, grid, width, height)
+        left, top = left // tile.width, top // tile.height
+        right, bottom = -(-right // tile.width), -(-bottom // tile.height)
+        if left >= right or top >= bottom:
+            return None
+        going = self._going[top:bottom, left:right]
+        rows, columns = np.flatnonzero(going.any(1)), np.flatnonzero(going.any(0))
+        if not len(rows):
+            return None
+        top, bottom = top + int(rows[0]), top + int(rows[-1]) + 1
+        left, right = left + int(columns[0]), left + int(columns[-1]) + 1
+        x, y = left * tile.width, top * tile.height
+        return x, y, min(width, right * tile.width) - x, min(height, bottom * tile.height) - y
+
+    def march(self, own: Resident, minmax: MinMax | None, brick: Brick, field: BrickedField, area: Area) -> None:
+        """Rays through a brick, whose coefficients are at hand."""
+        frame, device = self.frame, self.frame.device
+        values = frame.values.copy()
+        values["window"] = _window(own, minmax, brick, field)
+        values["minmax"] = minmax_block(minmax, field.volume.grid, frame.planes.margin)
+        made = own.coefficients
+        nothing = self._table  # any buffer: it is not read
+        sides = minmax.sides(float(values["mode"]["isovalue"])) if minmax is not None and frame.mode.stretches else nothing
+        self._over(
+            "march_brick",
+            area,
+            made.argument(frame.evaluator),
+            made.extent,
+            nothing if minmax is None else minmax.buffer,
+            sides,
+            device.upload(values[None]),
+            self._table,
+            self._places,
+            self._memory,
+            self._shown,
+            self._flags,
+        )
+        device.download(self._flags, self._going)
+
+    def finish(self, buffers: list[Any]) -> None:
+        """What the rays show, into pictures."""
+        frame = self.frame
+        block, nowhere = frame.device.upload(frame.values[None]), np.zeros(4, np.int32)
+        self._over(
+            "finish_bricks",
+            (0, 0, *frame.size),
+            self._table,  # in place of coefficients, which are not read
+            nowhere,
+            block,
+            self._table,
+            self._places,
+            self._memory,
+            self._shown,
+            *buffers,
+        )
+
+    def _over(self, kernel: str, area: Area, *arguments: Any) -> None:
+        for _ in launched_over(self.frame, self._program.kernel(kernel), area, *arguments):
+            pass
+
+    def release(self) -> None:
+        """Free the device's memory."""
+        for buffer in (self._memory, self._shown):
+            buffer.release()
+
+
+def front_to_back(field: BrickedField, view: View) -> list[Brick]:
+    """The bricks of a field, in an order in which none is behind one that comes later.
+
+    Along each axis they follow outwards from where the eye is, or towards where the view goes: boxes between planes that are
+    sorted like this along every axis are sorted.
+    """
+    grid, inverse = field.volume.grid, field.volume.grid.world_to_index_matrix
+    ways = []
+    for axis, count in enumerate(field.counts):
+        if view.orthographic:
+            forwards = float((inverse @ view.forward)[axis]) >= 0
+            ways.append(list(range(count)) if forwards else list(range(count))[::-1])
+            continue
+        eye = float(grid.world_to_index(view.eye)[axis]) / field.edge
+        own = min(max(math.floor(eye), 0), count - 1)
+        ways.append(sorted(range(count), key=lambda i, own=own: abs(i - own)))  # type: ignore[misc]  # a default that binds
+    x, y, z = ways
+    outermost = sorted(((abs(float((inverse @ view.forward)[axis])), axis) for axis in range(3)), reverse=True)
+    order = [axis for _, axis in outermost]
+    lists = [(x, y, z)[axis] for axis in order]
+    places = (dict(zip(order, at, strict=True)) for at in itertools.product(*lists))
+    return [field.brick((at[0], at[1], at[2])) for at in places]
+
+
+def opacity_within(transfer: TransferFunction, low: float, high: float) -> float:
+    """The largest opacity of values from `low` to `high`."""
+    at = np.array([value for value, _ in transfer.opacities])
+    given = np.array([opacity for _, opacity in transfer.opacities])
+    inner = given[(at >= low) & (at <= high)]
+    return max([*map(float, np.interp([low, high], at, given)), *map(float, inner)])
+
+
+def _fields(frame: Frame) -> int:
+    """Numbers that are kept for each ray."""
+    mode = frame.mode
+    return mode.state_fields + 1 + 3 * isinstance(mode, Isosurface) + 3 * frame.guides
+
+
+def _window(own: Resident, minmax: MinMax | None, brick: Brick, field: BrickedField) -> Values:
+    """What kernels read of the part that is at hand."""
+    stored_from = [first * field.filter.scale for first in brick.first]
+    z, y, x = own.coefficients.shape
+    cells_from, cells_to = field.cells_of(brick)
+    first = (0, 0, 0) if minmax is None else minmax.first
+    return WINDOW(
+        low=brick.low,
+        high=brick.high,
+        cells_from=cells_from,
+        cells_to=cells_to,
+        stored_from=stored_from,
+        stored_to=[first + n for first, n in zip(stored_from, (x, y, z), strict=True)],
+        blocks_from=[a + b for a, b in zip(stored_from, first, strict=True)],
+        whole=field.coefficients.extent[:3],
+    )
+
+
+def _pixels_of(brick: Brick, view: View, grid: Volume, width: int, height: int) -> Area:
+    """The pixels (left, top, right, bottom) between which rays lie that meet a brick; all of them if it reaches behind the eye."""
+    low = np.maximum(np.asarray(brick.low), -0.5) - 1
+    high = np.minimum(np.asarray(brick.high), np.asarray(grid.size) - 0.5) + 1
+    corners = low + np.array(list(itertools.product((0, 1), repeat=3))) * (high - low)
+    away = grid.index_to_world(corners) - view.eye
+    ahead = away @ view.forward
+    spread = np.ones(8)
+    if not view.orthographic:
+        if ahead.min() <= 1e-3 * grid.mean_spacing:
+            return 0, 0, width, height
+        spread = ahead
+    x = (away @ view.right / (spread * view.half_height * width / height) + 1) / 2 * width
+    y = (1 - away @ view.up / (spread * view.half_height)) / 2 * height
+    left, top = (max(0, math.floor(min(float(v.min()), 1e9)) - 1) for v in (x, y))
+    right, bottom = (min(n, math.ceil(max(float(v.max()), -1e9)) + 2) for v, n in ((x, width), (y, height)))
+    return left, top, right, bottom

@@ -1,0 +1,773 @@
+"""The function of a volume that is larger than memory: coefficients of one brick after the other, the last used ones kept.
+
+A brick is a box of cells, with all coefficients that these take. They come of its own samples and of a margin around it: what the
+prefilter takes from further away falls with the powers of the filter's largest pole, and is left out below `LEFT_OUT` of the
+samples' range. At the volume's own faces the boundary rule goes on as it does for the whole volume.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from clvol import memory
+from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.checks import whole
+from clvol.device import Device, as_device
+from clvol.errors import DataError, OptionError
+from clvol.filter import DEFAULT_FILTER, Filter
+from clvol.interop import as_output
+from clvol.lazy import Index, LazyVolume
+from clvol.rounding import in_kind
+from clvol.smoothing import filter_for, settled
+from clvol.spline.build import DefineDict, evaluator_defines, filter_defines
+from clvol.spline.coefficients import Coefficients, bytes_of, extent_of
+from clvol.spline.evaluator import DIRECT, Evaluator
+from clvol.spline.field import (
+    RENUMBER,
+    Anchor,
+    Frame,
+    Progress,
+    Reals,
+    as_grid_for,
+    as_points,
+    fill_value,
+    filled,
+    names_beyond,
+    result_kind,
+)
+from clvol.spline.lease import Lease
+from clvol.spline.minmax import BLOCK, MinMax
+from clvol.spline.points import NOTHING_GIVEN, Transform, sample_into
+from clvol.spline.resample import resample_coefficients
+from clvol.stored import Stored
+from clvol.volume import Volume
+
+__all__ = ["BUDGET", "LEFT_OUT", "Brick", "BrickedField", "Reads", "Resident", "Whole", "as_lazy", "margin_of"]
+
+LEFT_OUT = 1e-8  # of the samples' range: what coefficients lack of samples beyond a brick's margin
+BUDGET = 2 << 30  # bytes
+_EDGES = (256, 128, 64, 32)  # samples along those of a brick that are tried, the first of which several fit into the budget
+_SEVERAL = 8
+_AROUND = 3  # samples that positions may be off by, and that neighbours take for central differences
+_FAR = float(1 << 30)  # cells: past any
+_ALIGNED = 4  # cells: those of which it is kept together on which side of a value they are
+_BLOCK_OF_RESULTS = 96  # along an edge, of grids that are not along the volume's axes
+_CLOSED = "the field was closed, and its coefficients were released; make a new one"
+
+
+@dataclass
+class Reads:
+    """What was read of a volume.
+
+    Attributes
+    ----------
+    bricks : int
+        How often a brick was read, one that had to be read again included.
+    samples : int
+        How many samples that were, margins included.
+    dropped : int
+        How often a brick made room for another one.
+    """
+
+    bricks: int = 0
+    samples: int = 0
+    dropped: int = 0
+
+
+@dataclass(frozen=True)
+class Brick:
+    """Where a brick lies.
+
+    Attributes
+    ----------
+    at : (int, int, int)
+        Which one it is along x, y and z.
+    low, high : tuple of float
+        The positions, in samples, that are its own: ``low <= position < high``; infinite at the volume's faces.
+    first, last : (int, int, int)
+        The samples that are read for it: ``first <= index < last``. Under the rule "wrap" they may lie outside.
+    """
+
+    at: Index
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    first: Index
+    last: Index
+
+
+@dataclass
+class Resident:
+    """A brick's coefficients on the device, and how many use them."""
+
+    at: Index
+    coefficients: Coefficients
+    minmax: MinMax | None = None
+    users: int = 0
+
+    @property
+    def nbytes(self) -> int:
+        return self.coefficients.nbytes + _bytes_beside(self.coefficients)
+
+    def release(self) -> None:
+        if self.minmax is not None:
+            self.minmax.release()
+        self.coefficients.release()
+
+
+class Whole:
+    """What a picture asks of the coefficients of a whole volume, none of which are there.
+
+    Attributes
+    ----------
+    volume : Volume
+        Where samples lie, and what is known of them; its own are none.
+    filter, device, stored, size, extent, ndim
+        As of `Coefficients`.
+    """
+
+    def __init__(self, volume: Volume, filter: Filter, boundary: Boundary, device: Device, stored: Stored) -> None:
+        self.volume, self.filter, self.device, self.stored, self.ndim = volume, filter, device, stored, volume.ndim
+        self.size = np.array([*volume.size, 0], np.int32)
+        pad = boundary.padding((filter.magnified_by or filter).prefilter, filter.support)
+        past = filter.scale * (pad + boundary.reach(filter.support))
+        self.extent = extent_of(filter, volume.ndim, tuple(filter.scale * n for n in volume.size), past)
+
+    def defines(self, evaluator: Evaluator) -> DefineDict:
+        """As of `Coefficients`."""
+        return {**filter_defines(self.filter, np.float32), **evaluator_defines(evaluator, self.filter, self.ndim, self.device)}
+
+
+def margin_of(filter: Filter) -> int:
+    """Samples around a brick that its coefficients are computed from: those further away count less than `LEFT_OUT`."""
+    own = filter.magnified_by or filter
+    if not own.prefilter:
+        return 0
+    smoothing = own.smoothing if isinstance(own.smoothing, tuple) else (own.smoothing,)
+    largest = max(float(np.abs(own.along(axis).poles).max(initial=0.0)) for axis in range(len(smoothing)))
+    return max(1, math.ceil(math.log(LEFT_OUT) / math.log(largest))) if largest > 0 else 0
+
+
+class BrickedField:
+    """The continuous function of a volume that is read brick by brick.
+
+    It answers as a `Field` does, but keeps no more of the coefficients than its budget allows: what was not used for longest makes
+    room. Nothing is read before it is needed.
+
+    Parameters
+    ----------
+    volume : LazyVolume, Volume or array-like, shape (nz, ny, nx)
+        What is read: an array of Zarr, HDF5 or dask, a memory map, or a volume in memory whose coefficients are not to be.
+    filter : str or Filter, optional
+        As of `Field`; by default that of the volume's bounds, if it has such, else "bspline3". Smoothing that is found for the
+        volume ("bspline3(auto)") is found for its middle.
+    boundary : str or Boundary
+        As of `Field`.
+    device : Device, str or int, optional
+        See `as_device`.
+    budget : int
+        Bytes that bricks may take: on the device, and those that are being read.
+    edge : int, optional
+        Samples along an edge of a brick; by default as many as let several fit into the budget, 256 at most, and whole chunks.
+
+    Attributes
+    ----------
+    volume : LazyVolume
+    filter : Filter
+    boundary : Boundary
+    device : Device
+    budget, edge : int
+    reads : Reads
+        What was read until now.
+
+    Raises
+    ------
+    DataError
+        `volume` is none that `LazyVolume` takes, or labels that float32 does not hold are drawn by "nearest".
+    OptionError
+        `filter`, `boundary` or `device` is the name of none; `edge` is no whole number of at least 8; the budget is smaller than a
+        brick: the message says what the least is.
+
+    Notes
+    -----
+    Values differ from those of a `Field` by less than 10⁻⁶ of the samples' range where there is a prefilter; pictures with filters
+    that have none are the same to the last bit. All is computed in single precision.
+    """
+
+    def __init__(
+        self,
+        volume: LazyVolume | Volume | ArrayLike,
+        filter: str | Filter | None = None,
+        boundary: str | Boundary | None = None,
+        device: Device | str | int | None = None,
+        *,
+        budget: int = BUDGET,
+        edge: int | None = None,
+    ) -> None:
+        self.volume = volume = as_lazy(volume)
+        kept = volume.bounds
+        chosen = kept.filter if filter is None and kept is not None else filter
+        if boundary is None:
+            boundary = DEFAULT_BOUNDARY if kept is None else kept.boundary
+        part = volume.part()
+        self.filter = settled(filter_for(part, chosen, DEFAULT_FILTER), part)
+        if self.filter.support == 1 and names_beyond(24, part, self.filter):
+            low, high = volume.limits
+            raise DataError(f"labels must be whole numbers that float32 holds, up to 2**24; got {low} to {high}: {RENUMBER}")
+        self.boundary = as_boundary(boundary)
+        self.device = as_device(device)
+        self.budget = whole("budget", budget, 1)
+        self.reads = Reads()
+        self.stored = Stored.of(_ends_of(volume), self.filter, self.boundary)
+        self.coefficients = Whole(volume.known(), self.filter, self.boundary, self.device, self.stored)
+        self._margin = margin_of(self.filter)
+        self.edge = self._edge_for(edge)
+        self._bounds: dict[Index, tuple[float, float]] = {}
+        self._resident: OrderedDict[Index, Resident] = OrderedDict()
+        self._ahead: dict[Index, Future[NDArray[Any]]] = {}
+        self._reader: ThreadPoolExecutor | None = None
+        self._lock = threading.RLock()  # a handler of signals may come back here
+        self._lease = Lease(_CLOSED)
+        self._lease.frees(self._release)
+
+    def __repr__(self) -> str:
+        shape = " × ".join(map(str, self.volume.shape))
+        state = ", closed" if self.closed else ""
+        return f"<BrickedField of {shape} samples, {self.filter.name}, {self.boundary.name}, bricks of {self.edge}³{state}>"
+
+    # -- where bricks lie --------------------------------------------------------------------------------------------------
+
+    def _edge_for(self, edge: int | None) -> int:
+        """The edge that was asked for, or the largest of which several fit into the budget."""
+        if edge is not None:
+            edge = whole("edge", edge, 8)
+            if (most := self._most(edge)) > self.budget:
+                raise OptionError(
+                    f"budget must be at least {most} bytes, which a brick of {edge}³ samples takes; got {self.budget}"
+                )
+            return edge
+        for tried, count in itertools.product((_SEVERAL, 2, 1), _EDGES):
+            if tried * self._most(count) <= self.budget:
+                return self._whole_chunks(count)
+        least = _EDGES[-1]
+        raise OptionError(
+            f"budget must be at least {self._most(least)} bytes, which a brick of {least}³ samples takes; got {self.budget}"
+        )
+
+    def _whole_chunks(self, edge: int) -> int:
+        """As many samples that are whole chunks along all axes, if they can be that."""
+        common = math.lcm(*(self.volume.chunks or (1,)))
+        return edge // common * common or edge
+
+    def _most(self, edge: int) -> int:
+        """Bytes that a brick takes while it is made, at most."""
+        size = tuple(min(n, edge + 2 * self._around + _ALIGNED) for n in self.volume.size)
+        count = math.prod(size)
+        return int(bytes_of(size, self.filter, self.boundary, np.float32) * 1.1) + count * (1 + self.volume.dtype.itemsize)
+
+    @property
+    def _around(self) -> int:
+        """Samples past a brick's cells that are read for it."""
+        support = -(-self.filter.support // self.filter.scale)
+        coarse = self.filter.magnified_by.support if self.filter.magnified_by else 0
+        return self._margin + support + coarse + _AROUND
+
+    @cached_property
+    def counts(self) -> Index:
+        """How many bricks there are along x, y and z."""
+        x, y, z = (max(1, -(-n // self.edge)) for n in self.volume.size)
+        return x, y, z
+
+    def bricks(self) -> Iterator[Brick]:
+        """All of them, in the order in which they are stored."""
+        x, y, z = map(range, self.counts)
+        return (self.brick((i, j, k)) for k in z for j in y for i in x)
+
+    def brick(self, at: Index) -> Brick:
+        """Where one of them lies."""
+        away = 0.0 if self.filter.support % 2 == 0 else 0.5 / self.filter.scale  # cells of odd supports begin between samples
+        low, high, first, last = [], [], [], []
+        for i, count, n in zip(at, self.counts, self.volume.size, strict=True):
+            a, b = i * self.edge, (i + 1) * self.edge
+            low.append(-math.inf if i == 0 else a + away)
+            high.append(math.inf if i == count - 1 else b + away)
+            begin, end = (a - self._around) // _ALIGNED * _ALIGNED, b + self._around
+            wrapped = self._wraps
+            first.append(begin if wrapped else max(0, begin))
+            last.append(end if wrapped else min(n, end))
+        return Brick(at, tuple(low), tuple(high), (first[0], first[1], first[2]), (last[0], last[1], last[2]))
+
+    @property
+    def _wraps(self) -> bool:
+        """Whether samples past one face of the volume are those at the other."""
+        return self.boundary.fold is None and self.boundary.repeats
+
+    # -- their coefficients ------------------------------------------------------------------------------------------------
+
+    def samples(self, brick: Brick) -> NDArray[Any]:
+        """The samples that a brick's coefficients are computed from, [z, y, x]."""
+        pieces = [_runs(a, b, n) for a, b, n in zip(brick.first, brick.last, self.volume.size, strict=True)]
+        x, y, z = pieces
+        rows = [
+            np.concatenate(
+                [
+                    np.concatenate([self.volume.read((i.start, j.start, k.start), (i.stop, j.stop, k.stop)) for i in x], axis=2)
+                    for j in y
+                ],
+                axis=1,
+            )
+            if len(x) * len(y) > 1
+            else self.volume.read((x[0].start, y[0].start, k.start), (x[0].stop, y[0].stop, k.stop))
+            for k in z
+        ]
+        return rows[0] if len(rows) == 1 else np.concatenate(rows, axis=0)
+
+    @contextmanager
+    def resident(self, brick: Brick) -> Iterator[Resident]:
+        """A brick's coefficients, on the device for the time of a block, and longer if there is room."""
+        with self._lock:
+            own = self._resident.get(brick.at)
+            if own is None:
+                own = self._made(brick)
+                self._resident[brick.at] = own
+            self._resident.move_to_end(brick.at)
+            own.users += 1
+        try:
+            yield own
+        finally:
+            with self._lock:
+                own.users -= 1
+                self._make_room(0)
+
+    def _made(self, brick: Brick) -> Resident:
+        size = tuple(b - a for a, b in zip(brick.first, brick.last, strict=True))
+        boundary = as_boundary(DEFAULT_BOUNDARY) if self._wraps else self.boundary
+        grid = replace(self.volume.grid, data=np.broadcast_to(np.zeros((), self.volume.dtype), size[::-1]))
+        self._make_room(bytes_of(size, self.filter, boundary, np.float32) + math.prod(size) * self.volume.dtype.itemsize)
+        ahead = self._ahead.pop(brick.at, None)
+        data = self.samples(brick) if ahead is None else ahead.result()
+        self.reads.bricks += 1
+        self.reads.samples += data.size
+        made = Coefficients(grid, self.filter, boundary, self.device, self.stored)
+        return Resident(brick.at, filled(made, data))
+
+    def _make_room(self, size: int) -> None:
+        """Drop bricks that nobody uses, the longest unused first, until so many bytes more fit into the budget."""
+        used = sum(one.nbytes for one in self._resident.values()) + size
+        for at in list(self._resident):
+            if used <= self.budget:
+                return
+            if not self._resident[at].users:
+                gone = self._resident.pop(at)
+                used -= gone.nbytes
+                self.reads.dropped += 1
+                gone.release()
+
+    def read_ahead(self, brick: Brick) -> None:
+        """Have the samples of a brick read while something else is done, if it is not there, and there is room for them."""
+        with self._lock:
+            size = math.prod(b - a for a, b in zip(brick.first, brick.last, strict=True)) * self.volume.dtype.itemsize
+            if brick.at in self._resident or brick.at in self._ahead or len(self._ahead) > 1 or 8 * size > self.budget:
+                return
+            if self._reader is None:
+                self._reader = ThreadPoolExecutor(1, thread_name_prefix="clvol: bricks")
+            self._ahead[brick.at] = self._reader.submit(self.samples, brick)
+
+    def forget_ahead(self) -> None:
+        """What was read ahead is not wanted."""
+        with self._lock:
+            for one in self._ahead.values():
+                one.cancel()
+            self._ahead.clear()
+
+    def pyramid(self, own: Resident, evaluator: Evaluator) -> MinMax:
+        """Minima and maxima of a brick's cells."""
+        with self._lock:
+            if own.minmax is None:
+                own.minmax = MinMax(own.coefficients, evaluator, self._blocks(own))
+                self._bounds[own.at] = self._in_units(own.minmax.extremes())
+            return own.minmax
+
+    def cells_of(self, brick: Brick) -> tuple[Index, Index]:
+        """A brick's own cells, as numbered in the whole volume by their first taps among all that would be stored."""
+        halo, left = int(self.coefficients.extent[3]), self.filter.support / 2 - 1
+        ends = [
+            tuple(round(min(max(end * self.filter.scale, -_FAR), _FAR) - left) + halo for end in ends)
+            for ends in (brick.low, brick.high)
+        ]
+        return ends[0], ends[1]  # type: ignore[return-value]  # three each
+
+    def _blocks(self, own: Resident) -> tuple[Index, Index]:
+        """The cells of a brick's pyramid, by their numbers in the brick: its own, and some beside, which neighbours may ask for."""
+        brick, scale, support = self.brick(own.at), self.filter.scale, self.filter.support
+        first, past = [], []
+        cells = self.cells_of(brick)
+        for low, high, begin, n in zip(*cells, brick.first, own.coefficients.shape[::-1], strict=True):
+            a = low - begin * scale - BLOCK * scale
+            first.append(max(0, a // _ALIGNED * _ALIGNED))
+            past.append(min(n - support + 1, high - begin * scale + BLOCK * scale))
+        return (first[0], first[1], first[2]), (past[0], past[1], past[2])
+
+    def bounds_of(self, brick: Brick) -> tuple[float, float] | None:
+        """Between which values the function lies in a brick and beside it, in units of the data, as far as is known."""
+        kept = self.volume.bounds
+        if kept is not None and (kept.filter, kept.boundary) == (self.filter.name, self.boundary.name):
+            low = [max(0, math.floor(a) - 1) if math.isfinite(a) else 0 for a in brick.low]
+            high = [min(n, math.ceil(b) + 2) if math.isfinite(b) else n for b, n in zip(brick.high, self.volume.size, strict=True)]
+            return kept.within((low[0], low[1], low[2]), (high[0], high[1], high[2]))
+        with self._lock:
+            return self._bounds.get(brick.at)
+
+    def _in_units(self, stored: tuple[float, float]) -> tuple[float, float]:
+        low, high = (float(v) for v in self.stored.values(np.array(stored, np.float32)))
+        return low, high
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the bricks that are on the device."""
+        with self._lock:
+            return sum(one.nbytes for one in self._resident.values())
+
+    # -- as a Field ----------------------------------------------------------------------------------------------------------
+
+    @property
+    def closed(self) -> bool:
+        """Whether `close` was called."""
+        return self._lease.closed
+
+    def close(self) -> None:
+        """Free the device's memory. Results stay valid; asking for more raises `OptionError`."""
+        self._lease.close()
+
+    def drop(self) -> None:
+        """Free the device's memory of all bricks that nobody uses; they are read again when they are needed."""
+        self.forget_ahead()
+        with self._lock:
+            for at in [at for at, one in self._resident.items() if not one.users]:
+                self._resident.pop(at).release()
+
+    def _release(self) -> None:
+        self.drop()
+        if self._reader is not None:
+            self._reader.shutdown(wait=False, cancel_futures=True)
+
+    def in_use(self) -> AbstractContextManager[None]:
+        """For the time of a block `close` frees nothing; errors as of `Field.in_use`."""
+        self.device.require_usable()
+        return self._lease.held()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled is what the field is made of."""
+        again = partial(type(self), budget=self.budget, edge=self.edge)
+        return again, (self.volume, self.filter, self.boundary, self.device)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def __call__(
+        self,
+        points: ArrayLike,
+        *,
+        frame: Frame = "LPS",
+        fill: float | None = None,
+        progress: Progress | None = None,
+        out: Any = None,
+    ) -> Reals:
+        """Values at points of the world, as of a call of `Field`; each brick that some lie in is read once."""
+        return self._at(points, 0, frame, fill, progress, out)
+
+    def gradient(
+        self,
+        points: ArrayLike,
+        *,
+        frame: Frame = "LPS",
+        fill: float | None = None,
+        progress: Progress | None = None,
+        out: Any = None,
+    ) -> Reals:
+        """Gradients at points of the world, as of `Field.gradient`."""
+        return self._at(points, 1, frame, fill, progress, out)
+
+    def hessian(
+        self,
+        points: ArrayLike,
+        *,
+        frame: Frame = "LPS",
+        fill: float | None = None,
+        progress: Progress | None = None,
+        out: Any = None,
+    ) -> Reals:
+        """Second derivatives at points of the world, as of `Field.hessian`."""
+        return self._at(points, 2, frame, fill, progress, out)
+
+    def _at(
+        self, points: ArrayLike, derivative: int, frame: Frame, fill: float | None, progress: Progress | None, out: Any
+    ) -> Reals:
+        with self.in_use():
+            array = as_points(points, frame, self.volume.grid)
+            shape = array.shape[:-1] + (3,) * derivative
+            target = None if out is None else as_output(out, shape)
+            memory.require(8 * math.prod(shape) + 32 * math.prod(array.shape), f"{math.prod(shape)} results")
+            flat = self._at_indices(
+                self.volume.grid.world_to_index(np.asarray(array, np.float64).reshape(-1, 3)),
+                derivative,
+                fill_value(fill),
+                progress,
+            )
+            if frame == "RAS" and derivative:
+                turn = np.array([-1.0, -1.0, 1.0])
+                flat *= (turn if derivative == 1 else np.outer(turn, turn).ravel()).astype(flat.dtype)
+            results = flat.reshape(shape)
+            if target is None:
+                return results
+            target[...] = results
+            return out  # type: ignore[no-any-return]  # as of whoever gave it
+
+    def _at_indices(
+        self, at: NDArray[np.float64], derivative: int, fill: float | None, progress: Progress | None = None
+    ) -> NDArray[Any]:
+        """Values, or derivatives in the world, at positions in samples, shape (N, 3); (N, 3 ** derivative) but for values."""
+        grid, rule = self.volume.grid, self.boundary
+        columns = 3**derivative
+        results = np.full((len(at), columns), np.nan, np.float32)
+        prefiltered = (self.filter.magnified_by or self.filter).prefilter
+        pad, reach = rule.padding(prefiltered, self.filter.support), rule.reach(self.filter.support)
+        known = np.isfinite(at).all(1)
+        with np.errstate(invalid="ignore"):
+            inside = ((at >= -rule.edge) & (at <= np.asarray(self.volume.size) - 1 + rule.edge)).all(1)
+        places, signs = np.zeros_like(at), np.ones_like(at)
+        for axis, n in enumerate(self.volume.size):
+            x = np.where(known, at[:, axis], 0.0)
+            places[:, axis] = rule.position(x, n, pad, reach)
+            if derivative and rule.repeats and rule.fold is not None:  # in a mirror slopes run the other way
+                signs[:, axis] = _way(x, partial(rule.position, n=n, pad=pad, reach=reach))
+        given = ~known if fill is None else ~known | ~inside
+        if rule.outside == "constant":
+            given |= ~inside
+        wanted = np.flatnonzero(~given)
+        if len(wanted):
+            self._by_bricks(places, wanted, derivative, results, progress)
+        final: NDArray[Any] = NOTHING_GIVEN.in_units_of_data(self._any, results, derivative)
+        if derivative and (signs < 0).any():
+            flip = signs if derivative == 1 else (signs[:, :, None] * signs[:, None, :]).reshape(-1, 9)
+            inverse = grid.world_to_index_matrix
+            final = _turned(final, flip, inverse, derivative)
+        if rule.outside == "constant":
+            final[known & ~inside] = rule.cval if derivative == 0 else 0.0
+        if fill is not None:
+            final[~(known & inside)] = fill
+        return final
+
+    @property
+    def _any(self) -> Any:
+        """What says how results of kernels are brought to units of the data."""
+        return _Units(self.stored, replace(self.boundary, cval=math.nan))
+
+    def _by_bricks(
+        self,
+        places: NDArray[np.float64],
+        wanted: NDArray[np.intp],
+        derivative: int,
+        results: NDArray[Any],
+        progress: Progress | None,
+    ) -> None:
+        """The function at the wanted places, brick by brick."""
+        away = 0.0 if self.filter.support % 2 == 0 else 0.5 / self.filter.scale
+        owners = np.floor((places[wanted] - away) / self.edge).astype(np.int64)
+        np.clip(owners, 0, np.asarray(self.counts) - 1, out=owners)
+        nx, ny, _ = self.counts
+        number = (owners[:, 2] * ny + owners[:, 1]) * nx + owners[:, 0]
+        order = np.argsort(number, kind="stable")
+        ends = np.flatnonzero(np.diff(number[order], append=-1)) + 1
+        inverse = self.volume.grid.world_to_index_matrix
+        runs = list(zip([0, *ends[:-1]], ends, strict=True))
+        bricks = [self.brick((int(x), int(y), int(z))) for x, y, z in owners[order[[first for first, _ in runs]]]]
+        for (first, last), brick, following in zip(runs, bricks, [*bricks[1:], None], strict=True):
+            some = wanted[order[first:last]]
+            with self.resident(brick) as own:
+                if following is not None:
+                    self.read_ahead(following)
+                local = places[some] - np.asarray(brick.first, np.float64)
+                part = np.empty((len(some), results.shape[1]), np.float32)
+                move = Transform(np.eye(3), np.zeros(3), inverse)
+                sample_into(own.coefficients, DIRECT, local, part, move, derivative)
+                results[some] = part
+            if progress:
+                progress(last / len(wanted))
+
+    def resample(
+        self,
+        shape: Sequence[int] | None = None,
+        spacing: Sequence[float] | float | None = None,
+        like: Any = None,
+        *,
+        anchor: Anchor = "center",
+        dtype: DTypeLike | None = None,
+        fill: float | None = None,
+        progress: Progress | None = None,
+        out: Any = None,
+    ) -> Volume:
+        """The function on another grid, as of `Field.resample`: a slice, a part, or all of it at another density.
+
+        `out` may be anything that takes slices, such as a memory map or an array of Zarr, for results larger than memory.
+
+        Raises
+        ------
+        OptionError, OutOfMemoryError
+            As by `Field.resample`.
+        """
+        grid = as_grid_for(self.volume.grid, shape, spacing, like, anchor)
+        kind = result_kind(dtype, self.volume.grid, self.filter, out, fill)
+        outside = fill_value(fill)
+        with self.in_use():
+            if out is None:
+                memory.require(math.prod(grid.shape) * (kind or np.dtype(np.float32)).itemsize, f"a result of shape {grid.shape}")
+            elif tuple(getattr(out, "shape", ())) != grid.shape:
+                raise OptionError(f"out must have the shape of the results, {grid.shape}; got {getattr(out, 'shape', None)}")
+            alters = self.stored.alters(0)
+            wide: np.dtype[Any] = np.dtype(np.float64 if alters else np.float32)
+            data = np.empty(grid.shape, kind or wide) if out is None else out
+            inverse = self.volume.grid.world_to_index_matrix
+            matrix = inverse @ grid.index_to_world_matrix
+            offset = inverse @ (np.asarray(grid.origin) - np.asarray(self.volume.grid.origin))
+            straight = np.count_nonzero(matrix) == 3 and bool((np.abs(np.diag(matrix)) > 0).all())
+            parts = self._along_axes if straight else self._in_blocks
+            for place, values, done in parts(matrix, offset, grid.shape, outside):
+                data[place] = values if kind is None else in_kind(values, kind)
+                if progress:
+                    progress(done)
+        return (
+            self.volume.grid.placed(np.asarray(data), grid)
+            if out is None
+            else self.volume.grid.placed(np.broadcast_to(np.zeros((), kind or wide), grid.shape), grid)
+        )
+
+    def _in_blocks(
+        self, matrix: NDArray[np.float64], offset: NDArray[np.float64], shape: tuple[int, ...], fill: float | None
+    ) -> Iterator[tuple[tuple[slice, ...], NDArray[Any], float]]:
+        """Blocks of a grid that lies anyhow, each with its values and how much is done then."""
+        starts = [range(0, n, _BLOCK_OF_RESULTS) for n in shape]
+        count = math.prod(map(len, starts))
+        for done, corner in enumerate(itertools.product(*starts), 1):
+            place = tuple(slice(a, min(a + _BLOCK_OF_RESULTS, n)) for a, n in zip(corner, shape, strict=True))
+            z, y, x = np.meshgrid(*(np.arange(s.start, s.stop, dtype=np.float64) for s in place), indexing="ij")
+            at = np.stack([x, y, z], -1).reshape(-1, 3) @ matrix.T + offset
+            yield place, self._at_indices(at, 0, fill).reshape(x.shape), done / count
+
+    def _along_axes(
+        self, matrix: NDArray[np.float64], offset: NDArray[np.float64], shape: tuple[int, ...], fill: float | None
+    ) -> Iterator[tuple[tuple[slice, ...], NDArray[Any], float]]:
+        """The same of a grid along the axes: the part of it that lies in each brick, axis by axis."""
+        rule, size = self.boundary, self.volume.size
+        lines = [offset[axis] + matrix[axis, axis] * np.arange(n) for axis, n in enumerate(shape[::-1])]
+        beyond = [(x < -rule.edge) | (x > n - 1 + rule.edge) for x, n in zip(lines, size, strict=True)]
+        if any(past.any() for past in beyond):  # rare, and each rule is at home in points
+            yield from self._in_blocks(matrix, offset, shape, fill)
+            return
+        bricks = list(self.bricks())
+        away = 0.0 if self.filter.support % 2 == 0 else 0.5 / self.filter.scale
+        owners = [
+            np.clip(np.floor((x - away) / self.edge), 0, count - 1).astype(np.int64)
+            for x, count in zip(lines, self.counts, strict=True)
+        ]
+        for done, brick in enumerate(bricks, 1):
+            own = [np.flatnonzero(owner == i) for owner, i in zip(owners, brick.at, strict=True)]
+            if not all(map(len, own)):
+                continue
+            part = tuple(len(places) for places in own[::-1])
+            start = np.array([line[places[0]] for line, places in zip(lines, own, strict=True)]) - np.asarray(brick.first)
+            values = np.empty(part, np.float32)
+            with self.resident(brick) as resident, self.device.lent(values, write=True) as buffer:
+                resample_coefficients(resident.coefficients, DIRECT, np.diag(np.diag(matrix)), start, part, buffer, NOTHING_GIVEN)
+            place = tuple(slice(int(places[0]), int(places[-1]) + 1) for places in own[::-1])
+            yield place, NOTHING_GIVEN.in_units_of_data(self._any, values, 0), done / len(bricks)
+
+
+@dataclass(frozen=True)
+class _Units:
+    """What `Given.in_units_of_data` asks of coefficients."""
+
+    stored: Stored
+    boundary: Boundary
+
+
+def as_lazy(volume: LazyVolume | Volume | ArrayLike) -> LazyVolume:
+    """A LazyVolume as it is; of a volume or an array one whose samples are at hand."""
+    if isinstance(volume, LazyVolume):
+        return volume
+    if isinstance(volume, Volume):
+        if volume.ndim != 3:
+            raise DataError(f"bricks are of a volume with 3 axes; got shape {volume.shape}")
+        return LazyVolume(
+            volume.data,
+            volume.spacing,
+            volume.origin,
+            volume.direction,
+            volume.units,
+            volume.space,
+            volume.name,
+            window=volume.window,
+            labels=volume.labels,
+        )
+    return LazyVolume(volume)  # type: ignore[arg-type]  # which says what it takes
+
+
+def _ends_of(volume: LazyVolume) -> Volume:
+    """Two samples: the smallest and the largest one, in the volume's type."""
+    low, high = volume.limits
+    kind = volume.dtype
+    ends = np.array([low, high]) if kind.kind == "f" else np.array([math.floor(low), math.ceil(high)])
+    if kind.kind in "iu":
+        ends = np.clip(ends, np.iinfo(kind).min, np.iinfo(kind).max)
+    return Volume(ends.astype(kind).reshape(1, 1, 2))
+
+
+def _runs(first: int, last: int, n: int) -> list[slice]:
+    """Indices from `first` to `last` of an axis that repeats with period `n`, as runs within it."""
+    runs = []
+    while first < last:
+        begin = first % n
+        some = min(last - first, n - begin)
+        runs.append(slice(begin, begin + some))
+        first += some
+    return runs
+
+
+def _way(x: NDArray[np.float64], position: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> NDArray[np.float64]:
+    """1 where what stands for positions grows with them, -1 where it falls."""
+    step = 1e-3
+    here = position(x)
+    ahead, behind = position(x + step) - here, here - position(x - step)
+    smooth = np.abs(np.abs(ahead) - step) < 1e-6 * step * (1 + np.abs(x))  # it neither turns nor jumps on the way
+    return np.where(np.where(smooth, ahead, behind) < 0, -1.0, 1.0)
+
+
+def _bytes_beside(coefficients: Coefficients) -> int:
+    """Bytes of the pyramid of a brick, and of what is kept for a surface."""
+    cells = math.prod(coefficients.shape)
+    return cells * 8 // BLOCK**3 * 8 // 7 + cells // 4
+
+
+def _turned(derivatives: NDArray[Any], flip: NDArray[np.float64], inverse: NDArray[np.float64], order: int) -> NDArray[Any]:
+    """Derivatives per unit of the world whose axes in index space are reversed by `flip`."""
+    forward = np.linalg.inv(inverse)
+    if order == 1:
+        return np.asarray(((derivatives @ forward) * flip) @ inverse, derivatives.dtype)
+    square = derivatives.reshape(-1, 3, 3)
+    own = forward.T @ square @ forward * flip.reshape(-1, 3, 3)
+    return np.asarray(inverse.T @ own @ inverse, derivatives.dtype).reshape(-1, 9)
