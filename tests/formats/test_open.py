@@ -253,11 +253,14 @@ def test_stores_without_samples(tmp_path: Path) -> None:
 class Slow(http.server.SimpleHTTPRequestHandler):
     """Files of a folder, each a while after it was asked for; what fails is asked for in vain."""
 
-    delay, failing, asked = 0.02, "", 0
+    delay, failing, asked, now, most = 0.02, "", 0, 0, 0
 
     def do_GET(self) -> None:
-        type(self).asked += 1
+        own = type(self)
+        own.asked, own.now = own.asked + 1, own.now + 1
+        own.most = max(own.most, own.now)
         time.sleep(self.delay)
+        own.now -= 1
         if self.failing and self.path.endswith(self.failing):
             self.send_error(500)
         else:
@@ -290,9 +293,8 @@ def test_a_store_behind_http(served: tuple[str, Path, type[Slow]], cells: Path) 
     handler.asked = 0
     np.testing.assert_array_equal(far.read((0, 0, 0), (9, 8, 8)), near.read((0, 0, 0), (9, 8, 8)))
     assert handler.asked == 2
-    started = time.monotonic()
     np.testing.assert_array_equal(far.whole().data, DATA[1, 2])
-    assert time.monotonic() - started < 60 * handler.delay, "its 60 chunks should not wait for each other"
+    assert handler.most > 2, "chunks should not wait for each other"
 
 
 def test_faults_behind_http(served: tuple[str, Path, type[Slow]], monkeypatch: pytest.MonkeyPatch) -> None:
