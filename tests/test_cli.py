@@ -494,6 +494,29 @@ def test_what_was_chosen_among_several_is_a_note(clvol_command: Command) -> None
     assert "\nspace: image: a stack of images" in out
 
 
+def test_a_pyramid_of_a_file(clvol_command: Command) -> None:
+    """Written, listed, opened again; what is wrong is said in the shell's words, and nothing is written."""
+    pytest.importorskip("zarr")
+    clvol.write(clvol.Volume(np.random.default_rng(0).random((40, 50, 60), np.float32), spacing=(2, 2, 2)), "v.npz")
+    done = clvol_command("pyramid", "v.npz", "-o", "v.zarr", "--chunks", "16", "16", "16", "--filter", "linear", "--json").json
+    assert done == {"output": "v.zarr", "levels": [[40, 50, 60], [20, 25, 30], [10, 13, 15]], "bounds": "linear, mirror"}
+    assert clvol.open("v.zarr").levels[1].spacing == (8, 8, 8)
+    listed = clvol_command("info", "v.zarr")
+    assert "levels: 40 × 50 × 60, 20 × 25 × 30, 10 × 13 × 15" in listed.out
+    assert "bounds: linear, mirror" in listed.out
+    assert "levels" not in clvol_command("info", "v.npz").out
+    clvol_command("pyramid", "v.npz", "-o", "v.zarr").fails(1, "is there already; --overwrite replaces it")
+    clvol_command("pyramid", "v.npz", "-o", "v.zarr", "--overwrite", "--levels", "1", "--no-bounds")
+    assert clvol.open("v.zarr").bounds is None
+    clvol_command("pyramid", "v.npz", "-o", "w.tif").fails(1, "pyramids are written as .zarr")
+    clvol_command("pyramid", "v.npz", "-o", "w.zarr", "--budget", "much").fails(1, "--budget must be", "800M or 4G; got 'much'")
+    clvol_command("pyramid", "v.npz", "-o", "w.zarr", "--budget", "50M").fails(1, "--budget must be more than 96 MiB; got 50 MiB")
+    clvol_command("pyramid", "v.npz", "-o", "w.zarr", "--levels", "0").fails(1, "--levels must be")
+    clvol_command("pyramid", "phantom:sphere:20", "-o", "p.zarr", "--method", "average", "--ome", "0.4")
+    assert clvol.open("p.zarr").shape == (20, 20, 20)
+    assert sorted(path.name for path in Path().iterdir()) == ["p.zarr", "v.npz", "v.zarr"]
+
+
 def test_all_volumes_of_a_file_are_converted_and_resampled(clvol_command: Command, cells: np.ndarray) -> None:
     done = clvol_command("convert", "cells.ome.tif", "-o", "all.npz", "--volume", "all", "--json").json
     assert (done["shape"], done["dtype"]) == ([3, 2, 4, 5, 6], "uint8")
@@ -981,7 +1004,20 @@ def test_the_tab_key_completes_names(clvol_command: Command, words: tuple[str, .
 # -- manners --------------------------------------------------------------------------------------------------
 
 
-COMMANDS = ("render", "compare", "figure", "report", "info", "resample", "convert", "filters", "presets", "devices", "doctor")
+COMMANDS = (
+    "render",
+    "compare",
+    "figure",
+    "report",
+    "info",
+    "resample",
+    "convert",
+    "pyramid",
+    "filters",
+    "presets",
+    "devices",
+    "doctor",
+)
 
 
 @pytest.mark.parametrize("command", COMMANDS)

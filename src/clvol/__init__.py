@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     )
     from clvol.filter import Filter, bc, bspline, filters, from_callable, from_pieces, lanczos, moms3, quasi, register, sinc
     from clvol.formats import read, read_all, write
+    from clvol.formats.opening import open  # noqa: A004  # as files are opened: clvol.open
     from clvol.formats.transforms import read_transform
     from clvol.interpolator import Interpolator
     from clvol.lazy import LazyVolume
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
     from clvol.march.renderer import Output, Renderer, render
     from clvol.missing import Missing
     from clvol.mode import Attenuated, Composite, Isosurface, Mean, Minip, Mip, Mode, modes
+    from clvol.multiscale import pyramid
     from clvol.picture import Picture, save, show
     from clvol.preset import presets
     from clvol.resizing import resize
@@ -116,10 +118,12 @@ __all__ = [
     "modes",
     "moms3",
     "ndimage",
+    "open",
     "phantoms",
     "prefilter",
     "prefilter_response",
     "presets",
+    "pyramid",
     "quasi",
     "read",
     "read_all",
@@ -145,6 +149,7 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "OutOfMemoryError",
     "filter": "Filter bc bspline filters from_callable from_pieces lanczos moms3 quasi register sinc",
     "formats": "read read_all write",
+    "formats.opening": "open",
     "formats.transforms": "read_transform",
     "interpolator": "Interpolator",
     "lazy": "LazyVolume",
@@ -153,6 +158,7 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "march.renderer": "Output Renderer render",
     "missing": "Missing",
     "mode": "Attenuated Composite Isosurface Mean Minip Mip Mode modes",
+    "multiscale": "pyramid",
     "picture": "Picture save show",
     "preset": "presets",
     "resizing": "resize",

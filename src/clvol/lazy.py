@@ -71,7 +71,7 @@ class LazyVolume:
     ----------
     data : array-like, shape (nz, ny, nx)
         Anything with a shape, a dtype and slices: an array of Zarr, HDF5 (h5py), dask, or a memory map of NumPy. It is not copied.
-    spacing, origin, direction, units, space, name, window, labels : optional
+    spacing, origin, direction, units, space, name, color, window, labels : optional
         As of `Volume`.
     levels : sequence of LazyVolume, optional
         The same at lower resolutions, finer ones first: a pyramid without its base.
@@ -110,6 +110,7 @@ class LazyVolume:
         space: str = "",
         name: str = "",
         *,
+        color: tuple[float, float, float] | None = None,
         window: tuple[float, float] | None = None,
         labels: bool | Mapping[int, str] | None = None,
         levels: Sequence[LazyVolume] = (),
@@ -142,14 +143,32 @@ class LazyVolume:
             units,
             space,
             name,
+            color=color,
             window=window,
             labels=labels,
         )
+        self._require_smaller()
+
+    def _require_smaller(self) -> None:
         for finer, coarser in itertools.pairwise((self, *self.levels)):
             if not isinstance(coarser, LazyVolume):
                 raise DataError(f"levels must be LazyVolumes; got {type(coarser).__name__}")
             if any(a < b for a, b in zip(finer.shape, coarser.shape, strict=True)):
                 raise DataError(f"levels must become smaller; got shapes {finer.shape} and then {coarser.shape}")
+
+    def with_levels(self, levels: Sequence[LazyVolume]) -> LazyVolume:
+        """The same with other lower resolutions, finer ones first.
+
+        Raises
+        ------
+        DataError
+            As of the class.
+        """
+        made = object.__new__(LazyVolume)
+        made.__dict__.update(self.__dict__)
+        made.levels, made._lock, made._sketch = tuple(levels), threading.RLock(), None
+        made._require_smaller()
+        return made
 
     def __repr__(self) -> str:
         smaller = f", {len(self.levels)} smaller" if self.levels else ""
@@ -232,6 +251,8 @@ class LazyVolume:
         memory.require(math.prod(b - a for a, b in zip(low, high, strict=True)) * self.dtype.itemsize, f"{self._words(low, high)}")
         try:
             part = np.asarray(self.data[index])
+        except FormatError as error:
+            raise FormatError(f"cannot read {self._words(low, high)}: {error}") from error
         except (ClvolError, MemoryError):
             raise
         except Exception as error:  # of any library, a disk or a network

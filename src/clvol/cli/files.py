@@ -1,7 +1,8 @@
-"""Commands about files: info, resample, convert."""
+"""Commands about files: info, resample, convert, pyramid."""
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -16,13 +17,14 @@ from clvol.cli.options import Boundary, DeviceName, FilterName, Input, Json, Out
 from clvol.cli.root import DATA, command
 from clvol.cli.speech import print_json, progress, range_text, require_writable, say, table
 from clvol.errors import ClvolWarning, DataError, OptionError
-from clvol.formats import WRITTEN, series_of
+from clvol.files import require_suffix
+from clvol.formats import WRITTEN, format_of, series_of
 from clvol.histogram import isovalue_of
 from clvol.smoothing import choose
 from clvol.volume import SPACES
 from clvol.volumes import Leading
 
-__all__ = ["convert", "info", "resample"]
+__all__ = ["convert", "info", "pyramid", "resample"]
 
 _LONGEST = 40  # letters of an entry of a header that is shown
 
@@ -47,7 +49,18 @@ def info(source: Source, /, *, input: Input | None = None, json: Json = False) -
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ClvolWarning)  # what there is, is said below
         volume = reader.read(source)
-    say(json, _listed(volume, leading, json))
+        sizes = _sizes(reader, source, json)
+    say(json, _listed(volume, leading, json) | sizes)
+
+
+def _sizes(reader: Input, source: str | Path, as_json: bool) -> dict[str, Any]:
+    """Of a store with several sizes, or with bounds: these."""
+    if str(source).startswith("phantom:") or reader.level or "level" not in format_of(Path(source)).options:
+        return {}
+    lazy = reader.open(source)
+    if not isinstance(lazy, clvol.LazyVolume) or not (lazy.levels or lazy.bounds):
+        return {}
+    return levels_of(lazy, as_json)
 
 
 def _listed(volume: clvol.Volume, leading: Leading, as_json: bool) -> dict[str, Any]:
@@ -252,3 +265,98 @@ def convert(source: Source, /, *, output: Output, input: Input | None = None, js
     result = reader.read_all(source) if reader.volume == "all" else reader.read(source)
     clvol.write(result, output)
     say(json, {"output": str(output), "shape": list(result.shape), "dtype": str(np.asarray(result).dtype)})
+
+
+@command(DATA)
+def pyramid(
+    source: Source,
+    /,
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"], help="The store to write, a folder *.zarr.")],
+    filter: Annotated[FilterName | None, Parameter(show_default=False)] = None,
+    boundary: Boundary = "mirror",
+    method: Literal["least-squares", "average", "nearest"] | None = None,
+    levels: Whole | None = None,
+    chunks: Annotated[tuple[int, int, int], Parameter(converter=whole_numbers)] = (64, 64, 64),
+    shards: Annotated[tuple[int, int, int] | None, Parameter(converter=whole_numbers)] = None,
+    compressor: Literal["lz4", "zstd", "none"] = "lz4",
+    bounds: bool = True,
+    coefficients: Annotated[bool, Parameter(negative="")] = False,
+    ome: Literal["0.4", "0.5"] = "0.5",
+    budget: Annotated[str | None, Parameter(show_default=False)] = None,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+    device: DeviceName = None,
+    input: Input | None = None,
+    json: Json = False,
+) -> None:
+    """Write a volume as OME-Zarr of several sizes, part by part, however large it is.
+
+    If it is killed or interrupted, the same command goes on where it stopped.
+
+    Parameters
+    ----------
+    filter
+        Of the function that smaller sizes are nearest to, and that is bounded; see 'clvol filters'. [default: bspline3(auto),
+        which smooths the noise that it finds; nearest for labels]
+    method
+        How smaller sizes come about: by least squares, as means of two samples along each axis, or as every second sample.
+        [default: least-squares; nearest for labels]
+    levels
+        Sizes, that of SOURCE included; by default until no axis has more samples than a chunk.
+    chunks
+        Samples along x, y, z that are stored together.
+    shards
+        Samples along x, y, z in one file, whole numbers of chunks; by default each chunk is one.
+    compressor
+        How samples are packed, by Blosc.
+    bounds
+        Keep minima and maxima of the function, so that what cannot be seen is not read.
+    coefficients
+        Keep the coefficients of each size too.
+    ome
+        Version of OME-Zarr: 0.4 is Zarr 2, 0.5 is Zarr 3.
+    budget
+        Memory to take, such as 800M or 4G. [default: 2G, or half of what there is]
+    overwrite
+        Replace what is at OUTPUT, and what another unfinished command left there.
+    """
+    require_suffix(output, (".zarr",), "pyramids")
+    volume = (input or Input()).open(source)
+    with progress("pyramid", json) as told:
+        made = clvol.pyramid(
+            volume,
+            output,
+            filter=filter,
+            boundary=boundary,
+            method=method,
+            levels=levels,
+            chunks=chunks,
+            shards=shards,
+            compressor=compressor,
+            bounds=bounds,
+            coefficients=coefficients,
+            version=ome,
+            budget=None if budget is None else _bytes(budget),
+            overwrite=overwrite,
+            device=device,
+            progress=told,
+        )
+    say(json, {"output": str(output)} | levels_of(made, json))
+
+
+def levels_of(volume: clvol.LazyVolume, as_json: bool) -> dict[str, Any]:
+    """The sizes of a volume, and whose bounds are kept."""
+    sizes = [list(one.shape) for one in (volume, *volume.levels)]
+    bounds = volume.bounds
+    return {
+        "levels": sizes if as_json else ", ".join(display.numbers(size) for size in sizes),
+        "bounds": (None if as_json else "none") if bounds is None else f"{bounds.filter}, {bounds.boundary}",
+    }
+
+
+def _bytes(text: str) -> int:
+    """A number of bytes as people write it: 800M, 4G, 1.5GiB."""
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?\s*", text, re.IGNORECASE)
+    if found is None:
+        raise OptionError(f"budget must be a number of bytes, such as 800M or 4G; got {text!r}")
+    return int(float(found[1]) * 1024 ** " KMGT".index(found[2].upper() or " "))

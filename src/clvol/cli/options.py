@@ -13,6 +13,7 @@ from cyclopts import CoercionError, Group, Parameter, Token
 
 import clvol
 from clvol.errors import OptionError
+from clvol.formats.opening import WholeOnlyError
 from clvol.look import look as look_of
 from clvol.mode import as_mode, every_option, mode_options
 
@@ -142,6 +143,17 @@ class Input:
         if (phantom := self._phantom(source)) is not None:
             return phantom
         return self._filled(clvol.read(source, **self._given()))
+
+    def open(self, source: str | Path) -> clvol.LazyVolume | clvol.Volume:
+        """The volume, of which no samples are read yet if its file allows that; of several, the one that was chosen."""
+        if (phantom := self._phantom(source)) is not None:
+            return phantom
+        if isinstance(self.fill_nan, str):
+            return self.read(source)
+        try:
+            return clvol.open(source, **self._given(), missing=self.fill_nan)
+        except WholeOnlyError:
+            return self.read(source)
 
     def read_all(self, source: str | Path) -> clvol.Volumes:
         """All volumes; of those axes for which one is chosen, only that one."""

@@ -19,6 +19,7 @@ _PHRASES = (
     (r": choose by ([a-z= ]+), or read all by clvol\.read_all", r": choose by \1"),
     (r"limits=clvol\.formats\.Limits\(\.\.\.\) or trusted=True", "--trusted"),
     (r"trusted=True", "--trusted"),
+    (r"overwrite=True", "--overwrite"),
     (r"spacing=, origin= or direction= replace what the file says", "--spacing replaces that of the file"),
     (r"shape=\(nz, ny, nx\)", "--shape NZ NY NX"),
     (r"window=\(center, width\)", "--window CENTER WIDTH"),

@@ -24,12 +24,28 @@ from clvol.formats._choice import Choice, Series
 from clvol.formats._files import Reader, Writer, foreign_errors
 from clvol.formats._limits import Budget, Limits, limited, size_of
 from clvol.formats._worker import call, prepare
+from clvol.interop import Content
 from clvol.memory import available
 from clvol.moved import forwarding
 from clvol.volume import Volume, as_volume
 from clvol.volumes import Leading, Volumes
 
-__all__ = ["FORMATS", "WRITTEN", "Format", "Limits", "Series", "leading_of", "read", "read_all", "series_of", "write"]
+__all__ = [
+    "FORMATS",
+    "WRITTEN",
+    "Format",
+    "Limits",
+    "Series",
+    "allowed",
+    "called",
+    "format_of",
+    "leading_of",
+    "options_of",
+    "read",
+    "read_all",
+    "series_of",
+    "write",
+]
 
 if not TYPE_CHECKING:  # checkers see the modules
     __getattr__ = forwarding(__name__, {})
@@ -66,6 +82,9 @@ class Format:
         Python and NumPy alone read it, here.
     write_several : callable or None
         Writes `Volumes` into one file; None where the format holds one volume.
+    lazily : callable or None
+        As `read`, but it gives a list of sizes, the largest first, each with a `Window` of its samples; an empty one where those of
+        this file cannot be read part by part. None: those of no file can.
     """
 
     name: str
@@ -79,13 +98,14 @@ class Format:
     series: Callable[[Path], tuple[Series, ...]] | None = None
     native: tuple[str, ...] = ()
     write_several: Callable[[Volumes, Path], None] | None = None
+    lazily: Callable[..., list[Content]] | None = None
 
 
 _ITK = ("SimpleITK",)
 _PILLOW = ("imageio.v3", "PIL.Image")
 
 FORMATS = (
-    Format("NumPy array, no geometry", (".npy",), npy.read, npy.write, several=True, write_several=npy.write),
+    Format("NumPy array, no geometry", (".npy",), npy.read, npy.write, several=True, write_several=npy.write, lazily=npy.lazily),
     Format("NumPy archive", (".npz",), npy.read_archive, npy.write_archive, several=True, write_several=npy.write_archive),
     Format("NIfTI", (".nii", ".nii.gz"), nifti.read, nifti.write, several=True, write_several=nifti.write),
     Format("NIfTI in two files", (".hdr", ".img"), nifti.read_pair, several=True),
@@ -104,6 +124,7 @@ FORMATS = (
         folder=zarr.is_one,
         series=zarr.series,
         native=("zarr",),
+        lazily=zarr.lazily,
     ),
     Format(
         "DICOM",
@@ -125,6 +146,7 @@ FORMATS = (
         several=True,
         series=tiff.series,
         native=("tifffile",),
+        lazily=tiff.lazily,
         write_several=tiff.write_several,
     ),
     Format(
@@ -136,8 +158,9 @@ FORMATS = (
         several=True,
         series=hdf5.series,
         native=("h5py",),
+        lazily=hdf5.lazily,
     ),
-    Format("Imaris", (".ims",), imaris.read, None, frozenset({"level"}), several=True, native=("h5py",)),
+    Format("Imaris", (".ims",), imaris.read, None, frozenset({"level"}), several=True, native=("h5py",), lazily=imaris.lazily),
     Format(
         "VTK image data",
         (".vti",),
@@ -160,7 +183,9 @@ FORMATS = (
     ),
     Format("image", slices.SUFFIXES, slices.read, several=True, native=_PILLOW),
     Format("folder of image slices", (), slices.read_folder, several=True, folder=slices.are_in, native=(*_PILLOW, "tifffile")),
-    Format("raw samples", (".raw", ".bin"), raw.read, None, frozenset({"shape", "dtype", "byte_order", "offset"})),
+    Format(
+        "raw samples", (".raw", ".bin"), raw.read, None, frozenset({"shape", "dtype", "byte_order", "offset"}), lazily=raw.lazily
+    ),
 )
 
 _FOLDERS = "DICOM files, image slices (.tif .png .jpg .bmp) or a Zarr array or group"
@@ -269,7 +294,7 @@ def read(
     options = {"series": series, "level": level, "shape": shape, "dtype": dtype, "byte_order": byte_order, "offset": offset or None}
     replaced = {"spacing": spacing, "origin": origin, "direction": direction}
     choice = Choice({name: v for name, v in wanted.items() if v is not None})
-    result = _read(path, choice, options, replaced, _allowed(trusted, limits))
+    result = _read(path, choice, options, replaced, allowed(trusted, limits))
     assert isinstance(result, Volume)  # nothing was left open
     return result
 
@@ -318,7 +343,7 @@ def read_all(
     wanted = {"time": time, "position": position, "channel": channel}
     replaced = {"spacing": spacing, "origin": origin, "direction": direction}
     choice = Choice({name: v for name, v in wanted.items() if v is not None}, whole=True)
-    result = _read(path, choice, {"series": series, "level": level}, replaced, _allowed(trusted, limits))
+    result = _read(path, choice, {"series": series, "level": level}, replaced, allowed(trusted, limits))
     return Volumes([result]) if isinstance(result, Volume) else result
 
 
@@ -328,7 +353,7 @@ def begin_to_read(path: str | os.PathLike[str]) -> None:
     What is wrong with the file is for `read` to say.
     """
     with suppress(ClvolError, OSError):
-        if native := _format_of(as_path(path)).native:
+        if native := format_of(as_path(path)).native:
             prepare(native)
 
 
@@ -338,10 +363,10 @@ def series_of(path: str | os.PathLike[str], *, trusted: bool = False, limits: Li
     `trusted` and `limits` are as of `read`.
     """
     path = as_path(path)
-    chosen = _format_of(path)
+    chosen = format_of(path)
     if chosen.series is None:
         return ()
-    return tuple(_called(chosen.name, chosen.native, path, _allowed(trusted, limits), chosen.series, path))
+    return tuple(called(chosen.name, chosen.native, path, allowed(trusted, limits), chosen.series, path))
 
 
 def leading_of(
@@ -362,11 +387,11 @@ def leading_of(
         As `read` raises it.
     """
     path = as_path(path)
-    chosen = _format_of(path)
+    chosen = format_of(path)
     if not chosen.several:
         return Leading()
-    options = _options(chosen, path, {"series": series, "level": level})
-    found = _called(chosen.name, chosen.native, path, _allowed(trusted, limits), _counted, chosen.read, path, **options)
+    options = options_of(chosen, path, {"series": series, "level": level})
+    found = called(chosen.name, chosen.native, path, allowed(trusted, limits), _counted, chosen.read, path, **options)
     assert isinstance(found, Leading)
     return found
 
@@ -394,7 +419,7 @@ class _KnownError(ClvolError):
         self.leading = leading
 
 
-def _allowed(trusted: bool, limits: Limits | None) -> Limits | None:
+def allowed(trusted: bool, limits: Limits | None) -> Limits | None:
     """The limits of what is read; None: it is trusted."""
     if not isinstance(trusted, bool):
         raise OptionError(f"trusted must be True or False; got {trusted!r}")
@@ -403,7 +428,7 @@ def _allowed(trusted: bool, limits: Limits | None) -> Limits | None:
     return None if trusted else limits or Limits()
 
 
-def _called(
+def called(
     reader: str,
     native: tuple[str, ...],
     path: Path,
@@ -430,11 +455,11 @@ def _read(
     path: str | os.PathLike[str], choice: Choice, given: Mapping[str, Any], replaced: Mapping[str, Any], limits: Limits | None
 ) -> Volume | Volumes:
     path = as_path(path)
-    chosen = _format_of(path)
-    options = _options(chosen, path, given)
+    chosen = format_of(path)
+    options = options_of(chosen, path, given)
     if chosen.several:
         options["choose"] = choice
-    data, geometry = _called(chosen.name, chosen.native, path, limits, chosen.read, path, **options)
+    data, geometry = called(chosen.name, chosen.native, path, limits, chosen.read, path, **options)
     with foreign_errors(f"read {path}"):
         if not chosen.several:
             pick = choice(path.name, Leading())  # refuses what is asked of one volume
@@ -449,7 +474,7 @@ def _read(
             raise GeometryError(f"{path}: {error}; {mend}") from error
 
 
-def _options(chosen: Format, path: Path, given: Mapping[str, Any]) -> dict[str, Any]:
+def options_of(chosen: Format, path: Path, given: Mapping[str, Any]) -> dict[str, Any]:
     """Those options that are given; `OptionError` for one that is not for this format."""
     options = {name: value for name, value in given.items() if value is not None}
     for name in options:
@@ -459,7 +484,7 @@ def _options(chosen: Format, path: Path, given: Mapping[str, Any]) -> dict[str, 
     return options
 
 
-def _format_of(path: Path) -> Format:
+def format_of(path: Path) -> Format:
     """That of a file by its name, of a folder by what it holds."""
     with foreign_errors(f"read {path}"):
         if not path.exists():

@@ -14,10 +14,11 @@ from clvol.errors import DataError
 from clvol.formats._choice import Choice
 from clvol.formats._files import scaled
 from clvol.formats._units import scale, unit_name
+from clvol.formats._window import Window
 from clvol.interop import Content
 from clvol.volumes import AXES, Leading
 
-__all__ = ["Layout", "decoded", "lay_out", "place", "uniform", "unnamed"]
+__all__ = ["Layout", "decoded", "lay_out", "place", "shrunk", "uniform", "unnamed"]
 
 _WORDS = {
     "x": ("x", "lon", "longitude", "column", "columns", "easting", "width"),
@@ -84,9 +85,16 @@ class Layout:
         return [values.get(axis, default) for axis in "xyz" if axis in self.axes]
 
     def chosen(
-        self, source: str, choose: Choice, load: Callable[[tuple[int | slice, ...]], NDArray[Any]], leading: Leading | None = None
-    ) -> Content:
-        """The samples that `choose` takes, [..., z, y, x], and what is known of them; `load` gives the array at an index."""
+        self,
+        source: str,
+        choose: Choice,
+        load: Callable[[tuple[int | slice, ...]], NDArray[Any] | Window],
+        leading: Leading | None = None,
+    ) -> tuple[Any, dict[str, Any]]:
+        """The samples that `choose` takes, [..., z, y, x], and what is known of them; `load` gives the array at an index.
+
+        Of a `Window` of the array they are one too.
+        """
         pick = choose(source, leading or Leading(self.leading, self.counts), self.guessed)
         taken = dict(zip(self.leading, pick.index, strict=True))
         index = tuple(taken.get(axis, slice(None) if axis else 0) for axis in self.axes)
@@ -95,6 +103,9 @@ class Layout:
             left, key=lambda axis: ("z", "y", "x").index(axis) + len(AXES) if axis in "zyx" else self.leading.index(axis)
         )
         samples = load(index).transpose([left.index(axis) for axis in order])
+        if isinstance(samples, Window):
+            several = sum(axis in AXES for axis in left)
+            return samples.combined(pick.finish, several) if several else samples, dict(pick.about)
         return pick.finish(samples), dict(pick.about)
 
 
@@ -191,14 +202,32 @@ def place(layout: Layout, lines: Mapping[str, tuple[float, float]], units: Mappi
     return about
 
 
-def decoded(data: NDArray[Any], attributes: Mapping[str, Any]) -> NDArray[Any]:
-    """Samples as the conventions of netCDF say: missing ones NaN, the others scaled and shifted."""
+def shrunk(base: Content, content: Content) -> Content:
+    """A size of an image of which nothing is said but its shape, where the largest one lies."""
+    (data, about), (_, first) = content, base
+    factors = [n / m for n, m in zip(base[0].shape[::-1], data.shape[::-1], strict=True)]
+    spacing = [s * factor for s, factor in zip(first["spacing"], factors, strict=True)]
+    amid = [(factor - 1) / 2 * s for factor, s in zip(factors, first["spacing"], strict=True)]
+    origin = np.asarray(first["origin"]) + np.asarray(first.get("direction", np.eye(len(amid)))) @ amid
+    return data, about | {"spacing": spacing, "origin": origin.tolist()}
+
+
+def decoded(data: Any, attributes: Mapping[str, Any]) -> Any:
+    """Samples as the conventions of netCDF say: missing ones NaN, the others scaled and shifted.
+
+    Of a `Window` all are floating where some could be missing.
+    """
 
     def given(name: str, default: float) -> float:
         value = np.asarray(attributes.get(name, default))
         return float(value.flat[0]) if value.size == 1 and value.dtype.kind in "iuf" else default
 
     slope, offset, missing = given("scale_factor", 1.0), given("add_offset", 0.0), given("_FillValue", math.nan)
+    if isinstance(data, Window):
+        if math.isnan(missing) and slope == 1 and offset == 0:
+            return data
+        probe = np.full(1, 0 if math.isnan(missing) else missing).astype(data.dtype)
+        return data.mapped(lambda part: np.asarray(decoded(part, attributes)), decoded(probe, attributes).dtype)
     gone = None if math.isnan(missing) else data == missing
     if gone is not None and gone.any():
         data = data.astype(np.result_type(data.dtype, np.float32), copy=True)

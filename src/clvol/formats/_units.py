@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from clvol.errors import FormatError
 from clvol.foreign import METRES
 
-__all__ = ["METRES", "one_unit", "scale", "unit_name"]
+__all__ = ["METRES", "ome_unit", "one_unit", "scale", "unit_name"]
 
 _SPELLINGS = {
     "um": ("µm", "μm", "micron", "microns", "micrometer", "micrometre", "\\u00b5m"),  # the micro sign and the Greek mu
@@ -26,6 +26,14 @@ def unit_name(text: str) -> str:
     """The one name that `Volume.units` uses for what `text` spells; "" for counts of pixels."""
     word = text.strip()
     return _NAMES.get(word.lower(), word)
+
+
+_OF_OME = {"um": "micrometer", "nm": "nanometer", "mm": "millimeter", "cm": "centimeter", "m": "meter", "inch": "inch"}
+
+
+def ome_unit(name: str) -> str:
+    """The name of UDUNITS-2, which OME-Zarr has, for a unit."""
+    return _OF_OME.get(unit_name(name), name)
 
 
 def one_unit(source: str, units: Sequence[str]) -> str:

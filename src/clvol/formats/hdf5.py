@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +17,13 @@ from clvol.formats._choice import Choice, Series, chosen_series
 from clvol.formats._files import bytes_at, sample_count
 from clvol.formats._layout import Layout, decoded, lay_out, place, uniform, unnamed
 from clvol.formats._limits import announce
+from clvol.formats._window import Index, Window, signature
 from clvol.interop import Content
 from clvol.volumes import Leading
 
-__all__ = ["loaded", "member", "opened", "read", "series"]
+__all__ = ["lazily", "loaded", "member", "opened", "read", "series", "window"]
 
+_TRIED = 4096  # chunks, in search of one that is damaged
 _NETCDF_3 = b"CDF"
 _NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"  # NAME of a scale that holds no coordinates
 
@@ -32,26 +35,36 @@ def read(path: Path, choose: Choice, series: int | str | None = None) -> Content
     ``element_size_um``, the tags, or evenly spaced scales; all of it from ITK's files.
     """
     with opened(path) as file:
-        arrays = _arrays(file)
-        listed = [_listed(array) for array in arrays]
-        if not arrays:
-            raise DataError(f"{path.name} must hold an array of numbers with two axes or more; it holds none")
-        deep = sum(array.ndim > 2 for array in arrays)
-        array = arrays[chosen_series(path.name, listed, series, what="arrays", main=deep or None, first=False)]
-        if _is_of_itk(array):
-            return _itk(path.name, array, choose)
-        words, lines, units = _axes(array)
-        named = any(words)
-        words = words if named else unnamed(array.shape, array.dtype)
-        layout = lay_out(path.name, words, array.shape, asked=choose.given)
-        leading = layout.channels_of(array.dtype) if words[-1:] == ["channel"] and not named else None
-        by_axis = {axis: lines[i] for i, axis in enumerate(layout.axes) if i in lines}
-        units_by_axis = {axis: units[i] for i, axis in enumerate(layout.axes) if i in units}
-        space = {"space": "image"} if "um" in units_by_axis.values() else {}
-        data, chosen = layout.chosen(
-            path.name, choose, lambda index: decoded(loaded(path.name, array, index), dict(array.attrs)), leading
-        )
-        known = {"name": array.name.rpartition("/")[2]} | space | place(layout, by_axis, units_by_axis)
+        return _content(path, file, choose, series, loaded)
+
+
+def lazily(path: Path, choose: Choice, series: int | str | None = None) -> list[Content]:
+    """What is chosen of one array, of which no samples are read yet."""
+    return [_content(path, opened(path), choose, series, lambda source, array, index: window(path, source, array, index))]
+
+
+def _content(path: Path, file: Any, choose: Choice, series: int | str | None, load: Callable[..., Any]) -> Content:
+    """The array that is chosen, whose samples `load` gives at an index."""
+    arrays = _arrays(file)
+    listed = [_listed(array) for array in arrays]
+    if not arrays:
+        raise DataError(f"{path.name} must hold an array of numbers with two axes or more; it holds none")
+    deep = sum(array.ndim > 2 for array in arrays)
+    array = arrays[chosen_series(path.name, listed, series, what="arrays", main=deep or None, first=False)]
+    if _is_of_itk(array):
+        return _itk(path.name, array, choose, load)
+    words, lines, units = _axes(array)
+    named = any(words)
+    words = words if named else unnamed(array.shape, array.dtype)
+    layout = lay_out(path.name, words, array.shape, asked=choose.given)
+    leading = layout.channels_of(array.dtype) if words[-1:] == ["channel"] and not named else None
+    by_axis = {axis: lines[i] for i, axis in enumerate(layout.axes) if i in lines}
+    units_by_axis = {axis: units[i] for i, axis in enumerate(layout.axes) if i in units}
+    space = {"space": "image"} if "um" in units_by_axis.values() else {}
+    data, chosen = layout.chosen(
+        path.name, choose, lambda index: decoded(load(path.name, array, index), dict(array.attrs)), leading
+    )
+    known = {"name": array.name.rpartition("/")[2]} | space | place(layout, by_axis, units_by_axis)
     return data, known | chosen
 
 
@@ -84,8 +97,46 @@ def member(group: Any, name: str) -> Any:
     return group[name]
 
 
-def loaded(source: str, array: Any, index: tuple[int | slice, ...] = ()) -> NDArray[Any]:
+def loaded(source: str, array: Any, index: Index = ()) -> NDArray[Any]:
     """Samples of an array, which must be stored in this file. Chunks that are not stored have the array's fill value."""
+    _require_own(source, array)
+    announce(source, max(sample_count(array.chunks or ()) * array.dtype.itemsize, bytes_at(array.shape, index, array.dtype)))
+    return np.asarray(array[index])
+
+
+def window(path: Path, source: str, array: Any, index: Index = ()) -> Window:
+    """The same, read part by part; a chunk that cannot be read is named."""
+    _require_own(source, array)
+    announce(source, sample_count(array.chunks or ()) * array.dtype.itemsize)
+    before = signature(path)
+
+    def read(index: Index) -> NDArray[Any]:
+        if signature(path) != before:
+            raise FormatError(f"{source} has changed since it was opened; open it again")
+        try:
+            return np.asarray(array[index])
+        except OSError as error:
+            raise FormatError(f"cannot read {_damaged(array, index)} of {array.name} in {source}: {error}") from error
+
+    return Window(read, array.shape, array.dtype, array.chunks, index)
+
+
+def _damaged(array: Any, index: Index) -> str:
+    """The first chunk at an index that cannot be read by itself."""
+    if not array.chunks:
+        return "the samples"
+    box = [range(n)[at] if isinstance(at, slice) else range(at, at + 1) for n, at in zip(array.shape, index, strict=True)]
+    places = (range(part[0] // edge, part[-1] // edge + 1) for part, edge in zip(box, array.chunks, strict=True))
+    for at in itertools.islice(itertools.product(*places), _TRIED):
+        try:
+            array[tuple(slice(k * edge, (k + 1) * edge) for k, edge in zip(at, array.chunks, strict=True))]
+        except OSError:
+            return f"chunk {at}"
+    return "the chunks"
+
+
+def _require_own(source: str, array: Any) -> None:
+    """Raise unless an array is stored in this file, by whole chunks."""
     elsewhere = array.external or (array.is_virtual and any(one.file_name != "." for one in array.virtual_sources()))
     if elsewhere:
         raise FormatError(f"{source} must hold its samples; those of {array.name} are in other files: h5py reads them")
@@ -94,8 +145,6 @@ def loaded(source: str, array: Any, index: tuple[int | slice, ...] = ()) -> NDAr
         raise FormatError(f"{source} must hold samples of {array.name}; none were ever written")
     if array.chunks and not array.id.get_create_plist().get_nfilters():
         _check_chunks(source, array)
-    announce(source, max(sample_count(array.chunks or ()) * array.dtype.itemsize, bytes_at(array.shape, index, array.dtype)))
-    return np.asarray(array[index])
 
 
 def _check_chunks(source: str, array: Any) -> None:
@@ -184,7 +233,7 @@ def _is_of_itk(array: Any) -> bool:
     )
 
 
-def _itk(source: str, array: Any, choose: Choice) -> Content:
+def _itk(source: str, array: Any, choose: Choice, load: Callable[..., Any]) -> Content:
     """An image as ITK stores it: rows of ``Directions`` are where its axes go, x first; components come last."""
     about = {
         name: np.asarray(loaded(source, member(array.parent, name)), np.float64) for name in ("Spacing", "Origin", "Directions")
@@ -193,6 +242,6 @@ def _itk(source: str, array: Any, choose: Choice) -> Content:
     words = [*"zyx"[3 - d :], *("channel",) * (array.ndim - d)] if d in (2, 3) else []
     layout: Layout = lay_out(source, words, array.shape)
     leading = Leading(layout.leading, layout.counts, vector="channel" in layout.leading and array.dtype.kind == "f")
-    data, chosen = layout.chosen(source, choose, lambda index: loaded(source, array, index), leading)
+    data, chosen = layout.chosen(source, choose, lambda index: load(source, array, index), leading)
     known = {"spacing": about["Spacing"], "origin": about["Origin"], "direction": about["Directions"].T, "space": "LPS"}
     return data, known | chosen

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,28 +13,50 @@ from clvol.errors import FormatError
 from clvol.formats._choice import Choice, chosen_level
 from clvol.formats._layout import Layout
 from clvol.formats._units import unit_name
-from clvol.formats.hdf5 import loaded, member, opened
+from clvol.formats._window import Index, Window
+from clvol.formats.hdf5 import loaded, member, opened, window
 from clvol.interop import Content
 from clvol.volumes import Leading
 
-__all__ = ["read"]
+__all__ = ["lazily", "read"]
 
 
 def read(path: Path, choose: Choice, level: int = 0) -> Content:
     """The times and channels that are chosen; their grid lies where Imaris has it."""
     with opened(path) as file:
-        if "DataSet" not in file or "DataSetInfo/Image" not in file:
-            raise FormatError(f"{path.name} must be of Imaris 5.5 or later, which has the groups DataSet and DataSetInfo")
-        levels = _numbered(member(file, "DataSet"), "ResolutionLevel")
-        sizes = [_size(_numbered(_numbered(one, "TimePoint")[0], "Channel")[0]) for one in levels]
-        number = chosen_level(path.name, sizes, level)
-        times, size = _numbered(levels[number], "TimePoint"), sizes[number]
-        channels = len(_numbered(times[0], "Channel"))
-        layout = Layout(("time" * (len(times) > 1), "channel", "z", "y", "x"), (len(times), channels, *size))
-        data, chosen = layout.chosen(path.name, choose, lambda index: _load(times, size, index), _leading(file, layout))
-        about = member(member(file, "DataSetInfo"), "Image")
-        low, high = (np.array([float(_text(about, f"Ext{end}{i}")) for i in range(3)]) for end in ("Min", "Max"))
-        unit = unit_name(_text(about, "Unit", "um"))
+        return _content(path, file, choose, level, _load)
+
+
+def lazily(path: Path, choose: Choice, level: int = 0) -> list[Content]:
+    """The same in all sizes from `level` on, of which no samples are read yet."""
+    file = opened(path)
+
+    def load(times: list[Any], size: tuple[int, ...], index: Index) -> Window:
+        at_time, at_channel, *_ = index
+        if not (isinstance(at_time, int) and isinstance(at_channel, int)):
+            raise FormatError(f"{path.name} is read part by part one volume at a time")
+        stored = member(_numbered(times[at_time], "Channel")[at_channel], "Data")
+        return window(path, path.name, stored, tuple(slice(0, n) for n in size))
+
+    first = _content(path, file, choose, level, load)
+    count = len(_numbered(member(file, "DataSet"), "ResolutionLevel"))
+    return [first, *(_content(path, file, choose, number, load) for number in range(level + 1, count))]
+
+
+def _content(path: Path, file: Any, choose: Choice, level: int, load: Callable[..., Any]) -> Content:
+    """One size, whose samples `load` gives."""
+    if "DataSet" not in file or "DataSetInfo/Image" not in file:
+        raise FormatError(f"{path.name} must be of Imaris 5.5 or later, which has the groups DataSet and DataSetInfo")
+    levels = _numbered(member(file, "DataSet"), "ResolutionLevel")
+    sizes = [_size(_numbered(_numbered(one, "TimePoint")[0], "Channel")[0]) for one in levels]
+    number = chosen_level(path.name, sizes, level)
+    times, size = _numbered(levels[number], "TimePoint"), sizes[number]
+    channels = len(_numbered(times[0], "Channel"))
+    layout = Layout(("time" * (len(times) > 1), "channel", "z", "y", "x"), (len(times), channels, *size))
+    data, chosen = layout.chosen(path.name, choose, lambda index: load(times, size, index), _leading(file, layout))
+    about = member(member(file, "DataSetInfo"), "Image")
+    low, high = (np.array([float(_text(about, f"Ext{end}{i}")) for i in range(3)]) for end in ("Min", "Max"))
+    unit = unit_name(_text(about, "Unit", "um"))
     spacing = (high - low) / size[::-1]  # from edge to edge
     return data, {"spacing": spacing, "origin": low + spacing / 2, "units": unit, "space": "image"} | chosen
 

@@ -20,10 +20,11 @@ from clvol.formats._choice import Choice
 from clvol.formats._files import require_bytes, require_default, require_members
 from clvol.formats._layout import lay_out, unnamed
 from clvol.formats._limits import announce
+from clvol.formats._window import FlatFile, Window
 from clvol.volume import Volume
 from clvol.volumes import Leading, Volumes
 
-__all__ = ["read", "read_archive", "write", "write_archive"]
+__all__ = ["lazily", "read", "read_archive", "write", "write_archive"]
 
 _GEOMETRY = ("spacing", "origin", "direction", "units")
 _ABOUT = ("space", "name", "color", "window", "labels", "header")  # what else a volume says, as JSON
@@ -34,6 +35,18 @@ def read(path: Path, choose: Choice) -> Content:
     """Samples of a ``.npy`` file, which knows no geometry."""
     with path.open("rb") as stream:
         return _chosen(_read_array(stream, path.stat().st_size, path.name), None, {}, path.name, choose)
+
+
+def lazily(path: Path, choose: Choice) -> list[Content]:
+    """The same, of which no samples are read yet."""
+    with path.open("rb") as stream:
+        shape, transposed, dtype = _header(stream, path.stat().st_size, path.name)
+        flat = FlatFile(path, shape, dtype, stream.tell(), transposed)
+    words = unnamed(shape, dtype) if len(shape) > 3 else [""] * len(shape)
+    if len(shape) < 3 or 0 in shape:
+        raise DataError(f"{path.name} must hold a volume to be read part by part; it has the shape {shape}")
+    layout = lay_out(path.name, words, shape, asked=choose.given)
+    return [layout.chosen(path.name, choose, lambda index: Window(flat, shape, dtype, None, index))]
 
 
 def write(what: Volume | Volumes, path: Path) -> None:
@@ -107,6 +120,14 @@ def _chosen(data: NDArray[Any], leading: Leading | None, about: dict[str, Any], 
 
 def _read_array(stream: IO[bytes], size: int, source: str, kinds: str = "biuf") -> NDArray[Any]:
     """The array in `stream` of `size` bytes; nothing is allocated before the header has been believed."""
+    _header(stream, size, source, kinds)
+    announce(source, size)
+    stream.seek(0)
+    return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
+
+
+def _header(stream: IO[bytes], size: int, source: str, kinds: str = "biuf") -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """The shape, whether it is in Fortran's order, and the type; the stream is then at the first sample."""
     version = np.lib.format.read_magic(stream)
     at = stream.tell()
     length = int.from_bytes(stream.read(2 if version == (1, 0) else 4), "little")
@@ -116,14 +137,12 @@ def _read_array(stream: IO[bytes], size: int, source: str, kinds: str = "biuf") 
         raise FormatError(f"{source} must have a header as NumPy writes it; found {found[0]!r}")
     stream.seek(at)
     if version == (1, 0):
-        shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+        shape, transposed, dtype = np.lib.format.read_array_header_1_0(stream)
     elif version == (2, 0):
-        shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
+        shape, transposed, dtype = np.lib.format.read_array_header_2_0(stream)
     else:
         raise FormatError(f"{source} must be of version 1.0 or 2.0 of NumPy's format; got {version}")
     if dtype.kind not in kinds:  # objects are pickles, and reading a pickle runs code
         raise DataError(f"{source} must hold boolean, integer or floating samples; got dtype {dtype}")
     require_bytes(source, size - stream.tell(), shape, dtype, exact=True)
-    announce(source, size)
-    stream.seek(0)
-    return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
+    return tuple(shape), bool(transposed), dtype

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike
 
 from clvol.checks import one_of
 from clvol.errors import OptionError
+from clvol.formats._choice import Choice
 from clvol.formats._files import require_bytes, sample_count
 from clvol.formats._limits import announce
+from clvol.formats._window import FlatFile, Window
 from clvol.interop import Content
+from clvol.volumes import Leading
 
-__all__ = ["read"]
+__all__ = ["lazily", "read"]
 
 _BYTE_ORDERS = {"little": "<", "big": ">"}
 
@@ -31,16 +35,39 @@ def read(
     They are read into memory, not mapped: should a mapped file shrink or its disk vanish, touching
     the samples would kill the process where reading raises an error.
     """
-    if shape is None or dtype is None:
-        raise OptionError("a raw file says nothing about its samples: give shape=(nz, ny, nx) and dtype=")
-    counts, kind, start = _shape(shape), _dtype(dtype, byte_order), _offset(0 if offset is None else offset)
-    require_bytes(f"{path.name} from offset {start}", path.stat().st_size - start, counts, kind, exact=True)
+    counts, kind, start = _arranged(path, shape, dtype, byte_order, offset)
     announce(path.name, sample_count(counts) * kind.itemsize)
     if kind.kind == "b":  # any byte but 0 is true, yet NumPy expects 1
         data = np.fromfile(path, np.uint8, sample_count(counts), offset=start) != 0
     else:
         data = np.fromfile(path, kind, sample_count(counts), offset=start)
     return data.reshape(counts), {}
+
+
+def lazily(
+    path: Path,
+    choose: Choice,
+    shape: Sequence[int] | None = None,
+    dtype: DTypeLike | None = None,
+    byte_order: str | None = None,
+    offset: int | None = None,
+) -> list[Content]:
+    """The same, of which none are read yet."""
+    counts, kind, start = _arranged(path, shape, dtype, byte_order, offset)
+    choose(path.name, Leading())  # refuses what is asked of one volume
+    data: Any = Window(FlatFile(path, counts, kind, start), counts, kind)
+    return [(data, {})]
+
+
+def _arranged(
+    path: Path, shape: Sequence[int] | None, dtype: DTypeLike | None, byte_order: str | None, offset: int | None
+) -> tuple[tuple[int, ...], np.dtype[np.generic], int]:
+    """The shape, the type and the first byte, which fit the file."""
+    if shape is None or dtype is None:
+        raise OptionError("a raw file says nothing about its samples: give shape=(nz, ny, nx) and dtype=")
+    counts, kind, start = _shape(shape), _dtype(dtype, byte_order), _offset(0 if offset is None else offset)
+    require_bytes(f"{path.name} from offset {start}", path.stat().st_size - start, counts, kind, exact=True)
+    return counts, kind, start
 
 
 def _shape(shape: Sequence[int]) -> tuple[int, ...]:

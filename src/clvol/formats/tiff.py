@@ -10,7 +10,7 @@ import operator
 import re
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -27,12 +27,13 @@ from clvol.formats._files import inflated_size, require_default, sample_count, s
 from clvol.formats._layout import Layout, lay_out
 from clvol.formats._limits import announce
 from clvol.formats._units import METRES, scale, unit_name
+from clvol.formats._window import FlatFile, Index, Window, signature
 from clvol.formats._wire import as_stored, empty
 from clvol.interop import Content
 from clvol.volume import Volume
 from clvol.volumes import Leading, Volumes
 
-__all__ = ["read", "series", "write", "write_several"]
+__all__ = ["lazily", "read", "series", "write", "write_several"]
 
 _DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64")  # those of OME
 _OME_DTYPES = {name: name for name in _DTYPES if not name.startswith("float")} | {"float": "float32", "double": "float64"}
@@ -74,22 +75,76 @@ def read(path: Path, choose: Choice, series: int | str | None = None, level: int
     """
     with _opened(path) as file:
         number = chosen_series(path.name, _images(path.name, file), series)
-        levels = _whole(file)[number].levels
-        image = levels[chosen_level(path.name, [one.shape for one in file.series[number].levels], level)]
-        kind = file.series[number].kind.lower()  # not what the file says it is: that may not fit its pages
-        about = (
-            _ome(file.ome_metadata, number, len(file.series), image.dtype)
-            if kind == "ome"
-            else _imagej(file)
-            if kind == "imagej"
-            else _About()
-        )
-        layout, leading = _laid_out(path.name, image, about, choose)
-        if image.dtype is None or image.dtype.kind not in "biuf":
-            raise DataError(f"{path.name} must hold real numbers; got dtype {image.dtype}")
-        data, known = layout.chosen(path.name, choose, lambda index: _load(path.name, file, image, index), leading)
-        shrunk = {axis: n / m for (axis, m), (_, n) in zip(_axes(image), _axes(levels[0]), strict=True)}
-        name = file.series[number].name if len(file.series) > 1 else ""
+        chosen_level(path.name, [one.shape for one in file.series[number].levels], level)
+        return _content(path, file, number, level, choose, _load)
+
+
+def lazily(path: Path, choose: Choice, series: int | str | None = None, level: int = 0) -> list[Content]:
+    """One image in all its sizes from `level` on, of which no samples are read yet; its pages are looked through.
+
+    Samples that follow each other are read from where they lie, others by strips and tiles, by way of zarr.
+    """
+    library = _tifffile()
+    _directories_of(path)
+    with _strict():
+        file = library.TiffFile(path)  # open for as long as it is read from
+        _require_own_files(path, file)
+        number = chosen_series(path.name, _images(path.name, file), series)
+        sizes = [one.shape for one in file.series[number].levels]
+        first = chosen_level(path.name, sizes, level)
+        return [_content(path, file, number, k, choose, _window) for k in range(first, len(sizes))]
+
+
+def _window(name: str, file: Any, image: Any, index: Index) -> Window:
+    """The samples of an image at an index of its axes, once its pages have been looked through."""
+    path = Path(file.filehandle.path)
+    _check_order(name, image)
+    shape = tuple(n for _, n in _axes(image))
+    _check_samples(name, list(image), image.keyframe, sample_count(shape), sample_count(image.keyframe.chunks))
+    own = image.keyframe.parent.filehandle.path
+    if image.dataoffset is not None and image.transform is None and image.keyframe.is_memmappable:
+        dtype = np.dtype(file.byteorder + image.dtype.char)
+        return Window(FlatFile(Path(own), shape, dtype, image.dataoffset), shape, dtype, None, index)
+    try:
+        import zarr
+    except ImportError as error:
+        raise MissingDependencyError(
+            "TIFF files of strips and tiles are read part by part by way of zarr: pip install clvol[microscopy]"
+        ) from error
+    array: Any = zarr.open(image.aszarr(level=0, squeeze=False), mode="r")
+    if tuple(array.shape) != shape:
+        raise FormatError(f"{name} must be read part by part as an array of shape {shape}; tifffile makes it {array.shape}")
+    before, lock = signature(path), threading.Lock()
+
+    def read(index: Index) -> NDArray[Any]:
+        assert not file.filehandle.closed  # it is held as long as this is
+        if signature(path) != before:
+            raise FormatError(f"{name} has changed since it was opened; open it again")
+        with lock, _strict():
+            return as_stored(np.asarray(array[index]))
+
+    return Window(read, shape, array.dtype, array.chunks, index)
+
+
+def _content(path: Path, file: Any, number: int, level: int, choose: Choice, load: Callable[..., Any]) -> Content:
+    """One size of an image, whose samples `load` gives at an index."""
+    levels = _whole(file)[number].levels
+    image = levels[level]
+    kind = file.series[number].kind.lower()  # not what the file says it is: that may not fit its pages
+    about = (
+        _ome(file.ome_metadata, number, len(file.series), image.dtype)
+        if kind == "ome"
+        else _imagej(file)
+        if kind == "imagej"
+        else _About()
+    )
+    layout, leading = _laid_out(path.name, image, about, choose)
+    if image.dtype is None or image.dtype.kind not in "biuf":
+        raise DataError(f"{path.name} must hold real numbers; got dtype {image.dtype}")
+    data: Any
+    data, known = layout.chosen(path.name, choose, lambda index: load(path.name, file, image, index), leading)
+    shrunk = {axis: n / m for (axis, m), (_, n) in zip(_axes(image), _axes(levels[0]), strict=True)}
+    name = file.series[number].name if len(file.series) > 1 else ""
     shrunk = {axis: shrunk.get(axis.upper(), 1.0) for axis in "xyz"}
     spacing = {axis: about.spacing.get(axis, 1.0) for axis in "xyz"}
     geometry: dict[str, Any] = {
@@ -102,6 +157,11 @@ def read(path: Path, choose: Choice, series: int | str | None = None, level: int
         geometry["window"] = about.windows[0]
     if level:  # the first sample of a level lies amid those that it stands for
         geometry["origin"] = layout.of({axis: (shrunk[axis] - 1) / 2 * spacing[axis] for axis in "xyz"})
+    if isinstance(data, Window) and (about.slope, about.offset) != (1, 0):
+        data = data.mapped(lambda part: scaled(part, about.slope, about.offset))
+    if isinstance(data, Window):
+        lazy: Any = data
+        return lazy, geometry | known
     return scaled(data, about.slope, about.offset), geometry | known
 
 
@@ -316,9 +376,9 @@ def _mapped(file: Any, image: Any, shape: tuple[int, ...]) -> NDArray[Any] | Non
     return found
 
 
-def _check_samples(name: str, pages: Sequence[Any], keyframe: Any, count: int) -> None:
+def _check_samples(name: str, pages: Sequence[Any], keyframe: Any, count: int, read: int | None = None) -> None:
     """Raise if samples lie past the end of the file, a slice is missing or stored otherwise than tifffile takes it: it would give
-    zeros, or other numbers. Nothing is allocated before that.
+    zeros, or other numbers. Nothing is allocated before that. Of `count` samples only some may be `read` at a time.
     """
     files = {page.parent.filehandle.path: page.parent.filehandle.size for page in pages if page is not None}
     walked = {file: _directories_of(Path(file)) for file in files}
@@ -343,7 +403,7 @@ def _check_samples(name: str, pages: Sequence[Any], keyframe: Any, count: int) -
     stored = sum(files.values())
     if keyframe.compression == 1 and count * int(np.min(keyframe.bitspersample)) > 8 * stored:
         raise FormatError(f"{name} must hold {count} samples of {keyframe.dtype}; it has {stored} bytes")
-    announce(name, count * keyframe.dtype.itemsize, stored)
+    announce(name, (count if read is None else read) * keyframe.dtype.itemsize, stored)
     if sizes is not None and keyframe.compression in _LOSSLESS:
         _check_unpacked(name, keyframe, sizes)
 

@@ -11,7 +11,7 @@ from typing import Any
 from clvol.checks import as_path
 from clvol.errors import FormatError
 from clvol.foreign import simpleitk
-from clvol.formats import Limits, _allowed, _called
+from clvol.formats import Limits, allowed, called
 from clvol.formats._files import foreign_errors
 from clvol.formats._itk import quiet, reason
 from clvol.formats._limits import announce
@@ -64,7 +64,7 @@ def read_transform(path: str | os.PathLike[str], *, trusted: bool = False, limit
         raise FormatError(f"the suffix of a transform must be one of {known}; got {file}")
     if not file.is_file():
         raise FormatError(f"cannot read {file}: there is no such file")
-    parts = _called("transforms", ("SimpleITK",), file, _allowed(trusted, limits), _parts, file)
+    parts = called("transforms", ("SimpleITK",), file, allowed(trusted, limits), _parts, file)
     return [_KINDS[str(kind)](*numbers) for kind, *numbers in parts]
 
 

@@ -2,29 +2,43 @@
 
 from __future__ import annotations
 
+import itertools
+import os
 import re
+import time
 import warnings
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import DataError, FormatError, MissingDependencyError
+from clvol.errors import ClvolError, DataError, FormatError, MissingDependencyError
+from clvol.formats._bounds import KEY, bounds_of
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
 from clvol.formats._files import bytes_at, require_members, sample_count
-from clvol.formats._layout import Layout, decoded, lay_out, place, uniform, unnamed
+from clvol.formats._layout import Layout, decoded, lay_out, place, shrunk, uniform, unnamed
 from clvol.formats._limits import announce
+from clvol.formats._window import Index, Signature, Window, signature
 from clvol.interop import Content
+from clvol.volume import SPACES
 from clvol.volumes import Leading
 
-__all__ = ["is_one", "read", "series"]
+__all__ = ["is_one", "lazily", "read", "series"]
 
 _METADATA = ("zarr.json", ".zgroup", ".zarray")
+_ABOUT = (*_METADATA, ".zattrs", ".zmetadata")
+_WATCHED = 1 << 17  # chunks whose files are watched, those that were first read last
+_SECONDS = 10.0  # after which it is asked again whether what is far away is what it was
+_TRIED = 4096  # chunks, in search of one that is damaged
+
+Load: TypeAlias = Callable[..., Any]  # from a name, an array and an index to its samples there, or a window of them
+
 _OLD_AXES = "tczyx"  # of OME-Zarr 0.1 and 0.2, which name none
 
 
@@ -58,16 +72,56 @@ def is_one(path: Path) -> bool:
 def read(path: Path, choose: Choice, series: int | str | None = None, level: int = 0) -> Content:
     """The chunks of one image or array that hold what is chosen; chunks that are not stored have the array's fill value."""
     with _images(path) as images:
-        main = [image for image in images if not image.labels]
-        listed = [image.series for image in images]
-        ome = any(image.multiscales for image in main)
-        what = "images" if ome else "arrays"
-        image = images[chosen_series(path.name, listed, series, what=what, main=len(main), first=ome)]
+        image = _one_of(path.name, images, series)
         if image.multiscales is None:
             chosen_level(path.name, [image.node.shape], level)
-            return _plain(path.name, image, choose)
-        sizes = [image.level(i).shape for i in range(len(image.multiscales["datasets"]))]
-        return _multiscale(path.name, image, chosen_level(path.name, sizes, level), choose)
+            return _plain(path.name, image, choose, _loaded)
+        return _multiscale(path.name, image, chosen_level(path.name, _sizes(image), level), choose, _loaded)
+
+
+def lazily(
+    source: Path | str,
+    choose: Choice,
+    series: int | str | None = None,
+    level: int = 0,
+    storage_options: Mapping[str, Any] | None = None,
+) -> list[Content]:
+    """What is chosen of an image in all its sizes from `level` on, the largest first, of which no samples are read yet.
+
+    `source` may be an address (``s3://...``, ``https://...``), which fsspec understands with these `storage_options`.
+    """
+    store, inner, name = _store(source, storage_options, watched=True)
+    image = _one_of(name, _found(store, inner, name), series)
+
+    if image.multiscales is None:
+        chosen_level(name, [image.node.shape], level)
+        _require_chunks(name, image.node, store)
+        return [_plain(name, image, choose, _window)]
+    sizes = _sizes(image)
+    contents = []
+    for number in range(chosen_level(name, sizes, level), len(sizes)):
+        _require_chunks(name, image.level(number), store)
+        contents.append(_multiscale(name, image, number, choose, _window))
+    if not any(one.get("coordinateTransformations") for one in image.multiscales["datasets"]):
+        contents = [shrunk(contents[0], content) for content in contents]  # before 0.4 the shapes alone told how far apart
+    return contents
+
+
+def _window(source: str, array: Any, index: Index = ()) -> Window:
+    """Of an array in a store that is watched."""
+    return Window(_Chunked(source, array, array.store_path.store), array.shape, array.dtype, array.chunks, index)
+
+
+def _one_of(name: str, images: list[_Image], series: int | str | None) -> _Image:
+    main = [image for image in images if not image.labels]
+    ome = any(image.multiscales for image in main)
+    what = "images" if ome else "arrays"
+    return images[chosen_series(name, [image.series for image in images], series, what=what, main=len(main), first=ome)]
+
+
+def _sizes(image: _Image) -> list[tuple[int, ...]]:
+    assert image.multiscales is not None
+    return [image.level(i).shape for i in range(len(image.multiscales["datasets"]))]
 
 
 def series(path: Path) -> tuple[Series, ...]:
@@ -78,33 +132,183 @@ def series(path: Path) -> tuple[Series, ...]:
 
 @contextmanager
 def _images(path: Path) -> Iterator[list[_Image]]:
+    store, inner, name = _store(path)
+    with closing(store):
+        yield _found(store, inner, name)
+
+
+def _found(store: Any, inner: str, name: str) -> list[_Image]:
+    """The images of a store, before their labels."""
+    import zarr
+
+    with warnings.catch_warnings():  # what else lies in the folders
+        warnings.simplefilter("ignore")
+        found = list(_below(zarr.open(store, path=inner, mode="r"), ""))
+    if not found:
+        raise DataError(f"{name} must hold an array of numbers with two axes or more; it holds none")
+    return sorted(found, key=lambda image: image.labels)
+
+
+def _store(source: Path | str, options: Mapping[str, Any] | None = None, watched: bool = False) -> tuple[Any, str, str]:
+    """What zarr reads, the place in it of the array or group, and its name for messages."""
     try:
-        import zarr
-        from zarr.storage import LocalStore, ZipStore
+        import zarr  # noqa: F401  # and not only what may have been imported of it
+        from zarr.storage import FsspecStore, LocalStore, ZipStore
     except ImportError as error:
         raise MissingDependencyError("Zarr needs zarr: pip install clvol[microscopy]") from error
-    root = path.resolve()
+    checked = _checked()
+    if isinstance(source, str):
+        name = source.rstrip("/").rpartition("/")[2] or source
+        try:
+            found = FsspecStore.from_url(source, storage_options=dict(options or {}), read_only=True)
+        except ImportError as error:
+            raise MissingDependencyError(f"{source} needs {error.name or 'fsspec'}: pip install fsspec s3fs aiohttp") from error
+        return checked(found, None, name, watched), "", name
+    if source.is_dir():
+        return checked(LocalStore(source, read_only=True), source.resolve(), source.name, watched), "", source.name
+    return checked(ZipStore(source, mode="r"), source, source.name, watched), _inside(source), source.name
 
-    class OwnFiles(LocalStore):
-        """The files below the folder: zarr takes what is no file for a chunk that is not stored, and waits for pipes."""
 
-        async def get(self, key: str, *args: Any, **options: Any) -> Any:
-            _require_own_file(root, key)
-            return await super().get(key, *args, **options)
+@cache
+def _checked() -> Any:
+    """The class of stores that zarr reads, which look at what is read; zarr is imported for it."""
+    from zarr.storage import WrapperStore
 
-        def get_sync(self, key: str, *args: Any, **options: Any) -> Any:
-            _require_own_file(root, key)
-            return super().get_sync(key, *args, **options)
+    class Checked(WrapperStore[Any]):
+        """A store in which what is there must be whole, and what is not there must have a value by the format.
 
-    folder = path.is_dir()
-    inner = "" if folder else _inside(path)
-    with closing(OwnFiles(path, read_only=True) if folder else ZipStore(path, mode="r")) as store:
-        with warnings.catch_warnings():  # what else lies in the folders
-            warnings.simplefilter("ignore")
-            found = list(_below(zarr.open(store, path=inner, mode="r"), ""))
-        if not found:
-            raise DataError(f"{path.name} must hold an array of numbers with two axes or more; it holds none")
-        yield sorted(found, key=lambda image: image.labels)
+        zarr takes what is no file for a chunk that is not stored, and waits for pipes; it takes zeros for chunks that are not there
+        and have no fill value. Where it is `watched`, what is read twice must be the same twice.
+
+        Parameters
+        ----------
+        store : zarr.abc.store.Store
+        root : Path or None
+            The folder or the archive; None: it is far away.
+        name : str
+            For messages.
+        watched : bool
+        """
+
+        def __init__(self, store: Any, root: Path | None = None, name: str = "", watched: bool = False) -> None:
+            super().__init__(store)
+            self.root, self.name, self.watched = root, name, watched
+            self.required: set[str] = set()  # arrays whose chunks have no other value
+            self._seen: dict[str, Signature] = {}
+
+        def _with_store(self, store: Any) -> Checked:
+            return type(self)(store, self.root, self.name, self.watched)
+
+        async def get(self, key: str, prototype: Any = None, byte_range: Any = None) -> Any:
+            if self.root is not None:
+                self.look(key)
+            found = await self._store.get(key, prototype, byte_range)
+            if found is not None and not len(found):
+                raise FormatError(f"{self.name} must hold whole chunks; {key} is empty")
+            if found is None and key.rpartition("/")[2] not in _ABOUT:
+                array = next((one for one in self.required if key.startswith(one)), None)
+                if array is not None:
+                    raise FormatError(f"{self.name} must hold all chunks of an array without a fill value; {key} is missing")
+            return found
+
+        async def get_partial_values(self, prototype: Any, key_ranges: Any) -> Any:
+            return [await self.get(key, prototype, byte_range) for key, byte_range in key_ranges]
+
+        def look(self, key: str) -> None:
+            """Raise if a file is none of its own, or another than it was."""
+            assert self.root is not None
+            if self.root.is_dir():
+                _require_own_file(self.root, key)
+                file = self.root / key
+            else:
+                file, key = self.root, ""
+            if self.watched:
+                now = signature(file)
+                if self._seen.setdefault(key, now) != now:
+                    raise FormatError(f"{self.name} has changed since it was opened ({key or 'the archive'}); open it again")
+                if len(self._seen) > _WATCHED:
+                    del self._seen[next(iter(self._seen))]
+
+    return Checked
+
+
+class _Chunked:
+    """Reads parts of an array, and names the chunk that cannot be read."""
+
+    def __init__(self, source: str, array: Any, store: Any) -> None:
+        self._source, self._array, self._store = source, array, store
+        self._asked = time.monotonic()
+        _require_fill(array)
+
+    def __call__(self, index: Index) -> NDArray[Any]:
+        self._require_the_same()
+        try:
+            return np.asarray(self._array[index])
+        except (ClvolError, MemoryError):
+            raise
+        except Exception as error:
+            message = str(error) or type(error).__name__
+            raise FormatError(f"cannot read chunk {self._key_of_damaged(index)} of {self._source}: {message}") from error
+
+    def _require_the_same(self) -> None:
+        """Raise if the array's metadata are others by now: at each read of a folder, at times of what is far away."""
+        array, store = self._array, self._store
+        if store.root is not None:
+            names = ("zarr.json",) if array.metadata.zarr_format == 3 else (".zarray",)
+            for name in names:
+                store.look(f"{array.path}/{name}".lstrip("/"))
+            return
+        now = time.monotonic()
+        if now - self._asked < _SECONDS:
+            return
+        self._asked = now
+        import zarr
+
+        try:
+            same = zarr.open_array(store, path=array.path, mode="r").metadata == array.metadata
+        except Exception as error:
+            raise FormatError(f"cannot read {self._source} any more: {error or type(error).__name__}") from error
+        if not same:
+            raise FormatError(f"{self._source} has changed since it was opened ({array.path or '.'}); open it again")
+
+    def _key_of_damaged(self, index: Index) -> str:
+        """The key of the first chunk (of shards: of the shard) among those at an index that cannot be read by itself."""
+        array = self._array
+        box = [range(n)[at] if isinstance(at, slice) else range(at, at + 1) for n, at in zip(array.shape, index, strict=True)]
+        stored = array.shards or array.chunks
+        places = [range(part[0] // n, part[-1] // n + 1) for part, n in zip(box, stored, strict=True)]
+        for at in itertools.islice(itertools.product(*places), _TRIED):
+            one = tuple(
+                slice(max(part[0], i * n), min(part[-1] + 1, (i + 1) * n)) for part, i, n in zip(box, at, stored, strict=True)
+            )
+            try:
+                array[one]
+            except Exception:
+                return f"{array.path}/{array.metadata.encode_chunk_key(at)}".lstrip("/")
+        return f"{array.path or '.'} (one of several)"
+
+
+def _require_fill(array: Any) -> None:
+    """Have the store raise for chunks that are missing, if the array, of Zarr 2, has no value for them."""
+    if array.metadata.fill_value is None:
+        array.store_path.store.required.add(f"{array.path}/" if array.path else "")
+
+
+def _require_chunks(name: str, array: Any, store: Any) -> None:
+    """Raise if an array in a folder has no chunk at all, or chunks of nothing: it was not copied whole, or never written."""
+    if not all(array.chunks) or not all(array.shards or (1,)):
+        raise FormatError(f"{name} must have chunks that hold samples; those of {array.path or '.'} have the shape {array.chunks}")
+    if array.dtype.kind not in "biuf" or 0 in array.shape:
+        raise DataError(f"{name} must hold real numbers; {array.path or '.'} holds {array.dtype} of shape {array.shape}")
+    announce(name, sample_count(array.chunks) * array.dtype.itemsize)
+    if store.root is None or not store.root.is_dir():
+        return
+    folder = store.root / array.path
+    if all(entry.name in _ABOUT or entry.name.startswith(".") for entry in os.scandir(folder)):
+        raise FormatError(
+            f"{name} must hold samples; {array.path or '.'} has none of its chunks (clvol.read reads its fill value "
+            f"{array.fill_value} for all of them)"
+        )
 
 
 def _require_own_file(root: Path, key: str) -> None:
@@ -155,7 +359,7 @@ def _ome(node: Any) -> dict[str, Any]:
     return dict(attributes.get("ome", attributes))
 
 
-def _multiscale(source: str, image: _Image, level: int, choose: Choice) -> Content:
+def _multiscale(source: str, image: _Image, level: int, choose: Choice, load: Load) -> Content:
     multiscales = image.multiscales
     assert multiscales is not None
     array, about = image.level(level), _ome(image.node)
@@ -163,7 +367,8 @@ def _multiscale(source: str, image: _Image, level: int, choose: Choice) -> Conte
     axes = [axis if isinstance(axis, dict) else {"name": axis} for axis in given]
     words = [axis["type"] if axis.get("type") in ("time", "channel") else axis["name"] for axis in axes]
     channels = about.get("omero", {}).get("channels", [])
-    layout = lay_out(source, words, array.shape, ("channel",) if channels else ())
+    keep = [*("channel",) * bool(channels), *("z",) * (load is not _loaded)]  # what is read part by part has three axes
+    layout = lay_out(source, words, array.shape, keep)
     factors, shifts = [1.0] * array.ndim, [0.0] * array.ndim
     for step in (
         *multiscales["datasets"][level].get("coordinateTransformations", ()),
@@ -176,13 +381,33 @@ def _multiscale(source: str, image: _Image, level: int, choose: Choice) -> Conte
             shifts = [a + b for a, b in zip(shifts, step["translation"], strict=True)]
         elif step["type"] != "identity":
             raise FormatError(f"{source} must place its axes by a scale and a translation of {array.ndim} numbers; got {step}")
+    if any(factor < 0 for factor in factors):
+        raise FormatError(f"{source} must have scales that are positive; got {factors}")
     lines = {axis: (float(shift), float(factor)) for axis, factor, shift in zip(layout.axes, factors, shifts, strict=True)}
     units = {axis: str(one.get("unit") or "") for axis, one in zip(layout.axes, axes, strict=True)}
     known: dict[str, Any] = {"space": "image"} | place(layout, lines, units)
+    if len(channels) == 1 and "channel" not in layout.axes:
+        known |= _leading(Layout(("channel",), (1,)), channels).about([0])
+    own = dict(image.node.attrs).get(KEY, {})
+    if own and layout.axes == ("z", "y", "x"):  # clvol.pyramid wrote it
+        known |= _of_pyramid(own, known)
+        if load is not _loaded:
+            known["bounds"] = bounds_of(
+                image.node, own, multiscales["datasets"][level]["path"], array.shape[::-1], lambda one: _window(source, one)
+            )
     if image.labels:
         known["labels"] = _labels(about) or True
-    data, chosen = layout.chosen(source, choose, lambda index: _loaded(source, array, index), _leading(layout, channels))
+    data, chosen = layout.chosen(source, choose, lambda index: load(source, array, index), _leading(layout, channels))
     return data, known | chosen
+
+
+def _of_pyramid(own: Mapping[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
+    """What OME-Zarr has no place for: which way the axes go, and of what space they are."""
+    about: dict[str, Any] = {"space": own["space"]} if own.get("space") in SPACES else {"space": ""}
+    if "direction" in own:
+        direction = np.asarray(own["direction"], np.float64)
+        about |= {"direction": direction, "origin": (direction @ known["origin"]).tolist()}
+    return about
 
 
 def _leading(layout: Layout, channels: list[Mapping[str, Any]]) -> Leading:
@@ -213,6 +438,7 @@ def _loaded(source: str, array: Any, index: tuple[int | slice, ...] = ()) -> NDA
     """Samples of an array. Chunks that are not stored have its fill value, as Zarr has it; those that are must be whole."""
     chunk = sample_count(array.shards or array.chunks) * array.dtype.itemsize
     announce(source, max(chunk, bytes_at(array.shape, index, array.dtype)))
+    _require_fill(array)
     return np.asarray(array[index])
 
 
@@ -226,7 +452,7 @@ def _labels(about: Mapping[str, Any]) -> dict[int, str]:
     return names
 
 
-def _plain(source: str, image: _Image, choose: Choice) -> Content:
+def _plain(source: str, image: _Image, choose: Choice, load: Load) -> Content:
     """An array as it is; its axes by names, if it has them, and their coordinates, as xarray stores these."""
     array = image.node
     words = [str(name or "") for name in _dimensions(array)]
@@ -240,7 +466,7 @@ def _plain(source: str, image: _Image, choose: Choice) -> Content:
             lines[axis] = uniform(_loaded(source, values)) or (0.0, float("nan") if values.shape[0] > 1 else 1.0)
             units[axis] = str(values.attrs.get("units", ""))
     leading = layout.channels_of(array.dtype) if words[-1:] == ["channel"] and not named else None
-    data, chosen = layout.chosen(source, choose, lambda index: decoded(_loaded(source, array, index), dict(array.attrs)), leading)
+    data, chosen = layout.chosen(source, choose, lambda index: decoded(load(source, array, index), dict(array.attrs)), leading)
     return data, {"name": image.id.rpartition("/")[2].strip(".")} | place(layout, lines, units) | chosen
 
 

@@ -1,0 +1,143 @@
+"""What `clvol.pyramid` keeps beside the samples: minima and maxima of the function, and what else OME-Zarr has no place for."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import threading
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.errors import FormatError
+from clvol.lazy import Index
+
+__all__ = ["BLOCK", "KEY", "VERSION", "StoredBounds", "blocks_of", "bounds_of"]
+
+KEY = "clvol"
+"""The attribute of the image's group that says what there is, and the name of the group that holds it."""
+
+VERSION = 1
+BLOCK = 8
+"""Cells along an edge of the finest blocks."""
+
+_LOOKED_AT = 1 << 15  # blocks for one answer, about; of more, coarser ones are taken
+_KEPT = 1 << 6  # chunks of blocks, 256 KiB each
+
+
+def blocks_of(size: Sequence[int], block: int = BLOCK) -> tuple[int, ...]:
+    """Blocks along each axis of so many samples: those of the cells between them."""
+    return tuple(max(1, -(-(n - 1) // block)) for n in size)
+
+
+class StoredBounds:
+    """Bounds that lie in a store: read when they are asked for, and kept.
+
+    Parameters
+    ----------
+    arrays : sequence of array-like, shape (bz, by, bx, 2)
+        Minima and maxima in blocks, the finest first; each next one has blocks twice as large.
+    size : tuple of int
+        Samples of the volume along x, y and z.
+    filter, boundary : str
+        Whose function they bound.
+    value_range : (float, float)
+        The smallest and the largest sample.
+    block : int
+        Cells along an edge of the finest blocks.
+
+    Raises
+    ------
+    FormatError
+        They do not fit the volume.
+    """
+
+    def __init__(
+        self,
+        arrays: Sequence[Any],
+        size: Sequence[int],
+        filter: str,
+        boundary: str,
+        value_range: tuple[float, float],
+        block: int = BLOCK,
+    ) -> None:
+        for number, array in enumerate(arrays):
+            expected = (*blocks_of(size, block << number)[::-1], 2)
+            if tuple(array.shape) != expected or array.dtype.kind != "f":
+                raise FormatError(
+                    f"bounds must be floating and of shape {expected} for {' × '.join(map(str, size))} samples; "
+                    f"got {array.dtype} of shape {tuple(array.shape)}"
+                )
+        low, high = value_range
+        if not arrays or not (math.isfinite(low) and math.isfinite(high) and low <= high):
+            raise FormatError(f"bounds must have a range of values, and blocks; got {value_range} and {len(arrays)} sizes")
+        self.filter, self.boundary = filter, boundary
+        self.value_range = (float(low), float(high))
+        self._arrays, self._size, self._block = tuple(arrays), tuple(size), block
+        self._lock = threading.Lock()
+        self._kept: OrderedDict[tuple[int, ...], NDArray[Any]] = OrderedDict()
+
+    def __repr__(self) -> str:
+        return f"<bounds of {self.filter}, {self.boundary}: samples of {self.value_range[0]:g} to {self.value_range[1]:g}>"
+
+    def within(self, low: Index, high: Index) -> tuple[float, float]:
+        """The smallest and the largest value in the cells between samples `low` and `high`, or bounds of these.
+
+        The outer half cells of the domain belong to the cells beside them.
+        """
+        for number, array in enumerate(self._arrays):
+            edge = self._block << number
+            box = []
+            for begin, end, n in zip(low, high, array.shape[2::-1], strict=True):
+                first = min(max(0, begin // edge), n - 1)
+                box.append((first, max(first + 1, min(n, -(-end // edge)))))
+            if math.prod(last - first for first, last in box) <= _LOOKED_AT or number == len(self._arrays) - 1:
+                break
+        least, most = math.inf, -math.inf
+        for part in self._parts(number, box[::-1]):
+            a, b = float(part[..., 0].min()), float(part[..., 1].max())
+            least, most = (-math.inf, math.inf) if math.isnan(a) or math.isnan(b) else (min(least, a), max(most, b))
+        return least, most
+
+    def _parts(self, number: int, box: Sequence[tuple[int, int]]) -> list[NDArray[Any]]:
+        """What a box of blocks holds, chunk by chunk: [z, y, x, 2] each."""
+        array = self._arrays[number]
+        chunks = (getattr(array, "chunks", None) or array.shape)[:3]
+        found = []
+        for at in itertools.product(*(range(a // c, -(-b // c)) for (a, b), c in zip(box, chunks, strict=True))):
+            first = [i * c for i, c in zip(at, chunks, strict=True)]
+            with self._lock:
+                part = self._kept.get((number, *at))
+            if part is None:
+                part = np.asarray(array[tuple(slice(f, f + c) for f, c in zip(first, chunks, strict=True))])
+                with self._lock:
+                    self._kept[number, *at] = part
+                    while len(self._kept) > _KEPT:
+                        self._kept.popitem(last=False)
+            inside = (slice(max(0, a - f), b - f) for (a, b), f in zip(box, first, strict=True))
+            found.append(part[tuple(inside)])
+        return found
+
+
+def bounds_of(group: Any, about: Mapping[str, Any], path: str, size: Sequence[int], wrapped: Any) -> StoredBounds | None:
+    """Those of one size of an image, if `clvol.pyramid` made it; `wrapped` makes of an array one whose faults are named.
+
+    Raises
+    ------
+    FormatError
+        What the attributes say is not there.
+    """
+    if about.get("version") != VERSION:
+        return None
+    one = next((level for level in about.get("levels", ()) if level.get("path") == path), None)
+    if one is None or not one.get("bounds"):
+        return None
+    try:
+        arrays = [wrapped(group[name]) for name in one["bounds"]]
+        low, high = one["value_range"]
+        return StoredBounds(arrays, size, str(one["filter"]), str(one["boundary"]), (low, high), int(one["block"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise FormatError(f"the bounds of {path} must be what the attribute {KEY!r} says: {error!r}") from error

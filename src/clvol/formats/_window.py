@@ -1,0 +1,225 @@
+"""Samples of an array that are read when they are asked for, and files that are watched meanwhile."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.errors import FormatError
+
+__all__ = ["FlatFile", "Signature", "Window", "signature"]
+
+Index: TypeAlias = tuple[int | slice, ...]
+Signature: TypeAlias = tuple[int, int, int] | None
+"""By which a change of a file is noticed: when it was written, its size, and which file it is; None where there is none."""
+
+_SHARE = 4  # rows are read whole where this part of them, or more, is wanted
+
+
+def signature(path: str | os.PathLike[str]) -> Signature:
+    """That of a file now."""
+    try:
+        about = os.stat(path)  # noqa: PTH116  # at each read
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    return about.st_mtime_ns, about.st_size, about.st_ino
+
+
+class Window:
+    """Samples of an array at an index, in some order of its axes, none of which is read before it is asked for.
+
+    It is to readers of files what an array is, where these read nothing but what a caller wants: a shape, a dtype, slices.
+
+    Parameters
+    ----------
+    read : callable
+        The samples at an index of the array: a number or a slice, of step one, for each axis.
+    shape : tuple of int
+        Of the array.
+    dtype : dtype
+        Of the samples.
+    chunks : tuple of int, optional
+        Samples along each axis of the array that are stored together.
+    index : tuple of int or slice, optional
+        What it is a window of: whole axes, or a place along them; or the first samples of an axis.
+    """
+
+    def __init__(
+        self,
+        read: Callable[[Index], NDArray[Any]],
+        shape: Sequence[int],
+        dtype: np.dtype[Any],
+        chunks: Sequence[int] | None = None,
+        index: Index = (),
+    ) -> None:
+        self._read = read
+        self._index = (*index, *(slice(None) for _ in shape[len(index) :]))
+        self._ranges = [range(n)[at] if isinstance(at, slice) else None for n, at in zip(shape, self._index, strict=True)]
+        self._kept = [i for i, at in enumerate(self._ranges) if at is not None]
+        self._stored = tuple(chunks) if chunks is not None else None
+        self._whole = 0  # axes before z, y and x that are always read whole
+        self._steps: tuple[Callable[[NDArray[Any]], NDArray[Any]], ...] = ()
+        self.dtype = np.dtype(dtype).newbyteorder("=")
+
+    def transpose(self, order: Sequence[int]) -> Window:
+        """The same with its axes in another order."""
+        made = self._copy()
+        made._kept = [self._kept[i] for i in order]
+        return made
+
+    def mapped(self, function: Callable[[NDArray[Any]], NDArray[Any]], dtype: np.dtype[Any] | None = None) -> Window:
+        """What a function makes of the samples, one by one; its results are of `dtype`, or of that which it gives for zeros."""
+        made = self._copy()
+        made.dtype = np.dtype(dtype if dtype is not None else function(np.zeros((1,) * self.ndim, self.dtype)).dtype)
+        made._steps = (*self._steps, lambda part: np.asarray(function(part)).astype(made.dtype, copy=False))
+        return made
+
+    def combined(self, function: Callable[[NDArray[Any]], NDArray[Any]], several: int) -> Window:
+        """One volume that a function makes of several: those of the first axes."""
+        made = self._copy()
+        made._whole = several
+        result = function(np.zeros((*self.shape[:several], *(1,) * (self.ndim - several)), self.dtype))
+        made.dtype = result.dtype
+        made._steps = (*self._steps, function)
+        return made
+
+    def _copy(self) -> Window:
+        made = object.__new__(Window)
+        made.__dict__.update(self.__dict__)
+        return made
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """As the samples would have it as an array."""
+        return tuple(len(at) for i in self._kept if (at := self._ranges[i]) is not None)[self._whole :]
+
+    @property
+    def ndim(self) -> int:
+        """Axes."""
+        return len(self._kept) - self._whole
+
+    @property
+    def chunks(self) -> tuple[int, ...] | None:
+        """Samples along each axis that are stored together."""
+        if self._stored is None:
+            return None
+        return tuple(min(self._stored[i], n) for i, n in zip(self._kept[self._whole :], self.shape, strict=True))
+
+    def __getitem__(self, at: Any) -> NDArray[Any]:
+        wanted = list(at) if isinstance(at, tuple) else [at]
+        if Ellipsis in wanted:
+            gap = wanted.index(Ellipsis)
+            wanted[gap : gap + 1] = [slice(None)] * (self.ndim - len(wanted) + 1)
+        wanted += [slice(None)] * (self.ndim - len(wanted))
+        index, after = list(self._index), []
+        for i, one, n in zip(self._kept[self._whole :], wanted, self.shape, strict=True):
+            taken = range(n)[one] if isinstance(one, slice) else range(n)[one : one + 1 or None]
+            if not taken or taken.step < 1:
+                raise IndexError(f"slices must hold samples, with a step of 1 or more; got {one} of {n}")
+            first = self._ranges[i][0]  # type: ignore[index]  # of a kept axis
+            index[i] = slice(first + taken[0], first + taken[-1] + 1)
+            after.append(slice(None, None, taken.step) if isinstance(one, slice) else 0)
+        left = [i for i, one in enumerate(index) if isinstance(one, slice)]
+        part = self._read(tuple(index))
+        expected = tuple(one.stop - one.start if one.stop is not None else len(range(n)) for one, n in self._lengths(index))
+        if part.shape != expected:
+            raise FormatError(f"samples must come in the shape {expected}; got {part.shape}")
+        part = part.transpose([left.index(i) for i in self._kept])
+        part = part.astype(part.dtype.newbyteorder("="), copy=False)
+        for step in self._steps:
+            part = step(part)
+        return np.asarray(part[tuple(after)])
+
+    def _lengths(self, index: Sequence[int | slice]) -> list[tuple[slice, int]]:
+        return [
+            (one, len(whole))
+            for one, whole in zip(index, self._ranges, strict=True)
+            if isinstance(one, slice) and whole is not None
+        ]
+
+
+class FlatFile:
+    """An array whose samples follow each other in a file, read by its parts.
+
+    They are read and not mapped: should a mapped file shrink, or its disk vanish, touching the samples would kill the process where
+    reading raises an error; and what is mapped counts against limits of memory.
+
+    Parameters
+    ----------
+    path : Path
+    shape : tuple of int
+        Of the array, the last axis (the first, if `transposed`) varies fastest.
+    dtype : dtype
+        As stored.
+    offset : int
+        Bytes before the first sample.
+    transposed : bool
+        Whether the array is in Fortran's order.
+    """
+
+    def __init__(self, path: Path, shape: Sequence[int], dtype: np.dtype[Any], offset: int, transposed: bool = False) -> None:
+        self._path = path
+        self._shape = tuple(shape)[::-1] if transposed else tuple(shape)
+        self._transposed = transposed
+        self._dtype = np.dtype(dtype)
+        self._offset = offset
+        self._lock = threading.Lock()
+        self._signature = signature(path)
+        self._stream = path.open("rb", buffering=0)
+
+    def __call__(self, index: Index) -> NDArray[Any]:
+        """The samples at an index: for each axis a number or a slice of step one."""
+        if signature(self._path) != self._signature:
+            raise FormatError(f"{self._path.name} has changed since it was opened; open it again")
+        index = index[::-1] if self._transposed else index
+        box = [range(n)[at] if isinstance(at, slice) else range(at, at + 1) for n, at in zip(self._shape, index, strict=True)]
+        result = np.empty([len(part) for part in box], self._dtype)
+        self._fill(result, box, 0, 0)
+        result = result[tuple(slice(None) if isinstance(at, slice) else 0 for at in index)]
+        found = result.T if self._transposed else result
+        return found != 0 if self._dtype.kind == "b" else found  # any byte but 0 is true, yet NumPy expects 1
+
+    def _fill(self, into: NDArray[Any], box: list[range], axis: int, before: int) -> None:
+        """Read the part `box` of all axes from `axis` on; `before` samples lie before those of the axes before."""
+        inner = 1
+        for n in self._shape[axis + 1 :]:
+            inner *= n
+        whole = all(len(part) == n for part, n in zip(box[axis + 1 :], self._shape[axis + 1 :], strict=True))
+        wanted = into.size // max(1, into.shape[0]) if into.ndim else 1
+        if axis == len(self._shape) - 1 or whole:
+            self._read(into, before + box[axis][0] * inner)
+        elif wanted * _SHARE >= inner:  # one read of more than is wanted
+            rows = np.empty((len(box[axis]), *self._shape[axis + 1 :]), self._dtype)
+            self._read(rows, before + box[axis][0] * inner)
+            into[...] = rows[(slice(None), *(slice(part[0], part[-1] + 1) for part in box[axis + 1 :]))]
+        else:
+            for k, i in enumerate(box[axis]):
+                self._fill(into[k], box, axis + 1, before + i * inner)
+
+    def _read(self, into: NDArray[Any], first: int) -> None:
+        made = into if into.flags.c_contiguous else np.empty(into.shape, into.dtype)
+        view = memoryview(made.reshape(-1).view(np.uint8))  # type: ignore[arg-type]  # an array is one
+        at, done = self._offset + first * self._dtype.itemsize, 0
+        while done < len(view):
+            if hasattr(os, "preadv"):
+                count = os.preadv(self._stream.fileno(), [view[done:]], at + done)
+            else:
+                with self._lock:
+                    self._stream.seek(at + done)
+                    count = self._stream.readinto(view[done:]) or 0
+            if not count:
+                raise FormatError(f"{self._path.name} ends before byte {at + len(view)}, where samples should be")
+            done += count
+        if made is not into:
+            into[...] = made
+
+    def __del__(self) -> None:
+        with contextlib.suppress(AttributeError, OSError):
+            self._stream.close()

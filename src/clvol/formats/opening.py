@@ -1,0 +1,215 @@
+"""Opening volumes whose samples are read part by part: the metadata now, the samples when they are needed."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike
+
+from clvol.checks import as_path
+from clvol.errors import DataError, FormatError, GeometryError, OptionError
+from clvol.formats import FORMATS, Format, Limits, allowed, called, format_of, options_of
+from clvol.formats import zarr as zarr_format
+from clvol.formats._choice import Choice, Pick
+from clvol.formats._files import foreign_errors
+from clvol.interop import Content
+from clvol.lazy import LazyVolume
+from clvol.volume import Volume
+from clvol.volumes import Leading
+
+__all__ = ["WholeOnlyError", "open", "opened"]
+
+_OFF = 1.5  # samples of a level, by which its ends may lie beside those of the finest: shapes are rounded, and many writers have
+# the first samples of all levels in one place, though they are means
+
+
+def open(  # noqa: A001  # as files are opened: clvol.open
+    path: str | os.PathLike[str],
+    *,
+    volume: int | None = None,
+    time: int | None = None,
+    channel: int | str | None = None,
+    position: int | None = None,
+    series: int | str | None = None,
+    level: int | None = None,
+    shape: Sequence[int] | None = None,
+    dtype: DTypeLike | None = None,
+    spacing: Sequence[float] | None = None,
+    origin: Sequence[float] | None = None,
+    direction: ArrayLike | None = None,
+    byte_order: str | None = None,
+    offset: int = 0,
+    missing: float | None = None,
+    storage_options: Mapping[str, Any] | None = None,
+    trusted: bool = False,
+    limits: Limits | None = None,
+) -> LazyVolume:
+    """Open a volume to read it part by part: larger than memory, or far away.
+
+    Parameters
+    ----------
+    path : path-like or address
+        Zarr 2 and 3 and OME-Zarr (a folder or ``.zarr.zip``), TIFF, HDF5, netCDF-4 and Imaris, ``.npy``, and raw samples. Or the
+        address of a Zarr store: ``s3://...``, ``https://...``, ``memory://...`` and all else that fsspec knows.
+    volume, time, channel, position, series, shape, dtype, byte_order, offset : optional
+        As of `clvol.read`.
+    level : int, optional
+        The first of the sizes that are stored, 0 the largest, and the default. Those that follow become `LazyVolume.levels`.
+    spacing, origin, direction : optional
+        In place of what the file says of its largest size; the others lie where that does.
+    missing : float, optional
+        What stands for samples that are NaN or infinite; without it these are an error once they are read.
+    storage_options : mapping, optional
+        For an address, as of ``fsspec.open``: ``{"anon": True}`` for public buckets of S3.
+    trusted : bool, optional
+        Whether the file is known to be sound. What is not is looked through first in a process of its own, within `limits`: a file
+        whose metadata crash a library, or hang it, is an error. Samples are always decoded in this process, by zarr, tifffile and
+        h5py: `clvol.read` is for files of strangers.
+    limits : Limits, optional
+        What that may cost.
+
+    Returns
+    -------
+    LazyVolume
+        With all sizes that are stored, and with the `Bounds` that `clvol.pyramid` put beside them.
+
+    Warns
+    -----
+    ClvolWarning
+        As of `clvol.read`.
+
+    Raises
+    ------
+    FormatError
+        As of `clvol.read`; the format can only be read whole; the store holds no samples; sizes do not lie in one place.
+    DataError, GeometryError, OptionError, MissingDependencyError
+        As of `clvol.read`.
+
+    Notes
+    -----
+    A part that cannot be read is a `FormatError` that names its samples, and of Zarr the chunk. A chunk that is not stored has the
+    array's fill value, as Zarr has it; in an array that has none it is an error. A file that changes after it was opened, or a
+    chunk after it was first read, is an error too; of a store far away the metadata are compared, at most every ten seconds.
+
+    Examples
+    --------
+    >>> volume = clvol.open("brain.ome.zarr")
+    >>> part = volume.read((0, 0, 0), (64, 64, 64))
+    >>> volume = clvol.open("s3://bucket/cells.zarr", channel="DAPI", storage_options={"anon": True})
+    """
+    wanted = {"volume": volume, "time": time, "position": position, "channel": channel}
+    given = {"series": series, "level": level, "shape": shape, "dtype": dtype, "byte_order": byte_order, "offset": offset or None}
+    replaced = {"spacing": spacing, "origin": origin, "direction": direction}
+    choice = Choice({name: v for name, v in wanted.items() if v is not None})
+    held_to = allowed(trusted, limits)
+    if isinstance(path, str) and "://" in path:
+        chosen = next(one for one in FORMATS if one.read is zarr_format.read)
+        options = options_of(chosen, Path(path), given)
+        with foreign_errors(f"open {path}"):
+            contents = zarr_format.lazily(path, _Once(choice.given), **options, storage_options=storage_options)
+        return opened(path, contents, replaced, missing)
+    if storage_options is not None:
+        raise OptionError(f"storage_options are for addresses, as s3://bucket/cells.zarr; got the path {path}")
+    file = as_path(path)
+    chosen = format_of(file)
+    options = options_of(chosen, file, given)
+    lazily = chosen.lazily
+    if lazily is None:
+        raise _whole_only(file, chosen)
+    if held_to is not None and chosen.native:
+        called(chosen.name, chosen.native, file, held_to, _look, lazily, file, choice, options)
+    with foreign_errors(f"open {file}"):
+        contents = lazily(file, _Once(choice.given), **options)
+    if not contents:
+        raise _whole_only(file, chosen)
+    return opened(str(file), contents, replaced, missing)
+
+
+def _look(lazily: Callable[..., list[Content]], path: Path, choice: Choice, options: Mapping[str, Any]) -> None:
+    """Read the metadata once, where it does no harm."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # they are given to the caller when it is done again
+        lazily(path, choice, **options)
+
+
+class WholeOnlyError(FormatError):
+    """A file that can only be read as one."""
+
+
+def _whole_only(path: Path, chosen: Format) -> WholeOnlyError:
+    return WholeOnlyError(
+        f"{path} must be of a format that is read part by part; it is read as: {chosen.name}: clvol.read reads it whole, "
+        "clvol.pyramid makes a Zarr store of it"
+    )
+
+
+@dataclass(frozen=True)
+class _Once(Choice):
+    """Chooses the same of all sizes, and warns once."""
+
+    _made: list[tuple[Leading, Pick]] = field(default_factory=list)
+
+    def __call__(self, source: str, leading: Leading, guessed: str = "") -> Pick:
+        if not self._made:
+            self._made.append((leading, super().__call__(source, leading, guessed)))
+        first, pick = self._made[0]
+        if (first.axes, first.counts) != (leading.axes, leading.counts):
+            raise FormatError(f"{source} must hold the same volumes in all sizes; it holds {first} in one, {leading} in another")
+        return pick
+
+
+def opened(name: str, contents: Sequence[Content], replaced: Mapping[str, Any], missing: float | None) -> LazyVolume:
+    """A lazy volume of what readers give for each size."""
+    try:
+        volumes: list[LazyVolume] = []
+        for number, (data, about) in enumerate(contents):
+            known = {key: value for key, value in about.items() if key != "header"}
+            bound = known.pop("bounds", None)
+            if len(data.shape) == 2:
+                raise DataError(f"{name} holds an image of shape {data.shape}: clvol.read reads images")
+            own = {key: value for key, value in replaced.items() if value is not None}
+            if number and own:
+                own = _moved(contents[0][1], known, volumes[0].grid)
+            coarser = LazyVolume(data, **(known | own), missing=missing, bounds=bound)
+            if volumes:
+                _require_one_place(name, number, volumes[0], coarser)
+            volumes.append(coarser)
+        return volumes[0].with_levels(volumes[1:])
+    except DataError as error:
+        raise DataError(f"{name}: {error}") from error
+    except GeometryError as error:
+        raise GeometryError(f"{name}: {error}; spacing=, origin= or direction= replace what the file says") from error
+
+
+def _moved(base: Mapping[str, Any], about: Mapping[str, Any], moved: Volume) -> dict[str, Any]:
+    """Where a size lies, once the largest has been moved."""
+    grid = {key: base[key] for key in ("spacing", "origin", "direction") if key in base}
+    with np.errstate(all="ignore"):
+        ratio = np.divide(about["spacing"], base["spacing"]) if "spacing" in base else np.ones(3)
+    if not np.isfinite(ratio).all():
+        raise GeometryError("the sizes must have spacings, by which they lie in one place; got none")
+    first = Volume(moved.data, **grid).world_to_index(about.get("origin", (0.0, 0.0, 0.0)))
+    return {
+        "spacing": tuple(float(s * r) for s, r in zip(moved.spacing, ratio, strict=True)),
+        "origin": tuple(float(x) for x in moved.index_to_world(first)),
+        "direction": moved.direction,
+    }
+
+
+def _require_one_place(name: str, number: int, finest: LazyVolume, level: LazyVolume) -> None:
+    """Raise unless a level fills about the place that the finest does."""
+    first = finest.grid.world_to_index(level.grid.index_to_world(np.array([[-0.5] * 3, [n - 0.5 for n in level.size]])))
+    expected = np.array([[-0.5] * 3, [n - 0.5 for n in finest.size]])
+    step = np.divide(level.spacing, finest.spacing)
+    if not (np.abs(first - expected) <= _OFF * np.maximum(step, 1)).all():
+        raise FormatError(
+            f"{name} must have its sizes in one place; level {number}, of {' × '.join(map(str, level.size))} samples that lie "
+            f"{', '.join(f'{s:g}' for s in level.spacing)} apart, does not lie where level 0 does, of "
+            f"{' × '.join(map(str, finest.size))} that lie {', '.join(f'{s:g}' for s in finest.spacing)} apart"
+        )

@@ -1,0 +1,216 @@
+"""Minima and maxima of the function in blocks of cells, and its coefficients, by bricks with margins."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.boundary import Boundary, as_boundary
+from clvol.device import Device
+from clvol.errors import OptionError
+from clvol.filter import Filter
+from clvol.formats._bounds import BLOCK, blocks_of
+from clvol.multiscale.levels import FIXED, gathered, runs_of
+from clvol.spline.evaluator import DIRECT
+from clvol.spline.field import coefficients_of
+from clvol.spline.minmax import BLOCK as CELLS
+from clvol.spline.minmax import MinMax
+from clvol.volume import Volume
+
+__all__ = ["Bricks", "coarser", "outwards", "require_bounded"]
+
+_LEFT_OUT = 1e-9  # of the range, what samples beyond a brick's margin would change
+_APART = 1e-6  # of the range, by which functions of bricks may differ from one of a whole
+_BYTES = 16  # of a sample of a brick: samples, coefficients, and what the host holds of them
+_MIB = 1 << 20
+
+
+def require_bounded(filter: Filter, boundary: Boundary) -> None:
+    """Raise `OptionError` for a function that bricks do not have: hybrids, and boundary rules that have values of their own."""
+    if filter.magnified_by is not None:
+        raise OptionError(f"bounds and coefficients are of filters with one kernel; got the hybrid {filter.name!r}")
+    if boundary.period is None or boundary.outside not in ("rule", "clamp"):
+        raise OptionError(f"bounds and coefficients need a boundary rule that continues the samples; got {boundary.name!r}")
+
+
+def margin(filter: Filter) -> int:
+    """Samples around a brick that its function depends on."""
+    rows = [filter.along(axis) for axis in range(len(filter.smoothing) if isinstance(filter.smoothing, tuple) else 1)]
+    nearest = max((float(np.abs(row.poles).max(initial=0.0)) for row in rows if row.prefilter), default=0.0)
+    reach = math.ceil(math.log(_LEFT_OUT) / math.log(nearest)) if nearest > 0 else 0
+    return max(reach, filter.support) + filter.support + 1
+
+
+class Bricks:
+    """The bricks of one size of a volume.
+
+    Parameters
+    ----------
+    read : callable
+        Samples at three slices, [z, y, x].
+    size : tuple of int
+        Samples along x, y and z.
+    filter, boundary : Filter, Boundary
+        Of the function, as `require_bounded` lets through.
+    edge : int
+        Blocks along an edge of a brick.
+    device : Device
+
+    Attributes
+    ----------
+    count : tuple of int
+        Blocks along x, y and z.
+    """
+
+    def __init__(
+        self,
+        read: Callable[[tuple[slice, slice, slice]], NDArray[Any]],
+        size: Sequence[int],
+        filter: Filter,
+        boundary: Boundary,
+        edge: int,
+        device: Device,
+    ) -> None:
+        self._read, self._size, self._filter, self._boundary, self._device = read, tuple(size), filter, boundary, device
+        self.edge = edge
+        self.count = blocks_of(size)
+        # blocks of minmax.py begin where blocks of samples do, if the filter's cells lie between samples
+        halo = filter.support // 2 + 1 + 1
+        self._margin = margin(filter)
+        if filter.support % 2 == 0:
+            self._margin += -(self._margin + halo - filter.support // 2 + 1) % CELLS
+
+    @staticmethod
+    def edge_for(filter: Filter, budget: int) -> int:
+        """Blocks along an edge of bricks that a budget holds: 32, 16 or 8.
+
+        Raises
+        ------
+        OptionError
+            It does not hold the least.
+        """
+        for edge in (32, 16, 8):
+            needed = Bricks.bytes_of(filter, edge)
+            if needed <= (budget if edge == 8 else budget // 2):  # the other half for chunks that neighbours share
+                return edge
+        least = -(-needed // _MIB) + FIXED // _MIB
+        raise OptionError(
+            f"budget must hold a brick of {8 * BLOCK}³ samples and its margin, {least} MiB; got {(budget + FIXED) // _MIB} MiB"
+        )
+
+    @staticmethod
+    def bytes_of(filter: Filter, edge: int) -> int:
+        """What a brick takes while it is worked on."""
+        return int(_BYTES * (edge * BLOCK + 2 * margin(filter) + 8) ** 3)
+
+    def places(self) -> Iterator[tuple[tuple[int, int], ...]]:
+        """The blocks of each brick, from one to before another along x, y and z."""
+        spans = [[(a, min(a + self.edge, n)) for a in range(0, n, self.edge)] for n in self.count]
+        return ((x, y, z) for z, y, x in itertools.product(*spans[::-1]))
+
+    def bounds(
+        self, place: tuple[tuple[int, int], ...], kept: Callable[[tuple[slice, ...], NDArray[Any]], object] | None = None
+    ) -> tuple[NDArray[np.float64], tuple[float, float]]:
+        """Minima and maxima in the blocks of a brick, [z, y, x, 2], and those of its samples; `kept` is given its coefficients.
+
+        Those are rounded to nothing yet, and hold the function as any device of clvol evaluates it, of this brick or of one piece.
+        """
+        m = self._margin
+        own = [(a * BLOCK, min(b * BLOCK + 1, n)) for (a, b), n in zip(place, self._size, strict=True)]
+        taken = [self._places(a * BLOCK - m, b * BLOCK + m + 1, n) for (a, b), n in zip(place, self._size, strict=True)]
+        runs = [runs_of(one) for one in taken]
+        data = gathered(self._read, runs[::-1])
+        for axis, (one, run) in enumerate(zip(taken, runs, strict=True)):
+            at = np.searchsorted(np.concatenate([np.arange(*part) for part in run]), one)
+            if not np.array_equal(at, np.arange(data.shape[2 - axis])):
+                data = _taken(data, at, 2 - axis)
+        inside = data[tuple(slice(m, m + b - a) for a, b in own[::-1])]
+        value_range = float(inside.min()), float(inside.max())
+        volume = Volume(data)
+        spread = _APART * (float(data.max()) - float(data.min()))
+        with coefficients_of(volume, self._filter, as_boundary("mirror"), self._device) as coefficients:
+            if kept is not None:
+                kept(tuple(slice(a, b) for a, b in own[::-1]), self._inner(coefficients, own))
+            minmax = MinMax(coefficients, DIRECT)
+            try:
+                x, y, z = minmax.blocks
+                found = np.empty((z, y, x, 2), np.float32)
+                self._device.download(minmax.buffer, found)
+            finally:
+                minmax.release()
+            halo, stored = int(coefficients.extent[3]), coefficients.stored
+        for axis, (first, last) in enumerate(place):
+            found = self._merged(found, 2 - axis, first, last, halo)
+        values = np.asarray(stored.values(found) if not stored.identity else found, np.float64)
+        pad = np.where((found != 0).any(-1), spread, 0.0)  # nothing but zeros is nothing but zeros
+        values[..., 0] -= pad
+        values[..., 1] += pad
+        return values, value_range
+
+    def _places(self, first: int, last: int, n: int) -> NDArray[np.int64]:
+        """The samples that stand for those from `first` to before `last`, some past the outer ones."""
+        i = np.arange(first, last)
+        return np.clip(i, 0, n - 1) if self._boundary.outside == "clamp" else self._boundary.folded(i, n)
+
+    def _merged(self, found: NDArray[Any], axis: int, first: int, last: int, halo: int) -> NDArray[Any]:
+        """Blocks of `CELLS` cells of coefficients brought together in blocks of `BLOCK` cells between samples."""
+        n, begin = self._size[2 - axis], first * BLOCK - self._margin
+        shift = halo - self._filter.support / 2 + 1  # block b holds positions from CELLS b - shift on
+        rows = []
+        for block in range(first, last):
+            low = block * BLOCK - begin - 0.5 * (block == 0)
+            high = min((block + 1) * BLOCK, n - 1) - begin + 0.5 * ((block + 1) * BLOCK >= n - 1)
+            a, b = math.floor((low + shift) / CELLS), math.ceil((high + shift) / CELLS)
+            part = found[(slice(None),) * axis + (slice(max(a, 0), max(b, a + 1)),)]
+            rows.append(np.stack([part[..., 0].min(axis), part[..., 1].max(axis)], -1))
+        return np.stack(rows, axis)
+
+    def _inner(self, coefficients: Any, own: Sequence[tuple[int, int]]) -> NDArray[np.float32]:
+        """The coefficients of the brick's own samples, in units of the data."""
+        halo = int(coefficients.extent[3]) + self._margin
+        with self._device.mapped(coefficients.buffer, coefficients.shape, write=False) as room:
+            part = room[tuple(slice(halo, halo + b - a) for a, b in own[::-1])].copy()
+        stored = coefficients.stored
+        return np.asarray(part if stored.identity else stored.values(part), np.float32)
+
+
+def _taken(data: NDArray[Any], at: NDArray[Any], axis: int) -> NDArray[Any]:
+    """``np.take``, which is slow along the last axis: most of what is taken lies in a row."""
+    before: tuple[Any, ...] = (slice(None),) * axis
+    ends = np.flatnonzero(np.diff(at) != 1) + 1
+    spans = np.split(at, ends)
+    longest = int(np.argmax([len(span) for span in spans]))
+    first = sum(len(span) for span in spans[:longest])
+    last = first + len(spans[longest])
+    result = np.empty((*data.shape[:axis], len(at), *data.shape[axis + 1 :]), data.dtype)
+    result[(*before, slice(first, last))] = data[(*before, slice(int(at[first]), int(at[last - 1]) + 1))]
+    for part in (slice(0, first), slice(last, len(at))):
+        result[(*before, part)] = data[(*before, at[part])]
+    return result
+
+
+def outwards(values: NDArray[np.float64], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Minima rounded down and maxima rounded up."""
+    with np.errstate(over="ignore"):
+        made = values.astype(dtype)
+    low, high = made[..., 0], made[..., 1]
+    made[..., 0] = np.where(low > values[..., 0], np.nextafter(low, dtype.type(-np.inf)), low)
+    made[..., 1] = np.where(high < values[..., 1], np.nextafter(high, dtype.type(np.inf)), high)
+    return made
+
+
+def coarser(blocks: NDArray[Any]) -> NDArray[Any]:
+    """Two blocks along each axis brought together."""
+    for axis in range(3):
+        odd = blocks.shape[axis] % 2
+        if odd:
+            last = blocks[(slice(None),) * axis + (slice(-1, None),)]
+            blocks = np.concatenate([blocks, last], axis)
+        even, other = (blocks[(slice(None),) * axis + (slice(k, None, 2),)] for k in (0, 1))
+        blocks = np.stack([np.minimum(even[..., 0], other[..., 0]), np.maximum(even[..., 1], other[..., 1])], -1)
+    return blocks

@@ -1,0 +1,459 @@
+"""`clvol.open`: what is read part by part is what `clvol.read` reads whole, and what is not as it should be is an error."""
+
+from __future__ import annotations
+
+import functools
+import http.server
+import json
+import os
+import shutil
+import threading
+import time
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clvol
+from clvol import ClvolWarning
+from clvol.errors import ClvolError, DataError, FormatError, OptionError
+
+zarr = pytest.importorskip("zarr")
+
+DATA = np.random.default_rng(1).integers(0, 60000, (2, 3, 20, 30, 40)).astype(np.uint16)  # times, channels, z, y, x
+LOW, HIGH = (5, 11, 3), (33, 30, 18)
+PART = (slice(3, 18), slice(11, 30), slice(5, 33))
+
+
+def same(path: Path | str, parts: bool = True, **choice: Any) -> clvol.LazyVolume:
+    """Open what `clvol.read` reads, and compare all of it."""
+    with warnings.catch_warnings(action="ignore"):
+        lazy, whole = clvol.open(path, trusted=True, **choice), clvol.read(path, trusted=True, **choice)
+    assert (lazy.shape, lazy.spacing, lazy.units, lazy.name) == (whole.shape, whole.spacing, whole.units, whole.name)
+    assert (lazy.grid.origin, lazy.grid.space, lazy.grid.window, lazy.grid.color) == (
+        whole.origin,
+        whole.space,
+        whole.window,
+        whole.color,
+    )
+    np.testing.assert_array_equal(lazy.grid.direction, whole.direction)
+    assert lazy.grid.labels == whole.labels
+    np.testing.assert_array_equal(lazy.whole().data, whole.data)
+    if parts:
+        np.testing.assert_array_equal(lazy.read(LOW, HIGH), whole.data[PART])
+    return lazy
+
+
+@pytest.fixture(scope="module", params=["0.4", "0.5"])
+def cells(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An image of three sizes with labels, as ome-zarr writes it."""
+    with warnings.catch_warnings(action="ignore"):
+        pytest.importorskip("ome_zarr")
+        from ome_zarr.format import FormatV04, FormatV05
+        from ome_zarr.writer import write_image, write_labels
+
+        path = tmp_path_factory.mktemp(f"ome{request.param}") / "cells.zarr"
+        about: dict[str, Any] = {"fmt": {"0.4": FormatV04, "0.5": FormatV05}[request.param](), "scale_factors": [2, 4]}
+        channels = [
+            {"label": name, "color": color, "window": {"start": 0, "end": end, "min": 0, "max": 65535}, "active": True}
+            for name, color, end in (("DAPI", "0000FF", 100), ("GFP", "00FF00", 200), ("Cy5", "FF00FF", 300))
+        ]
+        write_image(
+            DATA,
+            str(path),
+            axes="tczyx",
+            name="cells",
+            scale={"z": 2.0, "y": 0.5, "x": 0.25},
+            axes_units=dict.fromkeys("zyx", "micrometer"),
+            omero={"channels": channels},
+            storage_options={"chunks": (1, 1, 8, 8, 8)},
+            **about,
+        )
+        write_labels(DATA[0, 0] // 20000, str(path), "nuclei", axes="zyx", **about)
+    return path
+
+
+def test_ome_zarr_with_all_its_sizes(cells: Path) -> None:
+    lazy = same(cells, time=1, channel="GFP")
+    assert lazy.chunks is not None
+    assert len(lazy.levels) == 2
+    for number, level in enumerate(lazy.levels, 1):
+        whole = clvol.read(cells, time=1, channel="GFP", level=number, trusted=True)
+        assert (level.spacing, level.grid.origin) == (whole.spacing, whole.origin)
+        np.testing.assert_array_equal(level.whole().data, whole.data)
+    assert len(clvol.open(cells, time=1, channel=1, level=1).levels) == 1
+    assert same(cells, series="labels/nuclei").is_labels
+    with pytest.warns(ClvolWarning, match="2 times × 3 channels") as told:
+        clvol.open(cells)
+    assert [one.category for one in told].count(ClvolWarning) == 1
+    with pytest.raises(OptionError, match="level must be 0 to 2"):
+        clvol.open(cells, level=3)
+
+
+def test_another_geometry_moves_all_sizes(cells: Path) -> None:
+    moved = clvol.open(cells, time=0, channel=0, spacing=(1, 1, 4), origin=(10, 20, 30), trusted=True)
+    assert moved.spacing == (1, 1, 4)
+    np.testing.assert_allclose(moved.levels[0].spacing, (2, 2, 4))
+    np.testing.assert_allclose(moved.levels[0].grid.origin, (10.5, 20.5, 30))
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_plain_arrays_of_any_order_and_chunks(tmp_path: Path, version: int) -> None:
+    for name, options in {
+        "chunks": {"chunks": (7, 9, 11)},
+        "big": {"chunks": (20, 30, 40)},
+        "shards": {"chunks": (5, 5, 10), "shards": (10, 15, 40)},
+    }.items():
+        if "shards" in options and version == 2:
+            continue
+        array = zarr.create_array(tmp_path / f"{name}.zarr", shape=(20, 30, 40), dtype=">i2", zarr_format=version, **options)
+        array[:] = DATA[0, 0].astype("i2")
+        assert same(tmp_path / f"{name}.zarr").chunks == options["chunks"][::-1]
+    zarr.create_array(tmp_path / "rgb.zarr", data=np.moveaxis(DATA[0], 0, -1).astype("u1"), zarr_format=version)
+    same(tmp_path / "rgb.zarr")  # the luminance
+    same(tmp_path / "rgb.zarr", channel=1)
+    store = zarr.storage.ZipStore(tmp_path / "v.zarr.zip", mode="w")
+    zarr.create_array(store, data=DATA[0, 0], zarr_format=version)
+    store.close()
+    same(tmp_path / "v.zarr.zip")
+
+
+def test_samples_that_are_scaled_or_missing(tmp_path: Path) -> None:
+    array = zarr.create_array(tmp_path / "v.zarr", data=DATA[0, 0])
+    array.attrs.update({"scale_factor": 0.5, "add_offset": 3, "_FillValue": int(DATA[0, 0, 4, 12, 6])})
+    with warnings.catch_warnings(action="ignore"):
+        whole = clvol.read(tmp_path / "v.zarr", trusted=True)
+    lazy = clvol.open(tmp_path / "v.zarr")
+    assert lazy.dtype == whole.data.dtype
+    with pytest.raises(DataError, match=r"NaN or infinite.*missing=value"):
+        lazy.read(LOW, HIGH)
+    filled = clvol.open(tmp_path / "v.zarr", missing=-1)
+    np.testing.assert_array_equal(filled.read(LOW, HIGH), np.nan_to_num(whole.data[PART], nan=-1))
+
+
+def stored(path: Any, **options: Any) -> Any:
+    array = zarr.create_array(path, shape=(20, 30, 40), chunks=(10, 10, 10), dtype="u2", **options)
+    array[:] = DATA[0, 0]
+    return array
+
+
+@pytest.mark.parametrize("compressors", ["auto", None])
+@pytest.mark.parametrize("content", [b"", b"damaged", None], ids=["empty", "damaged", "truncated"])
+def test_a_damaged_chunk_is_named(tmp_path: Path, compressors: str | None, content: bytes | None) -> None:
+    stored(tmp_path / "v.zarr", compressors=compressors)
+    chunk = tmp_path / "v.zarr" / "c" / "1" / "2" / "3"
+    chunk.write_bytes(chunk.read_bytes()[:100] if content is None else content)
+    lazy = clvol.open(tmp_path / "v.zarr", trusted=True)
+    np.testing.assert_array_equal(lazy.read((0, 0, 0), (30, 30, 20)), DATA[0, 0, :, :, :30])
+    with pytest.raises(FormatError, match=r"samples \[0:20, 0:30, 0:40\].*c/1/2/3"):
+        lazy.whole()
+
+
+def test_a_damaged_shard_is_named(tmp_path: Path) -> None:
+    array = zarr.create_array(tmp_path / "v.zarr", shape=(20, 30, 40), chunks=(5, 5, 5), shards=(10, 10, 10), dtype="u2")
+    array[:] = DATA[0, 0]
+    shard = tmp_path / "v.zarr" / "c" / "1" / "2" / "3"
+    whole = shard.read_bytes()
+    for content in (whole[: len(whole) // 2], whole[:-4] + b"\0\0\0\0", bytes(8) + whole[8:]):
+        shard.write_bytes(content)
+        lazy = clvol.open(tmp_path / "v.zarr", trusted=True)
+        with pytest.raises(FormatError, match=r"c/1/2/3"):
+            lazy.whole()
+
+
+def test_a_missing_chunk_has_the_fill_value_where_there_is_one(tmp_path: Path) -> None:
+    stored(tmp_path / "v.zarr", fill_value=7)
+    (tmp_path / "v.zarr" / "c" / "1" / "2" / "3").unlink()
+    lazy = clvol.open(tmp_path / "v.zarr", trusted=True)
+    assert (lazy.read((30, 20, 10), (40, 30, 20)) == 7).all()
+    stored(tmp_path / "w.zarr", zarr_format=2, fill_value=None)
+    (tmp_path / "w.zarr" / "1.2.3").unlink()
+    for read in (lambda: clvol.open(tmp_path / "w.zarr", trusted=True).whole(), lambda: clvol.read(tmp_path / "w.zarr")):
+        with pytest.raises(FormatError, match=r"1\.2\.3 is missing"):
+            read()
+
+
+def test_a_store_that_changes_is_noticed(tmp_path: Path) -> None:
+    array = stored(tmp_path / "v.zarr")
+    lazy = clvol.open(tmp_path / "v.zarr", trusted=True)
+    lazy.read((0, 0, 0), (10, 10, 10))
+    array[0, 0, 0] = 1
+    with pytest.raises(FormatError, match=r"c/0/0/0.*open it again"):
+        lazy.read((0, 0, 0), (5, 5, 5))
+    lazy.read((10, 10, 10), (20, 20, 20))  # not the others
+    array.attrs["resized"] = True
+    with pytest.raises(FormatError, match=r"zarr\.json.*open it again"):
+        lazy.read((10, 10, 10), (20, 20, 20))
+
+
+def ome(path: Path, shapes: list[tuple[int, ...]], scales: list[Any], **about: Any) -> Path:
+    """An image of these sizes, whose metadata say what they are given."""
+    datasets = [
+        {"path": str(i)} | ({"coordinateTransformations": [{"type": "scale", "scale": scale}]} if scale is not None else {})
+        for i, scale in enumerate(scales)
+    ]
+    multiscales = {"axes": [{"name": axis, "type": "space"} for axis in "zyx"], "datasets": datasets} | about
+    group = zarr.create_group(path, zarr_format=2, attributes={"multiscales": [multiscales]}, overwrite=True)
+    for i, shape in enumerate(shapes):
+        group.create_array(str(i), data=np.ones(shape, np.uint8))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("shapes", "scales", "match"),
+    [
+        ([(8, 8, 8), (4, 4, 4)], [[1, 1, 1], [4, 4, 4]], "sizes in one place"),
+        ([(8, 8, 8), (4, 4, 4)], [[1, 1, 1], [1, 1, 1]], "sizes in one place"),
+        ([(8, 8, 8), (4, 4, 4)], [[1, 1, 1], [-2, 2, 2]], "positive"),
+        ([(8, 8, 8), (4, 4, 4)], [[1, 1, 1], [0, 2, 2]], "spacing must be positive"),
+        ([(8, 8, 8), (4, 4, 4)], [[1, 1, 1], [float("nan"), 2, 2]], "positive|finite|spacing"),
+        ([(8, 8, 8), (4, 4, 4)], [[1, 1, 1], [2, 2]], "3 numbers"),
+        ([(8, 8, 8), (9, 4, 4)], [[1, 1, 1], [1, 2, 2]], "become smaller"),
+        ([(8, 8, 8), (4, 4)], [[1, 1, 1], [2, 2, 2]], "must hold"),
+        ([(2, 8, 8, 8)], [[1, 1, 1]], "must hold"),
+        ([(8, 8, 8)], [[1, 1, 1], [2, 2, 2]], "cannot"),
+        ([], [], "cannot"),
+    ],
+)
+def test_metadata_that_lie(tmp_path: Path, shapes: list[Any], scales: list[Any], match: str) -> None:
+    path = ome(tmp_path / "v.zarr", shapes, scales)
+    for trusted in (False, True):
+        with pytest.raises(ClvolError, match=match):
+            clvol.open(path, trusted=trusted)
+
+
+def test_shapes_tell_where_sizes_lie_before_0_4(tmp_path: Path) -> None:
+    lazy = clvol.open(ome(tmp_path / "v.zarr", [(8, 8, 8), (8, 4, 4)], [None, None]), trusted=True)
+    assert (lazy.levels[0].spacing, lazy.levels[0].grid.origin) == ((2, 2, 1), (0.5, 0.5, 0))
+
+
+def test_stores_without_samples(tmp_path: Path) -> None:
+    zarr.create_array(tmp_path / "v.zarr", shape=(20, 30, 40), chunks=(10, 10, 10), dtype="u2")
+    with pytest.raises(FormatError, match="none of its chunks"):
+        clvol.open(tmp_path / "v.zarr")
+    for changes in ({"chunks": [0, 10, 10]}, {"chunks": [10, 10]}, {"shape": [0, 30, 40]}, {"chunks": [10, -10, 10]}):
+        stored(tmp_path / "w.zarr", zarr_format=2, overwrite=True)
+        about = json.loads((tmp_path / "w.zarr" / ".zarray").read_text()) | changes
+        (tmp_path / "w.zarr" / ".zarray").write_text(json.dumps(about))
+        with pytest.raises(ClvolError, match=r"w\.zarr"):
+            clvol.open(tmp_path / "w.zarr").whole()
+    with pytest.raises(FormatError, match="no such file"):
+        clvol.open(tmp_path / "gone.zarr")
+    zarr.create_array(tmp_path / "flat.zarr", data=DATA[0, 0, 0])
+    with pytest.raises(DataError, match=r"clvol\.read reads images"):
+        clvol.open(tmp_path / "flat.zarr")
+
+
+# -- far away ----------------------------------------------------------------------------------------------------------
+
+
+class Slow(http.server.SimpleHTTPRequestHandler):
+    """Files of a folder, each a while after it was asked for; what fails is asked for in vain."""
+
+    delay, failing, asked, now, most = 0.02, "", 0, 0, 0
+
+    def do_GET(self) -> None:
+        own = type(self)
+        own.asked, own.now = own.asked + 1, own.now + 1
+        own.most = max(own.most, own.now)
+        time.sleep(self.delay)
+        own.now -= 1
+        if self.failing and self.path.endswith(self.failing):
+            self.send_error(500)
+        else:
+            super().do_GET()
+
+    def log_message(self, format: str, *args: Any) -> None:
+        pass
+
+
+@pytest.fixture
+def served(tmp_path: Path) -> Iterator[tuple[str, Path, type[Slow]]]:
+    """The address of a folder, the folder, and what answers."""
+    pytest.importorskip("aiohttp")
+    handler = type("Own", (Slow,), {})
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(handler, directory=tmp_path))
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    yield f"http://127.0.0.1:{server.server_port}", tmp_path, handler
+    server.shutdown()
+    server.server_close()
+    thread.join()
+
+
+def test_a_store_behind_http(served: tuple[str, Path, type[Slow]], cells: Path) -> None:
+    """The same code, and the same samples; only chunks that hold them are asked for."""
+    address, folder, handler = served
+    shutil.copytree(cells, folder / "cells.zarr")
+    near, far = (clvol.open(path, time=1, channel=2) for path in (cells, f"{address}/cells.zarr"))
+    assert (far.spacing, far.name, len(far.levels)) == (near.spacing, near.name, 2)
+    handler.asked = 0
+    np.testing.assert_array_equal(far.read((0, 0, 0), (9, 8, 8)), near.read((0, 0, 0), (9, 8, 8)))
+    assert handler.asked == 2
+    np.testing.assert_array_equal(far.whole().data, DATA[1, 2])
+    assert handler.most > 2, "chunks should not wait for each other"
+
+
+def test_faults_behind_http(served: tuple[str, Path, type[Slow]], monkeypatch: pytest.MonkeyPatch) -> None:
+    address, folder, handler = served
+    stored(folder / "v.zarr", fill_value=7)
+    (folder / "v.zarr" / "c" / "1" / "2" / "2").unlink()
+    (folder / "v.zarr" / "c" / "1" / "1" / "1").write_bytes(b"")
+    handler.failing = "c/0/0/0"
+    far = clvol.open(f"{address}/v.zarr")
+    assert (far.read((20, 20, 10), (30, 30, 20)) == 7).all()
+    for place, named in (((10, 10, 10), "c/1/1/1 is empty"), ((0, 0, 0), "chunk c/0/0/0 of v.zarr.*500")):
+        with pytest.raises(FormatError, match=named):
+            far.read(place, tuple(n + 10 for n in place))  # type: ignore[arg-type]  # three of them
+    monkeypatch.setattr("clvol.formats.zarr._SECONDS", 0.0)
+    far.read((30, 0, 0), (40, 10, 10))
+    stored(folder / "v.zarr", fill_value=8, overwrite=True)
+    with pytest.raises(FormatError, match=r"changed since it was opened"):
+        far.read((30, 0, 0), (40, 10, 10))
+    with pytest.raises(ClvolError, match=r"gone\.zarr"):
+        clvol.open(f"{address}/gone.zarr")
+    with pytest.raises(ClvolError, match="nowhere"):
+        clvol.open("nowhere://v.zarr")
+    with pytest.raises(OptionError, match="storage_options are for addresses"):
+        clvol.open(folder / "v.zarr", storage_options={})
+
+
+def test_a_store_in_fsspecs_memory() -> None:
+    stored(zarr.storage.FsspecStore.from_url("memory://clvol/v.zarr", read_only=False))
+    np.testing.assert_array_equal(clvol.open("memory://clvol/v.zarr").read(LOW, HIGH), DATA[0, 0][PART])
+
+
+# -- other formats -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+@pytest.mark.parametrize("dtype", ["uint16", ">f4", "bool"])
+def test_flat_samples(tmp_path: Path, order: Any, dtype: str) -> None:
+    """Of NumPy and raw, in boxes of any size: whole planes, whole rows, and narrow ones."""
+    data = DATA[0, 0].astype(dtype) if dtype != "bool" else DATA[0, 0] > 30000
+    np.save(tmp_path / "v.npy", np.asarray(data, order=order))
+    same(tmp_path / "v.npy")
+    lazy = clvol.open(tmp_path / "v.npy")
+    for part in (
+        (slice(2, 4), slice(0, 30), slice(0, 40)),
+        (slice(2, 9), slice(3, 4), slice(1, 40)),
+        (slice(7, 8), slice(0, 30), slice(39, 40)),
+    ):
+        np.testing.assert_array_equal(lazy.data[part], data[part])
+    data.tofile(tmp_path / "v.raw")
+    about: dict[str, Any] = {"shape": data.shape, "dtype": data.dtype}
+    same(tmp_path / "v.raw", **about)
+    np.save(tmp_path / "several.npy", DATA[0].astype("u2"))
+    same(tmp_path / "several.npy", volume=1)
+    with (tmp_path / "v.npy").open("r+b") as file:
+        file.truncate(3000)
+    with pytest.raises(FormatError, match=r"samples .*v\.npy has changed since it was opened"):
+        lazy.whole()
+    with pytest.raises(FormatError, match="must hold"):
+        clvol.open(tmp_path / "v.npy")
+
+
+TIFFS: dict[str, dict[str, Any]] = {
+    "plain": {},
+    "OME": {
+        "ome": True,
+        "metadata": {
+            "axes": "TCZYX",
+            "PhysicalSizeX": 0.25,
+            "PhysicalSizeY": 0.5,
+            "PhysicalSizeZ": 2.0,
+            "Channel": {"Name": ["a", "b", "c"]},
+        },
+    },
+    "ImageJ": {"imagej": True, "metadata": {"axes": "TZCYX", "spacing": 3.0, "unit": "um"}},
+    "deflate": {"compression": "zlib"},
+    "tiles": {"tile": (16, 16), "ome": True, "metadata": {"axes": "TCZYX"}},
+    "big-endian": {"byteorder": ">"},
+}
+
+
+@pytest.mark.parametrize("kind", TIFFS)
+def test_tiff(tmp_path: Path, kind: str) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    path = tmp_path / ("v.ome.tif" if TIFFS[kind].get("ome") else "v.tif")
+    options = {"photometric": "minisblack"} | TIFFS[kind]
+    several = "metadata" in options
+    data = DATA[0, 0] if not several else DATA.swapaxes(1, 2) if kind == "ImageJ" else DATA
+    tifffile.imwrite(path, np.ascontiguousarray(data), **options)
+    same(path, **({"time": 1, "channel": 2} if several else {}))
+
+
+def test_sizes_of_a_tiff(tmp_path: Path) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    with tifffile.TiffWriter(tmp_path / "v.ome.tif", ome=True) as file:
+        about = {"axes": "ZYX", "PhysicalSizeX": 0.5, "PhysicalSizeY": 0.5, "PhysicalSizeZ": 1.5}
+        file.write(DATA[0, 0][:, :28], subifds=1, tile=(16, 16), metadata=about, photometric="minisblack")
+        file.write(DATA[0, 0][:, :28:2, ::2], subfiletype=1, tile=(16, 16), photometric="minisblack")
+    with warnings.catch_warnings(action="ignore"):
+        lazy = same(tmp_path / "v.ome.tif", parts=False)
+        small = clvol.read(tmp_path / "v.ome.tif", level=1, trusted=True)
+    assert len(lazy.levels) == 1
+    np.testing.assert_array_equal(lazy.levels[0].whole().data, small.data)
+    assert (lazy.levels[0].spacing, lazy.levels[0].grid.origin) == (small.spacing, small.origin)
+    blob = (tmp_path / "v.ome.tif").read_bytes()
+    (tmp_path / "v.ome.tif").write_bytes(blob[:-50000])
+    with pytest.raises(ClvolError, match=r"v\.ome\.tif"):
+        clvol.open(tmp_path / "v.ome.tif")
+    with pytest.raises(FormatError, match="changed since it was opened"):
+        lazy.whole()
+
+
+def test_hdf5_and_netcdf(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "v.h5", "w") as file:
+        file.create_dataset("flat", data=DATA[0, 0])
+        packed = file.create_dataset("packed", data=DATA[0, 0], chunks=(10, 10, 10), compression="gzip", fletcher32=True)
+        packed.attrs["element_size_um"] = (3, 2, 1)
+        file.create_dataset("never", shape=(4, 5, 6), chunks=(2, 2, 2), dtype="u2")
+        place = packed.id.get_chunk_info_by_coord((10, 20, 30)).byte_offset
+    assert same(tmp_path / "v.h5", series="packed").chunks == (10, 10, 10)
+    same(tmp_path / "v.h5", series="flat")
+    with pytest.raises(FormatError, match="none were ever written"):
+        clvol.open(tmp_path / "v.h5", series="never")
+    before = clvol.open(tmp_path / "v.h5", series="packed", trusted=True)
+    with (tmp_path / "v.h5").open("r+b") as stream:
+        stream.seek(place + 20)
+        stream.write(b"damaged")
+    os.utime(tmp_path / "v.h5", ns=(1, 1))
+    with pytest.raises(FormatError, match="changed since it was opened"):
+        before.whole()
+    with pytest.raises(FormatError, match=r"samples \[0:20, 0:30, 0:40\].*chunk \(1, 2, 3\) of /packed in v\.h5"):
+        clvol.open(tmp_path / "v.h5", series="packed", trusted=True).whole()
+
+
+def test_sizes_of_imaris(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+
+    def text(word: str) -> Any:
+        return np.array(list(word), "S1")
+
+    with h5py.File(tmp_path / "v.ims", "w") as file:
+        for number, size in enumerate([(20, 30, 40), (10, 15, 20)]):
+            for channel in (0, 1):
+                group = file.create_group(f"DataSet/ResolutionLevel {number}/TimePoint 0/Channel {channel}")
+                stored = np.zeros((32, 32, 64), np.uint16)
+                stored[: size[0], : size[1], : size[2]] = DATA[0, channel, : size[0], : size[1], : size[2]]
+                group.create_dataset("Data", data=stored, chunks=(8, 16, 16))
+                group.attrs.update({f"ImageSize{axis}": text(str(n)) for axis, n in zip("ZYX", size, strict=True)})
+        image = file.create_group("DataSetInfo/Image")
+        image.attrs.update(
+            {f"ExtMin{i}": text("0") for i in range(3)} | {f"ExtMax{i}": text(str(n)) for i, n in enumerate((40, 30, 20))}
+        )
+    lazy = same(tmp_path / "v.ims", channel=1)
+    assert lazy.chunks == (16, 16, 8)
+    assert [level.shape for level in lazy.levels] == [(10, 15, 20)]
+    np.testing.assert_array_equal(lazy.levels[0].whole().data, DATA[0, 1, :10, :15, :20])
+
+
+def test_formats_without_parts_say_so(tmp_path: Path) -> None:
+    clvol.write(clvol.Volume(DATA[0, 0]), tmp_path / "v.npz")
+    with pytest.raises(FormatError, match=r"part by part.*NumPy archive: clvol\.read reads it whole, clvol\.pyramid makes a Zarr"):
+        clvol.open(tmp_path / "v.npz")
