@@ -47,9 +47,12 @@ def volume() -> clvol.Volume:
 
 def both(volume: clvol.Volume, filter: str, boundary: str, edge: int, *args: Any, **options: Any) -> tuple[Any, Any]:
     """A picture of the whole volume, and by bricks."""
-    with Renderer(volume, filter, boundary) as whole, BrickedField(volume, filter, boundary, edge=edge) as field:
-        with Renderer(field) as bricked:
-            return whole.render(*args, **options), bricked.render(*args, **options)
+    with (
+        Renderer(volume, filter, boundary) as whole,
+        BrickedField(volume, filter, boundary, edge=edge) as field,
+        Renderer(field) as bricked,
+    ):
+        return whole.render(*args, **options), bricked.render(*args, **options)
 
 
 @pytest.mark.one_in(6)

@@ -155,6 +155,11 @@ class Renderer:
         return self.scene.media[0].volume
 
     @property
+    def levels(self) -> tuple[BrickedField, ...]:
+        """The fields of those lower resolutions of a LazyVolume that pictures were made of."""
+        return tuple(self._levels.values())
+
+    @property
     def filter(self) -> Filter:
         """How the medium is reconstructed, with its smoothing as it was settled for the volume."""
         return self.field.filter
