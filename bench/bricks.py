@@ -16,6 +16,7 @@ import math
 import resource
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -106,7 +107,10 @@ def in_pieces(size: int) -> list[dict[str, Any]]:
     """Coefficients and a picture from samples in memory: by bricks beside one piece, in turns; and the picture once more."""
     volume = clvol.Volume(Shells(size)[:, :, :])
     lazy = clvol.LazyVolume(volume.data, limits=volume.value_range, labels=False)
-    kinds = {"one piece": lambda: clvol.Field(volume, "bspline3"), "bricks": lambda: BrickedField(lazy, "bspline3", budget=4 << 30)}
+    kinds: dict[str, Callable[[], Any]] = {
+        "one piece": lambda: clvol.Field(volume, "bspline3"),
+        "bricks": lambda: BrickedField(lazy, "bspline3", budget=4 << 30),
+    }
     rows = []
     for mode, options in (("isosurface", {"isovalue": _ISOVALUE}), ("composite", _VEILED), ("mip", _VEILED)):
         first: dict[str, list[float]] = {name: [] for name in kinds}
