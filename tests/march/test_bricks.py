@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import itertools
+import pickle
 from typing import Any
 
 import numpy as np
 import pytest
 
 import clvol
+import clvol.device
 from clvol.errors import OptionError, OutOfMemoryError
 from clvol.march.bricks import front_to_back, level_of, opacity_within
 from clvol.march.renderer import Renderer
@@ -123,14 +125,14 @@ def test_jumps_between_bricks_are_surfaces() -> None:
 
 def test_bricks_in_which_nothing_shows_are_not_read() -> None:
     z, y, x = np.ogrid[:128, :128, :128]
-    ball = np.clip(60 - np.sqrt((x - 20.0) ** 2 + (y - 20.0) ** 2 + (z - 20.0) ** 2) * 4, 0, 255).astype(np.uint8)
+    ball = np.clip(60 - np.sqrt((x - 15.0) ** 2 + (y - 15.0) ** 2 + (z - 15.0) ** 2) * 4, 0, 255).astype(np.uint8)
     data = Counted(ball)
     volume = clvol.LazyVolume(data, limits=(0, 60), labels=False, bounds=Known(ball))
     with BrickedField(volume, "linear", edge=32) as field, Renderer(field) as renderer:
         volume.sketch()
         before = data.read
         picture = renderer.render(CAMERAS["aslant"], "isosurface", (80, 80), isovalue=20)
-        assert field.reads.bricks <= 2  # of 64: the ball lies in the first
+        assert field.reads.bricks == 1  # of 64: the ball lies in the first
         assert data.read - before == field.reads.samples
         with Renderer(clvol.Volume(ball), "linear") as whole:
             np.testing.assert_array_equal(picture, whole.render(CAMERAS["aslant"], "isosurface", (80, 80), isovalue=20))
@@ -169,6 +171,76 @@ def test_what_is_hidden_is_not_read() -> None:
         assert field.reads.bricks == reads
 
 
+@pytest.mark.parametrize("filter", ["nearest", "bspline2-approx", "linear"])
+def test_an_eye_beside_a_face_between_bricks(filter: str) -> None:
+    volume = clvol.Volume(np.random.default_rng(3).random((40, 40, 40)).astype(np.float32))
+    camera = clvol.Camera.look_at((16.2, 16.3, 16.25), (30, 28, 25), fov=80)
+    whole, bricked = both(volume, filter, "mirror", 16, camera, "composite", (48, 32), transfer=BUMPY)
+    np.testing.assert_array_equal(bricked, whole)
+
+
+def test_a_jump_before_a_brick_is_seen_by_long_steps() -> None:
+    data = np.zeros((32, 32, 32), np.uint8)
+    data[:, :, 15:] = 60
+    camera = clvol.Camera.orbit(90, 0, fit="volume", projection="orthographic")
+    lazy = clvol.LazyVolume(data, limits=(0, 60), labels=False, bounds=Known(data))
+    options: dict[str, Any] = {"isovalue": 30, "method": "stepped", "step": 2.7}
+    with (
+        BrickedField(lazy, "linear", edge=16) as field,
+        Renderer(field) as bricked,
+        Renderer(clvol.Volume(data), "linear") as whole,
+    ):
+        for azimuth in (90, -90):
+            camera = clvol.Camera.orbit(azimuth, 0, fit="volume", projection="orthographic")
+            np.testing.assert_array_equal(
+                bricked.render(camera, "isosurface", (32, 32), **options), whole.render(camera, "isosurface", (32, 32), **options)
+            )
+
+
+def test_rays_of_wide_pixel_filters_with_tiles_of_one() -> None:
+    volume = clvol.Volume(np.random.default_rng(4).random((24, 24, 24)).astype(np.float32))
+    options: dict[str, Any] = {"samples": 16, "pixel_filter": "lanczos3", "transfer": BUMPY}
+    with clvol.device.as_device(None).limited(tile=(1, 1, 1, False)):
+        whole, bricked = both(
+            volume, "linear", "mirror", 8, clvol.Camera.orbit(20, 10, zoom=0.3, fit="volume"), "mip", (24, 24), **options
+        )
+    np.testing.assert_array_equal(bricked, whole)
+
+
+def test_levels_are_as_dense_and_lie_in_one_place() -> None:
+    """Opacities are those of the whole volume's voxels, and cameras are fitted to it."""
+    fine = np.full((40, 40, 40), 0.6, np.float32)
+    levels = [clvol.LazyVolume(fine[::2, ::2, ::2], (2, 2, 2), (0.5, 0.5, 0.5), limits=(0, 1))]
+    lazy = clvol.LazyVolume(fine, levels=levels, limits=(0, 1), labels=False)
+    thin = clvol.TransferFunction(((0, (1, 1, 1)), (1, (1, 1, 1))), ((0, 0.02), (1, 0.02)))
+    front = clvol.Camera.orbit(0, 0, fit="volume", projection="orthographic")
+    with Renderer(lazy, "linear") as renderer:
+        one, other = (renderer.render(front, "composite", (20, 20), transfer=thin, background=None, lod=lod) for lod in (0, 9))
+        assert [level.volume.shape for level in renderer.levels] == [(20, 20, 20)]
+    np.testing.assert_allclose(one, other, rtol=0, atol=1e-4)
+    assert one[10, 10, 3] == pytest.approx(1 - 0.98**40, abs=1e-4)
+
+
+def test_the_levels_of_a_renderer_share_a_budget() -> None:
+    data = waves(48, 48, 48)
+    levels = [clvol.LazyVolume(data[::n, ::n, ::n], (n, n, n), limits=(0, 1)) for n in (2, 3)]
+    lazy = clvol.LazyVolume(data, levels=levels, limits=(0, 1), labels=False)
+    with BrickedField(lazy, "linear", edge=16, budget=700_000) as field, Renderer(field) as renderer:
+        for _ in renderer.refine(CAMERAS["aslant"], "mip", (40, 40), lod=0):
+            assert field.nbytes + sum(level.nbytes for level in renderer.levels) <= 700_000
+
+
+def test_pickled_renderers_read_again() -> None:
+    data = waves(20, 20, 20)
+    with Renderer(clvol.LazyVolume(data, limits=(0, 1), labels=False), "linear") as renderer:
+        packed = pickle.dumps(renderer)
+        with pickle.loads(packed) as again:
+            picture = again.render(CAMERAS["parallel"], "mip", (16, 16))
+            np.testing.assert_array_equal(picture, renderer.render(CAMERAS["parallel"], "mip", (16, 16)))
+    assert picture.max() > 0
+    assert len(packed) < 2 * data.nbytes
+
+
 def test_the_picture_does_not_depend_on_the_budget(volume: clvol.Volume) -> None:
     pictures = []
     for budget in (1 << 20, 1 << 30):
@@ -178,10 +250,11 @@ def test_the_picture_does_not_depend_on_the_budget(volume: clvol.Volume) -> None
     np.testing.assert_array_equal(*pictures)
 
 
+@pytest.mark.parametrize("filter", ["linear", "nearest"])
 @pytest.mark.parametrize("view", CAMERAS)
-def test_no_brick_hides_one_before_it(volume: clvol.Volume, view: str) -> None:
+def test_no_brick_hides_one_before_it(volume: clvol.Volume, view: str, filter: str) -> None:
     camera = CAMERAS[view].view(volume)
-    with BrickedField(volume, "linear", edge=10) as field:
+    with BrickedField(volume, filter, edge=10) as field:
         order = {brick.at: i for i, brick in enumerate(front_to_back(field, camera))}
         assert len(order) == np.prod(field.counts)
         rng = np.random.default_rng(0)
@@ -193,7 +266,7 @@ def test_no_brick_hides_one_before_it(volume: clvol.Volume, view: str) -> None:
             t = np.linspace(0 if start is not None else -200, 300 if start is None else 3, 4000)
             index = volume.world_to_index(at + t[:, None] * way)
             inside = ((index > -0.5) & (index < np.asarray(volume.size) - 0.5)).all(1)
-            bricks = np.clip(np.floor(index[inside] / field.edge), 0, np.asarray(field.counts) - 1).astype(int)
+            bricks = np.clip(np.floor((index[inside] - field.away) / field.edge), 0, np.asarray(field.counts) - 1).astype(int)
             passed = [order[at] for at, _ in itertools.groupby(map(tuple, bricks.tolist()))]
             assert passed == sorted(passed)
 
@@ -249,6 +322,8 @@ def test_bad_input(volume: clvol.Volume) -> None:
     with BrickedField(volume, "linear", edge=16) as field, Renderer(field) as renderer:
         with pytest.raises(OptionError, match="step must be at most 3 for stepped surfaces"):
             renderer.render(mode="isosurface", method="stepped", step=4)
+        with pytest.raises(OptionError, match="step must be at most 3 for the depth and normals of matter"):
+            renderer.render(mode="composite", outputs="normal", step=4)
         with pytest.raises(OptionError, match="takes a volume that is in memory"):
             renderer.render(mode="isosurface", outputs="uncertainty")
         with pytest.raises(OptionError, match="bricks are read by direct taps"):
