@@ -57,7 +57,7 @@ def both(volume: clvol.Volume, filter: str, boundary: str, edge: int, *args: Any
         return whole.render(*args, **options), bricked.render(*args, **options)
 
 
-@pytest.mark.one_in(6)
+@pytest.mark.one_in(9)
 @pytest.mark.parametrize("view", CAMERAS)
 @pytest.mark.parametrize(("mode", "options"), MODES)
 @pytest.mark.parametrize("filter", ["linear", "nearest", "catmull-rom", "bspline3-approx"])
@@ -71,7 +71,7 @@ def test_to_the_last_bit_without_a_prefilter(
     assert whole["rgba"].max() > 0
 
 
-@pytest.mark.one_in(6)
+@pytest.mark.one_in(14)
 @pytest.mark.parametrize("boundary", ["mirror", "wrap", "nearest", "zero", "constant"])
 @pytest.mark.parametrize("filter", ["bspline3", "bspline3(0.1)", "bspline2", "hybrid"])
 @pytest.mark.parametrize(("mode", "options"), MODES)
