@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -13,7 +12,20 @@ from cyclopts import Parameter
 
 import clvol
 from clvol import display
-from clvol.cli.options import Boundary, DeviceName, FilterName, Input, Json, Output, Source, Whole, whole_numbers
+from clvol.cli.options import (
+    Boundary,
+    DeviceName,
+    FilterName,
+    Input,
+    Json,
+    Output,
+    Source,
+    Whole,
+    bytes_of,
+    is_address,
+    too_large,
+    whole_numbers,
+)
 from clvol.cli.root import DATA, command
 from clvol.cli.speech import print_json, progress, range_text, require_writable, say, table
 from clvol.errors import ClvolWarning, DataError, OptionError
@@ -336,7 +348,7 @@ def pyramid(
             bounds=bounds,
             coefficients=coefficients,
             version=ome,
-            budget=None if budget is None else _bytes(budget),
+            budget=None if budget is None else bytes_of(budget),
             overwrite=overwrite,
             device=device,
             progress=told,
@@ -352,11 +364,3 @@ def levels_of(volume: clvol.LazyVolume, as_json: bool) -> dict[str, Any]:
         "levels": sizes if as_json else ", ".join(display.numbers(size) for size in sizes),
         "bounds": (None if as_json else "none") if bounds is None else f"{bounds.filter}, {bounds.boundary}",
     }
-
-
-def _bytes(text: str) -> int:
-    """A number of bytes as people write it: 800M, 4G, 1.5GiB."""
-    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?\s*", text, re.IGNORECASE)
-    if found is None:
-        raise OptionError(f"budget must be a number of bytes, such as 800M or 4G; got {text!r}")
-    return int(float(found[1]) * 1024 ** " KMGT".index(found[2].upper() or " "))
