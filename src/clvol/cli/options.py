@@ -444,7 +444,6 @@ def own_options(look: Look, own: ModeOptions | None) -> dict[str, Any]:
 # -- the rest ------------------------------------------------------------------------------------------------
 
 
-
 def is_address(source: str | Path) -> bool:
     """Whether it is no file, but what fsspec finds."""
     return "://" in str(source)
@@ -461,7 +460,9 @@ def needed_by(volume: clvol.LazyVolume) -> int:
 
 
 # `Path` is there for the Tab key, which completes names of files; the text stays as it was given
-Source = Annotated[str | Path, Parameter(help="A volume file, a folder of slices, the address of a Zarr store, or phantom:NAME[:SIZE].")]
+Source = Annotated[
+    str | Path, Parameter(help="A volume file, a folder of slices, the address of a Zarr store, or phantom:NAME[:SIZE].")
+]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="Print what a program would read.")]
 Output = Annotated[Path, Parameter(name=["--output", "-o"], help="The file to write.")]
 PageOutput = Annotated[Path, Parameter(name=["--output", "-o"], help="A folder, or a file that ends in .html.")]
