@@ -78,6 +78,7 @@ def _listed(volume: clvol.Volume | clvol.LazyVolume, leading: Leading, as_json: 
     """What is known of a volume, and of the others in its file."""
     grid, looked, middle = _looked_at(volume)
     finite = looked is not None and (grid.data.dtype.kind != "f" or bool(np.isfinite(looked.data).all()))
+    known = looked is volume or not finite or grid.data.dtype.kind != "f"  # else samples are that nobody looked at
     noise = middle.noise if finite else None
     chosen = choose(middle) if finite else None
     isovalue, why = isovalue_of(looked) if finite and looked is not None else (None, "")
@@ -94,7 +95,7 @@ def _listed(volume: clvol.Volume | clvol.LazyVolume, leading: Leading, as_json: 
         **_range(volume, as_json),
         "window": grid.window if as_json else _window_text(grid),
         "labels": _labels(middle) if as_json else _labels_text(middle),
-        "finite": finite,
+        "finite": finite if known else None if as_json else "",
         "bytes": grid.data.nbytes,
         "noise": noise.kind if noise else None,
         "sigma": noise.sigma if noise else None,
