@@ -668,14 +668,16 @@ def files_read(world: World, random: Random) -> Any:
 
 @_deed(4)
 def stores(world: World, random: Random) -> Any:
-    """A pyramid is made, opened and read by parts."""
+    """A pyramid is made, opened, read by parts, and sampled by bricks."""
     volume = world.volumes["ct"]
     with world.own_folder() as folder:
         source = clvol.LazyVolume(volume.data, volume.spacing)
         clvol.pyramid(source, folder / "v.zarr", levels=2, chunks=16, method=_one(random, ["least-squares", "average"]))
         lazy = clvol.open(folder / "v.zarr", trusted=True)
         assert lazy.bounds is not None
-        return [*(one.whole().data for one in (lazy, *lazy.levels)), *lazy.bounds.within((0, 0, 0), (8, 8, 8))]
+        with clvol.BrickedField(lazy, edge=16) as field:
+            values = field(_points(lazy.grid, random, 50))
+        return [*(one.whole().data for one in (lazy, *lazy.levels)), *lazy.bounds.within((0, 0, 0), (8, 8, 8)), values]
 
 
 @_deed(6)

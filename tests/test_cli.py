@@ -517,6 +517,142 @@ def test_a_pyramid_of_a_file(clvol_command: Command) -> None:
     assert sorted(path.name for path in Path().iterdir()) == ["p.zarr", "v.npz", "v.zarr"]
 
 
+@pytest.fixture
+def ball(_in_folder: None) -> clvol.Volume:
+    """A small ball in a corner of much nothing, stored in ball.zarr in three sizes."""
+    pytest.importorskip("zarr")
+    z, y, x = np.ogrid[:72, :72, :72]
+    data = np.clip(200 - 4 * ((x - 18) ** 2 + (y - 18) ** 2 + (z - 18) ** 2), 0, None).astype(np.uint8)
+    volume = clvol.Volume(data, spacing=(2, 2, 2), units="mm")
+    clvol.pyramid(volume, "ball.zarr", filter="linear", chunks=24, levels=3)
+    return volume
+
+
+@pytest.mark.usefixtures("ball")
+def test_what_is_stored_in_several_sizes_is_drawn_by_bricks(clvol_command: Command) -> None:
+    own = ("render", "ball.zarr", "-o", "a.png", *SMALL, "--fit", "volume", "--mode", "isosurface")
+    done = clvol_command(*own, "--budget", "1M", "--lod", "0", "--json").json
+    assert {name: done[name] for name in ("filter", "level", "level_shape", "bricks")} == {
+        "filter": "linear",
+        "level": 0,
+        "level_shape": [72, 72, 72],
+        "bricks": 27,
+    }
+    assert 0 < done["bricks_read"] < 9  # those around the ball alone
+    camera = clvol.Camera.orbit(30, 20, fit="volume")
+    expected = clvol.render(clvol.open("ball.zarr"), camera, "isosurface", size=(16, 12), lod=0)
+    np.testing.assert_array_equal(iio.imread("a.png"), clvol.picture.to_bytes(expected)[..., :3])
+    told = clvol_command(*own).out  # a picture of 16 × 12 pixels has no use for all samples
+    assert "filter: linear\nmode: isosurface\nlevel: 2, 18 × 18 × 18\nbricks: 1 read, of 1\n" in told
+    clvol_command(*own, "--budget", "1K").fails(1, "--budget must be at least", "a brick of 32³ samples takes; got 1024")
+    clvol_command(*own, "--budget", "much").fails(1, "--budget must be", "800M or 4G; got 'much'")
+    clvol_command(*own, "--lod", "-1").fails(1, "--lod must be a finite number, at least 0; got -1.0")
+
+
+@pytest.mark.parametrize(
+    "options",
+    [("--level", "0"), ("--evaluator", "paired"), ("--mode", "isosurface", "--uncertainty", "u.png", "--filter", "bspline3")],
+)
+@pytest.mark.usefixtures("ball")
+def test_what_bricks_have_not_is_drawn_of_all_samples(clvol_command: Command, options: tuple[str, ...]) -> None:
+    assert "bricks" not in clvol_command("render", "ball.zarr", "-o", "a.png", *SMALL, *options, "--json").json
+
+
+@pytest.mark.parametrize("options", [("--by-bricks",), ("--by-bricks", "--mode", "mip")])
+def test_any_volume_is_drawn_by_bricks(clvol_command: Command, options: tuple[str, ...]) -> None:
+    drawn = {}
+    for name, own in (("whole.png", [o for o in options if o != "--by-bricks"]), ("bricks.png", options)):
+        told = clvol_command("render", "phantom:sphere:20", "-o", name, *SMALL, "--filter", "linear", *own)
+        assert (told.code, told.err) == (0, "")
+        assert ("bricks: 1 read, of 1" in told.out) is (own is options)
+        drawn[name] = iio.imread(name)
+    np.testing.assert_array_equal(drawn["whole.png"], drawn["bricks.png"])
+
+
+def test_what_does_not_fit_into_memory_is_drawn_by_bricks(
+    clvol_command: Command, ball: clvol.Volume, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    np.save("ball.npy", ball.data)
+    own = ("render", "ball.npy", "-o", "a.png", *SMALL, "--filter", "linear", "--json")
+    assert "bricks" not in clvol_command(*own).json
+    assert "bricks" not in clvol_command(*own, "--budget", "2M").json  # it takes 1.8
+    assert clvol_command(*own, "--budget", "1M").json["bricks"] == 27
+    monkeypatch.setattr("clvol.memory.available", lambda: 3 << 20)
+    assert clvol_command(*own).json["bricks_read"] > 0
+
+
+def test_info_reads_few_samples_of_what_is_large(
+    clvol_command: Command, ball: clvol.Volume, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = clvol_command("info", "ball.zarr")
+    assert (told.code, told.err) == (0, "")
+    assert "shape: 72 72 72\ndtype: uint8\nspacing: 2 2 2\n" in told.out
+    assert "\nvalue range: 0 200\n" in told.out
+    assert "\nlevels: 72 × 72 × 72, 36 × 36 × 36, 18 × 18 × 18\nbounds: linear, mirror, samples of 0 200\n" in told.out
+    clvol.pyramid(ball, "plain.zarr", bounds=False, chunks=24)
+    monkeypatch.setattr("clvol.lazy._SKETCHED", 20_000)
+    monkeypatch.setattr("clvol.lazy._PART", 24)
+    asked = []
+    read = clvol.LazyVolume.read
+    monkeypatch.setattr(
+        clvol.LazyVolume, "read", lambda volume, low, high: asked.append((volume.shape, low, high)) or read(volume, low, high)
+    )
+    told = clvol_command("info", "plain.zarr")
+    assert re.search(r"\nvalue range: \d+ \d+ \(estimated\)\n", told.out)
+    assert "\nbounds: none\n" in told.out
+    assert clvol_command("info", "plain.zarr", "--json").json["value_range_estimated"] is True
+    assert {(shape, high) for shape, _, high in asked} == {((72, 72, 72), (48, 48, 48)), ((18, 18, 18), (18, 18, 18))}
+
+
+def test_a_size_that_fits_is_looked_at(clvol_command: Command, ball: clvol.Volume, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown: list[Any] = []
+    monkeypatch.setattr("clvol.view.terminal.show_in_terminal", shown.append)
+    monkeypatch.setattr("clvol.memory.available", lambda: 1 << 20)
+    done = clvol_command("view", "ball.zarr", "--terminal")
+    assert done.err == "clvol: note: ball.zarr takes 1.78 MiB with its coefficients; shown is level 1, of 36 × 36 × 36 samples\n"
+    assert (shown[0].volume.shape, shown[0].volume.spacing) == ((36, 36, 36), (4, 4, 4))
+    assert shown[0].source == "clvol.read('ball.zarr', level=1)"
+    np.save("ball.npy", ball.data)
+    clvol_command("view", "ball.npy", "--terminal").fails(
+        1, "must fit into the 1 MiB", "it takes 1.78 MiB", "'clvol pyramid ball.npy"
+    )
+    monkeypatch.setattr("clvol.memory.available", lambda: 2 << 20)  # which held it before there were smaller sizes, too
+    assert clvol_command("view", "ball.npy", "--terminal").err == ""
+    assert shown[-1].volume.shape == (72, 72, 72)
+
+
+def test_what_is_far_away_is_drawn_listed_and_read(
+    clvol_command: Command, ball: clvol.Volume, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fsspec = pytest.importorskip("fsspec")
+    fsspec.filesystem("memory").put("ball.zarr", "/far/ball.zarr", recursive=True)
+    there = "memory://far/ball.zarr"
+    done = clvol_command("render", there, "-o", "a.png", *SMALL, "--lod", "0", "--json").json
+    assert (done["level"], done["bricks_read"]) == (0, 1)
+    assert "\nlevels: 72 × 72 × 72, " in clvol_command("info", there).out
+    assert clvol_command("convert", there, "-o", "near.npz").code == 0
+    np.testing.assert_array_equal(clvol.read("near.npz").data, ball.data)
+    shown: list[Any] = []
+    monkeypatch.setattr("clvol.view.terminal.show_in_terminal", shown.append)
+    assert clvol_command("view", there, "--level", "1", "--terminal").err == ""
+    assert shown[0].source == "clvol.open('memory://far/ball.zarr', level=1).whole()"
+    assert eval(shown[0].source, {"clvol": clvol}).shape == shown[0].volume.shape == (36, 36, 36)
+    clvol_command("convert", there, "-o", "b.npz", "--fill-nan", "smoothly").fails(1, "--fill-nan smoothly is for files")
+    clvol_command("render", "memory://far/none.zarr", "-o", "b.png").fails(1, "memory://far/none.zarr")
+
+
+@pytest.mark.parametrize("options", [(), ("--by-bricks",)])
+def test_missing_samples_of_a_store_are_refused_and_filled(clvol_command: Command, options: tuple[str, ...]) -> None:
+    zarr = pytest.importorskip("zarr")
+    data = np.random.default_rng(0).random((12, 12, 12), np.float32)
+    data[5, 6, 7] = np.nan
+    zarr.save("nan.zarr", data)
+    own = ("render", "nan.zarr", "-o", "a.png", *SMALL, *options)
+    clvol_command(*own).fails(1, "NaN", "--fill-nan VALUE")
+    assert clvol_command(*own, "--fill-nan", "0.5").code == 0
+    assert clvol_command(*own, "--fill-nan", "smoothly").code == 0
+
+
 def test_all_volumes_of_a_file_are_converted_and_resampled(clvol_command: Command, cells: np.ndarray) -> None:
     done = clvol_command("convert", "cells.ome.tif", "-o", "all.npz", "--volume", "all", "--json").json
     assert (done["shape"], done["dtype"]) == ([3, 2, 4, 5, 6], "uint8")

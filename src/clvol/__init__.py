@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from clvol.resizing import resize
     from clvol.response import frequency_response, prefilter_response
     from clvol.scene import Medium, Scene
+    from clvol.spline.bricked import BrickedField
     from clvol.spline.field import Field, magnify, prefilter, resample, sample
     from clvol.spline.scatter import adjoint
     from clvol.spline.warp import Warped, resample_series, warp
@@ -68,6 +69,7 @@ __all__ = [
     "Attenuated",
     "BSplineTransform",
     "Boundary",
+    "BrickedField",
     "Camera",
     "ClvolError",
     "ClvolWarning",
@@ -164,6 +166,7 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "resizing": "resize",
     "response": "frequency_response prefilter_response",
     "scene": "Medium Scene",
+    "spline.bricked": "BrickedField",
     "spline.field": "Field magnify prefilter resample sample",
     "spline.scatter": "adjoint",
     "spline.warp": "Warped resample_series warp",

@@ -133,6 +133,7 @@ class LazyVolume:
         self.levels = tuple(levels)
         self._lock = threading.RLock()
         self._limits = None if limits is None else _ends(limits)
+        self._given = limits is not None
         self._sketch: Volume | None = None
         self._part: Volume | None = None
         self.grid = Volume(
@@ -361,9 +362,19 @@ class LazyVolume:
                 if self.bounds is not None:
                     self._limits = self.bounds.value_range
                 else:
-                    few = math.prod(self.shape) <= _SMALL and self.chunks is None
-                    self._limits = (self.whole() if few else self.sketch()).value_range
+                    self._limits = (self.whole() if self._few else self.sketch()).value_range
             return self._limits
+
+    @property
+    def estimated(self) -> bool:
+        """Whether `limits` are those of the samples that were looked at: others may lie beyond."""
+        whole = math.prod(self.shape) <= 2 * _SKETCHED or self._few
+        return not (whole or self._given or self.bounds is not None)
+
+    @property
+    def _few(self) -> bool:
+        """Whether all samples are looked at for their range."""
+        return math.prod(self.shape) <= _SMALL and self.chunks is None
 
     @property
     def noise(self) -> Noise:

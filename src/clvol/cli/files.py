@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -13,12 +12,25 @@ from cyclopts import Parameter
 
 import clvol
 from clvol import display
-from clvol.cli.options import Boundary, DeviceName, FilterName, Input, Json, Output, Source, Whole, whole_numbers
+from clvol.cli.options import (
+    Boundary,
+    DeviceName,
+    FilterName,
+    Input,
+    Json,
+    Output,
+    Source,
+    Whole,
+    bytes_of,
+    is_address,
+    too_large,
+    whole_numbers,
+)
 from clvol.cli.root import DATA, command
 from clvol.cli.speech import print_json, progress, range_text, require_writable, say, table
 from clvol.errors import ClvolWarning, DataError, OptionError
 from clvol.files import require_suffix
-from clvol.formats import WRITTEN, format_of, series_of
+from clvol.formats import WRITTEN, series_of
 from clvol.histogram import isovalue_of
 from clvol.smoothing import choose
 from clvol.volume import SPACES
@@ -33,10 +45,17 @@ _LONGEST = 40  # letters of an entry of a header that is shown
 def info(source: Source, /, *, input: Input | None = None, json: Json = False) -> None:
     """Show what a volume file holds, its noise, and what is chosen by it: the surface's threshold, the smoothing of "auto".
 
-    Of a file or folder with several images the list alone is shown, until --series says which.
+    Of a file or folder with several images the list alone is shown, until --series says which. Of what is stored in several sizes,
+    lies at an address, or does not fit into memory, few samples are read.
     """
     reader = input or Input()
-    images = () if reader.chooses() or str(source).startswith("phantom:") else series_of(source, trusted=reader.trusted)
+    listed = not (reader.chooses() or str(source).startswith("phantom:") or is_address(source))
+    images = series_of(source, trusted=reader.trusted) if listed else ()
+
+    def wanted(lazy: clvol.LazyVolume) -> bool:
+        several = reader.level is None and (bool(lazy.levels) or lazy.bounds is not None)
+        return several or too_large(lazy)
+
     if len(images) > 1:
         rows = [[str(n), image.id, display.numbers(image.shape), image.text] for n, image in enumerate(images)]
         if json:
@@ -45,57 +64,77 @@ def info(source: Source, /, *, input: Input | None = None, json: Json = False) -
             print(f"{source} holds {len(images)} images; choose one by --series")
             table(["number", "series", "samples", "what it is"], rows)
         return
-    leading = reader.leading(source)
+    far = is_address(source)  # whose axes are not counted: what was chosen is a note
+    leading = Leading() if far else reader.leading(source)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ClvolWarning)  # what there is, is said below
-        volume = reader.read(source)
-        sizes = _sizes(reader, source, json)
-    say(json, _listed(volume, leading, json) | sizes)
+        if not far:
+            warnings.simplefilter("ignore", ClvolWarning)  # what there is, is said below
+        volume = reader.by_parts(source, wanted) or reader.read(source)
+        told = _listed(volume, leading, json)
+    say(json, told | (levels_of(volume, json) if isinstance(volume, clvol.LazyVolume) else {}))
 
 
-def _sizes(reader: Input, source: str | Path, as_json: bool) -> dict[str, Any]:
-    """Of a store with several sizes, or with bounds: these."""
-    if str(source).startswith("phantom:") or reader.level or "level" not in format_of(Path(source)).options:
-        return {}
-    lazy = reader.open(source)
-    if not isinstance(lazy, clvol.LazyVolume) or not (lazy.levels or lazy.bounds):
-        return {}
-    return levels_of(lazy, as_json)
-
-
-def _listed(volume: clvol.Volume, leading: Leading, as_json: bool) -> dict[str, Any]:
+def _listed(volume: clvol.Volume | clvol.LazyVolume, leading: Leading, as_json: bool) -> dict[str, Any]:
     """What is known of a volume, and of the others in its file."""
-    finite = volume.data.dtype.kind != "f" or bool(np.isfinite(volume.data).all())
-    try:
-        value_range = list(volume.value_range if volume.data.dtype.kind == "f" else map(int, volume.limits))
-    except DataError:  # nothing is finite
-        value_range = None
-    noise = volume.noise if finite else None
-    chosen = choose(volume) if finite else None
-    isovalue, why = isovalue_of(volume) if finite else (None, "")
+    grid, looked, middle = _looked_at(volume)
+    finite = looked is not None and (grid.data.dtype.kind != "f" or bool(np.isfinite(looked.data).all()))
+    known = looked is volume or not finite or grid.data.dtype.kind != "f"  # else samples are that nobody looked at
+    noise = middle.noise if finite else None
+    chosen = choose(middle) if finite else None
+    isovalue, why = isovalue_of(looked) if finite and looked is not None else (None, "")
     held = {"holds": _places(leading)} if as_json else {"holds": _several(leading), "channels": _channels(leading)}
     return held | {
-        "name": volume.name,
-        "shape": list(volume.shape),
-        "dtype": str(volume.data.dtype),
-        "spacing": list(volume.spacing),
-        "origin": list(volume.origin),
-        "direction": volume.direction.tolist(),
-        "units": volume.units,
-        "space": volume.space if as_json else _space_text(volume.space),
-        "value_range": value_range if as_json or value_range is None else range_text(*value_range),
-        "window": volume.window if as_json else _window_text(volume),
-        "labels": _labels(volume) if as_json else _labels_text(volume),
-        "finite": finite,
-        "bytes": volume.data.nbytes,
+        "name": grid.name,
+        "shape": list(grid.shape),
+        "dtype": str(grid.data.dtype),
+        "spacing": list(grid.spacing),
+        "origin": list(grid.origin),
+        "direction": grid.direction.tolist(),
+        "units": grid.units,
+        "space": grid.space if as_json else _space_text(grid.space),
+        **_range(volume, as_json),
+        "window": grid.window if as_json else _window_text(grid),
+        "labels": _labels(middle) if as_json else _labels_text(middle),
+        "finite": finite if known else None if as_json else "",
+        "bytes": grid.data.nbytes,
         "noise": noise.kind if noise else None,
         "sigma": noise.sigma if noise else None,
         "smoothing": list(chosen.values) if chosen else None,
         "reason": chosen.reason if chosen else "",
         "isovalue": isovalue if as_json or isovalue is None else f"{isovalue:.6g}, {why}",
         "isovalue_reason": why if as_json else "",
-        "header": {name: _plain(value) for name, value in volume.header.items()} if as_json else _header_text(volume.header),
+        "header": {name: _plain(value) for name, value in grid.header.items()} if as_json else _header_text(grid.header),
     }
+
+
+def _looked_at(volume: clvol.Volume | clvol.LazyVolume) -> tuple[clvol.Volume, clvol.Volume | None, clvol.Volume]:
+    """A volume's grid, and what of its samples is looked at: few of all of it, and those in the middle.
+
+    Of one that is in memory these are all; of one that has NaN or infinite samples, unless it is in memory, none.
+    """
+    if isinstance(volume, clvol.Volume):
+        return volume, volume, volume
+    try:
+        return volume.grid, volume.sketch(), volume.part()
+    except DataError:
+        return volume.grid, None, volume.grid
+
+
+def _range(volume: clvol.Volume | clvol.LazyVolume, as_json: bool) -> dict[str, Any]:
+    """The smallest and the largest sample, and whether that is no more than an estimate."""
+    grid = volume.grid if isinstance(volume, clvol.LazyVolume) else volume
+    kind: type[int | float] = float if grid.data.dtype.kind == "f" else int
+    try:
+        if isinstance(volume, clvol.LazyVolume):
+            ends, estimated = volume.limits, volume.estimated
+        else:
+            ends, estimated = volume.limits if kind is int else volume.value_range, False
+    except DataError:  # nothing is finite, or not all that was looked at
+        return {"value_range": None}
+    low, high = map(kind, ends)
+    if as_json:
+        return {"value_range": [low, high]} | ({"value_range_estimated": True} if estimated else {})
+    return {"value_range": range_text(low, high) + (" (estimated)" if estimated else "")}
 
 
 def _places(leading: Leading) -> dict[str, Any]:
@@ -336,7 +375,7 @@ def pyramid(
             bounds=bounds,
             coefficients=coefficients,
             version=ome,
-            budget=None if budget is None else _bytes(budget),
+            budget=None if budget is None else bytes_of(budget),
             overwrite=overwrite,
             device=device,
             progress=told,
@@ -348,15 +387,8 @@ def levels_of(volume: clvol.LazyVolume, as_json: bool) -> dict[str, Any]:
     """The sizes of a volume, and whose bounds are kept."""
     sizes = [list(one.shape) for one in (volume, *volume.levels)]
     bounds = volume.bounds
+    within = "" if as_json or bounds is None else f", samples of {range_text(*bounds.value_range)}"
     return {
         "levels": sizes if as_json else ", ".join(display.numbers(size) for size in sizes),
-        "bounds": (None if as_json else "none") if bounds is None else f"{bounds.filter}, {bounds.boundary}",
+        "bounds": (None if as_json else "none") if bounds is None else f"{bounds.filter}, {bounds.boundary}{within}",
     }
-
-
-def _bytes(text: str) -> int:
-    """A number of bytes as people write it: 800M, 4G, 1.5GiB."""
-    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?\s*", text, re.IGNORECASE)
-    if found is None:
-        raise OptionError(f"budget must be a number of bytes, such as 800M or 4G; got {text!r}")
-    return int(float(found[1]) * 1024 ** " KMGT".index(found[2].upper() or " "))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import re
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, make_dataclass, replace
 from pathlib import Path
@@ -12,7 +14,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import CoercionError, Group, Parameter, Token
 
 import clvol
-from clvol.errors import OptionError
+from clvol import memory
+from clvol.errors import DataError, FormatError, GeometryError, OptionError
+from clvol.formats import format_of
 from clvol.formats.opening import WholeOnlyError
 from clvol.look import look as look_of
 from clvol.mode import as_mode, every_option, mode_options
@@ -36,7 +40,12 @@ __all__ = [
     "Source",
     "SurfaceLook",
     "Whole",
+    "bytes_of",
+    "bytes_text",
+    "is_address",
+    "needed_by",
     "own_options",
+    "too_large",
     "whole_numbers",
 ]
 
@@ -50,6 +59,20 @@ def whole_numbers(_: object, tokens: Sequence[Token]) -> int | tuple[int, ...]:
         except ValueError:
             raise CoercionError(token=token, target_type=int) from None
     return numbers[0] if len(numbers) == 1 else tuple(numbers)
+
+
+def bytes_of(text: str) -> int:
+    """A number of bytes as people write it: 800M, 4G, 1.5GiB."""
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?\s*", text, re.IGNORECASE)
+    if found is None:
+        raise OptionError(f"budget must be a number of bytes, such as 800M or 4G; got {text!r}")
+    return int(float(found[1]) * 1024 ** " KMGT".index(found[2].upper() or " "))
+
+
+def bytes_text(nbytes: float) -> str:
+    """The same for people to read: 1.5 GiB."""
+    power = min(4, max(0, math.floor(math.log2(max(nbytes, 1)) / 10)))
+    return f"{nbytes / 1024**power:.3g} {('bytes', 'KiB', 'MiB', 'GiB', 'TiB')[power]}"
 
 
 def _whole_or(word: str) -> Callable[[object, Sequence[Token]], int | str]:
@@ -138,22 +161,62 @@ class Input:
 
     def read(self, source: str | Path) -> clvol.Volume:
         """The volume; of several, the one that was chosen."""
-        if self.volume == "all":
-            raise OptionError("--volume all is for resample and convert; give the number of one")
+        self._require_one()
+        if is_address(source):
+            return self._far(source).whole()
         if (phantom := self._phantom(source)) is not None:
             return phantom
         return self._filled(clvol.read(source, **self._given()))
 
     def open(self, source: str | Path) -> clvol.LazyVolume | clvol.Volume:
         """The volume, of which no samples are read yet if its file allows that; of several, the one that was chosen."""
+        self._require_one()
+        if is_address(source):
+            return self._far(source)
         if (phantom := self._phantom(source)) is not None:
             return phantom
         if isinstance(self.fill_nan, str):
             return self.read(source)
         try:
-            return clvol.open(source, **self._given(), missing=self.fill_nan)
+            return self._opened(source)
         except WholeOnlyError:
             return self.read(source)
+
+    def by_parts(self, source: str | Path, wanted: Callable[[clvol.LazyVolume], bool]) -> clvol.LazyVolume | None:
+        """The volume as `open` gives it, if it is far away, or `wanted` says so of what was opened; else None: it is to be read.
+
+        What cannot be opened is None too: `read` says what is wrong with it, or reads it nevertheless.
+        """
+        self._require_one()
+        if is_address(source):
+            return self._far(source)
+        if str(source).startswith("phantom:") or isinstance(self.fill_nan, str) or not format_of(Path(source)).lazily:
+            return None
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            try:
+                lazy = self._opened(source)
+            except (DataError, FormatError, GeometryError):
+                return None
+        if not wanted(lazy):
+            return None
+        for one in told:
+            warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
+        return lazy
+
+    def _opened(self, source: str | Path) -> clvol.LazyVolume:
+        assert not isinstance(self.fill_nan, str)  # which takes all samples
+        return clvol.open(source, **self._given(), missing=self.fill_nan)
+
+    def _far(self, source: str | Path) -> clvol.LazyVolume:
+        """What is at an address."""
+        if isinstance(self.fill_nan, str):
+            raise OptionError("--fill-nan smoothly is for files; give a value for what is at an address")
+        return self._opened(source)
+
+    def _require_one(self) -> None:
+        if self.volume == "all":
+            raise OptionError("--volume all is for resample and convert; give the number of one")
 
     def read_all(self, source: str | Path) -> clvol.Volumes:
         """All volumes; of those axes for which one is chosen, only that one."""
@@ -170,7 +233,11 @@ class Input:
         given = self._given()
         if str(source).startswith("phantom:"):
             return None if given else f"clvol.phantoms.by_name({str(source).removeprefix('phantom:')!r})"
+        if is_address(source):
+            given |= {} if self.fill_nan is None else {"missing": self.fill_nan}
         arguments = "".join(f", {name}={value!r}" for name, value in given.items())
+        if is_address(source):
+            return f"clvol.open({str(source)!r}{arguments}).whole()"
         filled = "" if self.fill_nan is None else f".filled({'' if self.fill_nan == 'smoothly' else self.fill_nan})"
         return f"clvol.read({str(source)!r}{arguments}){filled}"
 
@@ -376,8 +443,26 @@ def own_options(look: Look, own: ModeOptions | None) -> dict[str, Any]:
 
 # -- the rest ------------------------------------------------------------------------------------------------
 
+
+def is_address(source: str | Path) -> bool:
+    """Whether it is no file, but what fsspec finds."""
+    return "://" in str(source)
+
+
+def too_large(volume: clvol.LazyVolume, room: float | None = None) -> bool:
+    """Whether samples and coefficients need more than `room`, by default half of the memory that is available."""
+    return needed_by(volume) > (memory.available() / 2 if room is None else room)
+
+
+def needed_by(volume: clvol.LazyVolume) -> int:
+    """Bytes of the samples, and of their coefficients."""
+    return volume.nbytes + 4 * math.prod(volume.shape)
+
+
 # `Path` is there for the Tab key, which completes names of files; the text stays as it was given
-Source = Annotated[str | Path, Parameter(help="A volume file, a folder of slices, or phantom:NAME[:SIZE].")]
+Source = Annotated[
+    str | Path, Parameter(help="A volume file, a folder of slices, the address of a Zarr store, or phantom:NAME[:SIZE].")
+]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="Print what a program would read.")]
 Output = Annotated[Path, Parameter(name=["--output", "-o"], help="The file to write.")]
 PageOutput = Annotated[Path, Parameter(name=["--output", "-o"], help="A folder, or a file that ends in .html.")]

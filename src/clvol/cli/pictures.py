@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
-from cyclopts import Parameter
+from cyclopts import Group, Parameter
 
 import clvol
+from clvol import display, memory
 from clvol.cli import speech
 from clvol.cli.options import (
     Compared,
@@ -27,7 +29,9 @@ from clvol.cli.options import (
     Source,
     SurfaceLook,
     Whole,
+    bytes_of,
     own_options,
+    too_large,
 )
 from clvol.cli.root import PICTURES, command
 from clvol.errors import OptionError
@@ -35,9 +39,11 @@ from clvol.march.uncertainty import COVERAGE, in_words
 from clvol.mode import as_mode
 from clvol.picture import heat, heat_with_scale
 from clvol.smoothing import filter_for
+from clvol.spline.bricked import BUDGET, BrickedField, as_lazy
 
 __all__ = ["compare", "figure", "figure6", "render", "report"]
 
+_BRICKS = Group("Of what is read by bricks: large, far away, or stored in several sizes", sort_key=5)
 _COMPARED = 20_000  # gradients that a table of errors compares
 
 
@@ -55,10 +61,16 @@ def render(
     own: ModeOptions | None = None,
     heat_map: Path | None = None,
     uncertainty: Path | None = None,
+    by_bricks: Annotated[bool, Parameter(negative="", group=_BRICKS)] = False,
+    budget: Annotated[str | None, Parameter(show_default=False, group=_BRICKS)] = None,
+    lod: Annotated[float | Literal["auto"], Parameter(group=_BRICKS)] = "auto",
     verbose: Annotated[bool, Parameter(negative="")] = False,
     json: Json = False,
 ) -> None:
     """Make a picture of a volume.
+
+    One that is stored in several sizes, lies at an address, or does not fit into half of the memory that is available is read by
+    bricks, and no more of it than the picture needs; 'clvol pyramid' makes such sizes.
 
     Parameters
     ----------
@@ -69,6 +81,13 @@ def render(
         A second picture: the share of each ray's samples that was looked at, from black to pale yellow.
     uncertainty
         Another picture, of an isosurface: within what of it the true surface lies in 95 % of places, with its scale.
+    by_bricks
+        Read it by bricks in any case.
+    budget
+        Memory that bricks may take, such as 800M or 4G; what fits into it in one size is read whole. [default: 2G, or half of what
+        there is]
+    lod
+        How many pixels a voxel may span, of the size that is drawn, where the volume is nearest; auto is 1, 0 draws the largest.
     verbose
         Report the share of the samples that was looked at, and how long the parts took, kernels that are built first
         included.
@@ -81,21 +100,27 @@ def render(
             speech.require_picture(other)
     look = look or Look()
     options = own_options(look, own)
-    volume = (input or Input()).read(source)
+    most = None if budget is None else bytes_of(budget)
+    whole = uncertainty is not None or look.evaluator not in ("auto", "taps") or look.fetch == "image"  # which bricks have not
+    volume = _volume(input or Input(), source, most, by_bricks=by_bricks, whole=whole)
+    looked = volume.sketch() if isinstance(volume, clvol.LazyVolume) else volume
     result: dict[str, Any] = {"output": str(output), "size": list(size), "filter": "", "mode": look.mode}
     with speech.progress("rendering", json) as progress:
-        options |= look.options(volume)
+        options |= look.options(looked)
         begun = time.perf_counter()
-        wanted = filter_for(volume, filter, as_mode(look.mode).picture_filter)
-        with clvol.Renderer(volume, wanted, look.boundary, device) as renderer:
+        wanted = _filter(volume, filter, look.mode)
+        most = min(BUDGET, memory.available() // 2) if most is None else most
+        with clvol.Renderer(volume, wanted, look.boundary, device, budget=most) as renderer:
             ready = time.perf_counter()
             outputs: list[clvol.Output] = ["rgba"]
             outputs += ["visited"] if verbose or heat_map is not None else []
             outputs += ["uncertainty"] if uncertainty is not None else []
-            pictures = renderer.render(size=size, progress=progress, outputs=outputs, **options)
+            pictures = renderer.render(size=size, progress=progress, outputs=outputs, lod=lod, **options)
             done = time.perf_counter()
-            drawn = renderer.filter
-    result["filter"] = drawn.name if json else speech.filter_text(drawn, filter, volume)
+            shown = renderer.shown
+            read = _bricks_read(shown, volume, json) if isinstance(shown, BrickedField) else {}
+    result["filter"] = shown.filter.name if json else speech.filter_text(shown.filter, filter, shown.volume)
+    result |= read
     clvol.save(pictures["rgba"], output)
     if heat_map is not None:
         result["heat_map"] = str(clvol.save(heat(pictures["visited"]), heat_map))
@@ -112,6 +137,39 @@ def render(
             "seconds_to_draw": round(done - ready, 4),
         }
     speech.say(json, result)
+
+
+def _volume(
+    reader: Input, source: str | Path, budget: int | None, *, by_bricks: bool, whole: bool
+) -> clvol.Volume | clvol.LazyVolume:
+    """What is drawn: opened, if it is to be read by bricks, else read. `whole` says that it has to be, as long as it fits."""
+
+    def wanted(lazy: clvol.LazyVolume) -> bool:
+        several = bool(lazy.levels) and reader.level is None and not whole
+        return by_bricks or several or too_large(lazy) or (budget is not None and too_large(lazy, budget))
+
+    volume = reader.by_parts(source, wanted) or reader.read(source)
+    return as_lazy(volume) if by_bricks else volume
+
+
+def _filter(volume: clvol.Volume | clvol.LazyVolume, name: str | None, mode: str) -> clvol.Filter | str | None:
+    """By which it is drawn; None: that of the bounds in its store."""
+    if isinstance(volume, clvol.Volume):
+        return filter_for(volume, name, as_mode(mode).picture_filter)
+    if name is not None or volume.bounds is not None:
+        return name
+    return filter_for(volume.part(), None, as_mode(mode).picture_filter)
+
+
+def _bricks_read(shown: BrickedField, volume: clvol.Volume | clvol.LazyVolume, as_json: bool) -> dict[str, Any]:
+    """How much of which size a picture took."""
+    sizes = (volume, *volume.levels) if isinstance(volume, clvol.LazyVolume) else (volume,)
+    level = next((n for n, one in enumerate(sizes) if one is shown.volume), 0)
+    read, there, shape = shown.reads.bricks, math.prod(shown.counts), list(shown.volume.shape)
+    if as_json:
+        return {"level": level, "level_shape": shape, "bricks": there, "bricks_read": read}
+    several = f"{level}, {display.numbers(shape)}" if len(sizes) > 1 else ""
+    return {"level": several, "bricks": f"{read} read, of {there}"}
 
 
 @command(PICTURES)

@@ -21,6 +21,7 @@ _EXAMPLES = (
     "clvol render chest/ -o bones.png --preset ct-bone",
     "clvol render cells.ome.tif -o nuclei.png --channel DAPI --mode mip",
     "clvol render tooth.nhdr -o tooth.png --mode isosurface --threshold 900",
+    "clvol pyramid brain.tif -o brain.zarr",
     "clvol resample head.nii.gz -o fine.nii.gz --to-spacing 0.5 0.5 0.5",
 )
 _BREAK = "  \n"  # of a line, in Markdown

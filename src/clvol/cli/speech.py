@@ -64,13 +64,19 @@ def say(as_json: bool, what: dict[str, Any], lines: Sequence[str] = ()) -> None:
             print(f"{key.replace('_', ' ')}: {text(value)}")
 
 
-def filter_text(row: Filter, given: str | None, volume: clvol.Volume) -> str:
+def filter_text(row: Filter, given: str | None, volume: clvol.Volume | clvol.LazyVolume) -> str:
     """A filter as people read it: its smoothing, and why it is so if it was chosen for the volume."""
     if not row.smoothing:
         return row.name
     values = row.smoothing if isinstance(row.smoothing, tuple) else (row.smoothing,)
     text = f"{row.name.partition('(')[0]}, λ = {', '.join(map(str, values))}"
-    return f"{text} ({choose(volume, row.degree).reason})" if given is None or "auto" in given else text
+    if given is not None and "auto" not in given:
+        return text
+    if isinstance(volume, clvol.LazyVolume):
+        if given is None and volume.bounds is not None:
+            return f"{text} (that of the bounds in the store)"
+        volume = volume.part()
+    return f"{text} ({choose(volume, row.degree).reason})"
 
 
 def range_text(low: float, high: float) -> str:

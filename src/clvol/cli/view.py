@@ -14,11 +14,25 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
-from clvol import phantoms
-from clvol.cli.options import DeviceName, FilterName, Input, Look, ModeOptions, Source, Whole, own_options
+from clvol import display, memory, phantoms
+from clvol.cli.options import (
+    DeviceName,
+    FilterName,
+    Input,
+    Look,
+    ModeOptions,
+    Source,
+    Whole,
+    bytes_text,
+    is_address,
+    needed_by,
+    own_options,
+    too_large,
+)
 from clvol.cli.root import PICTURES, command
 from clvol.cli.words import in_the_shell
-from clvol.errors import ClvolError, FormatError, OptionError
+from clvol.errors import ClvolError, FormatError, OptionError, OutOfMemoryError
+from clvol.formats._limits import size_of
 
 if TYPE_CHECKING:
     from clvol.view import View
@@ -29,6 +43,7 @@ __all__ = ["view"]
 
 _SERVER = Group("The server", sort_key=1)
 _REHEARSED = 32  # samples along each axis
+_UNPACKED = 100  # bytes of samples and coefficients that are expected of a stored one, at most
 
 
 @command(PICTURES)
@@ -56,7 +71,8 @@ def view(
 ) -> None:
     """Look at a volume in a browser: turn it, cut it, change its colours. Ctrl-C ends it.
 
-    The address that is printed has a token in it: whoever has the address may look.
+    The address that is printed has a token in it: whoever has the address may look. Of a volume that is stored in several sizes the
+    largest is shown that fits, with its coefficients, into half of the memory that is available.
 
     Parameters
     ----------
@@ -92,7 +108,7 @@ def view(
     options = own_options(look, own)
     reader = input or Input()
     name = str(source)
-    if not name.startswith("phantom:") and not Path(source).exists():
+    if not (name.startswith("phantom:") or is_address(name) or Path(name).exists()):
         raise FormatError(f"cannot read {source}: there is no such file or folder")
     if not idle > 0:
         raise OptionError(f"--idle must be above 0; got {idle:g}")
@@ -104,17 +120,17 @@ def view(
             from clvol.view.desktop import require_display, show_on_desktop
 
             require_display()  # before the volume is read
-            show_on_desktop(_made(reader.read(name), name, filter, device, reader, look, options))
+            show_on_desktop(_made(*_read(reader, name), name, filter, device, look, options))
         else:
             from clvol.view.terminal import show_in_terminal
 
-            show_in_terminal(_made(reader.read(name), name, filter, device, reader, look, options))
+            show_in_terminal(_made(*_read(reader, name), name, filter, device, look, options))
         return
     made: Future[View] = Future()  # begun before the server's parts are imported, which takes as long as reading a small file
 
     def make() -> None:
         try:
-            made.set_result(_made(reader.read(name), name, filter, device, reader, look, options))
+            made.set_result(_made(*_read(reader, name), name, filter, device, look, options))
         except BaseException as error:
             made.set_exception(error)
 
@@ -147,7 +163,7 @@ def view(
         """Kernels, while the file is read."""
         shown = replace(look, preset=None, clip=None)  # which may not suit another volume
         with suppress(Exception):  # what is wrong is told with the volume, or on each page
-            _made(phantoms.marschner_lobb(_REHEARSED), name, filter, device, reader, shown, options).rehearse()
+            _made(phantoms.marschner_lobb(_REHEARSED), None, name, filter, device, shown, options).rehearse()
 
     def prepare() -> None:
         """The first picture's parts, while the browser starts."""
@@ -173,10 +189,44 @@ def view(
     _leave(1 if why is not None else 0, reading)
 
 
+def _read(reader: Input, name: str) -> tuple[Volume, str | None]:
+    """The volume to look at, and the call in Python that reads it: of one that does not fit into memory a smaller size."""
+    if not is_address(name) and _is_small(name):
+        return reader.read(name), reader.python(name)
+    lazy = reader.by_parts(name, too_large)
+    if lazy is None:
+        return reader.read(name), reader.python(name)
+    sizes = (lazy, *lazy.levels)
+    level = next((n for n, size in enumerate(sizes) if not too_large(size)), None)
+    if level is None and too_large(sizes[-1], memory.available()):
+        smaller = "its smallest size" if lazy.levels else "it"
+        raise OutOfMemoryError(
+            f"out of memory: a volume that is looked at must fit into the {bytes_text(memory.available())} that are available, "
+            f"with its coefficients; {smaller} takes {bytes_text(needed_by(sizes[-1]))}: 'clvol pyramid {name} -o NAME.zarr' makes "
+            "smaller sizes, of which 'clvol view' shows one that fits, and 'clvol render' draws it by bricks"
+        )
+    level = len(sizes) - 1 if level is None else level
+    if level:
+        _note(
+            f"{name} takes {bytes_text(needed_by(lazy))} with its coefficients; shown is level {(reader.level or 0) + level}, of "
+            f"{display.numbers(sizes[level].shape)} samples"
+        )
+        reader = replace(reader, level=(reader.level or 0) + level)
+    return sizes[level].whole() if is_address(name) else reader.read(name), reader.python(name)
+
+
+def _is_small(name: str) -> bool:
+    """Whether a file is so small that it will fit into memory, packed as it may be: to open it first takes half a second."""
+    if name.startswith("phantom:"):
+        return True
+    stored, _ = size_of(Path(name))
+    return stored is not None and _UNPACKED * stored < memory.available()
+
+
 def _made(
-    volume: Volume, name: str, filter: str | None, device: str | None, reader: Input, look: Look, own: dict[str, Any]
+    volume: Volume, source: str | None, name: str, filter: str | None, device: str | None, look: Look, own: dict[str, Any]
 ) -> View:
-    """The view of a volume that the command line asks for."""
+    """The view of a volume that the command line asks for; `source` is the call in Python that reads it."""
     from clvol.view import View
 
     options = look.options(volume) | own
@@ -190,13 +240,7 @@ def _made(
     elif options["transfer"] is None:
         del options["transfer"]
     return View(
-        volume,
-        device=device,
-        source=reader.python(name),
-        title=volume.name or Path(name).name,
-        filter=filter,
-        boundary=look.boundary,
-        **options,
+        volume, device=device, source=source, title=volume.name or Path(name).name, filter=filter, boundary=look.boundary, **options
     )
 
 

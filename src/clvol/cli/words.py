@@ -19,6 +19,8 @@ _PHRASES = (
     (r": choose by ([a-z= ]+), or read all by clvol\.read_all", r": choose by \1"),
     (r"limits=clvol\.formats\.Limits\(\.\.\.\) or trusted=True", "--trusted"),
     (r"trusted=True", "--trusted"),
+    (r"LazyVolume\(\.\.\., missing=value\) replaces them", "--fill-nan VALUE replaces them"),
+    (r"clvol\.pyramid makes a Zarr store of it", "'clvol pyramid' makes a Zarr store of it"),
     (r"overwrite=True", "--overwrite"),
     (r"spacing=, origin= or direction= replace what the file says", "--spacing replaces that of the file"),
     (r"shape=\(nz, ny, nx\)", "--shape NZ NY NX"),

@@ -35,7 +35,7 @@ from clvol.noise import Noise
 from clvol.picture import Picture, as_pictures
 from clvol.scene import Box, Medium, Scene, as_scene
 from clvol.smoothing import filter_for
-from clvol.spline.bricked import BrickedField
+from clvol.spline.bricked import BUDGET, BrickedField
 from clvol.spline.evaluator import DIRECT, Evaluator, EvaluatorName, FetchName, choose_evaluator
 from clvol.spline.field import RENUMBER, Field, as_field, names_beyond
 from clvol.spline.lease import Lease
@@ -72,6 +72,9 @@ class Renderer:
         itself.
     device : Device, str or int, optional
         See `as_device`.
+    budget : int, optional
+        Bytes that bricks may take, where a volume is read by bricks: as of `BrickedField`, whose default it has. A BrickedField has
+        its own.
 
     Raises
     ------
@@ -98,13 +101,15 @@ class Renderer:
         filter: str | Filter | None = None,
         boundary: str | Boundary | None = None,
         device: Device | str | int | None = None,
+        *,
+        budget: int | None = None,
     ) -> None:
         given = {name: value for name, value in (("filter", filter), ("boundary", boundary)) if value is not None}
         self._own = own = not isinstance(scene, (Field, BrickedField))
         self._looked: Volume | None = None
         bricked: BrickedField | None = None
         if isinstance(scene, (LazyVolume, BrickedField)):
-            bricked = _bricked(scene, filter, boundary, device)
+            bricked = _bricked(scene, filter, boundary, device, budget)
             self._looked = bricked.volume.sketch()
             own_filter = bricked.filter if filter is not None or isinstance(scene, BrickedField) else None
             scene = Medium(bricked.coefficients.volume, filter=own_filter, boundary=bricked.boundary)
@@ -132,13 +137,13 @@ class Renderer:
             try:
                 field = _single(medium.volume, row, medium.boundary, device)
             except OutOfMemoryError:  # of a buffer, perhaps, which is less than the memory
-                field = BrickedField(medium.volume, row, medium.boundary, device)
+                field = BrickedField(medium.volume, row, medium.boundary, device, budget=BUDGET if budget is None else budget)
                 self._looked = medium.volume
         elif given_field.precision != "single":
             raise OptionError(f"rendering takes a field of single precision; got one of {given_field.precision} precision")
         else:
             field = given_field
-        self.field = field
+        self.field = self._shown = field
         self.device = field.device
         self._levels: dict[tuple[int, str], BrickedField] = {}
         self._unsmoothed: Field | BrickedField | None = None
@@ -164,6 +169,11 @@ class Renderer:
     def filter(self) -> Filter:
         """How the medium is reconstructed, with its smoothing as it was settled for the volume."""
         return self.field.filter
+
+    @property
+    def shown(self) -> Field | BrickedField:
+        """What the last picture was made of: `field`, that of modes which show extremes, or that of a lower resolution."""
+        return self._shown
 
     def filter_of(self, mode: str | Mode) -> Filter:
         """The filter of pictures in a mode: `filter`, unless none was given and the mode shows extremes, which stay as they are."""
@@ -396,6 +406,7 @@ class Renderer:
             else:
                 frame = subject.frame(size, step, guides=guides)
                 pictures = launch.draw(frame, rays, pixel_filter, progress)
+                self._shown = field
             if uncertain is not None:
                 pictures["uncertainty"] = uncertain(pictures["position"], self._noise(sigma), central=subject.central)
             shown = as_pictures({name: pictures[name] for name in wanted})
@@ -538,7 +549,9 @@ class Renderer:
             own = subject.of(field.coefficients, field.boundary)
             frame = own.frame(size, step, guides=guides)
             drawing = BrickedDrawing(frame, rays, pixel_filter, field, own.view(size), skipping=skipping)
-            return launch.drawn(drawing, rays, progress)
+            made = launch.drawn(drawing, rays, progress)
+            self._shown = field
+            return made
 
     def _field_at(self, mode: Mode, level: int) -> BrickedField:
         """The field of a level; those of others keep few bricks while it is drawn, and it leaves them their part of the budget."""
@@ -757,15 +770,17 @@ def _bricked(
     filter: str | Filter | None,
     boundary: str | Boundary | None,
     device: Device | str | int | None,
+    budget: int | None,
 ) -> BrickedField:
     """What pictures are made of that are made by bricks; of a volume a new one."""
     if isinstance(scene, BrickedField):
-        if filter is not None or boundary is not None or device is not None:
-            raise OptionError("filter, boundary and device must be left to the field; got them beside it")
+        if filter is not None or boundary is not None or device is not None or budget is not None:
+            raise OptionError("filter, boundary, device and budget must be left to the field; got them beside it")
         if scene.closed:
             raise OptionError("the field was closed, and its coefficients were released; make a new one")
         return scene
-    return BrickedField(scene, _usual(scene) if filter is None else filter, boundary, device)
+    row = _usual(scene) if filter is None else filter
+    return BrickedField(scene, row, boundary, device, budget=BUDGET if budget is None else budget)
 
 
 def _usual(volume: LazyVolume) -> str | None:
