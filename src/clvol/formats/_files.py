@@ -39,6 +39,7 @@ Reader = Callable[..., Content]
 Writer = Callable[[Volume, Path], None]
 
 _CHUNK = 1 << 20
+_GZIP_RESERVED = 0xE0  # of the flags of a member
 _XZ, _XZ_FOOTER, _XZ_BITS = b"\xfd7zXZ\0", 12, 63  # what a stream begins with; bytes of its end; bits of its numbers
 
 
@@ -132,6 +133,11 @@ def gunzipped_size(stream: IO[bytes], limit: int) -> int:
     FormatError
         More than `limit` bytes: what has no end is not unpacked.
     """
+    start = stream.tell()
+    head = stream.read(4)
+    stream.seek(start)
+    if len(head) == 4 and head[3] & _GZIP_RESERVED:  # RFC 1952, 2.3.1.2; SimpleITK refuses it too, and leaves the file open
+        raise FormatError(f"what is packed by gzip must be so as its standard has it; its flags are {head[3]:#04x}")
     with gzip.GzipFile(fileobj=stream) as unpacked:
         found = _count(unpacked.read, limit)
     if found > limit:

@@ -469,7 +469,7 @@ def _imagej(file: Any) -> _About:
         unit_name(str(metadata.get("unit", ""))),
         names=_names(metadata.get("Labels", ()), channels),
         colors=_telling(colors),
-        windows=windows if all(a < b for a, b in windows) else (),
+        windows=windows if all(-math.inf < a < b < math.inf for a, b in windows) else (),
         slope=slope,
         offset=offset,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import warnings
 import zipfile
@@ -18,7 +19,7 @@ from clvol.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
 from clvol.formats._files import bytes_at, require_members, sample_count
 from clvol.formats._layout import Layout, decoded, lay_out, place, uniform, unnamed
-from clvol.formats._limits import announce
+from clvol.formats._limits import announce, announce_parts
 from clvol.interop import Content
 from clvol.volumes import Leading
 
@@ -192,7 +193,9 @@ def _leading(layout: Layout, channels: list[Mapping[str, Any]]) -> Leading:
     names = tuple(str(channel.get("label") or "") for channel in channels)
     colors = tuple(_color(channel.get("color")) for channel in channels)
     ends = [(window.get("start"), window.get("end")) for window in (channel.get("window") or {} for channel in channels)]
-    windows = tuple((float(a), float(b)) if a is not None and b is not None and a < b else None for a, b in ends)
+    windows = tuple(
+        (float(a), float(b)) if a is not None and b is not None and -math.inf < a < b < math.inf else None for a, b in ends
+    )
     return Leading(
         layout.leading,
         layout.counts,
@@ -213,6 +216,9 @@ def _loaded(source: str, array: Any, index: tuple[int | slice, ...] = ()) -> NDA
     """Samples of an array. Chunks that are not stored have its fill value, as Zarr has it; those that are must be whole."""
     chunk = sample_count(array.shards or array.chunks) * array.dtype.itemsize
     announce(source, max(chunk, bytes_at(array.shape, index, array.dtype)))
+    taken = [len(range(n)[at]) if isinstance(at, slice) else 1 for n, at in zip(array.shape, index, strict=False)]
+    counts = [*taken, *array.shape[len(taken) :]]
+    announce_parts(source, sample_count([-(-n // m) for n, m in zip(counts, array.shards or array.chunks, strict=True)]))
     return np.asarray(array[index])
 
 
