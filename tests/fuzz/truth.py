@@ -419,6 +419,7 @@ _TIFF_TYPES = {
 _NEEDED = (256, 257, 258, 259, 273, 277, 278, 279, 317, 322, 323, 324, 325, 339)
 
 
+_MOST = 1 << 13  # values of a tag that are looked at: more than any file of the corpus has room for
 _KIND = (256, 257, 258, 259, 262, 266, 277, 278, 284, 317, 322, 323, 339, 32997, 32998)
 """Tags of which a page has others than the first where it belongs to another image."""
 
@@ -444,8 +445,8 @@ def _directories(content: bytes) -> Iterator[dict[int, tuple[Any, ...]]]:
                 (number,) = struct.unpack_from(order + word, content, here + 4)
                 if kind not in _TIFF_TYPES:
                     continue
-                letters = _TIFF_TYPES[kind]  # with a count: `struct` keeps what it was told, a million letters too
-                code = f"{order}{min(number, 1 << 20) * len(letters)}{letters[0]}"
+                letters = _TIFF_TYPES[kind]  # with a count: `struct` keeps what it was told, thousands of letters too
+                code = f"{order}{min(number, _MOST) * len(letters)}{letters[0]}"
                 value = here + 4 + struct.calcsize(word)
                 if struct.calcsize(code) > struct.calcsize(word):
                     (value,) = struct.unpack_from(order + word, content, value)
@@ -494,6 +495,8 @@ def _page(content: bytes, tags: Mapping[int, tuple[Any, ...]], order: str) -> Ar
     _need(rows > 0 and columns > 0, "tiles")
     grid = -(-height // rows), -(-width // columns)
     _need(len(starts) == len(sizes) == math.prod(grid), "strips")
+    size = grid[0] * rows * grid[1] * columns * parts * dtype.itemsize
+    _need(size <= 1000 * len(content), "more samples than the file can hold")  # no codec packs better
     whole = np.zeros((grid[0] * rows, grid[1] * columns, parts), dtype)
     for (i, j), start, size in zip(itertools.product(*map(range, grid)), starts, sizes, strict=True):
         _need(size > 0 and start + size <= len(content), "a strip lies past the end")
@@ -552,6 +555,7 @@ def _unlzw(part: bytes, expected: int) -> bytes:
             continue
         _need(table and code != 257, "codes begin without a table, or end too early")
         _need(code < len(table) or (code == len(table) and last), "a code that stands for nothing")
+        _need(len(table) < 4096, "a table of more than 4096 codes")
         if last:
             table.append(last + (table[code] if code < len(table) else last)[:1])
         last = table[code]
