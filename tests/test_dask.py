@@ -146,6 +146,7 @@ def test_coefficients_are_scipys(mode: str, order: int) -> None:
         np.testing.assert_allclose(line.compute(), wanted, rtol=0, atol=bound + 1e-14 * np.abs(wanted).max())
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("shape", [(2, 3, 20, 21, 22), (3, 30, 31)])
 def test_leading_axes_are_volumes_of_their_own(shape: tuple[int, ...]) -> None:
     whole = samples(shape, "f4")
@@ -191,7 +192,7 @@ CALLS: dict[str, Any] = {
 }
 
 
-@pytest.mark.one_in(8)
+@pytest.mark.one_in(16)
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("name", CALLS)
 @given(data=st.data())

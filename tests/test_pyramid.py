@@ -106,6 +106,7 @@ def test_sizes_are_those_of_one_piece(tmp_path: Path, device: Device) -> None:
         before, row = found, as_filter("bspline3")
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("method", ["least-squares", "average", "nearest"])
 def test_no_bit_depends_on_budget_chunks_and_shards(tmp_path: Path, method: Any) -> None:
     volume = scan((70, 150, 130))

@@ -16,14 +16,13 @@
 //   place_of(state)               at which t that lies which is shown, or NOWHERE
 //   finish(state, coefficients, sample)
 //                                 the colour, not premultiplied
-//   FINISHED_THERE                1: `finish` reads coefficients, at that place
 //   REACH                         how many samples away others may depend on a sample: a surface lies between two
 //   ANY_ORDER                     whether samples may be gathered in any order: then the segments where
 //                                 PROMISE(low, high) is largest come first
 //   STRETCHES                     1: instead of samples, which `gather` would take, all that lies between them is looked at (walk.cl)
 //
-// Set by the host: SLAB, LANES, TILE_WIDTH, TILE_HEIGHT, PLANES, ENDPOINTS, SHADED, CENTRAL, STATE_FIELDS, WINDOWED, and what is
-// included.
+// Set by the host: SLAB, LANES, TILE_WIDTH, TILE_HEIGHT, PLANES, ENDPOINTS, SHADED, CENTRAL, STATE_FIELDS, WINDOWED,
+// FINISHED_THERE (whether a mode's `finish` reads coefficients, at place_of), and what is included.
 
 // Twice as many rays where registers hold sixteen numbers. (Elsewhere PoCL 3.0 aborts on float16 on some processors.)
 #if LANES == 8 && TILE_HEIGHT % 2 == 0 && defined(__clang__) && defined(__AVX512F__)

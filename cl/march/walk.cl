@@ -343,7 +343,7 @@ OUT_OF_LINE void walk_segment(tile_t *tile, COEFFICIENTS coefficients, const int
         const real length = set_out(walkers + g, ray, tile->states + g, frame, extent.w, madd(start, ray->step, ray->first),
                                     madd(stop + 1.0f, ray->step, ray->first), wanted[g]);
         const real samples = MIN((real)(stop), ray->end + MARGIN) - MAX((real)(start), ray->begin - MARGIN) + 1.0f;
-        tile->gathered[g] += choose(wanted[g], WINDOWED ? MIN(length / ray->step, samples) : samples, (real)(0.0f));
+        tile->gathered[g] += choose(wanted[g], WINDOWED ? choose(ray->step > 0.0f, MIN(length / ray->step, samples), (real)(1.0f)) : samples, (real)(0.0f));
     }
     for (int looked = 0;; looked = 1) {
         int count = 0;

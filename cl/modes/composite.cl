@@ -9,7 +9,6 @@ typedef struct { real red, green, blue, opacity, rest, depth; } state_t;
 
 #define REACH 0.0f
 #define ANY_ORDER 0
-#define FINISHED_THERE 0
 #define PROMISE(low, high) 0.0f
 
 INLINE void begin(state_t *s)

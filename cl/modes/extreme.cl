@@ -11,7 +11,6 @@ typedef struct { real best, t; } state_t;
 
 #define REACH 0.0f
 #define ANY_ORDER 1
-#define FINISHED_THERE 0
 
 INLINE void begin(state_t *s)
 {

@@ -8,7 +8,6 @@ typedef struct { real hit, side; } state_t;
 #define SOUGHT(frame) (frame)->mode.isovalue
 #define REACH 1.0f   // a stretch goes on to where the next begins
 #define ANY_ORDER 0
-#define FINISHED_THERE 1
 #define PROMISE(low, high) 0.0f
 
 INLINE void begin(state_t *s)

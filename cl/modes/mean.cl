@@ -8,7 +8,6 @@ typedef struct { real sum, steps; } state_t;
 
 #define REACH 0.0f
 #define ANY_ORDER 0
-#define FINISHED_THERE 0
 #define PROMISE(low, high) 0.0f
 
 INLINE void begin(state_t *s) { s->sum = s->steps = (real)(0.0f); }

@@ -7,7 +7,6 @@ typedef struct { real before, before_t, hit; mask started; } state_t;
 
 #define REACH 1.0f   // a crossing lies between two samples
 #define ANY_ORDER 0
-#define FINISHED_THERE 1
 #define PROMISE(low, high) 0.0f
 
 INLINE void begin(state_t *s)

@@ -177,11 +177,13 @@ class LazyVolume:
 
     def __getstate__(self) -> dict[str, Any]:
         """What a pickle holds: no samples but what the array itself pickles."""
-        return {name: value for name, value in vars(self).items() if name not in ("_lock", "_sketch", "_part")}
+        state = {name: value for name, value in vars(self).items() if name not in ("_lock", "_sketch", "_part")}
+        return state | {"grid": replace(self.grid, data=np.zeros((1, 1, 1), self.dtype))}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         self._lock, self._sketch, self._part = threading.RLock(), None, None
+        self.grid = replace(self.grid, data=np.broadcast_to(np.zeros((), self.grid.data.dtype), tuple(self.data.shape)))
 
     # -- where they lie ------------------------------------------------------------------------------------------------
 
@@ -313,7 +315,7 @@ class LazyVolume:
             return self.whole()
         edge = (_SKETCHED / math.prod(self.shape)) ** (1 / 3)
         runs, steps = [], []
-        for n, chunk in zip(self.size, self.chunks or (1, 1, 1), strict=True):
+        for n, chunk in zip(self.size, self.chunks or (self.size[0], 1, 1), strict=True):
             wanted = max(1, min(n, round(n * edge)))
             several = min(-(-n // chunk), _CHUNKS_LOOKED_INTO if self.chunks else wanted)
             firsts = [int((k + 0.5) * -(-n // chunk) / several) * chunk for k in range(several)]

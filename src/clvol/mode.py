@@ -70,6 +70,8 @@ class Mode:
         more, a thousandth of a step inside.
     skips : bool
         Whether values can be irrelevant to it, so that space is skipped.
+    finished_there : bool
+        Whether its kernel computes the colour where a ray ends from coefficients at that place.
     picture_filter : str
         The filter of its pictures where none is given. Noise is smoothed, but not where extremes are shown: smoothing lowers
         those of thin vessels.
@@ -85,6 +87,7 @@ class Mode:
     state_fields: ClassVar[int]
     endpoints: ClassVar[bool] = False
     skips: ClassVar[bool] = True
+    finished_there: ClassVar[bool] = False
     picture_filter: ClassVar[str] = PICTURE_FILTER
     shows: ClassVar[Literal["matter"] | Projection] = "max"
     ramp: ClassVar[float] = 1.0
@@ -201,6 +204,7 @@ class Isosurface(Mode):
     description: ClassVar[str] = "the first surface of one value, shaded"
     state_fields: ClassVar[int] = 2
     endpoints: ClassVar[bool] = True
+    finished_there: ClassVar[bool] = True
     BLOCK: ClassVar[Block] = Block("mode_block", isovalue=FLOAT, tolerance=FLOAT, color=(FLOAT, 3))
 
     def __post_init__(self) -> None:
@@ -362,7 +366,7 @@ def _require_sound(mode: Mode) -> None:
     if mode.name in _TABLE and not isinstance(mode, _TABLE[mode.name]):
         raise OptionError(f"a mode named {mode.name!r} must be a {_TABLE[mode.name].__name__}, whose kernel it has; got {mode!r}")
     whole("a mode's state_fields", mode.state_fields, 0, _MOST_FIELDS)
-    for what in ("endpoints", "skips", "stretches", "shaded"):
+    for what in ("endpoints", "skips", "finished_there", "stretches", "shaded"):
         _switch(f"a mode's {what}", getattr(mode, what))
     if mode.shows not in _SHOWN:
         raise one_of("what a mode shows", mode.shows, _SHOWN)

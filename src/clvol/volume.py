@@ -20,7 +20,7 @@ from clvol.interop import read_array
 from clvol.missing import Missing, filled_smoothly
 from clvol.noise import MOST_LABELS, Noise, estimate
 
-__all__ = ["FRAMES", "SPACES", "Volume", "array_of", "as_volume", "in_frame"]
+__all__ = ["FRAMES", "SPACES", "Volume", "array_of", "as_volume", "in_frame", "window_of"]
 
 SPACES = {
     "LPS": "a patient: x runs to the left, y to the back, z to the head",
@@ -144,7 +144,7 @@ class Volume:
         if self.color is not None:
             object.__setattr__(self, "color", color_of("color", self.color))
         if self.window is not None:
-            object.__setattr__(self, "window", _window(self.window))
+            object.__setattr__(self, "window", window_of("window", self.window))
         if self.labels is not None:
             object.__setattr__(self, "labels", _labels(self.labels))
         if not isinstance(self.header, Mapping):
@@ -609,11 +609,12 @@ def _many_labels(data: NDArray[Any]) -> bool:
     return bool(differ.mean() < 1 - _SAME and (not steps.size or np.median(steps) > 1))
 
 
-def _window(value: Any) -> tuple[float, float]:
+def window_of(name: str, value: Any) -> tuple[float, float]:
+    """Two values between which a volume is shown, as floats; `OptionError` where they are none."""
     rule = "two finite numbers, the value shown black below the value shown white"
-    ends = reals("window", value, rule)
+    ends = reals(name, value, rule)
     if ends.shape != (2,) or not np.isfinite(ends).all() or ends[0] >= ends[1]:
-        raise OptionError(f"window must be {rule}; got {value!r}")
+        raise OptionError(f"{name} must be {rule}; got {value!r}")
     return float(ends[0]), float(ends[1])
 
 

@@ -17,7 +17,7 @@ from clvol.errors import DataError, GeometryError, OptionError
 from clvol.foreign import to_nibabel, to_simpleitk, to_xarray
 from clvol.interop import is_image, read_grid, read_several
 from clvol.rounding import wide
-from clvol.volume import SPACES, Volume, array_of, as_volume
+from clvol.volume import SPACES, Volume, array_of, as_volume, window_of
 
 __all__ = ["AXES", "Leading", "Volumes", "as_grid"]
 
@@ -79,6 +79,8 @@ class Leading:
             if given and len(given) != channels:
                 raise OptionError(f"{what} must be one for each of {channels} channels; got {len(given)}")
         object.__setattr__(self, "colors", tuple(None if c is None else color_of("a channel's color", c) for c in self.colors))
+        windows = tuple(None if w is None else window_of("a channel's window", w) for w in self.windows)
+        object.__setattr__(self, "windows", windows)
         object.__setattr__(self, "counts", tuple(whole("each count", n, 1) for n in self.counts))
 
     @classmethod

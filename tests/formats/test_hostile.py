@@ -250,6 +250,20 @@ def test_their_sound_sisters_are_read(tmp_path: Path, name: str) -> None:
     np.testing.assert_array_equal(formats.read(tmp_path / name).data.ravel(), np.arange(24))
 
 
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="Linux lists what a process has open")
+def test_a_flag_of_gzip_that_is_reserved_leaves_nothing_open(tmp_path: Path) -> None:
+    """Python does not look at it; SimpleITK refuses it, and does not close the file."""
+    samples = bytearray(gzip.compress(BYTES))
+    samples[3] |= 0x20
+    (tmp_path / "v.raw.gz").write_bytes(samples)
+    (tmp_path / "v.nhdr").write_bytes(nrrd("data file: v.raw.gz", data=b"", old="raw", new="gzip"))
+    before = len(os.listdir("/proc/self/fd"))  # noqa: PTH208  # no descriptor of its own stays
+    for _ in range(3):
+        with pytest.raises(FormatError):
+            formats.read(tmp_path / "v.nhdr", trusted=True)
+    assert len(os.listdir("/proc/self/fd")) == before  # noqa: PTH208
+
+
 def test_what_is_trusted_may_lie_anywhere(folder: Path) -> None:
     for name in ("above.mhd", "above.nhdr", "link.mhd"):
         if name != "link.mhd" or sys.platform != "win32":

@@ -98,6 +98,37 @@ def test_what_is_no_image(tmp_path: Path, content: bytes) -> None:
         clvol.read(tmp_path / "v.png")
 
 
+@pytest.mark.parametrize("at", [18, 22], ids=["width", "height"])
+def test_bmp_samples_beyond_the_end_are_refused_before_memory_is_taken(tmp_path: Path, at: int) -> None:
+    """Pillow allocates them first: hundreds of megabytes, of which some stayed."""
+    file = tmp_path / "v.bmp"
+    iio.imwrite(file, DATA[0].astype(np.uint8))
+    content = bytearray(file.read_bytes())
+    content[at : at + 4] = (1 << 24).to_bytes(4, "little")
+    file.write_bytes(content)
+    with pytest.raises(FormatError, match="its samples end at byte"):
+        clvol.read(file)
+
+
+def test_segments_of_jpeg_follow_each_other(tmp_path: Path) -> None:
+    """What is filled up before a segment, restarts among samples, several scans and what stands behind the image are sound."""
+    picture = np.add.outer(np.arange(64), np.arange(64)).astype(np.uint8)
+    sound = {"progressive": {"progressive": True}, "restarts": {"restart_marker_blocks": 2}, "colours": {"subsampling": 2}}
+    for name, options in sound.items():
+        data = np.stack([picture] * 3, axis=-1) if name == "colours" else picture
+        iio.imwrite(tmp_path / f"{name}.jpg", data, **options)
+        clvol.read_all(tmp_path / f"{name}.jpg")
+    content = (tmp_path / "restarts.jpg").read_bytes()
+    table = content.index(b"\xff\xdb")
+    filled = content[:table] + b"\xff\xff" + content[table:] + b"behind"
+    (tmp_path / "filled.jpg").write_bytes(filled)
+    np.testing.assert_array_equal(clvol.read(tmp_path / "filled.jpg").data, clvol.read(tmp_path / "restarts.jpg").data)
+    for damaged in (content[:table] + b"x" + content[table:], content[:-2], content[: len(content) // 2]):
+        (tmp_path / "damaged.jpg").write_bytes(damaged)
+        with pytest.raises(FormatError, match=r"damaged"):
+            clvol.read(tmp_path / "damaged.jpg")
+
+
 def test_a_folder_of_other_things_says_what_it_holds(tmp_path: Path) -> None:
     for name in ("a.txt", "b.txt", "c.csv"):
         (tmp_path / name).write_text("1")

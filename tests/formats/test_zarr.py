@@ -57,6 +57,30 @@ def test_channels_and_times_of_ome(cells: Path) -> None:
         clvol.read(cells)
 
 
+def test_windows_without_an_end_are_left_out(tmp_path: Path) -> None:
+    """They had been taken, and every use of the volumes refused."""
+    group = zarr.create_group(tmp_path / "v.zarr")
+    group.create_array("0", data=DATA[0, :2])
+    place = [{"type": "scale", "scale": [1, 1, 1, 1]}]
+    axes = [{"name": name, "type": "channel" if name == "c" else "space"} for name in "czyx"]
+    windows = [{"start": 0, "end": float("inf")}, {"start": 0, "end": 9}]
+    scales = [{"axes": axes, "datasets": [{"path": "0", "coordinateTransformations": place}]}]
+    group.attrs["ome"] = {
+        "version": "0.5",
+        "multiscales": scales,
+        "omero": {"channels": [{"label": str(i), "window": window} for i, window in enumerate(windows)]},
+    }
+    assert [volume.window for volume in clvol.read_all(tmp_path / "v.zarr")] == [None, (0, 9)]
+
+
+def test_far_more_chunks_than_are_stored_are_refused(tmp_path: Path) -> None:
+    """Zarr asks for each, which had taken as long as there was time."""
+    array = zarr.create_array(tmp_path / "v.zarr", shape=(3, 4, 5 * 10**6), chunks=(3, 4, 5), dtype="uint8")
+    array[..., :5] = 1
+    with pytest.raises(FormatError, match="times as many chunks as are stored"):
+        clvol.read(tmp_path / "v.zarr")
+
+
 def test_sizes_lie_in_one_place(cells: Path) -> None:
     small = clvol.read(cells, time=1, channel=1, level=1)
     assert small.shape == (4, 4, 4)

@@ -244,5 +244,36 @@ FOUND: tuple[tuple[str, str, str], ...] = (
         "a blank for a slope: zeros",
         "c-p;_JBU+36o$Xt4a>N=G46`W3UU#I2<~|1KJpL|*K9DsjgdSoBnvB82o{2cU?Exv7J`UiAy^0&f`woqSO^w^g<v6A2o{QkU?Ert7J_*0BpXn$b%x9TpZ`2(m<xZbEBxoR+^V+&#lcFRmx=*~&fyGo<pRY)YXN5?TTR3|5vkhLI-BUHs`{ri!uW{TirPiB=l;qVMb4?`z{nGot@><Su8JhFD$Xf5spzMrMY&6D=FnzNTScn6IAES$bA}_!^>*mJ0b5yW6uh#p)jt}hI$G6eFQW&DBr1y&XEbkGZ5Qb{Vl-zVv;KK1!*-v)ekwyaspni28-#+|l1Md9Z7q?sRtpWs{hb=t{QcGYhMQg~>K<V@Mj7KFk0G<<NBxu+MzdzU)hdo7Hji=M*Oo9OVkV1|;bJ7iI8!QY%#@+{t*BaeQZ1oG;Inhe@;<iRIo7E+yPb9;3QO86@bj0nTgEmh6Q6G@>CmPn|0c4zOXMaj@NAQ^soZ+?ZZTtvn$hzt)arfD2EC7$i~e4wwf?MD*upk;u#;WvW)FL{W2`6H&q0=G&}4-UJx*|vRZel5Go0ld=efW|F6l3Gm1|t*2DiA)9qw|E`#j(wk9f=zp7M<6ywKPEir2j1E$?{G2R`wcFMQ=2-}%8$e(@V;cWwg",
     ),
+    (
+        "v.tif",
+        "a strip in XZ that is cut short: other samples",
+        "c-pO!4Rn`N9LImJ_g-nW(Y91t8OcaXQ>myX%U>&{QTz9zVp1(eQH@>}X(@RLX?l@FDq3Xn62lOqQH&V!Qfs}5mABP&|2u!0bI8eY&-tADeZJ4V&-1<KeglC7Z~#yj00q#i2oHv}cY%;=bfkyFdQ2{W3F{D1em(nnkte#A9~1tLdSbmFTC>8_2(`w~_cRXcb)J^B_O2p;LO)OS4_#|?A!Ppf_74uV&mIs2knN>wQwW-4jQ7U1-nJAW$3i`bh9(dX3D5>QKo>}XUXTU@VK|J0EEo@yVLHr)xsV4-U^%RY0$2}4Pz;-33v7jQ*b4{Xpg(jSjKYQ(hb^!bCSfN`#sK!g{x}3PFcZgOHs)Y1-i;69LVOHY;xqUH7UJ8Xd}Z-H=MT-V?g5yG)4Wkq7L+wbBdYv?eCqVzQSxuZkFgBD#hv&A{(`@wp$KX~jp-CRgA%DdT|gI6D)plv4Wn!6db*h=(d{&g?xXqi2t7eh({uDPy+QBNhx93ZMcZi)?WZatK8_<fmYecvd=|Imj@*qe=1chs9?VzsXugpr@>HI|b3(VZBdanaa_6Y>W6$6A0bamMc?GZGb^I#7#qaY+{5gNa6}*ps=4w`{D<?`LX)Z0LwX~D-rMp1v$~_V3B^&YpQ<LU(s~#LzP&o<1|N4JAn#}*+(cXNdqiKAkql5Ub9Sw~v?<ESrKKZAP)*eT>@1Am*q{~nlA=k-Ga;w}Xcgnr;kSvzR<tbS!FUjljj(i}W$d|HBc1xxFCa6y9YmA<(r|Ow{j-IDowTJfB%XN@mrK9u)ouE_n4!uk7*N62{eNyxFd3{CS)c16=ex_gR4*gz#(nBidc;mA)olxQ0Em%D4KlJqkbCPLhPB&+pb4_P+p}EBLH3Q6*<{C4`j5D{GX=bLm$ILT}%rdjeJZoMwubB;|#FUyZ%y(v&`O*Apz*<|+M%yMf-X_>Kwu9|rQ*1ArW(V5gcBIX+<LzWS-OjdiZJu3Xm)q60z^=DNw%Bg6KFiEtMT4r+jth@He`=s#+7`RjmfOAdfIVp0)p1d-p^I}ZTq~F4I=N&QaD7~VH^gPQOgGkLyBwG6pm<K_(TSTkHv7BE9tQiM9IO",
+    ),
+    (
+        "v.tif",
+        "the index of a strip in XZ is damaged",
+        "c-pO!3wW1P9LImxbB?rZv@PA%jAW#xS*fKOHq%8IwSN~ClWH-FGD?eBNiHEx7s(|REi$>JVTjQvMhv;sS}JMEWi_4uo<Gg=sGfS9=lMS8`+nbZ-uHW+^GQ#S2L}KR0Z;(F3-iK|_bCu^oe%fokRP27U_w5q2)~~FJkKk#ULF<tj(SD=Jh*1DS5wrwywIyz$glKjQ*ZB50x0(LB>&L8&KE=WKX3omzK*&50|2tQd_^ijEJpckY`aYh5%MfFf=Fl%aS#vfp%Zk2ROk&EFaU<Z2*`nPFcGG}beIVRumBdpGAM#oPy(f}4mQ9>sDvG`8}|A`H^2yNf-%?{+hQVi!4yo#zSs{3V-{xP7|g{y%*Xri5uA%p;u3rTU%_I0FW9dluIKC_g|%sb1vuFUWfcKgUNXGKAIP`P3>>2WTKo(v@CV$Azu@oq7a9tq#?*{XqSGjWI?}mx0rjHGC_qE$TDqQYrU`T>-9r!3Y<irYq37u(dY#^;59ky6g1)8Aw4HvX8X`W1!#SE;@+o`<ci_(4gD>QZ`3fGySMw;ok#FHid^gVs-qx0!>a6gsBP)-*e}{*84lm@zyqs6^YJQhL;!pW2{+_FNC;!H^tkO_UkfstVZKRzfNmn^vAbQF6u*|YG1%SO0XZ5HZ6jM|^0Ym@#e;7^S!!z244=|d+2N)g5|7J8ea(tE`06XPijMg8AxbL2FsbtC!87|k!O>&#uA=Bgmc~s`h)AF3Gkk{lbd0#%3&*dB0B-^A~{uETF$7z(d(3ACaJxkBg?wY23^l}}jSLsN-LC5RudY9g-59wq2gg&c<`m(;E@92lRUcc1ubc_D1dvu?QIo9|tEyq{6q&f449tE$*n-fhdbE-MhoNbcLdFCQ>iRo{yG}oBXW~{l@Og2-^{brV#XPz=k&5Pz$^QKv2%1pWW+WcsKGP}$l2CTJ>Y@}^&<7~WbZ#&s;Hr4jF8FqjjW=Gf@JI+qDQ|xp*(-znTc9C6Xi|i^}VoU8h>$^-1R5h+C?>skcTT=4s*j>|(fY%Lnqph?%>~6c)vTNWXToV`LTD!I`(RFbtF5UHY{oG)e<+9xvm+SIezJt;k$)gh1uWj{TyzU1Bd>(}",
+    ),
+    (
+        "v.jpg",
+        "a table that is no segment of its own was passed over: other samples",
+        "c-s4a<NpH&0WUXCHwH#V1_nkTWcYuZ!I^=Bjg6g+m4ls~os*M;i${c)hnt&6Qb?FzL{>^(PF6}rMnOeST|r4lSw=>qq^LAiQ^&y2#Kc5i-O|>=$VSfyWC|lECnpa#j|4BTgps0*q7lj9{{aR;4hA*`c4kH;1|~s9W<kdPM;PRR4rOHo0|qEyWMXDvWn<^y<l+V@*ebxl#K_Fd#KO$V%EAJatp&<6un4jWDH=Mm2?r*!D;0_uHBMZ}q3pErplHy=4=Tn<MNOPsV&W2#QmSg|8k$-rre@|AmR8O#u5Rugo?gKrp<&?>kx|JhscGpMnOVgprDf$6l~v6xt!?ccon4bAPnkMx`iz;g7A;<~blLJ1D_3pWyk+aQ?K^hvI&}ER(PPI?oIG{u@|COCuHU$M>*1rvPo6$|{^I4UkDoq&`TFhqkDtFl{$gZcW`qH({t^WGi;0DWnS~wXFGi+vkODy#Rz*WLA;&=W#6n>uqec!9r-=(U9^_Ou4*DRPRCJL`OvU7(>PL{*z&<0+V@+iF4DK<6ziu(`Ff#%pk6Dnxp5gqo$G+Vmvz;T(uD_9*GUI5@%t~=(Z53bc+=IWDRR2m?)U|a(NZ4$T|F;1kY2bS",
+    ),
+    (
+        "v.png",
+        "a way of packing that PNG does not have",
+        "c-rd>@N?(olHy`uVBq!ia0vp^>_E&Wz@Wy!;AU#O8^{s&ba4!+n3J56;NGUg)0R>!Df!PpsgN<{IMekve<s!gl`wd^`njxgN@xNAgFzHb",
+    ),
+    ("v.png", "two headers", "c-rd>@N?(olHy`uVBq!ia0vp^>_E)M0VEi-Qg5%qCn4<V;uumfCpo2^LCpD&$zypAUIsH|rfZ=_tYRQ#p00i_>zopr06%aOU;"),
+    (
+        "v.dcm",
+        "an element that ends behind its item, and frames elsewhere",
+        "c-qC0KS*0q6vn^vlIlaOebE>)2n}s0QSfnJd?5jcLSn%OO`pvl6bvGQgOEXRP#pX-2o8d%;85sLaBvXZ+}zx{xpm9dt(%*){qFTOrCsdS`*@u1p7XokIqyE;|E{T^QneVHZ{uh)S`dU~9l69}Yz8Cn+`L=zmFp>`N^ZgRT%WJbdL&|GY{N{rKKBmy$-mD0Vh364d0=59^{Bgz^dIgv7E!5Ns5CNo%1T^UkikILw}70Ux~{(@hdAkeRKs^+Wx5tt-{dnndIYTcRF2_d<Pt_bp@L}TP)S!=Mm?j78O2o_J+8k8rvbkIKxd9IgVd4EjYPSm$rUlh3A~mv52NmDxNO8}K8+c2ad3Xt6}1iJ77H!K52`8C>muS`7~dh|k&1EyCYR?q-a;$SE;^gFev|2lbh@N%NZs*YT_4CS9(OI$wX^LYoCP*m>*XIB=FPms7(A5l8at?>fq5)p1*=%c7WQy}6MVoYoZ}K#xW)}W;}&1g!B>349qxJmeUgy0JeOB8F1}1kSpu1nSy_-}Y0H{y%C79op`6M`Ig_8Af`-=",
+    ),
+    (
+        "v.dcm",
+        "an item that ends within an element",
+        "c-qC0F-Rjp6o&t|$>}2MZB7j-1j8vu6kKNGh6F4Gqhi3gnkWhek%KD^ECdV1La`7m1X004un;UP1UoxBJ3BkObar-j;`z_q8t!bgbC%`(^WHcAdpiq!?iwoOix%VbSQLwl76iedj$C3fP8ZtYxoJ1&E7wy><=l+xxjtW=^+-g>*oNtIeeNCZTi={{Wxugj_m_o@_`B{l692i|SU|pPAwQKw6Dv_&K@!b1-waZE>azZl6r!XXQ4Gd|{AejC4yThTdK6gosT{*a$i<BMLIu&vp^}=ijQUCyF^a3yy<eULrvaY-pgPN#M0`)@+QVF{$z?Ib3A~Cj52NmDxUP`Xd;$~XqTu|jD{33c&1Nc!A5>DN*Llc)H@+>#BOd0OO)kxIyoE}dU39kVA2Jb=PK~q;sXOX?=LcLfA9l^swYuRTm;qK<tLGnT<IQxU2Oe@5zzB+%!W@3$H<qx1b!=e=2ROnB&TxTCT;UowxWyf+xW@w?@x=RYkeDQ-Lw-oF_|h+fQjiImk$L$gi?S?hvMJlLD~EC{r}6@YI)<D",
+    ),
 )
 """Name, what happened, and content."""

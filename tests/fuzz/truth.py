@@ -419,6 +419,11 @@ _TIFF_TYPES = {
 _NEEDED = (256, 257, 258, 259, 273, 277, 278, 279, 317, 322, 323, 324, 325, 339)
 
 
+_MOST = 1 << 13  # values of a tag that are looked at: more than any file of the corpus has room for
+_KIND = (256, 257, 258, 259, 262, 266, 277, 278, 284, 317, 322, 323, 339, 32997, 32998)
+"""Tags of which a page has others than the first where it belongs to another image."""
+
+
 def _directories(content: bytes) -> Iterator[dict[int, tuple[Any, ...]]]:
     order = {b"II": "<", b"MM": ">"}.get(content[:2])
     _need(order and len(content) >= 16, "byte order")
@@ -440,7 +445,8 @@ def _directories(content: bytes) -> Iterator[dict[int, tuple[Any, ...]]]:
                 (number,) = struct.unpack_from(order + word, content, here + 4)
                 if kind not in _TIFF_TYPES:
                     continue
-                code = order + _TIFF_TYPES[kind] * min(number, 1 << 20)
+                letters = _TIFF_TYPES[kind]  # with a count: `struct` keeps what it was told, thousands of letters too
+                code = f"{order}{min(number, _MOST) * len(letters)}{letters[0]}"
                 value = here + 4 + struct.calcsize(word)
                 if struct.calcsize(code) > struct.calcsize(word):
                     (value,) = struct.unpack_from(order + word, content, value)
@@ -489,6 +495,8 @@ def _page(content: bytes, tags: Mapping[int, tuple[Any, ...]], order: str) -> Ar
     _need(rows > 0 and columns > 0, "tiles")
     grid = -(-height // rows), -(-width // columns)
     _need(len(starts) == len(sizes) == math.prod(grid), "strips")
+    size = grid[0] * rows * grid[1] * columns * parts * dtype.itemsize
+    _need(size <= 1000 * len(content), "more samples than the file can hold")  # no codec packs better
     whole = np.zeros((grid[0] * rows, grid[1] * columns, parts), dtype)
     for (i, j), start, size in zip(itertools.product(*map(range, grid)), starts, sizes, strict=True):
         _need(size > 0 and start + size <= len(content), "a strip lies past the end")
@@ -515,7 +523,7 @@ def _unpacked(part: bytes, compression: int, expected: int) -> bytes | None:
     decoders: Mapping[int, Callable[[bytes], bytes]] = {
         8: zlib.decompress,
         32946: zlib.decompress,
-        5: imagecodecs.lzw_decode,
+        5: lambda packed: _unlzw(packed, expected),
         32773: imagecodecs.packbits_decode,
         50000: imagecodecs.zstd_decode,
         34925: imagecodecs.lzma_decode,
@@ -528,6 +536,32 @@ def _unpacked(part: bytes, compression: int, expected: int) -> bytes | None:
         return decoders[compression](part)
     except Exception as error:
         raise Damaged(f"a strip of {expected} bytes: {error}") from error
+
+
+def _unlzw(part: bytes, expected: int) -> bytes:
+    """LZW as section 13 of TIFF 6.0 has it; what follows the last sample says nothing of the samples."""
+    bits, count, at, width = 0, 0, 0, 9
+    table: list[bytes] = []
+    last, found = b"", bytearray()
+    while len(found) < expected:
+        while count < width:
+            _need(at < len(part), "codes end too early")
+            bits, count, at = bits << 8 | part[at], count + 8, at + 1
+        count -= width
+        code = bits >> count & (1 << width) - 1
+        bits &= (1 << count) - 1
+        if code == 256:
+            table, last, width = [bytes([k]) for k in range(256)] + [b"", b""], b"", 9
+            continue
+        _need(table and code != 257, "codes begin without a table, or end too early")
+        _need(code < len(table) or (code == len(table) and last), "a code that stands for nothing")
+        _need(len(table) < 4096, "a table of more than 4096 codes")
+        if last:
+            table.append(last + (table[code] if code < len(table) else last)[:1])
+        last = table[code]
+        found += last
+        width = min(12, (len(table) + 1).bit_length())
+    return bytes(found)
 
 
 def _tiff(files: Files, entry: str, _: object) -> Held | None:
@@ -551,7 +585,7 @@ def _tiff(files: Files, entry: str, _: object) -> Held | None:
         try:
             pages.append(_page(content, one, order))
         except Damaged:  # what is said once, for the first page, may be believed of the others
-            if any(one.get(tag, of) != of for tag, of in tags[0].items() if tag in (*_NEEDED[:4], 277, 339)):
+            if any(one.get(tag) != tags[0].get(tag) for tag in _KIND):
                 return None  # another image, of which nothing is read
             pages.append(_page(content, tags[0] | {tag: one[tag] for tag in (273, 279, 324, 325) if tag in one}, order))
     if any(page is None for page in pages):

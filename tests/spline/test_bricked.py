@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import pickle
 import threading
+import weakref
 from typing import Any
 
 import numpy as np
@@ -73,6 +75,9 @@ def test_other_grids(volume: clvol.Volume) -> None:
         out = np.zeros((50, 20, 60), np.float32)
         bricked.resample(shape=(50, 20, 60), out=out)
         np.testing.assert_array_equal(out, bricked.resample(shape=(50, 20, 60)).data)
+        assert np.shares_memory(bricked.resample(shape=(50, 20, 60), out=out).data, out)
+        with pytest.raises(OptionError, match="out must be of floating type; got uint8"):
+            bricked.resample(shape=(50, 20, 60), out=np.zeros((50, 20, 60), np.uint8))
         counts = clvol.Volume((100 * volume.data).astype(np.uint8), volume.spacing)
     with clvol.Field(counts) as whole, BrickedField(counts, edge=16) as bricked:
         a, b = (one.resample(shape=(30, 30, 30), dtype="same").data for one in (whole, bricked))
@@ -162,6 +167,18 @@ def test_threads_get_what_one_gets(volume: clvol.Volume) -> None:
     for one in found.values():
         np.testing.assert_array_equal(one, expected)
     assert len(found) == 4
+
+
+def test_one_that_nobody_keeps_is_freed(volume: clvol.Volume) -> None:
+    bricked = BrickedField(volume, "linear", edge=16)
+    bricked(points(volume, 0.4, 50))
+    gone = weakref.ref(bricked)
+    gc.disable()
+    try:
+        del bricked
+        assert gone() is None  # without the collector of cycles
+    finally:
+        gc.enable()
 
 
 def test_it_is_closed_and_pickled(volume: clvol.Volume) -> None:

@@ -126,11 +126,13 @@ class _Walk:
             if tag in self.lengths:  # of two, readers take either
                 raise FormatError(f"{self._name} must give each element once; ({tag[0]:04x},{tag[1]:04x}) is there twice")
             self.lengths[tag] = length
+        # Makers write what they like into groups of their own, which have odd numbers.
+        looked_into = kind in (b"SQ", b"") and tag[0] % 2 == 0 and tag != _PIXELS
         if length == _UNDEFINED:
             before = self.order, self.implicit
             if kind == b"UN":  # PS3.5, 6.2.2: whatever the file's syntax, a sequence of unknown type has its own
                 self.order, self.implicit = "<", True
-            self.data_set(end, depth + 1) if tag == _ITEM else self._items(end, depth, tag)
+            self.data_set(end, depth + 1) if tag == _ITEM else self._items(end, depth, tag, looked_into=looked_into)
             self.order, self.implicit = before
             return True
         start = self._stream.tell()
@@ -141,11 +143,17 @@ class _Walk:
             )
         if depth == 0:
             self.values[tag] = self._stream.read(min(length, _KEPT))
+        self._stream.seek(start)
+        if looked_into and kind == b"SQ":
+            self._items(start + length, depth, tag, looked_into=True, bounded=True)
         self._stream.seek(start + length)
         return True
 
-    def _items(self, end: int, depth: int, tag: Tag) -> None:
-        """The items of a sequence, or the parts of compressed samples, up to what ends them."""
+    def _items(self, end: int, depth: int, tag: Tag, *, looked_into: bool, bounded: bool = False) -> None:
+        """The items of a sequence, or the parts of compressed samples, up to a mark that ends them, or if `bounded` to `end`.
+
+        Items that say how long they are hold elements that end there, where they are `looked_into`.
+        """
         while self._stream.tell() < end:
             head = self._read(8, end)
             inner, length = struct.unpack(self.order + "HH", head[:4]), struct.unpack(self.order + "I", head[4:])[0]
@@ -157,7 +165,11 @@ class _Walk:
             if length == _UNDEFINED:
                 self.data_set(end, depth + 1)
             else:
+                if looked_into:
+                    self.data_set(start + length, depth + 1)
                 self._stream.seek(start + length)
+        if bounded:
+            return
         raise FormatError(f"{self._name} must end the items of ({tag[0]:04x},{tag[1]:04x}); it is damaged or cut short")
 
     def _read(self, count: int, end: int) -> bytes:

@@ -32,12 +32,15 @@ __all__ = [
     "sample_count",
     "scaled",
     "storable",
+    "xz_size",
 ]
 
 Reader = Callable[..., Content]
 Writer = Callable[[Volume, Path], None]
 
 _CHUNK = 1 << 20
+_GZIP_RESERVED = 0xE0  # of the flags of a member
+_XZ, _XZ_FOOTER, _XZ_BITS = b"\xfd7zXZ\0", 12, 63  # what a stream begins with; bytes of its end; bits of its numbers
 
 
 @contextmanager
@@ -130,6 +133,11 @@ def gunzipped_size(stream: IO[bytes], limit: int) -> int:
     FormatError
         More than `limit` bytes: what has no end is not unpacked.
     """
+    start = stream.tell()
+    head = stream.read(4)
+    stream.seek(start)
+    if len(head) == 4 and head[3] & _GZIP_RESERVED:  # RFC 1952, 2.3.1.2; SimpleITK refuses it too, and leaves the file open
+        raise FormatError(f"what is packed by gzip must be so as its standard has it; its flags are {head[3]:#04x}")
     with gzip.GzipFile(fileobj=stream) as unpacked:
         found = _count(unpacked.read, limit)
     if found > limit:
@@ -157,6 +165,36 @@ def inflated_size(stream: IO[bytes], packed: int, limit: int, *, exact: bool = F
         return b""
 
     return _count(read, limit)
+
+
+def xz_size(stream: IO[bytes], start: int, length: int) -> int:
+    """How many bytes a stream in XZ of `length` bytes holds, according to the index at its end, of which the checksums are checked.
+
+    Source: The .xz File Format, version 1.2.1, 2.1.2 (the footer) and 4 (the index).
+    """
+    stream.seek(start)
+    whole = stream.read(len(_XZ)) == _XZ and length > 2 * _XZ_FOOTER
+    stream.seek(start + length - _XZ_FOOTER if whole else start)
+    footer = stream.read(_XZ_FOOTER)
+    if not whole or footer[-2:] != b"YZ" or footer[:4] != zlib.crc32(footer[4:-2]).to_bytes(4, "little"):
+        raise FormatError("what is packed as XZ must begin and end so; it is damaged or cut short")
+    size = 4 * (int.from_bytes(footer[4:8], "little") + 1)
+    if size > length - 2 * _XZ_FOOTER:
+        raise FormatError("what is packed as XZ must hold its index; it is damaged or cut short")
+    stream.seek(start + length - _XZ_FOOTER - size)
+    index = stream.read(size)
+    if index[-4:] != zlib.crc32(index[:-4]).to_bytes(4, "little"):
+        raise FormatError("the index of what is packed as XZ must have the checksum that it says; it is damaged")
+    numbers, value, shift = [], 0, 0
+    for byte in index[1:-4]:
+        value |= (byte & 127) << shift
+        shift += 7
+        if byte < 128:
+            numbers.append(value)
+            value = shift = 0
+        elif shift > _XZ_BITS:
+            raise FormatError(f"numbers in what is packed as XZ must have up to {_XZ_BITS} bits; it is damaged")
+    return sum(numbers[2 : 1 + 2 * numbers[0] : 2])  # the number of blocks; of each the bytes before and after unpacking
 
 
 def _count(read: Callable[[int], bytes], limit: int) -> int:

@@ -13,7 +13,7 @@ from clvol.checks import number
 from clvol.errors import FormatError, OutOfMemoryError
 from clvol.memory import available
 
-__all__ = ["Budget", "Limits", "announce", "is_trusted", "limited", "size_of"]
+__all__ = ["Budget", "Limits", "announce", "announce_parts", "is_trusted", "limited", "size_of"]
 
 _MIB = 1 << 20
 _GIB = 1 << 30
@@ -22,6 +22,7 @@ _BYTES_A_SECOND = 5e6  # slower than any codec
 _FILE = 100_000  # bytes that count for opening a file
 _BASE_BYTES = 128 * _MIB
 _COPIES = 10  # of the samples as they are stored: a byte may become a float64 beside what a library holds of it
+_PARTS, _MEMBER = 4096, 1024  # chunks that any array may have; bytes of an archive for which it may have another one
 _LISTED = 10_000  # files of a folder that are counted
 
 
@@ -38,7 +39,8 @@ class Limits:
         Of memory, for the samples, and for all that those libraries hold at a time. None: what is available, and of it 128 MiB
         and ten times the size of the samples that the header says.
     expansion : float
-        How many times as large as the file its samples may be, if they are larger than 1 GiB.
+        How many times as large as the file its samples may be, if they are larger than 1 GiB; and how many times as many chunks as
+        files an array may have, if these are more than 4096.
 
     Raises
     ------
@@ -166,6 +168,25 @@ def announce(source: str, needed: int, stored: int | None = None) -> None:
         budget.samples = needed
         if budget.told is not None:
             budget.told(needed)
+
+
+def announce_parts(source: str, parts: int) -> None:
+    """Say how many chunks will be asked for, each of which takes its time, stored or not.
+
+    Raises
+    ------
+    FormatError
+        They are many more than what is stored can hold.
+    """
+    budget = _budget.get()
+    if budget is None or budget.stored is None:
+        return
+    held = max(budget.files, budget.stored // _MEMBER)
+    if parts > max(_PARTS, budget.limits.expansion * held):
+        raise FormatError(
+            f"{source} must have at most {budget.limits.expansion:g} times as many chunks as are stored (Limits.expansion), "
+            f"if they are more than {_PARTS}; it has {parts}; {MORE}"
+        )
 
 
 MORE = "limits=clvol.formats.Limits(...) or trusted=True allows more"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -103,7 +104,7 @@ def _leading(file: Any, layout: Layout) -> Leading:
         color = [float(part) for part in text["Color"].split()]
         window = [float(part) for part in text["ColorRange"].split()]
         colors.append((color[0], color[1], color[2]) if len(color) == 3 and all(0 <= c <= 1 for c in color) else None)
-        windows.append((window[0], window[1]) if len(window) == 2 and window[0] < window[1] else None)
+        windows.append((window[0], window[1]) if len(window) == 2 and -math.inf < window[0] < window[1] < math.inf else None)
     return Leading(layout.leading, layout.counts, {"channel": names} if any(names) else {}, tuple(colors), tuple(windows))
 
 

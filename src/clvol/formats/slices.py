@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 import re
 import struct
 import warnings
@@ -43,6 +44,10 @@ _ADAM7 = (
     (0, 1, 1, 2),
 )  # first and step of x, y
 _AT_ONCE = 1 << 20
+_JPG = b"\xff\xd8"
+_MARKER = re.compile(rb"\xff+[\x01\xc0-\xcf\xd9-\xfe]")  # of a segment, which may be filled up before it
+_AFTER_SCAN = re.compile(rb"\xff+[^\x00\xff\xd0-\xd7]")  # what is not among samples, as zeros and restarts are
+_END_OF_IMAGE, _SCAN, _NOTHING = 0xD9, 0xDA, 0x01
 _PNG = b"\x89PNG\r\n\x1a\n"
 _GREY = Leading(("channel",), (2,), {"channel": ("grey", "alpha")})
 
@@ -120,6 +125,8 @@ def _picture(path: Path) -> tuple[NDArray[Any], Leading]:
         _check_png(path)
     elif path.suffix.lower() == ".bmp":
         _check_bmp(path)
+    else:
+        _check_jpg(path)
     try:
         # Pillow warns that images of 90 megapixels are large
         with warnings.catch_warnings(action="ignore"), iio.imopen(path, "r", plugin="pillow") as file:
@@ -144,6 +151,8 @@ def _check_png(path: Path) -> None:
         name = b""
         while name != b"IEND":
             length, name = struct.unpack(">I4s", stream.read(8).rjust(8, b"\xff"))
+            if not name.isalpha():  # of ASCII
+                raise FormatError(f"cannot read {path}: it is damaged, a part of it is called {name!r}")
             if stream.tell() + length + 4 > end:
                 raise FormatError(f"cannot read {path}: it is damaged, or no image that imageio reads; it ends too early")
             checksum = zlib.crc32(name)
@@ -151,7 +160,10 @@ def _check_png(path: Path) -> None:
                 part = stream.read(min(length, _AT_ONCE))
                 checksum, length = zlib.crc32(part, checksum), length - len(part)
                 if name == b"IHDR" and len(part) == _IHDR.size:
-                    needed = _unpacked(*_IHDR.unpack(part))
+                    header = _IHDR.unpack(part)
+                    if needed or header[4:6] != (0, 0) or header[6] > 1:  # Pillow would not look
+                        raise FormatError(f"cannot read {path}: it is damaged, it has two headers, or one that no PNG image has")
+                    needed = _unpacked(*header)
                 while name == b"IDAT" and part and found <= needed:
                     found += len(packed.decompress(part, _AT_ONCE))
                     part = packed.unconsumed_tail
@@ -162,7 +174,7 @@ def _check_png(path: Path) -> None:
 
 
 def _check_bmp(path: Path) -> None:
-    """Raise if the samples do not follow the palette, or end long before the file: Pillow takes what is there."""
+    """Raise if the samples do not follow the palette, or do not end with the file: Pillow takes memory for all of them first."""
     with path.open("rb") as stream:
         head = stream.read(_BMP.size)
     if len(head) < _BMP.size or not head.startswith(b"BM"):
@@ -177,8 +189,28 @@ def _check_bmp(path: Path) -> None:
             f"cannot read {path}: it is damaged: its header and palette end at byte {head_end}, its samples begin at {start}"
         )
     end, stored = start + (width * bits + 31) // 32 * 4 * abs(height), path.stat().st_size
-    if packing == 0 and end + _PADDING < stored:
+    if packing == 0 and not end <= stored <= end + _PADDING:
         raise FormatError(f"cannot read {path}: it is damaged: its samples end at byte {end} of {stored}")
+
+
+def _check_jpg(path: Path) -> None:
+    """Raise if segments do not follow each other up to the end of the image: Pillow passes over what lies between, tables too."""
+    with path.open("rb") as stream:
+        if stream.read(2) != _JPG or path.stat().st_size < 4:  # Pillow goes by what files hold, not by their names
+            return
+        with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            at, kind = len(_JPG), 0
+            while kind != _END_OF_IMAGE:
+                match = _MARKER.match(content, at)
+                if match is None:
+                    raise FormatError(f"cannot read {path}: it is damaged or cut short: no segment of it begins at byte {at}")
+                at, kind = match.end(), content[match.end() - 1]
+                if kind in (_END_OF_IMAGE, _NOTHING):
+                    continue
+                at += int.from_bytes(content[at : at + 2].rjust(2, b"\0"), "big")
+                if kind == _SCAN:
+                    after = _AFTER_SCAN.search(content, at)
+                    at = after.start() if after else len(content)
 
 
 def _unpacked(width: int, height: int, depth: int, color: int, _: int, __: int, interlaced: int) -> int:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from clvol.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
 from clvol.formats._directories import Directory, directories, segments
-from clvol.formats._files import inflated_size, require_default, sample_count, scaled, storable
+from clvol.formats._files import inflated_size, require_default, sample_count, scaled, storable, xz_size
 from clvol.formats._layout import Layout, lay_out
 from clvol.formats._limits import announce
 from clvol.formats._units import METRES, scale, unit_name
@@ -46,7 +46,8 @@ _WHITE = (1.0, 1.0, 1.0)
 _DECLARED = re.compile(r"<!(DOCTYPE|ENTITY)")
 _NAMED = re.compile(r"""FileName\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 _DEFLATED = (8, 32946)
-_LOSSLESS = (*_DEFLATED, 5, 32773, 34925, 34926, 50000)  # and LZW, PackBits, LZMA, Zstandard
+_LZMA = (34925, 34926)
+_LOSSLESS = (*_DEFLATED, 5, 32773, 50000)  # and LZW, PackBits, Zstandard
 _NATIVE = "<" if sys.byteorder == "little" else ">"
 _MOST_STORED, _HEAD = 2, 4096  # bytes that a codec may need at most for one of samples, and for itself
 _HEADER = 8  # bytes before anything else in a file; tifffile takes a place of 0 for one that is not stored
@@ -406,6 +407,9 @@ def _check_samples(name: str, pages: Sequence[Any], keyframe: Any, count: int, r
     announce(name, (count if read is None else read) * keyframe.dtype.itemsize, stored)
     if sizes is not None and keyframe.compression in _LOSSLESS:
         _check_unpacked(name, keyframe, sizes)
+    if sizes is not None and keyframe.compression in _LZMA:
+        for page in pages:
+            _check_ends(name, page, sizes)
 
 
 def _check_order(name: str, image: Any) -> None:
@@ -445,6 +449,19 @@ def _check_unpacked(name: str, keyframe: Any, sizes: tuple[int, int, int, int]) 
         found = len(_tifffile().TIFF.DECOMPRESSORS[keyframe.compression](content))
     if found not in ((full, last) if per_plane == 1 else (full,)):
         raise FormatError(f"{name} must hold {full} bytes of samples in each strip or tile; found {found}")
+
+
+def _check_ends(name: str, page: Any, sizes: tuple[int, int, int, int]) -> None:
+    """Raise if a segment in XZ is cut short, or says that it holds other bytes: where all samples are there, its checksum is not
+    looked at.
+    """
+    per_plane, _, full, last = sizes
+    for number, (offset, length) in enumerate(zip(page.dataoffsets, page.databytecounts, strict=True), 1):
+        found = xz_size(page.parent.filehandle, offset, length)
+        if found != full and (found != last or number % per_plane):
+            raise FormatError(
+                f"{name} must hold {full} bytes of samples in each strip or tile; one in XZ says that it holds {found}"
+            )
 
 
 def _ome(description: str, number: int, count: int, dtype: np.dtype[Any] | None) -> _About:
@@ -512,7 +529,7 @@ def _imagej(file: Any) -> _About:
         unit_name(str(metadata.get("unit", ""))),
         names=_names(metadata.get("Labels", ()), channels),
         colors=_telling(colors),
-        windows=windows if all(a < b for a, b in windows) else (),
+        windows=windows if all(-math.inf < a < b < math.inf for a, b in windows) else (),
         slope=slope,
         offset=offset,
     )

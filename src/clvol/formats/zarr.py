@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import os
 import re
 import time
@@ -23,7 +24,7 @@ from clvol.formats._bounds import KEY, bounds_of
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
 from clvol.formats._files import bytes_at, require_members, sample_count
 from clvol.formats._layout import Layout, decoded, lay_out, place, shrunk, uniform, unnamed
-from clvol.formats._limits import announce
+from clvol.formats._limits import announce, announce_parts
 from clvol.formats._window import Index, Signature, Window, signature
 from clvol.interop import Content
 from clvol.volume import SPACES
@@ -417,7 +418,9 @@ def _leading(layout: Layout, channels: list[Mapping[str, Any]]) -> Leading:
     names = tuple(str(channel.get("label") or "") for channel in channels)
     colors = tuple(_color(channel.get("color")) for channel in channels)
     ends = [(window.get("start"), window.get("end")) for window in (channel.get("window") or {} for channel in channels)]
-    windows = tuple((float(a), float(b)) if a is not None and b is not None and a < b else None for a, b in ends)
+    windows = tuple(
+        (float(a), float(b)) if a is not None and b is not None and -math.inf < a < b < math.inf else None for a, b in ends
+    )
     return Leading(
         layout.leading,
         layout.counts,
@@ -439,6 +442,9 @@ def _loaded(source: str, array: Any, index: tuple[int | slice, ...] = ()) -> NDA
     chunk = sample_count(array.shards or array.chunks) * array.dtype.itemsize
     announce(source, max(chunk, bytes_at(array.shape, index, array.dtype)))
     _require_fill(array)
+    taken = [len(range(n)[at]) if isinstance(at, slice) else 1 for n, at in zip(array.shape, index, strict=False)]
+    counts = [*taken, *array.shape[len(taken) :]]
+    announce_parts(source, sample_count([-(-n // m) for n, m in zip(counts, array.shards or array.chunks, strict=True)]))
     return np.asarray(array[index])
 
 

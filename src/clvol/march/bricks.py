@@ -23,6 +23,7 @@ from clvol.march.launch import Drawing, Picture, Progress, launched_over, lent_p
 from clvol.mode import Composite, Isosurface
 from clvol.program import Program
 from clvol.spline.bricked import Brick, BrickedField, Resident
+from clvol.spline.lease import release
 from clvol.spline.minmax import MinMax, minmax_block
 from clvol.transfer import TransferFunction
 from clvol.uniform import Values
@@ -34,7 +35,8 @@ Area: TypeAlias = tuple[int, int, int, int]
 """Of pixels: x, y, width and height."""
 
 STEPPED_AT_MOST = 3.0
-"""Voxels between two samples of a ray, of modes that look between them: bricks hold so many around their own."""
+"""Voxels between two samples of a ray where something between them is asked for: bricks hold so many around their own."""
+_LOOKED_AHEAD = 32  # bricks, of which the next one is read while rays go through another
 _SHARE = 8  # of the budget, what states may take at a time
 
 
@@ -59,6 +61,11 @@ class BrickedDrawing(Drawing):
         super().__init__(frame, samples, filter)
         self._field, self._view, self._skipping = field, view, skipping
 
+    @property
+    def _beside(self) -> int:
+        """Pixels that a ray may cross the picture beside its own."""
+        return math.ceil(max(float(np.abs(offset - 0.5).max()) for offset, _ in self._pattern))
+
     def _make_ready(self) -> None:
         self._program = self.frame.program("march/bricks.cl", windowed=True)
         self._table = self.frame.device.upload(self.frame.table)
@@ -73,7 +80,9 @@ class BrickedDrawing(Drawing):
             first, past = self.cast_rays, min(last, self.cast_rays + together)
             memory.require((past - first) * each, f"the states of {(past - first) * width * height} rays")
             frames = [replace(frame, values=frame.sampled(*self._pattern[i], i, self.rays)) for i in range(first, past)]
-            self._sweep([(one, None) for one in frames], self.arrays, told, begun=first > 0)
+            start, share = self.cast_rays / last, (past - self.cast_rays) / last
+            part = None if told is None else _share(told, start, share)
+            self._sweep([(one, None) for one in frames], self.arrays, part, begun=first > 0)
             self.cast_rays = past
         return True
 
@@ -96,19 +105,23 @@ class BrickedDrawing(Drawing):
         passes: list[_Pass] = []
         try:
             for frame, places in frames:
-                passes.append(_Pass(frame, places, self._program, self._table))
+                passes.append(_Pass(frame, places, self._program, self._table, self._beside, self.frame))
             for number, brick in enumerate(bricks):
                 wanted = [(one, area) for one in passes if (area := one.wanted(brick, self._view, grid)) is not None]
                 if wanted:
                     with field.resident(brick) as own:
-                        for following in bricks[number + 1 : number + 2]:
-                            field.read_ahead(following)
+                        for following in bricks[number + 1 : number + 1 + _LOOKED_AHEAD]:
+                            if any(one.wanted(following, self._view, grid) for one in passes):
+                                field.read_ahead(following)
+                                break
                         minmax = field.pyramid(own, self.frame.evaluator) if self._skipping and self.frame.mode.skips else None
                         if self._may_matter(brick):  # of what was just read more is known
                             for one, area in wanted:
                                 one.march(own, minmax, brick, field, area)
                 if told:
                     told((number + 1) / len(bricks))
+            if told:
+                told(1.0)
             with lent_pictures(self.frame if frames[0][1] is None else frames[0][0], arrays, begun=begun) as buffers:
                 for one in passes:
                     one.finish(buffers)
@@ -135,12 +148,16 @@ class BrickedDrawing(Drawing):
 class _Pass:
     """One ray of each pixel, or one of each of a list, on its way through the bricks."""
 
-    def __init__(self, frame: Frame, places: NDArray[np.float32] | None, program: Program, table: Any) -> None:
+    def __init__(
+        self, frame: Frame, places: NDArray[np.float32] | None, program: Program, table: Any, beside: int, whole: Frame
+    ) -> None:
         device, tile, (width, height) = frame.device, frame.tile, frame.size
         self.frame = frame
+        self._beside = beside
+        self._whole_size = whole.size
+        self._boxes = None if places is None else _boxes(places.reshape(height, width, 2), tile.height, tile.width)
         self._program, self._table = program, table
         self._places = table if places is None else device.upload(places)  # any buffer: it is not read
-        self._listed = places is not None
         self._memory = device.allocate(4 * width * height * (frame.mode.state_fields + 1))
         shown = _fields(frame) - frame.mode.state_fields - 1
         self._shown = device.allocate(4 * max(1, width * height * shown))
@@ -154,12 +171,18 @@ class _Pass:
     def wanted(self, brick: Brick, view: View, grid: Volume) -> Area | None:
         """The pixels whose rays may have samples in a brick, whole tiles; None if no ray of theirs wants any."""
         tile, (width, height) = self.frame.tile, self.frame.size
-        left, top, right, bottom = (0, 0, width, height) if self._listed else _pixels_of(brick, view, grid, width, height)
-        left, top = left // tile.width, top // tile.height
-        right, bottom = -(-right // tile.width), -(-bottom // tile.height)
-        if left >= right or top >= bottom:
-            return None
-        going = self._going[top:bottom, left:right]
+        if self._boxes is None:
+            left, top, right, bottom = _pixels_of(brick, view, grid, width, height, self._beside)
+            left, top = left // tile.width, top // tile.height
+            right, bottom = -(-right // tile.width), -(-bottom // tile.height)
+            if left >= right or top >= bottom:
+                return None
+            going = self._going[top:bottom, left:right]
+        else:
+            x0, y0, x1, y1 = _pixels_of(brick, view, grid, *self._whole_size, self._beside)
+            boxes = self._boxes
+            meets = (boxes[..., 0] <= x1) & (boxes[..., 1] <= y1) & (boxes[..., 2] >= x0) & (boxes[..., 3] >= y0)
+            left, top, going = 0, 0, self._going & meets
         rows, columns = np.flatnonzero(going.any(1)), np.flatnonzero(going.any(0))
         if not len(rows):
             return None
@@ -216,8 +239,7 @@ class _Pass:
 
     def release(self) -> None:
         """Free the device's memory."""
-        for buffer in (self._memory, self._shown):
-            buffer.release()
+        release(self.frame.device, self._memory, self._shown)
 
 
 def front_to_back(field: BrickedField, view: View) -> list[Brick]:
@@ -233,7 +255,7 @@ def front_to_back(field: BrickedField, view: View) -> list[Brick]:
             forwards = float((inverse @ view.forward)[axis]) >= 0
             ways.append(list(range(count)) if forwards else list(range(count))[::-1])
             continue
-        eye = float(grid.world_to_index(view.eye)[axis]) / field.edge
+        eye = (float(grid.world_to_index(view.eye)[axis]) - field.away) / field.edge
         own = min(max(math.floor(eye), 0), count - 1)
         ways.append(sorted(range(count), key=lambda i, own=own: abs(i - own)))  # type: ignore[misc]  # a default that binds
     x, y, z = ways
@@ -264,7 +286,7 @@ def opacity_within(transfer: TransferFunction, low: float, high: float) -> float
 def _fields(frame: Frame) -> int:
     """Numbers that are kept for each ray."""
     mode = frame.mode
-    return mode.state_fields + 1 + 3 * isinstance(mode, Isosurface) + 3 * frame.guides
+    return mode.state_fields + 1 + 3 * mode.finished_there + 3 * frame.guides
 
 
 def _window(own: Resident, minmax: MinMax | None, brick: Brick, field: BrickedField) -> Values:
@@ -285,7 +307,23 @@ def _window(own: Resident, minmax: MinMax | None, brick: Brick, field: BrickedFi
     )
 
 
-def _pixels_of(brick: Brick, view: View, grid: Volume, width: int, height: int) -> Area:
+def _share(told: Progress, start: float, share: float) -> Progress:
+    """Tells of a part of the work."""
+    return lambda done: told(start + share * done)
+
+
+def _boxes(places: NDArray[np.float32], down: int, across: int) -> NDArray[np.float32]:
+    """Between which places of a picture the rays of each tile of a list lie: left, top, right and bottom, (rows, columns, 4)."""
+    rows, columns = -(-places.shape[0] // down), -(-places.shape[1] // across)
+    boxes = np.empty((rows, columns, 4), np.float32)
+    for i in range(rows):
+        for j in range(columns):
+            tile = places[i * down : (i + 1) * down, j * across : (j + 1) * across].reshape(-1, 2)
+            boxes[i, j] = (*tile.min(0), *tile.max(0))
+    return boxes
+
+
+def _pixels_of(brick: Brick, view: View, grid: Volume, width: int, height: int, beside: int) -> Area:
     """The pixels (left, top, right, bottom) between which rays lie that meet a brick; all of them if it reaches behind the eye."""
     low = np.maximum(np.asarray(brick.low), -0.5) - 1
     high = np.minimum(np.asarray(brick.high), np.asarray(grid.size) - 0.5) + 1
@@ -299,6 +337,6 @@ def _pixels_of(brick: Brick, view: View, grid: Volume, width: int, height: int) 
         spread = ahead
     x = (away @ view.right / (spread * view.half_height * width / height) + 1) / 2 * width
     y = (1 - away @ view.up / (spread * view.half_height)) / 2 * height
-    left, top = (max(0, math.floor(min(float(v.min()), 1e9)) - 1) for v in (x, y))
-    right, bottom = (min(n, math.ceil(max(float(v.max()), -1e9)) + 2) for v, n in ((x, width), (y, height)))
+    left, top = (max(0, math.floor(min(float(v.min()), 1e9)) - 1 - beside) for v in (x, y))
+    right, bottom = (min(n, math.ceil(max(float(v.max()), -1e9)) + 2 + beside) for v, n in ((x, width), (y, height)))
     return left, top, right, bottom

@@ -221,6 +221,7 @@ class Frame:
             "GUIDES": int(self.guides),
             "BLOCK": BLOCK * self.coefficients.filter.scale,
             "SLAB": SLAB,
+            "FINISHED_THERE": int(mode.finished_there),
             "WINDOWED": int(windowed),
             "COORD_DOUBLE": 0,
             **(along_defines(self.coefficients.filter) if mode.stretches else {}),
@@ -268,12 +269,23 @@ class Subject:
         return replace(self, looked=volume)
 
     def of(self, coefficients: Whole, boundary: Boundary) -> Subject:
-        """The same of other coefficients: of another level of the volume."""
+        """The same of other coefficients: of another level of the volume.
+
+        What follows from the volume where nothing is given, the thickness that opacities count for and what a camera is fitted to,
+        is the whole volume's: all levels show the same matter in the same place.
+        """
         (medium,) = self.scene.media
+        whole, camera, transfer = medium.volume, self.camera, self.transfer
+        if transfer.unit_distance is None:
+            transfer = replace(transfer, unit_distance=whole.mean_spacing)
+        if camera.fit == "volume" or any(v is not None for v in (camera.position, camera.target, camera.distance, camera.radius)):
+            x, y, z = (float(v) for v in whole.center)
+            target, radius = camera.target or (x, y, z), whole.radius if camera.radius is None else camera.radius
+            camera = replace(camera, target=target, radius=radius)
         seen = Medium(coefficients.volume, medium.transfer, medium.material, medium.filter, boundary)
         scene = Scene((seen,), self.scene.lights, self.scene.background, self.scene.clip)
         central = self.central or not coefficients.filter.has_gradient
-        return replace(self, scene=scene, coefficients=coefficients, central=central)
+        return replace(self, scene=scene, coefficients=coefficients, central=central, camera=camera, transfer=transfer)
 
     def view(self, size: tuple[int, int]) -> View:
         """From where a picture of so many pixels is seen."""

@@ -21,7 +21,7 @@ from clvol.camera import Camera
 from clvol.checks import instance, number, one_of, whole
 from clvol.device import Device
 from clvol.errors import DataError, OptionError, OutOfMemoryError
-from clvol.filter import PICTURE_FILTER, Filter
+from clvol.filter import PICTURE_FILTER, Filter, as_filter
 from clvol.lazy import LazyVolume
 from clvol.light import Light, Material
 from clvol.look import look
@@ -31,7 +31,7 @@ from clvol.march.frame import Subject
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter
 from clvol.march.refine import Rates, Refined, Wanted, refined, refined_by_levels
 from clvol.march.uncertainty import Uncertainty
-from clvol.mode import DEFAULT_MODE, Isosurface, Mode, as_mode
+from clvol.mode import DEFAULT_MODE, Composite, Isosurface, Mode, as_mode
 from clvol.noise import Noise
 from clvol.picture import Picture, as_pictures
 from clvol.scene import Box, Medium, Scene, as_scene
@@ -53,6 +53,7 @@ OUTPUTS: tuple[Output, ...] = ("rgba", "depth", "normal", "position", "visited")
 """Of every mode."""
 _ALL_OUTPUTS = get_args(Output)
 _BITS = 8.0  # of the sampler's fraction, before pictures are made by it: what texture units have
+_SMALL_PART = 16  # of the budget: bricks of other levels that take less stay
 _MAX_SIZE = 1 << 15
 _CLOSED = "the renderer was closed, and its coefficients were released; make a new one"
 
@@ -160,6 +161,11 @@ class Renderer:
     def volume(self) -> Volume:
         """Of the medium."""
         return self.scene.media[0].volume
+
+    @property
+    def levels(self) -> tuple[BrickedField, ...]:
+        """The fields of those lower resolutions of a LazyVolume that pictures were made of."""
+        return tuple(self._levels.values())
 
     @property
     def filter(self) -> Filter:
@@ -396,13 +402,12 @@ class Renderer:
             words = {"preset": preset, "window": window, "cmap": cmap, "opacity": opacity}
             scene = self._seen(self._transfer(chosen, transfer, words), material, lights, background, clip)
             size, step, rays = _fineness(chosen, size, step, samples)
-            pixel_filter = as_pixel_filter(pixel_filter)
+            pixel_filter, detail = as_pixel_filter(pixel_filter), _pixels_a_voxel(lod)
             _require_picture(size, wanted, edges=rays == "auto")
             uncertain = self._uncertain(self._field_of(chosen), chosen) if "uncertainty" in wanted else None
             subject = self._subject(scene, camera, chosen, gradient, skipping, evaluator, fetch)
             guides, field = wanted != ("rgba",), self._field_of(chosen)
             if isinstance(field, BrickedField):
-                detail = _pixels_a_voxel(lod)
                 level = level_of(field.volume, subject.view(size), size, detail)
                 pictures = self._by_bricks(subject, chosen, level, size, step, rays, pixel_filter, guides, skipping, progress)
             else:
@@ -447,6 +452,9 @@ class Renderer:
         that a camera that moves has one picture after the other in time. Where pixels would become too few, those of "composite"
         and "mean" have longer steps too. Then come one or two finer ones, if the whole picture takes much longer; then that with
         one ray a pixel; then that with its other rays. All show the same part of the world: scale them to `size`.
+
+        Of a `LazyVolume` they are whole pictures of its levels, the coarsest first, however long these take; `cancelled` is asked
+        after each brick.
 
         Parameters
         ----------
@@ -538,9 +546,11 @@ class Renderer:
     ) -> dict[str, Any]:
         """The picture of a level of a volume that is read brick by brick; the whole volume is level 0."""
         field = self._field_at(mode, level)
-        if not mode.stretches and isinstance(mode, Isosurface) and step > STEPPED_AT_MOST:
+        stepped = isinstance(mode, Isosurface) and not mode.stretches
+        if step > STEPPED_AT_MOST and (stepped or (guides and isinstance(mode, Composite))):
+            what = "stepped surfaces" if stepped else "the depth and normals of matter"
             raise OptionError(
-                f"step must be at most {STEPPED_AT_MOST:g} for stepped surfaces of a volume that is read by bricks; got {step:g}"
+                f"step must be at most {STEPPED_AT_MOST:g} for {what} of a volume that is read by bricks; got {step:g}"
             )
         with field.in_use():
             own = subject.of(field.coefficients, field.boundary)
@@ -551,23 +561,27 @@ class Renderer:
             return made
 
     def _field_at(self, mode: Mode, level: int) -> BrickedField:
-        """The field of a level; those of others keep no bricks while it is drawn."""
+        """The field of a level; those of others keep few bricks while it is drawn, and it leaves them their part of the budget."""
         base = self._field_of(mode)
         assert isinstance(base, BrickedField)
         with self._lock:
             field = base
             if level:
-                key = level, base.filter.name
+                coarser = base.volume.levels[level - 1]
+                free = self.scene.media[0].filter is None and mode.picture_filter == PICTURE_FILTER
+                row = _usual(coarser) if free else base.filter
+                key = level, "" if row is None else as_filter(row).name
                 if key not in self._levels:
-                    coarser = base.volume.levels[level - 1]
-                    free = self.scene.media[0].filter is None and mode.picture_filter == PICTURE_FILTER
-                    row = _usual(coarser) if free else base.filter
                     self._levels[key] = BrickedField(coarser, row, base.boundary, base.device, budget=base.budget)
                     self._lease.frees(self._levels[key].close)
                 field = self._levels[key]
-            for other in (base, self.field, self._unsmoothed, *self._levels.values()):
-                if isinstance(other, BrickedField) and other is not field and other.nbytes + field.nbytes > field.budget:
-                    other.drop()
+            beside = 0
+            for other in {id(f): f for f in (base, self.field, self._unsmoothed, *self._levels.values())}.values():
+                if isinstance(other, BrickedField) and other is not field:
+                    if other.nbytes > field.budget // _SMALL_PART:
+                        other.drop()
+                    beside += other.nbytes
+            field.beside = beside
             return field
 
     @contextmanager

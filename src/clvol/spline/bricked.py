@@ -12,7 +12,7 @@ import math
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -26,7 +26,7 @@ from clvol import memory
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.checks import whole
 from clvol.device import Device, as_device
-from clvol.errors import DataError, OptionError
+from clvol.errors import DataError, OptionError, OutOfMemoryError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.interop import as_output
 from clvol.lazy import Index, LazyVolume
@@ -148,6 +148,27 @@ class Whole:
         return {**filter_defines(self.filter, np.float32), **evaluator_defines(evaluator, self.filter, self.ndim, self.device)}
 
 
+class _Ahead:
+    """Samples that are being read, or were."""
+
+    def __init__(self, nbytes: int) -> None:
+        self.nbytes = nbytes
+        self.samples: Future[NDArray[Any]] = Future()
+
+    def work(self, read: Callable[[Brick], NDArray[Any]], brick: Brick) -> None:
+        try:
+            self.samples.set_result(read(brick))
+        except BaseException as error:
+            self.samples.set_exception(error)
+
+
+def _released(resident: dict[Index, Resident], ahead: dict[Index, _Ahead]) -> None:
+    """The last use has ended: nobody else asks for these."""
+    ahead.clear()
+    while resident:
+        resident.popitem()[1].release()
+
+
 def margin_of(filter: Filter) -> int:
     """Samples around a brick that its coefficients are computed from: those further away count less than `LEFT_OUT`."""
     own = filter.magnified_by or filter
@@ -187,6 +208,8 @@ class BrickedField:
     boundary : Boundary
     device : Device
     budget, edge : int
+    beside : int
+        Bytes that others take of the same budget.
     reads : Reads
         What was read until now.
 
@@ -237,11 +260,11 @@ class BrickedField:
         self.edge = self._edge_for(edge)
         self._bounds: dict[Index, tuple[float, float]] = {}
         self._resident: OrderedDict[Index, Resident] = OrderedDict()
-        self._ahead: dict[Index, Future[NDArray[Any]]] = {}
-        self._reader: ThreadPoolExecutor | None = None
+        self._ahead: dict[Index, _Ahead] = {}
+        self.beside = 0
         self._lock = threading.RLock()  # a handler of signals may come back here
         self._lease = Lease(_CLOSED)
-        self._lease.frees(self._release)
+        self._lease.frees(partial(_released, self._resident, self._ahead))  # not of the field: it would be a cycle
 
     def __repr__(self) -> str:
         shape = " × ".join(map(str, self.volume.shape))
@@ -296,6 +319,11 @@ class BrickedField:
         x, y, z = (max(1, -(-n // self.edge)) for n in self.volume.size)
         return x, y, z
 
+    @property
+    def away(self) -> float:
+        """How far past samples bricks begin: cells of odd supports begin between samples."""
+        return 0.0 if self.filter.support % 2 == 0 else 0.5 / self.filter.scale
+
     def bricks(self) -> Iterator[Brick]:
         """All of them, in the order in which they are stored."""
         x, y, z = map(range, self.counts)
@@ -303,7 +331,7 @@ class BrickedField:
 
     def brick(self, at: Index) -> Brick:
         """Where one of them lies."""
-        away = 0.0 if self.filter.support % 2 == 0 else 0.5 / self.filter.scale  # cells of odd supports begin between samples
+        away = self.away
         low, high, first, last = [], [], [], []
         for i, count, n in zip(at, self.counts, self.volume.size, strict=True):
             a, b = i * self.edge, (i + 1) * self.edge
@@ -325,6 +353,7 @@ class BrickedField:
     def samples(self, brick: Brick) -> NDArray[Any]:
         """The samples that a brick's coefficients are computed from, [z, y, x]."""
         pieces = [_runs(a, b, n) for a, b, n in zip(brick.first, brick.last, self.volume.size, strict=True)]
+        self.reads.samples += math.prod(b - a for a, b in zip(brick.first, brick.last, strict=True))
         x, y, z = pieces
         rows = [
             np.concatenate(
@@ -343,19 +372,21 @@ class BrickedField:
     @contextmanager
     def resident(self, brick: Brick) -> Iterator[Resident]:
         """A brick's coefficients, on the device for the time of a block, and longer if there is room."""
-        with self._lock:
-            own = self._resident.get(brick.at)
-            if own is None:
-                own = self._made(brick)
-                self._resident[brick.at] = own
-            self._resident.move_to_end(brick.at)
-            own.users += 1
+        own: Resident | None = None
         try:
+            with self._lock:
+                found = self._resident.get(brick.at)
+                if found is None:
+                    found = self._made(brick)
+                    self._resident[brick.at] = found
+                self._resident.move_to_end(brick.at)
+                own, found.users = found, found.users + 1
             yield own
         finally:
-            with self._lock:
-                own.users -= 1
-                self._make_room(0)
+            if own is not None:
+                with self._lock:
+                    own.users -= 1
+                    self._make_room(0)
 
     def _made(self, brick: Brick) -> Resident:
         size = tuple(b - a for a, b in zip(brick.first, brick.last, strict=True))
@@ -363,15 +394,18 @@ class BrickedField:
         grid = replace(self.volume.grid, data=np.broadcast_to(np.zeros((), self.volume.dtype), size[::-1]))
         self._make_room(bytes_of(size, self.filter, boundary, np.float32) + math.prod(size) * self.volume.dtype.itemsize)
         ahead = self._ahead.pop(brick.at, None)
-        data = self.samples(brick) if ahead is None else ahead.result()
+        data = self.samples(brick) if ahead is None else ahead.samples.result()
         self.reads.bricks += 1
-        self.reads.samples += data.size
-        made = Coefficients(grid, self.filter, boundary, self.device, self.stored)
+        try:
+            made = Coefficients(grid, self.filter, boundary, self.device, self.stored)
+        except OutOfMemoryError:  # others take what the budget allows
+            self._make_room(self.budget)
+            made = Coefficients(grid, self.filter, boundary, self.device, self.stored)
         return Resident(brick.at, filled(made, data))
 
     def _make_room(self, size: int) -> None:
         """Drop bricks that nobody uses, the longest unused first, until so many bytes more fit into the budget."""
-        used = sum(one.nbytes for one in self._resident.values()) + size
+        used = self.nbytes + size + self.beside
         for at in list(self._resident):
             if used <= self.budget:
                 return
@@ -385,17 +419,16 @@ class BrickedField:
         """Have the samples of a brick read while something else is done, if it is not there, and there is room for them."""
         with self._lock:
             size = math.prod(b - a for a, b in zip(brick.first, brick.last, strict=True)) * self.volume.dtype.itemsize
-            if brick.at in self._resident or brick.at in self._ahead or len(self._ahead) > 1 or 8 * size > self.budget:
+            if brick.at in self._resident or brick.at in self._ahead or 8 * size > self.budget:
                 return
-            if self._reader is None:
-                self._reader = ThreadPoolExecutor(1, thread_name_prefix="clvol: bricks")
-            self._ahead[brick.at] = self._reader.submit(self.samples, brick)
+            self._ahead.clear()  # what rays did not come to after all
+            self._ahead[brick.at] = ahead = _Ahead(size)
+            # a thread that nobody waits for at the end: a server may not answer
+            threading.Thread(target=ahead.work, args=(self.samples, brick), name="clvol: reading ahead", daemon=True).start()
 
     def forget_ahead(self) -> None:
         """What was read ahead is not wanted."""
         with self._lock:
-            for one in self._ahead.values():
-                one.cancel()
             self._ahead.clear()
 
     def pyramid(self, own: Resident, evaluator: Evaluator) -> MinMax:
@@ -430,8 +463,9 @@ class BrickedField:
         """Between which values the function lies in a brick and beside it, in units of the data, as far as is known."""
         kept = self.volume.bounds
         if kept is not None and (kept.filter, kept.boundary) == (self.filter.name, self.boundary.name):
-            low = [max(0, math.floor(a) - 1) if math.isfinite(a) else 0 for a in brick.low]
-            high = [min(n, math.ceil(b) + 2) if math.isfinite(b) else n for b, n in zip(brick.high, self.volume.size, strict=True)]
+            beside = _AROUND + 1  # rays look so far back
+            ends = zip(brick.low, brick.high, self.volume.size, strict=True)
+            low, high = zip(*((math.floor(max(a - beside, 0)), math.ceil(min(b + beside + 1, n))) for a, b, n in ends), strict=True)
             return kept.within((low[0], low[1], low[2]), (high[0], high[1], high[2]))
         with self._lock:
             return self._bounds.get(brick.at)
@@ -442,9 +476,9 @@ class BrickedField:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the bricks that are on the device."""
+        """Bytes of the bricks that are on the device, and of samples that were read ahead."""
         with self._lock:
-            return sum(one.nbytes for one in self._resident.values())
+            return sum(one.nbytes for one in self._resident.values()) + sum(one.nbytes for one in self._ahead.values())
 
     # -- as a Field ----------------------------------------------------------------------------------------------------------
 
@@ -463,11 +497,6 @@ class BrickedField:
         with self._lock:
             for at in [at for at, one in self._resident.items() if not one.users]:
                 self._resident.pop(at).release()
-
-    def _release(self) -> None:
-        self.drop()
-        if self._reader is not None:
-            self._reader.shutdown(wait=False, cancel_futures=True)
 
     def in_use(self) -> AbstractContextManager[None]:
         """For the time of a block `close` frees nothing; errors as of `Field.in_use`."""
@@ -593,16 +622,32 @@ class BrickedField:
         progress: Progress | None,
     ) -> None:
         """The function at the wanted places, brick by brick."""
-        away = 0.0 if self.filter.support % 2 == 0 else 0.5 / self.filter.scale
-        owners = np.floor((places[wanted] - away) / self.edge).astype(np.int64)
+        owners = np.floor((places[wanted] - self.away) / self.edge).astype(np.int64)
         np.clip(owners, 0, np.asarray(self.counts) - 1, out=owners)
         nx, ny, _ = self.counts
         number = (owners[:, 2] * ny + owners[:, 1]) * nx + owners[:, 0]
         order = np.argsort(number, kind="stable")
-        ends = np.flatnonzero(np.diff(number[order], append=-1)) + 1
-        inverse = self.volume.grid.world_to_index_matrix
+        ends: list[int] = (np.flatnonzero(np.diff(number[order], append=-1)) + 1).tolist()
         runs = list(zip([0, *ends[:-1]], ends, strict=True))
         bricks = [self.brick((int(x), int(y), int(z))) for x, y, z in owners[order[[first for first, _ in runs]]]]
+        try:
+            self._one_by_one(places, wanted, order, runs, bricks, derivative, results, progress)
+        finally:
+            self.forget_ahead()
+
+    def _one_by_one(
+        self,
+        places: NDArray[np.float64],
+        wanted: NDArray[np.intp],
+        order: NDArray[np.intp],
+        runs: list[tuple[int, int]],
+        bricks: list[Brick],
+        derivative: int,
+        results: NDArray[Any],
+        progress: Progress | None,
+    ) -> None:
+        """The function at the places of each run of the order, which lie in one brick."""
+        inverse = self.volume.grid.world_to_index_matrix
         for (first, last), brick, following in zip(runs, bricks, [*bricks[1:], None], strict=True):
             some = wanted[order[first:last]]
             with self.resident(brick) as own:
@@ -630,7 +675,8 @@ class BrickedField:
     ) -> Volume:
         """The function on another grid, as of `Field.resample`: a slice, a part, or all of it at another density.
 
-        `out` may be anything that takes slices, such as a memory map or an array of Zarr, for results larger than memory.
+        `out` may be anything that takes slices, such as a memory map or an array of Zarr, for results larger than memory. Of one of
+        NumPy the result's data are a view; of another the result says where they lie and has none, and `out` holds them.
 
         Raises
         ------
@@ -639,6 +685,8 @@ class BrickedField:
         """
         grid = grid_for(self.volume.grid, shape, spacing, like, anchor)
         kind = result_kind(dtype, self.volume.grid, self.filter, out, fill)
+        if out is not None and np.dtype(out.dtype).kind != "f":
+            raise OptionError(f"out must be of floating type; got {out.dtype}: results are rounded with dtype=, and no out")
         outside = fill_value(fill)
         with self.in_use():
             if out is None:
@@ -656,11 +704,8 @@ class BrickedField:
                 data[place] = values if kind is None else in_kind(values, kind)
                 if progress:
                     progress(done)
-        return (
-            self.volume.grid.placed(np.asarray(data), grid)
-            if out is None
-            else self.volume.grid.placed(np.broadcast_to(np.zeros((), kind or wide), grid.shape), grid)
-        )
+        held = data if isinstance(data, np.ndarray) else np.broadcast_to(np.zeros((), kind or wide), grid.shape)
+        return self.volume.grid.placed(held, grid)
 
     def _in_blocks(
         self, matrix: NDArray[np.float64], offset: NDArray[np.float64], shape: tuple[int, ...], fill: float | None
@@ -685,9 +730,8 @@ class BrickedField:
             yield from self._in_blocks(matrix, offset, shape, fill)
             return
         bricks = list(self.bricks())
-        away = 0.0 if self.filter.support % 2 == 0 else 0.5 / self.filter.scale
         owners = [
-            np.clip(np.floor((x - away) / self.edge), 0, count - 1).astype(np.int64)
+            np.clip(np.floor((x - self.away) / self.edge), 0, count - 1).astype(np.int64)
             for x, count in zip(lines, self.counts, strict=True)
         ]
         for done, brick in enumerate(bricks, 1):

@@ -1,0 +1,334 @@
+"""A picture of a volume that is read brick by brick is the picture."""
+
+from __future__ import annotations
+
+import itertools
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clvol
+import clvol.device
+from clvol.errors import OptionError, OutOfMemoryError
+from clvol.march.bricks import front_to_back, level_of, opacity_within
+from clvol.march.renderer import Renderer
+from clvol.spline.bricked import BrickedField
+from tests.test_lazy import Counted
+
+GUIDES = ("rgba", "depth", "normal", "position")
+CAMERAS = {
+    "aslant": clvol.Camera.orbit(30, 20, fit="volume"),
+    "parallel": clvol.Camera.orbit(100, -60, fit="volume", projection="orthographic"),
+    "along an axis": clvol.Camera.orbit(0, 0, fit="volume", projection="orthographic"),
+    "from within": clvol.Camera.look_at((15.0, 21.0, 18.0), (40.0, 20.0, 10.0), fov=80),
+    "from afar": clvol.Camera.orbit(200, 80, distance=900.0, fov=5.0, fit="volume"),
+}
+MODES: list[tuple[str, dict[str, Any]]] = [
+    ("composite", {}),
+    ("isosurface", {}),
+    ("isosurface", {"method": "stepped"}),
+    ("mip", {}),
+    ("attenuated", {}),
+    ("minip", {}),
+    ("mean", {}),
+]
+BUMPY = clvol.TransferFunction(((0.2, (0.2, 0.3, 1)), (0.8, (1, 0.8, 0.3))), ((0.35, 0), (0.5, 0.2), (0.9, 0.7)))
+
+
+def waves(*shape: int) -> Any:
+    z, y, x = (np.arange(n) for n in shape)
+    return (0.5 + 0.25 * (np.sin(x / 3) + np.cos(y / 4)[:, None] * np.sin(z / 5)[:, None, None])).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def volume() -> clvol.Volume:
+    return clvol.Volume(waves(35, 44, 51), (1, 0.9, 1.2), (3, -2, 5))
+
+
+def both(volume: clvol.Volume, filter: str, boundary: str, edge: int, *args: Any, **options: Any) -> tuple[Any, Any]:
+    """A picture of the whole volume, and by bricks."""
+    with (
+        Renderer(volume, filter, boundary) as whole,
+        BrickedField(volume, filter, boundary, edge=edge) as field,
+        Renderer(field) as bricked,
+    ):
+        return whole.render(*args, **options), bricked.render(*args, **options)
+
+
+@pytest.mark.one_in(9)
+@pytest.mark.parametrize("view", CAMERAS)
+@pytest.mark.parametrize(("mode", "options"), MODES)
+@pytest.mark.parametrize("filter", ["linear", "nearest", "catmull-rom", "bspline3-approx"])
+def test_to_the_last_bit_without_a_prefilter(
+    volume: clvol.Volume, filter: str, mode: str, options: dict[str, Any], view: str
+) -> None:
+    options = options | ({"transfer": BUMPY} if mode == "composite" else {})
+    whole, bricked = both(volume, filter, "mirror", 16, CAMERAS[view], mode, (70, 50), outputs=GUIDES, **options)
+    for name in GUIDES:
+        np.testing.assert_array_equal(bricked[name], whole[name], err_msg=name)
+    assert whole["rgba"].max() > 0
+
+
+@pytest.mark.one_in(14)
+@pytest.mark.parametrize("boundary", ["mirror", "wrap", "nearest", "zero", "constant"])
+@pytest.mark.parametrize("filter", ["bspline3", "bspline3(0.1)", "bspline2", "hybrid"])
+@pytest.mark.parametrize(("mode", "options"), MODES)
+def test_within_a_millionth_with_one(volume: clvol.Volume, filter: str, boundary: str, mode: str, options: dict[str, Any]) -> None:
+    options = options | ({"transfer": BUMPY} if mode == "composite" else {})
+    whole, bricked = both(volume, filter, boundary, 16, CAMERAS["aslant"], mode, (70, 50), samples=1, **options)
+    different = np.abs(bricked - whole).max(-1)
+    # the function differs by 1e-6 at most; where it only just does not reach an isovalue a pixel may change all the same
+    assert (different > 1e-5).sum() <= 2
+    assert whole.max() > 0
+
+
+@pytest.mark.parametrize("edge", [8, 12, 33, 64])
+def test_bricks_of_any_size_and_rays_of_any_number(volume: clvol.Volume, edge: int) -> None:
+    for options in ({"samples": 5, "mode": "composite", "transfer": BUMPY}, {"mode": "isosurface"}, {"mode": "mip", "step": 3.7}):
+        whole, bricked = both(volume, "linear", "mirror", edge, CAMERAS["aslant"], size=(70, 50), **options)
+        np.testing.assert_array_equal(bricked, whole)
+
+
+def test_cut_open_and_turned() -> None:
+    rng = np.random.default_rng(1)
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    volume = clvol.Volume(waves(40, 30, 36), (0.5, 2, 1), (100, 200, -300), turn)
+    clip = (volume.center - 9, volume.center + 7)
+    for mode, background in (("isosurface", None), ("composite", "white")):
+        whole, bricked = both(
+            volume, "linear", "mirror", 16, clvol.Camera.orbit(70, 10), mode, (64, 64), clip=clip, background=background
+        )
+        np.testing.assert_array_equal(bricked, whole)
+        assert whole[..., 3].max() > 0
+
+
+def test_jumps_between_bricks_are_surfaces() -> None:
+    """Two halves whose values jump just where one brick ends."""
+    data = np.zeros((32, 32, 32), np.uint8)
+    data[:, :, 16:] = 200
+    for azimuth in (60, -60):
+        whole, bricked = both(
+            clvol.Volume(data),
+            "nearest",
+            "mirror",
+            16,
+            clvol.Camera.orbit(azimuth, 10, fit="volume"),
+            "isosurface",
+            (64, 64),
+            isovalue=100,
+        )
+        np.testing.assert_array_equal(bricked, whole)
+        assert whole[..., 3].mean() > 0.2
+
+
+def test_bricks_in_which_nothing_shows_are_not_read() -> None:
+    z, y, x = np.ogrid[:128, :128, :128]
+    ball = np.clip(60 - np.sqrt((x - 15.0) ** 2 + (y - 15.0) ** 2 + (z - 15.0) ** 2) * 4, 0, 255).astype(np.uint8)
+    data = Counted(ball)
+    volume = clvol.LazyVolume(data, limits=(0, 60), labels=False, bounds=Known(ball))
+    with BrickedField(volume, "linear", edge=32) as field, Renderer(field) as renderer:
+        volume.sketch()
+        before = data.read
+        picture = renderer.render(CAMERAS["aslant"], "isosurface", (80, 80), isovalue=20)
+        assert field.reads.bricks == 1  # of 64: the ball lies in the first
+        assert data.read - before == field.reads.samples
+        with Renderer(clvol.Volume(ball), "linear") as whole:
+            np.testing.assert_array_equal(picture, whole.render(CAMERAS["aslant"], "isosurface", (80, 80), isovalue=20))
+
+
+class Known:
+    """Bounds of linear interpolation: those of the samples."""
+
+    filter, boundary, value_range = "linear", "mirror", (0.0, 60.0)
+
+    def __init__(self, data: Any) -> None:
+        self._data = data
+
+    def within(self, low: tuple[int, int, int], high: tuple[int, int, int]) -> tuple[float, float]:
+        part = self._data[tuple(slice(a, b + 1) for a, b in zip(low[::-1], high[::-1], strict=True))]
+        return float(part.min()), float(part.max())
+
+
+def test_what_is_hidden_is_not_read() -> None:
+    """Behind an opaque front nothing is looked at, with no bounds either; what was seen once is known the next time."""
+    data = Counted(np.full((128, 128, 128), 200, np.uint8))
+    with (
+        BrickedField(clvol.LazyVolume(data, limits=(0, 255), labels=False), "linear", edge=32) as field,
+        Renderer(field) as renderer,
+    ):
+        solid = clvol.TransferFunction(((0, (1, 1, 1)), (255, (1, 1, 1))), ((0, 1.0), (255, 1.0)))
+        front = clvol.Camera.orbit(0, 0, fit="volume", projection="orthographic")
+        renderer.render(front, "composite", (64, 64), transfer=solid)
+        assert field.reads.bricks == 16  # one layer of four
+        clear = clvol.TransferFunction(((0, (1, 1, 1)), (255, (1, 1, 1))), ((210, 0.0), (255, 1.0)))
+        field.drop()
+        renderer.render(front, "composite", (64, 64), transfer=clear)
+        reads = field.reads.bricks
+        field.drop()
+        assert not renderer.render(front, "composite", (64, 64), transfer=clear, background=None).any()
+        assert field.reads.bricks == reads
+
+
+@pytest.mark.parametrize("filter", ["nearest", "bspline2-approx", "linear"])
+def test_an_eye_beside_a_face_between_bricks(filter: str) -> None:
+    volume = clvol.Volume(np.random.default_rng(3).random((40, 40, 40)).astype(np.float32))
+    camera = clvol.Camera.look_at((16.2, 16.3, 16.25), (30, 28, 25), fov=80)
+    whole, bricked = both(volume, filter, "mirror", 16, camera, "composite", (48, 32), transfer=BUMPY)
+    np.testing.assert_array_equal(bricked, whole)
+
+
+def test_a_jump_before_a_brick_is_seen_by_long_steps() -> None:
+    data = np.zeros((32, 32, 32), np.uint8)
+    data[:, :, 15:] = 60
+    camera = clvol.Camera.orbit(90, 0, fit="volume", projection="orthographic")
+    lazy = clvol.LazyVolume(data, limits=(0, 60), labels=False, bounds=Known(data))
+    options: dict[str, Any] = {"isovalue": 30, "method": "stepped", "step": 2.7}
+    with (
+        BrickedField(lazy, "linear", edge=16) as field,
+        Renderer(field) as bricked,
+        Renderer(clvol.Volume(data), "linear") as whole,
+    ):
+        for azimuth in (90, -90):
+            camera = clvol.Camera.orbit(azimuth, 0, fit="volume", projection="orthographic")
+            np.testing.assert_array_equal(
+                bricked.render(camera, "isosurface", (32, 32), **options), whole.render(camera, "isosurface", (32, 32), **options)
+            )
+
+
+def test_rays_of_wide_pixel_filters_with_tiles_of_one() -> None:
+    volume = clvol.Volume(np.random.default_rng(4).random((24, 24, 24)).astype(np.float32))
+    options: dict[str, Any] = {"samples": 16, "pixel_filter": "lanczos3", "transfer": BUMPY}
+    with clvol.device.as_device(None).limited(tile=(1, 1, 1, False)):
+        whole, bricked = both(
+            volume, "linear", "mirror", 8, clvol.Camera.orbit(20, 10, zoom=0.3, fit="volume"), "mip", (24, 24), **options
+        )
+    np.testing.assert_array_equal(bricked, whole)
+
+
+def test_levels_are_as_dense_and_lie_in_one_place() -> None:
+    """Opacities are those of the whole volume's voxels, and cameras are fitted to it."""
+    fine = np.full((40, 40, 40), 0.6, np.float32)
+    levels = [clvol.LazyVolume(fine[::2, ::2, ::2], (2, 2, 2), (0.5, 0.5, 0.5), limits=(0, 1))]
+    lazy = clvol.LazyVolume(fine, levels=levels, limits=(0, 1), labels=False)
+    thin = clvol.TransferFunction(((0, (1, 1, 1)), (1, (1, 1, 1))), ((0, 0.02), (1, 0.02)))
+    front = clvol.Camera.orbit(0, 0, fit="volume", projection="orthographic")
+    with Renderer(lazy, "linear") as renderer:
+        one, other = (renderer.render(front, "composite", (20, 20), transfer=thin, background=None, lod=lod) for lod in (0, 9))
+        assert [level.volume.shape for level in renderer.levels] == [(20, 20, 20)]
+    np.testing.assert_allclose(one, other, rtol=0, atol=1e-4)
+    assert one[10, 10, 3] == pytest.approx(1 - 0.98**40, abs=1e-4)
+
+
+def test_the_levels_of_a_renderer_share_a_budget() -> None:
+    data = waves(48, 48, 48)
+    levels = [clvol.LazyVolume(data[::n, ::n, ::n], (n, n, n), limits=(0, 1)) for n in (2, 3)]
+    lazy = clvol.LazyVolume(data, levels=levels, limits=(0, 1), labels=False)
+    with BrickedField(lazy, "linear", edge=16, budget=700_000) as field, Renderer(field) as renderer:
+        for _ in renderer.refine(CAMERAS["aslant"], "mip", (40, 40), lod=0):
+            assert field.nbytes + sum(level.nbytes for level in renderer.levels) <= 700_000
+
+
+def test_pickled_renderers_read_again() -> None:
+    data = waves(20, 20, 20)
+    with Renderer(clvol.LazyVolume(data, limits=(0, 1), labels=False), "linear") as renderer:
+        packed = pickle.dumps(renderer)
+        with pickle.loads(packed) as again:
+            picture = again.render(CAMERAS["parallel"], "mip", (16, 16))
+            np.testing.assert_array_equal(picture, renderer.render(CAMERAS["parallel"], "mip", (16, 16)))
+    assert picture.max() > 0
+    assert len(packed) < 2 * data.nbytes
+
+
+def test_the_picture_does_not_depend_on_the_budget(volume: clvol.Volume) -> None:
+    pictures = []
+    for budget in (1 << 20, 1 << 30):
+        with BrickedField(volume, "linear", edge=16, budget=budget) as field, Renderer(field) as renderer:
+            pictures.append(renderer.render(CAMERAS["aslant"], "composite", (64, 64), transfer=BUMPY, samples=4))
+            assert field.nbytes <= budget
+    np.testing.assert_array_equal(*pictures)
+
+
+@pytest.mark.parametrize("filter", ["linear", "nearest"])
+@pytest.mark.parametrize("view", CAMERAS)
+def test_no_brick_hides_one_before_it(volume: clvol.Volume, view: str, filter: str) -> None:
+    camera = CAMERAS[view].view(volume)
+    with BrickedField(volume, filter, edge=10) as field:
+        order = {brick.at: i for i, brick in enumerate(front_to_back(field, camera))}
+        assert len(order) == np.prod(field.counts)
+        rng = np.random.default_rng(0)
+        for _ in range(300):  # along a ray bricks come in their order
+            start = camera.eye if not camera.orthographic else None
+            inner = volume.index_to_world(rng.uniform(-0.5, np.asarray(volume.size) - 0.5))
+            way = camera.forward if start is None else inner - start
+            at = inner - way if start is None else start
+            t = np.linspace(0 if start is not None else -200, 300 if start is None else 3, 4000)
+            index = volume.world_to_index(at + t[:, None] * way)
+            inside = ((index > -0.5) & (index < np.asarray(volume.size) - 0.5)).all(1)
+            bricks = np.clip(np.floor((index[inside] - field.away) / field.edge), 0, np.asarray(field.counts) - 1).astype(int)
+            passed = [order[at] for at, _ in itertools.groupby(map(tuple, bricks.tolist()))]
+            assert passed == sorted(passed)
+
+
+def test_opacities_of_ranges() -> None:
+    steps = clvol.TransferFunction(((0, (1, 1, 1)), (1, (1, 1, 1))), ((0.2, 0), (0.4, 0.5), (0.4, 0.9), (0.6, 0)))
+    assert opacity_within(steps, -5, 0.2) == 0
+    assert opacity_within(steps, 0.6, 9) == 0
+    assert opacity_within(steps, 0.25, 0.3) == pytest.approx(0.25)
+    assert opacity_within(steps, 0.3, 0.5) == 0.9
+    assert opacity_within(steps, -1, 2) == 0.9
+
+
+def test_levels_by_their_voxels_on_the_screen() -> None:
+    data = waves(64, 64, 64)
+    levels = [clvol.LazyVolume(data[::n, ::n, ::n], (n, n, n), ((n - 1) / 2,) * 3, limits=(0, 1)) for n in (2, 4, 8)]
+    lazy = clvol.LazyVolume(data, levels=levels, limits=(0, 1), labels=False)
+    front = clvol.Camera.orbit(0, 0, fit="volume", projection="orthographic").view(lazy.grid)
+    world_height = 2 * front.half_height
+    for pixels, expected in ((10, 3), (world_height / 7, 2), (world_height / 3, 1), (world_height / 1.5, 0), (10000, 0)):
+        assert level_of(lazy, front, (10, int(pixels)), 1.0) == expected, pixels
+    assert level_of(lazy, front, (10, 10), 0.0) == 0
+    with Renderer(lazy, "linear") as renderer:
+        fine, coarse = (renderer.render(CAMERAS["aslant"], "mip", (40, 40), lod=lod) for lod in (0, 3.5))
+        with Renderer(clvol.Volume(data), "linear") as whole:
+            np.testing.assert_array_equal(fine, whole.render(CAMERAS["aslant"], "mip", (40, 40), transfer=renderer_look(renderer)))
+        assert np.abs(coarse - fine).max() > 0
+        pictures = list(renderer.refine(CAMERAS["aslant"], "mip", (40, 40), lod=0))
+        assert [picture.final for picture in pictures] == [False, False, False, True]
+        np.testing.assert_array_equal(pictures[-1], fine)
+        assert not list(renderer.refine(CAMERAS["aslant"], "mip", (40, 40), cancelled=lambda: True))
+        for wrong in ("fine", -1, None):
+            with pytest.raises(OptionError, match="lod must be"):
+                renderer.render(lod=wrong)  # type: ignore[arg-type]
+
+
+def renderer_look(renderer: Renderer) -> clvol.TransferFunction:
+    """The transfer function that the sketch of a lazy volume gives."""
+    return clvol.modes()["mip"].transfer(renderer.field.volume.sketch())  # type: ignore[union-attr]
+
+
+def test_a_volume_that_does_not_fit_is_drawn_by_bricks(volume: clvol.Volume, monkeypatch: pytest.MonkeyPatch) -> None:
+    expected = clvol.render(volume, CAMERAS["aslant"], "mip", "linear", size=(40, 40))
+
+    def no_room(*_: object, **__: object) -> None:
+        raise OutOfMemoryError("out of memory")
+
+    monkeypatch.setattr("clvol.march.renderer._single", no_room)
+    np.testing.assert_array_equal(clvol.render(volume, CAMERAS["aslant"], "mip", "linear", size=(40, 40)), expected)
+
+
+def test_bad_input(volume: clvol.Volume) -> None:
+    with BrickedField(volume, "linear", edge=16) as field, Renderer(field) as renderer:
+        with pytest.raises(OptionError, match="step must be at most 3 for stepped surfaces"):
+            renderer.render(mode="isosurface", method="stepped", step=4)
+        with pytest.raises(OptionError, match="step must be at most 3 for the depth and normals of matter"):
+            renderer.render(mode="composite", outputs="normal", step=4)
+        with pytest.raises(OptionError, match="takes a volume that is in memory"):
+            renderer.render(mode="isosurface", outputs="uncertainty")
+        with pytest.raises(OptionError, match="bricks are read by direct taps"):
+            renderer.render(fetch="image")
+        with pytest.raises(OptionError, match="must be left to the field"):
+            Renderer(field, "linear")
+    with pytest.raises(OptionError, match="the field was closed"):
+        Renderer(field)
