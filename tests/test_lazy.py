@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 import clvol
 from clvol import LazyVolume
+from clvol.device import Device
 from clvol.errors import ClvolError, DataError, FormatError, OptionError
 
 
@@ -147,3 +149,38 @@ def test_it_becomes_no_array_by_accident() -> None:
     volume = LazyVolume(noise(4, 4, 4))
     with pytest.raises(ClvolError, match="becomes no array by accident"):
         np.asarray(volume)
+
+
+def test_limits_are_estimated_where_not_all_samples_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = Counted(noise(20, 20, 20), (10, 10, 10))
+    assert not LazyVolume(data).estimated
+    monkeypatch.setattr("clvol.lazy._SKETCHED", 1000)
+    assert LazyVolume(data).estimated
+    assert not LazyVolume(data, limits=(0, 1)).estimated
+    assert not LazyVolume(Counted(data.data)).estimated  # without chunks all are looked at
+    assert data.read == 0
+
+
+@pytest.mark.parametrize("options", [{"filter": "linear"}, {"budget": 64 << 20}])
+def test_a_renderer_of_it_is_pickled_with_its_samples_and_its_budget(device: Device, options: dict[str, Any]) -> None:
+    volume = LazyVolume(clvol.phantoms.sphere(16).data)
+    with clvol.Renderer(volume, device=device, **options) as renderer, pickle.loads(pickle.dumps(renderer)) as again:
+        assert isinstance(again.field, clvol.BrickedField)
+        assert again.field.budget == options.get("budget", again.field.budget) == renderer.field.budget  # type: ignore[union-attr]
+        np.testing.assert_array_equal(again.render(size=(16, 12)), renderer.render(size=(16, 12)))
+
+
+def test_a_renderer_says_which_size_its_last_picture_shows(device: Device) -> None:
+    coarse = LazyVolume(clvol.phantoms.sphere(12).data, (2, 2, 2), (0.5, 0.5, 0.5))
+    volume = LazyVolume(clvol.phantoms.sphere(24).data, levels=[coarse])
+    with clvol.Renderer(volume, "linear", device=device) as renderer:
+        assert renderer.shown is renderer.field
+        renderer.render(size=(16, 12), lod=100)
+        assert renderer.shown.volume is coarse
+        renderer.render(size=(16, 12), lod=0)
+        assert renderer.shown is renderer.field
+    with (
+        clvol.BrickedField(volume, "linear", device=device) as field,
+        pytest.raises(OptionError, match="budget must be left to the"),
+    ):
+        clvol.Renderer(field, budget=1 << 30)

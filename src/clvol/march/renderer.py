@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from types import EllipsisType, TracebackType
 from typing import Any, Literal, Self, TypeAlias, get_args, overload
 
@@ -107,6 +108,7 @@ class Renderer:
         given = {name: value for name, value in (("filter", filter), ("boundary", boundary)) if value is not None}
         self._own = own = not isinstance(scene, (Field, BrickedField))
         self._looked: Volume | None = None
+        self._lazy = isinstance(scene, LazyVolume)
         bricked: BrickedField | None = None
         if isinstance(scene, (LazyVolume, BrickedField)):
             bricked = _bricked(scene, filter, boundary, device, budget)
@@ -192,10 +194,15 @@ class Renderer:
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled is the scene, or the field that was given; another process makes its coefficients anew."""
         with self._lease.held():
-            if isinstance(self.field, BrickedField) and self._own:  # its scene has no samples
-                row = self.scene.media[0].filter
-                return type(self), (self.field.volume, row, self.field.boundary, self.device)
-            return type(self), (self.scene, None, None, self.device) if self._own else (self.field,)
+            if not self._own:
+                return type(self), (self.field,)
+            field, (medium,) = self.field, self.scene.media
+            if not isinstance(field, BrickedField):
+                return type(self), (self.scene, None, None, self.device)
+            again = partial(type(self), budget=field.budget)
+            if self._lazy:  # whose scene has none of its samples
+                return again, (field.volume, medium.filter, medium.boundary, self.device)
+            return again, (self.scene, None, None, self.device)
 
     def __enter__(self) -> Self:
         return self
