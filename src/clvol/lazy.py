@@ -5,8 +5,9 @@ from __future__ import annotations
 import itertools
 import math
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
@@ -131,6 +132,7 @@ class LazyVolume:
         self.missing = None if missing is None else number("missing", missing)
         self.bounds = bounds
         self.levels = tuple(levels)
+        self._again: Callable[[], LazyVolume] | None = None
         self._lock = threading.RLock()
         self._limits = None if limits is None else _ends(limits)
         self._given = limits is not None
@@ -171,9 +173,19 @@ class LazyVolume:
         made._require_smaller()
         return made
 
+    def reopened_by(self, again: Callable[[], LazyVolume]) -> LazyVolume:
+        """The same, which pickles as what opens it again, and so do its levels."""
+        made = self.with_levels([_opened(level, partial(_level_of, again, i)) for i, level in enumerate(self.levels)])
+        made._again = again
+        return made
+
     def __repr__(self) -> str:
         smaller = f", {len(self.levels)} smaller" if self.levels else ""
         return f"<LazyVolume of shape {self.shape}, {self.dtype}, spacing {self.spacing} {self.units}{smaller}>"
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """Of a file what opens it again; of an array what pickles that."""
+        return super().__reduce_ex__(protocol) if self._again is None else (self._again, ())
 
     def __getstate__(self) -> dict[str, Any]:
         """What a pickle holds: no samples but what the array itself pickles."""
@@ -388,6 +400,16 @@ class LazyVolume:
 
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
         raise DataError("a LazyVolume becomes no array by accident: take .whole().data for all samples, or read(low, high)")
+
+
+def _opened(volume: LazyVolume, again: Callable[[], LazyVolume]) -> LazyVolume:
+    made = volume.with_levels(volume.levels)
+    made._again = again
+    return made
+
+
+def _level_of(again: Callable[[], LazyVolume], number: int) -> LazyVolume:
+    return again().levels[number]
 
 
 def _ends(limits: Any) -> tuple[float, float]:

@@ -6,6 +6,7 @@ import functools
 import http.server
 import json
 import os
+import pickle
 import shutil
 import threading
 import time
@@ -91,6 +92,21 @@ def test_ome_zarr_with_all_its_sizes(cells: Path) -> None:
     assert [one.category for one in told].count(ClvolWarning) == 1
     with pytest.raises(OptionError, match="level must be 0 to 2"):
         clvol.open(cells, level=3)
+
+
+def test_a_pickle_opens_the_store_again(cells: Path) -> None:
+    """With its arguments, and each size by itself; no samples are in it."""
+    volume = clvol.open(cells, channel=1, spacing=(2, 2, 3))
+    packed = pickle.dumps(volume)
+    again = pickle.loads(packed)
+    assert len(packed) < 2000
+    high = volume.size
+    np.testing.assert_array_equal(again.read((0, 0, 0), high), volume.read((0, 0, 0), high))
+    assert again.spacing == volume.spacing
+    assert [level.shape for level in again.levels] == [level.shape for level in volume.levels]
+    level = pickle.loads(pickle.dumps(volume.levels[0]))
+    np.testing.assert_array_equal(level.whole().data, volume.levels[0].whole().data)
+    assert level.spacing == volume.levels[0].spacing
 
 
 def test_another_geometry_moves_all_sizes(cells: Path) -> None:

@@ -6,6 +6,7 @@ import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -103,6 +104,7 @@ def open(  # noqa: A001  # as files are opened: clvol.open
     >>> part = volume.read((0, 0, 0), (64, 64, 64))
     >>> volume = clvol.open("s3://bucket/cells.zarr", channel="DAPI", storage_options={"anon": True})
     """
+    arguments = {name: value for name, value in locals().items() if name != "path"}
     wanted = {"volume": volume, "time": time, "position": position, "channel": channel}
     given = {"series": series, "level": level, "shape": shape, "dtype": dtype, "byte_order": byte_order, "offset": offset or None}
     replaced = {"spacing": spacing, "origin": origin, "direction": direction}
@@ -113,7 +115,7 @@ def open(  # noqa: A001  # as files are opened: clvol.open
         options = options_of(chosen, Path(path), given)
         with foreign_errors(f"open {path}"):
             contents = zarr_format.lazily(path, _Once(choice.given), **options, storage_options=storage_options)
-        return opened(path, contents, replaced, missing)
+        return opened(path, contents, replaced, missing).reopened_by(partial(open, path, **arguments))
     if storage_options is not None:
         raise OptionError(f"storage_options are for addresses, as s3://bucket/cells.zarr; got the path {path}")
     file = as_path(path)
@@ -128,7 +130,7 @@ def open(  # noqa: A001  # as files are opened: clvol.open
         contents = lazily(file, _Once(choice.given), **options)
     if not contents:
         raise _whole_only(file, chosen)
-    return opened(str(file), contents, replaced, missing)
+    return opened(str(file), contents, replaced, missing).reopened_by(partial(open, file.absolute(), **arguments))
 
 
 def _look(lazily: Callable[..., list[Content]], path: Path, choice: Choice, options: Mapping[str, Any]) -> None:
