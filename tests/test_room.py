@@ -92,7 +92,6 @@ CALLS = [
     "ndimage.spline_filter1d(huge)",
     "line(points[:, 0])",
     "clvol.Interpolator((np.arange(2.0**14), np.arange(2.0**14)), np.broadcast_to(1.0, (2**14, 2**14)))",
-    "clvol.render(huge)",
     "clvol.render(small, size=(32768, 32768))",
     "clvol.render(small, size=(32768, 32768), outputs=OUTPUTS)",
     "renderer.render(size=(32768, 32768))",
@@ -108,6 +107,8 @@ CALLS = [
     "phantoms.by_name('box:1024')",
     "picture.grid([np.broadcast_to(np.uint8(0), (2**14, 2**14, 3))] * 4, 2)",
 ]
+
+DRAWN = "clvol.render(huge, mode='isosurface', isovalue=2, size=(32, 32), boundary='zero')"  # of 4 GiB with its coefficients
 
 RUN = """
 answers = {}
@@ -140,7 +141,7 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[str, fl
         path.write_text(text, encoding="utf-8")
     done = subprocess.run(
         [sys.executable, "-c", SET_UP + RUN, str(root)],
-        input=json.dumps(CALLS),
+        input=json.dumps([*CALLS, DRAWN]),
         capture_output=True,
         encoding="utf-8",
         timeout=600,
@@ -158,3 +159,9 @@ def test_what_does_not_fit_is_refused_before_it_is_made(call: str, answers: dict
     assert said.startswith("OutOfMemoryError: "), said
     assert grown < GROWS, f"{grown:.0f} MiB"
     assert seconds < 5
+
+
+def test_what_does_not_fit_is_drawn_by_bricks_in_half_of_the_room(answers: dict[str, tuple[str, float, float]]) -> None:
+    said, grown, _ = answers[DRAWN]
+    assert said == "done"
+    assert 10 < grown < ROOM // 2 + 2 * GROWS, f"{grown:.0f} MiB"

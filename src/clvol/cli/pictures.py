@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from cyclopts import Group, Parameter
 
 import clvol
-from clvol import display, memory
+from clvol import display
 from clvol.cli import speech
 from clvol.cli.options import (
     Compared,
@@ -39,7 +39,7 @@ from clvol.march.uncertainty import COVERAGE, in_words
 from clvol.mode import as_mode
 from clvol.picture import heat, heat_with_scale
 from clvol.smoothing import filter_for
-from clvol.spline.bricked import BUDGET, BrickedField, as_lazy
+from clvol.spline.bricked import BrickedField, as_lazy
 
 __all__ = ["compare", "figure", "figure6", "render", "report"]
 
@@ -109,7 +109,6 @@ def render(
         options |= look.options(looked)
         begun = time.perf_counter()
         wanted = _filter(volume, filter, look.mode)
-        most = min(BUDGET, memory.available() // 2) if most is None else most
         with clvol.Renderer(volume, wanted, look.boundary, device, budget=most) as renderer:
             ready = time.perf_counter()
             outputs: list[clvol.Output] = ["rgba"]

@@ -36,7 +36,7 @@ from clvol.noise import Noise
 from clvol.picture import Picture, as_pictures
 from clvol.scene import Box, Medium, Scene, as_scene
 from clvol.smoothing import filter_for
-from clvol.spline.bricked import BUDGET, BrickedField
+from clvol.spline.bricked import BrickedField
 from clvol.spline.evaluator import DIRECT, Evaluator, EvaluatorName, FetchName, choose_evaluator
 from clvol.spline.field import RENUMBER, Field, as_field, names_beyond
 from clvol.spline.lease import Lease
@@ -139,7 +139,7 @@ class Renderer:
             try:
                 field = _single(medium.volume, row, medium.boundary, device)
             except OutOfMemoryError:  # of a buffer, perhaps, which is less than the memory
-                field = BrickedField(medium.volume, row, medium.boundary, device, budget=BUDGET if budget is None else budget)
+                field = BrickedField(medium.volume, row, medium.boundary, device, budget=budget)
                 self._looked = medium.volume
         elif given_field.precision != "single":
             raise OptionError(f"rendering takes a field of single precision; got one of {given_field.precision} precision")
@@ -787,7 +787,7 @@ def _bricked(
             raise OptionError("the field was closed, and its coefficients were released; make a new one")
         return scene
     row = _usual(scene) if filter is None else filter
-    return BrickedField(scene, row, boundary, device, budget=BUDGET if budget is None else budget)
+    return BrickedField(scene, row, boundary, device, budget=budget)
 
 
 def _usual(volume: LazyVolume) -> str | None:

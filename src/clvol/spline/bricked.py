@@ -58,7 +58,8 @@ from clvol.volume import Volume
 __all__ = ["BUDGET", "LEFT_OUT", "Brick", "BrickedField", "Reads", "Resident", "Whole", "as_lazy", "margin_of"]
 
 LEFT_OUT = 1e-8  # of the samples' range: what coefficients lack of samples beyond a brick's margin
-BUDGET = 2 << 30  # bytes
+BUDGET = 2 << 30
+"""Bytes that bricks take where nothing is said."""
 _EDGES = (256, 128, 64, 32)  # samples along those of a brick that are tried, the first of which several fit into the budget
 _SEVERAL = 8
 _AROUND = 3  # samples that positions may be off by, and that neighbours take for central differences
@@ -196,8 +197,9 @@ class BrickedField:
         As of `Field`.
     device : Device, str or int, optional
         See `as_device`.
-    budget : int
-        Bytes that bricks may take: on the device, and those that are being read.
+    budget : int, optional
+        Bytes that bricks may take: on the device, and those that are being read; by default 2 GiB, or half of the memory that is
+        available if that is less.
     edge : int, optional
         Samples along an edge of a brick; by default as many as let several fit into the budget, 256 at most, and whole chunks.
 
@@ -234,7 +236,7 @@ class BrickedField:
         boundary: str | Boundary | None = None,
         device: Device | str | int | None = None,
         *,
-        budget: int = BUDGET,
+        budget: int | None = None,
         edge: int | None = None,
     ) -> None:
         self.volume = volume = as_lazy(volume)
@@ -250,7 +252,7 @@ class BrickedField:
             raise DataError(f"labels must be whole numbers that float32 holds, up to 2**24; got {low} to {high}: {RENUMBER}")
         self.boundary = as_boundary(boundary)
         self.device = as_device(device)
-        self.budget = whole("budget", budget, 1)
+        self.budget = min(BUDGET, memory.available() // 2) if budget is None else whole("budget", budget, 1)
         self.reads = Reads()
         self.stored = Stored.of(_ends_of(volume), self.filter, self.boundary)
         self._margin = margin_of(self.filter)
