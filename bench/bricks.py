@@ -105,7 +105,7 @@ def reading(store: Path) -> dict[str, Any]:
 
 def in_pieces(size: int) -> list[dict[str, Any]]:
     """Coefficients and a picture from samples in memory: by bricks beside one piece, in turns; and the picture once more."""
-    volume = clvol.Volume(Shells(size)[:, :, :])
+    volume = clvol.Volume(Shells(size)[:size, :size, :size])
     lazy = clvol.LazyVolume(volume.data, limits=volume.value_range, labels=False)
     kinds: dict[str, Callable[[], Any]] = {
         "one piece": lambda: clvol.Field(volume, "bspline3"),
