@@ -201,8 +201,8 @@ class BrickedField:
         Bytes that bricks may take: on the device, and those that are being read; by default 2 GiB, or half of the memory that is
         available if that is less.
     edge : int, optional
-        Samples along an edge of a brick; by default as many as let several fit into the budget, 128 at most, or 256 where all of the
-        volume fits, and whole chunks.
+        Samples along an edge of a brick; by default as many as let several fit into the budget, 128 at most, or 256 where all of
+        the volume fits, and whole chunks.
 
     Attributes
     ----------
