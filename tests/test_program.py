@@ -31,6 +31,7 @@ from clvol.opencl import built_kernels
 from clvol.spline import build
 
 KERNELS = [
+    "march/bricks.cl",
     "march/draw.cl",
     "march/split.cl",
     "spline/points.cl",
