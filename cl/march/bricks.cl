@@ -1,8 +1,8 @@
 // Kernels: a picture of a volume that is at hand brick by brick (window.cl). Rays go through one brick after the other, front to
 // back, and carry their states on; what reads coefficients where a ray ends is found out while these are at hand.
 //
-// States lie in a buffer as planes of pixels, as in split.cl; so does what was found, SHOWN_FIELDS numbers: the colour, if
-// FINISHED_THERE, then the normal, if GUIDES.
+// States lie in a buffer as planes of pixels, as in split.cl; so does what was found: the colour, if FINISHED_THERE, then
+// the normal, if GUIDES.
 
 #include "march/march.cl"
 #include "march/picture.cl"
@@ -11,22 +11,21 @@
 #define SHOWN_NORMALS (FINISHED_THERE ? 3 : 0)   // which field they begin at
 #define SHOWN_AT(field) shown[((size_t)(field) * frame->picture.height + y + i / LANES_ACROSS) * frame->picture.width + x + i % LANES_ACROSS]
 
-#define TILE_OF_THIS_ITEM                                                                                           \
-    const int left = (int)get_global_id(0) * TILE_WIDTH, top = (int)get_global_id(1) * TILE_HEIGHT;                  \
-    if (left >= frame->picture.width || top >= frame->picture.height)                                               \
-        return;                                                                                                     \
-    tile_t tile;                                                                                                    \
-    begin_tile(&tile, frame, left, top, places)
+// The number of the tile whose first pixel is (left, top).
+INLINE int number_of_tile(constant frame_t *frame, const int left, const int top)
+{
+    return top / TILE_HEIGHT * ((frame->picture.width + TILE_WIDTH - 1) / TILE_WIDTH) + left / TILE_WIDTH;
+}
 
 // Before the first brick. `going`: for each tile whether rays of it want more samples.
 kernel void begin_states(constant frame_t *frame, global const float2 *places, global float *states, global uchar *going)
 {
-    TILE_OF_THIS_ITEM;
+    TILE_OF_THIS_ITEM(places);
     store_states(&tile, frame, states);
     int some = 0;
     for (int g = 0; g < PACKETS; ++g)
         some |= any_lane(tile.going[g]);
-    going[top / TILE_HEIGHT * ((frame->picture.width + TILE_WIDTH - 1) / TILE_WIDTH) + left / TILE_WIDTH] = some;
+    going[number_of_tile(frame, left, top)] = some;
 }
 
 // Leaves rays of a tile going that may have samples in the window, and of these the numbers that may lie there.
@@ -90,7 +89,7 @@ kernel void march_brick(COEFFICIENTS coefficients, const int4 extent, global con
                         constant frame_t *frame, global const float4 *table, global const float2 *places, global float *states,
                         global float *shown, global uchar *going)
 {
-    TILE_OF_THIS_ITEM;
+    TILE_OF_THIS_ITEM(places);
     load_states(&tile, frame, states);
     real before[PACKETS];
     mask hits[PACKETS];
@@ -115,7 +114,7 @@ kernel void march_brick(COEFFICIENTS coefficients, const int4 extent, global con
             show(whole, &sample, tile.states + g, changed, PACKET_X(left, g), PACKET_Y(top, g), shown);
         some |= any_lane(hits[g] & !finished(tile.states + g, frame));
     }
-    going[top / TILE_HEIGHT * ((frame->picture.width + TILE_WIDTH - 1) / TILE_WIDTH) + left / TILE_WIDTH] = some;
+    going[number_of_tile(frame, left, top)] = some;
 }
 
 // After the last brick: the picture. No coefficients are at hand.
@@ -124,7 +123,7 @@ kernel void finish_bricks(COEFFICIENTS nothing, const int4 extent, constant fram
                           global float *depth, global float *normals, global float *positions, global float *visited)
 {
     const pictures_t pictures = { rgba, depth, normals, positions, visited };
-    TILE_OF_THIS_ITEM;
+    TILE_OF_THIS_ITEM(places);
     load_states(&tile, frame, states);
     plane_t none;
     none.usable = 0;

@@ -4,19 +4,12 @@
 #include "march/picture.cl"
 #include "march/states.cl"
 
-#define TILE_OF_THIS_ITEM                                                                                           \
-    const int left = (int)get_global_id(0) * TILE_WIDTH, top = (int)get_global_id(1) * TILE_HEIGHT;                  \
-    if (left >= frame->picture.width || top >= frame->picture.height)                                               \
-        return;                                                                                                     \
-    tile_t tile;                                                                                                    \
-    begin_tile(&tile, frame, left, top, 0)
-
 // Samples number `from` to `to` of every ray, and REACH before, from the beginning or, if `carried`, from the states given.
 kernel void march_rays(COEFFICIENTS coefficients, const int4 extent, global const float2 *minmax, global const ulong2 *sides,
                        constant frame_t *frame, global const float4 *table, const float from, const float to, const int carried,
                        global float *states)
 {
-    TILE_OF_THIS_ITEM;
+    TILE_OF_THIS_ITEM(0);
     if (carried) {
         load_states(&tile, frame, states);
         for (int g = 0; g < PACKETS; ++g)
@@ -31,7 +24,7 @@ kernel void march_rays(COEFFICIENTS coefficients, const int4 extent, global cons
 // `back` is behind `states`, into which it goes.
 kernel void merge_states(constant frame_t *frame, global float *states, global const float *back)
 {
-    TILE_OF_THIS_ITEM;
+    TILE_OF_THIS_ITEM(0);
     tile_t behind = tile;
     load_states(&tile, frame, states);
     load_states(&behind, frame, back);
@@ -47,7 +40,7 @@ kernel void finish_states(COEFFICIENTS coefficients, const int4 extent, constant
                           global float *positions, global float *visited)
 {
     const pictures_t pictures = { rgba, depth, normals, positions, visited };
-    TILE_OF_THIS_ITEM;
+    TILE_OF_THIS_ITEM(0);
     load_states(&tile, frame, states);
     finish_tile(&tile, coefficients, extent, frame, table, &pictures);
 }

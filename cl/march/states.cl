@@ -37,3 +37,11 @@ INLINE void load_states(tile_t *tile, constant frame_t *frame, global const floa
         tile->gathered[g] = gathered.all;
     }
 }
+
+// The tile of this work-item, before its first sample; its rays cross the picture at `places`, if that is listed.
+#define TILE_OF_THIS_ITEM(places)                                                                                   \
+    const int left = (int)get_global_id(0) * TILE_WIDTH, top = (int)get_global_id(1) * TILE_HEIGHT;                  \
+    if (left >= frame->picture.width || top >= frame->picture.height)                                               \
+        return;                                                                                                     \
+    tile_t tile;                                                                                                    \
+    begin_tile(&tile, frame, left, top, places)

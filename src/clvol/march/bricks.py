@@ -122,7 +122,7 @@ class BrickedDrawing(Drawing):
                     told((number + 1) / len(bricks))
             if told:
                 told(1.0)
-            with lent_pictures(self.frame if frames[0][1] is None else frames[0][0], arrays, begun=begun) as buffers:
+            with lent_pictures(frames[0][0], arrays, begun=begun) as buffers:
                 for one in passes:
                     one.finish(buffers)
         finally:

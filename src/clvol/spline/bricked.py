@@ -42,6 +42,7 @@ from clvol.spline.field import (
     Progress,
     Reals,
     as_points,
+    between,
     fill_value,
     filled,
     grid_for,
@@ -257,8 +258,9 @@ class BrickedField:
         self.reads = Reads()
         self.stored = Stored.of(_ends_of(volume), self.filter, self.boundary)
         self._margin = margin_of(self.filter)
-        pad = self.boundary.padding((self.filter.magnified_by or self.filter).prefilter, self.filter.support)
-        past = self.filter.scale * (pad + self.boundary.reach(self.filter.support))
+        self._pad = self.boundary.padding((self.filter.magnified_by or self.filter).prefilter, self.filter.support)
+        self._reach = self.boundary.reach(self.filter.support)
+        past = self.filter.scale * (self._pad + self._reach)
         self._extent = extent_of(self.filter, 3, tuple(self.filter.scale * n for n in volume.size), past)
         self.edge = self._edge_for(edge)
         self._bounds: dict[Index, tuple[float, float]] = {}
@@ -586,17 +588,15 @@ class BrickedField:
         grid, rule = self.volume.grid, self.boundary
         columns = 3**derivative
         results = np.full((len(at), columns), np.nan, np.float32)
-        prefiltered = (self.filter.magnified_by or self.filter).prefilter
-        pad, reach = rule.padding(prefiltered, self.filter.support), rule.reach(self.filter.support)
         known = np.isfinite(at).all(1)
         with np.errstate(invalid="ignore"):
             inside = ((at >= -rule.edge) & (at <= np.asarray(self.volume.size) - 1 + rule.edge)).all(1)
         places, signs = np.zeros_like(at), np.ones_like(at)
         for axis, n in enumerate(self.volume.size):
             x = np.where(known, at[:, axis], 0.0)
-            places[:, axis] = rule.position(x, n, pad, reach)
+            places[:, axis] = rule.position(x, n, self._pad, self._reach)
             if derivative and rule.repeats and rule.fold is not None:  # in a mirror slopes run the other way
-                signs[:, axis] = _way(x, partial(rule.position, n=n, pad=pad, reach=reach))
+                signs[:, axis] = _way(x, partial(rule.position, n=n, pad=self._pad, reach=self._reach))
         given = ~known if fill is None else ~known | ~inside
         if rule.outside == "constant":
             given |= ~inside
@@ -614,6 +614,10 @@ class BrickedField:
             final[~(known & inside)] = fill
         return final
 
+    def _owners(self, positions: NDArray[np.float64], counts: NDArray[np.int64] | int) -> NDArray[np.int64]:
+        """The numbers of the bricks in which positions lie, of so many along their axis."""
+        return np.clip(np.floor((positions - self.away) / self.edge), 0, counts - 1).astype(np.int64)
+
     @property
     def _any(self) -> Any:
         """What says how results of kernels are brought to units of the data."""
@@ -628,44 +632,28 @@ class BrickedField:
         progress: Progress | None,
     ) -> None:
         """The function at the wanted places, brick by brick."""
-        owners = np.floor((places[wanted] - self.away) / self.edge).astype(np.int64)
-        np.clip(owners, 0, np.asarray(self.counts) - 1, out=owners)
+        owners = self._owners(places[wanted], np.asarray(self.counts))
         nx, ny, _ = self.counts
         number = (owners[:, 2] * ny + owners[:, 1]) * nx + owners[:, 0]
         order = np.argsort(number, kind="stable")
         ends: list[int] = (np.flatnonzero(np.diff(number[order], append=-1)) + 1).tolist()
         runs = list(zip([0, *ends[:-1]], ends, strict=True))
         bricks = [self.brick((int(x), int(y), int(z))) for x, y, z in owners[order[[first for first, _ in runs]]]]
+        move = Transform(np.eye(3), np.zeros(3), self.volume.grid.world_to_index_matrix)
         try:
-            self._one_by_one(places, wanted, order, runs, bricks, derivative, results, progress)
+            for (first, last), brick, following in zip(runs, bricks, [*bricks[1:], None], strict=True):
+                some = wanted[order[first:last]]
+                with self.resident(brick) as own:
+                    if following is not None:
+                        self.read_ahead(following)
+                    local = places[some] - np.asarray(brick.first, np.float64)
+                    part = np.empty((len(some), results.shape[1]), np.float32)
+                    sample_into(own.coefficients, DIRECT, local, part, move, derivative)
+                    results[some] = part
+                if progress:
+                    progress(last / len(wanted))
         finally:
             self.forget_ahead()
-
-    def _one_by_one(
-        self,
-        places: NDArray[np.float64],
-        wanted: NDArray[np.intp],
-        order: NDArray[np.intp],
-        runs: list[tuple[int, int]],
-        bricks: list[Brick],
-        derivative: int,
-        results: NDArray[Any],
-        progress: Progress | None,
-    ) -> None:
-        """The function at the places of each run of the order, which lie in one brick."""
-        inverse = self.volume.grid.world_to_index_matrix
-        for (first, last), brick, following in zip(runs, bricks, [*bricks[1:], None], strict=True):
-            some = wanted[order[first:last]]
-            with self.resident(brick) as own:
-                if following is not None:
-                    self.read_ahead(following)
-                local = places[some] - np.asarray(brick.first, np.float64)
-                part = np.empty((len(some), results.shape[1]), np.float32)
-                move = Transform(np.eye(3), np.zeros(3), inverse)
-                sample_into(own.coefficients, DIRECT, local, part, move, derivative)
-                results[some] = part
-            if progress:
-                progress(last / len(wanted))
 
     def resample(
         self,
@@ -702,9 +690,7 @@ class BrickedField:
             alters = self.stored.alters(0)
             wide: np.dtype[Any] = np.dtype(np.float64 if alters else np.float32)
             data = np.empty(grid.shape, kind or wide) if out is None else out
-            inverse = self.volume.grid.world_to_index_matrix
-            matrix = inverse @ grid.index_to_world_matrix
-            offset = inverse @ (np.asarray(grid.origin) - np.asarray(self.volume.grid.origin))
+            matrix, offset = between(self.volume.grid, grid)
             parts = self._along_axes if no_shear(matrix, grid.shape) else self._in_blocks
             for place, values, done in parts(matrix, offset, grid.shape, outside):
                 data[place] = values if kind is None else in_kind(values, kind)
@@ -736,10 +722,7 @@ class BrickedField:
             yield from self._in_blocks(matrix, offset, shape, fill)
             return
         bricks = list(self.bricks())
-        owners = [
-            np.clip(np.floor((x - self.away) / self.edge), 0, count - 1).astype(np.int64)
-            for x, count in zip(lines, self.counts, strict=True)
-        ]
+        owners = [self._owners(x, count) for x, count in zip(lines, self.counts, strict=True)]
         for done, brick in enumerate(bricks, 1):
             own = [np.flatnonzero(owner == i) for owner, i in zip(owners, brick.at, strict=True)]
             if not all(map(len, own)):

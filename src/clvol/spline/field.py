@@ -46,6 +46,7 @@ __all__ = [
     "Reals",
     "as_field",
     "as_points",
+    "between",
     "coefficients_of",
     "fill_value",
     "filled",
@@ -641,7 +642,7 @@ def _into(volume: Volume, out: Any) -> Volume:
     return volume if out is None else replace(volume, data=_put(volume.data, as_output(out, volume.shape)))
 
 
-def _between(volume: Volume, grid: Volume) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def between(volume: Volume, grid: Volume) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Matrix and offset from the indices of a grid, x first, to those of a volume."""
     inverse = volume.world_to_index_matrix
     return inverse @ grid.index_to_world_matrix, inverse @ (np.asarray(grid.origin) - np.asarray(volume.origin))
@@ -661,7 +662,7 @@ def _coarser(
     progress: Progress | None,
 ) -> Volume:
     """A volume on another grid without the aliases of what that cannot hold."""
-    (matrix, offset), kind = _between(volume, grid), precision_kind(precision)
+    (matrix, offset), kind = between(volume, grid), precision_kind(precision)
     if chosen == "gaussian":
         smooth = low_passed(volume, steps_along(matrix), boundary, kind, device)
         with Field(smooth, filter, boundary, device, precision=precision) as field:
