@@ -9,6 +9,7 @@
 #include "march/states.cl"
 
 #define SHOWN_NORMALS (FINISHED_THERE ? 3 : 0)   // which field they begin at
+#define SHOWN_FIELDS (SHOWN_NORMALS + (GUIDES ? 3 : 0))
 #define SHOWN_AT(field) shown[((size_t)(field) * frame->picture.height + y + i / LANES_ACROSS) * frame->picture.width + x + i % LANES_ACROSS]
 
 // The number of the tile whose first pixel is (left, top).
@@ -26,6 +27,40 @@ kernel void begin_states(constant frame_t *frame, global const float2 *places, g
     for (int g = 0; g < PACKETS; ++g)
         some |= any_lane(tile.going[g]);
     going[number_of_tile(frame, left, top)] = some;
+}
+
+// Before a brick, of rays that have been through others: as `begin_states`, for states that are there.
+kernel void resume_states(constant frame_t *frame, global const float2 *places, global const float *states, global uchar *going)
+{
+    TILE_OF_THIS_ITEM(places);
+    load_states(&tile, frame, states);
+    int some = 0;
+    for (int g = 0; g < PACKETS; ++g)
+        some |= any_lane(tile.going[g] & !finished(tile.states + g, frame));
+    going[number_of_tile(frame, left, top)] = some;
+}
+
+// Rays that have been through bricks apart: `back`, which lie behind, into `states`; what is shown is that of where they end.
+kernel void merge_bricks(constant frame_t *frame, global const float2 *places, global float *states, global float *shown,
+                         global const float *back, global const float *shown_back)
+{
+    TILE_OF_THIS_ITEM(places);
+    tile_t behind = tile;
+    load_states(&tile, frame, states);
+    load_states(&behind, frame, back);
+    real before[PACKETS];
+    for (int g = 0; g < PACKETS; ++g)
+        before[g] = place_of(tile.states + g);
+    merge_tiles(&tile, &behind, frame);
+    store_states(&tile, frame, states);
+    for (int g = 0; g < PACKETS; ++g) {
+        const int x = PACKET_X(left, g), y = PACKET_Y(top, g);
+        const lane_masks_u elsewhere = { place_of(tile.states + g) != before[g] };
+        EACH_PIXEL(x, y)
+            if (elsewhere.each[i])
+                for (int field = 0; field < SHOWN_FIELDS; ++field)
+                    SHOWN_AT(field) = shown_back[((size_t)field * frame->picture.height + y + i / LANES_ACROSS) * frame->picture.width + x + i % LANES_ACROSS];
+    }
 }
 
 // Leaves rays of a tile going that may have samples in the window, and of these the numbers that may lie there.

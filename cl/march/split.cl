@@ -28,10 +28,7 @@ kernel void merge_states(constant frame_t *frame, global float *states, global c
     tile_t behind = tile;
     load_states(&tile, frame, states);
     load_states(&behind, frame, back);
-    for (int g = 0; g < PACKETS; ++g) {
-        merge(tile.states + g, behind.states + g);
-        tile.gathered[g] += behind.gathered[g];
-    }
+    merge_tiles(&tile, &behind, frame);
     store_states(&tile, frame, states);
 }
 

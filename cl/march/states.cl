@@ -38,6 +38,21 @@ INLINE void load_states(tile_t *tile, constant frame_t *frame, global const floa
     }
 }
 
+// `behind`, a stretch of the same rays, goes into `tile`: but for rays that have got to where they end.
+INLINE void merge_tiles(tile_t *tile, const tile_t *behind, constant frame_t *frame)
+{
+    for (int g = 0; g < PACKETS; ++g) {
+        const mask open = ~NONE & !finished(tile->states + g, frame);
+        const state_u front = { tile->states[g] };
+        state_u both = front;
+        merge(&both.state, behind->states + g);
+        for (int field = 0; field < STATE_FIELDS; ++field)
+            both.fields[field].all = choose(open, both.fields[field].all, front.fields[field].all);
+        tile->states[g] = both.state;
+        tile->gathered[g] += choose(open, behind->gathered[g], (real)(0.0f));
+    }
+}
+
 // The tile of this work-item, before its first sample; its rays cross the picture at `places`, if that is listed.
 #define TILE_OF_THIS_ITEM(places)                                                                                   \
     const int left = (int)get_global_id(0) * TILE_WIDTH, top = (int)get_global_id(1) * TILE_HEIGHT;                  \

@@ -60,10 +60,15 @@ class Tally:
         other than the file's; memory or descriptors that a batch left behind.
     lenient : int
         Damaged files that were read as they had been before the damage.
+    contained : int
+        Of the files read in one process (`trusted`), those that ended it or took too much of it, and kept all promises when
+        the process read them that is there for it.
     slowest_s, peak_mb : float
         The most that one input took, in seconds of processor time and beyond what the process had.
     findings : dict
         How often each, by what it is; and the seed of the first.
+    doubtful : list of int
+        Seeds of what one process could not bear, which are yet to be read as `clvol.read` does by default.
     """
 
     format: str
@@ -78,9 +83,11 @@ class Tally:
     silent: int = 0
     lenient: int = 0
     leaks: int = 0
+    contained: int = 0
     slowest_s: float = 0.0
     peak_mb: float = 0.0
     findings: dict[str, list[int]] = field(default_factory=dict)
+    doubtful: list[int] = field(default_factory=list)
 
     @property
     def broken(self) -> int:
@@ -115,10 +122,17 @@ def fuzz(kind: str, seeds: Sequence[int], keep: Path, *, trusted: bool = False) 
         batch, died = _run(kind, samples, seeds[:_BATCH], keep, trusted)
         total.add(batch)
         seeds = seeds[batch.tried :]
-        if died:
+        if died and trusted:
+            batch.doubtful.append(died[2])
+        elif died:
             total.find(*died)
             mutated, _ = mutant(samples, kind, died[2])
             _save(mutated, keep / f"{kind}-{died[2]}")
+        if batch.doubtful:
+            again = fuzz(kind, batch.doubtful, keep)
+            total.contained += max(0, len(batch.doubtful) - again.broken)
+            again.tried = again.refused = again.accepted = again.compared = again.lenient = 0  # these were counted
+            total.add(again)
     return total
 
 
@@ -310,10 +324,13 @@ def _one(
             where = traceback.extract_tb(error.__traceback__)[-1]
             wrong.append(("foreign", f"{type(error).__name__} in {Path(where.filename).name}:{where.name}"))
     seconds, peak = family.end()
-    tally.slowest_s, tally.peak_mb = max(tally.slowest_s, seconds), max(tally.peak_mb, peak)
-    if seconds > SECONDS:
+    if not trusted or (seconds <= SECONDS and peak <= MEGABYTES):
+        tally.slowest_s, tally.peak_mb = max(tally.slowest_s, seconds), max(tally.peak_mb, peak)
+    if trusted and (seconds > SECONDS or peak > MEGABYTES):
+        tally.doubtful.append(seed)
+    elif seconds > SECONDS:
         wrong.append(("hangs", f"more than {SECONDS:g} s"))
-    if peak > MEGABYTES:
+    elif peak > MEGABYTES:
         wrong.append(("memory", f"more than {MEGABYTES:g} MB"))
     wrong += [
         ("foreign", f"{w.category.__name__}: {str(w.message)[:60]}") for w in told if not issubclass(w.category, ClvolWarning)

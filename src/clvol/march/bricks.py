@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import replace
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -29,7 +31,7 @@ from clvol.transfer import TransferFunction
 from clvol.uniform import Values
 from clvol.volume import Volume
 
-__all__ = ["STEPPED_AT_MOST", "BrickedDrawing", "front_to_back", "level_of"]
+__all__ = ["STEPPED_AT_MOST", "Area", "BrickedDrawing", "Carried", "Pass", "fields_of", "front_to_back", "level_of", "pixels_of"]
 
 Area: TypeAlias = tuple[int, int, int, int]
 """Of pixels: x, y, width and height."""
@@ -74,7 +76,7 @@ class BrickedDrawing(Drawing):
         """So many further rays of each pixel, in one sweep over the bricks, or several if their states take much memory."""
         frame, (width, height) = self.frame, self.frame.size
         last = min(self.rays, self.cast_rays + rays)
-        each = 4 * width * height * _fields(frame)
+        each = 4 * width * height * fields_of(frame)
         together = max(1, self._field.budget // _SHARE // each)
         while self.cast_rays < last:
             first, past = self.cast_rays, min(last, self.cast_rays + together)
@@ -100,12 +102,29 @@ class BrickedDrawing(Drawing):
         begun: bool = False,
     ) -> None:
         """Rays of each of the frames through the bricks, and what they show after the last one, into `arrays`."""
-        field, grid = self._field, self._field.volume.grid
-        bricks = [brick for brick in front_to_back(field, self._view) if self._may_matter(brick)]
-        passes: list[_Pass] = []
+        passes: list[Pass] = []
         try:
             for frame, places in frames:
-                passes.append(_Pass(frame, places, self._program, self._table, self._beside, self.frame))
+                passes.append(self.begun(frame, places))
+            self.march(passes, front_to_back(self._field, self._view), told)
+            if told:
+                told(1.0)
+            with lent_pictures(frames[0][0], arrays, begun=begun) as buffers:
+                for one in passes:
+                    one.finish(buffers)
+        finally:
+            for one in passes:
+                one.release()
+
+    def begun(self, frame: Frame, places: NDArray[np.float32] | None, area: Area | None = None) -> Pass:
+        """The rays of one of the picture's frames before the first brick: all of them, or those of an area that begins a tile."""
+        return Pass(frame, places, self._program, self._table, self._beside, self.frame, area)
+
+    def march(self, passes: list[Pass], bricks: list[Brick], told: Progress | None = None) -> None:
+        """Rays through bricks, which lie one behind the other."""
+        field, grid = self._field, self._field.volume.grid
+        bricks = [brick for brick in bricks if self._may_matter(brick)]
+        try:
             for number, brick in enumerate(bricks):
                 wanted = [(one, area) for one in passes if (area := one.wanted(brick, self._view, grid)) is not None]
                 if wanted:
@@ -120,15 +139,8 @@ class BrickedDrawing(Drawing):
                                 one.march(own, minmax, brick, field, area)
                 if told:
                     told((number + 1) / len(bricks))
-            if told:
-                told(1.0)
-            with lent_pictures(frames[0][0], arrays, begun=begun) as buffers:
-                for one in passes:
-                    one.finish(buffers)
         finally:
             field.forget_ahead()
-            for one in passes:
-                one.release()
 
     def _may_matter(self, brick: Brick) -> bool:
         """Whether some value in a brick can be seen, as far as is known."""
@@ -145,41 +157,64 @@ class BrickedDrawing(Drawing):
         return not isinstance(mode, Composite) or opacity_within(self.frame.transfer, low, high) > 0
 
 
-class _Pass:
+@dataclass(frozen=True)
+class Carried:
+    """What the rays of an area of a picture carry between bricks.
+
+    Attributes
+    ----------
+    area : tuple of int
+        Which pixels: x, y, width, height; it begins a tile.
+    states, shown : ndarray of float32, shape (fields, height, width)
+        The mode's numbers, and how many samples were gathered; the colour and the normal where rays end, as far as these are kept.
+    """
+
+    area: Area
+    states: NDArray[np.float32]
+    shown: NDArray[np.float32]
+
+
+class Pass:
     """One ray of each pixel, or one of each of a list, on its way through the bricks."""
 
     def __init__(
-        self, frame: Frame, places: NDArray[np.float32] | None, program: Program, table: Any, beside: int, whole: Frame
+        self,
+        frame: Frame,
+        places: NDArray[np.float32] | None,
+        program: Program,
+        table: Any,
+        beside: int,
+        whole: Frame,
+        area: Area | None = None,
     ) -> None:
         device, tile, (width, height) = frame.device, frame.tile, frame.size
         self.frame = frame
+        self.area = (0, 0, width, height) if area is None else area
         self._beside = beside
         self._whole_size = whole.size
         self._boxes = None if places is None else _boxes(places.reshape(height, width, 2), tile.height, tile.width)
         self._program, self._table = program, table
         self._places = table if places is None else device.upload(places)  # any buffer: it is not read
         self._memory = device.allocate(4 * width * height * (frame.mode.state_fields + 1))
-        shown = _fields(frame) - frame.mode.state_fields - 1
-        self._shown = device.allocate(4 * max(1, width * height * shown))
+        self._fields = frame.mode.state_fields + 1, fields_of(frame) - frame.mode.state_fields - 1
+        self._shown = device.allocate(4 * max(1, width * height * self._fields[1]))
         self._going = np.zeros((-(-height // tile.height), -(-width // tile.width)), np.uint8)
         self._flags = device.upload(self._going)
-        self._over(
-            "begin_states", (0, 0, width, height), device.upload(frame.values[None]), self._places, self._memory, self._flags
-        )
+        self._over("begin_states", self.area, device.upload(frame.values[None]), self._places, self._memory, self._flags)
         device.download(self._flags, self._going)
 
     def wanted(self, brick: Brick, view: View, grid: Volume) -> Area | None:
         """The pixels whose rays may have samples in a brick, whole tiles; None if no ray of theirs wants any."""
         tile, (width, height) = self.frame.tile, self.frame.size
         if self._boxes is None:
-            left, top, right, bottom = _pixels_of(brick, view, grid, width, height, self._beside)
+            left, top, right, bottom = pixels_of(brick, view, grid, width, height, self._beside)
             left, top = left // tile.width, top // tile.height
             right, bottom = -(-right // tile.width), -(-bottom // tile.height)
             if left >= right or top >= bottom:
                 return None
             going = self._going[top:bottom, left:right]
         else:
-            x0, y0, x1, y1 = _pixels_of(brick, view, grid, *self._whole_size, self._beside)
+            x0, y0, x1, y1 = pixels_of(brick, view, grid, *self._whole_size, self._beside)
             boxes = self._boxes
             meets = (boxes[..., 0] <= x1) & (boxes[..., 1] <= y1) & (boxes[..., 2] >= x0) & (boxes[..., 3] >= y0)
             left, top, going = 0, 0, self._going & meets
@@ -215,6 +250,44 @@ class _Pass:
             self._flags,
         )
         device.download(self._flags, self._going)
+
+    @property
+    def going(self) -> bool:
+        """Whether any ray wants more samples."""
+        return bool(self._going.any())
+
+    def carried(self) -> Carried:
+        """What the rays of the area carry, for another process to go on with."""
+        planes = []
+        for buffer, count in zip((self._memory, self._shown), self._fields, strict=True):
+            with self._planes(buffer, count, write=False) as own:
+                planes.append(own.copy())
+        return Carried(self.area, planes[0], planes[1])
+
+    def resume(self, carried: Carried) -> None:
+        """Go on with rays of the area, or of a part of it, that have been through other bricks."""
+        for buffer, given in ((self._memory, carried.states), (self._shown, carried.shown)):
+            with self._planes(buffer, len(given), write=True, area=carried.area) as own:
+                own[...] = given
+        block = self.frame.device.upload(self.frame.values[None])
+        self._over("resume_states", carried.area, block, self._places, self._memory, self._flags)
+        self.frame.device.download(self._flags, self._going)
+
+    def merge(self, back: Pass) -> None:
+        """Rays that have been through bricks behind, apart from these, into these: see `merge_states`."""
+        block = self.frame.device.upload(self.frame.values[None])
+        buffers = self._memory, self._shown, back._memory, back._shown
+        self._over("merge_bricks", self.area, block, self._places, *buffers)
+
+    @contextmanager
+    def _planes(self, buffer: Any, count: int, *, write: bool, area: Area | None = None) -> Iterator[NDArray[np.float32]]:
+        """The planes of pixels in a buffer, over an area: [plane, y, x]."""
+        (width, height), (x, y, w, h) = self.frame.size, area or self.area
+        if not count:
+            yield np.empty((0, h, w), np.float32)
+            return
+        with self.frame.device.mapped(buffer, (count, height, width), write=write) as all_of_it:
+            yield all_of_it[:, y : y + h, x : x + w]
 
     def finish(self, buffers: list[Any]) -> None:
         """What the rays show, into pictures."""
@@ -283,7 +356,7 @@ def opacity_within(transfer: TransferFunction, low: float, high: float) -> float
     return max([*map(float, np.interp([low, high], at, given)), *map(float, inner)])
 
 
-def _fields(frame: Frame) -> int:
+def fields_of(frame: Frame) -> int:
     """Numbers that are kept for each ray."""
     mode = frame.mode
     return mode.state_fields + 1 + 3 * mode.finished_there + 3 * frame.guides
@@ -323,7 +396,7 @@ def _boxes(places: NDArray[np.float32], down: int, across: int) -> NDArray[np.fl
     return boxes
 
 
-def _pixels_of(brick: Brick, view: View, grid: Volume, width: int, height: int, beside: int) -> Area:
+def pixels_of(brick: Brick, view: View, grid: Volume, width: int, height: int, beside: int) -> Area:
     """The pixels (left, top, right, bottom) between which rays lie that meet a brick; all of them if it reaches behind the eye."""
     low = np.maximum(np.asarray(brick.low), -0.5) - 1
     high = np.minimum(np.asarray(brick.high), np.asarray(grid.size) - 0.5) + 1
