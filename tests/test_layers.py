@@ -17,7 +17,7 @@ LAYERS = [
     "cache intel processor probe opencl program device",
     "spline",
     "ndimage",
-    "dask interpolator resizing torch xarray multiscale",
+    "cluster dask interpolator resizing torch xarray multiscale",
     "march",
     "images analysis",
     "figures",

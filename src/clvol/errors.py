@@ -12,6 +12,7 @@ from clvol.moved import forwarding
 
 __all__ = [
     "AxisError",
+    "ClusterError",
     "ClvolError",
     "ClvolWarning",
     "DataError",
@@ -63,6 +64,10 @@ class DeviceError(ClvolError, RuntimeError):
 
 class OutOfMemoryError(DeviceError, MemoryError):
     """The device, or the machine, cannot hold what was requested."""
+
+
+class ClusterError(ClvolError, ConnectionError):
+    """A scheduler or its workers cannot be reached, are gone, or are of another version; or work ends every worker."""
 
 
 # What `clvol.ndimage` raises is also the exception that SciPy raises for the same.

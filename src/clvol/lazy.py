@@ -179,6 +179,19 @@ class LazyVolume:
         made._again = again
         return made
 
+    def as_known(self, limits: tuple[float, float], labels: bool) -> LazyVolume:
+        """The same, of which is known what was found elsewhere: its limits, and whether its samples are labels."""
+        made = self.with_levels(self.levels)
+        made._limits = limits
+        if made.grid.labels is None:
+            made.grid = replace(made.grid, labels=labels)
+        return made
+
+    @property
+    def in_memory(self) -> bool:
+        """Whether a pickle holds all samples: they lie in memory, not in a file that is opened again."""
+        return self._again is None and isinstance(self.data, np.ndarray)
+
     def __repr__(self) -> str:
         smaller = f", {len(self.levels)} smaller" if self.levels else ""
         return f"<LazyVolume of shape {self.shape}, {self.dtype}, spacing {self.spacing} {self.units}{smaller}>"

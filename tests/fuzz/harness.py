@@ -383,6 +383,8 @@ def _difference(held: Held | None, result: Any, told: bool = False) -> str:
     grid = result if isinstance(result, clvol.Volume) else result.grid
     data, truth = np.asarray(result), held.data
     ours, theirs = (tuple(n for n in one.shape if n > 1) for one in (data, truth))
+    if truth.dtype.kind == "f" and truth.dtype.itemsize > 8:  # volumes hold float64 at most
+        truth = truth.astype(np.float64)
     native = truth.dtype.newbyteorder("=")
     scaled = held.loose and native == np.float64  # by whole numbers, which other types hold too
     if data.dtype.newbyteorder("=") != native and not scaled:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from clvol import memory
 from clvol.camera import View
 from clvol.filter import Filter
-from clvol.lazy import LazyVolume
+from clvol.lazy import Index, LazyVolume
 from clvol.march.frame import WINDOW, Frame
 from clvol.march.launch import Drawing, Picture, Progress, launched_over, lent_pictures, pictures_of
 from clvol.mode import Composite, Isosurface
@@ -31,7 +31,18 @@ from clvol.transfer import TransferFunction
 from clvol.uniform import Values
 from clvol.volume import Volume
 
-__all__ = ["STEPPED_AT_MOST", "Area", "BrickedDrawing", "Carried", "Pass", "fields_of", "front_to_back", "level_of", "pixels_of"]
+__all__ = [
+    "STEPPED_AT_MOST",
+    "Area",
+    "BrickedDrawing",
+    "Carried",
+    "Pass",
+    "boxes_of",
+    "fields_of",
+    "front_to_back",
+    "level_of",
+    "pixels_of",
+]
 
 Area: TypeAlias = tuple[int, int, int, int]
 """Of pixels: x, y, width and height."""
@@ -192,7 +203,7 @@ class Pass:
         self.area = (0, 0, width, height) if area is None else area
         self._beside = beside
         self._whole_size = whole.size
-        self._boxes = None if places is None else _boxes(places.reshape(height, width, 2), tile.height, tile.width)
+        self._boxes = None if places is None else boxes_of(places.reshape(height, width, 2), tile.height, tile.width)
         self._program, self._table = program, table
         self._places = table if places is None else device.upload(places)  # any buffer: it is not read
         self._memory = device.allocate(4 * width * height * (frame.mode.state_fields + 1))
@@ -264,11 +275,15 @@ class Pass:
                 planes.append(own.copy())
         return Carried(self.area, planes[0], planes[1])
 
-    def resume(self, carried: Carried) -> None:
-        """Go on with rays of the area, or of a part of it, that have been through other bricks."""
+    def take(self, carried: Carried) -> None:
+        """Have rays of the area, or of a part of it, carry what they do behind other bricks."""
         for buffer, given in ((self._memory, carried.states), (self._shown, carried.shown)):
             with self._planes(buffer, len(given), write=True, area=carried.area) as own:
                 own[...] = given
+
+    def resume(self, carried: Carried) -> None:
+        """The same, to go on with them."""
+        self.take(carried)
         block = self.frame.device.upload(self.frame.values[None])
         self._over("resume_states", carried.area, block, self._places, self._memory, self._flags)
         self.frame.device.download(self._flags, self._going)
@@ -315,22 +330,22 @@ class Pass:
         release(self.frame.device, self._memory, self._shown)
 
 
-def front_to_back(field: BrickedField, view: View) -> list[Brick]:
-    """The bricks of a field, in an order in which none is behind one that comes later.
+def front_to_back(field: BrickedField, view: View, box: tuple[Index, Index] | None = None) -> list[Brick]:
+    """The bricks of a field, or of a box of them, in an order in which none is behind one that comes later.
 
     Along each axis they follow outwards from where the eye is, or towards where the view goes: boxes between planes that are
     sorted like this along every axis are sorted.
     """
     grid, inverse = field.volume.grid, field.volume.grid.world_to_index_matrix
     ways = []
-    for axis, count in enumerate(field.counts):
+    for axis, (first, past) in enumerate(zip(*(box or ((0, 0, 0), field.counts)), strict=True)):
         if view.orthographic:
             forwards = float((inverse @ view.forward)[axis]) >= 0
-            ways.append(list(range(count)) if forwards else list(range(count))[::-1])
+            ways.append(list(range(first, past)) if forwards else list(range(first, past))[::-1])
             continue
         eye = (float(grid.world_to_index(view.eye)[axis]) - field.away) / field.edge
-        own = min(max(math.floor(eye), 0), count - 1)
-        ways.append(sorted(range(count), key=lambda i, own=own: abs(i - own)))  # type: ignore[misc]  # a default that binds
+        own = min(max(math.floor(eye), first), past - 1)
+        ways.append(sorted(range(first, past), key=lambda i, own=own: abs(i - own)))  # type: ignore[misc]  # a default that binds
     x, y, z = ways
     outermost = sorted(((abs(float((inverse @ view.forward)[axis])), axis) for axis in range(3)), reverse=True)
     order = [axis for _, axis in outermost]
@@ -385,7 +400,7 @@ def _share(told: Progress, start: float, share: float) -> Progress:
     return lambda done: told(start + share * done)
 
 
-def _boxes(places: NDArray[np.float32], down: int, across: int) -> NDArray[np.float32]:
+def boxes_of(places: NDArray[np.float32], down: int, across: int) -> NDArray[np.float32]:
     """Between which places of a picture the rays of each tile of a list lie: left, top, right and bottom, (rows, columns, 4)."""
     rows, columns = -(-places.shape[0] // down), -(-places.shape[1] // across)
     boxes = np.empty((rows, columns, 4), np.float32)

@@ -29,7 +29,7 @@ from clvol.transfer import TransferFunction
 from clvol.uniform import FLOAT, INT, Block, Values
 from clvol.volume import Volume
 
-__all__ = ["BY_PLANES", "BY_RAYS", "PICTURE", "WINDOW", "Frame", "Subject", "frame_block"]
+__all__ = ["BY_PLANES", "BY_RAYS", "PICTURE", "WINDOW", "Frame", "Subject", "frame_block", "tile_of"]
 
 BY_RAYS = Tile(1, 1, 1, shared=False)  # for GPUs, and wherever coefficients are not read as rows of a buffer
 BY_PLANES = Tile(16, 16, 8, shared=True)  # for processors
@@ -175,7 +175,7 @@ class Frame:
             ),
         )
         table = transfer.table(stored)
-        tile = _tile(coefficients.device, evaluator)
+        tile = tile_of(coefficients.device, evaluator)
         labels = volume.is_labels and not coefficients.filter.has_gradient
         sides = minmax.sides(float(values["mode"]["isovalue"]), told) if minmax is not None and mode.stretches else None
         return cls(coefficients, minmax, sides, mode, transfer, evaluator, planes, tile, central, labels, guides, values, table)
@@ -298,7 +298,7 @@ class Subject:
         return replace(self, camera=fitted(self.camera, volume, self.mode, self.transfer, self.scene.clip, aspect))
 
 
-def _tile(device: Device, evaluator: Evaluator) -> Tile:
+def tile_of(device: Device, evaluator: Evaluator) -> Tile:
     """The device's limit, else blended planes for processors that read rows of taps from a buffer."""
     if device.limits.tile is not None:
         return Tile(*device.limits.tile)

@@ -19,6 +19,7 @@ from clvol import memory
 from clvol.boundary import Boundary
 from clvol.camera import Camera
 from clvol.checks import instance, number, one_of, whole
+from clvol.cluster import Cluster, ClusterLike, as_cluster
 from clvol.device import Device
 from clvol.errors import DataError, OptionError, OutOfMemoryError
 from clvol.filter import PICTURE_FILTER, Filter, as_filter
@@ -27,6 +28,7 @@ from clvol.light import Light, Material
 from clvol.look import look
 from clvol.march import launch
 from clvol.march.bricks import STEPPED_AT_MOST, BrickedDrawing, level_of
+from clvol.march.cluster import MERGES, ClusterDrawing, Merge, Shared
 from clvol.march.frame import Subject
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter
 from clvol.march.refine import Rates, Refined, Wanted, refined, refined_by_levels
@@ -76,6 +78,14 @@ class Renderer:
     budget : int, optional
         Bytes that bricks may take, where a volume is read by bricks: as of `BrickedField`, whose default it has. A BrickedField has
         its own.
+    cluster : distributed.Client, str or int, optional
+        Processes that draw together, by bricks: those of a client of dask, of the scheduler at an address, or so many of this
+        machine. Each reads some of the bricks, from where the volume was opened, and has the budget for them; of several GPUs of a
+        host each has another. A volume in memory is sent to them.
+    merge : {"order", "tree"}
+        How rays go through the bricks of a cluster. "order": front to back, from process to process; the picture is that of one
+        process, to the last bit. "tree": through all at once, merged two by two, which waits for nobody but does not know what is
+        hidden: equal within 1e-6, and within `termination` where matter stops the light.
 
     Raises
     ------
@@ -90,6 +100,8 @@ class Renderer:
         A sample is NaN, infinite, or too large for float64; or a label, drawn by "nearest", is too large for float32.
     DeviceError
         There is no device, or it cannot hold the volume (`OutOfMemoryError`).
+    ClusterError
+        No scheduler answers, it has no workers, or these have another version of clvol.
 
     Notes
     -----
@@ -104,7 +116,11 @@ class Renderer:
         device: Device | str | int | None = None,
         *,
         budget: int | None = None,
+        cluster: ClusterLike | None = None,
+        merge: Merge = "order",
     ) -> None:
+        if merge not in MERGES:
+            raise one_of("merge", merge, MERGES)
         given = {name: value for name, value in (("filter", filter), ("boundary", boundary)) if value is not None}
         self._own = own = not isinstance(scene, (Field, BrickedField))
         self._looked: Volume | None = None
@@ -134,6 +150,12 @@ class Renderer:
         field: Field | BrickedField
         if bricked is not None:
             field = bricked
+        elif cluster is not None:
+            if not own:
+                raise OptionError("cluster takes a volume, of which its processes make fields; got a field of this process")
+            row = filter_for(medium.volume, medium.filter, PICTURE_FILTER)
+            field = BrickedField(medium.volume, row, medium.boundary, device, budget=budget)
+            self._looked = medium.volume
         elif own:
             row = filter_for(medium.volume, medium.filter, PICTURE_FILTER)
             try:
@@ -156,6 +178,13 @@ class Renderer:
         self._lease = Lease(_CLOSED)
         if own:
             self._lease.frees(field.close)
+        self._merge: Merge = merge
+        self._asked_device = device
+        self._shared: dict[int, Shared] = {}
+        self._cluster: Cluster | None = None
+        if cluster is not None:
+            self._cluster = as_cluster(cluster)
+            self._lease.frees(partial(_left, self._cluster, self._shared, owned=self._cluster is not cluster))
 
     @property
     def volume(self) -> Volume:
@@ -555,10 +584,27 @@ class Renderer:
         with field.in_use():
             own = subject.of(field.coefficients, field.boundary)
             frame = own.frame(size, step, guides=guides)
-            drawing = BrickedDrawing(frame, rays, pixel_filter, field, own.view(size), skipping=skipping)
+            drawing: BrickedDrawing
+            if self._cluster is None:
+                drawing = BrickedDrawing(frame, rays, pixel_filter, field, own.view(size), skipping=skipping)
+            else:
+                shared = self._share(self._cluster, field)
+                drawing = ClusterDrawing(frame, rays, pixel_filter, shared, own.view(size), skipping=skipping, merge=self._merge)
             made = launch.drawn(drawing, rays, progress)
             self._shown = field
             return made
+
+    def _share(self, cluster: Cluster, field: BrickedField) -> Shared:
+        """Who of the cluster has which bricks of a field; anew when other workers are there."""
+        with self._lock:
+            found = self._shared.get(id(field))
+            if found is None or found.workers != cluster.workers:
+                if found is not None:
+                    found.forget()
+                choice = self._asked_device
+                found = Shared(cluster, field, choice.name if isinstance(choice, Device) else choice)
+                self._shared[id(field)] = found
+            return found
 
     def _field_at(self, mode: Mode, level: int) -> BrickedField:
         """The field of a level; those of others keep few bricks while it is drawn, and it leaves them their part of the budget."""
@@ -788,6 +834,14 @@ def _bricked(
         return scene
     row = _usual(scene) if filter is None else filter
     return BrickedField(scene, row, boundary, device, budget=budget)
+
+
+def _left(cluster: Cluster, shared: dict[int, Shared], *, owned: bool) -> None:
+    """A cluster is left, whose workers keep nothing."""
+    for one in shared.values():
+        one.forget()
+    if owned:
+        cluster.close()
 
 
 def _usual(volume: LazyVolume) -> str | None:

@@ -1,0 +1,356 @@
+"""Worker processes that draw together: how they are reached, what is asked of them, and what is said when they fail.
+
+The processes are those of a cluster of dask: of this machine, or of any that `dask scheduler` and `dask worker` started.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import os
+import threading
+import time
+import weakref
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self, TypeAlias
+
+import clvol
+from clvol.checks import whole
+from clvol.device import Device, as_device, devices
+from clvol.errors import ClusterError, ClvolError, MissingDependencyError, OptionError
+
+if TYPE_CHECKING:
+    import distributed
+
+__all__ = ["Cluster", "ClusterLike", "PoisonError", "as_cluster", "own_address", "own_place", "worker_device"]
+
+ClusterLike: TypeAlias = "Cluster | distributed.Client | str | int"
+"""What `as_cluster` takes."""
+
+WAIT = 10.0
+"""Seconds for a scheduler to answer, and for its first worker."""
+DESERTED = 60.0
+"""Seconds for which a cluster may be without workers: one that died is started again."""
+RETRIES = 2
+"""How often work that raised an error is done again: a disk or a network may have failed."""
+_LOOK = 0.01  # seconds between looks at what is done
+_CENSUS = 2.0  # seconds between looks at who is there
+_PLEASE = "start clvol's version on all of them, such as by `pip install clvol=={version}`, and `dask worker` again"
+
+
+class PoisonError(ClusterError):
+    """Work ended each worker that began it; `key` says which."""
+
+    def __init__(self, message: str, key: str) -> None:
+        super().__init__(message)
+        self.key = key
+
+    def __reduce__(self) -> Any:
+        return type(self), (str(self), self.key)
+
+
+@dataclass(frozen=True)
+class _About:
+    """What a worker says of itself."""
+
+    version: str
+    process: int
+
+
+def about() -> _About:
+    """Asked of each worker."""
+    return _About(clvol.__version__, os.getpid())
+
+
+class Cluster:
+    """Worker processes of dask.
+
+    Parameters
+    ----------
+    client : distributed.Client
+        Connected, and not asynchronous.
+    own : sequence of objects with `close`
+        What is closed with it.
+
+    Attributes
+    ----------
+    client : distributed.Client
+    workers : tuple of str
+        Addresses, in an order that stays.
+    """
+
+    def __init__(self, client: distributed.Client, own: Sequence[Any] = ()) -> None:
+        self.client = client
+        self._end = weakref.finalize(self, _close, list(own))
+        try:
+            self._require_alike()
+        except BaseException:
+            self.close()
+            raise
+
+    def __repr__(self) -> str:
+        return f"<Cluster of {len(self.workers)} workers at {self.address}>"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave the cluster, and end it if it is one's own."""
+        self._end()
+
+    @property
+    def address(self) -> str:
+        """Of the scheduler."""
+        scheduler = getattr(self.client, "scheduler", None)
+        return str(getattr(scheduler, "address", None) or "an unknown address")
+
+    @property
+    def workers(self) -> tuple[str, ...]:
+        return tuple(sorted(self._census(), key=_by_host_and_port))
+
+    def places(self) -> dict[str, int]:
+        """Of each worker, which one it is of those on its host: that is which of the host's GPUs it uses."""
+        count: dict[str, int] = {}
+        found = {}
+        for address in self.workers:
+            host = address.rpartition(":")[0]
+            found[address] = count.get(host, 0)
+            count[host] = found[address] + 1
+        return found
+
+    def _census(self) -> list[str]:
+        try:
+            return list(self.client.scheduler_info(n_workers=-1)["workers"])
+        except TypeError:  # older than that parameter
+            return list(self.client.scheduler_info()["workers"])
+
+    def _require_alike(self) -> None:
+        """`ClusterError` unless there are workers, and all have this version of clvol."""
+        try:
+            self.client.wait_for_workers(1, timeout=WAIT)
+        except TimeoutError:
+            raise ClusterError(
+                f"the scheduler at {self.address} must have workers; got none within {WAIT:g} s: dask worker {self.address}"
+            ) from None
+        except (OSError, RuntimeError, ValueError) as error:
+            raise ClusterError(f"no scheduler answers at {self.address} any more: {error}") from error
+        told = self._asked()
+        wrong = []
+        for address, answer in sorted(told.items()):
+            if isinstance(answer, (ImportError, AttributeError)):
+                wrong.append(f"{address} has none, or another ({answer})")
+            elif isinstance(answer, BaseException):
+                wrong.append(f"{address} does not say ({answer})")
+            elif answer.version != clvol.__version__:
+                wrong.append(f"{address} has {answer.version}")
+        if wrong:
+            advice = _PLEASE.format(version=clvol.__version__)
+            raise ClusterError(f"workers must have clvol {clvol.__version__}, as this process has; {'; '.join(wrong)}: {advice}")
+
+    def _asked(self) -> dict[str, Any]:
+        """What each worker says of itself, or the error that it has instead."""
+        answers: dict[str, Any] = {}
+
+        def ask() -> None:
+            try:
+                answers.update(self.client.run(about, on_error="return"))
+            except BaseException as error:
+                answers["a worker"] = error
+
+        asking = threading.Thread(target=ask, daemon=True, name="clvol: asking workers")
+        asking.start()
+        asking.join(3 * WAIT)
+        if asking.is_alive():
+            raise ClusterError(f"the workers at {self.address} must say which clvol they have; got no answer within {3 * WAIT:g} s")
+        return answers
+
+    # -- work --------------------------------------------------------------------------------------------------------------
+
+    def submit(self, function: Callable[..., Any], *arguments: Any, worker: str | None = None, **options: Any) -> Any:
+        """A future of what a function gives, preferably of this worker."""
+        where = {} if worker is None else {"workers": [worker], "allow_other_workers": True}
+        return self.client.submit(function, *arguments, pure=False, retries=RETRIES, **where, **options)
+
+    def shared(self, value: Any, nbytes: int) -> Any:
+        """A future of a value that much work takes: a large one lies with all workers, so that the death of one loses nothing."""
+        if nbytes > _LARGE:
+            return self.client.scatter(value, broadcast=True, hash=False)  # type: ignore[no-untyped-call]  # as distributed has it
+        return self.client.submit(_same, value, pure=False)
+
+    def done(self, futures: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+        """The number of each future, as it is done, and its result.
+
+        Raises
+        ------
+        ClusterError
+            The scheduler is gone, or has no workers any more.
+        PoisonError
+            What it asks for ends each worker that tries.
+        ClvolError
+            That which was raised in a worker.
+        """
+        import distributed
+
+        left = dict(enumerate(futures))
+        peopled = looked = time.monotonic()
+        while left:
+            for number in [n for n, future in left.items() if future.done()]:
+                future = left.pop(number)
+                with self._told_apart(distributed, future):
+                    result = future.result(timeout=WAIT)
+                yield number, result
+            now = time.monotonic()
+            if left and now - looked > _CENSUS:
+                looked = now
+                if self.client.status != "running":
+                    raise self._gone()
+                with contextlib.suppress(OSError):
+                    peopled = now if self._census() else peopled
+                if now - peopled > DESERTED:
+                    raise ClusterError(f"the scheduler at {self.address} has had no workers for {DESERTED:g} s")
+            if left:
+                time.sleep(_LOOK)
+
+    @contextlib.contextmanager
+    def _told_apart(self, distributed: Any, future: Any) -> Iterator[None]:
+        try:
+            yield
+        except ClvolError:
+            raise
+        except distributed.KilledWorker as error:
+            raise PoisonError(f"workers die of {future.key}: {error}", str(future.key)) from None
+        except (ImportError, AttributeError) as error:
+            raise ClusterError(f"workers must have clvol {clvol.__version__}, as this process has: {error}") from error
+        except (distributed.CancelledError, TimeoutError, OSError) as error:
+            if self.client.status != "running" or isinstance(error, distributed.CancelledError):
+                raise self._gone() from error
+            raise ClusterError(f"{type(error).__name__} in a worker at {self.address}: {error}") from error
+        except Exception as error:
+            raise ClusterError(f"{type(error).__name__} in a worker at {self.address}: {error}") from error
+
+    def _gone(self) -> ClusterError:
+        return ClusterError(f"the scheduler at {self.address} is gone, or has dropped this work")
+
+    def cancel(self, futures: Sequence[Any]) -> None:
+        """What was asked for is not wanted."""
+        if self.client.status == "running":
+            with contextlib.suppress(Exception):  # it is gone, and so is the work
+                self.client.cancel(list(futures), force=True)  # type: ignore[no-untyped-call]  # as distributed has it
+
+
+_LARGE = 8 << 20  # bytes of what the scheduler itself passes on
+
+
+def _same(value: Any) -> Any:
+    return value
+
+
+def _close(things: list[Any]) -> None:
+    for thing in things:
+        with contextlib.suppress(Exception):  # the other side may be gone
+            thing.close()
+
+
+def _by_host_and_port(address: str) -> tuple[str, int, str]:
+    host, _, port = address.rpartition(":")
+    return host, int(port) if port.isdigit() else 0, address
+
+
+def as_cluster(choice: ClusterLike) -> Cluster:
+    """Worker processes of dask.
+
+    Parameters
+    ----------
+    choice : Cluster, distributed.Client, str or int
+        A client, the address of a scheduler ("tcp://host:8786"), or how many processes of this machine, which are started for it.
+
+    Raises
+    ------
+    ClusterError
+        No scheduler answers there, it has no workers, or these have another version of clvol.
+    OptionError
+        `choice` is none of these, or a client that is asynchronous or closed.
+    MissingDependencyError
+        dask's distributed is not installed.
+    """
+    if isinstance(choice, Cluster):
+        return choice
+    try:
+        distributed = importlib.import_module("distributed")
+    except ImportError as missing:
+        raise MissingDependencyError("a cluster needs distributed: pip install clvol[dask]") from missing
+    if isinstance(choice, distributed.Client):
+        if choice.asynchronous:
+            raise OptionError("cluster must be a client that is not asynchronous; got one that is: Client(...) outside a coroutine")
+        if choice.status != "running":
+            raise OptionError(f"cluster must be a client that is connected; got one that is {choice.status}")
+        return Cluster(choice)
+    if isinstance(choice, str):
+        try:
+            client = distributed.Client(choice, timeout=WAIT, set_as_default=False)
+        except (OSError, TimeoutError, ValueError) as error:
+            raise ClusterError(
+                f"no scheduler answers at {choice} within {WAIT:g} s: {str(error) or type(error).__name__}"
+            ) from error
+        return Cluster(client, [client])
+    if isinstance(choice, bool) or not isinstance(choice, int):
+        raise OptionError(
+            f"cluster must be a distributed.Client, the address of a scheduler, or a number of processes; got {choice!r}"
+        )
+    return _local(distributed, whole("cluster", choice, minimum=1, maximum=1024))
+
+
+def _local(distributed: Any, count: int) -> Cluster:
+    """So many processes of this machine, which share its cores."""
+    import dask
+
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    each = str(max(1, cores // count))
+    settings = {"distributed.scheduler.allowed-failures": 1, "distributed.worker.use-file-locking": False}
+    with dask.config.set(settings):
+        cluster = distributed.LocalCluster(
+            n_workers=count,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=None,
+            memory_limit=0,  # bricks have a budget; workers that dask ends at a limit of its own would be started for ever
+            silence_logs=50,
+            env={"POCL_MAX_PTHREAD_COUNT": each, "CL_CONFIG_CPU_FORCE_MAX_COMPUTE_UNITS": each},
+        )
+        try:
+            client = distributed.Client(cluster, timeout=3 * WAIT, set_as_default=False)
+        except BaseException:
+            cluster.close()
+            raise
+    return Cluster(client, [client, cluster])
+
+
+# -- in a worker -----------------------------------------------------------------------------------------------------------
+
+
+def own_address() -> str:
+    """Of this worker; "" in a process that is none."""
+    import distributed
+
+    try:
+        return str(distributed.get_worker().address)
+    except ValueError:
+        return ""
+
+
+def own_place(places: dict[str, int]) -> int:
+    """Which of its host's workers this process is; any, of one that came later."""
+    return places.get(own_address(), len(places))
+
+
+def worker_device(choice: str | int | None, place: int) -> Device:
+    """The device of a worker: of several GPUs of a host each of its workers has its own, in turns."""
+    first = as_device(choice)
+    if first.kind == "cpu" or choice is not None:
+        return first
+    alike = [device for device in devices() if device.kind == first.kind]
+    return alike[place % len(alike)]
