@@ -90,7 +90,7 @@ class Cluster:
             raise
 
     def __repr__(self) -> str:
-        return f"<Cluster of {len(self.workers)} workers at {self.address}>"
+        return f"<Cluster of {len(self._census())} workers at {self.address}>"
 
     def __enter__(self) -> Self:
         return self
@@ -110,6 +110,8 @@ class Cluster:
 
     @property
     def workers(self) -> tuple[str, ...]:
+        if self.client.status != "running":
+            raise self._gone()
         return tuple(sorted(self._census(), key=_by_host_and_port))
 
     def places(self) -> dict[str, int]:
@@ -124,9 +126,9 @@ class Cluster:
 
     def _census(self) -> list[str]:
         try:
-            return list(self.client.scheduler_info(n_workers=-1)["workers"])
+            return list(self.client.scheduler_info(n_workers=-1).get("workers", ()))
         except TypeError:  # older than that parameter
-            return list(self.client.scheduler_info()["workers"])
+            return list(self.client.scheduler_info().get("workers", ()))
 
     def _require_alike(self) -> None:
         """`ClusterError` unless there are workers, and all have this version of clvol."""
@@ -180,6 +182,12 @@ class Cluster:
         if nbytes > _LARGE:
             return self.client.scatter(value, broadcast=True, hash=False)  # type: ignore[no-untyped-call]  # as distributed has it
         return self.client.submit(_same, value, pure=False)
+
+    def tell(self, function: Callable[..., Any], *arguments: Any) -> None:
+        """Have each worker call a function; who cannot be reached is left out."""
+        if self.client.status == "running":
+            with contextlib.suppress(Exception):
+                self.client.run(function, *arguments)
 
     def done(self, futures: Sequence[Any]) -> Iterator[tuple[int, Any]]:
         """The number of each future, as it is done, and its result.
@@ -316,7 +324,7 @@ def _local(distributed: Any, count: int) -> Cluster:
             n_workers=count,
             threads_per_worker=1,
             processes=True,
-            dashboard_address=None,
+            dashboard_address="127.0.0.1:0",
             memory_limit=0,  # bricks have a budget; workers that dask ends at a limit of its own would be started for ever
             silence_logs=50,
             env={"POCL_MAX_PTHREAD_COUNT": each, "CL_CONFIG_CPU_FORCE_MAX_COMPUTE_UNITS": each},

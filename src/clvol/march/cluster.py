@@ -202,9 +202,7 @@ class Shared:
 
     def forget(self) -> None:
         """Tell workers that the field is not wanted."""
-        client = self.cluster.client
-        if client.status == "running":
-            client.run(_forget, self.token, wait=False, on_error="ignore")
+        self.cluster.tell(_forget, self.token)
 
 
 # -- in this process -------------------------------------------------------------------------------------------------------------

@@ -121,6 +121,8 @@ class Renderer:
     ) -> None:
         if merge not in MERGES:
             raise one_of("merge", merge, MERGES)
+        if cluster is not None and isinstance(scene, (Field, BrickedField)):
+            raise OptionError("cluster takes a volume, of which its processes make fields; got a field of this process")
         given = {name: value for name, value in (("filter", filter), ("boundary", boundary)) if value is not None}
         self._own = own = not isinstance(scene, (Field, BrickedField))
         self._looked: Volume | None = None
@@ -151,8 +153,6 @@ class Renderer:
         if bricked is not None:
             field = bricked
         elif cluster is not None:
-            if not own:
-                raise OptionError("cluster takes a volume, of which its processes make fields; got a field of this process")
             row = filter_for(medium.volume, medium.filter, PICTURE_FILTER)
             field = BrickedField(medium.volume, row, medium.boundary, device, budget=budget)
             self._looked = medium.volume
