@@ -230,7 +230,7 @@ class Cluster:
         except ClvolError:
             raise
         except distributed.KilledWorker as error:
-            raise PoisonError(f"workers die of {future.key}: {error}", str(future.key)) from None
+            raise PoisonError(str(error), str(error.task)) from None
         except (ImportError, AttributeError) as error:
             raise ClusterError(f"workers must have clvol {clvol.__version__}, as this process has: {error}") from error
         except (distributed.CancelledError, TimeoutError, OSError) as error:
