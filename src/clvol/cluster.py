@@ -189,8 +189,8 @@ class Cluster:
             with contextlib.suppress(Exception):
                 self.client.run(function, *arguments)
 
-    def done(self, futures: Sequence[Any]) -> Iterator[tuple[int, Any]]:
-        """The number of each future, as it is done, and its result.
+    def done(self, futures: Sequence[Any], *, keeping: bool = False) -> Iterator[tuple[int, Any]]:
+        """The number of each future, as it is done, and its result; or, if `keeping`, the error that it has instead.
 
         Raises
         ------
@@ -208,8 +208,15 @@ class Cluster:
         while left:
             for number in [n for n, future in left.items() if future.done()]:
                 future = left.pop(number)
-                with self._told_apart(distributed, future):
-                    result = future.result(timeout=WAIT)
+                result: Any
+                try:
+                    with self._told_apart(distributed, future):
+                        result = future.result(timeout=WAIT)
+                except ClvolError as error:
+                    if not keeping or self.client.status != "running":
+                        raise
+                    result = error
+                future.release()  # the worker need not keep it
                 yield number, result
             now = time.monotonic()
             if left and now - looked > _CENSUS:
