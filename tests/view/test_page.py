@@ -216,6 +216,58 @@ def test_points_are_added_coloured_and_deleted(page: Page) -> None:
     assert page.js("return document.querySelectorAll('.clvol-dot').length") == count
 
 
+def test_the_isovalue_is_dragged_in_the_histogram(page: Page) -> None:
+    """By its line, as one step; by keys; and what is copied draws it."""
+    grip = "[aria-label='isovalue in the histogram']"
+    assert page.js("return document.querySelector(arguments[0]).getClientRects().length", grip) == 0  # only where there is one
+    page.choose("Mode", "isosurface")
+    page.wait(f'document.querySelector("{grip}").getClientRects().length')
+    first = float(page.js("return document.querySelector(arguments[0]).getAttribute('aria-valuenow')", grip))
+    width = page.browser.box(".clvol-bars")[2]
+    page.browser.drag((50, 0), ".clvol-beside", buttons=1)
+    page.becomes(lambda state: "isovalue" in state.options)
+    low, high = page.view.volume.value_range
+    wanted = first + 50 * (high - low) / width
+    page.becomes(lambda state: abs(state.options["isovalue"] - wanted) < 3 * (high - low) / width)
+    page.wait(FINAL)
+    told = page.js("return document.querySelector(arguments[0]).getAttribute('aria-valuetext')", grip)
+    assert float(told) == pytest.approx(page.state.options["isovalue"], rel=1e-3)
+    assert page.js("return document.activeElement === document.querySelector(arguments[0])", grip)
+    dragged = page.state.options["isovalue"]
+    page.browser.key("ArrowLeft")
+    page.becomes(lambda state: state.options["isovalue"] == pytest.approx(dragged - (high - low) / 200))
+    page.browser.key("End")
+    page.becomes(lambda state: state.options["isovalue"] == high)
+    for expected in (dragged - (high - low) / 200, dragged, None):
+        page.press("Undo")
+        page.becomes(lambda state, expected=expected: state.options.get("isovalue") == (expected and pytest.approx(expected)))
+
+
+def test_a_clip_plane_is_dragged_by_its_dot(page: Page) -> None:
+    page.choose("Mode", "isosurface")
+    page.tick("Crop to a box")
+    page.wait(f"document.querySelectorAll('.clvol-face').length && {FINAL}")
+    before, first = page.picture(), page.state
+    left, top, _, _ = page.browser.box(PANE)
+    code = "return [...document.querySelectorAll('.clvol-face')].map((c) => [c.cx.baseVal.value, c.cy.baseVal.value])"
+    x, y = max(page.js(code))  # the one farthest to the right
+    middle = page.browser.box(PANE)[2] / 2
+    page.browser.mouse("mouseMoved", left + x, top + y)
+    page.wait("document.querySelector('.clvol-plane') && document.querySelector('.clvol-grasp')", what="the plane is shown")
+    page.browser.mouse("mousePressed", left + x, top + y, buttons=1)
+    for n in range(1, 6):
+        page.browser.mouse("mouseMoved", left + x + (middle - x) * n / 10, top + y, button="left", buttons=1)
+    page.browser.mouse("mouseReleased", left + x + (middle - x) / 2, top + y)
+    page.becomes(lambda state: state.clip != first.clip)
+    page.wait(FINAL)
+    assert page.state.camera == first.camera
+    moved = np.subtract(page.state.clip, first.clip)
+    assert np.count_nonzero(moved) == 1
+    page.wait(lambda: np.abs(page.picture().astype(int) - before).mean() > 1, 20, "the cut")
+    page.press("Undo")
+    page.becomes(lambda state: state == first)
+
+
 def test_two_filters_are_compared_and_the_bar_is_dragged(page: Page) -> None:
     page.tick("Compare with")
     page.becomes(lambda state: state.wiper is not None and state.wiper.at == 0.5)
