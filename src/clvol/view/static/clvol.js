@@ -13,6 +13,7 @@ const PINCH = 60; // of a wheel's dy: two fingers twice as far apart
 const PINCHED = 12; // CSS pixels from which fingers mean it
 const GRASP = 12; // CSS pixels around the dot of a clip plane, as the session has it
 const NOTHING = "\u2013";
+const WAITING = "waiting for the first picture";
 
 // -- small parts -----------------------------------------------------------------------------------------------
 
@@ -1206,7 +1207,7 @@ class Viewer {
     this.gesture = 0; // changes of one are one step of undo
     this.picture = NOTHING;
     this.grid = make("div", { class: "clvol-panes" });
-    this.line = make("div", { class: "clvol-status", role: "status", "aria-live": "polite" }, "waiting for the first picture");
+    this.line = make("div", { class: "clvol-status", role: "status", "aria-live": "polite" }, WAITING);
     this.panel = new Panel(this);
     this.hide = button("Settings", () => this.togglePanel(), { kind: "clvol-hide", title: "show or hide the settings" });
     this.hide.setAttribute("aria-expanded", "true");
@@ -1315,6 +1316,7 @@ class Viewer {
   }
 
   frame(message, data) {
+    if (this.line.textContent === WAITING) this.status(""); // notebooks open no connection that would clear it
     const pane = this.panes.get(message.pane ?? "3d");
     if (!pane || !data) return this.channel.send({ type: "ack", frame: message.number });
     const step = message.step ? `, step ${short(message.step, 3)}` : "";
