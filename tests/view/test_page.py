@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib.util import find_spec
 from typing import Any
 
 import imageio.v3 as iio
@@ -330,6 +331,25 @@ def test_the_saved_picture_is_the_still_one(page: Page) -> None:
     page.press("Save picture")
     data = bytes(page.wait("window.saved"))
     np.testing.assert_array_equal(iio.imread(io.BytesIO(data))[..., :3], page.picture()[..., :3])
+
+
+@pytest.mark.parametrize(("kind", "head"), [("gif", b"GIF8"), ("mp4", b"ftyp")])
+def test_a_movie_is_saved_as_what_is_chosen(page: Page, kind: str, head: bytes) -> None:
+    """Without what packs MP4 the page says how to get it."""
+    page.js(
+        """URL.createObjectURL = (b) => { b.arrayBuffer().then((a) => { window.saved = [...new Uint8Array(a)].slice(0, 12); });
+            window.kind = b.type; return 'data:,'; };
+        const ask = WebSocket.prototype.send, more = '"what":"movie","frames":2';
+        WebSocket.prototype.send = function (text) { return ask.call(this, text.replace('"what":"movie"', more)); };
+        document.querySelector('[aria-label="kind of movie"]').value = arguments[0];""",
+        kind,
+    )
+    page.press("Save movie")
+    if kind == "mp4" and find_spec("imageio_ffmpeg") is None:
+        page.wait(lambda: "pip install clvol[movie]" in page.told(), 30, "what is missing")
+        return
+    assert head in bytes(page.wait("window.saved", 30))
+    assert page.js("return window.kind").endswith(kind)
 
 
 def test_copied_python_is_shown_where_the_clipboard_is_closed(page: Page) -> None:

@@ -1047,9 +1047,10 @@ class Panel {
     const copy = (what, name) => button(name, () => viewer.copy(what, name), { title: `copy this picture as ${name}` });
     const buttons = [copy("copy_python", "Python"), copy("copy_toml", "TOML"), copy("copy_url", "URL")];
     const save = button("Save picture", () => viewer.save("save_picture"), { title: "the still picture, without loss" });
-    this.movie = button("Save movie", () => viewer.save("movie"), { title: "once around" });
+    this.movie = button("Save movie", () => viewer.save("movie", { format: this.movieAs.value }), { title: "once around" });
+    this.movieAs = make("select", { "aria-label": "kind of movie" }, new Option("GIF", "gif"), new Option("MP4", "mp4"), new Option("PNGs in a zip", "zip"));
     this.text = make("textarea", { class: "clvol-text", readonly: true, rows: 4, hidden: true, "aria-label": "what was to be copied" });
-    return make("div", {}, make("div", { class: "clvol-buttons" }, make("span", {}, "Copy as"), ...buttons), make("div", { class: "clvol-buttons" }, save, this.movie), this.text);
+    return make("div", {}, make("div", { class: "clvol-buttons" }, make("span", {}, "Copy as"), ...buttons), make("div", { class: "clvol-buttons" }, save, this.movie, this.movieAs), this.text);
   }
 
   statisticsControls() {
@@ -1396,11 +1397,11 @@ class Viewer {
     this.status(copied ? `copied as ${name}` : "this page may not use the clipboard: copy the selected text", copied ? "info" : "error");
   }
 
-  async save(what) {
+  async save(what, more = {}) {
     this.status(what === "movie" ? "the movie is being made" : "the picture is being made", "busy");
-    const { message, data } = await this.ask(what);
+    const { message, data } = await this.ask(what, more);
     if (!data) return this.status(message.text ?? "nothing was made", "error");
-    const kind = message.mime ?? `image/${message.format ?? "png"}`;
+    const kind = { mp4: "video/mp4", zip: "application/zip" }[message.format] ?? `image/${message.format ?? "png"}`;
     const url = URL.createObjectURL(new Blob([data], { type: kind }));
     const name = message.name ?? `${(this.info.title ?? "clvol").replace(/[^\w.-]+/g, "-")}.${kind.split("/")[1]}`;
     make("a", { href: url, download: name }).click();
