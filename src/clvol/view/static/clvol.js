@@ -1387,7 +1387,9 @@ class Viewer {
   }
 
   async copy(what, name) {
-    const { message } = await this.ask(what);
+    const answer = await this.ask(what).catch(() => null); // why not is told already
+    if (!answer) return;
+    const { message } = answer;
     let { text = message.url ?? "" } = message;
     if (what === "copy_url" && this.onLink) text = this.onLink(text);
     const copied = await toClipboard(text);
@@ -1399,7 +1401,9 @@ class Viewer {
 
   async save(what, more = {}) {
     this.status(what === "movie" ? "the movie is being made" : "the picture is being made", "busy");
-    const { message, data } = await this.ask(what, more);
+    const answer = await this.ask(what, more).catch(() => null); // why not is told already
+    if (!answer) return undefined;
+    const { message, data } = answer;
     if (!data) return this.status(message.text ?? "nothing was made", "error");
     const kind = { mp4: "video/mp4", zip: "application/zip" }[message.format] ?? `image/${message.format ?? "png"}`;
     const url = URL.createObjectURL(new Blob([data], { type: kind }));
