@@ -109,8 +109,8 @@ __all__ = [
     "Volumes",
     "Warped",
     "adjoint",
-    "bc",
     "batch",
+    "bc",
     "boundaries",
     "bspline",
     "devices",
@@ -153,8 +153,8 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "boundary": "Boundary boundaries",
     "camera": "Camera",
     "device": "Device devices",
-    "errors": "ClusterError ClvolError ClvolWarning DataError DeviceError FormatError GeometryError MissingDependencyError OptionError "
-    "OutOfMemoryError",
+    "errors": "ClusterError ClvolError ClvolWarning DataError DeviceError FormatError GeometryError MissingDependencyError "
+    "OptionError OutOfMemoryError",
     "filter": "Filter bc bspline filters from_callable from_pieces lanczos moms3 quasi register sinc",
     "formats": "read read_all write",
     "formats.opening": "open",

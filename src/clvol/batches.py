@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from string import Formatter
-from typing import Any
+from typing import Any, Self
 
 from clvol.camera import Camera
 from clvol.checks import instance
@@ -70,7 +70,7 @@ def batch(
     output: str | os.PathLike[str] = "{name}-{frame:04}.png",
     *,
     cluster: ClusterLike | None = None,
-    reading: Mapping[str, Any] | None = None,
+    reading: Mapping[str, Any] | Callable[[str], Volume] | None = None,
     look: Callable[[Volume], Mapping[str, Any]] | None = None,
     progress: Progress | None = None,
     **options: Any,
@@ -90,8 +90,8 @@ def batch(
         ``{frame}``, which camera, both from 0 and with a format, such as ``{frame:04}``.
     cluster : distributed.Client, str or int, optional
         Who draws: as of `Renderer`. Each picture is a task, so a worker must have room for a whole volume. By default this process.
-    reading : mapping, optional
-        Options of `clvol.read`.
+    reading : mapping or callable, optional
+        Options of `clvol.read`, or what reads a file in its place.
     look : callable, optional
         Gives further options for each volume.
     progress : callable, optional
@@ -136,7 +136,7 @@ def batch(
     work = [(source, view) for source in many for view in views]
     told = _Told(progress, len(wanted))
     results: list[Drawn] = list(wanted)
-    how = dict(reading or {})
+    how = reading if callable(reading) else dict(reading or {})
 
     def keep(number: int, result: Picture | ClvolError) -> None:
         one = wanted[number]
@@ -167,7 +167,7 @@ def _by(
 ) -> Iterator[tuple[int, Any]]:
     """The pictures, as a cluster has them."""
     at_hand = {
-        id(source): cluster.shared(source, source.nbytes if isinstance(source, Volume) else 0)
+        id(source): cluster.shared(source, source.data.nbytes if isinstance(source, Volume) else 0)
         for source in many
         if isinstance(source, (Volume, LazyVolume))
     }
@@ -199,7 +199,7 @@ class _Held:
         self._volume: Any = None
         self._renderer: Renderer | None = None
 
-    def __enter__(self) -> _Held:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -211,19 +211,19 @@ class _Held:
             self._renderer.close()
         self._key = self._volume = self._renderer = None
 
-    def of(self, source: Any, how: dict[str, Any], given: dict[str, Any]) -> tuple[Renderer, Any]:
+    def of(self, source: Any, how: Any, given: dict[str, Any]) -> tuple[Renderer, Any]:
         """The renderer of a source, and what it draws."""
         named = isinstance(source, (str, os.PathLike))
         key = (str(source) if named else id(source), repr(how), repr(given))
         if key != self._key or (not named and self._volume is not source):
             self.let_go()
-            volume = read(source, **how) if named else source
+            volume = source if not named else how(str(source)) if callable(how) else read(source, **how)
             self._renderer, self._volume, self._key = Renderer(volume, **given), volume, key
         assert self._renderer is not None
         return self._renderer, self._volume
 
 
-def _drawn(held: _Held, source: Any, how: dict[str, Any], view: Camera | None, look: Any, options: dict[str, Any]) -> Any:
+def _drawn(held: _Held, source: Any, how: Any, view: Camera | None, look: Any, options: dict[str, Any]) -> Any:
     """A picture, or why there is none."""
     given = {name: options[name] for name in ("filter", "boundary", "device", "budget") if options.get(name) is not None}
     rest = {name: value for name, value in options.items() if name not in ("filter", "boundary", "device", "budget")}
@@ -242,7 +242,7 @@ def _drawn(held: _Held, source: Any, how: dict[str, Any], view: Camera | None, l
 _worker = _Held()
 
 
-def _task(source: Any, how: dict[str, Any], view: Camera | None, look: Any, options: dict[str, Any]) -> Any:
+def _task(source: Any, how: Any, view: Camera | None, look: Any, options: dict[str, Any]) -> Any:
     return _drawn(_worker, source, how, view, look, options)
 
 
@@ -273,7 +273,7 @@ def _require_apart(wanted: Sequence[Drawn]) -> None:
     for one in wanted:
         if other := found.get(one.path):
             raise OptionError(
-                f"output must tell pictures apart by {{name}}, {{number}} and {{frame}}; {one.path} would be frame {other.frame} of "
-                f"{other.source} and frame {one.frame} of {one.source}"
+                f"output must tell pictures apart by {{name}}, {{number}} and {{frame}}; {one.path} would be frame {other.frame} "
+                f"of {other.source} and frame {one.frame} of {one.source}"
             )
         found[one.path] = one

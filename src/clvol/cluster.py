@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import os
+import sys
 import threading
 import time
 import weakref
@@ -15,7 +16,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
-import clvol
 from clvol.checks import whole
 from clvol.device import Device, as_device, devices
 from clvol.errors import ClusterError, ClvolError, MissingDependencyError, OptionError
@@ -23,7 +23,7 @@ from clvol.errors import ClusterError, ClvolError, MissingDependencyError, Optio
 if TYPE_CHECKING:
     import distributed
 
-__all__ = ["Cluster", "ClusterLike", "PoisonError", "as_cluster", "own_address", "own_place", "worker_device"]
+__all__ = ["Cluster", "ClusterLike", "PoisonError", "as_cluster", "own_address", "own_place", "version", "worker_device"]
 
 ClusterLike: TypeAlias = "Cluster | distributed.Client | str | int"
 """What `as_cluster` takes."""
@@ -50,6 +50,11 @@ class PoisonError(ClusterError):
         return type(self), (str(self), self.key)
 
 
+def version() -> str:
+    """Of this process's clvol."""
+    return str(sys.modules[__package__].__version__)
+
+
 @dataclass(frozen=True)
 class _About:
     """What a worker says of itself."""
@@ -60,7 +65,7 @@ class _About:
 
 def about() -> _About:
     """Asked of each worker."""
-    return _About(clvol.__version__, os.getpid())
+    return _About(version(), os.getpid())
 
 
 class Cluster:
@@ -147,11 +152,11 @@ class Cluster:
                 wrong.append(f"{address} has none, or another ({answer})")
             elif isinstance(answer, BaseException):
                 wrong.append(f"{address} does not say ({answer})")
-            elif answer.version != clvol.__version__:
+            elif answer.version != version():
                 wrong.append(f"{address} has {answer.version}")
         if wrong:
-            advice = _PLEASE.format(version=clvol.__version__)
-            raise ClusterError(f"workers must have clvol {clvol.__version__}, as this process has; {'; '.join(wrong)}: {advice}")
+            advice = _PLEASE.format(version=version())
+            raise ClusterError(f"workers must have clvol {version()}, as this process has; {'; '.join(wrong)}: {advice}")
 
     def _asked(self) -> dict[str, Any]:
         """What each worker says of itself, or the error that it has instead."""
@@ -210,7 +215,7 @@ class Cluster:
                 future = left.pop(number)
                 result: Any
                 try:
-                    with self._told_apart(distributed, future):
+                    with self._told_apart(distributed):
                         result = future.result(timeout=WAIT)
                 except ClvolError as error:
                     if not keeping or self.client.status != "running":
@@ -231,7 +236,7 @@ class Cluster:
                 time.sleep(_LOOK)
 
     @contextlib.contextmanager
-    def _told_apart(self, distributed: Any, future: Any) -> Iterator[None]:
+    def _told_apart(self, distributed: Any) -> Iterator[None]:
         try:
             yield
         except ClvolError:
@@ -239,7 +244,7 @@ class Cluster:
         except distributed.KilledWorker as error:
             raise PoisonError(str(error), str(error.task)) from None
         except (ImportError, AttributeError) as error:
-            raise ClusterError(f"workers must have clvol {clvol.__version__}, as this process has: {error}") from error
+            raise ClusterError(f"workers must have clvol {version()}, as this process has: {error}") from error
         except (distributed.CancelledError, TimeoutError, OSError) as error:
             if self.client.status != "running" or isinstance(error, distributed.CancelledError):
                 raise self._gone() from error

@@ -177,15 +177,15 @@ def batch(
     filter
         As of 'clvol render'.
     scheduler
-        The address of a scheduler of dask (tcp://host:8786): a picture is a task of its workers, which must be able to read SOURCES,
-        and have this version of clvol.
+        The address of a scheduler of dask (tcp://host:8786): a picture is a task of its workers, which must be able to read
+        SOURCES, and have this version of clvol.
     workers
         Instead, so many processes of this machine.
     """
     look = look or Look()
     options = own_options(look, own)
     reader = input or Input()
-    speech.require_picture(Path(output.format(name="name", number=0, frame=0)) if "{" in output else Path(output))
+    speech.require_picture(Path(f"picture{Path(output).suffix}"))
     camera = {"zoom": look.zoom, "projection": look.projection, "fit": look.fit}
     cameras = clvol.turned(turn, look.elevation, azimuth=look.azimuth, **camera) if turn > 1 else None
     with speech.progress("drawing", json) as progress:
@@ -194,7 +194,7 @@ def batch(
             cameras,
             output,
             cluster=_cluster(scheduler, workers),
-            reading=reader.options(),
+            reading=reader.read,
             look=look.options,
             progress=progress,
             filter=filter,
@@ -204,8 +204,11 @@ def batch(
             **options,
         )
     failed = [one for one in drawn if one.error is not None]
-    errors = {f"{one.source}, {one.frame}": str(one.error) for one in failed}
-    speech.say(json, {"pictures": len(drawn) - len(failed), **({"failed": errors} if errors else {})})
+    result: dict[str, Any] = {"pictures": len(drawn) - len(failed)}
+    result |= {
+        "failed": [{"source": one.source, "frame": one.frame, "error": str(one.error)} for one in failed] if json else len(failed)
+    }
+    speech.say(json, result, list(dict.fromkeys(f"{one.source}: {one.error}" for one in failed)))
     if failed:
         raise SystemExit(1)
 
