@@ -19,7 +19,7 @@ LAYERS = [
     "ndimage",
     "cluster dask interpolator resizing torch xarray multiscale",
     "march",
-    "images analysis",
+    "images batches analysis",
     "figures",
     "reports",
     "view",

@@ -22,10 +22,12 @@ from clvol.moved import submodule
 
 if TYPE_CHECKING:
     from clvol import images, ndimage, phantoms
+    from clvol.batches import batch, turned
     from clvol.boundary import Boundary, boundaries
     from clvol.camera import Camera
     from clvol.device import Device, devices
     from clvol.errors import (
+        ClusterError,
         ClvolError,
         ClvolWarning,
         DataError,
@@ -71,6 +73,7 @@ __all__ = [
     "Boundary",
     "BrickedField",
     "Camera",
+    "ClusterError",
     "ClvolError",
     "ClvolWarning",
     "Composite",
@@ -106,6 +109,7 @@ __all__ = [
     "Volumes",
     "Warped",
     "adjoint",
+    "batch",
     "bc",
     "boundaries",
     "bspline",
@@ -139,16 +143,18 @@ __all__ = [
     "save",
     "show",
     "sinc",
+    "turned",
     "warp",
     "write",
 ]
 
 _PLACES = {  # where each name is from; a test holds it to what is imported above
+    "batches": "batch turned",
     "boundary": "Boundary boundaries",
     "camera": "Camera",
     "device": "Device devices",
-    "errors": "ClvolError ClvolWarning DataError DeviceError FormatError GeometryError MissingDependencyError OptionError "
-    "OutOfMemoryError",
+    "errors": "ClusterError ClvolError ClvolWarning DataError DeviceError FormatError GeometryError MissingDependencyError "
+    "OptionError OutOfMemoryError",
     "filter": "Filter bc bspline filters from_callable from_pieces lanczos moms3 quasi register sinc",
     "formats": "read read_all write",
     "formats.opening": "open",

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import os
+import sys
 import threading
 import time
 import weakref
@@ -15,7 +16,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
-import clvol
 from clvol.checks import whole
 from clvol.device import Device, as_device, devices
 from clvol.errors import ClusterError, ClvolError, MissingDependencyError, OptionError
@@ -23,7 +23,7 @@ from clvol.errors import ClusterError, ClvolError, MissingDependencyError, Optio
 if TYPE_CHECKING:
     import distributed
 
-__all__ = ["Cluster", "ClusterLike", "PoisonError", "as_cluster", "own_address", "own_place", "worker_device"]
+__all__ = ["Cluster", "ClusterLike", "PoisonError", "as_cluster", "own_address", "own_place", "version", "worker_device"]
 
 ClusterLike: TypeAlias = "Cluster | distributed.Client | str | int"
 """What `as_cluster` takes."""
@@ -50,6 +50,11 @@ class PoisonError(ClusterError):
         return type(self), (str(self), self.key)
 
 
+def version() -> str:
+    """Of this process's clvol."""
+    return str(sys.modules[__package__].__version__)
+
+
 @dataclass(frozen=True)
 class _About:
     """What a worker says of itself."""
@@ -60,7 +65,7 @@ class _About:
 
 def about() -> _About:
     """Asked of each worker."""
-    return _About(clvol.__version__, os.getpid())
+    return _About(version(), os.getpid())
 
 
 class Cluster:
@@ -90,7 +95,7 @@ class Cluster:
             raise
 
     def __repr__(self) -> str:
-        return f"<Cluster of {len(self.workers)} workers at {self.address}>"
+        return f"<Cluster of {len(self._census())} workers at {self.address}>"
 
     def __enter__(self) -> Self:
         return self
@@ -110,6 +115,8 @@ class Cluster:
 
     @property
     def workers(self) -> tuple[str, ...]:
+        if self.client.status != "running":
+            raise self._gone()
         return tuple(sorted(self._census(), key=_by_host_and_port))
 
     def places(self) -> dict[str, int]:
@@ -124,9 +131,9 @@ class Cluster:
 
     def _census(self) -> list[str]:
         try:
-            return list(self.client.scheduler_info(n_workers=-1)["workers"])
+            return list(self.client.scheduler_info(n_workers=-1).get("workers", ()))
         except TypeError:  # older than that parameter
-            return list(self.client.scheduler_info()["workers"])
+            return list(self.client.scheduler_info().get("workers", ()))
 
     def _require_alike(self) -> None:
         """`ClusterError` unless there are workers, and all have this version of clvol."""
@@ -145,11 +152,11 @@ class Cluster:
                 wrong.append(f"{address} has none, or another ({answer})")
             elif isinstance(answer, BaseException):
                 wrong.append(f"{address} does not say ({answer})")
-            elif answer.version != clvol.__version__:
+            elif answer.version != version():
                 wrong.append(f"{address} has {answer.version}")
         if wrong:
-            advice = _PLEASE.format(version=clvol.__version__)
-            raise ClusterError(f"workers must have clvol {clvol.__version__}, as this process has; {'; '.join(wrong)}: {advice}")
+            advice = _PLEASE.format(version=version())
+            raise ClusterError(f"workers must have clvol {version()}, as this process has; {'; '.join(wrong)}: {advice}")
 
     def _asked(self) -> dict[str, Any]:
         """What each worker says of itself, or the error that it has instead."""
@@ -181,8 +188,14 @@ class Cluster:
             return self.client.scatter(value, broadcast=True, hash=False)  # type: ignore[no-untyped-call]  # as distributed has it
         return self.client.submit(_same, value, pure=False)
 
-    def done(self, futures: Sequence[Any]) -> Iterator[tuple[int, Any]]:
-        """The number of each future, as it is done, and its result.
+    def tell(self, function: Callable[..., Any], *arguments: Any) -> None:
+        """Have each worker call a function; who cannot be reached is left out."""
+        if self.client.status == "running":
+            with contextlib.suppress(Exception):
+                self.client.run(function, *arguments)
+
+    def done(self, futures: Sequence[Any], *, keeping: bool = False) -> Iterator[tuple[int, Any]]:
+        """The number of each future, as it is done, and its result; or, if `keeping`, the error that it has instead.
 
         Raises
         ------
@@ -200,8 +213,15 @@ class Cluster:
         while left:
             for number in [n for n, future in left.items() if future.done()]:
                 future = left.pop(number)
-                with self._told_apart(distributed, future):
-                    result = future.result(timeout=WAIT)
+                result: Any
+                try:
+                    with self._told_apart(distributed):
+                        result = future.result(timeout=WAIT)
+                except ClvolError as error:
+                    if not keeping or self.client.status != "running":
+                        raise
+                    result = error
+                future.release()  # the worker need not keep it
                 yield number, result
             now = time.monotonic()
             if left and now - looked > _CENSUS:
@@ -216,15 +236,15 @@ class Cluster:
                 time.sleep(_LOOK)
 
     @contextlib.contextmanager
-    def _told_apart(self, distributed: Any, future: Any) -> Iterator[None]:
+    def _told_apart(self, distributed: Any) -> Iterator[None]:
         try:
             yield
         except ClvolError:
             raise
         except distributed.KilledWorker as error:
-            raise PoisonError(f"workers die of {future.key}: {error}", str(future.key)) from None
+            raise PoisonError(str(error), str(error.task)) from None
         except (ImportError, AttributeError) as error:
-            raise ClusterError(f"workers must have clvol {clvol.__version__}, as this process has: {error}") from error
+            raise ClusterError(f"workers must have clvol {version()}, as this process has: {error}") from error
         except (distributed.CancelledError, TimeoutError, OSError) as error:
             if self.client.status != "running" or isinstance(error, distributed.CancelledError):
                 raise self._gone() from error
@@ -316,7 +336,7 @@ def _local(distributed: Any, count: int) -> Cluster:
             n_workers=count,
             threads_per_worker=1,
             processes=True,
-            dashboard_address=None,
+            dashboard_address="127.0.0.1:0",
             memory_limit=0,  # bricks have a budget; workers that dask ends at a limit of its own would be started for ever
             silence_logs=50,
             env={"POCL_MAX_PTHREAD_COUNT": each, "CL_CONFIG_CPU_FORCE_MAX_COMPUTE_UNITS": each},

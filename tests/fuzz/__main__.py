@@ -26,7 +26,9 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, help="go on for so long instead")
     parser.add_argument("--first", type=int, help="first seed; default 0, or with --seconds one that is new")
     parser.add_argument(
-        "--trusted", action="store_true", help="read in one process what native code reads, and once more with its own what this one cannot bear: much faster"
+        "--trusted",
+        action="store_true",
+        help="read in one process what native code reads, and again with its own what this one cannot bear: much faster",
     )
     parser.add_argument("--results", type=Path, help="a JSON file, in which the rows of the formats are replaced")
     parser.add_argument(
@@ -40,10 +42,8 @@ def main() -> int:
     totals = {kind: Tally(kind) for kind in formats}
     missing: set[str] = set()
     end = time.monotonic() + given.seconds if given.seconds else None
-    print(
-        f"{'format':<12}{'seeds from':>15}{'tried':>8}{'refused':>8}{'read':>8}{'compared':>9}{'broken':>7}{'contained':>10}{'s':>7}{'MB':>6}",
-        flush=True,
-    )
+    heads = {"tried": 8, "refused": 8, "read": 8, "compared": 9, "broken": 7, "contained": 10, "s": 7, "MB": 6}
+    print(f"{'format':<12}{'seeds from':>15}{''.join(f'{head:>{width}}' for head, width in heads.items())}", flush=True)
     while True:
         for kind in [kind for kind in formats if kind not in missing]:
             if end is not None and time.monotonic() > end:
@@ -67,7 +67,8 @@ def main() -> int:
 
 def _print(tally: Tally, first: int, keep: Path) -> None:
     t = tally
-    numbers = f"{t.tried:>8}{t.refused:>8}{t.accepted:>8}{t.compared:>9}{t.broken:>7}{t.contained:>10}{t.slowest_s:>7.2f}{t.peak_mb:>6.0f}"
+    numbers = f"{t.tried:>8}{t.refused:>8}{t.accepted:>8}{t.compared:>9}{t.broken:>7}{t.contained:>10}"
+    numbers += f"{t.slowest_s:>7.2f}{t.peak_mb:>6.0f}"
     print(f"{t.format:<12}{first:>15}{numbers}", flush=True)
     for what, (count, seed) in sorted(t.findings.items(), key=lambda item: -item[1][0]):
         print(f"    {count:>6} × {what}; {keep / f'{t.format}-{seed}'}", flush=True)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from clvol import Camera, Volume
 from clvol.errors import OptionError
 from clvol.view import State
-from clvol.view.events import Hands, Place, Reduced, reduce
+from clvol.view.events import Hands, Place, Reduced, faces, reduce
 from clvol.view.panes import Pane3D, PaneSize, SlicePane, camera_of
 from clvol.view.state import CameraState, Wiper
 from tests.view.clients import random_changes, random_event
@@ -302,6 +302,40 @@ def test_a_face_of_the_crop_box_goes_with_the_pointer(by: str) -> None:
     assert far.clip is not None
     assert 0 < far.clip[1][0] - far.clip[0][0] < 0.01 * (high - low)[0]
     assert reduce(far, Hands(), {"event_type": "key_down", "key": "Escape"}, at).state.clip is None
+
+
+def test_a_clip_plane_is_dragged_by_its_dot() -> None:
+    """Where the box is shown a drag that begins at a dot moves that plane alone; any other turns."""
+    at = place()
+    low, high = (tuple(map(float, corner(0))) for corner in (at.volume.corners.min, at.volume.corners.max))
+    camera = replace(LEVEL, target=tuple(at.volume.center), direction=(0.5, 1, -0.4), projection="orthographic")
+    state = State(camera=camera, clip=(low, high))
+    dots = faces(state, at, "3d")
+    assert {(axis, side) for axis, side, _, _ in dots} == {(axis, side) for axis in range(3) for side in (0, 1)}
+    for axis, side, x, y in dots:
+        middle = (np.array(low) + high) / 2
+        middle[axis] += (-1 if side else 1) * 1.5
+        inwards = np.subtract(pane(state).project(middle), pane(state).project((np.array(low) + high) / 2))
+        made = drag(state, (x + 2, y - 3), (x + 2 + inwards[0], y - 3 + inwards[1])).state
+        wanted = [list(low), list(high)]
+        wanted[side][axis] += -1.5 if side else 1.5
+        assert made.clip is not None
+        assert np.allclose(made.clip, wanted)
+        assert made.camera == camera
+    _, _, x, y = dots[0]
+    aside = drag(state, (x + 2, y + 40), (x + 60, y + 40)).state
+    assert aside.clip == state.clip
+    assert aside.camera != camera
+    assert drag(State(camera=camera), (x, y), (x + 50, y)).state.clip is None  # no box, no dots
+    panned = drag(state, (x, y), (x + 50, y), modifiers=["Shift"]).state
+    assert (panned.clip, panned.camera.direction) == (state.clip, camera.direction)
+
+
+def test_a_clip_plane_that_moves_towards_the_viewer_has_no_dot() -> None:
+    at = place()
+    state = State(camera=replace(LEVEL, projection="orthographic"), tool="crop")  # looks along +y
+    assert {axis for axis, *_ in faces(state, at, "3d")} == {0, 2}
+    assert {axis for axis, *_ in faces(replace(state, layout="slice", active="z"), at, "z")} == {0, 1}
 
 
 def test_the_line_of_the_wiper_is_dragged() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib.util import find_spec
 from typing import Any
 
 import imageio.v3 as iio
@@ -216,6 +217,58 @@ def test_points_are_added_coloured_and_deleted(page: Page) -> None:
     assert page.js("return document.querySelectorAll('.clvol-dot').length") == count
 
 
+def test_the_isovalue_is_dragged_in_the_histogram(page: Page) -> None:
+    """By its line, as one step; by keys; and what is copied draws it."""
+    grip = "[aria-label='isovalue in the histogram']"
+    assert page.js("return document.querySelector(arguments[0]).getClientRects().length", grip) == 0  # only where there is one
+    page.choose("Mode", "isosurface")
+    page.wait(f'document.querySelector("{grip}").getClientRects().length')
+    first = float(page.js("return document.querySelector(arguments[0]).getAttribute('aria-valuenow')", grip))
+    width = page.browser.box(".clvol-bars")[2]
+    page.browser.drag((50, 0), ".clvol-beside", buttons=1)
+    page.becomes(lambda state: "isovalue" in state.options)
+    low, high = page.view.volume.value_range
+    wanted = first + 50 * (high - low) / width
+    page.becomes(lambda state: abs(state.options["isovalue"] - wanted) < 3 * (high - low) / width)
+    page.wait(FINAL)
+    told = page.js("return document.querySelector(arguments[0]).getAttribute('aria-valuetext')", grip)
+    assert float(told) == pytest.approx(page.state.options["isovalue"], rel=1e-3)
+    assert page.js("return document.activeElement === document.querySelector(arguments[0])", grip)
+    dragged = page.state.options["isovalue"]
+    page.browser.key("ArrowLeft")
+    page.becomes(lambda state: state.options["isovalue"] == pytest.approx(dragged - (high - low) / 200))
+    page.browser.key("End")
+    page.becomes(lambda state: state.options["isovalue"] == high)
+    for expected in (dragged - (high - low) / 200, dragged, None):
+        page.press("Undo")
+        page.becomes(lambda state, expected=expected: state.options.get("isovalue") == (expected and pytest.approx(expected)))
+
+
+def test_a_clip_plane_is_dragged_by_its_dot(page: Page) -> None:
+    page.choose("Mode", "isosurface")
+    page.tick("Crop to a box")
+    page.wait(f"document.querySelectorAll('.clvol-face').length && {FINAL}")
+    before, first = page.picture(), page.state
+    left, top, _, _ = page.browser.box(PANE)
+    code = "return [...document.querySelectorAll('.clvol-face')].map((c) => [c.cx.baseVal.value, c.cy.baseVal.value])"
+    x, y = max(page.js(code))  # the one farthest to the right
+    middle = page.browser.box(PANE)[2] / 2
+    page.browser.mouse("mouseMoved", left + x, top + y)
+    page.wait("document.querySelector('.clvol-plane') && document.querySelector('.clvol-grasp')", what="the plane is shown")
+    page.browser.mouse("mousePressed", left + x, top + y, buttons=1)
+    for n in range(1, 6):
+        page.browser.mouse("mouseMoved", left + x + (middle - x) * n / 10, top + y, button="left", buttons=1)
+    page.browser.mouse("mouseReleased", left + x + (middle - x) / 2, top + y)
+    page.becomes(lambda state: state.clip != first.clip)
+    page.wait(FINAL)
+    assert page.state.camera == first.camera
+    moved = np.subtract(page.state.clip, first.clip)
+    assert np.count_nonzero(moved) == 1
+    page.wait(lambda: np.abs(page.picture().astype(int) - before).mean() > 1, 20, "the cut")
+    page.press("Undo")
+    page.becomes(lambda state: state == first)
+
+
 def test_two_filters_are_compared_and_the_bar_is_dragged(page: Page) -> None:
     page.tick("Compare with")
     page.becomes(lambda state: state.wiper is not None and state.wiper.at == 0.5)
@@ -278,6 +331,25 @@ def test_the_saved_picture_is_the_still_one(page: Page) -> None:
     page.press("Save picture")
     data = bytes(page.wait("window.saved"))
     np.testing.assert_array_equal(iio.imread(io.BytesIO(data))[..., :3], page.picture()[..., :3])
+
+
+@pytest.mark.parametrize(("kind", "head"), [("gif", b"GIF8"), ("mp4", b"ftyp")])
+def test_a_movie_is_saved_as_what_is_chosen(page: Page, kind: str, head: bytes) -> None:
+    """Without what packs MP4 the page says how to get it."""
+    page.js(
+        """URL.createObjectURL = (b) => { b.arrayBuffer().then((a) => { window.saved = [...new Uint8Array(a)].slice(0, 12); });
+            window.kind = b.type; return 'data:,'; };
+        const ask = WebSocket.prototype.send, more = '"what":"movie","frames":2';
+        WebSocket.prototype.send = function (text) { return ask.call(this, text.replace('"what":"movie"', more)); };
+        document.querySelector('[aria-label="kind of movie"]').value = arguments[0];""",
+        kind,
+    )
+    page.press("Save movie")
+    if kind == "mp4" and find_spec("imageio_ffmpeg") is None:
+        page.wait(lambda: "pip install clvol[movie]" in page.told(), 30, "what is missing")
+        return
+    assert head in bytes(page.wait("window.saved", 30))
+    assert page.js("return window.kind").endswith(kind)
 
 
 def test_copied_python_is_shown_where_the_clipboard_is_closed(page: Page) -> None:

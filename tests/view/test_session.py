@@ -558,6 +558,10 @@ def test_the_crop_box_is_dragged_in_the_volume_and_shown(client: Client, volume:
     assert np.array_equal(pixels, drawn(client.session.python(), volume))
     overlay, _ = client.wait(lambda m: m["type"] == "overlay" and m["box"] is not None)
     assert len(overlay["box"]) == 8
+    assert {tuple(face[:2]) for face in overlay["faces"]} == {(0, 0), (0, 1), (2, 0), (2, 1)}
+    client.session.receive({"type": "do", "what": "undo", "id": 1})
+    client.wait(lambda m: m["type"] == "reply")
+    assert client.session.state.clip is None  # the drag is one step
     assert not client.of("status")
 
 

@@ -41,9 +41,10 @@ from clvol.picture import heat, heat_with_scale
 from clvol.smoothing import filter_for
 from clvol.spline.bricked import BrickedField, as_lazy
 
-__all__ = ["compare", "figure", "figure6", "render", "report"]
+__all__ = ["batch", "compare", "figure", "figure6", "render", "report"]
 
 _BRICKS = Group("Of what is read by bricks: large, far away, or stored in several sizes", sort_key=5)
+_CLUSTER = Group("By several processes, which read and draw bricks together", sort_key=6)
 _COMPARED = 20_000  # gradients that a table of errors compares
 
 
@@ -64,6 +65,8 @@ def render(
     by_bricks: Annotated[bool, Parameter(negative="", group=_BRICKS)] = False,
     budget: Annotated[str | None, Parameter(show_default=False, group=_BRICKS)] = None,
     lod: Annotated[float | Literal["auto"], Parameter(group=_BRICKS)] = "auto",
+    scheduler: Annotated[str | None, Parameter(show_default=False, group=_CLUSTER)] = None,
+    workers: Annotated[Whole | None, Parameter(show_default=False, group=_CLUSTER)] = None,
     verbose: Annotated[bool, Parameter(negative="")] = False,
     json: Json = False,
 ) -> None:
@@ -88,6 +91,11 @@ def render(
         there is]
     lod
         How many pixels a voxel may span, of the size that is drawn, where the volume is nearest; auto is 1, 0 draws the largest.
+    scheduler
+        The address of a scheduler of dask (tcp://host:8786) whose workers draw; they must be able to read SOURCE, and have this
+        version of clvol.
+    workers
+        Instead, so many processes of this machine.
     verbose
         Report the share of the samples that was looked at, and how long the parts took, kernels that are built first
         included.
@@ -102,6 +110,8 @@ def render(
     options = own_options(look, own)
     most = None if budget is None else bytes_of(budget)
     whole = uncertainty is not None or look.evaluator not in ("auto", "taps") or look.fetch == "image"  # which bricks have not
+    cluster = _cluster(scheduler, workers)
+    by_bricks = by_bricks or cluster is not None
     volume = _volume(input or Input(), source, most, by_bricks=by_bricks, whole=whole)
     looked = volume.sketch() if isinstance(volume, clvol.LazyVolume) else volume
     result: dict[str, Any] = {"output": str(output), "size": list(size), "filter": "", "mode": look.mode}
@@ -109,7 +119,7 @@ def render(
         options |= look.options(looked)
         begun = time.perf_counter()
         wanted = _filter(volume, filter, look.mode)
-        with clvol.Renderer(volume, wanted, look.boundary, device, budget=most) as renderer:
+        with clvol.Renderer(volume, wanted, look.boundary, device, budget=most, cluster=cluster) as renderer:
             ready = time.perf_counter()
             outputs: list[clvol.Output] = ["rgba"]
             outputs += ["visited"] if verbose or heat_map is not None else []
@@ -136,6 +146,78 @@ def render(
             "seconds_to_draw": round(done - ready, 4),
         }
     speech.say(json, result)
+
+
+@command(PICTURES)
+def batch(
+    sources: Annotated[list[str], Parameter(help="Volume files; as many as there are.", allow_leading_hyphen=False)],
+    /,
+    *,
+    output: Annotated[str, Parameter(name=["--output", "-o"], help="Where pictures go: see below.")] = "{name}-{frame:04}.png",
+    turn: Whole = 1,
+    filter: Annotated[FilterName | None, Parameter(show_default=False)] = None,
+    size: Size = (512, 512),
+    device: DeviceName = None,
+    input: Input | None = None,
+    look: Look | None = None,
+    own: ModeOptions | None = None,
+    scheduler: Annotated[str | None, Parameter(show_default=False, group=_CLUSTER)] = None,
+    workers: Annotated[Whole | None, Parameter(show_default=False, group=_CLUSTER)] = None,
+    json: Json = False,
+) -> None:
+    """Make pictures of many volumes, from many sides.
+
+    In --output {name} stands for the file's name without its suffix, {number} for its number, and {frame} for that of the side.
+    A file that fails leaves the others as they are; the exit status then is 1.
+
+    Parameters
+    ----------
+    turn
+        How many pictures of each, on a whole turn around it.
+    filter
+        As of 'clvol render'.
+    scheduler
+        The address of a scheduler of dask (tcp://host:8786): a picture is a task of its workers, which must be able to read
+        SOURCES, and have this version of clvol.
+    workers
+        Instead, so many processes of this machine.
+    """
+    look = look or Look()
+    options = own_options(look, own)
+    reader = input or Input()
+    speech.require_picture(Path(f"picture{Path(output).suffix}"))
+    camera = {"zoom": look.zoom, "projection": look.projection, "fit": look.fit}
+    cameras = clvol.turned(turn, look.elevation, azimuth=look.azimuth, **camera) if turn > 1 else None
+    with speech.progress("drawing", json) as progress:
+        drawn = clvol.batch(
+            sources,
+            cameras,
+            output,
+            cluster=_cluster(scheduler, workers),
+            reading=reader.read,
+            look=look.options,
+            progress=progress,
+            filter=filter,
+            boundary=look.boundary,
+            device=device,
+            size=size,
+            **options,
+        )
+    failed = [one for one in drawn if one.error is not None]
+    result: dict[str, Any] = {"pictures": len(drawn) - len(failed)}
+    result |= {
+        "failed": [{"source": one.source, "frame": one.frame, "error": str(one.error)} for one in failed] if json else len(failed)
+    }
+    speech.say(json, result, list(dict.fromkeys(f"{one.source}: {one.error}" for one in failed)))
+    if failed:
+        raise SystemExit(1)
+
+
+def _cluster(scheduler: str | None, workers: int | None) -> str | int | None:
+    """By whom it is drawn."""
+    if scheduler is not None and workers is not None:
+        raise OptionError(f"give --scheduler or --workers; got both: {scheduler} and {workers}")
+    return scheduler if workers is None else workers
 
 
 def _volume(

@@ -15,17 +15,16 @@ import threading
 import uuid
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-import clvol
 from clvol.boundary import Boundary
 from clvol.camera import View
 from clvol.checks import one_of
-from clvol.cluster import Cluster, PoisonError, own_address, own_place, worker_device
+from clvol.cluster import Cluster, PoisonError, own_address, own_place, version, worker_device
 from clvol.errors import ClusterError, DeviceError, OptionError, OutOfMemoryError
 from clvol.filter import Filter
 from clvol.lazy import Index, LazyVolume
@@ -35,13 +34,14 @@ from clvol.march.launch import Picture, Progress, lent_pictures
 from clvol.mode import Composite, Isosurface, Mode
 from clvol.spline.bricked import Brick, BrickedField
 
-__all__ = ["MERGES", "ClusterDrawing", "Group", "Merge", "Shared", "groups_of", "visible"]
+__all__ = ["MERGES", "ClusterDrawing", "Group", "Merge", "Shared", "groups_of", "shared_out", "visible"]
 
 Merge: TypeAlias = Literal["order", "tree"]
 MERGES = ("order", "tree")
 _GROUPS = 4  # boxes for each worker
 _AREAS = 4  # of a picture for each worker
 _SMALLEST = 32  # pixels along an edge of an area, of which it is a multiple
+_LEAST = 32  # samples along an edge of a brick: margins are as wide as that
 _FIELDS = 4  # that a worker keeps
 
 
@@ -123,6 +123,16 @@ def visible(tree: _Tree, field: BrickedField, view: View) -> Iterator[Group]:
         yield from visible(part, field, view)
 
 
+def shared_out(field: BrickedField, workers: int) -> BrickedField:
+    """The field, or one of smaller bricks where there are too few for so many workers."""
+    edge = field.edge
+    while math.prod(-(-n // edge) for n in field.volume.size) < _GROUPS * workers and edge >= 2 * _LEAST:
+        edge //= 2
+    if edge == field.edge:
+        return field
+    return BrickedField(field.volume, field.filter, field.boundary, field.device, budget=field.budget, edge=edge)
+
+
 # -- what workers are told -----------------------------------------------------------------------------------------------------
 
 
@@ -140,7 +150,7 @@ class _Recipe:
     budget: int
     edge: int
     places: dict[str, int]
-    version: str = clvol.__version__
+    version: str = field(default_factory=version)
 
 
 @dataclass(frozen=True)
@@ -202,9 +212,7 @@ class Shared:
 
     def forget(self) -> None:
         """Tell workers that the field is not wanted."""
-        client = self.cluster.client
-        if client.status == "running":
-            client.run(_forget, self.token, wait=False, on_error="ignore")
+        self.cluster.tell(_forget, self.token)
 
 
 # -- in this process -------------------------------------------------------------------------------------------------------------
@@ -429,8 +437,8 @@ _turn = threading.RLock()  # kernels use all cores, and one budget is enough
 
 def _field_of(recipe: _Recipe) -> BrickedField:
     """The field of a recipe; others keep no bricks meanwhile."""
-    if recipe.version != clvol.__version__:
-        raise ClusterError(f"workers must have clvol {recipe.version}; {own_address()} has {clvol.__version__}")
+    if recipe.version != version():
+        raise ClusterError(f"workers must have clvol {recipe.version}; {own_address()} has {version()}")
     with _lock:
         if recipe.token not in _fields:
             try:

@@ -28,7 +28,7 @@ from clvol.light import Light, Material
 from clvol.look import look
 from clvol.march import launch
 from clvol.march.bricks import STEPPED_AT_MOST, BrickedDrawing, level_of
-from clvol.march.cluster import MERGES, ClusterDrawing, Merge, Shared
+from clvol.march.cluster import MERGES, ClusterDrawing, Merge, Shared, shared_out
 from clvol.march.frame import Subject
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter
 from clvol.march.refine import Rates, Refined, Wanted, refined, refined_by_levels
@@ -121,6 +121,8 @@ class Renderer:
     ) -> None:
         if merge not in MERGES:
             raise one_of("merge", merge, MERGES)
+        if cluster is not None and isinstance(scene, (Field, BrickedField)):
+            raise OptionError("cluster takes a volume, of which its processes make fields; got a field of this process")
         given = {name: value for name, value in (("filter", filter), ("boundary", boundary)) if value is not None}
         self._own = own = not isinstance(scene, (Field, BrickedField))
         self._looked: Volume | None = None
@@ -151,8 +153,6 @@ class Renderer:
         if bricked is not None:
             field = bricked
         elif cluster is not None:
-            if not own:
-                raise OptionError("cluster takes a volume, of which its processes make fields; got a field of this process")
             row = filter_for(medium.volume, medium.filter, PICTURE_FILTER)
             field = BrickedField(medium.volume, row, medium.boundary, device, budget=budget, at_once=False)
             self._looked = medium.volume
@@ -184,6 +184,9 @@ class Renderer:
         self._cluster: Cluster | None = None
         if cluster is not None:
             self._cluster = as_cluster(cluster)
+            assert isinstance(field, BrickedField)
+            self.field = self._shown = shared_out(field, len(self._cluster.workers))
+            self._lease.frees(self.field.close)
             self._lease.frees(partial(_left, self._cluster, self._shared, owned=self._cluster is not cluster))
 
     @property
@@ -618,7 +621,8 @@ class Renderer:
                 row = _usual(coarser) if free else base.filter
                 key = level, "" if row is None else as_filter(row).name
                 if key not in self._levels:
-                    self._levels[key] = BrickedField(coarser, row, base.boundary, base.device, budget=base.budget)
+                    made = BrickedField(coarser, row, base.boundary, base.device, budget=base.budget)
+                    self._levels[key] = made if self._cluster is None else shared_out(made, len(self._cluster.workers))
                     self._lease.frees(self._levels[key].close)
                 field = self._levels[key]
             beside = 0

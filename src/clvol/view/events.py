@@ -23,7 +23,7 @@ from clvol.view.panes import Pane3D, PaneSize, SlicePane, bounds, camera_of, pan
 from clvol.view.state import PANES, CameraState, SliceState, State
 from clvol.volume import Volume
 
-__all__ = ["KEYS", "Drag", "Hands", "Place", "Reduced", "reduce"]
+__all__ = ["KEYS", "Drag", "Hands", "Place", "Reduced", "faces", "reduce", "shows_box"]
 
 Vector = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ KEYS: Mapping[str, str] = {
     "h": "heat map of the samples looked at",
     "i (held)": "drag the isovalue",
     "w (held)": "drag the window: up and down its centre, left and right its width",
-    "c (held)": "drag a face of the crop box",
+    "c (held)": "drag a clip plane, a face of the crop box",
     "Shift (held)": "drag pans; the wheel moves slices five at a time",
     "Control (held)": "drag rolls; the wheel zooms slices",
     "Escape": "drop the tool and the crop box",
@@ -52,7 +52,7 @@ KEYS: Mapping[str, str] = {
 """What keys do, for people."""
 
 _CLICK = 4.0  # CSS pixels: a pointer that moved no farther did not drag
-_HANDLE = 12.0  # CSS pixels around the line of the wiper
+_HANDLE = 12.0  # CSS pixels around the line of the wiper, and around the dot of a clip plane
 _STEP = math.radians(15)
 _NOTCH = 400.0  # of a wheel's dy that doubles the zoom
 _PINCH = 60.0  # likewise of a pinch
@@ -181,8 +181,9 @@ def _down(state: State, hands: Hands, event: Mapping[str, Any], place: Place, na
     if hands.drag is not None:  # a second button, or a pointer_up that was lost
         hands = replace(hands, drag=None)
     began = state if state.active == name else replace(state, active=name)  # type: ignore[arg-type]  # a pane's
-    kind = _drag_kind(state, hands, event, place, name, x, button)
-    face = _nearest_face(began, place, name, x, y) if kind == "crop" else None
+    face = _grabbed_face(began, hands, event, place, name, (x, y), button)
+    kind = "crop" if face is not None else _drag_kind(state, hands, event, place, name, x, button)
+    face = _nearest_face(began, place, name, x, y) if kind == "crop" and face is None else face
     pinned = place.pinned(began) if kind in ("orbit", "pan", "roll", "zoom") and name == "3d" else began
     drag = Drag(kind, name, button, x, y, pinned, face)
     moved = _crosshair_at(began, place, name, x, y) if kind == "crosshair" else began
@@ -391,19 +392,39 @@ def _face_way(pane: Pane3D | SlicePane, box: list[Vector], axis: int, side: int)
     return way if math.hypot(*way) > 0.05 * pane.unit_pixels else None
 
 
-def _nearest_face(state: State, place: Place, name: str, x: float, y: float) -> tuple[int, int] | None:
-    """The face of the crop box whose middle lies nearest to a place, of those that can be dragged in the pane."""
+def shows_box(state: State, hands: Hands) -> bool:
+    """Whether the crop box and the dots of its clip planes lie over the pictures."""
+    return state.clip is not None or state.tool == "crop" or "c" in hands.keys
+
+
+def faces(state: State, place: Place, name: str) -> list[tuple[int, int, float, float]]:
+    """The clip planes that can be dragged in a pane: the axis, 0 for the low and 1 for the high one, and where its dot lies."""
     first, last = bounds(place.volume)
     box = [np.array(corner) for corner in (state.clip or (first, last))]
     pane = place.pane(state, name)
-    best: tuple[float, tuple[int, int]] | None = None
+    found = []
     for axis in range(3):
         for side in (0, 1):
             at = pane.project(_face_middle(box, axis, side))
             if at is not None and _face_way(pane, box, axis, side) is not None:
-                far = math.hypot(at[0] - x, at[1] - y)
-                best = min(best, (far, (axis, side))) if best else (far, (axis, side))
-    return best[1] if best else None
+                found.append((axis, side, *at))
+    return found
+
+
+def _nearest_face(state: State, place: Place, name: str, x: float, y: float, within: float = math.inf) -> tuple[int, int] | None:
+    """The clip plane whose dot lies nearest to a place, if it is no farther than so many CSS pixels."""
+    far = [(math.hypot(u - x, v - y), (axis, side)) for axis, side, u, v in faces(state, place, name)]
+    nearest = min(far, default=None)
+    return nearest[1] if nearest is not None and nearest[0] <= within else None
+
+
+def _grabbed_face(
+    state: State, hands: Hands, event: Mapping[str, Any], place: Place, name: str, at: tuple[float, float], button: int
+) -> tuple[int, int] | None:
+    """The clip plane whose dot the first button takes hold of, where dots are shown; with a key it means something else."""
+    if button != 1 or hands.keys or _modifiers(event) or not shows_box(state, hands):
+        return None
+    return _nearest_face(state, place, name, *at, within=_HANDLE)
 
 
 def _crosshair(drag: Drag, place: Place, x: float, y: float) -> State:

@@ -24,6 +24,7 @@ __all__ = ["LocalClient", "decoded", "scaled"]
 _MOST_RATIO = 2.0  # pixels a CSS pixel, along each axis: what screens have beyond that nobody sees, and all wait for
 _CROSS = 8  # pixels
 _MARK = np.array([120, 96, 24], np.uint8)  # half of an amber
+_DOT = 4.0, np.array([127, 209, 255], np.uint8)  # of a clip plane: its radius in CSS pixels, a light blue
 _AT_A_POINTER = ("pointer_down", "pointer_move", "pointer_up", "double_click", "wheel")
 
 Array = NDArray[np.uint8]
@@ -40,9 +41,11 @@ class LocalClient:
         Called from the session's thread when `take` would give something new; it must return at once.
     state : State, optional
         What is shown first; by default the view's.
+    pointer : bool
+        Whether there is one: the dots of clip planes are for it.
     """
 
-    def __init__(self, view: View, changed: Callable[[], Any], state: State | None = None) -> None:
+    def __init__(self, view: View, changed: Callable[[], Any], state: State | None = None, *, pointer: bool = True) -> None:
         self._changed = changed
         self._lock = threading.Lock()
         self._state = view.initial if state is None else state
@@ -52,6 +55,8 @@ class LocalClient:
         self._shown: list[int] = []
         self._still: set[str] = set()
         self._crosshairs: dict[str, tuple[float, float]] = {}
+        self._pointer = pointer
+        self._dots: dict[str, list[tuple[float, float]]] = {}
         self._held: str | None = None
         self.title = ""
         self.text = ""
@@ -97,6 +102,9 @@ class LocalClient:
             self._shown = []
             for name, at in self._crosshairs.items():
                 self._mark(picture, name, at)
+            for name, places in self._dots.items():
+                for place in places:
+                    self._dot(picture, name, place)
         for number in shown:
             self.session.receive({"type": "ack", "frame": number})
         return picture
@@ -139,6 +147,7 @@ class LocalClient:
                 if message.get("crosshair") is not None:
                     x, y = message["crosshair"]
                     self._crosshairs[message["pane"]] = float(x), float(y)
+                self._dots[message["pane"]] = [(x, y) for _, _, x, y in message["faces"]] if self._pointer else []
         elif kind == "status":
             self.text = str(message.get("text") or "")
         elif kind == "reply" and message.get("value") is not None:
@@ -194,6 +203,18 @@ class LocalClient:
             pane[max(0, y - reach) : max(0, y + reach + 1), x : x + 1] if 0 <= x < width else pane[:0],
         ):
             line[:] = line // 2 + _MARK
+
+    def _dot(self, picture: Array, name: str, at: tuple[float, float]) -> None:
+        """Draw the dot by which a clip plane is dragged."""
+        if (part := self._parts.get(name)) is None:
+            return
+        left, top, width, height = part
+        radius, color = _DOT[0] * self._ratio, _DOT[1]
+        x, y = (v * self._ratio for v in at)
+        rows, columns = (slice(max(0, int(v - radius)), max(0, int(v + radius) + 1)) for v in (y, x))
+        square = picture[top : top + height, left : left + width][rows, columns]
+        down, across = np.ogrid[: square.shape[0], : square.shape[1]]
+        square[np.hypot(down + rows.start - y, across + columns.start - x) <= radius] = color
 
     def _pane_at(self, x: float, y: float) -> str | None:
         for name, (left, top, width, height) in self._parts.items():

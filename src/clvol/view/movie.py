@@ -86,7 +86,7 @@ def _packed(pictures: list[NDArray[np.uint8]], form: str) -> bytes:
         first.save(stream, "GIF", save_all=True, append_images=rest, duration=round(1000 / _PER_SECOND), loop=0)
         return stream.getvalue()
     if importlib.util.find_spec("imageio_ffmpeg") is None:
-        raise MissingDependencyError("movies as mp4 need imageio-ffmpeg: pip install imageio-ffmpeg (gif and zip need nothing)")
+        raise MissingDependencyError("movies as mp4 need imageio-ffmpeg: pip install clvol[movie] (gif and zip need nothing)")
     import imageio.v3 as iio
 
     even = [picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2] for picture in pictures]

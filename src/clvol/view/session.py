@@ -7,9 +7,10 @@ Messages are JSON objects; a frame is one with bytes beside it. Beyond the proto
   that is dragged); one without "live" ends them, and is of the same step if it bears the gesture's name.
 - `{"type": "state", ..., "effective": {...}}`: what applies where the state leaves it open: "transfer" (points), "window" of
   slices, "filter" by its full name, "options" of the mode (the isovalue), "crosshair".
-- `{"type": "overlay", "pane", "crosshair": [x, y] | null, "box": [[x, y] | null, ... 8] | null, "unit_pixels", "right", "down"}`:
-  where to draw the crosshair and the crop box, in CSS pixels of the pane (corner ``i`` is at the high end along x, y, z where bit
-  0, 1, 2 of ``i`` is set); how many CSS pixels a world unit has, and what runs to the right and down. Sent when one changed.
+- `{"type": "overlay", "pane", "crosshair": [x, y] | null, "box": [[x, y] | null, ... 8] | null, "faces", "unit_pixels", "right",
+  "down"}`: where to draw the crosshair and the crop box, in CSS pixels of the pane (corner ``i`` is at the high end along x, y, z
+  where bit 0, 1, 2 of ``i`` is set); `faces` has ``[axis, side, x, y]`` of each clip plane that can be dragged there; how many CSS
+  pixels a world unit has, and what runs to the right and down. Sent when one changed.
 - `{"type": "wiper", "errors": {...}}`: the measured error of both filters, when it is known (`clvol.view.wiper`); null before.
 - `{"type": "do", "what": "save_picture", "width", "height", "pane"?}` replies with a PNG; "movie" with a file of `frames` pictures
   ("format": "gif", "mp4" or "zip" of PNG).
@@ -704,8 +705,9 @@ class Session:
             pane = place.pane(state, name)
             point = state.crosshair or tuple(map(float, self._resident.volume.center))
             cross = pane.project(point) if state.layout == "linked" or name != "3d" else None
-            box = None
-            if state.clip is not None or state.tool == "crop" or "c" in self._hands.keys:
+            box, faces = None, []
+            if events.shows_box(state, self._hands):
+                faces = [list(face) for face in events.faces(state, place, name)]
                 low, high = state.clip or bounds(self._resident.volume)
                 ends = low, high
                 box = [pane.project([ends[i >> axis & 1][axis] for axis in range(3)]) for i in range(8)]
@@ -714,6 +716,7 @@ class Session:
                 "pane": name,
                 "crosshair": cross,
                 "box": box,
+                "faces": faces,
                 "unit_pixels": pane.unit_pixels,
                 "right": pane.right.tolist(),
                 "down": pane.down.tolist(),

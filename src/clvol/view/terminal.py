@@ -76,7 +76,7 @@ class _Shown:
         os.set_blocking(self._writer, False)
         self._rows: list[str] = []
         self._pipe_lock = threading.Lock()
-        self._client = LocalClient(view, self._wake)
+        self._client = LocalClient(view, self._wake, pointer=False)
 
     def run(self) -> None:
         """Until it is quit, the terminal is gone, or Ctrl-C."""

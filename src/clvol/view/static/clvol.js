@@ -11,7 +11,9 @@ const PATIENT_PANES = { "3d": "3-D", x: "sagittal", y: "coronal", z: "axial" };
 const LINE_HEIGHT = 16; // CSS pixels of a wheel's line
 const PINCH = 60; // of a wheel's dy: two fingers twice as far apart
 const PINCHED = 12; // CSS pixels from which fingers mean it
+const GRASP = 12; // CSS pixels around the dot of a clip plane, as the session has it
 const NOTHING = "\u2013";
+const WAITING = "waiting for the first picture";
 
 // -- small parts -----------------------------------------------------------------------------------------------
 
@@ -190,6 +192,7 @@ class Pane {
     this.touches = new Map();
     this.pinch = null;
     this.pressed = false;
+    this.face = null; // the clip plane under the pointer: its axis and side
     this.keys = new Set(); // that are down
     this.canvas = make("canvas", {});
     this.overlay = make("div", { class: "clvol-overlay", "aria-hidden": "true" });
@@ -280,6 +283,7 @@ class Pane {
     on("pointermove", (event) => this.move(event));
     on("pointerup", (event) => this.up(event));
     on("pointercancel", (event) => this.up(event));
+    on("pointerleave", () => this.pressed || this.hover({}));
     on("dblclick", (event) => this.send({ event_type: "double_click", ...this.place(event), button: buttonOf(event), buttons: [] }));
     on("contextmenu", (event) => event.preventDefault());
     on("wheel", (event) => this.turn(event));
@@ -298,6 +302,7 @@ class Pane {
       if (this.touches.size === 2) return this.startPinch();
       if (this.touches.size > 2) return;
     }
+    this.hover(this.place(event)); // fingers have not been over it before
     this.press(this.place(event), buttonOf(event), buttonsOf(event));
   }
 
@@ -305,10 +310,23 @@ class Pane {
     if (this.touches.has(event.pointerId)) this.touches.set(event.pointerId, this.place(event));
     if (this.pinch) return this.movePinch();
     if (this.pressed) this.moved({ event_type: "pointer_move", ...this.place(event), button: 0, buttons: buttonsOf(event) });
+    else this.hover(this.place(event));
+  }
+
+  /** Shows which clip plane a drag from here would move. */
+  hover({ x, y }) {
+    const near = (this.seen?.faces ?? []).map((face) => ({ face, far: Math.hypot(face[2] - x, face[3] - y) }));
+    const { face } = near.reduce((best, one) => (one.far < best.far ? one : best), { face: null, far: GRASP });
+    const found = face && [face[0], face[1]];
+    if (same(found, this.face)) return;
+    this.face = found;
+    this.element.classList.toggle("clvol-grasp", Boolean(found));
+    this.decorate();
   }
 
   up(event) {
     const wasTouch = this.touches.delete(event.pointerId);
+    if (wasTouch) this.hover({});
     if (!this.pinch) return this.release(this.place(event), buttonOf(event), buttonsOf(event));
     if (!wasTouch) return;
     this.wheeled.flush();
@@ -406,8 +424,8 @@ class Pane {
     this.overlay.replaceChildren(...parts.filter(Boolean));
   }
 
-  /** The crosshair, and the edges of the crop box. */
-  drawing({ crosshair, box }) {
+  /** The crosshair, the edges of the crop box, and a dot for each of its planes that can be dragged here. */
+  drawing({ crosshair, box, faces = [] }) {
     const paths = [];
     if (crosshair) {
       const [x, y] = crosshair;
@@ -418,8 +436,20 @@ class Pane {
     if (box) {
       const edges = [0, 1, 2].flatMap((axis) => box.map((_, i) => [i, i | (1 << axis)]).filter(([i, j]) => i !== j && box[i] && box[j]));
       paths.push(make("path", { class: "clvol-box", d: edges.map(([i, j]) => `M${box[i].join(" ")}L${box[j].join(" ")}`).join("") }));
+      if (this.face) paths.push(this.plane(box, ...this.face));
+      for (const [axis, side, x, y] of faces) {
+        const held = same(this.face, [axis, side]) ? " clvol-held" : "";
+        paths.push(make("circle", { class: `clvol-face${held}`, cx: x, cy: y, r: 6 }));
+      }
     }
     return paths.length ? make("svg", {}, ...paths) : null;
+  }
+
+  /** The face of the crop box that a clip plane is. */
+  plane(box, axis, side) {
+    const [one, other] = [0, 1, 2].filter((a) => a !== axis).map((a) => 1 << a);
+    const corners = [0, one, one | other, other].map((i) => box[i | (side << axis)]);
+    return make("path", { class: "clvol-plane", d: corners.every(Boolean) ? `M${corners.map((c) => c.join(" ")).join("L")}Z` : "" });
   }
 
   /** Which sides of a patient, whose x, y and z run to the left, to the back and to the head, the picture's edges are towards. */
@@ -475,7 +505,7 @@ class TransferEditor {
       area: make("path", { class: "clvol-area", fill: `url(#${this.gradient})` }),
       line: make("path", { class: "clvol-curve" }),
       strip: make("rect", { x: 0, height: GRAPH.strip, fill: `url(#${this.gradient})` }),
-      isovalue: make("line", { class: "clvol-isovalue", y1: 0, y2: GRAPH.height }),
+      isovalue: this.makeIsovalue(),
       points: make("g", {}),
       window: make("g", {}),
     };
@@ -563,7 +593,11 @@ class TransferEditor {
     this.ends.forEach((end, i) => (end.value = short(this.range[i])));
     const marked = this.isovalue !== null && this.isovalue !== undefined;
     parts.isovalue.style.display = marked ? "" : "none";
-    if (marked) attributes(parts.isovalue, { x1: this.x(this.isovalue), x2: this.x(this.isovalue) });
+    if (marked) {
+      parts.isovalue.setAttribute("transform", `translate(${this.x(this.isovalue).toFixed(2)} 0)`);
+      const [low, high] = this.isovalues();
+      attributes(this.grip, { "aria-valuemin": low, "aria-valuemax": high, "aria-valuenow": this.isovalue, "aria-valuetext": short(this.isovalue) });
+    }
     if (points.length) this.drawPoints();
     for (const input of [this.value, this.opacity, this.color, this.remove]) input.disabled = !points.length;
     const chosen = points[this.selected];
@@ -726,6 +760,54 @@ class TransferEditor {
     this.viewer.set({ "transfer.points": points, ...(unit ? { "transfer.unit_distance": unit } : {}) }, live);
   }
 
+  // The isovalue: a line with a grip at its top
+
+  makeIsovalue() {
+    this.grip = make("path", { class: "clvol-handle", d: "M-7 0H7V9L0 16L-7 9Z", tabindex: 0, role: "slider", "aria-label": "isovalue in the histogram" });
+    const line = make("line", { class: "clvol-isovalue", y1: 0, y2: GRAPH.height });
+    const wide = make("rect", { class: "clvol-beside", x: -6, width: 12, height: GRAPH.height });
+    for (const part of [this.grip, wide]) part.addEventListener("pointerdown", (event) => this.dragIsovalue(event, part));
+    this.grip.addEventListener("keydown", (event) => this.keyOnIsovalue(event));
+    return make("g", {}, line, wide, this.grip);
+  }
+
+  /** From where to where there are values. */
+  isovalues() {
+    const edges = this.viewer.info?.histogram?.edges ?? this.range;
+    return [edges[0], edges.at(-1)];
+  }
+
+  dragIsovalue(event, part) {
+    if (event.button !== 0) return;
+    this.held = true;
+    this.grip.focus({ preventScroll: true });
+    const aside = this.at(event).value - this.isovalue; // it does not jump to the pointer
+    const moved = oncePerFrame((value) => this.moveIsovalue(value, true));
+    drag(event, part, (other) => moved(this.at(other).value - aside), () => {
+      moved.flush();
+      this.held = false;
+      this.viewer.settle();
+    });
+  }
+
+  keyOnIsovalue(event) {
+    const [low, high] = this.isovalues();
+    const by = ((high - low) / 200) * (event.shiftKey ? 5 : 1);
+    const [less, more] = [this.isovalue - by, this.isovalue + by];
+    const keys = { ArrowLeft: less, ArrowDown: less, ArrowRight: more, ArrowUp: more, Home: low, End: high };
+    const to = { ...keys, PageDown: this.isovalue - 10 * by, PageUp: this.isovalue + 10 * by }[event.key];
+    if (to === undefined) return;
+    event.preventDefault();
+    event.stopPropagation();
+    this.moveIsovalue(to, false);
+  }
+
+  moveIsovalue(value, live) {
+    this.isovalue = clamp(value, ...this.isovalues());
+    this.draw();
+    this.viewer.set({ "options.isovalue": this.isovalue }, live);
+  }
+
   // The window: from where to where the colours reach
 
   makeWindow() {
@@ -866,7 +948,7 @@ class Panel {
       section("Slices", false, this.sliceControls()),
       section("Camera", false, this.cameraControls()),
       section("Light", false, this.lightControls()),
-      section("Crop", false, this.cropControls()),
+      section("Clip planes", false, this.cropControls()),
       section("Share", true, this.shareControls()),
       section("Statistics", false, this.statisticsControls()),
       (this.keySection = section("Keys", false)),
@@ -891,7 +973,7 @@ class Panel {
     this.layout = choice("Layout", (value) => viewer.set(value === "slice" ? this.oneSlice() : { layout: value }));
     this.layout.fill([["3d", "3-D"], ["slice", "slice"], ["linked", "3-D and slices"]]);
     this.tool = choice("Drag", this.setter("tool", (value) => value || null), TOOL_HINT);
-    this.tool.fill([["", "orbit, crosshair"], ["pan", "pan"], ["zoom", "zoom"], ["roll", "roll"], ["window", "window"], ["isovalue", "isovalue"], ["crop", "crop box"]]);
+    this.tool.fill([["", "orbit, crosshair"], ["pan", "pan"], ["zoom", "zoom"], ["roll", "roll"], ["window", "window"], ["isovalue", "isovalue"], ["crop", "clip planes"]]);
     const bar = make("div", { class: "clvol-buttons", role: "toolbar", "aria-label": "history and view" }, this.undo, this.redo, fit, reset);
     return make("div", { class: "clvol-head" }, bar, this.layout.element, this.tool.element);
   }
@@ -952,7 +1034,8 @@ class Panel {
   }
 
   cropControls() {
-    this.cropping = toggle("Crop to a box", (on) => this.viewer.set({ clip: on ? this.box() : null }));
+    const hint = "six planes across the axes: drag their dots in the picture, or move them here";
+    this.cropping = toggle("Crop to a box", (on) => this.viewer.set({ clip: on ? this.box() : null }), hint);
     this.crop = ["x", "y", "z"].flatMap((axis, i) =>
       ["low", "high"].map((side) => slider(`${axis} ${side === "low" ? "from" : "to"}`, { low: 0, high: 1 }, (value, live) => this.cropTo(i, side, value, live))),
     );
@@ -964,9 +1047,10 @@ class Panel {
     const copy = (what, name) => button(name, () => viewer.copy(what, name), { title: `copy this picture as ${name}` });
     const buttons = [copy("copy_python", "Python"), copy("copy_toml", "TOML"), copy("copy_url", "URL")];
     const save = button("Save picture", () => viewer.save("save_picture"), { title: "the still picture, without loss" });
-    this.movie = button("Save movie", () => viewer.save("movie"), { title: "once around" });
+    this.movie = button("Save movie", () => viewer.save("movie", { format: this.movieAs.value }), { title: "once around" });
+    this.movieAs = make("select", { "aria-label": "kind of movie" }, new Option("GIF", "gif"), new Option("MP4", "mp4"), new Option("PNGs in a zip", "zip"));
     this.text = make("textarea", { class: "clvol-text", readonly: true, rows: 4, hidden: true, "aria-label": "what was to be copied" });
-    return make("div", {}, make("div", { class: "clvol-buttons" }, make("span", {}, "Copy as"), ...buttons), make("div", { class: "clvol-buttons" }, save, this.movie), this.text);
+    return make("div", {}, make("div", { class: "clvol-buttons" }, make("span", {}, "Copy as"), ...buttons), make("div", { class: "clvol-buttons" }, save, this.movie, this.movieAs), this.text);
   }
 
   statisticsControls() {
@@ -1124,7 +1208,7 @@ class Viewer {
     this.gesture = 0; // changes of one are one step of undo
     this.picture = NOTHING;
     this.grid = make("div", { class: "clvol-panes" });
-    this.line = make("div", { class: "clvol-status", role: "status", "aria-live": "polite" }, "waiting for the first picture");
+    this.line = make("div", { class: "clvol-status", role: "status", "aria-live": "polite" }, WAITING);
     this.panel = new Panel(this);
     this.hide = button("Settings", () => this.togglePanel(), { kind: "clvol-hide", title: "show or hide the settings" });
     this.hide.setAttribute("aria-expanded", "true");
@@ -1233,6 +1317,7 @@ class Viewer {
   }
 
   frame(message, data) {
+    if (this.line.textContent === WAITING) this.status(""); // notebooks open no connection that would clear it
     const pane = this.panes.get(message.pane ?? "3d");
     if (!pane || !data) return this.channel.send({ type: "ack", frame: message.number });
     const step = message.step ? `, step ${short(message.step, 3)}` : "";
@@ -1302,7 +1387,9 @@ class Viewer {
   }
 
   async copy(what, name) {
-    const { message } = await this.ask(what);
+    const answer = await this.ask(what).catch(() => null); // why not is told already
+    if (!answer) return;
+    const { message } = answer;
     let { text = message.url ?? "" } = message;
     if (what === "copy_url" && this.onLink) text = this.onLink(text);
     const copied = await toClipboard(text);
@@ -1312,11 +1399,13 @@ class Viewer {
     this.status(copied ? `copied as ${name}` : "this page may not use the clipboard: copy the selected text", copied ? "info" : "error");
   }
 
-  async save(what) {
+  async save(what, more = {}) {
     this.status(what === "movie" ? "the movie is being made" : "the picture is being made", "busy");
-    const { message, data } = await this.ask(what);
+    const answer = await this.ask(what, more).catch(() => null); // why not is told already
+    if (!answer) return undefined;
+    const { message, data } = answer;
     if (!data) return this.status(message.text ?? "nothing was made", "error");
-    const kind = message.mime ?? `image/${message.format ?? "png"}`;
+    const kind = { mp4: "video/mp4", zip: "application/zip" }[message.format] ?? `image/${message.format ?? "png"}`;
     const url = URL.createObjectURL(new Blob([data], { type: kind }));
     const name = message.name ?? `${(this.info.title ?? "clvol").replace(/[^\w.-]+/g, "-")}.${kind.split("/")[1]}`;
     make("a", { href: url, download: name }).click();

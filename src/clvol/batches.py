@@ -1,0 +1,279 @@
+"""Many pictures: of many files, from many sides, by this process or a cluster, a task a picture."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from string import Formatter
+from typing import Any, Self
+
+from clvol.camera import Camera
+from clvol.checks import instance
+from clvol.cluster import Cluster, ClusterLike, as_cluster
+from clvol.errors import ClvolError, OptionError
+from clvol.formats import read
+from clvol.lazy import LazyVolume
+from clvol.march.launch import Progress
+from clvol.march.renderer import Renderer
+from clvol.picture import Picture, save
+from clvol.volume import Volume
+
+__all__ = ["Drawn", "batch", "turned"]
+
+_FIELDS = ("name", "number", "frame")
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What became of a picture.
+
+    Attributes
+    ----------
+    source : str
+        The file, or the name of the volume.
+    frame : int
+        Which of the cameras, from 0.
+    path : Path
+        Where it is to be.
+    error : ClvolError or None
+        Why it is not there.
+    """
+
+    source: str
+    frame: int
+    path: Path
+    error: ClvolError | None = None
+
+
+def turned(frames: int, elevation: float = 20.0, **camera: Any) -> list[Camera]:
+    """So many cameras on a whole turn around what is seen, at equal angles.
+
+    Parameters
+    ----------
+    frames : int
+    elevation : float
+        Degrees.
+    **camera
+        As of `Camera.orbit`; `azimuth` is the first one's.
+    """
+    first = camera.pop("azimuth", 0.0)
+    return [Camera.orbit(first + 360 * i / frames, elevation, **camera) for i in range(frames)]
+
+
+def batch(
+    sources: Any,
+    cameras: Camera | Sequence[Camera] | None = None,
+    output: str | os.PathLike[str] = "{name}-{frame:04}.png",
+    *,
+    cluster: ClusterLike | None = None,
+    reading: Mapping[str, Any] | Callable[[str], Volume] | None = None,
+    look: Callable[[Volume], Mapping[str, Any]] | None = None,
+    progress: Progress | None = None,
+    **options: Any,
+) -> list[Drawn]:
+    """Pictures of many volumes from many sides, each a file that is written as soon as it is drawn.
+
+    A file that cannot be read, or a picture that cannot be drawn, leaves the others as they are.
+
+    Parameters
+    ----------
+    sources : path, Volume or LazyVolume, or a sequence of these
+        Files are read by whoever draws them.
+    cameras : Camera or sequence of Camera, optional
+        One picture of each source by each; by default one by `Camera.orbit()`. See `turned`.
+    output : str
+        Where pictures go: a name with ``{name}``, that of the source without its suffix, ``{number}``, which source it is, and
+        ``{frame}``, which camera, both from 0 and with a format, such as ``{frame:04}``.
+    cluster : distributed.Client, str or int, optional
+        Who draws: as of `Renderer`. Each picture is a task, so a worker must have room for a whole volume. By default this process.
+    reading : mapping or callable, optional
+        Options of `clvol.read`, or what reads a file in its place.
+    look : callable, optional
+        Gives further options for each volume.
+    progress : callable, optional
+        Called with the fraction done.
+    **options
+        As of `clvol.render`.
+
+    Returns
+    -------
+    list of Drawn
+        Of each picture, sources first: where it is, or why it is not.
+
+    Raises
+    ------
+    OptionError
+        Several pictures would go to one file, or `output` asks for what there is not.
+    FormatError
+        A picture cannot be written.
+    ClusterError
+        The scheduler or all of its workers are gone.
+
+    Examples
+    --------
+    >>> import clvol
+    >>> import tempfile, pathlib
+    >>> folder = pathlib.Path(tempfile.mkdtemp())
+    >>> ball = clvol.phantoms.marschner_lobb(24)
+    >>> drawn = clvol.batch(ball, clvol.turned(3), folder / "{frame}.png", mode="mip", size=(40, 40))
+    >>> [one.path.name for one in drawn if one.error is None]
+    ['0.png', '1.png', '2.png']
+    """
+    many = list(sources) if isinstance(sources, (list, tuple)) else [sources]
+    views = [cameras] if cameras is None or isinstance(cameras, Camera) else list(cameras)
+    for view in views:
+        if view is not None:
+            instance("cameras", view, Camera)
+    wanted = [
+        Drawn(_name(source), frame, Path(_filled(str(output), _stem(source), number, frame)))
+        for (number, source), frame in itertools.product(enumerate(many), range(len(views)))
+    ]
+    _require_apart(wanted)
+    work = [(source, view) for source in many for view in views]
+    told = _Told(progress, len(wanted))
+    results: list[Drawn] = list(wanted)
+    how = reading if callable(reading) else dict(reading or {})
+
+    def keep(number: int, result: Picture | ClvolError) -> None:
+        one = wanted[number]
+        if isinstance(result, ClvolError):
+            results[number] = Drawn(one.source, one.frame, one.path, result)
+        else:
+            one.path.parent.mkdir(parents=True, exist_ok=True)
+            save(result, one.path)
+        told.one_more()
+
+    if cluster is None:
+        with _Held() as held:
+            for number, (source, view) in enumerate(work):
+                keep(number, _drawn(held, source, how, view, look, options))
+        return results
+    own = as_cluster(cluster)
+    try:
+        for number, result in _by(own, many, work, how, look, options):
+            keep(number, result)
+    finally:
+        if own is not cluster:
+            own.close()
+    return results
+
+
+def _by(
+    cluster: Cluster, many: Sequence[Any], work: Sequence[tuple[Any, Any]], how: Any, look: Any, options: Any
+) -> Iterator[tuple[int, Any]]:
+    """The pictures, as a cluster has them."""
+    at_hand = {
+        id(source): cluster.shared(source, source.data.nbytes if isinstance(source, Volume) else 0)
+        for source in many
+        if isinstance(source, (Volume, LazyVolume))
+    }
+    futures = [cluster.submit(_task, at_hand.get(id(source), source), how, view, look, options) for source, view in work]
+    try:
+        yield from cluster.done(futures, keeping=True)
+    finally:
+        cluster.cancel(futures)
+
+
+class _Told:
+    """Tells how many are done."""
+
+    def __init__(self, progress: Progress | None, count: int) -> None:
+        self._progress, self._count, self._done = progress, count, 0
+
+    def one_more(self) -> None:
+        self._done += 1
+        if self._progress:
+            self._progress(self._done / self._count)
+
+
+class _Held:
+    """The renderer of the source that was drawn last."""
+
+    def __init__(self) -> None:
+        self.lock = threading.RLock()
+        self._key: Any = None
+        self._volume: Any = None
+        self._renderer: Renderer | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.let_go()
+
+    def let_go(self) -> None:
+        """Free what is held."""
+        if self._renderer is not None:
+            self._renderer.close()
+        self._key = self._volume = self._renderer = None
+
+    def of(self, source: Any, how: Any, given: dict[str, Any]) -> tuple[Renderer, Any]:
+        """The renderer of a source, and what it draws."""
+        named = isinstance(source, (str, os.PathLike))
+        key = (str(source) if named else id(source), repr(how), repr(given))
+        if key != self._key or (not named and self._volume is not source):
+            self.let_go()
+            volume = source if not named else how(str(source)) if callable(how) else read(source, **how)
+            self._renderer, self._volume, self._key = Renderer(volume, **given), volume, key
+        assert self._renderer is not None
+        return self._renderer, self._volume
+
+
+def _drawn(held: _Held, source: Any, how: Any, view: Camera | None, look: Any, options: dict[str, Any]) -> Any:
+    """A picture, or why there is none."""
+    given = {name: options[name] for name in ("filter", "boundary", "device", "budget") if options.get(name) is not None}
+    rest = {name: value for name, value in options.items() if name not in ("filter", "boundary", "device", "budget")}
+    try:
+        with held.lock:
+            renderer, volume = held.of(source, how, given)
+            seen = volume.sketch() if isinstance(volume, LazyVolume) else volume
+            further = {} if look is None else dict(look(seen))
+            if view is not None:
+                further["camera"] = view
+            return renderer.render(**(rest | further))
+    except ClvolError as error:
+        return error
+
+
+_worker = _Held()
+
+
+def _task(source: Any, how: Any, view: Camera | None, look: Any, options: dict[str, Any]) -> Any:
+    return _drawn(_worker, source, how, view, look, options)
+
+
+def _name(source: Any) -> str:
+    return str(source) if isinstance(source, (str, os.PathLike)) else source.name or "volume"
+
+
+def _stem(source: Any) -> str:
+    """The name of a file without its suffixes."""
+    name = Path(_name(source).rstrip("/")).name
+    for suffix in (".gz", ".zip"):
+        name = name.removesuffix(suffix)
+    return (Path(name).stem if isinstance(source, (str, os.PathLike)) else name).replace(":", "-")
+
+
+def _filled(pattern: str, name: str, number: int, frame: int) -> str:
+    try:
+        asked = {field.partition(".")[0].partition("[")[0] for _, field, _, _ in Formatter().parse(pattern) if field is not None}
+        if not asked <= set(_FIELDS):
+            raise KeyError
+        return pattern.format(name=name, number=number, frame=frame)
+    except (KeyError, ValueError, IndexError, AttributeError):
+        raise OptionError(f"output must be a name with {{name}}, {{number}} and {{frame}}; got {pattern!r}") from None
+
+
+def _require_apart(wanted: Sequence[Drawn]) -> None:
+    found: dict[Path, Drawn] = {}
+    for one in wanted:
+        if other := found.get(one.path):
+            raise OptionError(
+                f"output must tell pictures apart by {{name}}, {{number}} and {{frame}}; {one.path} would be frame {other.frame} "
+                f"of {other.source} and frame {one.frame} of {one.source}"
+            )
+        found[one.path] = one

@@ -1,0 +1,316 @@
+"""Pictures by the processes of a cluster are those of one process, and what fails is said."""
+
+from __future__ import annotations
+
+import itertools
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clvol
+from clvol import cluster as clusters
+from clvol.camera import Camera
+from clvol.cluster import Cluster, as_cluster, worker_device
+from clvol.errors import ClusterError, DeviceError, FormatError, OptionError
+from clvol.march import cluster as parts
+from clvol.march.cluster import Group, groups_of, visible
+from clvol.march.renderer import Renderer
+from clvol.spline.bricked import BrickedField
+from tests.march.test_bricks import BUMPY, CAMERAS, GUIDES, MODES, waves
+
+distributed = pytest.importorskip("distributed")
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Cluster]:
+    with as_cluster(2) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def volume() -> clvol.LazyVolume:
+    return clvol.LazyVolume(waves(35, 44, 51), (1, 0.9, 1.2), (3, -2, 5), name="waves", limits=(0, 1), labels=False)
+
+
+@pytest.fixture(autouse=True)
+def small_bricks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(BrickedField, "_edge_for", lambda _, edge: edge or 16)
+
+
+def both(cluster: Cluster, merge: Any, volume: Any, filter: str, *args: Any, **options: Any) -> tuple[Any, Any]:
+    """A picture by bricks of one process, and of several."""
+    with (
+        BrickedField(volume, filter) as field,
+        Renderer(field) as one,
+        Renderer(volume, filter, cluster=cluster, merge=merge) as many,
+    ):
+        return one.render(*args, **options), many.render(*args, **options)
+
+
+# -- who has what --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("counts", [(1, 1, 1), (2, 1, 3), (5, 7, 4), (16, 1, 1)])
+@pytest.mark.parametrize("most", [1, 2, 8, 31])
+def test_each_brick_is_in_one_group(counts: tuple[int, int, int], most: int) -> None:
+    found: list[Group] = []
+
+    def collect(tree: Any) -> None:
+        if isinstance(tree, Group):
+            found.append(tree)
+        else:
+            collect(tree.low)
+            collect(tree.high)
+
+    collect(groups_of(counts, most))
+    assert len(found) <= most
+    assert len(found) == min(most, np.prod(counts)) or most > 8
+    assert [group.number for group in found] == list(range(len(found)))
+    bricks = [at for g in found for at in itertools.product(*(range(a, b) for a, b in zip(g.first, g.past, strict=True)))]
+    assert sorted(bricks) == sorted(itertools.product(*map(range, counts)))
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_groups_lie_one_behind_the_other(volume: clvol.LazyVolume, name: str) -> None:
+    """Along each ray its samples lie in groups in the order in which they are drawn."""
+    with BrickedField(volume, "linear", edge=8) as field:
+        view = CAMERAS[name].view(volume.grid, 1.0)
+        groups = list(visible(groups_of(field.counts, 12), field, view))
+        rng = np.random.default_rng(0)
+        size = np.array(volume.size)
+        for _ in range(200):
+            ends = rng.random((2, 3)) * size - 0.5
+            if view.orthographic:
+                ends[1] = ends[0] + (volume.grid.world_to_index_matrix @ view.forward) * 30
+            else:
+                ends[0] = volume.grid.world_to_index(view.eye)
+            points = ends[0] + np.linspace(0, 1, 60)[:, None] * (ends[1] - ends[0])
+            numbers = []
+            for point in points[((points >= -0.5) & (points <= size - 0.5)).all(1)]:
+                at = np.clip(np.floor((point - field.away) / field.edge), 0, np.array(field.counts) - 1)
+                numbers.append(next(i for i, g in enumerate(groups) if (at >= g.first).all() and (at < g.past).all()))
+            assert numbers == sorted(numbers)
+
+
+# -- pictures ------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.one_in(2)
+@pytest.mark.parametrize(("mode", "options"), MODES)
+def test_in_order_to_the_last_bit(cluster: Cluster, volume: clvol.LazyVolume, mode: str, options: dict[str, Any]) -> None:
+    options = options | ({"transfer": BUMPY} if mode == "composite" else {})
+    one, many = both(cluster, "order", volume, "linear", CAMERAS["aslant"], mode, (70, 50), outputs=GUIDES, **options)
+    for name in GUIDES:
+        np.testing.assert_array_equal(many[name], one[name], err_msg=name)
+    assert one["rgba"].max() > 0
+
+
+@pytest.mark.one_in(5)
+@pytest.mark.parametrize("view", CAMERAS)
+@pytest.mark.parametrize(("mode", "options"), [("composite", {"samples": 3}), ("isosurface", {}), ("mip", {})])
+def test_from_anywhere_with_a_prefilter(
+    cluster: Cluster, volume: clvol.LazyVolume, mode: str, options: dict[str, Any], view: str
+) -> None:
+    one, many = both(cluster, "order", volume, "bspline3", CAMERAS[view], mode, (90, 70), **options)
+    np.testing.assert_array_equal(many, one)
+
+
+@pytest.mark.one_in(2)
+@pytest.mark.parametrize(("mode", "options"), [pair for pair in MODES if "method" not in pair[1]])
+def test_by_a_tree(cluster: Cluster, volume: clvol.LazyVolume, mode: str, options: dict[str, Any]) -> None:
+    options = options | ({"transfer": BUMPY, "termination": 0.0} if mode == "composite" else {})
+    added_up = mode in ("composite", "mean")
+    outputs = ["rgba"] if added_up else list(GUIDES)
+    one, many = both(cluster, "tree", volume, "linear", CAMERAS["aslant"], mode, (70, 50), outputs=outputs, samples=1, **options)
+    for name in outputs:
+        if added_up:
+            cover = one[name][..., 3:]
+            assert np.abs(many[name] * cover - one[name] * cover).max() <= 2e-6
+        else:
+            np.testing.assert_array_equal(many[name], one[name], err_msg=name)
+
+
+def test_what_a_tree_cannot_do_is_refused(cluster: Cluster, volume: clvol.LazyVolume) -> None:
+    for name, mode, options in (
+        ("linear", "isosurface", {"method": "stepped"}),
+        ("nearest", "isosurface", {}),
+        ("linear", "composite", {"outputs": ["rgba", "depth"]}),
+    ):
+        with (
+            Renderer(volume, name, cluster=cluster, merge="tree") as renderer,
+            pytest.raises(OptionError, match=r'merge must be "order"'),
+        ):
+            renderer.render(None, mode, (32, 32), **options)
+    with pytest.raises(OptionError, match="merge must be one of"):
+        Renderer(volume, "linear", cluster=cluster, merge="tee")  # type: ignore[arg-type]
+
+
+def test_bricks_are_read_once_and_hidden_ones_never(cluster: Cluster) -> None:
+    data = np.zeros((64, 32, 32), np.float32)
+    data[8:56] = 1.0  # a slab, seen along z: nothing behind its front matters
+    volume = clvol.LazyVolume(data, limits=(0, 1), labels=False)
+    camera = Camera.look_at((15.5, 15.5, -200.0), (15.5, 15.5, 32.0), up=(0, 1, 0), projection="orthographic")
+    with Renderer(volume, "linear", cluster=cluster) as renderer:
+        field = renderer.field
+        assert isinstance(field, BrickedField)
+        first = renderer.render(camera, "isosurface", (48, 48), isovalue=0.5, samples=1)
+        assert 0 < field.reads.bricks <= 8 < np.prod(field.counts)
+        read = field.reads.bricks
+        np.testing.assert_array_equal(renderer.render(camera, "isosurface", (48, 48), isovalue=0.5, samples=1), first)
+        assert field.reads.bricks == read  # workers have kept them
+
+
+def test_a_volume_in_memory_and_progress(cluster: Cluster) -> None:
+    volume = clvol.Volume(waves(35, 44, 51))
+    told: list[float] = []
+    with Renderer(volume, "linear") as one, Renderer(volume, "linear", cluster=cluster) as many:
+        picture = many.render(CAMERAS["aslant"], "mip", (64, 64), progress=told.append)
+        np.testing.assert_array_equal(picture, one.render(CAMERAS["aslant"], "mip", (64, 64)))
+        assert told == sorted(told)
+        assert told[-1] == 1.0
+
+        def stop(_: float) -> None:
+            raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            many.render(CAMERAS["aslant"], "mip", (64, 64), progress=stop)
+        np.testing.assert_array_equal(many.render(CAMERAS["aslant"], "mip", (64, 64)), picture)
+
+
+# -- faults --------------------------------------------------------------------------------------------------------------------
+
+
+class Slow:
+    """Samples that take their time, so that somebody can be killed meanwhile."""
+
+    def __init__(self, data: Any) -> None:
+        self.data, self.shape, self.dtype = data, data.shape, data.dtype
+
+    def __getitem__(self, index: Any) -> Any:
+        time.sleep(0.02)
+        return self.data[index]
+
+
+class Poison(Slow):
+    """Samples one of which ends each worker that reads it."""
+
+    def __getitem__(self, index: Any) -> Any:
+        if _in_a_worker() and all(part.start <= 22 < part.stop for part in index):  # in a brick, and no other's margin
+            os.kill(os.getpid(), signal.SIGKILL)
+        return self.data[index]
+
+
+def _in_a_worker() -> bool:
+    return multiprocessing.parent_process() is not None
+
+
+class Damaged(Slow):
+    """Samples some of which cannot be read."""
+
+    def __getitem__(self, index: Any) -> Any:
+        if _in_a_worker() and index[0].stop > 40:
+            raise OSError("chunk 7/3 is damaged")
+        return self.data[index]
+
+
+def test_a_killed_worker_changes_nothing_but_time() -> None:
+    volume = clvol.LazyVolume(Slow(waves(60, 50, 40)), limits=(0, 1), labels=False)
+    with as_cluster(2) as own:
+        processes = [answer.process for answer in own.client.run(clusters.about).values()]
+        killed: list[int] = []
+
+        def kill(_: float) -> None:
+            if not killed:
+                killed.append(processes[0])
+                os.kill(processes[0], signal.SIGKILL)
+
+        with Renderer(volume, "linear", cluster=own) as many, BrickedField(volume, "linear") as field, Renderer(field) as one:
+            picture = many.render(CAMERAS["aslant"], "mip", (96, 96), progress=kill)
+            assert killed
+            np.testing.assert_array_equal(picture, one.render(CAMERAS["aslant"], "mip", (96, 96)))
+
+
+def test_a_poison_brick_is_named() -> None:
+    volume = clvol.LazyVolume(Poison(waves(48, 48, 48)), name="poison", limits=(0, 1), labels=False)
+    with as_cluster(2) as own, Renderer(volume, "linear", cluster=own) as renderer:
+        with pytest.raises(ClusterError, match=r"brick \(1, 1, 1\) \(x, y, z\), samples \[.*\] of poison, ends each worker"):
+            renderer.render(CAMERAS["aslant"], "mean", (32, 32))
+        assert own.client.status == "running"
+
+
+def test_what_cannot_be_read_is_named(cluster: Cluster) -> None:
+    volume = clvol.LazyVolume(Damaged(waves(48, 30, 30)), name="damaged", limits=(0, 1), labels=False)
+    with (
+        Renderer(volume, "linear", cluster=cluster) as renderer,
+        pytest.raises(FormatError, match=r"cannot read samples .* of damaged: chunk 7/3 is damaged"),
+    ):
+        renderer.render(CAMERAS["aslant"], "mean", (32, 32))
+
+
+def test_a_scheduler_that_is_gone(monkeypatch: pytest.MonkeyPatch, volume: clvol.LazyVolume) -> None:
+    monkeypatch.setattr(clusters, "WAIT", 2.0)
+    with pytest.raises(ClusterError, match=r"no scheduler answers at tcp://127.0.0.1:9 within 2 s"):
+        as_cluster("tcp://127.0.0.1:9")
+    monkeypatch.setattr(clusters, "WAIT", 10.0)
+    monkeypatch.setattr(clusters, "_CENSUS", 0.2)
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50) as local:
+        renderer = Renderer(volume, "linear", cluster=local.scheduler_address)
+    begun = time.monotonic()
+    with pytest.raises(ClusterError, match=r"gone|no scheduler"):
+        renderer.render(CAMERAS["aslant"], "mean", (32, 32))
+    assert time.monotonic() - begun < 30
+    renderer.close()
+
+
+def test_a_scheduler_without_workers(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(clusters, "WAIT", 1.0)
+    with (
+        distributed.LocalCluster(n_workers=0, dashboard_address="127.0.0.1:0", silence_logs=50) as local,
+        distributed.Client(local, set_as_default=False) as client,
+        pytest.raises(ClusterError, match="must have workers; got none within 1 s"),
+    ):
+        as_cluster(client)
+
+
+def test_workers_of_another_version(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(clvol, "__version__", "0.0.7")
+    with pytest.raises(ClusterError, match=r"workers must have clvol 0.0.7, as this process has; tcp://.* has \d"):
+        as_cluster(cluster.client)
+
+
+def test_no_cluster_at_all(volume: clvol.LazyVolume) -> None:
+    for wrong in (True, 0, 2.5, None.__class__):
+        with pytest.raises(OptionError, match="cluster must be"):
+            as_cluster(wrong)  # type: ignore[arg-type]
+    with BrickedField(volume, "linear") as field, pytest.raises(OptionError, match="cluster"):
+        Renderer(field, cluster=2)
+
+
+def test_a_worker_without_opencl(monkeypatch: pytest.MonkeyPatch, volume: clvol.LazyVolume) -> None:
+    def none(*_: object) -> Any:
+        raise DeviceError("no OpenCL device: pip install clvol[pocl]")
+
+    monkeypatch.setattr(parts, "worker_device", none)
+    recipe = parts._Recipe(
+        "t", volume, (0, 1), False, clvol.filters()["linear"], clvol.boundaries()["mirror"], None, 1 << 28, 16, {}
+    )
+    with pytest.raises(ClusterError, match=r"workers must have an OpenCL device; .* has none: no OpenCL device"):
+        parts._field_of(recipe)
+
+
+def test_each_worker_of_a_host_has_its_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Fake:
+        def __init__(self, kind: str, name: str) -> None:
+            self.kind, self.name = kind, name
+
+    gpus = [Fake("gpu", "a"), Fake("gpu", "b")]
+    monkeypatch.setattr(clusters, "devices", lambda: [*gpus, Fake("cpu", "c")])
+    monkeypatch.setattr(clusters, "as_device", lambda choice: gpus[0] if choice is None else gpus[1])
+    assert [worker_device(None, place).name for place in range(4)] == ["a", "b", "a", "b"]
+    assert worker_device("b", 0).name == "b"  # asked for

@@ -1,0 +1,70 @@
+"""Many pictures: which file each goes to, what fails alone, and that a cluster draws the same."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+
+import clvol
+from clvol.errors import FormatError, OptionError
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("batch")
+    paths = [folder / name for name in ("a.nrrd", "b.nii.gz", "damaged.nrrd")]
+    for i, path in enumerate(paths[:2]):
+        clvol.write(clvol.phantoms.marschner_lobb(20 + 4 * i), path)
+    paths[2].write_bytes(paths[0].read_bytes()[:300])
+    return paths
+
+
+def test_each_picture_is_that_of_render_and_what_fails_fails_alone(files: list[Path], tmp_path: Path) -> None:
+    told: list[float] = []
+    cameras = clvol.turned(3, 30, azimuth=10)
+    drawn = clvol.batch(
+        files, cameras, tmp_path / "{name}" / "{frame:03}.png", mode="mip", size=(40, 30), filter="linear", progress=told.append
+    )
+    assert len(drawn) == 9
+    assert told[-1] == 1
+    assert len(told) == 9
+    assert [one.path.relative_to(tmp_path).as_posix() for one in drawn[:4]] == ["a/000.png", "a/001.png", "a/002.png", "b/000.png"]
+    assert all(isinstance(one.error, FormatError) and not one.path.exists() for one in drawn[6:])
+    assert not any(one.error for one in drawn[:6])
+    for one in drawn[:6]:
+        wanted = clvol.render(clvol.read(one.source), cameras[one.frame], "mip", "linear", size=(40, 30))
+        clvol.save(wanted, tmp_path / "wanted.png")
+        np.testing.assert_array_equal(iio.imread(one.path), iio.imread(tmp_path / "wanted.png"))
+
+
+def test_names_that_do_not_tell_pictures_apart_are_refused(files: list[Path], tmp_path: Path) -> None:
+    for output in ("{name}.png", "all.png"):
+        with pytest.raises(OptionError, match="output must tell pictures apart"):
+            clvol.batch(files[:2], clvol.turned(2), tmp_path / output, size=(8, 8))
+    for output in ("{nam}.png", "{0}.png", "{name", "{name.x}.png"):
+        with pytest.raises(OptionError, match="output must be a name with"):
+            clvol.batch(files[0], None, tmp_path / output, size=(8, 8))
+    assert not list(tmp_path.iterdir())
+
+
+def test_further_options_by_the_volume(files: list[Path], tmp_path: Path) -> None:
+    def look(volume: clvol.Volume) -> dict[str, float]:
+        return {"isovalue": float(np.median(volume.data))}
+
+    (one,) = clvol.batch(files[0], None, tmp_path / "{name}.png", look=look, mode="isosurface", size=(32, 32))
+    volume = clvol.read(files[0])
+    clvol.save(clvol.render(volume, mode="isosurface", size=(32, 32), **look(volume)), tmp_path / "wanted.png")
+    np.testing.assert_array_equal(iio.imread(one.path), iio.imread(tmp_path / "wanted.png"))
+
+
+def test_a_cluster_draws_the_same(files: list[Path], tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    options = {"mode": "mip", "size": (40, 30), "filter": "linear"}
+    alone = clvol.batch(files, clvol.turned(2), tmp_path / "one-{name}-{frame}.png", **options)
+    many = clvol.batch(files, clvol.turned(2), tmp_path / "many-{name}-{frame}.png", cluster=2, **options)
+    assert [type(one.error) for one in many] == [type(one.error) for one in alone]
+    for one, other in zip(alone[:4], many[:4], strict=True):
+        np.testing.assert_array_equal(iio.imread(one.path), iio.imread(other.path))
