@@ -18,6 +18,11 @@ INLINE int number_of_tile(constant frame_t *frame, const int left, const int top
     return top / TILE_HEIGHT * ((frame->picture.width + TILE_WIDTH - 1) / TILE_WIDTH) + left / TILE_WIDTH;
 }
 
+// Whether rays of this work-item's tile want more samples: areas are boxes of tiles, and to begin a tile's rays takes long.
+#define TILE_IS_GOING                                                                                                   \
+    ((int)get_global_id(0) * TILE_WIDTH < frame->picture.width && (int)get_global_id(1) * TILE_HEIGHT < frame->picture.height && \
+     going[number_of_tile(frame, (int)get_global_id(0) * TILE_WIDTH, (int)get_global_id(1) * TILE_HEIGHT)])
+
 // Before the first brick. `going`: for each tile whether rays of it want more samples.
 kernel void begin_states(constant frame_t *frame, global const float2 *places, global float *states, global uchar *going)
 {
@@ -63,18 +68,27 @@ kernel void merge_bricks(constant frame_t *frame, global const float2 *places, g
     }
 }
 
+// Between which t rays may have samples in the window; nowhere if `enter` is past `leave`.
+INLINE void stretch_in_window(constant frame_t *frame, const ray_t *ray, real *enter, real *leave)
+{
+    const float reserve = 2.0f * frame->planes.margin;
+    constant float *low = frame->window.low, *high = frame->window.high;
+    *enter = ray->enter;
+    *leave = ray->leave;
+    clip_axis(ray->origin.x, ray->direction.x, low[0] - reserve, high[0] + reserve, enter, leave);
+    clip_axis(ray->origin.y, ray->direction.y, low[1] - reserve, high[1] + reserve, enter, leave);
+    clip_axis(ray->origin.z, ray->direction.z, low[2] - reserve, high[2] + reserve, enter, leave);
+}
+
 // Leaves rays of a tile going that may have samples in the window, and of these the numbers that may lie there.
 INLINE int enter_window(tile_t *tile, constant frame_t *frame)
 {
-    const float reserve = 2.0f * frame->planes.margin;
     float first = INFINITY, last = -INFINITY;
     int some = 0;
     for (int g = 0; g < PACKETS; ++g) {
         const ray_t *ray = tile->rays + g;
-        real enter = ray->enter, leave = ray->leave;
-        clip_axis(ray->origin.x, ray->direction.x, frame->window.low[0] - reserve, frame->window.high[0] + reserve, &enter, &leave);
-        clip_axis(ray->origin.y, ray->direction.y, frame->window.low[1] - reserve, frame->window.high[1] + reserve, &enter, &leave);
-        clip_axis(ray->origin.z, ray->direction.z, frame->window.low[2] - reserve, frame->window.high[2] + reserve, &enter, &leave);
+        real enter, leave;
+        stretch_in_window(frame, ray, &enter, &leave);
         tile->going[g] &= enter <= leave;
         if (!any_lane(tile->going[g]))
             continue;
@@ -89,6 +103,25 @@ INLINE int enter_window(tile_t *tile, constant frame_t *frame)
     tile->first = MAX(tile->first, first);
     tile->last = MIN(tile->last, last);
     return some;
+}
+
+// Before the brick in the window is read: whether values from low to high there could change what any ray of these tiles shows.
+kernel void ask_brick(constant frame_t *frame, global const float4 *table, global const float2 *places,
+                      global const float *states, global const uchar *going, const float low, const float high, global int *wanted)
+{
+    if (!TILE_IS_GOING)
+        return;
+    TILE_OF_THIS_ITEM(places);
+    load_states(&tile, frame, states);
+    int some = 0;
+    for (int g = 0; g < PACKETS && !some; ++g) {
+        real enter, leave;
+        stretch_in_window(frame, tile.rays + g, &enter, &leave);
+        const mask inside = tile.going[g] & !finished(tile.states + g, frame) & (enter <= leave);
+        some = any_lane(inside) && matters(tile.states + g, frame, table, low, high, enter, inside);
+    }
+    if (some)
+        *wanted = 1;   // all that write it write the same
 }
 
 // What is shown of the rays of a packet that have just got to where they end, for as far as is known.
@@ -124,6 +157,8 @@ kernel void march_brick(COEFFICIENTS coefficients, const int4 extent, global con
                         constant frame_t *frame, global const float4 *table, global const float2 *places, global float *states,
                         global float *shown, global uchar *going)
 {
+    if (!TILE_IS_GOING)
+        return;
     TILE_OF_THIS_ITEM(places);
     load_states(&tile, frame, states);
     real before[PACKETS];

@@ -252,6 +252,11 @@ class Device:
         return int(self.handle.max_compute_units)
 
     @property
+    def largest(self) -> int:
+        """Bytes of the largest buffer."""
+        return int(self.handle.max_mem_alloc_size)
+
+    @property
     def shares_memory(self) -> bool:
         """Whether mapped buffers are the host's own memory."""
         return bool(self.handle.host_unified_memory)
@@ -364,7 +369,7 @@ class Device:
         What a processor allocates is this process's memory, of which a container may have less than the device says; `held`:
         it has been allocated.
         """
-        largest, everything = int(self.handle.max_mem_alloc_size), int(self.handle.global_mem_size)
+        largest, everything = self.largest, int(self.handle.global_mem_size)
         if size > largest or size > _MEMORY_SHARE * everything:
             raise OutOfMemoryError(
                 f"{self.name} allows one allocation of up to {largest / 2**20:.0f} MiB and holds "

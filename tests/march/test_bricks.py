@@ -15,6 +15,7 @@ from clvol.errors import OptionError, OutOfMemoryError
 from clvol.march.bricks import front_to_back, level_of, opacity_within
 from clvol.march.renderer import Renderer
 from clvol.spline.bricked import BrickedField
+from clvol.spline.evaluator import DIRECT
 from tests.test_lazy import Counted
 
 GUIDES = ("rgba", "depth", "normal", "position")
@@ -136,6 +137,65 @@ def test_bricks_in_which_nothing_shows_are_not_read() -> None:
         assert data.read - before == field.reads.samples
         with Renderer(clvol.Volume(ball), "linear") as whole:
             np.testing.assert_array_equal(picture, whole.render(CAMERAS["aslant"], "isosurface", (80, 80), isovalue=20))
+
+
+@pytest.mark.parametrize("mode", ["mip", "minip", "attenuated"])
+def test_bricks_that_cannot_beat_what_was_found_are_not_read(mode: str) -> None:
+    """All samples count for extremes, but the bounds say which bricks hold none."""
+    z, y, x = np.ogrid[:128, :128, :128]
+    ball = 250 * np.exp(-((x - 70.0) ** 2 + (y - 60.0) ** 2 + (z - 64.0) ** 2) / 1800)
+    data = (ball if mode != "minip" else 255 - ball).astype(np.float32)  # without plateaus, which any brick may top
+    ends = float(data.min()), float(data.max())
+    volume = clvol.LazyVolume(Counted(data), limits=ends, labels=False, bounds=Known(data))
+    camera = clvol.Camera.orbit(30, 20, zoom=2.5, fit="volume")
+    with (
+        BrickedField(volume, "linear", edge=16) as field,
+        Renderer(field) as renderer,
+        Renderer(clvol.Volume(data), "linear") as whole,
+    ):
+        picture = renderer.render(camera, mode, (64, 64), outputs=GUIDES, transfer=BUMPY)
+        expected = whole.render(camera, mode, (64, 64), outputs=GUIDES, transfer=BUMPY)
+        for name in GUIDES:
+            np.testing.assert_array_equal(picture[name], expected[name], err_msg=name)
+        reads = field.reads.bricks
+        field.drop()
+        renderer.render(camera, mode, (64, 64), transfer=BUMPY, samples=1, skipping=False)
+        assert reads < 0.8 * (field.reads.bricks - reads)
+
+
+def test_rays_that_come_again_find_bricks_that_are_kept() -> None:
+    """Of a row of bricks, half of which fit, no more are read a second time than did not fit."""
+    data = waves(32, 32, 256)
+    along = clvol.Camera.orbit(90, 0, fit="volume", projection="orthographic")
+    lazy = clvol.LazyVolume(data, limits=(0, 1), labels=False)
+    with BrickedField(lazy, "linear", edge=32) as measured, Renderer(measured) as renderer:
+        expected = renderer.render(along, "mean", (16, 16), samples=1)
+        assert measured.reads.bricks == 8
+        budget = int(measured.nbytes * 4.9 / 8)
+    with BrickedField(lazy, "linear", edge=32, budget=budget) as field, Renderer(field) as renderer:
+        np.testing.assert_array_equal(renderer.render(along, "mean", (16, 16), samples=1), expected)
+        assert field.reads.bricks == 8
+        for again in (1, 2):
+            renderer.render(along, "mean", (16, 16), samples=1)
+            assert field.reads.bricks <= 8 + 5 * again
+        assert field.nbytes <= budget
+
+
+def test_what_was_read_is_known_better_than_what_is_stored() -> None:
+    data = np.zeros((32, 32, 32), np.uint8)
+    data[:, :, 17:] = 100
+    lazy = clvol.LazyVolume(Counted(data), limits=(0, 100), labels=False, bounds=Known(data))
+    with BrickedField(lazy, "linear", edge=8) as field, Renderer(field) as renderer:
+        brick = field.brick((1, 1, 1))  # the jump is 1 sample past it, within what bounds are taken of
+        before = field.bounds_of(brick)
+        renderer.render(CAMERAS["aslant"], "isosurface", (40, 40), isovalue=50)
+        found = field.bounds_of(brick)
+        assert before is not None
+        assert found is not None
+        assert before[0] <= found[0] <= found[1] <= before[1]
+        with field.resident(brick) as own:
+            low, high = field.pyramid(own, DIRECT).extremes()
+        assert found == (max(low, before[0]), min(high, before[1]))
 
 
 class Known:

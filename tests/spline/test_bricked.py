@@ -112,6 +112,18 @@ def test_memory_stays_within_the_budget(volume: clvol.Volume) -> None:
         assert roomy.reads.dropped == 0
 
 
+def test_what_is_in_memory_is_one_brick_if_it_fits(volume: clvol.Volume) -> None:
+    """Several have margins, whose samples are prefiltered twice; and one is the whole volume to the last bit."""
+    at = points(volume, 0.4, 500)
+    with clvol.Field(volume) as whole, BrickedField(volume) as one:
+        assert one.counts == (1, 1, 1)
+        np.testing.assert_allclose(one(at), whole(at), rtol=0, atol=3e-7)  # positions are rounded otherwise
+    lazy = clvol.LazyVolume(Counted(np.zeros((300, 20, 20), np.uint8)), limits=(0, 1))
+    with BrickedField(lazy, "linear") as read_by_parts, BrickedField(np.zeros((300, 20, 20), np.uint8), "linear") as one:
+        assert (read_by_parts.counts, one.counts) == ((1, 1, 2), (1, 1, 1))
+        assert BrickedField(np.zeros((300, 20, 20), np.uint8), "linear", "wrap").counts == (1, 1, 2)
+
+
 def test_only_bricks_in_which_points_lie_are_read() -> None:
     data = Counted(np.zeros((256, 256, 256), np.uint8))
     with BrickedField(clvol.LazyVolume(data, limits=(0, 255)), edge=32) as bricked:

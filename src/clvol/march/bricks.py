@@ -22,7 +22,7 @@ from clvol.filter import Filter
 from clvol.lazy import Index, LazyVolume
 from clvol.march.frame import WINDOW, Frame
 from clvol.march.launch import Drawing, Picture, Progress, launched_over, lent_pictures, pictures_of
-from clvol.mode import Composite, Isosurface
+from clvol.mode import Composite, Isosurface, Minip, Mip
 from clvol.program import Program
 from clvol.spline.bricked import Brick, BrickedField, Resident
 from clvol.spline.lease import release
@@ -50,6 +50,7 @@ Area: TypeAlias = tuple[int, int, int, int]
 STEPPED_AT_MOST = 3.0
 """Voxels between two samples of a ray where something between them is asked for: bricks hold so many around their own."""
 _LOOKED_AHEAD = 32  # bricks, of which the next one is read while rays go through another
+_ANY = 3e38  # of values, where nothing is known of them
 _SHARE = 8  # of the budget, what states may take at a time
 
 
@@ -133,15 +134,16 @@ class BrickedDrawing(Drawing):
 
     def march(self, passes: list[Pass], bricks: list[Brick], told: Progress | None = None) -> None:
         """Rays through bricks, which lie one behind the other."""
-        field, grid = self._field, self._field.volume.grid
-        bricks = [brick for brick in bricks if self._may_matter(brick)]
+        field = self._field
+        bricks = self._sorted([brick for brick in bricks if self._may_matter(brick)])
+        field.going_through([brick.at for brick in bricks])
         try:
             for number, brick in enumerate(bricks):
-                wanted = [(one, area) for one in passes if (area := one.wanted(brick, self._view, grid)) is not None]
+                wanted = self._wanted(passes, brick)
                 if wanted:
                     with field.resident(brick) as own:
                         for following in bricks[number + 1 : number + 1 + _LOOKED_AHEAD]:
-                            if any(one.wanted(following, self._view, grid) for one in passes):
+                            if self._wanted(passes, following):
                                 field.read_ahead(following)
                                 break
                         minmax = field.pyramid(own, self.frame.evaluator) if self._skipping and self.frame.mode.skips else None
@@ -152,6 +154,28 @@ class BrickedDrawing(Drawing):
                     told((number + 1) / len(bricks))
         finally:
             field.forget_ahead()
+
+    def _sorted(self, bricks: list[Brick]) -> list[Brick]:
+        """Bricks as they follow, or those first that may hold the extremes which rays seek: these come in any order."""
+        mode = self.frame.mode
+        if not (self._skipping and isinstance(mode, (Mip, Minip))):
+            return bricks
+        ends = {brick.at: self._field.bounds_of(brick) or (-math.inf, math.inf) for brick in bricks}
+        if isinstance(mode, Mip):
+            return sorted(bricks, key=lambda brick: -ends[brick.at][1])
+        return sorted(bricks, key=lambda brick: ends[brick.at][0])
+
+    def _wanted(self, passes: list[Pass], brick: Brick) -> list[tuple[Pass, Area]]:
+        """Which rays may want a brick, and pixels where they do.
+
+        Of one that would have to be read each of them is asked, by what is known of its values.
+        """
+        field = self._field
+        wanted = [(one, area) for one in passes if (area := one.wanted(brick, self._view, field.volume.grid)) is not None]
+        if not wanted or field.has(brick):
+            return wanted
+        ends = field.stored_bounds_of(brick) if self._skipping and self.frame.mode.skips else None
+        return wanted if any(one.asks_for(brick, ends, area) for one, area in wanted) else []
 
     def _may_matter(self, brick: Brick) -> bool:
         """Whether some value in a brick can be seen, as far as is known."""
@@ -237,6 +261,18 @@ class Pass:
         x, y = left * tile.width, top * tile.height
         return x, y, min(width, right * tile.width) - x, min(height, bottom * tile.height) - y
 
+    def asks_for(self, brick: Brick, ends: tuple[float, float] | None, area: Area) -> bool:
+        """Whether any ray of an area meets a brick, and values between its `ends`, stored ones, could change what it shows."""
+        device, values, found = self.frame.device, self.frame.values.copy(), np.zeros(1, np.int32)
+        values["window"]["low"], values["window"]["high"] = brick.low, brick.high
+        low, high = (-_ANY, _ANY) if ends is None else ends
+        wanted = device.upload(found)
+        block = device.upload(values[None])
+        arguments = block, self._table, self._places, self._memory, self._flags, np.float32(low), np.float32(high), wanted
+        self._over("ask_brick", area, *arguments)
+        device.download(wanted, found)
+        return bool(found[0])
+
     def march(self, own: Resident, minmax: MinMax | None, brick: Brick, field: BrickedField, area: Area) -> None:
         """Rays through a brick, whose coefficients are at hand."""
         frame, device = self.frame, self.frame.device
@@ -259,6 +295,7 @@ class Pass:
             self._memory,
             self._shown,
             self._flags,
+            share=max(min(1.0, field.edge / n) for n in field.volume.size),
         )
         device.download(self._flags, self._going)
 
@@ -321,8 +358,9 @@ class Pass:
             *buffers,
         )
 
-    def _over(self, kernel: str, area: Area, *arguments: Any) -> None:
-        for _ in launched_over(self.frame, self._program.kernel(kernel), area, *arguments):
+    def _over(self, kernel: str, area: Area, *arguments: Any, share: float = 0.0) -> None:
+        """A kernel over an area; of the rays' samples it takes this share at most."""
+        for _ in launched_over(self.frame, self._program.kernel(kernel), area, *arguments, share=share):
             pass
 
     def release(self) -> None:

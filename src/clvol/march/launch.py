@@ -47,6 +47,8 @@ _LONG = 0.05  # seconds; a wait for less is not cut into steps
 _FORGOTTEN = 0.8  # what is left of the time of a slow launch behind the next one
 _SCATTERED = 8  # times as long takes a ray whose neighbours are far away, at most guesses
 _BEFORE_EDGES, _FINDING = 0.75, 0.2  # of the progress: before edges, and of that of edges until they are found
+_EDGE_TILE = 16  # pixels along an edge of a part of the picture whose pixels on edges follow each other
+_SET_UP = 2.0  # samples that a ray takes as long as to be begun
 _CELLS = 8  # of so many on a ray one is looked at, at most guesses
 _ROW_SECONDS = 1.5e-9  # a generous guess of the time of one row of taps on one processor core; corrected as tiles finish
 _SHADED, _CENTRAL, _SOFTWARE = 3, 12, 8  # times as long with the gradient, with central differences, from images on a processor
@@ -161,6 +163,7 @@ class Drawing:
     def _smooth(self, picture: Picture, pixels: NDArray[np.intp], told: Progress | None) -> None:
         frame = self.frame
         (_, share), *more = pixel_rays(EDGE_RAYS, self._filter, middle=True)
+        pixels = pixels[np.lexsort((pixels // _EDGE_TILE).T[::-1])]  # neighbours go together: through the same bricks, for one
         offsets, weights = zip(*more, strict=True)
         places = (pixels[:, None, ::-1].astype(np.float32) + np.array(offsets, np.float32)).reshape(-1, 2)
         width = frame.tile.width if frame.tile.shared else _GROUP  # so that neighbours share a tile or a group
@@ -350,10 +353,12 @@ def _launched(
         yield area
 
 
-def launched_over(frame: Frame, kernel: Any, area: tuple[int, int, int, int], *arguments: Any) -> Iterator[None]:
-    """A kernel over an area that begins a tile, in launches that are not long."""
+def launched_over(
+    frame: Frame, kernel: Any, area: tuple[int, int, int, int], *arguments: Any, share: float = 1.0
+) -> Iterator[None]:
+    """A kernel over an area that begins a tile, in launches that are not long; it takes this share of the rays' samples at most."""
     left, top, width, height = area
-    budget = _Budget(frame)
+    budget = _Budget(frame, share)
     areas = ((left + x, top + y, w, h) for x, y, w, h in budget.tiles(width, height))
     for _ in _launched(frame, kernel, areas, budget, *arguments):
         yield
@@ -370,10 +375,11 @@ class _Budget:
 
     The time of a ray is bounded by its number of planes, or guessed from its number of cells, few of which are looked at;
     the guess is raised when an area took longer. It falls again slowly, and not below the first guess: the next area may hold
-    what this one did not, but what took long may have been another program.
+    what this one did not, but what took long may have been another program. `share`: of a ray's samples,
+    those that are taken at most.
     """
 
-    def __init__(self, frame: Frame) -> None:
+    def __init__(self, frame: Frame, share: float = 1.0) -> None:
         device, drawn = frame.device, frame.coefficients.filter
         cores = device.units * (1 if device.kind == "cpu" else 32)
         chunks = row_reach(drawn) // row_width(drawn)
@@ -385,6 +391,7 @@ class _Budget:
             rows = drawn.support**2 * order * (drawn.support + order) / 32 + 40  # a polynomial, and the way to it
             count = float(frame.coefficients.size.sum()) * drawn.scale / _CELLS
         rows *= _CENTRAL if frame.central else _SHADED if frame.mode.shaded else 1
+        count = max(_SET_UP, share * count)
         if frame.evaluator.image and device.kind == "cpu":
             rows *= _SOFTWARE
         self._across, self._down = (-(-_AREA // n) * n for n in frame.tile[:2])

@@ -129,7 +129,7 @@ class Renderer:
         self._lazy = isinstance(scene, LazyVolume)
         bricked: BrickedField | None = None
         if isinstance(scene, (LazyVolume, BrickedField)):
-            bricked = _bricked(scene, filter, boundary, device, budget)
+            bricked = _bricked(scene, filter, boundary, device, budget, at_once=cluster is None)
             self._looked = bricked.volume.sketch()
             own_filter = bricked.filter if filter is not None or isinstance(scene, BrickedField) else None
             scene = Medium(bricked.coefficients.volume, filter=own_filter, boundary=bricked.boundary)
@@ -154,7 +154,7 @@ class Renderer:
             field = bricked
         elif cluster is not None:
             row = filter_for(medium.volume, medium.filter, PICTURE_FILTER)
-            field = BrickedField(medium.volume, row, medium.boundary, device, budget=budget)
+            field = BrickedField(medium.volume, row, medium.boundary, device, budget=budget, at_once=False)
             self._looked = medium.volume
         elif own:
             row = filter_for(medium.volume, medium.filter, PICTURE_FILTER)
@@ -828,6 +828,8 @@ def _bricked(
     boundary: str | Boundary | None,
     device: Device | str | int | None,
     budget: int | None,
+    *,
+    at_once: bool = True,
 ) -> BrickedField:
     """What pictures are made of that are made by bricks; of a volume a new one."""
     if isinstance(scene, BrickedField):
@@ -837,7 +839,7 @@ def _bricked(
             raise OptionError("the field was closed, and its coefficients were released; make a new one")
         return scene
     row = _usual(scene) if filter is None else filter
-    return BrickedField(scene, row, boundary, device, budget=budget)
+    return BrickedField(scene, row, boundary, device, budget=budget, at_once=at_once)
 
 
 def _left(cluster: Cluster, shared: dict[int, Shared], *, owned: bool) -> None:

@@ -184,7 +184,7 @@ def margin_of(filter: Filter) -> int:
 class BrickedField:
     """The continuous function of a volume that is read brick by brick.
 
-    It answers as a `Field` does, but keeps no more of the coefficients than its budget allows: what was not used for longest makes
+    It answers as a `Field` does, but keeps no more of the coefficients than its budget allows: what will be asked for last makes
     room. Nothing is read before it is needed.
 
     Parameters
@@ -204,6 +204,8 @@ class BrickedField:
     edge : int, optional
         Samples along an edge of a brick; by default as many as let several fit into the budget, 128 at most, or 256 where all of
         the volume fits, and whole chunks.
+    at_once : bool
+        Whether a volume in memory is one brick where nothing is said of `edge`, if it fits; for a cluster it is to be several.
 
     Attributes
     ----------
@@ -240,6 +242,7 @@ class BrickedField:
         *,
         budget: int | None = None,
         edge: int | None = None,
+        at_once: bool = True,
     ) -> None:
         self.volume = volume = as_lazy(volume)
         kept = volume.bounds
@@ -262,10 +265,12 @@ class BrickedField:
         self._reach = self.boundary.reach(self.filter.support)
         past = self.filter.scale * (self._pad + self._reach)
         self._extent = extent_of(self.filter, 3, tuple(self.filter.scale * n for n in volume.size), past)
-        self.edge = self._edge_for(edge)
+        self.edge = self._edge_for(edge, at_once=at_once)
         self._bounds: dict[Index, tuple[float, float]] = {}
         self._resident: OrderedDict[Index, Resident] = OrderedDict()
         self._ahead: dict[Index, _Ahead] = {}
+        self._turns: dict[Index, int] = {}  # when each brick is asked for, and how far that has come
+        self._turn = 0
         self.beside = 0
         self._lock = threading.RLock()  # a handler of signals may come back here
         self._lease = Lease(_CLOSED)
@@ -278,7 +283,7 @@ class BrickedField:
 
     # -- where bricks lie --------------------------------------------------------------------------------------------------
 
-    def _edge_for(self, edge: int | None) -> int:
+    def _edge_for(self, edge: int | None, *, at_once: bool) -> int:
         """The edge that was asked for, or the largest of which several fit into the budget."""
         if edge is not None:
             edge = whole("edge", edge, 8)
@@ -287,6 +292,8 @@ class BrickedField:
                     f"budget must be at least {most} bytes, which a brick of {edge}³ samples takes; got {self.budget}"
                 )
             return edge
+        if at_once and self._fits_at_once():
+            return max(8, *self.volume.size)
         # of a volume that does not fit as a whole small ones are read more selectively: measured for shells in 1024³
         everything = bytes_of(self.volume.size, self.filter, self.boundary, np.float32)
         edges = _EDGES if everything < self.budget else _EDGES[1:]
@@ -297,6 +304,13 @@ class BrickedField:
         raise OptionError(
             f"budget must be at least {self._most(least)} bytes, which a brick of {least}³ samples takes; got {self.budget}"
         )
+
+    def _fits_at_once(self) -> bool:
+        """Whether one brick may be all of it: samples that are in memory cost nothing to read, and one brick has no margins."""
+        data, size = self.volume.data, self.volume.size
+        in_memory = isinstance(data, np.ndarray) and not isinstance(data, np.memmap)
+        nbytes = bytes_of(size, self.filter, self.boundary, np.float32)
+        return in_memory and not self._wraps and nbytes <= self.device.largest and self._most(max(size)) <= self.budget
 
     def _whole_chunks(self, edge: int) -> int:
         """As many samples that are whole chunks along all axes, if they can be that."""
@@ -384,6 +398,7 @@ class BrickedField:
         try:
             with self._lock:
                 found = self._resident.get(brick.at)
+                self._turn = self._turns.get(brick.at, self._turn)
                 if found is None:
                     found = self._made(brick)
                     self._resident[brick.at] = found
@@ -411,10 +426,27 @@ class BrickedField:
             made = Coefficients(grid, self.filter, boundary, self.device, self.stored)
         return Resident(brick.at, filled(made, data))
 
+    def going_through(self, order: Sequence[Index]) -> None:
+        """Bricks will be asked for in this order, and perhaps once more from the first on: by the next rays, or the next picture."""
+        with self._lock:
+            self._turns, self._turn = {at: i for i, at in enumerate(order)}, 0
+
+    def _first_to_go(self) -> list[Index]:
+        """The bricks that are there, those first that will be asked for last, as far as is known.
+
+        Those come first of which nothing is known, the longest unused before others; then those that had their turn, the last one
+        first, for when all begins again it is the last to come; then those whose turn comes.
+        """
+        known = [at for at in self._resident if at in self._turns]
+        known.sort(key=lambda at: (self._turns[at] > self._turn, -self._turns[at]))
+        return [at for at in self._resident if at not in self._turns] + known
+
     def _make_room(self, size: int) -> None:
-        """Drop bricks that nobody uses, the longest unused first, until so many bytes more fit into the budget."""
+        """Drop bricks that nobody uses, those first that are asked for last, until so many bytes more fit into the budget."""
         used = self.nbytes + size + self.beside
-        for at in list(self._resident):
+        if used <= self.budget:
+            return
+        for at in self._first_to_go():
             if used <= self.budget:
                 return
             if not self._resident[at].users:
@@ -468,15 +500,33 @@ class BrickedField:
         return (first[0], first[1], first[2]), (past[0], past[1], past[2])
 
     def bounds_of(self, brick: Brick) -> tuple[float, float] | None:
-        """Between which values the function lies in a brick and beside it, in units of the data, as far as is known."""
-        kept = self.volume.bounds
-        if kept is not None and (kept.filter, kept.boundary) == (self.filter.name, self.boundary.name):
-            beside = _AROUND + 1  # rays look so far back
-            ends = zip(brick.low, brick.high, self.volume.size, strict=True)
-            low, high = zip(*((math.floor(max(a - beside, 0)), math.ceil(min(b + beside + 1, n))) for a, b, n in ends), strict=True)
-            return kept.within((low[0], low[1], low[2]), (high[0], high[1], high[2]))
+        """Between which values the function lies in a brick and beside it, in units of the data, as far as is known.
+
+        What is stored tells of blocks that reach past the brick; what was found of its own cells, once it was read, is tighter.
+        """
         with self._lock:
-            return self._bounds.get(brick.at)
+            found = self._bounds.get(brick.at)
+        kept = self.volume.bounds
+        if kept is None or (kept.filter, kept.boundary) != (self.filter.name, self.boundary.name):
+            return found
+        beside = _AROUND + 1  # rays look so far back
+        ends = zip(brick.low, brick.high, self.volume.size, strict=True)
+        low, high = zip(*((math.floor(max(a - beside, 0)), math.ceil(min(b + beside + 1, n))) for a, b, n in ends), strict=True)
+        stored = kept.within((low[0], low[1], low[2]), (high[0], high[1], high[2]))
+        return stored if found is None else (max(stored[0], found[0]), min(stored[1], found[1]))
+
+    def stored_bounds_of(self, brick: Brick) -> tuple[float, float] | None:
+        """The same in the numbers that kernels know, rounded outwards."""
+        ends = self.bounds_of(brick)
+        if ends is None:
+            return None
+        low, high = (np.float32(value) for value in self.stored(np.array(ends, np.float64)))
+        return float(np.nextafter(low, np.float32(-np.inf))), float(np.nextafter(high, np.float32(np.inf)))
+
+    def has(self, brick: Brick) -> bool:
+        """Whether a brick's coefficients are on the device."""
+        with self._lock:
+            return brick.at in self._resident
 
     def _in_units(self, stored: tuple[float, float]) -> tuple[float, float]:
         low, high = (float(v) for v in self.stored.values(np.array(stored, np.float32)))
@@ -640,6 +690,7 @@ class BrickedField:
         runs = list(zip([0, *ends[:-1]], ends, strict=True))
         bricks = [self.brick((int(x), int(y), int(z))) for x, y, z in owners[order[[first for first, _ in runs]]]]
         move = Transform(np.eye(3), np.zeros(3), self.volume.grid.world_to_index_matrix)
+        self.going_through([brick.at for brick in bricks])
         try:
             for (first, last), brick, following in zip(runs, bricks, [*bricks[1:], None], strict=True):
                 some = wanted[order[first:last]]
@@ -722,6 +773,7 @@ class BrickedField:
             yield from self._in_blocks(matrix, offset, shape, fill)
             return
         bricks = list(self.bricks())
+        self.going_through([brick.at for brick in bricks])
         owners = [self._owners(x, count) for x, count in zip(lines, self.counts, strict=True)]
         for done, brick in enumerate(bricks, 1):
             own = [np.flatnonzero(owner == i) for owner, i in zip(owners, brick.at, strict=True)]
