@@ -25,6 +25,7 @@ from clvol.formats._files import foreign_errors
 from clvol.formats._units import ome_unit
 from clvol.formats.opening import WholeOnlyError
 from clvol.formats.opening import open as open_lazily
+from clvol.formats.zarr import shown
 from clvol.lazy import LazyVolume, Sliced
 from clvol.multiscale.blocks import Bricks, coarser, outwards, require_bounded
 from clvol.multiscale.cache import ChunkCache
@@ -136,6 +137,10 @@ def pyramid(
     >>> volume = clvol.open("scan.zarr")
     >>> volume.bounds.within((0, 0, 0), (64, 64, 64))
     """
+    if isinstance(path, str) and "://" in path:
+        raise OptionError(
+            f"pyramids are written to a folder, from which fsspec, or a tool of the server's, copies them; got {shown(path)}"
+        )
     target = as_path(path)
     require_suffix(target, _SUFFIXES, "pyramids")
     volume = _lazy(source)
