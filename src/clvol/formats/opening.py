@@ -56,7 +56,8 @@ def open(  # noqa: A001  # as files are opened: clvol.open
     Parameters
     ----------
     path : path-like or address
-        Zarr 2 and 3 and OME-Zarr (a folder or ``.zarr.zip``), TIFF, HDF5, netCDF-4 and Imaris, ``.npy``, and raw samples. Or the
+        Zarr 2 and 3 and OME-Zarr (a folder or ``.zarr.zip``), TIFF, HDF5, netCDF-4 and Imaris; NIfTI, NRRD, MetaImage,
+        ``.npy`` and raw samples that are not packed. Or the
         address of a Zarr store: ``s3://...`` and ``https://...`` (extra ``s3``), ``memory://...`` and all else that fsspec knows.
     volume, time, channel, position, series, shape, dtype, byte_order, offset : optional
         As of `clvol.read`.
@@ -149,7 +150,8 @@ class WholeOnlyError(FormatError):
 
 def _whole_only(path: Path, chosen: Format) -> WholeOnlyError:
     return WholeOnlyError(
-        f"{path} must be of a format that is read part by part; it is read as: {chosen.name}: clvol.read reads it whole, "
+        f"{path} must be of a format that is read part by part, and not packed as a whole; it is read as: {chosen.name}: "
+        "clvol.read reads it whole, "
         "clvol.pyramid makes a Zarr store of it"
     )
 
