@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol import memory
-from clvol.errors import ClvolError, DataError, OptionError
+from clvol.errors import ClvolError, DataError, OptionError, OutOfMemoryError
 from clvol.foreign import Content, from_nibabel, from_simpleitk, is_ours, nibabel_says, simpleitk_says, xarray_says
 from clvol.foreign_images import is_labelled, kind_of
 
@@ -22,7 +22,9 @@ __all__ = [
     "Content",
     "as_array",
     "as_output",
+    "by_parts",
     "is_image",
+    "is_in_parts",
     "is_lazy",
     "lazily",
     "memory_of",
@@ -291,6 +293,47 @@ def lazily(*names: str) -> Callable[[Callable[Arguments, Result]], Callable[Argu
                 lazy: Result = getattr(import_module("clvol.dask"), function.__name__)(*arguments, **options)
                 return lazy
             return function(*arguments, **options)
+
+        return either
+
+    return decorator
+
+
+def is_in_parts(source: object) -> bool:
+    """Whether it is a LazyVolume or a BrickedField, which stand on this module."""
+    names = (("clvol.lazy", "LazyVolume"), ("clvol.spline.bricked", "BrickedField"))
+    kinds = tuple(kind for module, name in names if (kind := getattr(sys.modules.get(module), name, None)) is not None)
+    return isinstance(source, kinds)
+
+
+def by_parts(name: str, *, instead: bool = False) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
+    """A function that hands volumes which are read part by part to the one of its name in the module `parts` of its package.
+
+    Parameters
+    ----------
+    name : str
+        The function's first parameter, as which such a volume is given.
+    instead : bool
+        Whether volumes in memory go there too, if there is no room for what is made of them as a whole.
+    """
+
+    def decorator(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+        @wraps(function)
+        def either(*arguments: Arguments.args, **options: Arguments.kwargs) -> Result:
+            parts = function.__module__.rpartition(".")[0] + ".parts"
+            if is_in_parts(arguments[0] if arguments else options.get(name)):
+                found: Result = getattr(import_module(parts), function.__name__)(*arguments, **options)
+                return found
+            try:
+                return function(*arguments, **options)
+            except OutOfMemoryError as refused:
+                if not instead:
+                    raise
+                try:
+                    made: Result = getattr(import_module(parts), function.__name__)(*arguments, **options)
+                except (OptionError, DataError, OutOfMemoryError):  # nor is there another way
+                    raise refused from None
+                return made
 
         return either
 

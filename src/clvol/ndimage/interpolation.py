@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from clvol import memory
 from clvol.checks import flag
 from clvol.errors import OptionError, OptionTypeError, RefusedError, UnsupportedError
-from clvol.interop import lazily
+from clvol.interop import by_parts, lazily
 from clvol.ndimage.antialiasing import low_passed, nearest_splines, widths
 from clvol.ndimage.arguments import (
     AnyDevice,
@@ -47,6 +47,7 @@ __all__ = [
 ]
 
 
+@by_parts("input")
 @lazily("input")
 def spline_filter1d(
     input: ArrayLike,
@@ -103,6 +104,7 @@ def spline_filter1d(
     return result
 
 
+@by_parts("input")
 @lazily("input")
 def spline_filter(
     input: ArrayLike,
@@ -146,6 +148,7 @@ def spline_filter(
     return result
 
 
+@by_parts("input")
 @lazily("input")
 def geometric_transform(
     input: ArrayLike,
@@ -216,6 +219,7 @@ def geometric_transform(
     return result
 
 
+@by_parts("input")
 @lazily("input", "coordinates")
 def map_coordinates(
     input: ArrayLike,
@@ -286,6 +290,7 @@ def map_coordinates(
     return result
 
 
+@by_parts("input")
 @lazily("input")
 def affine_transform(
     input: ArrayLike,
@@ -351,6 +356,7 @@ def affine_transform(
     return result
 
 
+@by_parts("input")
 @lazily("input")
 def shift(
     input: ArrayLike,
@@ -397,6 +403,7 @@ def shift(
     return result
 
 
+@by_parts("input")
 @lazily("input")
 def zoom(
     input: ArrayLike,
@@ -471,6 +478,7 @@ def zoom(
     return result
 
 
+@by_parts("input")
 @lazily("input")
 def rotate(
     input: ArrayLike,
