@@ -22,7 +22,6 @@ __all__ = [
     "Content",
     "as_array",
     "as_output",
-    "by_parts",
     "is_image",
     "is_in_parts",
     "is_lazy",
@@ -277,28 +276,6 @@ def is_lazy(source: object) -> bool:
     return kind is not None and isinstance(source, kind)
 
 
-def lazily(*names: str) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
-    """A function that hands arrays of dask to the one of its name in `clvol.dask`, whose result is an array of dask too.
-
-    Parameters
-    ----------
-    *names : str
-        The function's first parameters, as far as arrays of dask are looked for among them.
-    """
-
-    def decorator(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-        @wraps(function)
-        def either(*arguments: Arguments.args, **options: Arguments.kwargs) -> Result:
-            if any(map(is_lazy, (*arguments[: len(names)], *(options.get(name) for name in names)))):
-                lazy: Result = getattr(import_module("clvol.dask"), function.__name__)(*arguments, **options)
-                return lazy
-            return function(*arguments, **options)
-
-        return either
-
-    return decorator
-
-
 def is_in_parts(source: object) -> bool:
     """Whether it is a LazyVolume or a BrickedField, which stand on this module."""
     names = (("clvol.lazy", "LazyVolume"), ("clvol.spline.bricked", "BrickedField"))
@@ -306,34 +283,46 @@ def is_in_parts(source: object) -> bool:
     return isinstance(source, kinds)
 
 
-def by_parts(name: str, *, instead: bool = False) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
-    """A function that hands volumes which are read part by part to the one of its name in the module `parts` of its package.
+def lazily(
+    *names: str, dask: bool = True, instead: bool = False
+) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
+    """A function that hands what is not in memory to others of its name.
+
+    An array of dask goes to that in `clvol.dask`, whose result is an array of dask too; what `is_in_parts` to that in the module
+    `parts` of the function's package.
 
     Parameters
     ----------
-    name : str
-        The function's first parameter, as which such a volume is given.
+    *names : str
+        The function's first parameters, as far as arrays of dask are looked for among them; only the first may be in parts.
+    dask : bool
+        Whether there is one for arrays of dask.
     instead : bool
-        Whether volumes in memory go there too, if there is no room for what is made of them as a whole.
+        Whether what is in memory goes to the module `parts` too, if there is no room for what is made of it as a whole.
     """
 
     def decorator(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+        parts = function.__module__.rpartition(".")[0] + ".parts"
+
         @wraps(function)
         def either(*arguments: Arguments.args, **options: Arguments.kwargs) -> Result:
-            parts = function.__module__.rpartition(".")[0] + ".parts"
-            if is_in_parts(arguments[0] if arguments else options.get(name)):
-                found: Result = getattr(import_module(parts), function.__name__)(*arguments, **options)
-                return found
+            def handed(module: str) -> Result:
+                result: Result = getattr(import_module(module), function.__name__)(*arguments, **options)
+                return result
+
+            if dask and any(map(is_lazy, (*arguments[: len(names)], *(options.get(name) for name in names)))):
+                return handed("clvol.dask")
+            if is_in_parts(arguments[0] if arguments else options.get(names[0])):
+                return handed(parts)
+            if not instead:
+                return function(*arguments, **options)
             try:
                 return function(*arguments, **options)
             except OutOfMemoryError as refused:
-                if not instead:
-                    raise
                 try:
-                    made: Result = getattr(import_module(parts), function.__name__)(*arguments, **options)
+                    return handed(parts)
                 except (OptionError, DataError, OutOfMemoryError):  # nor is there another way
                     raise refused from None
-                return made
 
         return either
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from clvol import memory
 from clvol.checks import flag
 from clvol.errors import OptionError, OptionTypeError, RefusedError, UnsupportedError
-from clvol.interop import by_parts, lazily
+from clvol.interop import lazily
 from clvol.ndimage.antialiasing import low_passed, nearest_splines, widths
 from clvol.ndimage.arguments import (
     AnyDevice,
@@ -47,7 +47,6 @@ __all__ = [
 ]
 
 
-@by_parts("input")
 @lazily("input")
 def spline_filter1d(
     input: ArrayLike,
@@ -104,7 +103,6 @@ def spline_filter1d(
     return result
 
 
-@by_parts("input")
 @lazily("input")
 def spline_filter(
     input: ArrayLike,
@@ -148,7 +146,6 @@ def spline_filter(
     return result
 
 
-@by_parts("input")
 @lazily("input")
 def geometric_transform(
     input: ArrayLike,
@@ -219,7 +216,6 @@ def geometric_transform(
     return result
 
 
-@by_parts("input")
 @lazily("input", "coordinates")
 def map_coordinates(
     input: ArrayLike,
@@ -290,7 +286,6 @@ def map_coordinates(
     return result
 
 
-@by_parts("input")
 @lazily("input")
 def affine_transform(
     input: ArrayLike,
@@ -356,7 +351,6 @@ def affine_transform(
     return result
 
 
-@by_parts("input")
 @lazily("input")
 def shift(
     input: ArrayLike,
@@ -403,7 +397,6 @@ def shift(
     return result
 
 
-@by_parts("input")
 @lazily("input")
 def zoom(
     input: ArrayLike,
@@ -478,7 +471,6 @@ def zoom(
     return result
 
 
-@by_parts("input")
 @lazily("input")
 def rotate(
     input: ArrayLike,

@@ -19,7 +19,7 @@ from clvol.checks import one_of, warn, whole
 from clvol.device import Device, as_device
 from clvol.errors import DataError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
-from clvol.interop import as_array, as_output, by_parts, is_in_parts, lazily, read_array
+from clvol.interop import as_array, as_output, is_in_parts, lazily, read_array
 from clvol.missing import Missing, as_missing, touching
 from clvol.rounding import as_kind, in_kind, wide
 from clvol.smoothing import filter_for, settled
@@ -785,7 +785,7 @@ def _results(shape: tuple[int, ...]) -> str:
 # -- functions -------------------------------------------------------------------------------------------------------
 
 
-@by_parts("volume", instead=True)
+@lazily("volume", dask=False, instead=True)
 def sample(
     volume: Volume | ArrayLike | Field,
     points: ArrayLike,
@@ -859,8 +859,7 @@ def sample(
         return at(points, frame=frame, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress, out=out)
 
 
-@by_parts("volume", instead=True)
-@lazily("volume")
+@lazily("volume", instead=True)
 def resample(
     volume: Volume | ArrayLike | Field,
     shape: Sequence[int] | None = None,
@@ -945,8 +944,7 @@ def resample(
         )
 
 
-@by_parts("volume", instead=True)
-@lazily("volume")
+@lazily("volume", instead=True)
 def magnify(
     volume: Volume | ArrayLike | Field,
     factor: int = 2,
@@ -992,7 +990,6 @@ def magnify(
         return field.magnify(factor, evaluator=evaluator, fetch=fetch, progress=progress)
 
 
-@by_parts("data")
 @lazily("data")
 def prefilter(
     data: ArrayLike,
