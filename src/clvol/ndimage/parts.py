@@ -168,7 +168,7 @@ def _unsupported(name: str, why: str) -> Callable[..., NoReturn]:
 
 
 geometric_transform = _unsupported("geometric_transform", "map_coordinates does, at the positions that the function gives")
-spline_filter = _unsupported("spline_filter", "its coefficients are as many as the samples; clvol.pyramid stores them")
+spline_filter = _unsupported("spline_filter", "its coefficients are as many as the samples")
 spline_filter1d = _unsupported("spline_filter1d", "its coefficients are as many as the samples")
 
 _OTHERS = {"axes": (None,), "anti_aliasing": (False, None), "precision": (None, "single"), "nan": ("propagate", "error")}

@@ -105,8 +105,8 @@ def _of(volume: Any, made: Volume, field: BrickedField) -> Volume:
 def prefilter(*_: Any, **__: Any) -> NoReturn:
     """There is no array for the coefficients of a volume that is larger than memory."""
     raise OptionError(
-        "prefilter takes no volume that is read part by part: clvol.pyramid(..., coefficients=True) stores its coefficients, "
-        "clvol.dask.prefilter gives them as an array of dask, and clvol.prefilter(volume.whole()) all at once"
+        "prefilter takes no volume that is read part by part: clvol.dask.prefilter gives its coefficients as an array of dask, "
+        "clvol.prefilter(volume.whole()) all at once"
     )
 
 
