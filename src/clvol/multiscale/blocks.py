@@ -1,4 +1,4 @@
-"""Minima and maxima of the function in blocks of cells, and its coefficients, by bricks with margins."""
+"""Minima and maxima of the function in blocks of cells, by bricks with margins."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ _MIB = 1 << 20
 def require_bounded(filter: Filter, boundary: Boundary) -> None:
     """Raise `OptionError` for a function that bricks do not have: hybrids, and boundary rules that have values of their own."""
     if filter.magnified_by is not None:
-        raise OptionError(f"bounds and coefficients are of filters with one kernel; got the hybrid {filter.name!r}")
+        raise OptionError(f"bounds are of filters with one kernel; got the hybrid {filter.name!r}")
     if boundary.period is None or boundary.outside not in ("rule", "clamp"):
-        raise OptionError(f"bounds and coefficients need a boundary rule that continues the samples; got {boundary.name!r}")
+        raise OptionError(f"bounds need a boundary rule that continues the samples; got {boundary.name!r}")
 
 
 def margin(filter: Filter) -> int:
@@ -113,10 +113,8 @@ class Bricks:
         spans = [[(a, min(a + self.edge, n)) for a in range(0, n, self.edge)] for n in self.count]
         return ((x, y, z) for z, y, x in itertools.product(*spans[::-1]))
 
-    def bounds(
-        self, place: tuple[tuple[int, int], ...], kept: Callable[[tuple[slice, ...], NDArray[Any]], object] | None = None
-    ) -> tuple[NDArray[np.float64], tuple[float, float]]:
-        """Minima and maxima in the blocks of a brick, [z, y, x, 2], and those of its samples; `kept` is given its coefficients.
+    def bounds(self, place: tuple[tuple[int, int], ...]) -> tuple[NDArray[np.float64], tuple[float, float]]:
+        """Minima and maxima in the blocks of a brick, [z, y, x, 2], and those of its samples.
 
         Those are rounded to nothing yet, and hold the function as any device of clvol evaluates it, of this brick or of one piece.
         """
@@ -134,8 +132,6 @@ class Bricks:
         volume = Volume(data)
         spread = _APART * (float(data.max()) - float(data.min()))
         with coefficients_of(volume, self._filter, as_boundary("mirror"), self._device) as coefficients:
-            if kept is not None:
-                kept(tuple(slice(a, b) for a, b in own[::-1]), self._inner(coefficients, own))
             minmax = MinMax(coefficients, DIRECT)
             try:
                 x, y, z = minmax.blocks
@@ -169,14 +165,6 @@ class Bricks:
             part = found[(slice(None),) * axis + (slice(max(a, 0), max(b, a + 1)),)]
             rows.append(np.stack([part[..., 0].min(axis), part[..., 1].max(axis)], -1))
         return np.stack(rows, axis)
-
-    def _inner(self, coefficients: Any, own: Sequence[tuple[int, int]]) -> NDArray[np.float32]:
-        """The coefficients of the brick's own samples, in units of the data."""
-        halo = int(coefficients.extent[3]) + self._margin
-        with self._device.mapped(coefficients.buffer, coefficients.shape, write=False) as room:
-            part = room[tuple(slice(halo, halo + b - a) for a, b in own[::-1])].copy()
-        stored = coefficients.stored
-        return np.asarray(part if stored.identity else stored.values(part), np.float32)
 
 
 def _taken(data: NDArray[Any], at: NDArray[Any], axis: int) -> NDArray[Any]:
