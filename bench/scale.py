@@ -220,7 +220,7 @@ def _of_single_threads(workers: int) -> Iterator[Cluster]:
 def _edge(edge: int) -> Iterator[None]:
     """Bricks of one size, whoever makes them."""
     original = BrickedField._edge_for
-    setattr(BrickedField, "_edge_for", lambda _, given: given or edge)  # noqa: B010  # mypy takes no assignment to a method
+    setattr(BrickedField, "_edge_for", lambda _, given, **_options: given or edge)  # noqa: B010  # mypy takes no assignment to a method
     try:
         yield
     finally:
