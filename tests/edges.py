@@ -109,6 +109,25 @@ def pictures(names: Iterable[str], size: tuple[int, int] = (17, 15)) -> None:
                     assert np.isfinite(renderer.render(LOOKS[0], mode, size, 0.8, gradient="central")).all()
 
 
+def bricks(names: Iterable[str], size: tuple[int, int] = (17, 15), seen: Iterable[str] = (), *, few: bool = False) -> None:
+    """The same by bricks, the last ones along each axis thinner: rays of pixels and listed ones, guides, bounds and none."""
+    shapes = (((9, 12, 20), 8), ((3, 30, 9), 8), ((1, 2, 33), 16), ((1, 1, 1), 8))
+    seen = tuple(seen or modes())
+    for name, (shape, edge) in itertools.product(names, shapes[: 1 if few else None]):
+        with clvol.BrickedField(noise(*shape), name, edge=edge) as field, clvol.Renderer(field) as renderer:
+            for camera, mode, step in itertools.product(LOOKS[: 1 if few else 2], seen, (0.6, 3)):
+                field.drop()  # so that rays are asked
+                assert np.isfinite(renderer.render(camera, mode, size, step)).all()
+            for mode in {"composite", "isosurface"} & {*seen}:
+                made = renderer.render(LOOKS[0], mode, size, outputs=("rgba", "depth", "normal", "position", "visited"))
+                assert np.isfinite(made["rgba"]).all()
+                with renderer.device.limited(tile=renderer.device.limits.tile if few else BY_RAYS):
+                    field.drop()
+                    assert np.isfinite(renderer.render(LOOKS[0], mode, size, 0.8, samples="auto")).all()
+            at = far_points(shape, 33)
+            finite(field(at), at)
+
+
 def arrays(shapes: Iterable[tuple[int, ...]] = ((9,), (3, 17), (2, 3, 5), (3, 2, 5, 9))) -> None:
     """`clvol.ndimage`: lines, images and batches of them, points axis by axis, results of other types and strides, reductions."""
     rng = np.random.default_rng(0)
@@ -171,9 +190,11 @@ FEW: dict[str, Callable[[], None]] = {
     "points": lambda: points(("mirror", "constant(3)"), ("bspline3",)),
     "texels": lambda: texels(("linear",)),
     "pictures": lambda: pictures(("bspline3",), (9, 7)),
+    "bricks": lambda: bricks(("bspline3",), (9, 7), ("isosurface",), few=True),
 }
 GUARDED: dict[str, Callable[[], None]] = {
     **FEW,
+    "bricks": lambda: bricks(("bspline3",), (9, 7), ("composite", "isosurface", "mip"), few=True),
     "sorted points": lambda: sorted_points(("constant(3)", "nearest")),
     "arrays": arrays,
     "chains": chains,
@@ -186,6 +207,7 @@ ALL: dict[str, Callable[[], None]] = {
     "texels": lambda: texels(("nearest", "linear", "bspline3", "bspline5", "catmull-rom", "lanczos3")),
     "sorted points": lambda: sorted_points(("constant(3)", "nearest", "wrap")),
     "pictures": lambda: pictures(("nearest", "linear", "bspline3", "bspline5", "lanczos3", "hybrid")),
+    "bricks": lambda: bricks(("nearest", "linear", "bspline3", "bspline5", "lanczos3", "hybrid")),
     "arrays": arrays,
     "chains": chains,
     "adjoints": adjoints,

@@ -19,7 +19,7 @@ from clvol.multiscale.levels import FIXED, gathered, runs_of
 from clvol.spline.evaluator import DIRECT
 from clvol.spline.field import coefficients_of
 from clvol.spline.minmax import BLOCK as CELLS
-from clvol.spline.minmax import MinMax
+from clvol.spline.minmax import Cell, MinMax
 from clvol.volume import Volume
 
 __all__ = ["Bricks", "coarser", "outwards", "require_bounded"]
@@ -123,25 +123,30 @@ class Bricks:
         taken = [self._places(a * BLOCK - m, b * BLOCK + m + 1, n) for (a, b), n in zip(place, self._size, strict=True)]
         runs = [runs_of(one) for one in taken]
         data = gathered(self._read, runs[::-1])
-        for axis, (one, run) in enumerate(zip(taken, runs, strict=True)):
-            at = np.searchsorted(np.concatenate([np.arange(*part) for part in run]), one)
-            if not np.array_equal(at, np.arange(data.shape[2 - axis])):
-                data = _taken(data, at, 2 - axis)
+        data = _taken(
+            data,
+            [
+                np.searchsorted(np.concatenate([np.arange(*part) for part in run]), one)
+                for one, run in zip(taken[::-1], runs[::-1], strict=True)
+            ],
+        )
         inside = data[tuple(slice(m, m + b - a) for a, b in own[::-1])]
         value_range = float(inside.min()), float(inside.max())
         volume = Volume(data)
         spread = _APART * (float(data.max()) - float(data.min()))
         with coefficients_of(volume, self._filter, as_boundary("mirror"), self._device) as coefficients:
-            minmax = MinMax(coefficients, DIRECT)
+            halo, stored = int(coefficients.extent[3]), coefficients.stored
+            rows = [self._rows(2 - axis, *ends, halo) for axis, ends in enumerate(place[::-1])]  # along z, y and x
+            begin, part = self._part(rows, coefficients.shape)
+            minmax = MinMax(coefficients, DIRECT, part)
             try:
                 x, y, z = minmax.blocks
                 found = np.empty((z, y, x, 2), np.float32)
                 self._device.download(minmax.buffer, found)
             finally:
                 minmax.release()
-            halo, stored = int(coefficients.extent[3]), coefficients.stored
-        for axis, (first, last) in enumerate(place):
-            found = self._merged(found, 2 - axis, first, last, halo)
+        for axis in (2, 1, 0):
+            found = _merged(found, axis, [(a - begin[axis], b - begin[axis]) for a, b in rows[axis]])
         values = np.asarray(stored.values(found) if not stored.identity else found, np.float64)
         pad = np.where((found != 0).any(-1), spread, 0.0)  # nothing but zeros is nothing but zeros
         values[..., 0] -= pad
@@ -153,33 +158,56 @@ class Bricks:
         i = np.arange(first, last)
         return np.clip(i, 0, n - 1) if self._boundary.outside == "clamp" else self._boundary.folded(i, n)
 
-    def _merged(self, found: NDArray[Any], axis: int, first: int, last: int, halo: int) -> NDArray[Any]:
-        """Blocks of `CELLS` cells of coefficients brought together in blocks of `BLOCK` cells between samples."""
-        n, begin = self._size[2 - axis], first * BLOCK - self._margin
+    def _rows(self, axis: int, first: int, last: int, halo: int) -> list[tuple[int, int]]:
+        """Which blocks of `CELLS` cells of coefficients, from one to before another, have what lies in each of some blocks."""
+        n, begin = self._size[axis], first * BLOCK - self._margin
         shift = halo - self._filter.support / 2 + 1  # block b holds positions from CELLS b - shift on
         rows = []
         for block in range(first, last):
             low = block * BLOCK - begin - 0.5 * (block == 0)
             high = min((block + 1) * BLOCK, n - 1) - begin + 0.5 * ((block + 1) * BLOCK >= n - 1)
-            a, b = math.floor((low + shift) / CELLS), math.ceil((high + shift) / CELLS)
-            part = found[(slice(None),) * axis + (slice(max(a, 0), max(b, a + 1)),)]
-            rows.append(np.stack([part[..., 0].min(axis), part[..., 1].max(axis)], -1))
-        return np.stack(rows, axis)
+            a, b = max(math.floor((low + shift) / CELLS), 0), math.ceil((high + shift) / CELLS)
+            rows.append((a, max(b, a + 1)))
+        return rows
+
+    def _part(self, rows: list[list[tuple[int, int]]], shape: tuple[int, ...]) -> tuple[list[int], tuple[Cell, Cell]]:
+        """The first of these blocks along z, y and x, and the cells that they all have, as `MinMax` takes them: not the margin's."""
+        begin = [row[0][0] for row in rows]
+        x, y, z = (CELLS * one for one in begin[::-1])
+        i, j, k = (min(CELLS * row[-1][1], n - self._filter.support + 1) for row, n in zip(rows[::-1], shape[::-1], strict=True))
+        return begin, ((x, y, z), (i, j, k))
 
 
-def _taken(data: NDArray[Any], at: NDArray[Any], axis: int) -> NDArray[Any]:
-    """``np.take``, which is slow along the last axis: most of what is taken lies in a row."""
-    before: tuple[Any, ...] = (slice(None),) * axis
-    ends = np.flatnonzero(np.diff(at) != 1) + 1
-    spans = np.split(at, ends)
-    longest = int(np.argmax([len(span) for span in spans]))
-    first = sum(len(span) for span in spans[:longest])
-    last = first + len(spans[longest])
-    result = np.empty((*data.shape[:axis], len(at), *data.shape[axis + 1 :]), data.dtype)
-    result[(*before, slice(first, last))] = data[(*before, slice(int(at[first]), int(at[last - 1]) + 1))]
-    for part in (slice(0, first), slice(last, len(at))):
-        result[(*before, part)] = data[(*before, at[part])]
+def _merged(found: NDArray[Any], axis: int, rows: list[tuple[int, int]]) -> NDArray[Any]:
+    """Blocks brought together along an axis, from one to before another at a time."""
+    parts = (found[(slice(None),) * axis + (slice(a, b),)] for a, b in rows)
+    return np.stack([np.stack([part[..., 0].min(axis), part[..., 1].max(axis)], -1) for part in parts], axis)
+
+
+def _taken(data: NDArray[Any], places: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """``data[np.ix_(*places)]`` in one go: most of what is taken lies in a row along each axis, and the rest is little."""
+    if all(np.array_equal(at, np.arange(n)) for at, n in zip(places, data.shape, strict=True)):
+        return data
+    result = np.empty([len(at) for at in places], data.dtype)
+    for spans in itertools.product(*map(_spans, places)):
+        part = data[tuple(at if isinstance(at, slice) else slice(None) for _, at in spans)]
+        for axis, (_, at) in enumerate(spans):
+            if not isinstance(at, slice):
+                part = np.take(part, at, axis)
+        result[tuple(place for place, _ in spans)] = part
     return result
+
+
+def _spans(at: NDArray[Any]) -> list[tuple[slice, slice | NDArray[Any]]]:
+    """Places along an axis as the longest row of neighbours, and what comes before and after it; each with where it is put."""
+    ends = np.flatnonzero(np.diff(at) != 1) + 1
+    runs = np.split(at, ends)
+    longest = int(np.argmax([len(run) for run in runs]))
+    first = sum(len(run) for run in runs[:longest])
+    last = first + len(runs[longest])
+    spans = [(slice(first, last), slice(int(at[first]), int(at[last - 1]) + 1))]
+    rest = [slice(0, first), slice(last, len(at))]
+    return [*spans, *((place, at[place]) for place in rest if place.stop > place.start)]
 
 
 def outwards(values: NDArray[np.float64], dtype: np.dtype[Any]) -> NDArray[Any]:

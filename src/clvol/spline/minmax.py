@@ -27,7 +27,7 @@ from clvol.spline.lease import release
 from clvol.uniform import FLOAT, INT, Block, Values
 from clvol.volume import Volume
 
-__all__ = ["BLOCK", "MAX_LEVELS", "MINMAX", "MinMax", "bernstein", "minmax_block"]
+__all__ = ["BLOCK", "MAX_LEVELS", "MINMAX", "Cell", "MinMax", "bernstein", "minmax_block"]
 
 Cell: TypeAlias = tuple[int, int, int]
 
