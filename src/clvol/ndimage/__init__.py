@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from clvol.ndimage import parts  # noqa: F401  # an attribute, as all modules are
 from clvol.ndimage.interpolation import (
     affine_transform,
     geometric_transform,
