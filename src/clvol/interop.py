@@ -304,23 +304,23 @@ def lazily(
     def decorator(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
         parts = function.__module__.rpartition(".")[0] + ".parts"
 
+        def other(module: str) -> Callable[Arguments, Result]:
+            found: Callable[Arguments, Result] = getattr(import_module(module), function.__name__)
+            return found
+
         @wraps(function)
         def either(*arguments: Arguments.args, **options: Arguments.kwargs) -> Result:
-            def handed(module: str) -> Result:
-                result: Result = getattr(import_module(module), function.__name__)(*arguments, **options)
-                return result
-
             if dask and any(map(is_lazy, (*arguments[: len(names)], *(options.get(name) for name in names)))):
-                return handed("clvol.dask")
+                return other("clvol.dask")(*arguments, **options)
             if is_in_parts(arguments[0] if arguments else options.get(names[0])):
-                return handed(parts)
+                return other(parts)(*arguments, **options)
             if not instead:
                 return function(*arguments, **options)
             try:
                 return function(*arguments, **options)
             except OutOfMemoryError as refused:
                 try:
-                    return handed(parts)
+                    return other(parts)(*arguments, **options)
                 except (OptionError, DataError, OutOfMemoryError):  # nor is there another way
                     raise refused from None
 

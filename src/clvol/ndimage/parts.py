@@ -128,7 +128,7 @@ def zoom(
     shape, _ = zoomed(zoom, field.like.shape)
     if grid_mode and mode in ("constant", "wrap"):
         warnings.warn(
-            f"It is recommended to use mode = grid-{mode} instead of {mode} when grid_mode is True.", UserWarning, stacklevel=4
+            f"It is recommended to use mode = grid-{mode} instead of {mode} when grid_mode is True.", UserWarning, stacklevel=3
         )
     positions = magnified(field.like.shape, shape, grid_mode)
     return field.along(positions, as_output(output, field.like, shape), others)
