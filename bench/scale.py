@@ -341,12 +341,14 @@ def _by_boxes(field: Any, view: Any, pixels: int, workers: int, share: float) ->
         ]
     count = {g.number: math.prod(b - a for a, b in zip(g.first, g.past, strict=True)) * share for g in groups}
     last: dict[tuple[int, int], int] = {}
+    rest = 0.0
     tasks: list[Task] = []
     for number, group in enumerate(groups):
         across = max(b - a for a, b in zip(group.first, group.past, strict=True))
         for place in met[number]:
             some = count[group.number] / len(met[number])
-            names = tuple((group.number, place, i) for i in range(round(some)))
+            first, rest = math.floor(rest), rest + some  # whole bricks, none lost
+            names = tuple((group.number, place, i) for i in range(math.floor(rest) - first))
             samples = edge * edge * across * 128 * 1.5 / 0.5 * share
             tasks.append(Task(last.get(place), group.number % workers, names, samples, 20.0 * edge * edge))
             last[place] = len(tasks) - 1

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -68,3 +70,33 @@ def test_a_cluster_draws_the_same(files: list[Path], tmp_path: Path) -> None:
     assert [type(one.error) for one in many] == [type(one.error) for one in alone]
     for one, other in zip(alone[:4], many[:4], strict=True):
         np.testing.assert_array_equal(iio.imread(one.path), iio.imread(other.path))
+
+
+def test_a_file_that_changed_is_drawn_as_it_is(files: list[Path], tmp_path: Path) -> None:
+    """Workers that live on keep nothing of a batch."""
+    pytest.importorskip("distributed")
+    from clvol.cluster import as_cluster
+
+    path = tmp_path / "one.nrrd"
+    with as_cluster(1) as cluster:
+        for source in files[:2]:
+            clvol.write(clvol.read(source), path)
+            (one,) = clvol.batch(path, None, tmp_path / "{name}.png", cluster=cluster, mode="mip", size=(32, 32))
+            clvol.save(clvol.render(clvol.read(source), mode="mip", size=(32, 32)), tmp_path / "wanted.png")
+            np.testing.assert_array_equal(iio.imread(one.path), iio.imread(tmp_path / "wanted.png"))
+
+
+def test_what_is_no_source_is_refused(tmp_path: Path) -> None:
+    for wrong in (5, [None], np.zeros(3)):
+        with pytest.raises(clvol.ClvolError):
+            clvol.batch(wrong, None, tmp_path / "{number}.png")
+
+
+def test_the_command(files: list[Path], tmp_path: Path) -> None:
+    """It tells by its exit status, and by name, that a file failed."""
+    command = [sys.executable, "-m", "clvol", "batch", *map(str, files), "-o", str(tmp_path / "{name}-{frame}.png"), "--turn", "2"]
+    options = ["--mode", "mip", "--size", "40", "40", "--workers", "2"]
+    done = subprocess.run([*command, *options], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "damaged.nrrd: " in done.stdout
+    assert len(list(tmp_path.glob("*.png"))) == 4

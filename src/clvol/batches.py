@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import threading
+import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +21,7 @@ from clvol.lazy import LazyVolume
 from clvol.march.launch import Progress
 from clvol.march.renderer import Renderer
 from clvol.picture import Picture, save
-from clvol.volume import Volume
+from clvol.volume import Volume, as_volume
 
 __all__ = ["Drawn", "batch", "turned"]
 
@@ -123,7 +124,7 @@ def batch(
     >>> [one.path.name for one in drawn if one.error is None]
     ['0.png', '1.png', '2.png']
     """
-    many = list(sources) if isinstance(sources, (list, tuple)) else [sources]
+    many = _several(sources)
     views = [cameras] if cameras is None or isinstance(cameras, Camera) else list(cameras)
     for view in views:
         if view is not None:
@@ -150,28 +151,37 @@ def batch(
     if cluster is None:
         with _Held() as held:
             for number, (source, view) in enumerate(work):
-                keep(number, _drawn(held, source, how, view, look, options))
+                try:
+                    picture = _drawn(held, source, how, view, look, options)
+                except ClvolError as error:
+                    picture = error
+                keep(number, picture)
         return results
-    own = as_cluster(cluster)
+    own, token = as_cluster(cluster), uuid.uuid4().hex
     try:
-        for number, result in _by(own, many, work, how, look, options):
+        for number, result in _by(own, token, many, work, how, look, options):
             keep(number, result)
     finally:
+        own.tell(_let_go)
         if own is not cluster:
             own.close()
     return results
 
 
 def _by(
-    cluster: Cluster, many: Sequence[Any], work: Sequence[tuple[Any, Any]], how: Any, look: Any, options: Any
+    cluster: Cluster, token: str, many: Sequence[Any], work: Sequence[tuple[Any, Any]], how: Any, look: Any, options: Any
 ) -> Iterator[tuple[int, Any]]:
     """The pictures, as a cluster has them."""
     at_hand = {
-        id(source): cluster.shared(source, source.data.nbytes if isinstance(source, Volume) else 0)
+        id(source): cluster.shared(
+            source, source.data.nbytes if isinstance(source, Volume) else source.nbytes if source.in_memory else 0
+        )
         for source in many
         if isinstance(source, (Volume, LazyVolume))
     }
-    futures = [cluster.submit(_task, at_hand.get(id(source), source), how, view, look, options) for source, view in work]
+    futures = [
+        cluster.submit(_task, token, at_hand.get(id(source), _absolute(source)), how, view, look, options) for source, view in work
+    ]
     try:
         yield from cluster.done(futures, keeping=True)
     finally:
@@ -211,10 +221,10 @@ class _Held:
             self._renderer.close()
         self._key = self._volume = self._renderer = None
 
-    def of(self, source: Any, how: Any, given: dict[str, Any]) -> tuple[Renderer, Any]:
+    def of(self, token: str, source: Any, how: Any, given: dict[str, Any]) -> tuple[Renderer, Any]:
         """The renderer of a source, and what it draws."""
         named = isinstance(source, (str, os.PathLike))
-        key = (str(source) if named else id(source), repr(how), repr(given))
+        key = (token, str(source) if named else id(source))
         if key != self._key or (not named and self._volume is not source):
             self.let_go()
             volume = source if not named else how(str(source)) if callable(how) else read(source, **how)
@@ -223,27 +233,47 @@ class _Held:
         return self._renderer, self._volume
 
 
-def _drawn(held: _Held, source: Any, how: Any, view: Camera | None, look: Any, options: dict[str, Any]) -> Any:
-    """A picture, or why there is none."""
+def _drawn(held: _Held, source: Any, how: Any, view: Camera | None, look: Any, options: dict[str, Any], token: str = "") -> Any:
+    """A picture of the batch with this token."""
     given = {name: options[name] for name in ("filter", "boundary", "device", "budget") if options.get(name) is not None}
     rest = {name: value for name, value in options.items() if name not in ("filter", "boundary", "device", "budget")}
-    try:
-        with held.lock:
-            renderer, volume = held.of(source, how, given)
-            seen = volume.sketch() if isinstance(volume, LazyVolume) else volume
-            further = {} if look is None else dict(look(seen))
-            if view is not None:
-                further["camera"] = view
-            return renderer.render(**(rest | further))
-    except ClvolError as error:
-        return error
+    with held.lock:
+        renderer, volume = held.of(token, source, how, given)
+        seen = volume.sketch() if isinstance(volume, LazyVolume) else volume
+        further = {} if look is None else dict(look(seen))
+        if view is not None:
+            further["camera"] = view
+        return renderer.render(**(rest | further))
 
 
 _worker = _Held()
 
 
-def _task(source: Any, how: Any, view: Camera | None, look: Any, options: dict[str, Any]) -> Any:
-    return _drawn(_worker, source, how, view, look, options)
+def _task(token: str, source: Any, how: Any, view: Camera | None, look: Any, options: dict[str, Any]) -> Any:
+    return _drawn(_worker, source, how, view, look, options, token)
+
+
+def _let_go() -> None:
+    """A batch is done: a file that it drew may be another one by the next."""
+    with _worker.lock:
+        _worker.let_go()
+
+
+def _several(sources: Any) -> list[Any]:
+    """Paths and volumes, whether one was given or several."""
+    if isinstance(sources, (str, os.PathLike, Volume, LazyVolume)) or hasattr(sources, "shape"):
+        sources = [sources]
+    try:
+        many = list(sources)
+    except TypeError:
+        raise OptionError(f"sources must be files or volumes; got {sources!r}") from None
+    return [one if isinstance(one, (str, os.PathLike, LazyVolume)) else as_volume(one) for one in many]
+
+
+def _absolute(source: Any) -> Any:
+    """A file as it is called whatever folder a worker is in."""
+    named = isinstance(source, (str, os.PathLike)) and Path(source).exists()
+    return str(Path(source).absolute()) if named else source
 
 
 def _name(source: Any) -> str:

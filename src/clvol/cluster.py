@@ -8,13 +8,15 @@ from __future__ import annotations
 import contextlib
 import importlib
 import os
+import re
+import socket
 import sys
 import threading
 import time
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self, TypeAlias
+from typing import TYPE_CHECKING, Any, Self, TypeAlias, TypeVar
 
 from clvol.checks import whole
 from clvol.device import Device, as_device, devices
@@ -23,7 +25,18 @@ from clvol.errors import ClusterError, ClvolError, MissingDependencyError, Optio
 if TYPE_CHECKING:
     import distributed
 
-__all__ = ["Cluster", "ClusterLike", "PoisonError", "as_cluster", "own_address", "own_place", "version", "worker_device"]
+__all__ = [
+    "Cluster",
+    "ClusterLike",
+    "LostError",
+    "PoisonError",
+    "as_cluster",
+    "neighbours",
+    "own_address",
+    "own_place",
+    "version",
+    "worker_device",
+]
 
 ClusterLike: TypeAlias = "Cluster | distributed.Client | str | int"
 """What `as_cluster` takes."""
@@ -32,11 +45,16 @@ WAIT = 10.0
 """Seconds for a scheduler to answer, and for its first worker."""
 DESERTED = 60.0
 """Seconds for which a cluster may be without workers: one that died is started again."""
+_T = TypeVar("_T")
 RETRIES = 2
 """How often work that raised an error is done again: a disk or a network may have failed."""
 _LOOK = 0.01  # seconds between looks at what is done
 _CENSUS = 2.0  # seconds between looks at who is there
 _PLEASE = "start clvol's version on all of them, such as by `pip install clvol=={version}`, and `dask worker` again"
+
+
+class LostError(ClusterError):
+    """What workers had is gone with them; it may be sent again."""
 
 
 class PoisonError(ClusterError):
@@ -130,10 +148,16 @@ class Cluster:
         return found
 
     def _census(self) -> list[str]:
+        def ask() -> list[str]:
+            try:
+                return list(self.client.scheduler_info(n_workers=-1).get("workers", ()))
+            except TypeError:  # older than that parameter
+                return list(self.client.scheduler_info().get("workers", ()))
+
         try:
-            return list(self.client.scheduler_info(n_workers=-1).get("workers", ()))
-        except TypeError:  # older than that parameter
-            return list(self.client.scheduler_info().get("workers", ()))
+            return _within(WAIT, ask)
+        except TimeoutError:
+            raise self._gone() from None
 
     def _require_alike(self) -> None:
         """`ClusterError` unless there are workers, and all have this version of clvol."""
@@ -160,20 +184,14 @@ class Cluster:
 
     def _asked(self) -> dict[str, Any]:
         """What each worker says of itself, or the error that it has instead."""
-        answers: dict[str, Any] = {}
-
-        def ask() -> None:
-            try:
-                answers.update(self.client.run(about, on_error="return"))
-            except BaseException as error:
-                answers["a worker"] = error
-
-        asking = threading.Thread(target=ask, daemon=True, name="clvol: asking workers")
-        asking.start()
-        asking.join(3 * WAIT)
-        if asking.is_alive():
-            raise ClusterError(f"the workers at {self.address} must say which clvol they have; got no answer within {3 * WAIT:g} s")
-        return answers
+        try:
+            return dict(_within(3 * WAIT, lambda: self.client.run(about, on_error="return")))
+        except TimeoutError:
+            raise ClusterError(
+                f"the workers at {self.address} must say which clvol they have; got no answer within {3 * WAIT:g} s"
+            ) from None
+        except Exception as error:
+            return {"a worker": error}
 
     # -- work --------------------------------------------------------------------------------------------------------------
 
@@ -192,7 +210,7 @@ class Cluster:
         """Have each worker call a function; who cannot be reached is left out."""
         if self.client.status == "running":
             with contextlib.suppress(Exception):
-                self.client.run(function, *arguments)
+                _within(WAIT, lambda: self.client.run(function, *arguments))
 
     def done(self, futures: Sequence[Any], *, keeping: bool = False) -> Iterator[tuple[int, Any]]:
         """The number of each future, as it is done, and its result; or, if `keeping`, the error that it has instead.
@@ -217,8 +235,11 @@ class Cluster:
                 try:
                     with self._told_apart(distributed):
                         result = future.result(timeout=WAIT)
+                except _UnreadyError:  # who had the result died, and it is made again
+                    left[number] = future
+                    continue
                 except ClvolError as error:
-                    if not keeping or self.client.status != "running":
+                    if not keeping or (isinstance(error, ClusterError) and not isinstance(error, PoisonError)):
                         raise
                     result = error
                 future.release()  # the worker need not keep it
@@ -243,12 +264,14 @@ class Cluster:
             raise
         except distributed.KilledWorker as error:
             raise PoisonError(str(error), str(error.task)) from None
-        except (ImportError, AttributeError) as error:
-            raise ClusterError(f"workers must have clvol {version()}, as this process has: {error}") from error
-        except (distributed.CancelledError, TimeoutError, OSError) as error:
-            if self.client.status != "running" or isinstance(error, distributed.CancelledError):
+        except distributed.CancelledError as error:
+            if self.client.status != "running":
                 raise self._gone() from error
-            raise ClusterError(f"{type(error).__name__} in a worker at {self.address}: {error}") from error
+            raise LostError(f"the workers that had what this takes are gone from {self.address}") from error
+        except TimeoutError as error:
+            if self.client.status != "running":
+                raise self._gone() from error
+            raise _UnreadyError from error
         except Exception as error:
             raise ClusterError(f"{type(error).__name__} in a worker at {self.address}: {error}") from error
 
@@ -263,6 +286,31 @@ class Cluster:
 
 
 _LARGE = 8 << 20  # bytes of what the scheduler itself passes on
+
+
+class _UnreadyError(Exception):
+    """A result is not there yet after all."""
+
+
+def _within(seconds: float, work: Callable[[], _T]) -> _T:
+    """What work gives; `TimeoutError` if it takes longer: who should answer may be stopped."""
+    answer: list[Any] = []
+
+    def ask() -> None:
+        try:
+            answer.append((work(), None))
+        except BaseException as error:
+            answer.append((None, error))
+
+    asking = threading.Thread(target=ask, daemon=True, name="clvol: asking a cluster")
+    asking.start()
+    asking.join(seconds)
+    if not answer:
+        raise TimeoutError
+    result, error = answer[0]
+    if error is not None:
+        raise error
+    return result  # type: ignore[no-any-return]  # it is what work gave
 
 
 def _same(value: Any) -> Any:
@@ -311,7 +359,10 @@ def as_cluster(choice: ClusterLike) -> Cluster:
         return Cluster(choice)
     if isinstance(choice, str):
         try:
+            _require_listening(choice)  # a client that fails to connect takes long to give up
             client = distributed.Client(choice, timeout=WAIT, set_as_default=False)
+        except OptionError:
+            raise
         except (OSError, TimeoutError, ValueError) as error:
             raise ClusterError(
                 f"no scheduler answers at {choice} within {WAIT:g} s: {str(error) or type(error).__name__}"
@@ -324,23 +375,42 @@ def as_cluster(choice: ClusterLike) -> Cluster:
     return _local(distributed, whole("cluster", choice, minimum=1, maximum=1024))
 
 
+def _require_listening(address: str) -> None:
+    """Raise unless somebody listens at an address by TCP."""
+    found = re.fullmatch(r"(?:(\w+)://)?(.+):(\d+)", address)
+    if found is None:
+        raise OptionError(f"cluster must be the address of a scheduler, such as tcp://host:8786; got {address!r}")
+    if found[1] in (None, "tcp", "tls"):
+        socket.create_connection((found[2].strip("[]"), int(found[3])), timeout=WAIT).close()
+
+
 def _local(distributed: Any, count: int) -> Cluster:
     """So many processes of this machine, which share its cores."""
     import dask
 
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     each = str(max(1, cores // count))
-    settings = {"distributed.scheduler.allowed-failures": 1, "distributed.worker.use-file-locking": False}
+    settings = {
+        "distributed.scheduler.allowed-failures": 1,
+        "distributed.worker.use-file-locking": False,
+        "distributed.worker.multiprocessing-method": "spawn",  # OpenCL does not survive a fork
+    }
     with dask.config.set(settings):
-        cluster = distributed.LocalCluster(
-            n_workers=count,
-            threads_per_worker=1,
-            processes=True,
-            dashboard_address="127.0.0.1:0",
-            memory_limit=0,  # bricks have a budget; workers that dask ends at a limit of its own would be started for ever
-            silence_logs=50,
-            env={"POCL_MAX_PTHREAD_COUNT": each, "CL_CONFIG_CPU_FORCE_MAX_COMPUTE_UNITS": each},
-        )
+        try:
+            cluster = distributed.LocalCluster(
+                n_workers=count,
+                threads_per_worker=1,
+                processes=True,
+                dashboard_address="127.0.0.1:0",
+                memory_limit=0,  # bricks have a budget; workers that dask ends at a limit of its own would be started for ever
+                silence_logs=50,
+                env={"POCL_MAX_PTHREAD_COUNT": each, "CL_CONFIG_CPU_FORCE_MAX_COMPUTE_UNITS": each},
+            )
+        except RuntimeError as error:
+            raise ClusterError(
+                f"{count} processes must start; got {error}: they import the script that starts them, which does its work below "
+                '`if __name__ == "__main__":`'
+            ) from error
         try:
             client = distributed.Client(cluster, timeout=3 * WAIT, set_as_default=False)
         except BaseException:
@@ -360,6 +430,12 @@ def own_address() -> str:
         return str(distributed.get_worker().address)
     except ValueError:
         return ""
+
+
+def neighbours(places: dict[str, int]) -> int:
+    """How many workers there are on this one's host, itself included."""
+    host = own_address().rpartition(":")[0]
+    return max(1, sum(other.rpartition(":")[0] == host for other in places))
 
 
 def own_place(places: dict[str, int]) -> int:

@@ -320,6 +320,11 @@ def _one(
             result = _read(folder, mutated, trusted)
         except ClvolError:
             tally.refused += 1
+        except MemoryError:
+            if not trusted:
+                wrong.append(("foreign", "MemoryError"))
+            elif seed not in tally.doubtful:
+                tally.doubtful.append(seed)
         except Exception as error:
             where = traceback.extract_tb(error.__traceback__)[-1]
             wrong.append(("foreign", f"{type(error).__name__} in {Path(where.filename).name}:{where.name}"))
@@ -327,7 +332,7 @@ def _one(
     if not trusted or (seconds <= SECONDS and peak <= MEGABYTES):
         tally.slowest_s, tally.peak_mb = max(tally.slowest_s, seconds), max(tally.peak_mb, peak)
     if trusted and (seconds > SECONDS or peak > MEGABYTES):
-        tally.doubtful.append(seed)
+        tally.doubtful += [] if seed in tally.doubtful else [seed]
     elif seconds > SECONDS:
         wrong.append(("hangs", f"more than {SECONDS:g} s"))
     elif peak > MEGABYTES:

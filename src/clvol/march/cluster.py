@@ -21,10 +21,11 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol import memory
 from clvol.boundary import Boundary
 from clvol.camera import View
 from clvol.checks import one_of
-from clvol.cluster import Cluster, PoisonError, own_address, own_place, version, worker_device
+from clvol.cluster import Cluster, LostError, PoisonError, neighbours, own_address, own_place, version, worker_device
 from clvol.errors import ClusterError, DeviceError, OptionError, OutOfMemoryError
 from clvol.filter import Filter
 from clvol.lazy import Index, LazyVolume
@@ -32,7 +33,7 @@ from clvol.march.bricks import Area, BrickedDrawing, Carried, Pass, boxes_of, fr
 from clvol.march.frame import Frame, tile_of
 from clvol.march.launch import Picture, Progress, lent_pictures
 from clvol.mode import Composite, Isosurface, Mode
-from clvol.spline.bricked import Brick, BrickedField
+from clvol.spline.bricked import BUDGET, Brick, BrickedField
 
 __all__ = ["MERGES", "ClusterDrawing", "Group", "Merge", "Shared", "groups_of", "shared_out", "visible"]
 
@@ -147,7 +148,7 @@ class _Recipe:
     filter: Filter
     boundary: Boundary
     device: str | int | None
-    budget: int
+    budget: int | None
     edge: int
     places: dict[str, int]
     version: str = field(default_factory=version)
@@ -184,27 +185,34 @@ class Shared:
         Of which this process reads nothing.
     device : str, int or None
         Of the workers: see `as_device`. None: of several GPUs of a host each worker has another.
+    budget : int or None
+        Bytes for the bricks of each worker. None: the workers of a host share what one process would have.
     """
 
-    def __init__(self, cluster: Cluster, field: BrickedField, device: str | int | None) -> None:
+    def __init__(self, cluster: Cluster, field: BrickedField, device: str | int | None, budget: int | None) -> None:
         self.cluster, self.field = cluster, field
-        volume = field.volume
+        self._device, self._budget = device, budget
+        self.token = uuid.uuid4().hex
+        self.share()
+
+    def share(self) -> None:
+        """Share them out among the workers that are there now, and tell these what they make the field of."""
+        field, volume = self.field, self.field.volume
         recipe = _Recipe(
-            uuid.uuid4().hex,
+            self.token,
             volume,
             volume.limits,
             volume.is_labels,
             field.filter,
             field.boundary,
-            device,
-            field.budget,
+            self._device,
+            self._budget,
             field.edge,
-            cluster.places(),
+            self.cluster.places(),
         )
-        self.token = recipe.token
-        self.workers = cluster.workers
+        self.workers = self.cluster.workers
         self.tree = groups_of(field.counts, _GROUPS * max(1, len(self.workers)))
-        self.recipe = cluster.shared(recipe, volume.nbytes if volume.in_memory else 0)
+        self.recipe = self.cluster.shared(recipe, volume.nbytes if volume.in_memory else 0)
 
     def owner(self, group: Group) -> str | None:
         """The worker that reads a box, if it is still there."""
@@ -252,6 +260,20 @@ class ClusterDrawing(BrickedDrawing):
         told: Progress | None,
         *,
         begun: bool = False,
+    ) -> None:
+        try:
+            self._cast(frames, arrays, told, begun=begun)
+        except LostError:  # with workers, of which some may have died for another's sake
+            self._shared.share()
+            self._cast(frames, arrays, told, begun=begun)
+
+    def _cast(
+        self,
+        frames: list[tuple[Frame, NDArray[np.float32] | None]],
+        arrays: dict[str, Picture],
+        told: Progress | None,
+        *,
+        begun: bool,
     ) -> None:
         cluster = self._shared.cluster
         bare = tuple((_bare(frame), places) for frame, places in frames)
@@ -374,7 +396,7 @@ class _Work:
         bricks = [(x, y, z) for x, y, z in itertools.product(*map(range, group.first, group.past))]
         self.cancel()
         if not self._dies(bricks):
-            return ClusterError(
+            return LostError(
                 f"rays through bricks {bricks[0]} to {bricks[-1]} (x, y, z) end each worker that casts them, though they can be "
                 f"read: {error}"
             )
@@ -448,9 +470,8 @@ def _field_of(recipe: _Recipe) -> BrickedField:
             except DeviceError as error:
                 raise ClusterError(f"workers must have an OpenCL device; {own_address()} has none: {error}") from error
             volume = recipe.volume.as_known(recipe.limits, recipe.labels)
-            _fields[recipe.token] = BrickedField(
-                volume, recipe.filter, recipe.boundary, device, budget=recipe.budget, edge=recipe.edge
-            )
+            budget = recipe.budget or max(1, min(BUDGET, memory.available() // 2) // neighbours(recipe.places))
+            _fields[recipe.token] = BrickedField(volume, recipe.filter, recipe.boundary, device, budget=budget, edge=recipe.edge)
         field = _fields[recipe.token]
         _fields.move_to_end(recipe.token)
         for other in _fields.values():

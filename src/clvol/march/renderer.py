@@ -84,8 +84,8 @@ class Renderer:
         host each has another. A volume in memory is sent to them.
     merge : {"order", "tree"}
         How rays go through the bricks of a cluster. "order": front to back, from process to process; the picture is that of one
-        process, to the last bit. "tree": through all at once, merged two by two, which waits for nobody but does not know what is
-        hidden: equal within 1e-6, and within `termination` where matter stops the light.
+        process with the same bricks, to the last bit. "tree": through all at once, merged two by two, which waits for nobody but
+        does not know what is hidden: equal within 1e-6, and within `termination` where matter stops the light.
 
     Raises
     ------
@@ -121,6 +121,8 @@ class Renderer:
     ) -> None:
         if merge not in MERGES:
             raise one_of("merge", merge, MERGES)
+        if merge != "order" and cluster is None:
+            raise OptionError(f"merge says how a cluster puts rays together; got {merge!r} and no cluster")
         if cluster is not None and isinstance(scene, (Field, BrickedField)):
             raise OptionError("cluster takes a volume, of which its processes make fields; got a field of this process")
         given = {name: value for name, value in (("filter", filter), ("boundary", boundary)) if value is not None}
@@ -179,7 +181,7 @@ class Renderer:
         if own:
             self._lease.frees(field.close)
         self._merge: Merge = merge
-        self._asked_device = device
+        self._asked_device, self._asked_budget = device, budget
         self._shared: dict[int, Shared] = {}
         self._cluster: Cluster | None = None
         if cluster is not None:
@@ -486,7 +488,7 @@ class Renderer:
         one ray a pixel; then that with its other rays. All show the same part of the world: scale them to `size`.
 
         Of a `LazyVolume` they are whole pictures of its levels, the coarsest first, however long these take; `cancelled` is asked
-        after each brick.
+        after each brick, and of a cluster after each area of a picture.
 
         Parameters
         ----------
@@ -601,12 +603,12 @@ class Renderer:
         """Who of the cluster has which bricks of a field; anew when other workers are there."""
         with self._lock:
             found = self._shared.get(id(field))
-            if found is None or found.workers != cluster.workers:
-                if found is not None:
-                    found.forget()
+            if found is None:
                 choice = self._asked_device
-                found = Shared(cluster, field, choice.name if isinstance(choice, Device) else choice)
+                found = Shared(cluster, field, choice.name if isinstance(choice, Device) else choice, self._asked_budget)
                 self._shared[id(field)] = found
+            elif found.workers != cluster.workers:
+                found.share()
             return found
 
     def _field_at(self, mode: Mode, level: int) -> BrickedField:
@@ -808,6 +810,7 @@ def render(
     Picture, an ndarray of float32, shape (height, width, 4)
         Red, green, blue and opacity in 0..1, or a dictionary for several `outputs`.
     """
+    held = {name: options.pop(name) for name in ("budget", "cluster", "merge") if name in options}
     chosen = as_mode(mode, {name: value for name, value in options.items() if name not in _KEYWORDS}, _KEYWORDS)  # before any work,
     as_pixel_filter(options.get("pixel_filter", DEFAULT_PIXEL_FILTER))  # and so is this
     free = filter is None and not isinstance(scene, (Scene, Medium, Field, BrickedField))
@@ -818,7 +821,7 @@ def render(
     _require_picture(_size(size), _outputs(outputs), edges=False)
     looked = scene.part() if free and isinstance(scene, LazyVolume) else scene
     row = filter_for(looked, None, chosen.picture_filter) if free else filter  # type: ignore[arg-type]  # it is a volume then
-    with Renderer(scene, row, boundary, device) as renderer:
+    with Renderer(scene, row, boundary, device, **held) as renderer:
         return renderer.render(camera, mode, size, step, outputs=outputs, **options)  # type: ignore[arg-type]  # either
 
 
