@@ -175,7 +175,7 @@ class Bricks:
         return rows
 
     def _part(self, rows: list[list[tuple[int, int]]], shape: tuple[int, ...]) -> tuple[list[int], tuple[Cell, Cell]]:
-        """The first of these blocks along z, y and x, and the cells that they all have, as `MinMax` takes them: not the margin's."""
+        """The first of these blocks along z, y and x, and the cells that they all have, as of `MinMax`: not the margin's."""
         begin = [row[0][0] for row in rows]
         x, y, z = (CELLS * one for one in begin[::-1])
         i, j, k = (min(CELLS * row[-1][1], n - self._filter.support + 1) for row, n in zip(rows[::-1], shape[::-1], strict=True))

@@ -427,7 +427,7 @@ class BrickedField:
         return Resident(brick.at, filled(made, data))
 
     def going_through(self, order: Sequence[Index]) -> None:
-        """Bricks will be asked for in this order, and perhaps once more from the first on: by the next rays, or the next picture."""
+        """Bricks will be asked for in this order, and perhaps once more from the first on: by the next rays, the next picture."""
         with self._lock:
             self._turns, self._turn = {at: i for i, at in enumerate(order)}, 0
 
