@@ -69,10 +69,12 @@ def fuzz() -> str:
         "foreign": "foreign errors",
         "silent": "silent changes",
         "leaks": "leaks",
+        "contained": "contained",
     }
     found = json.loads(FUZZ.read_text(encoding="utf-8"))
-    rows = [[row["format"], *(row[key] for key in counts), *(row[key] for key in _WORST)] for row in found]
-    rows.append(["all", *(sum(row[key] for row in found) for key in counts), *(max(row[key] for row in found) for key in _WORST)])
+    rows = [[row["format"], *(row.get(key, 0) for key in counts), *(row[key] for key in _WORST)] for row in found]
+    sums = [sum(row.get(key, 0) for row in found) for key in counts]
+    rows.append(["all", *sums, *(max(row[key] for row in found) for key in _WORST)])
     told = [[row[0], *map(_count, row[1:-2]), f"{row[-2]:.1f}", _count(row[-1])] for row in rows]
     few = [row["format"] for row in found if row["tried"] < _AIM]
     missed = f"\nThe aim of {_count(_AIM)} inputs has not been reached for: {', '.join(few)}.\n" if few else ""

@@ -65,10 +65,10 @@ def same_stores(a: Path, b: Path) -> None:
 
 @pytest.mark.parametrize("version", ["0.4", "0.5"])
 def test_others_read_it(tmp_path: Path, version: Any) -> None:
-    """The models of OME-Zarr, ome-zarr's reader and plain zarr, which do not know of bounds and coefficients."""
+    """The models of OME-Zarr, ome-zarr's reader and plain zarr, which do not know of bounds."""
     models = pytest.importorskip("ome_zarr_models")
     volume = scan(name="nuclei", window=(10, 5000), color=(0, 1, 0), origin=(1, 2, 3))
-    clvol.pyramid(volume, tmp_path / "v.zarr", levels=3, coefficients=True, version=version)
+    clvol.pyramid(volume, tmp_path / "v.zarr", levels=3, version=version)
     with warnings.catch_warnings(action="ignore"):
         group = zarr.open_group(tmp_path / "v.zarr", mode="r")
         image = models.open_ome_zarr(group)
@@ -320,15 +320,6 @@ def test_values_far_from_zero_have_bounds_of_their_size(tmp_path: Path) -> None:
     assert data.max() <= high < 1e6 + 1.01
 
 
-def test_coefficients_are_those_of_one_piece(tmp_path: Path) -> None:
-    volume = scan((40, 300, 30))
-    clvol.pyramid(volume, tmp_path / "v.zarr", coefficients=True, filter="bspline5", levels=1)
-    found = arrays_of(tmp_path / "v.zarr")["clvol/coefficients/0"]
-    assert found.dtype == np.float32
-    whole = clvol.prefilter(volume, "bspline5", precision="double")
-    assert np.abs(found - np.asarray(whole)).max() < 1e-5 * 65535
-
-
 def test_bounds_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     clvol.pyramid(scan(), tmp_path / "v.zarr", levels=1)
     group = zarr.open_group(tmp_path / "v.zarr", mode="r+")
@@ -376,7 +367,7 @@ SLOWLY = """
         time.sleep(0.05)
 
     volume = clvol.Volume(np.load(sys.argv[1]), spacing=(0.5, 0.5, 0.5))
-    clvol.pyramid(volume, sys.argv[2], chunks=8, levels=3, filter="bspline3", coefficients=True, progress=slowly)
+    clvol.pyramid(volume, sys.argv[2], chunks=8, levels=3, filter="bspline3", progress=slowly)
 """
 
 
@@ -385,7 +376,7 @@ def test_a_killed_process_changes_nothing_but_time(tmp_path: Path) -> None:
     """Killed at several places, the store is the one that was made without; what was done is not done again."""
     np.save(tmp_path / "v.npy", waves((60, 70, 80)))
     volume = clvol.Volume(np.load(tmp_path / "v.npy"), spacing=(0.5, 0.5, 0.5))
-    about: dict[str, Any] = {"chunks": 8, "levels": 3, "filter": "bspline3", "coefficients": True}
+    about: dict[str, Any] = {"chunks": 8, "levels": 3, "filter": "bspline3"}
     told: list[float] = []
     clvol.pyramid(volume, tmp_path / "whole.zarr", progress=told.append, **about)
     assert told == sorted(told)

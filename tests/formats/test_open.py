@@ -469,6 +469,165 @@ def test_sizes_of_imaris(tmp_path: Path) -> None:
     np.testing.assert_array_equal(lazy.levels[0].whole().data, DATA[0, 1, :10, :15, :20])
 
 
+OBLIQUE = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("dtype", ["u1", "i2", "u2", "i4", "f4", "f8", "i8"])
+def test_nifti(tmp_path: Path, dtype: str, order: str) -> None:
+    """As nibabel has it: in one file and in two, scaled and not, and of a series what was chosen."""
+    nibabel = pytest.importorskip("nibabel")
+    affine = np.eye(4)
+    affine[:3, :3], affine[:3, 3] = OBLIQUE * [0.5, 1.5, 2.0], (10, -20, 30)
+    data = (DATA[:, 0] % 100).astype(dtype).T  # x, y, z, t
+    for suffix, kind, scaling in (
+        (".nii", nibabel.Nifti1Image, None),
+        (".nii", nibabel.Nifti2Image, (0.5, 3)),
+        (".img", nibabel.Nifti1Pair, None),
+    ):
+        header = kind.header_class(endianness=order)
+        header.set_data_dtype(np.dtype(dtype))
+        header["xyzt_units"] = 2 | 8
+        image = kind(data, affine, header)
+        image.header.set_slope_inter(*(scaling or (None, None)))
+        nibabel.save(image, tmp_path / f"v{suffix}")
+        lazy = same(tmp_path / f"v{suffix}", time=1)
+        truth = np.asanyarray(nibabel.load(tmp_path / f"v{suffix}").dataobj)[..., 1].T
+        np.testing.assert_array_equal(lazy.whole().data, truth)
+        assert lazy.dtype == truth.dtype.newbyteorder("=")
+    same(tmp_path / "v.hdr", time=0)
+
+
+def test_nifti_of_colours_and_vectors(tmp_path: Path) -> None:
+    nibabel = pytest.importorskip("nibabel")
+    colours = (
+        np.ascontiguousarray(np.moveaxis(DATA[0], 0, -1) % 256).astype("u1").view([("R", "u1"), ("G", "u1"), ("B", "u1")])[..., 0].T
+    )
+    nibabel.save(nibabel.Nifti1Image(colours, np.eye(4)), tmp_path / "colours.nii")
+    for choice in ({}, {"channel": "green"}):
+        same(tmp_path / "colours.nii", **choice)  # without a choice the luminance
+    image = nibabel.Nifti1Image(DATA[0].astype("f4").T[:, :, :, None], np.eye(4))
+    image.header.set_intent("vector")
+    nibabel.save(image, tmp_path / "vectors.nii")
+    for choice in ({}, {"channel": "z"}):
+        same(tmp_path / "vectors.nii", **choice)
+
+
+def faulty(path: Path, packed: Path) -> None:
+    """What is cut short or packed is refused; what changes later is noticed, and pickles open the file again."""
+    lazy = clvol.open(path)
+    assert pickle.loads(pickle.dumps(lazy)).read(LOW, HIGH).sum() == lazy.read(LOW, HIGH).sum()
+    blob = path.read_bytes()
+    path.write_bytes(blob[:-100])
+    with pytest.raises(FormatError, match=rf"{path.name} has changed since it was opened"):
+        lazy.whole()
+    with pytest.raises(FormatError, match=r"must hold .* bytes of samples"):
+        clvol.open(path)
+    with pytest.raises(FormatError, match=r"packed as a whole.*clvol\.read reads it whole, clvol\.pyramid makes a Zarr store"):
+        clvol.open(packed)
+
+
+def test_faults_of_nifti(tmp_path: Path) -> None:
+    pytest.importorskip("nibabel")
+    for suffix in (".nii", ".nii.gz"):
+        clvol.write(clvol.Volume(DATA[0, 0]), tmp_path / f"v{suffix}")
+    faulty(tmp_path / "v.nii", tmp_path / "v.nii.gz")
+
+
+NRRD_TYPES = {
+    "u1": "uchar",
+    "i2": "short",
+    "u2": "ushort",
+    "i4": "int",
+    "u4": "uint",
+    "i8": "longlong",
+    "f4": "float",
+    "f8": "double",
+}
+META_TYPES = {
+    "u1": "UCHAR",
+    "i2": "SHORT",
+    "u2": "USHORT",
+    "i4": "INT",
+    "u4": "UINT",
+    "i8": "LONG_LONG",
+    "f4": "FLOAT",
+    "f8": "DOUBLE",
+}
+
+
+def nrrd(path: Path, data: np.ndarray[Any, Any], kinds: str = "domain domain domain", more: str = "", skipped: bytes = b"") -> Path:
+    """With the samples behind the header, or (.nhdr) in a file of their own."""
+    domain = ["(0.18,-0.4,0.24)", "(0.72,0.9,0.96)", "(-1.6,0,1.2)"]
+    directions = " ".join(
+        "none" if kind not in ("domain", "time") else domain.pop(0) if domain else "none" for kind in kinds.split()
+    )
+    head = (
+        f"NRRD0005\ntype: {NRRD_TYPES[data.dtype.str[1:]]}\ndimension: {data.ndim}\nspace: right-anterior-superior\n"
+        f"sizes: {' '.join(map(str, data.shape[::-1]))}\nspace directions: {directions}\nkinds: {kinds}\nencoding: raw\n"
+        f"endian: {'big' if data.dtype.str[0] == '>' else 'little'}\nspace origin: (1,-2,3)\n{more}"
+    )
+    apart = path.suffix == ".nhdr"
+    head += "data file: v.dat\n" if apart else ""
+    path.write_bytes(f"{head}\n".encode() + (b"" if apart else skipped + data.tobytes()))
+    if apart:
+        path.with_name("v.dat").write_bytes(skipped + data.tobytes())
+    return path
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("dtype", NRRD_TYPES)
+def test_nrrd_and_metaimage(tmp_path: Path, dtype: str, order: str) -> None:
+    """As SimpleITK has them: attached and detached, in both byte orders, with what stands before the samples."""
+    sitk = pytest.importorskip("SimpleITK")
+    data = (DATA[0, 0] % 100).astype(order + dtype)
+    files = [nrrd(tmp_path / "v.nrrd", data), nrrd(tmp_path / "v.nhdr", data, "domain domain domain", "byte skip: 3\n", b"abc")]
+    matrix = " ".join(f"{v:g}" for v in OBLIQUE.T.ravel())
+    for name, element in (("v.mha", "LOCAL"), ("v.mhd", "m.raw")):
+        skip, before = ("HeaderSize = 5\n", b"abcde") if name == "v.mhd" else ("", b"")
+        head = (
+            f"ObjectType = Image\nNDims = 3\nBinaryData = True\nBinaryDataByteOrderMSB = {order == '>'}\n{skip}"
+            f"TransformMatrix = {matrix}\nOffset = 1 -2 3\nElementSpacing = 0.5 1.5 2\nDimSize = 40 30 20\n"
+            f"ElementType = MET_{META_TYPES[dtype]}\nElementDataFile = {element}\n"
+        )
+        (tmp_path / name).write_bytes(head.encode() + (data.tobytes() if element == "LOCAL" else b""))
+        if element != "LOCAL":
+            (tmp_path / element).write_bytes(before + data.tobytes())
+        files.append(tmp_path / name)
+    for path in files:
+        lazy = same(path)
+        truth = sitk.GetArrayFromImage(sitk.ReadImage(str(path)))
+        np.testing.assert_array_equal(lazy.whole().data, truth)
+        assert lazy.dtype == truth.dtype
+
+
+def test_several_values_a_voxel_and_scaled_ones(tmp_path: Path) -> None:
+    sitk = pytest.importorskip("SimpleITK")
+    interleaved = np.ascontiguousarray(np.moveaxis(DATA[0], 0, -1)).astype("f4")
+    image = sitk.GetImageFromArray(interleaved, isVector=True)
+    for suffix in (".mha", ".nrrd"):
+        sitk.WriteImage(image, str(tmp_path / f"v{suffix}"))
+        for choice in ({}, {"channel": 2}):
+            same(tmp_path / f"v{suffix}", **choice)
+    nrrd(tmp_path / "last.nrrd", DATA[0], "domain domain domain list")
+    same(tmp_path / "last.nrrd", volume=1)
+    for suffix in (".mha", ".nrrd"):
+        sitk.WriteImage(sitk.GetImageFromArray(DATA[:, 0], isVector=False), str(tmp_path / f"series{suffix}"))
+        same(tmp_path / f"series{suffix}", volume=1)
+    blob = (tmp_path / "v.mha").read_bytes()
+    field = b"ElementToIntensityFunctionSlope = 0.5\nElementToIntensityFunctionOffset = -3\nElementDataFile"
+    (tmp_path / "scaled.mha").write_bytes(blob.replace(b"ElementDataFile", field))
+    assert same(tmp_path / "scaled.mha", channel=1).dtype == np.float64
+
+
+@pytest.mark.parametrize("suffix", [".nrrd", ".mha"])
+def test_faults_of_nrrd_and_metaimage(tmp_path: Path, suffix: str) -> None:
+    sitk = pytest.importorskip("SimpleITK")
+    for name, packed in (("v", False), ("packed", True)):
+        sitk.WriteImage(sitk.GetImageFromArray(DATA[0, 0]), str(tmp_path / f"{name}{suffix}"), useCompression=packed)
+    faulty(tmp_path / f"v{suffix}", tmp_path / f"packed{suffix}")
+
+
 def test_formats_without_parts_say_so(tmp_path: Path) -> None:
     clvol.write(clvol.Volume(DATA[0, 0]), tmp_path / "v.npz")
     with pytest.raises(FormatError, match=r"part by part.*NumPy archive: clvol\.read reads it whole, clvol\.pyramid makes a Zarr"):

@@ -275,5 +275,16 @@ FOUND: tuple[tuple[str, str, str], ...] = (
         "an item that ends within an element",
         "c-qC0F-Rjp6o&t|$>}2MZB7j-1j8vu6kKNGh6F4Gqhi3gnkWhek%KD^ECdV1La`7m1X004un;UP1UoxBJ3BkObar-j;`z_q8t!bgbC%`(^WHcAdpiq!?iwoOix%VbSQLwl76iedj$C3fP8ZtYxoJ1&E7wy><=l+xxjtW=^+-g>*oNtIeeNCZTi={{Wxugj_m_o@_`B{l692i|SU|pPAwQKw6Dv_&K@!b1-waZE>azZl6r!XXQ4Gd|{AejC4yThTdK6gosT{*a$i<BMLIu&vp^}=ijQUCyF^a3yy<eULrvaY-pgPN#M0`)@+QVF{$z?Ib3A~Cj52NmDxUP`Xd;$~XqTu|jD{33c&1Nc!A5>DN*Llc)H@+>#BOd0OO)kxIyoE}dU39kVA2Jb=PK~q;sXOX?=LcLfA9l^swYuRTm;qK<tLGnT<IQxU2Oe@5zzB+%!W@3$H<qx1b!=e=2ROnB&TxTCT;UowxWyf+xW@w?@x=RYkeDQ-Lw-oF_|h+fQjiImk$L$gi?S?hvMJlLD~EC{r}6@YI)<D",
     ),
+    (
+        "v.zarr.zip",
+        "a chunk by another's name: that one was read, and fill values",
+        "c-oCqF^CgE6n+1q9;OhK6D$Pd2o@5(i{?bM5G@1=$`*pi5tm7JlAF8DY?z%@lOv*qASj3k7J|irg`J()*x3mdb~a)sSlC$z7S8M@n@c2|f0+4y"
+        "|DX5YpPfHmt*~POnH<K#*Bci+Yq>dZXLE7Mjd|?BejLOR976?Xa2}U%1=p~G1|+(;jk|b&$9RSp*u-nR!CSn?2Yke5e8D$-$4~si9~7uad+7jq"
+        "6QsY_p1zwTtvJ#{bd-)$mCn&cx=bEjr<)`wq?r12pB~Z^dQLCt72!W+l62prPyFf};O1`Y>2s}5ti_SqD3(erUgcfE&X!i}N2zqGoT_T3mhD=1"
+        "CJVUXzUieqSt6CGoMvgDxtgeTzpZ6pBO57-Dc(u<Y0*wXu346hH6zuM?L>1UBbD#Yb4(WE<YYNFt7CI{Xw_3au<Kw;CF`Q+3)PGQsoMWm6o?j2"
+        "LbGi}vFLK^jkE(TvMHvP3`74G4-=PjDI<>p(Twxz^F$-!M$d?tmGcwNAhsc)0?D0^h0>T%uwiJB7m?ivH%7}w;?i1tR#+fALd7<v?|8@Mu>R=8"
+        "y^(Q;<(XVR_^n8HxUq<|1DLYs$?x07c?M*${U^L_Lz=7DVT4X;>cxRqqq&8`><2cIdubaFJAWE9{XoW`WHxBJ!N;H<Tie~M?cC+u1v@sa_6zRo"
+        "FWQIMTL",
+    ),
 )
 """Name, what happened, and content."""

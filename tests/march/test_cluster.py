@@ -40,7 +40,7 @@ def volume() -> clvol.LazyVolume:
 
 @pytest.fixture(autouse=True)
 def small_bricks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(BrickedField, "_edge_for", lambda _, edge: edge or 16)
+    monkeypatch.setattr(BrickedField, "_edge_for", lambda _, edge, **_options: edge or 16)
 
 
 def both(cluster: Cluster, merge: Any, volume: Any, filter: str, *args: Any, **options: Any) -> tuple[Any, Any]:

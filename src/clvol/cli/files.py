@@ -320,7 +320,6 @@ def pyramid(
     shards: Annotated[tuple[int, int, int] | None, Parameter(converter=whole_numbers)] = None,
     compressor: Literal["lz4", "zstd", "none"] = "lz4",
     bounds: bool = True,
-    coefficients: Annotated[bool, Parameter(negative="")] = False,
     ome: Literal["0.4", "0.5"] = "0.5",
     budget: Annotated[str | None, Parameter(show_default=False)] = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
@@ -350,8 +349,6 @@ def pyramid(
         How samples are packed, by Blosc.
     bounds
         Keep minima and maxima of the function, so that what cannot be seen is not read.
-    coefficients
-        Keep the coefficients of each size too.
     ome
         Version of OME-Zarr: 0.4 is Zarr 2, 0.5 is Zarr 3.
     budget
@@ -373,7 +370,6 @@ def pyramid(
             shards=shards,
             compressor=compressor,
             bounds=bounds,
-            coefficients=coefficients,
             version=ome,
             budget=None if budget is None else bytes_of(budget),
             overwrite=overwrite,

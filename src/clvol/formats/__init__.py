@@ -107,11 +107,20 @@ _PILLOW = ("imageio.v3", "PIL.Image")
 FORMATS = (
     Format("NumPy array, no geometry", (".npy",), npy.read, npy.write, several=True, write_several=npy.write, lazily=npy.lazily),
     Format("NumPy archive", (".npz",), npy.read_archive, npy.write_archive, several=True, write_several=npy.write_archive),
-    Format("NIfTI", (".nii", ".nii.gz"), nifti.read, nifti.write, several=True, write_several=nifti.write),
-    Format("NIfTI in two files", (".hdr", ".img"), nifti.read_pair, several=True),
-    Format("NRRD", (".nrrd", ".nhdr"), nrrd.read, nrrd.write, several=True, native=_ITK, write_several=nrrd.write),
+    Format("NIfTI", (".nii", ".nii.gz"), nifti.read, nifti.write, several=True, write_several=nifti.write, lazily=nifti.lazily),
+    Format("NIfTI in two files", (".hdr", ".img"), nifti.read_pair, several=True, lazily=nifti.lazily_pair),
     Format(
-        "MetaImage", (".mha", ".mhd"), metaimage.read, metaimage.write, several=True, native=_ITK, write_several=metaimage.write
+        "NRRD", (".nrrd", ".nhdr"), nrrd.read, nrrd.write, several=True, native=_ITK, write_several=nrrd.write, lazily=nrrd.lazily
+    ),
+    Format(
+        "MetaImage",
+        (".mha", ".mhd"),
+        metaimage.read,
+        metaimage.write,
+        several=True,
+        native=_ITK,
+        write_several=metaimage.write,
+        lazily=metaimage.lazily,
     ),
     Format("FreeSurfer MGH", (".mgh", ".mgz"), mgz.read, several=True),
     Format(

@@ -112,6 +112,9 @@ def require_members(source: object, archive: zipfile.ZipFile, *, replaced: bool 
     """
     members = archive.infolist()
     if replaced:
+        for member in members:  # that which is hidden by a damaged name of another is not replaced
+            if member.compress_type == zipfile.ZIP_STORED:
+                archive.open(member).close()
         members = list({member.filename: member for member in members}.values())
     if len({member.filename for member in members}) != len(members):
         raise FormatError(f"{source} must hold members of different names; some have the same")

@@ -7,7 +7,7 @@ itself, and only what is sound is handed over.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,17 +16,43 @@ from typing import Any
 import numpy as np
 
 from clvol.errors import DataError, FormatError
-from clvol.foreign import Content, from_simpleitk, simpleitk
+from clvol.foreign import Content, from_simpleitk, simpleitk, simpleitk_says
 from clvol.formats._choice import Choice
 from clvol.formats._files import foreign_errors, require_default, scaled
+from clvol.formats._layout import Layout, scaled_window
 from clvol.formats._limits import announce
+from clvol.formats._window import FlatFile, Index, Window
 from clvol.formats._wire import copied
 from clvol.volume import Volume
 from clvol.volumes import Leading, Volumes
 
-__all__ = ["Header", "quiet", "read_image", "reason", "write_image"]
+__all__ = ["Flat", "Header", "open_image", "quiet", "read_image", "reason", "write_image"]
 
 _TOLERANCE = 1e-12  # of what was to be written, to what was
+
+
+@dataclass(frozen=True)
+class Flat:
+    """Samples that follow each other in a file.
+
+    Parameters
+    ----------
+    path : Path
+    start : int
+        Bytes before them.
+    dtype : dtype
+        As stored.
+    shape : tuple of int
+        The last axis varies fastest.
+    channels : int or None
+        Which of these axes counts the values of a voxel.
+    """
+
+    path: Path
+    start: int
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
+    channels: int | None = None
 
 
 @dataclass(frozen=True)
@@ -51,6 +77,8 @@ class Header:
         Of the samples.
     stored : int
         Bytes of the file that holds them.
+    flat : Flat, optional
+        Where the samples lie, if they are not packed.
     """
 
     size: tuple[int, ...]
@@ -62,6 +90,7 @@ class Header:
     timed: bool = False
     bytes: int = 0
     stored: int = 0
+    flat: Flat | None = None
 
 
 def reason(error: Exception) -> str:
@@ -89,16 +118,66 @@ def read_image(path: Path, image_io: str, header: Header, choose: Choice) -> Con
     with quiet(), foreign_errors(f"read {path}", reason):
         image = sitk.ReadImage(str(path), imageIO=image_io)
     data, geometry = from_simpleitk(image, header.units, copy=False)
-    if sorted(n for n in data.shape if n > 1) != sorted(
-        n for n in header.size if n > 1
-    ):  # two readings of one header: trust neither
-        raise FormatError(f"cannot read {path}: its header says {header.size}, ITK finds {data.shape[::-1]} samples")
+    _require_alike(path, header, data.shape)
     if not header.spacing_known:
         geometry["spacing"] = (float("nan"),) * len(geometry["spacing"])
     leading, guessed = _leading(geometry.pop("leading", {}), header)
     pick = choose(path.name, leading, guessed)
     chosen = scaled(copied(data[pick.index]), header.slope, header.offset)
     return pick.finish(chosen), geometry | pick.about
+
+
+def open_image(path: Path, image_io: str, header: Header, choose: Choice) -> list[Content]:
+    """As `read_image`, but no samples are read yet: ITK is asked for the geometry alone. Nothing where they are packed."""
+    flat = header.flat
+    if flat is None:
+        return []
+    sitk = simpleitk()
+    with quiet(), foreign_errors(f"open {path}", reason):
+        reader = sitk.ImageFileReader()
+        reader.SetFileName(str(path))
+        reader.SetImageIO(image_io)
+        reader.ReadImageInformation()
+        about = _Information(reader, sitk.GetPixelIDValueAsString(reader.GetPixelIDValue()))
+    geometry = simpleitk_says(about, header.units)
+    _require_alike(path, header, (*about.GetSize()[::-1], about.GetNumberOfComponentsPerPixel()))
+    kind = {"u": "unsigned integer", "i": "signed integer", "f": "float"}[flat.dtype.kind]
+    if f"{8 * flat.dtype.itemsize}-bit {kind}" not in about.kind:
+        raise FormatError(f"cannot open {path}: its header says {flat.dtype}, ITK finds {about.kind}")
+    if not header.spacing_known:
+        geometry["spacing"] = (float("nan"),) * len(geometry["spacing"])
+    leading, guessed = _leading(geometry.pop("leading", {}), header)
+    names, own = [""] * len(flat.shape), [axis for axis in range(len(flat.shape)) if axis != flat.channels]
+    for axis, name in zip(own[::-1], ("x", "y", "z", *(one for one in leading.axes if one != "channel")), strict=False):
+        names[axis] = name
+    if flat.channels is not None and flat.shape[flat.channels] > 1:
+        names[flat.channels] = "channel" if "channel" in leading.axes else leading.axes[-1]
+    samples = FlatFile(flat.path, flat.shape, flat.dtype, flat.start)
+
+    def window(index: Index) -> Window:
+        return scaled_window(Window(samples, flat.shape, flat.dtype, None, index), header.slope, header.offset)
+
+    data, known = Layout(tuple(names), flat.shape, guessed).chosen(path.name, choose, window, leading)
+    return [(data, geometry | known)]
+
+
+class _Information:
+    """What a reader of ITK knows before it reads, by the names that images have for it."""
+
+    def __init__(self, reader: Any, kind: str) -> None:
+        self.kind = kind
+        self.GetSize, self.GetSpacing, self.GetOrigin = reader.GetSize, reader.GetSpacing, reader.GetOrigin
+        self.GetDirection, self.GetDimension = reader.GetDirection, reader.GetDimension
+        self.GetNumberOfComponentsPerPixel = reader.GetNumberOfComponents
+
+    def GetPixelIDTypeAsString(self) -> str:
+        return self.kind
+
+
+def _require_alike(path: Path, header: Header, shape: Sequence[int]) -> None:
+    """Two readings of one header that differ: trust neither."""
+    if sorted(n for n in shape if n > 1) != sorted(n for n in header.size if n > 1):
+        raise FormatError(f"cannot read {path}: its header says {header.size}, ITK finds {tuple(shape[::-1])} samples")
 
 
 def _leading(found: dict[str, Any], header: Header) -> tuple[Leading, str]:

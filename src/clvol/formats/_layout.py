@@ -18,7 +18,7 @@ from clvol.formats._window import Window
 from clvol.interop import Content
 from clvol.volumes import AXES, Leading
 
-__all__ = ["Layout", "decoded", "lay_out", "place", "shrunk", "uniform", "unnamed"]
+__all__ = ["Layout", "decoded", "lay_out", "place", "scaled_window", "shrunk", "uniform", "unnamed"]
 
 _WORDS = {
     "x": ("x", "lon", "longitude", "column", "columns", "easting", "width"),
@@ -93,15 +93,14 @@ class Layout:
     ) -> tuple[Any, dict[str, Any]]:
         """The samples that `choose` takes, [..., z, y, x], and what is known of them; `load` gives the array at an index.
 
-        Of a `Window` of the array they are one too.
+        Of a `Window` of the array they are one too. `leading` may have the axes in another order, that of the samples.
         """
-        pick = choose(source, leading or Leading(self.leading, self.counts), self.guessed)
-        taken = dict(zip(self.leading, pick.index, strict=True))
+        known = leading or Leading(self.leading, self.counts)
+        pick = choose(source, known, self.guessed)
+        taken = dict(zip(known.axes, pick.index, strict=True))
         index = tuple(taken.get(axis, slice(None) if axis else 0) for axis in self.axes)
         left = [axis for axis, place in zip(self.axes, index, strict=True) if isinstance(place, slice)]
-        order = sorted(
-            left, key=lambda axis: ("z", "y", "x").index(axis) + len(AXES) if axis in "zyx" else self.leading.index(axis)
-        )
+        order = sorted(left, key=lambda axis: ("z", "y", "x").index(axis) + len(AXES) if axis in "zyx" else known.axes.index(axis))
         samples = load(index).transpose([left.index(axis) for axis in order])
         if isinstance(samples, Window):
             several = sum(axis in AXES for axis in left)
@@ -210,6 +209,11 @@ def shrunk(base: Content, content: Content) -> Content:
     amid = [(factor - 1) / 2 * s for factor, s in zip(factors, first["spacing"], strict=True)]
     origin = np.asarray(first["origin"]) + np.asarray(first.get("direction", np.eye(len(amid)))) @ amid
     return data, about | {"spacing": spacing, "origin": origin.tolist()}
+
+
+def scaled_window(window: Window, slope: float, offset: float) -> Window:
+    """``slope * sample + offset``, as `scaled` has it, of samples that are read when they are needed."""
+    return window if slope == 1 and offset == 0 else window.mapped(lambda part: scaled(part, slope, offset))
 
 
 def decoded(data: Any, attributes: Mapping[str, Any]) -> Any:

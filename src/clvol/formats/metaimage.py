@@ -18,7 +18,7 @@ from clvol.formats._headers import data_path, line, numbers, whole
 from clvol.volume import Volume
 from clvol.volumes import Volumes
 
-__all__ = ["check", "read", "write"]
+__all__ = ["check", "lazily", "read", "write"]
 
 _IO = "MetaImageIO"
 _DTYPES = {
@@ -35,6 +35,7 @@ _DTYPES = {
     "MET_FLOAT": "float32",
     "MET_DOUBLE": "float64",
 }
+_ORDERS = ("BinaryDataByteOrderMSB", "ElementByteOrderMSB")
 _STEEPEST = 1.01  # direction cosines that were rounded
 _UNITS = {"?": "mm", "um": "um", "mm": "mm", "cm": "cm"}
 # How many numbers a field has, as a power of the number of axes: ITK reads past what is not there.
@@ -56,6 +57,11 @@ def read(path: Path, choose: Choice) -> Content:
     return _itk.read_image(path, _IO, check(path), choose)
 
 
+def lazily(path: Path, choose: Choice) -> list[Content]:
+    """As `read`, but no samples are read yet, where they are not packed."""
+    return _itk.open_image(path, _IO, check(path), choose)
+
+
 def write(volume: Volume | Volumes, path: Path) -> None:
     """Write samples and geometry exactly; ``.mhd`` puts the samples into a ``.raw`` file beside it."""
     _itk.write_image(volume, path, _IO, check)
@@ -67,18 +73,23 @@ def check(path: Path) -> _itk.Header:
         fields = _fields(stream, path.name)
         size, dtype = _layout(fields, path.name)
         file = fields["ElementDataFile"]
-        expected, stored = math.prod(size) * np.dtype(dtype).itemsize, path.stat().st_size
-        if file.upper() == "LOCAL":
+        expected = math.prod(size) * np.dtype(dtype).itemsize
+        place = path if file.upper() == "LOCAL" else data_path(path, file)
+        stored = place.stat().st_size
+        if place is path:
             found = _samples(stream, fields, path, expected)
         else:
-            place = data_path(path, file)
-            stored = place.stat().st_size
             with place.open("rb") as samples:
                 found = _samples(samples, fields, path, expected)
     # -1: the samples end with the file, whatever stands before them
     require_bytes(path.name, found, size[::-1], dtype, exact=fields.get("HeaderSize") != "-1")
     slope, offset = _intensity(fields, path.name)
-    return _itk.Header(size, _unit(fields, path.name), slope=slope, offset=offset, bytes=expected, stored=stored)
+    orders = {_flag(fields, key, path.name) for key in _ORDERS if key in fields}
+    flat = None
+    if not _flag(fields, "CompressedData", path.name) and len(orders) < 2:  # the samples end with the file
+        kind = np.dtype(dtype).newbyteorder(">" if True in orders else "<")
+        flat = _itk.Flat(place, stored - expected, kind, (*size[-2::-1], size[-1]), len(size) - 1)
+    return _itk.Header(size, _unit(fields, path.name), slope=slope, offset=offset, bytes=expected, stored=stored, flat=flat)
 
 
 def _fields(stream: IO[bytes], name: str) -> dict[str, str]:
@@ -118,7 +129,7 @@ def _layout(fields: dict[str, str], name: str) -> tuple[tuple[int, ...], str]:
             values = numbers(name, key, fields[key], rank**power)
             if power == 2 and max(map(abs, values)) > _STEEPEST:  # ITK never returns from a matrix of 1e308
                 raise FormatError(f"{name} must give direction cosines for {key!r}; got {fields[key][:80]!r}")
-    for key in ("BinaryDataByteOrderMSB", "ElementByteOrderMSB"):
+    for key in _ORDERS:
         _flag(fields, key, name)
     return size + channels, _DTYPES[fields["ElementType"]]
 

@@ -21,11 +21,13 @@ from clvol.errors import DataError, FormatError, GeometryError
 from clvol.foreign import NIFTI_MILLIMETRES, Content, Placement, affine_parts, from_ras, nifti_says, same_place
 from clvol.formats._choice import Choice
 from clvol.formats._files import gunzipped_size, require_bytes, require_default, scaled
+from clvol.formats._layout import Layout, scaled_window
 from clvol.formats._limits import announce
+from clvol.formats._window import FlatFile, Index, Window
 from clvol.volume import Volume
 from clvol.volumes import Leading, Volumes
 
-__all__ = ["check", "read", "read_pair", "write"]
+__all__ = ["check", "lazily", "lazily_pair", "read", "read_pair", "write"]
 
 
 def _record(fields: Sequence[tuple[str, str, int]], size: int) -> np.dtype[Any]:
@@ -157,6 +159,38 @@ def read_pair(path: Path, choose: Choice) -> Content:
     with _beside(path, ".hdr").open("rb") as stream:
         header = _parse(stream, path.name, pair=True)
     return _read(_beside(path, ".img"), header, choose)
+
+
+def lazily(path: Path, choose: Choice) -> list[Content]:
+    """As `read`, but no samples are read yet; nothing of a packed file, of which a part cannot be found without all before it."""
+    if _packed(path):
+        return []
+    with _opened(path) as stream:
+        header = _parse(stream, path.name)
+    return _lazily(path, header, choose)
+
+
+def lazily_pair(path: Path, choose: Choice) -> list[Content]:
+    """As `lazily`, where the header has a file of its own; `path` is that of either."""
+    with _beside(path, ".hdr").open("rb") as stream:
+        header = _parse(stream, path.name, pair=True)
+    return _lazily(_beside(path, ".img"), header, choose)
+
+
+def _lazily(path: Path, header: _Header, choose: Choice) -> list[Content]:
+    _count(path, header)
+    colours = header.parts > 1
+    before = header.leading.counts[:-1] if colours else header.leading.counts
+    shape = (*before, *header.size[::-1], *(header.parts,) * colours)
+    flat = FlatFile(path, shape, header.dtype, header.start)
+    names = (*header.leading.axes[: len(before)], *"zyx"[-len(header.size) :], *("channel",) * colours)
+
+    def window(index: Index) -> Window:
+        stored = Window(flat, shape, header.dtype, None, index)
+        return scaled_window(stored, header.slope, header.offset)
+
+    data, about = Layout(names, shape, header.guessed).chosen(path.name, choose, window, header.leading)
+    return [(data, header.about | about)]
 
 
 def _beside(path: Path, suffix: str) -> Path:

@@ -20,7 +20,7 @@ from clvol.formats._units import one_unit
 from clvol.volume import Volume
 from clvol.volumes import Volumes
 
-__all__ = ["check", "read", "write"]
+__all__ = ["check", "lazily", "read", "write"]
 
 _IO = "NrrdImageIO"
 _NAMES = {  # every name that the format has for a type
@@ -55,6 +55,11 @@ def read(path: Path, choose: Choice) -> Content:
     return _itk.read_image(path, _IO, check(path), choose)
 
 
+def lazily(path: Path, choose: Choice) -> list[Content]:
+    """As `read`, but no samples are read yet, where they are not packed."""
+    return _itk.open_image(path, _IO, check(path), choose)
+
+
 def write(volume: Volume | Volumes, path: Path) -> None:
     """Write samples and geometry exactly; ``.nhdr`` puts the samples into a ``.raw`` file beside it."""
     _itk.write_image(volume, path, _IO, check)
@@ -68,10 +73,9 @@ def check(path: Path) -> _itk.Header:
         fields = _fields(stream, path.name)
         size, dtype = _layout(fields, path.name)
         expected = math.prod(size) * np.dtype(dtype).itemsize
-        stored = path.stat().st_size
-        if "data file" in fields:
-            place = data_path(path, fields["data file"])
-            stored = place.stat().st_size
+        place = data_path(path, fields["data file"]) if "data file" in fields else path
+        stored = place.stat().st_size
+        if place is not path:
             with place.open("rb") as samples:
                 found = _samples(samples, fields, path.name, expected)
         else:
@@ -87,10 +91,31 @@ def check(path: Path) -> _itk.Header:
     spans = [kind for kind in kinds if kind in _DOMAIN]
     if "time" in spans[:-1]:  # ITK would take it for an axis of space
         raise FormatError(f"{path.name} must have its axis of time last; its header says kinds: {fields['kinds'][:80]}")
+    ranges = [axis for axis, kind in enumerate(kinds) if kind not in _DOMAIN]
+    flat = None
+    if fields["encoding"].lower() == "raw" and len(ranges) < 2:
+        order = _order(path.name, fields, dtype)
+        flat = _itk.Flat(place, stored - expected, order, size[::-1], len(size) - 1 - ranges[0] if ranges else None)
     values = next((_KINDS.get(kind, "channel") for kind in kinds if kind not in _DOMAIN), "")
     return _itk.Header(
-        size, one_unit(path.name, units) or "mm", known, values=values, timed="time" in spans, bytes=expected, stored=stored
+        size,
+        one_unit(path.name, units) or "mm",
+        known,
+        values=values,
+        timed="time" in spans,
+        bytes=expected,
+        stored=stored,
+        flat=flat,
     )
+
+
+def _order(name: str, fields: dict[str, str], dtype: str) -> np.dtype[np.generic]:
+    """The type in the byte order that the header names, as it must where samples have several bytes."""
+    kind = np.dtype(dtype)
+    order = fields.get("endian", "little" if kind.itemsize == 1 else "").lower()
+    if order not in ("little", "big"):
+        raise FormatError(f"{name} must say whether its samples are of endian little or big; got {order[:80]!r}")
+    return kind.newbyteorder("<" if order == "little" else ">")
 
 
 def _fields(stream: IO[bytes], name: str) -> dict[str, str]:

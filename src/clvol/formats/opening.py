@@ -56,8 +56,9 @@ def open(  # noqa: A001  # as files are opened: clvol.open
     Parameters
     ----------
     path : path-like or address
-        Zarr 2 and 3 and OME-Zarr (a folder or ``.zarr.zip``), TIFF, HDF5, netCDF-4 and Imaris, ``.npy``, and raw samples. Or the
-        address of a Zarr store: ``s3://...``, ``https://...``, ``memory://...`` and all else that fsspec knows.
+        Zarr 2 and 3 and OME-Zarr (a folder or ``.zarr.zip``), TIFF, HDF5, netCDF-4 and Imaris; NIfTI, NRRD, MetaImage,
+        ``.npy`` and raw samples that are not packed. Or the
+        address of a Zarr store: ``s3://...`` and ``https://...`` (extra ``s3``), ``memory://...`` and all else that fsspec knows.
     volume, time, channel, position, series, shape, dtype, byte_order, offset : optional
         As of `clvol.read`.
     level : int, optional
@@ -67,7 +68,9 @@ def open(  # noqa: A001  # as files are opened: clvol.open
     missing : float, optional
         What stands for samples that are NaN or infinite; without it these are an error once they are read.
     storage_options : mapping, optional
-        For an address, as of ``fsspec.open``: ``{"anon": True}`` for public buckets of S3.
+        For an address, as of ``fsspec.open``: ``{"anon": True}`` for public buckets of S3. Messages leave out what they hold; a
+        pickle has them, for it opens the store again. How long a server is waited for is among them too: for S3
+        ``{"config_kwargs": {"connect_timeout": 2, "read_timeout": 5, "retries": {"max_attempts": 1}}}``, in seconds.
     trusted : bool, optional
         Whether the file is known to be sound. What is not is looked through first in a process of its own, within `limits`: a file
         whose metadata crash a library, or hang it, is an error. Samples are always decoded in this process, by zarr, tifffile and
@@ -113,9 +116,10 @@ def open(  # noqa: A001  # as files are opened: clvol.open
     if isinstance(path, str) and "://" in path:
         chosen = next(one for one in FORMATS if one.read is zarr_format.read)
         options = options_of(chosen, Path(path), given)
-        with foreign_errors(f"open {path}"):
+        name = zarr_format.shown(path)
+        with foreign_errors(f"open {name}", partial(zarr_format.said, address=path, options=storage_options)):
             contents = zarr_format.lazily(path, _Once(choice.given), **options, storage_options=storage_options)
-        return opened(path, contents, replaced, missing).reopened_by(partial(open, path, **arguments))
+        return opened(name, contents, replaced, missing).reopened_by(partial(open, path, **arguments))
     if storage_options is not None:
         raise OptionError(f"storage_options are for addresses, as s3://bucket/cells.zarr; got the path {path}")
     file = as_path(path)
@@ -146,7 +150,8 @@ class WholeOnlyError(FormatError):
 
 def _whole_only(path: Path, chosen: Format) -> WholeOnlyError:
     return WholeOnlyError(
-        f"{path} must be of a format that is read part by part; it is read as: {chosen.name}: clvol.read reads it whole, "
+        f"{path} must be of a format that is read part by part, and not packed as a whole; it is read as: {chosen.name}: "
+        "clvol.read reads it whole, "
         "clvol.pyramid makes a Zarr store of it"
     )
 

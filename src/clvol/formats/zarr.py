@@ -12,7 +12,7 @@ import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -30,13 +30,15 @@ from clvol.interop import Content
 from clvol.volume import SPACES
 from clvol.volumes import Leading
 
-__all__ = ["is_one", "lazily", "read", "series"]
+__all__ = ["is_one", "lazily", "read", "said", "series", "shown"]
 
 _METADATA = ("zarr.json", ".zgroup", ".zarray")
 _ABOUT = (*_METADATA, ".zattrs", ".zmetadata")
 _WATCHED = 1 << 17  # chunks whose files are watched, those that were first read last
 _SECONDS = 10.0  # after which it is asked again whether what is far away is what it was
 _TRIED = 4096  # chunks, in search of one that is damaged
+_SECRET = 6  # letters, from which on a word of options is left out of messages
+_IN_EXTRA = ("s3", "s3a", "http", "https")  # addresses that the extra "s3" is for
 
 Load: TypeAlias = Callable[..., Any]  # from a name, an array and an index to its samples there, or a window of them
 
@@ -63,6 +65,37 @@ class _Image:
         array = self.level(0)
         words = [str((self.multiscales or {}).get("name") or "")] if self.multiscales else [array.dtype.name]
         return Series(self.id, ", ".join(filter(None, [*words, "labels" * self.labels])), tuple(array.shape))
+
+
+def shown(address: str) -> str:
+    """An address as messages name it: without a user's password, and without a query, which may be a signature."""
+    kind, colon, rest = address.partition("://")
+    server, slash, place = rest.partition("?")[0].partition("/")
+    return f"{kind}{colon}{server.rpartition('@')[2]}{slash}{place}"
+
+
+def said(error: Exception, address: str, options: Mapping[str, Any] | None) -> str:
+    """What an error says, without what nobody else may know: passwords, keys and signatures."""
+    text = str(error) or type(error).__name__
+    rest = address.partition("://")[2]
+    known = [rest.partition("?")[2], rest.partition("/")[0].rpartition("@")[0], *_strings(options or {})]
+    for secret in sorted(known, key=len, reverse=True):
+        if len(secret) >= _SECRET:
+            text = text.replace(secret, "...")
+    return text
+
+
+def _strings(options: Any, name: str = "") -> Iterator[str]:
+    """All that is a word among options, but the address of a server; of that what it says of a user."""
+    if isinstance(options, Mapping):
+        for key, value in options.items():
+            yield from _strings(value, str(key))
+    elif isinstance(options, (list, tuple)):
+        for value in options:
+            yield from _strings(value, name)
+    elif isinstance(options, (str, bytes)):
+        word = options.decode("utf-8", "replace") if isinstance(options, bytes) else options
+        yield word.partition("://")[2].partition("/")[0].rpartition("@")[0] if name == "endpoint_url" else word
 
 
 def is_one(path: Path) -> bool:
@@ -92,7 +125,12 @@ def lazily(
     `source` may be an address (``s3://...``, ``https://...``), which fsspec understands with these `storage_options`.
     """
     store, inner, name = _store(source, storage_options, watched=True)
-    image = _one_of(name, _found(store, inner, name), series)
+    try:
+        image = _one_of(name, _found(store, inner, name), series)
+    except FileNotFoundError as error:
+        if store.root is not None:
+            raise
+        raise FormatError(f"there is no Zarr array or group at {shown(str(source))}, or no such server or bucket") from error
 
     if image.multiscales is None:
         chosen_level(name, [image.node.shape], level)
@@ -159,12 +197,14 @@ def _store(source: Path | str, options: Mapping[str, Any] | None = None, watched
         raise MissingDependencyError("Zarr needs zarr: pip install clvol[microscopy]") from error
     checked = _checked()
     if isinstance(source, str):
-        name = source.rstrip("/").rpartition("/")[2] or source
+        name = shown(source).rstrip("/").rpartition("/")[2] or shown(source)
         try:
             found = FsspecStore.from_url(source, storage_options=dict(options or {}), read_only=True)
         except ImportError as error:
-            raise MissingDependencyError(f"{source} needs {error.name or 'fsspec'}: pip install fsspec s3fs aiohttp") from error
-        return checked(found, None, name, watched), "", name
+            kind = source.partition("://")[0]
+            how = "pip install clvol[s3]" if kind in _IN_EXTRA else str(error)  # fsspec names what the others need
+            raise MissingDependencyError(f"{shown(source)} needs {error.name or 'what reads ' + kind}: {how}") from error
+        return checked(found, None, name, watched, partial(said, address=source, options=options)), "", name
     if source.is_dir():
         return checked(LocalStore(source, read_only=True), source.resolve(), source.name, watched), "", source.name
     return checked(ZipStore(source, mode="r"), source, source.name, watched), _inside(source), source.name
@@ -189,21 +229,38 @@ def _checked() -> Any:
         name : str
             For messages.
         watched : bool
+        said : callable
+            What the error of a library says that others may know.
         """
 
-        def __init__(self, store: Any, root: Path | None = None, name: str = "", watched: bool = False) -> None:
+        def __init__(
+            self,
+            store: Any,
+            root: Path | None = None,
+            name: str = "",
+            watched: bool = False,
+            said: Callable[[Exception], str] = str,
+        ) -> None:
             super().__init__(store)
-            self.root, self.name, self.watched = root, name, watched
+            self.root, self.name, self.watched, self.said = root, name, watched, said
             self.required: set[str] = set()  # arrays whose chunks have no other value
             self._seen: dict[str, Signature] = {}
 
         def _with_store(self, store: Any) -> Checked:
-            return type(self)(store, self.root, self.name, self.watched)
+            return type(self)(store, self.root, self.name, self.watched, self.said)
 
         async def get(self, key: str, prototype: Any = None, byte_range: Any = None) -> Any:
             if self.root is not None:
                 self.look(key)
-            found = await self._store.get(key, prototype, byte_range)
+            try:
+                found = await self._store.get(key, prototype, byte_range)
+            except (ClvolError, MemoryError):
+                raise
+            except Exception as error:  # it is known here what was asked for, and to ask again may take long
+                if self.root is not None:
+                    raise
+                what = key if key.rpartition("/")[2] in _ABOUT else f"chunk {key}"
+                raise FormatError(f"cannot read {what} of {self.name}: {self.said(error)}") from error
             if found is not None and not len(found):
                 raise FormatError(f"{self.name} must hold whole chunks; {key} is empty")
             if found is None and key.rpartition("/")[2] not in _ABOUT:

@@ -1,10 +1,10 @@
-"""Pyramids of volumes in Zarr stores, made brick by brick: smaller sizes, bounds of the function, coefficients.
+"""Pyramids of volumes in Zarr stores, made brick by brick: smaller sizes, bounds of the function.
 
 | module    | what                                                                             |
 |-----------|----------------------------------------------------------------------------------|
 | `levels`  | which sizes there are, and sums along axes for parts of them                       |
 | `reduce`  | the next size, streamed along z                                                   |
-| `blocks`  | minima and maxima of the function in blocks of cells, and coefficients, by bricks |
+| `blocks`  | minima and maxima of the function in blocks of cells, by bricks |
 | `cache`   | chunks that were unpacked                                                          |
 | `journal` | the unfinished store, and what of it is done                                      |
 | `make`    | `pyramid`                                                                         |

@@ -1,4 +1,4 @@
-"""Minima and maxima of the function in blocks of cells, and its coefficients, by bricks with margins."""
+"""Minima and maxima of the function in blocks of cells, by bricks with margins."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ _MIB = 1 << 20
 def require_bounded(filter: Filter, boundary: Boundary) -> None:
     """Raise `OptionError` for a function that bricks do not have: hybrids, and boundary rules that have values of their own."""
     if filter.magnified_by is not None:
-        raise OptionError(f"bounds and coefficients are of filters with one kernel; got the hybrid {filter.name!r}")
+        raise OptionError(f"bounds are of filters with one kernel; got the hybrid {filter.name!r}")
     if boundary.period is None or boundary.outside not in ("rule", "clamp"):
-        raise OptionError(f"bounds and coefficients need a boundary rule that continues the samples; got {boundary.name!r}")
+        raise OptionError(f"bounds need a boundary rule that continues the samples; got {boundary.name!r}")
 
 
 def margin(filter: Filter) -> int:
@@ -113,10 +113,8 @@ class Bricks:
         spans = [[(a, min(a + self.edge, n)) for a in range(0, n, self.edge)] for n in self.count]
         return ((x, y, z) for z, y, x in itertools.product(*spans[::-1]))
 
-    def bounds(
-        self, place: tuple[tuple[int, int], ...], kept: Callable[[tuple[slice, ...], NDArray[Any]], object] | None = None
-    ) -> tuple[NDArray[np.float64], tuple[float, float]]:
-        """Minima and maxima in the blocks of a brick, [z, y, x, 2], and those of its samples; `kept` is given its coefficients.
+    def bounds(self, place: tuple[tuple[int, int], ...]) -> tuple[NDArray[np.float64], tuple[float, float]]:
+        """Minima and maxima in the blocks of a brick, [z, y, x, 2], and those of its samples.
 
         Those are rounded to nothing yet, and hold the function as any device of clvol evaluates it, of this brick or of one piece.
         """
@@ -137,8 +135,6 @@ class Bricks:
         volume = Volume(data)
         spread = _APART * (float(data.max()) - float(data.min()))
         with coefficients_of(volume, self._filter, as_boundary("mirror"), self._device) as coefficients:
-            if kept is not None:
-                kept(tuple(slice(a, b) for a, b in own[::-1]), self._inner(coefficients, own))
             halo, stored = int(coefficients.extent[3]), coefficients.stored
             rows = [self._rows(2 - axis, *ends, halo) for axis, ends in enumerate(place[::-1])]  # along z, y and x
             begin, part = self._part(rows, coefficients.shape)
@@ -175,19 +171,11 @@ class Bricks:
         return rows
 
     def _part(self, rows: list[list[tuple[int, int]]], shape: tuple[int, ...]) -> tuple[list[int], tuple[Cell, Cell]]:
-        """The first of these blocks along z, y and x, and the cells that they all have, as of `MinMax`: not the margin's."""
+        """The first of these blocks along z, y and x, and the cells that they all have, as `MinMax` takes them."""
         begin = [row[0][0] for row in rows]
         x, y, z = (CELLS * one for one in begin[::-1])
         i, j, k = (min(CELLS * row[-1][1], n - self._filter.support + 1) for row, n in zip(rows[::-1], shape[::-1], strict=True))
         return begin, ((x, y, z), (i, j, k))
-
-    def _inner(self, coefficients: Any, own: Sequence[tuple[int, int]]) -> NDArray[np.float32]:
-        """The coefficients of the brick's own samples, in units of the data."""
-        halo = int(coefficients.extent[3]) + self._margin
-        with self._device.mapped(coefficients.buffer, coefficients.shape, write=False) as room:
-            part = room[tuple(slice(halo, halo + b - a) for a, b in own[::-1])].copy()
-        stored = coefficients.stored
-        return np.asarray(part if stored.identity else stored.values(part), np.float32)
 
 
 def _merged(found: NDArray[Any], axis: int, rows: list[tuple[int, int]]) -> NDArray[Any]:

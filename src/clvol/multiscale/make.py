@@ -25,6 +25,7 @@ from clvol.formats._files import foreign_errors
 from clvol.formats._units import ome_unit
 from clvol.formats.opening import WholeOnlyError
 from clvol.formats.opening import open as open_lazily
+from clvol.formats.zarr import shown
 from clvol.lazy import LazyVolume, Sliced
 from clvol.multiscale.blocks import Bricks, coarser, outwards, require_bounded
 from clvol.multiscale.cache import ChunkCache
@@ -59,7 +60,6 @@ def pyramid(
     shards: int | Sequence[int] | None = None,
     compressor: Literal["lz4", "zstd", "none"] = "lz4",
     bounds: bool = True,
-    coefficients: bool = False,
     version: Literal["0.4", "0.5"] = "0.5",
     budget: int | None = None,
     overwrite: bool = False,
@@ -95,8 +95,6 @@ def pyramid(
     bounds : bool
         Whether to keep minima and maxima of the function in blocks of 8³ cells, and of coarser ones. Renderers do not read what
         these exclude, and `LazyVolume.limits` are exact.
-    coefficients : bool
-        Whether to keep the coefficients of each size, in float32.
     version : {"0.4", "0.5"}
         Of OME-Zarr: 0.4 is Zarr 2, 0.5 is Zarr 3.
     budget : int, optional
@@ -136,14 +134,16 @@ def pyramid(
     >>> volume = clvol.open("scan.zarr")
     >>> volume.bounds.within((0, 0, 0), (64, 64, 64))
     """
+    if isinstance(path, str) and "://" in path:
+        raise OptionError(
+            f"pyramids are written to a folder, from which fsspec, or a tool of the server's, copies them; got {shown(path)}"
+        )
     target = as_path(path)
     require_suffix(target, _SUFFIXES, "pyramids")
     volume = _lazy(source)
-    plan = _plan(
-        volume, filter, boundary, method, levels, chunks, shards, compressor, bounds, coefficients, version, as_device(device)
-    )
+    plan = _plan(volume, filter, boundary, method, levels, chunks, shards, compressor, bounds, version, as_device(device))
     room = _room(budget)
-    if plan.bounds or plan.coefficients:
+    if plan.bounds:
         Bricks.edge_for(plan.filter, room)
     target = target.resolve()
     replaced = flag("overwrite", overwrite)
@@ -197,7 +197,6 @@ class _Plan:
     shards: tuple[int, int, int] | None
     compressor: str
     bounds: bool
-    coefficients: bool
     version: str
     device: Device
     labels: bool
@@ -224,7 +223,6 @@ class _Plan:
             "shards": self.shards,
             "compressor": self.compressor,
             "bounds": self.bounds,
-            "coefficients": self.coefficients,
         }
 
 
@@ -238,7 +236,6 @@ def _plan(
     shards: int | Sequence[int] | None,
     compressor: str,
     bounds: bool,
-    coefficients: bool,
     version: str,
     device: Device,
 ) -> _Plan:
@@ -252,7 +249,7 @@ def _plan(
     labels = volume.is_labels
     row = settled(filter_for(part, filter, PICTURE_FILTER), part)
     how: Method = method or ("nearest" if labels else "least-squares")
-    if flag("bounds", bounds) or flag("coefficients", coefficients):
+    if flag("bounds", bounds):
         require_bounded(row, rule)
     if how == "least-squares" and (row.magnified_by is not None or (row.prefilter and rule.period is None)):
         raise OptionError(
@@ -268,7 +265,7 @@ def _plan(
         )
     count = None if levels is None else whole("levels", levels, 1)
     sizes = levels_of(volume.size, volume.spacing, count, max(edges))
-    return _Plan(row, rule, how, sizes, edges, together, compressor, bool(bounds), bool(coefficients), version, device, labels)
+    return _Plan(row, rule, how, sizes, edges, together, compressor, bool(bounds), version, device, labels)
 
 
 def _edges(what: str, given: int | Sequence[int]) -> tuple[int, int, int]:
@@ -297,7 +294,7 @@ class _Making:
         self._format: Literal[2, 3] = 3 if plan.version == "0.5" else 2
         self._made = 0.0
         sizes = [math.prod(level.size) for level in plan.levels]
-        self._all = _COST["reduce"] * sum(sizes[:-1] or sizes) + _COST["bounds"] * sum(sizes) * (plan.bounds or plan.coefficients)
+        self._all = _COST["reduce"] * sum(sizes[:-1] or sizes) + _COST["bounds"] * sum(sizes) * plan.bounds
         self.dtype = volume.dtype.newbyteorder("=")
 
     def run(self) -> None:
@@ -316,7 +313,7 @@ class _Making:
             self._copy(arrays[0])
         for number in range(1, len(arrays)):
             self._reduce(number, reads[number - 1], arrays)
-        if self._plan.bounds or self._plan.coefficients:
+        if self._plan.bounds:
             for number, array in enumerate(arrays):
                 self._bound(root, number, array)
         for name, array in root.members(max_depth=None):
@@ -429,31 +426,24 @@ class _Making:
     # -- bounds ----------------------------------------------------------------------------------------------------
 
     def _bound(self, root: Any, number: int, read: Any) -> None:
-        """Bounds and coefficients of a size."""
+        """Bounds of a size."""
         plan, level = self._plan, self._plan.levels[number]
         row = plan.filter_at(number)
         edge = Bricks.edge_for(row, self._room)
         cached = ChunkCache(read, self._room - Bricks.bytes_of(row, edge))
         bricks = Bricks(cached, level.size, row, plan.boundary, edge, plan.device)
         dtype = np.dtype(np.float64 if wide(self.dtype) else np.float32)
-        blocks = kept = None
-        if plan.bounds:
-            shape = (*bricks.count[::-1], 2)
-            blocks = self._array(root, f"{KEY}/bounds/{number}/0", shape, dtype, (bricks.edge,) * 3)
-        if plan.coefficients:
-            array = self._array(root, f"{KEY}/coefficients/{number}", level.shape, np.dtype(np.float32), (_CHUNK,) * 3)
-            kept = array.__setitem__
+        shape = (*bricks.count[::-1], 2)
+        blocks = self._array(root, f"{KEY}/bounds/{number}/0", shape, dtype, (bricks.edge,) * 3)
         places = list(bricks.places())
         for place in places:
             name = f"bounds/{number}/" + "/".join(f"{a}-{b}" for a, b in place)
             if name not in self._journal:
-                values, (low, high) = bricks.bounds(place, kept)
-                if blocks is not None:
-                    blocks[tuple(slice(a, b) for a, b in place[::-1])] = outwards(values, dtype)
+                values, (low, high) = bricks.bounds(place)
+                blocks[tuple(slice(a, b) for a, b in place[::-1])] = outwards(values, dtype)
                 self._journal.done(name, low=low, high=high)
             self._told(_COST["bounds"] * math.prod(level.size) / len(places))
-        if blocks is not None:
-            self._coarsen(root, number, blocks)
+        self._coarsen(root, number, blocks)
 
     def _coarsen(self, root: Any, number: int, blocks: Any) -> None:
         """Coarser blocks, each 2³ of those before; few slices of blocks at a time."""
@@ -528,8 +518,6 @@ class _Making:
         if plan.bounds:
             group = root[f"{KEY}/bounds/{number}"]
             about |= {"block": BLOCK, "bounds": [f"{KEY}/bounds/{number}/{i}" for i in range(len(list(group.array_keys())))]}
-        if plan.coefficients:
-            about["coefficients"] = f"{KEY}/coefficients/{number}"
         return about
 
 

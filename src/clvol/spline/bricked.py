@@ -427,7 +427,7 @@ class BrickedField:
         return Resident(brick.at, filled(made, data))
 
     def going_through(self, order: Sequence[Index]) -> None:
-        """Bricks will be asked for in this order, and perhaps once more from the first on: by the next rays, the next picture."""
+        """Bricks will be asked for in this order, and perhaps once more from the first on: by the next rays or picture."""
         with self._lock:
             self._turns, self._turn = {at: i for i, at in enumerate(order)}, 0
 
@@ -583,6 +583,13 @@ class BrickedField:
     ) -> Reals:
         """Values at points of the world, as of a call of `Field`; each brick that some lie in is read once."""
         return self._at(points, 0, frame, fill, progress, out)
+
+    def at_samples(
+        self, positions: NDArray[np.float64], *, fill: float | None = None, progress: Progress | None = None
+    ) -> NDArray[Any]:
+        """Values at positions in samples, shape (N, 3), (x, y, z); NaN where one is not finite, unless there is a `fill`."""
+        with self.in_use():
+            return self._at_indices(positions, 0, fill, progress)[:, 0]
 
     def gradient(
         self,

@@ -19,7 +19,7 @@ from clvol.checks import one_of, warn, whole
 from clvol.device import Device, as_device
 from clvol.errors import DataError, OptionError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter
-from clvol.interop import as_array, as_output, lazily, read_array
+from clvol.interop import as_array, as_output, is_in_parts, lazily, read_array
 from clvol.missing import Missing, as_missing, touching
 from clvol.rounding import as_kind, in_kind, wide
 from clvol.smoothing import filter_for, settled
@@ -200,6 +200,11 @@ class Field:
         precision: Precision | None = None,
         nan: str | Missing = "error",
     ) -> None:
+        if is_in_parts(volume):
+            raise DataError(
+                "a Field keeps the coefficients of all samples: clvol.BrickedField(volume) reads them by bricks, "
+                "clvol.Field(volume.whole()) reads them all"
+            )
         self.volume = as_volume(volume)
         row = filter_for(self.volume, filter, DEFAULT_FILTER)
         self.boundary = as_boundary(boundary)
@@ -780,6 +785,7 @@ def _results(shape: tuple[int, ...]) -> str:
 # -- functions -------------------------------------------------------------------------------------------------------
 
 
+@lazily("volume", dask=False, instead=True)
 def sample(
     volume: Volume | ArrayLike | Field,
     points: ArrayLike,
@@ -803,8 +809,10 @@ def sample(
 
     Parameters
     ----------
-    volume : Volume, array-like or Field
-        2-D or 3-D samples; an array has spacing 1 and origin 0.
+    volume : Volume, array-like, Field, LazyVolume or BrickedField
+        2-D or 3-D samples; an array has spacing 1 and origin 0. Those of a LazyVolume are read by bricks, as by `BrickedField`, and
+        so is a volume whose coefficients there is no room for, where no other option is given than that knows: values differ by
+        less than 10⁻⁶ of the samples' range then.
     points : array-like, shape (..., d)
         World positions (x, y) or (x, y, z). A position that is not finite gives NaN.
     filter : str or Filter, optional
@@ -851,7 +859,7 @@ def sample(
         return at(points, frame=frame, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress, out=out)
 
 
-@lazily("volume")
+@lazily("volume", instead=True)
 def resample(
     volume: Volume | ArrayLike | Field,
     shape: Sequence[int] | None = None,
@@ -877,8 +885,9 @@ def resample(
 
     Parameters
     ----------
-    volume : Volume, array-like or Field
-        2-D or 3-D samples; an array has spacing 1 and origin 0. One of dask gives one of dask: see `clvol.dask.resample`.
+    volume : Volume, array-like, Field, LazyVolume or BrickedField
+        2-D or 3-D samples; an array has spacing 1 and origin 0. One of dask gives one of dask: see `clvol.dask.resample`. A
+        LazyVolume is read by bricks, as in `sample`.
     shape, spacing, like, anchor, transform, anti_aliasing, dtype, fill
         As in `Field.resample`; without `anti_aliasing` larger voxels bring aliases of what is finer. With it no sample may be NaN.
     filter, boundary, device, nan
@@ -935,7 +944,7 @@ def resample(
         )
 
 
-@lazily("volume")
+@lazily("volume", instead=True)
 def magnify(
     volume: Volume | ArrayLike | Field,
     factor: int = 2,
@@ -953,8 +962,9 @@ def magnify(
 
     Parameters
     ----------
-    volume : Volume, array-like or Field
-        2-D or 3-D samples; an array has spacing 1 and origin 0. One of dask gives one of dask: see `clvol.dask.magnify`.
+    volume : Volume, array-like, Field, LazyVolume or BrickedField
+        2-D or 3-D samples; an array has spacing 1 and origin 0. One of dask gives one of dask: see `clvol.dask.magnify`. A
+        LazyVolume is read by bricks, as in `sample`.
     factor : int
         At least 1; see `Field.magnify` for where the new samples lie.
     filter, boundary, device, precision, nan

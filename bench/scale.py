@@ -1,0 +1,374 @@
+"""What a picture by a cluster takes: a simulation of who does what when, checked against runs, and carried on to what no one has.
+
+    python -m bench.scale [--size 256] [--workers 1 2 4 8] [--json FILE]
+
+The simulation takes the plan that clvol itself makes (boxes of bricks, areas of the picture, who waits for whom) and constants:
+seconds to read a brick, to cast a sample, to pass a byte on, and of any task. These are fitted to runs of one worker; with more
+the simulation is compared. Then it is asked about volumes of up to 10¹³ voxels and 1,000 workers, with constants of such
+machines, which are assumed and said.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import heapq
+import itertools
+import json
+import math
+import os
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import clvol
+from bench.bricks import Shells
+from clvol.cluster import Cluster, as_cluster
+from clvol.march import cluster as parts
+from clvol.march.bricks import pixels_of
+from clvol.spline.bricked import BrickedField
+
+_CAMERA = clvol.Camera.orbit(30, 20, fit="volume")
+_PIXELS = 512
+_FEW = 64  # pixels of a picture that takes hardly more than its tasks
+_REPEATS = 3
+
+
+@dataclass(frozen=True)
+class Costs:
+    """Of a worker, in seconds.
+
+    Attributes
+    ----------
+    brick : float
+        To read one, and make its coefficients.
+    sample : float
+        Of a ray.
+    byte : float
+        That is passed from worker to worker.
+    task : float
+        Whatever it does.
+    begin : float
+        Of a picture, in the process that asks for it.
+    """
+
+    brick: float
+    sample: float
+    byte: float
+    task: float
+    begin: float
+
+
+@dataclass(frozen=True)
+class Task:
+    """The rays of an area through a box of bricks.
+
+    Attributes
+    ----------
+    before : int or None
+        The task that it waits for.
+    worker : int
+        Who has the bricks.
+    bricks : tuple
+        Those that it takes.
+    samples, nbytes : float
+        Of its rays in the box; of their states.
+    """
+
+    before: int | None
+    worker: int
+    bricks: tuple[Any, ...]
+    samples: float
+    nbytes: float
+
+
+def simulated(
+    tasks: Sequence[Task],
+    costs: Costs,
+    workers: int,
+    *,
+    alone: float = 1.0,
+    together: float = math.inf,
+    spread: float = 0.0,
+    slow: int = 0,
+) -> float:
+    """Seconds until the last task is done.
+
+    Each worker does one at a time, in the order of the list, at the rate `alone`, and all of them at most at the rate `together`.
+    `spread` is the standard deviation of the logarithm of a task's time, and `slow` workers take twice as long for all.
+    """
+    rng = np.random.default_rng(0)
+    factor = np.exp(rng.normal(0, spread, len(tasks))) if spread else np.ones(len(tasks))
+    pace = np.where(np.arange(workers) < slow, 2.0, 1.0)
+    after: dict[int, list[int]] = defaultdict(list)
+    for number, task in enumerate(tasks):
+        if task.before is not None:
+            after[task.before].append(number)
+    ready: list[list[int]] = [[] for _ in range(workers)]
+    for number, task in enumerate(tasks):
+        if task.before is None:
+            heapq.heappush(ready[task.worker], number)
+    held: set[Any] = set()
+    active: dict[int, tuple[int, float]] = {}  # by worker: the task, and the seconds of a core that are left of it
+    now, done = 0.0, 0
+    idle = set(range(workers))
+    while done < len(tasks):
+        for worker in [w for w in idle if ready[w]]:
+            number = heapq.heappop(ready[worker])
+            task = tasks[number]
+            fresh = [brick for brick in task.bricks if brick not in held]
+            held.update(fresh)
+            work = costs.task + len(fresh) * costs.brick + task.samples * costs.sample + task.nbytes * costs.byte
+            active[worker] = number, work * factor[number] * pace[worker]
+            idle.discard(worker)
+        share = min(alone, together / len(active))
+        step = min(left for _, left in active.values())
+        now += step / share
+        for worker, (number, left) in list(active.items()):
+            if left - step > 1e-12:
+                active[worker] = number, left - step
+                continue
+            del active[worker]
+            idle.add(worker)
+            done += 1
+            for other in after[number]:
+                heapq.heappush(ready[tasks[other].worker], other)
+    return costs.begin + now
+
+
+def plan(
+    field: Any, view: Any, size: tuple[int, int], workers: int, areas: int, *, seen: Any = None, step: float = 0.5
+) -> list[Task]:
+    """The tasks of a picture as `ClusterDrawing` makes them; `seen` says of a brick whether it may matter."""
+    tree = parts.groups_of(field.counts, parts._GROUPS * workers)
+    groups = list(parts.visible(tree, field, view))
+    grid, (width, height) = field.volume.grid, size
+    edge = max(parts._SMALLEST, -(-math.isqrt(width * height // areas) // parts._SMALLEST) * parts._SMALLEST)
+    spans = [pixels_of(group.box(field), view, grid, width, height, 0) for group in groups]
+    bricks = {
+        g.number: tuple(b for b in itertools.product(*map(range, g.first, g.past)) if seen is None or seen(b)) for g in groups
+    }
+    depth = field.edge * 1.5 / step  # samples of a ray through a brick, about
+    tasks: list[Task] = []
+    for y, x in itertools.product(range(0, height, edge), range(0, width, edge)):
+        before = None
+        for group, (left, top, right, bottom) in zip(groups, spans, strict=True):
+            w, h = min(right, x + edge, width) - max(left, x), min(bottom, y + edge, height) - max(top, y)
+            if w < 0 or h < 0 or not bricks[group.number]:
+                continue
+            across = max(b - a for a, b in zip(group.first, group.past, strict=True))
+            own = [b for b in bricks[group.number] if _meets(field.brick(b), view, grid, size, (x, y, edge, edge))]
+            share = len(own) / max(1, len(bricks[group.number]))
+            tasks.append(Task(before, group.number % workers, tuple(own), w * h * depth * across * share, 20.0 * edge * edge))
+            before = len(tasks) - 1
+    return tasks
+
+
+def _meets(brick: Any, view: Any, grid: Any, size: tuple[int, int], area: tuple[int, int, int, int]) -> bool:
+    left, top, right, bottom = pixels_of(brick, view, grid, *size, 0)
+    x, y, w, h = area
+    return left <= x + w and top <= y + h and right >= x and bottom >= y
+
+
+# -- runs ----------------------------------------------------------------------------------------------------------------------
+
+
+def measured(store: Path, workers: int, edge: int) -> dict[str, float]:
+    """Medians of a first picture, of a second one and of one of few pixels, by so many processes of this machine."""
+    first: list[float] = []
+    second: list[float] = []
+    small: list[float] = []
+    bricks = 0
+    with _of_single_threads(workers) as cluster, _edge(edge):
+        for _ in range(_REPEATS + 1):  # kernels are built in the first
+            volume = clvol.open(store, trusted=True)
+            with clvol.Renderer(volume, "linear", cluster=cluster) as renderer:
+                for kept, pixels in ((first, _PIXELS), (second, _PIXELS), (small, _FEW)):
+                    start = time.perf_counter()
+                    renderer.render(_CAMERA, "mean", (pixels, pixels), lod=0)
+                    kept.append(time.perf_counter() - start)
+                assert isinstance(renderer.field, BrickedField)
+                bricks = renderer.field.reads.bricks
+    return {name: float(np.median(times[1:])) for name, times in (("first", first), ("second", second), ("small", small))} | {
+        "bricks": bricks
+    }
+
+
+@contextlib.contextmanager
+def _of_single_threads(workers: int) -> Iterator[Cluster]:
+    """So many processes of this machine, which compute with one core each."""
+    import distributed
+
+    env = {"POCL_MAX_PTHREAD_COUNT": "1", "CL_CONFIG_CPU_FORCE_MAX_COMPUTE_UNITS": "1"}
+    with (
+        distributed.LocalCluster(  # type: ignore[no-untyped-call]  # as distributed has it
+            n_workers=workers, threads_per_worker=1, dashboard_address="127.0.0.1:0", memory_limit=0, silence_logs=50, env=env
+        ) as local,
+        distributed.Client(local, set_as_default=False) as client,  # type: ignore[no-untyped-call]
+        as_cluster(client) as cluster,
+    ):
+        yield cluster
+
+
+@contextlib.contextmanager
+def _edge(edge: int) -> Iterator[None]:
+    """Bricks of one size, whoever makes them."""
+    original = BrickedField._edge_for
+    setattr(BrickedField, "_edge_for", lambda _, given, **_options: given or edge)  # noqa: B010  # mypy takes no assignment to a method
+    try:
+        yield
+    finally:
+        setattr(BrickedField, "_edge_for", original)  # noqa: B010
+
+
+def checked(size: int, counts: Sequence[int], folder: Path) -> list[dict[str, Any]]:
+    """Runs by one process and by several of this machine, and what the simulation says of the latter."""
+    import zarr
+
+    store, edge, cores = folder / f"scale-{size}.zarr", 64, len(os.sched_getaffinity(0))
+    if not store.exists():
+        shells = Shells(size)
+        array = zarr.create_array(store, shape=shells.shape, chunks=(64, 64, 64), dtype="uint16")
+        for z in range(0, size, 64):
+            array[z : z + 64] = shells[z : z + 64, 0:size, 0:size]
+    with _edge(edge), BrickedField(clvol.open(store, trusted=True), "linear") as field:
+        view = _CAMERA.view(field.volume.grid, 1.0)
+        plans = {n: plan(field, view, (_PIXELS, _PIXELS), n, parts._AREAS * n) for n in {1, *counts}}
+        few = len(plan(field, view, (_FEW, _FEW), 1, parts._AREAS))
+        bricks = math.prod(field.counts)
+    costs = fitted(measured(store, 1, edge), plans[1], few, bricks)
+    rows = []
+    for n in counts:
+        run = measured(store, n, edge)
+        again = [replace(task, bricks=()) for task in plans[n]]
+        rows.append(
+            {
+                "workers": n,
+                "tasks": len(plans[n]),
+                "bricks": run["bricks"],
+                "first": run["first"],
+                "first simulated": simulated(plans[n], costs, n, together=cores),
+                "second": run["second"],
+                "second simulated": simulated(again, costs, n, together=cores),
+            }
+        )
+        print(row_text(rows[-1]), flush=True)
+    print(costs)
+    return rows
+
+
+def fitted(run: dict[str, float], tasks: Sequence[Task], few: int, bricks: int) -> Costs:
+    """The constants that give the runs of one worker; a byte is taken as 1 ns, what the asking process does as 20 ms."""
+    begin, byte = 0.02, 1e-9
+    task = max(0.0, run["small"] - begin) / few
+    rest = run["second"] - begin - len(tasks) * task - byte * sum(t.nbytes for t in tasks)
+    return Costs((run["first"] - run["second"]) / bricks, max(rest, 1e-6) / sum(t.samples for t in tasks), byte, task, begin)
+
+
+def row_text(row: dict[str, Any]) -> str:
+    return "  ".join(f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}" for name, value in row.items())
+
+
+# -- what no one has -----------------------------------------------------------------------------------------------------------
+
+LARGE = Costs(brick=128**3 * 2 / 400e6 + 128**3 * 1.4 / 2e8, sample=1 / 4e8, byte=1 / 1e9, task=0.003, begin=0.1)
+"""Of a worker with 16 cores: bricks of 128³ uint16 at 400 MB/s unpacked, and 2·10⁸ coefficients a second, margins included;
+4·10⁸ samples a second; a network of 1 GB/s."""
+_STORE = 20e9  # bytes a second that a store gives to all workers together
+
+
+def large(edge_of_volume: int, workers: int, pixels: int, share: float) -> dict[str, Any]:
+    """A picture of a volume of which that share of bricks matters, by workers that have read nothing yet."""
+    volume = clvol.LazyVolume(np.broadcast_to(np.uint16(0), (edge_of_volume,) * 3), limits=(0, 1), labels=False)
+    with _edge(128), BrickedField(volume, "linear") as field:
+        view = _CAMERA.view(field.volume.grid, 1.0)
+        radius = field.counts[0] / 2
+
+        def seen(at: tuple[int, ...]) -> bool:  # a shell, as thick as the share asks for
+            r = math.dist(at, (radius,) * 3) / radius
+            return abs(r - 0.62) < share / (4 * math.pi * 0.62**2) * 8 / 2
+
+        groups = parts._GROUPS * workers
+        coarse = field if math.prod(field.counts) <= 60_000 else None
+        begun = time.perf_counter()
+        if coarse is None:  # boxes in place of bricks: the plan is the same, bricks of a box are counted together
+            tasks, wanted = _by_boxes(field, view, pixels, workers, share)
+        else:
+            tasks = plan(field, view, (pixels, pixels), workers, parts._AREAS * workers, seen=seen)
+            wanted = len({brick for task in tasks for brick in task.bricks})
+        planned = time.perf_counter() - begun
+    nbytes = wanted * 128**3 * 2.0
+    costs = LARGE
+    if nbytes / _STORE > wanted * costs.brick / workers:  # the store is what all wait for
+        costs = Costs(nbytes / _STORE / wanted * workers, costs.sample, costs.byte, costs.task, costs.begin)
+    even = simulated(tasks, costs, workers)
+    ragged = simulated(tasks, costs, workers, spread=0.5, slow=max(1, workers // 100))
+    return {
+        "voxels": float(edge_of_volume) ** 3,
+        "workers": workers,
+        "pixels": pixels,
+        "bricks": wanted,
+        "GB read": nbytes / 1e9,
+        "GB passed on": sum(t.nbytes for t in tasks) / 1e9,
+        "tasks": len(tasks),
+        "boxes": groups,
+        "seconds": even,
+        "with stragglers": ragged,
+        "planning": planned,
+    }
+
+
+def _by_boxes(field: Any, view: Any, pixels: int, workers: int, share: float) -> tuple[list[Task], int]:
+    """As `plan`, of so many bricks that they are counted by boxes."""
+    tree = parts.groups_of(field.counts, parts._GROUPS * workers)
+    groups = list(parts.visible(tree, field, view))
+    grid = field.volume.grid
+    areas = parts._AREAS * workers
+    edge = max(parts._SMALLEST, -(-math.isqrt(pixels * pixels // areas) // parts._SMALLEST) * parts._SMALLEST)
+    spans = [pixels_of(group.box(field), view, grid, pixels, pixels, 0) for group in groups]
+    met: dict[int, list[tuple[int, int]]] = {}
+    for number, (left, top, right, bottom) in enumerate(spans):
+        met[number] = [
+            (y, x)
+            for y in range(top // edge * edge, min(bottom + 1, pixels), edge)
+            for x in range(left // edge * edge, min(right + 1, pixels), edge)
+        ]
+    count = {g.number: math.prod(b - a for a, b in zip(g.first, g.past, strict=True)) * share for g in groups}
+    last: dict[tuple[int, int], int] = {}
+    tasks: list[Task] = []
+    for number, group in enumerate(groups):
+        across = max(b - a for a, b in zip(group.first, group.past, strict=True))
+        for place in met[number]:
+            some = count[group.number] / len(met[number])
+            names = tuple((group.number, place, i) for i in range(round(some)))
+            samples = edge * edge * across * 128 * 1.5 / 0.5 * share
+            tasks.append(Task(last.get(place), group.number % workers, names, samples, 20.0 * edge * edge))
+            last[place] = len(tasks) - 1
+    return tasks, sum(len(task.bricks) for task in tasks)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--size", type=int, default=256)
+    parser.add_argument("--workers", type=int, nargs="+", default=[1, 2, 4, 8])
+    parser.add_argument("--folder", type=Path)
+    parser.add_argument("--json", type=Path)
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        runs = checked(given.size, given.workers, given.folder or Path(temporary))
+    beyond = []
+    for edge, workers in ((2154, 1), (2154, 10), (4642, 10), (4642, 100), (10000, 100), (10000, 1000), (21544, 1000)):
+        beyond.append(large(edge, workers, 2048, 0.1))
+        print(row_text(beyond[-1]), flush=True)
+    if given.json:
+        given.json.write_text(json.dumps({"runs": runs, "beyond": beyond}, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,93 @@
+"""SciPy's functions of volumes that are read part by part: SciPy itself is the truth."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.ndimage
+
+import clvol
+from clvol import LazyVolume, ndimage
+from clvol.errors import OptionError, UnsupportedError
+from tests.ndimage.truth import MODES, SINGLE, truth
+from tests.test_lazy import Counted
+
+DATA = np.random.default_rng(1).random((30, 34, 41)).astype(np.float32)
+AT = np.random.default_rng(2).uniform(-4, 40, (3, 20, 25))
+MATRIX = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0] * 1.1
+CALLS: dict[str, tuple[Any, ...]] = {
+    "points": ("map_coordinates", AT),
+    "a grid": ("affine_transform", MATRIX, (3, 25, 20), (20, 24, 28)),
+    "a diagonal": ("affine_transform", (0.7, 1, 1.3), (-3, 0, 2.5)),
+    "a plane": ("affine_transform", MATRIX[:, :2], (3, 9, 20), (20, 24)),
+    "shift": ("shift", (3.3, 0, -50)),
+    "zoom": ("zoom", (0.5, 1.3, 1)),
+    "rotate": ("rotate", 33, (0, 2)),
+}
+
+
+@pytest.mark.one_in(6)
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("call", CALLS)
+def test_as_scipy(call: str, mode: str) -> None:
+    name, *arguments = CALLS[call]
+    lazy = LazyVolume(Counted(DATA), (2, 3, 4), (5, 6, 7), limits=(0, 1))  # a geometry has no say
+    for order, prefilter in ((0, True), (1, True), (3, True), (3, False), (5, True)):
+        if name == "rotate" and not prefilter:
+            continue
+        about: dict[str, Any] = {"order": order, "mode": mode, "cval": 0.4, "prefilter": prefilter}
+        exact = truth(name, DATA, *arguments, **about)
+        found = getattr(ndimage, name)(lazy, *arguments, **about)
+        assert found.dtype == np.float32
+        assert found.shape == exact.shape
+        off = np.abs(found - exact) > 4 * SINGLE
+        assert off.mean() <= (2e-3 if order == 0 else 0), f"order {order}"  # of order 0: positions halfway between two samples
+
+
+def test_whole_numbers_are_rounded_and_results_put_where_they_belong() -> None:
+    data = (DATA * 60000).astype(np.uint16)
+    lazy = LazyVolume(data, limits=(0, 60000))
+    exact = scipy.ndimage.zoom(data, 0.5)
+    assert np.abs(ndimage.zoom(lazy, 0.5).astype(int) - exact).max() <= 1
+    out = np.empty((2, *exact.shape), np.float64)[:, ::-1]
+    assert ndimage.zoom(lazy, 0.5, out[1]) is not None
+    np.testing.assert_allclose(out[1], scipy.ndimage.zoom(data.astype(np.float64), 0.5), rtol=0, atol=60000 * SINGLE)
+    odd = AT.copy()
+    odd[1, 3, 4] = np.nan
+    assert ndimage.map_coordinates(lazy, odd, cval=7)[3, 4] == 7
+
+
+def test_by_bricks_within_a_budget() -> None:
+    """A field that is given is used, with its budget, and stays open."""
+    lazy = LazyVolume(Counted(DATA), limits=(0, 1))
+    told: list[float] = []
+    with clvol.BrickedField(lazy, "bspline3", clvol.boundaries()["constant"], edge=8, budget=1 << 20) as field:
+        found = ndimage.map_coordinates(field, AT, progress=told.append)
+        assert field.reads.bricks > 1
+        assert field.nbytes <= 1 << 20
+        assert not field.closed
+        with pytest.raises(UnsupportedError, match="its own filter and boundary rule"):
+            ndimage.map_coordinates(field, AT, order=1)
+    np.testing.assert_allclose(found, scipy.ndimage.map_coordinates(DATA.astype(np.float64), AT), rtol=0, atol=4 * SINGLE)
+    assert told[-1] == 1
+
+
+def test_what_bricks_do_not_know_is_refused_with_what_does() -> None:
+    lazy = LazyVolume(DATA, limits=(0, 1))
+    for call in (
+        lambda: ndimage.spline_filter(lazy),
+        lambda: ndimage.spline_filter1d(lazy),
+        lambda: ndimage.geometric_transform(lazy, lambda i: i),
+        lambda: ndimage.zoom(lazy, 0.5, anti_aliasing=True),
+        lambda: ndimage.zoom(lazy, 0.5, precision="double"),
+        lambda: ndimage.shift(lazy, 0.5, nan="local"),
+        lambda: ndimage.map_coordinates(lazy, AT, axes=(0, 1, 2)),
+        lambda: ndimage.rotate(lazy, 33, prefilter=False),
+    ):
+        with pytest.raises(UnsupportedError, match=r"part by part.*dask.*volume\.whole\(\)\.data"):
+            call()
+    for wrong in ({"order": 7}, {"mode": "far"}, {"cval": "x"}):
+        with pytest.raises(OptionError):
+            ndimage.shift(lazy, 0.5, **wrong)

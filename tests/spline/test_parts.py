@@ -1,0 +1,102 @@
+"""`clvol.sample`, `resample` and `magnify` of volumes that are read part by part, or whose coefficients there is no room for."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import clvol
+from clvol import LazyVolume
+from clvol.errors import DataError, OptionError, OutOfMemoryError
+from tests.test_lazy import Counted
+
+TURN = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+VOLUME = clvol.Volume(np.random.default_rng(1).random((37, 41, 52)).astype(np.float32), (1, 2, 3), (5, 6, 7), TURN, color=(1, 0, 0))
+BOUND = 1e-6  # of a range of 1
+
+
+def lazy() -> LazyVolume:
+    return LazyVolume(Counted(VOLUME.data), VOLUME.spacing, VOLUME.origin, VOLUME.direction, limits=VOLUME.value_range)
+
+
+def at(n: int = 500) -> Any:
+    return VOLUME.index_to_world(np.random.default_rng(2).uniform(-2, 38, (n, 3)))
+
+
+CALLS: dict[str, Any] = {
+    "values": lambda volume: clvol.sample(volume, at()),
+    "gradients": lambda volume: clvol.sample(volume, at(), "bspline5", "reflect", 1) / 4,
+    "hessians, filled": lambda volume: clvol.sample(volume=volume, points=at(), derivative=2, fill=-1.0) / 4,
+    "a grid": lambda volume: clvol.resample(volume, (20, 30, 40)).data,
+    "another": lambda volume: (
+        clvol.resample(volume, spacing=1.7, filter="catmull-rom", boundary="wrap", fill=0, anchor="origin").data
+    ),
+    "rounded": lambda volume: clvol.resample(volume, (20, 30, 40), dtype="float64").data,
+    "magnified": lambda volume: clvol.magnify(volume, 3, "linear").data,
+}
+
+
+@pytest.mark.parametrize("call", CALLS)
+def test_as_of_the_whole_volume(call: str) -> None:
+    found, truth = CALLS[call](lazy()), CALLS[call](VOLUME)
+    assert found.dtype == truth.dtype
+    np.testing.assert_allclose(found, truth, rtol=0, atol=BOUND)
+
+
+def test_a_few_points_read_a_few_bricks() -> None:
+    data = Counted(np.random.default_rng(0).random((300, 300, 300), np.float32))
+    volume = LazyVolume(data, limits=(0, 1))
+    with clvol.BrickedField(volume, edge=32) as field:
+        data.read = 0
+        values = clvol.sample(field, [[20.5, 33.0, 280.1]])
+        assert field.reads.bricks == 1
+    with pytest.raises(OptionError, match="made with another filter"):
+        clvol.sample(field, [[0, 0, 0]], "linear")
+    np.testing.assert_allclose(values, clvol.sample(data.data[200:], [[20.5, 33.0, 80.1]]), rtol=0, atol=BOUND)
+
+
+@pytest.mark.parametrize("call", CALLS)
+def test_volumes_without_room_for_their_coefficients(call: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bricks are made all the same."""
+    truth = CALLS[call](VOLUME)
+
+    def refused(*_: Any, **__: Any) -> Any:
+        raise OutOfMemoryError("out of memory: a buffer of the whole volume")
+
+    monkeypatch.setattr("clvol.spline.field.coefficients_of", refused)
+    with pytest.raises(OutOfMemoryError):
+        clvol.Field(VOLUME)  # which is for those who want the coefficients
+    np.testing.assert_allclose(CALLS[call](VOLUME), truth, rtol=0, atol=BOUND)
+    assert clvol.resample(VOLUME, (4, 5, 6)).color == (1, 0, 0)
+    for other in ({"precision": "double"}, {"nan": "local"}):
+        with pytest.raises(OutOfMemoryError, match="a buffer of the whole volume"):
+            clvol.resample(VOLUME, (4, 5, 6), **other)
+
+
+def test_labels_keep_their_type() -> None:
+    data = (VOLUME.data > 0.5).astype(np.uint8) * 7
+    labels = LazyVolume(data, labels=True)
+    found = clvol.resample(labels, (20, 30, 40))
+    assert found.data.dtype == np.uint8
+    np.testing.assert_array_equal(found.data, clvol.resample(clvol.Volume(data, labels=True), (20, 30, 40)).data)
+    assert clvol.resample(labels, (20, 30, 40), filter="linear").labels is None
+
+
+def test_what_bricks_do_not_know_is_refused_with_what_does() -> None:
+    volume = lazy()
+    for call, match in (
+        (lambda: clvol.resample(volume, (4, 5, 6), transform=np.eye(4)), r"takes no transform.*volume\.whole\(\).*dask"),
+        (lambda: clvol.resample(volume, (4, 5, 6), anti_aliasing=True), r"takes no anti_aliasing.*clvol\.pyramid"),
+        (lambda: clvol.sample(volume, at(), precision="double"), r"takes no precision.*dask"),
+        (lambda: clvol.sample(volume, at(), nan="local"), r"takes no nan"),
+        (lambda: clvol.magnify(volume, fetch="image"), r"takes no fetch"),
+        (lambda: clvol.prefilter(volume), r"clvol\.dask\.prefilter.*whole"),
+    ):
+        with pytest.raises(OptionError, match=match):
+            call()
+    with pytest.raises(TypeError, match="unexpected keyword argument 'colour'"):
+        clvol.sample(volume, at(), colour=1)  # type: ignore[call-arg]  # there is none
+    with pytest.raises(DataError, match=r"clvol\.BrickedField\(volume\)"):
+        clvol.Field(volume)  # type: ignore[arg-type]  # that is the question
