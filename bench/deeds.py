@@ -38,6 +38,7 @@ Random: TypeAlias = np.random.Generator
 NOT_DONE = {
     "ClvolError": "a class of errors: they are raised",
     "ClvolWarning": "a class of warnings: they are raised",
+    "ClusterError": "as above",
     "DataError": "as above",
     "DeviceError": "as above",
     "FormatError": "as above",
@@ -52,7 +53,9 @@ NOT_DONE = {
     "Picture": "what `render` gives",
     "Refined": "what `Renderer.refine` gives",
     "Warped": "what `warp` gives",
+    "batch": "`Renderer`, once for each file",
     "show": "opens a viewer",
+    "turned": "`Camera.orbit`, several times",
 }
 """Public names that no deed uses, and why."""
 
