@@ -19,7 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -92,7 +92,8 @@ def main() -> None:
                 found[name]["elsewhere"] = elsewhere(server.url, options.size, 4.0)
                 report(name, found[name])
         found["first picture"] = first_pictures(browser, volume, 3)
-        print(f"first picture after the command: {times(found['first picture'])}, aim {_AIMS['first picture'][0]} s")
+        first, whole = zip(*found["first picture"], strict=True)
+        print(f"first picture after the command: {times(first)}, aim {_AIMS['first picture'][0]} s; of all samples {times(whole)}")
     print(f"load at the end {os.getloadavg()[0]:.1f}")
     if options.json:
         options.json.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
@@ -115,7 +116,22 @@ def begin(browser: Browser, url: str, size: int) -> None:
 
 
 def settle(browser: Browser) -> None:
-    browser.wait("benchFrames.length && benchFrames.at(-1).final && performance.now() - benchFrames.at(-1).at > 500", 120)
+    until(browser, "benchFrames.length && benchFrames.at(-1).final && performance.now() - benchFrames.at(-1).at > 500", 120)
+
+
+def until(browser: Browser, condition: str, seconds: float) -> None:
+    """Wait in the page itself: questions from outside take a share of the processors, by way of two more processes."""
+    browser.driver.set_script_timeout(seconds + 10)
+    found = browser.driver.execute_async_script(
+        f"""
+        const done = arguments[0], begun = performance.now();
+        const timer = setInterval(() => {{
+          const found = Boolean({condition}), late = performance.now() - begun > {1000 * seconds};
+          if (found || late) {{ clearInterval(timer); done(found); }}
+        }}, 10);
+        """
+    )
+    assert found, f"{condition} is not so after {seconds} s"
 
 
 def press(browser: Browser) -> tuple[float, float]:
@@ -133,7 +149,7 @@ def drag_to_new(browser: Browser) -> float:
     time.sleep(0.6)
     browser.js("benchDrawn.length = 0; benchEvents.length = 0")
     browser.mouse("mouseMoved", x + 25, y + 5, button="left", buttons=1)
-    browser.wait("benchDrawn.length && benchDrawn[0].shown !== null", 30)
+    until(browser, "benchDrawn.length && benchDrawn[0].shown !== null", 30)
     took = browser.js("return benchDrawn[0].shown - benchEvents[0].at")
     browser.mouse("mouseReleased", x + 25, y + 5)
     return float(took) / 1000
@@ -144,7 +160,7 @@ def drag_to_still(browser: Browser) -> float:
     settle(browser)
     browser.js("benchFrames.length = 0; benchDrawn.length = 0; benchEvents.length = 0")
     browser.drag((60, 20), CANVAS, buttons=1)
-    browser.wait("benchFrames.length && benchFrames.at(-1).final && benchDrawn.at(-1).drawn >= benchFrames.at(-1).at", 60)
+    until(browser, "benchFrames.length && benchFrames.at(-1).final && benchDrawn.at(-1)?.drawn >= benchFrames.at(-1).at", 60)
     took = browser.js("return benchDrawn.at(-1).drawn - benchEvents.findLast((e) => e.type === 'pointerup').at")
     return float(took) / 1000
 
@@ -230,20 +246,26 @@ def elsewhere(url: str, size: int, seconds: float) -> dict[str, float]:
     return {"pictures/s": len(found) / found[-1][1], "edge": edge, "still": still}
 
 
-def first_pictures(browser: Browser, volume: clvol.Volume, rounds: int) -> list[float]:
-    """Seconds from the start of the command, whose kernels are built, to the first picture in a browser that is open."""
+def first_pictures(browser: Browser, volume: clvol.Volume, rounds: int) -> list[list[float]]:
+    """Seconds from the start of the command, whose kernels are built, to the first picture in a browser that is open.
+
+    And to the first one of all samples: one of few comes before it.
+    """
     found = []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "volume.nrrd"
         clvol.write(volume, path)
+        # as installed, with compiled modules: the first round, which does not count, may compile them
+        environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
         for _ in range(rounds + 1):
             begun = time.time()
             command = [sys.executable, "-m", "clvol", "view", str(path), "--serve"]
-            with subprocess.Popen(command, stdout=subprocess.PIPE, encoding="utf-8") as process:
+            with subprocess.Popen(command, stdout=subprocess.PIPE, encoding="utf-8", env=environment) as process:
                 assert process.stdout is not None
                 browser.open(process.stdout.readline().strip())
-                browser.wait("benchDrawn.length", 60)
-                found.append(float(browser.js("return benchDrawn[0].epoch")) / 1000 - begun)
+                until(browser, "benchFrames.length && benchFrames.at(-1).final && benchDrawn.length", 60)
+                drawn = browser.js("return [benchDrawn[0].epoch, benchDrawn[benchFrames.findIndex((f) => !f.few)]?.epoch]")
+                found.append([float(at or "nan") / 1000 - begun for at in drawn])
                 process.terminate()
     return found[1:]
 
@@ -260,7 +282,7 @@ def report(name: str, found: dict[str, Any]) -> None:
     )
 
 
-def times(values: list[float]) -> str:
+def times(values: Sequence[float]) -> str:
     return f"{statistics.median(values):.3f} s ({min(values):.3f} to {max(values):.3f})"
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import imageio.v3 as iio
 import numpy as np
@@ -100,3 +101,11 @@ def test_the_command(files: list[Path], tmp_path: Path) -> None:
     assert done.returncode == 1
     assert "damaged.nrrd: " in done.stdout
     assert len(list(tmp_path.glob("*.png"))) == 4
+
+
+@pytest.mark.parametrize("wrong", [0, -3, 2.5, True, "4", None])
+def test_a_turn_has_pictures(wrong: Any) -> None:
+    with pytest.raises(OptionError, match=r"frames must be a whole number, at least 1; got"):
+        clvol.turned(wrong)
+    with pytest.raises(OptionError, match="cameras must be one or more; got none"):
+        clvol.batch(np.zeros((3, 3, 3)), [])

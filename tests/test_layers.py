@@ -19,7 +19,7 @@ LAYERS = [
     "ndimage",
     "cluster dask interpolator resizing torch xarray multiscale",
     "march",
-    "images batches analysis",
+    "images batches movies analysis",
     "figures",
     "reports",
     "view",

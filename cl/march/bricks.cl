@@ -10,12 +10,13 @@
 
 #define SHOWN_NORMALS (FINISHED_THERE ? 3 : 0)   // which field they begin at
 #define SHOWN_FIELDS (SHOWN_NORMALS + (GUIDES ? 3 : 0))
-#define SHOWN_AT(field) shown[((size_t)(field) * frame->picture.height + y + i / LANES_ACROSS) * frame->picture.width + x + i % LANES_ACROSS]
+#define SHOWN_AT(field) shown[KEPT_AT(field)]
 
-// The number of the tile whose first pixel is (left, top).
+// The number of the tile whose first pixel is (left, top), of those that are kept.
 INLINE int number_of_tile(constant frame_t *frame, const int left, const int top)
 {
-    return top / TILE_HEIGHT * ((frame->picture.width + TILE_WIDTH - 1) / TILE_WIDTH) + left / TILE_WIDTH;
+    const int across = (frame->picture.kept[0] + TILE_WIDTH - 1) / TILE_WIDTH;
+    return (top - frame->picture.kept_from[1]) / TILE_HEIGHT * across + (left - frame->picture.kept_from[0]) / TILE_WIDTH;
 }
 
 // Whether rays of this work-item's tile want more samples: areas are boxes of tiles, and to begin a tile's rays takes long.
@@ -64,7 +65,7 @@ kernel void merge_bricks(constant frame_t *frame, global const float2 *places, g
         EACH_PIXEL(x, y)
             if (elsewhere.each[i])
                 for (int field = 0; field < SHOWN_FIELDS; ++field)
-                    SHOWN_AT(field) = shown_back[((size_t)field * frame->picture.height + y + i / LANES_ACROSS) * frame->picture.width + x + i % LANES_ACROSS];
+                    SHOWN_AT(field) = shown_back[KEPT_AT(field)];
     }
 }
 

@@ -56,7 +56,8 @@ INLINE void listed_places(constant frame_t *frame, const int x, const int y, glo
     lanes_u across, down;
     for (int i = 0; i < LANES; ++i) {
         const int column = MIN(x + i % LANES_ACROSS, frame->picture.width - 1), row = MIN(y + i / LANES_ACROSS, frame->picture.height - 1);
-        const float2 place = places[row * frame->picture.width + column];
+        const float2 place =
+            places[(row - frame->picture.kept_from[1]) * frame->picture.kept[0] + column - frame->picture.kept_from[0]];
         across.each[i] = place.x;
         down.each[i] = place.y;
     }

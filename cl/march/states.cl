@@ -1,4 +1,5 @@
-// What rays carry, in a buffer: planes of pixels, STATE_FIELDS numbers of the mode, and how many samples were gathered.
+// What rays carry, in a buffer: planes of pixels, STATE_FIELDS numbers of the mode, and how many samples were gathered. They are those
+// of all pixels, or of an area of whole tiles (kept).
 
 #include "march/march.cl"
 #include "march/picture.cl"
@@ -6,7 +7,11 @@
 typedef union { state_t state; lanes_u fields[STATE_FIELDS]; } state_u;
 typedef char state_has_its_fields[sizeof(state_t) == STATE_FIELDS * sizeof(real) ? 1 : -1];
 
-#define STATE_AT(field) states[((size_t)(field) * frame->picture.height + y + i / LANES_ACROSS) * frame->picture.width + x + i % LANES_ACROSS]
+// Where the number of a field lies for the pixel i of a packet that begins at (x, y).
+#define KEPT_AT(field)                                                                                              \
+    (((size_t)(field) * frame->picture.kept[1] + y - frame->picture.kept_from[1] + i / LANES_ACROSS) * frame->picture.kept[0] + \
+     x - frame->picture.kept_from[0] + i % LANES_ACROSS)
+#define STATE_AT(field) states[KEPT_AT(field)]
 
 INLINE void store_states(const tile_t *tile, constant frame_t *frame, global float *states)
 {

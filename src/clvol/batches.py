@@ -13,7 +13,7 @@ from string import Formatter
 from typing import Any, Self
 
 from clvol.camera import Camera
-from clvol.checks import instance
+from clvol.checks import instance, whole
 from clvol.cluster import Cluster, ClusterLike, as_cluster
 from clvol.errors import ClvolError, OptionError
 from clvol.formats import read
@@ -25,6 +25,7 @@ from clvol.volume import Volume, as_volume
 
 __all__ = ["Drawn", "batch", "turned"]
 
+_OF_RENDERER = ("filter", "boundary", "device", "budget")  # the other options are those of its pictures
 _FIELDS = ("name", "number", "frame")
 
 
@@ -56,11 +57,18 @@ def turned(frames: int, elevation: float = 20.0, **camera: Any) -> list[Camera]:
     Parameters
     ----------
     frames : int
+        1 or more.
     elevation : float
         Degrees.
     **camera
         As of `Camera.orbit`; `azimuth` is the first one's.
+
+    Raises
+    ------
+    OptionError
+        `frames` is no whole number of at least 1, or a camera cannot be.
     """
+    frames = whole("frames", frames, minimum=1)
     first = camera.pop("azimuth", 0.0)
     return [Camera.orbit(first + 360 * i / frames, elevation, **camera) for i in range(frames)]
 
@@ -108,7 +116,7 @@ def batch(
     Raises
     ------
     OptionError
-        Several pictures would go to one file, or `output` asks for what there is not.
+        Several pictures would go to one file, `output` asks for what there is not, or `cameras` has none.
     FormatError
         A picture cannot be written.
     ClusterError
@@ -126,6 +134,8 @@ def batch(
     """
     many = _several(sources)
     views = [cameras] if cameras is None or isinstance(cameras, Camera) else list(cameras)
+    if not views:
+        raise OptionError("cameras must be one or more; got none")
     for view in views:
         if view is not None:
             instance("cameras", view, Camera)
@@ -135,7 +145,7 @@ def batch(
     ]
     _require_apart(wanted)
     work = [(source, view) for source in many for view in views]
-    told = _Told(progress, len(wanted))
+    done = itertools.count(1)
     results: list[Drawn] = list(wanted)
     how = reading if callable(reading) else dict(reading or {})
 
@@ -146,7 +156,8 @@ def batch(
         else:
             one.path.parent.mkdir(parents=True, exist_ok=True)
             save(result, one.path)
-        told.one_more()
+        if progress:
+            progress(next(done) / len(wanted))
 
     if cluster is None:
         with _Held() as held:
@@ -188,18 +199,6 @@ def _by(
         cluster.cancel(futures)
 
 
-class _Told:
-    """Tells how many are done."""
-
-    def __init__(self, progress: Progress | None, count: int) -> None:
-        self._progress, self._count, self._done = progress, count, 0
-
-    def one_more(self) -> None:
-        self._done += 1
-        if self._progress:
-            self._progress(self._done / self._count)
-
-
 class _Held:
     """The renderer of the source that was drawn last."""
 
@@ -225,7 +224,7 @@ class _Held:
         """The renderer of a source, and what it draws."""
         named = isinstance(source, (str, os.PathLike))
         key = (token, str(source) if named else id(source))
-        if key != self._key or (not named and self._volume is not source):
+        if key != self._key:  # what is held keeps its id
             self.let_go()
             volume = source if not named else how(str(source)) if callable(how) else read(source, **how)
             self._renderer, self._volume, self._key = Renderer(volume, **given), volume, key
@@ -235,8 +234,8 @@ class _Held:
 
 def _drawn(held: _Held, source: Any, how: Any, view: Camera | None, look: Any, options: dict[str, Any], token: str = "") -> Any:
     """A picture of the batch with this token."""
-    given = {name: options[name] for name in ("filter", "boundary", "device", "budget") if options.get(name) is not None}
-    rest = {name: value for name, value in options.items() if name not in ("filter", "boundary", "device", "budget")}
+    given = {name: options[name] for name in _OF_RENDERER if options.get(name) is not None}
+    rest = {name: value for name, value in options.items() if name not in _OF_RENDERER}
     with held.lock:
         renderer, volume = held.of(token, source, how, given)
         seen = volume.sketch() if isinstance(volume, LazyVolume) else volume

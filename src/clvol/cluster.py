@@ -142,7 +142,7 @@ class Cluster:
         count: dict[str, int] = {}
         found = {}
         for address in self.workers:
-            host = address.rpartition(":")[0]
+            host = _host(address)
             found[address] = count.get(host, 0)
             count[host] = found[address] + 1
         return found
@@ -323,9 +323,13 @@ def _close(things: list[Any]) -> None:
             thing.close()
 
 
+def _host(address: str) -> str:
+    return address.rpartition(":")[0]
+
+
 def _by_host_and_port(address: str) -> tuple[str, int, str]:
-    host, _, port = address.rpartition(":")
-    return host, int(port) if port.isdigit() else 0, address
+    port = address.rpartition(":")[2]
+    return _host(address), int(port) if port.isdigit() else 0, address
 
 
 def as_cluster(choice: ClusterLike) -> Cluster:
@@ -378,6 +382,8 @@ def as_cluster(choice: ClusterLike) -> Cluster:
 def _require_listening(address: str) -> None:
     """Raise unless somebody listens at an address by TCP."""
     found = re.fullmatch(r"(?:(\w+)://)?(.+):(\d+)", address)
+    if address.startswith("inproc://"):  # of this process
+        return
     if found is None:
         raise OptionError(f"cluster must be the address of a scheduler, such as tcp://host:8786; got {address!r}")
     if found[1] in (None, "tcp", "tls"):
@@ -434,8 +440,7 @@ def own_address() -> str:
 
 def neighbours(places: dict[str, int]) -> int:
     """How many workers there are on this one's host, itself included."""
-    host = own_address().rpartition(":")[0]
-    return max(1, sum(other.rpartition(":")[0] == host for other in places))
+    return max(1, [_host(address) for address in places].count(_host(own_address())))
 
 
 def own_place(places: dict[str, int]) -> int:

@@ -56,6 +56,14 @@ class Sphere:
     outer: NDArray[np.float64] | None = field(default=None, compare=False, repr=False)
 
 
+def spread(volume: Volume, most: int) -> tuple[NDArray[Any], list[int], list[int]]:
+    """Samples at equal distances, a view, at most so many along each axis and about the middle; the first, and the distances."""
+    steps = [-(-n // most) for n in volume.size]
+    firsts = [(n - 1) % step // 2 for n, step in zip(volume.size, steps, strict=True)]
+    some = tuple(slice(first, None, step) for first, step in zip(firsts[::-1], steps[::-1], strict=True))
+    return volume.data[some], firsts, steps
+
+
 def fitted(
     camera: Camera, volume: Volume, mode: Mode, transfer: TransferFunction, clip: Box | None = None, aspect: float = 1.0
 ) -> Camera:
@@ -131,9 +139,7 @@ _known: WeakKeyDictionary[Volume, dict[Any, Sphere]] = WeakKeyDictionary()
 
 def _sphere(volume: Volume, mode: Mode, transfer: TransferFunction, clip: Box | None) -> Sphere:
     whole = Sphere(tuple(map(float, volume.center)), volume.radius)  # type: ignore[arg-type]  # three
-    steps = [-(-n // _SAMPLES) for n in volume.size]
-    firsts = [(n - 1) % step // 2 for n, step in zip(volume.size, steps, strict=True)]
-    some = volume.data[tuple(slice(first, None, step) for first, step in zip(firsts[::-1], steps[::-1], strict=True))]
+    some, firsts, steps = spread(volume, _SAMPLES)
     some = np.ascontiguousarray(some, some.dtype.newbyteorder("="))
     surface = isinstance(mode, Isosurface)
     seen = _crossed(some >= np.float64(mode.isovalue)) if isinstance(mode, Isosurface) else _shown(some, mode, transfer)

@@ -66,7 +66,8 @@ class Bounds(Protocol):
 class LazyVolume:
     """A volume whose samples are read part by part, when they are needed.
 
-    It takes the place of a `Volume` for `clvol.render`, `Renderer` and `BrickedField`, which read it by bricks.
+    It takes the place of a `Volume` for `clvol.render`, `Renderer` and `BrickedField`, which read it by bricks,
+    several at a time where several threads ask.
 
     Parameters
     ----------

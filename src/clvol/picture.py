@@ -220,7 +220,7 @@ def _stored(picture: ArrayLike, opaque: bool = False) -> NDArray[np.uint8]:
     if data.ndim == 3 and data.shape[2] == 1:
         data = data[..., 0]
     if data.ndim == 3 and data.shape[2] == 4 and (opaque or data[..., 3].min() == 255):
-        data = _opaque(data)
+        data = over_black(data)
     return data
 
 
@@ -343,7 +343,7 @@ def labelled(picture: ArrayLike, text: str) -> NDArray[np.uint8]:
     if not isinstance(text, str):
         raise OptionError(f"text must be a string; got {text!r}")
     data = to_bytes(picture)
-    data = _opaque(data if data.ndim == 3 else data[..., None])
+    data = over_black(data if data.ndim == 3 else data[..., None])
     height, width = data.shape[:2]
     data = np.broadcast_to(data, (height, width, 3))
     size = max(9, round(width / 24))
@@ -356,7 +356,7 @@ def labelled(picture: ArrayLike, text: str) -> NDArray[np.uint8]:
     return np.concatenate([data, np.asarray(band)], 0)
 
 
-def _opaque(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def over_black(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Eight-bit RGBA, not premultiplied, over black; anything else unchanged."""
     if data.shape[2] != 4:
         return data

@@ -312,7 +312,7 @@ def _one(
     mutated: Sample, original: Sample, kind: str, seed: int, folder: Path, trusted: bool, tally: Tally, family: _Family
 ) -> bool:
     """Whether the reader keeps its promises for this input."""
-    result, wrong = None, []
+    result, wrong, scarce = None, [], False
     family.begin()
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
@@ -320,23 +320,20 @@ def _one(
             result = _read(folder, mutated, trusted)
         except ClvolError:
             tally.refused += 1
-        except MemoryError:
-            if not trusted:
-                wrong.append(("foreign", "MemoryError"))
-            elif seed not in tally.doubtful:
-                tally.doubtful.append(seed)
         except Exception as error:
             where = traceback.extract_tb(error.__traceback__)[-1]
-            wrong.append(("foreign", f"{type(error).__name__} in {Path(where.filename).name}:{where.name}"))
+            scarce = trusted and isinstance(error, MemoryError)
+            if not scarce:
+                wrong.append(("foreign", f"{type(error).__name__} in {Path(where.filename).name}:{where.name}"))
     seconds, peak = family.end()
-    if not trusted or (seconds <= SECONDS and peak <= MEGABYTES):
+    if trusted and (scarce or seconds > SECONDS or peak > MEGABYTES):
+        tally.doubtful.append(seed)
+    else:
         tally.slowest_s, tally.peak_mb = max(tally.slowest_s, seconds), max(tally.peak_mb, peak)
-    if trusted and (seconds > SECONDS or peak > MEGABYTES):
-        tally.doubtful += [] if seed in tally.doubtful else [seed]
-    elif seconds > SECONDS:
-        wrong.append(("hangs", f"more than {SECONDS:g} s"))
-    elif peak > MEGABYTES:
-        wrong.append(("memory", f"more than {MEGABYTES:g} MB"))
+        if seconds > SECONDS:
+            wrong.append(("hangs", f"more than {SECONDS:g} s"))
+        if peak > MEGABYTES:
+            wrong.append(("memory", f"more than {MEGABYTES:g} MB"))
     wrong += [
         ("foreign", f"{w.category.__name__}: {str(w.message)[:60]}") for w in told if not issubclass(w.category, ClvolWarning)
     ]
@@ -388,7 +385,7 @@ def _difference(held: Held | None, result: Any, told: bool = False) -> str:
     grid = result if isinstance(result, clvol.Volume) else result.grid
     data, truth = np.asarray(result), held.data
     ours, theirs = (tuple(n for n in one.shape if n > 1) for one in (data, truth))
-    if truth.dtype.kind == "f" and truth.dtype.itemsize > 8:  # volumes hold float64 at most
+    if data.dtype == np.float64 and truth.dtype.char == "g":  # volumes of HDF5 hold long doubles as these
         truth = truth.astype(np.float64)
     native = truth.dtype.newbyteorder("=")
     scaled = held.loose and native == np.float64  # by whole numbers, which other types hold too

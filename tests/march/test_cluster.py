@@ -5,7 +5,9 @@ from __future__ import annotations
 import itertools
 import multiprocessing
 import os
+import pickle
 import signal
+import socket
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -19,7 +21,7 @@ from clvol.camera import Camera
 from clvol.cluster import Cluster, as_cluster, worker_device
 from clvol.errors import ClusterError, DeviceError, FormatError, OptionError
 from clvol.march import cluster as parts
-from clvol.march.cluster import Group, groups_of, visible
+from clvol.march.cluster import Group, Shared, groups_of, visible
 from clvol.march.renderer import Renderer
 from clvol.spline.bricked import BrickedField
 from tests.march.test_bricks import BUMPY, CAMERAS, GUIDES, MODES, waves
@@ -185,6 +187,78 @@ def test_a_volume_in_memory_and_progress(cluster: Cluster) -> None:
         np.testing.assert_array_equal(many.render(CAMERAS["aslant"], "mip", (64, 64)), picture)
 
 
+def test_a_pickled_renderer_finds_its_cluster(cluster: Cluster, volume: clvol.LazyVolume) -> None:
+    """By its address; or it has as many processes of its own."""
+    for merge in ("order", "tree"):
+        with Renderer(volume, "linear", cluster=cluster, merge=merge) as renderer:
+            packed = pickle.dumps(renderer)
+            picture = renderer.render(CAMERAS["aslant"], "mip", (48, 48))
+            with pickle.loads(packed) as again:
+                assert again._cluster.address == cluster.address
+                assert again._cluster is not cluster
+                assert again._merge == merge
+                np.testing.assert_array_equal(again.render(CAMERAS["aslant"], "mip", (48, 48)), picture)
+        assert cluster.client.status == "running"  # the copy has left, and ended nobody else's
+    again, _ = Renderer(volume, "linear", cluster=cluster).__reduce__()
+    assert again.keywords == {"budget": None, "cluster": cluster.address, "merge": "order"}
+
+
+def test_a_pickle_of_own_processes_says_how_many(monkeypatch: pytest.MonkeyPatch, cluster: Cluster) -> None:
+    monkeypatch.setattr("clvol.march.renderer.as_cluster", lambda _: cluster)
+    with Renderer(waves(20, 20, 20), "linear", cluster=3) as renderer:
+        again, _ = renderer.__reduce__()
+        assert again.keywords["cluster"] == 3
+        monkeypatch.setattr(clusters, "_close", lambda _: None)
+        renderer._lease = type(renderer._lease)("left to the others")  # the cluster is theirs
+
+
+TERMINATIONS = [{}, {"termination": 0.05}]
+
+
+@pytest.mark.parametrize("options", TERMINATIONS, ids=str)
+@pytest.mark.parametrize("dense", [0.05, 0.4, 1.0])
+def test_a_tree_keeps_within_the_termination(cluster: Cluster, volume: clvol.LazyVolume, dense: float, options: Any) -> None:
+    """What lies behind does not know how much light is left: colour times opacity, and opacity, differ by that much at most."""
+    transfer = clvol.TransferFunction(((0.1, (0.2, 0.3, 1)), (0.9, (1, 0.8, 0.3))), ((0.2, dense / 3), (0.5, dense), (1.0, dense)))
+    bound = {"termination": clvol.modes()["composite"].termination, **options}["termination"] + 1e-6
+    one, many = both(
+        cluster, "tree", volume, "linear", CAMERAS["aslant"], "composite", (70, 50), samples=1, transfer=transfer, **options
+    )
+    a, b = (np.concatenate([p[..., :3] * p[..., 3:], p[..., 3:]], -1) for p in (one, many))
+    assert np.abs(a - b).max() <= bound
+    assert one[..., 3].max() > 1 - bound or dense < 0.3  # some rays are stopped
+
+
+@pytest.mark.parametrize("merge", ["order", "tree"])
+def test_levels_and_pictures_that_become_finer(cluster: Cluster, merge: Any) -> None:
+    """Of a cluster they are those of one process with the same bricks, each level for itself."""
+    levels = [
+        clvol.LazyVolume(waves(64, 60, 56)[::step, ::step, ::step].copy(), (step,) * 3, limits=(0, 1), labels=False)
+        for step in (1, 2, 4)
+    ]
+    brain = levels[0].with_levels(levels[1:])
+    camera, mode = CAMERAS["aslant"], "mip" if merge == "tree" else "composite"
+    with (
+        BrickedField(brain, "linear") as field,
+        Renderer(field) as one,
+        Renderer(brain, "linear", cluster=cluster, merge=merge) as many,
+    ):
+        shown = set()
+        for lod in (0, 1, 2.5):
+            for size in ((96, 64), (24, 24)):
+                options: dict[str, Any] = {"lod": lod, "samples": 2}
+                picture = many.render(camera, mode, size, **options)
+                np.testing.assert_array_equal(picture, one.render(camera, mode, size, **options))
+                assert many.shown.volume.shape == one.shown.volume.shape
+                shown.add(many.shown.volume.shape)
+        assert len(shown) == 3
+        several = [list(renderer.refine(camera, mode, (96, 64), lod=0)) for renderer in (one, many)]
+        assert [picture.final for picture in several[1]] == [False, False, True]
+        for a, b in zip(*several, strict=True):
+            np.testing.assert_array_equal(b, a)
+        np.testing.assert_array_equal(several[1][-1], many.render(camera, mode, (96, 64), lod=0))
+
+
 # -- faults --------------------------------------------------------------------------------------------------------------------
 
 
@@ -255,6 +329,85 @@ def test_a_poison_brick_is_named() -> None:
         with pytest.raises(ClusterError, match=r"brick \(1, 1, 1\) \(x, y, z\), samples \[.*\] of poison, ends each worker"):
             renderer.render(CAMERAS["aslant"], "mean", (32, 32))
         assert own.client.status == "running"
+
+
+def _asked(monkeypatch: pytest.MonkeyPatch, field: BrickedField, dies: Any) -> tuple[str, list[list[Any]]]:
+    """What is said of a box of 2 × 2 × 2 bricks, and which were read for it."""
+    asked: list[list[Any]] = []
+
+    def read(_: Any, bricks: Any) -> bool:
+        asked.append(list(bricks))
+        return bool(dies(asked[-1], len(asked)))
+
+    monkeypatch.setattr(parts._Work, "_dies", read)
+    work = parts._Work(Shared.__new__(Shared), None, [Group(7, (0, 0, 0), (2, 2, 2))])
+    monkeypatch.setattr(work._shared, "field", field, raising=False)
+    monkeypatch.setattr(work, "cancel", lambda: None)
+    return str(work._named(clusters.PoisonError("a worker died", f"{work._name}-7-0"))), asked
+
+
+@pytest.mark.parametrize("guilty", [*itertools.product((0, 1), repeat=3)])
+def test_the_brick_that_is_named_was_read_by_itself(monkeypatch: pytest.MonkeyPatch, guilty: Any) -> None:
+    with BrickedField(waves(32, 32, 32), "linear", edge=16) as field:
+        said, asked = _asked(monkeypatch, field, lambda bricks, _: guilty in bricks)
+    assert said.startswith(f"brick {guilty} (x, y, z), samples [")
+    assert [guilty] in asked
+    assert len(asked) <= 5
+
+
+def test_no_brick_is_named_that_was_not_found_guilty(monkeypatch: pytest.MonkeyPatch) -> None:
+    with BrickedField(waves(32, 32, 32), "linear", edge=16) as field:
+        said, asked = _asked(monkeypatch, field, lambda bricks, _: len(bricks) > 1)  # all that is read together is too much
+        assert said.startswith("bricks (0, 0, 0) to (1, 1, 1) (x, y, z) of the volume end each worker that reads all of them")
+        assert len(asked) <= 9
+        # a worker that was spared once leads to the wrong half: it is noticed, and sought again
+        said, asked = _asked(monkeypatch, field, lambda bricks, time: (0, 0, 0) in bricks and time != 2)
+        assert said.startswith("brick (0, 0, 0) (x, y, z)")
+        said, asked = _asked(monkeypatch, field, lambda *_: False)
+        assert "though they can be read" in said
+        assert len(asked) == 1
+
+
+def test_a_second_picture_by_workers_that_come_back_at_their_ports() -> None:
+    """Who takes the place of a killed worker has its address, and none of its bricks."""
+    ports = [_free_port() for _ in range(2)]
+    spec = {
+        i: {
+            "cls": distributed.Nanny,
+            "options": {"nthreads": 1, "worker_port": port, "memory_limit": 0, "env": {"POCL_MAX_PTHREAD_COUNT": "1"}},
+        }
+        for i, port in enumerate(ports)
+    }
+    volume = clvol.LazyVolume(waves(35, 44, 51), limits=(0, 1), labels=False)
+    scheduler = {"cls": distributed.Scheduler, "options": {"dashboard": False}}
+    with (
+        distributed.SpecCluster(workers=spec, scheduler=scheduler, silence_logs=50) as local,
+        distributed.Client(local, set_as_default=False) as client,
+        BrickedField(volume, "linear") as field,
+        Renderer(field) as one,
+        as_cluster(client) as own,
+        Renderer(volume, "linear", cluster=own) as many,
+    ):
+        client.wait_for_workers(2, timeout=60)
+        wanted = one.render(CAMERAS["aslant"], "mip", (64, 64))
+        for _ in range(2):
+            before = own.workers
+            np.testing.assert_array_equal(many.render(CAMERAS["aslant"], "mip", (64, 64)), wanted)
+            killed = client.run(clusters.about)[before[0]].process
+            os.kill(killed, signal.SIGKILL)
+            deadline = time.monotonic() + 60
+            while time.monotonic() < deadline and killed in {
+                getattr(answer, "process", killed) for answer in client.run(clusters.about, on_error="return").values()
+            } | ({killed} if len(own.workers) < 2 else set()):
+                time.sleep(0.1)
+            assert own.workers == before
+        np.testing.assert_array_equal(many.render(CAMERAS["aslant"], "mip", (64, 64)), wanted)
+
+
+def _free_port() -> int:
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return int(found.getsockname()[1])
 
 
 def test_what_cannot_be_read_is_named(cluster: Cluster) -> None:

@@ -18,7 +18,7 @@ from scipy.ndimage import map_coordinates
 from clvol.camera import Camera
 from clvol.device import Device
 from clvol.errors import GeometryError, OptionError
-from clvol.march import refine
+from clvol.march import launch, refine
 from clvol.march.launch import Drawing, draw
 from clvol.march.refine import Rate, Rates, Refined
 from clvol.march.renderer import Renderer
@@ -334,6 +334,19 @@ def test_edges_are_told_of(renderer: Renderer) -> None:
 # -- whatever happens on the way --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("samples", [1, "auto", 4])
+@pytest.mark.parametrize("budget", [TINY, HUGE])
+def test_progress_is_that_of_the_last_picture(renderer: Renderer, samples: Any, budget: float) -> None:
+    told: list[float] = []
+    want = renderer.render(CAMERA, "isosurface", SIZE, samples=samples)
+    with renderer.device.limited(launch_seconds=1e-9):
+        checked(renderer.refine(CAMERA, "isosurface", SIZE, samples=samples, budget=budget, progress=told.append), want)
+    assert len(told) > 10
+    assert told == sorted(told)
+    assert 0 < told[0] < 0.5
+    assert told[-1] == 1
+
+
 def test_whoever_has_enough_stops(renderer: Renderer) -> None:
     want = renderer.render(CAMERA, size=SIZE)
     for count in range(3):
@@ -467,7 +480,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "cancelled": ({"cancelled": 3}, "cancelled must be callable; got 3"),
     "outputs": ({"outputs": "depth"}, "refine gives colours alone.*leave out outputs, or use render"),
     "several": ({"outputs": ("rgba", "depth")}, "leave out outputs"),
-    "progress": ({"progress": print}, "leave out progress"),
+    "progress": ({"progress": 3}, "progress must be callable; got 3"),
     "sigma": ({"sigma": 1.0, "outputs": "rgba"}, "leave out outputs and sigma"),
     "option": ({"isovalue": 3}, "isovalue"),
     "mode": ({"mode": "compost"}, "composite"),
@@ -524,3 +537,31 @@ def test_options_of_a_mode_reach_it(renderer: Renderer) -> None:
     for mode in modes():
         options = suited(mode, {"isovalue": 0.3, "shading": False, "attenuation": 1.0})
         checked(renderer.refine(CAMERA, mode, SIZE, budget=TINY, **options), renderer.render(CAMERA, mode, SIZE, **options))
+
+
+def test_launches_are_as_long_as_was_measured(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[Any] = []
+    budget = launch._Budget
+    monkeypatch.setattr(launch, "_Budget", lambda *given: made.append(budget(*given)) or made[-1])
+    with renderer.device.limited(launch_seconds=0.01):
+        renderer.render(Camera.orbit(45, 20), "composite", (16, 16))
+    cut = made[0]
+    rate, areas = cut._guess / 12, []  # seconds a pixel, of the rays that there are
+    for x, y, w, h in cut.tiles(4096, 4096):
+        areas.append(w * h)
+        cut.spent(w * h, w * h * rate)
+        assert x + w <= 4096
+        assert y + h <= 4096
+    assert sum(areas) == 4096 * 4096
+    seconds = np.array(areas) * rate
+    assert seconds[:3].max() <= max(0.01, 256 * rate)  # nothing was known
+    whole = seconds[len(seconds) // 2 :]
+    assert whole.max() <= max(0.011, 256 * rate)
+    assert np.median(whole) >= min(0.005, 256 * rate)
+    assert max(areas) * cut._guess <= max(launch._DEAF, 256 * cut._guess)
+    tiles = cut.tiles(4096, 4096)
+    first = next(tiles)
+    cut.spent(256, 0.02)  # what takes long is believed at once
+    assert np.prod(first[2:]) >= np.prod(next(tiles)[2:])
+    cut.expect(rate)
+    assert cut._per_pixel == pytest.approx(3 * rate)

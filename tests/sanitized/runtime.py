@@ -228,7 +228,7 @@ class Kernel:
 
     def __call__(
         self, queue: Any, sizes: Sequence[int], local: Sequence[int] | None, *given: Any, global_offset: Sequence[int] | None = None
-    ) -> None:
+    ) -> Any:
         if len(given) != len(self._parameters):
             raise real.LogicError(f"{len(self._parameters)} arguments; got {len(given)}")
         table, kept, image = np.zeros(max(1, len(given)), np.uint64), [], 0
@@ -253,6 +253,7 @@ class Kernel:
         n = len(sizes)
         numbers = np.array([*sizes, *[1] * (3 - n), *(global_offset or [0] * n), *[0] * (3 - n)], np.uint64)
         self._library.clvol_launch(self._run, table.ctypes.data, image, numbers[:3].ctypes.data, numbers[3:].ctypes.data)
+        return enqueue_marker(queue)
 
 
 def enqueue_copy(queue: Any, to: Any, source: Any, **where: Any) -> Any:

@@ -5,7 +5,10 @@ from __future__ import annotations
 import gc
 import pickle
 import threading
+import time
 import weakref
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -179,6 +182,155 @@ def test_threads_get_what_one_gets(volume: clvol.Volume) -> None:
     for one in found.values():
         np.testing.assert_array_equal(one, expected)
     assert len(found) == 4
+
+
+class Together(Counted):
+    """Samples that come when as many readers are at them as were asked for, or after all hope is gone."""
+
+    def __init__(self, data: Any, readers: int) -> None:
+        super().__init__(data)
+        self.gate = threading.Barrier(readers)
+        self.on = False
+
+    def __getitem__(self, index: Any) -> Any:
+        if self.on:
+            self.gate.wait(timeout=60)
+        return super().__getitem__(index)
+
+
+def in_threads(*work: Any) -> list[Any]:
+    """What each of them gives, or the error that it raises, by threads of their own."""
+    with ThreadPoolExecutor(len(work)) as pool:
+        futures = [pool.submit(one) for one in work]
+        return [future.exception(timeout=120) or future.result() for future in futures]
+
+
+def test_threads_read_different_bricks_side_by_side(volume: clvol.Volume) -> None:
+    data = Together(volume.data, 3)  # none comes before three are asked for
+    corners = volume.index_to_world([[2.0, 2.0, 2.0], [25.0, 20.0, 20.0], [50.0, 38.0, 35.0]])
+    with BrickedField(clvol.LazyVolume(data, limits=(0, 1), labels=False), "linear", edge=16) as field:
+        truth = BrickedField(volume.data, "linear", edge=16)(volume.world_to_index(corners))
+        data.on = True
+        found = in_threads(*(partial(field, [at]) for at in volume.world_to_index(corners)))
+        np.testing.assert_array_equal(np.concatenate(found), truth)
+        assert field.reads.bricks == 3
+
+
+def test_a_brick_that_several_threads_want_is_read_once_and_its_error_is_raised_by_all() -> None:
+    asked, go = threading.Event(), threading.Event()
+
+    class Held(Counted):
+        error: Exception | None = None
+
+        def __getitem__(self, index: Any) -> Any:
+            asked.set()
+            assert go.wait(60)
+            if self.error is not None:
+                raise self.error
+            return super().__getitem__(index)
+
+    data = Held(np.random.default_rng(6).random((40, 40, 40)).astype(np.float32))
+    at = [[5.0, 6.0, 7.0]]
+    with BrickedField(clvol.LazyVolume(data, limits=(0, 1), labels=False), "linear", edge=16) as field:
+        for error in (OSError("disk on fire"), None):
+            data.error, data.read = error, 0
+            asked.clear()
+            go.clear()
+
+            def release() -> None:
+                assert asked.wait(60)
+                residents = field._residents
+                while sum(len(one.waiting) for one in residents._coming) < 3:
+                    time.sleep(0.001)
+                go.set()
+
+            *found, _ = in_threads(*(partial(field, at) for _ in range(4)), release)
+            if error is not None:
+                assert [type(one) for one in found] == [FormatError] * 4
+                assert all("disk on fire" in str(one) for one in found)
+                assert field.nbytes == 0  # nothing is kept of it
+            else:
+                assert found == [found[0]] * 4
+                assert field.reads.bricks == 1
+                assert field.reads.samples == data.read * 2  # the read that failed is counted
+                assert all(not one.users for one in field._residents._there.values())
+
+
+@pytest.mark.parametrize("room", [1, 2, 3])
+def test_threads_stay_within_a_budget_of_fewer_bricks_than_there_are_threads(room: int) -> None:
+    rng = np.random.default_rng(7)
+    samples, most = rng.random((48, 48, 48)).astype(np.float32), [0]
+
+    class Watched(Counted):
+        def __getitem__(self, index: Any) -> Any:
+            look()
+            return super().__getitem__(index)
+
+    def look() -> None:
+        residents = field._residents
+        with residents.lock:
+            held = sum(one.coefficients.nbytes for one in residents._there.values())
+            assert held <= field.nbytes
+            most[0] = max(most[0], field.nbytes)
+
+    at = rng.uniform(0, 47, (300, 3))
+    with BrickedField(samples, "linear", edge=16) as roomy:
+        truth = roomy(at)
+        each = roomy._most(16)
+    field = BrickedField(
+        clvol.LazyVolume(Watched(samples), limits=(0, 1), labels=False), "linear", edge=16, budget=int((room + 0.2) * each)
+    )
+    with field:
+        for found in in_threads(*(partial(field, at, progress=lambda _: look()) for _ in range(5))):
+            np.testing.assert_array_equal(found, truth)
+        assert 0 < most[0] <= field.budget
+        assert not field._residents._coming
+        assert field._residents._sleeping == []
+
+
+def test_who_holds_a_brick_waits_for_no_room() -> None:
+    """Two threads that each hold one and want another go on, past the budget."""
+    data = np.random.default_rng(8).random((16, 16, 64)).astype(np.float32)
+    with BrickedField(data, "linear", edge=16) as other:
+        each = other._most(16)
+    both = threading.Barrier(2)
+    with BrickedField(
+        clvol.LazyVolume(Counted(data), limits=(0, 1), labels=False), "linear", edge=16, budget=int(2.1 * each)
+    ) as field:
+
+        def two(first: int, second: int) -> bool:
+            with field.resident(field.brick((first, 0, 0))):
+                both.wait(60)
+                with field.resident(field.brick((second, 0, 0))) as own:
+                    return own.at == (second, 0, 0)
+
+        assert in_threads(partial(two, 0, 1), partial(two, 2, 3)) == [True, True]
+        assert field.nbytes <= field.budget  # once they have done
+
+
+def test_an_interrupted_reader_leaves_the_brick_to_who_waits() -> None:
+    asked, calls = threading.Event(), []
+
+    class Interrupted(Counted):
+        def __getitem__(self, index: Any) -> Any:
+            calls.append(index)
+            if len(calls) == 1:
+                asked.set()
+                while not any(one.waiting for one in field._residents._coming):
+                    time.sleep(0.001)
+                raise KeyboardInterrupt
+            return super().__getitem__(index)
+
+    def later() -> Any:
+        assert asked.wait(60)
+        return field([[1.0, 2.0, 3.0]])
+
+    volume = clvol.LazyVolume(Interrupted(np.ones((16, 16, 16), np.float32)), limits=(0, 1), labels=False)
+    with BrickedField(volume, "linear", edge=16) as field:
+        first, second = in_threads(partial(field, [[1.0, 2.0, 3.0]]), later)
+        assert isinstance(first, KeyboardInterrupt)
+        assert second.tolist() == [1.0]
+        assert len(calls) == 2
 
 
 def test_one_that_nobody_keeps_is_freed(volume: clvol.Volume) -> None:

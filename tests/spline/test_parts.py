@@ -25,6 +25,23 @@ def at(n: int = 500) -> Any:
     return VOLUME.index_to_world(np.random.default_rng(2).uniform(-2, 38, (n, 3)))
 
 
+TURNED = clvol.AffineTransform(np.linalg.qr(np.eye(3) + 0.05 * TURN)[0], (1, -2, 0.5), VOLUME.center)
+MOVED = clvol.AffineTransform(np.eye(3), (0.3, -40, 2))
+SLAB = clvol.Volume(np.zeros((110, 4, 100), np.float32), (0.4, 9.0, 1.0), tuple(VOLUME.center - 30))
+
+
+def displacements(filter: str) -> clvol.DisplacementField:
+    """Of some of the volume, by several of its voxels."""
+    values = np.random.default_rng(3).normal(scale=4.0, size=(9, 8, 7, 3))
+    return clvol.DisplacementField(values, (9, 11, 14), tuple(VOLUME.origin), TURN, filter=filter)
+
+
+def lattice() -> clvol.BSplineTransform:
+    """Over all of the volume, and further."""
+    values = np.random.default_rng(4).normal(scale=3.0, size=(9, 9, 9, 3))
+    return clvol.BSplineTransform(values, (40, 40, 40), tuple(VOLUME.center - 160))
+
+
 CALLS: dict[str, Any] = {
     "values": lambda volume: clvol.sample(volume, at()),
     "gradients": lambda volume: clvol.sample(volume, at(), "bspline5", "reflect", 1) / 4,
@@ -32,6 +49,16 @@ CALLS: dict[str, Any] = {
     "a grid": lambda volume: clvol.resample(volume, (20, 30, 40)).data,
     "another": lambda volume: (
         clvol.resample(volume, spacing=1.7, filter="catmull-rom", boundary="wrap", fill=0, anchor="origin").data
+    ),
+    "moved": lambda volume: clvol.resample(volume, (20, 30, 40), transform=[TURNED, np.diag([0.9, 1.1, 1, 1])], fill=-1.0).data,
+    "along its axes": lambda volume: (
+        clvol.resample(volume, like=VOLUME, transform=clvol.AffineTransform(np.eye(3), (0.3, -40, 2))).data
+    ),
+    "displaced": lambda volume: clvol.resample(volume, (35, 30, 110), transform=displacements("linear")).data,
+    "displaced twice": lambda volume: (
+        clvol.resample(
+            volume, like=SLAB, filter="catmull-rom", transform=[displacements("bspline3"), TURNED, lattice()], fill=0.25
+        ).data
     ),
     "rounded": lambda volume: clvol.resample(volume, (20, 30, 40), dtype="float64").data,
     "magnified": lambda volume: clvol.magnify(volume, 3, "linear").data,
@@ -87,7 +114,6 @@ def test_labels_keep_their_type() -> None:
 def test_what_bricks_do_not_know_is_refused_with_what_does() -> None:
     volume = lazy()
     for call, match in (
-        (lambda: clvol.resample(volume, (4, 5, 6), transform=np.eye(4)), r"takes no transform.*volume\.whole\(\).*dask"),
         (lambda: clvol.resample(volume, (4, 5, 6), anti_aliasing=True), r"takes no anti_aliasing.*clvol\.pyramid"),
         (lambda: clvol.sample(volume, at(), precision="double"), r"takes no precision.*dask"),
         (lambda: clvol.sample(volume, at(), nan="local"), r"takes no nan"),

@@ -19,6 +19,7 @@ from clvol.view import View
 from clvol.view.server import Limits, Serving, serve
 
 CANVAS = ".clvol-pane[data-pane='3d'] canvas"
+LAST = "document.querySelector('.clvol-pane[data-pane=\"3d\"]')?.dataset.final === 'true'"
 
 
 @pytest.fixture
@@ -35,12 +36,18 @@ def opened(browser: Browser, server: Serving) -> np.ndarray:
 
 
 def settled(browser: Browser, other_than: np.ndarray | None = None) -> np.ndarray:
-    """The picture that is shown when it changes no more, and is not the one given."""
+    """The last picture, when it changes no more, and is not the one given.
+
+    That it stays for a while is not enough: on a machine that is busy a coarse one may, before the last one comes.
+    """
     last: list[np.ndarray] = []
 
     def still() -> Any:
         now = browser.canvas(CANVAS) if browser.js("return document.querySelector(arguments[0])?.width > 1", CANVAS) else None
         if now is None or len(np.unique(now[..., :3])) < 8:
+            return False
+        if not browser.js(f"return {LAST}"):
+            last.clear()
             return False
         same = len(last) > 0 and last[-1].shape == now.shape and np.array_equal(last[-1], now)
         last.append(now)

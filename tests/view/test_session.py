@@ -183,8 +183,8 @@ def test_a_view_takes_volumes_alone() -> None:
 
 
 def test_what_a_client_is_told_first(client: Client, volume: Volume) -> None:
-    client.wait(lambda m: m["type"] == "state")
-    info, state = client.of("info")[0], client.of("state")[0]
+    state, _ = client.wait(lambda m: m["type"] == "state" and "effective" in m)
+    info = client.of("info")[0]
     assert client.got[0][0] is info
     assert info["volume"]["shape"] == [20, 24, 28]
     assert sum(info["histogram"]["counts"]) == volume.data.size
@@ -228,6 +228,23 @@ def test_a_drag_shows_previews_then_the_still_picture_and_is_one_step(client: Cl
     assert client.session.state.mode == "isosurface"
 
 
+def test_after_a_click_and_a_change_the_session_still_hears(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    client.resize()
+    client.still()
+    budgets: list[float] = []
+    shots = client.session._drawer.shots
+    monkeypatch.setattr(client.session._drawer, "shots", lambda *given, **more: budgets.append(given[4]) or shots(*given, **more))
+    for kind, buttons in (("pointer_down", [1]), ("pointer_up", [])):
+        client.event(kind, pane="3d", x=20, y=20, button=1, buttons=buttons)
+    client.set(step=0.25)  # takes longer than what was seen before
+    client.wait(lambda m: m["type"] == "frame" and m["final"] and m["number"] > 1)
+    client.forget()
+    client.set(step=0.3)
+    client.still()
+    assert budgets
+    assert max(budgets) < 1
+
+
 def test_the_sizes_of_a_drag_do_not_alternate(view: View, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where its pictures would be coarse they may take longer, until it rests."""
     client = Client(view)
@@ -235,7 +252,7 @@ def test_the_sizes_of_a_drag_do_not_alternate(view: View, monkeypatch: pytest.Mo
     client.still()
     budgets: list[float] = []
 
-    def shots(*given: Any, coarse: bool = False) -> Iterator[Shot]:
+    def shots(*given: Any, coarse: bool = False, elsewhere: Any = None) -> Iterator[Shot]:  # noqa: ARG001
         budget = given[4]
         if coarse:
             budgets.append(budget)

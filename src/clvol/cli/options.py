@@ -346,7 +346,7 @@ class Look:
         given: dict[str, Any] = {} if self.samples is None else {"samples": self.samples}
         given |= {} if self.clip is None else {"clip": (self.clip[:3], self.clip[3:])}
         return given | {
-            "camera": clvol.Camera.orbit(self.azimuth, self.elevation, zoom=self.zoom, projection=self.projection, fit=self.fit),
+            "camera": self.camera(),
             "mode": self.mode,
             "step": self.step,
             "pixel_filter": self.pixel_filter,
@@ -356,6 +356,10 @@ class Look:
             "evaluator": self.evaluator,
             "fetch": self.fetch,
         }
+
+    def camera(self) -> clvol.Camera:
+        """From where it is seen."""
+        return clvol.Camera.orbit(self.azimuth, self.elevation, zoom=self.zoom, projection=self.projection, fit=self.fit)
 
     def _transfer(self, volume: clvol.Volume) -> clvol.TransferFunction | None:
         """What is asked for, or None: the mode's own."""

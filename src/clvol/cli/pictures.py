@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
 import clvol
-from clvol import display
+from clvol import display, movies
+from clvol.checks import number, whole
 from clvol.cli import speech
 from clvol.cli.options import (
     Compared,
@@ -35,16 +39,24 @@ from clvol.cli.options import (
 )
 from clvol.cli.root import PICTURES, command
 from clvol.errors import OptionError
+from clvol.files import require_folder, require_suffix, staged
 from clvol.march.uncertainty import COVERAGE, in_words
 from clvol.mode import as_mode
 from clvol.picture import heat, heat_with_scale
 from clvol.smoothing import filter_for
 from clvol.spline.bricked import BrickedField, as_lazy
 
-__all__ = ["batch", "compare", "figure", "figure6", "render", "report"]
+if TYPE_CHECKING:
+    from clvol.cli._preview import Preview
+
+__all__ = ["batch", "compare", "figure", "figure6", "movie", "render", "report"]
 
 _BRICKS = Group("Of what is read by bricks: large, far away, or stored in several sizes", sort_key=5)
 _CLUSTER = Group("By several processes, which read and draw bricks together", sort_key=6)
+_Scheduler = Annotated[str | None, Parameter(show_default=False, group=_CLUSTER)]
+_Workers = Annotated[Whole | None, Parameter(show_default=False, group=_CLUSTER)]
+_FIRST = 0.2  # seconds until there is a picture to be shown in the terminal
+_MOST_FRAMES = 10_000
 _COMPARED = 20_000  # gradients that a table of errors compares
 
 
@@ -65,8 +77,9 @@ def render(
     by_bricks: Annotated[bool, Parameter(negative="", group=_BRICKS)] = False,
     budget: Annotated[str | None, Parameter(show_default=False, group=_BRICKS)] = None,
     lod: Annotated[float | Literal["auto"], Parameter(group=_BRICKS)] = "auto",
-    scheduler: Annotated[str | None, Parameter(show_default=False, group=_CLUSTER)] = None,
-    workers: Annotated[Whole | None, Parameter(show_default=False, group=_CLUSTER)] = None,
+    scheduler: _Scheduler = None,
+    workers: _Workers = None,
+    preview: bool = True,
     verbose: Annotated[bool, Parameter(negative="")] = False,
     json: Json = False,
 ) -> None:
@@ -96,6 +109,9 @@ def render(
         version of clvol.
     workers
         Instead, so many processes of this machine.
+    preview
+        Show coarser pictures above the bar of progress, in a terminal with colours, where the picture of a volume in memory takes
+        long, and nothing else is asked of it.
     verbose
         Report the share of the samples that was looked at, and how long the parts took, kernels that are built first
         included.
@@ -115,16 +131,21 @@ def render(
     volume = _volume(input or Input(), source, most, by_bricks=by_bricks, whole=whole)
     looked = volume.sketch() if isinstance(volume, clvol.LazyVolume) else volume
     result: dict[str, Any] = {"output": str(output), "size": list(size), "filter": "", "mode": look.mode}
-    with speech.progress("rendering", json) as progress:
+    outputs: list[clvol.Output] = ["rgba"]
+    outputs += ["visited"] if verbose or heat_map is not None else []
+    outputs += ["uncertainty"] if uncertainty is not None else []
+    preview = preview and isinstance(volume, clvol.Volume) and outputs == ["rgba"]
+    with speech.progress("rendering", json, preview=preview) as progress:
         options |= look.options(looked)
         begun = time.perf_counter()
         wanted = _filter(volume, filter, look.mode)
         with clvol.Renderer(volume, wanted, look.boundary, device, budget=most, cluster=cluster) as renderer:
             ready = time.perf_counter()
-            outputs: list[clvol.Output] = ["rgba"]
-            outputs += ["visited"] if verbose or heat_map is not None else []
-            outputs += ["uncertainty"] if uncertainty is not None else []
-            pictures = renderer.render(size=size, progress=progress, outputs=outputs, lod=lod, **options)
+            shows = preview and progress is not None and isinstance(renderer.field, clvol.Field)
+            if shows and isinstance(progress, _preview()):
+                pictures = {"rgba": _refined(renderer, progress, size=size, **options)}
+            else:
+                pictures = renderer.render(size=size, progress=progress, outputs=outputs, lod=lod, **options)
             done = time.perf_counter()
             shown = renderer.shown
             read = _bricks_read(shown, volume, json) if isinstance(shown, BrickedField) else {}
@@ -148,6 +169,20 @@ def render(
     speech.say(json, result)
 
 
+def _preview() -> type[Preview]:
+    from clvol.cli._preview import Preview  # where there is a terminal: it takes rich
+
+    return Preview
+
+
+def _refined(renderer: clvol.Renderer, shown: Preview, **options: Any) -> clvol.Picture:
+    """The picture that `render` makes, those on the way to it being shown."""
+    for picture in renderer.refine(budget=_FIRST, progress=shown, **options):
+        if not picture.final:
+            shown.show(picture)
+    return picture
+
+
 @command(PICTURES)
 def batch(
     sources: Annotated[list[str], Parameter(help="Volume files; as many as there are.", allow_leading_hyphen=False)],
@@ -161,8 +196,8 @@ def batch(
     input: Input | None = None,
     look: Look | None = None,
     own: ModeOptions | None = None,
-    scheduler: Annotated[str | None, Parameter(show_default=False, group=_CLUSTER)] = None,
-    workers: Annotated[Whole | None, Parameter(show_default=False, group=_CLUSTER)] = None,
+    scheduler: _Scheduler = None,
+    workers: _Workers = None,
     json: Json = False,
 ) -> None:
     """Make pictures of many volumes, from many sides.
@@ -187,7 +222,7 @@ def batch(
     reader = input or Input()
     speech.require_picture(Path(f"picture{Path(output).suffix}"))
     camera = {"zoom": look.zoom, "projection": look.projection, "fit": look.fit}
-    cameras = clvol.turned(turn, look.elevation, azimuth=look.azimuth, **camera) if turn > 1 else None
+    cameras = clvol.turned(turn, look.elevation, azimuth=look.azimuth, **camera) if turn != 1 else None
     with speech.progress("drawing", json) as progress:
         drawn = clvol.batch(
             sources,
@@ -211,6 +246,86 @@ def batch(
     speech.say(json, result, list(dict.fromkeys(f"{one.source}: {one.error}" for one in failed)))
     if failed:
         raise SystemExit(1)
+
+
+@command(PICTURES)
+def movie(
+    source: Source,
+    /,
+    *,
+    output: Annotated[
+        Path, Parameter(name=["--output", "-o"], help="The file to write: .mp4, .webm, .gif, or .zip with PNG files.")
+    ],
+    seconds: float = 5.0,
+    fps: float = movies.PER_SECOND,
+    frames: Annotated[Whole | None, Parameter(show_default=False)] = None,
+    turns: float = 1.0,
+    filter: Annotated[FilterName | None, Parameter(show_default=False)] = None,
+    size: Size = (512, 512),
+    device: DeviceName = None,
+    input: Input | None = None,
+    look: Look | None = None,
+    own: ModeOptions | None = None,
+    json: Json = False,
+) -> None:
+    """Make a movie of a volume that turns about its vertical.
+
+    The first picture is that of 'clvol render', and follows the last one as each follows the one before where turns are whole.
+    Videos have an even number of pixels along each axis: of an odd one, the last is left out.
+
+    Parameters
+    ----------
+    seconds
+        How long it lasts.
+    fps
+        Pictures a second, 0.1 to 1000. GIF counts in hundredths of seconds: the nearest number of them is taken.
+    frames
+        How many pictures there are, in place of --seconds.
+    turns
+        How often it turns; below 0 to the other side.
+    filter
+        As of 'clvol render'.
+    """
+    form = require_suffix(output, movies.SUFFIXES, "movies").removeprefix(".")
+    require_folder(output)
+    number("fps", fps, minimum=0.1, maximum=1000)
+    number("seconds", seconds, above=0)
+    turns = number("turns", turns)
+    if frames is None and not 2 <= round(seconds * fps) <= _MOST_FRAMES:
+        raise OptionError(
+            f"a movie must have 2 to {_MOST_FRAMES} pictures; {seconds:g} s at {fps:g} a second are {seconds * fps:.0f}"
+        )
+    count = whole("frames", round(seconds * fps) if frames is None else frames, 2, _MOST_FRAMES)
+    movies.require_encoder(form)
+    movies.require_room(form, count, size)
+    if form in ("mp4", "webm") and min(size) < 2:
+        raise OptionError(f"a video must be at least 2 pixels wide and high; got {size[0]} × {size[1]}")
+    look = look or Look()
+    options = own_options(look, own)
+    volume = _volume(input or Input(), source, None, by_bricks=False, whole=False)
+    looked = volume.sketch() if isinstance(volume, clvol.LazyVolume) else volume
+    with speech.progress("drawing", json) as progress:
+        options |= look.options(looked)
+        wanted = _filter(volume, filter, look.mode)
+        with clvol.Renderer(volume, wanted, look.boundary, device) as renderer, staged(output, f".{form}") as path:
+
+            def drawn() -> Iterator[clvol.Picture]:
+                for i in range(count):
+                    angle = look.azimuth + 360 * turns * i / count
+                    camera = replace(look, azimuth=angle).camera()
+                    told = progress and partial(_within, progress, i, count)
+                    yield renderer.render(size=size, progress=told, **options | {"camera": camera})
+
+            movies.write(drawn(), path, form, fps)
+            shown = renderer.shown
+    result: dict[str, Any] = {"output": str(output), "frames": count, "fps": movies.rate(form, fps), "mode": look.mode}
+    result["filter"] = shown.filter.name if json else speech.filter_text(shown.filter, filter, shown.volume)
+    speech.say(json, result)
+
+
+def _within(progress: Callable[[float], None], number: int, count: int, done: float) -> None:
+    """So much of a picture of several is done."""
+    progress((number + done) / count)
 
 
 def _cluster(scheduler: str | None, workers: int | None) -> str | int | None:

@@ -11,12 +11,15 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import clvol
 from clvol.files import require_folder, require_suffix
 from clvol.filter import Filter
 from clvol.smoothing import choose
+
+if TYPE_CHECKING:
+    from clvol.cli._preview import Preview
 
 __all__ = ["filter_text", "one_line", "print_json", "progress", "range_text", "require_picture", "require_writable", "say", "table"]
 
@@ -39,11 +42,21 @@ def require_writable(output: Path, suffixes: Sequence[str], what: str) -> None:
 
 
 @contextmanager
-def progress(what: str, quiet: bool) -> Iterator[Callable[[float], None] | None]:
-    """A bar on standard error where that is a terminal; nothing elsewhere."""
+def progress(what: str, quiet: bool, *, preview: bool = False) -> Iterator[Preview | Callable[[float], None] | None]:
+    """A bar on standard error where that is a terminal; nothing elsewhere.
+
+    `preview` asks for one that shows pictures too: it is a `Preview` where the terminal can show them.
+    """
     if quiet or not sys.stderr.isatty():
         yield None
         return
+    if preview:
+        from clvol.cli._preview import Preview, console
+
+        if (terminal := console()) is not None:
+            with Preview(what, terminal) as shown:
+                yield shown
+            return
     from rich.console import Console
     from rich.progress import Progress
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import threading
+import time
 import webbrowser
 from concurrent.futures import Future
 from contextlib import suppress
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 __all__ = ["view"]
 
 _SERVER = Group("The server", sort_key=1)
+_GRACE = 0.25  # seconds in which a browser that is open already has the page
 _REHEARSED = 32  # samples along each axis
 _UNPACKED = 100  # bytes of samples and coefficients that are expected of a stored one, at most
 
@@ -168,7 +170,12 @@ def view(
     def prepare() -> None:
         """The first picture's parts, while the browser starts."""
         try:
-            made.result().prepare()
+            view = made.result()
+            until = time.monotonic() + _GRACE
+            while not server.clients and time.monotonic() < until:
+                time.sleep(_GRACE / 16)
+            if not server.clients:  # an open page has its first picture sooner if its session does the work, in its own order
+                view.prepare()
         except Exception as error:  # of the file it is told already; of the device each page tells it too
             if made.exception() is None:
                 failed(error)

@@ -118,7 +118,7 @@ class BrickedDrawing(Drawing):
         try:
             for frame, places in frames:
                 passes.append(self.begun(frame, places))
-            self.march(passes, front_to_back(self._field, self._view), told)
+            self._go_through(passes, frames, told)
             if told:
                 told(1.0)
             with lent_pictures(frames[0][0], arrays, begun=begun) as buffers:
@@ -127,6 +127,15 @@ class BrickedDrawing(Drawing):
         finally:
             for one in passes:
                 one.release()
+
+    def _go_through(
+        self,
+        passes: list[Pass],
+        frames: list[tuple[Frame, NDArray[np.float32] | None]],  # noqa: ARG002  # passes know theirs
+        told: Progress | None,
+    ) -> None:
+        """Rays, those of each of the frames, through all bricks."""
+        self.march(passes, front_to_back(self._field, self._view), told)
 
     def begun(self, frame: Frame, places: NDArray[np.float32] | None, area: Area | None = None) -> Pass:
         """The rays of one of the picture's frames before the first brick: all of them, or those of an area that begins a tile."""
@@ -210,7 +219,23 @@ class Carried:
 
 
 class Pass:
-    """One ray of each pixel, or one of each of a list, on its way through the bricks."""
+    """One ray of each pixel of a frame or of an area that begins a tile, or one of each of a list, on its way through the bricks.
+
+    Parameters
+    ----------
+    frame : Frame
+        Of all pixels.
+    places : ndarray of float32, shape (N, 2), optional
+        Where the rays of a list cross the picture.
+    program, table
+        What the frame's kernels are, and what they read.
+    beside : int
+        Pixels that a ray may cross the picture beside its own.
+    whole : Frame
+        Of the picture by whose pixels places are counted.
+    area : (int, int, int, int), optional
+        Its rays alone are begun, and have states.
+    """
 
     def __init__(
         self,
@@ -222,14 +247,17 @@ class Pass:
         whole: Frame,
         area: Area | None = None,
     ) -> None:
-        device, tile, (width, height) = frame.device, frame.tile, frame.size
-        self.frame = frame
-        self.area = (0, 0, width, height) if area is None else area
+        device, tile = frame.device, frame.tile
+        self.area = x, y, width, height = (0, 0, *frame.size) if area is None else area
+        self.frame = frame = frame.kept(x, y, width, height)
         self._beside = beside
         self._whole_size = whole.size
-        self._boxes = None if places is None else boxes_of(places.reshape(height, width, 2), tile.height, tile.width)
+        self._boxes: NDArray[np.float32] | None = None
         self._program, self._table = program, table
-        self._places = table if places is None else device.upload(places)  # any buffer: it is not read
+        self._places = table  # any buffer: it is not read
+        if places is not None:
+            listed = np.ascontiguousarray(places.reshape(*frame.size[::-1], 2)[y : y + height, x : x + width])
+            self._boxes, self._places = boxes_of(listed, tile.height, tile.width), device.upload(listed)
         self._memory = device.allocate(4 * width * height * (frame.mode.state_fields + 1))
         self._fields = frame.mode.state_fields + 1, fields_of(frame) - frame.mode.state_fields - 1
         self._shown = device.allocate(4 * max(1, width * height * self._fields[1]))
@@ -240,11 +268,11 @@ class Pass:
 
     def wanted(self, brick: Brick, view: View, grid: Volume) -> Area | None:
         """The pixels whose rays may have samples in a brick, whole tiles; None if no ray of theirs wants any."""
-        tile, (width, height) = self.frame.tile, self.frame.size
+        tile, (x, y, width, height) = self.frame.tile, self.area
         if self._boxes is None:
-            left, top, right, bottom = pixels_of(brick, view, grid, width, height, self._beside)
-            left, top = left // tile.width, top // tile.height
-            right, bottom = -(-right // tile.width), -(-bottom // tile.height)
+            left, top, right, bottom = pixels_of(brick, view, grid, *self.frame.size, self._beside)
+            left, top = max(0, left - x) // tile.width, max(0, top - y) // tile.height
+            right, bottom = -(-min(width, right - x) // tile.width), -(-min(height, bottom - y) // tile.height)
             if left >= right or top >= bottom:
                 return None
             going = self._going[top:bottom, left:right]
@@ -258,8 +286,8 @@ class Pass:
             return None
         top, bottom = top + int(rows[0]), top + int(rows[-1]) + 1
         left, right = left + int(columns[0]), left + int(columns[-1]) + 1
-        x, y = left * tile.width, top * tile.height
-        return x, y, min(width, right * tile.width) - x, min(height, bottom * tile.height) - y
+        left, top, right, bottom = left * tile.width, top * tile.height, right * tile.width, bottom * tile.height
+        return x + left, y + top, min(width, right) - left, min(height, bottom) - top
 
     def asks_for(self, brick: Brick, ends: tuple[float, float] | None, area: Area) -> bool:
         """Whether any ray of an area meets a brick, and values between its `ends`, stored ones, could change what it shows."""
@@ -334,12 +362,12 @@ class Pass:
     @contextmanager
     def _planes(self, buffer: Any, count: int, *, write: bool, area: Area | None = None) -> Iterator[NDArray[np.float32]]:
         """The planes of pixels in a buffer, over an area: [plane, y, x]."""
-        (width, height), (x, y, w, h) = self.frame.size, area or self.area
+        (left, top, width, height), (x, y, w, h) = self.area, area or self.area
         if not count:
             yield np.empty((0, h, w), np.float32)
             return
         with self.frame.device.mapped(buffer, (count, height, width), write=write) as all_of_it:
-            yield all_of_it[:, y : y + h, x : x + w]
+            yield all_of_it[:, y - top : y - top + h, x - left : x - left + w]
 
     def finish(self, buffers: list[Any]) -> None:
         """What the rays show, into pictures."""
@@ -347,7 +375,7 @@ class Pass:
         block, nowhere = frame.device.upload(frame.values[None]), np.zeros(4, np.int32)
         self._over(
             "finish_bricks",
-            (0, 0, *frame.size),
+            self.area,
             self._table,  # in place of coefficients, which are not read
             nowhere,
             block,

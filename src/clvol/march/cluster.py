@@ -31,7 +31,7 @@ from clvol.filter import Filter
 from clvol.lazy import Index, LazyVolume
 from clvol.march.bricks import Area, BrickedDrawing, Carried, Pass, boxes_of, front_to_back, pixels_of
 from clvol.march.frame import Frame, tile_of
-from clvol.march.launch import Picture, Progress, lent_pictures
+from clvol.march.launch import Progress
 from clvol.mode import Composite, Isosurface, Mode
 from clvol.spline.bricked import BUDGET, Brick, BrickedField
 
@@ -44,6 +44,7 @@ _AREAS = 4  # of a picture for each worker
 _SMALLEST = 32  # pixels along an edge of an area, of which it is a multiple
 _LEAST = 32  # samples along an edge of a brick: margins are as wide as that
 _FIELDS = 4  # that a worker keeps
+_SEARCHES = 2  # for a brick that ends workers: each costs the lives of some
 
 
 # -- which bricks go together --------------------------------------------------------------------------------------------------
@@ -253,57 +254,36 @@ class ClusterDrawing(BrickedDrawing):
         super().__init__(frame, samples, filter, shared.field, view, skipping=skipping)
         self._samples, self._shared, self._merge = samples, shared, require_merge(merge, frame)
 
-    def _sweep(
-        self,
-        frames: list[tuple[Frame, NDArray[np.float32] | None]],
-        arrays: dict[str, Picture],
-        told: Progress | None,
-        *,
-        begun: bool = False,
+    def _go_through(
+        self, passes: list[Pass], frames: list[tuple[Frame, NDArray[np.float32] | None]], told: Progress | None
     ) -> None:
         try:
-            self._cast(frames, arrays, told, begun=begun)
+            self._by_workers(passes, frames, told)
         except LostError:  # with workers, of which some may have died for another's sake
             self._shared.share()
-            self._cast(frames, arrays, told, begun=begun)
+            self._by_workers(passes, frames, told)
 
-    def _cast(
-        self,
-        frames: list[tuple[Frame, NDArray[np.float32] | None]],
-        arrays: dict[str, Picture],
-        told: Progress | None,
-        *,
-        begun: bool,
+    def _by_workers(
+        self, passes: list[Pass], frames: list[tuple[Frame, NDArray[np.float32] | None]], told: Progress | None
     ) -> None:
-        cluster = self._shared.cluster
         bare = tuple((_bare(frame), places) for frame, places in frames)
-        job = cluster.submit(_job, _Job(_bare(self.frame), bare, self._samples, self._filter, self._view, self._skipping))
+        job = _Job(_bare(self.frame), bare, self._samples, self._filter, self._view, self._skipping)
         groups = [g for g in visible(self._shared.tree, self._field, self._view) if self._any_may_matter(g)]
-        work = _Work(self._shared, job, groups)
-        passes: list[Pass] = []
+        work = _Work(self._shared, self._shared.cluster.submit(_same_job, job), groups)
+        put = work.in_order if self._merge == "order" else work.by_tree
         try:
             for number, (frame, places) in enumerate(frames):
-                passes.append(self.begun(frame, places))
                 for area, met in self._cut(frame, places, groups):
-                    if self._merge == "order":
-                        work.in_order(number, area, met)
-                    else:
-                        work.by_tree(number, area, met)
+                    put(number, area, met)
             for done, (number, marched) in enumerate(work.results(), 1):
                 passes[number].take(marched.carried)
                 self._field.reads.bricks += marched.bricks
                 self._field.reads.samples += marched.samples
                 if told:
                     told(done / work.count)
-            with lent_pictures(frames[0][0], arrays, begun=begun) as buffers:
-                for one in passes:
-                    one.finish(buffers)
         except BaseException:
             work.cancel()
             raise
-        finally:
-            for one in passes:
-                one.release()
 
     def _any_may_matter(self, group: Group) -> bool:
         return any(self._may_matter(brick) for brick in group.bricks(self._field, self._view))
@@ -387,7 +367,7 @@ class _Work:
             raise self._named(error) from error
 
     def _named(self, error: PoisonError) -> ClusterError:
-        """The error that says which brick it is: halves of a box are read apart until one is left."""
+        """The error that says which brick it is: halves of a box are read apart until one is left that ends a worker by itself."""
         word = error.key.removeprefix(self._name).split("-")[1:2]
         group = self._groups.get(int(word[0])) if word and word[0].isdigit() else None
         if group is None:
@@ -395,19 +375,29 @@ class _Work:
         shared = self._shared
         bricks = [(x, y, z) for x, y, z in itertools.product(*map(range, group.first, group.past))]
         self.cancel()
-        if not self._dies(bricks):
+        sure = self._dies(bricks)
+        if not sure:
             return LostError(
                 f"rays through bricks {bricks[0]} to {bricks[-1]} (x, y, z) end each worker that casts them, though they can be "
                 f"read: {error}"
             )
-        while len(bricks) > 1:
-            half = bricks[: len(bricks) // 2]
-            bricks = half if self._dies(half) else bricks[len(half) :]
-        brick = shared.field.brick(bricks[0])
-        x, y, z = (f"{a}:{b}" for a, b in zip(brick.first, brick.last, strict=True))
+        name = shared.field.volume.name or "the volume"
+        for _ in range(_SEARCHES):
+            left = bricks
+            while len(left) > 1:
+                half = left[: len(left) // 2]
+                sure = self._dies(half)
+                left = half if sure else left[len(half) :]
+            if sure or self._dies(left):
+                brick = shared.field.brick(left[0])
+                x, y, z = (f"{a}:{b}" for a, b in zip(brick.first, brick.last, strict=True))
+                return ClusterError(
+                    f"brick {left[0]} (x, y, z), samples [{z}, {y}, {x}] of {name}, ends each worker that reads it: out of memory, "
+                    "or a fault of what reads"
+                )
         return ClusterError(
-            f"brick {bricks[0]} (x, y, z), samples [{z}, {y}, {x}] of {shared.field.volume.name or 'the volume'}, ends each worker "
-            "that reads it: out of memory, or a fault of what reads"
+            f"bricks {bricks[0]} to {bricks[-1]} (x, y, z) of {name} end each worker that reads all of them, but no single one "
+            "does for certain: out of memory, or a fault of what reads"
         )
 
     def _dies(self, bricks: Sequence[Index]) -> bool:
@@ -445,7 +435,7 @@ def _bare(frame: Frame) -> Frame:
     return replace(frame, coefficients=None, minmax=None, sides=None)  # type: ignore[arg-type]  # others are put in its place
 
 
-def _job(job: _Job) -> _Job:
+def _same_job(job: _Job) -> _Job:
     """As a task: whoever needs it later gets it from there, or has it made again."""
     return job
 

@@ -43,6 +43,8 @@ PICTURE = Block(
     weight=FLOAT,
     width=INT,
     height=INT,
+    kept_from=(INT, 2),  # the pixels whose states, and listed places, are in buffers
+    kept=(INT, 2),
     opaque=INT,
     listed=INT,
     **{"pass": INT, "last_pass": INT},
@@ -169,6 +171,8 @@ class Frame:
                 weight=1.0,
                 width=width,
                 height=height,
+                kept_from=0,
+                kept=size,
                 opaque=scene.background is not None,
                 listed=0,
                 **{"pass": 0, "last_pass": 0},
@@ -202,6 +206,14 @@ class Frame:
         values = self.values.copy()
         picture = values["picture"]
         picture["listed"], picture["width"], picture["height"], picture["last_pass"] = True, width, height, 1
+        picture["kept"] = width, height
+        return replace(self, values=values)
+
+    def kept(self, x: int, y: int, width: int, height: int) -> Frame:
+        """The same frame, of which no more is kept than the states of an area of whole tiles."""
+        values = self.values.copy()
+        picture = values["picture"]
+        picture["kept_from"], picture["kept"] = (x, y), (width, height)
         return replace(self, values=values)
 
     def program(self, name: str, *, windowed: bool = False) -> Program:

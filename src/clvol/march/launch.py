@@ -20,6 +20,7 @@ from clvol.spline.coefficients import Coefficients
 from clvol.spline.points import Progress
 
 __all__ = [
+    "BEFORE_EDGES",
     "CHANNELS",
     "Drawing",
     "Picture",
@@ -39,14 +40,18 @@ Picture: TypeAlias = NDArray[np.floating[Any]]
 """Float32, but for positions, which are float64."""
 
 CHANNELS: dict[str, tuple[int, ...]] = {"rgba": (4,), "depth": (), "normal": (3,), "position": (3,), "visited": ()}
+BEFORE_EDGES = 0.75
+"""Of the progress of a picture with more rays on edges, what is before them."""
 _ALONE, _BLENDED = 20, 64  # of so many pixels one has more rays at most; fewer where such rays miss the planes of a tile's others
 _GROUP = 8  # work-items along an edge of a group
 _AREA = 8  # pixels along an edge of the smallest launch
 _STEP = 0.005  # seconds
+_FASTER = 16  # times faster are most rays than the first guess, which is for the slowest
+_DEAF = 0.25  # seconds that a launch may take by the guess, whatever was measured
 _LONG = 0.05  # seconds; a wait for less is not cut into steps
 _FORGOTTEN = 0.8  # what is left of the time of a slow launch behind the next one
 _SCATTERED = 8  # times as long takes a ray whose neighbours are far away, at most guesses
-_BEFORE_EDGES, _FINDING = 0.75, 0.2  # of the progress: before edges, and of that of edges until they are found
+_FINDING = 0.2  # of the progress of edges, until they are found
 _EDGE_TILE = 16  # pixels along an edge of a part of the picture whose pixels on edges follow each other
 _SET_UP = 2.0  # samples that a ray takes as long as to be begun
 _CELLS = 8  # of so many on a ray one is looked at, at most guesses
@@ -68,7 +73,7 @@ def draw(
 
 def drawn(drawing: Drawing, samples: int | Literal["auto"], progress: Progress | None = None) -> dict[str, Picture]:
     """What a drawing with so many rays a pixel shows once it is complete."""
-    share = 1.0 if samples != "auto" else _BEFORE_EDGES
+    share = 1.0 if samples != "auto" else BEFORE_EDGES
     drawing.cast(drawing.rays, progress and (lambda done: progress(share * done)))
     if samples == "auto":
         drawing.smooth_edges(progress and (lambda done: progress(share + (1 - share) * done)))
@@ -373,10 +378,11 @@ def _await(event: Any) -> None:
 class _Budget:
     """Cuts a frame into areas, none of which should take longer than the device's limit for a launch.
 
-    The time of a ray is bounded by its number of planes, or guessed from its number of cells, few of which are looked at;
-    the guess is raised when an area took longer. It falls again slowly, and not below the first guess: the next area may hold
-    what this one did not, but what took long may have been another program. `share`: of a ray's samples,
-    those that are taken at most.
+    The time of a ray is bounded by its number of planes, or guessed from its number of cells, few of which are looked at; what
+    areas take corrects that, at once where they take longer, and else slowly: the next area may hold what this one did not.
+    Most rays take far less than the first guess. Where launches are short so that nobody waits long for the end of what nobody
+    wants, what was measured decides, and the guess that none takes longer than `_DEAF`; a limit beyond that holds for the guess.
+    `share`: of a ray's samples, those that are taken at most.
     """
 
     def __init__(self, frame: Frame, share: float = 1.0) -> None:
@@ -397,6 +403,7 @@ class _Budget:
         self._across, self._down = (-(-_AREA // n) * n for n in frame.tile[:2])
         self._seconds = device.limits.launch_seconds
         self._per_pixel = self._guess = count * rows * _ROW_SECONDS / max(1, cores)
+        self._least = self._guess / _FASTER  # rays that meet nothing say nothing of those that do
 
     def exceeded(self, pixels: int) -> bool:
         """Whether so many pixels may take longer than a launch should: a tile of very many samples cannot be cut."""
@@ -404,25 +411,31 @@ class _Budget:
 
     def spent(self, pixels: int, seconds: float) -> None:
         """A launch over so many pixels took so long."""
-        self._per_pixel = max(self._guess, _FORGOTTEN * self._per_pixel, seconds / pixels)
+        self._per_pixel = max(self._least, _FORGOTTEN * self._per_pixel, seconds / pixels)
 
     def expect(self, seconds: float) -> None:
-        """A pixel was found to take so long on average: some take twice as long."""
-        self._per_pixel = max(self._per_pixel, 2 * seconds)
+        """A pixel was found to take so long on average, if that is known: some take three times as long."""
+        if seconds:
+            self._per_pixel = self._least = 3 * seconds
 
     def slow_down(self, times: float) -> None:
         """The next areas take so many times as long as those before, at first."""
         self._per_pixel *= times
 
+    @property
+    def _pixels(self) -> float:
+        """Of the next area."""
+        return min(self._seconds / self._per_pixel, max(self._seconds, _DEAF) / self._guess)
+
     def tiles(self, width: int, height: int) -> Iterator[tuple[int, int, int, int]]:
         """(x, y, width, height) of each area, each a multiple of a tile, but at the picture's edges."""
         y = 0
         while y < height:
-            area = self._seconds / self._per_pixel
+            area = self._pixels
             h = min(height - y, max(1, int(area / width) // self._down) * self._down)
             x = 0
             while x < width:
-                w = min(width - x, max(1, int(self._seconds / self._per_pixel / h) // self._across) * self._across)
+                w = min(width - x, max(1, int(self._pixels / h) // self._across) * self._across)
                 yield x, y, w, h
                 x += w
             y += h

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.filter import Filter
 from clvol.march.frame import Frame, Subject
-from clvol.march.launch import Drawing, Progress
+from clvol.march.launch import BEFORE_EDGES, Drawing, Progress
 from clvol.picture import Picture
 
 __all__ = ["Rate", "Rates", "Refined", "Wanted", "refined", "refined_by_levels"]
@@ -201,6 +201,7 @@ def refined(
     rates: Rates,
     drawing: Callable[[], AbstractContextManager[None]],
     seconds: float,
+    progress: Progress | None = None,
 ) -> Iterator[Refined]:
     """The pictures of `Renderer.refine`.
 
@@ -216,8 +217,10 @@ def refined(
         Gives what is entered whenever something is drawn, and left when a picture is ready.
     seconds : float
         How long it took until now.
+    progress : callable, optional
+        Called with the fraction of the last picture that is done.
     """
-    return _Refinement(wanted, budget, cancelled, rates, seconds).pictures(drawing)
+    return _Refinement(wanted, budget, cancelled, rates, seconds, progress).pictures(drawing)
 
 
 def refined_by_levels(
@@ -228,6 +231,7 @@ def refined_by_levels(
     cancelled: Callable[[], bool] | None,
     drawing: Callable[[], AbstractContextManager[None]],
     began: float,
+    progress: Progress | None = None,
 ) -> Iterator[Refined]:
     """The pictures of `Renderer.refine` of a volume that is read brick by brick: of its levels, the coarsest first.
 
@@ -241,17 +245,24 @@ def refined_by_levels(
         As of `refined`.
     began : float
         When it was asked for.
+    progress : callable, optional
+        Called with the fraction of the last picture that is done.
     """
 
     def ask(_: float) -> None:
         if cancelled is not None and cancelled():
             raise _Cancelled
 
+    def told(done: float) -> None:
+        ask(done)
+        if progress is not None:
+            progress(done)
+
     for level in range(levels, finest - 1, -1):
         with drawing():
             try:
                 ask(0.0)
-                picture = draw(level, ask)
+                picture = draw(level, told if level == finest else ask)
             except _Cancelled:
                 return
         yield Refined(picture, level == finest, step, time.perf_counter() - began)
@@ -260,8 +271,17 @@ def refined_by_levels(
 class _Refinement:
     """One call of `refined`: its stages, one after the other, and what they leave to the next."""
 
-    def __init__(self, wanted: Wanted, budget: float, cancelled: Callable[[], bool] | None, rates: Rates, seconds: float) -> None:
+    def __init__(
+        self,
+        wanted: Wanted,
+        budget: float,
+        cancelled: Callable[[], bool] | None,
+        rates: Rates,
+        seconds: float,
+        progress: Progress | None = None,
+    ) -> None:
         self._wanted, self._budget, self._cancelled, self._rates = wanted, budget, cancelled, rates
+        self._progress = progress
         width, height = wanted.size
         self._aspect, self._pixels = width / height, width * height
         self._worked, self._began = seconds, 0.0  # before this picture; when work on this one began
@@ -291,6 +311,18 @@ class _Refinement:
     def _ask(self, _: float = 0.0) -> None:
         if self._cancelled is not None and self._cancelled():
             raise _Cancelled
+
+    def _told(self, first: float, share: float) -> Progress:
+        """Asks whether it is wanted, and tells how much of the last picture is done: of this part, which is so large a share."""
+        if self._progress is None:
+            return self._ask
+        tell = self._progress
+
+        def told(done: float) -> None:
+            self._ask()
+            tell(first + share * done)
+
+        return told
 
     def _stages(self) -> Iterator[Refined]:
         self._wanted = wanted = replace(self._wanted, subject=self._wanted.subject.placed(self._aspect))
@@ -373,12 +405,12 @@ class _Refinement:
                 yield self._shows(whole.shown(), wanted.step)
         if smoothed:
             begun = time.perf_counter()
-            whole.smooth_edges(self._ask)
+            whole.smooth_edges(self._told(BEFORE_EDGES, 1 - BEFORE_EDGES))
             if self._rate is not None:
                 self._rate = replace(self._rate, edges=(time.perf_counter() - begun) / self._casting)
                 self._rates.learn(wanted.kind, self._rate)
         while whole.cast_rays < whole.rays:
-            whole.cast(whole.cast_rays, self._ask)
+            whole.cast(whole.cast_rays, self._told(0.0, 1.0))
             if whole.cast_rays < whole.rays and self._seconds - self._shown_at > self._budget:
                 yield self._shows(whole.shown(), wanted.step)
         yield self._shows(whole.arrays["rgba"], wanted.step, final=True)
@@ -386,7 +418,8 @@ class _Refinement:
     def _cast(self, until: float = math.inf) -> bool:
         """The first ray of the whole picture, or what is left of it; whether it was in time."""
         begun = time.perf_counter()
-        done = self._whole.cast_rays > 0 or self._whole.cast(1, self._ask, until)
+        told = self._told(0.0, BEFORE_EDGES if self._wanted.samples == "auto" else 1.0)
+        done = self._whole.cast_rays > 0 or self._whole.cast(1, told, until)
         self._casting += time.perf_counter() - begun
         return done
 

@@ -81,7 +81,8 @@ class Renderer:
     cluster : distributed.Client, str or int, optional
         Processes that draw together, by bricks: those of a client of dask, of the scheduler at an address, or so many of this
         machine. Each reads some of the bricks, from where the volume was opened, and has the budget for them; of several GPUs of a
-        host each has another. A volume in memory is sent to them.
+        host each has another. A volume in memory is sent to them. A pickle has the address of the scheduler, at which whoever loads
+        it connects anew, or the number of processes, which are started for it.
     merge : {"order", "tree"}
         How rays go through the bricks of a cluster. "order": front to back, from process to process; the picture is that of one
         process with the same bricks, to the last bit. "tree": through all at once, merged two by two, which waits for nobody but
@@ -184,6 +185,7 @@ class Renderer:
         self._asked_device, self._asked_budget = device, budget
         self._shared: dict[int, Shared] = {}
         self._cluster: Cluster | None = None
+        self._processes = cluster if isinstance(cluster, int) else None
         if cluster is not None:
             self._cluster = as_cluster(cluster)
             assert isinstance(field, BrickedField)
@@ -226,7 +228,10 @@ class Renderer:
         self._lease.close()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickled is the scene, or the field that was given; another process makes its coefficients anew."""
+        """Pickled is the scene, or the field that was given; another process makes its coefficients anew.
+
+        Of a cluster it is the address, or how many processes were asked for.
+        """
         with self._lease.held():
             if not self._own:
                 return type(self), (self.field,)
@@ -234,9 +239,15 @@ class Renderer:
             if not isinstance(field, BrickedField):
                 return type(self), (self.scene, None, None, self.device)
             again = partial(type(self), budget=field.budget)
+            device: Device | str | int | None = self.device
+            if self._cluster is not None:
+                again = partial(
+                    type(self), budget=self._asked_budget, cluster=self._processes or self._cluster.address, merge=self._merge
+                )
+                device = self._asked_device  # each worker finds its own
             if self._lazy:  # whose scene has none of its samples
-                return again, (field.volume, medium.filter, medium.boundary, self.device)
-            return again, (self.scene, None, None, self.device)
+                return again, (field.volume, medium.filter, medium.boundary, device)
+            return again, (self.scene, None, None, device)
 
     def __enter__(self) -> Self:
         return self
@@ -478,6 +489,7 @@ class Renderer:
         evaluator: EvaluatorName = "auto",
         fetch: FetchName = "auto",
         lod: float | Literal["auto"] = "auto",
+        progress: Progress | None = None,
         **options: Any,
     ) -> Iterator[Refined]:
         """Pictures that become finer: the first soon, the last the one that `render` makes of the same arguments, to the last bit.
@@ -504,6 +516,9 @@ class Renderer:
         transfer, preset, window, cmap, opacity, material, lights, background, clip, gradient, samples, pixel_filter, skipping, \
         evaluator, fetch, **options
             As for `render`. Pictures are of colours alone: there are no `outputs`.
+        progress : callable, optional
+            Called with the fraction of the last picture that is done. Those before it do not count, so it may stay at 0 while they
+            are drawn.
 
         Yields
         ------
@@ -532,13 +547,15 @@ class Renderer:
         (True, (150, 200, 4))
         """
         asked_at = time.perf_counter()
-        refused = [name for name in ("outputs", "sigma", "progress") if name in options]
+        refused = [name for name in ("outputs", "sigma") if name in options]
         if refused and (refused != ["outputs"] or options["outputs"] != "rgba"):
-            raise OptionError(f"refine gives colours alone, and no progress: leave out {' and '.join(refused)}, or use render")
+            raise OptionError(f"refine gives colours alone: leave out {' and '.join(refused)}, or use render")
         chosen = as_mode(mode, {name: value for name, value in options.items() if name != "outputs"}, _KEYWORDS)
         budget = number("budget", budget, above=0)
         if cancelled is not None and not callable(cancelled):
             raise OptionError(f"cancelled must be callable; got {cancelled!r}")
+        if progress is not None and not callable(progress):
+            raise OptionError(f"progress must be callable; got {progress!r}")
         self.device.require_usable()
         with self._lease.held(), self.field.in_use():
             words = {"preset": preset, "window": window, "cmap": cmap, "opacity": opacity}
@@ -555,7 +572,7 @@ class Renderer:
                     made = self._by_bricks(subject, chosen, level, size, step, rays, pixel_filter, False, skipping, told)
                     return as_pictures(made)["rgba"]
 
-                return refined_by_levels(draw, len(field.volume.levels), finest, step, cancelled, self._drawing, asked_at)
+                return refined_by_levels(draw, len(field.volume.levels), finest, step, cancelled, self._drawing, asked_at, progress)
         return refined(
             Wanted(subject, size, step, rays, pixel_filter),
             budget,
@@ -563,6 +580,7 @@ class Renderer:
             self._rates,
             self._drawing,
             time.perf_counter() - asked_at,
+            progress,
         )
 
     def _by_bricks(

@@ -9,11 +9,8 @@ from __future__ import annotations
 
 import itertools
 import math
-import threading
-from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from types import TracebackType
@@ -33,6 +30,7 @@ from clvol.lazy import Index, LazyVolume
 from clvol.rounding import in_kind
 from clvol.smoothing import filter_for, settled
 from clvol.spline.build import DefineDict, evaluator_defines, filter_defines
+from clvol.spline.chain import Chain
 from clvol.spline.coefficients import Coefficients, bytes_of, extent_of
 from clvol.spline.evaluator import DIRECT, Evaluator
 from clvol.spline.field import (
@@ -50,10 +48,12 @@ from clvol.spline.field import (
     result_kind,
 )
 from clvol.spline.lease import Lease
-from clvol.spline.minmax import BLOCK, MinMax
+from clvol.spline.minmax import BLOCK, MinMax, bytes_beside
 from clvol.spline.points import NOTHING_GIVEN, Transform, sample_into
 from clvol.spline.resample import no_shear, resample_coefficients
+from clvol.spline.residents import Reads, Resident, Residents
 from clvol.stored import Stored
+from clvol.transform import Transforms, as_chain
 from clvol.volume import Volume
 
 __all__ = ["BUDGET", "LEFT_OUT", "Brick", "BrickedField", "Reads", "Resident", "Whole", "as_lazy", "margin_of"]
@@ -68,25 +68,6 @@ _FAR = float(1 << 30)  # cells: past any
 _ALIGNED = 4  # cells: those of which it is kept together on which side of a value they are
 _BLOCK_OF_RESULTS = 96  # along an edge, of grids that are not along the volume's axes
 _CLOSED = "the field was closed, and its coefficients were released; make a new one"
-
-
-@dataclass
-class Reads:
-    """What was read of a volume.
-
-    Attributes
-    ----------
-    bricks : int
-        How often a brick was read, one that had to be read again included.
-    samples : int
-        How many samples that were, margins included.
-    dropped : int
-        How often a brick made room for another one.
-    """
-
-    bricks: int = 0
-    samples: int = 0
-    dropped: int = 0
 
 
 @dataclass(frozen=True)
@@ -110,25 +91,6 @@ class Brick:
     last: Index
 
 
-@dataclass
-class Resident:
-    """A brick's coefficients on the device, and how many use them."""
-
-    at: Index
-    coefficients: Coefficients
-    minmax: MinMax | None = None
-    users: int = 0
-
-    @property
-    def nbytes(self) -> int:
-        return self.coefficients.nbytes + _bytes_beside(self.coefficients)
-
-    def release(self) -> None:
-        if self.minmax is not None:
-            self.minmax.release()
-        self.coefficients.release()
-
-
 class Whole:
     """What a picture asks of the coefficients of a whole volume, none of which are there.
 
@@ -148,27 +110,6 @@ class Whole:
     def defines(self, evaluator: Evaluator) -> DefineDict:
         """As of `Coefficients`."""
         return {**filter_defines(self.filter, np.float32), **evaluator_defines(evaluator, self.filter, self.ndim, self.device)}
-
-
-class _Ahead:
-    """Samples that are being read, or were."""
-
-    def __init__(self, nbytes: int) -> None:
-        self.nbytes = nbytes
-        self.samples: Future[NDArray[Any]] = Future()
-
-    def work(self, read: Callable[[Brick], NDArray[Any]], brick: Brick) -> None:
-        try:
-            self.samples.set_result(read(brick))
-        except BaseException as error:
-            self.samples.set_exception(error)
-
-
-def _released(resident: dict[Index, Resident], ahead: dict[Index, _Ahead]) -> None:
-    """The last use has ended: nobody else asks for these."""
-    ahead.clear()
-    while resident:
-        resident.popitem()[1].release()
 
 
 def margin_of(filter: Filter) -> int:
@@ -267,14 +208,9 @@ class BrickedField:
         self._extent = extent_of(self.filter, 3, tuple(self.filter.scale * n for n in volume.size), past)
         self.edge = self._edge_for(edge, at_once=at_once)
         self._bounds: dict[Index, tuple[float, float]] = {}
-        self._resident: OrderedDict[Index, Resident] = OrderedDict()
-        self._ahead: dict[Index, _Ahead] = {}
-        self._turns: dict[Index, int] = {}  # when each brick is asked for, and how far that has come
-        self._turn = 0
-        self.beside = 0
-        self._lock = threading.RLock()  # a handler of signals may come back here
+        self._residents = Residents(self.budget, self.reads)
         self._lease = Lease(_CLOSED)
-        self._lease.frees(partial(_released, self._resident, self._ahead))  # not of the field: it would be a cycle
+        self._lease.frees(self._residents.release)  # not of the field: it would be a cycle
 
     def __repr__(self) -> str:
         shape = " × ".join(map(str, self.volume.shape))
@@ -375,7 +311,8 @@ class BrickedField:
     def samples(self, brick: Brick) -> NDArray[Any]:
         """The samples that a brick's coefficients are computed from, [z, y, x]."""
         pieces = [_runs(a, b, n) for a, b, n in zip(brick.first, brick.last, self.volume.size, strict=True)]
-        self.reads.samples += math.prod(b - a for a, b in zip(brick.first, brick.last, strict=True))
+        with self._residents.lock:
+            self.reads.samples += math.prod(b - a for a, b in zip(brick.first, brick.last, strict=True))
         x, y, z = pieces
         rows = [
             np.concatenate(
@@ -391,92 +328,51 @@ class BrickedField:
         ]
         return rows[0] if len(rows) == 1 else np.concatenate(rows, axis=0)
 
-    @contextmanager
-    def resident(self, brick: Brick) -> Iterator[Resident]:
-        """A brick's coefficients, on the device for the time of a block, and longer if there is room."""
-        own: Resident | None = None
-        try:
-            with self._lock:
-                found = self._resident.get(brick.at)
-                self._turn = self._turns.get(brick.at, self._turn)
-                if found is None:
-                    found = self._made(brick)
-                    self._resident[brick.at] = found
-                self._resident.move_to_end(brick.at)
-                own, found.users = found, found.users + 1
-            yield own
-        finally:
-            if own is not None:
-                with self._lock:
-                    own.users -= 1
-                    self._make_room(0)
+    def resident(self, brick: Brick) -> AbstractContextManager[Resident]:
+        """A brick's coefficients, on the device for the time of a block, and longer if there is room.
 
-    def _made(self, brick: Brick) -> Resident:
+        Threads read different bricks side by side; one that finds no room waits until another has done with a brick.
+        """
         size = tuple(b - a for a, b in zip(brick.first, brick.last, strict=True))
-        boundary = as_boundary(DEFAULT_BOUNDARY) if self._wraps else self.boundary
-        grid = replace(self.volume.grid, data=np.broadcast_to(np.zeros((), self.volume.dtype), size[::-1]))
-        self._make_room(bytes_of(size, self.filter, boundary, np.float32) + math.prod(size) * self.volume.dtype.itemsize)
-        ahead = self._ahead.pop(brick.at, None)
-        data = self.samples(brick) if ahead is None else ahead.samples.result()
-        self.reads.bricks += 1
+        made = bytes_of(size, self.filter, self._own_boundary, np.float32)
+        stored = made // np.dtype(np.float32).itemsize  # cells, and some more
+        nbytes = made + max(math.prod(size) * self.volume.dtype.itemsize, bytes_beside((stored,)))
+        return self._residents.held(brick.at, nbytes, partial(self.samples, brick), partial(self._made, brick))
+
+    @property
+    def _own_boundary(self) -> Boundary:
+        """The rule at the faces of bricks: samples of one that reaches past the volume's are there."""
+        return as_boundary(DEFAULT_BOUNDARY) if self._wraps else self.boundary
+
+    def _made(self, brick: Brick, samples: NDArray[Any]) -> Resident:
+        grid = replace(self.volume.grid, data=np.broadcast_to(np.zeros((), self.volume.dtype), samples.shape))
         try:
-            made = Coefficients(grid, self.filter, boundary, self.device, self.stored)
+            made = Coefficients(grid, self.filter, self._own_boundary, self.device, self.stored)
         except OutOfMemoryError:  # others take what the budget allows
-            self._make_room(self.budget)
-            made = Coefficients(grid, self.filter, boundary, self.device, self.stored)
-        return Resident(brick.at, filled(made, data))
+            self._residents.make_room()
+            made = Coefficients(grid, self.filter, self._own_boundary, self.device, self.stored)
+        return Resident(brick.at, filled(made, samples))
 
     def going_through(self, order: Sequence[Index]) -> None:
         """Bricks will be asked for in this order, and perhaps once more from the first on: by the next rays or picture."""
-        with self._lock:
-            self._turns, self._turn = {at: i for i, at in enumerate(order)}, 0
-
-    def _first_to_go(self) -> list[Index]:
-        """The bricks that are there, those first that will be asked for last, as far as is known.
-
-        Those come first of which nothing is known, the longest unused before others; then those that had their turn, the last one
-        first, for when all begins again it is the last to come; then those whose turn comes.
-        """
-        known = [at for at in self._resident if at in self._turns]
-        known.sort(key=lambda at: (self._turns[at] > self._turn, -self._turns[at]))
-        return [at for at in self._resident if at not in self._turns] + known
-
-    def _make_room(self, size: int) -> None:
-        """Drop bricks that nobody uses, those first that are asked for last, until so many bytes more fit into the budget."""
-        used = self.nbytes + size + self.beside
-        if used <= self.budget:
-            return
-        for at in self._first_to_go():
-            if used <= self.budget:
-                return
-            if not self._resident[at].users:
-                gone = self._resident.pop(at)
-                used -= gone.nbytes
-                self.reads.dropped += 1
-                gone.release()
+        self._residents.going_through(order)
 
     def read_ahead(self, brick: Brick) -> None:
         """Have the samples of a brick read while something else is done, if it is not there, and there is room for them."""
-        with self._lock:
-            size = math.prod(b - a for a, b in zip(brick.first, brick.last, strict=True)) * self.volume.dtype.itemsize
-            if brick.at in self._resident or brick.at in self._ahead or 8 * size > self.budget:
-                return
-            self._ahead.clear()  # what rays did not come to after all
-            self._ahead[brick.at] = ahead = _Ahead(size)
-            # a thread that nobody waits for at the end: a server may not answer
-            threading.Thread(target=ahead.work, args=(self.samples, brick), name="clvol: reading ahead", daemon=True).start()
+        nbytes = math.prod(b - a for a, b in zip(brick.first, brick.last, strict=True)) * self.volume.dtype.itemsize
+        self._residents.read_ahead(brick.at, nbytes, partial(self.samples, brick))
 
     def forget_ahead(self) -> None:
-        """What was read ahead is not wanted."""
-        with self._lock:
-            self._ahead.clear()
+        """What was read ahead for this thread is not wanted."""
+        self._residents.forget_ahead()
 
     def pyramid(self, own: Resident, evaluator: Evaluator) -> MinMax:
         """Minima and maxima of a brick's cells."""
-        with self._lock:
+        with own.lock:
             if own.minmax is None:
-                own.minmax = MinMax(own.coefficients, evaluator, self._blocks(own))
-                self._bounds[own.at] = self._in_units(own.minmax.extremes())
+                made = MinMax(own.coefficients, evaluator, self._blocks(own))
+                self._bounds[own.at] = self._in_units(made.extremes())
+                own.minmax = made
             return own.minmax
 
     def cells_of(self, brick: Brick) -> tuple[Index, Index]:
@@ -504,8 +400,7 @@ class BrickedField:
 
         What is stored tells of blocks that reach past the brick; what was found of its own cells, once it was read, is tighter.
         """
-        with self._lock:
-            found = self._bounds.get(brick.at)
+        found = self._bounds.get(brick.at)
         kept = self.volume.bounds
         if kept is None or (kept.filter, kept.boundary) != (self.filter.name, self.boundary.name):
             return found
@@ -525,8 +420,7 @@ class BrickedField:
 
     def has(self, brick: Brick) -> bool:
         """Whether a brick's coefficients are on the device."""
-        with self._lock:
-            return brick.at in self._resident
+        return self._residents.has(brick.at)
 
     def _in_units(self, stored: tuple[float, float]) -> tuple[float, float]:
         low, high = (float(v) for v in self.stored.values(np.array(stored, np.float32)))
@@ -534,9 +428,17 @@ class BrickedField:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the bricks that are on the device, and of samples that were read ahead."""
-        with self._lock:
-            return sum(one.nbytes for one in self._resident.values()) + sum(one.nbytes for one in self._ahead.values())
+        """Bytes of the bricks that are on the device or are being read, and of samples that were read ahead."""
+        return self._residents.nbytes
+
+    @property
+    def beside(self) -> int:
+        """Bytes that others take of the same budget."""
+        return self._residents.beside
+
+    @beside.setter
+    def beside(self, nbytes: int) -> None:
+        self._residents.beside = nbytes
 
     # -- as a Field ----------------------------------------------------------------------------------------------------------
 
@@ -551,10 +453,7 @@ class BrickedField:
 
     def drop(self) -> None:
         """Free the device's memory of all bricks that nobody uses; they are read again when they are needed."""
-        self.forget_ahead()
-        with self._lock:
-            for at in [at for at, one in self._resident.items() if not one.users]:
-                self._resident.pop(at).release()
+        self._residents.drop()
 
     def in_use(self) -> AbstractContextManager[None]:
         """For the time of a block `close` frees nothing; errors as of `Field.in_use`."""
@@ -720,6 +619,7 @@ class BrickedField:
         like: Any = None,
         *,
         anchor: Anchor = "center",
+        transform: Transforms | None = None,
         dtype: DTypeLike | None = None,
         fill: float | None = None,
         progress: Progress | None = None,
@@ -727,19 +627,21 @@ class BrickedField:
     ) -> Volume:
         """The function on another grid, as of `Field.resample`: a slice, a part, or all of it at another density.
 
+        Through a transform each block of results asks for the bricks in which its points come to lie.
+
         `out` may be anything that takes slices, such as a memory map or an array of Zarr, for results larger than memory. Of one of
         NumPy the result's data are a view; of another the result says where they lie and has none, and `out` holds them.
 
         Raises
         ------
-        OptionError, OutOfMemoryError
+        OptionError, GeometryError, OutOfMemoryError
             As by `Field.resample`.
         """
         grid = grid_for(self.volume.grid, shape, spacing, like, anchor)
         kind = result_kind(dtype, self.volume.grid, self.filter, out, fill)
         if out is not None and np.dtype(out.dtype).kind != "f":
             raise OptionError(f"out must be of floating type; got {out.dtype}: results are rounded with dtype=, and no out")
-        outside = fill_value(fill)
+        outside, stages = fill_value(fill), as_chain(transform, 3)
         with self.in_use():
             if out is None:
                 memory.require(math.prod(grid.shape) * (kind or np.dtype(np.float32)).itemsize, f"a result of shape {grid.shape}")
@@ -748,8 +650,10 @@ class BrickedField:
             alters = self.stored.alters(0)
             wide: np.dtype[Any] = np.dtype(np.float64 if alters else np.float32)
             data = np.empty(grid.shape, kind or wide) if out is None else out
-            matrix, offset = between(self.volume.grid, grid)
-            parts = self._along_axes if no_shear(matrix, grid.shape) else self._in_blocks
+            chain = Chain(stages, grid, self.device)
+            matrix, offset = chain.to_indices(self.volume.grid) if stages else between(self.volume.grid, grid)
+            blocks = partial(self._in_blocks, chain=chain) if chain.stages else self._in_blocks
+            parts = self._along_axes if not chain.stages and no_shear(matrix, grid.shape) else blocks
             for place, values, done in parts(matrix, offset, grid.shape, outside):
                 data[place] = values if kind is None else in_kind(values, kind)
                 if progress:
@@ -758,16 +662,28 @@ class BrickedField:
         return self.volume.grid.placed(held, grid)
 
     def _in_blocks(
-        self, matrix: NDArray[np.float64], offset: NDArray[np.float64], shape: tuple[int, ...], fill: float | None
+        self,
+        matrix: NDArray[np.float64],
+        offset: NDArray[np.float64],
+        shape: tuple[int, ...],
+        fill: float | None,
+        chain: Chain | None = None,
     ) -> Iterator[tuple[tuple[slice, ...], NDArray[Any], float]]:
-        """Blocks of a grid that lies anyhow, each with its values and how much is done then."""
+        """Blocks of a grid that lies anyhow, each with its values and how much is done then.
+
+        `matrix` and `offset` lead from its indices, or from where a chain brings its points, to those of the volume.
+        """
         starts = [range(0, n, _BLOCK_OF_RESULTS) for n in shape]
         count = math.prod(map(len, starts))
         for done, corner in enumerate(itertools.product(*starts), 1):
             place = tuple(slice(a, min(a + _BLOCK_OF_RESULTS, n)) for a, n in zip(corner, shape, strict=True))
-            z, y, x = np.meshgrid(*(np.arange(s.start, s.stop, dtype=np.float64) for s in place), indexing="ij")
-            at = np.stack([x, y, z], -1).reshape(-1, 3) @ matrix.T + offset
-            yield place, self._at_indices(at, 0, fill).reshape(x.shape), done / count
+            if chain is None:
+                z, y, x = np.meshgrid(*(np.arange(s.start, s.stop, dtype=np.float64) for s in place), indexing="ij")
+                points = np.stack([x, y, z], -1).reshape(-1, 3)
+            else:
+                points = chain.places(place)
+            values = self._at_indices(points @ matrix.T + offset, 0, fill)
+            yield place, values.reshape([s.stop - s.start for s in place]), done / count
 
     def _along_axes(
         self, matrix: NDArray[np.float64], offset: NDArray[np.float64], shape: tuple[int, ...], fill: float | None
@@ -854,12 +770,6 @@ def _way(x: NDArray[np.float64], position: Callable[[NDArray[np.float64]], NDArr
     ahead, behind = position(x + step) - here, here - position(x - step)
     smooth = np.abs(np.abs(ahead) - step) < 1e-6 * step * (1 + np.abs(x))  # it neither turns nor jumps on the way
     return np.where(np.where(smooth, ahead, behind) < 0, -1.0, 1.0)
-
-
-def _bytes_beside(coefficients: Coefficients) -> int:
-    """Bytes of the pyramid of a brick, and of what is kept for a surface."""
-    cells = math.prod(coefficients.shape)
-    return cells * 8 // BLOCK**3 * 8 // 7 + cells // 4
 
 
 def _turned(derivatives: NDArray[Any], flip: NDArray[np.float64], inverse: NDArray[np.float64], order: int) -> NDArray[Any]:

@@ -1,4 +1,4 @@
-"""A chain of transforms as kernels apply it, point by point: the host side of chain.cl and jacobian.cl."""
+"""A chain of transforms as kernels apply it, point by point: the host side of chain.cl, jacobian.cl and places.cl."""
 
 from __future__ import annotations
 
@@ -94,6 +94,18 @@ class Chain:
         """The map to a volume's indices that follows the stages: a matrix and an offset."""
         inverse = moving.world_to_index_matrix
         return inverse @ self.end.matrix, inverse @ (self.end.offset - np.asarray(moving.origin))
+
+    def places(self, part: tuple[slice, ...]) -> NDArray[np.float64]:
+        """Where the stages bring the points of a part [z, y, x] of a grid with three axes; (N, 3), before what remains."""
+        device, size = self.device, tuple(one.stop - one.start for one in part[::-1])
+        results = np.empty((*size[::-1], 3), self._coord)
+        defines = {**self.defines(), "DIMENSIONS": 3, "COORD_DOUBLE": int(device.has_double), **scalar_defines(np.float32)}
+        kernel = device.build("spline/places.cl", defines).kernel("chain_places")
+        corner = np.array([*(one.start for one in part[::-1]), 0], np.int32)
+        with device.lent(results, write=True) as target, device.errors:
+            kernel(device.queue, size, device.alone(3), np.array([*size, 0], np.int32), corner, target, *self.arguments)
+            device.finish()
+        return np.asarray(results.reshape(-1, 3), np.float64)
 
     def determinants(self, kind: type[Any], progress: Progress | None = None) -> Reals:
         """Of the chain's Jacobian at the points of the grid, [z, y, x], in this type: of the moving position by the fixed one."""

@@ -27,7 +27,7 @@ from clvol.spline.lease import release
 from clvol.uniform import FLOAT, INT, Block, Values
 from clvol.volume import Volume
 
-__all__ = ["BLOCK", "MAX_LEVELS", "MINMAX", "Cell", "MinMax", "bernstein", "minmax_block"]
+__all__ = ["BLOCK", "MAX_LEVELS", "MINMAX", "Cell", "MinMax", "bernstein", "bytes_beside", "minmax_block"]
 
 Cell: TypeAlias = tuple[int, int, int]
 
@@ -208,6 +208,12 @@ class MinMax:
             memory = self.buffer, self._sides and self._sides[1]
             self.buffer = self._sides = None
         release(self.coefficients.device, *memory)
+
+
+def bytes_beside(shape: tuple[int, ...]) -> int:
+    """Bytes of the pyramid of so many stored coefficients, and of what is kept for a surface, at most."""
+    cells = math.prod(shape)
+    return cells * 8 // BLOCK**3 * 8 // 7 + cells // 4
 
 
 def minmax_block(minmax: MinMax | None, volume: Volume, rounding: float) -> Values:

@@ -20,6 +20,7 @@ from clvol.lazy import LazyVolume
 from clvol.smoothing import filter_for, settled
 from clvol.spline.bricked import BrickedField, as_lazy
 from clvol.spline.field import Anchor, Frame, Progress, Reals
+from clvol.transform import Transforms
 from clvol.volume import Volume
 
 __all__ = ["magnify", "prefilter", "resample", "sample"]
@@ -55,6 +56,7 @@ def resample(
     boundary: str | Boundary | None = None,
     *,
     anchor: Anchor = "center",
+    transform: Transforms | None = None,
     dtype: DTypeLike | None = None,
     fill: float | None = None,
     device: Device | str | int | None = None,
@@ -64,7 +66,9 @@ def resample(
 ) -> Volume:
     """As `clvol.resample`; `out` may be what `BrickedField.resample` takes."""
     with _opened("resample", volume, filter, boundary, device, others) as field:
-        made = field.resample(shape, spacing, like, anchor=anchor, dtype=dtype, fill=fill, progress=progress, out=out)
+        made = field.resample(
+            shape, spacing, like, anchor=anchor, transform=transform, dtype=dtype, fill=fill, progress=progress, out=out
+        )
         return _of(volume, made, field)
 
 
@@ -115,7 +119,6 @@ _OTHERS = {  # options that bricks do not know, and what of them is no more than
     "fetch": ("auto", "buffer"),
     "precision": (None, "single"),
     "nan": (None, "error"),
-    "transform": (None,),
     "anti_aliasing": (False, None),
 }
 

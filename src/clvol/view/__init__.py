@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import threading
 from contextlib import suppress
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from clvol.errors import ClvolError, MissingDependencyError
@@ -24,6 +23,7 @@ from clvol.view.code import from_toml, from_url
 from clvol.view.panes import PaneSize
 from clvol.view.resident import Resident
 from clvol.view.session import Session
+from clvol.view.sketch import without_prefilter
 from clvol.view.slices import section
 from clvol.view.state import State
 
@@ -128,9 +128,7 @@ class View(Resident):
         is still being read. The prefilter's do depend on it, if it has noise.
         """
         row = as_filter(self.initial.filter or self.mode(self.initial).picture_filter)
-        if row.prefilter:
-            row = replace(row, prefilter=False, smoothing=0.0, length=None)
-        with Renderer(self.volume, row, self.initial.boundary, self.device) as renderer:
+        with Renderer(self.volume, without_prefilter(row), self.initial.boundary, self.device) as renderer:
             renderer.render(size=(_SMALL, _SMALL), **self.arguments(self.initial))
 
     def python(self, size: tuple[int, int] = (512, 512)) -> str:

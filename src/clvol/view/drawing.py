@@ -12,20 +12,23 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.errors import ClvolError
 from clvol.march.renderer import Renderer
 from clvol.picture import heat, to_bytes
 from clvol.view.events import Place
 from clvol.view.panes import SlicePane
 from clvol.view.resident import Resident
+from clvol.view.sketch import Sketch
 from clvol.view.slices import plane_points, shaded
 from clvol.view.state import State
 from clvol.view.wiper import joined
 
-__all__ = ["Drawer", "Shot", "share_visited"]
+__all__ = ["WHOLE", "Drawer", "Shot", "share_visited", "sketched"]
 
 _COARSE = 3  # pixels of a heat map that is dragged, along each edge
 _TOUR = 96  # pixels of the picture whose share of samples looked at is reported, along its longer edge
-_WHOLE = 3600.0  # seconds: a budget in which any picture comes whole at once
+WHOLE = 3600.0  # seconds: a budget in which any picture comes whole at once
+_TICK = 0.01  # seconds between looks at whether a picture of few samples is still wanted
 _KEPT = 2  # still pictures of the wiper's two filters
 
 
@@ -41,12 +44,15 @@ class Shot(NamedTuple):
         In voxels; None for slices.
     visited : float or None
         The mean share of samples that was looked at, where that is shown.
+    few : bool
+        Whether it shows few of the volume's samples, since the coefficients of all are not there yet.
     """
 
     pixels: NDArray[np.uint8]
     final: bool
     step: float | None = None
     visited: float | None = None
+    few: bool = False
 
 
 class Drawer:
@@ -55,6 +61,8 @@ class Drawer:
     def __init__(self, resident: Resident) -> None:
         self.resident = resident
         self._stills: dict[object, Shot] = {}
+        self._sketch: Sketch | None = None
+        self._sketched_of: tuple[State, tuple[int, int]] | None = None
         self._slice_rate = 0.0  # seconds a pixel, of the last slice
 
     def _of_slice(self, size: tuple[int, int], budget: float) -> tuple[int, int]:
@@ -82,6 +90,7 @@ class Drawer:
         stop: Callable[[], bool],
         *,
         coarse: bool = False,
+        elsewhere: Callable[[], object] = lambda: False,
     ) -> Generator[Shot, None, None]:
         """Pictures of a pane, each better than the one before; the last one is final unless `stop` said so or it is `coarse`.
 
@@ -99,9 +108,15 @@ class Drawer:
             Asked while pictures of the volume are drawn.
         coarse : bool
             The first picture alone: something is dragged.
+        elsewhere : callable
+            Asked while there is nothing to draw: whether the thread is needed for something else, to come back to this.
         """
         if state.wiper is None:
             self._stills.clear()
+            if name == "3d" and sketched(state) and math.isfinite(budget):
+                waiting = yield from self._sketched(state, size, lambda: stop() or bool(elsewhere()))
+                if waiting:
+                    return
             yield from self._of(place, state, state.filter, name, size, budget, stop, coarse)
             return
         at, edge = state.wiper.at, round(state.wiper.at * size[0])
@@ -109,7 +124,7 @@ class Drawer:
         plain = replace(state, wiper=None, layout="3d", active="3d", tool=None)
         for first in (True, False) if math.isfinite(budget) else (False,):
             parts: list[Shot | None] = []
-            seconds = budget / 2 if first else max(budget, _WHOLE)
+            seconds = budget / 2 if first else max(budget, WHOLE)
             for chosen, seen in sides:
                 part = self._side(place, plain, chosen, name, size, seconds, stop, coarse, first) if seen else None
                 if seen and part is None:
@@ -122,6 +137,28 @@ class Drawer:
             yield Shot(pixels, final, shown[0].step, shown[0].visited)
             if final or coarse:
                 return
+
+    def _sketched(self, state: State, size: tuple[int, int], stop: Callable[[], bool]) -> Generator[Shot, None, bool]:
+        """A picture of few samples, while the coefficients of all of them are made; whether `stop` said so before they were."""
+        if self.resident.soon(state.filter, state.boundary):
+            self._sketch = self._sketched_of = None
+            return False
+        if self._sketched_of != (state, size):
+            with suppress(ClvolError):  # what is wrong is told of the whole volume
+                self._sketch = self._sketch or Sketch(self.resident)
+                picture = self._sketch.picture(state, size)
+                self._sketched_of = state, size
+                yield Shot(to_bytes(picture), False, state.step, few=True)
+        maker = self.resident.maker(state.filter, state.boundary)  # not before: it takes all processors
+        while maker.is_alive():
+            if stop():
+                return True
+            maker.join(_TICK)
+        return False
+
+    def forget_sketch(self) -> None:
+        """The last one was not seen."""
+        self._sketched_of = None
 
     def _side(
         self,
@@ -175,6 +212,11 @@ class Drawer:
                 yield Shot(to_bytes(heat(share)), not coarse, state.step, _mean(share))
             else:
                 yield from _refined(renderer, size, budget, stop, coarse, self.resident.arguments(state))
+
+
+def sketched(state: State) -> bool:
+    """Whether a sketch is shown of the volume while coefficients are made."""
+    return state.wiper is None and not state.heat
 
 
 def _slice(renderer: Renderer, place: Place, state: State, name: str, size: tuple[int, int]) -> NDArray[Any]:

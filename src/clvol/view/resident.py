@@ -34,8 +34,9 @@ from clvol.view.slices import window_of_slices
 from clvol.view.state import MOST_POINTS, CameraState, State, transfer_json
 from clvol.volume import Volume, as_volume
 
-__all__ = ["Resident"]
+__all__ = ["Resident", "targeted"]
 
+_LARGE = 1 << 22  # samples of a volume whose coefficients take longer than a picture
 _KEPT = 2  # renderers that nobody uses: one to come back to
 _BINS = 256
 _LOOKED_AT = 1 << 19  # samples of a histogram
@@ -122,9 +123,16 @@ class Resident:
         """Arguments of `clvol.render` that no state has."""
         self.initial = _initial(volume, given)
         self._lock = threading.Lock()
+        self._describing = threading.Lock()
         self._knowing = threading.RLock()  # what takes long to find out of the volume is found once, however many ask
         self._counter = itertools.count(1)
         self._entries: dict[tuple[str | None, str], _Entry] = {}
+        self._makers: dict[tuple[str | None, str], threading.Thread] = {}
+        self._made_for: tuple[str | None, str] | None = None  # what a maker was last asked for
+        self._one_by_one = threading.Lock()
+        self._closed = 0  # how often
+        self.known = False
+        """Whether `effective` was found once: what takes long of it depends on the volume alone."""
         self._info: dict[str, Any] | None = None
         if any(
             getattr(self.initial, name) is not None for name in ("preset", "window", "cmap", "opacity")
@@ -160,6 +168,39 @@ class Resident:
                     left.close()
             self._free(_KEPT)
 
+    def soon(self, filter: str | None, boundary: str) -> bool:
+        """Whether the renderer of a filter is there, or the volume so small that it is made at once."""
+        with self._lock:
+            entry = self._entries.get((filter, boundary))
+        made = entry is not None and entry.renderer is not None
+        return made or self._field is not None or self.volume.data.size < _LARGE
+
+    def maker(self, filter: str | None, boundary: str) -> threading.Thread:
+        """A thread that makes the renderer of a filter, for a session that shows something else meanwhile.
+
+        They work one after the other, and leave undone what another filter was asked for instead of: whoever draws makes it then.
+        """
+        key, closed = (filter, boundary), self._closed
+
+        def make() -> None:
+            try:
+                with self._one_by_one:
+                    if self._made_for == key and self._closed == closed:
+                        with contextlib.suppress(Exception), self.renderer(filter, boundary):  # who draws with it is told
+                            pass
+            finally:
+                with self._lock:
+                    del self._makers[key]
+            if self._closed != closed:
+                self._free(0)
+
+        with self._lock:
+            self._made_for = key
+            if key not in self._makers:
+                self._makers[key] = threading.Thread(target=make, name="clvol view: coefficients", daemon=True)
+                self._makers[key].start()
+            return self._makers[key]
+
     def _made(self, filter: str | None, boundary: str) -> Renderer:
         own = self._field
         if own is not None and filter == own.filter.name and boundary == own.boundary.name:
@@ -192,6 +233,7 @@ class Resident:
 
     def close(self) -> None:
         """Free the device's memory; a later picture takes it again."""
+        self._closed += 1
         self._free(0)
 
     # -- what is drawn -----------------------------------------------------------------------------------------
@@ -223,10 +265,7 @@ class Resident:
     def placed(self, state: State, aspect: float) -> Camera:
         """The camera with its target, as a picture of this aspect has it."""
         camera = fitted(camera_of(state), self.volume, self.mode(state), self.transfer(state), state.clip, aspect)
-        if camera.target is None:
-            x, y, z = (float(v) for v in self.volume.center)
-            camera = replace(camera, target=(x, y, z))
-        return camera
+        return targeted(camera, self.volume)
 
     def filter_name(self, state: State, filter: str | None) -> str:
         """The filter of the volume's picture by its full name, with its smoothing as it is for the volume."""
@@ -242,6 +281,7 @@ class Resident:
                 "crosshair": list(state.crosshair or map(float, self.volume.center)),
             }
             mode = self.mode(state)
+            self.known = True
         found["options"] = {f.name: _json_value(getattr(mode, f.name)) for f in fields(mode)}
         return found
 
@@ -252,7 +292,7 @@ class Resident:
 
     def info(self) -> dict[str, Any]:
         """What a client is told first."""
-        with self._knowing:
+        with self._describing:  # not the other lock: whoever is told first does not wait for what takes longer
             return self._info_found()
 
     def _info_found(self) -> dict[str, Any]:
@@ -283,6 +323,14 @@ class Resident:
                 "keys": dict(KEYS),
             }
         return self._info
+
+
+def targeted(camera: Camera, volume: Volume) -> Camera:
+    """The camera with its target: the volume's centre, where none is given."""
+    if camera.target is not None:
+        return camera
+    x, y, z = (float(v) for v in volume.center)
+    return replace(camera, target=(x, y, z))
 
 
 def _initial(volume: Volume, given: dict[str, Any]) -> State:

@@ -5,15 +5,17 @@ Messages are JSON objects; a frame is one with bytes beside it. Beyond the proto
 - An event without "pane" is for the pane that is shown; a `resize` without it is for all panes that had none of their own.
 - `{"type": "set", "changes": {...}, "live": true, "gesture": "..."?}` is one of several that make one step of undo (a slider
   that is dragged); one without "live" ends them, and is of the same step if it bears the gesture's name.
-- `{"type": "state", ..., "effective": {...}}`: what applies where the state leaves it open: "transfer" (points), "window" of
-  slices, "filter" by its full name, "options" of the mode (the isovalue), "crosshair".
+- `{"type": "state", ..., "effective": {...}?}`: what applies where the state leaves it open: "transfer" (points), "window" of
+  slices, "filter" by its full name, "options" of the mode (the isovalue), "crosshair". The first may come without, and a second
+  one when that is known.
+- A `frame` with `"few": true` shows few of the volume's samples: the coefficients of all are being made.
 - `{"type": "overlay", "pane", "crosshair": [x, y] | null, "box": [[x, y] | null, ... 8] | null, "faces", "unit_pixels", "right",
   "down"}`: where to draw the crosshair and the crop box, in CSS pixels of the pane (corner ``i`` is at the high end along x, y, z
   where bit 0, 1, 2 of ``i`` is set); `faces` has ``[axis, side, x, y]`` of each clip plane that can be dragged there; how many CSS
   pixels a world unit has, and what runs to the right and down. Sent when one changed.
 - `{"type": "wiper", "errors": {...}}`: the measured error of both filters, when it is known (`clvol.view.wiper`); null before.
 - `{"type": "do", "what": "save_picture", "width", "height", "pane"?}` replies with a PNG; "movie" with a file of `frames` pictures
-  ("format": "gif", "mp4" or "zip" of PNG).
+  ("format": "gif", "mp4", "webm" or "zip" of PNG).
 - "pick" takes x, y and pane; a double click is answered by a reply without an id.
 """
 
@@ -35,7 +37,7 @@ from numpy.typing import NDArray
 from clvol.checks import number, one_of, whole
 from clvol.errors import ClvolError, DeviceError, OptionError
 from clvol.view import code, events, pick, wiper
-from clvol.view.drawing import Drawer, Shot, share_visited
+from clvol.view.drawing import WHOLE, Drawer, Shot, share_visited, sketched
 from clvol.view.encode import jpeg, png
 from clvol.view.events import Hands, Place
 from clvol.view.panes import Pane3D, PaneSize, bounds, visible
@@ -50,12 +52,15 @@ _BUDGET = 0.04  # seconds for a first picture
 _LONGER = 0.065  # and for those of a drag that goes on, where they would be coarser than so many pixels
 _FINE = 80 * 80
 _STILL = 0.25  # seconds for the first one at rest: if the still picture itself takes no longer, nothing comes before it
+_SOON = 1.0  # likewise if the last still picture took no longer than this
 _PAUSE = 0.1  # seconds after which a pointer that is down rests
 _WHEEL_REST = 0.12
 _UNSEEN = 2  # frames that were not acknowledged, at most
+_UNSIZED = 0.5  # seconds for a client to say how large its panes are: what else it is told waits for its first picture
 _LOST = 2.0  # seconds after which an acknowledgement does not come any more
 _MOVING_PIXELS = 1920 * 1080
 _MOST_PIXELS = 3840 * 2160
+_SKETCHED = "a sketch of few samples, until the coefficients of all are there", "busy"
 _SMALLEST, _LARGEST, _MOST_RATIO = 16.0, 8192.0, 4.0
 _MOST_WAITING = 4096
 _MOST_PICTURE = 1 << 13  # along an edge of a picture that is saved
@@ -97,8 +102,12 @@ class Session:
         self._hands = Hands()
         self._sizes: dict[str, PaneSize] = {}
         self._shown: dict[str, _Shown] = {}
+        self._released: str | None = None  # the pane in which a drag has just ended
+        self._took: dict[str, tuple[object, float]] = {}  # what each pane's last still picture was of, and its seconds
         self._overlays: dict[str, object] = {}
         self._told: State | None = None
+        self._few = False  # whether the last frame was a sketch
+        self._told_all, self._began = False, time.monotonic()
         self._compared: object = None
         self._lost_at: State | None = None
         self._wheel_at = self._moved_at = -math.inf
@@ -107,9 +116,9 @@ class Session:
         self._quality, self._scale, self._latency = 85, 1.0, 0.0
         self._rates: deque[float] = deque(maxlen=16)
         self._asked: dict[str, object] = {}
-        self._asides: dict[str, tuple[tuple[Any, ...], Callable[[], dict[str, Any]]]] = {}
+        self._asides: dict[str, tuple[tuple[Any, ...], Callable[[], dict[str, Any] | None]]] = {}
         self._aside_thread: threading.Thread | None = None
-        self._outgoing: deque[dict[str, Any]] = deque()
+        self._outgoing: deque[dict[str, Any] | None] = deque()
         self._inbox: deque[Mapping[str, Any]] = deque()
         self._condition = threading.Condition()
         self._closed = False
@@ -236,7 +245,8 @@ class Session:
             del self._unseen[frame]
         job = self._job()
         if job is None:
-            return None
+            waits = not self._told_all and self._asked.get("facts") != ("facts", self.state)
+            return max(0.0, self._began + _UNSIZED - now) if waits else None
         if len(self._unseen) >= _UNSEEN:
             return max(0.001, _LOST - (now - min(self._unseen.values())))
         _, first = job
@@ -256,6 +266,10 @@ class Session:
         """Whether something came, or the session ends."""
         return self._closed or bool(self._inbox)
 
+    def _drag_ends(self) -> bool:
+        with self._condition:
+            return any(isinstance(one, Mapping) and _kind_of(one.get("event")) == "pointer_up" for one in self._inbox)
+
     # -- messages ----------------------------------------------------------------------------------------------
 
     def _take(self) -> None:
@@ -267,7 +281,8 @@ class Session:
             outgoing = list(self._outgoing)
             self._outgoing.clear()
         for ready in outgoing:
-            self._tell(ready)
+            if ready is not None:
+                self._tell(ready)
         if overflowed:
             self._status(f"more than {_MOST_WAITING} messages waited; some were dropped", "error")
         for message in messages:
@@ -293,7 +308,7 @@ class Session:
             raise one_of("the type of a message", kind, ("event", "set", "do", "ack"))
 
     def _event(self, event: Any) -> None:
-        if isinstance(event, Mapping) and event.get("event_type", event.get("type")) == "resize":
+        if _kind_of(event) == "resize":
             self._resize(event)
             return
         made = events.reduce(self.state, self._hands, event, self._place())
@@ -312,6 +327,7 @@ class Session:
         self._history = before.with_state(made.state, gesture)
         if ended:
             self._history = self._history.ended()
+            self._released = self._hands.drag.pane if changed and self._hands.drag is not None else None
         self._hands = made.hands
         for wish in made.wishes:
             self._grant(wish)
@@ -467,6 +483,8 @@ class Session:
 
     def _anchor(self, state: State, x: float, y: float) -> NDArray[np.float64] | None:
         place = self._place()
+        if not self._resident.soon(state.filter, state.boundary):
+            return None  # a sketch is turned and zoomed all the same
         pane = place.pane(state, "3d")
         assert isinstance(pane, Pane3D)  # of the volume
         with self._resident.renderer(state.filter, state.boundary) as renderer:
@@ -477,6 +495,8 @@ class Session:
         pane = self._place().pane(state, name)
         other = state.wiper is not None and x > state.wiper.at * self._place().size(name).width
         chosen = state.wiper.filter if state.wiper is not None and other else state.filter
+        if not self._resident.soon(chosen, state.boundary):
+            raise OptionError("there is nothing to pick before the coefficients are there")
         with self._resident.renderer(chosen, state.boundary) as renderer:
             return pick.picked(renderer, pane, name, x, y, self._resident.arguments(state))
 
@@ -495,6 +515,8 @@ class Session:
         names = visible(state)
         order = sorted(names, key=lambda name: (name != self._focus(), name not in names))
         known = [name for name in order if name in self._sizes or "" in self._sizes]
+        if "3d" in known and sketched(state) and not self._resident.soon(state.filter, state.boundary):
+            known = ["3d"]  # slices wait for the coefficients, and would have it wait too
         for name in known:
             if self._shown.get(name, _Shown()).key != self._key(state, name):
                 return name, True
@@ -518,8 +540,16 @@ class Session:
         point = state.crosshair or self._resident.volume.center
         return (*common, state.slice, float(point["xyz".index(name)]))
 
+    def _look(self, state: State, name: str) -> object:
+        """What the time depends on that the picture of a pane takes, but for the side from which it is seen."""
+        initial = self._resident.initial
+        camera = replace(state.camera, target=None, direction=initial.camera.direction, up=initial.camera.up)
+        return self._key(replace(state, camera=camera, crosshair=None, slice=initial.slice), name)
+
     def _draw_next(self) -> None:
         job = self._job()
+        if job is None and not self._told_all and time.monotonic() - self._began >= _UNSIZED:
+            self._find_out()
         if self._closed or job is None or len(self._unseen) >= _UNSEEN:
             return
         name, first = job
@@ -543,17 +573,27 @@ class Session:
         sent = 0
 
         def stop() -> bool:
-            """The first picture comes in any case, or a drag without a pause would show none."""
-            return self._closed or ((sent > 0 or not first) and self._busy())
+            """The first picture comes in any case, or a drag without a pause would show none; but not when that ends."""
+            return self._closed or (self._busy() if sent > 0 or not first or at_once else moving and self._drag_ends())
 
         began = time.perf_counter()
         done = False
         if not moving:
             self._coarse.clear()
-        budget = _STILL if not first else _LONGER if name in self._coarse else _BUDGET
-        with closing(self._drawer.shots(place, state, name, wanted, budget, stop, coarse=moving)) as shots:
+        budget = (_LONGER if name in self._coarse else _BUDGET) if first else _STILL
+        look = self._look(state, name)
+        known, took = self._took.get(name, (None, math.inf))
+        # what is shown lies near the picture that comes
+        at_once = not moving and (not first or name == self._released) and known == look and took <= _SOON
+        if at_once:
+            budget = WHOLE
+        if name == self._released:
+            self._released = None
+        told = self._outgoing.__len__
+        with closing(self._drawer.shots(place, state, name, wanted, budget, stop, coarse=moving, elsewhere=told)) as shots:
             for shot in shots:
                 if (shot.final or not sent) and not self._may_send():
+                    self._drawer.forget_sketch()
                     break
                 if len(self._unseen) < _UNSEEN:  # a picture in between is left out, if the client is slow
                     self._send_frame(name, size, shot, time.perf_counter() - began)
@@ -566,6 +606,7 @@ class Session:
         if not sent and not self._busy():
             self._moved_at = time.monotonic()  # nothing came of it: not again at once
         if done:
+            self._took[name] = look, time.perf_counter() - began
             self._report(state, name, shot)
 
     def _may_send(self) -> bool:
@@ -597,6 +638,8 @@ class Session:
         }
         if shot.step is not None:
             message["step"] = shot.step
+        if shot.few:
+            message["few"] = True
         if shot.visited is not None:
             message["share_visited"] = shot.visited
         if name in self._undrawn:  # what hindered it is over
@@ -606,6 +649,20 @@ class Session:
             self._unseen[self._number] = time.monotonic()
         self._rates.append(time.monotonic())
         self._tell(message, data)
+        if shot.few != self._few:
+            self._few = shot.few
+            self._status(*(_SKETCHED if shot.few else ("", "info")))
+        if not self._told_all:
+            self._find_out()
+
+    def _find_out(self) -> None:
+        """Have found out what follows from the volume, once for a state: it may be the state that is wrong."""
+        state = self.state
+
+        def work() -> None:
+            self._resident.effective(state)
+
+        self._aside(("facts", state), work)
 
     def _report(self, state: State, name: str, shot: Shot) -> None:
         """Statistics of a still picture, and the errors of the wiper's filters: what takes long comes later."""
@@ -635,11 +692,14 @@ class Session:
         with self._condition:
             self._asked.pop("wiper", None)
             self._asides.pop("wiper", None)
-            self._outgoing = deque(message for message in self._outgoing if message["type"] != "wiper")
+            self._outgoing = deque(one for one in self._outgoing if one is None or one["type"] != "wiper")
         self._tell({"type": "wiper", "errors": None})
 
-    def _aside(self, key: tuple[Any, ...], work: Callable[[], dict[str, Any]]) -> None:
-        """Have a message made by another thread, unless the last one of its kind was the same; pictures do not wait for it."""
+    def _aside(self, key: tuple[Any, ...], work: Callable[[], dict[str, Any] | None]) -> None:
+        """Have a message made by another thread, unless the last one of its kind was the same; pictures do not wait for it.
+
+        Where that gives none, what it found out is looked at all the same.
+        """
         with self._condition:
             if self._asked.get(key[0]) == key:
                 return
@@ -683,21 +743,24 @@ class Session:
             self._quality, self._scale = min(high, self._quality + 1), min(1.0, 1.05 * self._scale)
 
     def _tell_state(self) -> None:
-        state = self.state
-        if state == self._told:
+        """What is shown; what follows from the volume is told later, if it is not known yet: pictures do not wait for it."""
+        state, known = self.state, self._resident.known
+        if state == self._told and known == self._told_all:
             return
-        self._told = state
-        self._tell(
-            {
-                "type": "state",
-                "state": state.json(),
-                "effective": self._resident.effective(state),
-                "can_undo": bool(self._history.past),
-                "can_redo": bool(self._history.future),
-            }
-        )
+        self._told, self._told_all = state, known
+        message = {
+            "type": "state",
+            "state": state.json(),
+            "can_undo": bool(self._history.past),
+            "can_redo": bool(self._history.future),
+        }
+        if known:
+            message["effective"] = self._resident.effective(state)
+        self._tell(message)
 
     def _tell_overlays(self) -> None:
+        if not self._resident.known:  # where things lie takes as long to find out
+            return
         state, place = self.state, self._place()
         for name in visible(state):
             if name not in self._sizes and "" not in self._sizes:
@@ -744,6 +807,10 @@ class _Gone(Exception):  # nothing went wrong
 _DEEDS = ("undo", "redo", "reset", "fit", "save_picture", "copy_python", "copy_toml", "copy_url", "pick", "heat", "movie")
 
 
+def _kind_of(event: Any) -> Any:
+    return event.get("event_type", event.get("type")) if isinstance(event, Mapping) else None
+
+
 def _replaces(message: Any, other: Any) -> bool:
     """Whether a message makes the one before it needless: moves of a pointer, and resizes."""
     if not (isinstance(message, Mapping) and isinstance(other, Mapping) and message.get("type") == other.get("type") == "event"):
@@ -751,7 +818,7 @@ def _replaces(message: Any, other: Any) -> bool:
     one, two = message.get("event"), other.get("event")
     if not (isinstance(one, Mapping) and isinstance(two, Mapping)) or one.get("pane") != two.get("pane"):
         return False
-    kinds = [event.get("event_type", event.get("type")) for event in (one, two)]
+    kinds = [_kind_of(event) for event in (one, two)]
     return kinds[0] == kinds[1] and kinds[0] in ("pointer_move", "resize")
 
 

@@ -1048,9 +1048,9 @@ class Panel {
     const buttons = [copy("copy_python", "Python"), copy("copy_toml", "TOML"), copy("copy_url", "URL")];
     const save = button("Save picture", () => viewer.save("save_picture"), { title: "the still picture, without loss" });
     this.movie = button("Save movie", () => viewer.save("movie", { format: this.movieAs.value }), { title: "once around" });
-    this.movieAs = make("select", { "aria-label": "kind of movie" }, new Option("GIF", "gif"), new Option("MP4", "mp4"), new Option("PNGs in a zip", "zip"));
+    this.movieAs = make("select", { "aria-label": "kind of movie" }, new Option("GIF", "gif"), new Option("MP4", "mp4"), new Option("WebM", "webm"), new Option("PNGs in a zip", "zip"));
     this.text = make("textarea", { class: "clvol-text", readonly: true, rows: 4, hidden: true, "aria-label": "what was to be copied" });
-    return make("div", {}, make("div", { class: "clvol-buttons" }, make("span", {}, "Copy as"), ...buttons), make("div", { class: "clvol-buttons" }, save, this.movie, this.movieAs), this.text);
+    return make("div", {}, make("div", { class: "clvol-buttons" }, make("span", {}, "Copy as"), ...buttons), make("div", { class: "clvol-buttons" }, save, make("span", { class: "clvol-together" }, this.movie, this.movieAs)), this.text);
   }
 
   statisticsControls() {
@@ -1405,7 +1405,7 @@ class Viewer {
     if (!answer) return undefined;
     const { message, data } = answer;
     if (!data) return this.status(message.text ?? "nothing was made", "error");
-    const kind = { mp4: "video/mp4", zip: "application/zip" }[message.format] ?? `image/${message.format ?? "png"}`;
+    const kind = { mp4: "video/mp4", webm: "video/webm", zip: "application/zip" }[message.format] ?? `image/${message.format ?? "png"}`;
     const url = URL.createObjectURL(new Blob([data], { type: kind }));
     const name = message.name ?? `${(this.info.title ?? "clvol").replace(/[^\w.-]+/g, "-")}.${kind.split("/")[1]}`;
     make("a", { href: url, download: name }).click();
