@@ -16,6 +16,7 @@ import math
 import resource
 import tempfile
 import time
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -48,7 +49,7 @@ class Shells:
         r = np.sqrt(x * x + y * y + z * z)
         bumps = np.sin(21 * x) * np.sin(19 * y) * np.sin(23 * z)
         value = 55000 * np.exp(-(((r - 0.62 - 0.03 * bumps) / 0.05) ** 2)) + 40000 * np.exp(-(((r - 0.25) / 0.03) ** 2))
-        noise = np.random.default_rng(abs(hash(str(index))) % (1 << 32)).integers(0, 900, value.shape)
+        noise = np.random.default_rng(zlib.crc32(str(index).encode())).integers(0, 900, value.shape)
         made: np.ndarray[Any, Any] = (value + noise).astype(np.uint16)
         return made
 

@@ -131,8 +131,7 @@ def test_drag_turns_wheel_zooms_and_undo_goes_back(page: Page) -> None:
     first, before = page.state, page.picture()
     page.browser.drag((120, 40), PANE)
     page.becomes(lambda state: state.camera.direction != first.camera.direction)
-    page.wait(FINAL)
-    assert np.abs(page.picture().astype(int) - before).mean() > 1
+    page.wait(lambda: np.abs(page.picture().astype(int) - before).mean() > 1, 20, "the turned picture")
     turned = page.state
     page.browser.wheel(-200, PANE)
     page.becomes(lambda state: state.camera.zoom > 1.2 or state.camera.distance != turned.camera.distance)
