@@ -8,7 +8,9 @@ this one; some draws are of seeds that were never seen, which the other process 
 and what the process holds is counted: resident memory, open descriptors, threads, files left behind, and buffers on the device.
 After a first quarter, in which caches fill, the median of the last third must not exceed that of the first: memory by 2 % or
 20 MB at most, all else by nothing. Memory is judged in runs of ten minutes or more, until when caches fill, and of ``--new 0``:
-runtimes keep some of each program that they compile, and new arguments may need new ones. Exit status 1 says that a result
+runtimes keep some of each program that they compile, and new arguments may need new ones. Where the C library is glibc's, what is
+free in its heaps is given back before memory is counted: how much stays there depends on how threads' requests mix, not on what
+is held. What was resident before that is written down too. Exit status 1 says that a result
 changed, a foreign exception came, or something grew.
 
 Kernels are built anew, in a temporary cache, unless POCL_CACHE_DIR says where one is.
@@ -18,6 +20,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import ctypes
 import datetime as dt
 import faulthandler
 import gc
@@ -227,10 +230,16 @@ def held(folder: Path, buffers: Buffers) -> dict[str, float]:
     """What the process holds now; nothing of the system's where it does not tell."""
     told: dict[str, float] = {"threads": threading.active_count()}
     with contextlib.suppress(OSError):
-        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-        told |= {"resident": pages * os.sysconf("SC_PAGE_SIZE"), "descriptors": len(list(Path("/proc/self/fd").iterdir()))}
+        told |= {"untrimmed": _resident(), "descriptors": len(list(Path("/proc/self/fd").iterdir()))}
+        with contextlib.suppress(AttributeError):  # it is glibc's
+            ctypes.CDLL(None).malloc_trim(0)
+        told |= {"resident": _resident()}
     told |= {"files": sum(len(files) + len(folders) for _, folders, files in os.walk(folder))}
     return told | {"buffers": len(buffers.sizes), "buffer_bytes": sum(buffers.sizes.values())}
+
+
+def _resident() -> int:
+    return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
 def grown(samples: Sequence[dict[str, float]]) -> dict[str, dict[str, Any]]:
