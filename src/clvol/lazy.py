@@ -19,7 +19,7 @@ from clvol.errors import ClvolError, DataError, FormatError, OptionError
 from clvol.noise import Noise
 from clvol.volume import Volume
 
-__all__ = ["Bounds", "LazyVolume", "Sliced"]
+__all__ = ["Bounds", "LazyVolume", "Sliced", "needed_by"]
 
 Index: TypeAlias = tuple[int, int, int]
 """Along x, y and z."""
@@ -431,3 +431,8 @@ def _ends(limits: Any) -> tuple[float, float]:
     if ends.shape != (2,) or not np.isfinite(ends).all() or ends[0] > ends[1]:
         raise OptionError(f"limits must be the smallest and the largest sample, finite; got {limits!r}")
     return float(ends[0]), float(ends[1])
+
+
+def needed_by(volume: LazyVolume) -> int:
+    """Bytes of all samples, and of their coefficients."""
+    return volume.nbytes + 4 * math.prod(volume.shape)

@@ -43,7 +43,6 @@ __all__ = [
     "bytes_of",
     "bytes_text",
     "is_address",
-    "needed_by",
     "own_options",
     "too_large",
     "whole_numbers",
@@ -233,13 +232,16 @@ class Input:
         given = self._given()
         if str(source).startswith("phantom:"):
             return None if given else f"clvol.phantoms.by_name({str(source).removeprefix('phantom:')!r})"
-        if is_address(source):
-            given |= {} if self.fill_nan is None else {"missing": self.fill_nan}
         arguments = "".join(f", {name}={value!r}" for name, value in given.items())
         if is_address(source):
-            return f"clvol.open({str(source)!r}{arguments}).whole()"
+            return f"{self.python_opened(source)}.whole()"
         filled = "" if self.fill_nan is None else f".filled({'' if self.fill_nan == 'smoothly' else self.fill_nan})"
         return f"clvol.read({str(source)!r}{arguments}){filled}"
+
+    def python_opened(self, source: str | Path) -> str:
+        """The call that opens it."""
+        given = self._given() | ({} if self.fill_nan is None else {"missing": self.fill_nan})
+        return f"clvol.open({str(source)!r}{''.join(f', {name}={value!r}' for name, value in given.items())})"
 
     def chooses(self) -> bool:
         """Whether it says which image of a file or folder."""
@@ -455,12 +457,9 @@ def is_address(source: str | Path) -> bool:
 
 def too_large(volume: clvol.LazyVolume, room: float | None = None) -> bool:
     """Whether samples and coefficients need more than `room`, by default half of the memory that is available."""
+    from clvol.lazy import needed_by
+
     return needed_by(volume) > (memory.available() / 2 if room is None else room)
-
-
-def needed_by(volume: clvol.LazyVolume) -> int:
-    """Bytes of the samples, and of their coefficients."""
-    return volume.nbytes + 4 * math.prod(volume.shape)
 
 
 # `Path` is there for the Tab key, which completes names of files; the text stays as it was given

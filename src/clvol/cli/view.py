@@ -26,7 +26,6 @@ from clvol.cli.options import (
     Whole,
     bytes_text,
     is_address,
-    needed_by,
     own_options,
     too_large,
 )
@@ -37,6 +36,7 @@ from clvol.formats._limits import size_of
 
 if TYPE_CHECKING:
     from clvol.view import View
+    from clvol.view.finer import Finer
     from clvol.view.server import Server
     from clvol.volume import Volume
 
@@ -74,7 +74,8 @@ def view(
     """Look at a volume in a browser: turn it, cut it, change its colours. Ctrl-C ends it.
 
     The address that is printed has a token in it: whoever has the address may look. Of a volume that is stored in several sizes the
-    largest is shown that fits, with its coefficients, into half of the memory that is available.
+    largest is in memory that fits, with its coefficients, into half of what is available; a picture at rest that shows more is
+    drawn of the finer ones, by bricks.
 
     Parameters
     ----------
@@ -165,7 +166,7 @@ def view(
         """Kernels, while the file is read."""
         shown = replace(look, preset=None, clip=None)  # which may not suit another volume
         with suppress(Exception):  # what is wrong is told with the volume, or on each page
-            _made(phantoms.marschner_lobb(_REHEARSED), None, name, filter, device, shown, options).rehearse()
+            _made(phantoms.marschner_lobb(_REHEARSED), None, None, name, filter, device, shown, options).rehearse()
 
     def prepare() -> None:
         """The first picture's parts, while the browser starts."""
@@ -196,30 +197,36 @@ def view(
     _leave(1 if why is not None else 0, reading)
 
 
-def _read(reader: Input, name: str) -> tuple[Volume, str | None]:
-    """The volume to look at, and the call in Python that reads it: of one that does not fit into memory a smaller size."""
+def _read(reader: Input, name: str) -> tuple[Volume, str | None, Finer | None]:
+    """The volume to look at, and the call in Python that reads it: of one that does not fit into memory a smaller size, and all."""
     if not is_address(name) and _is_small(name):
-        return reader.read(name), reader.python(name)
+        return reader.read(name), reader.python(name), None
     lazy = reader.by_parts(name, too_large)
     if lazy is None:
-        return reader.read(name), reader.python(name)
+        return reader.read(name), reader.python(name), None
+    from clvol.lazy import needed_by
+    from clvol.view.finer import Finer, at_hand
+
     sizes = (lazy, *lazy.levels)
-    level = next((n for n, size in enumerate(sizes) if not too_large(size)), None)
-    if level is None and too_large(sizes[-1], memory.available()):
+    try:
+        level = at_hand(lazy)
+    except OutOfMemoryError:
         smaller = "its smallest size" if lazy.levels else "it"
         raise OutOfMemoryError(
             f"out of memory: a volume that is looked at must fit into the {bytes_text(memory.available())} that are available, "
             f"with its coefficients; {smaller} takes {bytes_text(needed_by(sizes[-1]))}: 'clvol pyramid {name} -o NAME.zarr' makes "
-            "smaller sizes, of which 'clvol view' shows one that fits, and 'clvol render' draws it by bricks"
-        )
-    level = len(sizes) - 1 if level is None else level
+            "smaller sizes, of which 'clvol view' has one in memory, and 'clvol render' draws it by bricks"
+        ) from None
+    finer = None
     if level:
         _note(
-            f"{name} takes {bytes_text(needed_by(lazy))} with its coefficients; shown is level {(reader.level or 0) + level}, of "
-            f"{display.numbers(sizes[level].shape)} samples"
+            f"{name} takes {bytes_text(needed_by(lazy))} with its coefficients; in memory is level "
+            f"{(reader.level or 0) + level}, of {display.numbers(sizes[level].shape)} samples: bricks of finer ones are read where "
+            "a picture at rest shows more"
         )
+        finer = Finer(lazy, level, source=reader.python_opened(name))
         reader = replace(reader, level=(reader.level or 0) + level)
-    return sizes[level].whole() if is_address(name) else reader.read(name), reader.python(name)
+    return sizes[level].whole() if is_address(name) else reader.read(name), reader.python(name), finer
 
 
 def _is_small(name: str) -> bool:
@@ -231,7 +238,14 @@ def _is_small(name: str) -> bool:
 
 
 def _made(
-    volume: Volume, source: str | None, name: str, filter: str | None, device: str | None, look: Look, own: dict[str, Any]
+    volume: Volume,
+    source: str | None,
+    finer: Finer | None,
+    name: str,
+    filter: str | None,
+    device: str | None,
+    look: Look,
+    own: dict[str, Any],
 ) -> View:
     """The view of a volume that the command line asks for; `source` is the call in Python that reads it."""
     from clvol.view import View
@@ -246,9 +260,10 @@ def _made(
         options |= {word: value for word, value in words.items() if value is not None}
     elif options["transfer"] is None:
         del options["transfer"]
-    return View(
-        volume, device=device, source=source, title=volume.name or Path(name).name, filter=filter, boundary=look.boundary, **options
-    )
+    if finer is not None:
+        finer.device = device
+    title = volume.name or Path(name).name
+    return View(volume, device=device, source=source, title=title, finer=finer, filter=filter, boundary=look.boundary, **options)
 
 
 def _open(url: str) -> None:

@@ -41,6 +41,8 @@ __all__ = [
     "fields_of",
     "front_to_back",
     "level_of",
+    "level_within",
+    "nearest_to",
     "pixels_of",
 ]
 
@@ -422,11 +424,18 @@ def front_to_back(field: BrickedField, view: View, box: tuple[Index, Index] | No
 
 def level_of(volume: LazyVolume, view: View, size: tuple[int, int], pixels: float) -> int:
     """The coarsest level whose voxels span at most so many pixels where the volume is nearest to the viewer; 0 is the finest."""
-    ahead = (volume.grid.corners - view.eye) @ view.forward
-    nearest = 1.0 if view.orthographic else max(float(ahead.min()), 1e-6 * volume.grid.radius)
-    pixel = 2 * view.half_height * nearest / size[1]
-    levels = (volume, *volume.levels)
-    return max((i for i, level in enumerate(levels) if max(level.spacing) <= pixels * pixel), default=0)
+    nearest = 1.0 if view.orthographic else nearest_to(volume, view)
+    return level_within(volume, pixels * 2 * view.half_height * nearest / size[1])
+
+
+def nearest_to(volume: LazyVolume, view: View) -> float:
+    """How far ahead of the eye the volume's nearest corner is, along the view; little where that is behind it."""
+    return max(float(((volume.grid.corners - view.eye) @ view.forward).min()), 1e-6 * volume.grid.radius)
+
+
+def level_within(volume: LazyVolume, length: float) -> int:
+    """The coarsest level whose voxels are at most so long."""
+    return max((i for i, level in enumerate((volume, *volume.levels)) if max(level.spacing) <= length), default=0)
 
 
 def opacity_within(transfer: TransferFunction, low: float, high: float) -> float:

@@ -203,6 +203,21 @@ class Renderer:
         """The fields of those lower resolutions of a LazyVolume that pictures were made of."""
         return tuple(self._levels.values())
 
+    def field_of_level(self, level: int) -> BrickedField:
+        """The function of a level of a `LazyVolume`, which is read where it is asked for; the finest is 0.
+
+        Raises
+        ------
+        OptionError
+            The renderer is of no `LazyVolume`, or is closed, or this has no such level.
+        """
+        field = self.field
+        if not isinstance(field, BrickedField):
+            raise OptionError("field_of_level takes a renderer of a volume that is read by bricks")
+        level = whole("level", level, 0, len(field.volume.levels))
+        with self._lease.held():
+            return self._field_at(as_mode(DEFAULT_MODE), level)
+
     @property
     def filter(self) -> Filter:
         """How the medium is reconstructed, with its smoothing as it was settled for the volume."""

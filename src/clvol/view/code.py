@@ -20,6 +20,7 @@ from clvol.light import Light, Material
 from clvol.transfer import TransferFunction
 from clvol.view.panes import PaneSize, SlicePane, camera_of, vertical
 from clvol.view.resident import Resident
+from clvol.view.slices import window_of_slices
 from clvol.view.state import State
 
 __all__ = ["from_toml", "from_url", "python", "to_url", "toml"]
@@ -52,7 +53,10 @@ def python(resident: Resident, state: State, name: str, shown: PaneSize, size: t
     lines += ["from clvol.picture import heat, to_bytes"] if state.heat and name == "3d" else []
     lines += ["from clvol.view import section"] if name != "3d" else []
     lines += [""]
-    lines += ["# volume: the clvol.Volume that was viewed"] if resident.source is None else [f"volume = {resident.source}"]
+    finer = resident.finer if _finer(resident, state, name, shown, size) else None
+    source = resident.source if finer is None else finer.source
+    kind = "Volume" if finer is None else "LazyVolume"
+    lines += [f"# volume: the clvol.{kind} that was viewed" if source is None else f"volume = {source}"]
     draw = _drawn if name == "3d" else _cut
     if state.wiper is None:
         lines += draw(resident, state, state.filter, name, shown, size, "picture")
@@ -65,15 +69,9 @@ def python(resident: Resident, state: State, name: str, shown: PaneSize, size: t
 
 
 def _drawn(
-    resident: Resident,
-    state: State,
-    filter: str | None,
-    name: str,  # noqa: ARG001
-    shown: PaneSize,  # noqa: ARG001
-    size: tuple[int, int],
-    result: str,
+    resident: Resident, state: State, filter: str | None, name: str, shown: PaneSize, size: tuple[int, int], result: str
 ) -> list[str]:
-    given = resident.arguments(state)
+    given = _finer(resident, state, name, shown, size) or resident.arguments(state)
     camera, mode = given.pop("camera"), given.pop("mode")
     words = {"filter": filter} if filter is not None else {}
     words |= {"boundary": state.boundary} if state.boundary != "mirror" else {}
@@ -89,7 +87,7 @@ def _cut(
     resident: Resident, state: State, filter: str | None, name: str, shown: PaneSize, size: tuple[int, int], result: str
 ) -> list[str]:
     pane = SlicePane.of(state, resident.volume, "xyz".index(name), shown)
-    pixel = shown.width * pane.per_pixel / size[0], shown.height * pane.per_pixel / size[1]
+    pixel = pane.pixel(size)
     words: dict[str, Any] = {
         "middle": tuple(pane.middle.tolist()),
         "right": tuple(pane.right.tolist()),
@@ -98,10 +96,24 @@ def _cut(
         "size": size,
     }
     words |= {key: value for key in ("window", "cmap") if (value := getattr(state, key)) is not None}
+    words |= _finer(resident, state, name, shown, size)
     words |= {"filter": filter} if filter is not None else {}
     words |= {"boundary": state.boundary} if state.boundary != "mirror" else {}
     words |= {"background": state.background} | _device(resident)
     return [f"{result} = " + _call("section", ["volume", *(f"{key}={_text(value)}" for key, value in words.items())])]
+
+
+def _finer(resident: Resident, state: State, name: str, shown: PaneSize, size: tuple[int, int]) -> dict[str, Any]:
+    """What a pane that is drawn by bricks is given instead; nothing if it is drawn of what is at hand."""
+    finer = resident.finer
+    if finer is None:
+        return {}
+    if name == "3d":
+        return finer.arguments(resident.seen(state, size[0] / size[1]), state, size) or {}
+    pane = SlicePane.of(state, resident.volume, "xyz".index(name), shown)
+    if finer.slice_level(state, pane.pixel(size)) is None:
+        return {}
+    return {"window": state.window or window_of_slices(resident.volume)}
 
 
 def _device(resident: Resident) -> dict[str, Any]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
 from collections.abc import Callable, Generator
+from concurrent.futures import Future
 from contextlib import closing, suppress
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -14,7 +16,7 @@ from numpy.typing import NDArray
 
 from clvol.errors import ClvolError
 from clvol.march.renderer import Renderer
-from clvol.picture import heat, to_bytes
+from clvol.picture import Picture, heat, to_bytes
 from clvol.view.events import Place
 from clvol.view.panes import SlicePane
 from clvol.view.resident import Resident
@@ -46,6 +48,8 @@ class Shot(NamedTuple):
         The mean share of samples that was looked at, where that is shown.
     few : bool
         Whether it shows few of the volume's samples, since the coefficients of all are not there yet.
+    coarser : bool
+        Whether one follows of finer samples, which are read from where the volume is stored.
     """
 
     pixels: NDArray[np.uint8]
@@ -53,6 +57,7 @@ class Shot(NamedTuple):
     step: float | None = None
     visited: float | None = None
     few: bool = False
+    coarser: bool = False
 
 
 class Drawer:
@@ -64,6 +69,7 @@ class Drawer:
         self._sketch: Sketch | None = None
         self._sketched_of: tuple[State, tuple[int, int]] | None = None
         self._slice_rate = 0.0  # seconds a pixel, of the last slice
+        self._reader: threading.Thread | None = None
 
     def _of_slice(self, size: tuple[int, int], budget: float) -> tuple[int, int]:
         """The size of a slice that takes no longer than a budget, no less than a quarter along each edge."""
@@ -117,7 +123,7 @@ class Drawer:
                 waiting = yield from self._sketched(state, size, lambda: stop() or bool(elsewhere()))
                 if waiting:
                     return
-            yield from self._of(place, state, state.filter, name, size, budget, stop, coarse)
+            yield from self._with_finer(place, state, name, size, budget, stop, coarse)
             return
         at, edge = state.wiper.at, round(state.wiper.at * size[0])
         sides = [(state.filter, edge > 0), (state.wiper.filter, edge < size[0])]
@@ -137,6 +143,58 @@ class Drawer:
             yield Shot(pixels, final, shown[0].step, shown[0].visited)
             if final or coarse:
                 return
+
+    def _with_finer(
+        self, place: Place, state: State, name: str, size: tuple[int, int], budget: float, stop: Callable[[], bool], coarse: bool
+    ) -> Generator[Shot, None, None]:
+        """Pictures of the samples at hand, and the last one of finer ones where these are stored and the pane shows more."""
+        draw = None if coarse else self._of_finer(place, state, name, size)
+        if draw is None or math.isfinite(budget):
+            for shot in self._of(place, state, state.filter, name, size, budget, stop, coarse):
+                yield shot if draw is None else shot._replace(final=False, coarser=True)
+        if draw is not None and not stop():
+            picture = self._beside(draw, stop)
+            if picture is not None:
+                yield Shot(to_bytes(picture), True, state.step if name == "3d" else None)
+
+    def _beside(self, draw: Callable[[Callable[[], bool]], Picture | None], stop: Callable[[], bool]) -> Picture | None:
+        """What is drawn in another thread, which ends after the brick that it reads; None as soon as it was stopped."""
+        while self._reader is not None and self._reader.is_alive():  # of a view that was given up
+            if stop():
+                return None
+            self._reader.join(_TICK)
+        made: Future[Picture | None] = Future()
+        given_up = threading.Event()
+
+        def work() -> None:
+            try:
+                made.set_result(draw(given_up.is_set))
+            except BaseException as error:
+                made.set_exception(error)
+
+        self._reader = threading.Thread(target=work, name="clvol view: bricks", daemon=True)
+        self._reader.start()
+        while self._reader.is_alive():
+            if stop():
+                given_up.set()
+                return None
+            self._reader.join(_TICK)
+        return made.result()
+
+    def _of_finer(
+        self, place: Place, state: State, name: str, size: tuple[int, int]
+    ) -> Callable[[Callable[[], bool]], Picture | None] | None:
+        """What draws a pane by bricks, unless it would show no more."""
+        finer = self.resident.finer
+        if finer is None:
+            return None
+        if name == "3d":
+            given = finer.arguments(self.resident.seen(state, size[0] / size[1]), state, size)
+            return None if given is None else lambda stop: finer.picture(state, size, given, stop)
+        pane, pixel = _pane(place, state, name, size)
+        if finer.slice_level(state, pixel) is None:
+            return None
+        return lambda stop: finer.slice(state, pane, pixel, size, self.resident.volume, stop)
 
     def _sketched(self, state: State, size: tuple[int, int], stop: Callable[[], bool]) -> Generator[Shot, None, bool]:
         """A picture of few samples, while the coefficients of all of them are made; whether `stop` said so before they were."""
@@ -219,10 +277,15 @@ def sketched(state: State) -> bool:
     return state.wiper is None and not state.heat
 
 
-def _slice(renderer: Renderer, place: Place, state: State, name: str, size: tuple[int, int]) -> NDArray[Any]:
-    pane, shown = place.pane(state, name), place.size(name)
+def _pane(place: Place, state: State, name: str, size: tuple[int, int]) -> tuple[SlicePane, tuple[float, float]]:
+    """The pane of a slice, and how large its pixels are in the world."""
+    pane = place.pane(state, name)
     assert isinstance(pane, SlicePane)  # by its name
-    pixel = shown.width * pane.per_pixel / size[0], shown.height * pane.per_pixel / size[1]
+    return pane, pane.pixel(size)
+
+
+def _slice(renderer: Renderer, place: Place, state: State, name: str, size: tuple[int, int]) -> NDArray[Any]:
+    pane, pixel = _pane(place, state, name, size)
     values = renderer.field(plane_points(pane.middle, pane.right, pane.down, pixel, size), fill=np.nan)
     return shaded(values, renderer.volume, state.window, state.cmap, state.background)
 

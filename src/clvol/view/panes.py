@@ -175,6 +175,10 @@ class SlicePane:
         middle[axis] = (volume.center if state.crosshair is None else state.crosshair)[axis]
         return cls(size, axis, middle, right, down, float(fitted) / state.slice.zoom)
 
+    def pixel(self, size: tuple[int, int]) -> tuple[float, float]:
+        """World units a pixel of a picture that fills it, along rows and columns."""
+        return self.size.width * self.per_pixel / size[0], self.size.height * self.per_pixel / size[1]
+
     def point(self, x: Any, y: Any) -> Vector:
         """World points under places in CSS pixels; (..., 3)."""
         u = (np.asarray(x, np.float64) - self.size.width / 2) * self.per_pixel

@@ -20,6 +20,7 @@ from clvol.device import Device
 from clvol.errors import ClvolError, DataError, OptionError, OutOfMemoryError
 from clvol.filter import filters
 from clvol.fit import fitted
+from clvol.lazy import LazyVolume
 from clvol.look import look
 from clvol.march.renderer import Renderer
 from clvol.mode import Mode, as_mode, mode_options, modes
@@ -29,6 +30,7 @@ from clvol.smoothing import filter_for, settled
 from clvol.spline.field import Field
 from clvol.transfer import TransferFunction
 from clvol.view.events import KEYS
+from clvol.view.finer import Finer, at_hand
 from clvol.view.panes import camera_of, vertical
 from clvol.view.slices import window_of_slices
 from clvol.view.state import MOST_POINTS, CameraState, State, transfer_json
@@ -41,6 +43,7 @@ _KEPT = 2  # renderers that nobody uses: one to come back to
 _BINS = 256
 _LOOKED_AT = 1 << 19  # samples of a histogram
 _BESIDE = ("gradient", "samples", "pixel_filter", "skipping", "evaluator", "fetch")  # passed on, and in no state
+_OF_SAMPLES = ("preset", "window", "cmap", "opacity", "evaluator", "fetch")  # what only samples at hand decide, or have
 _STATED = ("step", "transfer", "preset", "window", "cmap", "opacity", "material", "lights", "background", "clip")
 _COLOR_MAPS = (
     "gray", "bone", "hot", "viridis", "magma", "inferno", "plasma", "cividis", "turbo", "coolwarm", "cool", "copper", "pink",
@@ -63,12 +66,16 @@ class Resident:
 
     Parameters
     ----------
-    scene : Volume, Scene, Medium, Field or array-like, 3-D
+    scene : Volume, LazyVolume, Scene, Medium, Field or array-like, 3-D
+        Of a `LazyVolume` the largest size is at hand that fits into half of the memory that is available, with its coefficients; a
+        picture at rest whose pixels are finer is drawn by bricks.
     device : Device, str or int, optional
     source : str, optional
         Python text by which copied programs get the volume, such as ``clvol.read("scan.nii.gz")``.
     title : str, optional
         For people; by default the volume's name.
+    finer : Finer, optional
+        All sizes of what is stored, where `scene` is one that was read of it.
     **options
         Those of `clvol.render` but `size`, `outputs`, `sigma` and `progress`: what is shown first.
 
@@ -82,13 +89,22 @@ class Resident:
 
     def __init__(
         self,
-        scene: Scene | Medium | Volume | Field | ArrayLike,
+        scene: Scene | Medium | Volume | LazyVolume | Field | ArrayLike,
         *,
         device: Device | str | int | None = None,
         source: str | None = None,
         title: str | None = None,
+        finer: Finer | None = None,
         **options: Any,
     ) -> None:
+        if isinstance(scene, LazyVolume):
+            level = at_hand(scene)
+            if level:
+                finer = Finer(scene, level, device, source)
+            source = source and f"{source}{f'.levels[{level - 1}]' if level else ''}.whole()"
+            scene = (scene, *scene.levels)[level].whole()
+        self.finer = finer
+        """All sizes of the volume, of which one is at hand; None where that is all there is."""
         self._field: Field | None = None
         self.device = device
         given = dict(options)
@@ -230,11 +246,15 @@ class Resident:
             if entry.renderer is not None:
                 with contextlib.suppress(Exception):  # of a device that failed
                     entry.renderer.close()
+        if self.finer is not None:
+            self.finer.close()
 
     def close(self) -> None:
         """Free the device's memory; a later picture takes it again."""
         self._closed += 1
         self._free(0)
+        if self.finer is not None:
+            self.finer.close()
 
     # -- what is drawn -----------------------------------------------------------------------------------------
 
@@ -251,6 +271,17 @@ class Resident:
                 made[name] = getattr(state, name)
         made["background"] = state.background
         return made | {name: tuple(v) if isinstance(v, list) else v for name, v in state.options.items()}
+
+    def seen(self, state: State, aspect: float) -> dict[str, Any]:
+        """`arguments`, saying what else follows from the samples at hand: by them others show the same matter in the same place."""
+        mode, transfer = self.mode(state), self.transfer(state)
+        camera = self.placed(state, aspect)
+        options = {f.name: getattr(mode, f.name) for f in fields(mode)}
+        given = {name: value for name, value in self.arguments(state).items() if name not in _OF_SAMPLES}
+        return given | options | {
+            "camera": camera if camera.radius is not None else replace(camera, radius=self.volume.radius),
+            "transfer": transfer if transfer.unit_distance else replace(transfer, unit_distance=self.volume.mean_spacing),
+        }  # fmt: skip
 
     def mode(self, state: State) -> Mode:
         """The mode with its options, as it is settled for the volume."""

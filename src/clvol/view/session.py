@@ -61,6 +61,8 @@ _LOST = 2.0  # seconds after which an acknowledgement does not come any more
 _MOVING_PIXELS = 1920 * 1080
 _MOST_PIXELS = 3840 * 2160
 _SKETCHED = "a sketch of few samples, until the coefficients of all are there", "busy"
+_COARSER = "finer samples are being read", "busy"
+_COMPLETE = "", "info"
 _SMALLEST, _LARGEST, _MOST_RATIO = 16.0, 8192.0, 4.0
 _MOST_WAITING = 4096
 _MOST_PICTURE = 1 << 13  # along an edge of a picture that is saved
@@ -106,7 +108,7 @@ class Session:
         self._took: dict[str, tuple[object, float]] = {}  # what each pane's last still picture was of, and its seconds
         self._overlays: dict[str, object] = {}
         self._told: State | None = None
-        self._few = False  # whether the last frame was a sketch
+        self._told_of = _COMPLETE  # what was said of the last frame
         self._told_all, self._began = False, time.monotonic()
         self._compared: object = None
         self._lost_at: State | None = None
@@ -649,9 +651,10 @@ class Session:
             self._unseen[self._number] = time.monotonic()
         self._rates.append(time.monotonic())
         self._tell(message, data)
-        if shot.few != self._few:
-            self._few = shot.few
-            self._status(*(_SKETCHED if shot.few else ("", "info")))
+        said = _SKETCHED if shot.few else _COARSER if shot.coarser else _COMPLETE
+        if said != self._told_of:
+            self._told_of = said
+            self._status(*said)
         if not self._told_all:
             self._find_out()
 

@@ -14,20 +14,23 @@ from clvol.checks import whole
 from clvol.device import Device
 from clvol.errors import OptionError
 from clvol.filter import PICTURE_FILTER, Filter
+from clvol.lazy import LazyVolume
+from clvol.march.bricks import level_within
+from clvol.march.renderer import Renderer
 from clvol.picture import Picture
 from clvol.smoothing import filter_for
 from clvol.spline.field import Field
 from clvol.transfer import TransferFunction
 from clvol.volume import Volume, as_volume
 
-__all__ = ["plane_points", "section", "shaded", "window_of_slices"]
+__all__ = ["level_for", "plane_points", "section", "shaded", "window_of_slices"]
 
 _LOOKED_AT = 1 << 20
 _ENDS = 0.002, 0.998  # of the samples: what slices show from black to white where nothing says it
 
 
 def section(
-    volume: Volume | Any,
+    volume: Volume | LazyVolume | Any,
     middle: Sequence[float],
     right: Sequence[float],
     down: Sequence[float],
@@ -45,7 +48,8 @@ def section(
 
     Parameters
     ----------
-    volume : Volume or array-like
+    volume : Volume, LazyVolume or array-like
+        A LazyVolume is read where the plane lies, of its coarsest level whose voxels are at most a pixel long.
     middle : (x, y, z)
         The world point in the middle of the picture.
     right, down : (x, y, z)
@@ -63,10 +67,19 @@ def section(
     background : three numbers or None
         Of what lies outside the volume; None leaves it transparent.
     """
+    points = plane_points(middle, right, down, pixel, size)
+    if isinstance(volume, LazyVolume):
+        with Renderer(volume, filter, boundary, device) as renderer:
+            values = renderer.field_of_level(level_for(volume, pixel))(points, fill=np.nan)
+        return shaded(values, volume.sketch(), window, cmap, background)
     volume = as_volume(volume)
     with Field(volume, filter_for(volume, filter, PICTURE_FILTER), boundary, device, precision="single") as field:
-        points = plane_points(middle, right, down, pixel, size)
         return shaded(field(points, fill=np.nan), volume, window, cmap, background)
+
+
+def level_for(volume: LazyVolume, pixel: tuple[float, float]) -> int:
+    """Of which level a slice is whose pixels are so large, in world units."""
+    return level_within(volume, max(pixel))
 
 
 def plane_points(

@@ -1,0 +1,210 @@
+"""A volume that does not fit into memory: a size of it is looked at, and what its pixels show beyond that is read by bricks."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import clvol
+from clvol import LazyVolume, OptionError, OutOfMemoryError, Volume, memory
+from clvol.device import Device
+from clvol.lazy import needed_by
+from clvol.picture import to_bytes
+from clvol.view import View
+from clvol.view.finer import at_hand
+from tests.view.clients import Client, decoded
+
+SIZE = 120, 90
+SIDE = 120
+
+
+class Waves:
+    """A ball whose surface has waves too short for the smaller sizes, computed where it is read; it counts what is read."""
+
+    dtype = np.dtype(np.float32)
+    chunks = (32, 32, 32)
+
+    def __init__(self, side: int) -> None:
+        self.shape = (side, side, side)
+        self.read = 0
+        self.broken = False
+
+    def __getitem__(self, index: Any) -> NDArray[Any]:
+        if self.broken:
+            raise OSError("the disk is gone")
+        side = self.shape[0]
+        z, y, x = ((axis.astype(np.float32) + 0.5) * (2 / side) - 1 for axis in np.ogrid[index])
+        value = 100 * (0.8 - np.sqrt(x * x + y * y + z * z)) + np.sin(90 * x) * np.sin(90 * y) * np.sin(90 * z)
+        self.read += value.size
+        return np.asarray(value, np.float32)
+
+
+def stored(samples: Waves) -> LazyVolume:
+    """With two smaller sizes."""
+    levels = []
+    for factor in (2, 4):
+        side = SIDE // factor
+        own = Waves(side)
+        levels.append(LazyVolume(own, spacing=(factor,) * 3, origin=((factor - 1) / 2,) * 3))
+    return LazyVolume(samples, levels=levels)
+
+
+@pytest.fixture
+def samples() -> Waves:
+    return Waves(SIDE)
+
+
+@pytest.fixture
+def view(samples: Waves, device: Device, monkeypatch: pytest.MonkeyPatch) -> Iterator[View]:
+    """Of which the smallest size alone is at hand, with an isovalue of its own choice."""
+    lazy = stored(samples)
+    with monkeypatch.context() as patch:
+        patch.setattr(memory, "available", lambda: 2 * needed_by(lazy.levels[-1]))
+        made = View(lazy, device=device, mode="isosurface", isovalue=20)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def client(view: View) -> Iterator[Client]:
+    made = Client(view)
+    yield made
+    made.close()
+
+
+def drawn(text: str, volume: Volume | LazyVolume) -> NDArray[np.uint8]:
+    """What the copied program draws."""
+    names: dict[str, Any] = {"volume": volume}
+    exec(text, names)
+    return to_bytes(names["picture"])
+
+
+def test_the_largest_size_that_fits_is_at_hand(samples: Waves, monkeypatch: pytest.MonkeyPatch) -> None:
+    lazy = stored(samples)
+    sizes = lazy, *lazy.levels
+    for level, size in enumerate(sizes):
+        monkeypatch.setattr(memory, "available", lambda size=size: 2 * needed_by(size))
+        assert at_hand(lazy) == level
+    monkeypatch.setattr(memory, "available", lambda: needed_by(sizes[-1]))  # not half of it, but all
+    assert at_hand(lazy) == len(lazy.levels)
+
+
+def test_what_fits_in_no_size_is_refused(samples: Waves, monkeypatch: pytest.MonkeyPatch) -> None:
+    lazy = LazyVolume(Waves(600))
+    monkeypatch.setattr(memory, "available", lambda: 1000)
+    monkeypatch.setattr(memory, "room", lambda: memory.Room(1000, "a test's limit"))
+    with pytest.raises(OutOfMemoryError, match="the smallest size that there is"):
+        View(lazy)
+    assert samples.read == 0
+
+
+def test_pixels_that_show_no_more_read_nothing(view: View, client: Client, samples: Waves) -> None:
+    client.resize(16, 16)
+    message, _ = client.still()
+    assert message["final"]
+    assert samples.read == 0
+    assert view.volume.shape == (SIDE // 4,) * 3
+
+
+@pytest.mark.parametrize("mode", ["isosurface", "composite", "mip"])
+def test_at_rest_a_picture_is_of_the_samples_that_it_shows(view: View, client: Client, samples: Waves, mode: str) -> None:
+    assert view.finer is not None
+    client.set(mode=mode, options={})
+    client.set(camera__zoom=6.0)
+    client.resize(*SIZE)
+    _, pixels = client.still()
+    assert samples.read > 0
+    frames = client.of("frame")
+    assert not frames[0]["final"]
+    assert "finer samples" in " ".join(message["text"] for message in client.of("status"))
+    assert client.of("status")[-1]["text"] == ""
+    program = client.session.python()
+    assert "LazyVolume" in program
+    np.testing.assert_array_equal(pixels, drawn(program, view.finer.stored)[..., :3])
+
+
+def test_it_shows_the_same_matter_in_the_same_place(client: Client) -> None:
+    """Without light, in which fine waves look unlike none: as much matter in the same place."""
+    client.set(mode="composite", options={"shading": False})
+    client.set(camera__zoom=1.4)
+    client.resize(200, 200)
+    _, pixels = client.still()
+    coarse = [(m, d) for m, d in client.got if m["type"] == "frame" and not m["final"] and m["width"] == 200]
+    assert coarse
+    before = decoded(coarse[-1][1]).astype(float).mean(-1)
+    after = pixels.astype(float).mean(-1)
+    assert np.abs(after - before).mean() < 0.04 * after.max()
+    assert before.mean() == pytest.approx(after.mean(), rel=0.1)  # opacity counts for lengths, not for voxels
+
+
+def test_slices_too(view: View, client: Client, samples: Waves) -> None:
+    assert view.finer is not None
+    client.set(layout="slice", active="z")
+    client.set(slice__zoom=4.0)
+    client.resize(*SIZE)
+    _, pixels = client.still("z")
+    assert samples.read > 0
+    program = client.session.python()
+    np.testing.assert_array_equal(pixels, drawn(program, view.finer.stored)[..., :3])
+
+
+def test_what_is_stored_cannot_be_read_any_more(client: Client, samples: Waves) -> None:
+    """It is told, what is at hand stays, and the next view is drawn."""
+    samples.broken = True
+    client.set(camera__zoom=6.0)
+    client.resize(*SIZE)
+    client.wait(lambda m: m["type"] == "status" and m["kind"] == "error" and "the disk is gone" in m["text"])
+    assert client.of("frame")
+    client.forget()
+    client.set(camera__zoom=1.0)
+    client.resize(16, 16)
+    client.still()
+
+
+def test_a_drag_does_not_wait_for_bricks(view: View, client: Client, samples: Waves) -> None:
+    client.set(camera__zoom=6.0)
+    client.resize(*SIZE)
+    client.still()
+    assert view.finer is not None
+    view.finer.close()  # they are read again
+    slow = type(samples).__getitem__
+
+    def late(self: Waves, index: Any) -> NDArray[Any]:
+        time.sleep(1.5)
+        return slow(self, index)
+
+    client.forget()
+    type(samples).__getitem__ = late  # type: ignore[method-assign]
+    try:
+        client.event("pointer_down", x=60, y=45, button=1)
+        client.event("pointer_move", x=90, y=45, button=1)
+        client.event("pointer_up", x=90, y=45, button=1)
+        client.wait(lambda m: m["type"] == "status" and "finer samples" in m["text"])
+        client.forget()
+        began = time.monotonic()
+        client.event("pointer_down", x=64, y=45, button=1)
+        client.event("pointer_move", x=20, y=45, button=1)
+        client.wait(lambda m: m["type"] == "frame")
+        assert time.monotonic() - began < 1.2  # less than a brick takes
+    finally:
+        type(samples).__getitem__ = slow  # type: ignore[method-assign]
+
+
+def test_levels_of_a_renderer(view: View, device: Device) -> None:
+    assert view.finer is not None
+    lazy = view.finer.stored
+    with clvol.Renderer(lazy, "linear", device=device) as renderer:
+        point = lazy.grid.center[None] + 3.3
+        assert renderer.field_of_level(1)(point) == pytest.approx(clvol.Field(lazy.levels[0].whole(), "linear")(point), rel=1e-5)
+        with pytest.raises(OptionError, match="level must be"):
+            renderer.field_of_level(3)
+    with (
+        clvol.Renderer(lazy.levels[-1].whole(), "linear", device=device) as renderer,
+        pytest.raises(OptionError, match="by bricks"),
+    ):
+        renderer.field_of_level(0)
