@@ -609,9 +609,13 @@ def test_a_size_that_fits_is_looked_at(clvol_command: Command, ball: clvol.Volum
     monkeypatch.setattr("clvol.view.terminal.show_in_terminal", shown.append)
     monkeypatch.setattr("clvol.memory.available", lambda: 1 << 20)
     done = clvol_command("view", "ball.zarr", "--terminal")
-    assert done.err == "clvol: note: ball.zarr takes 1.78 MiB with its coefficients; shown is level 1, of 36 × 36 × 36 samples\n"
+    assert done.err == (
+        "clvol: note: ball.zarr takes 1.78 MiB with its coefficients; in memory is level 1, of 36 × 36 × 36 samples: bricks of "
+        "finer ones are read where a picture at rest shows more\n"
+    )
     assert (shown[0].volume.shape, shown[0].volume.spacing) == ((36, 36, 36), (4, 4, 4))
     assert shown[0].source == "clvol.read('ball.zarr', level=1)"
+    assert (shown[0].finer.source, shown[0].finer.level) == ("clvol.open('ball.zarr')", 1)
     np.save("ball.npy", ball.data)
     clvol_command("view", "ball.npy", "--terminal").fails(
         1, "must fit into the 1 MiB", "it takes 1.78 MiB", "'clvol pyramid ball.npy"

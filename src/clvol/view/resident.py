@@ -121,6 +121,8 @@ class Resident:
         else:
             medium = None
         volume = as_volume(scene) if medium is None else medium.volume  # type: ignore[arg-type]  # what is left
+        if volume.is_labels:  # whose colours are of the labels at hand
+            self.finer = None
         if volume.ndim != 3:
             raise DataError(f"a view takes a volume of 3 axes [z, y, x]; got shape {volume.shape}")
         self.volume = volume
