@@ -16,7 +16,7 @@ import numpy as np
 from clvol import memory
 from clvol.boundary import Boundary
 from clvol.device import Device
-from clvol.errors import ClvolError
+from clvol.errors import ClvolError, OutOfMemoryError
 from clvol.filter import Filter
 from clvol.lazy import LazyVolume, needed_by
 from clvol.march.bricks import STEPPED_AT_MOST, level_of, nearest_to
@@ -141,5 +141,10 @@ def at_hand(stored: LazyVolume) -> int:
     for level, size in enumerate(sizes):
         if needed_by(size) <= _ROOM * available:
             return level
-    memory.require(needed_by(sizes[-1]), f"samples and coefficients of {sizes[-1].shape}, the smallest size that there is,")
+    if needed_by(sizes[-1]) > available:
+        raise OutOfMemoryError(
+            f"out of memory: a volume that is looked at must fit into the {available >> 20} MiB that are available, with its "
+            f"coefficients; its smallest size, {sizes[-1].shape}, takes {-(-needed_by(sizes[-1]) >> 20)} MiB: clvol.pyramid makes "
+            "smaller ones, and clvol.render draws it by bricks"
+        )
     return len(sizes) - 1
