@@ -73,6 +73,15 @@ def test_videos_of_odd_size_lose_a_pixel_and_keep_their_colours(form: str, tmp_p
         assert np.abs(frame.astype(int) - flat[0, 0]).max() <= 8
 
 
+@pytest.mark.parametrize("form", movies.FORMATS)
+def test_no_pictures_are_no_movie(form: str, tmp_path: Path) -> None:
+    if form in ("mp4", "webm"):
+        pytest.importorskip("imageio_ffmpeg")
+    with pytest.raises(OptionError, match="pictures must be at least one; got none"):
+        movies.write([], tmp_path / "movie", form)
+    assert not list(tmp_path.iterdir())
+
+
 def test_what_is_transparent_is_black_and_stays_so_in_a_zip(tmp_path: Path) -> None:
     half = np.full((4, 6, 4), (200, 100, 50, 128), np.uint8)
     movies.write([half, half], tmp_path / "a.gif", "gif")

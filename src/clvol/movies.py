@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import io
+import itertools
 import tempfile
 import zipfile
 from collections.abc import Iterable, Iterator
@@ -69,8 +70,20 @@ def write(pictures: Iterable[ArrayLike], path: Path, form: str, per_second: floa
         "mp4" is H.264, "webm" VP9; both need imageio-ffmpeg.
     per_second : float
         Pictures a second; a GIF has the nearest number of hundredths of a second for each, a zip none.
+
+    Raises
+    ------
+    OptionError
+        There is no such format, or no picture.
+    MissingDependencyError
+        As of `require_encoder`.
     """
     require_encoder(form)
+    coming = iter(pictures)
+    first = next(coming, None)
+    if first is None:
+        raise OptionError("pictures must be at least one; got none")
+    pictures = itertools.chain((first,), coming)
     if form == "zip":
         with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:
             for i, picture in enumerate(pictures):
