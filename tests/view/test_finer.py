@@ -97,7 +97,7 @@ def test_the_largest_size_that_fits_is_at_hand(samples: Waves, monkeypatch: pyte
 def test_what_fits_in_no_size_is_refused(samples: Waves, monkeypatch: pytest.MonkeyPatch) -> None:
     lazy = LazyVolume(Waves(600))
     monkeypatch.setattr(memory, "available", lambda: 1000)
-    with pytest.raises(OutOfMemoryError, match="its smallest size, .600, 600, 600., takes 1648 MiB: clvol.pyramid"):
+    with pytest.raises(OutOfMemoryError, match=r"its smallest size, .600, 600, 600., takes 1648 MiB: clvol.pyramid"):
         View(lazy)
     assert samples.read == 0
 
