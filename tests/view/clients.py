@@ -109,6 +109,8 @@ def random_changes(chance: random.Random) -> dict[str, Any]:
         "crosshair": chance.choice([None, vector()]),
         "wiper": chance.choice([None, {"filter": "linear", "at": chance.random()}]),
         "heat": chance.choice([True, False]),
+        "labels": chance.choice([None, {"hidden": chance.sample(range(99), 3)}, {"shown": chance.sample(range(99), 2)}]),
+        "index": chance.choice([{}, {"time": chance.randrange(9), "channel": chance.choice([1, "luminance"])}]),
     }
     if mode == "isosurface":
         made["options.isovalue"] = chance.uniform(-5, 5)
@@ -124,7 +126,7 @@ def random_event(chance: random.Random, width: float, height: float) -> dict[str
     modifiers = [name for name in ("Shift", "Control", "Alt", "Pinch") if chance.random() < 0.1]
     made: dict[str, Any] = {"event_type": kind, "modifiers": modifiers}
     if kind.startswith("key"):
-        keys = ["ArrowLeft", "ArrowUp", "PageDown", "Escape", "Home", "Shift", *"+-[]xyzfrptlhiwcu123456q"]
+        keys = ["ArrowLeft", "ArrowUp", "PageDown", "Escape", "Home", "Shift", *"+-[],.xyzfrptlhiwcu123456q"]
         return made | {"key": chance.choice(keys)}
     made |= {"x": chance.uniform(-0.2, 1.2) * width, "y": chance.uniform(-0.2, 1.2) * height}
     if kind == "wheel":
