@@ -109,8 +109,6 @@ def random_changes(chance: random.Random) -> dict[str, Any]:
         "crosshair": chance.choice([None, vector()]),
         "wiper": chance.choice([None, {"filter": "linear", "at": chance.random()}]),
         "heat": chance.choice([True, False]),
-        "labels": chance.choice([None, {"hidden": chance.sample(range(99), 3)}, {"shown": chance.sample(range(99), 2)}]),
-        "index": chance.choice([{}, {"time": chance.randrange(9), "channel": chance.choice([1, "luminance"])}]),
     }
     if mode == "isosurface":
         made["options.isovalue"] = chance.uniform(-5, 5)

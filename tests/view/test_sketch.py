@@ -82,9 +82,9 @@ def made_late(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
     """Coefficients are made when this is set."""
     go, made = threading.Event(), Resident._made
 
-    def slowly(self: Resident, filter: str | None, boundary: str) -> clvol.Renderer:
+    def slowly(self: Resident, key: Any) -> clvol.Renderer:
         assert go.wait(60)
-        return made(self, filter, boundary)
+        return made(self, key)
 
     monkeypatch.setattr(Resident, "_made", slowly)
     yield go

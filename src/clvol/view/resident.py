@@ -255,7 +255,7 @@ class Resident:
                 used = {key[2] for key in self._entries}
             unused = [one for one in self._views if one not in used and one != self._first]
             own = [one for one in unused if one.labels is not None or any(isinstance(at, str) for at in one.place)]
-            for old in {*unused[:-_VIEWED], *own[:-_KEPT]}:  # those with samples of their own take memory
+            for old in {*unused[:-_VIEWED], *own[:-1]}:  # those with samples of their own take memory
                 del self._views[old]
             return found
 
