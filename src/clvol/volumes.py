@@ -286,6 +286,11 @@ class Volumes(Sequence[Volume]):
         return self[0]
 
     @property
+    def first(self) -> Volume:
+        """The one that `clvol.read` gives of such a file: at place 0 of each axis, or of the channel that is computed."""
+        return self.pick(**{axis: self.leading.first(axis) for axis in self.axes})
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Of the volumes, "" where there is none."""
         return tuple(self._about(i).get("name", "") for i in range(len(self)))

@@ -130,7 +130,7 @@ class Resident:
         if self.volumes is not None:
             leading = self.volumes.leading
             self._first = Which(tuple(map(leading.first, leading.axes)))
-            scene = self._at(self._first.place)
+            scene = self.volumes.first
         else:
             self._first = Which()
         own = scene if isinstance(scene, Scene) else None
@@ -146,7 +146,7 @@ class Resident:
         self.volume = volume
         """The one that is shown first; all have its grid."""
         self.source = source
-        self.title = title or volume.name or "volume"
+        self.title = title or (volume.name or "volume" if self.volumes is None else "volumes")
         if medium is not None and not (given.keys() & {"filter", "boundary"}):
             given["filter"], given["boundary"] = medium.filter, medium.boundary
         if medium is not None:
