@@ -40,6 +40,7 @@ from clvol.volumes import Volumes
 __all__ = ["Resident", "Which", "targeted"]
 
 _LARGE = 1 << 22  # samples of a volume whose coefficients take longer than a picture
+_LARGE_LABELS = 1 << 25  # likewise where some labels are hidden, and nothing is solved
 _KEPT = 2  # renderers that nobody uses: one to come back to
 _SHARE = 4  # of the memory that is left: what the renderers of several volumes take together that nobody uses
 _VIEWED = 64  # volumes of which it stays known what was found out
@@ -304,10 +305,12 @@ class Resident:
 
     def soon(self, filter: str | None, boundary: str, which: Which | None = None) -> bool:
         """Whether the renderer of a filter is there, or the volume so small that it is made at once."""
+        which = which or self._first
         with self._lock:
-            entry = self._entries.get((filter, boundary, which or self._first))
+            entry = self._entries.get((filter, boundary, which))
         made = entry is not None and entry.renderer is not None
-        return made or self._field is not None or self.volume.data.size < _LARGE
+        large = _LARGE_LABELS if which.labels is not None and filter in (None, "nearest") else _LARGE
+        return made or (self._field is not None and which == self._first) or self.volume.data.size < large
 
     def maker(self, filter: str | None, boundary: str, which: Which | None = None) -> threading.Thread:
         """A thread that makes the renderer of a filter, for a session that shows something else meanwhile.
