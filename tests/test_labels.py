@@ -17,10 +17,17 @@ def test_what_is_left_out_becomes_background(dtype: str) -> None:
     assert [labels.name_of(volume, n) for n in (1, 2, 3)] == ["liver", "", "spleen"]
     some = labels.without(volume, [2, 99])
     assert some.data.tolist() == [[[0, 1, 0], [3, 0, 0]]]
-    assert (some.data.dtype, some.spacing, some.labels) == (volume.data.dtype, volume.spacing, volume.labels)
+    assert (some.data.dtype, some.spacing, some.labels) == (volume.data.dtype.newbyteorder("="), volume.spacing, volume.labels)
     assert labels.only(volume, (2, 99)).data.tolist() == [[[0, 0, 2], [0, 2, 0]]]
     assert not labels.only(volume, ()).data.any()
     assert volume.data.tolist() == data.tolist()
+
+
+def test_labels_below_0_and_beyond_any_table() -> None:
+    volume = Volume(np.array([[[0, -1, 1 << 30], [3, -1, 0]]], np.int64), labels=True)
+    assert labels.numbers_of(volume).tolist() == [-1, 3, 1 << 30]
+    assert labels.without(volume, [-1]).data.tolist() == [[[0, 0, 1 << 30], [3, 0, 0]]]
+    assert labels.only(volume, [1 << 30]).data.tolist() == [[[0, 0, 1 << 30], [0, 0, 0]]]
 
 
 def test_background_is_the_commonest_where_there_is_no_0() -> None:
