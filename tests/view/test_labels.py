@@ -149,6 +149,15 @@ def test_the_camera_stays_and_undo_goes_back(client: Client, view: View) -> None
     assert client.session.state == before
 
 
+def test_what_is_edited_is_the_function_of_all_labels(view: View, client: Client) -> None:
+    before = view.effective(client.session.state)["transfer"]
+    client.set(labels={"shown": [2]})
+    client.still()
+    assert view.effective(client.session.state)["transfer"] == before
+    drawn = view.transfer(client.session.state)([0, 2])
+    assert np.array_equal(drawn, view.transfer(State())([0, 2]))
+
+
 def test_there_is_nothing_to_pick_where_a_label_is_hidden(client: Client) -> None:
     at = {"what": "pick", "x": 0.62 * SIZE[0], "y": SIZE[1] / 2}
     client.session.receive({"type": "do", "id": 1, **at})

@@ -432,8 +432,11 @@ class Resident:
         return found
 
     def _transfer_shown(self, state: State) -> dict[str, Any]:
-        """The transfer function as a panel edits it; without points where there are more than a state may have, as of labels."""
-        made = transfer_json(self.transfer(state))
+        """The transfer function as a panel edits it; without points where there are more than a state may have, as of labels.
+
+        Of labels it is that of all: one that is hidden now has its own colour when it comes back.
+        """
+        made = transfer_json(self.transfer(replace(state, labels=None)))
         return made if len(made["points"]) <= MOST_POINTS else made | {"points": []}
 
     def labels(self, state: State, words: str = "") -> tuple[list[list[Any]], int]:
