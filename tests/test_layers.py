@@ -12,7 +12,7 @@ SOURCE = Path(__file__).resolve().parents[1] / "src"
 LAYERS = [
     "interrupted errors moved memory checks rounding uniform files picture display foreign foreign_images interop filter "
     "boundary missing noise volume lazy volumes smoothing stored camera color light scaling histogram palette preset transfer "
-    "mode look scene fit transform",
+    "labels mode look scene fit transform",
     "reference response phantoms formats",
     "cache intel processor probe opencl program device",
     "spline",

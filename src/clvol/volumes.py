@@ -19,10 +19,13 @@ from clvol.interop import is_image, read_grid, read_several
 from clvol.rounding import wide
 from clvol.volume import SPACES, Volume, array_of, as_volume, window_of
 
-__all__ = ["AXES", "Leading", "Volumes", "as_grid"]
+__all__ = ["AXES", "COMPUTED", "Leading", "Volumes", "as_grid"]
 
 AXES = ("volume", "time", "position", "channel")
 """What an axis before z, y and x may count: the volumes of a series (of any meaning), times, places of the stage, channels."""
+
+COMPUTED = ("magnitude", "luminance")
+"""Channels that are computed from all: of vectors, and of red, green and blue."""
 
 _DIGITS = 18  # of a number in words, at most
 _SHOWN = 4  # volumes of which notebooks show a slice
@@ -106,6 +109,10 @@ class Leading:
     def computed(self) -> str:
         """The channel that is computed from all: "magnitude", "luminance", or none, ""."""
         return "magnitude" if self.vector else "luminance" if self.rgb else ""
+
+    def first(self, axis: str) -> int | str:
+        """The place along an axis that is meant where none is given: 0, or the computed channel."""
+        return (self.computed if axis == "channel" else "") or 0
 
     def place(self, axis: str, choice: int | str, source: str = "the volume") -> int:
         """The place along an axis of a number or a name; `OptionError` says how many there are, and their names."""
@@ -277,6 +284,11 @@ class Volumes(Sequence[Volume]):
     def grid(self) -> Volume:
         """The first volume, on whose grid all are."""
         return self[0]
+
+    @property
+    def first(self) -> Volume:
+        """The one that `clvol.read` gives of such a file: at place 0 of each axis, or of the channel that is computed."""
+        return self.pick(**{axis: self.leading.first(axis) for axis in self.axes})
 
     @property
     def names(self) -> tuple[str, ...]:

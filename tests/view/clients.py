@@ -124,7 +124,7 @@ def random_event(chance: random.Random, width: float, height: float) -> dict[str
     modifiers = [name for name in ("Shift", "Control", "Alt", "Pinch") if chance.random() < 0.1]
     made: dict[str, Any] = {"event_type": kind, "modifiers": modifiers}
     if kind.startswith("key"):
-        keys = ["ArrowLeft", "ArrowUp", "PageDown", "Escape", "Home", "Shift", *"+-[]xyzfrptlhiwcu123456q"]
+        keys = ["ArrowLeft", "ArrowUp", "PageDown", "Escape", "Home", "Shift", *"+-[],.xyzfrptlhiwcu123456q"]
         return made | {"key": chance.choice(keys)}
     made |= {"x": chance.uniform(-0.2, 1.2) * width, "y": chance.uniform(-0.2, 1.2) * height}
     if kind == "wheel":

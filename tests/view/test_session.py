@@ -53,7 +53,7 @@ def test_a_rehearsal_builds_what_another_volume_needs(volume: Volume, device: De
     new = {key[0] for key in device._programs if key not in known}
     assert "march/draw.cl" in built
     assert not {"march/draw.cl", "spline/minmax.cl"} & new
-    assert made._info is not None
+    assert made._infos
     made.close()
 
 

@@ -65,7 +65,7 @@ def test_a_picture_of_few_samples_comes_first_and_facts_after_it(client: Client)
 @pytest.mark.parametrize("mode", ["isosurface", "composite", "mip"])
 def test_few_samples_lie_where_all_do_and_look_like_them(volume: Volume, device: Device, mode: str) -> None:
     resident = Resident(volume, device=device, mode=mode)
-    few = np.asarray(Sketch(resident).picture(resident.initial, SIZE))[..., :3]
+    few = np.asarray(Sketch(resident, resident.which(resident.initial)).picture(resident.initial, SIZE))[..., :3]
     with clvol.Renderer(volume, device=device) as renderer:
         whole = renderer.render(size=SIZE, **resident.arguments(resident.initial))[..., :3]
     height, width = few.shape[:2]
@@ -82,9 +82,9 @@ def made_late(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
     """Coefficients are made when this is set."""
     go, made = threading.Event(), Resident._made
 
-    def slowly(self: Resident, filter: str | None, boundary: str) -> clvol.Renderer:
+    def slowly(self: Resident, key: Any) -> clvol.Renderer:
         assert go.wait(60)
-        return made(self, filter, boundary)
+        return made(self, key)
 
     monkeypatch.setattr(Resident, "_made", slowly)
     yield go
@@ -150,7 +150,7 @@ def test_only_one_makes_coefficients_and_none_after_the_end(view: View, made_lat
     for thread in (unwanted, last):
         thread.join(60)
         assert not thread.is_alive()
-    assert ("bspline5", "mirror") not in view._entries
+    assert not [key for key in view._entries if key[0] == "bspline5"]
     assert not [entry for entry in view._entries.values() if entry.renderer is not None]
 
 

@@ -20,7 +20,12 @@ from tests.view.clients import random_changes
 
 @pytest.mark.parametrize("seed", range(60))
 def test_any_state_comes_back_from_its_text(seed: int) -> None:
-    state = State().changed(random_changes(random.Random(seed)))
+    chance = random.Random(seed)
+    which = {
+        "labels": chance.choice([None, {"hidden": chance.sample(range(-9, 99), 3)}, {"shown": chance.sample(range(99), 2)}]),
+        "index": chance.choice([{}, {"time": chance.randrange(9), "channel": chance.choice([1, "luminance"])}]),
+    }
+    state = State().changed(random_changes(chance) | which)
     assert State.from_text(state.text()) == state
     assert json.loads(json.dumps(state.json())) == state.json()
     assert from_url("http://localhost:8000/" + to_url(state)) == state
@@ -57,6 +62,21 @@ def test_any_state_comes_back_from_its_text(seed: int) -> None:
         ({"lights": {}}, "lights must be a list"),
         ({"background": [2, 0, 0]}, "background must be three numbers in 0..1"),
         ({"clip": {"low": [0, 0, 0], "high": [1, 0, 1]}}, "clip must be two corners"),
+        ({"labels": 3}, "labels must be an object"),
+        ({"labels": {}}, "labels must have one of hidden and shown; got neither"),
+        ({"labels": {"hidden": [1], "shown": [2]}}, "hidden and shown; got both"),
+        ({"labels": {"hiden": [1]}}, "labels.hiden is no field"),
+        ({"labels.hidden": 3}, "labels.hidden must be a list of up to 2048 whole numbers; got 3"),
+        ({"labels.hidden": [1, 2.5]}, "each of labels.hidden must be a whole number"),
+        ({"labels.shown": [True]}, "each of labels.shown must be a whole number"),
+        ({"labels.shown": [1 << 60]}, "each of labels.shown must be a whole number"),
+        ({"labels.shown": list(range(1_000_000))}, "labels.shown must be a list of up to 2048 whole numbers; got 1000000 of them"),
+        ({"index": 3}, "index must be an object"),
+        ({"index": None}, "index must be an object"),
+        ({"index.depth": 3}, "index.depth is no field"),
+        ({"index.time": -1}, "index.time must be a whole number"),
+        ({"index.time": "luminance"}, "index.time must be a whole number"),
+        ({"index.channel": "red"}, "index.channel must be one of"),
         ({"wiper.filter": "cubik"}, "filter must be one of"),
         ({"wiper": {"filter": "linear", "at": 2}}, "wiper.at"),
         ({"wiper": {"at": 0.5}}, "wiper"),

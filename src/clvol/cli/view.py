@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from clvol.view.finer import Finer
     from clvol.view.server import Server
     from clvol.volume import Volume
+    from clvol.volumes import Volumes
 
 __all__ = ["view"]
 
@@ -75,7 +76,8 @@ def view(
 
     The address that is printed has a token in it: whoever has the address may look. Of a volume that is stored in several sizes the
     largest is in memory that fits, with its coefficients, into half of what is available; a picture at rest that shows more is
-    drawn of the finer ones, by bricks.
+    drawn of the finer ones, by bricks. Of a file with several times or channels all are read, and the panel chooses, where the file
+    is small beside that memory; else the one that is chosen here.
 
     Parameters
     ----------
@@ -197,10 +199,10 @@ def view(
     _leave(1 if why is not None else 0, reading)
 
 
-def _read(reader: Input, name: str) -> tuple[Volume, str | None, Finer | None]:
-    """The volume to look at, and the call in Python that reads it: of one that does not fit into memory a smaller size, and all."""
+def _read(reader: Input, name: str) -> tuple[Volume | Volumes, str | None, Finer | None]:
+    """What to look at, and the call in Python that reads it: of a volume that does not fit into memory a smaller size, and all."""
     if not is_address(name) and _is_small(name):
-        return reader.read(name), reader.python(name), None
+        return *_all(reader, name), None
     lazy = reader.by_parts(name, too_large)
     if lazy is None:
         return reader.read(name), reader.python(name), None
@@ -229,6 +231,17 @@ def _read(reader: Input, name: str) -> tuple[Volume, str | None, Finer | None]:
     return sizes[level].whole() if is_address(name) else reader.read(name), reader.python(name), finer
 
 
+def _all(reader: Input, name: str) -> tuple[Volume | Volumes, str | None]:
+    """All volumes of a small file on one grid, but for axes of which a place was chosen."""
+    if name.startswith("phantom:") or reader.volume is not None or reader.fill_nan is not None or reader.leading(name).total == 1:
+        return reader.read(name), reader.python(name)
+    found = reader.read_all(name)
+    if len(found) == 1:  # of each axis a place was chosen
+        return found.first, reader.python(name)
+    python = reader.python(name)
+    return found, None if python is None else python.replace("clvol.read(", "clvol.read_all(", 1)
+
+
 def _is_small(name: str) -> bool:
     """Whether a file is so small that it will fit into memory, packed as it may be: to open it first takes half a second."""
     if name.startswith("phantom:"):
@@ -238,7 +251,7 @@ def _is_small(name: str) -> bool:
 
 
 def _made(
-    volume: Volume,
+    scene: Volume | Volumes,
     source: str | None,
     finer: Finer | None,
     name: str,
@@ -249,7 +262,9 @@ def _made(
 ) -> View:
     """The view of a volume that the command line asks for; `source` is the call in Python that reads it."""
     from clvol.view import View
+    from clvol.volumes import Volumes
 
+    volume = scene.first if isinstance(scene, Volumes) else scene
     options = look.options(volume) | own
     for usual in ("gradient", "pixel_filter", "evaluator", "fetch"):  # which copied programs need not say
         if getattr(look, usual) == getattr(Look, usual):
@@ -260,10 +275,8 @@ def _made(
         options |= {word: value for word, value in words.items() if value is not None}
     elif options["transfer"] is None:
         del options["transfer"]
-    if finer is not None:
-        finer.device = device
-    title = volume.name or Path(name).name
-    return View(volume, device=device, source=source, title=title, finer=finer, filter=filter, boundary=look.boundary, **options)
+    title = (volume.name if scene is volume else "") or Path(name).name
+    return View(scene, device=device, source=source, title=title, finer=finer, filter=filter, boundary=look.boundary, **options)
 
 
 def _open(url: str) -> None:

@@ -42,10 +42,12 @@ class View(Resident):
 
     Parameters
     ----------
-    scene : Volume, Scene, Medium, Field or array-like, 3-D
+    scene : Volume, Volumes, Scene, Medium, Field or array-like, 3-D
+        Of several volumes one is shown at a time, which the panel chooses.
     device : Device, str or int, optional
     source : str, optional
-        Python text by which copied programs get the volume, such as ``clvol.read("scan.nii.gz")``.
+        Python text by which copied programs get the volume, such as ``clvol.read("scan.nii.gz")``; of several, such as
+        ``clvol.read_all("cells.tif")``.
     title : str, optional
         For people; by default the volume's name.
     **options
@@ -98,7 +100,7 @@ class View(Resident):
 
     def picture(self, size: tuple[int, int] = (512, 512)) -> Picture:
         """The still picture of the first state."""
-        with self.renderer(self.initial.filter, self.initial.boundary) as renderer:
+        with self.renderer(self.initial.filter, self.initial.boundary, self.which(self.initial)) as renderer:
             made: Picture = renderer.render(size=size, **self.arguments(self.initial))
         return made
 

@@ -7,6 +7,7 @@ import base64
 import binascii
 import json
 import math
+import re
 import shlex
 import tomllib
 from dataclasses import fields
@@ -26,6 +27,7 @@ from clvol.view.state import State
 __all__ = ["from_toml", "from_url", "python", "to_url", "toml"]
 
 _PREFIX = "#s="
+_READS_ALL = re.compile(r"clvol\.read_all\((.*)\)", re.DOTALL)
 _LONGEST = 1 << 18  # characters
 _WIDE = 110  # characters of a line
 
@@ -54,9 +56,10 @@ def python(resident: Resident, state: State, name: str, shown: PaneSize, size: t
     lines += ["from clvol.view import section"] if name != "3d" else []
     lines += [""]
     finer = resident.finer if _finer(resident, state, name, shown, size) else None
-    source = resident.source if finer is None else finer.source
-    kind = "Volume" if finer is None else "LazyVolume"
-    lines += [f"# volume: the clvol.{kind} that was viewed" if source is None else f"volume = {source}"]
+    if finer is None:
+        lines += _volume(resident, state)
+    else:
+        lines += [f"volume = {finer.source}" if finer.source else "# volume: the clvol.LazyVolume that was viewed"]
     draw = _drawn if name == "3d" else _cut
     if state.wiper is None:
         lines += draw(resident, state, state.filter, name, shown, size, "picture")
@@ -66,6 +69,43 @@ def python(resident: Resident, state: State, name: str, shown: PaneSize, size: t
             lines += draw(resident, state, chosen, name, shown, size, side)
         lines += [f"picture = np.concatenate([left[:, :{edge}], right[:, {edge}:]], axis=1)"]
     return "\n".join(lines) + "\n"
+
+
+def _volume(resident: Resident, state: State) -> list[str]:
+    """How a program gets the volume of a state."""
+    which = resident.which(state)
+    if resident.volumes is None:
+        lines = ["# volume: the clvol.Volume that was viewed"] if resident.source is None else [f"volume = {resident.source}"]
+    elif resident.source is None:
+        words = ", ".join(f"{axis}={at!r}" for axis, at in _places(resident, state).items())
+        lines = ["# volumes: the clvol.Volumes that were viewed", f"volume = volumes.pick({words})"]
+    else:
+        lines = [f"volume = {_source(resident, state)}"]
+    if which.labels is not None:
+        what = "only" if which.labels.hidden is None else "without"
+        chosen = which.labels.shown if which.labels.hidden is None else which.labels.hidden
+        lines += [f"volume = clvol.labels.{what}(volume, {list(chosen or ())!r})"]
+    return lines
+
+
+def _places(resident: Resident, state: State) -> dict[str, int | str]:
+    """The place along each leading axis, of those that have several."""
+    if resident.volumes is None:
+        return {}
+    leading, place = resident.volumes.leading, resident.which(state).place
+    named = zip(leading.axes, leading.counts, place, strict=True)
+    return {axis: at for axis, count, at in named if count > 1 or isinstance(at, str)}
+
+
+def _source(resident: Resident, state: State) -> str | None:
+    """The Python text that gives a state's volume: of a file with several it reads that one alone."""
+    if resident.volumes is None or resident.source is None:
+        return resident.source
+    words = [f"{axis}={at!r}" for axis, at in _places(resident, state).items()]
+    call = _READS_ALL.fullmatch(resident.source)
+    if call is None:
+        return f"{resident.source}.pick({', '.join(words)})"
+    return f"clvol.read({', '.join([call[1], *words])})"
 
 
 def _drawn(
@@ -161,7 +201,7 @@ def toml(resident: Resident, state: State, name: str, shown: PaneSize, size: tup
     The command stands above; so does what its flags cannot say of this state.
     """
     flags, unsaid = _flags(resident, state, size)
-    path, given = _input(resident.source)
+    path, given = _input(_source(resident, state))
     flags |= {flag.replace("_", "-"): value for flag, value in given.items()}
     command = ["clvol", "render", path, "-o", "picture.png"]
     for flag, value in flags.items():
@@ -218,6 +258,7 @@ def _flags(resident: Resident, state: State, size: tuple[int, int]) -> tuple[dic
         unsaid.append("the transfer function")
         for flag in ("preset", "cmap", "opacity", "window"):
             made.pop(flag, None)
+    unsaid += ["which labels are seen"] if resident.which(state).labels is not None else []
     unsaid += ["lights"] if state.lights is not None else []
     unsaid += ["the material"] if state.material not in (None, Material()) else []
     unsaid += ["the other filter of the wiper"] if state.wiper is not None else []

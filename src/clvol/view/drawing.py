@@ -198,16 +198,18 @@ class Drawer:
 
     def _sketched(self, state: State, size: tuple[int, int], stop: Callable[[], bool]) -> Generator[Shot, None, bool]:
         """A picture of few samples, while the coefficients of all of them are made; whether `stop` said so before they were."""
-        if self.resident.soon(state.filter, state.boundary):
+        which = self.resident.which(state)
+        if self.resident.soon(state.filter, state.boundary, which):
             self._sketch = self._sketched_of = None
             return False
         if self._sketched_of != (state, size):
             with suppress(ClvolError):  # what is wrong is told of the whole volume
-                self._sketch = self._sketch or Sketch(self.resident)
+                if self._sketch is None or self._sketch.which != which:
+                    self._sketch = Sketch(self.resident, which)
                 picture = self._sketch.picture(state, size)
                 self._sketched_of = state, size
                 yield Shot(to_bytes(picture), False, state.step, few=True)
-        maker = self.resident.maker(state.filter, state.boundary)  # not before: it takes all processors
+        maker = self.resident.maker(state.filter, state.boundary, which)  # not before: it takes all processors
         while maker.is_alive():
             if stop():
                 return True
@@ -257,7 +259,7 @@ class Drawer:
         coarse: bool,
     ) -> Generator[Shot, None, None]:
         """Pictures by one filter."""
-        with self.resident.renderer(chosen, state.boundary) as renderer:
+        with self.resident.renderer(chosen, state.boundary, self.resident.which(state)) as renderer:
             if name != "3d":
                 shape = self._of_slice(size, budget) if coarse else size
                 began = time.perf_counter()
@@ -317,7 +319,7 @@ def share_visited(resident: Resident, state: State, shape: tuple[float, float]) 
     """The mean share of samples that a picture of this shape looks at, from a small one."""
     edge = _TOUR / max(shape)
     size = max(1, round(shape[0] * edge)), max(1, round(shape[1] * edge))
-    with resident.renderer(state.filter, state.boundary) as renderer:
+    with resident.renderer(state.filter, state.boundary, resident.which(state)) as renderer:
         given = resident.arguments(state) | {"samples": 1}
         return _mean(np.asarray(renderer.render(size=size, outputs="visited", **given)))
 

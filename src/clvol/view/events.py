@@ -34,6 +34,7 @@ KEYS: Mapping[str, str] = {
     "[, ]": "roll by 15°",
     "1 to 6": "the mode",
     "x, y, z": "look along an axis; in slices: across it",
+    ", and .": "of several volumes the previous / next one, along time if there are times",
     "f": "fit",
     "r": "reset",
     "p": "perspective or orthographic",
@@ -80,6 +81,8 @@ class Place:
         Of a state and a pane: (center, width) that is shown.
     anchor : callable, optional
         ``anchor(state, x, y)`` is the world point that the volume's picture shows at a place, or None.
+    stepped : callable, optional
+        ``stepped(state, by)`` shows another of several volumes.
     initial : State
         What reset goes back to.
     """
@@ -90,6 +93,7 @@ class Place:
     isovalue: Callable[[State], float]
     window: Callable[[State, str], tuple[float, float]]
     anchor: Callable[[State, float, float], Any | None] = lambda state, x, y: None  # noqa: ARG005
+    stepped: Callable[[State, int], State] = lambda state, by: state  # noqa: ARG005
     initial: State = field(default_factory=State)
 
     def size(self, name: str) -> PaneSize:
@@ -562,6 +566,9 @@ def _key(state: State, hands: Hands, event: Mapping[str, Any], place: Place, nam
         return Reduced(
             replace(pinned, camera=_rolled(pinned.camera, place, _STEP if low == "]" else -_STEP)), hands, (), "key roll"
         )
+    if low in (",", "."):
+        made = place.stepped(state, 1 if low == "." else -1)
+        return Reduced(state if made == state else replace(place.pinned(state), index=made.index), hands, (), "key volume")
     if low in "xyz" and len(low) == 1:
         return Reduced(_along(state, place, name, low), hands)
     if low.isdecimal() and 1 <= int(low) <= len(_MODES):

@@ -40,14 +40,18 @@ class Finer:
     stored : LazyVolume
     level : int
         Which of its sizes is at hand; 0 is the finest.
-    device : Device, str or int, optional
     source : str, optional
         Python text by which copied programs get it, such as ``clvol.open("brain.zarr")``.
+
+    Attributes
+    ----------
+    device : Device, str or int, optional
+        On which pictures are drawn: that of the view.
     """
 
-    def __init__(self, stored: LazyVolume, level: int, device: Device | str | int | None = None, source: str | None = None) -> None:
+    def __init__(self, stored: LazyVolume, level: int, source: str | None = None) -> None:
         self.stored, self.level, self.source = stored, level, source
-        self.device = device
+        self.device: Device | str | int | None = None
         self._lock = threading.Lock()
         self._renderer: Renderer | None = None
         self._key: tuple[str | Filter | None, str | Boundary] | None = None

@@ -53,7 +53,7 @@ def turntable(
     state = place.pinned(replace(state, wiper=None, heat=False))
     upright = replace(state.camera, style="turntable")
     pictures: list[NDArray[np.uint8]] = []
-    with resident.renderer(state.filter, state.boundary) as renderer:
+    with resident.renderer(state.filter, state.boundary, resident.which(state)) as renderer:
         for i in range(frames):
             camera = turned(upright, place, 2 * math.pi * i / frames, 0.0) if i else state.camera
             given = resident.arguments(replace(state, camera=camera))

@@ -8,12 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.camera import Camera
+from clvol.histogram import label_numbers
 from clvol.march.renderer import Renderer
 from clvol.mode import as_mode
+from clvol.spline.bricked import BrickedField
+from clvol.spline.field import Field
 from clvol.view.panes import Pane3D, SlicePane
 from clvol.volume import Volume
 
 __all__ = ["hit", "picked"]
+
+_PROBES = 17  # along a step
 
 
 def hit(renderer: Renderer, pane: Pane3D, x: float, y: float, arguments: dict[str, Any]) -> NDArray[np.float64] | None:
@@ -59,6 +64,8 @@ def picked(
     else:
         point = hit(renderer, pane, x, y, arguments)
         field = renderer._field_of(as_mode(arguments["mode"]))
+        if point is not None and volume.is_labels:
+            point = _in_label(field, point, pane.ray(x, y)[1], arguments["step"] * volume.mean_spacing)
     found: dict[str, Any] = {"pane": name, "x": x, "y": y, "units": volume.units, "position": None}
     if point is None or not _within(volume, point):
         return found
@@ -73,6 +80,16 @@ def picked(
     if isinstance(labels, dict):
         found["label"] = labels.get(round(found["value"]), "")
     return found
+
+
+def _in_label(
+    field: Field | BrickedField, point: NDArray[np.float64], way: NDArray[np.float64], step: float
+) -> NDArray[np.float64]:
+    """The point itself, or the first behind it that is in a label: what a sample shows begins up to a step before it."""
+    ahead = point + np.linspace(0, 1, _PROBES)[:, None] * step * way / np.linalg.norm(way)
+    background, _ = label_numbers(field.volume)
+    solid = np.flatnonzero(np.round(field(ahead)) != background)
+    return np.asarray(ahead[solid[0]] if solid.size else point)
 
 
 def _within(volume: Volume, point: NDArray[np.float64]) -> bool:

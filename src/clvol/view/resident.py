@@ -8,11 +8,12 @@ import itertools
 import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from clvol import labels, memory
 from clvol.boundary import boundaries
 from clvol.camera import Camera
 from clvol.checks import instance
@@ -24,6 +25,7 @@ from clvol.lazy import LazyVolume
 from clvol.look import look
 from clvol.march.renderer import Renderer
 from clvol.mode import Mode, as_mode, mode_options, modes
+from clvol.palette import label_color
 from clvol.preset import presets
 from clvol.scene import Medium, Scene
 from clvol.smoothing import filter_for, settled
@@ -33,13 +35,19 @@ from clvol.view.events import KEYS
 from clvol.view.finer import Finer, at_hand
 from clvol.view.panes import camera_of, vertical
 from clvol.view.slices import window_of_slices
-from clvol.view.state import MOST_POINTS, CameraState, State, transfer_json
+from clvol.view.state import MOST_POINTS, CameraState, LabelState, State, transfer_json
 from clvol.volume import Volume, as_volume
+from clvol.volumes import Volumes
 
-__all__ = ["Resident", "targeted"]
+__all__ = ["Resident", "Which", "targeted"]
 
 _LARGE = 1 << 22  # samples of a volume whose coefficients take longer than a picture
+_LARGE_LABELS = 1 << 25  # likewise where some labels are hidden, and nothing is solved
 _KEPT = 2  # renderers that nobody uses: one to come back to
+_SHARE = 4  # of the memory that is left: what the renderers of several volumes take together that nobody uses
+_VIEWED = 64  # volumes of which it stays known what was found out
+_LISTED = 200  # labels that a client is told of at once
+_LONGEST = 200  # characters by which they are looked for
 _BINS = 256
 _LOOKED_AT = 1 << 19  # samples of a histogram
 _BESIDE = ("gradient", "samples", "pixel_filter", "skipping", "evaluator", "fetch")  # passed on, and in no state
@@ -49,6 +57,25 @@ _COLOR_MAPS = (
     "gray", "bone", "hot", "viridis", "magma", "inferno", "plasma", "cividis", "turbo", "coolwarm", "cool", "copper", "pink",
     "twilight", "cubehelix", "rainbow",
 )  # fmt: skip
+
+
+class Which(NamedTuple):
+    """What a picture is of: the place along each leading axis of several volumes, and which labels are seen."""
+
+    place: tuple[int | str, ...] = ()
+    labels: LabelState | None = None
+
+
+_Key = tuple[str | None, str, Which]
+"""Of a renderer: filter, boundary, volume."""
+
+
+@dataclass
+class _Viewed:
+    """A volume, and whether it was found out what takes long of it."""
+
+    volume: Volume
+    known: bool = False
 
 
 @dataclass
@@ -66,12 +93,14 @@ class Resident:
 
     Parameters
     ----------
-    scene : Volume, LazyVolume, Scene, Medium, Field or array-like, 3-D
+    scene : Volume, LazyVolume, Volumes, Scene, Medium, Field or array-like, 3-D
         Of a `LazyVolume` the largest size is at hand that fits into half of the memory that is available, with its coefficients; a
-        picture at rest whose pixels are finer is drawn by bricks.
+        picture at rest whose pixels are finer is drawn by bricks. Of several volumes one is shown at a time: that of a state's
+        `index`.
     device : Device, str or int, optional
     source : str, optional
-        Python text by which copied programs get the volume, such as ``clvol.read("scan.nii.gz")``.
+        Python text by which copied programs get the volume, such as ``clvol.read("scan.nii.gz")``; of several, such as
+        ``clvol.read_all("cells.tif")``.
     title : str, optional
         For people; by default the volume's name.
     finer : Finer, optional
@@ -89,7 +118,7 @@ class Resident:
 
     def __init__(
         self,
-        scene: Scene | Medium | Volume | LazyVolume | Field | ArrayLike,
+        scene: Scene | Medium | Volume | LazyVolume | Volumes | Field | ArrayLike,
         *,
         device: Device | str | int | None = None,
         source: str | None = None,
@@ -100,9 +129,11 @@ class Resident:
         if isinstance(scene, LazyVolume):
             level = at_hand(scene)
             if level:
-                finer = Finer(scene, level, device, source)
+                finer = Finer(scene, level, source)
             source = source and f"{source}{f'.levels[{level - 1}]' if level else ''}.whole()"
             scene = (scene, *scene.levels)[level].whole()
+        if finer is not None:
+            finer.device = device
         self.finer = finer
         """All sizes of the volume, of which one is at hand; None where that is all there is."""
         self._field: Field | None = None
@@ -113,6 +144,14 @@ class Resident:
                 raise OptionError("filter, boundary and device must be left to the field; got them beside it")
             self._field, self.device = scene, scene.device
             scene = Medium(scene.coefficients.volume, filter=scene.filter, boundary=scene.boundary)
+        self.volumes = scene if isinstance(scene, Volumes) else None
+        """All volumes, where there are several."""
+        if self.volumes is not None:
+            leading = self.volumes.leading
+            self._first = Which(tuple(map(leading.first, leading.axes)))
+            scene = self.volumes.first
+        else:
+            self._first = Which()
         own = scene if isinstance(scene, Scene) else None
         if own is not None:
             medium = own.media[0]
@@ -126,8 +165,9 @@ class Resident:
         if volume.ndim != 3:
             raise DataError(f"a view takes a volume of 3 axes [z, y, x]; got shape {volume.shape}")
         self.volume = volume
+        """The one that is shown first; all have its grid."""
         self.source = source
-        self.title = title or volume.name or "volume"
+        self.title = title or (volume.name or "volume" if self.volumes is None else "volumes")
         if medium is not None and not (given.keys() & {"filter", "boundary"}):
             given["filter"], given["boundary"] = medium.filter, medium.boundary
         if medium is not None:
@@ -144,25 +184,117 @@ class Resident:
         self._describing = threading.Lock()
         self._knowing = threading.RLock()  # what takes long to find out of the volume is found once, however many ask
         self._counter = itertools.count(1)
-        self._entries: dict[tuple[str | None, str], _Entry] = {}
-        self._makers: dict[tuple[str | None, str], threading.Thread] = {}
-        self._made_for: tuple[str | None, str] | None = None  # what a maker was last asked for
+        self._entries: dict[_Key, _Entry] = {}
+        self._makers: dict[_Key, threading.Thread] = {}
+        self._made_for: _Key | None = None  # what a maker was last asked for
         self._one_by_one = threading.Lock()
         self._closed = 0  # how often
-        self.known = False
-        """Whether `effective` was found once: what takes long of it depends on the volume alone."""
-        self._info: dict[str, Any] | None = None
+        self._choosing = threading.RLock()
+        self._views: dict[Which, _Viewed] = {self._first: _Viewed(volume)}  # what was looked at last is last
+        self._infos: dict[tuple[int | str, ...], dict[str, Any]] = {}
         if any(
             getattr(self.initial, name) is not None for name in ("preset", "window", "cmap", "opacity")
         ):  # what only the volume can refuse
             self.transfer(self.initial)
 
+    # -- which volume ------------------------------------------------------------------------------------------
+
+    def which(self, state: State) -> Which:
+        """What a state shows.
+
+        Raises
+        ------
+        OptionError
+            There is no such axis, or no such place along it.
+        """
+        if self.volumes is None:
+            if state.index:
+                raise OptionError(f"index must be left out, for there is one volume; got {dict(state.index)!r}")
+            place: tuple[int | str, ...] = ()
+        else:
+            leading = self.volumes.leading
+            if unknown := [axis for axis in state.index if axis not in leading.axes]:
+                raise OptionError(f"index must be of {', '.join(leading.axes)}; got {', '.join(unknown)}")
+            place = tuple(self._along(axis, state.index.get(axis, leading.first(axis))) for axis in leading.axes)
+        seen = state.labels
+        if seen is not None and not self._viewed(Which(place)).volume.is_labels:
+            seen = None  # they are of another of the volumes
+        return Which(place, seen)
+
+    def _along(self, axis: str, choice: int | str) -> int | str:
+        assert self.volumes is not None  # or there were no axes
+        leading = self.volumes.leading
+        return choice if axis == "channel" and choice and choice == leading.computed else leading.place(axis, choice)
+
+    def require(self, state: State) -> None:
+        """Raise what only the volume can refuse of a state: `OptionError` or another `ClvolError`."""
+        place, seen = self.which(state)
+        if state.labels is not None and self.volumes is None:  # else another of them may have such labels
+            if seen is None:
+                raise OptionError(f"labels must be left out, for the volume is no label map; got {state.labels!r:.200}")
+            chosen = state.labels.hidden or state.labels.shown or ()
+            if unknown := sorted({*chosen} - {*map(int, labels.numbers_of(self._viewed(Which(place)).volume))}):
+                raise OptionError(f"labels must be some of the volume's; got {', '.join(map(str, unknown[:8]))}, which it has not")
+
+    def stepped(self, state: State, by: int) -> State:
+        """The next one of several volumes, or the one before: along time, or along the first axis that has several places."""
+        if not (axes := self._axes()):
+            return state
+        axis = next((one for one in axes if one["axis"] == "time"), axes[0])
+        places: list[int | str] = [axis["first"]] if axis["first"] else []
+        places += range(axis["count"])
+        now = places.index(state.index.get(axis["axis"], axis["first"]))
+        to = places[min(max(now + by, 0), len(places) - 1)]
+        return state if to == places[now] else replace(state, index={**state.index, axis["axis"]: to})
+
+    def volume_of(self, state: State) -> Volume:
+        """The volume that a state shows, with the labels that are seen."""
+        return self._viewed(self.which(state)).volume
+
+    def volume_at(self, which: Which) -> Volume:
+        """The same, by what a state shows."""
+        return self._viewed(which).volume
+
+    def knows(self, state: State) -> bool:
+        """Whether `effective` was found once for the state's volume: what takes long of it depends on that alone."""
+        with self._choosing:
+            found = self._views.get(self.which(state))
+            return found is not None and found.known
+
+    def _at(self, place: tuple[int | str, ...]) -> Volume:
+        assert self.volumes is not None  # or there were no places
+        return self.volumes.pick(**dict(zip(self.volumes.axes, place, strict=True)))
+
+    def _viewed(self, which: Which) -> _Viewed:
+        with self._choosing:
+            found = self._views.pop(which, None)
+            if found is None:
+                whole = self._viewed(Which(which.place)).volume if which.labels is not None else self._at(which.place)
+                found = _Viewed(whole if which.labels is None else _seen(whole, which.labels))
+            self._views[which] = found
+            with self._lock:
+                used = {key[2] for key in self._entries}
+            unused = [one for one in self._views if one not in used and one != self._first]
+            own = [one for one in unused if one.labels is not None or any(isinstance(at, str) for at in one.place)]
+            for old in {*unused[:-_VIEWED], *own[:-1]}:  # those with samples of their own take memory
+                del self._views[old]
+            return found
+
     # -- on the device -----------------------------------------------------------------------------------------
 
     @contextlib.contextmanager
-    def renderer(self, filter: str | None, boundary: str) -> Iterator[Renderer]:
-        """The renderer of a filter, made for its first picture; the last two stay when nobody uses them."""
-        key = filter, boundary
+    def renderer(self, filter: str | None, boundary: str, which: Which | None = None) -> Iterator[Renderer]:
+        """The renderer of a filter, made for its first picture; the last two stay when nobody uses them.
+
+        Of several volumes more of them stay, while they take no more than a quarter of the memory that is left.
+
+        Parameters
+        ----------
+        filter, boundary : str
+        which : Which, optional
+            Of a state; by default the first volume, all of it.
+        """
+        key = filter, boundary, which or self._first
         with self._lock:
             entry = self._entries.setdefault(key, _Entry())
             entry.users += 1
@@ -170,9 +302,9 @@ class Resident:
         try:
             with entry.making:
                 if entry.renderer is None:
-                    entry.renderer = self._made(filter, boundary)
+                    entry.renderer = self._made(key)
                     with contextlib.suppress(ClvolError):  # of that state, which need not be what is drawn
-                        self.effective(self.initial)  # waits for a session that finds out the same
+                        self.effective(self._first_of(key[2]))  # waits for a session that finds out the same
             yield entry.renderer
         finally:
             with self._lock:
@@ -186,25 +318,32 @@ class Resident:
                     left.close()
             self._free(_KEPT)
 
-    def soon(self, filter: str | None, boundary: str) -> bool:
-        """Whether the renderer of a filter is there, or the volume so small that it is made at once."""
-        with self._lock:
-            entry = self._entries.get((filter, boundary))
-        made = entry is not None and entry.renderer is not None
-        return made or self._field is not None or self.volume.data.size < _LARGE
+    def _first_of(self, which: Which) -> State:
+        """The state that is shown first, of another volume."""
+        axes = self.volumes.axes if self.volumes is not None else ()
+        return replace(self.initial, index=dict(zip(axes, which.place, strict=True)), labels=which.labels)
 
-    def maker(self, filter: str | None, boundary: str) -> threading.Thread:
+    def soon(self, filter: str | None, boundary: str, which: Which | None = None) -> bool:
+        """Whether the renderer of a filter is there, or the volume so small that it is made at once."""
+        which = which or self._first
+        with self._lock:
+            entry = self._entries.get((filter, boundary, which))
+        made = entry is not None and entry.renderer is not None
+        large = _LARGE_LABELS if which.labels is not None and filter in (None, "nearest") else _LARGE
+        return made or (self._field is not None and which == self._first) or self.volume.data.size < large
+
+    def maker(self, filter: str | None, boundary: str, which: Which | None = None) -> threading.Thread:
         """A thread that makes the renderer of a filter, for a session that shows something else meanwhile.
 
         They work one after the other, and leave undone what another filter was asked for instead of: whoever draws makes it then.
         """
-        key, closed = (filter, boundary), self._closed
+        key, closed = (filter, boundary, which or self._first), self._closed
 
         def make() -> None:
             try:
                 with self._one_by_one:
                     if self._made_for == key and self._closed == closed:
-                        with contextlib.suppress(Exception), self.renderer(filter, boundary):  # who draws with it is told
+                        with contextlib.suppress(Exception), self.renderer(*key):  # who draws with it is told
                             pass
             finally:
                 with self._lock:
@@ -219,21 +358,26 @@ class Resident:
                 self._makers[key].start()
             return self._makers[key]
 
-    def _made(self, filter: str | None, boundary: str) -> Renderer:
+    def _made(self, key: _Key) -> Renderer:
         own = self._field
-        if own is not None and filter == own.filter.name and boundary == own.boundary.name:
+        if own is not None and key == (own.filter.name, own.boundary.name, self._first):
             return Renderer(own)
+        row, boundary, which = key
+        volume = self._viewed(which).volume
         try:
-            return Renderer(self.volume, filter, boundary, self.device)
+            return Renderer(volume, row, boundary, self.device)
         except OutOfMemoryError:
             self._free(0)
-            return Renderer(self.volume, filter, boundary, self.device)
+            return Renderer(volume, row, boundary, self.device)
 
     def _free(self, kept: int) -> None:
-        """Close all renderers that nobody uses, but the last few."""
+        """Close all renderers that nobody uses, but the last few; of several volumes as many as there is room for."""
         with self._lock:
-            idle = sorted((e.used, key) for key, e in self._entries.items() if not e.users and e.renderer is not None)
-            gone = [self._entries.pop(key) for _, key in (idle[: len(idle) - kept] if kept else idle)]
+            idle = {key: e.renderer for key, e in self._entries.items() if not e.users and e.renderer is not None}
+            latest = sorted(idle, key=lambda key: -self._entries[key].used)
+            room = memory.available() // _SHARE if self.volumes is not None and kept else 0
+            taken = list(itertools.accumulate(idle[key].field.nbytes for key in latest))
+            gone = [self._entries.pop(key) for i, key in enumerate(latest) if i >= kept and taken[i] > room]
         for entry in gone:
             if entry.renderer is not None:
                 entry.renderer.close()
@@ -287,53 +431,82 @@ class Resident:
 
     def mode(self, state: State) -> Mode:
         """The mode with its options, as it is settled for the volume."""
-        return as_mode(state.mode, state.options).settled(self.volume)
+        return as_mode(state.mode, state.options).settled(self.volume_of(state))
 
     def transfer(self, state: State) -> TransferFunction:
         """The transfer function of the volume's picture."""
         if state.transfer is not None:
             return state.transfer
-        return look(self.volume, self.mode(state), preset=state.preset, window=state.window, cmap=state.cmap, opacity=state.opacity)
+        words = {name: getattr(state, name) for name in ("preset", "window", "cmap", "opacity")}
+        return look(self.volume_of(state), self.mode(state), **words)
 
     def placed(self, state: State, aspect: float) -> Camera:
         """The camera with its target, as a picture of this aspect has it."""
-        camera = fitted(camera_of(state), self.volume, self.mode(state), self.transfer(state), state.clip, aspect)
+        volume = self.volume_of(state)
+        camera = fitted(camera_of(state), volume, self.mode(state), self.transfer(state), state.clip, aspect)
         return targeted(camera, self.volume)
 
     def filter_name(self, state: State, filter: str | None) -> str:
         """The filter of the volume's picture by its full name, with its smoothing as it is for the volume."""
-        return settled(filter_for(self.volume, filter, self.mode(state).picture_filter), self.volume).name
+        volume = self.volume_of(state)
+        return settled(filter_for(volume, filter, self.mode(state).picture_filter), volume).name
 
     def effective(self, state: State) -> dict[str, Any]:
         """What applies where the state leaves it open: for a panel."""
         with self._knowing:
+            viewed = self._viewed(self.which(state))
             found: dict[str, Any] = {
                 "transfer": self._transfer_shown(state),
-                "window": list(state.window or window_of_slices(self.volume)),
+                "window": list(state.window or window_of_slices(viewed.volume)),
                 "filter": self.filter_name(state, state.filter),
                 "crosshair": list(state.crosshair or map(float, self.volume.center)),
             }
             mode = self.mode(state)
-            self.known = True
+            viewed.known = True
         found["options"] = {f.name: _json_value(getattr(mode, f.name)) for f in fields(mode)}
         return found
 
     def _transfer_shown(self, state: State) -> dict[str, Any]:
-        """The transfer function as a panel edits it; without points where there are more than a state may have, as of labels."""
-        made = transfer_json(self.transfer(state))
+        """The transfer function as a panel edits it; without points where there are more than a state may have, as of labels.
+
+        Of labels it is that of all: one that is hidden now has its own colour when it comes back.
+        """
+        made = transfer_json(self.transfer(replace(state, labels=None)))
         return made if len(made["points"]) <= MOST_POINTS else made | {"points": []}
 
-    def info(self) -> dict[str, Any]:
-        """What a client is told first."""
-        with self._describing:  # not the other lock: whoever is told first does not wait for what takes longer
-            return self._info_found()
+    def labels(self, state: State, words: str = "") -> tuple[list[list[Any]], int]:
+        """The first of the labels of a state's volume of which the name or the number has these words, and how many have.
 
-    def _info_found(self) -> dict[str, Any]:
-        if self._info is None:
-            volume = self.volume
+        Each is its number, its name or "", and its colour.
+        """
+        if not isinstance(words, str) or len(words) > _LONGEST:
+            raise OptionError(f"labels are looked for by a text of up to {_LONGEST} characters; got {words!r:.60}")
+        volume = self._viewed(Which(self.which(state).place)).volume
+        if not volume.is_labels:
+            return [], 0
+        sought = words.strip().casefold()
+        numbers = [int(number) for number in labels.numbers_of(volume)]
+        if sought:
+            numbers = [n for n in numbers if sought in str(n) or sought in labels.name_of(volume, n).casefold()]
+            numbers.sort(key=lambda n: str(n) != sought)  # the one of exactly that number first
+        return [[n, labels.name_of(volume, n), list(label_color(n))] for n in numbers[:_LISTED]], len(numbers)
+
+    def info(self, state: State | None = None) -> dict[str, Any]:
+        """What a client is told first, and again of another volume."""
+        state = self.initial if state is None else state
+        with self._describing:  # not the other lock: whoever is told first does not wait for what takes longer
+            return self._info_found(state)
+
+    def _info_found(self, state: State) -> dict[str, Any]:
+        place = self.which(state).place
+        if place not in self._infos:
+            volume = self._viewed(Which(place)).volume
             low, high = volume.value_range
             counts, edges = _histogram(volume)
-            self._info = {
+            rows, count = self.labels(state)
+            while len(self._infos) >= _VIEWED:
+                del self._infos[next(iter(self._infos))]
+            self._infos[place] = {
                 "type": "info",
                 "title": self.title,
                 "volume": {
@@ -347,6 +520,8 @@ class Resident:
                     "bounds": [volume.corners.min(0).tolist(), volume.corners.max(0).tolist()],
                     "center": volume.center.tolist(),
                 },
+                "axes": self._axes(),
+                "labels": {"count": count, "rows": rows} if volume.is_labels else None,
                 "histogram": {"edges": edges, "counts": counts},
                 "modes": {name: _described(mode) for name, mode in modes().items()},
                 "filters": [*filters(), "bspline3(auto)"],
@@ -355,7 +530,25 @@ class Resident:
                 "colormaps": list(_COLOR_MAPS),
                 "keys": dict(KEYS),
             }
-        return self._info
+        return self._infos[place]
+
+    def _axes(self) -> list[dict[str, Any]]:
+        """The leading axes of several volumes that have more than one place: what each counts, and the names of its places."""
+        if self.volumes is None:
+            return []
+        found: list[dict[str, Any]] = []
+        for axis, count in zip(self.volumes.axes, self.volumes.leading.counts, strict=True):
+            first = self.volumes.leading.first(axis)
+            if count > 1 or first:
+                names = [name or str(i) for i, name in enumerate(self.volumes.leading.names.get(axis, ()))]
+                found.append({"axis": axis, "count": count, "names": names[:_LISTED], "first": first})
+        return found
+
+
+def _seen(volume: Volume, chosen: LabelState) -> Volume:
+    if chosen.hidden is not None:
+        return labels.without(volume, chosen.hidden)
+    return labels.only(volume, chosen.shown or ())
 
 
 def targeted(camera: Camera, volume: Volume) -> Camera:

@@ -99,6 +99,7 @@ class Session:
         self._resident = resident
         self._send = send
         first = resident.initial if state is None else state
+        resident.require(first)
         self._drawer = Drawer(resident)
         self._history = History(first)
         self._hands = Hands()
@@ -109,6 +110,7 @@ class Session:
         self._overlays: dict[str, object] = {}
         self._told: State | None = None
         self._told_of = _COMPLETE  # what was said of the last frame
+        self._described: object = None  # the place of the volume that the client was told of
         self._told_all, self._began = False, time.monotonic()
         self._compared: object = None
         self._lost_at: State | None = None
@@ -191,7 +193,7 @@ class Session:
 
     def _run(self) -> None:
         try:
-            self._guarded(lambda: self._tell(self._resident.info()))
+            self._guarded(self._tell_volume)
             self._guarded(self._tell_state)
             while self._wait():
                 self._guarded(self._take)
@@ -365,7 +367,7 @@ class Session:
     def _set(self, message: Mapping[str, Any]) -> None:
         changes = message.get("changes")
         made = State.from_json(changes) if message.get("whole") else self.state.changed(changes)  # type: ignore[arg-type]  # it is checked
-        self._resident.transfer(made)  # what only the volume can refuse
+        made = self._seen_from_there(made, whole=bool(message.get("whole")))
         live, given = bool(message.get("live")), message.get("gesture")
         named = ("set", given) if isinstance(given, str) else ("set", *sorted(map(str, changes))) if live else None  # type: ignore[arg-type]
         self._history = self._history.with_state(made, named)
@@ -374,6 +376,16 @@ class Session:
         else:
             self._history = self._history.ended()
         self._tell_state()
+
+    def _seen_from_there(self, made: State, *, whole: bool) -> State:
+        """A state that is to be shown, unless only the volume can refuse it; the camera stays where another volume is shown."""
+        state, resident = self.state, self._resident
+        resident.require(made)
+        if replace(made, index=state.index, labels=state.labels) != state:
+            resident.transfer(made)
+        if whole or made.camera != state.camera or resident.which(made) == resident.which(state):
+            return made
+        return replace(made, camera=self._place().pinned(state).camera)
 
     def _do(self, message: Mapping[str, Any]) -> None:
         what, answer = message.get("what"), {"type": "reply", "id": message.get("id"), "what": message.get("what")}
@@ -415,6 +427,10 @@ class Session:
             raise one_of("pane", name, PANES)
         x, y = (number(axis, message.get(axis), minimum=-1e6, maximum=1e6) for axis in "xy")
         return self._pick(name, x, y), None
+
+    def _do_labels(self, message: Mapping[str, Any]) -> tuple[dict[str, Any], None]:
+        rows, count = self._resident.labels(self.state, message.get("words", ""))
+        return {"rows": rows, "count": count}, None
 
     def _do_copy_python(self, _: Mapping[str, Any]) -> tuple[dict[str, Any], None]:
         return {"text": self.python()}, None
@@ -472,6 +488,7 @@ class Session:
             isovalue=lambda state: float(getattr(self._resident.mode(state), "isovalue", 0.0) or 0.0),
             window=self._window,
             anchor=self._anchor,
+            stepped=self._resident.stepped,
             initial=self._resident.initial,
         )
 
@@ -479,17 +496,18 @@ class Session:
         if state.window is not None:
             return state.window
         if name != "3d":
-            return window_of_slices(self._resident.volume)
+            return window_of_slices(self._resident.volume_of(state))
         low, high = self._resident.transfer(replace(state, transfer=None)).value_range
         return low / 2 + high / 2, (high - low) or 1.0
 
     def _anchor(self, state: State, x: float, y: float) -> NDArray[np.float64] | None:
         place = self._place()
-        if not self._resident.soon(state.filter, state.boundary):
+        which = self._resident.which(state)
+        if not self._resident.soon(state.filter, state.boundary, which):
             return None  # a sketch is turned and zoomed all the same
         pane = place.pane(state, "3d")
         assert isinstance(pane, Pane3D)  # of the volume
-        with self._resident.renderer(state.filter, state.boundary) as renderer:
+        with self._resident.renderer(state.filter, state.boundary, which) as renderer:
             return pick.hit(renderer, pane, x, y, self._resident.arguments(state))
 
     def _pick(self, name: str, x: float, y: float) -> dict[str, Any]:
@@ -497,9 +515,10 @@ class Session:
         pane = self._place().pane(state, name)
         other = state.wiper is not None and x > state.wiper.at * self._place().size(name).width
         chosen = state.wiper.filter if state.wiper is not None and other else state.filter
-        if not self._resident.soon(chosen, state.boundary):
+        which = self._resident.which(state)
+        if not self._resident.soon(chosen, state.boundary, which):
             raise OptionError("there is nothing to pick before the coefficients are there")
-        with self._resident.renderer(chosen, state.boundary) as renderer:
+        with self._resident.renderer(chosen, state.boundary, which) as renderer:
             return pick.picked(renderer, pane, name, x, y, self._resident.arguments(state))
 
     # -- pictures ----------------------------------------------------------------------------------------------
@@ -517,7 +536,7 @@ class Session:
         names = visible(state)
         order = sorted(names, key=lambda name: (name != self._focus(), name not in names))
         known = [name for name in order if name in self._sizes or "" in self._sizes]
-        if "3d" in known and sketched(state) and not self._resident.soon(state.filter, state.boundary):
+        if "3d" in known and sketched(state) and not self._resident.soon(state.filter, state.boundary, self._resident.which(state)):
             known = ["3d"]  # slices wait for the coefficients, and would have it wait too
         for name in known:
             if self._shown.get(name, _Shown()).key != self._key(state, name):
@@ -533,7 +552,8 @@ class Session:
     def _key(self, state: State, name: str) -> object:
         """What the picture of a pane depends on."""
         size = self._place().size(name)
-        common = (size, state.filter, state.boundary, state.window, state.cmap, state.background, state.wiper)
+        which = self._resident.which(state)
+        common = (size, which, state.filter, state.boundary, state.window, state.cmap, state.background, state.wiper)
         if name == "3d":
             return (
                 *common,
@@ -679,16 +699,17 @@ class Session:
             self._aside(key, lambda: stats | {"visited": share_visited(self._resident, state, (size.width, size.height))})
         if state.wiper is not None:
             names = tuple(self._resident.filter_name(state, row) for row in (state.filter, state.wiper.filter))
-            volume, boundary = self._resident.volume, state.boundary
+            volume, boundary = self._resident.volume_of(state), state.boundary
             self._aside(
-                ("wiper", names, boundary),
+                ("wiper", names, boundary, self._resident.which(state)),
                 lambda: {"type": "wiper", "errors": wiper.measured(volume, names, boundary, lambda: self._closed)},
             )
 
     def _forget_errors(self) -> None:
         """What was measured of other filters is not shown beside those that are compared now."""
         wiper = self.state.wiper
-        compared = None if wiper is None else (self.state.filter, wiper.filter, self.state.boundary)
+        which = self._resident.which(self.state)
+        compared = None if wiper is None else (self.state.filter, wiper.filter, self.state.boundary, which)
         if compared == self._compared:
             return
         self._compared = compared
@@ -747,7 +768,8 @@ class Session:
 
     def _tell_state(self) -> None:
         """What is shown; what follows from the volume is told later, if it is not known yet: pictures do not wait for it."""
-        state, known = self.state, self._resident.known
+        self._tell_volume()
+        state, known = self.state, self._resident.knows(self.state)
         if state == self._told and known == self._told_all:
             return
         self._told, self._told_all = state, known
@@ -761,8 +783,15 @@ class Session:
             message["effective"] = self._resident.effective(state)
         self._tell(message)
 
+    def _tell_volume(self) -> None:
+        """What there is to say of the volume: first, and when another one is shown."""
+        place = self._resident.which(self.state).place
+        if place != self._described:
+            self._described = place  # what cannot be found out is told once
+            self._tell(self._resident.info(self.state))
+
     def _tell_overlays(self) -> None:
-        if not self._resident.known:  # where things lie takes as long to find out
+        if not self._resident.knows(self.state):  # where things lie takes as long to find out
             return
         state, place = self.state, self._place()
         for name in visible(state):
@@ -807,7 +836,7 @@ class _Gone(Exception):  # nothing went wrong
     """The client is no longer there, or the session was closed."""
 
 
-_DEEDS = ("undo", "redo", "reset", "fit", "save_picture", "copy_python", "copy_toml", "copy_url", "pick", "heat", "movie")
+_DEEDS = ("undo", "redo", "reset", "fit", "save_picture", "copy_python", "copy_toml", "copy_url", "pick", "heat", "movie", "labels")
 
 
 def _kind_of(event: Any) -> Any:

@@ -11,7 +11,7 @@ from clvol.palette import unit_of
 from clvol.picture import Picture
 from clvol.smoothing import filter_for
 from clvol.view.panes import camera_of
-from clvol.view.resident import Resident, targeted
+from clvol.view.resident import Resident, Which, targeted
 from clvol.view.state import State
 from clvol.volume import Volume
 
@@ -22,20 +22,22 @@ _EDGE = 192  # pixels: more would show no more of so few samples
 
 
 class Sketch:
-    """A few samples of what is looked at, on the device.
+    """A few samples of one of the volumes that are looked at, on the device.
 
     They are taken for coefficients, so that there is nothing to solve. How they look follows from them alone, where the state
     leaves it open: of all samples that takes long to find out. Where they lie in the picture is the whole volume's affair.
     """
 
-    def __init__(self, resident: Resident) -> None:
-        self._whole = resident.volume
-        self._few = Resident(thinned(resident.volume), device=resident.device, **resident.beside)
+    def __init__(self, resident: Resident, which: Which) -> None:
+        self.which = which
+        self._whole = resident.volume_at(which)
+        self._few = Resident(thinned(self._whole), device=resident.device, **resident.beside)
         self._renderer: Renderer | None = None
         self._key: tuple[str | None, str, str] | None = None
 
     def picture(self, state: State, size: tuple[int, int]) -> Picture:
         """One of at most `_EDGE` pixels along each edge, of the shape of `size`."""
+        state = replace(state, index={}, labels=None)  # which are in the samples
         few, mode = self._few, self._few.mode(state)
         transfer = few.transfer(state)
         unit = transfer.unit_distance if state.transfer is not None else unit_of(self._whole)

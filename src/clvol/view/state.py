@@ -13,15 +13,28 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, Self, TypeAlias
 
 from clvol.boundary import as_boundary
-from clvol.checks import number, one_of, reals
+from clvol.checks import number, one_of, reals, whole
 from clvol.errors import ClvolError, OptionError
 from clvol.filter import as_filter
 from clvol.light import MAX_LIGHTS, Light, Material
 from clvol.mode import as_mode
 from clvol.preset import as_preset
 from clvol.transfer import TransferFunction
+from clvol.volumes import AXES, COMPUTED
 
-__all__ = ["MOST_POINTS", "PANES", "CameraState", "History", "SliceState", "State", "Wiper", "points_of", "transfer_json"]
+__all__ = [
+    "MOST_LABELS",
+    "MOST_POINTS",
+    "PANES",
+    "CameraState",
+    "History",
+    "LabelState",
+    "SliceState",
+    "State",
+    "Wiper",
+    "points_of",
+    "transfer_json",
+]
 
 Triple: TypeAlias = tuple[float, float, float]
 Pane: TypeAlias = Literal["3d", "x", "y", "z"]
@@ -30,6 +43,8 @@ PANES: tuple[Pane, ...] = ("3d", "x", "y", "z")
 """Names of panes: the volume, and slices across x, y and z of the world."""
 
 VERSION = 1
+_MOST_LABEL = 1 << 53  # beyond, float64 tells labels no longer apart
+_MOST_PLACES = (1 << 31) - 1  # along an axis
 _LAYOUTS = ("3d", "slice", "linked")
 _STYLES = ("turntable", "trackball")
 _PROJECTIONS = ("perspective", "orthographic")
@@ -37,6 +52,7 @@ _FITS = ("matter", "volume")
 TOOLS = ("orbit", "pan", "zoom", "roll", "window", "isovalue", "crop", "crosshair")
 _ZOOMS = 0.05, 1000.0
 MOST_POINTS = 512  # of a transfer function: no editor makes more, and they fit into one message of a page
+MOST_LABELS = 2048  # likewise: numbers of those that are hidden, or of those that are shown
 _FARTHEST = 1e15  # of numbers of places: far from what float64 overflows by
 
 
@@ -155,11 +171,43 @@ class Wiper:
 
 
 @dataclass(frozen=True)
+class LabelState:
+    """Which labels are seen: all but those that are `hidden`, or those that are `shown` alone. One of the two is given.
+
+    Parameters
+    ----------
+    hidden, shown : tuple of int, optional
+        Up to `MOST_LABELS` numbers of labels; kept in ascending order, each once.
+    """
+
+    hidden: tuple[int, ...] | None = None
+    shown: tuple[int, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if (self.hidden is None) == (self.shown is None):
+            raise OptionError(f"labels must have one of hidden and shown; got {'neither' if self.hidden is None else 'both'}")
+        what = "shown" if self.hidden is None else "hidden"
+        object.__setattr__(self, what, _numbers(f"labels.{what}", getattr(self, what)))
+
+
+def _numbers(what: str, value: object) -> tuple[int, ...]:
+    rule = f"a list of up to {MOST_LABELS} whole numbers"
+    if not isinstance(value, (list, tuple)):
+        raise OptionError(f"{what} must be {rule}; got {value!r:.200}")
+    if len(value) > MOST_LABELS:
+        raise OptionError(f"{what} must be {rule}; got {len(value)} of them")
+    return tuple(sorted({whole(f"each of {what}", part, -_MOST_LABEL, _MOST_LABEL) for part in value}))
+
+
+@dataclass(frozen=True)
 class State:
     """All that a viewer shows of a volume; `json` and `from_json` are its text.
 
     Parameters
     ----------
+    index : mapping of str to int or str
+        Of several volumes on one grid: the place along each leading axis, or the name of a channel that is computed of all. An
+        axis that is left out is at what `clvol.read` gives: 0, or the computed channel.
     layout : {"3d", "slice", "linked"}
         One picture of the volume, one slice (that of `active`), or both with three slices and one crosshair.
     active : {"3d", "x", "y", "z"}
@@ -180,6 +228,8 @@ class State:
     background : three numbers in 0..1, or None
     clip : (low, high), optional
         The crop box, in the world.
+    labels : LabelState, optional
+        Which labels of a label map are seen; the others are background.
     crosshair : three numbers, optional
         In the world; None: the volume's centre.
     wiper : Wiper, optional
@@ -187,6 +237,7 @@ class State:
         Whether the share of samples that were looked at is shown instead of the picture.
     """
 
+    index: Mapping[str, int | str] = field(default_factory=dict)
     layout: Literal["3d", "slice", "linked"] = "3d"
     active: Pane = "3d"
     tool: str | None = None
@@ -206,12 +257,14 @@ class State:
     material: Material | None = None
     background: Triple | None = (0.0, 0.0, 0.0)
     clip: tuple[Triple, Triple] | None = None
+    labels: LabelState | None = None
     crosshair: Triple | None = None
     wiper: Wiper | None = None
     heat: bool = False
 
     def __post_init__(self) -> None:
         put = object.__setattr__
+        put(self, "index", _index(self.index))
         _name_of("layout", self.layout, _LAYOUTS)
         _name_of("active", self.active, PANES)
         if self.tool is not None:
@@ -239,6 +292,10 @@ class State:
         put(self, "background", None if self.background is None else _color("background", self.background))
         if self.clip is not None:
             put(self, "clip", _box(self.clip))
+        if self.labels is not None and not isinstance(self.labels, LabelState):
+            raise OptionError(f"labels must be a LabelState; got {self.labels!r:.200}")
+        if self.labels is not None and self.labels.hidden == ():  # the same picture, the same state
+            put(self, "labels", None)
         put(self, "crosshair", _optional_triple("crosshair", self.crosshair))
         put(self, "heat", _switch("heat", self.heat))
 
@@ -321,6 +378,17 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {str(key): _plain(part) for key, part in value.items()}
     return value
+
+
+def _index(value: object) -> dict[str, int | str]:
+    given = _known("index", value, set(AXES))
+    return {axis: _place_along(axis, given[axis]) for axis in AXES if axis in given}
+
+
+def _place_along(axis: str, value: object) -> int | str:
+    if axis == "channel" and isinstance(value, str):
+        return _name_of("index.channel", value, COMPUTED)
+    return whole(f"index.{axis}", value, 0, _MOST_PLACES)
 
 
 def _options(value: object) -> dict[str, Any]:
@@ -472,6 +540,11 @@ def _clip_of(value: object) -> tuple[Triple, Triple]:
     return _box((given.get("low"), given.get("high")))
 
 
+def _labels_json(labels: LabelState) -> dict[str, Any]:
+    what = "shown" if labels.hidden is None else "hidden"
+    return {what: list(getattr(labels, what))}
+
+
 def _own_fields(value: Any) -> dict[str, Any]:
     return {each.name: _plain(getattr(value, each.name)) for each in fields(value)}
 
@@ -483,6 +556,7 @@ _WRITERS: dict[str, Callable[[Any], Any]] = {
     "lights": lambda lights: [_light_json(light) for light in lights],
     "material": _own_fields,
     "clip": lambda clip: {"low": list(clip[0]), "high": list(clip[1])},
+    "labels": _labels_json,
     "wiper": _own_fields,
 }
 _READERS: dict[str, Callable[[object], Any]] = {
@@ -492,6 +566,7 @@ _READERS: dict[str, Callable[[object], Any]] = {
     "lights": _lights_of,
     "material": _dataclass_of("material", Material, {each.name for each in fields(Material)}),
     "clip": _clip_of,
+    "labels": _dataclass_of("labels", LabelState, {"hidden", "shown"}),
     "wiper": _dataclass_of("wiper", Wiper, {each.name for each in fields(Wiper)}),
 }
 _REQUIRED = frozenset({"camera", "slice"})

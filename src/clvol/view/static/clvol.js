@@ -933,16 +933,138 @@ const LIGHTS = {
 const MATERIAL = { ambient: [0, 1, 0.25], diffuse: [0, 1.5, 0.75], specular: [0, 1, 0.2], shininess: [1, 120, 30] };
 const TOOL_HINT = "what the first button drags";
 const EDITED = "\u0000edited";
+const LOOKED_FOR = 12; // labels from which a filter is worth its place
+const LISTED = 200; // channels that are a list; more are a slider
+const TYPED = 150; // milliseconds after which what was typed is looked for
+
+/** Which labels of a label map are seen: a row for each of the first that fit the filter, which the session finds. */
+class Labels {
+  constructor(viewer) {
+    this.viewer = viewer;
+    this.told = null; // what the session said of the volume's labels
+    this.boxes = new Map(); // by number
+    this.filter = make("input", { type: "search", placeholder: "name or number", "aria-label": "filter the labels", maxlength: 200 });
+    this.filter.addEventListener("input", () => {
+      clearTimeout(this.typing);
+      this.typing = setTimeout(() => this.find(), TYPED);
+    });
+    const all = button("All", () => viewer.set({ labels: null }), { title: "show all labels" });
+    const none = button("None", () => viewer.set({ labels: { shown: [] } }), { title: "hide all labels" });
+    const head = make("div", { class: "clvol-buttons", role: "toolbar", "aria-label": "all labels" }, all, none, this.filter);
+    this.list = make("ul", { class: "clvol-labels", "aria-label": "labels" });
+    this.note = make("p", { class: "clvol-note", "aria-live": "polite" });
+    this.element = section("Labels", true, head, this.list, this.note);
+  }
+
+  close() {
+    clearTimeout(this.typing);
+  }
+
+  tell(info) {
+    this.told = info.labels ?? null;
+    this.element.hidden = !this.told;
+    if (!this.told) return;
+    this.filter.hidden = this.told.count <= LOOKED_FOR;
+    if (this.filter.hidden) this.filter.value = "";
+    this.fill(this.told);
+    if (this.filter.value) this.find();
+  }
+
+  /** Asks for the labels that fit the filter. */
+  async find() {
+    const words = this.filter.value;
+    const answer = words ? await this.viewer.ask("labels", { words }).catch(() => null) : { message: this.told }; // why not is told already
+    if (!answer || words !== this.filter.value) return; // more was typed meanwhile
+    this.fill(answer.message);
+    this.show(this.viewer.state);
+  }
+
+  fill({ rows, count }) {
+    this.found = count;
+    this.boxes.clear();
+    this.list.replaceChildren(...rows.map((label) => this.rowOf(label)));
+  }
+
+  rowOf([number, name, color]) {
+    const box = make("input", { type: "checkbox", onchange: () => this.put(number, box.checked) });
+    this.boxes.set(number, box);
+    const words = name || String(number);
+    const swatch = make("span", { class: "clvol-swatch" });
+    swatch.style.background = hex(color);
+    const text = make("span", { title: name ? `${name}: label ${number}` : null }, words);
+    const only = button("Only", () => this.viewer.set({ labels: { shown: [number] } }), { label: `show only ${words}` });
+    return make("li", {}, make("label", { class: "clvol-check" }, box, swatch, text), only);
+  }
+
+  /** One more or one fewer of those that are hidden, or of those that are shown. */
+  put(number, on) {
+    const { labels } = this.viewer.state;
+    const what = labels?.shown ? "shown" : "hidden";
+    const rest = (labels?.[what] ?? []).filter((one) => one !== number);
+    const made = on === (what === "shown") ? [...rest, number] : rest;
+    this.viewer.set({ labels: what === "hidden" && !made.length ? null : { [what]: made } });
+  }
+
+  show({ labels }) {
+    if (!this.told) return;
+    const chosen = new Set(labels?.shown ?? labels?.hidden ?? []);
+    for (const [number, box] of this.boxes) box.checked = chosen.has(number) === Boolean(labels?.shown);
+    const { count } = this.told;
+    const seen = labels?.shown ? chosen.size : Math.max(count - chosen.size, 0);
+    const [listed, some] = [this.boxes.size, this.filter.value ? "of these" : "of them"];
+    const found = this.filter.value ? `; ${this.found} found` : "";
+    this.note.textContent = `${seen} of ${count} shown${found}${listed < this.found ? `; the first ${listed} ${some} are listed` : ""}`;
+  }
+}
+
+/** Which of several volumes on one grid is shown: a list or a slider for each leading axis. */
+class Axes {
+  constructor(viewer) {
+    this.viewer = viewer;
+    this.about = [];
+    this.controls = [];
+    this.body = make("div", {});
+    this.element = section("Volumes", true, this.body);
+    this.element.hidden = true;
+  }
+
+  tell({ axes = [] }) {
+    this.element.hidden = !axes.length;
+    if (same(axes, this.about)) return; // a slider that is held stays
+    this.about = axes;
+    this.controls = axes.map((about) => this.controlOf(about));
+    this.body.replaceChildren(...this.controls.map((control) => control.element));
+  }
+
+  controlOf({ axis, count, names, first }) {
+    const put = (value, live = false) => this.viewer.set({ [`index.${axis}`]: value }, live);
+    const hint = `which ${axis} is shown`;
+    if (!first && (axis === "channel" ? count > LISTED : names.length < count))
+      return slider(axis, { low: 0, high: count - 1, step: 1 }, (value, live) => put(clamp(Math.round(value), 0, count - 1), live), hint);
+    const control = choice(axis, (value) => put(value === first ? value : Number(value)), hint);
+    const places = Array.from({ length: count }, (_, i) => [i, names[i] ?? i]);
+    control.fill(first ? [[first, first], ...places] : places);
+    return control;
+  }
+
+  show({ index }) {
+    this.about.forEach(({ axis, first }, i) => this.controls[i].show(index[axis] ?? first));
+  }
+}
 
 class Panel {
   constructor(viewer) {
     this.viewer = viewer;
     this.options = make("div", { class: "clvol-options" });
     this.transfer = new TransferEditor(viewer);
+    this.axes = new Axes(viewer);
+    this.labels = new Labels(viewer);
     this.made = null; // the mode whose options are shown
     this.element = make("div", { class: "clvol-panel", role: "region", "aria-label": "settings" });
     this.element.append(
       this.toolbar(),
+      this.axes.element,
+      this.labels.element,
       section("Look", true, this.lookControls()),
       section("Reconstruction", true, this.filterControls()),
       section("Slices", false, this.sliceControls()),
@@ -957,6 +1079,7 @@ class Panel {
 
   close() {
     this.transfer.close();
+    this.labels.close();
   }
 
   /** Sets one field as soon as a control changes. */
@@ -1090,6 +1213,8 @@ class Panel {
     [...this.crosshair.entries()].forEach(([i, c]) => c.limit(low[i], high[i]));
     this.crop.forEach((c, i) => c.limit(low[i >> 1], high[i >> 1]));
     this.made = null;
+    this.axes.tell(info);
+    this.labels.tell(info);
     const keys = Object.entries(info.keys ?? {});
     const list = make("dl", { class: "clvol-statistics clvol-keys" }, ...keys.flatMap(([key, text]) => [make("dt", {}, make("kbd", {}, key)), make("dd", {}, text)]));
     this.keySection.lastElementChild.replaceChildren(list);
@@ -1134,6 +1259,8 @@ class Panel {
       c.element.hidden = !state.clip;
     });
     this.heat.show(state.heat);
+    this.axes.show(state);
+    this.labels.show(state);
   }
 
   nameEdited(edited) {

@@ -1,0 +1,242 @@
+"""Labels that are hidden in a view: gone from pictures, in what is copied, and refused where there are none."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import clvol
+from clvol import Volume
+from clvol.device import Device
+from clvol.errors import OptionError
+from clvol.palette import label_color
+from clvol.picture import to_bytes
+from clvol.view import State, View, from_toml, from_url, section
+from tests.view.clients import Client
+
+SIZE = 96, 72
+NAMES = {1: "left ball", 2: "right ball"}
+
+
+def balls() -> NDArray[np.uint8]:
+    """A ball of 1 and one of 2 that touch, in nothing."""
+    z, y, x = np.mgrid[:24, :24, :40]
+    data = np.zeros(z.shape, np.uint8)
+    for number, middle in ((1, 13), (2, 27)):
+        data[(x - middle) ** 2 + (y - 12) ** 2 + (z - 12) ** 2 < 64] = number
+    return data
+
+
+@pytest.fixture(scope="module")
+def volume() -> Volume:
+    return Volume(balls(), spacing=(1, 1.1, 1.2), labels=NAMES)
+
+
+@pytest.fixture(scope="module")
+def view(volume: Volume, device: Device) -> Iterator[View]:
+    made = View(volume, device=device)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def client(view: View) -> Iterator[Client]:
+    made = Client(view)
+    made.resize(*SIZE)
+    made.still()
+    made.forget()
+    yield made
+    made.close()
+
+
+def copied(client: Client, volume: Volume) -> NDArray[np.uint8]:
+    space: dict[str, Any] = {"volume": volume}
+    exec(client.session.python(), space)
+    return to_bytes(space["picture"])[..., :3]
+
+
+@pytest.mark.parametrize(
+    "look",
+    [
+        {},
+        {"mode": "isosurface"},
+        {"mode": "mip"},
+        {"mode": "mean"},
+        {"filter": "linear"},
+        {"preset": "labels"},
+        {"transfer.points": [[0.5, [1, 0, 0], 0.0], [1, [1, 0, 0], 0.5], [2, [0, 0, 1], 0.9]]},
+        {"layout": "slice", "active": "z"},
+        {"layout": "slice", "active": "y", "window": [1, 2]},
+    ],
+    ids=lambda look: "-".join(map(str, look)) or "default",
+)
+@pytest.mark.parametrize("labels", [{"hidden": [2]}, {"shown": [1]}], ids=lambda labels: "".join(labels))
+def test_what_is_hidden_is_as_if_it_were_background(
+    client: Client, volume: Volume, device: Device, labels: dict[str, Any], look: dict[str, Any]
+) -> None:
+    pane = look.get("active", "3d")
+    if look:
+        client.set(**look)
+        client.still(pane)
+        client.forget()
+    client.set(labels=labels)
+    _, shown = client.still(pane)
+    data = balls()
+    data[data == 2] = 0
+    state = client.session.state
+    erased = View(Volume(data, spacing=(1, 1.1, 1.2), labels=NAMES), device=device)
+    erased.state = State.from_json(state.json() | {"labels": None})
+    other = Client(erased)
+    other.resize(*SIZE)
+    _, expected = other.still(pane)
+    other.close()
+    erased.close()
+    assert np.array_equal(shown, expected)
+    assert shown.any()
+    assert np.array_equal(shown[..., :3], copied(client, volume))
+    assert from_url(client.session.url()) == state
+    assert from_toml(client.session.toml()) == state
+    assert "labels are seen" in client.session.toml()
+    assert not client.of("status")
+
+
+def test_the_other_ball_stays_where_it_is(client: Client, volume: Volume, device: Device) -> None:
+    """By the pixels' colours, and where the middles of both balls lie."""
+    pictures = {}
+    for word, labels in (("both", None), ("one", {"shown": [1]}), ("two", {"hidden": [1]}), ("none", {"shown": []})):
+        client.forget()
+        client.set(labels=labels, mode="composite", **{"options.shading": False})
+        pictures[word] = client.still()[1][..., :3].astype(int)
+    middle = [np.argwhere(pictures[word].any(-1)).mean(0) for word in ("one", "two")]
+    both = np.argwhere(pictures["both"].any(-1)).mean(0)
+    assert middle[0][1] < both[1] < middle[1][1]  # +x is on the right
+    assert not pictures["none"].any()
+    for word, number in (("one", 1), ("two", 2)):
+        lit = pictures[word].sum(-1) > 200
+        assert np.abs(np.median(pictures[word][lit], 0) - 255 * np.array(label_color(number))).max() < 6
+    either = pictures["one"].any(-1) | pictures["two"].any(-1)
+    assert np.array_equal(either, pictures["both"].any(-1))
+    cut = section(volume, volume.center, (1, 0, 0), (0, 1, 0), (0.5, 0.5), (80, 60), device=device)
+    assert {tuple(c) for c in np.round(cut[..., :3].reshape(-1, 3), 4)} == {
+        (0, 0, 0),
+        *(tuple(np.round(np.float32(label_color(n)), 4)) for n in (1, 2)),
+    }
+
+
+def test_the_camera_stays_and_undo_goes_back(client: Client, view: View) -> None:
+    before = client.session.state
+    placed = view.placed(before, SIZE[0] / SIZE[1])
+    client.set(labels={"hidden": [2, 2]})
+    client.still()
+    state = client.session.state
+    assert state.labels is not None
+    assert state.labels.hidden == (2,)
+    now = view.placed(state, SIZE[0] / SIZE[1])
+    assert (now.target, now.radius) == (placed.target, placed.radius)
+    client.session.receive({"type": "do", "what": "undo", "id": 1})
+    client.wait(lambda m: m["type"] == "reply" and m["id"] == 1)
+    assert client.session.state == before
+    client.session.receive({"type": "do", "what": "redo", "id": 2})
+    client.wait(lambda m: m["type"] == "reply" and m["id"] == 2)
+    assert client.session.state == state
+    client.set(labels={"hidden": []})
+    client.session.receive({"type": "do", "what": "fit", "id": 3})
+    client.wait(lambda m: m["type"] == "reply" and m["id"] == 3)
+    assert client.session.state == before
+
+
+def test_what_is_edited_is_the_function_of_all_labels(view: View, client: Client) -> None:
+    before = view.effective(client.session.state)["transfer"]
+    client.set(labels={"shown": [2]})
+    client.still()
+    assert view.effective(client.session.state)["transfer"] == before
+    drawn = view.transfer(client.session.state)([0, 2])
+    assert np.array_equal(drawn, view.transfer(State())([0, 2]))
+
+
+def test_there_is_nothing_to_pick_where_a_label_is_hidden(client: Client) -> None:
+    at = {"what": "pick", "x": 0.62 * SIZE[0], "y": SIZE[1] / 2}
+    client.session.receive({"type": "do", "id": 1, **at})
+    found, _ = client.wait(lambda m: m["type"] == "reply" and m["id"] == 1)
+    assert found["label"] == "right ball"
+    client.set(labels={"hidden": [2]})
+    client.session.receive({"type": "do", "id": 2, **at})
+    found, _ = client.wait(lambda m: m["type"] == "reply" and m["id"] == 2)
+    assert found["position"] is None
+
+
+@pytest.mark.parametrize(
+    ("labels", "says"),
+    [
+        ({"hidden": [7]}, "labels must be some of the volume's; got 7, which it has not"),
+        ({"shown": [0]}, "got 0, which it has not"),  # the background is none
+        ({"hidden": list(range(1_000_000))}, "up to 2048 whole numbers; got 1000000 of them"),
+        ({"hidden": ["1"]}, "each of labels.hidden must be a whole number"),
+    ],
+)
+def test_labels_that_there_are_not_are_refused(client: Client, labels: Any, says: str) -> None:
+    before = client.session.state
+    client.set(labels=labels)
+    told, _ = client.wait(lambda m: m["type"] == "status" and m["kind"] == "error")
+    assert says in told["text"]
+    assert len(told["text"]) < 400
+    assert client.session.state == before
+    client.forget()
+    client.set(labels={"hidden": [1]})
+    client.still()
+
+
+def test_a_volume_without_labels_has_none_to_hide(device: Device) -> None:
+    view = View(clvol.phantoms.sphere(24), device=device)
+    client = Client(view)
+    info, _ = client.wait(lambda m: m["type"] == "info")
+    assert info["labels"] is None
+    client.set(labels={"hidden": [1]})
+    told, _ = client.wait(lambda m: m["type"] == "status" and m["kind"] == "error")
+    assert "labels must be left out, for the volume is no label map" in told["text"]
+    client.close()
+    with pytest.raises(OptionError, match="no label map"):
+        view.session(lambda *_: None, State().changed({"labels": {"shown": [1]}}))
+    view.close()
+
+
+def test_of_thousands_of_labels_some_are_told_and_all_are_found(device: Device) -> None:
+    data = np.arange(5000, dtype=np.uint16).reshape(10, 20, 25).repeat(2, 2)
+    view = View(Volume(data, labels={4321: "Hippocampus, left", 17: "right hippocampus"}), device=device)
+    client = Client(view)
+    info, _ = client.wait(lambda m: m["type"] == "info")
+    assert info["labels"]["count"] == 4999
+    assert [row[0] for row in info["labels"]["rows"]] == list(range(1, 201))
+    assert info["labels"]["rows"][16] == [17, "right hippocampus", list(label_color(17))]
+
+    def found(words: Any) -> dict[str, Any]:
+        client.session.receive({"type": "do", "what": "labels", "id": str(words)[:9], "words": words})
+        return client.wait(lambda m: m["type"] == "reply" and m["id"] == str(words)[:9])[0]
+
+    assert [row[0] for row in found(" hippoCAMPUS ")["rows"]] == [17, 4321]
+    assert [row[0] for row in found("432")["rows"][:3]] == [432, 1432, 2432]
+    assert (found("9")["count"], len(found("9")["rows"])) == (1355, 200)
+    assert found("no such") | {"id": 0} == {"type": "reply", "id": 0, "what": "labels", "rows": [], "count": 0}
+    for wrong in (3, "x" * 1000):
+        assert "a text of up to 200 characters" in found(wrong)["error"]
+    client.set(labels={"shown": [4321]})
+    client.resize(*SIZE)
+    _, picture = client.still()
+    assert picture.any()
+    client.close()
+    view.close()
+
+
+def test_few_sets_of_labels_take_memory(view: View, client: Client) -> None:
+    for chosen in ([1], [2], [1, 2], []):
+        for how in ("shown", "hidden"):
+            client.forget()
+            client.set(labels={how: chosen}, mode="composite" if chosen else "mip")
+            client.still()
+    own = [which for which in view._views if which.labels is not None]
+    held = {key[2] for key in view._entries if key[2].labels is not None}
+    assert len({*own, *held}) <= 4

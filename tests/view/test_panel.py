@@ -1,0 +1,212 @@
+"""The panel's labels, channels and times in a real browser: by pointer and by keys, in light and dark, on a telephone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from clvol import Volume, Volumes
+from clvol.device import Device
+from clvol.view import Session, State, View
+from clvol.volumes import Leading
+from tests.view.browser import Browser, open_browser, why_none
+
+pytest.importorskip("aiohttp", reason="needs aiohttp")
+from clvol.view.server import serve
+
+pytestmark = pytest.mark.skipif(bool(why_none()), reason=why_none())
+FINAL = "document.querySelector('.clvol-pane[data-frame]')?.dataset.final === 'true'"
+ROWS = "[...document.querySelectorAll('.clvol-labels li')].filter((row) => row.checkVisibility())"
+NOTE = "document.querySelector('.clvol-labels + .clvol-note').textContent"
+
+
+class Watched(View):
+    """A view that keeps its last session."""
+
+    last: Session
+
+    def session(self, send: Any, state: State | None = None) -> Session:
+        self.last = super().session(send, state)
+        return self.last
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with open_browser(1000, 700) as found:
+        yield found
+
+
+@pytest.fixture
+def organs(browser: Browser, device: Device) -> Iterator[Watched]:  # noqa: ARG001  # sessions use the default one
+    """Three organs, two of which have names."""
+    data = np.zeros((20, 20, 36), np.uint8)
+    for number, at in ((1, 4), (2, 14), (7, 24)):
+        data[5:15, 5:15, at : at + 8] = number
+    yield from shown(browser, Watched(Volume(data, labels={1: "liver", 2: "left kidney"})))
+
+
+@pytest.fixture
+def many(browser: Browser, device: Device) -> Iterator[Watched]:  # noqa: ARG001
+    data = np.arange(600, dtype=np.uint16).reshape(5, 10, 12).repeat(2, 2)
+    yield from shown(browser, Watched(Volume(data, labels={555: "Hippocampus"})))
+
+
+@pytest.fixture
+def cells(browser: Browser, device: Device) -> Iterator[Watched]:  # noqa: ARG001
+    """A ball that wanders, in two channels."""
+    z, y, x = np.mgrid[:16, :16, :24]
+    frames = [
+        [100 * (1 + 9 * c) * np.exp(-((x - 6 - t) ** 2 + (y - 8) ** 2 + (z - 8) ** 2) / 9) for c in range(2)] for t in range(9)
+    ]
+    leading = Leading(("time", "channel"), (9, 2), {"channel": ("DAPI", "GFP")})
+    yield from shown(browser, Watched(Volumes(np.array(frames, np.float32), leading=leading)))
+
+
+def shown(browser: Browser, view: Watched) -> Iterator[Watched]:
+    with serve(view) as server:
+        browser.open(server.url)
+        browser.wait(FINAL, 60)
+        yield view
+    view.close()
+
+
+def labels_of(view: Watched) -> Any:
+    return view.last.state.json()["labels"]
+
+
+def click(browser: Browser, found: str) -> None:
+    browser.js(f"({found}).click()")
+
+
+def picture(browser: Browser) -> np.ndarray:
+    return browser.canvas()[..., :3].astype(int)
+
+
+def test_labels_are_hidden_and_come_back(browser: Browser, organs: Watched) -> None:
+    assert browser.js(f"return {ROWS}.map((row) => row.querySelector('label').textContent)") == ["liver", "left kidney", "7"]
+    colors = browser.js(f"return {ROWS}.map((row) => getComputedStyle(row.querySelector('.clvol-swatch')).backgroundColor)")
+    assert len(set(colors)) == 3
+    all_of_them = picture(browser)
+    click(browser, f"{ROWS}[1].querySelector('input')")
+    browser.wait(lambda: labels_of(organs) == {"hidden": [2]})
+    browser.wait(lambda: browser.js(f"return {FINAL}") and (picture(browser) != all_of_them).any())
+    assert browser.js(f"return {NOTE}") == "2 of 3 shown"
+    click(browser, f"{ROWS}[2].querySelector('button')")
+    browser.wait(lambda: labels_of(organs) == {"shown": [7]})
+    browser.wait(f"{ROWS}.map((row) => row.querySelector('input').checked).join() === 'false,false,true'")
+    click(browser, f"{ROWS}[0].querySelector('input')")
+    browser.wait(lambda: labels_of(organs) == {"shown": [1, 7]})
+    click(browser, "[...document.querySelectorAll('button')].find((b) => b.textContent === 'None')")
+    browser.wait(lambda: labels_of(organs) == {"shown": []})
+    browser.wait(lambda: not picture(browser).any())
+    for labels in ({"shown": [1, 7]}, {"shown": [7]}, {"hidden": [2]}):
+        browser.wait(lambda: not browser.js("return document.querySelector('.clvol-buttons button').disabled"))
+        click(browser, "[...document.querySelectorAll('button')].find((b) => b.textContent === 'Undo')")
+        browser.wait(lambda labels=labels: labels_of(organs) == labels)  # type: ignore[misc]
+    click(browser, "[...document.querySelectorAll('button')].find((b) => b.textContent === 'All')")
+    browser.wait(lambda: labels_of(organs) is None)
+    browser.wait(lambda: (picture(browser) == all_of_them).all(), 30)  # the camera stayed
+    assert not browser.console()
+
+
+def test_labels_are_reached_by_keys(browser: Browser, organs: Watched) -> None:
+    """All of the section by Tab; Space hides and shows only."""
+    browser.js("[...document.querySelectorAll('summary')].find((s) => s.textContent === 'Labels').focus()")
+    name = "e.getAttribute('aria-label') || e.closest('label')?.textContent || e.textContent"
+    met = []
+    for _ in range(8):
+        browser.key("Tab", windowsVirtualKeyCode=9)
+        met.append(browser.js(f"const e = document.activeElement; return {name}"))
+    assert met == ["All", "None", "liver", "show only liver", "left kidney", "show only left kidney", "7", "show only 7"]
+    browser.key(" ", windowsVirtualKeyCode=32, code="Space")
+    browser.wait(lambda: labels_of(organs) == {"shown": [7]})
+    browser.js(f"{ROWS}[0].querySelector('input').focus()")
+    browser.key(" ", windowsVirtualKeyCode=32, code="Space")
+    browser.wait(lambda: labels_of(organs) == {"shown": [1, 7]})
+    assert browser.js("return document.activeElement.closest('label').textContent") == "liver"  # rows are not made anew
+
+
+def test_of_many_labels_the_filter_finds_the_others(browser: Browser, many: Watched) -> None:
+    assert browser.js(f"return {ROWS}.length") == 200
+    assert browser.js(f"return {NOTE}") == "599 of 599 shown; the first 200 of them are listed"
+    search = "document.querySelector('.clvol-panel input[type=search]')"
+    assert browser.js(f"return {search}.checkVisibility()")
+
+    def look_for(words: str) -> None:
+        browser.js(f"const box = {search}; box.value = arguments[0]; box.dispatchEvent(new Event('input'))", words)
+
+    look_for("hippo")
+    browser.wait(f"{ROWS}.length === 1 && {ROWS}[0].textContent.startsWith('Hippocampus')")
+    assert browser.js(f"return {NOTE}") == "599 of 599 shown; 1 found"
+    click(browser, f"{ROWS}[0].querySelector('input')")
+    browser.wait(lambda: labels_of(many) == {"hidden": [555]})
+    look_for("59")
+    browser.wait(f"{ROWS}.length === 16 && {ROWS}[0].textContent.startsWith('59')")
+    look_for("nothing of that name")
+    browser.wait(f"{ROWS}.length === 0 && {NOTE} === '598 of 599 shown; 0 found'")
+    look_for("")
+    browser.wait(f"{ROWS}.length === 200")
+
+
+def test_channels_are_a_list_and_times_a_slider(browser: Browser, cells: Watched) -> None:
+    row = "[...document.querySelectorAll('.clvol-row')].find((r) => r.firstChild.textContent === '%s')"
+    channels = f"({row % 'channel'}).querySelector('select')"
+    assert browser.js(f"return [...{channels}.options].map((o) => o.textContent)") == ["DAPI", "GFP"]
+    first = cells.last.state
+    top = browser.js("return document.querySelector('.clvol-ends').textContent")
+    browser.js(f"const list = {channels}; list.value = '1'; list.dispatchEvent(new Event('change'))")
+    browser.wait(lambda: cells.last.state.index == {"channel": 1})
+    browser.wait(lambda: browser.js("return document.querySelector('.clvol-ends').textContent") != top)  # its own histogram
+    before = picture(browser)
+    browser.js(f"const s = ({row % 'time'}).querySelector('input[type=range]'); s.focus()")
+    for _ in range(3):
+        browser.key("ArrowRight", windowsVirtualKeyCode=39)
+    browser.wait(lambda: cells.last.state.index == {"time": 3, "channel": 1})
+    browser.wait(lambda: browser.js(f"return {FINAL}") and np.abs(picture(browser) - before).max() > 30)
+    browser.js("document.querySelector('.clvol-pane').focus()")
+    browser.key(".")
+    browser.wait(lambda: cells.last.state.index["time"] == 4)
+    browser.wait(f"({row % 'time'}).querySelector('input[type=number]').value === '4'")
+    camera = cells.last.state.camera
+    assert (camera.direction, camera.zoom) == (first.camera.direction, first.camera.zoom)
+    assert not browser.js("return document.querySelector('.clvol-labels').checkVisibility()")
+    assert not browser.console()
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_on_a_telephone_rows_fit_and_can_be_read(browser: Browser, organs: Watched, *, dark: bool) -> None:  # noqa: ARG001
+    driver = browser.driver
+    features = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
+    driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+    driver.execute_cdp_cmd(
+        "Emulation.setDeviceMetricsOverride", {"width": 375, "height": 812, "deviceScaleFactor": 1, "mobile": False}
+    )
+    try:
+        browser.wait("document.documentElement.clientWidth === 375")
+        assert browser.js("return document.documentElement.scrollWidth") == 375
+        right, height = browser.js(
+            f"const b = {ROWS}[1].querySelector('button').getBoundingClientRect(); return [b.right, b.height]"
+        )
+        assert right <= 375
+        assert height >= 36  # for a finger
+        ink, back = (
+            browser.js(f"return getComputedStyle({ROWS}[0].querySelector('span:last-child')).color"),
+            browser.js("return getComputedStyle(document.querySelector('.clvol')).backgroundColor"),
+        )
+        light = [luminance(color) for color in (ink, back)]
+        assert (light[0] > light[1]) == dark
+        assert (max(light) + 0.05) / (min(light) + 0.05) >= 7  # WCAG's contrast, AAA
+    finally:
+        driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+        driver.execute_cdp_cmd(
+            "Emulation.setDeviceMetricsOverride", {"width": 1000, "height": 700, "deviceScaleFactor": 1, "mobile": False}
+        )
+
+
+def luminance(color: str) -> float:
+    """Of WCAG, of a colour such as "rgb(28, 33, 39)"."""
+    shares = np.array([int(c) for c in color.strip("rgba()").split(",")[:3]]) / 255
+    return float(np.where(shares <= 0.04045, shares / 12.92, ((shares + 0.055) / 1.055) ** 2.4) @ (0.2126, 0.7152, 0.0722))
