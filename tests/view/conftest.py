@@ -2,6 +2,20 @@
 
 from __future__ import annotations
 
-from tests.view.browser import browser
+from collections.abc import Iterator
 
-__all__ = ["browser"]
+import pytest
+
+from clvol.view import View
+from tests.view.browser import browser
+from tests.view.clients import Client
+
+__all__ = ["browser", "client"]
+
+
+@pytest.fixture
+def client(view: View) -> Iterator[Client]:
+    """Of the view that a test's module has."""
+    made = Client(view)
+    yield made
+    made.close()

@@ -70,13 +70,6 @@ def view(samples: Waves, device: Device, monkeypatch: pytest.MonkeyPatch) -> Ite
     made.close()
 
 
-@pytest.fixture
-def client(view: View) -> Iterator[Client]:
-    made = Client(view)
-    yield made
-    made.close()
-
-
 def drawn(text: str, volume: Volume | LazyVolume) -> NDArray[np.uint8]:
     """What the copied program draws."""
     names: dict[str, Any] = {"volume": volume}

@@ -57,13 +57,6 @@ def test_a_rehearsal_builds_what_another_volume_needs(volume: Volume, device: De
     made.close()
 
 
-@pytest.fixture
-def client(view: View) -> Iterator[Client]:
-    made = Client(view)
-    yield made
-    made.close()
-
-
 def drawn(text: str, volume: Volume) -> NDArray[np.uint8]:
     """What a copied program draws, as a PNG holds it."""
     space: dict[str, Any] = {"volume": volume}

@@ -263,10 +263,10 @@ def test_a_maker_of_another_volume_is_another(volumes: Volumes, device: Device) 
 def test_the_command_reads_all_of_a_file_and_copies_the_one(volumes: Volumes, tmp_path: Path) -> None:
     file = tmp_path / "cells.ome.tif"
     clvol.write(volumes, file)
-    scene, source = _read(Input(), str(file))
+    scene, source, _ = _read(Input(), str(file))
     assert isinstance(scene, Volumes)
     assert scene.axes == ("time", "channel")
-    view = _made(scene, source, str(file), None, None, Look(), {})
+    view = _made(scene, source, None, str(file), None, None, Look(), {})
     assert view.title == "cells.ome.tif"
     view.state = view.state.changed({"index": {"channel": 1, "time": 2}})
     program = view.python(SIZE)
@@ -289,7 +289,7 @@ def test_the_command_reads_all_of_a_file_and_copies_the_one(volumes: Volumes, tm
 def test_what_is_chosen_is_read_alone(volumes: Volumes, tmp_path: Path, reader: Input, axes: tuple[str, ...] | None) -> None:
     file = tmp_path / "cells.ome.tif"
     clvol.write(volumes, file)
-    scene, source = _read(reader, str(file))
+    scene, source, _ = _read(reader, str(file))
     assert source is not None
     if axes is None:
         assert isinstance(scene, Volume)
@@ -313,6 +313,6 @@ def test_of_a_file_that_is_large_one_is_read(tmp_path: Path, monkeypatch: pytest
         assert isinstance(_read(Input(), str(file))[0], Volumes)
     monkeypatch.setattr("clvol.cli.view._is_small", lambda name: False)  # noqa: ARG005
     with pytest.warns(clvol.ClvolWarning, match="choose by"):
-        scene, source = _read(Input(), str(file))
+        scene, source, _ = _read(Input(), str(file))
     assert isinstance(scene, Volume)
     assert source == f"clvol.read({str(file)!r})"

@@ -37,13 +37,6 @@ def view(volume: Volume, device: Device) -> Iterator[View]:
     made.close()
 
 
-@pytest.fixture
-def client(view: View) -> Iterator[Client]:
-    made = Client(view)
-    yield made
-    made.close()
-
-
 def test_a_picture_of_few_samples_comes_first_and_facts_after_it(client: Client) -> None:
     client.resize(*SIZE)
     still, _ = client.wait(lambda m: m["type"] == "frame" and m["final"])
