@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import linecache
 import re
 import threading
 import warnings
@@ -30,6 +31,7 @@ _OPTIONS = ("-cl-std=CL1.2",)
 _POCL = "Portable Computing Language"
 # LLVM's own handler of SIGINT removes what it is writing, whoever hears the signal: the program is then built once more
 _INTERRUPTED = "unable to rename temporary"
+_GENERATED = "<generated: 'pyopencl invoker"
 _LAUNCHES = 1024  # sizes that are remembered for each program
 _building = threading.Lock()  # what appears in PoCL's folder then is of the one that is built
 _INCLUDE = re.compile(r'^#include "([\w/.]+)"[ \t]*$', re.MULTILINE)
@@ -94,6 +96,7 @@ class Program:
             cl = opencl()
             try:
                 mine[name] = Kernel(cl.Kernel(self._handle, name), name, self._launches)
+                _forget_sources()
             except cl.Error as error:
                 raise DeviceError(f"there is no kernel {name!r}: {error}") from error
             except Exception as error:
@@ -102,6 +105,12 @@ class Program:
                 # pyopencl was imported before clvol, which would have kept it from writing there
                 raise DeviceError(f"pyopencl cannot use its cache ({error}); set PYOPENCL_NO_CACHE=1") from error
         return cast(Kernel, mine[name])
+
+
+def _forget_sources() -> None:
+    """Drop the text of what pyopencl generates to call a kernel: `linecache` would keep it for good, anew for each kernel."""
+    for name in [name for name in list(linecache.cache) if name.startswith(_GENERATED)]:
+        linecache.cache.pop(name, None)  # another thread may have been here
 
 
 class Kernel:
