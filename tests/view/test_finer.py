@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +17,8 @@ from clvol import LazyVolume, OptionError, OutOfMemoryError, Volume, memory
 from clvol.device import Device
 from clvol.lazy import needed_by
 from clvol.picture import to_bytes
-from clvol.view import View
+from clvol.spline.residents import Residents
+from clvol.view import State, View
 from clvol.view.finer import at_hand
 from tests.view.clients import Client, decoded
 
@@ -87,20 +90,29 @@ def test_the_largest_size_that_fits_is_at_hand(samples: Waves, monkeypatch: pyte
     assert at_hand(lazy) == len(lazy.levels)
 
 
-def test_what_fits_in_no_size_is_refused(samples: Waves, monkeypatch: pytest.MonkeyPatch) -> None:
-    lazy = LazyVolume(Waves(600))
+def test_what_fits_in_no_size_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    samples = Waves(600)
+    lazy = LazyVolume(samples, limits=(-100, 80))
     monkeypatch.setattr(memory, "available", lambda: 1000)
     with pytest.raises(OutOfMemoryError, match=r"its smallest size, .600, 600, 600., takes 1648 MiB: clvol.pyramid"):
         View(lazy)
-    assert samples.read == 0
+    assert samples.read < samples.shape[0] ** 3 // 20  # what is looked at of its options
+
+
+def test_options_are_refused_before_all_is_read() -> None:
+    samples = Waves(200)
+    with pytest.raises(OptionError, match="nonsense"):
+        View(LazyVolume(samples), nonsense=1)
+    assert samples.read < 200**3
 
 
 def test_pixels_that_show_no_more_read_nothing(view: View, client: Client, samples: Waves) -> None:
-    client.resize(16, 16)
-    message, _ = client.still()
-    assert message["final"]
-    assert samples.read == 0
     assert view.volume.shape == (SIDE // 4,) * 3
+    read = samples.read  # from which it was decided how it looks
+    client.resize(16, 16)
+    client.still()
+    assert len(client.of("status")) == 0
+    assert samples.read == read
 
 
 @pytest.mark.parametrize("mode", ["isosurface", "composite", "mip"])
@@ -200,3 +212,140 @@ def test_levels_of_a_renderer(view: View, device: Device) -> None:
         pytest.raises(OptionError, match="by bricks"),
     ):
         renderer.field_of_level(0)
+
+
+def noisy(side: int, sigma: float, seed: int = 0) -> NDArray[Any]:
+    """A ball in noise, which "bspline3(auto)" smooths by how much of it there is."""
+    z, y, x = ((axis + 0.5) * (2 / side) - 1 for axis in np.ogrid[:side, :side, :side])
+    ball = 100 / (1 + np.exp(30 * (np.sqrt(x * x + y * y + z * z) - 0.6)))
+    return (ball + np.random.default_rng(seed).normal(0, sigma, ball.shape)).astype(np.float32)
+
+
+def test_a_size_between_is_drawn_as_the_program_draws_it(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each size has noise of its own; one filter is for all."""
+    levels = [LazyVolume(noisy(96 // n, 12 / n**1.5), spacing=(n,) * 3, origin=((n - 1) / 2,) * 3) for n in (2, 4)]
+    lazy = LazyVolume(noisy(96, 12), levels=levels)
+    with monkeypatch.context() as patch:
+        patch.setattr(memory, "available", lambda: 2 * needed_by(levels[-1]))
+        view = View(lazy, device=device, mode="isosurface", isovalue=50)
+    client = Client(view)
+    try:
+        client.resize(30, 30)
+        _, pixels = client.still()
+        assert view.finer is not None
+        renderer = view.finer._renderer
+        assert renderer is not None
+        assert renderer.shown.volume.size == (48, 48, 48)
+        np.testing.assert_array_equal(pixels, drawn(client.session.python(), lazy)[..., :3])
+    finally:
+        client.close()
+        view.close()
+
+
+def test_what_is_at_hand_is_reconstructed_as_its_bounds_say(
+    device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clvol.pyramid(Volume(noisy(64, 0)), tmp_path / "ball.zarr", filter="catmull-rom", boundary="wrap", chunks=16)
+    lazy = clvol.open(tmp_path / "ball.zarr")
+    with monkeypatch.context() as patch:
+        patch.setattr(memory, "available", lambda: 2 * needed_by(lazy.levels[0]))
+        view = View(lazy, device=device, mode="mip", source=f"clvol.open({str(tmp_path / 'ball.zarr')!r})")
+    client = Client(view)
+    try:
+        client.resize(*SIZE)
+        _, pixels = client.still()
+        assert (view.initial.filter, view.initial.boundary) == ("catmull-rom", "wrap")
+        program = client.session.python()
+        np.testing.assert_array_equal(pixels, drawn(program, lazy)[..., :3])
+        text = client.session.toml()
+        assert "ball.zarr" in text
+        assert "level" not in text
+        assert "lod = " in text
+        program = view.python(SIZE)
+        np.testing.assert_array_equal(to_bytes(view.picture(SIZE)), drawn(program, lazy))
+    finally:
+        client.close()
+        view.close()
+
+
+def test_two_clients_keep_to_one_budget(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of different sizes, at the same time."""
+    levels = [LazyVolume(noisy(192 // n, 0), spacing=(n,) * 3, origin=((n - 1) / 2,) * 3) for n in (2, 4)]
+    lazy = LazyVolume(noisy(192, 0), levels=levels)
+    monkeypatch.setattr("clvol.spline.bricked.BUDGET", 12 << 20)
+    with monkeypatch.context() as patch:
+        patch.setattr(memory, "available", lambda: 2 * needed_by(levels[-1]))
+        view = View(lazy, device=device, filter="bspline3", mode="isosurface", isovalue=50)
+    most = [0]
+    read = Residents._read
+
+    def watched(self: Residents, *given: Any) -> Any:
+        made = read(self, *given)
+        renderer = view.finer._renderer if view.finer is not None else None
+        if renderer is not None:
+            most[0] = max(most[0], sum(one.nbytes for one in (renderer.field, *renderer.levels)))  # type: ignore[union-attr]
+        return made
+
+    monkeypatch.setattr(Residents, "_read", watched)
+    clients = [Client(view), Client(view)]
+    try:
+        for client, zoom in zip(clients, (4.0, 1.0), strict=True):
+            client.set(camera__zoom=zoom)
+            client.resize(*SIZE)
+        for client in clients:
+            client.still()
+        assert 0 < most[0] <= 12 << 20
+    finally:
+        for client in clients:
+            client.close()
+        view.close()
+
+
+def test_facts_do_not_wait_for_bricks(client: Client, samples: Waves, monkeypatch: pytest.MonkeyPatch) -> None:
+    go = threading.Event()
+    read = type(samples).__getitem__
+
+    def late(self: Waves, index: Any) -> NDArray[Any]:
+        go.wait(60)
+        return read(self, index)
+
+    monkeypatch.setattr(Waves, "__getitem__", late)
+    client.set(camera__zoom=6.0)
+    client.resize(*SIZE)
+    client.wait(lambda m: m["type"] == "state" and "effective" in m)
+    go.set()
+    client.still()
+
+
+def test_nothing_is_left_of_a_client_that_went_while_bricks_were_read(
+    view: View, samples: Waves, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go, reading = threading.Event(), threading.Event()
+    read = type(samples).__getitem__
+
+    def late(self: Waves, index: Any) -> NDArray[Any]:
+        reading.set()
+        go.wait(60)
+        return read(self, index)
+
+    monkeypatch.setattr(Waves, "__getitem__", late)
+    for _ in range(4):
+        client = Client(view)
+        client.set(camera__zoom=6.0)
+        client.resize(*SIZE)
+        client.wait(lambda m: m["type"] == "status" and "finer samples" in m["text"])
+        assert reading.wait(60)
+        client.close()
+    readers = [thread for thread in threading.enumerate() if thread.name == "clvol view: bricks"]
+    view.close()  # does not wait
+    go.set()
+    for thread in readers:
+        thread.join(60)
+        assert not thread.is_alive()
+    assert view.finer is not None
+    assert view.finer._renderer is None
+
+
+def test_a_state_that_the_volume_does_not_have_is_refused(view: View) -> None:
+    with pytest.raises(OptionError, match="index"):
+        view.state = State(index={"time": 3})

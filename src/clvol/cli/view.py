@@ -125,17 +125,17 @@ def view(
             from clvol.view.desktop import require_display, show_on_desktop
 
             require_display()  # before the volume is read
-            show_on_desktop(_made(*_read(reader, name), name, filter, device, look, options))
+            show_on_desktop(_made(*_read(reader, name, device), name, filter, device, look, options))
         else:
             from clvol.view.terminal import show_in_terminal
 
-            show_in_terminal(_made(*_read(reader, name), name, filter, device, look, options))
+            show_in_terminal(_made(*_read(reader, name, device), name, filter, device, look, options))
         return
     made: Future[View] = Future()  # begun before the server's parts are imported, which takes as long as reading a small file
 
     def make() -> None:
         try:
-            made.set_result(_made(*_read(reader, name), name, filter, device, look, options))
+            made.set_result(_made(*_read(reader, name, device), name, filter, device, look, options))
         except BaseException as error:
             made.set_exception(error)
 
@@ -199,7 +199,7 @@ def view(
     _leave(1 if why is not None else 0, reading)
 
 
-def _read(reader: Input, name: str) -> tuple[Volume | Volumes, str | None, Finer | None]:
+def _read(reader: Input, name: str, device: str | None = None) -> tuple[Volume | Volumes, str | None, Finer | None]:
     """What to look at, and the call in Python that reads it: of a volume that does not fit into memory a smaller size, and all."""
     if not is_address(name) and _is_small(name):
         return *_all(reader, name), None
@@ -226,7 +226,7 @@ def _read(reader: Input, name: str) -> tuple[Volume | Volumes, str | None, Finer
             f"{(reader.level or 0) + level}, of {display.numbers(sizes[level].shape)} samples: bricks of finer ones are read where "
             "a picture at rest shows more"
         )
-        finer = Finer(lazy, level, source=reader.python_opened(name))
+        finer = Finer(lazy, level, reader.python_opened(name), device)
         reader = replace(reader, level=(reader.level or 0) + level)
     return sizes[level].whole() if is_address(name) else reader.read(name), reader.python(name), finer
 

@@ -846,16 +846,24 @@ def render(
     held = {name: options.pop(name) for name in ("budget", "cluster", "merge") if name in options}
     chosen = as_mode(mode, {name: value for name, value in options.items() if name not in _KEYWORDS}, _KEYWORDS)  # before any work,
     as_pixel_filter(options.get("pixel_filter", DEFAULT_PIXEL_FILTER))  # and so is this
-    free = filter is None and not isinstance(scene, (Scene, Medium, Field, BrickedField))
-    if isinstance(scene, LazyVolume):
-        free = free and scene.bounds is None
-    elif free:
+    free = filter is None and not isinstance(scene, (Scene, Medium, Field, BrickedField, LazyVolume))
+    if free:
         scene = as_volume(scene)  # type: ignore[arg-type]  # what is left
     _require_picture(_size(size), _outputs(outputs), edges=False)
-    looked = scene.part() if free and isinstance(scene, LazyVolume) else scene
-    row = filter_for(looked, None, chosen.picture_filter) if free else filter  # type: ignore[arg-type]  # it is a volume then
+    row = filter
+    if isinstance(scene, LazyVolume):
+        row = row_for(scene, filter, chosen.picture_filter)
+    elif free:
+        row = filter_for(scene, None, chosen.picture_filter)  # type: ignore[arg-type]  # it is a volume then
     with Renderer(scene, row, boundary, device, **held) as renderer:
         return renderer.render(camera, mode, size, step, outputs=outputs, **options)  # type: ignore[arg-type]  # either
+
+
+def row_for(volume: LazyVolume, filter: str | Filter | None, usual: str = PICTURE_FILTER) -> str | Filter | None:
+    """The filter of all sizes of a volume in one picture; None: that of its bounds."""
+    if filter is not None or volume.bounds is not None:
+        return filter
+    return filter_for(volume.part(), None, usual)
 
 
 def _bricked(

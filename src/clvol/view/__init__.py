@@ -38,18 +38,23 @@ _SMALL = 64  # pixels along the edges of a picture that nobody sees
 class View(Resident):
     """A volume to look at, in as many sessions as there are clients; they share its coefficients, not what they show.
 
-    It is light: options are checked at once, and the device is asked at the first picture.
+    It is light: options are checked at once, and the device is asked at the first picture. Of a `LazyVolume` the size that is at
+    hand is read at once.
 
     Parameters
     ----------
-    scene : Volume, Volumes, Scene, Medium, Field or array-like, 3-D
-        Of several volumes one is shown at a time, which the panel chooses.
+    scene : Volume, LazyVolume, Volumes, Scene, Medium, Field or array-like, 3-D
+        Of a `LazyVolume` the largest size is at hand that fits into half of the memory that is available, with its coefficients; a
+        picture at rest whose pixels are finer is drawn by bricks. Of several volumes one is shown at a time, which the panel
+        chooses.
     device : Device, str or int, optional
     source : str, optional
         Python text by which copied programs get the volume, such as ``clvol.read("scan.nii.gz")``; of several, such as
         ``clvol.read_all("cells.tif")``.
     title : str, optional
         For people; by default the volume's name.
+    finer : Finer, optional
+        All sizes of what is stored, where `scene` is one that was read of it.
     **options
         As for `clvol.render`, but `size`, `outputs`, `sigma` and `progress`: what is shown first.
 
@@ -58,7 +63,9 @@ class View(Resident):
     OptionError
         An unknown option, or a value that is not allowed.
     DataError
-        The data are no volume.
+        The data are no volume, or cannot be read.
+    OutOfMemoryError
+        A `LazyVolume` has no size that fits.
     """
 
     @property
@@ -68,6 +75,7 @@ class View(Resident):
 
     @state.setter
     def state(self, state: State) -> None:
+        self.require(state)
         self.initial = state
 
     def serve(self, **options: Any) -> Serving:
@@ -100,6 +108,11 @@ class View(Resident):
 
     def picture(self, size: tuple[int, int] = (512, 512)) -> Picture:
         """The still picture of the first state."""
+        finer = self.finer_than_at_hand(self.initial, PaneSize(*map(float, size)), "3d", size)
+        if finer is not None and self.finer is not None:
+            drawn = self.finer.drawn(finer, self.volume, lambda: False)
+            assert drawn is not None  # nobody stops it
+            return drawn
         with self.renderer(self.initial.filter, self.initial.boundary, self.which(self.initial)) as renderer:
             made: Picture = renderer.render(size=size, **self.arguments(self.initial))
         return made

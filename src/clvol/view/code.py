@@ -21,7 +21,6 @@ from clvol.light import Light, Material
 from clvol.transfer import TransferFunction
 from clvol.view.panes import PaneSize, SlicePane, camera_of, vertical
 from clvol.view.resident import Resident
-from clvol.view.slices import window_of_slices
 from clvol.view.state import State
 
 __all__ = ["from_toml", "from_url", "python", "to_url", "toml"]
@@ -55,11 +54,11 @@ def python(resident: Resident, state: State, name: str, shown: PaneSize, size: t
     lines += ["from clvol.picture import heat, to_bytes"] if state.heat and name == "3d" else []
     lines += ["from clvol.view import section"] if name != "3d" else []
     lines += [""]
-    finer = resident.finer if _finer(resident, state, name, shown, size) else None
-    if finer is None:
-        lines += _volume(resident, state)
+    if resident.finer is not None and resident.finer_than_at_hand(state, shown, name, size) is not None:
+        source = resident.finer.source
+        lines += ["# volume: the clvol.LazyVolume that was viewed" if source is None else f"volume = {source}"]
     else:
-        lines += [f"volume = {finer.source}" if finer.source else "# volume: the clvol.LazyVolume that was viewed"]
+        lines += _volume(resident, state)
     draw = _drawn if name == "3d" else _cut
     if state.wiper is None:
         lines += draw(resident, state, state.filter, name, shown, size, "picture")
@@ -111,7 +110,8 @@ def _source(resident: Resident, state: State) -> str | None:
 def _drawn(
     resident: Resident, state: State, filter: str | None, name: str, shown: PaneSize, size: tuple[int, int], result: str
 ) -> list[str]:
-    given = _finer(resident, state, name, shown, size) or resident.arguments(state)
+    finer = resident.finer_than_at_hand(state, shown, name, size)
+    given = resident.arguments(state) if finer is None else dict(finer.given)
     camera, mode = given.pop("camera"), given.pop("mode")
     words = {"filter": filter} if filter is not None else {}
     words |= {"boundary": state.boundary} if state.boundary != "mirror" else {}
@@ -136,24 +136,12 @@ def _cut(
         "size": size,
     }
     words |= {key: value for key in ("window", "cmap") if (value := getattr(state, key)) is not None}
-    words |= _finer(resident, state, name, shown, size)
     words |= {"filter": filter} if filter is not None else {}
     words |= {"boundary": state.boundary} if state.boundary != "mirror" else {}
+    finer = resident.finer_than_at_hand(state, shown, name, size)
+    words |= {} if finer is None else finer.given
     words |= {"background": state.background} | _device(resident)
     return [f"{result} = " + _call("section", ["volume", *(f"{key}={_text(value)}" for key, value in words.items())])]
-
-
-def _finer(resident: Resident, state: State, name: str, shown: PaneSize, size: tuple[int, int]) -> dict[str, Any]:
-    """What a pane that is drawn by bricks is given instead; nothing if it is drawn of what is at hand."""
-    finer = resident.finer
-    if finer is None:
-        return {}
-    if name == "3d":
-        return finer.arguments(resident.seen(state, size[0] / size[1]), state, size) or {}
-    pane = SlicePane.of(state, resident.volume, "xyz".index(name), shown)
-    if finer.slice_level(state, pane.pixel(size)) is None:
-        return {}
-    return {"window": state.window or window_of_slices(resident.volume)}
 
 
 def _device(resident: Resident) -> dict[str, Any]:
@@ -195,13 +183,18 @@ def _text(value: Any) -> str:
 # -- the command ---------------------------------------------------------------------------------------------
 
 
-def toml(resident: Resident, state: State, name: str, shown: PaneSize, size: tuple[int, int]) -> str:  # noqa: ARG001
+def toml(resident: Resident, state: State, name: str, shown: PaneSize, size: tuple[int, int]) -> str:
     """The state as TOML: ``[view]`` reads back whole (`from_toml`), ``[render]`` has what flags of `clvol render` can say.
 
     The command stands above; so does what its flags cannot say of this state.
     """
     flags, unsaid = _flags(resident, state, size)
-    path, given = _input(_source(resident, state))
+    finer = resident.finer_than_at_hand(state, shown, name, size)
+    if finer is not None and resident.finer is not None and name == "3d":
+        flags |= {word: finer.given[word] for word in ("filter", "lod")}
+        path, given = _input(resident.finer.source)
+    else:
+        path, given = _input(_source(resident, state))
     flags |= {flag.replace("_", "-"): value for flag, value in given.items()}
     command = ["clvol", "render", path, "-o", "picture.png"]
     for flag, value in flags.items():
@@ -274,9 +267,12 @@ def _input(source: str | None) -> tuple[str, dict[str, Any]]:
         if isinstance(tree, ast.Call) and isinstance(tree.func, ast.Attribute) and tree.func.attr == "filled":
             filled = {"fill_nan": ast.literal_eval(tree.args[0]) if tree.args else "smoothly"}
             tree = tree.func.value
-        if isinstance(tree, ast.Call) and isinstance(tree.func, ast.Attribute) and tree.func.attr in ("read", "by_name"):
+        if isinstance(tree, ast.Call) and isinstance(tree.func, ast.Attribute) and tree.func.attr == "whole":
+            tree = tree.func.value
+        if isinstance(tree, ast.Call) and isinstance(tree.func, ast.Attribute) and tree.func.attr in ("read", "open", "by_name"):
             name = str(ast.literal_eval(tree.args[0]))
             given = {keyword.arg: ast.literal_eval(keyword.value) for keyword in tree.keywords if keyword.arg} | filled
+            given |= {"fill_nan": given.pop("missing")} if "missing" in given else {}
             return f"phantom:{name}" if tree.func.attr == "by_name" else name, given
     except (SyntaxError, TypeError, ValueError, IndexError):  # text of another program
         pass

@@ -6,7 +6,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Generator
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from contextlib import closing, suppress
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -18,6 +18,7 @@ from clvol.errors import ClvolError
 from clvol.march.renderer import Renderer
 from clvol.picture import Picture, heat, to_bytes
 from clvol.view.events import Place
+from clvol.view.finer import Wanted
 from clvol.view.panes import SlicePane
 from clvol.view.resident import Resident
 from clvol.view.sketch import Sketch
@@ -60,6 +61,14 @@ class Shot(NamedTuple):
     coarser: bool = False
 
 
+class _Reading(NamedTuple):
+    """A picture by bricks that another thread draws, and what it is of."""
+
+    key: object
+    made: Future[Picture | None]
+    given_up: threading.Event
+
+
 class Drawer:
     """Draws what states say; of one session, in its thread."""
 
@@ -69,7 +78,7 @@ class Drawer:
         self._sketch: Sketch | None = None
         self._sketched_of: tuple[State, tuple[int, int]] | None = None
         self._slice_rate = 0.0  # seconds a pixel, of the last slice
-        self._reader: threading.Thread | None = None
+        self._reading: _Reading | None = None
 
     def _of_slice(self, size: tuple[int, int], budget: float) -> tuple[int, int]:
         """The size of a slice that takes no longer than a budget, no less than a quarter along each edge."""
@@ -123,7 +132,7 @@ class Drawer:
                 waiting = yield from self._sketched(state, size, lambda: stop() or bool(elsewhere()))
                 if waiting:
                     return
-            yield from self._with_finer(place, state, name, size, budget, stop, coarse)
+            yield from self._with_finer(place, state, name, size, budget, stop, coarse, elsewhere)
             return
         at, edge = state.wiper.at, round(state.wiper.at * size[0])
         sides = [(state.filter, edge > 0), (state.wiper.filter, edge < size[0])]
@@ -145,56 +154,60 @@ class Drawer:
                 return
 
     def _with_finer(
-        self, place: Place, state: State, name: str, size: tuple[int, int], budget: float, stop: Callable[[], bool], coarse: bool
+        self,
+        place: Place,
+        state: State,
+        name: str,
+        size: tuple[int, int],
+        budget: float,
+        stop: Callable[[], bool],
+        coarse: bool,
+        elsewhere: Callable[[], object],
     ) -> Generator[Shot, None, None]:
         """Pictures of the samples at hand, and the last one of finer ones where these are stored and the pane shows more."""
-        draw = None if coarse else self._of_finer(place, state, name, size)
-        if draw is None or math.isfinite(budget):
+        if coarse:
+            self.give_up()
+        wanted = None if coarse else self.resident.finer_than_at_hand(state, place.size(name), name, size)
+        key = state, name, size
+        going_on = self._reading is not None and self._reading.key == key
+        if wanted is None or (math.isfinite(budget) and not going_on):
             for shot in self._of(place, state, state.filter, name, size, budget, stop, coarse):
-                yield shot if draw is None else shot._replace(final=False, coarser=True)
-        if draw is not None and not stop():
-            picture = self._beside(draw, stop)
+                yield shot if wanted is None else shot._replace(final=False, coarser=True)
+        if wanted is not None and not stop():
+            picture = self._read_beside(key, wanted, lambda: stop() or bool(elsewhere()))
             if picture is not None:
                 yield Shot(to_bytes(picture), True, state.step if name == "3d" else None)
 
-    def _beside(self, draw: Callable[[Callable[[], bool]], Picture | None], stop: Callable[[], bool]) -> Picture | None:
-        """What is drawn in another thread, which ends after the brick that it reads; None as soon as it was stopped."""
-        while self._reader is not None and self._reader.is_alive():  # of a view that was given up
+    def _read_beside(self, key: object, wanted: Wanted, stop: Callable[[], bool]) -> Picture | None:
+        """A picture by bricks, which another thread draws; None once `stop` said so, and what asks for the same goes on with it."""
+        if self._reading is None or self._reading.key != key:
+            self.give_up()
+            finer = self.resident.finer
+            assert finer is not None  # or nothing would be wanted of it
+            made: Future[Picture | None] = Future()
+            given_up = threading.Event()
+
+            def work() -> None:
+                try:
+                    made.set_result(finer.drawn(wanted, self.resident.volume, given_up.is_set))
+                except BaseException as error:
+                    made.set_exception(error)
+
+            self._reading = _Reading(key, made, given_up)
+            threading.Thread(target=work, name="clvol view: bricks", daemon=True).start()
+        reading = self._reading
+        while not reading.made.done():
             if stop():
                 return None
-            self._reader.join(_TICK)
-        made: Future[Picture | None] = Future()
-        given_up = threading.Event()
+            wait([reading.made], _TICK)
+        self._reading = None
+        return reading.made.result()
 
-        def work() -> None:
-            try:
-                made.set_result(draw(given_up.is_set))
-            except BaseException as error:
-                made.set_exception(error)
-
-        self._reader = threading.Thread(target=work, name="clvol view: bricks", daemon=True)
-        self._reader.start()
-        while self._reader.is_alive():
-            if stop():
-                given_up.set()
-                return None
-            self._reader.join(_TICK)
-        return made.result()
-
-    def _of_finer(
-        self, place: Place, state: State, name: str, size: tuple[int, int]
-    ) -> Callable[[Callable[[], bool]], Picture | None] | None:
-        """What draws a pane by bricks, unless it would show no more."""
-        finer = self.resident.finer
-        if finer is None:
-            return None
-        if name == "3d":
-            given = finer.arguments(self.resident.seen(state, size[0] / size[1]), state, size)
-            return None if given is None else lambda stop: finer.picture(state, size, given, stop)
-        pane, pixel = _pane(place, state, name, size)
-        if finer.slice_level(state, pixel) is None:
-            return None
-        return lambda stop: finer.slice(state, pane, pixel, size, self.resident.volume, stop)
+    def give_up(self) -> None:
+        """What is read by bricks is not wanted any more; its thread ends after the brick that it is at."""
+        if self._reading is not None:
+            self._reading.given_up.set()
+            self._reading = None
 
     def _sketched(self, state: State, size: tuple[int, int], stop: Callable[[], bool]) -> Generator[Shot, None, bool]:
         """A picture of few samples, while the coefficients of all of them are made; whether `stop` said so before they were."""

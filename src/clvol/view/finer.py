@@ -7,29 +7,50 @@ finer than its voxels, the picture is drawn again by bricks, of the size that `c
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from clvol import memory
-from clvol.boundary import Boundary
 from clvol.device import Device
 from clvol.errors import ClvolError, OutOfMemoryError
-from clvol.filter import Filter
 from clvol.lazy import LazyVolume, needed_by
 from clvol.march.bricks import STEPPED_AT_MOST, level_of, nearest_to
-from clvol.march.renderer import Renderer
+from clvol.march.renderer import Renderer, row_for
+from clvol.mode import as_mode
 from clvol.picture import Picture
 from clvol.view.panes import SlicePane
-from clvol.view.slices import level_for, plane_points, shaded, window_of_slices
+from clvol.view.slices import level_for, plane_points, shaded
 from clvol.view.state import State
 from clvol.volume import Volume
 
-__all__ = ["Finer", "at_hand"]
+__all__ = ["Finer", "Wanted", "at_hand"]
 
 _ROOM = 0.5  # of the memory that is available: what samples and coefficients at hand may take
+_TICK = 0.01  # seconds between looks at whether a picture is still wanted
+
+
+@dataclass(frozen=True, eq=False)
+class Wanted:
+    """A picture by bricks, and by which arguments a program draws it.
+
+    Attributes
+    ----------
+    state : State
+    size : (width, height)
+    given : dict
+        Arguments of `clvol.render`, or of `clvol.view.section` but the place.
+    pane : SlicePane or None
+        The slice; None is the volume's picture.
+    """
+
+    state: State
+    size: tuple[int, int]
+    given: dict[str, Any]
+    pane: SlicePane | None = None
 
 
 class Finer:
@@ -42,76 +63,92 @@ class Finer:
         Which of its sizes is at hand; 0 is the finest.
     source : str, optional
         Python text by which copied programs get it, such as ``clvol.open("brain.zarr")``.
-
-    Attributes
-    ----------
     device : Device, str or int, optional
-        On which pictures are drawn: that of the view.
+        On which pictures are drawn.
     """
 
-    def __init__(self, stored: LazyVolume, level: int, source: str | None = None) -> None:
-        self.stored, self.level, self.source = stored, level, source
-        self.device: Device | str | int | None = None
+    def __init__(self, stored: LazyVolume, level: int, source: str | None = None, device: Device | str | int | None = None) -> None:
+        self.stored, self.level, self.source, self.device = stored, level, source, device
+        row_for(stored, None)  # reads a few samples, once: sessions do not wait for them
+        self._drawing = threading.Lock()  # one picture at a time: together they would take the bricks' budget several times
         self._lock = threading.Lock()
         self._renderer: Renderer | None = None
-        self._key: tuple[str | Filter | None, str | Boundary] | None = None
+        self._key: tuple[str, str] | None = None
 
-    def arguments(self, given: dict[str, Any], state: State, size: tuple[int, int]) -> dict[str, Any] | None:
-        """Arguments of `Renderer.render` for the volume's picture in a state; None if what is at hand shows as much.
+    def wanted(self, state: State, size: tuple[int, int], given: dict[str, Any]) -> Wanted | None:
+        """The volume's picture in a state; None if what is at hand shows as much.
 
-        Voxels are no longer than a pixel where the camera's target is, which is what is looked at; its nearest corner may be much
-        nearer. `given` are those by which what is at hand shows the same matter in the same place (`Resident.seen`).
+        Voxels are no longer than a pixel where the camera's target is, which is what is looked at; the volume's nearest corner may
+        be much nearer. `given` are arguments by which other samples show the same matter in the same place (`Resident.seen`).
         """
         if state.wiper is not None or state.heat or state.step > STEPPED_AT_MOST:
             return None
         view = given["camera"].view(self.stored.grid, size[0] / size[1])
         away = float((np.asarray(given["camera"].target) - view.eye) @ view.forward)
         lod = 1.0 if view.orthographic else max(1.0, away / nearest_to(self.stored, view))
-        return given | {"lod": lod} if level_of(self.stored, view, size, lod) < self.level else None
-
-    def picture(self, state: State, size: tuple[int, int], given: dict[str, Any], stop: Callable[[], bool]) -> Picture | None:
-        """The picture by bricks; None if it was stopped."""
-        with suppress(_Stopped):
-            drawn: Picture = self._drawn_by(state).render(size=size, progress=_asking(stop), **given)
-            return drawn
-        return None
-
-    def slice_level(self, state: State, pixel: tuple[float, float]) -> int | None:
-        """Of which size a slice is to be whose pixels are so large; None if what is at hand shows as much."""
-        if state.wiper is not None:
+        if level_of(self.stored, view, size, lod) >= self.level:
             return None
-        level = level_for(self.stored, pixel)
-        return level if level < self.level else None
+        return Wanted(state, size, given | self._reconstructed(state, as_mode(state.mode).picture_filter) | {"lod": lod})
 
-    def slice(
-        self,
-        state: State,
-        pane: SlicePane,
-        pixel: tuple[float, float],
-        size: tuple[int, int],
-        at_hand: Volume,
-        stop: Callable[[], bool],
-    ) -> Picture | None:
-        """A slice by bricks, in the colours of what is at hand; None if it was stopped."""
-        points = plane_points(pane.middle, pane.right, pane.down, pixel, size)
-        field = self._drawn_by(state).field_of_level(level_for(self.stored, pixel))
-        with suppress(_Stopped):
-            values = field(points, fill=np.nan, progress=_asking(stop))
-            return shaded(values, at_hand, state.window or window_of_slices(at_hand), state.cmap, state.background)
+    def wanted_slice(self, state: State, pane: SlicePane, size: tuple[int, int], window: tuple[float, float]) -> Wanted | None:
+        """A slice in a state; None if what is at hand shows as much."""
+        if state.wiper is not None or level_for(self.stored, pane.pixel(size)) >= self.level:
+            return None
+        return Wanted(state, size, self._reconstructed(state) | {"window": window}, pane)
+
+    def _reconstructed(self, state: State, *usual: str) -> dict[str, Any]:
+        """Filter and boundary, said in full: what follows from samples differs from size to size."""
+        row, bounds = row_for(self.stored, state.filter, *usual), self.stored.bounds
+        name = bounds.filter if row is None and bounds is not None else getattr(row, "name", row)
+        return {"filter": name, "boundary": state.boundary}
+
+    def drawn(self, wanted: Wanted, at_hand: Volume, stop: Callable[[], bool]) -> Picture | None:
+        """A picture by bricks, slices in the colours of what is at hand; None if it was stopped."""
+
+        def on(_: float) -> None:
+            if stop():
+                raise _Stopped
+
+        with suppress(_Stopped), self._turn(on):
+            given = dict(wanted.given)
+            renderer = self._renderer_of(given.pop("filter"), given.pop("boundary"), on)
+            if wanted.pane is None:
+                made: Picture = renderer.render(size=wanted.size, progress=on, **given)
+                return made
+            pane, pixel = wanted.pane, wanted.pane.pixel(wanted.size)
+            points = plane_points(pane.middle, pane.right, pane.down, pixel, wanted.size)
+            values = renderer.field_of_level(level_for(self.stored, pixel))(points, fill=np.nan, progress=on)
+            return shaded(values, at_hand, given["window"], wanted.state.cmap, wanted.state.background)
         return None
 
-    def _drawn_by(self, state: State) -> Renderer:
-        """One renderer is kept: bricks take memory."""
-        key = state.filter, state.boundary
+    @contextmanager
+    def _turn(self, on: Callable[[float], None]) -> Iterator[None]:
+        while not self._drawing.acquire(timeout=_TICK):
+            on(0.0)
+        try:
+            on(0.0)
+            yield
+        finally:
+            self._drawing.release()
+
+    def _renderer_of(self, filter: str, boundary: str, on: Callable[[float], None]) -> Renderer:
+        """The renderer; one is kept, and none that is ready when it is no longer wanted: the view may have been closed."""
         with self._lock:
-            if self._renderer is None or self._key != key:
-                if self._renderer is not None:
-                    self._renderer.close()  # pictures that others are making of it are made to their end
-                self._renderer, self._key = Renderer(self.stored, state.filter, state.boundary, self.device), key
-            return self._renderer
+            if self._renderer is not None and self._key == (filter, boundary):
+                return self._renderer
+        self.close()
+        made = Renderer(self.stored, filter, boundary, self.device)
+        try:
+            on(0.0)
+        except _Stopped:
+            made.close()
+            raise
+        with self._lock:
+            self._renderer, self._key = made, (filter, boundary)
+        return made
 
     def close(self) -> None:
-        """Free the device's memory; a later picture takes it again."""
+        """Free the device's memory, once a picture that is being drawn is ready; a later picture takes it again."""
         with self._lock:
             gone, self._renderer = self._renderer, None
         if gone is not None:
@@ -121,16 +158,6 @@ class Finer:
 
 class _Stopped(Exception):  # nothing went wrong
     """The picture is no longer wanted."""
-
-
-def _asking(stop: Callable[[], bool]) -> Callable[[float], None]:
-    """What is told of progress, and ends the work if it was stopped."""
-
-    def on(_: float) -> None:
-        if stop():
-            raise _Stopped
-
-    return on
 
 
 def at_hand(stored: LazyVolume) -> int:

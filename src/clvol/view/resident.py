@@ -32,8 +32,8 @@ from clvol.smoothing import filter_for, settled
 from clvol.spline.field import Field
 from clvol.transfer import TransferFunction
 from clvol.view.events import KEYS
-from clvol.view.finer import Finer, at_hand
-from clvol.view.panes import camera_of, vertical
+from clvol.view.finer import Finer, Wanted, at_hand
+from clvol.view.panes import PaneSize, SlicePane, camera_of, vertical
 from clvol.view.slices import window_of_slices
 from clvol.view.state import MOST_POINTS, CameraState, LabelState, State, transfer_json
 from clvol.volume import Volume, as_volume
@@ -127,13 +127,12 @@ class Resident:
         **options: Any,
     ) -> None:
         if isinstance(scene, LazyVolume):
+            _initial(scene.sketch(), dict(options))  # what is wrong with them is told before all samples are read
             level = at_hand(scene)
             if level:
-                finer = Finer(scene, level, source)
+                finer = Finer(scene, level, source, device)
             source = source and f"{source}{f'.levels[{level - 1}]' if level else ''}.whole()"
             scene = (scene, *scene.levels)[level].whole()
-        if finer is not None:
-            finer.device = device
         self.finer = finer
         """All sizes of the volume, of which one is at hand; None where that is all there is."""
         self._field: Field | None = None
@@ -177,6 +176,9 @@ class Resident:
         if own is not None:
             for name in ("lights", "background", "clip"):
                 given.setdefault(name, getattr(own, name))
+        if finer is not None and finer.stored.bounds is not None:  # so that bounds are of use, and what is at hand looks the same
+            given["filter"] = given.get("filter") or finer.stored.bounds.filter
+            given["boundary"] = given.get("boundary") or finer.stored.bounds.boundary
         self.beside: dict[str, Any] = {name: given.pop(name) for name in _BESIDE if name in given}
         """Arguments of `clvol.render` that no state has."""
         self.initial = _initial(volume, given)
@@ -428,6 +430,15 @@ class Resident:
             "camera": camera if camera.radius is not None else replace(camera, radius=self.volume.radius),
             "transfer": transfer if transfer.unit_distance else replace(transfer, unit_distance=self.volume.mean_spacing),
         }  # fmt: skip
+
+    def finer_than_at_hand(self, state: State, shown: PaneSize, name: str, size: tuple[int, int]) -> Wanted | None:
+        """The picture of a pane by bricks; None if what is at hand shows as much, or is all there is."""
+        if self.finer is None:
+            return None
+        if name == "3d":
+            return self.finer.wanted(state, size, self.seen(state, size[0] / size[1]))
+        pane = SlicePane.of(state, self.volume, "xyz".index(name), shown)
+        return self.finer.wanted_slice(state, pane, size, state.window or window_of_slices(self.volume))
 
     def mode(self, state: State) -> Mode:
         """The mode with its options, as it is settled for the volume."""

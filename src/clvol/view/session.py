@@ -195,12 +195,13 @@ class Session:
         try:
             self._guarded(self._tell_volume)
             self._guarded(self._tell_state)
-            while self._wait():
+            while self._waited():
                 self._guarded(self._take)
                 self._guarded(self._draw_next)
         except _Gone:
             _LOG.debug("a client is gone")
         finally:
+            self._drawer.give_up()
             with self._condition:
                 self._closed = True
                 self._inbox.clear()
@@ -229,6 +230,16 @@ class Session:
         else:
             _LOG.error("in a session of a view", exc_info=error)
             self._status(f"{type(error).__name__}: {error}", "error")
+
+    def _waited(self) -> bool:
+        """As `_wait`; what goes wrong with what is shown is told, and looked at again when something comes."""
+        try:
+            return self._wait()
+        except Exception as error:
+            self._fail(error)
+        with self._condition:
+            self._condition.wait_for(lambda: self._closed or bool(self._inbox or self._outgoing))
+            return not self._closed
 
     def _wait(self) -> bool:
         """Wait for something to do; False at the end."""
@@ -672,7 +683,7 @@ class Session:
         self._rates.append(time.monotonic())
         self._tell(message, data)
         said = _SKETCHED if shot.few else _COARSER if shot.coarser else _COMPLETE
-        if said != self._told_of:
+        if said != self._told_of and not self._undrawn:  # what hindered another pane is still to be read
             self._told_of = said
             self._status(*said)
         if not self._told_all:

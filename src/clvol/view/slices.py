@@ -16,7 +16,7 @@ from clvol.errors import OptionError
 from clvol.filter import PICTURE_FILTER, Filter
 from clvol.lazy import LazyVolume
 from clvol.march.bricks import level_within
-from clvol.march.renderer import Renderer
+from clvol.march.renderer import Renderer, row_for
 from clvol.picture import Picture
 from clvol.smoothing import filter_for
 from clvol.spline.field import Field
@@ -69,7 +69,7 @@ def section(
     """
     points = plane_points(middle, right, down, pixel, size)
     if isinstance(volume, LazyVolume):
-        with Renderer(volume, filter, boundary, device) as renderer:
+        with Renderer(volume, row_for(volume, filter), boundary, device) as renderer:
             values = renderer.field_of_level(level_for(volume, pixel))(points, fill=np.nan)
         return shaded(values, volume.sketch(), window, cmap, background)
     volume = as_volume(volume)
