@@ -17,7 +17,6 @@ from clvol import LazyVolume, OptionError, OutOfMemoryError, Volume, memory
 from clvol.device import Device
 from clvol.lazy import needed_by
 from clvol.picture import to_bytes
-from clvol.spline.residents import Residents
 from clvol.view import State, View
 from clvol.view.finer import at_hand
 from tests.view.clients import Client, decoded
@@ -268,37 +267,34 @@ def test_what_is_at_hand_is_reconstructed_as_its_bounds_say(
         view.close()
 
 
-def test_two_clients_keep_to_one_budget(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of different sizes, at the same time."""
-    levels = [LazyVolume(noisy(192 // n, 0), spacing=(n,) * 3, origin=((n - 1) / 2,) * 3) for n in (2, 4)]
-    lazy = LazyVolume(noisy(192, 0), levels=levels)
-    monkeypatch.setattr("clvol.spline.bricked.BUDGET", 12 << 20)
-    with monkeypatch.context() as patch:
-        patch.setattr(memory, "available", lambda: 2 * needed_by(levels[-1]))
-        view = View(lazy, device=device, filter="bspline3", mode="isosurface", isovalue=50)
-    most = [0]
-    read = Residents._read
+def test_clients_draw_by_bricks_one_after_the_other(view: View, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bricks of two pictures at a time, of different sizes, would take their budget twice."""
+    drawing, together = threading.Semaphore(1), [False]
+    render = clvol.Renderer.render
 
-    def watched(self: Residents, *given: Any) -> Any:
-        made = read(self, *given)
-        renderer = view.finer._renderer if view.finer is not None else None
-        if renderer is not None:
-            most[0] = max(most[0], sum(one.nbytes for one in (renderer.field, *renderer.levels)))  # type: ignore[union-attr]
+    def watched(self: clvol.Renderer, *given: Any, **named: Any) -> Any:
+        if self.field is not getattr(view.finer and view.finer._renderer, "field", None):
+            return render(self, *given, **named)
+        alone = drawing.acquire(blocking=False)
+        together[0] |= not alone
+        time.sleep(0.3)
+        made = render(self, *given, **named)
+        if alone:
+            drawing.release()
         return made
 
-    monkeypatch.setattr(Residents, "_read", watched)
+    monkeypatch.setattr(clvol.Renderer, "render", watched)
     clients = [Client(view), Client(view)]
     try:
-        for client, zoom in zip(clients, (4.0, 1.0), strict=True):
+        for client, zoom in zip(clients, (8.0, 4.0), strict=True):
             client.set(camera__zoom=zoom)
             client.resize(*SIZE)
         for client in clients:
             client.still()
-        assert 0 < most[0] <= 12 << 20
+        assert not together[0]
     finally:
         for client in clients:
             client.close()
-        view.close()
 
 
 def test_facts_do_not_wait_for_bricks(client: Client, samples: Waves, monkeypatch: pytest.MonkeyPatch) -> None:
