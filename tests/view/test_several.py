@@ -201,6 +201,25 @@ def test_labels_beside_an_image_are_hidden_there_alone(device: Device) -> None:
     assert set(np.unique(there.data)) == {0, 1}
 
 
+@pytest.mark.parametrize(
+    ("source", "text"),
+    [
+        ("clvol.read_all('x')", "clvol.read('x', time=2, channel=1)"),
+        ("(clvol.read_all('x', axes='tc',))", "clvol.read('x', axes='tc', time=2, channel=1)"),
+        ("clvol.read_all('x')[:2] + clvol.read_all('y')", "(clvol.read_all('x')[:2] + clvol.read_all('y')).pick(time=2, channel=1)"),
+        ("clvol.read_all('x').filled(0)", "clvol.read_all('x').filled(0).pick(time=2, channel=1)"),
+        ("volumes  # clvol.read_all()", "volumes.pick(time=2, channel=1)"),
+        ("load(clvol.read_all)('x')", "load(clvol.read_all)('x').pick(time=2, channel=1)"),
+        ("lambda: 1", "(lambda: 1).pick(time=2, channel=1)"),
+        ("what I opened", "(what I opened).pick(time=2, channel=1)"),
+    ],
+)
+def test_a_copied_program_reads_the_one_alone_only_of_a_file(volumes: Volumes, source: str, text: str) -> None:
+    view = View(volumes, source=source)
+    view.state = view.state.changed({"index": {"channel": 1, "time": 2}})
+    assert f"volume = {text}\n" in view.python()
+
+
 def test_renderers_stay_while_there_is_room(volumes: Volumes, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     resident = Resident(volumes, device=device)
 
