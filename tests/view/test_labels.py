@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import clvol
 from clvol import Volume
 from clvol.device import Device
-from clvol.errors import OptionError
+from clvol.errors import OptionError, OutOfMemoryError
 from clvol.palette import label_color
 from clvol.picture import to_bytes
 from clvol.view import State, View, from_toml, from_url, section
@@ -167,6 +167,27 @@ def test_there_is_nothing_to_pick_where_a_label_is_hidden(client: Client) -> Non
     client.session.receive({"type": "do", "id": 2, **at})
     found, _ = client.wait(lambda m: m["type"] == "reply" and m["id"] == 2)
     assert found["position"] is None
+
+
+def test_a_label_is_picked_where_the_device_has_no_room_for_the_volume(
+    volume: Volume, device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Then the renderer reads its samples by bricks."""
+
+    def refuse(*_: Any) -> Any:
+        raise OutOfMemoryError("out of memory")
+
+    monkeypatch.setattr("clvol.march.renderer._single", refuse)
+    view = View(volume, device=device)
+    client = Client(view)
+    client.resize(*SIZE)
+    client.still()
+    client.session.receive({"type": "do", "what": "pick", "id": 1, "x": 0.62 * SIZE[0], "y": SIZE[1] / 2})
+    found, _ = client.wait(lambda m: m["type"] == "reply" and m["id"] == 1)
+    assert "error" not in found
+    assert found["label"] == "right ball"
+    client.close()
+    view.close()
 
 
 @pytest.mark.parametrize(

@@ -206,7 +206,10 @@ def test_labels_beside_an_image_are_hidden_there_alone(device: Device) -> None:
     [
         ("clvol.read_all('x')", "clvol.read('x', time=2, channel=1)"),
         ("(clvol.read_all('x', axes='tc',))", "clvol.read('x', axes='tc', time=2, channel=1)"),
-        ("clvol.read_all('x')[:2] + clvol.read_all('y')", "(clvol.read_all('x')[:2] + clvol.read_all('y')).pick(time=2, channel=1)"),
+        (
+            "clvol.read_all('x')[:2] + clvol.read_all('y')",
+            "(clvol.read_all('x')[:2] + clvol.read_all('y')).pick(time=2, channel=1)",
+        ),
         ("clvol.read_all('x').filled(0)", "clvol.read_all('x').filled(0).pick(time=2, channel=1)"),
         ("volumes  # clvol.read_all()", "volumes.pick(time=2, channel=1)"),
         ("load(clvol.read_all)('x')", "load(clvol.read_all)('x').pick(time=2, channel=1)"),
