@@ -206,6 +206,9 @@ def test_labels_that_there_are_not_are_refused(client: Client, labels: Any, says
     assert says in told["text"]
     assert len(told["text"]) < 400
     assert client.session.state == before
+    again, _ = client.wait(lambda m: m["type"] == "state")  # a page has shown the change already
+    assert State.from_json(again["state"]) == before
+    assert "effective" in again
     client.forget()
     client.set(labels={"hidden": [1]})
     client.still()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -124,6 +125,27 @@ def test_camera_and_clip_stay_and_colours_follow_unless_they_were_edited(view: V
     client.event("key_down", key=".", pane="3d")
     client.wait(lambda m: m["type"] == "state" and m["state"]["index"].get("time") == 1)
     assert view.transfer(client.session.state).value_range == (10, 90)
+
+
+def test_the_volume_is_told_once_of_many_steps(view: View, client: Client) -> None:
+    session, infos = client.session, []
+    info = view.info
+
+    def slow(state: State | None = None) -> dict[str, Any]:  # meanwhile the others come
+        infos.append(state)
+        time.sleep(0.3)
+        return info(state)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(view, "info", slow)
+        for at in (1, 2, 3, 2, 1, 2, 3, 2, 1, 3):
+            session.receive({"type": "set", "changes": {"index.time": at}, "live": True})
+        client.wait(lambda m: m["type"] == "state" and m["state"]["index"] == {"time": 3})
+        ask(client, "copy_url")
+        client.set(camera__zoom=2.0)  # the same volume
+        client.wait(lambda m: m["type"] == "state" and m["state"]["camera"]["zoom"] == 2)
+        client.still()
+    assert 1 <= len(client.of("info")) == len(infos) <= 3
 
 
 def test_keys_step_through_times_and_undo_goes_back(client: Client) -> None:
