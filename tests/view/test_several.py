@@ -169,6 +169,16 @@ def test_without_times_keys_step_along_the_first_axis_and_of_one_volume_nowhere(
     assert Resident(samples()[0, 0], device=device).stepped(State(), 1) == State()
 
 
+def test_keys_step_from_a_channel_that_is_called_like_a_computed_one(device: Device) -> None:
+    few = Resident(Volumes(samples()[0], leading=Leading(("channel",), (2,), {"channel": ("magnitude", "phase")})), device=device)
+    assert few.stepped(State(index={"channel": "magnitude"}), 1).index == {"channel": 1}
+    with pytest.raises(OptionError, match="channel must be 0 to 1"):
+        few.stepped(State(index={"channel": "luminance"}), 1)
+    colors = Resident(Volumes(samples()[0, :1].repeat(3, 0), leading=Leading(("channel",), (3,), rgb=True)), device=device)
+    assert colors.stepped(State(), 1).index == {"channel": 0}
+    assert colors.stepped(State(index={"channel": 0}), -1).index == {"channel": "luminance"}
+
+
 @pytest.mark.parametrize(
     ("index", "says"),
     [
