@@ -105,6 +105,29 @@ def test_options_are_refused_before_all_is_read() -> None:
     assert samples.read < 200**3
 
 
+def test_a_label_map_in_several_sizes_has_no_finer_pictures(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Labels of another size would be others than those at hand, which are counted, coloured and hidden."""
+    data = np.zeros((32, 32, 32), np.uint8)
+    data[8:24, 8:24, 8:24] = 3
+    small = LazyVolume(data[::2, ::2, ::2], spacing=(2, 2, 2), origin=(0.5,) * 3, labels=True)
+    lazy = LazyVolume(data, labels=True, levels=[small])
+    with monkeypatch.context() as patch:
+        patch.setattr(memory, "available", lambda: 2 * needed_by(small))
+        assert at_hand(lazy) == 1
+        view = View(lazy, device=device)
+    assert view.finer is None
+    assert view.volume.is_labels
+    assert view.volume.shape == small.shape
+    client = Client(view)
+    client.set(labels={"hidden": [3]}, camera__zoom=6.0)
+    client.resize(*SIZE)
+    _, pixels = client.still()
+    assert not pixels.any()
+    assert not [message for message in client.of("status") if message["kind"] == "error"]
+    client.close()
+    view.close()
+
+
 def test_pixels_that_show_no_more_read_nothing(view: View, client: Client, samples: Waves) -> None:
     assert view.volume.shape == (SIDE // 4,) * 3
     read = samples.read  # from which it was decided how it looks

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -12,10 +13,12 @@ from numpy.typing import NDArray
 import clvol
 from clvol import Volume
 from clvol.device import Device
-from clvol.errors import OptionError
+from clvol.errors import OptionError, OutOfMemoryError
 from clvol.palette import label_color
 from clvol.picture import to_bytes
 from clvol.view import State, View, from_toml, from_url, section
+from clvol.view.resident import Resident, Which
+from clvol.view.state import LabelState
 from tests.view.clients import Client
 
 SIZE = 96, 72
@@ -169,6 +172,27 @@ def test_there_is_nothing_to_pick_where_a_label_is_hidden(client: Client) -> Non
     assert found["position"] is None
 
 
+def test_a_label_is_picked_where_the_device_has_no_room_for_the_volume(
+    volume: Volume, device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Then the renderer reads its samples by bricks."""
+
+    def refuse(*_: Any) -> Any:
+        raise OutOfMemoryError("out of memory")
+
+    monkeypatch.setattr("clvol.march.renderer._single", refuse)
+    view = View(volume, device=device)
+    client = Client(view)
+    client.resize(*SIZE)
+    client.still()
+    client.session.receive({"type": "do", "what": "pick", "id": 1, "x": 0.62 * SIZE[0], "y": SIZE[1] / 2})
+    found, _ = client.wait(lambda m: m["type"] == "reply" and m["id"] == 1)
+    assert "error" not in found
+    assert found["label"] == "right ball"
+    client.close()
+    view.close()
+
+
 @pytest.mark.parametrize(
     ("labels", "says"),
     [
@@ -185,6 +209,9 @@ def test_labels_that_there_are_not_are_refused(client: Client, labels: Any, says
     assert says in told["text"]
     assert len(told["text"]) < 400
     assert client.session.state == before
+    again, _ = client.wait(lambda m: m["type"] == "state")  # a page has shown the change already
+    assert State.from_json(again["state"]) == before
+    assert "effective" in again
     client.forget()
     client.set(labels={"hidden": [1]})
     client.still()
@@ -229,6 +256,100 @@ def test_of_thousands_of_labels_some_are_told_and_all_are_found(device: Device) 
     assert picture.any()
     client.close()
     view.close()
+
+
+def test_labels_are_hidden_once_and_nobody_else_waits(volume: Volume, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    resident = Resident(volume, device=device)
+    begun, go_on, calls = threading.Event(), threading.Event(), []
+    without = clvol.labels.without
+
+    def slow(*given: Any) -> Volume:
+        calls.append(given)
+        begun.set()
+        assert go_on.wait(30)
+        return without(*given)
+
+    monkeypatch.setattr("clvol.labels.without", slow)
+    hidden, found = State(labels=LabelState(hidden=(2,))), []
+    threads = [threading.Thread(target=lambda: found.append(resident.volume_of(hidden)), daemon=True) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    assert begun.wait(30)
+
+    def others() -> None:
+        assert not resident.knows(hidden)
+        assert not resident.knows(State())
+        assert resident.volume_of(State()) is volume
+        assert set(np.unique(resident.volume_of(State(labels=LabelState(shown=(2,)))).data)) == {0, 2}
+        resident.require(hidden)
+        told.append(resident.labels(hidden)[1])
+
+    told: list[int] = []
+    other = threading.Thread(target=others, daemon=True)
+    other.start()
+    other.join(20)
+    assert told == [2]
+    go_on.set()
+    for thread in threads:
+        thread.join(30)
+    assert len(calls) == 1
+    assert len(found) == 3
+    assert all(one is found[0] for one in found)
+    resident.close()
+
+
+def test_a_hidden_label_that_found_no_room_is_tried_again(volume: Volume, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    resident, hidden = Resident(volume, device=device), State(labels=LabelState(hidden=(2,)))
+
+    def refuse(*_: Any) -> Any:
+        raise OutOfMemoryError("out of memory")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("clvol.labels.without", refuse)
+        with pytest.raises(OutOfMemoryError):
+            resident.volume_of(hidden)
+    assert set(np.unique(resident.volume_of(hidden).data)) == {0, 1}
+    resident.close()
+
+
+def test_all_labels_are_gone_through_once(view: View, client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not at each message: there may be a million of them."""
+    view.require(State(labels=LabelState(hidden=(1,))))
+    monkeypatch.setattr("clvol.labels.numbers_of", lambda _: pytest.fail("all labels were gone through again"))
+    view.require(State(labels=LabelState(hidden=(2,))))
+    assert [row[0] for row in view.labels(State(), "ball")[0]] == [1, 2]
+    texts = view._listing(Which()).texts
+    assert view.labels(State(), "RIGHT")[1] == 1
+    assert view._listing(Which()).texts is texts
+    client.set(labels={"hidden": [1]})
+    client.wait(lambda m: m["type"] == "state" and m["state"]["labels"])
+    asked: list[State] = []
+    monkeypatch.setattr(view, "require", asked.append)
+    client.session.receive({"type": "set", "changes": {"step": 0.7}, "live": True})
+    client.wait(lambda m: m["type"] == "state" and m["state"]["step"] == 0.7)
+    assert not asked
+    client.set(labels={"hidden": [2]})
+    client.wait(lambda m: m["type"] == "state" and m["state"]["labels"] == {"hidden": [2]})
+    assert len(asked) == 1
+
+
+def test_labels_that_a_search_finds(device: Device) -> None:
+    data = np.array([[[0, -1, 1, 12, 112, 12]]], np.int16).repeat(3, 1).repeat(3, 0)
+    resident = Resident(Volume(data, labels={1: "Straße 12", 5: "nowhere"}), device=device)
+    for words, numbers in {
+        "": [-1, 1, 12, 112],
+        "12": [12, 1, 112],
+        " STRASSE": [1],
+        "-1": [-1],
+        "-": [-1],
+        "5": [],
+        "nowhere": [],
+        "9" * 200: [],
+        "-0": [],
+    }.items():
+        rows, count = resident.labels(State(), words)
+        assert ([row[0] for row in rows], count) == (numbers, len(numbers))
+    resident.close()
 
 
 def test_few_sets_of_labels_take_memory(view: View, client: Client) -> None:

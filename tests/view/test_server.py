@@ -553,6 +553,9 @@ def test_what_may_not_be_dropped_is_bounded() -> None:
             outbox.put({"type": "frame", "number": number, "pane": "xyz"[number % 3]}, bytes(1000))
         assert [message.get("n") or message.get("number") for message, _ in outbox._waiting] == [97, 98, 99, 99]
         assert outbox.take_dropped() == list(range(97))
+        for number in range(100):  # a step along an axis each
+            outbox.put({"type": "info", "n": number})
+        assert [message["n"] for message, _ in outbox._waiting if message["type"] == "info"] == [99]
         assert not outbox.overflowed
         for number in range(20):
             outbox.put({"type": "reply", "id": number})

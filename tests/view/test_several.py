@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -126,6 +127,27 @@ def test_camera_and_clip_stay_and_colours_follow_unless_they_were_edited(view: V
     assert view.transfer(client.session.state).value_range == (10, 90)
 
 
+def test_the_volume_is_told_once_of_many_steps(view: View, client: Client) -> None:
+    session, infos = client.session, []
+    info = view.info
+
+    def slow(state: State | None = None) -> dict[str, Any]:  # meanwhile the others come
+        infos.append(state)
+        time.sleep(0.3)
+        return info(state)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(view, "info", slow)
+        for at in (1, 2, 3, 2, 1, 2, 3, 2, 1, 3):
+            session.receive({"type": "set", "changes": {"index.time": at}, "live": True})
+        client.wait(lambda m: m["type"] == "state" and m["state"]["index"] == {"time": 3})
+        ask(client, "copy_url")
+        client.set(camera__zoom=2.0)  # the same volume
+        client.wait(lambda m: m["type"] == "state" and m["state"]["camera"]["zoom"] == 2)
+        client.still()
+    assert 1 <= len(client.of("info")) == len(infos) <= 3
+
+
 def test_keys_step_through_times_and_undo_goes_back(client: Client) -> None:
     first = client.session.state
     for key, at in ((".", 1), (".", 2), (",", 1), (".", 2), (".", 3), (".", 3)):
@@ -145,6 +167,16 @@ def test_without_times_keys_step_along_the_first_axis_and_of_one_volume_nowhere(
     assert few.stepped(State(), 1).index == {"volume": 1}
     assert few.stepped(State(index={"volume": 1}), 1).index == {"volume": 1}
     assert Resident(samples()[0, 0], device=device).stepped(State(), 1) == State()
+
+
+def test_keys_step_from_a_channel_that_is_called_like_a_computed_one(device: Device) -> None:
+    few = Resident(Volumes(samples()[0], leading=Leading(("channel",), (2,), {"channel": ("magnitude", "phase")})), device=device)
+    assert few.stepped(State(index={"channel": "magnitude"}), 1).index == {"channel": 1}
+    with pytest.raises(OptionError, match="channel must be 0 to 1"):
+        few.stepped(State(index={"channel": "luminance"}), 1)
+    colors = Resident(Volumes(samples()[0, :1].repeat(3, 0), leading=Leading(("channel",), (3,), rgb=True)), device=device)
+    assert colors.stepped(State(), 1).index == {"channel": 0}
+    assert colors.stepped(State(index={"channel": 0}), -1).index == {"channel": "luminance"}
 
 
 @pytest.mark.parametrize(
@@ -199,6 +231,28 @@ def test_labels_beside_an_image_are_hidden_there_alone(device: Device) -> None:
     assert resident.volume_of(hidden) is resident.volume
     there = resident.volume_of(hidden.changed({"index.channel": 1}))
     assert set(np.unique(there.data)) == {0, 1}
+
+
+@pytest.mark.parametrize(
+    ("source", "text"),
+    [
+        ("clvol.read_all('x')", "clvol.read('x', time=2, channel=1)"),
+        ("(clvol.read_all('x', axes='tc',))", "clvol.read('x', axes='tc', time=2, channel=1)"),
+        (
+            "clvol.read_all('x')[:2] + clvol.read_all('y')",
+            "(clvol.read_all('x')[:2] + clvol.read_all('y')).pick(time=2, channel=1)",
+        ),
+        ("clvol.read_all('x').filled(0)", "clvol.read_all('x').filled(0).pick(time=2, channel=1)"),
+        ("volumes  # clvol.read_all()", "volumes.pick(time=2, channel=1)"),
+        ("load(clvol.read_all)('x')", "load(clvol.read_all)('x').pick(time=2, channel=1)"),
+        ("lambda: 1", "(lambda: 1).pick(time=2, channel=1)"),
+        ("what I opened", "(what I opened).pick(time=2, channel=1)"),
+    ],
+)
+def test_a_copied_program_reads_the_one_alone_only_of_a_file(volumes: Volumes, source: str, text: str) -> None:
+    view = View(volumes, source=source)
+    view.state = view.state.changed({"index": {"channel": 1, "time": 2}})
+    assert f"volume = {text}\n" in view.python()
 
 
 def test_renderers_stay_while_there_is_room(volumes: Volumes, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,6 @@ import base64
 import binascii
 import json
 import math
-import re
 import shlex
 import tomllib
 from dataclasses import fields
@@ -26,7 +25,7 @@ from clvol.view.state import State
 __all__ = ["from_toml", "from_url", "python", "to_url", "toml"]
 
 _PREFIX = "#s="
-_READS_ALL = re.compile(r"clvol\.read_all\((.*)\)", re.DOTALL)
+_READS_ALL = ast.dump(ast.parse("clvol.read_all", mode="eval").body)  # what is called, whatever its arguments
 _LONGEST = 1 << 18  # characters
 _WIDE = 110  # characters of a line
 
@@ -101,10 +100,17 @@ def _source(resident: Resident, state: State) -> str | None:
     if resident.volumes is None or resident.source is None:
         return resident.source
     words = [f"{axis}={at!r}" for axis, at in _places(resident, state).items()]
-    call = _READS_ALL.fullmatch(resident.source)
-    if call is None:
-        return f"{resident.source}.pick({', '.join(words)})"
-    return f"clvol.read({', '.join([call[1], *words])})"
+    try:
+        tree = ast.parse(resident.source.strip(), mode="eval").body
+    except (SyntaxError, ValueError):  # text that is not a program: who copies it sees what was meant
+        return f"({resident.source}).pick({', '.join(words)})"
+    if isinstance(tree, ast.Call) and ast.dump(tree.func) == _READS_ALL:
+        tree.func = ast.parse("clvol.read", mode="eval").body
+        tree.keywords += [ast.keyword(axis, ast.Constant(at)) for axis, at in _places(resident, state).items()]
+        return ast.unparse(tree)
+    text = ast.unparse(tree)  # without comments, behind which nothing could be appended
+    text = text if isinstance(tree, (ast.Call, ast.Name, ast.Attribute, ast.Subscript)) else f"({text})"
+    return f"{text}.pick({', '.join(words)})"
 
 
 def _drawn(

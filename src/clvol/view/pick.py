@@ -65,7 +65,7 @@ def picked(
         point = hit(renderer, pane, x, y, arguments)
         field = renderer._field_of(as_mode(arguments["mode"]))
         if point is not None and volume.is_labels:
-            point = _in_label(field, point, pane.ray(x, y)[1], arguments["step"] * volume.mean_spacing)
+            point = _in_label(volume, field, point, pane.ray(x, y)[1], arguments["step"] * volume.mean_spacing)
     found: dict[str, Any] = {"pane": name, "x": x, "y": y, "units": volume.units, "position": None}
     if point is None or not _within(volume, point):
         return found
@@ -83,11 +83,14 @@ def picked(
 
 
 def _in_label(
-    field: Field | BrickedField, point: NDArray[np.float64], way: NDArray[np.float64], step: float
+    volume: Volume, field: Field | BrickedField, point: NDArray[np.float64], way: NDArray[np.float64], step: float
 ) -> NDArray[np.float64]:
-    """The point itself, or the first behind it that is in a label: what a sample shows begins up to a step before it."""
+    """The point itself, or the first behind it that is in a label: what a sample shows begins up to a step before it.
+
+    The volume is given beside the field, because a field that is read by bricks has no samples at hand to find labels in.
+    """
     ahead = point + np.linspace(0, 1, _PROBES)[:, None] * step * way / np.linalg.norm(way)
-    background, _ = label_numbers(field.volume)
+    background, _ = label_numbers(volume)
     solid = np.flatnonzero(np.round(field(ahead)) != background)
     return np.asarray(ahead[solid[0]] if solid.size else point)
 

@@ -6,8 +6,9 @@ import contextlib
 import inspect
 import itertools
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -70,12 +71,36 @@ _Key = tuple[str | None, str, Which]
 """Of a renderer: filter, boundary, volume."""
 
 
+class _Listing:
+    """The labels of a volume, at hand for every message that names some and for every search."""
+
+    def __init__(self, volume: Volume) -> None:
+        self.numbers = labels.numbers_of(volume)
+        names = volume.labels if isinstance(volume.labels, dict) else {}
+        self._names = {number: name.casefold() for number, name in names.items()}
+
+    @cached_property
+    def texts(self) -> list[str]:
+        """Of each label its number, and its name in lower case, by which it is looked for."""
+        names = self._names
+        return [f"{n}\n{names[n]}" if n in names else str(n) for n in map(int, self.numbers.tolist())]
+
+    def place(self, text: str) -> int | None:
+        """Where the label stands whose number is written so."""
+        if not text.removeprefix("-").isdecimal():
+            return None
+        at = int(np.searchsorted(self.numbers, float(text)))
+        return at if at < self.numbers.size and str(int(self.numbers[at])) == text else None
+
+
 @dataclass
 class _Viewed:
-    """A volume, and whether it was found out what takes long of it."""
+    """A volume, once it is made, and whether it was found out what takes long of it."""
 
-    volume: Volume
+    volume: Volume | None = None
     known: bool = False
+    making: threading.Lock = field(default_factory=threading.Lock)
+    listing: _Listing | None = None
 
 
 @dataclass
@@ -219,7 +244,7 @@ class Resident:
                 raise OptionError(f"index must be of {', '.join(leading.axes)}; got {', '.join(unknown)}")
             place = tuple(self._along(axis, state.index.get(axis, leading.first(axis))) for axis in leading.axes)
         seen = state.labels
-        if seen is not None and not self._viewed(Which(place)).volume.is_labels:
+        if seen is not None and not self.volume_at(Which(place)).is_labels:
             seen = None  # they are of another of the volumes
         return Which(place, seen)
 
@@ -234,8 +259,9 @@ class Resident:
         if state.labels is not None and self.volumes is None:  # else another of them may have such labels
             if seen is None:
                 raise OptionError(f"labels must be left out, for the volume is no label map; got {state.labels!r:.200}")
-            chosen = state.labels.hidden or state.labels.shown or ()
-            if unknown := sorted({*chosen} - {*map(int, labels.numbers_of(self._viewed(Which(place)).volume))}):
+            chosen = np.array(state.labels.hidden or state.labels.shown or (), np.float64)
+            numbers = self._listing(Which(place)).numbers
+            if unknown := [int(n) for n in chosen[~labels.among(numbers, chosen)]]:
                 raise OptionError(f"labels must be some of the volume's; got {', '.join(map(str, unknown[:8]))}, which it has not")
 
     def stepped(self, state: State, by: int) -> State:
@@ -245,22 +271,41 @@ class Resident:
         axis = next((one for one in axes if one["axis"] == "time"), axes[0])
         places: list[int | str] = [axis["first"]] if axis["first"] else []
         places += range(axis["count"])
-        now = places.index(state.index.get(axis["axis"], axis["first"]))
+        now = places.index(self._along(axis["axis"], state.index.get(axis["axis"], axis["first"])))  # of a name its number
         to = places[min(max(now + by, 0), len(places) - 1)]
         return state if to == places[now] else replace(state, index={**state.index, axis["axis"]: to})
 
     def volume_of(self, state: State) -> Volume:
         """The volume that a state shows, with the labels that are seen."""
-        return self._viewed(self.which(state)).volume
+        return self.volume_at(self.which(state))
 
     def volume_at(self, which: Which) -> Volume:
         """The same, by what a state shows."""
-        return self._viewed(which).volume
+        viewed = self._viewed(which)
+        if viewed.volume is None:
+            with viewed.making:  # made once, and not under `_choosing`: other sessions' messages do not wait for it
+                if viewed.volume is None:
+                    viewed.volume = self._taken(which)
+        return viewed.volume
+
+    def _taken(self, which: Which) -> Volume:
+        if which.labels is None:
+            return self._at(which.place)
+        return _seen(self.volume_at(Which(which.place)), which.labels)
+
+    def _listing(self, which: Which) -> _Listing:
+        """The labels of all of a volume, found once."""
+        volume, viewed = self.volume_at(which), self._viewed(which)
+        with viewed.making:
+            if viewed.listing is None:
+                viewed.listing = _Listing(volume)
+        return viewed.listing
 
     def knows(self, state: State) -> bool:
         """Whether `effective` was found once for the state's volume: what takes long of it depends on that alone."""
+        which = self.which(state)
         with self._choosing:
-            found = self._views.get(self.which(state))
+            found = self._views.get(which)
             return found is not None and found.known
 
     def _at(self, place: tuple[int | str, ...]) -> Volume:
@@ -269,14 +314,13 @@ class Resident:
 
     def _viewed(self, which: Which) -> _Viewed:
         with self._choosing:
-            found = self._views.pop(which, None)
-            if found is None:
-                whole = self._viewed(Which(which.place)).volume if which.labels is not None else self._at(which.place)
-                found = _Viewed(whole if which.labels is None else _seen(whole, which.labels))
+            found = self._views.pop(which, None) or _Viewed()
             self._views[which] = found
             with self._lock:
                 used = {key[2] for key in self._entries}
-            unused = [one for one in self._views if one not in used and one != self._first]
+            unused = [
+                one for one, viewed in self._views.items() if one not in used and one != self._first and not viewed.making.locked()
+            ]
             own = [one for one in unused if one.labels is not None or any(isinstance(at, str) for at in one.place)]
             for old in {*unused[:-_VIEWED], *own[:-1]}:  # those with samples of their own take memory
                 del self._views[old]
@@ -365,7 +409,7 @@ class Resident:
         if own is not None and key == (own.filter.name, own.boundary.name, self._first):
             return Renderer(own)
         row, boundary, which = key
-        volume = self._viewed(which).volume
+        volume = self.volume_at(which)
         try:
             return Renderer(volume, row, boundary, self.device)
         except OutOfMemoryError:
@@ -465,10 +509,11 @@ class Resident:
     def effective(self, state: State) -> dict[str, Any]:
         """What applies where the state leaves it open: for a panel."""
         with self._knowing:
-            viewed = self._viewed(self.which(state))
+            which = self.which(state)
+            viewed, volume = self._viewed(which), self.volume_at(which)
             found: dict[str, Any] = {
                 "transfer": self._transfer_shown(state),
-                "window": list(state.window or window_of_slices(viewed.volume)),
+                "window": list(state.window or window_of_slices(volume)),
                 "filter": self.filter_name(state, state.filter),
                 "crosshair": list(state.crosshair or map(float, self.volume.center)),
             }
@@ -492,15 +537,19 @@ class Resident:
         """
         if not isinstance(words, str) or len(words) > _LONGEST:
             raise OptionError(f"labels are looked for by a text of up to {_LONGEST} characters; got {words!r:.60}")
-        volume = self._viewed(Which(self.which(state).place)).volume
+        which = Which(self.which(state).place)
+        volume = self.volume_at(which)
         if not volume.is_labels:
             return [], 0
-        sought = words.strip().casefold()
-        numbers = [int(number) for number in labels.numbers_of(volume)]
+        listing, sought = self._listing(which), words.strip().casefold()
+        places: Sequence[int] = range(listing.numbers.size)
         if sought:
-            numbers = [n for n in numbers if sought in str(n) or sought in labels.name_of(volume, n).casefold()]
-            numbers.sort(key=lambda n: str(n) != sought)  # the one of exactly that number first
-        return [[n, labels.name_of(volume, n), list(label_color(n))] for n in numbers[:_LISTED]], len(numbers)
+            places = [i for i, text in enumerate(listing.texts) if sought in text]
+            own = listing.place(sought)
+            if own is not None:  # the one of exactly that number first
+                places = [own, *(i for i in places if i != own)]
+        numbers = [int(listing.numbers[i]) for i in places[:_LISTED]]
+        return [[n, labels.name_of(volume, n), list(label_color(n))] for n in numbers], len(places)
 
     def info(self, state: State | None = None) -> dict[str, Any]:
         """What a client is told first, and again of another volume."""
@@ -511,7 +560,7 @@ class Resident:
     def _info_found(self, state: State) -> dict[str, Any]:
         place = self.which(state).place
         if place not in self._infos:
-            volume = self._viewed(Which(place)).volume
+            volume = self.volume_at(Which(place))
             low, high = volume.value_range
             counts, edges = _histogram(volume)
             rows, count = self.labels(state)

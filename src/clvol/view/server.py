@@ -50,7 +50,7 @@ Send = Callable[[Message, bytes | None], None]
 
 _LOOPBACK = ("127.0.0.1", "::1", "localhost")
 _IDLE, _FAILED = 4000, 4001  # close codes that an application may define
-_NEWEST_WINS = ("frame", "overlay", "state", "stats", "status")  # messages of which a slow client gets the last alone, of each pane
+_NEWEST_WINS = ("frame", "info", "overlay", "state", "stats", "status")  # of which a slow client gets the last alone, of each pane
 _FAREWELL = 0.4  # seconds that a client has to answer when it is sent away
 _TICKET = 60.0  # seconds that a browser has to start
 _PORTS = 5  # tries to find a port that is free for all families of addresses

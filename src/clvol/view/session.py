@@ -305,6 +305,7 @@ class Session:
                 return
             self._guarded(lambda message=message: self._handle(message))  # type: ignore[misc]  # bound at once
         self._forget_errors()
+        self._guarded(self._tell_volume)  # once, however many steps along an axis came: only the last one is drawn
         if self._hands.drag is None and not self._moving:
             self._tell_state()
         self._tell_overlays()
@@ -377,8 +378,13 @@ class Session:
 
     def _set(self, message: Mapping[str, Any]) -> None:
         changes = message.get("changes")
-        made = State.from_json(changes) if message.get("whole") else self.state.changed(changes)  # type: ignore[arg-type]  # it is checked
-        made = self._seen_from_there(made, whole=bool(message.get("whole")))
+        try:
+            made = State.from_json(changes) if message.get("whole") else self.state.changed(changes)  # type: ignore[arg-type]  # it is checked
+            made = self._seen_from_there(made, whole=bool(message.get("whole")))
+        except Exception:
+            self._told = None  # a page shows a change at once, and must learn that it did not happen
+            self._guarded(self._tell_state)
+            raise
         live, given = bool(message.get("live")), message.get("gesture")
         named = ("set", given) if isinstance(given, str) else ("set", *sorted(map(str, changes))) if live else None  # type: ignore[arg-type]
         self._history = self._history.with_state(made, named)
@@ -391,7 +397,8 @@ class Session:
     def _seen_from_there(self, made: State, *, whole: bool) -> State:
         """A state that is to be shown, unless only the volume can refuse it; the camera stays where another volume is shown."""
         state, resident = self.state, self._resident
-        resident.require(made)
+        if (made.index, made.labels) != (state.index, state.labels):  # all that `require` looks at: a slider changes neither
+            resident.require(made)
         if replace(made, index=state.index, labels=state.labels) != state:
             resident.transfer(made)
         if whole or made.camera != state.camera or resident.which(made) == resident.which(state):
@@ -779,7 +786,6 @@ class Session:
 
     def _tell_state(self) -> None:
         """What is shown; what follows from the volume is told later, if it is not known yet: pictures do not wait for it."""
-        self._tell_volume()
         state, known = self.state, self._resident.knows(self.state)
         if state == self._told and known == self._told_all:
             return
