@@ -9,10 +9,10 @@ and what the process holds is counted: resident memory, open descriptors, thread
 After a first quarter, in which caches fill, the median of the last third must not exceed that of the first: memory by 2 % or
 20 MB at most, all else by nothing. Memory is judged in runs of ten minutes or more, until when caches fill, and of ``--new 0``:
 runtimes keep some of each program that they build (PoCL 3.0: 16 kB of one whose text has 140 kB, be it from its cache), and new
-arguments need new ones. Without new ones all programs are kept, where otherwise the 128 used last are. Where the C library is glibc's, what is
-free in its heaps is given back before memory is counted: how much stays there depends on how threads' requests mix, not on what
-is held. What was resident before that is written down too. Exit status 1 says that a result
-changed, a foreign exception came, or something grew.
+arguments need new ones. Without new ones all programs are kept, where otherwise the 128 used last are. Where the C library is
+glibc's, what is free in its heaps is given back before memory is counted: how much stays there depends on how threads' requests
+mix, not on what is held. What was resident before that is written down too. Exit status 1 says that a result changed, a foreign
+exception came, or something grew.
 
 Kernels are built anew, in a temporary cache, unless POCL_CACHE_DIR says where one is.
 """
