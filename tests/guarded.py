@@ -29,11 +29,11 @@ _READ_PAST = """kernel void read_past(global const float *given, const int at, g
 
 
 def guarded(size: int, side: str) -> NDArray[np.uint8]:
-    """Zeros that start, or end, to the byte, where memory that can be used does. Kept for good.
+    """Zeros that start, or end, to the byte, where memory that can be used does. Kept until `let_go`.
 
     At the end their address is a multiple of the size of the numbers in them and of nothing more: kernels may not count on more.
     """
-    library = ctypes.CDLL(None, use_errno=True)
+    library = _library()
     library.mmap.restype = ctypes.c_void_p
     library.mmap.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int, ctypes.c_int, ctypes.c_int, ctypes.c_long]
     library.mprotect.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int]
@@ -45,16 +45,37 @@ def guarded(size: int, side: str) -> NDArray[np.uint8]:
     return np.frombuffer((ctypes.c_uint8 * size).from_address(start + GUARD + past), np.uint8)
 
 
+def let_go(memory: NDArray[np.uint8]) -> None:
+    """Free what `guarded` gave, once nothing on a device uses it: a process may have 65,530 maps."""
+    first = memory.ctypes.data // mmap.PAGESIZE * mmap.PAGESIZE - GUARD
+    room = -(-memory.nbytes // mmap.PAGESIZE) * mmap.PAGESIZE
+    _library().munmap(ctypes.c_void_p(first), ctypes.c_size_t(room + 2 * GUARD))
+
+
+def _library() -> ctypes.CDLL:
+    return ctypes.CDLL(None, use_errno=True)
+
+
 def guard(side: str) -> None:
     """Makes every buffer of every device a guarded one."""
 
+    gone: list[NDArray[np.uint8]] = []  # of buffers that are gone
+
+    class Guarded(cl.Buffer):
+        def __init__(self, device: Device, memory: NDArray[np.uint8]) -> None:
+            super().__init__(device.context, cl.mem_flags.USE_HOST_PTR, hostbuf=memory)
+            self.memory = memory
+
+        def __del__(self) -> None:
+            gone.append(self.memory)
+
     def allocate(self: Device, size: int) -> Any:
-        return cl.Buffer(self.context, cl.mem_flags.USE_HOST_PTR, hostbuf=guarded(max(int(size), 4), side))
+        return Guarded(self, guarded(max(int(size), 4), side))
 
     def upload(self: Device, array: NDArray[Any]) -> Any:
         memory = guarded(-(-max(array.nbytes, 4) // 16) * 16, side)  # tables are read as float4, which are aligned
         memory[: array.nbytes] = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
-        return cl.Buffer(self.context, cl.mem_flags.USE_HOST_PTR, hostbuf=memory)
+        return Guarded(self, memory)
 
     @contextmanager
     def lent(self: Device, array: NDArray[Any], *, write: bool, begun: bool = False) -> Iterator[Any]:  # noqa: ARG001  # as the device has it
@@ -66,6 +87,9 @@ def guard(side: str) -> None:
         if write:
             array.reshape(-1).view(np.uint8)[:] = memory
         buffer.release()
+        let_go(memory)
+        while gone:  # no kernel is under way
+            let_go(gone.pop())
 
     for name, method in {"allocate": allocate, "upload": upload, "lent": lent}.items():
         setattr(Device, name, method)

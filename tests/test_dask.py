@@ -326,6 +326,15 @@ def test_points_of_either_array(where: str, mode: str) -> None:
         np.testing.assert_allclose(made.compute(), wanted, rtol=0, atol=1e-11)
 
 
+@pytest.mark.parametrize("order", [0, 1, 3])
+def test_points_between_the_last_sample_and_the_first_one_of_every_period(order: int) -> None:
+    whole = samples((25, 41))
+    at = np.array([(x, y) for x in (-25.78, -0.78, -1e-18, -25.0, 24.5, 49.22, -51.0) for y in (-41.06, -0.06, 40.94, 81.9, 3.0)]).T
+    wanted = scipy.ndimage.map_coordinates(whole, at, order=order, mode="grid-wrap")
+    made = ndimage.map_coordinates(da.from_array(whole, chunks=(9, 17)), at, order=order, mode="grid-wrap")
+    np.testing.assert_allclose(made.compute(), wanted, rtol=0, atol=1e-11)
+
+
 def test_points_in_each_volume_of_a_series() -> None:
     whole, at = samples((4, 20, 22), "f4"), np.random.default_rng(1).uniform(0, 19, (2, 50))
     wanted = ndimage.map_coordinates(whole, at, axes=(2, 1))

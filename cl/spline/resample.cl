@@ -77,7 +77,10 @@ kernel void resample_axes(global const scalar *restrict coefficients, const int 
                           global scalar *restrict results)
 {
     const size_t item = get_global_id(0), items = get_global_size(0);
-    const size_t along_y = grid.w, along_z = along_y + (size_t)grid.y * TAPS;
+    const size_t along_y = grid.w;
+#if DIMENSIONS == 3
+    const size_t along_z = along_y + (size_t)grid.y * TAPS;
+#endif
     global scalar *mine = scratch + item * room;
     coefficients += left;
     const int end = first + units * (item + 1) / items;
