@@ -5,7 +5,8 @@ from __future__ import annotations
 import io
 import random
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from PIL import Image
 from clvol.mode import modes
 from clvol.view import State, View
 
-__all__ = ["Client", "decoded", "random_changes", "random_event"]
+__all__ = ["Client", "at_rest", "decoded", "random_changes", "random_event"]
 
 
 def decoded(data: bytes | None) -> NDArray[np.uint8]:
@@ -69,6 +70,17 @@ class Client:
 
     def close(self) -> None:
         self.session.close()
+
+
+@contextmanager
+def at_rest(view: View, size: tuple[float, float]) -> Iterator[Client]:
+    """A client of a pane so large that has its still picture; what it got until then is forgotten."""
+    made = Client(view)
+    made.resize(*size)
+    made.still()
+    made.forget()
+    yield made
+    made.close()
 
 
 def random_changes(chance: random.Random) -> dict[str, Any]:

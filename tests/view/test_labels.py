@@ -19,7 +19,7 @@ from clvol.picture import to_bytes
 from clvol.view import State, View, from_toml, from_url, section
 from clvol.view.resident import Resident, Which
 from clvol.view.state import LabelState
-from tests.view.clients import Client
+from tests.view.clients import Client, at_rest
 
 SIZE = 96, 72
 NAMES = {1: "left ball", 2: "right ball"}
@@ -48,12 +48,8 @@ def view(volume: Volume, device: Device) -> Iterator[View]:
 
 @pytest.fixture
 def client(view: View) -> Iterator[Client]:
-    made = Client(view)
-    made.resize(*SIZE)
-    made.still()
-    made.forget()
-    yield made
-    made.close()
+    with at_rest(view, SIZE) as made:
+        yield made
 
 
 def copied(client: Client, volume: Volume) -> NDArray[np.uint8]:

@@ -21,7 +21,7 @@ from clvol.picture import to_bytes
 from clvol.view import State, View, from_toml, from_url
 from clvol.view.resident import Resident, Which
 from clvol.volumes import Leading
-from tests.view.clients import Client, decoded
+from tests.view.clients import Client, at_rest, decoded
 
 SIZE = 96, 72
 TIMES = 4
@@ -53,12 +53,8 @@ def view(volumes: Volumes, device: Device) -> Iterator[View]:
 
 @pytest.fixture
 def client(view: View) -> Iterator[Client]:
-    made = Client(view)
-    made.resize(*SIZE)
-    made.still()
-    made.forget()
-    yield made
-    made.close()
+    with at_rest(view, SIZE) as made:
+        yield made
 
 
 def ask(client: Client, what: str, **more: Any) -> dict[str, Any]:

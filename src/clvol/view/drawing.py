@@ -18,7 +18,7 @@ from clvol.errors import ClvolError
 from clvol.march.renderer import Renderer
 from clvol.picture import Picture, heat, to_bytes
 from clvol.view.events import Place
-from clvol.view.finer import Wanted
+from clvol.view.finer import Stopped, Wanted, asking
 from clvol.view.panes import SlicePane
 from clvol.view.resident import Resident
 from clvol.view.sketch import Sketch
@@ -292,16 +292,10 @@ def sketched(state: State) -> bool:
     return state.wiper is None and not state.heat
 
 
-def _pane(place: Place, state: State, name: str, size: tuple[int, int]) -> tuple[SlicePane, tuple[float, float]]:
-    """The pane of a slice, and how large its pixels are in the world."""
+def _slice(renderer: Renderer, place: Place, state: State, name: str, size: tuple[int, int]) -> NDArray[Any]:
     pane = place.pane(state, name)
     assert isinstance(pane, SlicePane)  # by its name
-    return pane, pane.pixel(size)
-
-
-def _slice(renderer: Renderer, place: Place, state: State, name: str, size: tuple[int, int]) -> NDArray[Any]:
-    pane, pixel = _pane(place, state, name, size)
-    values = renderer.field(plane_points(pane.middle, pane.right, pane.down, pixel, size), fill=np.nan)
+    values = renderer.field(plane_points(pane.middle, pane.right, pane.down, pane.pixel(size), size), fill=np.nan)
     return shaded(values, renderer.volume, state.window, state.cmap, state.background)
 
 
@@ -309,23 +303,14 @@ def _refined(
     renderer: Renderer, size: tuple[int, int], budget: float, stop: Callable[[], bool], coarse: bool, given: dict[str, Any]
 ) -> Generator[Shot, None, None]:
     if not math.isfinite(budget):
-
-        def on(_: float) -> None:
-            if stop():
-                raise _Stopped
-
-        with suppress(_Stopped):
-            yield Shot(to_bytes(renderer.render(size=size, progress=on, **given)), True, given["step"])
+        with suppress(Stopped):
+            yield Shot(to_bytes(renderer.render(size=size, progress=asking(stop), **given)), True, given["step"])
         return
     camera, mode, step = (given.pop(name) for name in ("camera", "mode", "step"))
     for picture in renderer.refine(camera, mode, size, step, budget=budget, cancelled=stop, **given):
         yield Shot(to_bytes(picture), picture.final and not coarse, picture.step)
         if coarse:
             return
-
-
-class _Stopped(Exception):  # nothing went wrong
-    """The picture is no longer wanted."""
 
 
 def share_visited(resident: Resident, state: State, shape: tuple[float, float]) -> float | None:

@@ -27,7 +27,7 @@ from clvol.view.slices import level_for, plane_points, shaded
 from clvol.view.state import State
 from clvol.volume import Volume
 
-__all__ = ["Finer", "Wanted", "at_hand"]
+__all__ = ["Finer", "Stopped", "Wanted", "asking", "at_hand"]
 
 _ROOM = 0.5  # of the memory that is available: what samples and coefficients at hand may take
 _TICK = 0.01  # seconds between looks at whether a picture is still wanted
@@ -104,12 +104,8 @@ class Finer:
 
     def drawn(self, wanted: Wanted, at_hand: Volume, stop: Callable[[], bool]) -> Picture | None:
         """A picture by bricks, slices in the colours of what is at hand; None if it was stopped."""
-
-        def on(_: float) -> None:
-            if stop():
-                raise _Stopped
-
-        with suppress(_Stopped), self._turn(on):
+        on = asking(stop)
+        with suppress(Stopped), self._turn(on):
             given = dict(wanted.given)
             renderer = self._renderer_of(given.pop("filter"), given.pop("boundary"), on)
             if wanted.pane is None:
@@ -140,7 +136,7 @@ class Finer:
         made = Renderer(self.stored, filter, boundary, self.device)
         try:
             on(0.0)
-        except _Stopped:
+        except Stopped:
             made.close()
             raise
         with self._lock:
@@ -156,8 +152,18 @@ class Finer:
                 gone.close()
 
 
-class _Stopped(Exception):  # nothing went wrong
+class Stopped(Exception):  # nothing went wrong
     """The picture is no longer wanted."""
+
+
+def asking(stop: Callable[[], bool]) -> Callable[[float], None]:
+    """What is told of progress, and raises `Stopped` once `stop` says so."""
+
+    def on(_: float) -> None:
+        if stop():
+            raise Stopped
+
+    return on
 
 
 def at_hand(stored: LazyVolume) -> int:
