@@ -3,9 +3,9 @@
     python -m bench.scale [--size 256] [--workers 1 2 4 8] [--json FILE]
 
 The simulation takes the plan that clvol itself makes (boxes of bricks, areas of the picture, who waits for whom) and constants:
-seconds to read a brick, to cast a sample, to pass a byte on, and of any task. These are fitted to runs of one worker; with more
-the simulation is compared. Then it is asked about volumes of up to 10¹³ voxels and 1,000 workers, with constants of such
-machines, which are assumed and said.
+seconds to read a brick, to cast a sample, to pass a byte on, of any task, of a worker that opens a volume, and of the scheduler
+for a task, which takes a core too. These are measured with one worker; with more the simulation is compared. Then it is asked
+about volumes of up to 10¹³ voxels and 1,000 workers, with constants of such machines, which are assumed and said.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ _CAMERA = clvol.Camera.orbit(30, 20, fit="volume")
 _PIXELS = 512
 _FEW = 64  # pixels of a picture that takes hardly more than its tasks
 _REPEATS = 3
+_NOTHINGS = 200  # tasks that do nothing
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,10 @@ class Costs:
         Whatever it does.
     begin : float
         Of a picture, in the process that asks for it.
+    join : float
+        Of a worker's first task of a volume: it opens that.
+    dispatch : float
+        Of a task, in the process of the scheduler: one at a time.
     """
 
     brick: float
@@ -63,6 +68,8 @@ class Costs:
     byte: float
     task: float
     begin: float
+    join: float
+    dispatch: float
 
 
 @dataclass(frozen=True)
@@ -97,10 +104,12 @@ def simulated(
     together: float = math.inf,
     spread: float = 0.0,
     slow: int = 0,
+    joined: bool = False,
 ) -> float:
     """Seconds until the last task is done.
 
     Each worker does one at a time, in the order of the list, at the rate `alone`, and all of them at most at the rate `together`.
+    The scheduler is one of them: a task that waits for no other begins when it has sent it. `joined`: workers know the volume.
     `spread` is the standard deviation of the logarithm of a task's time, and `slow` workers take twice as long for all.
     """
     rng = np.random.default_rng(0)
@@ -110,23 +119,30 @@ def simulated(
     for number, task in enumerate(tasks):
         if task.before is not None:
             after[task.before].append(number)
-    ready: list[list[int]] = [[] for _ in range(workers)]
+    ready: list[list[int]] = [[] for _ in range(workers + 1)]
+    scheduler = workers  # what is ready there is to be sent
     for number, task in enumerate(tasks):
         if task.before is None:
-            heapq.heappush(ready[task.worker], number)
+            heapq.heappush(ready[scheduler], number)
     held: set[Any] = set()
+    known = set(range(workers)) if joined else set()
     active: dict[int, tuple[int, float]] = {}  # by worker: the task, and the seconds of a core that are left of it
     now, done = 0.0, 0
-    idle = set(range(workers))
+    idle = set(range(workers + 1))
     while done < len(tasks):
         for worker in [w for w in idle if ready[w]]:
             number = heapq.heappop(ready[worker])
+            idle.discard(worker)
+            if worker == scheduler:
+                active[worker] = number, costs.dispatch
+                continue
             task = tasks[number]
             fresh = [brick for brick in task.bricks if brick not in held]
             held.update(fresh)
             work = costs.task + len(fresh) * costs.brick + task.samples * costs.sample + task.nbytes * costs.byte
+            work += costs.join if worker not in known else 0.0
+            known.add(worker)
             active[worker] = number, work * factor[number] * pace[worker]
-            idle.discard(worker)
         share = min(alone, together / len(active))
         step = min(left for _, left in active.values())
         now += step / share
@@ -136,9 +152,12 @@ def simulated(
                 continue
             del active[worker]
             idle.add(worker)
+            if worker == scheduler:
+                heapq.heappush(ready[tasks[number].worker], number)
+                continue
             done += 1
             for other in after[number]:
-                heapq.heappush(ready[tasks[other].worker], other)
+                heapq.heappush(ready[scheduler], other)
     return costs.begin + now
 
 
@@ -179,25 +198,38 @@ def _meets(brick: Any, view: Any, grid: Any, size: tuple[int, int], area: tuple[
 # -- runs ----------------------------------------------------------------------------------------------------------------------
 
 
-def measured(store: Path, workers: int, edge: int) -> dict[str, float]:
-    """Medians of a first picture, of a second one and of one of few pixels, by so many processes of this machine."""
-    first: list[float] = []
-    second: list[float] = []
-    small: list[float] = []
+def measured(cluster: Cluster, store: Path, edge: int) -> dict[str, float]:
+    """Medians of a first picture, of a second one and of one of few pixels."""
+    times: dict[str, list[float]] = {"first": [], "second": [], "small": []}
     bricks = 0
-    with _of_single_threads(workers) as cluster, _edge(edge):
+    with _edge(edge):
         for _ in range(_REPEATS + 1):  # kernels are built in the first
             volume = clvol.open(store, trusted=True)
             with clvol.Renderer(volume, "linear", cluster=cluster) as renderer:
-                for kept, pixels in ((first, _PIXELS), (second, _PIXELS), (small, _FEW)):
+                for name, pixels in (("first", _PIXELS), ("second", _PIXELS), ("small", _FEW)):
                     start = time.perf_counter()
                     renderer.render(_CAMERA, "mean", (pixels, pixels), lod=0)
-                    kept.append(time.perf_counter() - start)
+                    times[name].append(time.perf_counter() - start)
                 assert isinstance(renderer.field, BrickedField)
                 bricks = renderer.field.reads.bricks
-    return {name: float(np.median(times[1:])) for name, times in (("first", first), ("second", second), ("small", small))} | {
-        "bricks": bricks
-    }
+    return {name: float(np.median(some[1:])) for name, some in times.items()} | {"bricks": bricks}
+
+
+def dispatched(cluster: Cluster) -> float:
+    """Seconds of the processor that this process, in which the scheduler is, takes for a task that does nothing."""
+    rounds = []
+    for _ in range(_REPEATS):
+        start, before = time.process_time(), None
+        for _ in range(_NOTHINGS):
+            before = cluster.submit(_nothing, before)
+        for _ in cluster.done([before]):
+            pass
+        rounds.append((time.process_time() - start) / _NOTHINGS)
+    return float(np.median(rounds))
+
+
+def _nothing(_: object) -> None:
+    return None
 
 
 @contextlib.contextmanager
@@ -227,25 +259,34 @@ def _edge(edge: int) -> Iterator[None]:
         setattr(BrickedField, "_edge_for", original)  # noqa: B010
 
 
-def checked(size: int, counts: Sequence[int], folder: Path) -> list[dict[str, Any]]:
-    """Runs by one process and by several of this machine, and what the simulation says of the latter."""
+def store_of(size: int, folder: Path) -> Path:
+    """A volume of the shells, as an array of Zarr."""
     import zarr
 
-    store, edge, cores = folder / f"scale-{size}.zarr", 64, len(os.sched_getaffinity(0))
+    store, edge = folder / f"scale-{size}.zarr", 64
     if not store.exists():
         shells = Shells(size)
-        array = zarr.create_array(store, shape=shells.shape, chunks=(64, 64, 64), dtype="uint16")
-        for z in range(0, size, 64):
-            array[z : z + 64] = shells[z : z + 64, 0:size, 0:size]
+        array = zarr.create_array(store, shape=shells.shape, chunks=(edge,) * 3, dtype="uint16")
+        for z in range(0, size, edge):
+            array[z : z + edge] = shells[z : z + edge, 0:size, 0:size]
+    return store
+
+
+def checked(size: int, counts: Sequence[int], folder: Path) -> list[dict[str, Any]]:
+    """Runs by one process and by several of this machine, and what the simulation says of the latter."""
+    store, tiny, edge, cores = store_of(size, folder), store_of(64, folder), 64, len(os.sched_getaffinity(0))
     with _edge(edge), BrickedField(clvol.open(store, trusted=True), "linear") as field:
         view = _CAMERA.view(field.volume.grid, 1.0)
         plans = {n: plan(field, view, (_PIXELS, _PIXELS), n, parts._AREAS * n) for n in {1, *counts}}
         few = len(plan(field, view, (_FEW, _FEW), 1, parts._AREAS))
         bricks = math.prod(field.counts)
-    costs = fitted(measured(store, 1, edge), plans[1], few, bricks)
+    with _of_single_threads(1) as cluster:
+        costs = fitted(measured(cluster, store, edge), measured(cluster, tiny, edge), dispatched(cluster), plans[1], few, bricks)
+    print(costs, flush=True)
     rows = []
     for n in counts:
-        run = measured(store, n, edge)
+        with _of_single_threads(n) as cluster:
+            run = measured(cluster, store, edge)
         again = [replace(task, bricks=()) for task in plans[n]]
         rows.append(
             {
@@ -255,20 +296,25 @@ def checked(size: int, counts: Sequence[int], folder: Path) -> list[dict[str, An
                 "first": run["first"],
                 "first simulated": simulated(plans[n], costs, n, together=cores),
                 "second": run["second"],
-                "second simulated": simulated(again, costs, n, together=cores),
+                "second simulated": simulated(again, costs, n, together=cores, joined=True),
             }
         )
         print(row_text(rows[-1]), flush=True)
-    print(costs)
     return rows
 
 
-def fitted(run: dict[str, float], tasks: Sequence[Task], few: int, bricks: int) -> Costs:
-    """The constants that give the runs of one worker; a byte is taken as 1 ns, what the asking process does as 20 ms."""
-    begin, byte = 0.02, 1e-9
-    task = max(0.0, run["small"] - begin) / few
-    rest = run["second"] - begin - len(tasks) * task - byte * sum(t.nbytes for t in tasks)
-    return Costs((run["first"] - run["second"]) / bricks, max(rest, 1e-6) / sum(t.samples for t in tasks), byte, task, begin)
+def fitted(run: dict[str, float], tiny: dict[str, float], dispatch: float, tasks: Sequence[Task], few: int, bricks: int) -> Costs:
+    """The constants that give the runs of one worker, and those of a volume of one brick; a byte is taken as 1 ns.
+
+    A first picture takes longer than a second one by what it takes to join, and by the bricks.
+    """
+    byte, more, one = 1e-9, run["first"] - run["second"], tiny["first"] - tiny["second"]
+    brick = (more - one) / (bricks - 1)
+    begin = 0.02  # seconds of the asking process
+    task = max(0.0, run["small"] - begin - few * dispatch) / few
+    rest = run["second"] - begin - len(tasks) * (task + dispatch) - byte * sum(t.nbytes for t in tasks)
+    sample = max(rest, 1e-6) / sum(t.samples for t in tasks)
+    return Costs(brick, sample, byte, task, begin, max(0.0, one - brick), dispatch)
 
 
 def row_text(row: dict[str, Any]) -> str:
@@ -277,9 +323,11 @@ def row_text(row: dict[str, Any]) -> str:
 
 # -- what no one has -----------------------------------------------------------------------------------------------------------
 
-LARGE = Costs(brick=128**3 * 2 / 400e6 + 128**3 * 1.4 / 2e8, sample=1 / 4e8, byte=1 / 1e9, task=0.003, begin=0.1)
+LARGE = Costs(
+    brick=128**3 * 2 / 400e6 + 128**3 * 1.4 / 2e8, sample=1 / 4e8, byte=1 / 1e9, task=0.003, begin=0.1, join=0.2, dispatch=0.001
+)
 """Of a worker with 16 cores: bricks of 128³ uint16 at 400 MB/s unpacked, and 2·10⁸ coefficients a second, margins included;
-4·10⁸ samples a second; a network of 1 GB/s."""
+4·10⁸ samples a second; a network of 1 GB/s; a scheduler that sends 1,000 tasks a second; 0.2 s to open the volume."""
 _STORE = 20e9  # bytes a second that a store gives to all workers together
 
 
@@ -306,7 +354,7 @@ def large(edge_of_volume: int, workers: int, pixels: int, share: float) -> dict[
     nbytes = wanted * 128**3 * 2.0
     costs = LARGE
     if nbytes / _STORE > wanted * costs.brick / workers:  # the store is what all wait for
-        costs = Costs(nbytes / _STORE / wanted * workers, costs.sample, costs.byte, costs.task, costs.begin)
+        costs = replace(costs, brick=nbytes / _STORE / wanted * workers)
     even = simulated(tasks, costs, workers)
     ragged = simulated(tasks, costs, workers, spread=0.5, slow=max(1, workers // 100))
     return {

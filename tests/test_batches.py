@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import clvol
+from clvol import batches
 from clvol.errors import FormatError, OptionError
 
 
@@ -85,6 +86,45 @@ def test_a_file_that_changed_is_drawn_as_it_is(files: list[Path], tmp_path: Path
             (one,) = clvol.batch(path, None, tmp_path / "{name}.png", cluster=cluster, mode="mip", size=(32, 32))
             clvol.save(clvol.render(clvol.read(source), mode="mip", size=(32, 32)), tmp_path / "wanted.png")
             np.testing.assert_array_equal(iio.imread(one.path), iio.imread(tmp_path / "wanted.png"))
+
+
+def test_what_render_reads_by_bricks_is_so_here(files: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is stored in several sizes, or does not fit, unless something is asked for that bricks have not."""
+    pytest.importorskip("zarr")
+    store = tmp_path / "a.zarr"
+    clvol.pyramid(clvol.phantoms.marschner_lobb(48), store, levels=2)
+    for how, options, kind in (
+        ({}, {}, clvol.LazyVolume),
+        ({"level": 0}, {}, clvol.Volume),
+        ({}, {"evaluator": "paired"}, clvol.Volume),
+        ({}, {"fetch": "image"}, clvol.Volume),
+        (clvol.read, {}, clvol.Volume),
+    ):
+        assert type(batches._read(str(store), how, options)) is kind
+    assert type(batches._read(str(files[0]), {}, {})) is clvol.Volume
+    monkeypatch.setattr("clvol.memory.available", lambda: 1 << 15)
+    assert type(batches._read(str(files[0]), {}, {})) is clvol.LazyVolume
+    monkeypatch.undo()
+    (one,) = clvol.batch(store, None, tmp_path / "{name}.png", mode="mip", size=(20, 20))
+    clvol.save(clvol.render(clvol.open(store), mode="mip", size=(20, 20)), tmp_path / "wanted.png")
+    np.testing.assert_array_equal(iio.imread(one.path), iio.imread(tmp_path / "wanted.png"))
+
+
+def asked(path: str) -> clvol.Volume:
+    """A file that its cluster is asked for."""
+    import dask.array
+
+    data = clvol.read(path).data
+    return clvol.Volume(dask.array.from_array(data, chunks=8).map_blocks(np.flip).map_blocks(np.flip).compute())
+
+
+def test_what_reads_files_may_ask_the_cluster(files: list[Path], tmp_path: Path) -> None:
+    """Its task then leaves its place to others, and those that wait for their turn do so too."""
+    pytest.importorskip("distributed")
+    drawn = clvol.batch(
+        files[:2], clvol.turned(3), tmp_path / "{name}-{frame}.png", cluster=1, reading=asked, mode="mip", size=(20, 20)
+    )
+    assert not [one.error for one in drawn if one.error]
 
 
 def test_what_is_no_source_is_refused(tmp_path: Path) -> None:

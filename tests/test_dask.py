@@ -299,6 +299,67 @@ def test_without_a_prefilter_volumes_are_the_same_bits(name: str, rule: str) -> 
     np.testing.assert_array_equal(clvol.magnify(blocks, 3, name, rule).compute(), clvol.magnify(whole, 3, name, rule).data)
 
 
+@pytest.mark.parametrize("rule", ["mirror", "wrap", "constant"])
+def test_least_squares_has_the_same_bits(rule: str) -> None:
+    """Axes are summed in one order, also where a block's window would ask for another."""
+    whole = samples((40, 90, 61), "f4")
+    for shape in ((20, 45, 31), (11, 80, 20)):
+        wanted = clvol.resample(whole, shape, boundary=rule, anti_aliasing="least-squares")
+        for chunks in (16, (40, 9, 61), ((3, 37), 45, (60, 1))):
+            made = lazy.resample(
+                da.from_array(whole, chunks=chunks), shape, boundary=rule, anti_aliasing="least-squares", chunks=13
+            )
+            np.testing.assert_array_equal(made.compute(), wanted)
+
+
+# -- pyramids ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("kind", "shape", "about"),
+    [
+        ("u2", (50, 90, 70), {"filter": "bspline3(0.3)"}),
+        ("u1", (21, 64, 33), {"boundary": "wrap", "method": "average"}),
+        ("f4", (9, 80, 80), {"filter": "bspline2", "boundary": "reflect", "spacing": (1, 1, 4)}),
+        ("f8", (40, 20, 30), {"filter": "linear", "boundary": "nearest"}),
+        ("u4", (30, 40, 20), {"method": "nearest"}),
+    ],
+)
+def test_pyramids_are_those_that_are_stored(tmp_path: Any, kind: str, shape: Any, about: dict[str, Any]) -> None:
+    """To the last bit, whatever the chunks."""
+    pytest.importorskip("zarr")
+    whole, options = samples(shape, kind), {"filter": "bspline3", "boundary": "mirror"} | about
+    volume = clvol.Volume(whole, spacing=options.pop("spacing", (1, 1, 1)), labels=False)
+    method = options.pop("method", "least-squares")
+    stored = clvol.pyramid(volume, tmp_path / "v.zarr", method=method, levels=3, bounds=False, **options)
+    for chunks, into in ((32, None), ((13, 40, 80), (5, 40, 9))):
+        blocks = da.from_array(whole, chunks=chunks)
+        made = lazy.pyramid(blocks, 3, method=method, spacing=volume.spacing, chunks=into, **options)
+        assert made[0] is blocks
+        assert [one.shape for one in made[1:]] == [one.shape for one in stored.levels]
+        for one, other in zip(made[1:], stored.levels, strict=True):
+            assert one.dtype == whole.dtype
+            np.testing.assert_array_equal(one.compute(), other.whole().data)
+
+
+def test_pyramids_of_series_and_images() -> None:
+    frames = da.from_array(samples((2, 3, 40, 50), "u2"), chunks=(1, 2, 20, 25))
+    made = lazy.pyramid(frames, dimensions=2)
+    assert [one.shape for one in made] == [(2, 3, 40, 50), (2, 3, 20, 25)]
+    assert made[1].chunks == ((1, 1), (2, 1), (20,), (25,))
+    one = lazy.pyramid(frames[1, 2], 2, chunks=7)[1]
+    np.testing.assert_array_equal(made[1][1, 2].compute(), one.compute())
+    volumes = lazy.pyramid(frames, 2)
+    assert volumes[1].shape == (2, 2, 20, 25)
+    assert [one.shape for one in lazy.pyramid(frames, 9, spacing=(1, 1, 2))][:3] == [(2, 3, 40, 50), (2, 3, 20, 25), (2, 2, 10, 13)]
+    assert [one.name for one in lazy.pyramid(frames, 3)] == [one.name for one in lazy.pyramid(frames, 3)]
+    broken = samples((20, 20, 20))
+    broken[0, 3, 4] = np.nan
+    halved = lazy.pyramid(da.from_array(broken, chunks=10), 2)[1]
+    with pytest.raises(DataError, match=r"nan at \(0, 3, 4\) \(in block \(0, 0, 0\) of clvol.dask.pyramid"):
+        halved.compute()
+
+
 def test_whole_numbers_are_rounded_as_in_one_piece() -> None:
     whole = samples((40, 30, 20), "u1")
     blocks = da.from_array(whole, chunks=9)
@@ -430,6 +491,35 @@ def test_a_block_reads_what_it_needs_and_no_more() -> None:
     assert read == set()
 
 
+def test_neighbours_take_few_tasks_and_little_of_what_is_passed_on() -> None:
+    """Of 26 neighbours a task each would be most of a scheduler's work; whole ones would be 27 times the samples."""
+    data = da.zeros((5 * 96,) * 3, chunks=96, dtype="uint8")
+    made = clvol.prefilter(data)
+    cut = {key: task for key, task in made.dask.items() if "-read-" in key[0]}
+    assert len(cut) <= 6 * data.npartitions
+    keys = list(dask.core.keys_in_tasks(set(made.dask), [made.dask[(made.name, 2, 2, 2)]]))
+    assert len(keys) == 27
+    passed = sum(sum(part.nbytes for part in one) if isinstance(one, list) else one.nbytes for one in dask.get(made.dask, keys))
+    window = (96 + 2 * clvol.dask.reach("bspline3")) ** 3
+    assert window <= passed <= 6 * 96**3
+    # windows of halves overlap: where they take more of a chunk than it has, it is passed on itself
+    halves = ndimage.zoom(data, 0.5, mode="mirror", anti_aliasing="least-squares")
+    cut = {key: task for key, task in halves.dask.items() if "-read-" in key[0]}
+    assert all(sum(part.nbytes for part in one) <= 96**3 for one in dask.get(halves.dask, list(cut)))
+    direct = set(dask.core.keys_in_tasks(set(halves.dask), list(halves.dask.layers[halves.name].values())))
+    assert (data.name, 2, 2, 2) in direct
+
+
+def test_sums_go_along_one_axis_after_the_other() -> None:
+    """A block reads the row that it lies in, not all that lies around it."""
+    data = da.zeros((5 * 96,) * 3, chunks=96, dtype="uint8")
+    for made in (clvol.resample(data, spacing=2.0, anti_aliasing="least-squares"), clvol.dask.pyramid(data, 2)[1]):
+        for name, layer in made.dask.layers.items():
+            rows = [set(dask.core.keys_in_tasks(set(made.dask), [task])) for key, task in layer.items() if "-read-" not in key[0]]
+            assert "-along-" in name or name == data.name
+            assert max(map(len, rows)) <= 5
+
+
 def test_equal_calls_have_equal_keys() -> None:
     data = da.ones((20, 20), chunks=10)
     assert ndimage.zoom(data, 2).name == ndimage.zoom(data, 2).name != ndimage.zoom(data, 3).name
@@ -531,6 +621,15 @@ def test_a_failing_block_is_named() -> None:
         (lambda d: clvol.prefilter(d, "bspline3(1, 2, 3)"), OptionError, "smoothing must be one number, or 2"),
         (lambda d: lazy.prefilter(d, dimensions=3), OptionError, "dimensions"),
         (lambda d: clvol.magnify(d, 0), OptionError, "factor"),
+        (lambda d: lazy.pyramid(d, 0), OptionError, "levels"),
+        (lambda d: lazy.pyramid(d, method="median"), OptionError, "method must be one of"),
+        (lambda d: lazy.pyramid(d, filter="bspline3(auto)"), OptionError, "decided from all samples"),
+        (lambda d: lazy.pyramid(d, filter="hybrid"), OptionError, "one kernel"),
+        (lambda d: lazy.pyramid(d, boundary="zero"), OptionError, "continues the samples"),
+        (lambda d: lazy.pyramid(d, spacing=(1, 2, 3)), ClvolError, "spacing"),
+        (lambda d: lazy.pyramid(d, spacing=-1), ClvolError, "spacing"),
+        (lambda d: lazy.pyramid(d, precision="half"), OptionError, "precision"),
+        (lambda d: lazy.pyramid(d, device=3.5), OptionError, "device must be"),
     ],
 )
 def test_what_cannot_be_is_refused_before_anything_is_read(call: Any, error: type[ClvolError] | None, rule: str) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import pickle
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +14,7 @@ import clvol
 from clvol import LazyVolume
 from clvol.device import Device
 from clvol.errors import ClvolError, DataError, FormatError, OptionError
+from clvol.sliced import MappedFile
 
 
 class Counted:
@@ -184,3 +187,99 @@ def test_a_renderer_says_which_size_its_last_picture_shows(device: Device) -> No
         pytest.raises(OptionError, match="budget must be left to the"),
     ):
         clvol.Renderer(field, budget=1 << 30)
+
+
+# -- mapped files ----------------------------------------------------------------------------------------------------------------
+
+
+PARTS = [
+    "whole",
+    "a box",
+    "its end",
+    "a sample",
+    "turned",
+    "every second",
+    "Fortran's order",
+    "other bytes",
+    "plain",
+    "another shape",
+]
+
+
+def parts_of(path: Path) -> dict[str, np.ndarray[Any, Any]]:
+    """Maps of a file, and parts of them."""
+    samples = noise(40, 40)
+    samples.tofile(path)
+    c = np.memmap(path, np.float32, "r", offset=64, shape=(7, 8, 15))
+    return {
+        "whole": c,
+        "a box": c[2:5, 1:7, 3:9],
+        "its end": c[5:, 4:, 13:],
+        "a sample": c[3:4, 2:3, 5:6],
+        "turned": c.transpose(1, 2, 0)[1:],
+        "every second": c[::2],
+        "Fortran's order": np.memmap(path, np.float32, "r", shape=(7, 8, 15), order="F")[1:, 2:, 3:],
+        "other bytes": np.memmap(path, ">i4", "r+", shape=(2, 7, 8, 9))[1],
+        "plain": np.asarray(c)[:, :, 1:],
+        "another shape": np.memmap(path, np.float32, "r").reshape(10, 16, 10)[:, 4:],
+    }
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_a_mapped_file_is_pickled_by_its_name(name: str, tmp_path: Path) -> None:
+    data = parts_of(tmp_path / "a")[name]
+    volume = LazyVolume(data)
+    assert not volume.in_memory
+    other = pickle.loads(pickle.dumps(volume))
+    assert isinstance(other.data, MappedFile)
+    for low in itertools.product((0, 1), repeat=3):
+        low = tuple(min(a, n - 1) for a, n in zip(low, volume.size, strict=True))
+        for high in (volume.size, tuple(a + 1 for a in low)):
+            np.testing.assert_array_equal(other.read(low, high), volume.read(low, high))
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(other)).whole().data, data)
+
+
+def test_what_is_mapped_and_not_in_its_file_is_pickled(tmp_path: Path) -> None:
+    noise(10, 10, 10).tofile(tmp_path / "a")
+    changed = np.memmap(tmp_path / "a", np.float32, "c", shape=(10, 10, 10))
+    changed[3] = 5
+    plain = np.memmap(tmp_path / "a", np.float32, "r", shape=(10, 10, 10))
+    for data in (changed, plain[:, :, ::2], plain[::-1], plain + 1):
+        volume = LazyVolume(data)
+        assert volume.in_memory
+        np.testing.assert_array_equal(pickle.loads(pickle.dumps(volume)).whole().data, data)
+    (tmp_path / "a").unlink()
+    assert LazyVolume(plain).in_memory
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(LazyVolume(plain))).whole().data, plain)
+
+
+def test_what_is_written_to_a_map_is_read_elsewhere(tmp_path: Path) -> None:
+    data = np.memmap(tmp_path / "a", np.int16, "w+", shape=(4, 5, 6))
+    data[...] = 7
+    assert (pickle.loads(pickle.dumps(LazyVolume(data))).whole().data == 7).all()
+
+
+def test_a_mapped_file_that_is_another_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    noise(10, 10, 10).tofile(path)
+    packed = pickle.dumps(LazyVolume(np.memmap(path, np.float32, "r", shape=(10, 10, 10))))
+    opened = pickle.loads(packed)
+    opened.read((0, 0, 0), (2, 2, 2))
+    path.write_bytes(path.read_bytes()[:2000])
+    with pytest.raises(FormatError, match="has changed since it was opened"):
+        opened.read((0, 0, 0), (2, 2, 2))
+    with pytest.raises(FormatError, match=r"cannot read samples .*: .*, which was mapped, must be here as well, with its 4000"):
+        pickle.loads(packed).whole()
+    path.unlink()
+    with pytest.raises(FormatError, match=r"with its 4000 bytes; there is none"):
+        pickle.loads(packed).whole()
+
+
+def test_chunks_of_nothing_are_none() -> None:
+    class Odd(Counted):
+        chunks = (0, 0, 0)
+
+    data = np.random.default_rng(0).random((9, 9, 9)).astype(np.float32)
+    volume = clvol.LazyVolume(Odd(data), limits=(0, 1), labels=False)
+    assert volume.chunks is None
+    np.testing.assert_array_equal(clvol.resample(volume, (9, 9, 9), filter="linear").data, data)

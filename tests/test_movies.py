@@ -20,6 +20,8 @@ from PIL import Image, ImageSequence
 
 import clvol
 from clvol import cli, movies
+from clvol.batches import frames
+from clvol.cluster import as_cluster
 from clvol.errors import MissingDependencyError, OptionError
 from clvol.picture import to_bytes
 
@@ -124,6 +126,32 @@ def test_the_command(form: str, tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert sorted(os.listdir(tmp_path)) == [path.name, again.name]  # noqa: PTH208  # names
 
 
+def test_a_cluster_makes_the_same_movie(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A task a picture: in the order of the pictures, few of them waiting."""
+    pytest.importorskip("distributed")
+    volume, cameras, told = clvol.phantoms.marschner_lobb(24), clvol.turned(9), list[float]()
+    alone = [picture.copy() for picture in frames(volume, cameras, mode="mip", size=(30, 20))]
+    with as_cluster(2) as cluster:
+        submit, asked = cluster.submit, []
+        cluster.submit = lambda *a, **k: asked.append(a[0]) or submit(*a, **k)  # type: ignore[func-returns-value, method-assign]
+        for number, picture in enumerate(frames(volume, cameras, cluster=cluster, progress=told.append, mode="mip", size=(30, 20))):
+            np.testing.assert_array_equal(picture, alone[number])
+            assert len(asked) <= number + 4
+        assert told == [(i + 1) / 9 for i in range(9)]
+        coming = frames(volume, [*cameras, None], cluster=cluster, mode="mip", size=(30, 20))
+        next(coming)
+        coming.close()  # what is not wanted is not drawn
+        with pytest.raises(OptionError, match="lod"):
+            list(frames(volume, cameras, cluster=cluster, lod=-1))
+        made = []
+        for more in ([], ["--scheduler", cluster.address]):
+            with pytest.raises(SystemExit) as end:
+                cli.main([*COMMAND, "-o", str(tmp_path / "a.gif"), "--frames", "5", *more])
+            assert end.value.code == 0
+            made.append(((tmp_path / "a.gif").read_bytes(), capsys.readouterr().out))
+        assert made[0] == made[1]
+
+
 @pytest.mark.usefixtures("device")
 @pytest.mark.parametrize(
     ("options", "code", "says"),
@@ -135,6 +163,8 @@ def test_the_command(form: str, tmp_path: Path, capsys: pytest.CaptureFixture[st
         (["-o", "a.gif", "--fps", "-3"], 1, "fps"),
         (["-o", "a.gif", "--turns", "nan"], 1, "turns"),
         (["-o", "a.gif", "--isovalue", "3", "--mode", "mip"], 1, "isovalue"),
+        (["-o", "a.gif", "--workers", "2", "--scheduler", "tcp://127.0.0.1:9"], 1, "give --scheduler or --workers; got both"),
+        (["-o", "a.gif", "--scheduler", "tcp://127.0.0.1:9"], 1, "no scheduler answers at tcp://127.0.0.1:9: "),
     ],
     ids=str,
 )
@@ -179,3 +209,12 @@ main({[*COMMAND, "-o", f"a.{form}", "--frames", "5000"]!r})
     assert process.returncode == 130
     assert err.endswith("clvol: interrupted\n")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_pictures_are_of_one_volume_and_of_cameras() -> None:
+    """Which is said before the first one is asked for."""
+    volume = clvol.Volume(np.zeros((4, 5, 6), np.float32))
+    with pytest.raises(OptionError, match=r"source must be one volume; got 2: clvol\.batch takes several"):
+        frames([volume, volume], [None])
+    with pytest.raises(OptionError, match="cameras must be of Camera, or None for the default one; got int"):
+        frames(volume, [None, 3])  # type: ignore[list-item]  # that is the question

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
+import json
+import math
+import os
+import shutil
 import signal
 import subprocess
 import sys
 import textwrap
+import time
 import warnings
 from pathlib import Path
 from typing import Any
@@ -22,6 +28,7 @@ from clvol.errors import ClvolError, DataError, FormatError, OptionError
 from clvol.filter import as_filter
 from clvol.formats._bounds import StoredBounds, blocks_of
 from clvol.lazy import Bounds
+from clvol.multiscale import journal, make
 from clvol.multiscale.levels import levels_of
 from clvol.spline.reduce import nearest_spline
 
@@ -176,6 +183,28 @@ def test_each_sample_is_read_about_once(tmp_path: Path) -> None:
     assert counted.read <= counted.data.size + looked_at
 
 
+@pytest.mark.parametrize(("budget", "levels", "most"), [(None, None, 27), (None, 1, 27), (122 * MIB, 2, 80)])
+def test_chunks_of_dask_are_computed_about_once(tmp_path: Path, budget: int | None, levels: int | None, most: int) -> None:
+    """And of few bytes as often as their parts are read, in one piece."""
+    da = pytest.importorskip("dask.array")
+    data, computed = waves((150, 140, 130)), []
+
+    def count(block: np.ndarray, block_info: Any = None) -> np.ndarray:
+        if block_info:
+            computed.append(block_info[0]["chunk-location"])
+        return block
+
+    chunks = ((50, 70, 30), (50, 50, 40), (1, 79, 50))
+    blocks = da.from_array(data, chunks=chunks).map_blocks(count, dtype=data.dtype, meta=np.empty((0, 0, 0), data.dtype))
+    about: dict[str, Any] = {"filter": "bspline3", "levels": levels, "bounds": False, "budget": budget}
+    made = clvol.pyramid(clvol.LazyVolume(blocks, labels=False), tmp_path / "v.zarr", **about)
+    assert len(set(computed)) == 27
+    assert len(computed) <= most
+    other = clvol.pyramid(clvol.Volume(data, labels=False), tmp_path / "w.zarr", **about)
+    for one, two in zip((made, *made.levels), (other, *other.levels), strict=True):
+        np.testing.assert_array_equal(one.whole().data, two.whole().data)
+
+
 def truth(points: np.ndarray) -> np.ndarray:
     """A function of three octaves, the highest of which half the samples still hold."""
     x, y, z = np.moveaxis(points, -1, 0)
@@ -311,6 +340,37 @@ def test_zeros_alone_have_bounds_of_zero(tmp_path: Path) -> None:
     assert not lazy.whole().data.any()
 
 
+@pytest.mark.parametrize("version", ["0.4", "0.5"])
+@pytest.mark.parametrize("filled", [False, True])
+def test_where_a_chunk_of_bounds_is_missing_nothing_is_known(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, version: Any, filled: bool
+) -> None:
+    """And what is there is drawn; also of older stores, whose missing chunks read as zeros."""
+    if filled:
+        array = make._Making._array
+        monkeypatch.setattr(make._Making, "_array", lambda *given, **more: array(*given, **(more | {"fill": 0})))
+    data = np.zeros((300, 24, 24), np.uint8)
+    data[270:290, 6:18, 6:18] = 200
+    path = tmp_path / "v.zarr"
+    clvol.pyramid(clvol.Volume(data, labels=False), path, filter="linear", levels=1, version=version)
+    whole = clvol.open(path, trusted=True)
+    assert whole.bounds is not None
+    view = {"camera": clvol.Camera.orbit(30, 10, fit="volume"), "mode": "isosurface", "size": (24, 24), "isovalue": 100}
+    picture = np.asarray(clvol.render(whole, budget=2 * MIB, **view))
+    known = (-math.inf, math.inf) if filled else (0, 0)  # its first chunk is of zeros, which were not stored
+    assert whole.bounds.within((0, 0, 0), (23, 23, 255)) == known
+    least, most = whole.bounds.within((0, 0, 256), (23, 23, 299))
+    assert (least, most) == (pytest.approx(0, abs=0.1), pytest.approx(200, abs=0.1))
+    finest = path / "clvol" / "bounds" / "0" / "0"
+    chunk = finest / ("1/0/0/0" if version == "0.4" else "c/1/0/0/0")
+    chunk.unlink()
+    opened = clvol.open(path, trusted=True)
+    assert opened.bounds is not None
+    assert opened.bounds.within((0, 0, 256), (23, 23, 299)) == (-math.inf, math.inf)
+    assert opened.limits == (0, 200)
+    np.testing.assert_array_equal(np.asarray(clvol.render(opened, budget=2 * MIB, **view)), picture)
+
+
 def test_values_far_from_zero_have_bounds_of_their_size(tmp_path: Path) -> None:
     data = 1e6 + np.random.default_rng(0).random((20, 20, 20))
     lazy = clvol.pyramid(clvol.Volume(data.astype(np.float64)), tmp_path / "v.zarr", filter="linear", levels=1)
@@ -402,6 +462,222 @@ def test_a_killed_process_changes_nothing_but_time(tmp_path: Path) -> None:
     assert not (tmp_path / ".v.zarr.unfinished").exists()
 
 
+class Killed(BaseException):
+    """In place of a SIGKILL: from the n-th change of the disk on, none is made any more."""
+
+
+def killing(monkeypatch: pytest.MonkeyPatch, after: int) -> list[int]:
+    """What counts the changes that the journal makes, and ends the process, as it were, at one of them."""
+    made = [0]
+
+    def watched(function: Any) -> Any:
+        def call(*arguments: Any, **options: Any) -> Any:
+            made[0] += 1
+            if made[0] > after:
+                raise Killed
+            return function(*arguments, **options)
+
+        return call
+
+    for name in ("rename", "unlink", "rmdir", "mkdir", "sync", "fsync", "utime"):
+        monkeypatch.setattr(os, name, watched((lambda *_: None) if name.endswith("sync") else getattr(os, name)))
+    monkeypatch.setattr(journal.Journal, "_write", watched(journal.Journal._write))
+    return made
+
+
+def rename_fails(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+    calls, rename = [0], os.rename
+
+    def call(*arguments: Any) -> None:
+        calls[0] += 1
+        if calls[0] == number:
+            raise PermissionError("not now")
+        rename(*arguments)
+
+    monkeypatch.setattr(os, "rename", call)
+
+
+TINY: dict[str, Any] = {"filter": "linear", "levels": 1, "bounds": False, "compressor": "none"}
+
+
+def tiny(seed: int) -> clvol.Volume:
+    return clvol.Volume(np.random.default_rng(seed).integers(1, 100, (4, 5, 6)).astype(np.uint8), labels=False)
+
+
+def sum_at(target: Path) -> int | None:
+    """Of all samples of the store that is there."""
+    return int(clvol.open(target, trusted=True).whole().data.sum()) if target.exists() else None
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="renames otherwise")
+@pytest.mark.parametrize(
+    ("old", "then"),
+    [
+        (True, "the same, replacing"),
+        (False, "the same"),
+        *(
+            pytest.param(*case, marks=pytest.mark.thorough)
+            for case in itertools.product((True, False), ("another", "another, replacing"))
+        ),
+        pytest.param(True, "the same", marks=pytest.mark.thorough),
+        pytest.param(False, "the same, replacing", marks=pytest.mark.thorough),
+    ],
+)
+def test_a_kill_between_any_two_changes_of_the_disk_loses_no_store(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, old: bool, then: str
+) -> None:
+    """Whatever was there is, or the whole new store is, or the next call makes it be."""
+    before, new, other = (int(tiny(seed).data.sum()) for seed in (0, 1, 2))
+    about = TINY | {"overwrite": old}
+    ends = set()
+    monkeypatch.setattr(os, "sync", lambda: None)  # takes long where others write
+    if old:
+        clvol.pyramid(tiny(0), tmp_path / "old.zarr", **TINY)
+    for after in range(100):
+        target = tmp_path / str(after) / "v.zarr"
+        target.parent.mkdir()
+        if old:
+            shutil.copytree(tmp_path / "old.zarr", target)
+        with monkeypatch.context() as patch:
+            killing(patch, after)
+            try:
+                clvol.pyramid(tiny(1), target, **about)
+            except Killed:
+                killed = True
+            else:
+                killed = False
+        found = sum_at(target)
+        assert found in (None, before if old else new, new)
+        ends.add(found)
+        replacing = then.endswith("replacing")
+        source, wanted = (tiny(2), other) if then.startswith("another") else (tiny(1), new)
+        said = ""
+        try:
+            clvol.pyramid(source, target, **(TINY | {"overwrite": replacing}))
+        except FormatError as error:
+            said = str(error)
+        if said:  # what must not be replaced is there, or what another began
+            kept = sum_at(target)
+            assert not replacing
+            assert ("there already" in said) == (kept is not None)
+            assert kept is not None or (not old and "another command began" in said)
+            assert kept in (found, new) or found is None
+            clvol.pyramid(source, target, **(TINY | {"overwrite": True}))
+        assert sum_at(target) == wanted
+        assert [one.name for one in target.parent.iterdir()] == ["v.zarr"]
+        if not killed:
+            assert after > 9
+            break
+    assert ends == ({None, before, new} if old else {None, new})
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="renames otherwise")
+@pytest.mark.parametrize("number", [1, 2])
+def test_a_store_that_cannot_be_moved_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+    target = tmp_path / "v.zarr"
+    clvol.pyramid(tiny(0), target, **TINY)
+    with monkeypatch.context() as patch:
+        rename_fails(patch, number)
+        with pytest.raises(FormatError, match=r"not now; the store is complete in .*unfinished"):
+            clvol.pyramid(tiny(1), target, overwrite=True, **TINY)
+    assert sum_at(target) == tiny(0).data.sum()
+    told: list[float] = []
+    clvol.pyramid(tiny(1), target, overwrite=True, progress=told.append, **TINY)
+    assert told == [1.0]
+    assert sum_at(target) == tiny(1).data.sum()
+
+
+def test_a_list_without_its_store_is_none(tmp_path: Path) -> None:
+    """The store was deleted, or moved away, and the journal was not."""
+
+    def interrupted(done: float) -> None:
+        if done > 0.6:
+            raise KeyboardInterrupt
+
+    target = tmp_path / "v.zarr"
+    with pytest.raises(KeyboardInterrupt):
+        clvol.pyramid(scan(), target, chunks=16, progress=interrupted)
+    shutil.rmtree(tmp_path / ".v.zarr.unfinished" / "store.zarr")
+    np.testing.assert_array_equal(clvol.pyramid(scan(), target, chunks=16).whole().data, scan().data)
+
+
+@pytest.mark.skipif(not hasattr(os, "sync"), reason="has no sync")
+def test_after_a_power_failure_only_what_the_disk_had_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Chunks that were written after the disk was last waited for are lost or torn, and so is an array's metadata."""
+    target, about = tmp_path / "v.zarr", {"chunks": 8, "levels": 2, "filter": "linear"}
+    volume, folder = scan((40, 30, 34)), tmp_path / ".v.zarr.unfinished"
+    told: list[float] = []
+
+    def interrupted(done: float) -> None:
+        told.append(done)
+        time.sleep(0.02)  # a file's time is that of the last tick
+        monkeypatch.setattr(journal, "_SECONDS", 0.0 if done < 0.1 else 1e9)
+        if done > 0.25:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(journal, "_SECONDS", 0.0)
+    monkeypatch.setattr(journal, "_SHARE", 0)
+    with pytest.raises(KeyboardInterrupt):
+        clvol.pyramid(volume, target, progress=interrupted, **about)
+    entries = [json.loads(line) for line in (folder / "journal").read_text().splitlines()]
+    synced = max(entry["synced"] for entry in entries if "synced" in entry)
+    lost = [file for file in folder.rglob("*") if file.is_file() and file.name != "journal" and file.stat().st_mtime_ns > synced]
+    assert len(lost) > 4
+    for file in lost:
+        file.write_bytes(b"")
+    boot = tmp_path / "boot"
+    boot.write_text("another")
+    monkeypatch.setattr(journal, "_BOOT", boot)
+    told.clear()
+    with pytest.raises(KeyboardInterrupt):  # and it happens again
+        clvol.pyramid(volume, target, progress=interrupted, **about)
+    assert 0.05 < told[0] < 0.25  # what was there before counts
+    boot.write_text("and another")
+    clvol.pyramid(volume, target, **about)
+    monkeypatch.undo()
+    clvol.pyramid(volume, tmp_path / "whole.zarr", **about)
+    same_stores(target, tmp_path / "whole.zarr")
+
+
+AT_ITS_END = """
+    import os, signal, sys
+    import numpy as np
+    import clvol
+
+    def end(*_):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    if sys.argv[3] == "bounds":
+        progress = lambda done: end() if done > 0.7 else None
+    else:
+        import shutil
+        removed, progress = shutil.rmtree, None
+        shutil.rmtree = lambda path, **more: end() if path.name == "replaced" else removed(path, **more)
+    clvol.pyramid(clvol.Volume(np.load(sys.argv[1])), sys.argv[2], chunks=16, levels=2, filter="linear", overwrite=True,
+                  progress=progress)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no SIGKILL")
+def test_a_process_that_is_killed_at_its_end_loses_nothing(tmp_path: Path) -> None:
+    """Among its bounds, and while it removes what it has replaced."""
+    np.save(tmp_path / "v.npy", waves((60, 70, 80)))
+    volume, target = clvol.Volume(np.load(tmp_path / "v.npy")), tmp_path / "v.zarr"
+    about: dict[str, Any] = {"chunks": 16, "levels": 2, "filter": "linear"}
+    clvol.pyramid(volume, tmp_path / "whole.zarr", **about)
+    clvol.pyramid(tiny(0), target, **TINY)
+    told: list[float] = []
+    for where, least in (("bounds", 0.3), ("end", 1.0)):
+        command = [sys.executable, "-c", textwrap.dedent(AT_ITS_END), tmp_path / "v.npy", target, where]
+        assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
+        assert sum_at(target) == (tiny(0).data.sum() if where == "bounds" else volume.data.sum())
+        told.clear()
+        clvol.pyramid(volume, target, overwrite=True, progress=told.append, **about)
+        assert told[0] >= least
+        same_stores(target, tmp_path / "whole.zarr")
+        assert not (tmp_path / ".v.zarr.unfinished").exists()
+
+
 def test_an_interrupt_leaves_no_store_but_what_to_go_on_with(tmp_path: Path) -> None:
     def interrupted(done: float) -> None:
         if done > 0.4:
@@ -424,6 +700,48 @@ def test_an_interrupt_leaves_no_store_but_what_to_go_on_with(tmp_path: Path) -> 
     clvol.pyramid(volume, target, chunks=16, overwrite=True)
     assert [one.name for one in tmp_path.iterdir()] == ["v.zarr"]
     np.testing.assert_array_equal(clvol.open(target).whole().data, volume.data)
+
+
+SOURCES: dict[str, Any] = {
+    "npy": clvol.open,
+    "path": lambda path: path,
+    "memory": np.load,
+    "map": lambda path: clvol.LazyVolume(np.load(path, mmap_mode="r")[:, ::2], labels=False),
+    "folder": lambda path: clvol.open(path.with_suffix(".zarr"), trusted=True),
+    "array": lambda path: clvol.LazyVolume(zarr.open_array(path.with_suffix(".zarr"), mode="r"), labels=False),
+    "h5": lambda path: clvol.open(path.with_suffix(".h5"), trusted=True),
+    "h5py": lambda path: clvol.LazyVolume(__import__("h5py").File(path.with_suffix(".h5"))["v"], labels=False),
+}
+
+
+def put(path: Path, data: np.ndarray) -> None:
+    np.save(path, data)
+    chunked = zarr.create_array(path.with_suffix(".zarr"), shape=data.shape, chunks=(16,) * 3, dtype=data.dtype, overwrite=True)
+    chunked[...] = data
+    with __import__("h5py").File(path.with_suffix(".h5"), "w") as file:
+        file["v"] = data
+
+
+@pytest.mark.parametrize("name", SOURCES)
+def test_a_source_that_has_changed_is_another(tmp_path: Path, name: str) -> None:
+    """Also where only its first sample has, of more than are compared."""
+    pytest.importorskip("h5py")
+    data = np.random.default_rng(0).integers(0, 200, (20, 20, 150), np.uint8)
+    put(tmp_path / "v.npy", data)
+    about: dict[str, Any] = {"filter": "linear", "levels": 1, "bounds": True}
+
+    def interrupted(_: float) -> None:
+        raise KeyboardInterrupt
+
+    target = tmp_path / "made.zarr"
+    for _ in range(2):  # the second goes on
+        with pytest.raises(KeyboardInterrupt):
+            clvol.pyramid(SOURCES[name](tmp_path / "v.npy"), target, progress=interrupted, **about)
+    data[0, 0, 0] += 1
+    time.sleep(0.02)
+    put(tmp_path / "v.npy", data)
+    with pytest.raises(FormatError, match=r"another command began \(source: .* and not .*\)"):
+        clvol.pyramid(SOURCES[name](tmp_path / "v.npy"), target, **about)
 
 
 def test_what_is_there_is_kept_unless_asked_for(tmp_path: Path) -> None:
@@ -500,3 +818,39 @@ def test_a_file_is_its_source(tmp_path: Path) -> None:
     again = clvol.pyramid(tmp_path / "a.zarr", tmp_path / "b.zarr", levels=2)
     np.testing.assert_array_equal(again.whole().data, volume.data)
     np.testing.assert_array_equal(again.levels[0].whole().data, lazy.levels[0].whole().data)
+
+
+GROWS = """
+    import sys
+    from pathlib import Path
+    import numpy as np
+    import clvol
+
+    class Formula:
+        shape, dtype = (int(sys.argv[2]), 384, 512), np.dtype(np.uint16)
+
+        def __getitem__(self, at):
+            z, y, x = (np.arange(one.start, one.stop, dtype=np.uint16) for one in at)
+            return (z[:, None, None] & 31) + (y[:, None] & 15) * (x & 7)
+
+    def peak():
+        return int(next(line for line in Path("/proc/self/status").open() if line.startswith("VmHWM")).split()[1]) << 10
+
+    about = {"method": "average", "levels": 2, "bounds": False, "filter": "linear", "compressor": "none"}
+    clvol.pyramid(clvol.Volume(np.zeros((70, 70, 70), np.uint16), labels=False), sys.argv[1] + "/a.zarr", **about)
+    before, budget = peak(), 120 << 20
+    volume = clvol.LazyVolume(Formula(), labels=False)
+    assert volume.nbytes > 1.5 * budget
+    volume = clvol.pyramid(volume, sys.argv[1] + "/b.zarr", budget=budget, **about)
+    print(peak() - before, budget)
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="read from /proc")
+@pytest.mark.parametrize("deep", [512, pytest.param(1536, marks=pytest.mark.thorough)])
+def test_memory_stays_within_the_budget(tmp_path: Path, deep: int) -> None:
+    """Of a volume that is larger, and eight times what remains of the budget beside Zarr's and the device's own, or 24 times."""
+    command = [sys.executable, "-c", textwrap.dedent(GROWS), tmp_path, str(deep)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    grown, budget = map(int, done.stdout.split())
+    assert grown < budget

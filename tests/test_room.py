@@ -51,7 +51,7 @@ CALLS = [
     "clvol.resample(small, like=like, anti_aliasing='least-squares')",
     "clvol.resample(small, (1024,) * 3, precision='double')",
     "clvol.resample(huge, (8, 8, 8), precision='double')",  # bricks are of single precision
-    "clvol.resample(huge, (8, 8, 8), anti_aliasing=True)",
+    "clvol.resample(huge, (8, 8, 8), precision='double', anti_aliasing=True)",
     "clvol.resample(np.broadcast_to(np.float32(1), (1, 2**27)), (1, 2**20), anti_aliasing=True)",
     "clvol.magnify(small, 200)",
     "clvol.magnify(small, 10**6)",
@@ -111,6 +111,8 @@ CALLS = [
 BY_BRICKS = [  # of 4 GiB with its coefficients
     "clvol.render(huge, mode='isosurface', isovalue=2, size=(32, 32), boundary='zero')",
     "clvol.sample(huge, np.zeros((1, 3)))",
+    "clvol.resample(huge[:300], (8, 8, 8), anti_aliasing=True)",
+    "clvol.resample(huge[:300], (8, 8, 8), anti_aliasing='least-squares')",
 ]
 
 RUN = """

@@ -4,29 +4,34 @@ from __future__ import annotations
 
 import itertools
 import os
-import threading
 import uuid
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from string import Formatter
 from typing import Any, Self
 
 from clvol.camera import Camera
 from clvol.checks import instance, whole
-from clvol.cluster import Cluster, ClusterLike, as_cluster
+from clvol.cluster import Cluster, ClusterLike, Turn, as_cluster
 from clvol.errors import ClvolError, OptionError
 from clvol.formats import read
-from clvol.lazy import LazyVolume
+from clvol.formats.opening import opened_if
+from clvol.lazy import LazyVolume, by_bricks
 from clvol.march.launch import Progress
-from clvol.march.renderer import Renderer
+from clvol.march.renderer import Renderer, row_for
+from clvol.mode import DEFAULT_MODE, as_mode
 from clvol.picture import Picture, save
 from clvol.volume import Volume, as_volume
 
-__all__ = ["Drawn", "batch", "turned"]
+__all__ = ["Drawn", "batch", "frames", "needs_whole", "turned"]
 
 _OF_RENDERER = ("filter", "boundary", "device", "budget")  # the other options are those of its pictures
 _FIELDS = ("name", "number", "frame")
+_EACH = 2  # frames of a movie for each worker that are being drawn, or wait for those before them
 
 
 @dataclass(frozen=True)
@@ -79,7 +84,7 @@ def batch(
     output: str | os.PathLike[str] = "{name}-{frame:04}.png",
     *,
     cluster: ClusterLike | None = None,
-    reading: Mapping[str, Any] | Callable[[str], Volume] | None = None,
+    reading: Mapping[str, Any] | Callable[[str], Volume | LazyVolume] | None = None,
     look: Callable[[Volume], Mapping[str, Any]] | None = None,
     progress: Progress | None = None,
     **options: Any,
@@ -91,7 +96,8 @@ def batch(
     Parameters
     ----------
     sources : path, Volume or LazyVolume, or a sequence of these
-        Files are read by whoever draws them.
+        Files are read by whoever draws them; what is stored in several sizes or does not fit into half of the memory that is
+        available by bricks, as by 'clvol render'.
     cameras : Camera or sequence of Camera, optional
         One picture of each source by each; by default one by `Camera.orbit()`. See `turned`.
     output : str
@@ -100,7 +106,7 @@ def batch(
     cluster : distributed.Client, str or int, optional
         Who draws: as of `Renderer`. Each picture is a task, so a worker must have room for a whole volume. By default this process.
     reading : mapping or callable, optional
-        Options of `clvol.read`, or what reads a file in its place.
+        Options of `clvol.read`, or what reads a file in its place, as a Volume or LazyVolume.
     look : callable, optional
         Gives further options for each volume.
     progress : callable, optional
@@ -144,7 +150,6 @@ def batch(
         for (number, source), frame in itertools.product(enumerate(many), range(len(views)))
     ]
     _require_apart(wanted)
-    work = [(source, view) for source in many for view in views]
     done = itertools.count(1)
     results: list[Drawn] = list(wanted)
     how = reading if callable(reading) else dict(reading or {})
@@ -161,49 +166,142 @@ def batch(
 
     if cluster is None:
         with _Held() as held:
-            for number, (source, view) in enumerate(work):
+            for number, (source, view) in enumerate(itertools.product(many, views)):
                 try:
                     picture = _drawn(held, source, how, view, look, options)
                 except ClvolError as error:
                     picture = error
                 keep(number, picture)
         return results
-    own, token = as_cluster(cluster), uuid.uuid4().hex
-    try:
-        for number, result in _by(own, token, many, work, how, look, options):
-            keep(number, result)
-    finally:
-        own.tell(_let_go)
-        if own is not cluster:
-            own.close()
+    with _together(cluster) as (own, token):
+        at_hand = [_at_hand(own, source) for source in many]
+        tasks = [own.submit(_task, token, source, how, view, look, options) for source, view in itertools.product(at_hand, views)]
+        try:
+            for number, result in own.done(tasks, keeping=True):
+                keep(number, result)
+        finally:
+            own.cancel(tasks)
     return results
 
 
-def _by(
-    cluster: Cluster, token: str, many: Sequence[Any], work: Sequence[tuple[Any, Any]], how: Any, look: Any, options: Any
-) -> Iterator[tuple[int, Any]]:
-    """The pictures, as a cluster has them."""
-    at_hand = {
-        id(source): cluster.shared(
-            source, source.data.nbytes if isinstance(source, Volume) else source.nbytes if source.in_memory else 0
-        )
-        for source in many
-        if isinstance(source, (Volume, LazyVolume))
-    }
-    futures = [
-        cluster.submit(_task, token, at_hand.get(id(source), _absolute(source)), how, view, look, options) for source, view in work
-    ]
+def frames(
+    source: Any,
+    cameras: Sequence[Camera | None],
+    *,
+    cluster: ClusterLike | None = None,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Generator[Picture, None, None]:
+    """Pictures of a volume one after the other, such as for `movies.write`.
+
+    Of those that a cluster draws few are waiting at any time, in the memory of its workers.
+
+    Parameters
+    ----------
+    source : path, Volume or LazyVolume
+        As of `batch`.
+    cameras : sequence of Camera or None
+        One for each picture; None is the default one.
+    cluster : distributed.Client, str or int, optional
+        Who draws, a task a picture. By default this process.
+    progress : callable, optional
+        Called with the fraction done.
+    **options
+        As of `clvol.render`.
+
+    Raises
+    ------
+    OptionError
+        `source` is several, or `cameras` are not all cameras.
+    ClvolError
+        As of `clvol.render`, at the picture that cannot be drawn.
+    ClusterError
+        The scheduler or all of its workers are gone.
+    """
+    sources, count = _several(source), len(cameras)
+    if len(sources) != 1:
+        raise OptionError(f"source must be one volume; got {len(sources)}: clvol.batch takes several")
+    for camera in cameras:
+        if camera is not None and not isinstance(camera, Camera):
+            raise OptionError(f"cameras must be of Camera, or None for the default one; got {type(camera).__qualname__}")
+    return _frames(sources[0], cameras, count, cluster, progress, options)
+
+
+def _frames(
+    one: Any,
+    cameras: Sequence[Camera | None],
+    count: int,
+    cluster: ClusterLike | None,
+    progress: Progress | None,
+    options: dict[str, Any],
+) -> Generator[Picture, None, None]:
+    """Those of a volume, one after the other."""
+    if cluster is None:
+        with _Held() as held:
+            for number, camera in enumerate(cameras):
+                told = progress and partial(_within, progress, number, count)
+                yield _drawn(held, one, {}, camera, None, options | {"progress": told})
+        return
+    with _together(cluster) as (own, token):
+        at_hand, left = _at_hand(own, one), iter(cameras)
+        tasks: deque[Any] = deque()
+        try:
+            for number in range(count):
+                for camera in itertools.islice(left, max(1, _EACH * len(own.workers) - len(tasks))):
+                    tasks.append(own.submit(_task, token, at_hand, {}, camera, None, options))
+                ((_, picture),) = own.done([tasks[0]])
+                tasks.popleft()
+                if progress:
+                    progress((number + 1) / count)
+                yield picture
+        finally:
+            own.cancel(tasks)
+
+
+def _within(progress: Progress, number: int, count: int, done: float) -> None:
+    """So much of a picture of several is done."""
+    progress((number + done) / count)
+
+
+@contextmanager
+def _together(choice: ClusterLike) -> Iterator[tuple[Cluster, str]]:
+    """A cluster and a token for what its workers hold meanwhile."""
+    cluster = as_cluster(choice)
     try:
-        yield from cluster.done(futures, keeping=True)
+        yield cluster, uuid.uuid4().hex
     finally:
-        cluster.cancel(futures)
+        cluster.tell(_let_go)
+        if cluster is not choice:
+            cluster.close()
+
+
+def _at_hand(cluster: Cluster, source: Any) -> Any:
+    """What a task takes for a source: a file by its name, a volume once for all tasks."""
+    if isinstance(source, Volume):
+        return cluster.shared(source, source.data.nbytes)
+    if isinstance(source, LazyVolume):
+        return cluster.shared(source.for_tasks(), source.nbytes if source.in_memory else 0)
+    return _absolute(source)
+
+
+def needs_whole(evaluator: str = "auto", fetch: str = "auto", outputs: Any = "rgba", **_: Any) -> bool:
+    """Whether these options of `clvol.render` are of volumes that are read whole, as long as they fit."""
+    return evaluator not in ("auto", "taps") or fetch == "image" or "uncertainty" in outputs
+
+
+def _read(path: str, how: Any, options: Mapping[str, Any]) -> Volume | LazyVolume:
+    """A file as it is drawn."""
+    if callable(how):
+        return how(path)  # type: ignore[no-any-return]  # it is the caller's
+    several = how.get("level") is None and not needs_whole(**options)
+    return opened_if(path, partial(by_bricks, several=several), **how) or read(path, **how)
 
 
 class _Held:
     """The renderer of the source that was drawn last."""
 
     def __init__(self) -> None:
-        self.lock = threading.RLock()
+        self.turn = Turn()
         self._key: Any = None
         self._volume: Any = None
         self._renderer: Renderer | None = None
@@ -220,13 +318,19 @@ class _Held:
             self._renderer.close()
         self._key = self._volume = self._renderer = None
 
-    def of(self, token: str, source: Any, how: Any, given: dict[str, Any]) -> tuple[Renderer, Any]:
+    def of(self, token: str, source: Any, how: Any, options: Mapping[str, Any]) -> tuple[Renderer, Any]:
         """The renderer of a source, and what it draws."""
         named = isinstance(source, (str, os.PathLike))
         key = (token, str(source) if named else id(source))
         if key != self._key:  # what is held keeps its id
             self.let_go()
-            volume = source if not named else how(str(source)) if callable(how) else read(source, **how)
+            volume = _read(str(source), how, options) if named else source
+            if token and isinstance(volume, LazyVolume):
+                volume = volume.for_tasks()
+            given = {name: options[name] for name in _OF_RENDERER if options.get(name) is not None}
+            if isinstance(volume, LazyVolume):
+                usual = as_mode(options.get("mode", DEFAULT_MODE)).picture_filter
+                given["filter"] = row_for(volume, given.get("filter"), usual)
             self._renderer, self._volume, self._key = Renderer(volume, **given), volume, key
         assert self._renderer is not None
         return self._renderer, self._volume
@@ -234,10 +338,9 @@ class _Held:
 
 def _drawn(held: _Held, source: Any, how: Any, view: Camera | None, look: Any, options: dict[str, Any], token: str = "") -> Any:
     """A picture of the batch with this token."""
-    given = {name: options[name] for name in _OF_RENDERER if options.get(name) is not None}
     rest = {name: value for name, value in options.items() if name not in _OF_RENDERER}
-    with held.lock:
-        renderer, volume = held.of(token, source, how, given)
+    with held.turn:
+        renderer, volume = held.of(token, source, how, options)
         seen = volume.sketch() if isinstance(volume, LazyVolume) else volume
         further = {} if look is None else dict(look(seen))
         if view is not None:
@@ -254,7 +357,7 @@ def _task(token: str, source: Any, how: Any, view: Camera | None, look: Any, opt
 
 def _let_go() -> None:
     """A batch is done: a file that it drew may be another one by the next."""
-    with _worker.lock:
+    with _worker.turn:
         _worker.let_go()
 
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Self, TypeAlias, TypeVar
 
 from clvol.checks import whole
 from clvol.device import Device, as_device, devices
-from clvol.errors import ClusterError, ClvolError, MissingDependencyError, OptionError
+from clvol.errors import ClusterError, ClvolError, FormatError, MissingDependencyError, OptionError
 
 if TYPE_CHECKING:
     import distributed
@@ -30,6 +30,7 @@ __all__ = [
     "ClusterLike",
     "LostError",
     "PoisonError",
+    "Turn",
     "as_cluster",
     "neighbours",
     "own_address",
@@ -46,8 +47,10 @@ WAIT = 10.0
 DESERTED = 60.0
 """Seconds for which a cluster may be without workers: one that died is started again."""
 _T = TypeVar("_T")
+SLOWEST = 600.0
+"""Seconds for a result to come from the worker that has it."""
 RETRIES = 2
-"""How often work that raised an error is done again: a disk or a network may have failed."""
+"""How often work that could not read something is done again: a disk or a network may have failed."""
 _LOOK = 0.01  # seconds between looks at what is done
 _CENSUS = 2.0  # seconds between looks at who is there
 _PLEASE = "start clvol's version on all of them, such as by `pip install clvol=={version}`, and `dask worker` again"
@@ -172,7 +175,7 @@ class Cluster:
         told = self._asked()
         wrong = []
         for address, answer in sorted(told.items()):
-            if isinstance(answer, (ImportError, AttributeError)):
+            if isinstance(answer, (ImportError, AttributeError)) or "ModuleNotFoundError" in str(answer):  # it may come as text
                 wrong.append(f"{address} has none, or another ({answer})")
             elif isinstance(answer, BaseException):
                 wrong.append(f"{address} does not say ({answer})")
@@ -198,7 +201,7 @@ class Cluster:
     def submit(self, function: Callable[..., Any], *arguments: Any, worker: str | None = None, **options: Any) -> Any:
         """A future of what a function gives, preferably of this worker."""
         where = {} if worker is None else {"workers": [worker], "allow_other_workers": True}
-        return self.client.submit(function, *arguments, pure=False, retries=RETRIES, **where, **options)
+        return self.client.submit(_tried, function, *arguments, pure=False, **where, **options)
 
     def shared(self, value: Any, nbytes: int) -> Any:
         """A future of a value that much work takes: a large one lies with all workers, so that the death of one loses nothing."""
@@ -210,7 +213,7 @@ class Cluster:
         """Have each worker call a function; who cannot be reached is left out."""
         if self.client.status == "running":
             with contextlib.suppress(Exception):
-                _within(WAIT, lambda: self.client.run(function, *arguments))
+                _within(WAIT, lambda: self.client.run(_aside, function, *arguments))
 
     def done(self, futures: Sequence[Any], *, keeping: bool = False) -> Iterator[tuple[int, Any]]:
         """The number of each future, as it is done, and its result; or, if `keeping`, the error that it has instead.
@@ -218,7 +221,7 @@ class Cluster:
         Raises
         ------
         ClusterError
-            The scheduler is gone, or has no workers any more.
+            The scheduler is gone, or has no workers any more; or a result does not come, though it is there.
         PoisonError
             What it asks for ends each worker that tries.
         ClvolError
@@ -227,16 +230,25 @@ class Cluster:
         import distributed
 
         left = dict(enumerate(futures))
+        waits: dict[int, float] = {}  # for results that did not come within WAIT: asked for again, they begin anew
         peopled = looked = time.monotonic()
+        silent = 0
         while left:
             for number in [n for n, future in left.items() if future.done()]:
                 future = left.pop(number)
                 result: Any
                 try:
                     with self._told_apart(distributed):
-                        result = future.result(timeout=WAIT)
-                except _UnreadyError:  # who had the result died, and it is made again
+                        result = future.result(timeout=waits.get(number, WAIT))
+                except _UnreadyError as error:  # who had the result died, and it is made again; or it is large, and comes slowly
                     left[number] = future
+                    if future.done():
+                        waits[number] = 2 * waits.get(number, WAIT)
+                        if waits[number] > SLOWEST:
+                            raise ClusterError(
+                                f"results must come from the workers at {self.address}; one did not within {waits[number] / 2:g} "
+                                "s, though it is there: the network is too slow, or a worker is stopped"
+                            ) from error
                     continue
                 except ClvolError as error:
                     if not keeping or (isinstance(error, ClusterError) and not isinstance(error, PoisonError)):
@@ -249,8 +261,15 @@ class Cluster:
                 looked = now
                 if self.client.status != "running":
                     raise self._gone()
-                with contextlib.suppress(OSError):
+                try:
                     peopled = now if self._census() else peopled
+                    silent = 0
+                except ClusterError:  # which is an OSError too
+                    silent += 1
+                    if silent > 1:  # once may be a large graph that it is busy with
+                        raise
+                except OSError:  # of a connection that is made anew
+                    pass
                 if now - peopled > DESERTED:
                     raise ClusterError(f"the scheduler at {self.address} has had no workers for {DESERTED:g} s")
             if left:
@@ -368,9 +387,8 @@ def as_cluster(choice: ClusterLike) -> Cluster:
         except OptionError:
             raise
         except (OSError, TimeoutError, ValueError) as error:
-            raise ClusterError(
-                f"no scheduler answers at {choice} within {WAIT:g} s: {str(error) or type(error).__name__}"
-            ) from error
+            why = f" within {WAIT:g} s" if isinstance(error, TimeoutError) else f": {str(error) or type(error).__name__}"
+            raise ClusterError(f"no scheduler answers at {choice}{why}") from error
         return Cluster(client, [client])
     if isinstance(choice, bool) or not isinstance(choice, int):
         raise OptionError(
@@ -428,6 +446,22 @@ def _local(distributed: Any, count: int) -> Cluster:
 # -- in a worker -----------------------------------------------------------------------------------------------------------
 
 
+def _tried(function: Callable[..., _T], *arguments: Any) -> _T:
+    """What a function gives, which is called again where it could not read something; what it refuses it would refuse again."""
+    for _ in range(RETRIES):
+        try:
+            return function(*arguments)
+        except OSError as error:
+            if isinstance(error, ClvolError) and not isinstance(error, FormatError):
+                raise
+    return function(*arguments)
+
+
+def _aside(function: Callable[..., Any], *arguments: Any) -> None:
+    """Call a function by a thread of its own: it may have to wait for a task, and the one that asks is what workers listen by."""
+    threading.Thread(target=function, args=arguments, daemon=True, name="clvol: told by a cluster").start()
+
+
 def own_address() -> str:
     """Of this worker; "" in a process that is none."""
     import distributed
@@ -436,6 +470,52 @@ def own_address() -> str:
         return str(distributed.get_worker().address)
     except ValueError:
         return ""
+
+
+class Turn:
+    """A lock of a worker's tasks, for one at a time, which does not keep from its turn what the holder waits for.
+
+    Samples may come from an array of dask, which asks the cluster for them: the holder's task then leaves its place to another. One
+    that finds the lock taken would wait there for ever, and so leaves its place as well.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+        self._holder: Any = None
+
+    def __enter__(self) -> Self:
+        stays = True
+        while not self._lock.acquire(timeout=_LOOK):
+            if stays and _has_left(self._holder):
+                import distributed
+
+                distributed.secede()  # type: ignore[no-untyped-call]  # as distributed has it
+                stays = False
+        self._holder = _own_task()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._lock.release()
+
+
+def _own_task() -> Any:
+    """The key of the task that this thread is about; None where it is about none."""
+    if (distributed := sys.modules.get("distributed")) is None:
+        return None
+    try:
+        return distributed.get_worker().get_current_task()
+    except (ValueError, AttributeError):  # no worker, or no task of its own
+        return None
+
+
+def _has_left(key: Any) -> bool:
+    """Whether a task of this thread's worker has left its place to another, and this thread has one to leave."""
+    import distributed
+
+    if key is None or _own_task() is None:
+        return False
+    task = distributed.get_worker().state.tasks.get(key)
+    return task is not None and task.state == "long-running"
 
 
 def neighbours(places: dict[str, int]) -> int:

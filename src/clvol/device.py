@@ -428,6 +428,10 @@ class Device:
         memory writes all of it back, gaps included.
         """
         width = array.itemsize
+        if not write and array.size:  # of part of a large array the span may be more than a device takes, and is more to send
+            span_bytes = width + sum((n - 1) * abs(stride) for n, stride in zip(array.shape, array.strides, strict=True))
+            if span_bytes > (self.largest if self.shares_memory else min(self.largest, 2 * array.nbytes)):
+                array = np.ascontiguousarray(array)
         reaches = [(n - 1) * stride for n, stride in zip(array.shape, array.strides, strict=True)]
         before = -sum(reach for reach in reaches if reach < 0)
         length = (before + sum(reach for reach in reaches if reach > 0)) // width + 1

@@ -17,9 +17,10 @@ from clvol import memory
 from clvol.checks import number, reals
 from clvol.errors import ClvolError, DataError, FormatError, OptionError
 from clvol.noise import Noise
+from clvol.sliced import mapped
 from clvol.volume import Volume
 
-__all__ = ["Bounds", "LazyVolume", "Sliced", "needed_by"]
+__all__ = ["Bounds", "LazyVolume", "Sliced", "by_bricks", "needed_by", "too_large"]
 
 Index: TypeAlias = tuple[int, int, int]
 """Along x, y and z."""
@@ -28,6 +29,7 @@ _SKETCHED = 1 << 21  # samples from which looks are decided, about
 _PART = 128  # samples along an edge of the part whose noise is estimated
 _CHUNKS_LOOKED_INTO = 6  # along an axis, where there is no smaller copy to look at
 _SMALL = 1 << 26  # samples of which all are looked at for their range
+_ALONE = ("clvol", "h5py", "tensorstore", "zarr")  # whose arrays ask no cluster
 
 
 @runtime_checkable
@@ -73,6 +75,7 @@ class LazyVolume:
     ----------
     data : array-like, shape (nz, ny, nx)
         Anything with a shape, a dtype and slices: an array of Zarr, HDF5 (h5py), dask, or a memory map of NumPy. It is not copied.
+        A pickle has the name of a mapped file, which whoever loads it reads.
     spacing, origin, direction, units, space, name, color, window, labels : optional
         As of `Volume`.
     levels : sequence of LazyVolume, optional
@@ -122,7 +125,7 @@ class LazyVolume:
     ) -> None:
         if isinstance(data, (Volume, LazyVolume)) or not isinstance(data, Sliced):
             raise DataError(f"data must have a shape, a dtype and slices; got {type(data).__name__}")
-        shape, dtype = tuple(data.shape), np.dtype(data.dtype)
+        shape, dtype = tuple(data.shape), np.dtype(data.dtype).newbyteorder("=")
         if len(shape) != 3 or any(n != int(n) for n in shape):  # dask does not know all sizes: nan
             raise DataError(f"data must have 3 axes [z, y, x] of known sizes; got shape {shape}")
         if dtype.kind not in "biuf":
@@ -134,6 +137,7 @@ class LazyVolume:
         self.bounds = bounds
         self.levels = tuple(levels)
         self._again: Callable[[], LazyVolume] | None = None
+        self._for_tasks = False
         self._lock = threading.RLock()
         self._limits = None if limits is None else _ends(limits)
         self._given = limits is not None
@@ -188,10 +192,38 @@ class LazyVolume:
             made.grid = replace(made.grid, labels=labels)
         return made
 
+    def for_tasks(self) -> LazyVolume:
+        """The same for tasks of a cluster of dask.
+
+        These compute samples of an array of dask by themselves: left to the cluster, they would wait for tasks that wait for them.
+
+        Raises
+        ------
+        DataError
+            The array holds futures (`dask.persist`), which only the cluster can give.
+        """
+        if _is_of_dask(self.data):
+            from distributed import futures_of
+
+            if futures_of(self.data):  # type: ignore[no-untyped-call]  # as distributed has it
+                raise DataError(
+                    f"samples must be computed where a cluster's tasks read them; got {self.name or 'a volume'}, an array of dask "
+                    "that holds futures of a cluster: give it as it was before persist(), or store it (to_zarr) and clvol.open that"
+                )
+        made = self.with_levels([level.for_tasks() for level in self.levels])
+        made._for_tasks = True
+        return made
+
+    @property
+    def ahead(self) -> bool:
+        """Whether threads may read it ahead: in a cluster only what is known not to ask that, which must be done by the task."""
+        known = self._again is not None or isinstance(self.data, np.ndarray) or _is_of_dask(self.data)
+        return known or not self._for_tasks or type(self.data).__module__.partition(".")[0] in _ALONE
+
     @property
     def in_memory(self) -> bool:
         """Whether a pickle holds all samples: they lie in memory, not in a file that is opened again."""
-        return self._again is None and isinstance(self.data, np.ndarray)
+        return self._again is None and isinstance(self.data, np.ndarray) and mapped(self.data) is None
 
     def __repr__(self) -> str:
         smaller = f", {len(self.levels)} smaller" if self.levels else ""
@@ -202,9 +234,10 @@ class LazyVolume:
         return super().__reduce_ex__(protocol) if self._again is None else (self._again, ())
 
     def __getstate__(self) -> dict[str, Any]:
-        """What a pickle holds: no samples but what the array itself pickles."""
+        """What a pickle holds: no samples but what the array itself pickles, and of a file that is mapped its name."""
         state = {name: value for name, value in vars(self).items() if name not in ("_lock", "_sketch", "_part")}
-        return state | {"grid": replace(self.grid, data=np.zeros((1, 1, 1), self.dtype))}
+        data = mapped(self.data, flushed=True) or self.data
+        return state | {"grid": replace(self.grid, data=np.zeros((1, 1, 1), self.dtype)), "data": data}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
@@ -257,7 +290,7 @@ class LazyVolume:
     def chunks(self) -> Index | None:
         """Samples along x, y and z that are stored together; None where any part is read as fast."""
         stored = getattr(self.data, "chunksize", None) or getattr(self.data, "chunks", None)
-        if stored is None or len(stored) != 3 or not all(isinstance(n, (int, np.integer)) for n in stored):
+        if stored is None or len(stored) != 3 or not all(isinstance(n, (int, np.integer)) and n > 0 for n in stored):
             return None
         x, y, z = (int(n) for n in stored[::-1])
         return x, y, z
@@ -279,7 +312,11 @@ class LazyVolume:
             raise OptionError(f"read needs 0 <= low < high <= {self.size} along x, y, z; got {low} to {high}")
         memory.require(math.prod(b - a for a, b in zip(low, high, strict=True)) * self.dtype.itemsize, f"{self._words(low, high)}")
         try:
-            part = np.asarray(self.data[index])
+            found = self.data[index]
+            if self._for_tasks and _is_of_dask(found):
+                found = found.compute(scheduler="synchronous")
+            part = np.asarray(found)
+            part = part.astype(part.dtype.newbyteorder("="), copy=False)
         except FormatError as error:
             raise FormatError(f"cannot read {self._words(low, high)}: {error}") from error
         except (ClvolError, MemoryError):
@@ -416,6 +453,12 @@ class LazyVolume:
         raise DataError("a LazyVolume becomes no array by accident: take .whole().data for all samples, or read(low, high)")
 
 
+def _is_of_dask(data: Any) -> bool:
+    """Whether it is an array of dask, or holds one, as xarray's do."""
+    graph = getattr(data, "__dask_graph__", None)
+    return graph is not None and graph() is not None
+
+
 def _opened(volume: LazyVolume, again: Callable[[], LazyVolume]) -> LazyVolume:
     made = volume.with_levels(volume.levels)
     made._again = again
@@ -436,3 +479,16 @@ def _ends(limits: Any) -> tuple[float, float]:
 def needed_by(volume: LazyVolume) -> int:
     """Bytes of all samples, and of their coefficients."""
     return volume.nbytes + 4 * math.prod(volume.shape)
+
+
+def too_large(volume: LazyVolume, room: float | None = None) -> bool:
+    """Whether samples and coefficients need more than `room`, by default half of the memory that is available."""
+    return needed_by(volume) > (memory.available() / 2 if room is None else room)
+
+
+def by_bricks(volume: LazyVolume, *, several: bool = True, budget: int | None = None) -> bool:
+    """Whether pictures of what is stored are made by bricks, and not read as one: it has several sizes, or is too large.
+
+    `several` says whether sizes count, none having been chosen; `budget` is what bricks may take.
+    """
+    return (several and bool(volume.levels)) or too_large(volume) or (budget is not None and too_large(volume, budget))

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import itertools
 import pickle
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -12,7 +15,7 @@ import pytest
 import clvol
 import clvol.device
 from clvol.errors import OptionError, OutOfMemoryError
-from clvol.march.bricks import front_to_back, level_of, opacity_within
+from clvol.march.bricks import Pass, front_to_back, level_of, opacity_within
 from clvol.march.renderer import Renderer
 from clvol.spline.bricked import BrickedField
 from clvol.spline.evaluator import DIRECT
@@ -288,6 +291,119 @@ def test_the_levels_of_a_renderer_share_a_budget() -> None:
     with BrickedField(lazy, "linear", edge=16, budget=700_000) as field, Renderer(field) as renderer:
         for _ in renderer.refine(CAMERAS["aslant"], "mip", (40, 40), lod=0):
             assert field.nbytes + sum(level.nbytes for level in renderer.levels) <= 700_000
+
+
+def test_levels_that_several_threads_draw_share_a_budget() -> None:
+    """However many: bricks of one level make room for those of another, or wait until these are done with."""
+    rng = np.random.default_rng(0)
+    data, budget, most, drawn = rng.random((48, 48, 48)).astype(np.float32), 500_000, [0], list[bool]()
+
+    class Watched(Counted):
+        def __getitem__(self, index: Any) -> Any:
+            look()
+            return super().__getitem__(index)
+
+    def look() -> None:
+        if drawn:
+            with field._residents.lock:  # others count meanwhile
+                most[0] = max(most[0], field.nbytes + sum(level.nbytes for level in renderer.levels))
+
+    levels = [clvol.LazyVolume(Watched(data[::n, ::n, ::n]), (n, n, n), limits=(0, 1), labels=False) for n in (1, 2)]
+    with BrickedField(levels[0].with_levels(levels[1:]), "linear", edge=16, budget=budget) as field, Renderer(field) as renderer:
+
+        def draw(lod: float) -> list[Any]:
+            return [renderer.render(mode="mean", size=(32, 32), lod=lod, samples=1) for _ in range(3)]
+
+        alone = [draw(lod)[0] for lod in (0, 100)]
+        drawn.append(True)
+        assert len(renderer.levels) == 1
+        with ThreadPoolExecutor(4) as pool:
+            for picture, found in zip([*alone, *alone], pool.map(draw, (0, 100, 0, 100)), strict=True):
+                for one in found:
+                    np.testing.assert_array_equal(one, picture)
+        assert 0 < most[0] <= budget
+        assert field.nbytes + renderer.levels[0].nbytes <= budget
+
+
+def test_one_field_is_closed_while_another_beside_it_draws() -> None:
+    """They count each other's bricks."""
+    data = np.random.default_rng(0).random((40, 40, 40)).astype(np.float32)
+    points = np.random.default_rng(1).uniform(0, 39, (200, 3))
+    with BrickedField(data, "linear", edge=12, budget=400_000) as one, ThreadPoolExecutor(1) as pool:
+        truth = one(points)
+
+        def slowly(own: Any) -> int:  # the other field is closed meanwhile
+            time.sleep(0.0005)
+            return int(own.coefficients.nbytes)
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(
+                "clvol.spline.residents.Resident.nbytes", property(lambda own: time.sleep(0.0005) or own.coefficients.nbytes)
+            )
+            for _ in range(2):
+                other = BrickedField(data, "nearest", edge=12, beside=one)
+                other(points[:40])
+                found = pool.submit(one, points)
+                time.sleep(0.01)
+                other.close()
+                np.testing.assert_array_equal(found.result(60), truth)
+
+
+def test_fields_beside_another_have_no_budget_of_their_own(volume: clvol.Volume) -> None:
+    with BrickedField(volume, "linear", edge=16, budget=1 << 20) as one:
+        with BrickedField(volume, "nearest", edge=16, beside=one) as other:
+            assert other.budget == one.budget
+            other([[9.0, 9.0, 9.0]])
+            one([[9.0, 9.0, 9.0]])
+            assert other.nbytes + one.nbytes <= 1 << 20
+        assert other.nbytes == 0
+        with pytest.raises(OptionError, match="budget must be left to the field beside which this one is; got 3 with it"):
+            BrickedField(volume, budget=3, beside=one)
+
+
+@pytest.mark.parametrize("mode", ["composite", "mip"])
+def test_the_next_brick_is_read_while_rays_go_through_one(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the order of the view, each once: no rays leave a brick before somebody reads the next one, or hope is lost."""
+    data = waves(16, 16, 80)
+    reads: list[tuple[int, bool]] = []
+    changed = threading.Condition()
+
+    class Seen(Counted):
+        def __getitem__(self, index: Any) -> Any:
+            with changed:
+                reads.append((index[2].start, threading.current_thread() is not threading.main_thread()))
+                changed.notify_all()
+            return super().__getitem__(index)
+
+    march, marched = Pass.march, []
+
+    def watched(self: Any, own: Any, *rest: Any) -> None:
+        marched.append(own.at)
+        march(self, own, *rest)
+        with changed:
+            assert changed.wait_for(lambda: len(reads) > min(len(marched), 4), 20), "nothing is read meanwhile"
+
+    source = Seen(data)
+    volume = clvol.LazyVolume(source, limits=(0, 1), labels=False)
+    with BrickedField(volume, "linear", edge=16) as field, Renderer(field) as renderer:
+        assert field.counts == (5, 1, 1)
+        along = clvol.Camera.look_at((-200.0, 8.0, 8.0), (40.0, 8.0, 8.0), fov=10)
+        renderer.render(along, mode, (8, 8), samples=1)  # bounds are known then, and looks
+        field.drop()
+        until = time.monotonic() + 60
+        while field._residents._ahead:  # what was read ahead for that picture is still on its way
+            assert time.monotonic() < until
+            time.sleep(0.01)
+        reads.clear()
+        source.read, field.reads.samples, field.reads.bricks = 0, 0, 0
+        monkeypatch.setattr(Pass, "march", watched)
+        clear = clvol.TransferFunction(((0, (1, 1, 1)),), ((0, 0.01), (1, 0.01)))
+        renderer.render(along, mode, (8, 8), samples=1, transfer=clear, skipping=False)
+    assert [at[0] for at in marched] == [0, 1, 2, 3, 4]
+    assert [first for first, _ in reads] == sorted({first for first, _ in reads})
+    assert [by_another for _, by_another in reads] == [False, True, True, True, True]
+    assert field.reads.bricks == 5
+    assert source.read == field.reads.samples
 
 
 def test_pickled_renderers_read_again() -> None:

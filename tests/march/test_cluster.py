@@ -2,30 +2,37 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import multiprocessing
 import os
 import pickle
 import signal
 import socket
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from typing import Any
 
+import imageio.v3 as iio
 import numpy as np
 import pytest
 
 import clvol
+from clvol import cli
 from clvol import cluster as clusters
 from clvol.camera import Camera
 from clvol.cluster import Cluster, as_cluster, worker_device
-from clvol.errors import ClusterError, DeviceError, FormatError, OptionError
+from clvol.errors import ClusterError, DataError, DeviceError, FormatError, OptionError
 from clvol.march import cluster as parts
 from clvol.march.cluster import Group, Shared, groups_of, visible
 from clvol.march.renderer import Renderer
 from clvol.spline.bricked import BrickedField
 from tests.march.test_bricks import BUMPY, CAMERAS, GUIDES, MODES, waves
 
+dask = pytest.importorskip("dask")
+pytest.importorskip("dask.array")
 distributed = pytest.importorskip("distributed")
 
 
@@ -259,6 +266,52 @@ def test_levels_and_pictures_that_become_finer(cluster: Cluster, merge: Any) -> 
         np.testing.assert_array_equal(several[1][-1], many.render(camera, mode, (96, 64), lod=0))
 
 
+# -- samples of arrays of dask ---------------------------------------------------------------------------------------------------
+
+
+class Asking:
+    """Samples that the tasks which read them ask of their cluster."""
+
+    def __init__(self, array: Any) -> None:
+        self.array, self.shape, self.dtype = array, array.shape, array.dtype
+
+    def __getitem__(self, index: Any) -> Any:
+        return self.array[index].compute()
+
+
+@pytest.mark.parametrize("source", [lambda array: array, Asking], ids=["dask", "asking"])
+def test_samples_that_ask_a_cluster(cluster: Cluster, source: Any) -> None:
+    """Tasks hang on nothing that would have to wait for them."""
+    data = waves(44, 35, 40)
+    array = dask.array.from_array(data, chunks=16).map_blocks(lambda block: block * 1)
+    wanted, volume = (clvol.LazyVolume(a, limits=(0, 1), labels=False) for a in (data, source(array)))
+    with BrickedField(wanted, "linear") as field, Renderer(field) as one, Renderer(volume, "linear", cluster=cluster) as many:
+        expected = one.render(CAMERAS["aslant"], "mip", (64, 64))
+        np.testing.assert_array_equal(many.render(CAMERAS["aslant"], "mip", (64, 64)), expected)
+
+
+def test_of_a_mapped_file_its_name_is_sent(cluster: Cluster, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    np.save(tmp_path / "a.npy", waves(44, 35, 40))
+    data = np.load(tmp_path / "a.npy", mmap_mode="r")
+    sent: list[int] = []
+    shared = Cluster.shared
+    monkeypatch.setattr(Cluster, "shared", lambda *a: sent.extend((len(pickle.dumps(a[1])), a[2])) or shared(*a))
+    for volume in (clvol.LazyVolume(data, limits=(0, 1), labels=False), clvol.Volume(data, labels=False)):
+        one, many = both(cluster, "order", volume, "linear", CAMERAS["aslant"], "mip", (64, 64))
+        np.testing.assert_array_equal(many, one)
+    assert max(sent) < 10_000
+
+
+def test_what_lies_in_futures_is_refused(cluster: Cluster) -> None:
+    with cluster.client.as_current():
+        array = cluster.client.persist(dask.array.from_array(waves(20, 20, 20), chunks=16)) + 1
+        volume = clvol.LazyVolume(array, name="kept", limits=(0, 2), labels=False)
+        with Renderer(volume, "linear", cluster=cluster) as renderer, pytest.raises(DataError, match=r"got kept, .* futures"):
+            renderer.render(None, "mip", (32, 32))
+        with pytest.raises(DataError, match=r"got kept, .* futures"):
+            clvol.batch(volume, cluster=cluster)
+
+
 # -- faults --------------------------------------------------------------------------------------------------------------------
 
 
@@ -421,7 +474,7 @@ def test_what_cannot_be_read_is_named(cluster: Cluster) -> None:
 
 def test_a_scheduler_that_is_gone(monkeypatch: pytest.MonkeyPatch, volume: clvol.LazyVolume) -> None:
     monkeypatch.setattr(clusters, "WAIT", 2.0)
-    with pytest.raises(ClusterError, match=r"no scheduler answers at tcp://127.0.0.1:9 within 2 s"):
+    with pytest.raises(ClusterError, match=r"no scheduler answers at tcp://127.0.0.1:9: .*refused"):
         as_cluster("tcp://127.0.0.1:9")
     monkeypatch.setattr(clusters, "WAIT", 10.0)
     monkeypatch.setattr(clusters, "_CENSUS", 0.2)
@@ -432,6 +485,57 @@ def test_a_scheduler_that_is_gone(monkeypatch: pytest.MonkeyPatch, volume: clvol
         renderer.render(CAMERAS["aslant"], "mean", (32, 32))
     assert time.monotonic() - begun < 30
     renderer.close()
+
+
+def failing(path: Any, error: Exception) -> None:
+    """Leaves a mark for each time that it is called."""
+    with path.open("a") as file:
+        file.write("called\n")
+    raise error
+
+
+@pytest.mark.parametrize(
+    ("error", "times"),
+    [(FormatError("no chunk"), 3), (OSError("no disk"), 3), (DataError("NaN"), 1), (OptionError("no"), 1)],
+    ids=repr,
+)
+def test_only_what_may_pass_is_tried_again(cluster: Cluster, tmp_path: Any, error: Exception, times: int) -> None:
+    expected = type(error) if isinstance(error, clvol.ClvolError) else ClusterError
+    with pytest.raises(expected, match=str(error)):
+        list(cluster.done([cluster.submit(failing, tmp_path / "calls", error)]))
+    assert (tmp_path / "calls").read_text().count("called") == times
+
+
+class Endless:
+    """The future of a result that comes to those who wait for so many seconds."""
+
+    def __init__(self, comes: float) -> None:
+        self.comes, self.asked = comes, list[float]()
+
+    def done(self) -> bool:
+        return True
+
+    def result(self, timeout: float) -> str:
+        self.asked.append(timeout)
+        if timeout < self.comes:
+            raise TimeoutError
+        return "there"
+
+    def release(self) -> None:
+        pass
+
+
+def test_a_result_that_comes_slowly(cluster: Cluster) -> None:
+    """It is asked for with more and more patience, and then given up."""
+    slow = Endless(3 * clusters.WAIT)
+    assert list(cluster.done([slow])) == [(0, "there")]
+    assert slow.asked == [clusters.WAIT, 2 * clusters.WAIT, 4 * clusters.WAIT]
+    never = Endless(np.inf)
+    with pytest.raises(
+        ClusterError, match=r"results must come from the workers at tcp://.*; one did not within 320 s, though it is"
+    ):
+        list(cluster.done([never]))
+    assert sum(never.asked) < 2 * clusters.SLOWEST
 
 
 def test_a_scheduler_without_workers(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -448,6 +552,102 @@ def test_workers_of_another_version(cluster: Cluster, monkeypatch: pytest.Monkey
     monkeypatch.setattr(clvol, "__version__", "0.0.7")
     with pytest.raises(ClusterError, match=r"workers must have clvol 0.0.7, as this process has; tcp://.* has \d"):
         as_cluster(cluster.client)
+
+
+@contextlib.contextmanager
+def processes(folder: Any, **environment: str) -> Iterator[tuple[str, list[Any]]]:
+    """A scheduler and a worker as one starts them by hand, the worker with more in its environment: an address, and both."""
+    port, started = _free_port(), list[Any]()
+    quiet: dict[str, Any] = {"cwd": folder, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    address = f"tcp://127.0.0.1:{port}"
+    module = [sys.executable, "-m", "distributed.cli.dask_"]
+    try:
+        command = ["scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"]
+        started.append(subprocess.Popen([*module[:2], module[2] + command[0], *command[1:]], **quiet))
+        command = ["worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
+        more = os.environ | {"POCL_MAX_PTHREAD_COUNT": "1"} | environment
+        started.append(subprocess.Popen([*module[:2], module[2] + command[0], *command[1:]], env=more, **quiet))
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline:
+            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1):
+                break
+            time.sleep(0.1)
+        yield address, started
+    finally:
+        for process in started:
+            process.kill()
+            process.wait()
+
+
+@pytest.mark.thorough
+def test_a_worker_with_another_clvol(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that has nothing of it but the name."""
+    monkeypatch.setattr(clusters, "WAIT", 60.0)
+    (tmp_path / "clvol").mkdir()
+    (tmp_path / "clvol" / "__init__.py").write_text('__version__ = "0.0.1"\n')
+    with (
+        processes(tmp_path, PYTHONPATH=str(tmp_path)) as (address, _),
+        pytest.raises(ClusterError, match=r"workers must have clvol .*; tcp://.* has none, or another .*pip install clvol=="),
+    ):
+        as_cluster(address)
+
+
+@pytest.mark.thorough
+def test_a_worker_in_whose_environment_is_no_opencl(
+    tmp_path: Any, volume: clvol.LazyVolume, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(clusters, "WAIT", 60.0)
+    (tmp_path / "none").mkdir()
+    with (
+        processes(tmp_path, OCL_ICD_VENDORS=str(tmp_path / "none")) as (address, _),
+        Renderer(volume, "linear", cluster=address) as renderer,
+        pytest.raises(ClusterError, match=r"workers must have an OpenCL device; tcp://.* has none: "),
+    ):
+        renderer.render(None, "mip", (32, 32))
+
+
+@pytest.mark.thorough
+@pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
+@pytest.mark.parametrize("how", ["SIGSTOP", "SIGKILL"])
+def test_a_scheduler_that_stops_in_a_picture(tmp_path: Any, how: str, volume: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No more than two waits and a census: it is asked for a result, and then whether it is there."""
+    monkeypatch.setattr(clusters, "WAIT", 60.0)
+    with (
+        processes(tmp_path) as (address, (scheduler, _)),
+        as_cluster(address) as own,
+        Renderer(volume, "linear", cluster=own) as renderer,
+    ):
+        monkeypatch.setattr(clusters, "WAIT", 3.0)
+        stopped = 0.0
+
+        def stop(_: float) -> None:
+            nonlocal stopped
+            if not stopped:
+                stopped = time.monotonic()
+                scheduler.send_signal(getattr(signal, how))
+
+        with pytest.raises(ClusterError, match=r"is gone, or has dropped this work|workers that had what this takes are gone"):
+            renderer.render(CAMERAS["aslant"], "mean", (96, 96), progress=stop)
+        assert 0 < time.monotonic() - stopped < 2 * clusters.WAIT + clusters._CENSUS + 5
+        scheduler.kill()  # so that leaving waits for nobody
+
+
+def test_the_command_draws_by_a_cluster(cluster: Cluster, tmp_path: Any) -> None:
+    command = ["render", "phantom:marschner-lobb:24", "--size", "48", "40", "--mode", "mip"]
+    for name, options in (("a", ["--by-bricks"]), ("b", ["--scheduler", cluster.address])):
+        with pytest.raises(SystemExit) as end:
+            cli.main([*command, "-o", str(tmp_path / f"{name}.png"), *options])
+        assert end.value.code == 0
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+@pytest.mark.thorough
+def test_the_command_starts_workers(tmp_path: Any) -> None:
+    command = [sys.executable, "-m", "clvol", "render", "phantom:marschner-lobb:24", "--size", "48", "40"]
+    for name, options in (("a", ["--by-bricks"]), ("b", ["--workers", "2"])):
+        subprocess.run([*command, "-o", str(tmp_path / f"{name}.png"), *options], check=True, capture_output=True)
+    pictures = [np.asarray(iio.imread(tmp_path / f"{name}.png"), int) for name in "ab"]
+    assert np.abs(pictures[0] - pictures[1]).max() <= 1  # bricks of another size
 
 
 def test_no_cluster_at_all(volume: clvol.LazyVolume) -> None:

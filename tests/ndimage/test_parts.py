@@ -10,8 +10,10 @@ import scipy.ndimage
 
 import clvol
 from clvol import LazyVolume, ndimage
-from clvol.errors import OptionError, UnsupportedError
+from clvol.device import Device
+from clvol.errors import OptionError, OutOfMemoryError, UnsupportedError
 from tests.ndimage.truth import MODES, SINGLE, truth
+from tests.test_chunks import Stored
 from tests.test_lazy import Counted
 
 DATA = np.random.default_rng(1).random((30, 34, 41)).astype(np.float32)
@@ -74,13 +76,86 @@ def test_by_bricks_within_a_budget() -> None:
     assert told[-1] == 1
 
 
+@pytest.mark.parametrize("mode", ["mirror", "grid-wrap", "nearest", "constant"])
+@pytest.mark.parametrize("chosen", ["gaussian", "least-squares"])
+def test_fewer_samples_without_aliases(chosen: Any, mode: str) -> None:
+    """As of the whole array, and for least squares to the last bit."""
+    for order, prefilter, zoom in ((3, True, (0.4, 0.7, 1.5)), (1, True, 0.5), (0, True, (1, 0.5, 0.3)), (3, False, 0.6)):
+        about: dict[str, Any] = {"order": order, "mode": mode, "cval": 0.4, "prefilter": prefilter, "anti_aliasing": chosen}
+        whole = ndimage.zoom(DATA, zoom, **about)
+        told: list[float] = []
+        found = ndimage.zoom(LazyVolume(Stored(DATA, (1, 34, 41)), limits=(0, 1)), zoom, progress=told.append, **about)
+        assert (found.dtype, told[-1]) == (whole.dtype, 1)
+        np.testing.assert_allclose(found, whole, rtol=0, atol=0 if chosen == "least-squares" else 4e-6)
+    counts = (DATA * 60000).astype(np.uint16)
+    whole = ndimage.zoom(counts, 0.5, mode=mode, anti_aliasing=chosen)
+    found = ndimage.zoom(LazyVolume(counts, limits=(0, 60000)), 0.5, mode=mode, anti_aliasing=chosen)
+    assert found.dtype == np.uint16
+    assert np.abs(found.astype(int) - whole).max() <= 1
+
+
+ROOM = 4 << 20  # bytes of a buffer: some bricks with their margins, but not the coefficients of all
+LARGE = np.random.default_rng(5).random((400, 70, 60)).astype(np.float32)
+LARGE_AT = np.random.default_rng(2).uniform(-4, 74, (3, 200)) * [[5], [1], [1]]
+INSTEAD: dict[str, Any] = {
+    "points": lambda data: ndimage.map_coordinates(data, LARGE_AT, mode="reflect"),
+    "a grid": lambda data: ndimage.affine_transform(data, MATRIX, (3, 25, 20), (20, 24, 28), mode="reflect"),
+    "shift": lambda data: ndimage.shift(data, (3.3, 0, -50), order=1, mode="mirror"),
+    "zoom": lambda data: ndimage.zoom(data, 0.3, mode="mirror"),
+    "fewer": lambda data: ndimage.zoom(data, 0.5, mode="mirror", anti_aliasing="least-squares"),
+    "low-passed": lambda data: ndimage.zoom(data, 0.5, mode="mirror", anti_aliasing="gaussian"),
+    "rotate": lambda data: ndimage.rotate(data, 33, (0, 2), False, order=1, mode="grid-wrap"),
+    "resample": lambda data: clvol.resample(data, (30, 30, 30)).data,
+    "sample": lambda data: clvol.sample(data, LARGE_AT[::-1].T),
+    "a picture": lambda data: clvol.render(data, mode="mip", filter="linear", size=(24, 24), samples=1),
+}
+
+
+def with_buffers_of(monkeypatch: pytest.MonkeyPatch, nbytes: int) -> None:
+    """The device allows no larger ones, and says so where they are allocated."""
+    monkeypatch.setattr(Device, "largest", property(lambda _: nbytes))
+
+
+@pytest.mark.parametrize("call", INSTEAD)
+def test_arrays_whose_coefficients_are_larger_than_a_buffer_may_be(call: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody asked for bricks."""
+    whole, made = INSTEAD[call](LARGE), []
+    with_buffers_of(monkeypatch, ROOM)
+    monkeypatch.setattr("clvol.ndimage.parts._BLOCK", 32)  # of positions, which need buffers too
+    begin = clvol.BrickedField.__init__
+    monkeypatch.setattr(
+        clvol.BrickedField, "__init__", lambda self, *args, **given: made.append(self) or begin(self, *args, **given)
+    )
+    found = INSTEAD[call](LARGE)
+    assert made, "it is not by bricks"
+    assert (found.dtype, found.shape) == (whole.dtype, whole.shape)
+    np.testing.assert_allclose(found, whole, rtol=0, atol=4e-6)
+
+
+def test_what_bricks_would_compute_otherwise_stays_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    with_buffers_of(monkeypatch, 1 << 20)
+    missing = LARGE.copy()
+    missing[3, 4, 5] = np.nan
+    for call in (
+        lambda: ndimage.shift(LARGE.astype(np.float64), 0.5),
+        lambda: ndimage.shift(LARGE, 0.5, precision="double"),
+        lambda: ndimage.shift(LARGE, 0.5, output=bool),
+        lambda: ndimage.shift(LARGE + 1j, 0.5),
+        lambda: ndimage.shift(missing, 0.5),
+        lambda: ndimage.shift(LARGE, 0.5, nan="local"),
+        lambda: ndimage.shift(data := LARGE.copy(), 0.5, output=data),
+        lambda: ndimage.zoom(LARGE, 0.5, precision="double"),
+    ):
+        with pytest.raises(OutOfMemoryError, match="allows one allocation of up to 1 MiB"):
+            call()
+
+
 def test_what_bricks_do_not_know_is_refused_with_what_does() -> None:
     lazy = LazyVolume(DATA, limits=(0, 1))
     for call in (
         lambda: ndimage.spline_filter(lazy),
         lambda: ndimage.spline_filter1d(lazy),
         lambda: ndimage.geometric_transform(lazy, lambda i: i),
-        lambda: ndimage.zoom(lazy, 0.5, anti_aliasing=True),
         lambda: ndimage.zoom(lazy, 0.5, precision="double"),
         lambda: ndimage.shift(lazy, 0.5, nan="local"),
         lambda: ndimage.map_coordinates(lazy, AT, axes=(0, 1, 2)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import gc
 import pickle
 import threading
@@ -285,7 +286,7 @@ def test_threads_stay_within_a_budget_of_fewer_bricks_than_there_are_threads(roo
             np.testing.assert_array_equal(found, truth)
         assert 0 < most[0] <= field.budget
         assert not field._residents._coming
-        assert field._residents._sleeping == []
+        assert field._residents.account._sleeping == []
 
 
 def test_who_holds_a_brick_waits_for_no_room() -> None:
@@ -393,3 +394,49 @@ def test_a_brick_with_missing_samples_is_named() -> None:
         with pytest.raises(DataError, match=r"the first at index \[60, 61, 62\]"):
             bricked([[60.0, 60.0, 60.0]])
         assert bricked([[6.0, 5.0, 5.0]]).tolist() == [0.0]
+
+
+SAID: dict[str, Any] = {
+    "spacing": (1.0, 2.0, 3.0),
+    "origin": (5.0, 6.0, 7.0),
+    "direction": np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, 1]]),
+    "units": "mm",
+    "space": "LPS",
+    "name": "cells",
+    "color": (1.0, 0.5, 0.0),
+    "window": (0.1, 0.9),
+    "labels": {1: "liver"},
+    "header": {"made by": "us"},
+}
+
+
+def test_all_that_a_volume_says_is_kept() -> None:
+    """Whatever fields it will have."""
+    data = np.ones((3, 4, 5), np.uint8)
+    assert set(SAID) == {one.name for one in dataclasses.fields(clvol.Volume)} - {"data"}, "say here what the new field may be"
+    volume, plain = clvol.Volume(data, **SAID), clvol.Volume(data)
+    with BrickedField(volume, "nearest") as field:
+        for grid in (field.volume.grid, field.volume.known(), pickle.loads(pickle.dumps(field.volume)).grid):
+            for name in SAID:
+                assert not np.array_equal(getattr(volume, name), getattr(plain, name))
+                np.testing.assert_equal(getattr(grid, name), getattr(volume, name))
+        assert field.volume.limits == (1, 1)
+
+
+@pytest.mark.parametrize("kind", ["uint32", "int64"])
+def test_labels_that_float32_does_not_hold_are_found_where_they_are_read(kind: str) -> None:
+    """Limits may be those of a few samples."""
+    data = np.zeros((48, 48, 48), kind)
+    data[40:, 40:, 40:] = 2**24 + 1
+    limits = [(0, 5), (0, 2**24 + 1)]
+    some, all_of_them = (clvol.LazyVolume(Counted(data), limits=one, labels=True) for one in limits)
+    with BrickedField(some, "nearest", edge=16) as field:
+        assert field([[3.0, 3.0, 3.0]]).tolist() == [0]
+        with pytest.raises(DataError, match=r"up to 2\*\*24; got 0 to 16777217: renumber them"):
+            field([[45.0, 45.0, 45.0]])
+        with clvol.Renderer(field) as renderer, pytest.raises(DataError, match=r"up to 2\*\*24; got 0 to 16777217"):
+            renderer.render(mode="mip", size=(16, 16))
+    with pytest.raises(DataError, match=r"up to 2\*\*24; got 0 to 16777217"):
+        BrickedField(all_of_them, "nearest")
+    with BrickedField(clvol.LazyVolume(data, limits=(0, 5), labels=False), "nearest", edge=16) as field:  # no names
+        field([[45.0, 45.0, 45.0]])

@@ -61,6 +61,19 @@ CALLS: dict[str, Any] = {
         ).data
     ),
     "rounded": lambda volume: clvol.resample(volume, (20, 30, 40), dtype="float64").data,
+    "fewer samples": lambda volume: clvol.resample(volume, (20, 30, 20), anti_aliasing="least-squares").data,
+    "fewer, filled": lambda volume: (
+        clvol.resample(
+            volume, spacing=(3, 4, 2), filter="bspline5", boundary="reflect", anti_aliasing="least-squares", fill=-1
+        ).data
+    ),
+    "low-passed": lambda volume: clvol.resample(volume, (20, 15, 26), anti_aliasing=True).data,
+    "low-passed, smoothed": lambda volume: (
+        clvol.resample(volume, (20, 15, 26), filter="bspline3(auto)", anti_aliasing="gaussian").data
+    ),
+    "low-passed, turned": lambda volume: (
+        clvol.resample(volume, like=SLAB, filter="linear", boundary="zero", anti_aliasing="gaussian").data
+    ),
     "magnified": lambda volume: clvol.magnify(volume, 3, "linear").data,
 }
 
@@ -102,6 +115,28 @@ def test_volumes_without_room_for_their_coefficients(call: str, monkeypatch: pyt
             clvol.resample(VOLUME, (4, 5, 6), **other)
 
 
+@pytest.mark.parametrize("kind", ["uint8", "int16", "float32", "float64"])
+def test_fewer_samples_are_the_same_to_the_last_bit(kind: str, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the blocks: each sum has its terms in the same order. Results may be larger than memory."""
+    data = np.random.default_rng(5).integers(0, 200, (130, 70, 90)).astype(kind)
+    volume = LazyVolume(Counted(data), (1, 1, 2), limits=(float(data.min()), float(data.max())), labels=False)
+    truth = clvol.resample(clvol.Volume(data, (1, 1, 2), labels=False), (60, 33, 20), anti_aliasing="least-squares")
+    out = np.lib.format.open_memmap(tmp_path / "out.npy", "w+", np.float32, truth.shape)
+    told: list[float] = []
+    monkeypatch.setattr("clvol.spline.reduced._EDGES", (16, 8))
+    with clvol.BrickedField(volume) as field:
+        made = field.resample((60, 33, 20), anti_aliasing="least-squares", out=out, progress=told.append)
+    assert told == sorted(told)
+    assert told[-1] == 1.0
+    assert field.reads.samples >= data.size
+    assert len(told) == 4 * 3 * 2
+    np.testing.assert_array_equal(made.data, truth.data)
+    np.testing.assert_allclose(made.origin, truth.origin)
+    least = pytest.raises(OptionError, match=r"budget must be at least \d+ MiB, which a block of 8³ takes; got 0 MiB")
+    with clvol.BrickedField(volume, "linear", budget=300 << 10, edge=8) as field, least:
+        field.resample((8, 8, 8), anti_aliasing="least-squares")
+
+
 def test_labels_keep_their_type() -> None:
     data = (VOLUME.data > 0.5).astype(np.uint8) * 7
     labels = LazyVolume(data, labels=True)
@@ -114,7 +149,8 @@ def test_labels_keep_their_type() -> None:
 def test_what_bricks_do_not_know_is_refused_with_what_does() -> None:
     volume = lazy()
     for call, match in (
-        (lambda: clvol.resample(volume, (4, 5, 6), anti_aliasing=True), r"takes no anti_aliasing.*clvol\.pyramid"),
+        (lambda: clvol.resample(volume, (4, 5, 6), transform=TURNED, anti_aliasing=True), r"transform or anti_aliasing, not both"),
+        (lambda: clvol.resample(volume, like=SLAB, anti_aliasing="least-squares"), r"this one is turned"),
         (lambda: clvol.sample(volume, at(), precision="double"), r"takes no precision.*dask"),
         (lambda: clvol.sample(volume, at(), nan="local"), r"takes no nan"),
         (lambda: clvol.magnify(volume, fetch="image"), r"takes no fetch"),

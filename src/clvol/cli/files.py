@@ -23,7 +23,6 @@ from clvol.cli.options import (
     Whole,
     bytes_of,
     is_address,
-    too_large,
     whole_numbers,
 )
 from clvol.cli.root import DATA, command
@@ -32,6 +31,7 @@ from clvol.errors import ClvolWarning, DataError, OptionError
 from clvol.files import require_suffix
 from clvol.formats import WRITTEN, series_of
 from clvol.histogram import isovalue_of
+from clvol.lazy import too_large
 from clvol.smoothing import choose
 from clvol.volume import SPACES
 from clvol.volumes import Leading

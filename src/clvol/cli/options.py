@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, make_dataclass, replace
 from pathlib import Path
@@ -14,10 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import CoercionError, Group, Parameter, Token
 
 import clvol
-from clvol import memory
-from clvol.errors import DataError, FormatError, GeometryError, OptionError
-from clvol.formats import format_of
-from clvol.formats.opening import WholeOnlyError
+from clvol.errors import OptionError
+from clvol.formats.opening import WholeOnlyError, opened_if
 from clvol.look import look as look_of
 from clvol.mode import as_mode, every_option, mode_options
 
@@ -39,12 +36,12 @@ __all__ = [
     "Size",
     "Source",
     "SurfaceLook",
+    "Together",
     "Whole",
     "bytes_of",
     "bytes_text",
     "is_address",
     "own_options",
-    "too_large",
     "whole_numbers",
 ]
 
@@ -189,19 +186,9 @@ class Input:
         self._require_one()
         if is_address(source):
             return self._far(source)
-        if str(source).startswith("phantom:") or isinstance(self.fill_nan, str) or not format_of(Path(source)).lazily:
+        if str(source).startswith("phantom:") or isinstance(self.fill_nan, str):
             return None
-        with warnings.catch_warnings(record=True) as told:
-            warnings.simplefilter("always")
-            try:
-                lazy = self._opened(source)
-            except (DataError, FormatError, GeometryError):
-                return None
-        if not wanted(lazy):
-            return None
-        for one in told:
-            warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
-        return lazy
+        return opened_if(source, wanted, **self._given(), missing=self.fill_nan)
 
     def _opened(self, source: str | Path) -> clvol.LazyVolume:
         assert not isinstance(self.fill_nan, str)  # which takes all samples
@@ -447,19 +434,37 @@ def own_options(look: Look, own: ModeOptions | None) -> dict[str, Any]:
     return options
 
 
+# -- by whom it is drawn -------------------------------------------------------------------------------------
+
+
+@Parameter(name="*", group=Group("By several processes", sort_key=6))
+@dataclass
+class Together:
+    """Whose processes draw."""
+
+    scheduler: Annotated[
+        str | None,
+        Parameter(
+            help="The address of a scheduler of dask (tcp://host:8786) whose workers draw; they must be able to read what is read "
+            "by bricks, and have this version of clvol."
+        ),
+    ] = None
+    workers: Annotated[int | None, Parameter(help="Instead, so many processes of this machine.", converter=whole_numbers)] = None
+
+    @property
+    def cluster(self) -> str | int | None:
+        """As `clvol.cluster.as_cluster` takes it; None: this process."""
+        if self.scheduler is not None and self.workers is not None:
+            raise OptionError(f"give --scheduler or --workers; got both: {self.scheduler} and {self.workers}")
+        return self.scheduler if self.workers is None else self.workers
+
+
 # -- the rest ------------------------------------------------------------------------------------------------
 
 
 def is_address(source: str | Path) -> bool:
     """Whether it is no file, but what fsspec finds."""
     return "://" in str(source)
-
-
-def too_large(volume: clvol.LazyVolume, room: float | None = None) -> bool:
-    """Whether samples and coefficients need more than `room`, by default half of the memory that is available."""
-    from clvol.lazy import needed_by
-
-    return needed_by(volume) > (memory.available() / 2 if room is None else room)
 
 
 # `Path` is there for the Tab key, which completes names of files; the text stays as it was given

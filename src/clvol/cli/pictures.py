@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Group, Parameter
 
 import clvol
-from clvol import display, movies
+from clvol import batches, display, movies
+from clvol.batches import needs_whole
 from clvol.checks import number, whole
 from clvol.cli import speech
 from clvol.cli.options import (
@@ -32,18 +33,20 @@ from clvol.cli.options import (
     Size,
     Source,
     SurfaceLook,
+    Together,
     Whole,
     bytes_of,
     own_options,
-    too_large,
 )
 from clvol.cli.root import PICTURES, command
 from clvol.errors import OptionError
 from clvol.files import require_folder, require_suffix, staged
+from clvol.filter import PICTURE_FILTER
+from clvol.lazy import by_bricks as are_by_bricks
 from clvol.march.uncertainty import COVERAGE, in_words
 from clvol.mode import as_mode
 from clvol.picture import heat, heat_with_scale
-from clvol.smoothing import filter_for
+from clvol.smoothing import filter_for, settled
 from clvol.spline.bricked import BrickedField, as_lazy
 
 if TYPE_CHECKING:
@@ -52,9 +55,6 @@ if TYPE_CHECKING:
 __all__ = ["batch", "compare", "figure", "figure6", "movie", "render", "report"]
 
 _BRICKS = Group("Of what is read by bricks: large, far away, or stored in several sizes", sort_key=5)
-_CLUSTER = Group("By several processes, which read and draw bricks together", sort_key=6)
-_Scheduler = Annotated[str | None, Parameter(show_default=False, group=_CLUSTER)]
-_Workers = Annotated[Whole | None, Parameter(show_default=False, group=_CLUSTER)]
 _FIRST = 0.2  # seconds until there is a picture to be shown in the terminal
 _MOST_FRAMES = 10_000
 _COMPARED = 20_000  # gradients that a table of errors compares
@@ -77,8 +77,7 @@ def render(
     by_bricks: Annotated[bool, Parameter(negative="", group=_BRICKS)] = False,
     budget: Annotated[str | None, Parameter(show_default=False, group=_BRICKS)] = None,
     lod: Annotated[float | Literal["auto"], Parameter(group=_BRICKS)] = "auto",
-    scheduler: _Scheduler = None,
-    workers: _Workers = None,
+    together: Together | None = None,
     preview: bool = True,
     verbose: Annotated[bool, Parameter(negative="")] = False,
     json: Json = False,
@@ -104,11 +103,6 @@ def render(
         there is]
     lod
         How many pixels a voxel may span, of the size that is drawn, where the volume is nearest; auto is 1, 0 draws the largest.
-    scheduler
-        The address of a scheduler of dask (tcp://host:8786) whose workers draw; they must be able to read SOURCE, and have this
-        version of clvol.
-    workers
-        Instead, so many processes of this machine.
     preview
         Show coarser pictures above the bar of progress, in a terminal with colours, where the picture of a volume in memory takes
         long, and nothing else is asked of it.
@@ -125,8 +119,8 @@ def render(
     look = look or Look()
     options = own_options(look, own)
     most = None if budget is None else bytes_of(budget)
-    whole = uncertainty is not None or look.evaluator not in ("auto", "taps") or look.fetch == "image"  # which bricks have not
-    cluster = _cluster(scheduler, workers)
+    whole = uncertainty is not None or needs_whole(look.evaluator, look.fetch)
+    cluster = together.cluster if together else None
     by_bricks = by_bricks or cluster is not None
     volume = _volume(input or Input(), source, most, by_bricks=by_bricks, whole=whole)
     looked = volume.sketch() if isinstance(volume, clvol.LazyVolume) else volume
@@ -196,12 +190,12 @@ def batch(
     input: Input | None = None,
     look: Look | None = None,
     own: ModeOptions | None = None,
-    scheduler: _Scheduler = None,
-    workers: _Workers = None,
+    together: Together | None = None,
     json: Json = False,
 ) -> None:
     """Make pictures of many volumes, from many sides.
 
+    With --scheduler or --workers a picture is a task; workers read SOURCES themselves.
     In --output {name} stands for the file's name without its suffix, {number} for its number, and {frame} for that of the side.
     A file that fails leaves the others as they are; the exit status then is 1.
 
@@ -211,11 +205,6 @@ def batch(
         How many pictures of each, on a whole turn around it.
     filter
         As of 'clvol render'.
-    scheduler
-        The address of a scheduler of dask (tcp://host:8786): a picture is a task of its workers, which must be able to read
-        SOURCES, and have this version of clvol.
-    workers
-        Instead, so many processes of this machine.
     """
     look = look or Look()
     options = own_options(look, own)
@@ -228,8 +217,8 @@ def batch(
             sources,
             cameras,
             output,
-            cluster=_cluster(scheduler, workers),
-            reading=reader.read,
+            cluster=together.cluster if together else None,
+            reading=partial(_volume, reader, whole=needs_whole(look.evaluator, look.fetch)),
             look=look.options,
             progress=progress,
             filter=filter,
@@ -266,12 +255,14 @@ def movie(
     input: Input | None = None,
     look: Look | None = None,
     own: ModeOptions | None = None,
+    together: Together | None = None,
     json: Json = False,
 ) -> None:
     """Make a movie of a volume that turns about its vertical.
 
     The first picture is that of 'clvol render', and follows the last one as each follows the one before where turns are whole.
-    Videos have an even number of pixels along each axis: of an odd one, the last is left out.
+    Videos have an even number of pixels along each axis: of an odd one, the last is left out. With --scheduler or --workers a
+    picture is a task, to which a volume that is not read by bricks is sent.
 
     Parameters
     ----------
@@ -302,47 +293,31 @@ def movie(
         raise OptionError(f"a video must be at least 2 pixels wide and high; got {size[0]} × {size[1]}")
     look = look or Look()
     options = own_options(look, own)
-    volume = _volume(input or Input(), source, None, by_bricks=False, whole=False)
+    cluster = together.cluster if together else None
+    volume = _volume(input or Input(), source, whole=needs_whole(look.evaluator, look.fetch))
     looked = volume.sketch() if isinstance(volume, clvol.LazyVolume) else volume
     with speech.progress("drawing", json) as progress:
         options |= look.options(looked)
-        wanted = _filter(volume, filter, look.mode)
-        with clvol.Renderer(volume, wanted, look.boundary, device) as renderer, staged(output, f".{form}") as path:
-
-            def drawn() -> Iterator[clvol.Picture]:
-                for i in range(count):
-                    angle = look.azimuth + 360 * turns * i / count
-                    camera = replace(look, azimuth=angle).camera()
-                    told = progress and partial(_within, progress, i, count)
-                    yield renderer.render(size=size, progress=told, **options | {"camera": camera})
-
-            movies.write(drawn(), path, form, fps)
-            shown = renderer.shown
+        row = _filter(volume, filter, look.mode)
+        options |= {"filter": row, "boundary": look.boundary, "device": device, "size": size}
+        cameras = [replace(look, azimuth=look.azimuth + 360 * turns * i / count).camera() for i in range(count)]
+        del options["camera"]
+        drawn = batches.frames(volume, cameras, cluster=cluster, progress=progress, **options)
+        with staged(output, f".{form}") as path, contextlib.closing(drawn):
+            movies.write(drawn, path, form, fps)
     result: dict[str, Any] = {"output": str(output), "frames": count, "fps": movies.rate(form, fps), "mode": look.mode}
-    result["filter"] = shown.filter.name if json else speech.filter_text(shown.filter, filter, shown.volume)
+    shown = _settled(volume, row)
+    result["filter"] = shown.name if json else speech.filter_text(shown, filter, volume)
     speech.say(json, result)
 
 
-def _within(progress: Callable[[float], None], number: int, count: int, done: float) -> None:
-    """So much of a picture of several is done."""
-    progress((number + done) / count)
-
-
-def _cluster(scheduler: str | None, workers: int | None) -> str | int | None:
-    """By whom it is drawn."""
-    if scheduler is not None and workers is not None:
-        raise OptionError(f"give --scheduler or --workers; got both: {scheduler} and {workers}")
-    return scheduler if workers is None else workers
-
-
 def _volume(
-    reader: Input, source: str | Path, budget: int | None, *, by_bricks: bool, whole: bool
+    reader: Input, source: str | Path, budget: int | None = None, *, by_bricks: bool = False, whole: bool = False
 ) -> clvol.Volume | clvol.LazyVolume:
     """What is drawn: opened, if it is to be read by bricks, else read. `whole` says that it has to be, as long as it fits."""
 
     def wanted(lazy: clvol.LazyVolume) -> bool:
-        several = bool(lazy.levels) and reader.level is None and not whole
-        return by_bricks or several or too_large(lazy) or (budget is not None and too_large(lazy, budget))
+        return by_bricks or are_by_bricks(lazy, several=reader.level is None and not whole, budget=budget)
 
     volume = reader.by_parts(source, wanted) or reader.read(source)
     return as_lazy(volume) if by_bricks else volume
@@ -355,6 +330,13 @@ def _filter(volume: clvol.Volume | clvol.LazyVolume, name: str | None, mode: str
     if name is not None or volume.bounds is not None:
         return name
     return filter_for(volume.part(), None, as_mode(mode).picture_filter)
+
+
+def _settled(volume: clvol.Volume | clvol.LazyVolume, row: clvol.Filter | str | None) -> clvol.Filter:
+    """What `_filter` gives, with its smoothing as numbers."""
+    if isinstance(volume, clvol.Volume):
+        return settled(row or PICTURE_FILTER, volume)
+    return settled(row or (volume.bounds.filter if volume.bounds else PICTURE_FILTER), volume.part())
 
 
 def _bricks_read(shown: BrickedField, volume: clvol.Volume | clvol.LazyVolume, as_json: bool) -> dict[str, Any]:

@@ -16,23 +16,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Group, Parameter
 
 from clvol import display, memory, phantoms
-from clvol.cli.options import (
-    DeviceName,
-    FilterName,
-    Input,
-    Look,
-    ModeOptions,
-    Source,
-    Whole,
-    bytes_text,
-    is_address,
-    own_options,
-    too_large,
-)
+from clvol.cli.options import DeviceName, FilterName, Input, Look, ModeOptions, Source, Whole, bytes_text, is_address, own_options
 from clvol.cli.root import PICTURES, command
 from clvol.cli.words import in_the_shell
 from clvol.errors import ClvolError, FormatError, OptionError, OutOfMemoryError
 from clvol.formats._limits import size_of
+from clvol.lazy import too_large
 
 if TYPE_CHECKING:
     from clvol.view import View

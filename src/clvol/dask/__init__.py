@@ -27,6 +27,7 @@ from clvol.dask.filtering import prefilter, spline_filter, spline_filter1d
 from clvol.dask.grids import affine_transform, rotate, shift, zoom
 from clvol.dask.margins import reach
 from clvol.dask.points import geometric_transform, map_coordinates
+from clvol.dask.pyramids import pyramid
 from clvol.dask.volumes import magnify, resample
 
 __all__ = [
@@ -35,6 +36,7 @@ __all__ = [
     "magnify",
     "map_coordinates",
     "prefilter",
+    "pyramid",
     "reach",
     "resample",
     "rotate",

@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from hashlib import blake2b
 from itertools import pairwise, product
 from typing import Any, TypeAlias
 
@@ -244,56 +245,109 @@ def blockwise(
         What determines the result beside the array: equal calls have equal keys.
     """
     places = [spans(sizes) for sizes in chunks]
-    gather = Gathering(source, f"{name}-read-")
-    tasks: list[Any] = []
+    gathering = Gathering(source, f"{name}-read-")
+    tasks: list[tuple[Block, Asked | None]] = []
     for index in np.ndindex(*(len(sizes) for sizes in chunks)):
         where = tuple(axis[i] for axis, i in zip(places, index, strict=True))
         shape = tuple(stop - start for start, stop in where)
         wanted, extra = plan(index, where) if all(shape) else (None, None)
         block = Block(f"clvol.dask.{name}", index, tuple(start for start, _ in where), shape, wanted, source.shape, extra)
-        tasks.append((index, block))
+        tasks.append((block, None if wanted is None else gathering.ask(wanted)))
     own = f"{name}-{tokenize(name, source.name, chunks, str(dtype), *identity)}"
-    layer: dict[Any, Any] = {}
-    for index, block in tasks:
-        layout, keys = gather(block.spans) if block.spans is not None else (None, [])
-        layer[(own, *index)] = (_computed, compute, block, np.dtype(dtype), layout, keys)
-    layer.update(gather.pieces)
+    layer = gathering.settled()
+    for block, asked in tasks:
+        layout, keys = (None, []) if asked is None else gathering.layout(asked)
+        layer[(own, *block.index)] = (_computed, compute, block, np.dtype(dtype), layout, keys)
     graph = HighLevelGraph.from_collections(own, layer, dependencies=[source])
     return da.Array(graph, own, chunks, dtype=dtype)
 
 
+Cuts: TypeAlias = tuple[Span, ...]
+"""What of a chunk is wanted, along each axis."""
+Piece: TypeAlias = tuple[tuple[int, ...], Cuts]
+"""A chunk, and what of it."""
+
+
 @dataclass(frozen=True, eq=False)
-class Layout:
-    """Where the parts of a window go."""
+class Asked:
+    """A window, the pieces of chunks that it is made of, and where each of them goes."""
 
     shape: tuple[int, ...]
-    dtype: np.dtype[Any]
+    pieces: list[Piece]
     targets: list[tuple[slice, ...]]
 
 
-class Gathering:
-    """The tasks that cut what is read out of the chunks of an array; each is made once.
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """How a window is put together: from which of some arrays each part is taken, how, and where it goes.
 
-    Attributes
-    ----------
-    pieces : dict
-        The tasks.
+    An array is a chunk, of which a part is cut out, or several pieces of one, of which a part has a number.
+    """
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    parts: list[tuple[int, Cuts | int, tuple[slice, ...]]]
+    sizes: list[tuple[int, ...] | None]
+
+
+class Gathering:
+    """What windows read of the chunks of an array.
+
+    A task a piece would be one for each of a chunk's 26 neighbours, and a scheduler takes as long for each as for reading a
+    chunk. So those pieces that go to the same side, along the first axis that they go along, are cut out by one task: six a chunk.
+    Where they would be more than the chunk, that itself is passed on.
     """
 
     def __init__(self, source: Any, prefix: str) -> None:
         self._source, self._prefix = source, f"{prefix}{source.name}"
         self._places = [spans(sizes) for sizes in source.chunks]
-        self.pieces: dict[Any, Any] = {}
+        self._wanted: dict[tuple[Any, ...], dict[Cuts, None]] = {}
+        self._found: dict[Piece, tuple[Any, Cuts | int]] = {}
 
-    def __call__(self, window: Sequence[Span]) -> tuple[Layout, list[Any]]:
-        """How a window is put together, and the keys of its parts."""
+    def ask(self, window: Sequence[Span]) -> Asked:
+        """What a window needs."""
         along = [self._segments(places, n, span) for places, n, span in zip(self._places, self._source.shape, window, strict=True)]
-        targets, keys = [], []
+        asked = Asked(tuple(stop - start for start, stop in window), [], [])
         for parts in product(*along):
-            targets.append(tuple(target for _, _, target in parts))
-            keys.append(self._piece(tuple(i for i, _, _ in parts), tuple(cut for _, cut, _ in parts)))
-        shape = tuple(stop - start for start, stop in window)
-        return Layout(shape, self._source.dtype, targets), keys
+            index, cuts = tuple(i for i, _, _ in parts), tuple(cut for _, cut, _ in parts)
+            asked.targets.append(tuple(target for _, _, target in parts))
+            asked.pieces.append((index, cuts))
+            side = next(
+                ((axis, cut) for axis, (cut, n) in enumerate(zip(cuts, self._sizes(index), strict=True)) if cut != (0, n)), None
+            )
+            if side is not None:
+                self._wanted.setdefault((index, *side), {})[cuts] = None
+        return asked
+
+    def settled(self) -> dict[Any, Any]:
+        """The tasks that cut out what was asked for; nothing is asked for later."""
+        tasks: dict[Any, Any] = {}
+        for (index, *_), wanted in self._wanted.items():
+            key, sizes = (self._source.name, *index), self._sizes(index)
+            if sum(math.prod(b - a for a, b in cuts) for cuts in wanted) > math.prod(sizes):
+                self._found.update({(index, cuts): (key, cuts) for cuts in wanted})
+                continue
+            several = list(wanted)
+            made = (f"{self._prefix}-{blake2b(repr(several).encode(), digest_size=8).hexdigest()}", *index)
+            tasks[made] = (_cut, key, _Pieces(several, sizes))
+            self._found.update({(index, cuts): (made, number) for number, cuts in enumerate(several)})
+        return tasks
+
+    def layout(self, asked: Asked) -> tuple[Layout, list[Any]]:
+        """How a window is put together, and the keys of what it is made of."""
+        numbers: dict[Any, int] = {}
+        parts: list[tuple[int, Cuts | int, tuple[slice, ...]]] = []
+        sizes: list[tuple[int, ...] | None] = []
+        for (index, cuts), target in zip(asked.pieces, asked.targets, strict=True):
+            key, how = self._found.get((index, cuts), ((self._source.name, *index), cuts))
+            if key not in numbers:
+                numbers[key] = len(numbers)
+                sizes.append(None if isinstance(how, int) else self._sizes(index))
+            parts.append((numbers[key], how, target))
+        return Layout(asked.shape, self._source.dtype, parts, sizes), list(numbers)
+
+    def _sizes(self, index: tuple[int, ...]) -> tuple[int, ...]:
+        return tuple(self._source.chunks[axis][i] for axis, i in enumerate(index))
 
     @staticmethod
     def _segments(places: list[Span], n: int, span: Span) -> list[tuple[int, Span, slice]]:
@@ -310,28 +364,17 @@ class Gathering:
             at += count
         return found
 
-    def _piece(self, index: tuple[int, ...], cuts: tuple[Span, ...]) -> Any:
-        key = (self._source.name, *index)
-        sizes = tuple(self._source.chunks[axis][i] for axis, i in enumerate(index))
-        if cuts == tuple((0, n) for n in sizes):
-            return key
-        name = f"{self._prefix}-{'.'.join(f'{start}:{stop}' for start, stop in cuts)}"
-        made = (name, *index)
-        if made not in self.pieces:
-            self.pieces[made] = (_cut, key, _Cuts(cuts, sizes))
-        return made
-
 
 @dataclass(frozen=True, eq=False)
-class _Cuts:
-    spans: tuple[Span, ...]
+class _Pieces:
+    cuts: list[Cuts]
     sizes: tuple[int, ...]
 
 
-def _cut(chunk: Array, cuts: _Cuts) -> Array:
-    """Part of a chunk, in memory of its own, so that the chunk can be let go."""
-    _require_shape(chunk, cuts.sizes)
-    return np.ascontiguousarray(chunk[tuple(slice(*span) for span in cuts.spans)])
+def _cut(chunk: Array, pieces: _Pieces) -> list[Array]:
+    """Parts of a chunk, in memory of their own, so that the chunk can be let go."""
+    _require_shape(chunk, pieces.sizes)
+    return [np.ascontiguousarray(chunk[tuple(slice(*span) for span in cuts)]) for cuts in pieces.cuts]
 
 
 def _require_shape(chunk: Any, shape: tuple[int, ...]) -> None:
@@ -339,14 +382,20 @@ def _require_shape(chunk: Any, shape: tuple[int, ...]) -> None:
         raise DataError(f"a chunk of an array of dask must have the shape that the array says, {shape}; got {np.shape(chunk)}")
 
 
-def gathered(layout: Layout, parts: Sequence[Array]) -> Array:
-    """A window of its parts."""
-    for part, target in zip(parts, layout.targets, strict=True):
-        _require_shape(part, tuple(one.stop - one.start for one in target))
+def gathered(layout: Layout, arrays: Sequence[Any]) -> Array:
+    """A window of what it is made of."""
+    for array, sizes in zip(arrays, layout.sizes, strict=True):
+        if sizes is not None:
+            _require_shape(array, sizes)
+    parts = [
+        (arrays[number][how] if isinstance(how, int) else arrays[number][tuple(slice(*span) for span in how)], target)
+        for number, how, target in layout.parts
+    ]
     if len(parts) == 1:
-        return np.asarray(parts[0])
-    window = np.empty(layout.shape, layout.dtype)
-    for part, target in zip(parts, layout.targets, strict=True):
+        return np.asarray(parts[0][0])
+    # what was computed before may be of double precision in some blocks
+    window = np.empty(layout.shape, np.result_type(layout.dtype, *{part.dtype for part, _ in parts}))
+    for part, target in parts:
         window[target] = part
     return window
 

@@ -176,14 +176,14 @@ def as_volumes(data: Any, dimensions: int | None, least: int) -> tuple[Any, int]
     return source, whole("dimensions", dimensions, least, min(source.ndim, 3))
 
 
-def settled_row(row: Filter, shape: Sequence[int]) -> Filter:
-    """A filter whose lengths are numbers, for samples at distances of 1; smoothing "auto" is refused."""
+def settled_row(row: Filter, shape: Sequence[int], spacing: Sequence[float] = ()) -> Filter:
+    """A filter whose lengths are numbers, for samples at distances of 1, or of `spacing`; smoothing "auto" is refused."""
     for one in (row, row.magnified_by):
         if one is not None and one.smoothing == "auto":
             require_settled(one)
     if len(shape) < 2 and row.settled and not isinstance(row.smoothing, tuple):
         return row
-    return settled(row, Volume(np.broadcast_to(np.float32(0), shape if len(shape) > 1 else (1, *shape))))
+    return settled(row, Volume(np.broadcast_to(np.float32(0), shape if len(shape) > 1 else (1, *shape)), tuple(spacing)))
 
 
 def checked_spline(

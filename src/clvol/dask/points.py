@@ -21,11 +21,11 @@ from dask.highlevelgraph import HighLevelGraph
 from clvol.boundary import Boundary
 from clvol.dask.blocks import (
     Array,
+    Asked,
     Block,
     Chunks,
     Floats,
     Gathering,
-    Layout,
     Span,
     as_chunks,
     as_lazy,
@@ -349,7 +349,8 @@ def _scattered(
         tuple(source.shape[axis] for axis in along),
         boundary,
     )
-    gather = Gathering(source, "map_coordinates-read-")
+    gathering = Gathering(source, "map_coordinates-read-")
+    windows: dict[Any, Asked] = {}
     layer: dict[Any, Any] = {}
     made: dict[tuple[int, ...], tuple[Any, tuple[Span, ...]]] = {}
 
@@ -364,9 +365,8 @@ def _scattered(
                 # a point that belongs to the last sample of a chunk lies before the first one of the next
                 last = high - 0.5 if boundary.name == "wrap" else min(high - 0.5, source.shape[axis] - 1)
                 own[axis] = window_along(np.array([low, last], np.float64), source.shape[axis], boundary, reach).span
-            layout, keys = gather(own)
             key = (f"{name}-window", *batch, *chunk)
-            layer[key] = (_window, layout, keys)
+            windows[key] = gathering.ask(own)
             made[batch + chunk] = (key, tuple(own))
         return made[batch + chunk]
 
@@ -394,7 +394,9 @@ def _scattered(
                 parts.append((f"{name}-part", *index, *chunk))
                 layer[parts[-1]] = (_evaluated, task, key, None if known else parted)
         layer[(name, *index)] = (_joined, block, dtype, options, len(kept), parts)
-    layer.update(gather.pieces)
+    layer.update(gathering.settled())
+    for key, asked in windows.items():
+        layer[key] = (gathered, *gathering.layout(asked))
     graph = HighLevelGraph.from_collections(name, layer, dependencies=[source] if known else [source, at])
     return da.Array(graph, name, result, dtype=dtype)
 
@@ -415,10 +417,6 @@ class _Part:
     dtype: np.dtype[Any]
     options: Options
     known: _Some | None
-
-
-def _window(layout: Layout, parts: Sequence[Array]) -> Array:
-    return gathered(layout, parts)
 
 
 def _parted(chunks: _Chunks, at: Array) -> dict[tuple[int, ...], tuple[Array, Floats]]:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
 from clvol.boundary import Boundary
-from clvol.dask.blocks import Floats, Span
+from clvol.dask.blocks import Array, Block, Floats, Span, blockwise
+from clvol.device import as_device
 from clvol.filter import Filter
-from clvol.spline.reduce import TRUNCATE, Sums, least_squares
+from clvol.spline.reduce import TRUNCATE, Sums, least_squares, sum_along
 
-__all__ = ["Reduction", "gaussian_radius"]
+__all__ = ["Reduction", "Summed", "axis_by_axis", "gaussian_radius"]
 
 
 def gaussian_radius(sigma: float) -> int:
@@ -46,12 +49,105 @@ class Reduction:
 
     def span(self, place: Span) -> Span:
         """Which samples a part of the result is made of."""
-        places = self.sums.places[place[0] : place[1]]
-        within = places[places < self.n]
-        return (int(within.min()), int(within.max()) + 1) if within.size else (0, 1)
+        return _span_of(self.sums, place)
 
     def within(self, place: Span, span: Span) -> Sums:
         """The sums of a part of the result, of samples counted from the start of what it reads."""
-        sums, rows, length = self.sums, slice(*place), span[1] - span[0]
-        places = np.where(sums.places[rows] == self.n, length, sums.places[rows] - span[0])
-        return Sums(length, places.astype(np.int32), np.ascontiguousarray(sums.weights[rows]))
+        return _sums_within(self.sums, place, span)
+
+
+# -- one axis after the other ----------------------------------------------------------------------------------------
+
+
+class Summed(Protocol):
+    """An axis that is replaced by sums along it."""
+
+    @property
+    def sums(self) -> Sums:
+        """Of all of the axis."""
+
+
+Begin: TypeAlias = Callable[[Array, Block], type[np.generic]]
+"""From the samples that a block reads to the type that sums are made in; refuses samples that are not finite."""
+End: TypeAlias = Callable[[Array, Block], Array]
+"""From sums along all axes to a block of the result."""
+
+
+def axis_by_axis(
+    name: str,
+    source: Any,
+    chunks: tuple[Any, ...],
+    dtype: np.dtype[Any],
+    axes: Sequence[tuple[int, Summed]],
+    kind: type[np.generic],
+    begin: Begin,
+    end: End,
+    outside: float,
+    device: Any,
+    identity: Sequence[object],
+) -> Any:
+    """An array of dask whose axes are replaced by sums, one after the other.
+
+    Sums take so many samples that a block which took those of all axes at once would read 8 chunks for one of its own. Along one
+    axis it reads the row that it lies in, and the next axis has fewer blocks to go through.
+
+    Parameters
+    ----------
+    name, source, chunks, dtype, identity
+        As of `clvol.dask.blocks.blockwise`.
+    axes : sequence of (int, Summed)
+        In the order in which they are summed up.
+    kind : type
+        Of sums, as far as that is known before samples are.
+    begin, end : callable
+    outside : float
+        The samples where a boundary rule puts none.
+    device : object
+        As of `as_device`, in each process.
+    """
+    made = source
+    for number, (axis, own) in enumerate(axes, 1):
+        first, last = number == 1, number == len(axes)
+        sizes = chunks if last else (*made.chunks[:axis], chunks[axis], *made.chunks[axis + 1 :])
+        stage = _Stage(axis, own, outside, device, begin if first else None, end if last else None)
+        about = [*identity, axis, number, len(axes)]
+        made = blockwise(f"{name}-along-{axis}", made, sizes, dtype if last else np.dtype(kind), stage.plan, stage, about)
+    return made
+
+
+@dataclass(frozen=True, eq=False)
+class _Stage:
+    """Sums along one of the axes. What comes of it tells the next one in which type they are made."""
+
+    axis: int
+    own: Summed
+    outside: float
+    device: Any
+    begin: Begin | None
+    end: End | None
+
+    def plan(self, _: tuple[int, ...], where: tuple[Span, ...]) -> tuple[tuple[Span, ...], None]:
+        """What a block reads."""
+        return (*where[: self.axis], _span_of(self.own.sums, where[self.axis]), *where[self.axis + 1 :]), None
+
+    def __call__(self, window: Array, block: Block) -> Array:
+        assert block.spans is not None
+        kind = window.dtype.type if self.begin is None else self.begin(window, block)
+        place = block.start[self.axis], block.start[self.axis] + block.shape[self.axis]
+        sums = {self.axis: _sums_within(self.own.sums, place, block.spans[self.axis])}
+        values = sum_along(window, sums, kind, as_device(self.device), self.outside)
+        return values if self.end is None else self.end(values, block)
+
+
+def _span_of(sums: Sums, place: Span) -> Span:
+    """Which samples some sums are made of."""
+    places = sums.places[place[0] : place[1]]
+    within = places[places < sums.n]
+    return (int(within.min()), int(within.max()) + 1) if within.size else (0, 1)
+
+
+def _sums_within(sums: Sums, place: Span, span: Span) -> Sums:
+    """Some of the sums, of samples counted from the start of a span."""
+    rows, length = slice(*place), span[1] - span[0]
+    places = np.where(sums.places[rows] == sums.n, length, sums.places[rows] - span[0])
+    return Sums(length, places.astype(np.int32), np.ascontiguousarray(sums.weights[rows]))

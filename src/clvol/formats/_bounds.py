@@ -48,6 +48,8 @@ class StoredBounds:
         The smallest and the largest sample.
     block : int
         Cells along an edge of the finest blocks.
+    filled : bool
+        Whether chunks that are not stored read as zeros, so that nobody knows what zeros throughout a chunk mean.
 
     Raises
     ------
@@ -63,6 +65,7 @@ class StoredBounds:
         boundary: str,
         value_range: tuple[float, float],
         block: int = BLOCK,
+        filled: bool = False,
     ) -> None:
         for number, array in enumerate(arrays):
             expected = (*blocks_of(size, block << number)[::-1], 2)
@@ -76,7 +79,7 @@ class StoredBounds:
             raise FormatError(f"bounds must have a range of values, and blocks; got {value_range} and {len(arrays)} sizes")
         self.filter, self.boundary = filter, boundary
         self.value_range = (float(low), float(high))
-        self._arrays, self._size, self._block = tuple(arrays), tuple(size), block
+        self._arrays, self._size, self._block, self._filled = tuple(arrays), tuple(size), block, filled
         self._lock = threading.Lock()
         self._kept: OrderedDict[tuple[int, ...], NDArray[Any]] = OrderedDict()
 
@@ -86,7 +89,7 @@ class StoredBounds:
     def within(self, low: Index, high: Index) -> tuple[float, float]:
         """The smallest and the largest value in the cells between samples `low` and `high`, or bounds of these.
 
-        The outer half cells of the domain belong to the cells beside them.
+        The outer half cells of the domain belong to the cells beside them. Where a chunk of bounds is missing they are infinite.
         """
         for number, array in enumerate(self._arrays):
             edge = self._block << number
@@ -113,6 +116,8 @@ class StoredBounds:
                 part = self._kept.get((number, *at))
             if part is None:
                 part = np.asarray(array[tuple(slice(f, f + c) for f, c in zip(first, chunks, strict=True))])
+                if self._filled and not part.any():
+                    part = np.full_like(part, np.nan)
                 with self._lock:
                     self._kept[number, *at] = part
                     while len(self._kept) > _KEPT:
@@ -136,8 +141,10 @@ def bounds_of(group: Any, about: Mapping[str, Any], path: str, size: Sequence[in
     if one is None or not one.get("bounds"):
         return None
     try:
-        arrays = [wrapped(group[name]) for name in one["bounds"]]
+        stored = [group[name] for name in one["bounds"]]
         low, high = one["value_range"]
-        return StoredBounds(arrays, size, str(one["filter"]), str(one["boundary"]), (low, high), int(one["block"]))
+        filled = any(array.fill_value is not None and not np.isnan(array.fill_value) for array in stored)
+        about_them = str(one["filter"]), str(one["boundary"]), (low, high), int(one["block"])
+        return StoredBounds([wrapped(array) for array in stored], size, *about_them, filled)
     except (KeyError, TypeError, ValueError) as error:
         raise FormatError(f"the bounds of {path} must be what the attribute {KEY!r} says: {error!r}") from error

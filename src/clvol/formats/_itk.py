@@ -21,8 +21,8 @@ from clvol.formats._choice import Choice
 from clvol.formats._files import foreign_errors, require_default, scaled
 from clvol.formats._layout import Layout, scaled_window
 from clvol.formats._limits import announce
-from clvol.formats._window import FlatFile, Index, Window
 from clvol.formats._wire import copied
+from clvol.sliced import FlatFile, Index, Window
 from clvol.volume import Volume
 from clvol.volumes import Leading, Volumes
 

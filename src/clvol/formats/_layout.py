@@ -14,8 +14,8 @@ from clvol.errors import DataError
 from clvol.formats._choice import Choice
 from clvol.formats._files import scaled
 from clvol.formats._units import scale, unit_name
-from clvol.formats._window import Window
 from clvol.interop import Content
+from clvol.sliced import Window
 from clvol.volumes import AXES, Leading
 
 __all__ = ["Layout", "decoded", "lay_out", "place", "scaled_window", "shrunk", "uniform", "unnamed"]

@@ -17,8 +17,8 @@ from clvol.formats._choice import Choice, Series, chosen_series
 from clvol.formats._files import bytes_at, sample_count
 from clvol.formats._layout import Layout, decoded, lay_out, place, uniform, unnamed
 from clvol.formats._limits import announce
-from clvol.formats._window import Index, Window, signature
 from clvol.interop import Content
+from clvol.sliced import Index, Watched, Window
 from clvol.volumes import Leading
 
 __all__ = ["lazily", "loaded", "member", "opened", "read", "series", "window"]
@@ -108,17 +108,14 @@ def window(path: Path, source: str, array: Any, index: Index = ()) -> Window:
     """The same, read part by part; a chunk that cannot be read is named."""
     _require_own(source, array)
     announce(source, sample_count(array.chunks or ()) * array.dtype.itemsize)
-    before = signature(path)
 
     def read(index: Index) -> NDArray[Any]:
-        if signature(path) != before:
-            raise FormatError(f"{source} has changed since it was opened; open it again")
         try:
             return np.asarray(array[index])
         except OSError as error:
             raise FormatError(f"cannot read {_damaged(array, index)} of {array.name} in {source}: {error}") from error
 
-    return Window(read, array.shape, array.dtype, array.chunks, index)
+    return Window(Watched(path, source, read), array.shape, array.dtype, array.chunks, index)
 
 
 def _damaged(array: Any, index: Index) -> str:

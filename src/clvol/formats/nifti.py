@@ -23,7 +23,7 @@ from clvol.formats._choice import Choice
 from clvol.formats._files import gunzipped_size, require_bytes, require_default, scaled
 from clvol.formats._layout import Layout, scaled_window
 from clvol.formats._limits import announce
-from clvol.formats._window import FlatFile, Index, Window
+from clvol.sliced import FlatFile, Index, Window
 from clvol.volume import Volume
 from clvol.volumes import Leading, Volumes
 

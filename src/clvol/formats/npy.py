@@ -20,7 +20,7 @@ from clvol.formats._choice import Choice
 from clvol.formats._files import require_bytes, require_default, require_members
 from clvol.formats._layout import lay_out, unnamed
 from clvol.formats._limits import announce
-from clvol.formats._window import FlatFile, Window
+from clvol.sliced import FlatFile, Window
 from clvol.volume import Volume
 from clvol.volumes import Leading, Volumes
 

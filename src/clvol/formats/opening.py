@@ -24,7 +24,7 @@ from clvol.lazy import LazyVolume
 from clvol.volume import Volume
 from clvol.volumes import Leading
 
-__all__ = ["WholeOnlyError", "open", "opened"]
+__all__ = ["WholeOnlyError", "open", "opened", "opened_if"]
 
 _OFF = 1.5  # samples of a level, by which its ends may lie beside those of the finest: shapes are rounded, and many writers have
 # the first samples of all levels in one place, though they are means
@@ -135,6 +135,28 @@ def open(  # noqa: A001  # as files are opened: clvol.open
     if not contents:
         raise _whole_only(file, chosen)
     return opened(str(file), contents, replaced, missing).reopened_by(partial(open, file.absolute(), **arguments))
+
+
+def opened_if(path: str | os.PathLike[str], wanted: Callable[[LazyVolume], bool], **options: Any) -> LazyVolume | None:
+    """What `open` gives, if it is far away, or `wanted` says so of it; else None: it is to be read.
+
+    What cannot be opened is None too: `clvol.read` says what is wrong with it, or reads it nevertheless.
+    """
+    if "://" in str(path):
+        return open(path, **options)
+    if not format_of(as_path(path)).lazily:
+        return None
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        try:
+            lazy = open(path, **options)
+        except (DataError, FormatError, GeometryError):
+            return None
+    if not wanted(lazy):
+        return None
+    for one in told:
+        warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
+    return lazy
 
 
 def _look(lazily: Callable[..., list[Content]], path: Path, choice: Choice, options: Mapping[str, Any]) -> None:

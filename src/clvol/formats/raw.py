@@ -14,8 +14,8 @@ from clvol.errors import OptionError
 from clvol.formats._choice import Choice
 from clvol.formats._files import require_bytes, sample_count
 from clvol.formats._limits import announce
-from clvol.formats._window import FlatFile, Window
 from clvol.interop import Content
+from clvol.sliced import FlatFile, Window
 from clvol.volumes import Leading
 
 __all__ = ["lazily", "read"]

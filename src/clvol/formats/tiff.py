@@ -27,9 +27,9 @@ from clvol.formats._files import inflated_size, require_default, sample_count, s
 from clvol.formats._layout import Layout, lay_out
 from clvol.formats._limits import announce
 from clvol.formats._units import METRES, scale, unit_name
-from clvol.formats._window import FlatFile, Index, Window, signature
 from clvol.formats._wire import as_stored, empty
 from clvol.interop import Content
+from clvol.sliced import FlatFile, Index, Watched, Window
 from clvol.volume import Volume
 from clvol.volumes import Leading, Volumes
 
@@ -115,16 +115,14 @@ def _window(name: str, file: Any, image: Any, index: Index) -> Window:
     array: Any = zarr.open(image.aszarr(level=0, squeeze=False), mode="r")
     if tuple(array.shape) != shape:
         raise FormatError(f"{name} must be read part by part as an array of shape {shape}; tifffile makes it {array.shape}")
-    before, lock = signature(path), threading.Lock()
+    lock = threading.Lock()
 
     def read(index: Index) -> NDArray[Any]:
         assert not file.filehandle.closed  # it is held as long as this is
-        if signature(path) != before:
-            raise FormatError(f"{name} has changed since it was opened; open it again")
         with lock, _strict():
             return as_stored(np.asarray(array[index]))
 
-    return Window(read, shape, array.dtype, array.chunks, index)
+    return Window(Watched(path, name, read), shape, array.dtype, array.chunks, index)
 
 
 def _content(path: Path, file: Any, number: int, level: int, choose: Choice, load: Callable[..., Any]) -> Content:

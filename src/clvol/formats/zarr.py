@@ -9,6 +9,7 @@ import re
 import time
 import warnings
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -25,8 +26,8 @@ from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
 from clvol.formats._files import bytes_at, require_members, sample_count
 from clvol.formats._layout import Layout, decoded, lay_out, place, shrunk, uniform, unnamed
 from clvol.formats._limits import announce, announce_parts
-from clvol.formats._window import Index, Signature, Window, signature
 from clvol.interop import Content
+from clvol.sliced import Index, Signature, Window, said_of_file, said_of_folder, signature
 from clvol.volume import SPACES
 from clvol.volumes import Leading
 
@@ -307,6 +308,13 @@ class _Chunked:
         except Exception as error:
             message = str(error) or type(error).__name__
             raise FormatError(f"cannot read chunk {self._key_of_damaged(index)} of {self._source}: {message}") from error
+
+    def said(self) -> str:
+        """By what the array is known to be the same: of a folder all its files, of what is far away the metadata alone."""
+        root = self._store.root
+        if root is None:
+            return f"metadata {zlib.crc32(repr(self._array.metadata).encode()):08x}"
+        return said_of_folder(root / self._array.path) if root.is_dir() else said_of_file(root)
 
     def _require_the_same(self) -> None:
         """Raise if the array's metadata are others by now: at each read of a folder, at times of what is far away."""

@@ -402,7 +402,8 @@ def front_to_back(field: BrickedField, view: View, box: tuple[Index, Index] | No
     """The bricks of a field, or of a box of them, in an order in which none is behind one that comes later.
 
     Along each axis they follow outwards from where the eye is, or towards where the view goes: boxes between planes that are
-    sorted like this along every axis are sorted.
+    sorted like this along every axis are sorted, whichever axis comes first: one along which chunks are no longer than bricks, for
+    these are then unpacked for one layer of bricks after the other.
     """
     grid, inverse = field.volume.grid, field.volume.grid.world_to_index_matrix
     ways = []
@@ -413,10 +414,10 @@ def front_to_back(field: BrickedField, view: View, box: tuple[Index, Index] | No
             continue
         eye = (float(grid.world_to_index(view.eye)[axis]) - field.away) / field.edge
         own = min(max(math.floor(eye), first), past - 1)
-        ways.append(sorted(range(first, past), key=lambda i, own=own: abs(i - own)))  # type: ignore[misc]  # a default that binds
+        ways.append([*range(own, past), *range(first, own)[::-1]])  # neighbours, which share chunks, follow each other
     x, y, z = ways
-    outermost = sorted(((abs(float((inverse @ view.forward)[axis])), axis) for axis in range(3)), reverse=True)
-    order = [axis for _, axis in outermost]
+    along = np.abs(inverse @ view.forward)
+    order = sorted(range(3), key=lambda axis: (field.long_chunks[axis], -along[axis], -axis))
     lists = [(x, y, z)[axis] for axis in order]
     places = (dict(zip(order, at, strict=True)) for at in itertools.product(*lists))
     return [field.brick((at[0], at[1], at[2])) for at in places]

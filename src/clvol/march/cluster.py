@@ -25,7 +25,7 @@ from clvol import memory
 from clvol.boundary import Boundary
 from clvol.camera import View
 from clvol.checks import one_of
-from clvol.cluster import Cluster, LostError, PoisonError, neighbours, own_address, own_place, version, worker_device
+from clvol.cluster import Cluster, LostError, PoisonError, Turn, neighbours, own_address, own_place, version, worker_device
 from clvol.errors import ClusterError, DeviceError, OptionError, OutOfMemoryError
 from clvol.filter import Filter
 from clvol.lazy import Index, LazyVolume
@@ -198,7 +198,7 @@ class Shared:
 
     def share(self) -> None:
         """Share them out among the workers that are there now, and tell these what they make the field of."""
-        field, volume = self.field, self.field.volume
+        field, volume = self.field, self.field.volume.for_tasks()
         recipe = _Recipe(
             self.token,
             volume,
@@ -444,7 +444,7 @@ def _same_job(job: _Job) -> _Job:
 
 _fields: OrderedDict[str, BrickedField] = OrderedDict()
 _lock = threading.RLock()
-_turn = threading.RLock()  # kernels use all cores, and one budget is enough
+_turn = Turn()  # kernels use all cores, and one budget is enough
 
 
 def _field_of(recipe: _Recipe) -> BrickedField:

@@ -55,7 +55,6 @@ OUTPUTS: tuple[Output, ...] = ("rgba", "depth", "normal", "position", "visited")
 """Of every mode."""
 _ALL_OUTPUTS = get_args(Output)
 _BITS = 8.0  # of the sampler's fraction, before pictures are made by it: what texture units have
-_SMALL_PART = 16  # of the budget: bricks of other levels that take less stay
 _MAX_SIZE = 1 << 15
 _CLOSED = "the renderer was closed, and its coefficients were released; make a new one"
 
@@ -645,7 +644,7 @@ class Renderer:
             return found
 
     def _field_at(self, mode: Mode, level: int) -> BrickedField:
-        """The field of a level; those of others keep few bricks while it is drawn, and it leaves them their part of the budget."""
+        """The field of a level; all of them have one budget."""
         base = self._field_of(mode)
         assert isinstance(base, BrickedField)
         with self._lock:
@@ -656,17 +655,10 @@ class Renderer:
                 row = _usual(coarser) if free else base.filter
                 key = level, "" if row is None else as_filter(row).name
                 if key not in self._levels:
-                    made = BrickedField(coarser, row, base.boundary, base.device, budget=base.budget)
+                    made = BrickedField(coarser, row, base.boundary, base.device, beside=base)
                     self._levels[key] = made if self._cluster is None else shared_out(made, len(self._cluster.workers))
                     self._lease.frees(self._levels[key].close)
                 field = self._levels[key]
-            beside = 0
-            for other in {id(f): f for f in (base, self.field, self._unsmoothed, *self._levels.values())}.values():
-                if isinstance(other, BrickedField) and other is not field:
-                    if other.nbytes > field.budget // _SMALL_PART:
-                        other.drop()
-                    beside += other.nbytes
-            field.beside = beside
             return field
 
     @contextmanager
@@ -750,7 +742,7 @@ class Renderer:
             if self._unsmoothed is None:
                 own = self.field
                 if isinstance(own, BrickedField):
-                    self._unsmoothed = BrickedField(own.volume, row, own.boundary, own.device, budget=own.budget, edge=own.edge)
+                    self._unsmoothed = BrickedField(own.volume, row, own.boundary, own.device, edge=own.edge, beside=own)
                 else:
                     self._unsmoothed = _single(self.volume, row, own.boundary, self.device)
                 self._lease.frees(self._unsmoothed.close)

@@ -15,11 +15,12 @@ from clvol.device import Device
 from clvol.errors import OptionError
 from clvol.filter import Filter
 from clvol.formats._bounds import BLOCK, blocks_of
-from clvol.multiscale.levels import FIXED, gathered, runs_of
+from clvol.multiscale.levels import FIXED
 from clvol.spline.evaluator import DIRECT
 from clvol.spline.field import coefficients_of
 from clvol.spline.minmax import BLOCK as CELLS
 from clvol.spline.minmax import Cell, MinMax
+from clvol.spline.rows import gathered, runs_of
 from clvol.volume import Volume
 
 __all__ = ["Bricks", "coarser", "outwards", "require_bounded"]

@@ -1,31 +1,30 @@
-"""Which sizes a pyramid has, and what becomes of parts of an axis from one to the next."""
+"""Which sizes a pyramid has, and what becomes of an axis from one to the next."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clvol.boundary import Boundary
+from clvol.errors import OptionError
 from clvol.filter import Filter
 from clvol.spline.reduce import Sums, least_squares
 
-__all__ = ["FIXED", "METHODS", "Level", "Method", "Rows", "gathered", "levels_of", "runs_of", "sums_for"]
+__all__ = ["FIXED", "METHODS", "ORDER", "Level", "Method", "filter_at", "levels_of", "require_reducible", "sums_for"]
 
 Method: TypeAlias = Literal["least-squares", "average", "nearest"]
 METHODS: tuple[Method, ...] = ("least-squares", "average", "nearest")
 
+ORDER = (1, 2, 0)
+"""In which [z, y, x] are reduced, one after the other, whatever part is made: sums round alike."""
+
 FIXED = 96 << 20
 """Bytes of a budget that Zarr and the device take beside what is counted."""
 
-Runs: TypeAlias = tuple[tuple[int, int], ...]
-"""Samples of an axis, those from one to before another, and from a third on."""
-
 _ALIKE = 1.5  # times the smallest spacing: axes whose samples lie further apart wait until the others do too
-_GAP = 32  # samples that are read with those on both sides
 
 
 @dataclass(frozen=True)
@@ -82,6 +81,20 @@ def _three(numbers: Sequence[int]) -> tuple[int, int, int]:
     return x, y, z
 
 
+def filter_at(filter: Filter, number: int) -> Filter:
+    """That of a size: smoothed the first, interpolating those after it."""
+    return filter if number == 0 or not filter.smoothing else filter.smoothed(0.0)
+
+
+def require_reducible(method: Method, filter: Filter, boundary: Boundary) -> None:
+    """Raise `OptionError` for a function to which no spline of fewer samples is nearest."""
+    if method == "least-squares" and (filter.magnified_by is not None or (filter.prefilter and boundary.period is None)):
+        raise OptionError(
+            f"least-squares reduction takes a filter with one kernel, and a boundary rule that continues the samples; "
+            f"got {filter.name!r} and {boundary.name!r}"
+        )
+
+
 def sums_for(method: Method, filter: Filter, boundary: Boundary, step: int, n: int, double: bool) -> Sums | None:
     """What becomes of an axis of `n` samples; None where it stays. `filter` is what it is along this axis."""
     if step == 1:
@@ -94,63 +107,3 @@ def sums_for(method: Method, filter: Filter, boundary: Boundary, step: int, n: i
         return Sums(n, first[:, None].astype(np.int32), np.ones((m, 1)))
     places = np.minimum(first[:, None] + np.arange(step), n - 1).astype(np.int32)  # the last of an odd number stands alone
     return Sums(n, places, np.full(places.shape, 1 / step))
-
-
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """Some rows of sums along an axis, or of an axis that stays, and what they are sums of.
-
-    Attributes
-    ----------
-    first, last : int
-        Of the rows.
-    runs : Runs
-        The samples that they take.
-    sums : Sums or None
-        Of these alone, brought together.
-    """
-
-    first: int
-    last: int
-    runs: Runs
-    sums: Sums | None
-
-    @classmethod
-    def of(cls, sums: Sums | None, first: int, last: int) -> Rows:
-        """Those from `first` to before `last`; their runs hold all samples that they stand for."""
-        if sums is None:
-            return cls(first, last, ((first, last),), None)
-        places, step = sums.places[first:last], -(-sums.n // len(sums.places))
-        runs = runs_of(np.concatenate([places[places < sums.n], np.arange(first * step, min(last * step, sums.n))]))
-        own = np.concatenate([np.arange(a, b) for a, b in runs])
-        local = np.where(places < sums.n, np.searchsorted(own, places), own.size).astype(np.int32)
-        return cls(first, last, runs, Sums(own.size, local, sums.weights[first:last]))
-
-    @property
-    def count(self) -> int:
-        """Samples that are taken."""
-        return sum(b - a for a, b in self.runs)
-
-
-def runs_of(places: NDArray[Any]) -> Runs:
-    """The samples at some places, and those in small gaps between them."""
-    own = np.unique(places)
-    ends = np.flatnonzero(np.diff(own) > _GAP)
-    firsts, lasts = own[np.concatenate([[0], ends + 1])], own[np.concatenate([ends, [own.size - 1]])]
-    return tuple((int(a), int(b) + 1) for a, b in zip(firsts, lasts, strict=True))
-
-
-def gathered(read: Callable[[tuple[slice, slice, slice]], NDArray[Any]], runs: Sequence[Runs]) -> NDArray[Any]:
-    """The samples in runs along z, y and x, as one array."""
-    z, y, x = runs
-    parts = [
-        [
-            np.concatenate([read((slice(*k), slice(*j), slice(*i))) for i in x], 2)
-            if len(x) > 1
-            else read((slice(*k), slice(*j), slice(*x[0])))
-            for j in y
-        ]
-        for k in z
-    ]
-    rows = [part[0] if len(part) == 1 else np.concatenate(part, 1) for part in parts]
-    return rows[0] if len(rows) == 1 else np.concatenate(rows, 0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -15,8 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from clvol import memory
 from clvol.boundary import Boundary, as_boundary
 from clvol.checks import as_path, flag, one_of, several, whole
+from clvol.chunks import Chunks, lines_of
 from clvol.device import Device, as_device
-from clvol.errors import DataError, FormatError, MissingDependencyError, OptionError
+from clvol.errors import DataError, MissingDependencyError, OptionError
 from clvol.files import require_suffix
 from clvol.filter import PICTURE_FILTER, Filter
 from clvol.formats import read as read_whole
@@ -28,10 +28,10 @@ from clvol.formats.opening import open as open_lazily
 from clvol.formats.zarr import shown
 from clvol.lazy import LazyVolume, Sliced
 from clvol.multiscale.blocks import Bricks, coarser, outwards, require_bounded
-from clvol.multiscale.cache import ChunkCache
 from clvol.multiscale.journal import Journal
-from clvol.multiscale.levels import FIXED, METHODS, Level, Method, levels_of, sums_for
+from clvol.multiscale.levels import FIXED, METHODS, Level, Method, filter_at, levels_of, require_reducible, sums_for
 from clvol.multiscale.reduce import Reduction
+from clvol.multiscale.source import said_of
 from clvol.rounding import wide
 from clvol.smoothing import filter_for, settled
 from clvol.volume import Volume, as_volume
@@ -45,6 +45,7 @@ _CHUNK = 64
 _BLOCKS = 32  # of bounds, along an edge of a chunk
 _FEW = 8  # blocks along an axis from which no coarser ones are kept
 _BUDGET = 2 << 30
+_OF_SOURCE = 3  # of that, the part for chunks of the source, if it computes them: half of it is for those that are being read
 _COST = {"reduce": 1.0, "bounds": 2.0}  # of a sample, about, for telling how much is done
 
 
@@ -140,18 +141,18 @@ def pyramid(
         )
     target = as_path(path)
     require_suffix(target, _SUFFIXES, "pyramids")
-    volume = _lazy(source)
-    plan = _plan(volume, filter, boundary, method, levels, chunks, shards, compressor, bounds, version, as_device(device))
     room = _room(budget)
+    volume, cache = _kept(_lazy(source), room // _OF_SOURCE // 2)
+    plan = _plan(volume, filter, boundary, method, levels, chunks, shards, compressor, bounds, version, as_device(device))
     if plan.bounds:
         Bricks.edge_for(plan.filter, room)
     target = target.resolve()
-    replaced = flag("overwrite", overwrite)
-    if (target.exists() or target.is_symlink()) and not replaced:
-        raise FormatError(f"cannot write {target}: it is there already; overwrite=True replaces it")
-    with foreign_errors(f"write {path}"), Journal(target, plan.command(volume), replaced) as journal:
-        _Making(volume, plan, journal, room, progress).run()
-        journal.complete(replaced)
+    with foreign_errors(f"write {path}"), Journal(target, plan.command(volume), flag("overwrite", overwrite)) as journal:
+        if not journal.finished:
+            _Making(volume, plan, journal, room, progress, cache).run()
+            journal.complete()
+        elif progress is not None:
+            progress(1.0)
     return open_lazily(target, trusted=True)
 
 
@@ -170,6 +171,22 @@ def _lazy(source: Any) -> LazyVolume:
         raise DataError(f"a pyramid is made of a volume with 3 axes; got shape {volume.shape}")
     known = ("spacing", "origin", "direction", "units", "space", "name", "color", "window", "labels")
     return LazyVolume(volume.data, **{name: getattr(volume, name) for name in known})
+
+
+def _kept(volume: LazyVolume, nbytes: int) -> tuple[LazyVolume, Chunks | None]:
+    """A volume of dask, whose chunks are computed whenever they are read, with so many bytes of them kept."""
+    lines = lines_of(volume.data) if hasattr(volume.data, "__dask_graph__") else None
+    if lines is None:
+        return volume, None
+
+    def read(at: tuple[slice, slice, slice]) -> NDArray[Any]:
+        z, y, x = at
+        return volume.read((x.start, y.start, z.start), (x.stop, y.stop, z.stop))
+
+    cache = Chunks(read, lines, volume.dtype, nbytes)
+    made = volume.with_levels(())
+    made.data = cache
+    return made, cache
 
 
 def _room(budget: int | None) -> int:
@@ -203,17 +220,14 @@ class _Plan:
 
     def filter_at(self, number: int) -> Filter:
         """Of a size: smoothed the first, interpolating those after it."""
-        if number == 0 or not self.filter.smoothing:
-            return self.filter
-        return self.filter.smoothed(0.0)
+        return filter_at(self.filter, number)
 
     def command(self, volume: LazyVolume) -> dict[str, Any]:
         """What must be the same for another process to go on."""
-        some = np.ascontiguousarray(volume.part().data)
         grid = volume.grid
         return {
             "version": f"{VERSION}, {self.version}",
-            "source": f"{volume.shape} {volume.dtype} {zlib.crc32(some.tobytes()):08x}",
+            "source": said_of(volume),
             "grid": [*grid.spacing, *grid.origin, *grid.direction.ravel().tolist(), grid.units, volume.missing],
             "filter": self.filter.name,
             "boundary": self.boundary.name,
@@ -251,11 +265,7 @@ def _plan(
     how: Method = method or ("nearest" if labels else "least-squares")
     if flag("bounds", bounds):
         require_bounded(row, rule)
-    if how == "least-squares" and (row.magnified_by is not None or (row.prefilter and rule.period is None)):
-        raise OptionError(
-            f"least-squares reduction takes a filter with one kernel, and a boundary rule that continues the samples; "
-            f"got {row.name!r} and {rule.name!r}"
-        )
+    require_reducible(how, row, rule)
     edges = _edges("chunks", chunks)
     together = None if shards is None else _edges("shards", shards)
     if together is not None and (version == "0.4" or any(s % c for s, c in zip(together, edges, strict=True))):
@@ -283,7 +293,13 @@ class _Making:
     """Makes what a plan says, part by part."""
 
     def __init__(
-        self, volume: LazyVolume, plan: _Plan, journal: Journal, room: int, progress: Callable[[float], object] | None
+        self,
+        volume: LazyVolume,
+        plan: _Plan,
+        journal: Journal,
+        room: int,
+        progress: Callable[[float], object] | None,
+        cache: Chunks | None,
     ) -> None:
         try:
             import zarr
@@ -291,6 +307,7 @@ class _Making:
             raise MissingDependencyError("pyramids are Zarr stores, which need zarr: pip install clvol[microscopy]") from error
         self._zarr = zarr
         self._volume, self._plan, self._journal, self._room, self._progress = volume, plan, journal, room, progress
+        self._cache = cache
         self._format: Literal[2, 3] = 3 if plan.version == "0.5" else 2
         self._made = 0.0
         sizes = [math.prod(level.size) for level in plan.levels]
@@ -316,9 +333,8 @@ class _Making:
         if self._plan.bounds:
             for number, array in enumerate(arrays):
                 self._bound(root, number, array)
-        for name, array in root.members(max_depth=None):
-            if hasattr(array, "shape"):
-                self._keep_one_chunk(name, array)
+        for i, array in enumerate(arrays):
+            self._keep_one_chunk(str(i), array)
         self._describe(root)
 
     def _is_there(self) -> bool:
@@ -337,8 +353,9 @@ class _Making:
         dtype: np.dtype[Any],
         chunks: Sequence[int],
         shards: Sequence[int] | None = None,
+        fill: float = 0,
     ) -> Any:
-        """An array of the store, made if it is not there."""
+        """An array of the store, made if it is not there; `fill` is what a chunk means that is not stored."""
         if name in group:
             return group[name]
         more = tuple(shape[3:])
@@ -352,7 +369,7 @@ class _Making:
                 )
         else:
             options["chunk_key_encoding"] = {"name": "v2", "separator": "/"}
-        return group.create_array(name, shape=tuple(shape), chunks=chunk, dtype=dtype, fill_value=0, **options)
+        return group.create_array(name, shape=tuple(shape), chunks=chunk, dtype=dtype, fill_value=fill, **options)
 
     def _codec(self, dtype: np.dtype[Any]) -> Any:
         if self._plan.compressor == "none":
@@ -390,9 +407,8 @@ class _Making:
         if chunks is not None and chunks[2] > deep:  # chunks of the source are unpacked once
             deep *= -(-chunks[2] // deep)
         units = (stored[0], stored[1], stored[2])
-        reduction = Reduction(
-            read, finer, level, (x, y, z), self.dtype, kind, units, deep, self._room, plan.device, plan.boundary.cval
-        )
+        what = read, finer, level, (x, y, z), self.dtype, kind, units, deep
+        reduction = self._within(lambda room: Reduction(*what, room, plan.device, plan.boundary.cval))
         copy = arrays[0].__setitem__ if number == 1 else None
         for tile in reduction.tiles():
             blocks = reduction.blocks()
@@ -406,11 +422,30 @@ class _Making:
                 arrays[number][place] = made
                 self._journal.done(name)
                 self._told(_COST["reduce"] * cost)
+        if self._cache is not None:  # the source is not read any more
+            self._cache.close()
+
+    @property
+    def _held(self) -> int:
+        """Bytes for chunks of the source: those that are kept, and those that are being read."""
+        return 2 * self._cache.most if self._cache is not None else 0
+
+    def _within(self, make: Callable[[int], Reduction]) -> Reduction:
+        """What is made of the room beside the chunks of the source that are kept; these go where it asks for all."""
+        held = self._held
+        try:
+            return make(self._room - held)
+        except OptionError:
+            if self._cache is None or not held:
+                raise
+            self._cache.close()
+            return make(self._room)
 
     def _copy(self, array: Any) -> None:
         """The only size, in whole chunks."""
         stored = array.shards or array.chunks
-        several = max(1, int((self._room / (4 * self.dtype.itemsize * math.prod(stored))) ** (1 / 3)))
+        room = self._room - self._held
+        several = max(1, int((room / (4 * self.dtype.itemsize * math.prod(stored))) ** (1 / 3)))
         spans = [range(0, n, several * edge) for n, edge in zip(array.shape, stored, strict=True)]
         for z in spans[0]:
             for y in spans[1]:
@@ -422,6 +457,8 @@ class _Making:
                         array[place] = self._of_source(place)
                         self._journal.done(name)
                     self._told(_COST["reduce"] * math.prod(one.stop - one.start for one in place))
+        if self._cache is not None:
+            self._cache.close()
 
     # -- bounds ----------------------------------------------------------------------------------------------------
 
@@ -430,11 +467,13 @@ class _Making:
         plan, level = self._plan, self._plan.levels[number]
         row = plan.filter_at(number)
         edge = Bricks.edge_for(row, self._room)
-        cached = ChunkCache(read, self._room - Bricks.bytes_of(row, edge))
-        bricks = Bricks(cached, level.size, row, plan.boundary, edge, plan.device)
+        lines = lines_of(read)
+        assert lines is not None  # it is an array of Zarr
+        cached = Chunks(read.__getitem__, lines, read.dtype, self._room - Bricks.bytes_of(row, edge))
+        bricks = Bricks(cached.__getitem__, level.size, row, plan.boundary, edge, plan.device)
         dtype = np.dtype(np.float64 if wide(self.dtype) else np.float32)
         shape = (*bricks.count[::-1], 2)
-        blocks = self._array(root, f"{KEY}/bounds/{number}/0", shape, dtype, (bricks.edge,) * 3)
+        blocks = self._array(root, f"{KEY}/bounds/{number}/0", shape, dtype, (bricks.edge,) * 3, fill=np.nan)
         places = list(bricks.places())
         for place in places:
             name = f"bounds/{number}/" + "/".join(f"{a}-{b}" for a, b in place)
@@ -451,7 +490,7 @@ class _Making:
         while max(blocks.shape[:3]) > _FEW:
             shape = (*(-(-n // 2) for n in blocks.shape[:3]), 2)
             edge = blocks.chunks[0]
-            made = self._array(root, f"{KEY}/bounds/{number}/{step}", shape, blocks.dtype, (_BLOCKS,) * 3)
+            made = self._array(root, f"{KEY}/bounds/{number}/{step}", shape, blocks.dtype, (_BLOCKS,) * 3, fill=np.nan)
             name = f"bounds/{number}/coarser {step}"
             if name not in self._journal:
                 deep = max(edge, made.chunks[0])

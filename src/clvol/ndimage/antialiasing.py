@@ -13,9 +13,9 @@ from clvol.errors import OptionError
 from clvol.filter import bspline
 from clvol.ndimage import engine
 from clvol.ndimage.arguments import Array, Spline
-from clvol.spline.reduce import gaussian, least_squares, sum_along
+from clvol.spline.reduce import Sums, gaussian, least_squares, sum_along
 
-__all__ = ["low_passed", "nearest_splines", "widths"]
+__all__ = ["low_passed", "nearest_splines", "nearest_sums", "widths"]
 
 
 def widths(shape: tuple[int, ...], finer: tuple[int, ...]) -> dict[int, float]:
@@ -72,11 +72,21 @@ def nearest_splines(data: Array, positions: Mapping[int, NDArray[np.float64]], o
         nearest_splines(data.real, positions, output.real, spline.of_part("real", 0))
         nearest_splines(data.imag, positions, output.imag, spline.of_part("imag", 1))
         return
-    boundary, device = as_boundary(engine.BOUNDARIES[spline.mode]), as_device(spline.device)
-    kind, sums = engine.kind_for(spline.precision, data, output, device), {}
+    device = as_device(spline.device)
+    kind = engine.kind_for(spline.precision, data, output, device)
+    made = sum_along(
+        data, nearest_sums(data.shape, positions, spline, kind), kind, device, float(spline.cval.real), spline.progress
+    )
+    output[...] = engine.converted(made, output.dtype)
+
+
+def nearest_sums(
+    shape: tuple[int, ...], positions: Mapping[int, NDArray[np.float64]], spline: Spline, kind: type[np.generic]
+) -> dict[int, Sums]:
+    """Those of `nearest_splines` for an array of such a shape, by axes, to be made in float32 or float64."""
+    boundary, sums = as_boundary(engine.BOUNDARIES[spline.mode]), {}
     for axis, x in positions.items():
-        n, m = data.shape[axis], len(x)
+        n, m = shape[axis], len(x)
         step = float(x[-1] - x[0]) / (m - 1) if m > 1 else float(n)
         sums[axis] = least_squares(bspline(spline.order), float(x[0]), step, m, n, boundary, kind == np.float64, spline.prefilter)
-    made = sum_along(data, sums, kind, device, float(spline.cval.real), spline.progress)
-    output[...] = engine.converted(made, output.dtype)
+    return sums

@@ -216,7 +216,7 @@ def geometric_transform(
     return result
 
 
-@lazily("input", "coordinates")
+@lazily("input", "coordinates", instead=True)
 def map_coordinates(
     input: ArrayLike,
     coordinates: ArrayLike,
@@ -286,7 +286,7 @@ def map_coordinates(
     return result
 
 
-@lazily("input")
+@lazily("input", instead=True)
 def affine_transform(
     input: ArrayLike,
     matrix: ArrayLike,
@@ -351,7 +351,7 @@ def affine_transform(
     return result
 
 
-@lazily("input")
+@lazily("input", instead=True)
 def shift(
     input: ArrayLike,
     shift: float | Sequence[float] | Array,
@@ -397,7 +397,7 @@ def shift(
     return result
 
 
-@lazily("input")
+@lazily("input", instead=True)
 def zoom(
     input: ArrayLike,
     zoom: float | Sequence[float] | Array,
@@ -471,7 +471,7 @@ def zoom(
     return result
 
 
-@lazily("input")
+@lazily("input", instead=True)
 def rotate(
     input: ArrayLike,
     angle: float,

@@ -1,5 +1,7 @@
 """The functions of `clvol.ndimage` of a LazyVolume: its samples are read by bricks, and the result is in memory.
 
+An array is taken in the same way whose coefficients there is no room for, if these are of single precision.
+
 Values differ by less than 10⁻⁶ of the samples' range (order 5: 4 · 10⁻⁶) from those of the array as a whole; all is computed in
 single precision.
 """
@@ -9,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NoReturn
 
@@ -19,10 +21,23 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.boundary import as_boundary
 from clvol.errors import UnsupportedError
 from clvol.lazy import LazyVolume
-from clvol.ndimage.arguments import AnyDevice, Array, Progress, Spline, as_coordinates, as_order, as_output, as_shape
+from clvol.ndimage.antialiasing import nearest_sums, widths
+from clvol.ndimage.arguments import (
+    AnyDevice,
+    Array,
+    Progress,
+    Spline,
+    as_array,
+    as_coordinates,
+    as_order,
+    as_output,
+    as_precision,
+    as_shape,
+)
 from clvol.ndimage.engine import BOUNDARIES, converted, row_of
 from clvol.ndimage.interpolation import diagonal, magnified, placed, require_rank, shifted, turned, zoomed
 from clvol.spline.bricked import BrickedField
+from clvol.spline.reduce import AntiAliasing, as_anti_aliasing, gaussian
 
 __all__ = [
     "affine_transform",
@@ -47,7 +62,7 @@ _Floats = NDArray[np.float64]
 
 
 def map_coordinates(
-    input: LazyVolume | BrickedField,
+    input: LazyVolume | BrickedField | ArrayLike,
     coordinates: ArrayLike,
     output: Any = None,
     order: int = 3,
@@ -57,7 +72,7 @@ def map_coordinates(
     **others: Any,
 ) -> Array:
     """As `clvol.ndimage.map_coordinates`; positions that are neighbours in space should be so in `coordinates`."""
-    field, progress = _Bricks.of("map_coordinates", input, order, mode, cval, prefilter, others), others.get("progress")
+    field, progress = _Bricks.of("map_coordinates", input, order, mode, cval, prefilter, others, output), others.get("progress")
     at = as_coordinates(coordinates, 3)
     result = as_output(output, field.like, at.shape[1:])
     flat, values = at.reshape(3, -1), np.empty(math.prod(result.shape), result.dtype)
@@ -72,7 +87,7 @@ def map_coordinates(
 
 
 def affine_transform(
-    input: LazyVolume | BrickedField,
+    input: LazyVolume | BrickedField | ArrayLike,
     matrix: ArrayLike,
     offset: float | Sequence[float] | Array = 0.0,
     output_shape: Iterable[int] | None = None,
@@ -84,7 +99,7 @@ def affine_transform(
     **others: Any,
 ) -> Array:
     """As `clvol.ndimage.affine_transform`."""
-    field = _Bricks.of("affine_transform", input, order, mode, cval, prefilter, others)
+    field = _Bricks.of("affine_transform", input, order, mode, cval, prefilter, others, output)
     like = output if isinstance(output, np.ndarray) else field.like
     shape = like.shape if output_shape is None else as_shape(output_shape)
     require_rank(3, len(shape))
@@ -96,7 +111,7 @@ def affine_transform(
 
 
 def shift(
-    input: LazyVolume | BrickedField,
+    input: LazyVolume | BrickedField | ArrayLike,
     shift: float | Sequence[float] | Array,
     output: Any = None,
     order: int = 3,
@@ -106,13 +121,13 @@ def shift(
     **others: Any,
 ) -> Array:
     """As `clvol.ndimage.shift`."""
-    field = _Bricks.of("shift", input, order, mode, cval, prefilter, others)
+    field = _Bricks.of("shift", input, order, mode, cval, prefilter, others, output)
     positions = shifted(shift, field.like.shape)
     return field.along(positions, as_output(output, field.like, field.like.shape), others)
 
 
 def zoom(
-    input: LazyVolume | BrickedField,
+    input: LazyVolume | BrickedField | ArrayLike,
     zoom: float | Sequence[float] | Array,
     output: Any = None,
     order: int = 3,
@@ -121,21 +136,28 @@ def zoom(
     prefilter: bool = True,
     *,
     grid_mode: bool = False,
+    anti_aliasing: AntiAliasing | bool = False,
     **others: Any,
 ) -> Array:
-    """As `clvol.ndimage.zoom`."""
-    field = _Bricks.of("zoom", input, order, mode, cval, prefilter, others)
+    """As `clvol.ndimage.zoom`; sums against aliases are computed for the parts that are read."""
+    chosen = as_anti_aliasing(anti_aliasing)
+    field = _Bricks.of("zoom", input, order, mode, cval, prefilter, others, output)
     shape, _ = zoomed(zoom, field.like.shape)
     if grid_mode and mode in ("constant", "wrap"):
         warnings.warn(
             f"It is recommended to use mode = grid-{mode} instead of {mode} when grid_mode is True.", UserWarning, stacklevel=3
         )
     positions = magnified(field.like.shape, shape, grid_mode)
-    return field.along(positions, as_output(output, field.like, shape), others)
+    result = as_output(output, field.like, shape)
+    if chosen == "least-squares" and result.size:
+        return field.nearest({axis: p for axis, p in enumerate(positions) if p is not None}, result, others)
+    if chosen == "gaussian":
+        field = field.low_passed(widths(shape, field.like.shape))
+    return field.along(positions, result, others)
 
 
 def rotate(
-    input: LazyVolume | BrickedField,
+    input: LazyVolume | BrickedField | ArrayLike,
     angle: float,
     axes: Sequence[int] = (1, 0),
     reshape: bool = True,
@@ -149,7 +171,7 @@ def rotate(
     """As `clvol.ndimage.rotate`, of samples: coefficients would be interpolated along the axis of rotation too."""
     if as_order(order) > 1 and not prefilter:
         raise UnsupportedError(f"rotate {_ONLY_WHOLE.format('prefilter=False')}")
-    field = _Bricks.of("rotate", input, order, mode, cval, prefilter, others)
+    field = _Bricks.of("rotate", input, order, mode, cval, prefilter, others, output)
     plane, matrix, offset, shape = turned(angle, axes, reshape, field.like.shape)
     whole, start = np.eye(3), np.zeros(3)
     whole[np.ix_(plane, plane)], start[plane] = matrix, offset
@@ -171,7 +193,21 @@ geometric_transform = _unsupported("geometric_transform", "map_coordinates does,
 spline_filter = _unsupported("spline_filter", "its coefficients are as many as the samples")
 spline_filter1d = _unsupported("spline_filter1d", "its coefficients are as many as the samples")
 
-_OTHERS = {"axes": (None,), "anti_aliasing": (False, None), "precision": (None, "single"), "nan": ("propagate", "error")}
+_OTHERS = {"axes": (None,), "precision": (None, "single"), "nan": ("propagate", "error")}
+
+
+def _volume_of(function: str, input: LazyVolume | BrickedField | ArrayLike, precision: Any, output: Any) -> LazyVolume:
+    """The volume of what is given; an array must be one that would be computed in single precision."""
+    if isinstance(input, BrickedField):
+        return input.volume
+    if isinstance(input, LazyVolume):
+        return input
+    data = as_array(input)
+    if as_precision(precision, data.dtype) != "single" or (output is not None and getattr(output, "dtype", output) == np.bool_):
+        raise UnsupportedError(f"{function} by bricks is of single precision")
+    if isinstance(output, np.ndarray) and np.may_share_memory(output, data):
+        raise UnsupportedError(f"{function} by bricks reads samples after it has written results, which may not lie in their place")
+    return LazyVolume(data)
 
 
 class _Bricks:
@@ -183,20 +219,21 @@ class _Bricks:
         Zeros of no memory in place of the samples.
     """
 
-    def __init__(self, field: BrickedField, own: bool, spline: Spline) -> None:
-        self._field, self._own, self._spline = field, own, spline
+    def __init__(self, field: BrickedField, spline: Spline, owned: Sequence[BrickedField]) -> None:
+        self._field, self._spline, self._owned = field, spline, tuple(owned)
         self.like = field.volume.grid.data
 
     @classmethod
     def of(
         cls,
         function: str,
-        input: LazyVolume | BrickedField,
+        input: LazyVolume | BrickedField | ArrayLike,
         order: int,
         mode: str,
         cval: complex,
         prefilter: bool,
         others: dict[str, Any],
+        output: Any = None,
     ) -> _Bricks:
         """Of the arguments that all functions share; `UnsupportedError` for those that bricks do not know."""
         for name, value in others.items():
@@ -206,7 +243,7 @@ class _Bricks:
                 raise TypeError(f"{function}() got an unexpected keyword argument {name!r}")
             if not any(value is one or (isinstance(one, str) and value == one) for one in _OTHERS[name]):
                 raise UnsupportedError(f"{function} {_ONLY_WHOLE.format(f'{name}={value!r}')}")
-        volume = input.volume if isinstance(input, BrickedField) else input
+        volume = _volume_of(function, input, others.get("precision"), output)
         device: AnyDevice = others.get("device")
         number, like = as_order(order), volume.grid.data
         spline = Spline.of(like[:0, :0, :0], number, mode, cval, prefilter, "single", device, "propagate", None)
@@ -215,20 +252,42 @@ class _Bricks:
         boundary = boundary if value == boundary.cval else replace(boundary, cval=value)
         row = row_of(number, spline.prefilter)
         if not isinstance(input, BrickedField):
-            return cls(BrickedField(volume, row, boundary, spline.device), True, spline)
+            field = BrickedField(volume, row, boundary, spline.device)
+            return cls(field, spline, [field])
         if (input.filter.name, input.boundary) != (row.name, boundary):
             raise UnsupportedError(
                 f"{function} of a BrickedField takes its own filter and boundary rule, {input.filter.name!r} and "
                 f"{input.boundary.name!r}; got order {order} and mode {mode!r}: give its volume"
             )
-        return cls(input, False, spline)
+        return cls(input, spline, [])
 
     def __enter__(self) -> None:
         return None
 
     def __exit__(self, *_: object) -> None:
-        if self._own:
-            self._field.close()
+        for field in self._owned:
+            field.close()
+
+    def low_passed(self, sigma: Mapping[int, float]) -> _Bricks:
+        """That of the samples after a Gaussian: see `clvol.ndimage.antialiasing.low_passed`."""
+        own, boundary = self._field, as_boundary(BOUNDARIES[self._spline.mode])
+        sums = {axis: gaussian(float(s), self.like.shape[axis], boundary) for axis, s in sigma.items() if s > 0}
+        if not sums:
+            return self
+        smooth = LazyVolume(own.summed(sums, np.float32, float(self._spline.cval.real)), limits=own.volume.limits, labels=False)
+        field = BrickedField(smooth, own.filter, own.boundary, own.device, beside=own)
+        return type(self)(field, self._spline, [field, *self._owned])
+
+    def nearest(self, positions: Mapping[int, _Floats], result: Array, others: dict[str, Any]) -> Array:
+        """The spline of a coarser grid that is nearest to this one: see `clvol.ndimage.antialiasing.nearest_splines`."""
+        spline, progress = self._spline, others.get("progress")
+        sums = nearest_sums(self.like.shape, positions, spline, np.float32)
+        with self:
+            for block, values, done in self._field.blocks_of(sums, np.float32, float(spline.cval.real)):
+                result[block] = converted(values, result.dtype)
+                if progress:
+                    progress(done)
+        return result
 
     def values(self, at: _Floats) -> Array:
         """Values at positions [z, y, x], shape (3, N); a position that is not finite has the value `cval`."""

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -22,9 +22,10 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from clvol import memory
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.checks import whole
+from clvol.chunks import Chunks, lines_of
 from clvol.device import Device, as_device
 from clvol.errors import DataError, OptionError, OutOfMemoryError
-from clvol.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.filter import DEFAULT_FILTER, Filter, as_filter, bspline
 from clvol.interop import as_output
 from clvol.lazy import Index, LazyVolume
 from clvol.rounding import in_kind
@@ -41,17 +42,31 @@ from clvol.spline.field import (
     Reals,
     as_points,
     between,
+    beyond,
     fill_value,
     filled,
     grid_for,
     names_beyond,
+    require_no_transform,
     result_kind,
 )
 from clvol.spline.lease import Lease
 from clvol.spline.minmax import BLOCK, MinMax, bytes_beside
 from clvol.spline.points import NOTHING_GIVEN, Transform, sample_into
+from clvol.spline.reduce import (
+    AntiAliasing,
+    Sums,
+    as_anti_aliasing,
+    gaussian_sums,
+    interpolated,
+    nearest_sums,
+    smoothed,
+    steps_along,
+    wide_enough,
+)
+from clvol.spline.reduced import Reduced
 from clvol.spline.resample import no_shear, resample_coefficients
-from clvol.spline.residents import Reads, Resident, Residents
+from clvol.spline.residents import Account, Reads, Resident, Residents
 from clvol.stored import Stored
 from clvol.transform import Transforms, as_chain
 from clvol.volume import Volume
@@ -67,7 +82,13 @@ _AROUND = 3  # samples that positions may be off by, and that neighbours take fo
 _FAR = float(1 << 30)  # cells: past any
 _ALIGNED = 4  # cells: those of which it is kept together on which side of a value they are
 _BLOCK_OF_RESULTS = 96  # along an edge, of grids that are not along the volume's axes
+_KEPT = 4  # of the budget, one part in so many is for unpacked chunks
+_KEPT_LONG = 2  # where chunks reach through many bricks
 _CLOSED = "the field was closed, and its coefficients were released; make a new one"
+
+
+_Part: TypeAlias = tuple[tuple[slice, ...], NDArray[Any], float]
+"""Where values of a grid belong, these, and how much is done then."""
 
 
 @dataclass(frozen=True)
@@ -140,13 +161,16 @@ class BrickedField:
     device : Device, str or int, optional
         See `as_device`.
     budget : int, optional
-        Bytes that bricks may take: on the device, and those that are being read; by default 2 GiB, or half of the memory that is
-        available if that is less.
+        Bytes that bricks may take: on the device, those that are being read, and chunks that were unpacked; by default 2 GiB, or
+        half of the memory that is available if that is less. A chunk that is larger is unpacked all the same, beside one brick.
     edge : int, optional
         Samples along an edge of a brick; by default as many as let several fit into the budget, 128 at most, or 256 where all of
-        the volume fits, and whole chunks.
+        the volume fits, and whole chunks. Of chunks that are longer than bricks, such as planes, so many that the budget holds
+        those which a layer of bricks reaches into.
     at_once : bool
         Whether a volume in memory is one brick where nothing is said of `edge`, if it fits; for a cluster it is to be several.
+    beside : BrickedField, optional
+        A field whose budget is this one's too: together they take no more, such as the levels of a picture.
 
     Attributes
     ----------
@@ -155,8 +179,6 @@ class BrickedField:
     boundary : Boundary
     device : Device
     budget, edge : int
-    beside : int
-        Bytes that others take of the same budget.
     reads : Reads
         What was read until now.
 
@@ -166,7 +188,9 @@ class BrickedField:
         `volume` is none that `LazyVolume` takes, or labels that float32 does not hold are drawn by "nearest".
     OptionError
         `filter`, `boundary` or `device` is the name of none; `edge` is no whole number of at least 8; the budget is smaller than a
-        brick: the message says what the least is.
+        brick: the message says what the least is; or `budget` is given with `beside`.
+    OutOfMemoryError
+        The device allows no buffer that holds a brick.
 
     Notes
     -----
@@ -184,21 +208,25 @@ class BrickedField:
         budget: int | None = None,
         edge: int | None = None,
         at_once: bool = True,
+        beside: BrickedField | None = None,
     ) -> None:
+        if beside is not None and budget is not None:
+            raise OptionError(f"budget must be left to the field beside which this one is; got {budget!r} with it")
         self.volume = volume = as_lazy(volume)
         kept = volume.bounds
         chosen = kept.filter if filter is None and kept is not None else filter
         if boundary is None:
             boundary = DEFAULT_BOUNDARY if kept is None else kept.boundary
         row = filter_for(volume.part(), None, DEFAULT_FILTER) if chosen is None else as_filter(chosen)
+        self._asked = row
         known = row.settled and (row.magnified_by is None or row.magnified_by.settled)
         self.filter = settled(row, volume.grid if known else volume.part())
-        if self.filter.support == 1 and volume.dtype.itemsize > 2 and names_beyond(24, volume.known(), self.filter):
-            low, high = volume.limits
-            raise DataError(f"labels must be whole numbers that float32 holds, up to 2**24; got {low} to {high}: {RENUMBER}")
+        self._require_names(volume.known)
         self.boundary = as_boundary(boundary)
         self.device = as_device(device)
-        self.budget = min(BUDGET, memory.available() // 2) if budget is None else whole("budget", budget, 1)
+        own = min(BUDGET, memory.available() // 2) if budget is None else whole("budget", budget, 1)
+        self._account: Account = Account(own) if beside is None else beside._account
+        self.budget = self._account.budget
         self.reads = Reads()
         self.stored = Stored.of(_ends_of(volume), self.filter, self.boundary)
         self._margin = margin_of(self.filter)
@@ -206,9 +234,12 @@ class BrickedField:
         self._reach = self.boundary.reach(self.filter.support)
         past = self.filter.scale * (self._pad + self._reach)
         self._extent = extent_of(self.filter, 3, tuple(self.filter.scale * n for n in volume.size), past)
+        self._lines = None if isinstance(volume.data, np.ndarray) else lines_of(volume.data)
         self.edge = self._edge_for(edge, at_once=at_once)
         self._bounds: dict[Index, tuple[float, float]] = {}
-        self._residents = Residents(self.budget, self.reads)
+        self._chunks = self._chunks_kept()
+        everything = math.prod(self.counts) * self._most(self.edge)
+        self._residents = Residents(self._account, self.reads, self._chunks, chunks_first=everything <= self.budget)
         self._lease = Lease(_CLOSED)
         self._lease.frees(self._residents.release)  # not of the field: it would be a cycle
 
@@ -233,10 +264,13 @@ class BrickedField:
         # of a volume that does not fit as a whole small ones are read more selectively: measured for shells in 1024³
         everything = bytes_of(self.volume.size, self.filter, self.boundary, np.float32)
         edges = _EDGES if everything < self.budget else _EDGES[1:]
-        for tried, count in itertools.product((_SEVERAL, 2, 1), edges):
-            if tried * self._most(count) <= self.budget:
+        for kept, tried, count in itertools.product((True, False), (_SEVERAL, 2, 1), edges):
+            beside = self._layer(count) if kept and any(self._long(count)) else 0
+            fits = tried * self._most(count) + beside <= self.budget and beside <= self.budget // _KEPT_LONG
+            if fits and self._stored_at_most(count) <= self.device.largest:
                 return self._whole_chunks(count)
         least = _EDGES[-1]
+        self.device.require_room(self._stored_at_most(least))
         raise OptionError(
             f"budget must be at least {self._most(least)} bytes, which a brick of {least}³ samples takes; got {self.budget}"
         )
@@ -253,16 +287,69 @@ class BrickedField:
         common = math.lcm(*(self.volume.chunks or (1,)))
         return edge // common * common or edge
 
+    def _long(self, edge: int) -> tuple[bool, ...]:
+        """Along which axes, x first, chunks are longer than bricks."""
+        if self._lines is None:
+            return False, False, False
+        return tuple(int(np.diff(line).max()) > edge for line in self._lines[::-1])
+
+    def _layer(self, edge: int) -> int:
+        """Bytes of the chunks, at most, that a layer of bricks reaches into: each is unpacked once if so many are kept.
+
+        The layer lies across an axis along which chunks are no longer than bricks.
+        """
+        if self._lines is None:
+            return 0
+        lengths = []
+        for line in self._lines[::-1]:
+            ends = np.arange(0, line[-1], edge)
+            low, high = np.maximum(ends - self._around - _ALIGNED, 0), np.minimum(ends + edge + self._around, line[-1])
+            lengths.append(int((line[np.searchsorted(line, high, "left")] - line[np.searchsorted(line, low, "right") - 1]).max()))
+        size, nbytes = self.volume.size, self.volume.dtype.itemsize
+        across = [axis for axis, long in enumerate(self._long(edge)) if not long] or [0, 1, 2]
+        return max(nbytes * math.prod(size) // size[axis] * lengths[axis] for axis in across)
+
+    def _chunks_kept(self) -> Chunks | None:
+        """Chunks that were unpacked, for bricks that reach into them too."""
+        if self._lines is None:
+            return None
+
+        def read(at: tuple[slice, slice, slice]) -> NDArray[Any]:
+            z, y, x = at
+            return volume.read((x.start, y.start, z.start), (x.stop, y.stop, z.stop))
+
+        volume = self.volume
+        if any(self.long_chunks):
+            most = min(volume.nbytes, self.budget // _KEPT_LONG)
+        else:
+            most = min(self._layer(self.edge), self.budget // _KEPT)
+        return Chunks(read, self._lines, volume.dtype, most, self._account)
+
+    @property
+    def long_chunks(self) -> tuple[bool, ...]:
+        """Along which axes, x first, chunks are longer than bricks: those are unpacked once where bricks follow along these."""
+        return self._long(self.edge)
+
     def _most(self, edge: int) -> int:
         """Bytes that a brick takes while it is made, at most."""
-        size = tuple(min(n, edge + 2 * self._around + _ALIGNED) for n in self.volume.size)
-        count = math.prod(size)
-        return int(bytes_of(size, self.filter, self.boundary, np.float32) * 1.1) + count * (1 + self.volume.dtype.itemsize)
+        count = math.prod(self._size_at_most(edge))
+        return int(self._stored_at_most(edge) * 1.1) + count * (1 + self.volume.dtype.itemsize)
+
+    def _size_at_most(self, edge: int) -> tuple[int, ...]:
+        """Samples along the edges of a brick with its margins, at most."""
+        beside = 2 * self._around + _ALIGNED
+        if self._wraps:  # bricks reach past the volume's faces
+            return tuple(min(n, edge) + beside for n in self.volume.size)
+        return tuple(min(n, edge + beside) for n in self.volume.size)
+
+    def _stored_at_most(self, edge: int) -> int:
+        """Bytes of a brick's coefficients, at most: one buffer."""
+        return bytes_of(self._size_at_most(edge), self.filter, self.boundary, np.float32)
 
     @property
     def _around(self) -> int:
         """Samples past a brick's cells that are read for it."""
-        support = -(-self.filter.support // self.filter.scale)
+        support = -(-(self.filter.support + 1) // 2 // self.filter.scale)  # half of the taps lie to either side
         coarse = self.filter.magnified_by.support if self.filter.magnified_by else 0
         return self._margin + support + coarse + _AROUND
 
@@ -295,8 +382,8 @@ class BrickedField:
             a, b = i * self.edge, (i + 1) * self.edge
             low.append(-math.inf if i == 0 else a + away)
             high.append(math.inf if i == count - 1 else b + away)
-            begin, end = (a - self._around) // _ALIGNED * _ALIGNED, b + self._around
             wrapped = self._wraps
+            begin, end = (a - self._around) // _ALIGNED * _ALIGNED, (min(b, n) if wrapped else b) + self._around
             first.append(begin if wrapped else max(0, begin))
             last.append(end if wrapped else min(n, end))
         return Brick(at, tuple(low), tuple(high), (first[0], first[1], first[2]), (last[0], last[1], last[2]))
@@ -308,25 +395,73 @@ class BrickedField:
 
     # -- their coefficients ------------------------------------------------------------------------------------------------
 
+    def read(self, low: Index, high: Index) -> NDArray[Any]:
+        """As `LazyVolume.read`, by way of the chunks that are kept."""
+        if self._chunks is None:
+            return self.volume.read(low, high)
+        return self._chunks[tuple(slice(a, b) for a, b in zip(low[::-1], high[::-1], strict=True))]  # type: ignore[index]  # three
+
     def samples(self, brick: Brick) -> NDArray[Any]:
-        """The samples that a brick's coefficients are computed from, [z, y, x]."""
+        """The samples that a brick's coefficients are computed from, [z, y, x].
+
+        Raises
+        ------
+        FormatError, DataError
+            As by `LazyVolume.read`.
+        """
         pieces = [_runs(a, b, n) for a, b, n in zip(brick.first, brick.last, self.volume.size, strict=True)]
-        with self._residents.lock:
-            self.reads.samples += math.prod(b - a for a, b in zip(brick.first, brick.last, strict=True))
+        self._count(math.prod(b - a for a, b in zip(brick.first, brick.last, strict=True)))
         x, y, z = pieces
+        samples = self._gathered(x, y, z)
+        self._require_names(lambda: replace(self.volume.known(), data=samples))  # limits may be those of a few samples
+        return samples
+
+    def _require_names(self, volume: Callable[[], Volume]) -> None:
+        """Refuse labels that float32 does not tell apart."""
+        if self.filter.support == 1 and self.volume.dtype.itemsize > 2 and names_beyond(24, found := volume(), self.filter):
+            low, high = map(int, found.limits)
+            raise DataError(f"labels must be whole numbers that float32 holds, up to 2**24; got {low} to {high}: {RENUMBER}")
+
+    def _gathered(self, x: list[slice], y: list[slice], z: list[slice]) -> NDArray[Any]:
+        """The samples at some runs along each axis, put together."""
         rows = [
             np.concatenate(
-                [
-                    np.concatenate([self.volume.read((i.start, j.start, k.start), (i.stop, j.stop, k.stop)) for i in x], axis=2)
-                    for j in y
-                ],
+                [np.concatenate([self.read((i.start, j.start, k.start), (i.stop, j.stop, k.stop)) for i in x], axis=2) for j in y],
                 axis=1,
             )
             if len(x) * len(y) > 1
-            else self.volume.read((x[0].start, y[0].start, k.start), (x[0].stop, y[0].stop, k.stop))
+            else self.read((x[0].start, y[0].start, k.start), (x[0].stop, y[0].stop, k.stop))
             for k in z
         ]
         return rows[0] if len(rows) == 1 else np.concatenate(rows, axis=0)
+
+    def _count(self, samples: int) -> None:
+        """So many samples are read."""
+        with self._residents.lock:
+            self.reads.samples += samples
+
+    def _counted(self, low: Index, high: Index) -> NDArray[Any]:
+        """As `read`, and counted."""
+        self._count(math.prod(b - a for a, b in zip(low, high, strict=True)))
+        return self.read(low, high)
+
+    def summed(self, sums: Mapping[int, Sums], kind: type[np.generic], outside: float) -> Reduced:
+        """Sums along the axes of the samples, which are computed where they are read: see `Reduced`."""
+        return Reduced(self.volume, sums, kind, self.device, outside, self._counted)
+
+    def blocks_of(self, sums: Mapping[int, Sums], kind: type[np.generic], outside: float) -> Iterator[_Part]:
+        """All of these, block by block, within the budget.
+
+        Raises
+        ------
+        OptionError
+            It does not hold the least block.
+        """
+        made = self.summed(sums, kind, outside)
+        for block, nbytes, done in made.blocks(self.budget, 0 if self._chunks is None else self._chunks.most):
+            with self._account.set_aside(nbytes, self._residents):
+                values = made[block]
+            yield block, values, done
 
     def resident(self, brick: Brick) -> AbstractContextManager[Resident]:
         """A brick's coefficients, on the device for the time of a block, and longer if there is room.
@@ -336,8 +471,16 @@ class BrickedField:
         size = tuple(b - a for a, b in zip(brick.first, brick.last, strict=True))
         made = bytes_of(size, self.filter, self._own_boundary, np.float32)
         stored = made // np.dtype(np.float32).itemsize  # cells, and some more
-        nbytes = made + max(math.prod(size) * self.volume.dtype.itemsize, bytes_beside((stored,)))
+        samples = math.prod(size) * self.volume.dtype.itemsize
+        nbytes = max(made + max(samples, bytes_beside((stored,))), min(samples + self._unpacking(brick), self.budget))
         return self._residents.held(brick.at, nbytes, partial(self.samples, brick), partial(self._made, brick))
+
+    def _unpacking(self, brick: Brick) -> int:
+        """Bytes that reading a brick takes beside its samples, as far as is known: chunks, which are unpacked as a whole."""
+        if self._chunks is None:
+            return 0
+        inside = [slice(max(a, 0), min(b, n)) for a, b, n in zip(brick.first, brick.last, self.volume.size, strict=True)]
+        return self._chunks.unpacking(inside[::-1])
 
     @property
     def _own_boundary(self) -> Boundary:
@@ -359,7 +502,10 @@ class BrickedField:
 
     def read_ahead(self, brick: Brick) -> None:
         """Have the samples of a brick read while something else is done, if it is not there, and there is room for them."""
+        if not self.volume.ahead:
+            return
         nbytes = math.prod(b - a for a, b in zip(brick.first, brick.last, strict=True)) * self.volume.dtype.itemsize
+        nbytes += self._unpacking(brick)
         self._residents.read_ahead(brick.at, nbytes, partial(self.samples, brick))
 
     def forget_ahead(self) -> None:
@@ -428,17 +574,8 @@ class BrickedField:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the bricks that are on the device or are being read, and of samples that were read ahead."""
+        """Bytes of bricks on the device, of those that are being read, of samples that were read ahead, and of chunks."""
         return self._residents.nbytes
-
-    @property
-    def beside(self) -> int:
-        """Bytes that others take of the same budget."""
-        return self._residents.beside
-
-    @beside.setter
-    def beside(self, nbytes: int) -> None:
-        self._residents.beside = nbytes
 
     # -- as a Field ----------------------------------------------------------------------------------------------------------
 
@@ -620,6 +757,7 @@ class BrickedField:
         *,
         anchor: Anchor = "center",
         transform: Transforms | None = None,
+        anti_aliasing: AntiAliasing | bool = False,
         dtype: DTypeLike | None = None,
         fill: float | None = None,
         progress: Progress | None = None,
@@ -627,7 +765,10 @@ class BrickedField:
     ) -> Volume:
         """The function on another grid, as of `Field.resample`: a slice, a part, or all of it at another density.
 
-        Through a transform each block of results asks for the bricks in which its points come to lie.
+        Through a transform each block of results asks for the bricks in which its points come to lie. With `anti_aliasing` a grid
+        along the axes is sums of samples, each of which is read about once: by "least-squares" those of `Field.resample`, to the
+        last bit in the same precision. Of another grid, and where smoothing is found for the volume, samples are low-passed as they
+        are read.
 
         `out` may be anything that takes slices, such as a memory map or an array of Zarr, for results larger than memory. Of one of
         NumPy the result's data are a view; of another the result says where they lie and has none, and `out` holds them.
@@ -641,7 +782,9 @@ class BrickedField:
         kind = result_kind(dtype, self.volume.grid, self.filter, out, fill)
         if out is not None and np.dtype(out.dtype).kind != "f":
             raise OptionError(f"out must be of floating type; got {out.dtype}: results are rounded with dtype=, and no out")
-        outside, stages = fill_value(fill), as_chain(transform, 3)
+        outside, stages, low_pass = fill_value(fill), as_chain(transform, 3), as_anti_aliasing(anti_aliasing)
+        if low_pass:
+            require_no_transform(stages)
         with self.in_use():
             if out is None:
                 memory.require(math.prod(grid.shape) * (kind or np.dtype(np.float32)).itemsize, f"a result of shape {grid.shape}")
@@ -652,14 +795,86 @@ class BrickedField:
             data = np.empty(grid.shape, kind or wide) if out is None else out
             chain = Chain(stages, grid, self.device)
             matrix, offset = chain.to_indices(self.volume.grid) if stages else between(self.volume.grid, grid)
-            blocks = partial(self._in_blocks, chain=chain) if chain.stages else self._in_blocks
-            parts = self._along_axes if not chain.stages and no_shear(matrix, grid.shape) else blocks
-            for place, values, done in parts(matrix, offset, grid.shape, outside):
+            parts = self._parts(matrix, offset, grid.shape, outside, chain if chain.stages else None, low_pass)
+            for place, values, done in parts:
                 data[place] = values if kind is None else in_kind(values, kind)
                 if progress:
                     progress(done)
         held = data if isinstance(data, np.ndarray) else np.broadcast_to(np.zeros((), kind or wide), grid.shape)
         return self.volume.grid.placed(held, grid)
+
+    def _parts(
+        self,
+        matrix: NDArray[np.float64],
+        offset: NDArray[np.float64],
+        shape: tuple[int, ...],
+        fill: float | None,
+        chain: Chain | None = None,
+        low_pass: AntiAliasing = None,
+    ) -> Iterator[_Part]:
+        """The parts of a grid, each with its values and how much is done then.
+
+        `matrix` and `offset` lead from its indices, or from where a chain brings its points, to those of the volume.
+        """
+        if low_pass and (found := self._sums_for(matrix, offset, shape, low_pass)) is not None:
+            yield from self._by_sums(*found, matrix, offset, shape, fill)
+        elif low_pass == "gaussian" and (steps_along(matrix) > 1).any():
+            smooth = self._low_passed(steps_along(matrix))
+            # smoothing that is found for a volume is found for what is there now, as for a volume in memory
+            with BrickedField(smooth, self._asked, self.boundary, self.device, beside=self) as field:
+                yield from field._parts(matrix, offset, shape, fill)
+        elif chain is None and no_shear(matrix, shape):
+            yield from self._along_axes(matrix, offset, shape, fill)
+        else:
+            yield from self._in_blocks(matrix, offset, shape, fill, chain)
+
+    def _sums_for(
+        self, matrix: NDArray[np.float64], offset: NDArray[np.float64], shape: tuple[int, ...], low_pass: AntiAliasing
+    ) -> tuple[dict[int, Sums], type[np.generic]] | None:
+        """A low-passed grid as sums along the axes, and the type that these are made in; None where it is none."""
+        known, rule = self.volume.known(), self.boundary
+        if low_pass == "least-squares":
+            return nearest_sums(known, self.filter, rule, np.float32, matrix, offset, shape)
+        continues = rule.period is not None and rule.outside in ("rule", "clamp")
+        if not (no_shear(matrix, shape) and continues and self.filter.magnified_by is None and self._asked.settled):
+            return None
+        kind, made = wide_enough(np.float32, known, self.filter, rule), {}
+        for axis, n in enumerate(self.volume.size):
+            line = offset[axis] + matrix[axis, axis] * np.arange(shape[2 - axis])
+            sums = interpolated(self.filter.along(axis), line, n, rule, kind == np.float64)
+            made[2 - axis] = smoothed(sums, (abs(float(matrix[axis, axis])) - 1) / 2, rule)
+        return made, kind
+
+    def _by_sums(
+        self,
+        sums: Mapping[int, Sums],
+        kind: type[np.generic],
+        matrix: NDArray[np.float64],
+        offset: NDArray[np.float64],
+        shape: tuple[int, ...],
+        fill: float | None,
+    ) -> Iterator[_Part]:
+        """Those of a grid that is sums along the axes: blocks."""
+        past = None if fill is None else beyond(matrix, offset, self.volume.shape, shape, self.boundary)
+        for block, values, done in self.blocks_of(sums, kind, self.boundary.cval):
+            for axis, part in enumerate(block):
+                if past is not None:
+                    np.moveaxis(values, axis, 0)[past[axis][part]] = fill
+            yield block, values, done
+
+    def _low_passed(self, steps: NDArray[np.float64]) -> LazyVolume:
+        """The volume after the Gaussian that suits a grid of such steps, computed where it is read: see `low_passed`."""
+        volume, grid = self.volume, self.volume.grid
+        sums = gaussian_sums(volume.shape, steps, self.boundary)
+        kind = wide_enough(np.float32, volume.known(), bspline(1), self.boundary)
+        return LazyVolume(
+            self.summed(sums, kind, self.boundary.cval),
+            grid.spacing,
+            grid.origin,
+            grid.direction,
+            labels=False,
+            limits=volume.limits,
+        )
 
     def _in_blocks(
         self,
@@ -668,11 +883,8 @@ class BrickedField:
         shape: tuple[int, ...],
         fill: float | None,
         chain: Chain | None = None,
-    ) -> Iterator[tuple[tuple[slice, ...], NDArray[Any], float]]:
-        """Blocks of a grid that lies anyhow, each with its values and how much is done then.
-
-        `matrix` and `offset` lead from its indices, or from where a chain brings its points, to those of the volume.
-        """
+    ) -> Iterator[_Part]:
+        """Those of a grid that lies anyhow: blocks."""
         starts = [range(0, n, _BLOCK_OF_RESULTS) for n in shape]
         count = math.prod(map(len, starts))
         for done, corner in enumerate(itertools.product(*starts), 1):
@@ -687,12 +899,11 @@ class BrickedField:
 
     def _along_axes(
         self, matrix: NDArray[np.float64], offset: NDArray[np.float64], shape: tuple[int, ...], fill: float | None
-    ) -> Iterator[tuple[tuple[slice, ...], NDArray[Any], float]]:
-        """The same of a grid along the axes: the part of it that lies in each brick, axis by axis."""
-        rule, size = self.boundary, self.volume.size
+    ) -> Iterator[_Part]:
+        """Those of a grid along the axes: what of it lies in each brick, axis by axis."""
         lines = [offset[axis] + matrix[axis, axis] * np.arange(n) for axis, n in enumerate(shape[::-1])]
-        beyond = [(x < -rule.edge) | (x > n - 1 + rule.edge) for x, n in zip(lines, size, strict=True)]
-        if any(past.any() for past in beyond):  # rare, and each rule is at home in points
+        past = beyond(matrix, offset, self.volume.shape, shape, self.boundary)
+        if any(one.any() for one in past):  # rare, and each rule is at home in points
             yield from self._in_blocks(matrix, offset, shape, fill)
             return
         bricks = list(self.bricks())
@@ -727,18 +938,9 @@ def as_lazy(volume: LazyVolume | Volume | ArrayLike) -> LazyVolume:
         if volume.ndim != 3:
             raise DataError(f"bricks are of a volume with 3 axes; got shape {volume.shape}")
         volume.require_finite()
-        return LazyVolume(
-            volume.data,
-            volume.spacing,
-            volume.origin,
-            volume.direction,
-            volume.units,
-            volume.space,
-            volume.name,
-            window=volume.window,
-            labels=volume.labels,
-            limits=volume.value_range,
-        )
+        made = LazyVolume(volume.data, limits=volume.value_range)
+        made.grid = replace(volume, data=made.grid.data)  # all that the volume says, but for its samples
+        return made
     return LazyVolume(volume)  # type: ignore[arg-type]  # which says what it takes
 
 

@@ -521,7 +521,7 @@ class Field:
         chosen, stages = as_anti_aliasing(anti_aliasing), as_chain(transform, volume.ndim)
         kind = result_kind(dtype, volume, self.filter, out, fill)
         if chosen:
-            _require_no_transform(stages)
+            require_no_transform(stages)
             with self.in_use():  # a closed field is refused
                 pass
             own = self.filter, self.boundary, self.device, self.precision
@@ -653,6 +653,17 @@ def between(volume: Volume, grid: Volume) -> tuple[NDArray[np.float64], NDArray[
     return inverse @ grid.index_to_world_matrix, inverse @ (np.asarray(grid.origin) - np.asarray(volume.origin))
 
 
+def beyond(
+    matrix: NDArray[np.float64], offset: NDArray[np.float64], shape: tuple[int, ...], results: tuple[int, ...], boundary: Boundary
+) -> list[NDArray[np.bool_]]:
+    """Which points of a grid along a volume's axes lie past its domain, along each axis of its array."""
+    found = []
+    for axis, (n, m) in enumerate(zip(shape[::-1], results[::-1], strict=True)):
+        x = offset[axis] + matrix[axis, axis] * np.arange(m)
+        found.append((x < -boundary.edge) | (x > n - 1 + boundary.edge))
+    return found[::-1]
+
+
 def _coarser(
     volume: Volume,
     filter: Filter,
@@ -674,9 +685,8 @@ def _coarser(
             return field.resample(like=grid, evaluator=evaluator, fetch=fetch, fill=fill, progress=progress)
     data = nearest_spline(volume, filter, boundary, kind, device, matrix, offset, grid.shape, progress)
     if (outside := fill_value(fill)) is not None:
-        for axis, (n, m) in enumerate(zip(volume.size, grid.size, strict=True)):
-            x = offset[axis] + matrix[axis, axis] * np.arange(m)
-            np.moveaxis(data, volume.ndim - 1 - axis, 0)[(x < -boundary.edge) | (x > n - 1 + boundary.edge)] = outside
+        for axis, past in enumerate(beyond(matrix, offset, volume.shape, grid.shape, boundary)):
+            np.moveaxis(data, axis, 0)[past] = outside
     return volume.placed(data, grid)
 
 
@@ -921,7 +931,7 @@ def resample(
         if precision is None and kind is not None and wide(kind) and (device := as_device(device)).has_double:
             precision = "double"
         if chosen := as_anti_aliasing(anti_aliasing):
-            _require_no_transform(transform)
+            require_no_transform(transform)
             own = row, as_boundary(boundary or DEFAULT_BOUNDARY), as_device(device), precision or "single"
             return _in(kind, _into(_coarser(volume, *own, grid, chosen, evaluator, fetch, fill, progress), out), row)
         results = grid.shape if out is None else ()
@@ -1133,7 +1143,7 @@ def names_beyond(bits: int, volume: Volume, row: Filter) -> bool:
     return max(abs(int(v)) for v in volume.limits) > 1 << bits
 
 
-def _require_no_transform(stages: Sequence[object]) -> None:
+def require_no_transform(stages: Sequence[object]) -> None:
     """Refuse a low-pass before transforms, which do not make voxels larger alike everywhere."""
     if stages:
         raise OptionError("resample takes transform or anti_aliasing, not both: low-pass the volume first, by Volume.gaussian")

@@ -20,6 +20,7 @@ from clvol.lazy import LazyVolume
 from clvol.smoothing import filter_for, settled
 from clvol.spline.bricked import BrickedField, as_lazy
 from clvol.spline.field import Anchor, Frame, Progress, Reals
+from clvol.spline.reduce import AntiAliasing
 from clvol.transform import Transforms
 from clvol.volume import Volume
 
@@ -57,6 +58,7 @@ def resample(
     *,
     anchor: Anchor = "center",
     transform: Transforms | None = None,
+    anti_aliasing: AntiAliasing | bool = False,
     dtype: DTypeLike | None = None,
     fill: float | None = None,
     device: Device | str | int | None = None,
@@ -67,7 +69,16 @@ def resample(
     """As `clvol.resample`; `out` may be what `BrickedField.resample` takes."""
     with _opened("resample", volume, filter, boundary, device, others) as field:
         made = field.resample(
-            shape, spacing, like, anchor=anchor, transform=transform, dtype=dtype, fill=fill, progress=progress, out=out
+            shape,
+            spacing,
+            like,
+            anchor=anchor,
+            transform=transform,
+            anti_aliasing=anti_aliasing,
+            dtype=dtype,
+            fill=fill,
+            progress=progress,
+            out=out,
         )
         return _of(volume, made, field)
 
@@ -119,7 +130,6 @@ _OTHERS = {  # options that bricks do not know, and what of them is no more than
     "fetch": ("auto", "buffer"),
     "precision": (None, "single"),
     "nan": (None, "error"),
-    "anti_aliasing": (False, None),
 }
 
 
@@ -138,8 +148,6 @@ def _opened(
             raise TypeError(f"{function}() got an unexpected keyword argument {name!r}")
         if not any(value is one or (isinstance(one, str) and value == one) for one in _OTHERS[name]):
             instead = "volume.whole() has all samples in memory, and arrays of dask are taken by parts with it"
-            if name == "anti_aliasing":
-                instead = "a smaller size of a pyramid has no aliases (LazyVolume.levels, clvol.pyramid), nor have arrays of dask"
             told = f" {value!r}" if isinstance(value, str) else ""
             raise OptionError(f"{function} by bricks takes no {name}{told}: {instead}")
     if isinstance(volume, BrickedField):

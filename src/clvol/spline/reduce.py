@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -32,9 +32,14 @@ __all__ = [
     "Sums",
     "as_anti_aliasing",
     "gaussian",
+    "gaussian_sums",
+    "interpolated",
     "least_squares",
     "low_passed",
     "nearest_spline",
+    "nearest_sums",
+    "order_of",
+    "smoothed",
     "steps_along",
     "sum_along",
     "wide_enough",
@@ -166,22 +171,46 @@ def least_squares(
     wide = filter.support * (math.ceil(h * filter.support) + filter.support + 1)
     memory.require(40 * m * wide * (filter.degree + 1), f"the integrals of {wide} weights for each of {m} samples")
     if h <= 1 + _NO_STEP:
-        base, t = filter.cell(start + step * np.arange(m))
-        first, weights = base.astype(np.int64), filter.weights(t).T
-    else:
-        own = filter.samples if filter.prefilter else np.ones(1)
-        response = _impulse_response(own, _autocorrelation(filter), left_out, filter.name)
-        reach = len(response) // 2
-        first, weights = _inner_products(filter, start + step * np.arange(-reach, m + reach, dtype=np.float64), h)
-        first, weights = _mixed(first, weights, response)
+        return interpolated(filter, start + step * np.arange(m, dtype=np.float64), n, boundary, double, prefilter)
+    own = filter.samples if filter.prefilter else np.ones(1)
+    response = _impulse_response(own, _autocorrelation(filter), left_out, filter.name)
+    reach = len(response) // 2
+    first, weights = _inner_products(filter, start + step * np.arange(-reach, m + reach, dtype=np.float64), h)
+    first, weights = _mixed(first, weights, response)
+    return _of_samples(filter, first, weights, n, boundary, left_out, prefilter)
+
+
+def interpolated(filter: Filter, positions: Array, n: int, boundary: Boundary, double: bool, prefilter: bool = True) -> Sums:
+    """The spline of `n` samples at some positions, as sums of samples; parameters as of `least_squares`."""
+    base, t = filter.cell(positions)
+    return _of_samples(filter, base.astype(np.int64), filter.weights(t).T, n, boundary, _LEFT_OUT[double], prefilter)
+
+
+def _of_samples(
+    filter: Filter, first: NDArray[np.int64], weights: Array, n: int, boundary: Boundary, left_out: float, prefilter: bool
+) -> Sums:
+    """Sums of coefficients from `first` on as sums of samples."""
     if filter.prefilter and prefilter:
         response = _impulse_response(np.ones(1), filter.undone, left_out, filter.name)
         first = first - len(response) // 2
-        spread = np.zeros((m, weights.shape[1] + len(response) - 1))
+        spread = np.zeros((len(first), weights.shape[1] + len(response) - 1))
         for i, value in enumerate(response):
             spread[:, i : i + weights.shape[1]] += value * weights
         weights = spread
-    return Sums.of(first, np.ascontiguousarray(weights), n, boundary)
+    low, high = _middle(weights, left_out)
+    return Sums.of(first + low, np.ascontiguousarray(weights[:, low:high]), n, boundary)
+
+
+def _middle(weights: Array, left_out: float) -> tuple[int, int]:
+    """From which to before which tap sums go without the outer ones, which weigh less than `left_out` of a row together.
+
+    Each impulse response was cut for itself; where two are convolved, tails of tails are left, a third of all taps.
+    """
+    sizes = np.abs(weights)
+    least = left_out / 2 * sizes.sum(1).min()
+    low = int(np.searchsorted(np.cumsum(sizes, axis=1).max(0), least, "right"))
+    after = int(np.searchsorted(np.cumsum(sizes[:, ::-1], axis=1).max(0), least, "right"))
+    return low, max(weights.shape[1] - after, low + 1)
 
 
 def _autocorrelation(filter: Filter) -> Array:
@@ -245,12 +274,40 @@ def low_passed(volume: Volume, steps: Array, boundary: Boundary, kind: type[np.g
     Its standard deviation is (step - 1) / 2 samples along an axis with a step of more than one: scikit-image's rule.
     """
     volume.require_finite()
-    sigma = np.maximum(0, (steps[::-1] - 1) / 2)
-    sums = {axis: gaussian(float(s), volume.shape[axis], boundary) for axis, s in enumerate(sigma) if s > 0}
+    sums = gaussian_sums(volume.shape, steps, boundary)
     if not sums:
         return volume
     made = sum_along(volume.data, sums, wide_enough(kind, volume, bspline(1), boundary), device, boundary.cval)
     return replace(volume, data=made)
+
+
+def smoothed(sums: Sums, sigma: float, boundary: Boundary) -> Sums:
+    """Sums of what a Gaussian makes of the samples, as sums of samples."""
+    if sigma <= 0:
+        return sums
+    from scipy import sparse
+
+    blurred = gaussian(sigma, sums.n, boundary)
+    n = sums.n
+
+    def matrix(one: Sums) -> Any:
+        """Rows of sums by samples, and by what lies nowhere, last."""
+        rows = np.repeat(np.arange(len(one.places)), one.places.shape[1])
+        return sparse.csr_array((one.weights.ravel(), (rows, one.places.ravel())), (len(one.places), n + 1))
+
+    nowhere = sparse.csr_array(([1.0], ([0], [n])), (1, n + 1))  # stays what it is
+    made = sparse.csr_array(matrix(sums) @ sparse.vstack([matrix(blurred), nowhere]))
+    made.sum_duplicates()
+    counts = np.diff(made.indptr)
+    at = np.arange(int(counts.max(initial=1)))
+    taken = np.minimum(made.indptr[:-1, None] + at, made.indptr[1:, None] - 1)  # shorter rows end with their last sample, times 0
+    return Sums(n, made.indices[taken].astype(np.int32), np.where(at < counts[:, None], made.data[taken], 0.0))
+
+
+def gaussian_sums(shape: tuple[int, ...], steps: Array, boundary: Boundary) -> dict[int, Sums]:
+    """Those of `low_passed`, by axes of an array."""
+    sigma = np.maximum(0, (steps[::-1] - 1) / 2)
+    return {axis: gaussian(float(s), shape[axis], boundary) for axis, s in enumerate(sigma) if s > 0}
 
 
 def nearest_spline(
@@ -285,22 +342,30 @@ def nearest_spline(
         The grid's axes are not the volume's; the boundary rule is "zero", which continues no samples; or as `least_squares`.
     """
     volume.require_finite()
-    row, d = settled(filter, volume), volume.ndim
+    sums, kind = nearest_sums(volume, settled(filter, volume), boundary, kind, matrix, offset, shape)
+    return sum_along(volume.data, sums, kind, device, boundary.cval, progress)
+
+
+def nearest_sums(
+    volume: Volume, filter: Filter, boundary: Boundary, kind: type[np.generic], matrix: Array, offset: Array, shape: tuple[int, ...]
+) -> tuple[dict[int, Sums], type[np.generic]]:
+    """Those of `nearest_spline`, by axes of an array, and the type that they are made in; `filter` is settled."""
+    d = volume.ndim
     if (np.abs(matrix - np.diag(np.diag(matrix))) * shape[::-1]).max() >= _NO_STEP:
         raise OptionError(
             "least-squares reduction takes a grid along the volume's axes, and this one is turned: "
             "resample along them first, or take anti_aliasing='gaussian'"
         )
-    if row.prefilter and boundary.period is None:
+    if filter.prefilter and boundary.period is None:
         raise OptionError(f"least-squares reduction takes a boundary rule that continues the samples; got {boundary.name!r}")
-    kind = wide_enough(kind, volume, row, boundary)
+    kind = wide_enough(kind, volume, filter, boundary)
     sums = {
         d - 1 - axis: least_squares(
-            row.along(axis), float(offset[axis]), float(matrix[axis, axis]), shape[d - 1 - axis], n, boundary, kind == np.float64
+            filter.along(axis), float(offset[axis]), float(matrix[axis, axis]), shape[d - 1 - axis], n, boundary, kind == np.float64
         )
         for axis, n in enumerate(volume.size)
     }
-    return sum_along(volume.data, sums, kind, device, boundary.cval, progress)
+    return sums, kind
 
 
 def steps_along(matrix: Array) -> Array:
@@ -323,6 +388,7 @@ def sum_along(
     device: Device,
     outside: float = 0.0,
     progress: Callable[[float], Any] | None = None,
+    order: Sequence[int] | None = None,
 ) -> NDArray[Any]:
     """What becomes of an array whose axes are replaced by sums along them.
 
@@ -338,6 +404,9 @@ def sum_along(
         The samples where a rule puts none.
     progress : callable, optional
         Called with the fraction done.
+    order : sequence of int, optional
+        The axes, one after the other; that of `order_of` by default. Sums of a part are those of the whole to the last bit if they
+        have the same.
 
     Raises
     ------
@@ -348,8 +417,7 @@ def sum_along(
     """
     if kind == np.float64 and not device.has_double:
         raise DeviceError(f"sums of float64 need a device with double precision; got {device.name!r}, which has none")
-    # what shrinks most goes first
-    order = sorted(sums, key=lambda axis: len(sums[axis].places) / sums[axis].n)
+    order = order_of(sums) if order is None else order
     shape, counts = list(data.shape), []
     for axis in order:
         shape[axis] = len(sums[axis].places)
@@ -364,6 +432,11 @@ def sum_along(
         if progress is not None:
             progress(done / len(order))
     return np.ascontiguousarray(data, kind)
+
+
+def order_of(sums: Mapping[int, Sums]) -> list[int]:
+    """The axes, one after the other as they are summed up: what shrinks most goes first."""
+    return sorted(sums, key=lambda axis: len(sums[axis].places) / sums[axis].n)
 
 
 def _sum_axis(data: NDArray[Any], axis: int, sums: Sums, kind: type[np.generic], outside: float, device: Device) -> NDArray[Any]:

@@ -3,12 +3,15 @@
 The lock is held for the bookkeeping alone, and never while a brick is read. Room is taken before reading begins, so memory stays
 within the budget however many threads there are. A brick that several threads want is read by one of them. Who finds no room waits
 until somebody has done with a brick; but whoever holds one waits for no room, or two threads might wait for each other.
+
+Bricks of several volumes, as of a renderer's levels, may share an account: a budget, a lock, and who waits for whom.
 """
 
 from __future__ import annotations
 
 import _thread
 import threading
+import weakref
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
@@ -18,12 +21,14 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from clvol.chunks import Chunks
 from clvol.lazy import Index
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.minmax import MinMax, bytes_beside
 
-__all__ = ["Reads", "Resident", "Residents"]
+__all__ = ["Account", "Reads", "Resident", "Residents"]
 
+_SMALL_PART = 16  # of the budget: bricks of other volumes that take less make room last
 _AHEAD = 8  # samples that are read ahead may take one part in so many of the budget
 _LOOK = 0.1  # seconds: without an end, Windows would not hear Ctrl-C
 
@@ -87,40 +92,156 @@ class _Ahead:
         self.samples: Future[NDArray[Any]] = Future()
 
 
-class Residents:
-    """Bricks that are on a device, are coming, or were read ahead.
+class Account:
+    """A budget of bytes, and whose bricks and chunks take them.
 
     Parameters
     ----------
     budget : int
-        Bytes that all of them may take.
-    reads : Reads
-        Where it is counted what is read and dropped.
 
     Attributes
     ----------
+    lock : RLock
+        Of all that is counted.
     beside : int
-        Bytes that others take of the same budget.
+        Bytes that were set aside for what is neither brick nor chunk.
+    """
+
+    def __init__(self, budget: int) -> None:
+        self.budget, self.beside = budget, 0
+        self.lock = threading.RLock()  # a handler of signals may come back here
+        self._members: list[weakref.ref[Residents]] = []  # whose bricks were asked for last is last
+        self._sleeping: list[Any] = []  # locks that wake who waits
+
+    def members(self) -> list[Residents]:
+        """Whose bricks they are, those first whose were not asked for longest. The lock is held."""
+        return [one for ref in self._members if (one := ref()) is not None]
+
+    def joins(self, member: Residents) -> None:
+        """One more, or one whose bricks are asked for. The lock is held."""
+        others = [ref for ref in self._members if (one := ref()) is not None and one is not member]
+        self._members = [*others, weakref.ref(member)]
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that are taken. The lock is held."""
+        return self.beside + sum(one.taken for one in self.members())
+
+    def make_room(self, nbytes: int, own: Residents) -> bool:
+        """Let go of what nobody uses until so many bytes more fit; whether they do. The lock is held.
+
+        First go bricks and chunks of other volumes, unless they take little, then own ones, then what others have left. Where all
+        of these would not be enough, they stay.
+        """
+        over = self.nbytes + nbytes - self.budget
+        if over <= 0:
+            return True
+        members = self.members()
+        if nbytes and over > sum(one.idle for one in members):
+            return False
+        others = [one for one in members if one is not own]
+        large = [one for one in others if one.taken > self.budget // _SMALL_PART]
+        for one in (*large, own, *(one for one in others if one not in large)):
+            if over > 0:
+                over -= one.let_go(over)
+        return over <= 0
+
+    def grant(self, nbytes: int, chunks: Chunks) -> bool:
+        """Whether there is room for so many bytes more of some chunks."""
+        own = next((one for one in self.members() if one.chunks is chunks), None)
+        return own is not None and self.make_room(nbytes, own)
+
+    @contextmanager
+    def set_aside(self, nbytes: int, own: Residents) -> Iterator[None]:
+        """Bytes that are taken for the time of a block by what is neither brick nor chunk; others of the kind are waited for."""
+        taken = 0
+
+        def may_begin() -> bool:
+            nonlocal taken
+            if self.beside and self.beside + nbytes > self.budget:
+                return False
+            taken = nbytes
+            self.beside += nbytes
+            return True
+
+        try:
+            self.wait(may_begin)
+            with self.lock:
+                self.make_room(0, own)
+            yield
+        finally:
+            with self.lock:
+                self.beside -= taken
+            self.wake()
+
+    def wait(self, ready: Callable[[], object]) -> None:
+        """Until something is true, which is looked at whenever anything has changed."""
+        turn = threading.Lock()
+        turn.acquire()
+        try:
+            while True:
+                with self.lock:
+                    if ready():
+                        return
+                    if turn not in self._sleeping:
+                        turn.acquire(blocking=False)  # it may have been woken just as its time was up, and is released but once
+                        self._sleeping.append(turn)
+                turn.acquire(timeout=_LOOK)
+        finally:
+            with self.lock:
+                if turn in self._sleeping:
+                    self._sleeping.remove(turn)
+
+    def wake(self) -> None:
+        """Have all who wait look again."""
+        with self.lock:
+            while self._sleeping:
+                self._sleeping.pop().release()
+
+
+class Residents:
+    """Bricks of a volume that are on a device, are coming, or were read ahead.
+
+    Parameters
+    ----------
+    account : Account
+        Where they are counted.
+    reads : Reads
+        Where it is counted what is read and dropped.
+    chunks : Chunks, optional
+        Of the volume, that are kept unpacked.
+    chunks_first : bool
+        Whether these make room for bricks: all bricks find room, and will be there when the volume is gone through again.
+
+    Attributes
+    ----------
     lock : RLock
         Of all that is here, and of `reads`.
     """
 
-    def __init__(self, budget: int, reads: Reads) -> None:
-        self.budget, self.reads, self.beside = budget, reads, 0
-        self.lock = threading.RLock()  # a handler of signals may come back here
+    def __init__(self, account: Account, reads: Reads, chunks: Chunks | None = None, *, chunks_first: bool = False) -> None:
+        self.account, self.reads, self.chunks, self._chunks_first = account, reads, chunks, chunks_first
+        self.lock = account.lock
         self._there: OrderedDict[Index, Resident] = OrderedDict()  # the one used last is last
         self._coming: list[_Coming] = []
         self._ahead: dict[Index, _Ahead] = {}
         self._turns: dict[Index, int] = {}  # when each brick is asked for, and how far that has come
         self._turn = 0
-        self._sleeping: list[Any] = []  # locks that wake who waits
+        with self.lock:
+            account.joins(self)
 
     @property
     def nbytes(self) -> int:
         """Bytes that are taken, those included that were set aside for bricks that are being read."""
         with self.lock:
-            being_read = sum(one.nbytes for one in self._coming) + sum(one.nbytes for one in self._ahead.values())
-            return being_read + sum(one.nbytes for one in self._there.values())
+            return self.taken
+
+    @property
+    def taken(self) -> int:
+        """The same. The lock is held."""
+        being_read = sum(one.nbytes for one in self._coming) + sum(one.nbytes for one in self._ahead.values())
+        kept = 0 if self.chunks is None else self.chunks.nbytes
+        return being_read + kept + sum(one.nbytes for one in self._there.values())
 
     def has(self, at: Index) -> bool:
         """Whether a brick's coefficients are on the device."""
@@ -146,6 +267,7 @@ class Residents:
         try:
             while own is None:
                 with self.lock:
+                    self.account.joins(self)
                     self._turn = self._turns.get(at, self._turn)
                     found, other = self._there.get(at), self._with_another(at, me)
                     if found is not None:
@@ -155,14 +277,14 @@ class Residents:
                         break
                 own = self._read(at, nbytes, read, make, me) if other is None else self._of_another(other, me)
                 if own is None:
-                    self._wait(lambda: at in self._there or self._with_another(at, me) or self._may_begin(at, nbytes, me))
+                    self.account.wait(lambda: at in self._there or self._with_another(at, me) or self._may_begin(at, nbytes, me))
             yield own
         finally:
             if own is not None:
                 with self.lock:
                     own.users.remove(me)
-                    self._make_room(0)
-                    self._wake()
+                    self.account.make_room(0, self)
+                    self.account.wake()
 
     def _with_another(self, at: Index, me: int) -> _Coming | None:
         """Whether another thread is reading a brick. (This one may be, where a handler of signals asks for the same.)"""
@@ -202,7 +324,7 @@ class Residents:
                 if coming in self._coming:
                     self._coming.remove(coming)
                 coming.done = True
-                self._wake()
+                self.account.wake()
 
     def _of_another(self, coming: _Coming, me: int) -> Resident | None:
         """The brick that another thread reads, for this one too; None if that thread was interrupted, and it is to be read anew."""
@@ -213,7 +335,7 @@ class Residents:
                     return None
                 coming.waiting.append(me)
                 waits = True
-            self._wait(lambda: coming.done)
+            self.account.wait(lambda: coming.done)
             if coming.made is None and isinstance(coming.error, Exception):  # Ctrl-C is not for those who wait
                 raise coming.error
             return coming.made
@@ -227,35 +349,21 @@ class Residents:
         """Whether a thread may read a brick: there is room, or none will ever be."""
         ahead = self._ahead.get(at)
         nbytes -= 0 if ahead is None else ahead.nbytes
-        if self._make_room(nbytes):
+        if self.account.make_room(nbytes, self):
             return True
-        busy = {thread for one in self._there.values() for thread in one.users} | {one.thread for one in self._coming}
-        if busy:
+        members = self.account.members()
+        if busy := {thread for one in members for thread in one.busy}:
             return me in busy
-        self._forget([other for other in self._ahead if other != at])
-        return self._make_room(nbytes) or not any(other != at for other in self._ahead)
+        for one in members:
+            one._forget([other for other in one._ahead if one is not self or other != at])
+        return self.account.make_room(nbytes, self) or not any(
+            other is not ahead for one in members for other in one._ahead.values()
+        )
 
-    def _wait(self, ready: Callable[[], object]) -> None:
-        """Until something is true, which is looked at whenever anything has changed."""
-        turn = threading.Lock()
-        turn.acquire()
-        try:
-            while True:
-                with self.lock:
-                    if ready():
-                        return
-                    if turn not in self._sleeping:
-                        turn.acquire(blocking=False)  # it may have been woken just as its time was up, and is released but once
-                        self._sleeping.append(turn)
-                turn.acquire(timeout=_LOOK)
-        finally:
-            with self.lock:
-                if turn in self._sleeping:
-                    self._sleeping.remove(turn)
-
-    def _wake(self) -> None:
-        while self._sleeping:
-            self._sleeping.pop().release()
+    @property
+    def busy(self) -> set[int]:
+        """Threads that use bricks or read some. The lock is held."""
+        return {thread for one in self._there.values() for thread in one.users} | {one.thread for one in self._coming}
 
     # -- what makes room ---------------------------------------------------------------------------------------------------
 
@@ -274,50 +382,60 @@ class Residents:
         known.sort(key=lambda at: (self._turns[at] > self._turn, -self._turns[at]))
         return [at for at in self._there if at not in self._turns] + known
 
-    def _make_room(self, nbytes: int) -> bool:
-        """Drop bricks that nobody uses, those first that are asked for last, until so many bytes more fit; whether they do.
+    @property
+    def idle(self) -> int:
+        """Bytes that `let_go` can free. The lock is held."""
+        return sum(one.nbytes for one in self._there.values() if not one.users) + (0 if self.chunks is None else self.chunks.idle)
 
-        Where all of these would not be enough, they stay.
-        """
-        used = self.nbytes + nbytes + self.beside
-        if used <= self.budget:
-            return True
-        if nbytes and used - sum(one.nbytes for one in self._there.values() if not one.users) > self.budget:
-            return False
+    def let_go(self, nbytes: int) -> int:
+        """Free as many bytes of what nobody uses: bricks, those first that are asked for last, and chunks. The lock is held."""
+        freed = 0
+        if self.chunks is not None and self._chunks_first:
+            freed += self.chunks.let_go(nbytes)
         for at in self._first_to_go():
-            if used <= self.budget:
+            if freed >= nbytes:
                 break
             if not self._there[at].users:
                 gone = self._there.pop(at)
-                used -= gone.nbytes
+                freed += gone.nbytes
                 self.reads.dropped += 1
                 gone.release()
-        return used <= self.budget
+        if self.chunks is not None and freed < nbytes:
+            freed += self.chunks.let_go(nbytes - freed)
+        return freed
 
     def make_room(self) -> None:
         """Drop all bricks that nobody uses: the device has less memory than the budget."""
         with self.lock:
-            self.reads.dropped += self._drop_idle()
+            for one in self.account.members():
+                one.reads.dropped += one._drop_idle()
 
     def drop(self) -> None:
         """Let go of all that nobody uses."""
         with self.lock:
             self._forget(list(self._ahead))
             self._drop_idle()
-            self._wake()
+            self.account.wake()
 
     def _drop_idle(self) -> int:
         """Drop all bricks that nobody uses; how many there were."""
         idle = [at for at, one in self._there.items() if not one.users]
         for at in idle:
             self._there.pop(at).release()
+        if self.chunks is not None:
+            self.chunks.let_go()
         return len(idle)
 
     def release(self) -> None:
-        """Let go of everything: the last use has ended."""
-        self._ahead.clear()
-        while self._there:
-            self._there.popitem()[1].release()
+        """Let go of everything: the last use has ended. Others of the account may be counting."""
+        with self.lock:
+            self._ahead.clear()
+            gone, self._there = self._there, OrderedDict()
+            if self.chunks is not None:
+                self.chunks.close()
+            for one in gone.values():
+                one.release()
+            self.account.wake()
 
     # -- reading ahead -----------------------------------------------------------------------------------------------------
 
@@ -328,10 +446,10 @@ class Residents:
             if (known := self._ahead.get(at)) is not None:
                 known.unwanted = False
                 return
-            if at in self._there or any(one.at == at for one in self._coming) or _AHEAD * nbytes > self.budget:
+            if at in self._there or any(one.at == at for one in self._coming) or _AHEAD * nbytes > self.account.budget:
                 return
             self._forget([other for other, one in self._ahead.items() if one.thread == me])  # what it did not come to after all
-            if not self._make_room(nbytes):
+            if not self.account.make_room(nbytes, self):
                 return
             ahead = _Ahead(nbytes, me)
             try:
@@ -352,7 +470,7 @@ class Residents:
             with self.lock:
                 if ahead.unwanted and self._ahead.get(at) is ahead:
                     del self._ahead[at]
-                self._wake()
+                self.account.wake()
 
     def forget_ahead(self) -> None:
         """What was read ahead for this thread is not wanted."""

@@ -1,11 +1,13 @@
-"""Samples of an array that are read when they are asked for, and files that are watched meanwhile."""
+"""Samples of an array that are read when they are asked for, files that are watched meanwhile, and mapped ones that are read."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import threading
+import zlib
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -14,7 +16,7 @@ from numpy.typing import NDArray
 
 from clvol.errors import FormatError
 
-__all__ = ["FlatFile", "Signature", "Window", "signature"]
+__all__ = ["FlatFile", "MappedFile", "Signature", "Watched", "Window", "mapped", "said_of_file", "said_of_folder", "signature"]
 
 Index: TypeAlias = tuple[int | slice, ...]
 Signature: TypeAlias = tuple[int, int, int] | None
@@ -32,6 +34,25 @@ def signature(path: str | os.PathLike[str]) -> Signature:
     return about.st_mtime_ns, about.st_size, about.st_ino
 
 
+def said_of_file(path: str | os.PathLike[str]) -> str:
+    """By what a file is known to be the same, in words: its size, and when it was written."""
+    found = signature(path)
+    return "gone" if found is None else f"{found[1]} bytes, written {np.datetime64(found[0], 'ns')}"
+
+
+def said_of_folder(path: Path) -> str:
+    """The same of all files in a folder: how many they are, their size, and a checksum of names, sizes and times."""
+    count = total = check = 0
+    for folder, folders, names in os.walk(path):
+        folders.sort()
+        for name in sorted(names):
+            file = os.path.join(folder, name)  # noqa: PTH118  # thousands of them
+            written, size, _ = signature(file) or (0, 0, 0)
+            count, total = count + 1, total + size
+            check = zlib.crc32(f"{os.path.relpath(file, path)} {size} {written}\n".encode(), check)
+    return f"{count} files, {total} bytes, {check:08x}"
+
+
 class Window:
     """Samples of an array at an index, in some order of its axes, none of which is read before it is asked for.
 
@@ -40,7 +61,8 @@ class Window:
     Parameters
     ----------
     read : callable
-        The samples at an index of the array: a number or a slice, of step one, for each axis.
+        The samples at an index of the array: a number or a slice, of step one, for each axis. If it has a method `said`, this says
+        in words by what the source is known to be the same.
     shape : tuple of int
         Of the array.
     dtype : dtype
@@ -89,6 +111,11 @@ class Window:
         made.dtype = result.dtype
         made._steps = (*self._steps, function)
         return made
+
+    def said(self) -> str | None:
+        """By what the source is known to be the same, if its reader says so."""
+        words = getattr(self._read, "said", None)
+        return None if words is None else str(words())
 
     def _copy(self) -> Window:
         made = object.__new__(Window)
@@ -145,7 +172,45 @@ class Window:
         ]
 
 
-class FlatFile:
+class Watched:
+    """Reads from a file that must stay what it was when this was made.
+
+    Parameters
+    ----------
+    path : Path
+    name : str
+        For messages.
+    read : callable, optional
+        The samples at an index.
+    """
+
+    def __init__(self, path: Path, name: str, read: Callable[[Index], NDArray[Any]] | None = None) -> None:
+        self._path, self._name, self._samples = path, name, read
+        self._signature = signature(path)
+
+    def __call__(self, index: Index) -> NDArray[Any]:
+        """The samples at an index: for each axis a number or a slice of step one.
+
+        Raises
+        ------
+        FormatError
+            The file is another than it was.
+        """
+        self.require_unchanged()
+        assert self._samples is not None
+        return self._samples(index)
+
+    def require_unchanged(self) -> None:
+        """Raise `FormatError` if the file is another than it was."""
+        if signature(self._path) != self._signature:
+            raise FormatError(f"{self._name} has changed since it was opened; open it again")
+
+    def said(self) -> str:
+        """By what it is known to be the same."""
+        return said_of_file(self._path)
+
+
+class FlatFile(Watched):
     """An array whose samples follow each other in a file, read by its parts.
 
     They are read and not mapped: should a mapped file shrink, or its disk vanish, touching the samples would kill the process where
@@ -165,19 +230,17 @@ class FlatFile:
     """
 
     def __init__(self, path: Path, shape: Sequence[int], dtype: np.dtype[Any], offset: int, transposed: bool = False) -> None:
-        self._path = path
+        super().__init__(path, path.name)
         self._shape = tuple(shape)[::-1] if transposed else tuple(shape)
         self._transposed = transposed
         self._dtype = np.dtype(dtype)
         self._offset = offset
         self._lock = threading.Lock()
-        self._signature = signature(path)
         self._stream = path.open("rb", buffering=0)
 
     def __call__(self, index: Index) -> NDArray[Any]:
-        """The samples at an index: for each axis a number or a slice of step one."""
-        if signature(self._path) != self._signature:
-            raise FormatError(f"{self._path.name} has changed since it was opened; open it again")
+        """The samples at an index, of a file that is what it was."""
+        self.require_unchanged()
         index = index[::-1] if self._transposed else index
         box = [range(n)[at] if isinstance(at, slice) else range(at, at + 1) for n, at in zip(self._shape, index, strict=True)]
         result = np.empty([len(part) for part in box], self._dtype)
@@ -195,13 +258,17 @@ class FlatFile:
         wanted = into.size // max(1, into.shape[0]) if into.ndim else 1
         if axis == len(self._shape) - 1 or whole:
             self._read(into, before + box[axis][0] * inner)
-        elif wanted * _SHARE >= inner:  # one read of more than is wanted
+        elif wanted * _SHARE >= inner and self._has(before + (box[axis][-1] + 1) * inner):  # one read of more than is wanted
             rows = np.empty((len(box[axis]), *self._shape[axis + 1 :]), self._dtype)
             self._read(rows, before + box[axis][0] * inner)
             into[...] = rows[(slice(None), *(slice(part[0], part[-1] + 1) for part in box[axis + 1 :]))]
         else:
             for k, i in enumerate(box[axis]):
                 self._fill(into[k], box, axis + 1, before + i * inner)
+
+    def _has(self, count: int) -> bool:
+        """Whether so many samples lie in the file: an array may be a part of one, which ends before its last row does."""
+        return self._signature is not None and self._offset + count * self._dtype.itemsize <= self._signature[1]
 
     def _read(self, into: NDArray[Any], first: int) -> None:
         made = into if into.flags.c_contiguous else np.empty(into.shape, into.dtype)
@@ -223,3 +290,87 @@ class FlatFile:
     def __del__(self) -> None:
         with contextlib.suppress(AttributeError, OSError):
             self._stream.close()
+
+
+@dataclass
+class MappedFile:
+    """Samples of a file that another process has mapped: it is found by its name, and read as it is by `FlatFile`.
+
+    Attributes
+    ----------
+    path : Path
+        Absolute.
+    nbytes : int
+        Of the whole file.
+    offset : int
+        Bytes before the first sample.
+    stored, counts : tuple of int
+        The array in the order in which it is stored, and how many samples of it are taken along each axis, the first ones.
+    order : tuple of int
+        Of these axes, as the samples have them.
+    dtype : dtype
+        As stored.
+    """
+
+    path: Path
+    nbytes: int
+    offset: int
+    stored: tuple[int, ...]
+    counts: tuple[int, ...]
+    order: tuple[int, ...]
+    dtype: np.dtype[Any]
+    _opened: Window | None = field(default=None, init=False, repr=False, compare=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {"_opened": None}
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of the samples."""
+        return tuple(self.counts[i] for i in self.order)
+
+    def __getitem__(self, index: Any) -> NDArray[Any]:
+        if self._opened is None:
+            now = signature(self.path)
+            if now is None or now[1] != self.nbytes:
+                there = "there is none" if now is None else f"it has {now[1]} bytes"
+                raise FormatError(f"{self.path}, which was mapped, must be here as well, with its {self.nbytes} bytes; {there}")
+            file = FlatFile(self.path, self.stored, self.dtype, self.offset)
+            index_of_all = tuple(slice(0, n) for n in self.counts)
+            self._opened = Window(file, self.stored, self.dtype, index=index_of_all).transpose(self.order)
+        return self._opened[index]
+
+
+def mapped(array: Any, *, flushed: bool = False) -> MappedFile | None:
+    """The file of an array that is mapped into memory, or a part of one; `flushed`: with all that was written to the map.
+
+    None of one that is not, whose file has no name any more, that holds changes which its file does not (mode "c"), or of every
+    second sample and the like.
+    """
+    root = array
+    while isinstance(root, np.ndarray) and not (isinstance(root, np.memmap) and not isinstance(root.base, np.ndarray)):
+        root = root.base
+    if not isinstance(root, np.memmap) or root.filename is None or root.mode == "c" or 0 in array.shape:
+        return None
+    path, first = Path(root.filename), root.offset + array.ctypes.data - root.ctypes.data
+    strides = [0 if n == 1 else stride for n, stride in zip(array.shape, array.strides, strict=True)]
+    order = sorted(range(array.ndim), key=lambda i: -strides[i])  # axes of one sample are the innermost
+    stored: list[int] = []
+    step = array.itemsize
+    for i in reversed(order):
+        n = array.shape[i]
+        if n > 1 and stored:
+            within, rest = divmod(strides[i], step)
+            if rest or within < stored[0]:
+                return None
+            step, stored[0] = strides[i], within
+        elif n > 1 and strides[i] != step:
+            return None
+        stored.insert(0, n)
+    now = signature(path)
+    if now is None or first + array.itemsize > now[1]:
+        return None
+    if flushed and root.mode != "r":
+        root.flush()
+    inverse = tuple(order.index(i) for i in range(array.ndim))
+    return MappedFile(path.absolute(), now[1], first, tuple(stored), tuple(array.shape[i] for i in order), inverse, array.dtype)

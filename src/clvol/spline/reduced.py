@@ -1,0 +1,152 @@
+"""Volumes that are larger than memory with fewer samples: sums along their axes, computed for the parts that are read."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.device import Device
+from clvol.errors import OptionError
+from clvol.lazy import Index, LazyVolume
+from clvol.spline.reduce import Sums, order_of, sum_along
+from clvol.spline.rows import Rows, gathered
+
+__all__ = ["Reduced"]
+
+_EDGES = (512, 256, 128, 64, 32, 16, 8)  # sums along those of a block that are tried
+_SLAB = 1 << 24  # samples that are read at a time, about
+_MIB = 1 << 20
+
+
+class Reduced:
+    """Sums along the axes of a volume, in place of its samples: what a `LazyVolume` takes as data.
+
+    Each sum has the terms that it has in one piece, in the same order: it is the same to the last bit.
+
+    Parameters
+    ----------
+    volume : LazyVolume
+    sums : mapping from axes, 0 for z, to Sums
+    kind : type
+        np.float32 or np.float64, in which they are made.
+    device : Device
+    outside : float
+        The samples where a boundary rule puts none.
+    read : callable, optional
+        What reads the volume instead of `LazyVolume.read`.
+
+    Attributes
+    ----------
+    shape : tuple of int
+    dtype : dtype
+    """
+
+    def __init__(
+        self,
+        volume: LazyVolume,
+        sums: Mapping[int, Sums],
+        kind: type[np.generic],
+        device: Device,
+        outside: float,
+        read: Callable[[Index, Index], NDArray[Any]] | None = None,
+    ) -> None:
+        self._volume, self._sums, self._device, self._outside = volume, dict(sums), device, outside
+        self._order, self._read_volume = order_of(sums), read or volume.read
+        self._counted: dict[int, list[int]] = {}
+        self.shape = tuple(len(sums[axis].places) if axis in sums else n for axis, n in enumerate(volume.shape))
+        self.dtype = np.dtype(kind)
+
+    def __getitem__(self, index: tuple[slice, ...]) -> NDArray[Any]:
+        rows = self._rows(index)
+        sums = {axis: own for axis, row in enumerate(rows) if (own := row.sums) is not None}
+        if not self._order:
+            return np.ascontiguousarray(gathered(self._read, [row.runs for row in rows]), self.dtype)
+        *before, last = self._order
+        slabs = []  # along the axis that is summed up last, each with all others summed up
+        for first, past in rows[last].runs:
+            for low in range(first, past, self._deep(rows, last)):
+                runs = [row.runs for row in rows]
+                runs[last] = ((low, min(low + self._deep(rows, last), past)),)
+                data = gathered(self._read, runs)
+                others = {axis: sums[axis] for axis in before}
+                slabs.append(self._summed(data, others, before) if before else np.ascontiguousarray(data, self.dtype))
+        together = slabs[0] if len(slabs) == 1 else np.concatenate(slabs, last)
+        del slabs
+        return self._summed(together, {last: sums[last]}, [last])
+
+    def _summed(self, data: NDArray[Any], sums: Mapping[int, Sums], order: Sequence[int]) -> NDArray[Any]:
+        return sum_along(data, sums, self.dtype.type, self._device, self._outside, order=order)
+
+    @staticmethod
+    def _deep(rows: Sequence[Rows], last: int) -> int:
+        """Samples along the axis that is summed up last, of a slab."""
+        return max(1, _SLAB // math.prod(row.count for axis, row in enumerate(rows) if axis != last))
+
+    def _rows(self, index: Sequence[slice]) -> list[Rows]:
+        return [Rows.of(self._sums.get(axis), part.start, part.stop) for axis, part in enumerate(index)]
+
+    def _read(self, part: tuple[slice, slice, slice]) -> NDArray[Any]:
+        z, y, x = part
+        return self._read_volume((x.start, y.start, z.start), (x.stop, y.stop, z.stop))
+
+    def blocks(self, budget: int, beside: int = 0) -> Iterator[tuple[tuple[slice, ...], int, float]]:
+        """All of it in blocks, each with the bytes that it takes, and with how much is done after it.
+
+        They are the largest whose computation a budget of bytes holds, with what is wanted `beside` it if that can be.
+
+        Raises
+        ------
+        OptionError
+            It does not hold the least.
+        """
+        fits = (edge for room in (budget - beside, budget) for edge in _EDGES if self._fits(edge, room))
+        edge = next(fits, None)
+        if edge is None:
+            least = -(-self._bytes(_EDGES[-1]) // _MIB)
+            raise OptionError(
+                f"budget must be at least {least} MiB, which a block of {_EDGES[-1]}³ takes; got {budget // _MIB} MiB"
+            )
+        lines = [[slice(a, min(a + edge, n)) for a in range(0, n, edge)] for n in self.shape]
+        count, nbytes = math.prod(map(len, lines)), self._bytes(edge)
+        return ((block, nbytes, done / count) for done, block in enumerate(itertools.product(*lines), 1))
+
+    def _fits(self, edge: int, room: int) -> bool:
+        """Whether a block of so many sums along its edges can be computed in so many bytes, and in buffers of the device."""
+        return self._bytes(edge) <= room and self.dtype.itemsize * max(self._counts(edge)) <= self._device.largest
+
+    def _counts(self, edge: int) -> list[int]:
+        """How many numbers there are at most: of a slab, as read and after each of the axes but the last; of all slabs."""
+        if edge not in self._counted:
+            self._counted[edge] = self._count(edge)
+        return self._counted[edge]
+
+    def _count(self, edge: int) -> list[int]:
+        now = []
+        for axis, n in enumerate(self.shape):
+            parts = range(0, n, edge)
+            now.append(max(Rows.of(self._sums.get(axis), a, min(a + edge, n)).count for a in parts))
+        if not self._order:
+            return [math.prod(now)]
+        *before, last = self._order
+        whole = now[last]
+        now[last] = min(whole, max(1, _SLAB * whole // math.prod(now)))
+        counts = [math.prod(now)]
+        for axis in before:
+            now[axis] = min(edge, self.shape[axis])
+            counts.append(math.prod(now))
+        return [*counts, math.prod(now) // now[last] * whole]
+
+    def _bytes(self, edge: int) -> int:
+        """What a block takes, at most: a slab as read and from one axis to the next, all of them once and again, and the result."""
+        *slab, kept = self._counts(edge)
+        own, wide = self._volume.dtype.itemsize, self.dtype.itemsize
+        result = math.prod(min(edge, n) for n in self.shape)
+        if not slab:
+            return 2 * own * kept + wide * kept
+        steps = [own * slab[0] + wide * (before + after) for before, after in itertools.pairwise(slab)]
+        return max(2 * own * slab[0], *steps, wide * slab[-1]) + wide * (2 * kept + 2 * result)
