@@ -111,18 +111,17 @@ class Page:
             time.sleep(0.3)
             return False
 
-        self.wait(pressed, 20, f"the state after {text}")
+        try:
+            self.wait(pressed, 20, f"the state after {text}")
+        except AssertionError as error:
+            history = self.view.last._history
+            error.add_note("\n".join(str(one.camera) for one in (*history.past, history.present, *history.future)))
+            raise
 
-    def rests(self) -> Any:
-        """The state once it stays for half a second: a gesture's last events may be on their way."""
-        last = [self.state]
-
-        def stays() -> Any:
-            time.sleep(0.5)
-            last.append(self.state)
-            return last[-1] if last[-1] == last[-2] else None
-
-        return self.wait(stays, 20, "a state that stays")
+    def let_go(self) -> State:
+        """The state when no pointer is down: a gesture's last events are on their way when the browser has done with them."""
+        self.wait(lambda: self.view.last._hands.drag is None, 20, "the drag's end")
+        return self.state
 
 
 @pytest.fixture(scope="module")
@@ -156,7 +155,7 @@ def test_drag_turns_wheel_zooms_and_undo_goes_back(page: Page) -> None:
     page.browser.drag((120, 40), PANE)
     page.becomes(lambda state: state.camera.direction != first.camera.direction)
     page.wait(lambda: np.abs(page.picture().astype(int) - before).mean() > 1, 20, "the turned picture")
-    turned = page.rests()
+    turned = page.let_go()
     page.browser.wheel(-200, PANE)
     page.becomes(lambda state: state.camera.zoom > 1.2 or state.camera.distance != turned.camera.distance)
     page.wait("!document.querySelector('.clvol-buttons button').disabled")

@@ -221,6 +221,19 @@ def test_a_drag_shows_previews_then_the_still_picture_and_is_one_step(client: Cl
     assert client.session.state.mode == "isosurface"
 
 
+def test_a_change_that_is_undone_before_it_was_told_can_be_redone(client: Client) -> None:
+    client.resize(*SIZE)
+    client.still()
+    client.wait(lambda m: m["type"] == "state" and "effective" in m)  # nothing of this state is left to tell
+    client.forget()
+    first = client.session.state
+    client.event("wheel", x=40, y=30, dx=0, dy=-100)  # told when it rests
+    client.session.receive({"type": "do", "what": "undo", "id": 7})
+    client.wait(lambda m: m["type"] == "reply" and m["id"] == 7)
+    client.wait(lambda m: m["type"] == "state" and m["can_redo"] and not m["can_undo"])
+    assert client.session.state == first
+
+
 def test_after_a_click_and_a_change_the_session_still_hears(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
     client.resize()
     client.still()

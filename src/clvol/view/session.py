@@ -108,7 +108,7 @@ class Session:
         self._released: str | None = None  # the pane in which a drag has just ended
         self._took: dict[str, tuple[object, float]] = {}  # what each pane's last still picture was of, and its seconds
         self._overlays: dict[str, object] = {}
-        self._told: State | None = None
+        self._told: Any = None  # the state, and whether there is something to undo and to redo
         self._told_of = _COMPLETE  # what was said of the last frame
         self._described: object = None  # the place of the volume that the client was told of
         self._told_all, self._began = False, time.monotonic()
@@ -787,15 +787,11 @@ class Session:
     def _tell_state(self) -> None:
         """What is shown; what follows from the volume is told later, if it is not known yet: pictures do not wait for it."""
         state, known = self.state, self._resident.knows(self.state)
-        if state == self._told and known == self._told_all:
+        undo, redo = bool(self._history.past), bool(self._history.future)
+        if (state, undo, redo) == self._told and known == self._told_all:
             return
-        self._told, self._told_all = state, known
-        message = {
-            "type": "state",
-            "state": state.json(),
-            "can_undo": bool(self._history.past),
-            "can_redo": bool(self._history.future),
-        }
+        self._told, self._told_all = (state, undo, redo), known
+        message = {"type": "state", "state": state.json(), "can_undo": undo, "can_redo": redo}
         if known:
             message["effective"] = self._resident.effective(state)
         self._tell(message)
