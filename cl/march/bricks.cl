@@ -72,7 +72,7 @@ kernel void merge_bricks(constant frame_t *frame, global const float2 *places, g
 // Between which t rays may have samples in the window; nowhere if `enter` is past `leave`.
 INLINE void stretch_in_window(constant frame_t *frame, const ray_t *ray, real *enter, real *leave)
 {
-    const float reserve = 2.0f * frame->planes.margin;
+    const float reserve = 2.0f * frame->planes.margin + ASTRAY;
     constant float *low = frame->window.low, *high = frame->window.high;
     *enter = ray->enter;
     *leave = ray->leave;

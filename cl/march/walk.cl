@@ -90,15 +90,18 @@ INLINE real fraction_at(const axis_t *a, const mask cell, const real t)
 #if WINDOWED
 
 // Where rays enter the cells of a window along an axis, if that is past `begin`, and leave them, if that is before `out`. Their
-// faces are crossed where the planes between cells are, so that each cell of a ray is walked through in one window.
-INLINE void keep_in_window(const axis_t *a, const int cells_from, const int cells_to, real *begin, real *out, mask *active)
+// faces are crossed where the planes between cells are, so that each cell of a ray is walked through in one window. A ray along the
+// faces is in one all the way.
+INLINE void keep_in_window(const axis_t *a, const ray_t *ray, const real direction, const int cells_from, const int cells_to,
+                           real *begin, real *out, mask *active)
 {
+    const mask along = along_faces(ray, direction), own = cell_at(a, ray->enter);
     const mask first = choose_whole(a->up, a->from, a->to), past = choose_whole(a->up, a->to, a->from);
     const mask low = choose_whole(first > cells_from, first, NONE + cells_from), high = choose_whole(past < cells_to, past, NONE + cells_to);
     const mask into = choose_whole(a->up, low, high), beyond = choose_whole(a->up, high, low);
-    *begin = MAX(*begin, choose(into == a->from, -NOWHERE, plane_t_of(a, into)));
-    *out = MIN(*out, choose(beyond == a->to, NOWHERE, plane_t_of(a, beyond)));
-    *active &= low < high;
+    *begin = MAX(*begin, choose(along | (into == a->from), -NOWHERE, plane_t_of(a, into)));
+    *out = MIN(*out, choose(along | (beyond == a->to), NOWHERE, plane_t_of(a, beyond)));
+    *active &= choose_whole(along, (own >= cells_from) & (own < cells_to), low < high);
 }
 
 #endif
@@ -171,9 +174,12 @@ OUT_OF_LINE real set_out(walker_t *w, const ray_t *ray, const state_t *state, co
     w->active = active & (begin <= w->end);
 #if WINDOWED
     real out = NOWHERE;
-    keep_in_window(&w->axes.x, frame->window.cells_from[0], frame->window.cells_to[0], &begin, &out, &w->active);
-    keep_in_window(&w->axes.y, frame->window.cells_from[1], frame->window.cells_to[1], &begin, &out, &w->active);
-    keep_in_window(&w->axes.z, frame->window.cells_from[2], frame->window.cells_to[2], &begin, &out, &w->active);
+    keep_in_window(&w->axes.x, ray, ray->direction.x, frame->window.cells_from[0], frame->window.cells_to[0], &begin, &out,
+                   &w->active);
+    keep_in_window(&w->axes.y, ray, ray->direction.y, frame->window.cells_from[1], frame->window.cells_to[1], &begin, &out,
+                   &w->active);
+    keep_in_window(&w->axes.z, ray, ray->direction.z, frame->window.cells_from[2], frame->window.cells_to[2], &begin, &out,
+                   &w->active);
     w->end = MIN(w->end, out);
     w->active &= (begin <= w->end) & (begin < out);
 #endif

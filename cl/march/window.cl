@@ -23,10 +23,24 @@ INLINE global const float *whole_pointer(global const float *coefficients, const
     return (global const float *)((size_t)coefficients - before * sizeof(float));
 }
 
+// How far, in samples, a ray along the faces of windows may stray.
+#define ASTRAY 0.1f
+
+// Rays that hardly change along an axis. One of them that has a face between two windows in it crosses that where rounding has it,
+// and not always as windows follow: such rays belong, along this axis, to the window in which they enter.
+INLINE mask along_faces(const ray_t *ray, const real direction) { return magnitude(direction) * (ray->leave - ray->enter) < ASTRAY; }
+
+INLINE real place_in_windows(const ray_t *ray, const real origin, const real direction, const real t)
+{
+    return madd(choose(along_faces(ray, direction), ray->enter, t), direction, origin);
+}
+
 // Whether samples at t lie in the window: the same question to two windows has one answer, for a position is what it is.
 INLINE mask in_window(constant frame_t *frame, const ray_t *ray, const real t)
 {
-    const real3 p = at3(ray->origin, ray->direction, t);
+    const real3 p = real3_of(place_in_windows(ray, ray->origin.x, ray->direction.x, t),
+                             place_in_windows(ray, ray->origin.y, ray->direction.y, t),
+                             place_in_windows(ray, ray->origin.z, ray->direction.z, t));
     constant float *low = frame->window.low, *high = frame->window.high;
     return (p.x >= low[0]) & (p.x < high[0]) & (p.y >= low[1]) & (p.y < high[1]) & (p.z >= low[2]) & (p.z < high[2]);
 }

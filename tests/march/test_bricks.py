@@ -242,6 +242,20 @@ def test_an_eye_beside_a_face_between_bricks(filter: str) -> None:
     np.testing.assert_array_equal(bricked, whole)
 
 
+@pytest.mark.parametrize(("azimuth", "elevation"), [(0, 0), (90, 0), (180, 0), (270, 0), (0, 90), (0, -90), (180, 90)])
+def test_rays_that_lie_in_a_face_between_bricks(azimuth: float, elevation: float) -> None:
+    """Their middle column or row of pixels; which side of the face a ray is on is the rounding of a hundred-millionth of a sample."""
+    z, y, x = np.indices((33, 33, 3), np.float32) if azimuth in (90, 270) else np.indices((3, 33, 33), np.float32)
+    volume = clvol.Volume(0.5 + 0.5 * np.sin(x / 3 + y / 5) * np.cos(z / 4))
+    for projection in ("perspective", "orthographic"):
+        camera = clvol.Camera.orbit(azimuth, elevation, fit="volume", projection=projection)
+        for mode, more in (("isosurface", {}), ("isosurface", {"method": "stepped"}), ("composite", {"transfer": BUMPY})):
+            for boundary in ("zero", "mirror"):
+                whole, bricked = both(volume, "linear", boundary, 16, camera, mode, (37, 29), outputs=GUIDES, **more)
+                for name in GUIDES:
+                    np.testing.assert_array_equal(bricked[name], whole[name], err_msg=f"{mode}, {boundary}: {name}")
+
+
 def test_a_jump_before_a_brick_is_seen_by_long_steps() -> None:
     data = np.zeros((32, 32, 32), np.uint8)
     data[:, :, 15:] = 60
