@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -72,6 +73,32 @@ def test_a_cluster_draws_the_same(files: list[Path], tmp_path: Path) -> None:
     assert [type(one.error) for one in many] == [type(one.error) for one in alone]
     for one, other in zip(alone[:4], many[:4], strict=True):
         np.testing.assert_array_equal(iio.imread(one.path), iio.imread(other.path))
+
+
+def test_the_samples_of_a_volume_are_sent_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not with each picture: a small one by the scheduler, a large one to all workers; a mapped file by its name."""
+    distributed = pytest.importorskip("distributed")
+    from clvol.cluster import as_cluster
+
+    np.save(tmp_path / "a.npy", clvol.phantoms.marschner_lobb(24).data)
+    sources = [clvol.phantoms.marschner_lobb(20), clvol.LazyVolume(clvol.phantoms.marschner_lobb(22).data)]
+    sources.append(clvol.LazyVolume(np.load(tmp_path / "a.npy", mmap_mode="r")))
+    with as_cluster(1) as cluster:
+        submit, sent = cluster.submit, list[int]()
+
+        def counted(function: Any, *arguments: Any, **options: Any) -> Any:
+            sent.append(sum(len(pickle.dumps(one)) for one in arguments if not isinstance(one, distributed.Future)))
+            return submit(function, *arguments, **options)
+
+        monkeypatch.setattr(cluster, "submit", counted)
+        for large in (8 << 20, 1 << 10):
+            monkeypatch.setattr("clvol.cluster._LARGE", large)
+            drawn = clvol.batch(
+                sources, clvol.turned(3), tmp_path / "{number}-{frame}.png", cluster=cluster, mode="mip", size=(8, 8)
+            )
+            assert not [one.error for one in drawn if one.error]
+    assert len(sent) == 18
+    assert max(sent) < 2000
 
 
 def test_a_file_that_changed_is_drawn_as_it_is(files: list[Path], tmp_path: Path) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import os
 import pickle
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -272,6 +274,49 @@ def test_a_mapped_file_that_is_another_is_refused(tmp_path: Path) -> None:
         pickle.loads(packed).whole()
     path.unlink()
     with pytest.raises(FormatError, match=r"with its 4000 bytes; there is none"):
+        pickle.loads(packed).whole()
+
+
+def test_a_mapped_file_that_changed_and_has_the_same_size_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    noise(10, 10, 10).tofile(path)
+    data = np.memmap(path, np.float32, "r+", shape=(10, 10, 10))
+    packed, seen = pickle.dumps(LazyVolume(data)), path.stat()
+    pickle.loads(packed).whole()
+
+    os.utime(path, ns=(seen.st_atime_ns, seen.st_mtime_ns + 4_000_000))  # the next tick of a clock
+    with pytest.raises(FormatError, match=r"a, which was mapped, has changed since it was opened; open it again"):
+        pickle.loads(packed).whole()
+    os.utime(path, ns=(seen.st_atime_ns, seen.st_mtime_ns))
+    pickle.loads(packed).whole()
+
+    shutil.copy2(path, tmp_path / "b")  # with its time
+    (tmp_path / "b").replace(path)
+    with pytest.raises(FormatError, match="has changed since it was opened"):
+        pickle.loads(packed).whole()
+
+    data[...] = 5  # of the file that has no name any more
+    data = np.memmap(path, np.float32, "r+", shape=(10, 10, 10))
+    data[...] = 3  # is in the file, and its time with it, before it is pickled
+    assert (pickle.loads(pickle.dumps(LazyVolume(data))).whole().data == 3).all()
+
+
+@pytest.mark.parametrize("step", [100, 1000, 10**9, 2 * 10**9])
+def test_another_host_may_see_a_mapped_file_with_a_coarser_time_and_another_number(
+    step: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a"
+    noise(10, 10, 10).tofile(path)
+    exact = 1_700_000_001_123_456_789
+    os.utime(path, ns=(exact, exact))
+    packed = pickle.dumps(LazyVolume(np.memmap(path, np.float32, "r", shape=(10, 10, 10))))
+    os.utime(path, ns=(exact, exact // step * step))
+    shutil.copy2(path, tmp_path / "b")
+    (tmp_path / "b").replace(path)
+    monkeypatch.setattr("platform.node", lambda: "another")
+    pickle.loads(packed).whole()
+    os.utime(path, ns=(exact, (exact // step + 1) * step))
+    with pytest.raises(FormatError, match="has changed since it was opened"):
         pickle.loads(packed).whole()
 
 

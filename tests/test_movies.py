@@ -211,6 +211,25 @@ main({[*COMMAND, "-o", f"a.{form}", "--frames", "5000"]!r})
     assert list(tmp_path.iterdir()) == []
 
 
+def test_an_interrupt_is_one_though_what_follows_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Python's own rmtree closes a folder twice if it is interrupted in between."""
+
+    def interrupted(*_: Any, **__: Any) -> Any:
+        raise KeyboardInterrupt
+        yield
+
+    def closed_twice(*_: Any, **__: Any) -> None:
+        raise OSError(9, "Bad file descriptor")
+
+    monkeypatch.setattr("clvol.batches.frames", interrupted)
+    monkeypatch.setattr("shutil.rmtree", closed_twice)
+    with pytest.raises(SystemExit) as end:
+        cli.main([*COMMAND, "-o", str(tmp_path / "a.gif"), "--frames", "5"])
+    assert (end.value.code, capsys.readouterr().err) == (130, "clvol: interrupted\n")
+
+
 def test_pictures_are_of_one_volume_and_of_cameras() -> None:
     """Which is said before the first one is asked for."""
     volume = clvol.Volume(np.zeros((4, 5, 6), np.float32))

@@ -7,15 +7,19 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import logging
 import os
 import re
+import signal
 import socket
 import sys
 import threading
 import time
 import weakref
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
+from multiprocessing.resource_tracker import ensure_running
 from typing import TYPE_CHECKING, Any, Self, TypeAlias, TypeVar
 
 from clvol.checks import whole
@@ -421,14 +425,16 @@ def _local(distributed: Any, count: int) -> Cluster:
     }
     with dask.config.set(settings):
         try:
-            cluster = distributed.LocalCluster(
-                n_workers=count,
-                threads_per_worker=1,
-                processes=True,
-                dashboard_address="127.0.0.1:0",
-                memory_limit=0,  # bricks have a budget; workers that dask ends at a limit of its own would be started for ever
-                silence_logs=50,
-                env={"POCL_MAX_PTHREAD_COUNT": each, "CL_CONFIG_CPU_FORCE_MAX_COMPUTE_UNITS": each},
+            cluster = _heedless(
+                lambda: distributed.LocalCluster(
+                    n_workers=count,
+                    threads_per_worker=1,
+                    processes=True,
+                    dashboard_address="127.0.0.1:0",
+                    memory_limit=0,  # bricks have a budget; workers that dask ends at a limit of its own would be started for ever
+                    silence_logs=logging.CRITICAL + 1,  # where an interrupt ends it, its scheduler finds that critical
+                    env={"POCL_MAX_PTHREAD_COUNT": each, "CL_CONFIG_CPU_FORCE_MAX_COMPUTE_UNITS": each},
+                )
             )
         except RuntimeError as error:
             raise ClusterError(
@@ -441,6 +447,33 @@ def _local(distributed: Any, count: int) -> Cluster:
             cluster.close()
             raise
     return Cluster(client, [client, cluster])
+
+
+def _heedless(start: Callable[[], Any]) -> Any:
+    """What starts processes, which do not heed Ctrl-C, that is for who asks for them: a terminal sends it to all of them.
+
+    They have this from the thread that starts them, as have those that are started later. An interrupt meanwhile waits until they
+    are there: what has half begun cannot be closed.
+    """
+    posix = hasattr(signal, "pthread_sigmask")
+    made: Future[Any] = Future()
+    if posix:
+        ensure_running()  # else the thread that starts the first process does it, and heeds Ctrl-C from then on
+
+    def work() -> None:
+        if posix:
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            made.set_result(start())
+        except BaseException as error:
+            made.set_exception(error)
+
+    threading.Thread(target=work, daemon=True, name="clvol: starting a cluster").start()
+    try:
+        return made.result()
+    except KeyboardInterrupt:
+        _close([made.result()])
+        raise
 
 
 # -- in a worker -----------------------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import platform
 import threading
 import zlib
 from collections.abc import Callable, Sequence
@@ -300,8 +301,10 @@ class MappedFile:
     ----------
     path : Path
         Absolute.
-    nbytes : int
-        Of the whole file.
+    signature : (int, int, int)
+        Of the file when this was made.
+    host : str
+        Where that was.
     offset : int
         Bytes before the first sample.
     stored, counts : tuple of int
@@ -313,7 +316,8 @@ class MappedFile:
     """
 
     path: Path
-    nbytes: int
+    signature: tuple[int, int, int]
+    host: str
     offset: int
     stored: tuple[int, ...]
     counts: tuple[int, ...]
@@ -331,14 +335,31 @@ class MappedFile:
 
     def __getitem__(self, index: Any) -> NDArray[Any]:
         if self._opened is None:
-            now = signature(self.path)
-            if now is None or now[1] != self.nbytes:
-                there = "there is none" if now is None else f"it has {now[1]} bytes"
-                raise FormatError(f"{self.path}, which was mapped, must be here as well, with its {self.nbytes} bytes; {there}")
+            self._require_same()
             file = FlatFile(self.path, self.stored, self.dtype, self.offset)
             index_of_all = tuple(slice(0, n) for n in self.counts)
             self._opened = Window(file, self.stored, self.dtype, index=index_of_all).transpose(self.order)
         return self._opened[index]
+
+    def _require_same(self) -> None:
+        """Raise `FormatError` unless the file is here, and is what it was."""
+        now = None
+        with contextlib.suppress(FileNotFoundError), self.path.open("rb"):  # NFS asks its server at this, not at each look
+            now = signature(self.path)
+        written, nbytes, number = self.signature
+        if now is None or now[1] != nbytes:
+            there = "there is none" if now is None else f"it has {now[1]} bytes"
+            raise FormatError(f"{self.path}, which was mapped, must be here as well, with its {nbytes} bytes; {there}")
+        # The time tells of what was written to the file, its number of another file that was put in its place, even within one
+        # tick of the clock. Other hosts may give a file other numbers (SMB, containers), so these count on one host alone.
+        if not _same_time(now[0], written) or (platform.node() == self.host and now[2] != number):
+            raise FormatError(f"{self.path}, which was mapped, has changed since it was opened; open it again")
+
+
+def _same_time(one: int, other: int) -> bool:
+    """Whether two times of a file, in nanoseconds, may be one that two hosts see: some have it cut to 100 ns, 1 µs, 1 s, or 2 s."""
+    step = next(step for step in (2 * 10**9, 10**9, 1000, 100, 1) if one % step == 0 or other % step == 0)
+    return one // step == other // step
 
 
 def mapped(array: Any, *, flushed: bool = False) -> MappedFile | None:
@@ -367,10 +388,11 @@ def mapped(array: Any, *, flushed: bool = False) -> MappedFile | None:
         elif n > 1 and strides[i] != step:
             return None
         stored.insert(0, n)
+    if flushed and root.mode != "r":
+        root.flush()  # which may set the time of the file
     now = signature(path)
     if now is None or first + array.itemsize > now[1]:
         return None
-    if flushed and root.mode != "r":
-        root.flush()
     inverse = tuple(order.index(i) for i in range(array.ndim))
-    return MappedFile(path.absolute(), now[1], first, tuple(stored), tuple(array.shape[i] for i in order), inverse, array.dtype)
+    counts = tuple(array.shape[i] for i in order)
+    return MappedFile(path.absolute(), now, platform.node(), first, tuple(stored), counts, inverse, array.dtype)

@@ -650,6 +650,101 @@ def test_the_command_starts_workers(tmp_path: Any) -> None:
     assert np.abs(pictures[0] - pictures[1]).max() <= 1  # bricks of another size
 
 
+INTERRUPTED = """
+import sys
+import distributed
+from clvol import cli, cluster
+done, local = cluster.Cluster.done, distributed.LocalCluster
+def told(self, *args, **options):
+    for one in done(self, *args, **options):
+        print("drawing", flush=True)
+        yield one
+def begun(**options):
+    print("starting", flush=True)
+    return local(**options)
+cluster.Cluster.done, distributed.LocalCluster = told, begun
+cli.main(sys.argv[1:])
+"""
+LONG = {
+    "movie": ["movie", "phantom:marschner-lobb:24", "-o", "a.mp4", "--frames", "5000", "--size", "64", "64"],
+    "render": ["render", "phantom:marschner-lobb:64", "-o", "a.png", "--size", "1500", "1500", "--samples", "2048"],
+    "batch": ["batch", "phantom:marschner-lobb:24", "-o", "{frame}.png", "--turn", "5000", "--size", "64", "64"],
+}
+
+
+def interrupted(command: list[str], when: str, later: float, folder: Any) -> list[str]:
+    """Ctrl-C at a command, as terminals send it, to its processes too; which pictures it leaves."""
+    import psutil
+
+    process: subprocess.Popen[str] = subprocess.Popen(
+        [sys.executable, "-c", INTERRUPTED, *command],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        encoding="utf-8",
+        start_new_session=True,
+    )
+
+    def left() -> list[psutil.Process]:
+        found = []
+        for one in psutil.process_iter(["status"]):
+            with contextlib.suppress(OSError):
+                if os.getsid(one.pid) == process.pid and one.info["status"] != psutil.STATUS_ZOMBIE:
+                    found.append(one)
+        return found
+
+    try:
+        assert process.stdout is not None
+        while (line := process.stdout.readline()) != f"{when}\n":
+            assert line, process.communicate()
+        time.sleep(later)
+        started = time.perf_counter()
+        os.killpg(process.pid, signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+        waited = time.perf_counter() - started
+        assert (process.returncode, err) == (130, "clvol: interrupted\n")
+        assert waited < 10
+        while left() and time.perf_counter() - started < 10:
+            time.sleep(0.1)
+        assert left() == []
+    finally:
+        for one in left():
+            one.kill()
+        process.wait()
+    return sorted(path.suffix for path in folder.iterdir())
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
+@pytest.mark.parametrize(
+    ("name", "when", "later"),
+    [
+        ("movie", "starting", 0.7),
+        ("render", "drawing", 0.1),
+        pytest.param("movie", "drawing", 0.1, marks=pytest.mark.thorough),
+        pytest.param("batch", "drawing", 0.1, marks=pytest.mark.thorough),
+    ],
+)
+def test_an_interrupt_ends_the_workers_that_a_command_started(name: str, when: str, later: float, tmp_path: Any) -> None:
+    """In one line, without what these say of it, and no picture is half there."""
+    if name == "movie":
+        pytest.importorskip("imageio_ffmpeg")
+    found = interrupted([*LONG[name], "--workers", "1"], when, later, tmp_path)
+    assert set(found) <= ({".png"} if name == "batch" else set())
+    for path in tmp_path.iterdir():
+        assert iio.imread(path).shape == (64, 64, 4)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
+def test_an_interrupt_leaves_the_workers_of_others_without_work(cluster: Cluster, tmp_path: Any) -> None:
+    command = [*LONG["movie"][:3], "a.gif", *LONG["movie"][4:], "--scheduler", cluster.address]
+    assert interrupted(command, "drawing", 0.1, tmp_path) == []
+    until = time.monotonic() + 10
+    while any(cluster.client.processing().values()) and time.monotonic() < until:
+        time.sleep(0.05)
+    assert not any(cluster.client.processing().values())
+    assert len(cluster.workers) == 2
+
+
 def test_no_cluster_at_all(volume: clvol.LazyVolume) -> None:
     for wrong in (True, 0, 2.5, None.__class__, "nowhere"):
         with pytest.raises(OptionError, match="cluster must be"):

@@ -39,6 +39,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 warnings.simplefilter("always", ClvolWarning)
                 warnings.showwarning = _note_of(given, warnings.showwarning)
                 app(given, exit_on_error=False, print_error=False)
+        except Exception as error:
+            if _is_of_an_interrupt(error):
+                raise KeyboardInterrupt from error
+            raise
         finally:
             sys.stdout.flush()  # here, where its errors are ours: the command may end by an exit
     except UnknownCommandError as error:
@@ -69,6 +73,12 @@ def _note_of(given: Sequence[str], otherwise: Any) -> Any:
             otherwise(message, category, *where, **more)
 
     return show
+
+
+def _is_of_an_interrupt(error: BaseException) -> bool:
+    """Whether it came while an interrupt was on its way out, such as by a file that was closed just before."""
+    before = error.__context__
+    return before is not None and (isinstance(before, KeyboardInterrupt) or _is_of_an_interrupt(before))
 
 
 def _unknown(error: UnknownCommandError) -> str:

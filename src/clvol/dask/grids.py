@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
+import dask.array as da
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -30,15 +31,15 @@ from clvol.dask.blocks import (
     window_along,
 )
 from clvol.dask.filtering import checked_spline, splines_margin
-from clvol.dask.reduced import Reduction, gaussian_radius
+from clvol.dask.reduced import Reduction, axis_by_axis, gaussian_radius
 from clvol.device import as_device
 from clvol.errors import DataError
 from clvol.filter import bspline
 from clvol.ndimage import engine, interpolation, passes
 from clvol.ndimage.antialiasing import low_passed, widths
 from clvol.ndimage.arguments import AnyDevice, Spline, as_shape
-from clvol.spline.field import Precision
-from clvol.spline.reduce import AntiAliasing, as_anti_aliasing, sum_along
+from clvol.spline.field import Precision, precision_kind
+from clvol.spline.reduce import AntiAliasing, as_anti_aliasing
 
 __all__ = ["Options", "affine_transform", "as_stored", "rotate", "shift", "zoom"]
 
@@ -219,18 +220,7 @@ def zoom(
         return _along("zoom", source, [None] * source.ndim, sizes, dtype, spline, options, copied=True)
     positions = interpolation.magnified(source.shape, shape, grid_mode)
     if chosen == "least-squares" and source.size and math.prod(shape):
-        row, boundary, double = bspline(order), options.boundary, spline.precision == "double"
-        reductions = {
-            axis: Reduction.at(row, p, source.shape[axis], boundary, double, spline.prefilter)
-            for axis, p in enumerate(positions)
-            if p is not None
-        }
-
-        def plan(_: tuple[int, ...], where: tuple[Span, ...]) -> tuple[tuple[Span, ...], None]:
-            return tuple(reductions[axis].span(place) if axis in reductions else place for axis, place in enumerate(where)), None
-
-        compute = _LeastSquares(reductions, options, dtype)
-        return blockwise("zoom", source, sizes, dtype, plan, compute, [*options.identity, chosen, zoom, grid_mode])
+        return _nearest(source, positions, sizes, dtype, spline, options)
     sigma = widths(shape, source.shape) if chosen == "gaussian" else {}
     return _along("zoom", source, positions, sizes, dtype, spline, options, sigma)
 
@@ -363,32 +353,50 @@ class _Grid:
         return made
 
 
+def _nearest(
+    source: Any, positions: Sequence[Floats | None], chunks: tuple[Any, ...], dtype: np.dtype[Any], spline: Spline, options: Options
+) -> Any:
+    """The nearest spline of a coarser grid, as `clvol.ndimage.antialiasing.nearest_splines` gives it; positions as of `_along`."""
+    if source.dtype.kind == "c":
+        half, cval = np.empty(0, dtype).real.dtype, complex(options.cval)
+        parts = ((source.real, cval.real), (source.imag, cval.imag))
+        made = [_nearest(part, positions, chunks, half, spline, replace(options, cval=value)) for part, value in parts]
+        return da.map_blocks(_complex, *made, dtype=dtype, meta=np.empty((0,) * source.ndim, dtype))
+    row, boundary, double = bspline(options.order), options.boundary, spline.precision == "double"
+    reductions = {
+        axis: Reduction.at(row, p, source.shape[axis], boundary, double, options.prefilter)
+        for axis, p in enumerate(positions)
+        if p is not None
+    }
+    # as in one piece: what shrinks most goes first
+    axes = sorted(reductions.items(), key=lambda one: one[1].m / one[1].n)
+    kind, ends, outside = precision_kind(spline.precision), _Ends(options, dtype), float(options.cval.real)
+    about = [*options.identity, axes, str(dtype)]
+    return axis_by_axis("zoom", source, chunks, dtype, axes, kind, ends.begin, ends.end, outside, options.device, about)
+
+
 @dataclass(frozen=True, eq=False)
-class _LeastSquares:
-    reductions: dict[int, Reduction]
+class _Ends:
+    """How sums begin, and what becomes of them."""
+
     options: Options
     dtype: np.dtype[Any]
 
-    def __call__(self, window: Array, block: Block) -> Array:
+    def begin(self, window: Array, block: Block) -> type[np.generic]:
+        """The type of sums: that of double precision where single would lose what the samples hold."""
         with located(window, block, 'with nan="error" all samples must be finite'):
             spline = self.options.of(window)
-        made = np.empty(block.shape, self.dtype)
-        parts = ("real", "imag") if window.dtype.kind == "c" else ("",)
-        for part in parts:
-            samples, results = (getattr(window, part), getattr(made, part)) if part else (window, made)
-            cval = getattr(spline.cval, part or "real")
-            self._real(samples, results, block, float(cval), spline)
-        return made
+        return engine.kind_for(spline.precision, window, np.empty(0, self.dtype), as_device(spline.device))
 
-    def _real(self, samples: Array, results: Array, block: Block, cval: float, spline: Spline) -> None:
-        assert block.spans is not None
-        device = as_device(spline.device)
-        kind = engine.kind_for(spline.precision, samples, results, device)
-        sums = {
-            axis: one.within((block.start[axis], block.start[axis] + block.shape[axis]), block.spans[axis])
-            for axis, one in self.reductions.items()
-        }
-        results[...] = engine.converted(sum_along(samples, sums, kind, device, cval), results.dtype)
+    def end(self, values: Array, _: Block) -> Array:
+        """In the type of the result."""
+        return engine.converted(values, self.dtype)
+
+
+def _complex(real: Array, imag: Array) -> Array:
+    made = np.empty(real.shape, np.result_type(real, np.complex64))
+    made.real, made.imag = real, imag
+    return made
 
 
 def as_stored(value: complex, dtype: np.dtype[Any]) -> Any:

@@ -47,14 +47,6 @@ class Reduction:
         """Of all of the axis."""
         return least_squares(self.filter, self.start, self.step, self.m, self.n, self.boundary, self.double, self.prefilter)
 
-    def span(self, place: Span) -> Span:
-        """Which samples a part of the result is made of."""
-        return _span_of(self.sums, place)
-
-    def within(self, place: Span, span: Span) -> Sums:
-        """The sums of a part of the result, of samples counted from the start of what it reads."""
-        return _sums_within(self.sums, place, span)
-
 
 # -- one axis after the other ----------------------------------------------------------------------------------------
 
@@ -96,7 +88,7 @@ def axis_by_axis(
     name, source, chunks, dtype, identity
         As of `clvol.dask.blocks.blockwise`.
     axes : sequence of (int, Summed)
-        In the order in which they are summed up.
+        In the order in which they are summed up; none: blocks begin and end as they are.
     kind : type
         Of sums, as far as that is known before samples are.
     begin, end : callable
@@ -105,6 +97,8 @@ def axis_by_axis(
     device : object
         As of `as_device`, in each process.
     """
+    if not axes:
+        return blockwise(name, source, chunks, dtype, lambda _, where: (where, None), _Unsummed(begin, end), identity)
     made = source
     for number, (axis, own) in enumerate(axes, 1):
         first, last = number == 1, number == len(axes)
@@ -137,6 +131,17 @@ class _Stage:
         sums = {self.axis: _sums_within(self.own.sums, place, block.spans[self.axis])}
         values = sum_along(window, sums, kind, as_device(self.device), self.outside)
         return values if self.end is None else self.end(values, block)
+
+
+@dataclass(frozen=True, eq=False)
+class _Unsummed:
+    """A block without sums."""
+
+    begin: Begin
+    end: End
+
+    def __call__(self, window: Array, block: Block) -> Array:
+        return self.end(np.asarray(window, self.begin(window, block)), block)
 
 
 def _span_of(sums: Sums, place: Span) -> Span:

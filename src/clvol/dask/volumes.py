@@ -35,7 +35,7 @@ from clvol.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.ndimage.arguments import AnyDevice
 from clvol.rounding import as_kind, in_kind, wide
 from clvol.spline.evaluator import DIRECT, choose_evaluator
-from clvol.spline.field import Precision, coefficients_of, fill_value, grid_for, precision_kind
+from clvol.spline.field import Precision, beyond, coefficients_of, fill_value, grid_for, precision_kind
 from clvol.spline.points import Given
 from clvol.spline.reduce import AntiAliasing, as_anti_aliasing, low_passed, wide_enough
 from clvol.spline.resample import along_axes, resample_axes, resample_coefficients
@@ -261,15 +261,16 @@ def _on_grid(
         row = [along[i] for along, i in zip(windows, index[leading:], strict=True)]
         return (*where[:leading], *(one.span for one in row)), [one.positions for one in row]
 
-    edge = work.boundary.edge
-    beyond = [(p < -edge) | (p > n - 1 + edge) for p, n in zip(positions, source.shape[leading:], strict=True)]
-
-    filled, about = None if work.fill is None else beyond, [*work.identity, positions, low_pass]
+    past = None
+    if work.fill is not None:
+        first = np.array([p[0] for p in positions[::-1]])
+        past = beyond(np.diag(steps[::-1]), first, source.shape[leading:], shape[leading:], work.boundary)
+    about = [*work.identity, positions, low_pass]
     if not reductions:
-        return blockwise(name, source, sizes, work.dtype, plan, _Grid(work, steps, low_pass == "gaussian", filled), about)
+        return blockwise(name, source, sizes, work.dtype, plan, _Grid(work, steps, low_pass == "gaussian", past), about)
     # as in one piece: what shrinks most goes first, x before y and z
     order = sorted(range(work.count - 1, -1, -1), key=lambda k: reductions[k].m / reductions[k].n)
-    axes, kind, ends = [(leading + k, reductions[k]) for k in order], precision_kind(work.precision), _LeastSquares(work, filled)
+    axes, kind, ends = [(leading + k, reductions[k]) for k in order], precision_kind(work.precision), _LeastSquares(work, past)
     return axis_by_axis(name, source, sizes, work.dtype, axes, kind, ends.begin, ends.end, work.boundary.cval, work.device, about)
 
 
@@ -286,14 +287,14 @@ class _Grid:
     work: _Work
     steps: Floats
     smooth: bool
-    beyond: list[NDArray[np.bool_]] | None
+    past: list[NDArray[np.bool_]] | None
 
     def __call__(self, window: Array, block: Block) -> Array:
         made = np.empty(block.shape, self.work.dtype)
         with located(window, block, "samples must be finite"):
             for index in np.ndindex(window.shape[: -self.work.count]):
                 values = self._one(window[index], block.extra)
-                _fill(values, self.beyond, block, self.work)
+                _fill(values, self.past, block, self.work)
                 made[index] = in_kind(values, self.work.dtype)
         return made
 
@@ -319,7 +320,7 @@ class _Grid:
 @dataclass(frozen=True, eq=False)
 class _LeastSquares:
     work: _Work
-    beyond: list[NDArray[np.bool_]] | None
+    past: list[NDArray[np.bool_]] | None
 
     def begin(self, window: Array, block: Block) -> type[np.generic]:
         """The type of sums: that of double precision where single would take digits off the samples."""
@@ -334,12 +335,12 @@ class _LeastSquares:
     def end(self, values: Array, block: Block) -> Array:
         """A block of the result."""
         for index in np.ndindex(values.shape[: -self.work.count]):
-            _fill(values[index], self.beyond, block, self.work)
+            _fill(values[index], self.past, block, self.work)
         return in_kind(values, self.work.dtype)
 
 
-def _fill(values: Array, beyond: list[NDArray[np.bool_]] | None, block: Block, work: _Work) -> None:
+def _fill(values: Array, past: list[NDArray[np.bool_]] | None, block: Block, work: _Work) -> None:
     """Put the value that is given outside the domain, of which windows know nothing where the rule repeats samples."""
-    for k, along in enumerate(beyond or []):
+    for k, along in enumerate(past or []):
         first = block.start[len(block.start) - work.count + k]
         np.moveaxis(values, k, 0)[along[first : first + values.shape[k]]] = work.fill

@@ -47,6 +47,7 @@ __all__ = [
     "as_field",
     "as_points",
     "between",
+    "beyond",
     "coefficients_of",
     "fill_value",
     "filled",
