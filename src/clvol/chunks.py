@@ -12,12 +12,18 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-__all__ = ["Chunks", "Room", "lines_of"]
+__all__ = ["UNPACKING", "Chunks", "Room", "lines_of", "stored_in_one"]
 
 Place: TypeAlias = tuple[int, ...]
 """Which chunk it is, along z, y and x."""
 _Box: TypeAlias = tuple[range, ...]
 _Part: TypeAlias = tuple[slice, ...]
+
+UNPACKING = 4
+"""Times its samples that a chunk takes while it is unpacked, at most: as it is stored, in pieces, these put together, as samples.
+
+As was measured for what packs worst, gzip in Zarr of what cannot be packed; others take two to three times.
+"""
 
 _TOGETHER = 64 << 20  # bytes of chunks that are unpacked side by side, at most
 _SHARE = 16  # of what may be kept, those
@@ -54,6 +60,12 @@ class Chunks:
         Bytes to keep, at most.
     room : Room, optional
         Asked before chunks are kept.
+    one : int
+        Bytes of a chunk as it is unpacked, `stored_in_one`.
+    together : int, optional
+        Bytes of chunks that are unpacked side by side; by default a share of `most`.
+    source : object
+        Whose chunks they are.
 
     Attributes
     ----------
@@ -75,6 +87,10 @@ class Chunks:
         dtype: DTypeLike,
         most: int,
         room: Room | None = None,
+        *,
+        one: int = 0,
+        together: int | None = None,
+        source: object = None,
     ) -> None:
         self._read, self._lines, self.dtype, self.most, self.room = (
             read,
@@ -83,12 +99,13 @@ class Chunks:
             most,
             room,
         )
+        self._one, self.source = one, source
         self.shape = tuple(int(line[-1]) for line in self._lines)
         self.chunksize = tuple(int(np.diff(line).max()) for line in self._lines)
         self._own_lock = threading.RLock()  # a handler of signals may come back here
         self._kept: OrderedDict[Place, _Chunk] = OrderedDict()  # the one used last is last
         self.largest = math.prod(self.chunksize) * self.dtype.itemsize
-        self.together = max(self.largest, min(_TOGETHER, most // _SHARE))
+        self.together = max(self.largest, min(_TOGETHER, most // _SHARE) if together is None else together)
         self.nbytes = 0
 
     def __getitem__(self, at: tuple[slice, slice, slice]) -> NDArray[Any]:
@@ -103,6 +120,10 @@ class Chunks:
             self._fill(result, at, box)
         return result
 
+    def parts(self, at: _Part) -> Iterator[_Part]:
+        """A part in parts, each of as many chunks as are unpacked side by side."""
+        return (_both(at, self._slices(box)) for box in self._batches(self._spans(at)))
+
     def touched(self, at: Sequence[slice]) -> int:
         """Bytes of the chunks that a part reaches into."""
         ends = ((line[span[0]], line[span[-1] + 1]) for line, span in zip(self._lines, self._spans(at), strict=True))
@@ -110,7 +131,17 @@ class Chunks:
 
     def unpacking(self, at: Sequence[slice]) -> int:
         """Bytes that it takes to read a part, beside the result and what is kept: chunks as they are unpacked, and together."""
-        return 2 * min(self.together, self.touched(at))
+        return max(2 * min(self.together, self.touched(at)), self.unpacking_of_one)
+
+    @property
+    def unpacking_most(self) -> int:
+        """The same of any part."""
+        return max(2 * self.together, self.unpacking_of_one)
+
+    @property
+    def unpacking_of_one(self) -> int:
+        """The same of one that is unpacked for some of its samples."""
+        return UNPACKING * self._one
 
     # -- what makes room ---------------------------------------------------------------------------------------------------
 
@@ -261,6 +292,18 @@ def lines_of(data: Any) -> tuple[NDArray[np.int64], ...] | None:
         else:
             return None
     return tuple(lines)
+
+
+def stored_in_one(data: Any) -> int:
+    """Bytes of the largest chunk of an array, which is unpacked as a whole however little of it is wanted; 0 if it has none."""
+    own = getattr(data, "stored_in_one", None)
+    if isinstance(own, int):
+        return own
+    lines = lines_of(data)
+    if lines is None:
+        return 0
+    longest = (n if isinstance(n, (int, np.integer)) else max(n) for n in data.chunks)
+    return math.prod(int(n) for n in longest) * int(np.dtype(data.dtype).itemsize)
 
 
 def _several(lines: Sequence[NDArray[np.int64]], dtype: np.dtype[Any]) -> tuple[NDArray[np.int64], ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, Protocol, TypeAlias, runtime_checkable
@@ -14,21 +14,26 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from clvol import memory
-from clvol.checks import number, reals
+from clvol.checks import number, reals, whole
+from clvol.chunks import UNPACKING, Chunks, lines_of, stored_in_one
 from clvol.errors import ClvolError, DataError, FormatError, OptionError
 from clvol.noise import Noise
 from clvol.sliced import mapped
 from clvol.volume import Volume
 
-__all__ = ["Bounds", "LazyVolume", "Sliced", "by_bricks", "needed_by", "too_large"]
+__all__ = ["BUDGET", "Bounds", "LazyVolume", "Sliced", "budget_for", "by_bricks", "needed_by", "too_large"]
 
 Index: TypeAlias = tuple[int, int, int]
 """Along x, y and z."""
+
+BUDGET = 2 << 30
+"""Bytes that work by parts may take where nothing is said."""
 
 _SKETCHED = 1 << 21  # samples from which looks are decided, about
 _PART = 128  # samples along an edge of the part whose noise is estimated
 _CHUNKS_LOOKED_INTO = 6  # along an axis, where there is no smaller copy to look at
 _SMALL = 1 << 26  # samples of which all are looked at for their range
+_PIECE = 4 << 20  # bytes that are read at a time of what is looked at, unless a chunk has more
 _ALONE = ("clvol", "h5py", "tensorstore", "zarr")  # whose arrays ask no cluster
 
 
@@ -295,6 +300,11 @@ class LazyVolume:
         x, y, z = (int(n) for n in stored[::-1])
         return x, y, z
 
+    @property
+    def stored_in_one(self) -> int:
+        """Bytes of the largest chunk of all sizes, which is unpacked as a whole; 0 where any part is read by itself."""
+        return max(stored_in_one(one.data) for one in (self, *self.levels))
+
     # -- samples ---------------------------------------------------------------------------------------------------------
 
     def read(self, low: Index, high: Index) -> NDArray[Any]:
@@ -359,7 +369,7 @@ class LazyVolume:
             if self._sketch is None:
                 small = next((one for one in (self, *self.levels) if math.prod(one.shape) <= 2 * _SKETCHED), None)
                 coarse = small or (self, *self.levels)[-1]
-                self._sketch = coarse._thinned() if small is None else small.whole()
+                self._sketch = coarse._thinned() if small is None else small._piecewise((0, 0, 0), small.size)
             return self._sketch
 
     def whole(self) -> Volume:
@@ -372,10 +382,33 @@ class LazyVolume:
         """
         return replace(self.grid, data=self.read((0, 0, 0), (self.size[0], self.size[1], self.size[2])))
 
+    def _pieces(self, low: Sequence[int], high: Sequence[int]) -> Iterator[tuple[tuple[slice, ...], NDArray[Any]]]:
+        """Samples, few at a time, and where in the part they belong: by chunks, or by planes."""
+
+        def read(at: tuple[slice, ...]) -> NDArray[Any]:
+            z, y, x = at
+            return self.read((x.start, y.start, z.start), (x.stop, y.stop, z.stop))
+
+        lines: Sequence[NDArray[np.int64]] | None = lines_of(self.data)
+        if lines is None:  # rows, or as many planes as are one piece
+            row = (high[0] - low[0]) * self.dtype.itemsize
+            rows = max(1, min(_PIECE // row, high[1] - low[1]))
+            planes = max(1, _PIECE // (row * (high[1] - low[1])))
+            steps = (high[0], rows, planes)
+            lines = [np.append(np.arange(a, b, step), b) for a, b, step in zip(low, high, steps, strict=True)][::-1]
+        part = tuple(slice(a, b) for a, b in zip(low[::-1], high[::-1], strict=True))
+        for box in Chunks(read, lines, self.dtype, 0, together=_PIECE).parts(part):
+            yield tuple(slice(one.start - a, one.stop - a) for one, a in zip(box, low[::-1], strict=True)), read(box)
+
+    def _piecewise(self, low: Sequence[int], high: Sequence[int]) -> Volume:
+        """The samples of a part, read few at a time."""
+        data = np.empty([b - a for a, b in zip(low[::-1], high[::-1], strict=True)], self.dtype)
+        for place, samples in self._pieces(low, high):
+            data[place] = samples
+        return replace(self.grid, data=data)
+
     def _thinned(self) -> Volume:
         """Samples at about equal distances, of a few chunks."""
-        if math.prod(self.shape) <= _SKETCHED:
-            return self.whole()
         edge = (_SKETCHED / math.prod(self.shape)) ** (1 / 3)
         runs, steps = [], []
         for n, chunk in zip(self.size, self.chunks or (self.size[0], 1, 1), strict=True):
@@ -383,7 +416,7 @@ class LazyVolume:
             several = min(-(-n // chunk), _CHUNKS_LOOKED_INTO if self.chunks else wanted)
             firsts = [int((k + 0.5) * -(-n // chunk) / several) * chunk for k in range(several)]
             each = max(1, wanted // several)
-            step = max(1, min(chunk, n) // each)
+            step = -(-min(chunk, n) // each)
             runs.append([range(first, min(first + chunk, n), step) for first in firsts])
             steps.append(n / sum(map(len, runs[-1])))
         rows = []
@@ -391,7 +424,7 @@ class LazyVolume:
             columns = []
             for y in runs[1]:
                 parts = [
-                    self.read((x[0], y[0], z[0]), (x[-1] + 1, y[-1] + 1, z[-1] + 1))[:: z.step, :: y.step, :: x.step]
+                    self.read((x[0], y[0], z[0]), (x[-1] + 1, y[-1] + 1, z[-1] + 1))[:: z.step, :: y.step, :: x.step].copy()
                     for x in runs[0]
                 ]
                 columns.append(np.concatenate(parts, axis=2))
@@ -407,7 +440,7 @@ class LazyVolume:
             if self._part is None:
                 low = [max(0, (n - _PART) // 2) for n in self.size]
                 high = [min(n, a + _PART) for a, n in zip(low, self.size, strict=True)]
-                self._part = replace(self.grid, data=self.read((low[0], low[1], low[2]), (high[0], high[1], high[2])))
+                self._part = self._piecewise(low, high)
             return self._part
 
     def known(self) -> Volume:
@@ -424,8 +457,11 @@ class LazyVolume:
             if self._limits is None:
                 if self.bounds is not None:
                     self._limits = self.bounds.value_range
+                elif self._few:
+                    ends = [(float(part.min()), float(part.max())) for _, part in self._pieces((0, 0, 0), self.size)]
+                    self._limits = min(low for low, _ in ends), max(high for _, high in ends)
                 else:
-                    self._limits = (self.whole() if self._few else self.sketch()).value_range
+                    self._limits = self.sketch().value_range
             return self._limits
 
     @property
@@ -474,6 +510,34 @@ def _ends(limits: Any) -> tuple[float, float]:
     if ends.shape != (2,) or not np.isfinite(ends).all() or ends[0] > ends[1]:
         raise OptionError(f"limits must be the smallest and the largest sample, finite; got {limits!r}")
     return float(ends[0]), float(ends[1])
+
+
+def budget_for(volume: LazyVolume, given: int | None, sharing: int = 1) -> int:
+    """Bytes that work on a volume may take: as given, else 2 GiB, or half of the memory that is available if that is less.
+
+    Where a chunk takes much of these to be unpacked they are more by that, up to all that is available. `sharing` is how many
+    processes share them.
+
+    Raises
+    ------
+    OptionError
+        Chunks cannot be unpacked in so many; nothing has been read.
+    """
+    one = volume.stored_in_one
+    least = (UNPACKING + 1) * one  # what looks at it takes it as a whole
+    if given is None:
+        room = memory.available() // sharing
+        budget = max(1, min(BUDGET // sharing, room // 2))
+        if 2 * least > budget:
+            budget = max(budget, min(budget + least, room))
+    else:
+        budget = whole("budget", given, 1)
+    if least > budget:
+        raise OptionError(
+            f"budget must be at least {least} bytes, which a chunk of {volume.name or 'the volume'} takes that is unpacked as a "
+            f"whole, to {one} bytes; got {budget}: clvol.pyramid, given that much once, makes a store of small chunks"
+        )
+    return budget
 
 
 def needed_by(volume: LazyVolume) -> int:

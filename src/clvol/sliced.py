@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import platform
 import threading
@@ -24,6 +25,7 @@ Signature: TypeAlias = tuple[int, int, int] | None
 """By which a change of a file is noticed: when it was written, its size, and which file it is; None where there is none."""
 
 _SHARE = 4  # rows are read whole where this part of them, or more, is wanted
+_ROWS = 1 << 20  # bytes of these that are read at a time
 
 
 def signature(path: str | os.PathLike[str]) -> Signature:
@@ -90,6 +92,7 @@ class Window:
         self._whole = 0  # axes before z, y and x that are always read whole
         self._steps: tuple[Callable[[NDArray[Any]], NDArray[Any]], ...] = ()
         self.dtype = np.dtype(dtype).newbyteorder("=")
+        self._itemsize = self.dtype.itemsize  # of what is stored
 
     def transpose(self, order: Sequence[int]) -> Window:
         """The same with its axes in another order."""
@@ -132,6 +135,11 @@ class Window:
     def ndim(self) -> int:
         """Axes."""
         return len(self._kept) - self._whole
+
+    @property
+    def stored_in_one(self) -> int:
+        """Bytes of a chunk as it is stored, with all that it holds of other axes; 0 where any part is read by itself."""
+        return 0 if self._stored is None else math.prod(self._stored) * self._itemsize
 
     @property
     def chunks(self) -> tuple[int, ...] | None:
@@ -224,18 +232,22 @@ class FlatFile(Watched):
         Of the array, the last axis (the first, if `transposed`) varies fastest.
     dtype : dtype
         As stored.
-    offset : int
-        Bytes before the first sample.
+    offset : int or sequence of int
+        Bytes before the first sample; or before each of several pieces of equal size, such as pages, that follow each other in the
+        array.
     transposed : bool
         Whether the array is in Fortran's order.
     """
 
-    def __init__(self, path: Path, shape: Sequence[int], dtype: np.dtype[Any], offset: int, transposed: bool = False) -> None:
+    def __init__(
+        self, path: Path, shape: Sequence[int], dtype: np.dtype[Any], offset: int | Sequence[int], transposed: bool = False
+    ) -> None:
         super().__init__(path, path.name)
         self._shape = tuple(shape)[::-1] if transposed else tuple(shape)
         self._transposed = transposed
         self._dtype = np.dtype(dtype)
-        self._offset = offset
+        self._offsets = [offset] if isinstance(offset, int) else list(offset)
+        self._piece = math.prod(self._shape) // len(self._offsets)  # samples
         self._lock = threading.Lock()
         self._stream = path.open("rb", buffering=0)
 
@@ -259,22 +271,46 @@ class FlatFile(Watched):
         wanted = into.size // max(1, into.shape[0]) if into.ndim else 1
         if axis == len(self._shape) - 1 or whole:
             self._read(into, before + box[axis][0] * inner)
-        elif wanted * _SHARE >= inner and self._has(before + (box[axis][-1] + 1) * inner):  # one read of more than is wanted
-            rows = np.empty((len(box[axis]), *self._shape[axis + 1 :]), self._dtype)
-            self._read(rows, before + box[axis][0] * inner)
-            into[...] = rows[(slice(None), *(slice(part[0], part[-1] + 1) for part in box[axis + 1 :]))]
+        elif (
+            wanted * _SHARE >= inner and inner * self._dtype.itemsize <= _ROWS and self._has(before + (box[axis][-1] + 1) * inner)
+        ):  # reads of more than is wanted
+            some = _ROWS // (inner * self._dtype.itemsize)
+            within = tuple(slice(part[0], part[-1] + 1) for part in box[axis + 1 :])
+            for k in range(0, len(box[axis]), some):
+                rows = np.empty((min(some, len(box[axis]) - k), *self._shape[axis + 1 :]), self._dtype)
+                self._read(rows, before + (box[axis][0] + k) * inner)
+                into[k : k + some] = rows[(slice(None), *within)]
         else:
             for k, i in enumerate(box[axis]):
                 self._fill(into[k], box, axis + 1, before + i * inner)
 
     def _has(self, count: int) -> bool:
         """Whether so many samples lie in the file: an array may be a part of one, which ends before its last row does."""
-        return self._signature is not None and self._offset + count * self._dtype.itemsize <= self._signature[1]
+        if len(self._offsets) > 1:
+            return count <= self._piece * len(self._offsets)
+        return self._signature is not None and self._offsets[0] + count * self._dtype.itemsize <= self._signature[1]
 
     def _read(self, into: NDArray[Any], first: int) -> None:
         made = into if into.flags.c_contiguous else np.empty(into.shape, into.dtype)
         view = memoryview(made.reshape(-1).view(np.uint8))  # type: ignore[arg-type]  # an array is one
-        at, done = self._offset + first * self._dtype.itemsize, 0
+        if len(self._offsets) == 1:
+            self._read_bytes(view, self._offsets[0] + first * self._dtype.itemsize)
+        else:
+            self._read_pieces(view, first)
+        if made is not into:
+            into[...] = made
+
+    def _read_pieces(self, view: memoryview, first: int) -> None:
+        """Samples from `first` on, out of the pieces in which they lie."""
+        size, done = self._dtype.itemsize, 0
+        while done < len(view):
+            piece, within = divmod(first + done // size, self._piece)
+            count = min(len(view) - done, (self._piece - within) * size)
+            self._read_bytes(view[done : done + count], self._offsets[piece] + within * size)
+            done += count
+
+    def _read_bytes(self, view: memoryview, at: int) -> None:
+        done = 0
         while done < len(view):
             if hasattr(os, "preadv"):
                 count = os.preadv(self._stream.fileno(), [view[done:]], at + done)
@@ -285,8 +321,6 @@ class FlatFile(Watched):
             if not count:
                 raise FormatError(f"{self._path.name} ends before byte {at + len(view)}, where samples should be")
             done += count
-        if made is not into:
-            into[...] = made
 
     def __del__(self) -> None:
         with contextlib.suppress(AttributeError, OSError):

@@ -42,6 +42,7 @@ from clvol.cli.root import PICTURES, command
 from clvol.errors import OptionError
 from clvol.files import require_folder, require_suffix, staged
 from clvol.filter import PICTURE_FILTER
+from clvol.lazy import budget_for
 from clvol.lazy import by_bricks as are_by_bricks
 from clvol.march.uncertainty import COVERAGE, in_words
 from clvol.mode import as_mode
@@ -320,6 +321,8 @@ def _volume(
         return by_bricks or are_by_bricks(lazy, several=reader.level is None and not whole, budget=budget)
 
     volume = reader.by_parts(source, wanted) or reader.read(source)
+    if isinstance(volume, clvol.LazyVolume):
+        budget_for(volume, budget)  # before it is looked at
     return as_lazy(volume) if by_bricks else volume
 
 

@@ -24,6 +24,7 @@ from clvol.volumes import Leading
 __all__ = ["lazily", "loaded", "member", "opened", "read", "series", "window"]
 
 _TRIED = 4096  # chunks, in search of one that is damaged
+_CACHED = 1 << 20  # bytes: HDF5 takes chunks that are no larger as a whole
 _NETCDF_3 = b"CDF"
 _NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"  # NAME of a scale that holds no coordinates
 
@@ -115,7 +116,9 @@ def window(path: Path, source: str, array: Any, index: Index = ()) -> Window:
         except OSError as error:
             raise FormatError(f"cannot read {_damaged(array, index)} of {array.name} in {source}: {error}") from error
 
-    return Window(Watched(path, source, read), array.shape, array.dtype, array.chunks, index)
+    chunk = sample_count(array.chunks or ()) * array.dtype.itemsize
+    by_parts = chunk > _CACHED and not array.id.get_create_plist().get_nfilters()  # HDF5 reads what is wanted of such a chunk
+    return Window(Watched(path, source, read), array.shape, array.dtype, None if by_parts else array.chunks, index)
 
 
 def _damaged(array: Any, index: Index) -> str:

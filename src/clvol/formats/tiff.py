@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import io
+import itertools
 import logging
 import math
 import operator
@@ -103,9 +104,9 @@ def _window(name: str, file: Any, image: Any, index: Index) -> Window:
     shape = tuple(n for _, n in _axes(image))
     _check_samples(name, list(image), image.keyframe, sample_count(shape), sample_count(image.keyframe.chunks))
     own = image.keyframe.parent.filehandle.path
-    if image.dataoffset is not None and image.transform is None and image.keyframe.is_memmappable:
+    if (places := _places(image)) is not None:
         dtype = np.dtype(file.byteorder + image.dtype.char)
-        return Window(FlatFile(Path(own), shape, dtype, image.dataoffset), shape, dtype, None, index)
+        return Window(FlatFile(Path(own), shape, dtype, places), shape, dtype, None, index)
     try:
         import zarr
     except ImportError as error:
@@ -123,6 +124,26 @@ def _window(name: str, file: Any, image: Any, index: Index) -> Window:
             return as_stored(np.asarray(array[index]))
 
     return Window(Watched(path, name, read), shape, array.dtype, array.chunks, index)
+
+
+def _places(image: Any) -> int | list[int] | None:
+    """Where in a file the samples of an image lie as they are: all of them, or those of each page; None if they do not."""
+    first, pages = image.keyframe, list(image)
+    if image.transform is not None or not first.is_memmappable:
+        return None
+    if image.dataoffset is not None:
+        return int(image.dataoffset)
+    size = first.size * first.dtype.itemsize
+    in_one = first.is_contiguous and len(pages) * first.size == sample_count(tuple(n for _, n in _axes(image)))
+    if not in_one or any(page.parent is not first.parent or not _is_whole(page, size) for page in pages):
+        return None
+    return [int(page.dataoffsets[0]) for page in pages]
+
+
+def _is_whole(page: Any, size: int) -> bool:
+    """Whether the strips of a page follow each other, and are no longer than its samples."""
+    ends = itertools.accumulate(page.databytecounts, initial=page.dataoffsets[0])
+    return sum(page.databytecounts) == size and all(map(operator.eq, page.dataoffsets, ends))
 
 
 def _content(path: Path, file: Any, number: int, level: int, choose: Choice, load: Callable[..., Any]) -> Content:

@@ -27,7 +27,7 @@ from clvol.formats._files import bytes_at, require_members, sample_count
 from clvol.formats._layout import Layout, decoded, lay_out, place, shrunk, uniform, unnamed
 from clvol.formats._limits import announce, announce_parts
 from clvol.interop import Content
-from clvol.sliced import Index, Signature, Window, said_of_file, said_of_folder, signature
+from clvol.sliced import FlatFile, Index, Signature, Window, said_of_file, said_of_folder, signature
 from clvol.volume import SPACES
 from clvol.volumes import Leading
 
@@ -37,6 +37,7 @@ _METADATA = ("zarr.json", ".zgroup", ".zarray")
 _ABOUT = (*_METADATA, ".zattrs", ".zmetadata")
 _WATCHED = 1 << 17  # chunks whose files are watched, those that were first read last
 _SECONDS = 10.0  # after which it is asked again whether what is far away is what it was
+_LARGE = 1 << 24  # bytes of a chunk that is read by parts, if it is stored as it is
 _TRIED = 4096  # chunks, in search of one that is damaged
 _SECRET = 6  # letters, from which on a word of options is left out of messages
 _IN_EXTRA = ("s3", "s3a", "http", "https")  # addresses that the extra "s3" is for
@@ -149,7 +150,27 @@ def lazily(
 
 def _window(source: str, array: Any, index: Index = ()) -> Window:
     """Of an array in a store that is watched."""
+    chunk = sample_count(array.chunks) * array.dtype.itemsize
+    in_files = chunk > _LARGE and array.store_path.store.root is not None and array.store_path.store.root.is_dir()
+    if in_files and (dtype := _as_stored(array)) is not None:
+        return Window(_Unpacked(source, array, array.store_path.store, dtype), array.shape, array.dtype, None, index)
     return Window(_Chunked(source, array, array.store_path.store), array.shape, array.dtype, array.chunks, index)
+
+
+def _as_stored(array: Any) -> np.dtype[Any] | None:
+    """The type of samples that follow each other in the files of chunks as they are, in C's order; None if they do not."""
+    about = array.metadata
+    if about.zarr_format == 2:
+        if about.compressor is not None or about.filters or about.order != "C":
+            return None
+        native: np.dtype[Any] = about.dtype.to_native_dtype()
+        return native
+    (codec, *others) = about.codecs
+    if others or type(codec).__name__ != "BytesCodec":
+        return None
+    order = getattr(codec.endian, "value", codec.endian)
+    stored: np.dtype[Any] = np.dtype(array.dtype).newbyteorder(">" if order == "big" else "<")
+    return stored
 
 
 def _one_of(name: str, images: list[_Image], series: int | str | None) -> _Image:
@@ -352,6 +373,44 @@ class _Chunked:
             except Exception:
                 return f"{array.path}/{array.metadata.encode_chunk_key(at)}".lstrip("/")
         return f"{array.path or '.'} (one of several)"
+
+
+class _Unpacked(_Chunked):
+    """Reads parts of chunks that are stored as they are, without what else is in these: zarr would read them as a whole."""
+
+    def __init__(self, source: str, array: Any, store: Any, dtype: np.dtype[Any]) -> None:
+        super().__init__(source, array, store)
+        self._dtype = dtype
+
+    def __call__(self, index: Index) -> NDArray[Any]:
+        self._require_the_same()
+        array = self._array
+        box = [range(n)[at] if isinstance(at, slice) else range(at, at + 1) for n, at in zip(array.shape, index, strict=True)]
+        result = np.empty([len(part) for part in box], array.dtype)
+        places = [range(part[0] // n, part[-1] // n + 1) for part, n in zip(box, array.chunks, strict=True)]
+        for chunk in itertools.product(*places):
+            inside, target = [], []
+            for part, i, n in zip(box, chunk, array.chunks, strict=True):
+                low, high = max(part[0], i * n), min(part[-1] + 1, (i + 1) * n)
+                inside.append(slice(low - i * n, high - i * n))
+                target.append(slice(low - part[0], high - part[0]))
+            result[tuple(target)] = self._of_chunk(chunk, tuple(inside))
+        return result[tuple(slice(None) if isinstance(at, slice) else 0 for at in index)]
+
+    def _of_chunk(self, chunk: tuple[int, ...], inside: tuple[slice, ...]) -> Any:
+        """Some samples of a chunk, or the value of one that is not stored."""
+        array = self._array
+        key = f"{array.path}/{array.metadata.encode_chunk_key(chunk)}".lstrip("/")
+        self._store.look(key)
+        file = self._store.root / key
+        if not file.exists():
+            if array.metadata.fill_value is None:
+                raise FormatError(f"{self._source} must hold all chunks of an array without a fill value; {key} is missing")
+            return array.metadata.fill_value
+        whole = sample_count(array.chunks) * array.dtype.itemsize
+        if (found := file.stat().st_size) != whole:
+            raise FormatError(f"cannot read chunk {key} of {self._source}: it must have {whole} bytes; it has {found}")
+        return FlatFile(file, array.chunks, self._dtype, 0)(inside)
 
 
 def _require_fill(array: Any) -> None:

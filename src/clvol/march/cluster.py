@@ -21,19 +21,18 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol import memory
 from clvol.boundary import Boundary
 from clvol.camera import View
 from clvol.checks import one_of
 from clvol.cluster import Cluster, LostError, PoisonError, Turn, neighbours, own_address, own_place, version, worker_device
 from clvol.errors import ClusterError, DeviceError, OptionError, OutOfMemoryError
 from clvol.filter import Filter
-from clvol.lazy import Index, LazyVolume
+from clvol.lazy import Index, LazyVolume, budget_for
 from clvol.march.bricks import Area, BrickedDrawing, Carried, Pass, boxes_of, front_to_back, pixels_of
 from clvol.march.frame import Frame, tile_of
 from clvol.march.launch import Progress
 from clvol.mode import Composite, Isosurface, Mode
-from clvol.spline.bricked import BUDGET, Brick, BrickedField
+from clvol.spline.bricked import Brick, BrickedField
 
 __all__ = ["MERGES", "ClusterDrawing", "Group", "Merge", "Shared", "groups_of", "shared_out", "visible"]
 
@@ -460,7 +459,7 @@ def _field_of(recipe: _Recipe) -> BrickedField:
             except DeviceError as error:
                 raise ClusterError(f"workers must have an OpenCL device; {own_address()} has none: {error}") from error
             volume = recipe.volume.as_known(recipe.limits, recipe.labels)
-            budget = recipe.budget or max(1, min(BUDGET, memory.available() // 2) // neighbours(recipe.places))
+            budget = recipe.budget or budget_for(volume, None, neighbours(recipe.places))
             _fields[recipe.token] = BrickedField(volume, recipe.filter, recipe.boundary, device, budget=budget, edge=recipe.edge)
         field = _fields[recipe.token]
         _fields.move_to_end(recipe.token)

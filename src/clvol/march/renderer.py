@@ -23,7 +23,7 @@ from clvol.cluster import Cluster, ClusterLike, as_cluster
 from clvol.device import Device
 from clvol.errors import DataError, OptionError, OutOfMemoryError
 from clvol.filter import PICTURE_FILTER, Filter, as_filter
-from clvol.lazy import LazyVolume
+from clvol.lazy import LazyVolume, budget_for
 from clvol.light import Light, Material
 from clvol.look import look
 from clvol.march import launch
@@ -844,6 +844,7 @@ def render(
     _require_picture(_size(size), _outputs(outputs), edges=False)
     row = filter
     if isinstance(scene, LazyVolume):
+        budget_for(scene, held.get("budget"))  # before anything is read
         row = row_for(scene, filter, chosen.picture_filter)
     elif free:
         row = filter_for(scene, None, chosen.picture_filter)  # type: ignore[arg-type]  # it is a volume then
@@ -874,6 +875,7 @@ def _bricked(
         if scene.closed:
             raise OptionError("the field was closed, and its coefficients were released; make a new one")
         return scene
+    budget_for(scene, budget)  # before anything is read
     row = _usual(scene) if filter is None else filter
     return BrickedField(scene, row, boundary, device, budget=budget, at_once=at_once)
 

@@ -11,10 +11,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol import memory
 from clvol.boundary import Boundary, as_boundary
 from clvol.checks import as_path, flag, one_of, several, whole
-from clvol.chunks import Chunks, lines_of
+from clvol.chunks import UNPACKING, Chunks, lines_of, stored_in_one
 from clvol.device import Device, as_device
 from clvol.errors import DataError, MissingDependencyError, OptionError
 from clvol.files import require_suffix
@@ -26,7 +25,7 @@ from clvol.formats._units import ome_unit
 from clvol.formats.opening import WholeOnlyError
 from clvol.formats.opening import open as open_lazily
 from clvol.formats.zarr import shown
-from clvol.lazy import LazyVolume, Sliced
+from clvol.lazy import LazyVolume, Sliced, budget_for
 from clvol.multiscale.blocks import Bricks, coarser, outwards, require_bounded
 from clvol.multiscale.journal import Journal
 from clvol.multiscale.levels import FIXED, METHODS, Level, Method, filter_at, levels_of, require_reducible, sums_for
@@ -44,8 +43,8 @@ _SUFFIXES = (".zarr",)
 _CHUNK = 64
 _BLOCKS = 32  # of bounds, along an edge of a chunk
 _FEW = 8  # blocks along an axis from which no coarser ones are kept
-_BUDGET = 2 << 30
-_OF_SOURCE = 3  # of that, the part for chunks of the source, if it computes them: half of it is for those that are being read
+_OF_SOURCE = 3  # of the budget, the part for chunks of the source that are kept: half of it is for those that are being read
+_LARGE = 16  # of the budget, one part in so many for a chunk of the source that is unpacked: those that take more are kept
 _COST = {"reduce": 1.0, "bounds": 2.0}  # of a sample, about, for telling how much is done
 
 
@@ -99,7 +98,8 @@ def pyramid(
     version : {"0.4", "0.5"}
         Of OME-Zarr: 0.4 is Zarr 2, 0.5 is Zarr 3.
     budget : int, optional
-        Bytes of memory beyond what Python takes; default 2 GiB, or half of what is available if that is less.
+        Bytes of memory beyond what Python takes; default 2 GiB, or half of what is available if that is less, or more where a chunk
+        of the source has to be unpacked that takes as much.
     overwrite : bool
         Whether to replace what is at `path`, and what another unfinished call left beside it.
     device : Device, str or int, optional
@@ -141,8 +141,9 @@ def pyramid(
         )
     target = as_path(path)
     require_suffix(target, _SUFFIXES, "pyramids")
-    room = _room(budget)
-    volume, cache = _kept(_lazy(source), room // _OF_SOURCE // 2)
+    given = _lazy(source)
+    room = _room(budget, given)
+    volume, cache = _kept(given, room)
     plan = _plan(volume, filter, boundary, method, levels, chunks, shards, compressor, bounds, version, as_device(device))
     if plan.bounds:
         Bricks.edge_for(plan.filter, room)
@@ -173,30 +174,31 @@ def _lazy(source: Any) -> LazyVolume:
     return LazyVolume(volume.data, **{name: getattr(volume, name) for name in known})
 
 
-def _kept(volume: LazyVolume, nbytes: int) -> tuple[LazyVolume, Chunks | None]:
-    """A volume of dask, whose chunks are computed whenever they are read, with so many bytes of them kept."""
-    lines = lines_of(volume.data) if hasattr(volume.data, "__dask_graph__") else None
-    if lines is None:
+def _kept(volume: LazyVolume, room: int) -> tuple[LazyVolume, Chunks | None]:
+    """A volume of dask, whose chunks are computed whenever they are read, or of large chunks, with some of them kept."""
+    one, lines, most = stored_in_one(volume.data), lines_of(volume.data), room // _OF_SOURCE // 2
+    computed = hasattr(volume.data, "__dask_graph__")
+    if lines is None or not (computed or _LARGE * UNPACKING * one > room):
         return volume, None
+    if computed and one <= most:
+        one = 0  # in the half for those that are being read
 
     def read(at: tuple[slice, slice, slice]) -> NDArray[Any]:
         z, y, x = at
         return volume.read((x.start, y.start, z.start), (x.stop, y.stop, z.stop))
 
-    cache = Chunks(read, lines, volume.dtype, nbytes)
+    cache = Chunks(read, lines, volume.dtype, most, one=one, source=volume.data)
     made = volume.with_levels(())
     made.data = cache
     return made, cache
 
 
-def _room(budget: int | None) -> int:
+def _room(budget: int | None, volume: LazyVolume) -> int:
     """Bytes for what a part takes."""
-    if budget is None:
-        return max(FIXED, min(_BUDGET, memory.available() // 2) - FIXED)
-    given = whole("budget", budget, 1)
-    if given <= FIXED:
-        raise OptionError(f"budget must be more than {FIXED >> 20} MiB; got {given >> 20} MiB")
-    return given - FIXED
+    if budget is not None and whole("budget", budget, 1) <= FIXED:
+        raise OptionError(f"budget must be more than {FIXED >> 20} MiB; got {budget >> 20} MiB")
+    given = budget_for(volume, budget)
+    return given - FIXED if budget is not None else max(FIXED, given - FIXED)
 
 
 # -- what is made ------------------------------------------------------------------------------------------------------
@@ -307,7 +309,7 @@ class _Making:
             raise MissingDependencyError("pyramids are Zarr stores, which need zarr: pip install clvol[microscopy]") from error
         self._zarr = zarr
         self._volume, self._plan, self._journal, self._room, self._progress = volume, plan, journal, room, progress
-        self._cache = cache
+        self._cache, self._read_out = cache, False
         self._format: Literal[2, 3] = 3 if plan.version == "0.5" else 2
         self._made = 0.0
         sizes = [math.prod(level.size) for level in plan.levels]
@@ -408,7 +410,7 @@ class _Making:
             deep *= -(-chunks[2] // deep)
         units = (stored[0], stored[1], stored[2])
         what = read, finer, level, (x, y, z), self.dtype, kind, units, deep
-        reduction = self._within(lambda room: Reduction(*what, room, plan.device, plan.boundary.cval))
+        reduction = self._within(lambda room: Reduction(*what, room, plan.device, plan.boundary.cval, self._unpacking))
         copy = arrays[0].__setitem__ if number == 1 else None
         for tile in reduction.tiles():
             blocks = reduction.blocks()
@@ -424,11 +426,17 @@ class _Making:
                 self._told(_COST["reduce"] * cost)
         if self._cache is not None:  # the source is not read any more
             self._cache.close()
+            self._read_out = True
+
+    @property
+    def _unpacking(self) -> int:
+        """Bytes for a large chunk of the source that is being unpacked."""
+        return self._cache.unpacking_of_one if self._cache is not None and not self._read_out else 0
 
     @property
     def _held(self) -> int:
         """Bytes for chunks of the source: those that are kept, and those that are being read."""
-        return 2 * self._cache.most if self._cache is not None else 0
+        return 2 * self._cache.most + self._unpacking if self._cache is not None else 0
 
     def _within(self, make: Callable[[int], Reduction]) -> Reduction:
         """What is made of the room beside the chunks of the source that are kept; these go where it asks for all."""
@@ -439,7 +447,7 @@ class _Making:
             if self._cache is None or not held:
                 raise
             self._cache.close()
-            return make(self._room)
+            return make(self._room - self._unpacking)
 
     def _copy(self, array: Any) -> None:
         """The only size, in whole chunks."""

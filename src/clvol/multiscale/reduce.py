@@ -65,6 +65,8 @@ class Reduction:
     device : Device
     cval : float
         What stands outside, if the boundary rule has such a value.
+    beside : int
+        Bytes that are taken beside these, which the message counts in.
 
     Raises
     ------
@@ -85,22 +87,23 @@ class Reduction:
         budget: int,
         device: Device,
         cval: float = 0.0,
+        beside: int = 0,
     ) -> None:
         self._read, self.finer, self.coarser, self._sums = read, finer, coarser, sums
         self._dtype, self._kind, self._device, self._cval = dtype, kind, device, cval
         self.units = units
         self.deep = deep
-        self.edges = self._fitting(budget)
+        self.edges = self._fitting(budget, FIXED + beside)
 
-    def _fitting(self, budget: int) -> tuple[int, int]:
+    def _fitting(self, budget: int, beside: int) -> tuple[int, int]:
         """Edges of the tiles along x and y: the largest that the budget holds."""
         x, y, _ = (min(-(-n // unit) * unit, n) for n, unit in zip(self.coarser.size, self.units, strict=True))
         while self._bytes(x, y) > budget:
             wide = [(n, axis) for axis, n in enumerate((x, y)) if n > self.units[axis]]
             if not wide:
-                least = -(-(self._bytes(x, y) + FIXED) // _MIB)
+                least = -(-(self._bytes(x, y) + beside) // _MIB)
                 raise OptionError(
-                    f"budget must hold at least one column of chunks, {least} MiB; got {(budget + FIXED) // _MIB} MiB"
+                    f"budget must hold at least one column of chunks, {least} MiB; got {(budget + beside) // _MIB} MiB"
                 )
             edge, axis = max(wide)
             half = -(-edge // (2 * self.units[axis])) * self.units[axis]

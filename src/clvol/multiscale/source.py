@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from clvol.chunks import Chunks
 from clvol.lazy import LazyVolume
 from clvol.sliced import said_of_file, said_of_folder
 
@@ -20,7 +21,8 @@ def said_of(volume: LazyVolume) -> str:
     Of others (dask's, what is far away) the samples in the middle are all that is looked at, and metadata.
     """
     some = zlib.crc32(np.ascontiguousarray(volume.part().data).tobytes())
-    return f"{volume.shape} {volume.dtype} {some:08x}, {_whole(volume.data)}"
+    source = volume.data.source if isinstance(volume.data, Chunks) else volume.data
+    return f"{volume.shape} {volume.dtype} {some:08x}, {_whole(source)}"
 
 
 def _whole(data: Any) -> str:

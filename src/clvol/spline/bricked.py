@@ -22,12 +22,12 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from clvol import memory
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.checks import whole
-from clvol.chunks import Chunks, lines_of
+from clvol.chunks import UNPACKING, Chunks, lines_of, stored_in_one
 from clvol.device import Device, as_device
 from clvol.errors import DataError, OptionError, OutOfMemoryError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter, bspline
 from clvol.interop import as_output
-from clvol.lazy import Index, LazyVolume
+from clvol.lazy import Index, LazyVolume, budget_for
 from clvol.rounding import in_kind
 from clvol.smoothing import filter_for, settled
 from clvol.spline.build import DefineDict, evaluator_defines, filter_defines
@@ -71,17 +71,17 @@ from clvol.stored import Stored
 from clvol.transform import Transforms, as_chain
 from clvol.volume import Volume
 
-__all__ = ["BUDGET", "LEFT_OUT", "Brick", "BrickedField", "Reads", "Resident", "Whole", "as_lazy", "margin_of"]
+__all__ = ["LEFT_OUT", "Brick", "BrickedField", "Reads", "Resident", "Whole", "as_lazy", "margin_of"]
 
 LEFT_OUT = 1e-8  # of the samples' range: what coefficients lack of samples beyond a brick's margin
-BUDGET = 2 << 30
-"""Bytes that bricks take where nothing is said."""
 _EDGES = (256, 128, 64, 32)  # samples along those of a brick that are tried, the first of which several fit into the budget
 _SEVERAL = 8
 _AROUND = 3  # samples that positions may be off by, and that neighbours take for central differences
 _FAR = float(1 << 30)  # cells: past any
 _ALIGNED = 4  # cells: those of which it is kept together on which side of a value they are
-_BLOCK_OF_RESULTS = 96  # along an edge, of grids that are not along the volume's axes
+_BLOCKS_OF_RESULTS = (96, 64, 48, 32, 24, 16)  # along an edge, of grids that are not along the volume's axes, that are tried
+_OF_A_RESULT = 200  # bytes, on the way to one of these: points in several frames, and where they belong
+_RESULTS = 8  # of the budget, one part in so many is for those
 _KEPT = 4  # of the budget, one part in so many is for unpacked chunks
 _KEPT_LONG = 2  # where chunks reach through many bricks
 _CLOSED = "the field was closed, and its coefficients were released; make a new one"
@@ -161,8 +161,8 @@ class BrickedField:
     device : Device, str or int, optional
         See `as_device`.
     budget : int, optional
-        Bytes that bricks may take: on the device, those that are being read, and chunks that were unpacked; by default 2 GiB, or
-        half of the memory that is available if that is less. A chunk that is larger is unpacked all the same, beside one brick.
+        Bytes that bricks may take: on the device, those that are being read, and chunks that are unpacked; by default 2 GiB, or
+        half of the memory that is available if that is less, or more where a chunk has to be unpacked that takes as much.
     edge : int, optional
         Samples along an edge of a brick; by default as many as let several fit into the budget, 128 at most, or 256 where all of
         the volume fits, and whole chunks. Of chunks that are longer than bricks, such as planes, so many that the budget holds
@@ -188,7 +188,7 @@ class BrickedField:
         `volume` is none that `LazyVolume` takes, or labels that float32 does not hold are drawn by "nearest".
     OptionError
         `filter`, `boundary` or `device` is the name of none; `edge` is no whole number of at least 8; the budget is smaller than a
-        brick: the message says what the least is; or `budget` is given with `beside`.
+        brick, or than unpacking a chunk takes: the message says what the least is; or `budget` is given with `beside`.
     OutOfMemoryError
         The device allows no buffer that holds a brick.
 
@@ -213,6 +213,7 @@ class BrickedField:
         if beside is not None and budget is not None:
             raise OptionError(f"budget must be left to the field beside which this one is; got {budget!r} with it")
         self.volume = volume = as_lazy(volume)
+        own = 0 if beside is not None else budget_for(volume, budget)
         kept = volume.bounds
         chosen = kept.filter if filter is None and kept is not None else filter
         if boundary is None:
@@ -224,7 +225,6 @@ class BrickedField:
         self._require_names(volume.known)
         self.boundary = as_boundary(boundary)
         self.device = as_device(device)
-        own = min(BUDGET, memory.available() // 2) if budget is None else whole("budget", budget, 1)
         self._account: Account = Account(own) if beside is None else beside._account
         self.budget = self._account.budget
         self.reads = Reads()
@@ -235,6 +235,7 @@ class BrickedField:
         past = self.filter.scale * (self._pad + self._reach)
         self._extent = extent_of(self.filter, 3, tuple(self.filter.scale * n for n in volume.size), past)
         self._lines = None if isinstance(volume.data, np.ndarray) else lines_of(volume.data)
+        self._one = 0 if self._lines is None else stored_in_one(volume.data)
         self.edge = self._edge_for(edge, at_once=at_once)
         self._bounds: dict[Index, tuple[float, float]] = {}
         self._chunks = self._chunks_kept()
@@ -254,10 +255,8 @@ class BrickedField:
         """The edge that was asked for, or the largest of which several fit into the budget."""
         if edge is not None:
             edge = whole("edge", edge, 8)
-            if (most := self._most(edge)) > self.budget:
-                raise OptionError(
-                    f"budget must be at least {most} bytes, which a brick of {edge}³ samples takes; got {self.budget}"
-                )
+            if self._needed(edge) > self.budget:
+                raise self._too_small(edge)
             return edge
         if at_once and self._fits_at_once():
             return max(8, *self.volume.size)
@@ -266,14 +265,20 @@ class BrickedField:
         edges = _EDGES if everything < self.budget else _EDGES[1:]
         for kept, tried, count in itertools.product((True, False), (_SEVERAL, 2, 1), edges):
             beside = self._layer(count) if kept and any(self._long(count)) else 0
-            fits = tried * self._most(count) + beside <= self.budget and beside <= self.budget // _KEPT_LONG
+            taken = (tried - 1) * self._most(count) + self._needed(count) + beside
+            fits = taken <= self.budget and beside <= self.budget // _KEPT_LONG
             if fits and self._stored_at_most(count) <= self.device.largest:
                 return self._whole_chunks(count)
         least = _EDGES[-1]
         self.device.require_room(self._stored_at_most(least))
-        raise OptionError(
-            f"budget must be at least {self._most(least)} bytes, which a brick of {least}³ samples takes; got {self.budget}"
-        )
+        raise self._too_small(least)
+
+    def _too_small(self, edge: int) -> OptionError:
+        """What is said of a budget that holds no brick."""
+        why = f"a brick of {edge}³ samples takes"
+        if self._needed(edge) > self._most(edge):
+            why = f"reading {why}" + (f" with its chunk of {self._one} bytes" if self._one else ", low-passed")
+        return OptionError(f"budget must be at least {self._needed(edge)} bytes, which {why}; got {self.budget}")
 
     def _fits_at_once(self) -> bool:
         """Whether one brick may be all of it: samples that are in memory cost nothing to read, and one brick has no margins."""
@@ -323,7 +328,7 @@ class BrickedField:
             most = min(volume.nbytes, self.budget // _KEPT_LONG)
         else:
             most = min(self._layer(self.edge), self.budget // _KEPT)
-        return Chunks(read, self._lines, volume.dtype, most, self._account)
+        return Chunks(read, self._lines, volume.dtype, most, self._account, one=self._one)
 
     @property
     def long_chunks(self) -> tuple[bool, ...]:
@@ -334,6 +339,13 @@ class BrickedField:
         """Bytes that a brick takes while it is made, at most."""
         count = math.prod(self._size_at_most(edge))
         return int(self._stored_at_most(edge) * 1.1) + count * (1 + self.volume.dtype.itemsize)
+
+    def _needed(self, edge: int) -> int:
+        """The same while it is read, too, with all that this takes beside."""
+        size, data = self._size_at_most(edge), self.volume.data
+        if isinstance(data, Reduced):
+            return max(self._most(edge), data.taken(size[::-1]))
+        return max(self._most(edge), math.prod(size) * self.volume.dtype.itemsize + UNPACKING * self._one)
 
     def _size_at_most(self, edge: int) -> tuple[int, ...]:
         """Samples along the edges of a brick with its margins, at most."""
@@ -447,7 +459,8 @@ class BrickedField:
 
     def summed(self, sums: Mapping[int, Sums], kind: type[np.generic], outside: float) -> Reduced:
         """Sums along the axes of the samples, which are computed where they are read: see `Reduced`."""
-        return Reduced(self.volume, sums, kind, self.device, outside, self._counted)
+        beside = 0 if self._chunks is None else self._chunks.unpacking_most
+        return Reduced(self.volume, sums, kind, self.device, outside, self._counted, beside)
 
     def blocks_of(self, sums: Mapping[int, Sums], kind: type[np.generic], outside: float) -> Iterator[_Part]:
         """All of these, block by block, within the budget.
@@ -472,11 +485,15 @@ class BrickedField:
         made = bytes_of(size, self.filter, self._own_boundary, np.float32)
         stored = made // np.dtype(np.float32).itemsize  # cells, and some more
         samples = math.prod(size) * self.volume.dtype.itemsize
-        nbytes = max(made + max(samples, bytes_beside((stored,))), min(samples + self._unpacking(brick), self.budget))
+        nbytes = max(made + max(samples, bytes_beside((stored,))), samples + self._beside(brick))
         return self._residents.held(brick.at, nbytes, partial(self.samples, brick), partial(self._made, brick))
 
-    def _unpacking(self, brick: Brick) -> int:
-        """Bytes that reading a brick takes beside its samples, as far as is known: chunks, which are unpacked as a whole."""
+    def _beside(self, brick: Brick) -> int:
+        """Bytes that reading a brick takes beside its samples: chunks, which are unpacked as a whole, and what sums are made of."""
+        data = self.volume.data
+        if isinstance(data, Reduced):
+            size = [b - a for a, b in zip(brick.first, brick.last, strict=True)]
+            return data.taken(size[::-1]) - math.prod(size) * data.dtype.itemsize
         if self._chunks is None:
             return 0
         inside = [slice(max(a, 0), min(b, n)) for a, b, n in zip(brick.first, brick.last, self.volume.size, strict=True)]
@@ -505,7 +522,7 @@ class BrickedField:
         if not self.volume.ahead:
             return
         nbytes = math.prod(b - a for a, b in zip(brick.first, brick.last, strict=True)) * self.volume.dtype.itemsize
-        nbytes += self._unpacking(brick)
+        nbytes += self._beside(brick)
         self._residents.read_ahead(brick.at, nbytes, partial(self.samples, brick))
 
     def forget_ahead(self) -> None:
@@ -885,17 +902,21 @@ class BrickedField:
         chain: Chain | None = None,
     ) -> Iterator[_Part]:
         """Those of a grid that lies anyhow: blocks."""
-        starts = [range(0, n, _BLOCK_OF_RESULTS) for n in shape]
+        room = self.budget // _RESULTS // _OF_A_RESULT
+        edge = next((n for n in _BLOCKS_OF_RESULTS if n**3 <= room), _BLOCKS_OF_RESULTS[-1])
+        starts = [range(0, n, edge) for n in shape]
         count = math.prod(map(len, starts))
         for done, corner in enumerate(itertools.product(*starts), 1):
-            place = tuple(slice(a, min(a + _BLOCK_OF_RESULTS, n)) for a, n in zip(corner, shape, strict=True))
-            if chain is None:
-                z, y, x = np.meshgrid(*(np.arange(s.start, s.stop, dtype=np.float64) for s in place), indexing="ij")
-                points = np.stack([x, y, z], -1).reshape(-1, 3)
-            else:
-                points = chain.places(place)
-            values = self._at_indices(points @ matrix.T + offset, 0, fill)
-            yield place, values.reshape([s.stop - s.start for s in place]), done / count
+            place = tuple(slice(a, min(a + edge, n)) for a, n in zip(corner, shape, strict=True))
+            size = [s.stop - s.start for s in place]
+            with self._account.set_aside(_OF_A_RESULT * math.prod(size), self._residents):
+                if chain is None:
+                    z, y, x = np.meshgrid(*(np.arange(s.start, s.stop, dtype=np.float64) for s in place), indexing="ij")
+                    points = np.stack([x, y, z], -1).reshape(-1, 3)
+                else:
+                    points = chain.places(place)
+                values = self._at_indices(points @ matrix.T + offset, 0, fill)
+            yield place, values.reshape(size), done / count
 
     def _along_axes(
         self, matrix: NDArray[np.float64], offset: NDArray[np.float64], shape: tuple[int, ...], fill: float | None

@@ -16,7 +16,7 @@ from clvol.checks import whole
 from clvol.device import Device, as_device
 from clvol.errors import OptionError
 from clvol.filter import DEFAULT_FILTER, Filter
-from clvol.lazy import LazyVolume
+from clvol.lazy import LazyVolume, budget_for
 from clvol.smoothing import filter_for, settled
 from clvol.spline.bricked import BrickedField, as_lazy
 from clvol.spline.field import Anchor, Frame, Progress, Reals
@@ -165,6 +165,7 @@ def _opened(
         yield volume
         return
     lazy = as_lazy(volume)
+    budget_for(lazy, None)
     row = filter_for(lazy.part(), filter, DEFAULT_FILTER)  # that of a volume in memory, whatever bounds are beside it
     with BrickedField(lazy, row, "mirror" if boundary is None else boundary, device) as field:
         yield field

@@ -14,7 +14,7 @@ from clvol.device import Device
 from clvol.errors import OptionError
 from clvol.lazy import Index, LazyVolume
 from clvol.spline.reduce import Sums, order_of, sum_along
-from clvol.spline.rows import Rows, gathered
+from clvol.spline.rows import GAP, Rows, gathered
 
 __all__ = ["Reduced"]
 
@@ -39,6 +39,8 @@ class Reduced:
         The samples where a boundary rule puts none.
     read : callable, optional
         What reads the volume instead of `LazyVolume.read`.
+    beside : int
+        Bytes that this takes while it reads, beside what it gives.
 
     Attributes
     ----------
@@ -54,9 +56,10 @@ class Reduced:
         device: Device,
         outside: float,
         read: Callable[[Index, Index], NDArray[Any]] | None = None,
+        beside: int = 0,
     ) -> None:
         self._volume, self._sums, self._device, self._outside = volume, dict(sums), device, outside
-        self._order, self._read_volume = order_of(sums), read or volume.read
+        self._order, self._read_volume, self._beside = order_of(sums), read or volume.read, beside
         self._counted: dict[int, list[int]] = {}
         self.shape = tuple(len(sums[axis].places) if axis in sums else n for axis, n in enumerate(volume.shape))
         self.dtype = np.dtype(kind)
@@ -130,6 +133,10 @@ class Reduced:
         for axis, n in enumerate(self.shape):
             parts = range(0, n, edge)
             now.append(max(Rows.of(self._sums.get(axis), a, min(a + edge, n)).count for a in parts))
+        return self._steps(now, [min(edge, n) for n in self.shape])
+
+    def _steps(self, now: list[int], shape: Sequence[int]) -> list[int]:
+        """From the samples that a part takes along each axis to the numbers that there are of it."""
         if not self._order:
             return [math.prod(now)]
         *before, last = self._order
@@ -137,16 +144,29 @@ class Reduced:
         now[last] = min(whole, max(1, _SLAB * whole // math.prod(now)))
         counts = [math.prod(now)]
         for axis in before:
-            now[axis] = min(edge, self.shape[axis])
+            now[axis] = shape[axis]
             counts.append(math.prod(now))
         return [*counts, math.prod(now) // now[last] * whole]
 
     def _bytes(self, edge: int) -> int:
-        """What a block takes, at most: a slab as read and from one axis to the next, all of them once and again, and the result."""
-        *slab, kept = self._counts(edge)
+        return self._bytes_of(self._counts(edge), math.prod(min(edge, n) for n in self.shape))
+
+    def _bytes_of(self, counts: Sequence[int], result: int) -> int:
+        """What a part takes, at most: a slab as read and from one axis to the next, all of them once and again, and the result."""
+        *slab, kept = counts
         own, wide = self._volume.dtype.itemsize, self.dtype.itemsize
-        result = math.prod(min(edge, n) for n in self.shape)
         if not slab:
-            return 2 * own * kept + wide * kept
+            return 2 * own * kept + wide * kept + self._beside
         steps = [own * slab[0] + wide * (before + after) for before, after in itertools.pairwise(slab)]
-        return max(2 * own * slab[0], *steps, wide * slab[-1]) + wide * (2 * kept + 2 * result)
+        return max(2 * own * slab[0] + self._beside, *steps, wide * slab[-1]) + wide * (2 * kept + 2 * result)
+
+    def taken(self, shape: Sequence[int]) -> int:
+        """Bytes that reading a part of so many sums along z, y and x takes, its own included, wherever it lies.
+
+        Of sums that are as many as the samples are along each axis.
+        """
+        now = [
+            min(n, count + (self._sums[axis].places.shape[1] + GAP if axis in self._sums else 0))
+            for axis, (count, n) in enumerate(zip(shape, self.shape, strict=True))
+        ]
+        return self._bytes_of(self._steps(now, shape), math.prod(shape))

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from clvol.spline.reduce import Sums
 
-__all__ = ["Rows", "Runs", "gathered", "runs_of"]
+__all__ = ["GAP", "Rows", "Runs", "gathered", "runs_of"]
 
 Runs: TypeAlias = tuple[tuple[int, int], ...]
 """Samples of an axis, those from one to before another, and from a third on."""
 
-_GAP = 32  # samples that are read with those on both sides
+GAP = 32  # samples that are read with those on both sides
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ class Rows:
 def runs_of(places: NDArray[Any]) -> Runs:
     """The samples at some places, and those in small gaps between them."""
     own = np.unique(places)
-    ends = np.flatnonzero(np.diff(own) > _GAP)
+    ends = np.flatnonzero(np.diff(own) > GAP)
     firsts, lasts = own[np.concatenate([[0], ends + 1])], own[np.concatenate([ends, [own.size - 1]])]
     return tuple((int(a), int(b) + 1) for a, b in zip(firsts, lasts, strict=True))
 
