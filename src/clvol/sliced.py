@@ -125,7 +125,8 @@ class Window:
     @property
     def shape(self) -> tuple[int, ...]:
         """As the samples would have it as an array."""
-        return tuple(len(at) for i in self._kept if (at := self._ranges[i]) is not None)[self._whole :]
+        ends = [at for i in self._kept if (at := self._ranges[i]) is not None]
+        return tuple(at.stop - at.start for at in ends)[self._whole :]  # len() ends at 2⁶³, which files may say
 
     @property
     def ndim(self) -> int:

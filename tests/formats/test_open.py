@@ -230,8 +230,11 @@ def ome(path: Path, shapes: list[tuple[int, ...]], scales: list[Any], **about: A
         ([(8, 8, 8), (9, 4, 4)], [[1, 1, 1], [1, 2, 2]], "become smaller"),
         ([(8, 8, 8), (4, 4)], [[1, 1, 1], [2, 2, 2]], "must hold"),
         ([(2, 8, 8, 8)], [[1, 1, 1]], "must hold"),
-        ([(8, 8, 8)], [[1, 1, 1], [2, 2, 2]], "cannot"),
-        ([], [], "cannot"),
+        ([(8, 8, 8)], [[1, 1, 1], [2, 2, 2]], r"v\.zarr must hold an array for each of its sizes; that of size 1 has the path '1'"),
+        ([(8, 8, 8)], [["a", 1, 1]], "by a scale and a translation of 3 numbers"),
+        ([(8, 8, 8)], [[None, 1, 1]], "by a scale and a translation of 3 numbers"),
+        ([(8, 8, 8)], ["abc"], "by a scale and a translation of 3 numbers"),
+        ([], [], "must hold an array for each of its sizes"),
     ],
 )
 def test_metadata_that_lie(tmp_path: Path, shapes: list[Any], scales: list[Any], match: str) -> None:
@@ -239,6 +242,16 @@ def test_metadata_that_lie(tmp_path: Path, shapes: list[Any], scales: list[Any],
     for trusted in (False, True):
         with pytest.raises(ClvolError, match=match):
             clvol.open(path, trusted=trusted)
+
+
+@pytest.mark.parametrize("axis", [3_000_000, 10**9, 10**30])
+def test_shapes_of_more_than_there_can_be(tmp_path: Path, axis: int) -> None:
+    stored(tmp_path / "v.zarr")
+    about = json.loads((tmp_path / "v.zarr" / "zarr.json").read_text()) | {"shape": [axis] * 3}
+    (tmp_path / "v.zarr" / "zarr.json").write_text(json.dumps(about))
+    for trusted in (False, True):
+        with pytest.raises(DataError, match=rf"v\.zarr: data must take less than 2⁶³ bytes; got shape \({axis}, "):
+            clvol.open(tmp_path / "v.zarr", trusted=trusted)
 
 
 def test_shapes_tell_where_sizes_lie_before_0_4(tmp_path: Path) -> None:

@@ -59,7 +59,16 @@ class _Image:
         """The array of a size."""
         if self.multiscales is None:
             return self.node
-        return self.node[self.multiscales["datasets"][level]["path"]]
+        path = None
+        try:
+            path = self.multiscales["datasets"][level]["path"]
+            array = self.node[path]
+        except (IndexError, KeyError, TypeError):
+            array = None
+        if not hasattr(array, "shape"):  # nor has a group
+            name = self.node.store_path.store.name
+            raise FormatError(f"{name} must hold an array for each of its sizes; that of size {level} has the path {path!r}")
+        return array
 
     @property
     def series(self) -> Series:
@@ -440,12 +449,15 @@ def _multiscale(source: str, image: _Image, level: int, choose: Choice, load: Lo
         *multiscales["datasets"][level].get("coordinateTransformations", ()),
         *multiscales.get("coordinateTransformations", ()),
     ):
-        if step["type"] == "scale" and len(step.get("scale", ())) == array.ndim:
-            factors = [a * b for a, b in zip(factors, step["scale"], strict=True)]
-            shifts = [a * b for a, b in zip(shifts, step["scale"], strict=True)]
-        elif step["type"] == "translation" and len(step.get("translation", ())) == array.ndim:
-            shifts = [a + b for a, b in zip(shifts, step["translation"], strict=True)]
-        elif step["type"] != "identity":
+        kind = step.get("type")
+        numbers = step.get(kind)
+        given = isinstance(numbers, list) and len(numbers) == array.ndim and all(isinstance(n, (int, float)) for n in numbers)
+        if kind == "scale" and given:
+            factors = [a * b for a, b in zip(factors, numbers, strict=True)]
+            shifts = [a * b for a, b in zip(shifts, numbers, strict=True)]
+        elif kind == "translation" and given:
+            shifts = [a + b for a, b in zip(shifts, numbers, strict=True)]
+        elif kind != "identity":
             raise FormatError(f"{source} must place its axes by a scale and a translation of {array.ndim} numbers; got {step}")
     if any(factor < 0 for factor in factors):
         raise FormatError(f"{source} must have scales that are positive; got {factors}")
