@@ -415,6 +415,26 @@ def test_tiff(tmp_path: Path, kind: str) -> None:
     same(path, **({"time": 1, "channel": 2} if several else {}))
 
 
+@pytest.mark.parametrize(("layout", "said"), [({"tile": (16, 16)}, "tile 4"), ({"rowsperstrip": 8}, "strip 3")])
+@pytest.mark.parametrize("several", [False, True])
+def test_a_damaged_page_of_a_tiff_is_named(tmp_path: Path, layout: dict[str, Any], said: str, several: bool) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    path = tmp_path / "v.ome.tif"
+    data = DATA if several else DATA[0, 0]
+    about = {"axes": "TCZYX" if several else "ZYX"}
+    tifffile.imwrite(path, data, compression="deflate", photometric="minisblack", metadata=about, **layout)
+    number = 87 if several else 7  # that at time 1, channel 1 and slice 7
+    with tifffile.TiffFile(path) as file:
+        place = file.pages[number].dataoffsets[int(said[-1])]
+    with path.open("r+b") as stream:
+        stream.seek(place + 20)
+        stream.write(b"damaged")
+    lazy = clvol.open(path, trusted=True, **({"time": 1, "channel": 1} if several else {}))
+    np.testing.assert_array_equal(lazy.read((0, 0, 8), (40, 30, 20)), DATA[1 if several else 0, 1 if several else 0, 8:])
+    with pytest.raises(FormatError, match=rf"samples \[0:20, 0:30, 0:40\].*{said} of page {number} of v\.ome\.tif"):
+        lazy.whole()
+
+
 def test_sizes_of_a_tiff(tmp_path: Path) -> None:
     tifffile = pytest.importorskip("tifffile")
     with tifffile.TiffWriter(tmp_path / "v.ome.tif", ome=True) as file:
