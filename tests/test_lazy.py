@@ -160,7 +160,7 @@ def test_a_file_that_was_closed_is_told_by_whatever_asks_it(tmp_path: Path, devi
         lambda: volume.limits,
         lambda: LazyVolume(data),
     ):
-        with pytest.raises(FormatError, match="cannot read .*chunks|cannot read shape and dtype"):
+        with pytest.raises(FormatError, match=r"cannot read .*chunks|cannot read shape and dtype"):
             call()
 
 

@@ -102,8 +102,8 @@ class LazyVolume:
     Raises
     ------
     DataError
-        `data` has no shape, dtype and slices, not three axes, an empty axis, 2⁶³ bytes or more, or holds no real numbers; a level is
-        no LazyVolume, or one larger than that before.
+        `data` has no shape, dtype and slices, not three axes, an empty axis, 2⁶³ bytes or more, or holds no real numbers; a level
+        is no LazyVolume, or one larger than that before.
     FormatError
         `data` does not say what it is: its file was closed.
     GeometryError, OptionError

@@ -10,6 +10,7 @@ import pickle
 import shutil
 import threading
 import time
+import urllib.parse
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -280,9 +281,9 @@ def test_stores_without_samples(tmp_path: Path) -> None:
 
 
 class Slow(http.server.SimpleHTTPRequestHandler):
-    """Files of a folder, each a while after it was asked for; what fails is asked for in vain."""
+    """Files of a folder, each a while after it was asked for; what fails, or lacks the query, is asked for in vain."""
 
-    delay, failing, asked, now, most = 0.02, "", 0, 0, 0
+    delay, failing, query, asked, now, most = 0.02, "", "", 0, 0, 0
 
     def do_GET(self) -> None:
         own = type(self)
@@ -292,6 +293,8 @@ class Slow(http.server.SimpleHTTPRequestHandler):
         own.now -= 1
         if self.failing and self.path.endswith(self.failing):
             self.send_error(500)
+        elif self.query and urllib.parse.parse_qs(self.path.partition("?")[2]) != urllib.parse.parse_qs(self.query):
+            self.send_error(403)
         else:
             super().do_GET()
 
@@ -348,6 +351,28 @@ def test_faults_behind_http(served: tuple[str, Path, type[Slow]], monkeypatch: p
         clvol.open("nowhere://v.zarr")
     with pytest.raises(OptionError, match="storage_options are for addresses"):
         clvol.open(folder / "v.zarr", storage_options={})
+
+
+@pytest.mark.parametrize(("query", "about"), [("sv=2020&sig=a%2Bb%2Fc%3D&se=", {}), ("sv=1&sig=a%2Bb", {"params": {"sig": "a+b"}})])
+def test_a_query_goes_with_each_key(served: tuple[str, Path, type[Slow]], query: str, about: dict[str, Any]) -> None:
+    """As tokens of whole containers have it; no message tells them."""
+    address, folder, handler = served
+    stored(folder / "v.zarr")
+    handler.query = query
+    asked = query if not about else query.partition("&")[0]
+    far = clvol.open(f"{address}/v.zarr?{asked}", storage_options=about)
+    np.testing.assert_array_equal(far.read(LOW, HIGH), DATA[0, 0][PART])
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(far)).read(LOW, HIGH), DATA[0, 0][PART])
+    handler.query = "sig=another"
+    with pytest.raises(FormatError, match=r"chunk c/0/0/0 of v\.zarr.*403") as caught:
+        far.read((0, 0, 0), (5, 5, 5))
+    assert "sig" not in str(caught.value)
+
+
+def test_addresses_are_of_zarr_alone() -> None:
+    for name in ("v.tif", "v.NRRD", "v.nii.gz?token=abc"):
+        with pytest.raises(FormatError, match=r"https://a\.org/v\.\S+ must be a Zarr store.*download"):
+            clvol.open(f"https://a.org/{name}")
 
 
 def test_a_store_in_fsspecs_memory() -> None:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeAlias
+from urllib.parse import parse_qsl
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,8 @@ _WATCHED = 1 << 17  # chunks whose files are watched, those that were first read
 _SECONDS = 10.0  # after which it is asked again whether what is far away is what it was
 _TRIED = 4096  # chunks, in search of one that is damaged
 _SECRET = 6  # letters, from which on a word of options is left out of messages
+_HTTP = ("http", "https")
+_QUERY = re.compile(r"""(://[^\s?'"]*)\?[^\s'"]*""")
 _IN_EXTRA = ("s3", "s3a", "http", "https")  # addresses that the extra "s3" is for
 
 Load: TypeAlias = Callable[..., Any]  # from a name, an array and an index to its samples there, or a window of them
@@ -92,7 +95,7 @@ def said(error: Exception, address: str, options: Mapping[str, Any] | None) -> s
     for secret in sorted(known, key=len, reverse=True):
         if len(secret) >= _SECRET:
             text = text.replace(secret, "...")
-    return text
+    return _QUERY.sub(r"\1?...", text)  # of an address that was put together anew, which may have other escapes
 
 
 def _strings(options: Any, name: str = "") -> Iterator[str]:
@@ -209,7 +212,8 @@ def _store(source: Path | str, options: Mapping[str, Any] | None = None, watched
     if isinstance(source, str):
         name = shown(source).rstrip("/").rpartition("/")[2] or shown(source)
         try:
-            found = FsspecStore.from_url(source, storage_options=dict(options or {}), read_only=True)
+            place, about = _for_all_keys(source, options or {})
+            found = FsspecStore.from_url(place, storage_options=about, read_only=True)
         except ImportError as error:
             kind = source.partition("://")[0]
             how = "pip install clvol[s3]" if kind in _IN_EXTRA else str(error)  # fsspec names what the others need
@@ -218,6 +222,14 @@ def _store(source: Path | str, options: Mapping[str, Any] | None = None, watched
     if source.is_dir():
         return checked(LocalStore(source, read_only=True), source.resolve(), source.name, watched), "", source.name
     return checked(ZipStore(source, mode="r"), source, source.name, watched), _inside(source), source.name
+
+
+def _for_all_keys(address: str, options: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
+    """An address, and options, with which the query of one of HTTP (a token) goes with each key; it ended the address of none."""
+    place, _, query = address.partition("?")
+    if not query or address.partition("://")[0] not in _HTTP:
+        return address, dict(options)
+    return place, {**options, "params": [*parse_qsl(query, keep_blank_values=True), *dict(options.get("params", {})).items()]}
 
 
 @cache
