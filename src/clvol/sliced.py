@@ -117,6 +117,11 @@ class Window:
         words = getattr(self._read, "said", None)
         return None if words is None else str(words())
 
+    @property
+    def place(self) -> Path | None:
+        """The file or the folder that it is read from, if its reader says so."""
+        return getattr(self._read, "place", None)
+
     def _copy(self) -> Window:
         made = object.__new__(Window)
         made.__dict__.update(self.__dict__)
@@ -209,6 +214,11 @@ class Watched:
     def said(self) -> str:
         """By what it is known to be the same."""
         return said_of_file(self._path)
+
+    @property
+    def place(self) -> Path:
+        """The file."""
+        return self._path
 
 
 class FlatFile(Watched):

@@ -504,6 +504,8 @@ def test_bad_input(volume: clvol.Volume) -> None:
             renderer.render(mode="isosurface", outputs="uncertainty")
         with pytest.raises(OptionError, match="bricks are read by direct taps"):
             renderer.render(fetch="image")
+        with pytest.raises(OptionError, match="evaluator must be one of auto, taps, paired, eight-fetch; got 'direct'"):
+            renderer.render(evaluator="direct")
         with pytest.raises(OptionError, match="must be left to the field"):
             Renderer(field, "linear")
     with pytest.raises(OptionError, match="the field was closed"):

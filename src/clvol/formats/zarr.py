@@ -337,6 +337,12 @@ class _Chunked:
             return f"metadata {zlib.crc32(repr(self._array.metadata).encode()):08x}"
         return said_of_folder(root / self._array.path) if root.is_dir() else said_of_file(root)
 
+    @property
+    def place(self) -> Path | None:
+        """The folder or the archive of the store, if it is here."""
+        root: Path | None = self._store.root
+        return root
+
     def _require_the_same(self) -> None:
         """Raise if the array's metadata are others by now: at each read of a folder, at times of what is far away."""
         array, store = self._array, self._store
