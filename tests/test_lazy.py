@@ -22,8 +22,10 @@ from clvol.sliced import MappedFile
 class Counted:
     """An array that counts what is read of it."""
 
-    def __init__(self, data: np.ndarray[Any, Any], chunks: tuple[int, ...] | None = None) -> None:
-        self.data, self.shape, self.dtype, self.chunks, self.read = data, data.shape, data.dtype, chunks, 0
+    def __init__(
+        self, data: np.ndarray[Any, Any], chunks: tuple[int, ...] | None = None, shape: tuple[Any, ...] | None = None
+    ) -> None:
+        self.data, self.shape, self.dtype, self.chunks, self.read = data, shape or data.shape, data.dtype, chunks, 0
 
     def __getitem__(self, index: Any) -> np.ndarray[Any, Any]:
         part = self.data[index]
@@ -130,6 +132,10 @@ def test_what_cannot_be_read_is_named(data: Broken, words: str) -> None:
         noise(2, 3, 3, 3),
         np.zeros((2, 2, 2), complex),
         np.zeros((2, 2, 2), object),
+        Counted(noise(2, 2, 2), shape=(float("nan"), 2, 2)),
+        Counted(noise(2, 2, 2), shape=(1 << 21, 1 << 21, 1 << 19)),
+        Counted(noise(2, 2, 2), shape=(3_000_000, 3_000_000, 3_000_000)),
+        Counted(noise(2, 2, 2), shape=(10**30, 1, 1)),
         clvol.Volume(noise(3, 3, 3)),
         LazyVolume(noise(3, 3, 3)),
     ],
@@ -137,6 +143,27 @@ def test_what_cannot_be_read_is_named(data: Broken, words: str) -> None:
 def test_what_is_no_volume_is_refused(data: Any) -> None:
     with pytest.raises(DataError, match=r"^(data|every axis of data) must"):
         LazyVolume(data)
+
+
+def test_the_largest_volume_is_one_that_arrays_could_hold() -> None:
+    shape = (1 << 21, 1 << 21, (1 << 19) - 1)
+    volume = LazyVolume(Counted(noise(2, 2, 2), shape=shape))
+    assert (volume.shape, volume.grid.shape) == (shape, shape)
+
+
+def test_a_file_that_was_closed_is_told_by_whatever_asks_it(tmp_path: Path, device: Device) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "v.h5", "w") as file:
+        data = file.create_dataset("v", data=noise(9, 9, 9), chunks=(4, 4, 4))
+        volume = LazyVolume(data)
+    for call in (
+        lambda: clvol.BrickedField(volume, "linear", device=device),
+        lambda: volume.chunks,
+        lambda: volume.limits,
+        lambda: LazyVolume(data),
+    ):
+        with pytest.raises(FormatError, match=r"cannot read .*chunks|cannot read shape and dtype"):
+            call()
 
 
 def test_levels_must_become_smaller() -> None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import itertools
 import math
+import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from typing import Any, Protocol, TypeAlias, runtime_checkable
@@ -104,8 +106,10 @@ class LazyVolume:
     Raises
     ------
     DataError
-        `data` has no shape, dtype and slices, not three axes, an empty axis, or holds no real numbers; a level is no LazyVolume, or
-        one larger than that before.
+        `data` has no shape, dtype and slices, not three axes, an empty axis, 2⁶³ bytes or more, or holds no real numbers; a level
+        is no LazyVolume, or one larger than that before.
+    FormatError
+        `data` does not say what it is: its file was closed.
     GeometryError, OptionError
         As of `Volume`.
     """
@@ -128,15 +132,18 @@ class LazyVolume:
         missing: float | None = None,
         bounds: Bounds | None = None,
     ) -> None:
-        if isinstance(data, (Volume, LazyVolume)) or not isinstance(data, Sliced):
-            raise DataError(f"data must have a shape, a dtype and slices; got {type(data).__name__}")
-        shape, dtype = tuple(data.shape), np.dtype(data.dtype).newbyteorder("=")
-        if len(shape) != 3 or any(n != int(n) for n in shape):  # dask does not know all sizes: nan
+        with _reading("shape and dtype of data"):
+            if isinstance(data, (Volume, LazyVolume)) or not isinstance(data, Sliced):
+                raise DataError(f"data must have a shape, a dtype and slices; got {type(data).__name__}")
+            shape, dtype = tuple(data.shape), np.dtype(data.dtype).newbyteorder("=")
+        if len(shape) != 3 or any(n != n // 1 for n in shape):  # dask does not know all sizes: nan
             raise DataError(f"data must have 3 axes [z, y, x] of known sizes; got shape {shape}")
         if dtype.kind not in "biuf":
             raise DataError(f"data must be boolean, integer or floating; got dtype {dtype}")
         if 0 in shape:
             raise DataError(f"every axis of data must hold at least one sample; got shape {shape}")
+        if math.prod(map(int, shape)) * dtype.itemsize > sys.maxsize:  # of an array of NumPy, as `grid` has one
+            raise DataError(f"data must take less than 2⁶³ bytes; got shape {shape} of {dtype}")
         self.data = data
         self.missing = None if missing is None else number("missing", missing)
         self.bounds = bounds
@@ -294,7 +301,8 @@ class LazyVolume:
     @property
     def chunks(self) -> Index | None:
         """Samples along x, y and z that are stored together; None where any part is read as fast."""
-        stored = getattr(self.data, "chunksize", None) or getattr(self.data, "chunks", None)
+        with _reading(f"the chunks of {self._title}"):
+            stored = getattr(self.data, "chunksize", None) or getattr(self.data, "chunks", None)
         if stored is None or len(stored) != 3 or not all(isinstance(n, (int, np.integer)) and n > 0 for n in stored):
             return None
         x, y, z = (int(n) for n in stored[::-1])
@@ -304,6 +312,12 @@ class LazyVolume:
     def stored_in_one(self) -> int:
         """Bytes of the largest chunk of all sizes, which is unpacked as a whole; 0 where any part is read by itself."""
         return max(stored_in_one(one.data) for one in (self, *self.levels))
+
+    @property
+    def lines(self) -> tuple[NDArray[np.int64], ...] | None:
+        """Where chunks begin along z, y and x, and where the last one ends; None if there are none, or all is in memory."""
+        with _reading(f"the chunks of {self._title}"):
+            return None if isinstance(self.data, np.ndarray) else lines_of(self.data)
 
     # -- samples ---------------------------------------------------------------------------------------------------------
 
@@ -321,18 +335,12 @@ class LazyVolume:
         if not all(0 <= a < b <= n for a, b, n in zip(low, high, self.size, strict=True)):
             raise OptionError(f"read needs 0 <= low < high <= {self.size} along x, y, z; got {low} to {high}")
         memory.require(math.prod(b - a for a, b in zip(low, high, strict=True)) * self.dtype.itemsize, f"{self._words(low, high)}")
-        try:
+        with _reading(self._words(low, high)):
             found = self.data[index]
             if self._for_tasks and _is_of_dask(found):
                 found = found.compute(scheduler="synchronous")
             part = np.asarray(found)
             part = part.astype(part.dtype.newbyteorder("="), copy=False)
-        except FormatError as error:
-            raise FormatError(f"cannot read {self._words(low, high)}: {error}") from error
-        except (ClvolError, MemoryError):
-            raise
-        except Exception as error:  # of any library, a disk or a network
-            raise FormatError(f"cannot read {self._words(low, high)}: {str(error) or type(error).__name__}") from error
         expected = tuple(s.stop - s.start for s in index)
         if part.shape != expected or part.dtype != self.dtype:
             raise FormatError(
@@ -356,7 +364,11 @@ class LazyVolume:
 
     def _words(self, low: Index, high: Index) -> str:
         z, y, x = (f"{a}:{b}" for a, b in zip(low[::-1], high[::-1], strict=True))
-        return f"samples [{z}, {y}, {x}] of {self.name or 'the volume'}"
+        return f"samples [{z}, {y}, {x}] of {self._title}"
+
+    @property
+    def _title(self) -> str:
+        return self.name or "the volume"
 
     # -- what is known of them -------------------------------------------------------------------------------------------
 
@@ -487,6 +499,19 @@ class LazyVolume:
 
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
         raise DataError("a LazyVolume becomes no array by accident: take .whole().data for all samples, or read(low, high)")
+
+
+@contextmanager
+def _reading(what: str) -> Iterator[None]:
+    """Turn whatever a library, a disk or a network raises into a `FormatError` that says what cannot be read."""
+    try:
+        yield
+    except FormatError as error:
+        raise FormatError(f"cannot read {what}: {error}") from error
+    except (ClvolError, MemoryError):
+        raise
+    except Exception as error:
+        raise FormatError(f"cannot read {what}: {str(error) or type(error).__name__}") from error
 
 
 def _is_of_dask(data: Any) -> bool:

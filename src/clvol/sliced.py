@@ -121,6 +121,11 @@ class Window:
         words = getattr(self._read, "said", None)
         return None if words is None else str(words())
 
+    @property
+    def place(self) -> Path | None:
+        """The file or the folder that it is read from, if its reader says so."""
+        return getattr(self._read, "place", None)
+
     def _copy(self) -> Window:
         made = object.__new__(Window)
         made.__dict__.update(self.__dict__)
@@ -129,7 +134,8 @@ class Window:
     @property
     def shape(self) -> tuple[int, ...]:
         """As the samples would have it as an array."""
-        return tuple(len(at) for i in self._kept if (at := self._ranges[i]) is not None)[self._whole :]
+        ends = [at for i in self._kept if (at := self._ranges[i]) is not None]
+        return tuple(at.stop - at.start for at in ends)[self._whole :]  # len() ends at 2⁶³, which files may say
 
     @property
     def ndim(self) -> int:
@@ -217,6 +223,11 @@ class Watched:
     def said(self) -> str:
         """By what it is known to be the same."""
         return said_of_file(self._path)
+
+    @property
+    def place(self) -> Path:
+        """The file."""
+        return self._path
 
 
 class FlatFile(Watched):

@@ -10,6 +10,7 @@ import pickle
 import shutil
 import threading
 import time
+import urllib.parse
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -230,8 +231,11 @@ def ome(path: Path, shapes: list[tuple[int, ...]], scales: list[Any], **about: A
         ([(8, 8, 8), (9, 4, 4)], [[1, 1, 1], [1, 2, 2]], "become smaller"),
         ([(8, 8, 8), (4, 4)], [[1, 1, 1], [2, 2, 2]], "must hold"),
         ([(2, 8, 8, 8)], [[1, 1, 1]], "must hold"),
-        ([(8, 8, 8)], [[1, 1, 1], [2, 2, 2]], "cannot"),
-        ([], [], "cannot"),
+        ([(8, 8, 8)], [[1, 1, 1], [2, 2, 2]], r"v\.zarr must hold an array for each of its sizes; that of size 1 has the path '1'"),
+        ([(8, 8, 8)], [["a", 1, 1]], "by a scale and a translation of 3 numbers"),
+        ([(8, 8, 8)], [[None, 1, 1]], "by a scale and a translation of 3 numbers"),
+        ([(8, 8, 8)], ["abc"], "by a scale and a translation of 3 numbers"),
+        ([], [], "must hold an array for each of its sizes"),
     ],
 )
 def test_metadata_that_lie(tmp_path: Path, shapes: list[Any], scales: list[Any], match: str) -> None:
@@ -239,6 +243,16 @@ def test_metadata_that_lie(tmp_path: Path, shapes: list[Any], scales: list[Any],
     for trusted in (False, True):
         with pytest.raises(ClvolError, match=match):
             clvol.open(path, trusted=trusted)
+
+
+@pytest.mark.parametrize("axis", [3_000_000, 10**9, 10**30])
+def test_shapes_of_more_than_there_can_be(tmp_path: Path, axis: int) -> None:
+    stored(tmp_path / "v.zarr")
+    about = json.loads((tmp_path / "v.zarr" / "zarr.json").read_text()) | {"shape": [axis] * 3}
+    (tmp_path / "v.zarr" / "zarr.json").write_text(json.dumps(about))
+    for trusted in (False, True):
+        with pytest.raises(DataError, match=rf"v\.zarr: data must take less than 2⁶³ bytes; got shape \({axis}, "):
+            clvol.open(tmp_path / "v.zarr", trusted=trusted)
 
 
 def test_shapes_tell_where_sizes_lie_before_0_4(tmp_path: Path) -> None:
@@ -267,9 +281,9 @@ def test_stores_without_samples(tmp_path: Path) -> None:
 
 
 class Slow(http.server.SimpleHTTPRequestHandler):
-    """Files of a folder, each a while after it was asked for; what fails is asked for in vain."""
+    """Files of a folder, each a while after it was asked for; what fails, or lacks the query, is asked for in vain."""
 
-    delay, failing, asked, now, most = 0.02, "", 0, 0, 0
+    delay, failing, query, asked, now, most = 0.02, "", "", 0, 0, 0
 
     def do_GET(self) -> None:
         own = type(self)
@@ -279,6 +293,8 @@ class Slow(http.server.SimpleHTTPRequestHandler):
         own.now -= 1
         if self.failing and self.path.endswith(self.failing):
             self.send_error(500)
+        elif self.query and urllib.parse.parse_qs(self.path.partition("?")[2]) != urllib.parse.parse_qs(self.query):
+            self.send_error(403)
         else:
             super().do_GET()
 
@@ -335,6 +351,28 @@ def test_faults_behind_http(served: tuple[str, Path, type[Slow]], monkeypatch: p
         clvol.open("nowhere://v.zarr")
     with pytest.raises(OptionError, match="storage_options are for addresses"):
         clvol.open(folder / "v.zarr", storage_options={})
+
+
+@pytest.mark.parametrize(("query", "about"), [("sv=2020&sig=a%2Bb%2Fc%3D&se=", {}), ("sv=1&sig=a%2Bb", {"params": {"sig": "a+b"}})])
+def test_a_query_goes_with_each_key(served: tuple[str, Path, type[Slow]], query: str, about: dict[str, Any]) -> None:
+    """As tokens of whole containers have it; no message tells them."""
+    address, folder, handler = served
+    stored(folder / "v.zarr")
+    handler.query = query
+    asked = query if not about else query.partition("&")[0]
+    far = clvol.open(f"{address}/v.zarr?{asked}", storage_options=about)
+    np.testing.assert_array_equal(far.read(LOW, HIGH), DATA[0, 0][PART])
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(far)).read(LOW, HIGH), DATA[0, 0][PART])
+    handler.query = "sig=another"
+    with pytest.raises(FormatError, match=r"chunk c/0/0/0 of v\.zarr.*403") as caught:
+        far.read((0, 0, 0), (5, 5, 5))
+    assert "sig" not in str(caught.value)
+
+
+def test_addresses_are_of_zarr_alone() -> None:
+    for name in ("v.tif", "v.NRRD", "v.nii.gz?token=abc"):
+        with pytest.raises(FormatError, match=r"https://a\.org/v\.\S+ must be a Zarr store.*download"):
+            clvol.open(f"https://a.org/{name}")
 
 
 def test_a_store_in_fsspecs_memory() -> None:
@@ -400,6 +438,26 @@ def test_tiff(tmp_path: Path, kind: str) -> None:
     data = DATA[0, 0] if not several else DATA.swapaxes(1, 2) if kind == "ImageJ" else DATA
     tifffile.imwrite(path, np.ascontiguousarray(data), **options)
     same(path, **({"time": 1, "channel": 2} if several else {}))
+
+
+@pytest.mark.parametrize(("layout", "said"), [({"tile": (16, 16)}, "tile 4"), ({"rowsperstrip": 8}, "strip 3")])
+@pytest.mark.parametrize("several", [False, True])
+def test_a_damaged_page_of_a_tiff_is_named(tmp_path: Path, layout: dict[str, Any], said: str, several: bool) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    path = tmp_path / "v.ome.tif"
+    data = DATA if several else DATA[0, 0]
+    about = {"axes": "TCZYX" if several else "ZYX"}
+    tifffile.imwrite(path, data, compression="deflate", photometric="minisblack", metadata=about, **layout)
+    number = 87 if several else 7  # that at time 1, channel 1 and slice 7
+    with tifffile.TiffFile(path) as file:
+        place = file.pages[number].dataoffsets[int(said[-1])]
+    with path.open("r+b") as stream:
+        stream.seek(place + 20)
+        stream.write(b"damaged")
+    lazy = clvol.open(path, trusted=True, **({"time": 1, "channel": 1} if several else {}))
+    np.testing.assert_array_equal(lazy.read((0, 0, 8), (40, 30, 20)), DATA[1 if several else 0, 1 if several else 0, 8:])
+    with pytest.raises(FormatError, match=rf"samples \[0:20, 0:30, 0:40\].*{said} of page {number} of v\.ome\.tif"):
+        lazy.whole()
 
 
 def test_sizes_of_a_tiff(tmp_path: Path) -> None:

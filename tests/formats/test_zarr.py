@@ -205,13 +205,15 @@ def test_transforms_of_all_sizes_follow_those_of_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "match"),
     [
-        ({"datasets": []}, "cannot read"),
-        ({"datasets": [{"path": "1"}]}, "cannot read"),
+        ({"datasets": []}, r"v\.zarr must hold an array for each of its sizes"),
+        ({"datasets": [{"path": "1"}]}, r"v\.zarr must hold an array for each of its sizes.*'1'"),
+        ({"datasets": [{"path": ""}]}, r"v\.zarr must hold an array for each of its sizes"),
+        ({"datasets": [{}]}, r"v\.zarr must hold an array for each of its sizes"),
         ({"axes": [{"name": "z"}, {"name": "y"}]}, "its axes are|must hold"),
         ({"coordinateTransformations": [{"type": "affine", "path": "a"}]}, "scale and a translation.*affine"),
         ({"coordinateTransformations": [{"type": "scale", "scale": [1, 0, 1]}]}, "spacing must be positive"),
     ],
-    ids=["no sizes", "gone", "axes", "affine", "zero"],
+    ids=["no sizes", "gone", "a group", "no path", "axes", "affine", "zero"],
 )
 def test_damaged_metadata_raise(tmp_path: Path, changes: dict[str, Any], match: str) -> None:
     root = zarr.create_group(tmp_path / "v.zarr", zarr_format=2, attributes=damaged(changes))

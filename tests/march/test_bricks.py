@@ -244,7 +244,7 @@ def test_an_eye_beside_a_face_between_bricks(filter: str) -> None:
 
 @pytest.mark.parametrize(("azimuth", "elevation"), [(0, 0), (90, 0), (180, 0), (270, 0), (0, 90), (0, -90), (180, 90)])
 def test_rays_that_lie_in_a_face_between_bricks(azimuth: float, elevation: float) -> None:
-    """Their middle column or row of pixels; which side of the face a ray is on is the rounding of a hundred-millionth of a sample."""
+    """Which side of the face a ray of the middle column or row is on, the rounding of a hundred-millionth of a sample decides."""
     z, y, x = np.indices((33, 33, 3), np.float32) if azimuth in (90, 270) else np.indices((3, 33, 33), np.float32)
     volume = clvol.Volume(0.5 + 0.5 * np.sin(x / 3 + y / 5) * np.cos(z / 4))
     for projection in ("perspective", "orthographic"):
@@ -518,6 +518,8 @@ def test_bad_input(volume: clvol.Volume) -> None:
             renderer.render(mode="isosurface", outputs="uncertainty")
         with pytest.raises(OptionError, match="bricks are read by direct taps"):
             renderer.render(fetch="image")
+        with pytest.raises(OptionError, match="evaluator must be one of auto, taps, paired, eight-fetch; got 'direct'"):
+            renderer.render(evaluator="direct")
         with pytest.raises(OptionError, match="must be left to the field"):
             Renderer(field, "linear")
     with pytest.raises(OptionError, match="the field was closed"):

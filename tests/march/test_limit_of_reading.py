@@ -166,7 +166,7 @@ def test_a_default_budget_grows_with_a_chunk_up_to_what_is_available(monkeypatch
 
 
 def test_what_is_stored_as_it_is_is_read_by_its_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Large chunks of Zarr and HDF5, and pages of TIFF apart from each other: of both byte orders, and a chunk that is not stored."""
+    """Large chunks of Zarr and HDF5, and pages of TIFF that lie apart: of both byte orders, and a chunk that is not stored."""
     zarr, h5py, tifffile = (pytest.importorskip(name) for name in ("zarr", "h5py", "tifffile"))
     from clvol.formats import hdf5
     from clvol.formats import zarr as zarr_format
@@ -199,5 +199,5 @@ def test_what_is_stored_as_it_is_is_read_by_its_parts(tmp_path: Path, monkeypatc
     assert gone.read((4, 5, 29), (5, 6, 31)).ravel().tolist() == [int(data[29, 5, 4]), 7]
     chunk = tmp_path / "3big.zarr" / "c" / "0" / "0" / "0"
     chunk.write_bytes(chunk.read_bytes()[:-2])
-    with pytest.raises(clvol.errors.FormatError, match="cannot read chunk c/0/0/0 of 3big.zarr: it must have 180000 bytes"):
+    with pytest.raises(clvol.errors.FormatError, match=r"cannot read chunk c/0/0/0 of 3big.zarr: it must have 180000 bytes"):
         clvol.open(tmp_path / "3big.zarr", trusted=True).read((0, 0, 0), (2, 2, 2))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import itertools
 import math
 import zipfile
 import zlib
@@ -23,6 +24,7 @@ __all__ = [
     "Reader",
     "Writer",
     "bytes_at",
+    "damaged_chunk",
     "foreign_errors",
     "gunzipped_size",
     "inflated_size",
@@ -39,6 +41,7 @@ Reader = Callable[..., Content]
 Writer = Callable[[Volume, Path], None]
 
 _CHUNK = 1 << 20
+_TRIED = 4096  # chunks, in search of one that is damaged
 _GZIP_RESERVED = 0xE0  # of the flags of a member
 _XZ, _XZ_FOOTER, _XZ_BITS = b"\xfd7zXZ\0", 12, 63  # what a stream begins with; bytes of its end; bits of its numbers
 
@@ -103,6 +106,18 @@ def bytes_at(shape: Sequence[int], index: Sequence[int | slice], dtype: np.dtype
     """Bytes of the samples at an index of an array, which may leave out its last axes."""
     taken = (len(range(n)[at]) for n, at in zip(shape, index, strict=False) if isinstance(at, slice))
     return sample_count([*taken, *shape[len(index) :]]) * dtype.itemsize
+
+
+def damaged_chunk(array: Any, index: Sequence[int | slice]) -> tuple[int, ...] | None:
+    """Which chunk, the first among those at an index of an array, cannot be read by itself; None if it was not found."""
+    box = [range(n)[at] if isinstance(at, slice) else range(at, at + 1) for n, at in zip(array.shape, index, strict=True)]
+    places = (range(part[0] // edge, part[-1] // edge + 1) for part, edge in zip(box, array.chunks, strict=True))
+    for at in itertools.islice(itertools.product(*places), _TRIED):
+        try:
+            array[tuple(slice(k * edge, (k + 1) * edge) for k, edge in zip(at, array.chunks, strict=True))]
+        except Exception:  # of whatever library
+            return at
+    return None
 
 
 def require_members(source: object, archive: zipfile.ZipFile, *, replaced: bool = False) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
 from collections.abc import Callable, Mapping
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from clvol.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._choice import Choice, Series, chosen_series
-from clvol.formats._files import bytes_at, sample_count
+from clvol.formats._files import bytes_at, damaged_chunk, sample_count
 from clvol.formats._layout import Layout, decoded, lay_out, place, uniform, unnamed
 from clvol.formats._limits import announce
 from clvol.interop import Content
@@ -23,7 +22,6 @@ from clvol.volumes import Leading
 
 __all__ = ["lazily", "loaded", "member", "opened", "read", "series", "window"]
 
-_TRIED = 4096  # chunks, in search of one that is damaged
 _CACHED = 1 << 20  # bytes: HDF5 takes chunks that are no larger as a whole
 _NETCDF_3 = b"CDF"
 _NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"  # NAME of a scale that holds no coordinates
@@ -125,14 +123,8 @@ def _damaged(array: Any, index: Index) -> str:
     """The first chunk at an index that cannot be read by itself."""
     if not array.chunks:
         return "the samples"
-    box = [range(n)[at] if isinstance(at, slice) else range(at, at + 1) for n, at in zip(array.shape, index, strict=True)]
-    places = (range(part[0] // edge, part[-1] // edge + 1) for part, edge in zip(box, array.chunks, strict=True))
-    for at in itertools.islice(itertools.product(*places), _TRIED):
-        try:
-            array[tuple(slice(k * edge, (k + 1) * edge) for k, edge in zip(at, array.chunks, strict=True))]
-        except OSError:
-            return f"chunk {at}"
-    return "the chunks"
+    at = damaged_chunk(array, index)
+    return "the chunks" if at is None else f"chunk {at}"
 
 
 def _require_own(source: str, array: Any) -> None:

@@ -59,6 +59,7 @@ def open(  # noqa: A001  # as files are opened: clvol.open
         Zarr 2 and 3 and OME-Zarr (a folder or ``.zarr.zip``), TIFF, HDF5, netCDF-4 and Imaris; NIfTI, NRRD, MetaImage,
         ``.npy`` and raw samples that are not packed. Or the
         address of a Zarr store: ``s3://...`` and ``https://...`` (extra ``s3``), ``memory://...`` and all else that fsspec knows.
+        What follows a ``?`` in one of HTTP, such as a token, goes with all that is asked for.
     volume, time, channel, position, series, shape, dtype, byte_order, offset : optional
         As of `clvol.read`.
     level : int, optional
@@ -117,6 +118,8 @@ def open(  # noqa: A001  # as files are opened: clvol.open
         chosen = next(one for one in FORMATS if one.read is zarr_format.read)
         options = options_of(chosen, Path(path), given)
         name = zarr_format.shown(path)
+        if "::" not in path and name.lower().endswith(tuple(suffix for row in FORMATS for suffix in row.suffixes)):
+            raise FormatError(f"{name} must be a Zarr store, for these alone are read by their address; download the file first")
         with foreign_errors(f"open {name}", partial(zarr_format.said, address=path, options=storage_options)):
             contents = zarr_format.lazily(path, _Once(choice.given), **options, storage_options=storage_options)
         return opened(name, contents, replaced, missing).reopened_by(partial(open, path, **arguments))

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from clvol.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
 from clvol.formats._directories import Directory, directories, segments
-from clvol.formats._files import inflated_size, require_default, sample_count, scaled, storable, xz_size
+from clvol.formats._files import damaged_chunk, inflated_size, require_default, sample_count, scaled, storable, xz_size
 from clvol.formats._layout import Layout, lay_out
 from clvol.formats._limits import announce
 from clvol.formats._units import METRES, scale, unit_name
@@ -120,8 +120,16 @@ def _window(name: str, file: Any, image: Any, index: Index) -> Window:
 
     def read(index: Index) -> NDArray[Any]:
         assert not file.filehandle.closed  # it is held as long as this is
-        with lock, _strict():
-            return as_stored(np.asarray(array[index]))
+        with lock:
+            try:
+                with _strict():
+                    return as_stored(np.asarray(array[index]))
+            except MemoryError:
+                raise
+            except Exception as error:
+                raise FormatError(
+                    f"cannot read {_damaged(name, array, image, index)}: {str(error) or type(error).__name__}"
+                ) from error
 
     return Window(Watched(path, name, read), shape, array.dtype, array.chunks, index)
 
@@ -144,6 +152,18 @@ def _is_whole(page: Any, size: int) -> bool:
     """Whether the strips of a page follow each other, and are no longer than its samples."""
     ends = itertools.accumulate(page.databytecounts, initial=page.dataoffsets[0])
     return sum(page.databytecounts) == size and all(map(operator.eq, page.dataoffsets, ends))
+
+
+def _damaged(name: str, array: Any, image: Any, index: Index) -> str:
+    """The first strip or tile at an index that cannot be read by itself, its page and its file."""
+    with _strict():
+        at = damaged_chunk(array, index)
+    if at is None:
+        return f"strips or tiles of {name}"
+    counts = [-(-n // edge) for n, edge in zip(array.shape, array.chunks, strict=True)]
+    number, segment = divmod(int(np.ravel_multi_index(at, counts)), math.prod(counts) // len(image))
+    page, kind = image[number], "tile" if image.keyframe.is_tiled else "strip"
+    return f"{kind} {segment} of page {page.index} of {page.parent.filehandle.name}"
 
 
 def _content(path: Path, file: Any, number: int, level: int, choose: Choice, load: Callable[..., Any]) -> Content:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeAlias
+from urllib.parse import parse_qsl
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,8 @@ _SECONDS = 10.0  # after which it is asked again whether what is far away is wha
 _LARGE = 1 << 24  # bytes of a chunk that is read by parts, if it is stored as it is
 _TRIED = 4096  # chunks, in search of one that is damaged
 _SECRET = 6  # letters, from which on a word of options is left out of messages
+_HTTP = ("http", "https")
+_QUERY = re.compile(r"""(://[^\s?'"]*)\?[^\s'"]*""")
 _IN_EXTRA = ("s3", "s3a", "http", "https")  # addresses that the extra "s3" is for
 
 Load: TypeAlias = Callable[..., Any]  # from a name, an array and an index to its samples there, or a window of them
@@ -60,7 +63,16 @@ class _Image:
         """The array of a size."""
         if self.multiscales is None:
             return self.node
-        return self.node[self.multiscales["datasets"][level]["path"]]
+        path = None
+        try:
+            path = self.multiscales["datasets"][level]["path"]
+            array = self.node[path]
+        except (IndexError, KeyError, TypeError):
+            array = None
+        if not hasattr(array, "shape"):  # nor has a group
+            name = self.node.store_path.store.name
+            raise FormatError(f"{name} must hold an array for each of its sizes; that of size {level} has the path {path!r}")
+        return array
 
     @property
     def series(self) -> Series:
@@ -84,7 +96,7 @@ def said(error: Exception, address: str, options: Mapping[str, Any] | None) -> s
     for secret in sorted(known, key=len, reverse=True):
         if len(secret) >= _SECRET:
             text = text.replace(secret, "...")
-    return text
+    return _QUERY.sub(r"\1?...", text)  # of an address that was put together anew, which may have other escapes
 
 
 def _strings(options: Any, name: str = "") -> Iterator[str]:
@@ -221,7 +233,8 @@ def _store(source: Path | str, options: Mapping[str, Any] | None = None, watched
     if isinstance(source, str):
         name = shown(source).rstrip("/").rpartition("/")[2] or shown(source)
         try:
-            found = FsspecStore.from_url(source, storage_options=dict(options or {}), read_only=True)
+            place, about = _for_all_keys(source, options or {})
+            found = FsspecStore.from_url(place, storage_options=about, read_only=True)
         except ImportError as error:
             kind = source.partition("://")[0]
             how = "pip install clvol[s3]" if kind in _IN_EXTRA else str(error)  # fsspec names what the others need
@@ -230,6 +243,14 @@ def _store(source: Path | str, options: Mapping[str, Any] | None = None, watched
     if source.is_dir():
         return checked(LocalStore(source, read_only=True), source.resolve(), source.name, watched), "", source.name
     return checked(ZipStore(source, mode="r"), source, source.name, watched), _inside(source), source.name
+
+
+def _for_all_keys(address: str, options: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
+    """An address, and options, with which the query of one of HTTP (a token) goes with each key; it ended the address of none."""
+    place, _, query = address.partition("?")
+    if not query or address.partition("://")[0] not in _HTTP:
+        return address, dict(options)
+    return place, {**options, "params": [*parse_qsl(query, keep_blank_values=True), *dict(options.get("params", {})).items()]}
 
 
 @cache
@@ -336,6 +357,12 @@ class _Chunked:
         if root is None:
             return f"metadata {zlib.crc32(repr(self._array.metadata).encode()):08x}"
         return said_of_folder(root / self._array.path) if root.is_dir() else said_of_file(root)
+
+    @property
+    def place(self) -> Path | None:
+        """The folder or the archive of the store, if it is here."""
+        root: Path | None = self._store.root
+        return root
 
     def _require_the_same(self) -> None:
         """Raise if the array's metadata are others by now: at each read of a folder, at times of what is far away."""
@@ -499,12 +526,15 @@ def _multiscale(source: str, image: _Image, level: int, choose: Choice, load: Lo
         *multiscales["datasets"][level].get("coordinateTransformations", ()),
         *multiscales.get("coordinateTransformations", ()),
     ):
-        if step["type"] == "scale" and len(step.get("scale", ())) == array.ndim:
-            factors = [a * b for a, b in zip(factors, step["scale"], strict=True)]
-            shifts = [a * b for a, b in zip(shifts, step["scale"], strict=True)]
-        elif step["type"] == "translation" and len(step.get("translation", ())) == array.ndim:
-            shifts = [a + b for a, b in zip(shifts, step["translation"], strict=True)]
-        elif step["type"] != "identity":
+        kind = step.get("type")
+        numbers = step.get(kind)
+        given = isinstance(numbers, list) and len(numbers) == array.ndim and all(isinstance(n, (int, float)) for n in numbers)
+        if kind == "scale" and given:
+            factors = [a * b for a, b in zip(factors, numbers, strict=True)]
+            shifts = [a * b for a, b in zip(shifts, numbers, strict=True)]
+        elif kind == "translation" and given:
+            shifts = [a + b for a, b in zip(shifts, numbers, strict=True)]
+        elif kind != "identity":
             raise FormatError(f"{source} must place its axes by a scale and a translation of {array.ndim} numbers; got {step}")
     if any(factor < 0 for factor in factors):
         raise FormatError(f"{source} must have scales that are positive; got {factors}")

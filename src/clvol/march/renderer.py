@@ -39,7 +39,7 @@ from clvol.picture import Picture, as_pictures
 from clvol.scene import Box, Medium, Scene, as_scene
 from clvol.smoothing import filter_for
 from clvol.spline.bricked import BrickedField
-from clvol.spline.evaluator import DIRECT, Evaluator, EvaluatorName, FetchName, choose_evaluator
+from clvol.spline.evaluator import DIRECT, Evaluator, EvaluatorName, FetchName, choose_evaluator, require_names
 from clvol.spline.field import RENUMBER, Field, as_field, names_beyond
 from clvol.spline.lease import Lease
 from clvol.spline.minmax import MinMax
@@ -688,6 +688,7 @@ class Renderer:
         camera = Camera.orbit() if camera is None else camera
         instance("camera", camera, Camera)
         instance("skipping", skipping, bool, np.bool_)
+        require_names(evaluator, fetch)
         if gradient not in ("analytic", "central"):
             raise one_of("gradient", gradient, ("analytic", "central"))
         field, looked = self._field_of(mode), self._looked or self.volume

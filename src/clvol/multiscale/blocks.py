@@ -15,7 +15,7 @@ from clvol.device import Device
 from clvol.errors import OptionError
 from clvol.filter import Filter
 from clvol.formats._bounds import BLOCK, blocks_of
-from clvol.multiscale.levels import FIXED
+from clvol.multiscale.levels import FIXED, filter_at
 from clvol.spline.evaluator import DIRECT
 from clvol.spline.field import coefficients_of
 from clvol.spline.minmax import BLOCK as CELLS
@@ -99,9 +99,12 @@ class Bricks:
             needed = Bricks.bytes_of(filter, edge)
             if needed <= (budget if edge == 8 else budget // 2):  # the other half for chunks that neighbours share
                 return edge
-        least = -(-needed // _MIB) + FIXED // _MIB
+        plain = filter_at(filter, 1)
+        least, without = (-(-Bricks.bytes_of(row, edge) // _MIB) + FIXED // _MIB for row in (filter, plain))
+        other = f": that of {filter.name} is wide, filter {plain.name} needs {without} MiB" if without < least else ""
         raise OptionError(
-            f"budget must hold a brick of {8 * BLOCK}³ samples and its margin, {least} MiB; got {(budget + FIXED) // _MIB} MiB"
+            f"budget must hold a brick of {8 * BLOCK}³ samples and its margin, {least} MiB; "
+            f"got {(budget + FIXED) // _MIB} MiB{other}"
         )
 
     @staticmethod

@@ -30,7 +30,7 @@ from clvol.multiscale.blocks import Bricks, coarser, outwards, require_bounded
 from clvol.multiscale.journal import Journal
 from clvol.multiscale.levels import FIXED, METHODS, Level, Method, filter_at, levels_of, require_reducible, sums_for
 from clvol.multiscale.reduce import Reduction
-from clvol.multiscale.source import said_of
+from clvol.multiscale.source import require_apart, said_of
 from clvol.rounding import wide
 from clvol.smoothing import filter_for, settled
 from clvol.volume import Volume, as_volume
@@ -115,7 +115,8 @@ def pyramid(
     Raises
     ------
     FormatError
-        Something is at `path`, or another call left an unfinished store beside it; samples cannot be read, or not be written.
+        Something is at `path`, or another call left an unfinished store beside it; `path` lies in the source, or holds it; samples
+        cannot be read, or not be written.
     OptionError
         An argument is none of what is allowed; the budget is too small (the message says for what); the filter is a hybrid, or its
         translates cannot be told apart; the boundary rule does not continue the samples.
@@ -141,13 +142,13 @@ def pyramid(
         )
     target = as_path(path)
     require_suffix(target, _SUFFIXES, "pyramids")
-    given = _lazy(source)
+    given, target = _lazy(source), target.resolve()
+    require_apart(given, target)
     room = _room(budget, given)
     volume, cache = _kept(given, room)
     plan = _plan(volume, filter, boundary, method, levels, chunks, shards, compressor, bounds, version, as_device(device))
     if plan.bounds:
         Bricks.edge_for(plan.filter, room)
-    target = target.resolve()
     with foreign_errors(f"write {path}"), Journal(target, plan.command(volume), flag("overwrite", overwrite)) as journal:
         if not journal.finished:
             _Making(volume, plan, journal, room, progress, cache).run()

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from clvol import memory
 from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.checks import whole
-from clvol.chunks import UNPACKING, Chunks, lines_of, stored_in_one
+from clvol.chunks import UNPACKING, Chunks, stored_in_one
 from clvol.device import Device, as_device
 from clvol.errors import DataError, OptionError, OutOfMemoryError
 from clvol.filter import DEFAULT_FILTER, Filter, as_filter, bspline
@@ -234,7 +234,7 @@ class BrickedField:
         self._reach = self.boundary.reach(self.filter.support)
         past = self.filter.scale * (self._pad + self._reach)
         self._extent = extent_of(self.filter, 3, tuple(self.filter.scale * n for n in volume.size), past)
-        self._lines = None if isinstance(volume.data, np.ndarray) else lines_of(volume.data)
+        self._lines = volume.lines
         self._one = 0 if self._lines is None else stored_in_one(volume.data)
         self.edge = self._edge_for(edge, at_once=at_once)
         self._bounds: dict[Index, tuple[float, float]] = {}

@@ -10,7 +10,7 @@ from clvol.device import Device
 from clvol.errors import DeviceError
 from clvol.filter import Filter
 
-__all__ = ["DIRECT", "SAMPLE_BITS", "Evaluator", "EvaluatorName", "FetchName", "choose_evaluator"]
+__all__ = ["DIRECT", "SAMPLE_BITS", "Evaluator", "EvaluatorName", "FetchName", "choose_evaluator", "require_names"]
 
 EvaluatorName = Literal["auto", "taps", "paired", "eight-fetch"]
 FetchName = Literal["auto", "buffer", "image"]
@@ -45,6 +45,14 @@ DIRECT = Evaluator(paired=False, image=False)
 """Direct taps from a buffer, which suit a processor."""
 
 
+def require_names(evaluator: str, fetch: str) -> None:
+    """Raise `OptionError` for a name that no evaluator, or no way to fetch, has."""
+    if evaluator not in ("auto", "taps", *_PAIRED):
+        raise one_of("evaluator", evaluator, ("auto", "taps", *_PAIRED))
+    if fetch not in ("auto", "buffer", "image"):
+        raise one_of("fetch", fetch, ("auto", "buffer", "image"))
+
+
 def choose_evaluator(
     device: Device, filter: Filter, evaluator: str = "auto", fetch: str = "auto", *, bits: float = SAMPLE_BITS
 ) -> Evaluator:
@@ -74,10 +82,7 @@ def choose_evaluator(
         ``fetch="image"`` on a device without float images, or paired fetches from an image on a device whose sampler
         does not interpolate.
     """
-    if evaluator not in ("auto", "taps", *_PAIRED):
-        raise one_of("evaluator", evaluator, ("auto", "taps", *_PAIRED))
-    if fetch not in ("auto", "buffer", "image"):
-        raise one_of("fetch", fetch, ("auto", "buffer", "image"))
+    require_names(evaluator, fetch)
     if fetch == "image" and not device.has_images:
         raise DeviceError(f"fetch='image' needs 3-D float images; {device.name} has none: use fetch='buffer'")
     image = fetch == "image"
