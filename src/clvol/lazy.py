@@ -557,7 +557,7 @@ def budget_for(volume: LazyVolume, given: int | None, sharing: int = 1) -> int:
             budget = max(budget, min(budget + least, room))
     else:
         budget = whole("budget", given, 1)
-    if least > budget:
+    if least > max(budget, _PIECE):  # less does not count beside a brick
         raise OptionError(
             f"budget must be at least {least} bytes, which a chunk of {volume.name or 'the volume'} takes that is unpacked as a "
             f"whole, to {one} bytes; got {budget}: clvol.pyramid, given that much once, makes a store of small chunks"

@@ -95,8 +95,8 @@ def grown(folder: Path, what: str, *arguments: Any) -> int:
 @linux
 def test_a_turned_grid_low_passed(tmp_path: Path) -> None:
     """Sums and their samples are a part of what a brick takes, and points of results are."""
-    found = grown(tmp_path, "turned", 160, 32, 40 * MIB)
-    assert found < 40 * MIB + BESIDE, f"{found / MIB:.0f} MiB"
+    found = grown(tmp_path, "turned", 200, 40, 32 * MIB)
+    assert found < 32 * MIB + BESIDE / 2, f"{found / MIB:.0f} MiB"
 
 
 @linux
@@ -165,6 +165,7 @@ def test_a_default_budget_grows_with_a_chunk_up_to_what_is_available(monkeypatch
         budget_for(of(2 << 30), None)
 
 
+@pytest.mark.filterwarnings("ignore:.*taken for slices")
 def test_what_is_stored_as_it_is_is_read_by_its_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Large chunks of Zarr and HDF5, and pages of TIFF that lie apart: of both byte orders, and a chunk that is not stored."""
     zarr, h5py, tifffile = (pytest.importorskip(name) for name in ("zarr", "h5py", "tifffile"))
@@ -199,5 +200,5 @@ def test_what_is_stored_as_it_is_is_read_by_its_parts(tmp_path: Path, monkeypatc
     assert gone.read((4, 5, 29), (5, 6, 31)).ravel().tolist() == [int(data[29, 5, 4]), 7]
     chunk = tmp_path / "3big.zarr" / "c" / "0" / "0" / "0"
     chunk.write_bytes(chunk.read_bytes()[:-2])
-    with pytest.raises(clvol.errors.FormatError, match=r"cannot read chunk c/0/0/0 of 3big.zarr: it must have 180000 bytes"):
+    with pytest.raises(clvol.errors.FormatError, match=r"cannot read chunk c/0/0/0 of 3big\.zarr: it must have 180000 bytes"):
         clvol.open(tmp_path / "3big.zarr", trusted=True).read((0, 0, 0), (2, 2, 2))
