@@ -206,6 +206,143 @@ def test_a_store_that_changes_is_noticed(tmp_path: Path) -> None:
         lazy.read((10, 10, 10), (20, 20, 20))
 
 
+LAYOUTS: dict[str, dict[str, Any]] = {
+    "Zarr 2, flat": {"zarr_format": 2},
+    "Zarr 2, nested": {"zarr_format": 2, "chunk_key_encoding": {"name": "v2", "separator": "/"}},
+    "Zarr 3": {"zarr_format": 3},
+    "Zarr 3, flat": {"zarr_format": 3, "chunk_key_encoding": {"name": "default", "separator": "."}},
+}
+
+
+@pytest.fixture(params=LAYOUTS)
+def layout(request: pytest.FixtureRequest) -> dict[str, Any]:
+    return LAYOUTS[request.param]
+
+
+def later() -> None:
+    """Wait until files get another time."""
+    time.sleep(0.02)
+
+
+def no_zeros(lazy: clvol.LazyVolume, match: str = r"has changed since it was opened \(.*open it again") -> None:
+    """What was not read so far is an error now."""
+    with pytest.raises(FormatError, match=match):
+        lazy.read((10, 10, 10), (20, 20, 20))
+
+
+@pytest.mark.parametrize("is_read", [False, True])
+def test_a_folder_that_vanishes_is_noticed(tmp_path: Path, layout: dict[str, Any], is_read: bool) -> None:
+    stored(tmp_path / "v.zarr", **layout)
+    lazy = clvol.open(tmp_path / "v.zarr", trusted=True)
+    if is_read:
+        lazy.read((0, 0, 0), (10, 10, 10))
+    (tmp_path / "v.zarr").rename(tmp_path / "w.zarr")
+    no_zeros(lazy, r"v\.zarr has changed since it was opened \(\S+ is gone\)")
+    (tmp_path / "v.zarr").mkdir()  # as where a disk was mounted
+    no_zeros(lazy, "is gone")
+    (tmp_path / "v.zarr").rmdir()
+    (tmp_path / "w.zarr").rename(tmp_path / "v.zarr")
+    np.testing.assert_array_equal(lazy.whole().data, DATA[0, 0])
+
+
+def test_an_archive_that_vanishes_is_noticed(tmp_path: Path) -> None:
+    store = zarr.storage.ZipStore(tmp_path / "v.zarr.zip", mode="w")
+    stored(store)
+    store.close()
+    lazy = clvol.open(tmp_path / "v.zarr.zip", trusted=True)
+    (tmp_path / "v.zarr.zip").unlink()
+    no_zeros(lazy, "the archive is gone")
+    stored(tmp_path / "v.zarr.zip")
+    no_zeros(lazy)
+
+
+def test_the_working_folder_may_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stored(tmp_path / "v.zarr")
+    monkeypatch.chdir(tmp_path)
+    lazy = clvol.open("v.zarr", trusted=True)
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    np.testing.assert_array_equal(lazy.whole().data, DATA[0, 0])
+
+
+@pytest.mark.parametrize("most", [1 << 11, 2])
+def test_chunks_that_vanish_are_noticed(tmp_path: Path, layout: dict[str, Any], most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All of them, and of a folder that was looked at one; but not what was never there."""
+    monkeypatch.setattr("clvol.formats.zarr._FOLDERS", most)
+    for all_of_them in (True, False):
+        array = stored(tmp_path / "v.zarr", overwrite=True, fill_value=7, **layout)
+        for hole in (slice(0, 10), slice(20, 30)):
+            array[hole, hole, hole] = 7
+            (tmp_path / "v.zarr" / array.metadata.encode_chunk_key((hole.start // 10,) * 3)).unlink(missing_ok=True)
+        later()
+        lazy = clvol.open(tmp_path / "v.zarr", trusted=True)
+        assert (lazy.read((0, 0, 0), (10, 10, 10)) == 7).all()
+        lazy.read((0, 10, 10), (10, 20, 20))
+        later()
+        for chunk in [one for one in (tmp_path / "v.zarr").rglob("*") if one.is_file() and not one.name.startswith((".", "zarr"))]:
+            if all_of_them or str(chunk.relative_to(tmp_path / "v.zarr")) == array.metadata.encode_chunk_key((1, 1, 1)):
+                chunk.unlink()
+        no_zeros(lazy)
+
+
+def test_folders_of_chunks_that_vanish_are_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for most, gone in ((1 << 11, "c"), (1 << 11, "c/1"), (1 << 11, "c/1/1"), (2, "c"), (2, "c/1")):
+        monkeypatch.setattr("clvol.formats.zarr._FOLDERS", most)
+        stored(tmp_path / "v.zarr", overwrite=True)
+        lazy = clvol.open(tmp_path / "v.zarr", trusted=True)
+        later()
+        shutil.rmtree(tmp_path / "v.zarr" / gone)
+        no_zeros(lazy)
+
+
+def test_an_array_that_is_written_anew_is_noticed(tmp_path: Path, layout: dict[str, Any]) -> None:
+    """At chunks that were not read before, too; those that were left alone are read."""
+    array = stored(tmp_path / "v.zarr", **layout)
+    lazy = clvol.open(tmp_path / "v.zarr", trusted=True)
+    lazy.read((0, 0, 0), (10, 10, 10))
+    later()
+    array[10:20, 10:20, 10:20] = 1
+    no_zeros(lazy, r"changed since it was opened \(.*1.1.1\); open it again")
+    lazy.read((20, 10, 10), (30, 20, 20))
+    lazy = clvol.open(tmp_path / "v.zarr", trusted=True)
+    assert (lazy.read((10, 10, 10), (20, 20, 20)) == 1).all()
+
+
+def test_a_store_that_stays_the_same_is_read_whatever_its_times(tmp_path: Path, layout: dict[str, Any]) -> None:
+    """By clocks that go wrong, of copies with times of their own, written in place just before; and others beside it change."""
+    array = stored(tmp_path / "v.zarr", fill_value=7, **layout)
+    array[:10, :10, :10] = 7
+    (tmp_path / "v.zarr" / array.metadata.encode_chunk_key((0, 0, 0))).unlink(missing_ok=True)
+    expected = np.asarray(array[:])
+    files = [one for one in (tmp_path / "v.zarr").rglob("*") if one.is_file()]
+    for seconds in (-1e9, 0, 1.0, 1e6):
+        for file in files:
+            os.utime(file, (time.time() + seconds,) * 2)
+        lazy = clvol.open(tmp_path / "v.zarr", trusted=True)
+        if (tmp_path / "v.zarr" / "c").is_dir():
+            (tmp_path / "v.zarr" / f"beside{seconds}").mkdir()
+        np.testing.assert_array_equal(lazy.whole().data, expected)
+
+
+def test_folders_without_times_are_not_believed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of an object store that is mounted: a chunk that is missing is one then."""
+    monkeypatch.setattr("clvol.formats.zarr._keeps_times", lambda _: False)
+    stored(tmp_path / "v.zarr", fill_value=7)
+    (tmp_path / "v.zarr" / "c" / "1" / "1" / "1").unlink()
+    lazy = clvol.open(tmp_path / "v.zarr", trusted=True)
+    os.utime(tmp_path / "v.zarr" / "c" / "1" / "1")
+    assert (lazy.read((10, 10, 10), (20, 20, 20)) == 7).all()
+
+
+def test_a_folder_that_vanishes_under_consolidated_metadata_is_noticed(tmp_path: Path) -> None:
+    group = zarr.create_group(tmp_path / "v.zarr", zarr_format=2)
+    group.create_array("a", data=DATA[0, 0], chunks=(10, 10, 10))
+    zarr.consolidate_metadata(tmp_path / "v.zarr", zarr_format=2)
+    lazy = clvol.open(tmp_path / "v.zarr", trusted=True)
+    shutil.rmtree(tmp_path / "v.zarr" / "a")
+    no_zeros(lazy, "is gone")
+
+
 def ome(path: Path, shapes: list[tuple[int, ...]], scales: list[Any], **about: Any) -> Path:
     """An image of these sizes, whose metadata say what they are given."""
     datasets = [
@@ -378,6 +515,37 @@ def test_addresses_are_of_zarr_alone() -> None:
 def test_a_store_in_fsspecs_memory() -> None:
     stored(zarr.storage.FsspecStore.from_url("memory://clvol/v.zarr", read_only=False))
     np.testing.assert_array_equal(clvol.open("memory://clvol/v.zarr").read(LOW, HIGH), DATA[0, 0][PART])
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_store_that_vanishes_from_fsspecs_memory_is_noticed(version: Any) -> None:
+    import fsspec
+
+    address = f"memory://clvol/gone{version}.zarr"
+    stored(zarr.storage.FsspecStore.from_url(address, read_only=False), zarr_format=version)
+    lazy = clvol.open(address)
+    lazy.read((0, 0, 0), (10, 10, 10))
+    fsspec.filesystem("memory").rm(f"/clvol/gone{version}.zarr", recursive=True)
+    for _ in range(2):
+        no_zeros(lazy, r"cannot read gone\d\.zarr any more")
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_store_that_vanishes_behind_http_is_noticed(served: tuple[str, Path, type[Slow]], version: Any) -> None:
+    """Metadata are asked for once more by each read with chunks that are missing, however many these are."""
+    address, folder, handler = served
+    handler.delay = 0.0
+    array = zarr.create_array(folder / "v.zarr", shape=(40, 40, 40), chunks=(8, 8, 8), dtype="u2", zarr_format=version)
+    array[:8] = 3
+    lazy = clvol.open(f"{address}/v.zarr")
+    handler.asked = 0
+    assert lazy.whole().data.sum() == 3 * 8 * 40 * 40
+    assert handler.asked == 125 + {2: 2, 3: 1}[version]
+    handler.asked = 0
+    lazy.read((0, 0, 0), (40, 40, 8))
+    assert handler.asked == 25
+    shutil.rmtree(folder / "v.zarr")
+    no_zeros(lazy, r"cannot read v\.zarr any more")
 
 
 # -- other formats -----------------------------------------------------------------------------------------------------

@@ -37,6 +37,7 @@ __all__ = ["is_one", "lazily", "read", "said", "series", "shown"]
 _METADATA = ("zarr.json", ".zgroup", ".zarray")
 _ABOUT = (*_METADATA, ".zattrs", ".zmetadata")
 _WATCHED = 1 << 17  # chunks whose files are watched, those that were first read last
+_FOLDERS = 1 << 11  # folders of an array that are looked at when it is opened, outer ones first; others when they are read from
 _SECONDS = 10.0  # after which it is asked again whether what is far away is what it was
 _LARGE = 1 << 24  # bytes of a chunk that is read by parts, if it is stored as it is
 _TRIED = 4096  # chunks, in search of one that is damaged
@@ -241,8 +242,9 @@ def _store(source: Path | str, options: Mapping[str, Any] | None = None, watched
             raise MissingDependencyError(f"{shown(source)} needs {error.name or 'what reads ' + kind}: {how}") from error
         return checked(found, None, name, watched, partial(said, address=source, options=options)), "", name
     if source.is_dir():
-        return checked(LocalStore(source, read_only=True), source.resolve(), source.name, watched), "", source.name
-    return checked(ZipStore(source, mode="r"), source, source.name, watched), _inside(source), source.name
+        root = source.resolve()  # whatever becomes of the working folder, and of links
+        return checked(LocalStore(root, read_only=True), root, source.name, watched), "", source.name
+    return checked(ZipStore(source, mode="r"), source.absolute(), source.name, watched), _inside(source), source.name
 
 
 def _for_all_keys(address: str, options: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
@@ -262,7 +264,8 @@ def _checked() -> Any:
         """A store in which what is there must be whole, and what is not there must have a value by the format.
 
         zarr takes what is no file for a chunk that is not stored, and waits for pipes; it takes zeros for chunks that are not there
-        and have no fill value. Where it is `watched`, what is read twice must be the same twice.
+        and have no fill value. Where it is `watched`, what is read twice must be the same twice, and what is read once, or missing,
+        must not have changed since the array was opened, as far as its folder tells.
 
         Parameters
         ----------
@@ -274,6 +277,13 @@ def _checked() -> Any:
         watched : bool
         said : callable
             What the error of a library says that others may know.
+
+        Attributes
+        ----------
+        folder : bool
+            Whether the root was a folder when it was opened.
+        missing : int
+            How many chunks were answered to be missing.
         """
 
         def __init__(
@@ -286,8 +296,12 @@ def _checked() -> Any:
         ) -> None:
             super().__init__(store)
             self.root, self.name, self.watched, self.said = root, name, watched, said
+            self.folder = root is not None and root.is_dir()
             self.required: set[str] = set()  # arrays whose chunks have no other value
+            self.missing = 0
             self._seen: dict[str, Signature] = {}
+            self._folders: dict[str, int | None] = {}  # when their entries changed last, those of chunks that are watched
+            self._dated = root is not None and self.folder and watched and _keeps_times(root)
 
         def _with_store(self, store: Any) -> Checked:
             return type(self)(store, self.root, self.name, self.watched, self.said)
@@ -307,6 +321,10 @@ def _checked() -> Any:
             if found is not None and not len(found):
                 raise FormatError(f"{self.name} must hold whole chunks; {key} is empty")
             if found is None and key.rpartition("/")[2] not in _ABOUT:
+                self.missing += 1
+                if self.root is not None:
+                    self.look(key)  # once more: it may have gone meanwhile
+                    self._require_never_there(key)
                 array = next((one for one in self.required if key.startswith(one)), None)
                 if array is not None:
                     raise FormatError(f"{self.name} must hold all chunks of an array without a fill value; {key} is missing")
@@ -318,17 +336,60 @@ def _checked() -> Any:
         def look(self, key: str) -> None:
             """Raise if a file is none of its own, or another than it was."""
             assert self.root is not None
-            if self.root.is_dir():
+            if self.folder:
                 _require_own_file(self.root, key)
                 file = self.root / key
             else:
                 file, key = self.root, ""
-            if self.watched:
-                now = signature(file)
-                if self._seen.setdefault(key, now) != now:
-                    raise FormatError(f"{self.name} has changed since it was opened ({key or 'the archive'}); open it again")
+            if not self.watched:
+                return
+            now = signature(file)
+            if key not in self._seen:
+                self._require_older(key, now)
+                self._seen[key] = now
                 if len(self._seen) > _WATCHED:
-                    del self._seen[next(iter(self._seen))]
+                    del self._seen[next(one for one in self._seen if one.rpartition("/")[2] not in _ABOUT)]
+            elif self._seen[key] != now:
+                what = key or "the archive"
+                raise self._changed(f"{what} is gone" if now is None else what)
+
+        def note_folders(self, array: Any) -> None:
+            """Remember when the folders of an array's chunks changed last: by their own clock, whatever this machine's says."""
+            if self._dated:
+                for folder in itertools.islice(_folders_of(array), _FOLDERS):
+                    self._folders.setdefault(folder, self._time_of(folder))
+
+        def _require_older(self, key: str, now: Signature) -> None:
+            """Raise if a chunk that is read for the first time was put into its folder after this was looked at first.
+
+            Whoever renames files into their place, as zarr does, changes the folder's time with them: what is older than that was
+            there. What was written in place may be younger, so the folder must have changed since, too.
+            """
+            if now is None or not self._dated or key.rpartition("/")[2] in _ABOUT:
+                return
+            folder = key.rpartition("/")[0]
+            if folder not in self._folders:
+                self._folders[folder] = self._time_of(folder)
+            noted = self._folders[folder]
+            if noted is None or (now[0] > noted and self._time_of(folder) != noted):
+                raise self._changed(key)
+
+        def _require_never_there(self, key: str) -> None:
+            """Raise if entries of the folder that would hold a missing chunk have changed: it may have been one of them."""
+            folder, known = key, not self._dated
+            while folder and not known:
+                folder = folder.rpartition("/")[0]
+                known, now = folder in self._folders, self._time_of(folder)
+                if self._folders.setdefault(folder, now) != now:
+                    raise self._changed(f"the folder of {key}, which is missing")
+
+        def _time_of(self, folder: str) -> int | None:
+            """When entries of a folder changed last; None where there is none. Not which it is: networks number files anew."""
+            found = signature(os.path.join(str(self.root), folder))  # noqa: PTH118  # thousands of them
+            return None if found is None else found[0]
+
+        def _changed(self, what: str) -> FormatError:
+            return FormatError(f"{self.name} has changed since it was opened ({what}); open it again")
 
     return Checked
 
@@ -340,23 +401,35 @@ class _Chunked:
         self._source, self._array, self._store = source, array, store
         self._asked = time.monotonic()
         _require_fill(array)
+        if store.root is not None:
+            store.look(self._about)  # it may not have been read: that of a group may hold what it says
+            store.note_folders(array)
 
     def __call__(self, index: Index) -> NDArray[Any]:
         self._require_the_same()
+        missing = self._store.missing
         try:
-            return np.asarray(self._array[index])
+            found = np.asarray(self._array[index])
         except (ClvolError, MemoryError):
             raise
         except Exception as error:
             message = str(error) or type(error).__name__
             raise FormatError(f"cannot read chunk {self._key_of_damaged(index)} of {self._source}: {message}") from error
+        if self._store.missing != missing:  # in a store that has gone all are
+            self._require_the_same(now=True)
+        return found
 
     def said(self) -> str:
         """By what the array is known to be the same: of a folder all its files, of what is far away the metadata alone."""
         root = self._store.root
         if root is None:
             return f"metadata {zlib.crc32(repr(self._array.metadata).encode()):08x}"
-        return said_of_folder(root / self._array.path) if root.is_dir() else said_of_file(root)
+        return said_of_folder(root / self._array.path) if self._store.folder else said_of_file(root)
+
+    @property
+    def _about(self) -> str:
+        """The key of the array's metadata."""
+        return f"{self._array.path}/{'zarr.json' if self._array.metadata.zarr_format == 3 else '.zarray'}".lstrip("/")
 
     @property
     def place(self) -> Path | None:
@@ -364,26 +437,24 @@ class _Chunked:
         root: Path | None = self._store.root
         return root
 
-    def _require_the_same(self) -> None:
+    def _require_the_same(self, *, now: bool = False) -> None:
         """Raise if the array's metadata are others by now: at each read of a folder, at times of what is far away."""
         array, store = self._array, self._store
         if store.root is not None:
-            names = ("zarr.json",) if array.metadata.zarr_format == 3 else (".zarray",)
-            for name in names:
-                store.look(f"{array.path}/{name}".lstrip("/"))
+            store.look(self._about)
             return
-        now = time.monotonic()
-        if now - self._asked < _SECONDS:
+        begun = time.monotonic()
+        if begun - self._asked < _SECONDS and not now:
             return
-        self._asked = now
         import zarr
 
         try:
-            same = zarr.open_array(store, path=array.path, mode="r").metadata == array.metadata
+            found = zarr.open_array(store, path=array.path, mode="r", zarr_format=array.metadata.zarr_format)
         except Exception as error:
-            raise FormatError(f"cannot read {self._source} any more: {error or type(error).__name__}") from error
-        if not same:
+            raise FormatError(f"cannot read {self._source} any more: {str(error) or type(error).__name__}") from error
+        if found.metadata != array.metadata:
             raise FormatError(f"{self._source} has changed since it was opened ({array.path or '.'}); open it again")
+        self._asked = begun
 
     def _key_of_damaged(self, index: Index) -> str:
         """The key of the first chunk (of shards: of the shard) among those at an index that cannot be read by itself."""
@@ -453,7 +524,7 @@ def _require_chunks(name: str, array: Any, store: Any) -> None:
     if array.dtype.kind not in "biuf" or 0 in array.shape:
         raise DataError(f"{name} must hold real numbers; {array.path or '.'} holds {array.dtype} of shape {array.shape}")
     announce(name, sample_count(array.chunks) * array.dtype.itemsize)
-    if store.root is None or not store.root.is_dir():
+    if not store.folder:
         return
     folder = store.root / array.path
     if all(entry.name in _ABOUT or entry.name.startswith(".") for entry in os.scandir(folder)):
@@ -472,6 +543,30 @@ def _require_own_file(root: Path, key: str) -> None:
         raise FormatError(f"{root.name} must hold files of its own; {key} is none, or leads elsewhere")
     if file.stat().st_size == 0:
         raise FormatError(f"{root.name} must hold whole chunks; {key} is empty")
+
+
+def _folders_of(array: Any) -> Iterator[str]:
+    """Those that hold an array's chunks, or would, and those that hold these; outer ones first."""
+    grid = [-(-n // m) for n, m in zip(array.shape, array.shards or array.chunks, strict=True)]
+    path = array.path.split("/") if array.path else []
+    yield array.path
+    depth = len(array.metadata.encode_chunk_key((0,) * array.ndim).split("/")) - array.ndim  # of what all chunks have in common
+    for axes in range(array.ndim) if depth >= 0 else ():
+        for at in itertools.product(*map(range, grid[:axes])):
+            key = array.metadata.encode_chunk_key((*at, *(0,) * (array.ndim - axes)))
+            yield "/".join([*path, *key.split("/")[: depth + axes]])
+
+
+def _keeps_times(root: Path) -> bool:
+    """Whether folders have times of their own: those of an object store that is mounted (FUSE) may have any, another each time."""
+    try:
+        device = root.stat().st_dev
+        lines = Path("/proc/self/mountinfo").read_text(errors="replace").splitlines()
+    except OSError:  # not Linux
+        return True
+    mounts = ((line.split()[2], line.partition(" - ")[2].split()[0]) for line in lines)
+    place = f"{os.major(device)}:{os.minor(device)}"
+    return not any(kind.partition(".")[0] == "fuse" for at, kind in mounts if at == place)
 
 
 def _inside(path: Path) -> str:
