@@ -781,7 +781,7 @@ def test_samples_that_cannot_be_used_leave_nothing(tmp_path: Path) -> None:
         ({"budget": 97 * MIB}, "budget must hold a brick of 64³ samples and its margin, [0-9]+ MiB; got 97 MiB$"),
         (
             {"budget": 110 * MIB, "filter": "bspline3(10000)"},
-            r"64³ samples and its margin, [0-9]{3,} MiB; got 110 MiB: that of bspline3\(10000\) is wide, filter bspline3 needs 119 MiB",
+            r"its margin, [0-9]{3,} MiB; got 110 MiB: that of bspline3\(10000\) is wide, filter bspline3 needs 119 MiB",
         ),
         ({"budget": 97 * MIB, "bounds": False}, "budget must hold at least one column of chunks, [0-9]+ MiB; got 97 MiB"),
         ({"method": "median"}, "method must be one of"),
@@ -822,11 +822,11 @@ def test_a_source_and_its_pyramid_lie_apart(tmp_path: Path) -> None:
     zarr = pytest.importorskip("zarr")
     for source in (store, made, zarr.open(store)["0"], tmp_path / "link"):
         for target in (store / "b.zarr", store / "0" / "b.zarr", tmp_path / "link" / "b.zarr"):
-            with pytest.raises(FormatError, match="lies in its own source.*choose a path beside"):
+            with pytest.raises(FormatError, match=r"lies in its own source.*choose a path beside"):
                 clvol.pyramid(source, target, filter="linear")
     np.save(store / "v.npy", np.zeros((4, 4, 4)))
     for inner in (store / "0", store / "v.npy", np.load(store / "v.npy", mmap_mode="r")):
-        with pytest.raises(FormatError, match="holds its own source.*choose another path"):
+        with pytest.raises(FormatError, match=r"holds its own source.*choose another path"):
             clvol.pyramid(inner, store, filter="linear", overwrite=True)
     assert sorted(store.rglob("*")) == sorted([*before, store / "v.npy"])
     again = clvol.pyramid(
