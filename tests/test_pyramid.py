@@ -781,7 +781,7 @@ def test_samples_that_cannot_be_used_leave_nothing(tmp_path: Path) -> None:
         ({"budget": 97 * MIB}, "budget must hold a brick of 64³ samples and its margin, [0-9]+ MiB; got 97 MiB$"),
         (
             {"budget": 110 * MIB, "filter": "bspline3(10000)"},
-            r"and its margin, [0-9]{3,} MiB; got 110 MiB: that of bspline3\(10000\) is wide, filter bspline3 needs 119 MiB",
+            r"its margin, [0-9]{3,} MiB; got 110 MiB: that of bspline3\(10000\) is wide, filter bspline3 needs 119 MiB",
         ),
         ({"budget": 97 * MIB, "bounds": False}, "budget must hold at least one column of chunks, [0-9]+ MiB; got 97 MiB"),
         ({"method": "median"}, "method must be one of"),

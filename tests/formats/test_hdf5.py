@@ -189,6 +189,33 @@ def test_images_of_imaris(tmp_path: Path) -> None:
         clvol.read(tmp_path / "w.ims")
 
 
+@pytest.mark.parametrize("kind", ["external", "virtual", "link"])
+def test_samples_in_other_files_are_taken_from_h5py(tmp_path: Path, kind: str) -> None:
+    """A file may name any that its reader can read: `clvol.open` and `clvol.read` do not follow it, and say who does."""
+    data = np.arange(5 * 6 * 7, dtype=np.uint16).reshape(5, 6, 7)
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["a"] = data
+    data.tofile(tmp_path / "other.bin")
+    with h5py.File(tmp_path / "v.h5", "w") as file:
+        if kind == "external":
+            file.create_dataset("a", data.shape, data.dtype, external=[(str(tmp_path / "other.bin"), 0, data.nbytes)])
+        elif kind == "virtual":
+            layout = h5py.VirtualLayout(data.shape, data.dtype)
+            layout[:] = h5py.VirtualSource(tmp_path / "other.h5", "a", data.shape)
+            file.create_virtual_dataset("a", layout)
+        else:
+            file["a"] = h5py.ExternalLink("other.h5", "/a")
+    told = r"/a leads to /a in other\.h5" if kind == "link" else "those of /a are in other files"
+    for call in (clvol.open, clvol.read):
+        with pytest.raises(ClvolError, match=rf"v\.h5 must hold.*{told}.*clvol\.LazyVolume\(dataset\)"):
+            call(tmp_path / "v.h5", trusted=True)
+    with h5py.File(tmp_path / "v.h5") as file:
+        lazy = clvol.LazyVolume(file["a"])
+        np.testing.assert_array_equal(lazy.read((1, 2, 3), (7, 6, 5)), data[3:5, 2:6, 1:7])
+        with clvol.BrickedField(lazy, "linear", edge=8) as field:
+            assert field([[2, 3, 4]]).item() == data[4, 3, 2]
+
+
 def test_only_what_is_chosen_is_read(tmp_path: Path) -> None:
     """The chunks of another channel are damaged."""
     with h5py.File(tmp_path / "v.h5", "w") as file:

@@ -24,6 +24,8 @@ __all__ = ["lazily", "loaded", "member", "opened", "read", "series", "window"]
 
 _CACHED = 1 << 20  # bytes: HDF5 takes chunks that are no larger as a whole
 _NETCDF_3 = b"CDF"
+_INSTEAD = "clvol.LazyVolume(dataset) takes what h5py makes of it, if you trust it"
+_LISTED = 5  # links in a message
 _NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"  # NAME of a scale that holds no coordinates
 
 
@@ -47,7 +49,7 @@ def _content(path: Path, file: Any, choose: Choice, series: int | str | None, lo
     arrays = _arrays(file)
     listed = [_listed(array) for array in arrays]
     if not arrays:
-        raise DataError(f"{path.name} must hold an array of numbers with two axes or more; it holds none")
+        raise DataError(f"{path.name} must hold an array of numbers with two axes or more; it holds none{_links(file)}")
     deep = sum(array.ndim > 2 for array in arrays)
     array = arrays[chosen_series(path.name, listed, series, what="arrays", main=deep or None, first=False)]
     if _is_of_itk(array):
@@ -131,7 +133,7 @@ def _require_own(source: str, array: Any) -> None:
     """Raise unless an array is stored in this file, by whole chunks."""
     elsewhere = array.external or (array.is_virtual and any(one.file_name != "." for one in array.virtual_sources()))
     if elsewhere:
-        raise FormatError(f"{source} must hold its samples; those of {array.name} are in other files: h5py reads them")
+        raise FormatError(f"{source} must hold its samples; those of {array.name} are in other files: {_INSTEAD}")
     stored = array.id.get_storage_size()
     if not stored and not array.is_virtual and array.shape:
         raise FormatError(f"{source} must hold samples of {array.name}; none were ever written")
@@ -168,6 +170,21 @@ def _arrays(file: Any) -> list[Any]:
 
     file.visititems(look)
     return sorted(found, key=lambda array: array.ndim == 2)
+
+
+def _links(file: Any) -> str:
+    """What leads to other files, which are not followed: that may be any that the caller can read."""
+    import h5py
+
+    found: list[str] = []
+
+    def look(name: str, link: Any) -> None:
+        if isinstance(link, h5py.ExternalLink):
+            found.append(f"/{name} leads to {link.path} in {link.filename}")
+
+    file.visititems_links(look)
+    more = f" and {len(found) - _LISTED} others" if len(found) > _LISTED else ""
+    return f"; {', '.join(found[:_LISTED])}{more}: clvol.open that file, or {_INSTEAD}" if found else ""
 
 
 def _listed(array: Any) -> Series:

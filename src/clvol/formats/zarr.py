@@ -324,7 +324,7 @@ def _checked() -> Any:
                 self.missing += 1
                 if self.root is not None:
                     self.look(key)  # once more: it may have gone meanwhile
-                    self._require_never_there(key)
+                    self.require_never_there(key)
                 array = next((one for one in self.required if key.startswith(one)), None)
                 if array is not None:
                     raise FormatError(f"{self.name} must hold all chunks of an array without a fill value; {key} is missing")
@@ -374,7 +374,7 @@ def _checked() -> Any:
             if noted is None or (now[0] > noted and self._time_of(folder) != noted):
                 raise self._changed(key)
 
-        def _require_never_there(self, key: str) -> None:
+        def require_never_there(self, key: str) -> None:
             """Raise if entries of the folder that would hold a missing chunk have changed: it may have been one of them."""
             folder, known = key, not self._dated
             while folder and not known:
@@ -502,6 +502,7 @@ class _Unpacked(_Chunked):
         self._store.look(key)
         file = self._store.root / key
         if not file.exists():
+            self._store.require_never_there(key)
             if array.metadata.fill_value is None:
                 raise FormatError(f"{self._source} must hold all chunks of an array without a fill value; {key} is missing")
             return array.metadata.fill_value

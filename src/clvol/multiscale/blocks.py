@@ -101,11 +101,10 @@ class Bricks:
                 return edge
         plain = filter_at(filter, 1)
         least, without = (-(-Bricks.bytes_of(row, edge) // _MIB) + FIXED // _MIB for row in (filter, plain))
-        other = f": that of {filter.name} is wide, filter {plain.name} needs {without} MiB" if without < least else ""
-        raise OptionError(
-            f"budget must hold a brick of {8 * BLOCK}³ samples and its margin, {least} MiB; "
-            f"got {(budget + FIXED) // _MIB} MiB{other}"
-        )
+        told = f"budget must hold a brick of {8 * BLOCK}³ samples and its margin, {least} MiB; got {(budget + FIXED) // _MIB} MiB"
+        if without < least:
+            told += f": that of {filter.name} is wide, filter {plain.name} needs {without} MiB"
+        raise OptionError(told)
 
     @staticmethod
     def bytes_of(filter: Filter, edge: int) -> int:
