@@ -99,8 +99,9 @@ def open(  # noqa: A001  # as files are opened: clvol.open
     Notes
     -----
     A part that cannot be read is a `FormatError` that names its samples, and of Zarr the chunk. A chunk that is not stored has the
-    array's fill value, as Zarr has it; in an array that has none it is an error. A file that changes after it was opened, or a
-    chunk after it was first read, is an error too; of a store far away the metadata are compared, at most every ten seconds.
+    array's fill value, as Zarr has it; in an array that has none it is an error. A file that changes after it was opened is an
+    error too, and so is a chunk, as far as times of files and folders tell; of a store far away the metadata are compared, every
+    ten seconds and where a chunk is missing. "Stores larger than memory" in the documentation lists what is noticed.
 
     Examples
     --------
