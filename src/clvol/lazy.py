@@ -311,7 +311,8 @@ class LazyVolume:
     @property
     def stored_in_one(self) -> int:
         """Bytes of the largest chunk of all sizes, which is unpacked as a whole; 0 where any part is read by itself."""
-        return max(stored_in_one(one.data) for one in (self, *self.levels))
+        with _reading(f"the chunks of {self._title}"):
+            return max(stored_in_one(one.data) for one in (self, *self.levels))
 
     @property
     def lines(self) -> tuple[NDArray[np.int64], ...] | None:

@@ -553,7 +553,7 @@ def _folders_of(array: Any) -> Iterator[str]:
     yield array.path
     depth = len(array.metadata.encode_chunk_key((0,) * array.ndim).split("/")) - array.ndim  # of what all chunks have in common
     for axes in range(array.ndim) if depth >= 0 else ():
-        for at in itertools.product(*map(range, grid[:axes])):
+        for at in itertools.product(*(range(min(n, _FOLDERS)) for n in grid[:axes])):  # metadata may list any number
             key = array.metadata.encode_chunk_key((*at, *(0,) * (array.ndim - axes)))
             yield "/".join([*path, *key.split("/")[: depth + axes]])
 
