@@ -176,13 +176,10 @@ def _links(file: Any) -> str:
     """What leads to other files, which are not followed: that may be any that the caller can read."""
     import h5py
 
-    found: list[str] = []
-
-    def look(name: str, link: Any) -> None:
-        if isinstance(link, h5py.ExternalLink):
-            found.append(f"/{name} leads to {link.path} in {link.filename}")
-
-    file.visititems_links(look)
+    groups = [file]
+    file.visititems(lambda _, item: groups.append(item) if isinstance(item, h5py.Group) else None)
+    links = {f"{group.name.rstrip('/')}/{name}": group.get(name, getlink=True) for group in groups for name in group}
+    found = [f"{at} leads to {one.path} in {one.filename}" for at, one in links.items() if isinstance(one, h5py.ExternalLink)]
     more = f" and {len(found) - _LISTED} others" if len(found) > _LISTED else ""
     return f"; {', '.join(found[:_LISTED])}{more}: clvol.open that file, or {_INSTEAD}" if found else ""
 
