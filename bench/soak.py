@@ -12,7 +12,7 @@ runtimes keep some of each program that they build (PoCL 3.0: 16 kB of one whose
 arguments need new ones. Without new ones all programs are kept, where otherwise the 128 used last are. Where the C library is
 glibc's, what is free in its heaps is given back before memory is counted: how much stays there depends on how threads' requests
 mix, not on what is held. What was resident before that is written down too. Exit status 1 says that a result changed, a foreign
-exception came, or something grew.
+exception came, or something grew; 2 that a deed did not end.
 
 Kernels are built anew, in a temporary cache, unless POCL_CACHE_DIR says where one is.
 """
@@ -59,6 +59,7 @@ _SLACK, _SLACK_SHARE = 20e6, 0.02  # bytes by which resident memory may differ
 _ALL = 1 << 20  # programs
 _FILLING = 10  # minutes in which caches fill
 _STUCK = 600  # seconds that a deed may take
+_STATUS_STUCK = 2
 _SHOWN = 5
 
 
@@ -119,7 +120,10 @@ class Reference:
         """End it."""
         assert self._process.stdin is not None
         self._process.stdin.close()
-        self._process.wait(60)
+        try:
+            self._process.wait(60)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
 
 
 def answer(questions: IO[str], answers: IO[str], quick: bool) -> None:
@@ -148,50 +152,64 @@ class Soak:
         self.seconds: defaultdict[str, float] = defaultdict(float)
         self.new = 0
         self.faults: list[str] = []
-        self.ends = time.perf_counter()
+        self.stuck = False
+        self._over = threading.Event()
         self._lock = threading.Lock()
         self._pausing = threading.Event()
         self._to_check: queue.Queue[tuple[str, int, str] | None] = queue.Queue(64)
 
     def run(self, seconds: float, threads: int, buffers: Buffers) -> list[dict[str, float]]:
-        """Work for that long, and what was held from time to time."""
+        """Work for that long, and what was held from time to time.
+
+        Threads work until they are told that it is over, never by a clock of their own: one that had left would be waited for.
+        """
         self._gate = threading.Barrier(threads + 1)
         begun = time.perf_counter()
-        self.ends = begun + seconds
-        checker = threading.Thread(target=self._check_new)
-        workers = [threading.Thread(target=self._work, args=(number,)) for number in range(threads)]
+        checker = threading.Thread(target=self._check_new, daemon=True)
+        workers = [threading.Thread(target=self._work, args=(number,), daemon=True) for number in range(threads)]
         for thread in (checker, *workers):
             thread.start()
         pause = min(30.0, max(0.5, seconds / 60))
         samples: list[dict[str, float]] = []
-        while time.perf_counter() + pause < self.ends and not self._gate.broken:
-            time.sleep(pause)
-            self._pausing.set()
-            with contextlib.suppress(threading.BrokenBarrierError):
+        try:
+            while time.perf_counter() + pause < begun + seconds:
+                time.sleep(pause)
+                self._pausing.set()
                 self._gate.wait(_STUCK)  # all threads have come
                 self._pausing.clear()
                 gc.collect()
                 samples.append({"seconds": time.perf_counter() - begun, **held(self.world.folder, buffers)})
                 self._gate.wait(_STUCK)
-        if self._gate.broken:
-            faulthandler.dump_traceback()
-            self.faults.append(f"a deed took more than {_STUCK} s; where all threads are stands above")
+        except threading.BrokenBarrierError:
+            self._tell_stuck()
             return samples
+        self._over.set()
         for worker in workers:
-            worker.join()
-        self._to_check.put(None)
-        checker.join()
+            worker.join(_STUCK)
+        with contextlib.suppress(queue.Full):
+            self._to_check.put(None, timeout=_STUCK)
+        checker.join(_STUCK)
+        if any(thread.is_alive() for thread in (checker, *workers)):
+            self._tell_stuck()
         return samples
+
+    def _tell_stuck(self) -> None:
+        self.stuck = True
+        faulthandler.dump_traceback()
+        self.faults.append(f"a deed took more than {_STUCK} s; where all threads are stands above")
 
     def _work(self, number: int) -> None:
         from bench.deeds import do
 
         random = np.random.default_rng([self.seed, number])
         known = list(self.catalogue)
-        while time.perf_counter() < self.ends:
+        while not self._over.is_set():
             if self._pausing.is_set():
-                self._gate.wait(_STUCK)
-                self._gate.wait(_STUCK)
+                try:
+                    self._gate.wait(_STUCK)
+                    self._gate.wait(_STUCK)
+                except threading.BrokenBarrierError:
+                    return
             name, seed = known[int(random.integers(len(known)))]
             if is_new := random.random() < self.share:
                 seed = int(random.integers(1 << 20, 1 << 62))
@@ -326,7 +344,11 @@ def main() -> None:
         answer(sys.stdin, sys.stdout, options.quick)
         return
     with kernels(), tempfile.TemporaryDirectory(prefix="clvol-soak-") as folder:
-        sys.exit(_soak(options, Path(folder)))
+        status = _soak(options, Path(folder))
+    sys.stdout.flush()
+    if status == _STATUS_STUCK:
+        os._exit(status)  # the end of the interpreter would wait for what the threads hold
+    sys.exit(status)
 
 
 def _soak(options: argparse.Namespace, folder: Path) -> int:
@@ -348,7 +370,8 @@ def _soak(options: argparse.Namespace, folder: Path) -> int:
     soak = Soak(world, reference, catalogue, options.seed, options.new)
     samples = soak.run(60 * options.minutes, options.threads, buffers)
     rows = grown(samples)
-    world.close()
+    if not soak.stuck:  # it would wait, too
+        world.close()
     gc.collect()
     left = len(buffers.sizes)
     reference.close()
@@ -382,7 +405,7 @@ def _soak(options: argparse.Namespace, folder: Path) -> int:
         output.parent.mkdir(parents=True, exist_ok=True)
         output.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
         console.print(f"written to {output}")
-    return int(failed)
+    return _STATUS_STUCK if soak.stuck else int(failed)
 
 
 def _show(soak: Soak, rows: dict[str, dict[str, Any]], console: Console) -> None:

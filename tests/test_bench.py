@@ -7,7 +7,9 @@ import os
 import re
 import subprocess
 import sys
+import threading
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -188,6 +190,35 @@ def test_a_short_soak_of_the_viewer_finds_nothing(tmp_path: Path, monkeypatch: p
 def test_what_grows_in_a_soak_is_told(name: str, step: float, grew: bool) -> None:
     after_a_jump = [{name: 0.0}] * 15 + [{name: 1e8 + step * i} for i in range(45)]
     assert soak.grown(after_a_jump)[name]["grew"] is grew
+
+
+class _Answers:
+    """The reference process, which agrees."""
+
+    def ask(self, *_: Any) -> tuple[str, bool]:
+        return "done", False
+
+
+@pytest.mark.parametrize(("seconds", "stuck"), [(1.2, False), (30.0, True)])
+def test_a_soak_waits_for_deeds_that_end_and_tells_of_those_that_do_not(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, seconds: float, stuck: bool
+) -> None:
+    """A deed of 1.2 s begins before the last count of what is held, and ends when the time is over."""
+    released = threading.Event()
+    slow: list[int] = []  # the thread that comes first
+
+    def do(*_: Any) -> tuple[str, bool]:
+        slow.append(threading.get_ident())
+        if slow[0] == threading.get_ident():
+            released.wait(seconds)
+        return "done", False
+
+    monkeypatch.setattr("bench.deeds.do", do)
+    monkeypatch.setattr(soak, "_STUCK", 3)
+    work = soak.Soak(SimpleNamespace(folder=tmp_path), _Answers(), {("deed", 0): "done"}, 0, 0.0)  # type: ignore[arg-type]
+    samples = work.run(0.99, 2, soak.Buffers())
+    released.set()
+    assert (work.stuck, len(work.faults), len(samples)) == (stuck, int(stuck), int(not stuck))
 
 
 def test_a_soak_works_at_all_that_is_public() -> None:
