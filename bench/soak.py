@@ -356,6 +356,7 @@ def _soak(options: argparse.Namespace, folder: Path) -> int:
     from bench.deeds import World
     from bench.machine import describe
     from clvol.device import as_device
+    from clvol.formats import _worker
 
     console = Console(width=120)
     device = as_device()
@@ -368,6 +369,8 @@ def _soak(options: argparse.Namespace, folder: Path) -> int:
     catalogue, refusals = _catalogue(reference, options.without, options.quick, console)
     world = World(folder, options.quick)
     soak = Soak(world, reference, catalogue, options.seed, options.new)
+    for _ in range(options.threads):  # or the second one would come whenever two threads first read files at once
+        _worker.prepare(())
     samples = soak.run(60 * options.minutes, options.threads, buffers)
     rows = grown(samples)
     if not soak.stuck:  # it would wait, too

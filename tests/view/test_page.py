@@ -185,7 +185,7 @@ def test_linked_slices_share_a_crosshair(page: Page) -> None:
     page.wait("document.querySelectorAll('.clvol-pane[data-frame]').length === 4")
     page.browser.drag((30, 20), ".clvol-pane[data-pane='z']")
     page.becomes(lambda state: state.crosshair is not None)
-    x, y, _ = page.state.crosshair or (0, 0, 0)
+    x, y, _ = page.let_go().crosshair or (0, 0, 0)
     assert x > 92
     assert y > 92  # rows of a patient's axial slices run to the back
     page.wait("document.querySelector('.clvol-pane[data-pane=x] .clvol-crosshair')")
@@ -208,6 +208,34 @@ def test_mode_filter_and_option_are_set(page: Page) -> None:
     page.choose("Mode", "mip")
     page.becomes(lambda state: state.mode == "mip" and not state.options)
     assert page.js("return document.querySelector('input[aria-label=\"isovalue, as a number\"]')") is None
+
+
+def test_keys_move_a_slider_however_late_the_session_answers(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An answer to the first key comes between the second and the third: the slider must not go back to what it says."""
+    hear = Session._set
+
+    def slow(session: Session, message: Any) -> None:
+        time.sleep(0.4)
+        hear(session, message)
+
+    page.choose("Mode", "isosurface")
+    page.becomes(lambda state: state.mode == "isosurface")
+    page.wait(FINAL)
+    slider = "document.querySelector('input[type=range][aria-label=isovalue]')"
+    page.type("isovalue", "120")
+    page.becomes(lambda state: state.options.get("isovalue") == 120)
+    first, step = (float(page.js(f"return {slider}.{what}")) for what in ("value", "step"))
+    monkeypatch.setattr(Session, "_set", slow)
+    page.js(f"{slider}.focus()")
+    shown = []
+    for _ in range(3):
+        page.browser.key("ArrowRight", windowsVirtualKeyCode=39)
+        time.sleep(0.25)
+        shown.append(float(page.js(f"return {slider}.value")))
+    np.testing.assert_allclose(shown, first + step * np.arange(1, 4), rtol=1e-5)
+    page.becomes(lambda state: abs(state.options["isovalue"] - shown[-1]) < step / 100)
+    page.wait("document.querySelector('.clvol-status').dataset.kind !== 'error'")
+    assert float(page.js(f"return {slider}.value")) == shown[-1]
 
 
 def test_a_point_of_the_transfer_function_is_dragged_as_one_step(page: Page) -> None:

@@ -69,7 +69,9 @@ def shown(browser: Browser, view: Watched) -> Iterator[Watched]:
     with serve(view) as server:
         browser.open(server.url)
         browser.wait(FINAL, 60)
+        browser.console()  # what other tests left
         yield view
+        browser.open("about:blank")  # else the page goes on asking a server that has ended
     view.close()
 
 

@@ -234,6 +234,18 @@ def test_a_change_that_is_undone_before_it_was_told_can_be_redone(client: Client
     assert client.session.state == first
 
 
+def test_states_say_which_change_they_know_of(client: Client) -> None:
+    """Refused ones, and those that change nothing, are known too."""
+    client.wait(lambda m: m["type"] == "state")
+    for number, changes in enumerate(({"mode": "mip"}, {"mode": "mip"}, {"mode": "none"}, {"index.time": "never"}, {}), 1):
+        client.session.receive({"type": "set", "changes": changes, "number": number})
+        message, _ = client.wait(lambda m, number=number: m["type"] == "state" and m["heard"] == number)
+        assert message["state"]["mode"] == "mip"
+    client.session.receive({"type": "set", "changes": {"mode": "minip"}, "number": "a text"})
+    message, _ = client.wait(lambda m: m["type"] == "state" and m["state"]["mode"] == "minip")
+    assert message["heard"] == 5
+
+
 def test_after_a_click_and_a_change_the_session_still_hears(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
     client.resize()
     client.still()

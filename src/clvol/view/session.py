@@ -4,8 +4,9 @@ Messages are JSON objects; a frame is one with bytes beside it. Beyond the proto
 
 - An event without "pane" is for the pane that is shown; a `resize` without it is for all panes that had none of their own.
 - `{"type": "set", "changes": {...}, "live": true, "gesture": "..."?}` is one of several that make one step of undo (a slider
-  that is dragged); one without "live" ends them, and is of the same step if it bears the gesture's name.
-- `{"type": "state", ..., "effective": {...}?}`: what applies where the state leaves it open: "transfer" (points), "window" of
+  that is dragged); one without "live" ends them, and is of the same step if it bears the gesture's name. A "number" comes back
+  with the states that know of it, as "heard": a client that has set more meanwhile goes on showing that.
+- `{"type": "state", ..., "heard": ..., "effective": {...}?}`: what applies where the state leaves it open: "transfer" (points), "window" of
   slices, "filter" by its full name, "options" of the mode (the isovalue), "crosshair". The first may come without, and a second
   one when that is known.
 - A `frame` with `"few": true` shows few of the volume's samples: the coefficients of all are being made.
@@ -108,7 +109,8 @@ class Session:
         self._released: str | None = None  # the pane in which a drag has just ended
         self._took: dict[str, tuple[object, float]] = {}  # what each pane's last still picture was of, and its seconds
         self._overlays: dict[str, object] = {}
-        self._told: Any = None  # the state, and whether there is something to undo and to redo
+        self._told: Any = None  # the state, the number of the last change, and whether there is something to undo and to redo
+        self._heard: int | None = None
         self._told_of = _COMPLETE  # what was said of the last frame
         self._described: object = None  # the place of the volume that the client was told of
         self._told_all, self._began = False, time.monotonic()
@@ -377,7 +379,8 @@ class Session:
         self._sizes[name] = PaneSize(width, height, min(max(ratio, 0.25), _MOST_RATIO))
 
     def _set(self, message: Mapping[str, Any]) -> None:
-        changes = message.get("changes")
+        changes, count = message.get("changes"), message.get("number")
+        self._heard = count if isinstance(count, int) else self._heard
         try:
             made = State.from_json(changes) if message.get("whole") else self.state.changed(changes)  # type: ignore[arg-type]  # it is checked
             made = self._seen_from_there(made, whole=bool(message.get("whole")))
@@ -788,10 +791,11 @@ class Session:
         """What is shown; what follows from the volume is told later, if it is not known yet: pictures do not wait for it."""
         state, known = self.state, self._resident.knows(self.state)
         undo, redo = bool(self._history.past), bool(self._history.future)
-        if (state, undo, redo) == self._told and known == self._told_all:
+        telling = (state, self._heard, undo, redo)
+        if telling == self._told and known == self._told_all:
             return
-        self._told, self._told_all = (state, undo, redo), known
-        message = {"type": "state", "state": state.json(), "can_undo": undo, "can_redo": redo}
+        self._told, self._told_all = telling, known
+        message = {"type": "state", "state": state.json(), "heard": self._heard, "can_undo": undo, "can_redo": redo}
         if known:
             message["effective"] = self._resident.effective(state)
         self._tell(message)

@@ -1326,6 +1326,8 @@ class Viewer {
     this.info = null;
     this.state = null;
     this.told = null; // the last state of the session's own
+    this.unheard = []; // changes that it did not know of
+    this.lastSet = 0;
     this.effective = {}; // what applies where the state leaves it open
     this.errors = null; // of the wiper's filters
     this.overlays = new Map(); // the last message of each pane
@@ -1397,6 +1399,8 @@ class Viewer {
   take(message) {
     this.state = message.state;
     this.told = structuredClone(message.state);
+    this.unheard = this.unheard.filter(({ number }) => !(number <= message.heard));
+    for (const { changes, whole } of this.unheard) this.apply(changes, whole);
     this.canUndo = message.can_undo;
     this.canRedo = message.can_redo;
     this.effective = message.effective ?? this.effective;
@@ -1461,6 +1465,7 @@ class Viewer {
   said({ text, kind }) {
     this.status(text, kind);
     if (kind !== "error" || !this.told) return;
+    this.unheard = [];
     this.state = structuredClone(this.told);
     this.show();
   }
@@ -1470,6 +1475,30 @@ class Viewer {
   /** Changes fields of the state by dotted names; `live` while a control still moves: what follows is the same step of undo. */
   set(changes, live = false) {
     if (!this.state) return;
+    this.apply(changes);
+    this.tellSet({ changes, live, gesture: `panel-${this.gesture}` });
+    if (!live) this.gesture += 1;
+    this.show();
+  }
+
+  /** The state as it is shown here, once more: to a session that does not know it. */
+  setAll() {
+    this.unheard = [];
+    if (this.state) this.tellSet({ changes: structuredClone(this.state), whole: true });
+  }
+
+  tellSet({ changes, whole, ...more }) {
+    this.lastSet += 1;
+    this.unheard.push({ number: this.lastSet, changes, whole });
+    this.channel.send({ type: "set", changes, whole, number: this.lastSet, ...more });
+  }
+
+  /** Changes of the state as it is shown here. */
+  apply(changes, whole = false) {
+    if (whole) {
+      this.state = structuredClone(changes);
+      return;
+    }
     if ("mode" in changes && changes.mode !== this.state.mode) this.state.options = {};
     for (const [name, value] of Object.entries(changes)) {
       const words = name.split(".");
@@ -1477,9 +1506,6 @@ class Viewer {
       for (const word of words.slice(0, -1)) part = part[word] ??= {};
       part[words.at(-1)] = value;
     }
-    this.channel.send({ type: "set", changes, live, gesture: `panel-${this.gesture}` });
-    if (!live) this.gesture += 1;
-    this.show();
   }
 
   /** Ends what was live: the next change is a step of its own. */
@@ -1603,7 +1629,7 @@ export function page(element) {
       viewer.status("");
       for (const pane of viewer.panes.values()) pane.latest = 0;
       last = "";
-      if (viewer.state) channel.send({ type: "set", changes: viewer.state, whole: true }); // of before the connection was lost
+      if (viewer.state) viewer.setAll(); // of before the connection was lost
       else restore();
       for (const pane of viewer.panes.values()) pane.resized();
     };
