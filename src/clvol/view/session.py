@@ -6,9 +6,9 @@ Messages are JSON objects; a frame is one with bytes beside it. Beyond the proto
 - `{"type": "set", "changes": {...}, "live": true, "gesture": "..."?}` is one of several that make one step of undo (a slider
   that is dragged); one without "live" ends them, and is of the same step if it bears the gesture's name. A "number" comes back
   with the states that know of it, as "heard": a client that has set more meanwhile goes on showing that.
-- `{"type": "state", ..., "heard": ..., "effective": {...}?}`: what applies where the state leaves it open: "transfer" (points), "window" of
-  slices, "filter" by its full name, "options" of the mode (the isovalue), "crosshair". The first may come without, and a second
-  one when that is known.
+- `{"type": "state", ..., "heard": ..., "effective": {...}?}`: what applies where the state leaves it open: "transfer" (points),
+  "window" of slices, "filter" by its full name, "options" of the mode (the isovalue), "crosshair". The first may come without,
+  and a second one when that is known.
 - A `frame` with `"few": true` shows few of the volume's samples: the coefficients of all are being made.
 - `{"type": "overlay", "pane", "crosshair": [x, y] | null, "box": [[x, y] | null, ... 8] | null, "faces", "unit_pixels", "right",
   "down"}`: where to draw the crosshair and the crop box, in CSS pixels of the pane (corner ``i`` is at the high end along x, y, z
