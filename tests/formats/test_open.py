@@ -334,6 +334,24 @@ def test_folders_without_times_are_not_believed(tmp_path: Path, monkeypatch: pyt
     assert (lazy.read((10, 10, 10), (20, 20, 20)) == 7).all()
 
 
+def test_large_chunks_of_a_folder_without_times_that_vanishes_are_no_zeros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It goes while it is read: chunks that are stored as they are, are read without zarr."""
+    from clvol.formats import zarr as zarr_format
+
+    monkeypatch.setattr(zarr_format, "_keeps_times", lambda _: False)
+    monkeypatch.setattr(zarr_format, "_LARGE", 100)
+    stored(tmp_path / "v.zarr", compressors=None)
+    lazy = clvol.open(tmp_path / "v.zarr", trusted=True)
+    of_chunk = zarr_format._Unpacked._of_chunk
+
+    def going(self: Any, chunk: tuple[int, ...], inside: Any) -> Any:
+        shutil.rmtree(tmp_path / "v.zarr")
+        return of_chunk(self, chunk, inside)
+
+    monkeypatch.setattr(zarr_format._Unpacked, "_of_chunk", going)
+    no_zeros(lazy, "is gone")
+
+
 def test_a_folder_that_vanishes_under_consolidated_metadata_is_noticed(tmp_path: Path) -> None:
     group = zarr.create_group(tmp_path / "v.zarr", zarr_format=2)
     group.create_array("a", data=DATA[0, 0], chunks=(10, 10, 10))
@@ -399,6 +417,9 @@ def test_shapes_tell_where_sizes_lie_before_0_4(tmp_path: Path) -> None:
 
 def test_stores_without_samples(tmp_path: Path) -> None:
     zarr.create_array(tmp_path / "v.zarr", shape=(20, 30, 40), chunks=(10, 10, 10), dtype="u2")
+    with pytest.raises(FormatError, match="none of its chunks"):
+        clvol.open(tmp_path / "v.zarr")
+    (tmp_path / "v.zarr" / "c" / "0" / "1").mkdir(parents=True)  # a copy that was interrupted has folders before it has chunks
     with pytest.raises(FormatError, match="none of its chunks"):
         clvol.open(tmp_path / "v.zarr")
     for changes in ({"chunks": [0, 10, 10]}, {"chunks": [10, 10]}, {"shape": [0, 30, 40]}, {"chunks": [10, -10, 10]}):

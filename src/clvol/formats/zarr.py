@@ -493,6 +493,7 @@ class _Unpacked(_Chunked):
                 inside.append(slice(low - i * n, high - i * n))
                 target.append(slice(low - part[0], high - part[0]))
             result[tuple(target)] = self._of_chunk(chunk, tuple(inside))
+        self._require_the_same()  # in a store that has gone all chunks are missing
         return result[tuple(slice(None) if isinstance(at, slice) else 0 for at in index)]
 
     def _of_chunk(self, chunk: tuple[int, ...], inside: tuple[slice, ...]) -> Any:
@@ -502,6 +503,7 @@ class _Unpacked(_Chunked):
         self._store.look(key)
         file = self._store.root / key
         if not file.exists():
+            self._store.look(key)  # once more: it may have gone meanwhile
             self._store.require_never_there(key)
             if array.metadata.fill_value is None:
                 raise FormatError(f"{self._source} must hold all chunks of an array without a fill value; {key} is missing")
@@ -527,12 +529,18 @@ def _require_chunks(name: str, array: Any, store: Any) -> None:
     announce(name, sample_count(array.chunks) * array.dtype.itemsize)
     if not store.folder:
         return
-    folder = store.root / array.path
-    if all(entry.name in _ABOUT or entry.name.startswith(".") for entry in os.scandir(folder)):
+    if not _has_chunks(store.root / array.path):
         raise FormatError(
             f"{name} must hold samples; {array.path or '.'} has none of its chunks (clvol.read reads its fill value "
             f"{array.fill_value} for all of them)"
         )
+
+
+def _has_chunks(folder: str | os.PathLike[str]) -> bool:
+    """Whether there is anything but metadata and empty folders: those of nested chunks are made before these."""
+    with os.scandir(folder) as entries:
+        others = (entry for entry in entries if entry.name not in _ABOUT and not entry.name.startswith("."))
+        return any(not entry.is_dir(follow_symlinks=False) or _has_chunks(entry.path) for entry in others)
 
 
 def _require_own_file(root: Path, key: str) -> None:
