@@ -332,6 +332,28 @@ def test_folders_without_times_are_not_believed(tmp_path: Path, monkeypatch: pyt
     lazy = clvol.open(tmp_path / "v.zarr", trusted=True)
     os.utime(tmp_path / "v.zarr" / "c" / "1" / "1")
     assert (lazy.read((10, 10, 10), (20, 20, 20)) == 7).all()
+    shutil.copy2(tmp_path / "v.zarr" / "c" / "0" / "0" / "0", tmp_path / "again")
+    before = lazy.read((0, 0, 0), (10, 10, 10))
+    (tmp_path / "again").rename(tmp_path / "v.zarr" / "c" / "0" / "0" / "0")  # files may have another number at each look
+    np.testing.assert_array_equal(lazy.read((0, 0, 0), (10, 10, 10)), before)
+
+
+def test_of_very_many_chunks_the_last_are_watched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And the metadata, however many chunks come after them."""
+    monkeypatch.setattr("clvol.formats.zarr._WATCHED", 4)
+    stored(tmp_path / "v.zarr")
+    lazy = clvol.open(tmp_path / "v.zarr", trusted=True)
+    for _ in range(2):
+        np.testing.assert_array_equal(lazy.whole().data, DATA[0, 0])
+    lazy.read((10, 10, 10), (20, 20, 20))
+    chunk = tmp_path / "v.zarr" / "c" / "1" / "1" / "1"
+    chunk.write_bytes(chunk.read_bytes() + b"more")
+    no_zeros(lazy)
+    lazy = clvol.open(tmp_path / "v.zarr", trusted=True)
+    lazy.read((0, 0, 0), (40, 30, 10))
+    about = tmp_path / "v.zarr" / "zarr.json"
+    about.write_text(about.read_text() + " ")
+    no_zeros(lazy)
 
 
 def test_large_chunks_of_a_folder_without_times_that_vanishes_are_no_zeros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -187,6 +187,8 @@ def test_what_is_stored_as_it_is_is_read_by_its_parts(tmp_path: Path, monkeypatc
                 file.write(plane, contiguous=False, photometric="minisblack", metadata=None, rowsperstrip=7)
     with h5py.File(tmp_path / "v.h5", "w") as file:
         file.create_dataset("v", data=data, chunks=(30, 50, 60))
+    with hdf5.opened(tmp_path / "v.h5") as file:
+        assert file["v"].id.get_access_plist().get_chunk_cache()[1] == 1000
     for path in sorted(tmp_path.iterdir()):
         volume = clvol.open(path, trusted=True, spacing=(1, 1, 1))
         assert (volume.chunks, volume.stored_in_one) == (None, 0), path.name

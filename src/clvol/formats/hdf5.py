@@ -22,7 +22,7 @@ from clvol.volumes import Leading
 
 __all__ = ["lazily", "loaded", "member", "opened", "read", "series", "window"]
 
-_CACHED = 1 << 20  # bytes: HDF5 takes chunks that are no larger as a whole
+_CACHED = 1 << 20  # bytes of chunks that HDF5 keeps: of its own it does 1 MiB, from 2.0 on 8. It takes no larger ones as a whole
 _NETCDF_3 = b"CDF"
 _INSTEAD = "clvol.LazyVolume(dataset) takes what h5py makes of it, if you trust it"
 _LISTED = 5  # links in a message
@@ -84,7 +84,7 @@ def opened(path: Path) -> Any:
     with path.open("rb") as stream:
         if stream.read(3) == _NETCDF_3:
             raise FormatError(f"{path.name} must be of netCDF-4, which is HDF5; it is of netCDF-3: nccopy -k nc4 makes it one")
-    return h5py.File(path, "r", locking="best-effort")
+    return h5py.File(path, "r", locking="best-effort", rdcc_nbytes=_CACHED)
 
 
 def member(group: Any, name: str) -> Any:

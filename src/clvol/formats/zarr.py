@@ -10,6 +10,7 @@ import time
 import warnings
 import zipfile
 import zlib
+from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -299,7 +300,7 @@ def _checked() -> Any:
             self.folder = root is not None and root.is_dir()
             self.required: set[str] = set()  # arrays whose chunks have no other value
             self.missing = 0
-            self._seen: dict[str, Signature] = {}
+            self._seen: OrderedDict[str, Signature] = OrderedDict()  # the one seen first is first
             self._folders: dict[str, int | None] = {}  # when their entries changed last, those of chunks that are watched
             self._dated = root is not None and self.folder and watched and _keeps_times(root)
 
@@ -344,11 +345,15 @@ def _checked() -> Any:
             if not self.watched:
                 return
             now = signature(file)
+            if now is not None and self.folder and not self._dated:
+                now = (*now[:2], 0)  # what is mounted may number a file anew each time that it is looked at
             if key not in self._seen:
                 self._require_older(key, now)
                 self._seen[key] = now
                 if len(self._seen) > _WATCHED:
-                    del self._seen[next(one for one in self._seen if one.rpartition("/")[2] not in _ABOUT)]
+                    first, was = self._seen.popitem(last=False)  # at once: other threads look, too
+                    if first.rpartition("/")[2] in _ABOUT:
+                        self._seen[first] = was
             elif self._seen[key] != now:
                 what = key or "the archive"
                 raise self._changed(f"{what} is gone" if now is None else what)
