@@ -234,6 +234,17 @@ def test_without_a_prefilter_no_bit_differs(order: int, mode: str) -> None:
             np.testing.assert_array_equal(CALLS[name](blocks, order=order, mode=mode).compute(), wanted, err_msg=name)
 
 
+def test_booleans_are_computed_in_double_precision() -> None:
+    """For results are cut off: none differs but where the function is 1 to the last digits."""
+    whole = scipy.ndimage.gaussian_filter(np.random.default_rng(0).random((40, 44, 48)), 2) > 0.5
+    blocks = da.from_array(whole, chunks=(16, 20, 48))
+    for order in (2, 3):
+        wanted = ndimage.shift(whole, (1.5, 0, 0), order=order, mode="reflect")
+        got = ndimage.shift(blocks, (1.5, 0, 0), order=order, mode="reflect").compute()
+        exact = ndimage.shift(whole.astype(np.float64), (1.5, 0, 0), order=order, mode="reflect")
+        assert np.abs(exact[got != wanted] - 1).max(initial=0) < 1e-12
+
+
 @pytest.mark.parametrize("mode", ["constant", "wrap"])
 def test_edges_where_the_function_jumps_are_where_they_were(mode: str) -> None:
     """Grids whose points lie on the outer samples, but for rounding."""

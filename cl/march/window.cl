@@ -30,17 +30,22 @@ INLINE global const float *whole_pointer(global const float *coefficients, const
 // and not always as windows follow: such rays belong, along this axis, to the window in which they enter.
 INLINE mask along_faces(const ray_t *ray, const real direction) { return magnitude(direction) * (ray->leave - ray->enter) < ASTRAY; }
 
-INLINE real place_in_windows(const ray_t *ray, const real origin, const real direction, const real t)
+// Where samples at t lie along an axis, for the windows: never behind the eye, though rounding may have it so beside a face, for
+// windows follow outwards from the one in which the eye is.
+INLINE real place_in_windows(constant frame_t *frame, const ray_t *ray, const real origin, const real direction, const float eye,
+                             const real t)
 {
-    return madd(choose(along_faces(ray, direction), ray->enter, t), direction, origin);
+    const real place = madd(choose(along_faces(ray, direction), ray->enter, t), direction, origin);
+    return frame->camera.orthographic ? place : choose(direction > 0.0f, MAX(place, (real)(eye)), MIN(place, (real)(eye)));
 }
 
 // Whether samples at t lie in the window: the same question to two windows has one answer, for a position is what it is.
 INLINE mask in_window(constant frame_t *frame, const ray_t *ray, const real t)
 {
-    const real3 p = real3_of(place_in_windows(ray, ray->origin.x, ray->direction.x, t),
-                             place_in_windows(ray, ray->origin.y, ray->direction.y, t),
-                             place_in_windows(ray, ray->origin.z, ray->direction.z, t));
+    constant float *eye = frame->camera.eye;
+    const real3 p = real3_of(place_in_windows(frame, ray, ray->origin.x, ray->direction.x, eye[0], t),
+                             place_in_windows(frame, ray, ray->origin.y, ray->direction.y, eye[1], t),
+                             place_in_windows(frame, ray, ray->origin.z, ray->direction.z, eye[2], t));
     constant float *low = frame->window.low, *high = frame->window.high;
     return (p.x >= low[0]) & (p.x < high[0]) & (p.y >= low[1]) & (p.y < high[1]) & (p.z >= low[2]) & (p.z < high[2]);
 }

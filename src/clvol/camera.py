@@ -56,6 +56,7 @@ class View:
         direction=(FLOAT, 3),
         direction_u=(FLOAT, 3),
         direction_v=(FLOAT, 3),
+        eye=(FLOAT, 3),
         ahead=FLOAT,
         orthographic=INT,
     )
@@ -118,6 +119,10 @@ class View:
         one_side = (rays > 0).all(0) | (rays < 0).all(0)
         return np.where(one_side, np.linalg.norm(rays[:, [[1, 2], [2, 0], [0, 1]]], axis=-1).max(0), 1.0)
 
+    def eye_in(self, volume: Volume) -> NDArray[np.float32]:
+        """The eye in samples, as kernels know it: for what they and the host have to decide in the same way."""
+        return volume.world_to_index(self.eye).astype(np.float32)
+
     def block(self, volume: Volume, width: int, height: int, aspect: float | None = None) -> Values:
         """What kernels read: rays in index space as linear functions of the pixel, (0, 0) top left.
 
@@ -143,6 +148,7 @@ class View:
             direction=unit * (inverse @ self.forward) + fan * (inverse @ corner),
             direction_u=fan * (inverse @ per_x),
             direction_v=fan * (inverse @ per_y),
+            eye=self.eye_in(volume),
             ahead=ahead / unit,
             orthographic=self.orthographic,
         )

@@ -242,6 +242,19 @@ def test_an_eye_beside_a_face_between_bricks(filter: str) -> None:
     np.testing.assert_array_equal(bricked, whole)
 
 
+def test_an_eye_in_a_face_but_for_rounding() -> None:
+    """The first samples of rays lie there, on whichever side their own rounding has them."""
+    rng = np.random.default_rng(0)
+    data = rng.random((20, 40, 33)).astype(np.float32)
+    for _ in range(12):
+        turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        volume = clvol.Volume(data, (1, 1, 1), rng.normal(size=3) * 100, turn)
+        eye = volume.index_to_world([16 - 1e-6, 27 - 1e-7, 9 - 1e-7])  # a plane of samples is just ahead
+        camera = clvol.Camera.look_at(eye, eye + 10 * turn[:, 0], up=turn[:, 2], fov=20)
+        whole, bricked = both(volume, "linear", "mirror", 9, camera, "composite", (32, 32), transfer=BUMPY, samples=1)
+        np.testing.assert_array_equal(bricked, whole)
+
+
 @pytest.mark.parametrize(("azimuth", "elevation"), [(0, 0), (90, 0), (180, 0), (270, 0), (0, 90), (0, -90), (180, 90)])
 def test_rays_that_lie_in_a_face_between_bricks(azimuth: float, elevation: float) -> None:
     """Which side of the face a ray of the middle column or row is on, the rounding of a hundred-millionth of a sample decides."""

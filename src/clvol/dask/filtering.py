@@ -216,9 +216,10 @@ def refused_local(interpolates: bool) -> None:
     raise UnsupportedError('nan must be "propagate" or "error" for an array of dask, whose gaps may span blocks; got "local"')
 
 
-def splines_margin(spline: Spline) -> Margin:
-    """How many samples before and after a position its value depends on."""
-    return margin(engine.row_of(spline.order, spline.prefilter), spline.precision)
+def splines_margin(spline: Spline, dtype: np.dtype[Any]) -> Margin:
+    """How many samples before and after a position its value depends on; booleans are computed in double precision."""
+    precision: Precision = "double" if dtype.kind == "b" else spline.precision
+    return margin(engine.row_of(spline.order, spline.prefilter), precision)
 
 
 # -- blocks ----------------------------------------------------------------------------------------------------------

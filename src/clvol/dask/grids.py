@@ -287,7 +287,7 @@ def _along(
         positions = [np.arange(n, dtype=np.float64) if p is None else p for p, n in zip(positions, source.shape, strict=True)]
     if not source.size:
         _require_samples(source, chunks, spline, positions)
-    boundary, reach = options.boundary, splines_margin(spline)
+    boundary, reach = options.boundary, splines_margin(spline, dtype)
     radii = {axis: gaussian_radius(s) for axis, s in (sigma or {}).items()}
     windows: list[list[Window | None]] = []  # along each axis of each chunk
     for axis, (along, n, sizes) in enumerate(zip(positions, source.shape, chunks, strict=True)):
@@ -362,7 +362,8 @@ def _nearest(
         parts = ((source.real, cval.real), (source.imag, cval.imag))
         made = [_nearest(part, positions, chunks, half, spline, replace(options, cval=value)) for part, value in parts]
         return da.map_blocks(_complex, *made, dtype=dtype, meta=np.empty((0,) * source.ndim, dtype))
-    row, boundary, double = bspline(options.order), options.boundary, spline.precision == "double"
+    row, boundary = bspline(options.order), options.boundary
+    double = spline.precision == "double" or dtype.kind == "b"  # as `clvol.ndimage.engine.kind_for`
     reductions = {
         axis: Reduction.at(row, p, source.shape[axis], boundary, double, options.prefilter)
         for axis, p in enumerate(positions)
@@ -434,7 +435,7 @@ def _affinely(
     left = [k for k in range(rows) if k not in axes or (same and _is_left(k, matrix, offset, shape, source.shape))]
     moved = [k for k in range(rows) if k not in left]
     passes.require_mixable(matrix, moved, columns > rows)
-    boundary, reach = options.boundary, splines_margin(spline)
+    boundary, reach = options.boundary, splines_margin(spline, dtype)
     repeats = boundary.outside == "overlap" or (boundary.fold is None and boundary.period is not None)
 
     def plan(_: tuple[int, ...], where: tuple[Span, ...]) -> tuple[tuple[Span, ...] | None, Any]:

@@ -340,7 +340,7 @@ def _scattered(
     """Points in an array of dask: those of a block go to the chunks that they lie in, whose values are put together."""
     known = not is_lazy(at)
     name = f"map_coordinates-{tokenize(source.name, at if known else at.name, along, pieces, str(dtype), *options.identity)}"
-    boundary, reach = options.boundary, splines_margin(spline)
+    boundary, reach = options.boundary, splines_margin(spline, dtype)
     places = [spans(sizes) for sizes in source.chunks]
     filled = [[i for i, (low, high) in enumerate(axis) if high > low] for axis in places]
     chunks = _Chunks(

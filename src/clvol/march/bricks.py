@@ -412,7 +412,7 @@ def front_to_back(field: BrickedField, view: View, box: tuple[Index, Index] | No
             forwards = float((inverse @ view.forward)[axis]) >= 0
             ways.append(list(range(first, past)) if forwards else list(range(first, past))[::-1])
             continue
-        eye = (float(grid.world_to_index(view.eye)[axis]) - field.away) / field.edge
+        eye = (float(view.eye_in(grid)[axis]) - field.away) / field.edge
         own = min(max(math.floor(eye), first), past - 1)
         ways.append([*range(own, past), *range(first, own)[::-1]])  # neighbours, which share chunks, follow each other
     x, y, z = ways

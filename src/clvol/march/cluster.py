@@ -119,7 +119,7 @@ def visible(tree: _Tree, field: BrickedField, view: View) -> Iterator[Group]:
     if view.orthographic:
         low_first = float((grid.world_to_index_matrix @ view.forward)[tree.axis]) >= 0
     else:
-        low_first = float(grid.world_to_index(view.eye)[tree.axis]) < tree.at * field.edge + field.away
+        low_first = float(view.eye_in(grid)[tree.axis]) < tree.at * field.edge + field.away
     for part in (tree.low, tree.high) if low_first else (tree.high, tree.low):
         yield from visible(part, field, view)
 
