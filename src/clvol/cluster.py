@@ -472,7 +472,8 @@ def _heedless(start: Callable[[], Any]) -> Any:
     try:
         return made.result()
     except KeyboardInterrupt:
-        _close([made.result()])
+        with contextlib.suppress(Exception):  # it did not start
+            _close([made.result()])
         raise
 
 
