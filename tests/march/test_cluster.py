@@ -651,6 +651,7 @@ def test_the_command_starts_workers(tmp_path: Any) -> None:
 
 
 INTERRUPTED = """
+import signal
 import sys
 import distributed
 from clvol import cli, cluster
@@ -663,6 +664,7 @@ def begun(**options):
     print("starting", flush=True)
     return local(**options)
 cluster.Cluster.done, distributed.LocalCluster = told, begun
+signal.signal(signal.SIGINT, signal.default_int_handler)  # who starts tests in the background has it ignored
 cli.main(sys.argv[1:])
 """
 LONG = {
