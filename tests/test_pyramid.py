@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import itertools
 import json
 import math
@@ -676,6 +678,28 @@ def test_a_process_that_is_killed_at_its_end_loses_nothing(tmp_path: Path) -> No
         assert told[0] >= least
         same_stores(target, tmp_path / "whole.zarr")
         assert not (tmp_path / ".v.zarr.unfinished").exists()
+
+
+def test_groups_that_were_not_made_yet_are_made_when_it_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Zarr makes an array and the groups that it lies in at once: it may be ended when it has made the array alone."""
+    volume = scan((20, 30, 40))  # so small that no coarser bounds make the groups
+    about: dict[str, Any] = {"chunks": 16, "levels": 2, "filter": "linear"}
+    whole = clvol.pyramid(volume, tmp_path / "whole.zarr", **about)
+
+    async def ended(_store: Any, key: str, _value: Any) -> None:
+        if key.startswith("clvol"):
+            await asyncio.sleep(0.2)
+            raise OSError("the disk is full")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(zarr.storage.LocalStore, "set_if_not_exists", ended)
+        with contextlib.suppress(FormatError):  # zarr may make them otherwise
+            clvol.pyramid(volume, tmp_path / "v.zarr", **about)
+    again = clvol.pyramid(volume, tmp_path / "v.zarr", **about)
+    same_stores(tmp_path / "v.zarr", tmp_path / "whole.zarr")
+    files = [{one.relative_to(path) for one in path.rglob("*")} for path in (tmp_path / "v.zarr", tmp_path / "whole.zarr")]
+    assert files[0] == files[1]
+    assert again.bounds.within((0, 0, 0), (8, 8, 8)) == whole.bounds.within((0, 0, 0), (8, 8, 8))
 
 
 def test_an_interrupt_leaves_no_store_but_what_to_go_on_with(tmp_path: Path) -> None:

@@ -482,6 +482,9 @@ class _Making:
         bricks = Bricks(cached.__getitem__, level.size, row, plan.boundary, edge, plan.device)
         dtype = np.dtype(np.float64 if wide(self.dtype) else np.float32)
         shape = (*bricks.count[::-1], 2)
+        group = root
+        for name in (KEY, "bounds", str(number)):  # zarr makes them at once with the array, and never if it is killed just then
+            group = group.require_group(name)
         blocks = self._array(root, f"{KEY}/bounds/{number}/0", shape, dtype, (bricks.edge,) * 3, fill=np.nan)
         places = list(bricks.places())
         for place in places:
