@@ -509,6 +509,15 @@ def test_a_store_behind_http(served: tuple[str, Path, type[Slow]], cells: Path) 
     assert handler.most > 2, "chunks should not wait for each other"
 
 
+def test_shards_behind_a_server_without_ranges(served: tuple[str, Path, type[Slow]]) -> None:
+    """Of which parts are asked for, and all is answered: the shards are sound, and a checksum that differs says otherwise."""
+    address, folder, _ = served
+    zarr.create_array(folder / "s.zarr", data=DATA[0, 0], chunks=(2, 2, 2), shards=(4, 4, 4))
+    far = clvol.open(f"{address}/s.zarr")
+    with pytest.raises(FormatError, match=r"a part of chunk c/\d/\d/\d of s\.zarr: the server answers with all of it"):
+        far.whole()
+
+
 def test_faults_behind_http(served: tuple[str, Path, type[Slow]], monkeypatch: pytest.MonkeyPatch) -> None:
     address, folder, handler = served
     stored(folder / "v.zarr", fill_value=7)

@@ -248,6 +248,14 @@ def _store(source: Path | str, options: Mapping[str, Any] | None = None, watched
     return checked(ZipStore(source, mode="r"), source.absolute(), source.name, watched), _inside(source), source.name
 
 
+def _most(byte_range: Any) -> float:
+    """Bytes that a part of a value has, at most."""
+    start, end, suffix = (getattr(byte_range, name, None) for name in ("start", "end", "suffix"))
+    if suffix is not None:
+        return int(suffix)
+    return math.inf if start is None or end is None else int(end) - int(start)
+
+
 def _for_all_keys(address: str, options: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
     """An address, and options, with which the query of one of HTTP (a token) goes with each key; it ended the address of none."""
     place, _, query = address.partition("?")
@@ -321,6 +329,11 @@ def _checked() -> Any:
                 raise FormatError(f"cannot read {what} of {self.name}: {self.said(error)}") from error
             if found is not None and not len(found):
                 raise FormatError(f"{self.name} must hold whole chunks; {key} is empty")
+            if found is not None and len(found) > _most(byte_range):  # all of it, which would be decoded as a part
+                raise FormatError(
+                    f"cannot read a part of chunk {key} of {self.name}: the server answers with all of it, and shards need one "
+                    "that answers requests for ranges"
+                )
             if found is None and key.rpartition("/")[2] not in _ABOUT:
                 self.missing += 1
                 if self.root is not None:
