@@ -509,6 +509,7 @@ def test_a_pyramid_of_a_file(clvol_command: Command) -> None:
     clvol_command("pyramid", "v.npz", "-o", "v.zarr", "--overwrite", "--levels", "1", "--no-bounds")
     assert clvol.open("v.zarr").bounds is None
     clvol_command("pyramid", "v.npz", "-o", "w.tif").fails(1, "pyramids are written as .zarr")
+    clvol_command("pyramid", "v.npz", "-o", "s3://a/w.zarr").fails(1, "pyramids are written to a folder", "got s3://a/w.zarr")
     clvol_command("pyramid", "v.npz", "-o", "w.zarr", "--budget", "much").fails(1, "--budget must be", "800M or 4G; got 'much'")
     clvol_command("pyramid", "v.npz", "-o", "w.zarr", "--budget", "50M").fails(1, "--budget must be more than 96 MiB; got 50 MiB")
     clvol_command("pyramid", "v.npz", "-o", "w.zarr", "--levels", "0").fails(1, "--levels must be")

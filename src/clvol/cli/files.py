@@ -311,7 +311,8 @@ def pyramid(
     source: Source,
     /,
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"], help="The store to write, a folder *.zarr.")],
+    # no Path: an address would be one without its second slash
+    output: Annotated[str, Parameter(name=["--output", "-o"], help="The store to write, a folder *.zarr.")],
     filter: Annotated[FilterName | None, Parameter(show_default=False)] = None,
     boundary: Boundary = "mirror",
     method: Literal["least-squares", "average", "nearest"] | None = None,
@@ -356,7 +357,7 @@ def pyramid(
     overwrite
         Replace what is at OUTPUT, and what another unfinished command left there.
     """
-    require_suffix(output, (".zarr",), "pyramids")
+    require_suffix(Path(output), (".zarr",), "pyramids")
     volume = (input or Input()).open(source)
     with progress("pyramid", json) as told:
         made = clvol.pyramid(
