@@ -9,6 +9,7 @@ import pytest
 
 import clvol
 from clvol import LazyVolume
+from clvol.device import Device
 from clvol.errors import DataError, OptionError, OutOfMemoryError
 from tests.test_lazy import Counted
 
@@ -162,3 +163,18 @@ def test_what_bricks_do_not_know_is_refused_with_what_does() -> None:
         clvol.sample(volume, at(), colour=1)  # type: ignore[call-arg]  # there is none
     with pytest.raises(DataError, match=r"clvol\.BrickedField\(volume\)"):
         clvol.Field(volume)  # type: ignore[arg-type]  # that is the question
+
+
+@pytest.mark.parametrize("boundary", ["constant", "overlap", "zero", "mirror"])
+@pytest.mark.parametrize("filter", ["nearest", "linear"])
+def test_magnified_samples_lie_where_they_do_whatever_the_world(device: Device, boundary: str, filter: str) -> None:
+    """On the last given ones, where the function may jump, and half way between two."""
+    rng = np.random.default_rng(0)
+    data = (np.arange(180).reshape(6, 3, 10) % 11).astype(np.float32) + 1
+    for factor in (2, 3):
+        spacing, origin, direction = rng.uniform(0.1, 3, 3), 50 * rng.normal(size=3), np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        wanted = clvol.magnify(clvol.Volume(data, spacing, origin, direction), factor, filter, boundary, device=device)
+        lazy = clvol.LazyVolume(data, spacing, origin, direction, labels=False)
+        found = clvol.magnify(lazy, factor, filter, boundary, device=device)
+        np.testing.assert_allclose(found.data, wanted.data, rtol=0, atol=1e-6 * np.ptp(data))
+        assert (found.spacing, found.origin) == (wanted.spacing, wanted.origin)

@@ -803,20 +803,51 @@ class BrickedField:
         if low_pass:
             require_no_transform(stages)
         with self.in_use():
-            if out is None:
-                memory.require(math.prod(grid.shape) * (kind or np.dtype(np.float32)).itemsize, f"a result of shape {grid.shape}")
-            elif tuple(getattr(out, "shape", ())) != grid.shape:
-                raise OptionError(f"out must have the shape of the results, {grid.shape}; got {getattr(out, 'shape', None)}")
-            alters = self.stored.alters(0)
-            wide: np.dtype[Any] = np.dtype(np.float64 if alters else np.float32)
-            data = np.empty(grid.shape, kind or wide) if out is None else out
             chain = Chain(stages, grid, self.device)
             matrix, offset = chain.to_indices(self.volume.grid) if stages else between(self.volume.grid, grid)
-            parts = self._parts(matrix, offset, grid.shape, outside, chain if chain.stages else None, low_pass)
-            for place, values, done in parts:
-                data[place] = values if kind is None else in_kind(values, kind)
-                if progress:
-                    progress(done)
+            return self._on_grid(grid, matrix, offset, outside, kind, chain if chain.stages else None, low_pass, progress, out)
+
+    def magnify(self, factor: int = 2, *, progress: Progress | None = None) -> Volume:
+        """The volume with `factor` times the samples along each axis, the given ones among them, as of `Field.magnify`.
+
+        Raises
+        ------
+        OptionError, OutOfMemoryError
+            As by `Field.magnify`.
+        """
+        given, factor = self.volume.grid, whole("factor", factor, minimum=1)
+        shape = tuple(factor * n for n in given.shape)
+        if math.prod(shape) > np.iinfo(np.intp).max // 16:
+            raise OptionError(f"the result must have a size that can be addressed; got shape {shape}")
+        spacing = tuple(s / factor for s in given.spacing)
+        finer = Volume(np.broadcast_to(np.float32(0), shape), spacing, given.origin, given.direction, given.units)
+        kind = result_kind(None, given, self.filter, None, None)
+        with self.in_use():  # never by way of the world, whose rounding would tell where samples are that lie on the given ones
+            return self._on_grid(finer, np.eye(3) / factor, np.zeros(3), None, kind, progress=progress)
+
+    def _on_grid(
+        self,
+        grid: Volume,
+        matrix: NDArray[np.float64],
+        offset: NDArray[np.float64],
+        fill: float | None,
+        kind: np.dtype[Any] | None,
+        chain: Chain | None = None,
+        low_pass: AntiAliasing = None,
+        progress: Progress | None = None,
+        out: Any = None,
+    ) -> Volume:
+        """The function at the samples of a grid, whose indices a matrix and an offset lead to those of the volume."""
+        if out is None:
+            memory.require(math.prod(grid.shape) * (kind or np.dtype(np.float32)).itemsize, f"a result of shape {grid.shape}")
+        elif tuple(getattr(out, "shape", ())) != grid.shape:
+            raise OptionError(f"out must have the shape of the results, {grid.shape}; got {getattr(out, 'shape', None)}")
+        wide: np.dtype[Any] = np.dtype(np.float64 if self.stored.alters(0) else np.float32)
+        data = np.empty(grid.shape, kind or wide) if out is None else out
+        for place, values, done in self._parts(matrix, offset, grid.shape, fill, chain, low_pass):
+            data[place] = values if kind is None else in_kind(values, kind)
+            if progress:
+                progress(done)
         held = data if isinstance(data, np.ndarray) else np.broadcast_to(np.zeros((), kind or wide), grid.shape)
         return self.volume.grid.placed(held, grid)
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, NoReturn
 
-import numpy as np
 from numpy.typing import ArrayLike, DTypeLike
 
 from clvol.boundary import Boundary, as_boundary
@@ -94,20 +92,8 @@ def magnify(
     **others: Any,
 ) -> Volume:
     """As `clvol.magnify`."""
-    factor = whole("factor", factor, minimum=1)
     with _opened("magnify", volume, filter, boundary, device, others) as field:
-        given = field.volume.grid
-        shape = tuple(factor * n for n in given.shape)
-        if math.prod(shape) > np.iinfo(np.intp).max // 16:
-            raise OptionError(f"the result must have a size that can be addressed; got shape {shape}")
-        finer = Volume(
-            np.broadcast_to(np.float32(0), shape),
-            tuple(s / factor for s in given.spacing),
-            given.origin,
-            given.direction,
-            given.units,
-        )
-        return _of(volume, field.resample(like=finer, progress=progress), field)
+        return _of(volume, field.magnify(factor, progress=progress), field)
 
 
 def _of(volume: Any, made: Volume, field: BrickedField) -> Volume:
