@@ -390,7 +390,7 @@ def as_cluster(choice: ClusterLike) -> Cluster:
             client = distributed.Client(choice, timeout=WAIT, set_as_default=False)
         except OptionError:
             raise
-        except (OSError, TimeoutError, ValueError) as error:
+        except (OSError, TimeoutError, TypeError, ValueError) as error:  # TypeError: of tls without certificates
             why = f" within {WAIT:g} s" if isinstance(error, TimeoutError) else f": {str(error) or type(error).__name__}"
             raise ClusterError(f"no scheduler answers at {choice}{why}") from error
         return Cluster(client, [client])

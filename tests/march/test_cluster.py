@@ -755,6 +755,14 @@ def test_no_cluster_at_all(volume: clvol.LazyVolume) -> None:
         Renderer(field, cluster=2)
 
 
+def test_tls_without_certificates() -> None:
+    with socket.socket() as listening:
+        listening.bind(("127.0.0.1", 0))
+        listening.listen()
+        with pytest.raises(ClusterError, match=r"no scheduler answers at tls://.*ssl_context"):
+            as_cluster(f"tls://127.0.0.1:{listening.getsockname()[1]}")
+
+
 def test_a_worker_without_opencl(monkeypatch: pytest.MonkeyPatch, volume: clvol.LazyVolume) -> None:
     def none(*_: object) -> Any:
         raise DeviceError("no OpenCL device: pip install clvol[pocl]")
