@@ -167,8 +167,22 @@ def test_values_far_from_zero_are_exact_to_their_range() -> None:
 def test_points_that_are_not_finite(volume: clvol.Volume) -> None:
     with BrickedField(volume, edge=16) as bricked:
         assert np.isnan(bricked([[np.nan, 0, 0], [np.inf, 0, 0]])).all()
-        assert bricked([[np.nan, 0, 0]], fill=3.0).tolist() == [3.0]
+        outside = [[np.nan, 0, 0], [np.inf, 0, 0], [1e4, 0, 0]]
+        with clvol.Field(volume) as whole:
+            np.testing.assert_array_equal(bricked(outside, fill=3.0), whole(outside, fill=3.0))
+        np.testing.assert_array_equal(bricked(outside, fill=3.0), [np.nan, np.nan, 3.0])
         assert bricked(np.zeros((0, 3))).shape == (0,)
+
+
+@pytest.mark.parametrize("boundary", clvol.boundaries())
+def test_faces_between_two_samples(boundary: str) -> None:
+    """The outer half voxels are the outer samples', to their very faces."""
+    volume = clvol.Volume(np.random.default_rng(7).random((9, 10, 17), np.float32))
+    ends = [[a, b, c] for a in (-0.5, 16.5) for b in (-0.5, 9.5) for c in (-0.5, 8.5)]
+    for name in ("nearest", "linear"):
+        with clvol.Field(volume, name, boundary) as whole, BrickedField(volume, name, boundary, edge=8) as bricked:
+            np.testing.assert_array_equal(bricked(ends), whole(ends))
+            np.testing.assert_allclose(bricked.gradient(ends), whole.gradient(ends), rtol=0, atol=1e-6)
 
 
 def test_threads_get_what_one_gets(volume: clvol.Volume) -> None:

@@ -640,7 +640,7 @@ class BrickedField:
     def at_samples(
         self, positions: NDArray[np.float64], *, fill: float | None = None, progress: Progress | None = None
     ) -> NDArray[Any]:
-        """Values at positions in samples, shape (N, 3), (x, y, z); NaN where one is not finite, unless there is a `fill`."""
+        """Values at positions in samples, shape (N, 3), (x, y, z); NaN where one is not finite."""
         with self.in_use():
             return self._at_indices(positions, 0, fill, progress)[:, 0]
 
@@ -704,9 +704,10 @@ class BrickedField:
         places, signs = np.zeros_like(at), np.ones_like(at)
         for axis, n in enumerate(self.volume.size):
             x = np.where(known, at[:, axis], 0.0)
-            places[:, axis] = rule.position(x, n, self._pad, self._reach)
+            own = (x >= -rule.edge) & (x <= n - 1 + rule.edge)  # bricks at faces have what these take: folded, ties would be others
+            places[:, axis] = np.where(own, x, rule.position(x, n, self._pad, self._reach))
             if derivative and rule.repeats and rule.fold is not None:  # in a mirror slopes run the other way
-                signs[:, axis] = _way(x, partial(rule.position, n=n, pad=self._pad, reach=self._reach))
+                signs[:, axis] = np.where(own, 1.0, _way(x, partial(rule.position, n=n, pad=self._pad, reach=self._reach)))
         given = ~known if fill is None else ~known | ~inside
         if rule.outside == "constant":
             given |= ~inside
@@ -721,7 +722,7 @@ class BrickedField:
         if rule.outside == "constant":
             final[known & ~inside] = rule.cval if derivative == 0 else 0.0
         if fill is not None:
-            final[~(known & inside)] = fill
+            final[known & ~inside] = fill
         return final
 
     def _owners(self, positions: NDArray[np.float64], counts: NDArray[np.int64] | int) -> NDArray[np.int64]:
