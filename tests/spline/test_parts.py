@@ -178,3 +178,12 @@ def test_magnified_samples_lie_where_they_do_whatever_the_world(device: Device, 
         found = clvol.magnify(lazy, factor, filter, boundary, device=device)
         np.testing.assert_allclose(found.data, wanted.data, rtol=0, atol=1e-6 * np.ptp(data))
         assert (found.spacing, found.origin) == (wanted.spacing, wanted.origin)
+
+
+@pytest.mark.parametrize("way", ["gaussian", "least-squares"])
+def test_whole_numbers_far_from_zero_are_low_passed_exactly(device: Device, way: Any) -> None:
+    data = np.random.default_rng(1).integers(100000, 100200, (18, 38, 26), np.int32)
+    about: dict[str, Any] = {"shape": (9, 19, 13), "filter": "bspline3", "anti_aliasing": way, "device": device}
+    wanted = clvol.resample(clvol.Volume(data, labels=False), **about).data
+    found = clvol.resample(LazyVolume(data, labels=False), **about).data
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-6 * 200)

@@ -881,13 +881,14 @@ class BrickedField:
         self, matrix: NDArray[np.float64], offset: NDArray[np.float64], shape: tuple[int, ...], low_pass: AntiAliasing
     ) -> tuple[dict[int, Sums], type[np.generic]] | None:
         """A low-passed grid as sums along the axes, and the type that these are made in; None where it is none."""
-        known, rule = self.volume.known(), self.boundary
+        rule = self.boundary
+        kind = wide_enough(np.float32, _ends_of(self.volume), self.filter, rule)
         if low_pass == "least-squares":
-            return nearest_sums(known, self.filter, rule, np.float32, matrix, offset, shape)
+            return nearest_sums(self.volume.known(), self.filter, rule, kind, matrix, offset, shape)
         continues = rule.period is not None and rule.outside in ("rule", "clamp")
         if not (no_shear(matrix, shape) and continues and self.filter.magnified_by is None and self._asked.settled):
             return None
-        kind, made = wide_enough(np.float32, known, self.filter, rule), {}
+        made = {}
         for axis, n in enumerate(self.volume.size):
             line = offset[axis] + matrix[axis, axis] * np.arange(shape[2 - axis])
             sums = interpolated(self.filter.along(axis), line, n, rule, kind == np.float64)
@@ -915,7 +916,7 @@ class BrickedField:
         """The volume after the Gaussian that suits a grid of such steps, computed where it is read: see `low_passed`."""
         volume, grid = self.volume, self.volume.grid
         sums = gaussian_sums(volume.shape, steps, self.boundary)
-        kind = wide_enough(np.float32, volume.known(), bspline(1), self.boundary)
+        kind = wide_enough(np.float32, _ends_of(volume), bspline(1), self.boundary)
         return LazyVolume(
             self.summed(sums, kind, self.boundary.cval),
             grid.spacing,
