@@ -77,6 +77,10 @@ class Limits:
         Whether points are sorted before they are sampled; None: where it pays.
     tile : Tile, optional
         The rays of a work-item; None: what suits the device.
+    evaluator : {"auto", "taps", "paired", "eight-fetch"}
+        How the function is evaluated where a caller leaves that open: see `clvol.spline.evaluator`.
+    fetch : {"auto", "buffer", "image"}
+        Where coefficients are read from then.
     """
 
     launch_seconds: float = 0.25
@@ -85,6 +89,8 @@ class Limits:
     sorted_bytes: int = 32 << 20
     sorting: bool | None = None
     tile: Tile | None = None
+    evaluator: str = "auto"
+    fetch: str = "auto"
 
 
 _LIMITS = Limits()

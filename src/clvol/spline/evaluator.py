@@ -56,7 +56,7 @@ def require_names(evaluator: str, fetch: str) -> None:
 def choose_evaluator(
     device: Device, filter: Filter, evaluator: str = "auto", fetch: str = "auto", *, bits: float = SAMPLE_BITS
 ) -> Evaluator:
-    """The evaluator for a filter on a device: the one that is named, else the one that suits the device.
+    """The evaluator for a filter on a device: the one that is named here or in its limits, else the one that suits it.
 
     Processors sample images in software, so they read buffers by direct taps. Other devices take paired fetches from
     the texture unit, provided that it was measured to interpolate with at least `bits` bits.
@@ -82,6 +82,8 @@ def choose_evaluator(
         ``fetch="image"`` on a device without float images, or paired fetches from an image on a device whose sampler
         does not interpolate.
     """
+    limits = device.limits
+    evaluator, fetch = (own if own != "auto" else usual for own, usual in ((evaluator, limits.evaluator), (fetch, limits.fetch)))
     require_names(evaluator, fetch)
     if fetch == "image" and not device.has_images:
         raise DeviceError(f"fetch='image' needs 3-D float images; {device.name} has none: use fetch='buffer'")
