@@ -14,7 +14,6 @@ from importlib.metadata import entry_points, requires, version
 from importlib.util import find_spec
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import clvol
@@ -112,26 +111,10 @@ def test_each_name_is_from_where_type_checkers_see_it() -> None:
     assert {*clvol.__all__} == {*places, "images", "ndimage", "phantoms"}
 
 
-def test_every_module_is_an_attribute_before_it_is_imported() -> None:
-    code = """
-import clvol, pkgutil
-lost = []
-for found in pkgutil.walk_packages(clvol.__path__, "clvol."):
-    value = clvol
-    for name in found.name.split(".")[1:]:
-        if name.startswith("_") or name in ("dask", "torch", "xarray", "figures", "view"):  # which are imported by their names
-            break
-        try:
-            value = getattr(value, name)
-        except AttributeError:
-            lost.append(found.name)
-            break
-        except clvol.MissingDependencyError:
-            break
-print(lost, getattr(clvol, "a.b", None))
-"""
+def test_public_parts_are_attributes_before_they_are_imported() -> None:
+    code = "import clvol; print([name for name in clvol._PARTS if getattr(clvol, name).__name__ != f'clvol.{name}'])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", timeout=60, check=True)
-    assert done.stdout.strip() == "[] None"
+    assert done.stdout.strip() == "[]"
 
 
 def test_no_module_is_hidden_by_a_function_of_its_name() -> None:
@@ -143,83 +126,6 @@ def test_no_module_is_hidden_by_a_function_of_its_name() -> None:
                 continue
             parent, _, name = found.name.rpartition(".")
             assert getattr(sys.modules[parent], name) is module, found.name
-
-
-FORMER = [
-    ("clvol.filters", "as_filter", "clvol.filter", "as_filter"),
-    ("clvol.modes", "as_mode", "clvol.mode", "as_mode"),
-    ("clvol.render", "Renderer", "clvol.march.renderer", "Renderer"),
-    ("clvol.bounds", "Bounds", "clvol.spline.minmax", "MinMax"),
-    ("clvol.order", "Sorter", "clvol.spline.sort", "Sorter"),
-    ("clvol.errors", "one_of", "clvol.checks", "one_of"),
-    ("clvol.spline", "sample", "clvol.spline.field", "sample"),
-    ("clvol.spline", "Path", "clvol.spline.evaluator", "Evaluator"),
-    ("clvol.spline", "choose_path", "clvol.spline.evaluator", "choose_evaluator"),
-    ("clvol.spline", "Coefficients", "clvol.spline.field", "coefficients_of"),
-    ("clvol.render", "Lattice", "clvol.march.planes", "Planes"),
-    ("clvol.render", "pixel_offsets", "clvol.march.pixels", "pixel_offsets"),
-    ("clvol.program", "filter_defines", "clvol.spline.build", "filter_defines"),
-    ("clvol.reference.march", "shade", "clvol.reference.march.march", "shade"),
-    ("clvol.reference.march", "lattice", "clvol.reference.march.march", "planes_across"),
-    ("clvol.reference.exact", "draw_function", "clvol.reference.march.exact", "draw_function"),
-    ("clvol.reference.filter", "kernel", "clvol.reference.spline.filter", "kernel"),
-    ("clvol.analysis.compare", "as_compared", "clvol.analysis.comparison", "as_compared"),
-    ("clvol.analysis.ssim", "ssim", "clvol.analysis.similarity", "ssim"),
-]
-
-
-@pytest.mark.parametrize(("module", "name", "place", "new"), FORMER)
-def test_former_names_work_and_say_where_they_are(module: str, name: str, place: str, new: str) -> None:
-    with pytest.warns(DeprecationWarning, match=rf"{module}\.{name} is now {place}\.{new}$"):
-        found = getattr(import_module(module), name)
-    assert found is getattr(import_module(place), new)
-    with pytest.raises(AttributeError, match="no_such_name"):
-        import_module(module).no_such_name  # noqa: B018
-
-
-def test_modules_that_were_functions_can_be_called() -> None:
-    import clvol.spline.prefilter
-    import clvol.spline.resample
-
-    data = np.random.default_rng(0).random((3, 4, 5))
-    with pytest.warns(DeprecationWarning, match=r"clvol\.spline\.prefilter is now clvol\.prefilter$"):
-        coefficients = clvol.spline.prefilter(data)  # type: ignore[operator]
-    np.testing.assert_array_equal(coefficients, clvol.prefilter(data))
-    with pytest.warns(DeprecationWarning, match=r"clvol\.spline\.resample is now clvol\.resample$"):
-        finer = clvol.spline.resample(data, (4, 5, 6))  # type: ignore[operator]
-    np.testing.assert_array_equal(finer.data, clvol.resample(data, (4, 5, 6)).data)
-
-
-def test_everything_of_a_former_module_can_be_imported() -> None:
-    code = "from clvol.filters import *; import importlib.util; assert importlib.util.find_spec('clvol.filters'); bspline, register"
-    done = subprocess.run([sys.executable, "-W", "ignore", "-c", code], capture_output=True, encoding="utf-8", check=False)
-    assert done.returncode == 0, done.stderr
-
-
-def test_functions_are_not_hidden_by_former_modules() -> None:
-    code = """
-import warnings
-import clvol
-from clvol import filters, modes, render
-assert all(map(callable, (filters, modes, render, clvol.filters, clvol.modes, clvol.render)))
-with warnings.catch_warnings(record=True) as told:
-    warnings.simplefilter("always")
-    import clvol.filters
-    from clvol.filters import as_filter
-    from clvol.render import Renderer
-    from clvol.spline import sample
-assert len({str(w.message) for w in told}) == 3, [str(w.message) for w in told]
-assert all(w.category is DeprecationWarning and w.filename == "<string>" for w in told), [w.filename for w in told]
-assert clvol.filters is filters and clvol.render is render and Renderer is clvol.Renderer
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", timeout=60, check=False)
-    assert done.returncode == 0, done.stderr
-
-
-def test_importing_uses_no_former_name() -> None:
-    command = [sys.executable, "-W", "error::DeprecationWarning", "-c", "import clvol, clvol.cli, clvol.reference, clvol.analysis"]
-    done = subprocess.run(command, capture_output=True, encoding="utf-8", timeout=60, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
 @in_a_checkout

@@ -18,8 +18,6 @@ from clvol import interrupted as interrupted  # before all that takes long to im
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from clvol.moved import submodule
-
 if TYPE_CHECKING:
     from clvol import images, ndimage, phantoms
     from clvol.batches import batch, turned
@@ -182,7 +180,7 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "volumes": "Volumes",
 }
 _PLACE = {name: place for place, names in _PLACES.items() for name in names.split()}
-_PARTS = ("analysis", "figures", "reference", "reports")  # that are for people, too
+_PARTS = ("analysis", "figures", "formats", "images", "labels", "ndimage", "noise", "phantoms", "reference", "reports", "view")
 _OPTIONAL = {"dask": "dask", "torch": "torch", "xarray": "xarray"}  # with what they need
 
 
@@ -191,8 +189,8 @@ def __getattr__(name: str) -> Any:
         value = getattr(import_module(f"clvol.{_PLACE[name]}"), name)
         globals()[name] = value
         return value
-    if name not in _OPTIONAL and (part := submodule("clvol", name)) is not None:
-        return part
+    if name in _PARTS:
+        return import_module(f"clvol.{name}")
     hint = f"; it needs {_OPTIONAL[name]}: import clvol.{name} first" if name in _OPTIONAL else ""
     raise AttributeError(f"module 'clvol' has no attribute {name!r}{hint}")
 

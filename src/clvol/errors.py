@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from clvol.moved import forwarding
-
 __all__ = [
     "AxisError",
     "ClusterError",
@@ -95,7 +93,3 @@ class DtypeError(DataError, RuntimeError, TypeError):
 
 class UnsupportedError(OptionError, NotImplementedError):
     """SciPy computes this, clvol does not."""
-
-
-_CHECKS = ("as_path", "enough_memory", "number", "one_of", "reals", "require_room", "several", "whole")
-__getattr__ = forwarding(__name__, dict.fromkeys(_CHECKS, "clvol.checks"))

@@ -17,7 +17,6 @@ import numpy as np
 
 from clvol.cache import Shelf, Store
 from clvol.errors import DeviceError, OptionError
-from clvol.moved import forwarding
 from clvol.opencl import opencl
 from clvol.probe import identity
 
@@ -252,8 +251,3 @@ def literal(value: str | float) -> str:
         return str(value)
     text = f"{np.float32(value):.9g}"
     return f"{text}f" if "." in text or "e" in text else f"{text}.0f"
-
-
-__getattr__ = forwarding(
-    __name__, dict.fromkeys(("boundary_defines", "filter_defines", "row_reach", "row_width"), "clvol.spline.build")
-)

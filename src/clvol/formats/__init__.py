@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 from numpy.typing import ArrayLike, DTypeLike
 
@@ -26,7 +26,6 @@ from clvol.formats._limits import Budget, Limits, limited, size_of
 from clvol.formats._worker import call, prepare
 from clvol.interop import Content
 from clvol.memory import available
-from clvol.moved import forwarding
 from clvol.volume import Volume, as_volume
 from clvol.volumes import Leading, Volumes
 
@@ -46,9 +45,6 @@ __all__ = [
     "series_of",
     "write",
 ]
-
-if not TYPE_CHECKING:  # checkers see the modules
-    __getattr__ = forwarding(__name__, {})
 
 
 @dataclass(frozen=True)

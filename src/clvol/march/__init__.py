@@ -9,10 +9,3 @@
 
 Each imports only from those below it.
 """
-
-from typing import TYPE_CHECKING
-
-from clvol.moved import forwarding
-
-if not TYPE_CHECKING:  # checkers see the modules
-    __getattr__ = forwarding(__name__, {})

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from clvol.moved import submodule
 from clvol.ndimage.interpolation import (
     affine_transform,
     geometric_transform,
@@ -45,8 +44,6 @@ def __getattr__(name: str) -> Any:
 
         if name in ndimage.__all__:
             return getattr(ndimage, name)
-        if (part := submodule(__name__, name)) is not None:
-            return part
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

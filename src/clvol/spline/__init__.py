@@ -16,19 +16,3 @@
 
 Each imports only from those below it.
 """
-
-from clvol.moved import forwarding
-
-__getattr__ = forwarding(
-    __name__,
-    {
-        "Coefficients": "clvol.spline.field:coefficients_of",
-        "Floats": "clvol.spline.field",
-        "Path": "clvol.spline.evaluator:Evaluator",
-        "Progress": "clvol.spline.field",
-        "choose_path": "clvol.spline.evaluator:choose_evaluator",
-        "magnify": "clvol.spline.field",
-        "sample": "clvol.spline.field",
-        "sample_coefficients": "clvol.spline.points",
-    },
-)

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from clvol.boundary import Boundary
 from clvol.device import Device
 from clvol.filter import Filter
-from clvol.moved import callable_as_before
 from clvol.program import LANES
 from clvol.spline.build import DefineDict, scalar_defines
 
@@ -220,6 +219,3 @@ def _plans(
     order, count = (1, 1) if poles == 1 else (2, max(1, -(-poles // 2)))  # without poles a stage divides alone
     ends, left_out = boundary.ends, _START_ERRORS[kind]
     return order, count, {axis: _plan(row, ends, size[axis], order, count, left_out) for axis, row in rows.items()}
-
-
-callable_as_before(__name__)

@@ -12,7 +12,6 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.moved import callable_as_before
 from clvol.program import LANES
 from clvol.spline.build import scalar_defines
 from clvol.spline.coefficients import Coefficients
@@ -282,6 +281,3 @@ def _put_values(
     with coefficients.device.mapped(buffer, shape, write=True, kind=coefficients.kind) as values:
         for axis, where, value in writes + lost:
             np.moveaxis(values, 2 - axis, 0)[where] = value
-
-
-callable_as_before(__name__)
