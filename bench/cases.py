@@ -19,10 +19,10 @@ import clvol
 from bench import fresh, peers, scene
 from bench.machine import Cost, available_memory
 from bench.peers import Peer, Points, Shot
-from clvol.boundary import as_boundary
+from clvol.base.errors import OutOfMemoryError
 from clvol.device import Device, as_device
-from clvol.errors import OutOfMemoryError
-from clvol.filter import Filter, as_filter
+from clvol.filter.boundary import as_boundary
+from clvol.filter.filter import Filter, as_filter
 from clvol.march.frame import BY_RAYS
 from clvol.march.planes import OBLIQUE, Planes
 from clvol.spline.coefficients import Coefficients

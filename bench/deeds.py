@@ -24,12 +24,13 @@ from typing import Any, TypeAlias
 import numpy as np
 
 import clvol
-from clvol import analysis, figures, images, ndimage, phantoms, reference, smoothing
+from clvol import analysis, figures, images, ndimage, phantoms, reference
 from clvol.device import as_device
-from clvol.filter import unregister
+from clvol.filter.filter import unregister
 from clvol.formats import WRITTEN
-from clvol.picture import grid, labelled, to_png
+from clvol.show.picture import grid, labelled, to_png
 from clvol.torch import sample as torch_sample
+from clvol.volume import smoothing
 
 __all__ = ["DEEDS", "NOT_DONE", "Deed", "World", "do"]
 

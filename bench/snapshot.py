@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import clvol
+from clvol.base.errors import DeviceError
 from clvol.device import as_device
-from clvol.errors import DeviceError
 
 __all__ = ["compare", "make"]
 

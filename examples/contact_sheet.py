@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import clvol
-from clvol.picture import grid, labelled, to_bytes
+from clvol.show.picture import grid, labelled, to_bytes
 
 Pixels = NDArray[np.uint8]
 

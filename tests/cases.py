@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 import pytest
 
-from clvol.boundary import boundaries
-from clvol.filter import as_filter
+from clvol.filter.boundary import boundaries
+from clvol.filter.filter import as_filter
 
 __all__ = [
     "BAD_COUNTS",

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from clvol.base.errors import DeviceError
 from clvol.device import Device, devices
-from clvol.errors import DeviceError
-from clvol.filter import filters, register, unregister
+from clvol.filter.filter import filters, register, unregister
 
 # Files of few tests that take long
 _LONG = {

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 import clvol
 from clvol import ndimage
-from clvol.boundary import boundaries
 from clvol.device import as_device
-from clvol.filter import filters
+from clvol.filter.boundary import boundaries
+from clvol.filter.filter import filters
 from clvol.march.frame import BY_RAYS
-from clvol.mode import modes
+from clvol.scene.mode import modes
 from clvol.spline.field import Precision
 from clvol.spline.reduce import AntiAliasing
 

@@ -18,9 +18,9 @@ from pathlib import Path
 import pytest
 
 from clvol import cache
+from clvol.base.errors import ClvolWarning, DeviceError
 from clvol.cache import Shelf, Store
 from clvol.device import Device, as_device
-from clvol.errors import ClvolWarning, DeviceError
 
 pocl = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="PoCL by pip is for Linux")
 

@@ -18,13 +18,13 @@ import numpy as np
 import pytest
 
 from clvol import device as choosing
+from clvol.base.errors import ClvolWarning, DeviceError, OptionError, OutOfMemoryError
 from clvol.device import Device, Limits, as_device, devices
-from clvol.errors import ClvolWarning, DeviceError, OptionError, OutOfMemoryError
 from clvol.spline.field import sample
 
 USE = """
 import sys
-from clvol.errors import ClvolError
+from clvol.base.errors import ClvolError
 from clvol import sample
 try:
     value = sample([[1.0, 2.0], [3.0, 4.0]], [[0.5, 0.5]], "linear")
@@ -88,7 +88,7 @@ FORK = """
 import gc, os
 import numpy as np
 from clvol.device import as_device, devices
-from clvol.errors import DeviceError
+from clvol.base.errors import DeviceError
 from clvol import sample
 points = ([[1.0, 2.0], [3.0, 4.0]], [[0.5, 0.5]], "linear")
 device = as_device()

@@ -17,8 +17,8 @@ import pytest
 
 import clvol
 from clvol import images, ndimage, phantoms
+from clvol.base.errors import ClvolError
 from clvol.device import Device
-from clvol.errors import ClvolError
 
 DATA = np.random.default_rng(0).random((9, 10, 11), dtype=np.float32)
 VOLUME = clvol.Volume(DATA)

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import clvol
-from clvol import memory
+from clvol.base import memory
 from clvol.device import Device
 
 GIB = 1 << 30

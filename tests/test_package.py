@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 import clvol
-from clvol.errors import MissingDependencyError
+from clvol.base.errors import MissingDependencyError
 
 ROOT = Path(__file__).resolve().parents[1]
 KERNELS = sorted(p.relative_to(ROOT / "cl").as_posix() for p in (ROOT / "cl").rglob("*.cl"))

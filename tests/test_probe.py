@@ -13,15 +13,15 @@ from pathlib import Path
 import pytest
 
 from clvol import intel, opencl, probe
+from clvol.base.errors import DeviceError
 from clvol.device import Device
-from clvol.errors import DeviceError
 from clvol.probe import Verdict
 
 USE = """
 import sys, warnings
 import clvol.probe
 clvol.probe.SECONDS = 20
-from clvol.errors import ClvolError
+from clvol.base.errors import ClvolError
 with warnings.catch_warnings(record=True) as told:
     warnings.simplefilter("always")
     try:

@@ -17,17 +17,17 @@ import numpy as np
 import pytest
 
 import clvol
-from clvol.boundary import as_boundary
+from clvol.base.errors import OptionError
 from clvol.device import Device
-from clvol.errors import OptionError
-from clvol.filter import as_filter
-from clvol.light import Light, Material
+from clvol.filter.boundary import as_boundary
+from clvol.filter.filter import as_filter
 from clvol.march.renderer import Renderer
-from clvol.mode import as_mode
-from clvol.scene import Medium, Scene
+from clvol.scene.light import Light, Material
+from clvol.scene.mode import as_mode
+from clvol.scene.scene import Medium, Scene
+from clvol.scene.transfer import TransferFunction
 from clvol.spline.field import Field
-from clvol.transfer import TransferFunction
-from clvol.volume import Volume
+from clvol.volume.volume import Volume
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = np.random.default_rng(3).random((12, 11, 10), np.float32)
@@ -74,7 +74,7 @@ def test_hashes_of_filters_are_those_of_the_process() -> None:
     row = as_filter("bspline3")
     hash(row)
     script = (
-        "import pickle, sys; from clvol.filter import as_filter\n"
+        "import pickle, sys; from clvol.filter.filter import as_filter\n"
         "row = pickle.loads(sys.stdin.buffer.read()); assert {as_filter('bspline3'): 1}[row] == 1"
     )
     environment = {**os.environ, "PYTHONHASHSEED": "7"}

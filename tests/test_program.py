@@ -22,12 +22,12 @@ import pytest
 import clvol
 from clvol import device as choosing
 from clvol import program
+from clvol.base.errors import DeviceError
 from clvol.device import Device
-from clvol.errors import DeviceError
-from clvol.filter import as_filter, filters
+from clvol.filter.filter import as_filter, filters
 from clvol.march.frame import frame_block
-from clvol.mode import modes
 from clvol.opencl import built_kernels
+from clvol.scene.mode import modes
 from clvol.spline import build
 
 KERNELS = [

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from clvol import reference
-from clvol.boundary import as_boundary
-from clvol.filter import Filter, as_filter, bspline, filters
+from clvol.filter.boundary import as_boundary
+from clvol.filter.filter import Filter, as_filter, bspline, filters
 from tests.cases import RULES, SMOOTHED, examples
 
 MAX_EXAMPLES = examples(60)

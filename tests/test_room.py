@@ -19,7 +19,7 @@ import json, resource, sys, time
 from pathlib import Path
 import numpy as np
 import clvol
-from clvol import images, memory, ndimage, phantoms, picture
+from clvol import images, ndimage, phantoms; from clvol.base import memory; from clvol.show import picture
 from clvol.march.renderer import OUTPUTS
 
 memory.ROOT = Path(sys.argv[1])  # a container of {ROOM} MiB
@@ -123,7 +123,7 @@ for call in json.loads(sys.stdin.read()):
         eval(call)
         said = "done"
     except Exception as error:
-        said = f"{'OutOfMemoryError' if isinstance(error, clvol.errors.OutOfMemoryError) else type(error)}: {error}"
+        said = f"{'OutOfMemoryError' if isinstance(error, clvol.base.errors.OutOfMemoryError) else type(error)}: {error}"
     answers[call] = said, peak() - before, time.perf_counter() - begun
 print(json.dumps(answers))
 """

@@ -12,7 +12,7 @@ something is computed on one.
 
 from __future__ import annotations
 
-from clvol import interrupted as interrupted  # before all that takes long to import
+from clvol.base import interrupted as interrupted  # before all that takes long to import
 
 # isort: split
 from importlib import import_module
@@ -20,11 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from clvol import images, ndimage, phantoms
-    from clvol.batches import batch, turned
-    from clvol.boundary import Boundary, boundaries
-    from clvol.camera import Camera
-    from clvol.device import Device, devices
-    from clvol.errors import (
+    from clvol.base.errors import (
         ClusterError,
         ClvolError,
         ClvolWarning,
@@ -36,31 +32,35 @@ if TYPE_CHECKING:
         OptionError,
         OutOfMemoryError,
     )
-    from clvol.filter import Filter, bc, bspline, filters, from_callable, from_pieces, lanczos, moms3, quasi, register, sinc
+    from clvol.bricks.source import LazyVolume
+    from clvol.device import Device, devices
+    from clvol.filter.boundary import Boundary, boundaries
+    from clvol.filter.filter import Filter, bc, bspline, filters, from_callable, from_pieces, lanczos, moms3, quasi, register, sinc
+    from clvol.filter.response import frequency_response, prefilter_response
     from clvol.formats import read, read_all, write
     from clvol.formats.opening import open  # noqa: A004  # as files are opened: clvol.open
+    from clvol.formats.pyramid import pyramid
     from clvol.formats.transforms import read_transform
-    from clvol.interpolator import Interpolator
-    from clvol.lazy import LazyVolume
-    from clvol.light import Light, Material
+    from clvol.interfaces.batches import batch, turned
+    from clvol.interfaces.interpolator import Interpolator
+    from clvol.interfaces.resize import resize
     from clvol.march.refine import Refined
     from clvol.march.renderer import Output, Renderer, render
-    from clvol.missing import Missing
-    from clvol.mode import Attenuated, Composite, Isosurface, Mean, Minip, Mip, Mode, modes
-    from clvol.multiscale import pyramid
-    from clvol.picture import Picture, save, show
-    from clvol.preset import presets
-    from clvol.resizing import resize
-    from clvol.response import frequency_response, prefilter_response
-    from clvol.scene import Medium, Scene
+    from clvol.scene.camera import Camera
+    from clvol.scene.light import Light, Material
+    from clvol.scene.mode import Attenuated, Composite, Isosurface, Mean, Minip, Mip, Mode, modes
+    from clvol.scene.preset import presets
+    from clvol.scene.scene import Medium, Scene
+    from clvol.scene.transfer import TransferFunction
+    from clvol.show.picture import Picture, save, show
     from clvol.spline.bricked import BrickedField
     from clvol.spline.field import Field, magnify, prefilter, resample, sample
     from clvol.spline.scatter import adjoint
     from clvol.spline.warp import Warped, resample_series, warp
-    from clvol.transfer import TransferFunction
-    from clvol.transform import AffineTransform, BSplineTransform, DisplacementField
-    from clvol.volume import Volume
-    from clvol.volumes import Volumes
+    from clvol.volume.missing import Missing
+    from clvol.volume.transform import AffineTransform, BSplineTransform, DisplacementField
+    from clvol.volume.volume import Volume
+    from clvol.volume.volumes import Volumes
 
 __version__ = "0.1.0"
 
@@ -147,37 +147,37 @@ __all__ = [
 ]
 
 _PLACES = {  # where each name is from; a test holds it to what is imported above
-    "batches": "batch turned",
-    "boundary": "Boundary boundaries",
-    "camera": "Camera",
-    "device": "Device devices",
-    "errors": "ClusterError ClvolError ClvolWarning DataError DeviceError FormatError GeometryError MissingDependencyError "
+    "base.errors": "ClusterError ClvolError ClvolWarning DataError DeviceError FormatError GeometryError MissingDependencyError "
     "OptionError OutOfMemoryError",
-    "filter": "Filter bc bspline filters from_callable from_pieces lanczos moms3 quasi register sinc",
+    "bricks.source": "LazyVolume",
+    "device": "Device devices",
+    "filter.boundary": "Boundary boundaries",
+    "filter.filter": "Filter bc bspline filters from_callable from_pieces lanczos moms3 quasi register sinc",
+    "filter.response": "frequency_response prefilter_response",
     "formats": "read read_all write",
     "formats.opening": "open",
+    "formats.pyramid": "pyramid",
     "formats.transforms": "read_transform",
-    "interpolator": "Interpolator",
-    "lazy": "LazyVolume",
-    "light": "Light Material",
+    "interfaces.batches": "batch turned",
+    "interfaces.interpolator": "Interpolator",
+    "interfaces.resize": "resize",
     "march.refine": "Refined",
     "march.renderer": "Output Renderer render",
-    "missing": "Missing",
-    "mode": "Attenuated Composite Isosurface Mean Minip Mip Mode modes",
-    "multiscale": "pyramid",
-    "picture": "Picture save show",
-    "preset": "presets",
-    "resizing": "resize",
-    "response": "frequency_response prefilter_response",
-    "scene": "Medium Scene",
+    "scene.camera": "Camera",
+    "scene.light": "Light Material",
+    "scene.mode": "Attenuated Composite Isosurface Mean Minip Mip Mode modes",
+    "scene.preset": "presets",
+    "scene.scene": "Medium Scene",
+    "scene.transfer": "TransferFunction",
+    "show.picture": "Picture save show",
     "spline.bricked": "BrickedField",
     "spline.field": "Field magnify prefilter resample sample",
     "spline.scatter": "adjoint",
     "spline.warp": "Warped resample_series warp",
-    "transfer": "TransferFunction",
-    "transform": "AffineTransform BSplineTransform DisplacementField",
-    "volume": "Volume",
-    "volumes": "Volumes",
+    "volume.missing": "Missing",
+    "volume.transform": "AffineTransform BSplineTransform DisplacementField",
+    "volume.volume": "Volume",
+    "volume.volumes": "Volumes",
 }
 _PLACE = {name: place for place, names in _PLACES.items() for name in names.split()}
 _PARTS = ("analysis", "figures", "formats", "images", "labels", "ndimage", "noise", "phantoms", "reference", "reports", "view")

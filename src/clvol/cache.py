@@ -22,7 +22,7 @@ import time
 import warnings
 from pathlib import Path
 
-from clvol.errors import ClvolWarning, DeviceError
+from clvol.base.errors import ClvolWarning, DeviceError
 
 try:
     import fcntl

@@ -22,9 +22,9 @@ from dataclasses import dataclass
 from multiprocessing.resource_tracker import ensure_running
 from typing import TYPE_CHECKING, Any, Self, TypeAlias, TypeVar
 
-from clvol.checks import whole
+from clvol.base.checks import whole
+from clvol.base.errors import ClusterError, ClvolError, FormatError, MissingDependencyError, OptionError
 from clvol.device import Device, as_device, devices
-from clvol.errors import ClusterError, ClvolError, FormatError, MissingDependencyError, OptionError
 
 if TYPE_CHECKING:
     import distributed

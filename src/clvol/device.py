@@ -23,9 +23,10 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol import cache, memory, processor, program
-from clvol.checks import one_of
-from clvol.errors import ClvolWarning, DeviceError, OutOfMemoryError
+from clvol import cache, processor, program
+from clvol.base import memory
+from clvol.base.checks import one_of
+from clvol.base.errors import ClvolWarning, DeviceError, OutOfMemoryError
 from clvol.opencl import INSTALL, built_kernels, kept_out, opencl, why_not
 from clvol.program import Defines, Launches, Program
 

@@ -14,8 +14,8 @@ import numpy as np
 
 import clvol
 from clvol import intel, probe
+from clvol.base.errors import DeviceError
 from clvol.device import Device, as_device, devices
-from clvol.errors import DeviceError
 from clvol.opencl import INSTALL, kept_out
 
 __all__ = ["Check", "extras", "opencl"]

@@ -9,7 +9,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import DataError, GeometryError, MissingDependencyError
+from clvol.base.errors import DataError, GeometryError, MissingDependencyError
 
 __all__ = [
     "METRES",
@@ -97,7 +97,7 @@ class Grid(Protocol):
 
 
 class Several(Protocol):
-    """What a `clvol.volumes.Leading` says of the axes before z, y and x; the class itself stands on this module."""
+    """What a `clvol.volume.volumes.Leading` says of the axes before z, y and x; the class itself stands on this module."""
 
     @property
     def axes(self) -> tuple[str, ...]: ...

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol import memory
-from clvol.errors import DataError, GeometryError
+from clvol.base import memory
+from clvol.base.errors import DataError, GeometryError
 from clvol.foreign import METRES, affine_parts, interleaved
 
 __all__ = ["Kind", "is_labelled", "kind_of"]

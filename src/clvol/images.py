@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol import memory
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.checks import number, whole
+from clvol.base import memory
+from clvol.base.checks import number, whole
+from clvol.base.errors import DataError, OptionError
+from clvol.base.rounding import below, limits, rounded
 from clvol.device import Device
-from clvol.errors import DataError, OptionError
-from clvol.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.filter.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.interop import read_array
-from clvol.rounding import below, limits, rounded
 from clvol.spline import field
-from clvol.stored import Stored, differences
-from clvol.volume import Volume
+from clvol.volume.stored import Stored, differences
+from clvol.volume.volume import Volume
 
 __all__ = ["resample", "rotate", "zoom"]
 

@@ -13,8 +13,8 @@ from typing import Any, ParamSpec, Protocol, TypeVar, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol import memory
-from clvol.errors import ClvolError, DataError, OptionError, OutOfMemoryError
+from clvol.base import memory
+from clvol.base.errors import ClvolError, DataError, OptionError, OutOfMemoryError
 from clvol.foreign import Content, from_nibabel, from_simpleitk, is_ours, nibabel_says, simpleitk_says, xarray_says
 from clvol.foreign_images import is_labelled, kind_of
 
@@ -278,7 +278,7 @@ def is_lazy(source: object) -> bool:
 
 def is_in_parts(source: object) -> bool:
     """Whether it is a LazyVolume or a BrickedField, which stand on this module."""
-    names = (("clvol.lazy", "LazyVolume"), ("clvol.spline.bricked", "BrickedField"))
+    names = (("clvol.bricks.source", "LazyVolume"), ("clvol.spline.bricked", "BrickedField"))
     kinds = tuple(kind for module, name in names if (kind := getattr(sys.modules.get(module), name, None)) is not None)
     return isinstance(source, kinds)
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol import memory
-from clvol.checks import whole
-from clvol.errors import OptionError
-from clvol.histogram import label_numbers
-from clvol.volume import Volume, as_volume
+from clvol.base import memory
+from clvol.base.checks import whole
+from clvol.base.errors import OptionError
+from clvol.volume.histogram import label_numbers
+from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["name_of", "numbers_of", "only", "without"]
 

@@ -17,7 +17,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import DataError
+from clvol.base.errors import DataError
 
 __all__ = ["MOST_LABELS", "Noise", "estimate"]
 

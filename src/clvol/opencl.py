@@ -13,8 +13,8 @@ from functools import lru_cache
 from typing import Any
 
 from clvol import intel, probe
+from clvol.base.errors import ClvolWarning, DeviceError
 from clvol.cache import Shelf, shelf
-from clvol.errors import ClvolWarning, DeviceError
 
 __all__ = ["INSTALL", "built_kernels", "kept_out", "opencl", "why_not"]
 

@@ -9,10 +9,10 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol import memory
-from clvol.checks import enough_memory, number, one_of, reals, require_room, whole
-from clvol.errors import OptionError
-from clvol.volume import Volume
+from clvol.base import memory
+from clvol.base.checks import enough_memory, number, one_of, reals, require_room, whole
+from clvol.base.errors import OptionError
+from clvol.volume.volume import Volume
 
 __all__ = [
     "box",

@@ -15,8 +15,8 @@ from typing import Any, cast
 
 import numpy as np
 
+from clvol.base.errors import DeviceError, OptionError
 from clvol.cache import Shelf, Store
-from clvol.errors import DeviceError, OptionError
 from clvol.opencl import opencl
 from clvol.probe import identity
 

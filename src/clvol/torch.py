@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary
-from clvol.checks import number
+from clvol.base.checks import number
+from clvol.base.errors import MissingDependencyError, OptionError
 from clvol.device import Device, as_device
-from clvol.errors import MissingDependencyError, OptionError
-from clvol.filter import DEFAULT_FILTER, Filter
+from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary
+from clvol.filter.filter import DEFAULT_FILTER, Filter
 from clvol.spline.field import Field, Precision, fill_value
 from clvol.spline.scatter import adjoint, linear
-from clvol.volume import Volume
+from clvol.volume.volume import Volume
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clvol.analysis.angle import angle_weights, angles, mean_angle, weighted_quantile
-from clvol.errors import OptionError
+from clvol.base.errors import OptionError
 
 
 def test_angles_are_those_of_plane_geometry() -> None:

@@ -8,9 +8,9 @@ import pytest
 from clvol import reference
 from clvol.analysis import impulse_response
 from clvol.analysis.cardinal import pieces
-from clvol.errors import OptionError
-from clvol.filter import as_filter, bspline, filters
-from clvol.volume import Volume
+from clvol.base.errors import OptionError
+from clvol.filter.filter import as_filter, bspline, filters
+from clvol.volume.volume import Volume
 from tests.cases import BAD_FILTERS, BAD_REALS, BAD_WHOLE, SMOOTHED
 
 NEARLY_EQUAL = "bspline3(0.00694444)"  # poles

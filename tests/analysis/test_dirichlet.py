@@ -9,9 +9,9 @@ import pytest
 
 from clvol import reference
 from clvol.analysis import dirichlet_kernel, dirichlet_magnify, dirichlet_sample, sinc_volume
-from clvol.errors import DataError, OptionError, OutOfMemoryError
+from clvol.base.errors import DataError, OptionError, OutOfMemoryError
 from clvol.phantoms import marschner_lobb
-from clvol.volume import Volume
+from clvol.volume.volume import Volume
 from tests.cases import BAD_COUNTS, BAD_FILTERS, BAD_REALS, every
 
 RULES = ("mirror", "reflect", "wrap")

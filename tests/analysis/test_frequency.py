@@ -10,8 +10,8 @@ from scipy import optimize
 
 import clvol
 from clvol.analysis import Bands, bands, frequency_response
-from clvol.errors import OptionError
-from clvol.filter import Filter, filters, from_pieces
+from clvol.base.errors import OptionError
+from clvol.filter.filter import Filter, filters, from_pieces
 from tests.cases import BAD_NUMBERS
 
 NO_EVEN_KERNEL = Filter("skew", ((0.0, 1.0), (1.0, -0.5)))

@@ -9,8 +9,8 @@ import pytest
 
 from clvol import reference
 from clvol.analysis import WILBRAHAM_GIBBS, lowpass_step, step_response
-from clvol.errors import OptionError
-from clvol.filter import filters
+from clvol.base.errors import OptionError
+from clvol.filter.filter import filters
 
 
 def test_a_sharp_low_pass_overshoots_by_8_949_percent_whatever_its_cutoff() -> None:

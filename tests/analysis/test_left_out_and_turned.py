@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from clvol import Volume
 from clvol.analysis import EXACT_SINC, leave_out, rotations
-from clvol.errors import ClvolError, DataError, OptionError
+from clvol.base.errors import ClvolError, DataError, OptionError
 from tests.cases import BAD_FILTER_LISTS, BAD_FILTERS
 
 

@@ -9,8 +9,8 @@ import pytest
 from scipy import integrate
 
 from clvol.analysis import WILBRAHAM_GIBBS, Metrics, frequency_response, metrics
-from clvol.errors import OptionError
-from clvol.filter import Filter, filters, from_callable
+from clvol.base.errors import OptionError
+from clvol.filter.filter import Filter, filters, from_callable
 from tests.cases import BAD_FILTERS
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from clvol.analysis import ssim
-from clvol.errors import DataError, OptionError
+from clvol.base.errors import DataError, OptionError
 from tests.cases import BAD_NUMBERS
 
 RNG = np.random.default_rng(0)

@@ -14,7 +14,7 @@ from rich.console import Console
 
 from clvol.analysis import ErrorTable, Metrics, Table, metrics
 from clvol.analysis.table import UNLISTED, column
-from clvol.errors import DataError, FormatError, OptionError
+from clvol.base.errors import DataError, FormatError, OptionError
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,9 +10,9 @@ import pytest
 from clvol import phantoms
 from clvol.analysis import timing
 from clvol.analysis.timing import Effort, seconds_per_sample
-from clvol.boundary import as_boundary
 from clvol.device import Device
-from clvol.filter import Filter, as_filters
+from clvol.filter.boundary import as_boundary
+from clvol.filter.filter import Filter, as_filters
 
 FILTERS = as_filters(["linear", "bspline3", "hybrid"])
 

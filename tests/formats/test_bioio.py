@@ -10,7 +10,7 @@ import pytest
 
 import clvol
 from clvol import formats
-from clvol.errors import FormatError, MissingDependencyError
+from clvol.base.errors import FormatError, MissingDependencyError
 from clvol.formats import bioio
 
 DATA = np.arange(2 * 3 * 4 * 16 * 20, dtype=np.uint16).reshape(2, 3, 4, 16, 20)

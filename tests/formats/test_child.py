@@ -22,10 +22,10 @@ import pytest
 
 import clvol
 from clvol import ClvolWarning, Volume, formats
-from clvol.errors import DataError, FormatError, OptionError, OutOfMemoryError
+from clvol.base.errors import DataError, FormatError, OptionError, OutOfMemoryError
 from clvol.formats import Limits, _wire, _worker
 from clvol.formats._limits import Budget, announce, limited
-from clvol.volumes import Leading
+from clvol.volume.volumes import Leading
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="signals and limits of POSIX")
 linux = pytest.mark.skipif(sys.platform != "linux", reason="what Linux alone has")
@@ -323,7 +323,7 @@ def test_what_libraries_warn_of_and_log(caplog: pytest.LogCaptureFixture) -> Non
 @pytest.mark.parametrize("kind", [DataError, OptionError, OutOfMemoryError, FormatError])
 def test_errors_keep_their_class(kind: type[Exception]) -> None:
     with pytest.raises(kind, match=r"^it is so$") as told:
-        run(exec, f"from clvol import errors; raise errors.{kind.__name__}('it is so')")
+        run(exec, f"from clvol.base import errors; raise errors.{kind.__name__}('it is so')")
     assert type(told.value) is kind
     with pytest.raises(FormatError, match=r"cannot read v\.x: 'gone'"):
         run(exec, "{}['gone']")

@@ -13,9 +13,10 @@ from typing import Any, NoReturn
 import numpy as np
 import pytest
 
-from clvol import formats, picture
-from clvol.errors import FormatError
-from clvol.files import staged
+from clvol import formats
+from clvol.base.errors import FormatError
+from clvol.base.files import staged
+from clvol.show import picture
 
 TIMES = 8
 
@@ -23,9 +24,9 @@ SCRIPT = """
 import json, os, resource, sys
 from pathlib import Path
 import numpy as np
-from clvol import formats, picture
-from clvol.errors import FormatError
-from clvol.files import staged
+from clvol import formats; from clvol.show import picture
+from clvol.base.errors import FormatError
+from clvol.base.files import staged
 
 root, times = Path(sys.argv[1]), int(sys.argv[2])
 noise = np.random.default_rng(0).random((24, 32, 32)).astype(np.float32)

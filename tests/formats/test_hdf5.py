@@ -12,7 +12,7 @@ import pytest
 
 import clvol
 from clvol import ClvolWarning, formats
-from clvol.errors import ClvolError, DataError, FormatError, GeometryError, MissingDependencyError, OptionError
+from clvol.base.errors import ClvolError, DataError, FormatError, GeometryError, MissingDependencyError, OptionError
 
 h5py = pytest.importorskip("h5py")
 

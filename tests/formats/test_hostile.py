@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from clvol import formats
-from clvol.errors import ClvolError, FormatError
+from clvol.base.errors import ClvolError, FormatError
 from clvol.formats import _worker
 
 pytest.importorskip("SimpleITK")

@@ -25,8 +25,8 @@ import pytest
 
 import clvol
 from clvol import formats
-from clvol.errors import FormatError
-from clvol.volume import Volume
+from clvol.base.errors import FormatError
+from clvol.volume.volume import Volume
 
 SECONDS, MIB = 5.0, 200
 DATA = np.arange(1, 61, dtype=np.uint16).reshape(3, 4, 5)
@@ -517,7 +517,7 @@ import json, sys, time, warnings
 from pathlib import Path
 import numpy as np
 import clvol
-from clvol.errors import ClvolError
+from clvol.base.errors import ClvolError
 
 try:
     import resource
@@ -620,7 +620,7 @@ AGAIN = """
 import gc, os, sys, warnings
 from pathlib import Path
 import clvol
-from clvol.errors import ClvolError
+from clvol.base.errors import ClvolError
 
 def held():
     gc.collect()

@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 import clvol
-from clvol.errors import ClvolWarning, DataError, FormatError, OptionError
+from clvol.base.errors import ClvolWarning, DataError, FormatError, OptionError
 from clvol.foreign import nibabel_says, simpleitk_says
 from clvol.formats import read, read_all, write
-from clvol.volume import Volume
-from clvol.volumes import Leading, Volumes, as_grid
+from clvol.volume.volume import Volume
+from clvol.volume.volumes import Leading, Volumes, as_grid
 from tests.dicom import element, sequence
 
 nibabel = pytest.importorskip("nibabel")

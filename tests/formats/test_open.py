@@ -21,7 +21,7 @@ import pytest
 
 import clvol
 from clvol import ClvolWarning
-from clvol.errors import ClvolError, DataError, FormatError, OptionError
+from clvol.base.errors import ClvolError, DataError, FormatError, OptionError
 
 zarr = pytest.importorskip("zarr")
 

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 import clvol
-from clvol.errors import ClvolError, FormatError, MissingDependencyError, OptionError
+from clvol.base.errors import ClvolError, FormatError, MissingDependencyError, OptionError
 
 zarr = pytest.importorskip("zarr")
 s3fs = pytest.importorskip("s3fs")

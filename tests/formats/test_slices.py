@@ -11,7 +11,7 @@ import pytest
 
 import clvol
 from clvol import ClvolWarning, formats
-from clvol.errors import DataError, FormatError, OptionError
+from clvol.base.errors import DataError, FormatError, OptionError
 
 DATA = np.random.default_rng(3).integers(0, 60000, (12, 5, 7)).astype(np.uint16)
 

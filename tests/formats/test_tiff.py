@@ -11,9 +11,9 @@ import pytest
 
 import clvol
 from clvol import ClvolWarning, Volume, Volumes, formats
-from clvol.errors import DataError, FormatError, OptionError
+from clvol.base.errors import DataError, FormatError, OptionError
 from clvol.formats import tiff
-from clvol.volumes import Leading
+from clvol.volume.volumes import Leading
 
 tifffile = pytest.importorskip("tifffile")
 

@@ -11,7 +11,7 @@ import pytest
 
 import clvol
 from clvol import ClvolWarning, formats
-from clvol.errors import ClvolError, DataError, FormatError, MissingDependencyError
+from clvol.base.errors import ClvolError, DataError, FormatError, MissingDependencyError
 
 pytest.importorskip("vtkmodules")
 

@@ -14,7 +14,7 @@ import pytest
 
 import clvol
 from clvol import ClvolWarning, formats
-from clvol.errors import ClvolError, DataError, FormatError, GeometryError, MissingDependencyError, OptionError
+from clvol.base.errors import ClvolError, DataError, FormatError, GeometryError, MissingDependencyError, OptionError
 
 zarr = pytest.importorskip("zarr")
 

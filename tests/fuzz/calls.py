@@ -22,7 +22,7 @@ import numpy as np
 
 import clvol
 from clvol import program
-from clvol.errors import ClvolError, ClvolWarning
+from clvol.base.errors import ClvolError, ClvolWarning
 from tests.fuzz.harness import MEGABYTES, SECONDS, Tally
 
 __all__ = ["fuzz_calls"]

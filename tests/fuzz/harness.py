@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import clvol
-from clvol.errors import ClvolError, ClvolWarning
+from clvol.base.errors import ClvolError, ClvolWarning
 from tests.fuzz.corpus import CORPORA, Sample
 from tests.fuzz.mutate import mutant
 from tests.fuzz.truth import TRUTHS, Damaged, Held

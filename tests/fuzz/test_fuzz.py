@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import clvol
-from clvol.errors import FormatError
+from clvol.base.errors import FormatError
 from tests.fuzz.found import FOUND
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -6,7 +6,7 @@ from typing import Any
 
 from clvol.device import Tile
 from clvol.march.frame import BY_PLANES, BY_RAYS
-from clvol.mode import as_mode, every_option, mode_options
+from clvol.scene.mode import as_mode, every_option, mode_options
 
 TILES = {"planes": BY_PLANES, "eights": Tile(16, 15, 8, shared=True), "rays": BY_RAYS}  # odd: never sixteen at a time
 

@@ -14,12 +14,12 @@ import pytest
 
 import clvol
 import clvol.device
-from clvol.errors import OptionError, OutOfMemoryError
+from clvol.base.errors import OptionError, OutOfMemoryError
 from clvol.march.bricks import Pass, front_to_back, level_of, opacity_within
 from clvol.march.renderer import Renderer
 from clvol.spline.bricked import BrickedField
 from clvol.spline.evaluator import DIRECT
-from tests.test_lazy import Counted
+from tests.bricks.test_source import Counted
 
 GUIDES = ("rgba", "depth", "normal", "position")
 CAMERAS = {

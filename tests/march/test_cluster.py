@@ -22,12 +22,12 @@ import pytest
 import clvol
 from clvol import cli
 from clvol import cluster as clusters
-from clvol.camera import Camera
+from clvol.base.errors import ClusterError, DataError, DeviceError, FormatError, OptionError
 from clvol.cluster import Cluster, as_cluster, worker_device
-from clvol.errors import ClusterError, DataError, DeviceError, FormatError, OptionError
 from clvol.march import cluster as parts
 from clvol.march.cluster import Group, Shared, groups_of, visible
 from clvol.march.renderer import Renderer
+from clvol.scene.camera import Camera
 from clvol.spline.bricked import BrickedField
 from tests.march.test_bricks import BUMPY, CAMERAS, GUIDES, MODES, waves
 

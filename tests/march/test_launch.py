@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clvol.camera import Camera
+from clvol.base.errors import OptionError
 from clvol.device import Device
-from clvol.errors import OptionError
 from clvol.march.frame import Frame
 from clvol.march.launch import States, draw, finish_states, march_rays, merge_states
 from clvol.march.renderer import Renderer
-from clvol.mode import as_mode, modes
 from clvol.phantoms import marschner_lobb
-from clvol.scene import Box, Scene
+from clvol.scene.camera import Camera
+from clvol.scene.mode import as_mode, modes
+from clvol.scene.scene import Box, Scene
+from clvol.scene.transfer import TransferFunction
 from clvol.spline.evaluator import choose_evaluator
 from clvol.spline.minmax import MinMax
-from clvol.transfer import TransferFunction
 from tests.march.looks import TILES, suited
 
 SIZE = (41, 35)

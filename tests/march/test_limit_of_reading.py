@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 import clvol
-from clvol.errors import OptionError
-from tests.test_lazy import Counted
+from clvol.base.errors import OptionError
+from tests.bricks.test_source import Counted
 
 MIB = 1 << 20
 BESIDE = 16 * MIB
@@ -151,8 +151,8 @@ def test_nothing_is_read_of_chunks_that_the_budget_does_not_hold(tmp_path: Path)
 
 
 def test_a_default_budget_grows_with_a_chunk_up_to_what_is_available(monkeypatch: pytest.MonkeyPatch) -> None:
-    from clvol import memory
-    from clvol.lazy import BUDGET, budget_for
+    from clvol.base import memory
+    from clvol.bricks.source import BUDGET, budget_for
 
     def of(chunk: int) -> clvol.LazyVolume:
         return clvol.LazyVolume(Counted(np.broadcast_to(np.uint8(0), (1, 1, 4 << 30)), (1, 1, chunk)))
@@ -202,5 +202,5 @@ def test_what_is_stored_as_it_is_is_read_by_its_parts(tmp_path: Path, monkeypatc
     assert gone.read((4, 5, 29), (5, 6, 31)).ravel().tolist() == [int(data[29, 5, 4]), 7]
     chunk = tmp_path / "3big.zarr" / "c" / "0" / "0" / "0"
     chunk.write_bytes(chunk.read_bytes()[:-2])
-    with pytest.raises(clvol.errors.FormatError, match=r"cannot read chunk c/0/0/0 of 3big\.zarr: it must have 180000 bytes"):
+    with pytest.raises(clvol.base.errors.FormatError, match=r"cannot read chunk c/0/0/0 of 3big\.zarr: it must have 180000 bytes"):
         clvol.open(tmp_path / "3big.zarr", trusted=True).read((0, 0, 0), (2, 2, 2))

@@ -17,17 +17,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clvol.camera import Camera
+from clvol.base.errors import DeviceError
 from clvol.device import Device, Tile
-from clvol.errors import DeviceError
-from clvol.filter import as_filter, filters
-from clvol.light import HEADLIGHT, Light, Material
+from clvol.filter.filter import as_filter, filters
 from clvol.march.planes import Planes
 from clvol.march.renderer import OUTPUTS, Renderer
-from clvol.mode import modes
 from clvol.reference.march import march as reference
-from clvol.transfer import TransferFunction
-from clvol.volume import Volume
+from clvol.scene.camera import Camera
+from clvol.scene.light import HEADLIGHT, Light, Material
+from clvol.scene.mode import modes
+from clvol.scene.transfer import TransferFunction
+from clvol.volume.volume import Volume
 from tests.cases import RULES
 from tests.march.looks import TILES, suited
 

@@ -15,19 +15,19 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from clvol.camera import Camera
+from clvol.base.errors import GeometryError, OptionError
 from clvol.device import Device
-from clvol.errors import GeometryError, OptionError
 from clvol.march import launch, refine
 from clvol.march.launch import Drawing, draw
 from clvol.march.refine import Rate, Rates, Refined
 from clvol.march.renderer import Renderer
-from clvol.mode import modes
 from clvol.phantoms import marschner_lobb
-from clvol.picture import Picture
+from clvol.scene.camera import Camera
+from clvol.scene.mode import modes
+from clvol.scene.transfer import TransferFunction
+from clvol.show.picture import Picture
 from clvol.spline.field import Field
-from clvol.transfer import TransferFunction
-from clvol.volume import Volume
+from clvol.volume.volume import Volume
 from tests.march.looks import TILES, suited
 
 CAMERA = Camera.orbit(33, 21, fit="volume")

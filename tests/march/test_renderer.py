@@ -15,18 +15,18 @@ from numpy.typing import NDArray
 
 import clvol
 from clvol import phantoms
-from clvol.camera import Camera
+from clvol.base.errors import ClvolError, DataError, GeometryError, OptionError
 from clvol.device import Device
-from clvol.errors import ClvolError, DataError, GeometryError, OptionError
-from clvol.light import Light
 from clvol.march.planes import Planes
 from clvol.march.renderer import OUTPUTS, Renderer, render
-from clvol.mode import modes
 from clvol.reference.spline.points import sample as reference_sample
-from clvol.scene import Medium, Scene
-from clvol.smoothing import settled
-from clvol.transfer import TransferFunction
-from clvol.volume import Volume
+from clvol.scene.camera import Camera
+from clvol.scene.light import Light
+from clvol.scene.mode import modes
+from clvol.scene.scene import Medium, Scene
+from clvol.scene.transfer import TransferFunction
+from clvol.volume.smoothing import settled
+from clvol.volume.volume import Volume
 from tests.march.looks import TILES, suited
 
 SIZE = (24, 20)

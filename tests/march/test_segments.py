@@ -11,15 +11,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from clvol.camera import Camera
+from clvol.base.errors import DeviceError
 from clvol.device import Device, Tile
-from clvol.errors import DeviceError
-from clvol.filter import Filter, filters, from_callable
+from clvol.filter.filter import Filter, filters, from_callable
 from clvol.march.renderer import OUTPUTS, Renderer
-from clvol.mode import modes
 from clvol.phantoms import marschner_lobb
-from clvol.transfer import TransferFunction
-from clvol.volume import Volume
+from clvol.scene.camera import Camera
+from clvol.scene.mode import modes
+from clvol.scene.transfer import TransferFunction
+from clvol.volume.volume import Volume
 from tests.cases import RULES, SMOOTHED, examples
 from tests.march.looks import TILES, suited
 

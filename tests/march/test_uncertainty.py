@@ -11,9 +11,9 @@ import clvol
 from clvol import Camera, Renderer, Volume, frequency_response
 from clvol.analysis.cardinal import impulse_response
 from clvol.analysis.theory import error_kernel
+from clvol.base.errors import OptionError
 from clvol.device import Device
-from clvol.errors import OptionError
-from clvol.filter import as_filter
+from clvol.filter.filter import as_filter
 from clvol.march import uncertainty
 from clvol.march.uncertainty import in_words
 from clvol.noise import Noise

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from clvol.base.errors import OptionError
 from clvol.device import Device
-from clvol.errors import OptionError
-from clvol.missing import filled_smoothly
 from clvol.ndimage import engine, gaps
+from clvol.volume.missing import filled_smoothly
 
 
 @pytest.mark.one_in(18)

@@ -10,11 +10,11 @@ import scipy.ndimage
 
 import clvol
 from clvol import LazyVolume, ndimage
+from clvol.base.errors import OptionError, OutOfMemoryError, UnsupportedError
 from clvol.device import Device
-from clvol.errors import OptionError, OutOfMemoryError, UnsupportedError
+from tests.bricks.test_chunks import Stored
+from tests.bricks.test_source import Counted
 from tests.ndimage.truth import MODES, SINGLE, truth
-from tests.test_chunks import Stored
-from tests.test_lazy import Counted
 
 DATA = np.random.default_rng(1).random((30, 34, 41)).astype(np.float32)
 AT = np.random.default_rng(2).uniform(-4, 40, (3, 20, 25))

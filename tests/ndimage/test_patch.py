@@ -14,7 +14,7 @@ import pytest
 import scipy.ndimage
 
 import clvol
-from clvol.errors import MissingDependencyError, OptionError, RefusedError, UnsupportedError
+from clvol.base.errors import MissingDependencyError, OptionError, RefusedError, UnsupportedError
 from clvol.ndimage import patched
 from clvol.ndimage.interpolation import __all__ as names
 

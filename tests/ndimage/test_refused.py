@@ -16,8 +16,7 @@ from scipy import ndimage as scipy_ndimage
 
 import clvol
 from clvol import ndimage
-from clvol.device import Device
-from clvol.errors import (
+from clvol.base.errors import (
     AxisError,
     ClvolError,
     DataError,
@@ -29,6 +28,7 @@ from clvol.errors import (
     RefusedError,
     UnsupportedError,
 )
+from clvol.device import Device
 
 A = np.arange(12.0).reshape(3, 4)
 EYE = np.eye(2)

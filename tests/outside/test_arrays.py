@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 import clvol
+from clvol.base.errors import DataError, OptionError
 from clvol.device import Device
-from clvol.errors import DataError, OptionError
 from clvol.interop import as_array, as_output
 
 Array = NDArray[Any]

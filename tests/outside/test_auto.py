@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage, special
 
 import clvol
-from clvol.smoothing import choose
+from clvol.volume.smoothing import choose
 
 Array = NDArray[np.float64]
 SCAN = (0.0, *np.geomspace(1e-3, 100, 19))
@@ -131,7 +131,7 @@ def error(function: Callable[[Array], Array], data: Array, smoothing: Sequence[f
     return float(np.sqrt(np.mean((drawn(coefficients(data, smoothing), index) - function(points)) ** 2)))
 
 
-def require_good(function: Callable[[Array], Array], data: Array, allowed: float = 1.10) -> clvol.smoothing.Smoothing:
+def require_good(function: Callable[[Array], Array], data: Array, allowed: float = 1.10) -> clvol.volume.smoothing.Smoothing:
     """The error with what is chosen is at most 1.10 times that of the best λ for all axes."""
     chosen = choose(clvol.Volume(data))
     best = min((error(function, data, (value,) * data.ndim), value) for value in SCAN)

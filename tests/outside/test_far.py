@@ -9,9 +9,9 @@ import pytest
 
 import clvol
 from clvol import Camera, Volume
-from clvol.camera import View
+from clvol.base.errors import GeometryError
 from clvol.device import Device
-from clvol.errors import GeometryError
+from clvol.scene.camera import View
 
 SIDE, RADIUS = 40, 12.0
 

@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 
 import clvol
 from clvol import Volume, reference
+from clvol.base.errors import DataError, FormatError, OptionError
 from clvol.device import Device
-from clvol.errors import DataError, FormatError, OptionError
-from clvol.transform import AffineTransform, BSplineTransform, DisplacementField, as_chain, from_simpleitk
+from clvol.volume.transform import AffineTransform, BSplineTransform, DisplacementField, as_chain, from_simpleitk
 
 sitk = pytest.importorskip("SimpleITK")
 

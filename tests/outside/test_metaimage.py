@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import clvol
-from clvol.errors import FormatError
+from clvol.base.errors import FormatError
 
 pytest.importorskip("SimpleITK")
 

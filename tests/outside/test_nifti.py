@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import clvol
-from clvol.errors import ClvolError, FormatError, GeometryError
+from clvol.base.errors import ClvolError, FormatError, GeometryError
 
 nibabel = pytest.importorskip("nibabel")
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 import clvol
+from clvol.base.errors import OptionError
 from clvol.device import Device
-from clvol.errors import OptionError
 
 Array = NDArray[Any]
 DATA = np.random.default_rng(0).uniform(-1, 1, (9, 10, 11))

@@ -9,9 +9,9 @@ import pytest
 
 import clvol
 from clvol import Camera, Renderer, TransferFunction, Volume
+from clvol.base.errors import OptionError
 from clvol.device import Device
-from clvol.errors import OptionError
-from clvol.filter import as_filter, filters
+from clvol.filter.filter import as_filter, filters
 from clvol.march.pixels import EDGE_RAYS, on_edges, pixel_offsets, pixel_rays
 
 SIZE = (32, 24)

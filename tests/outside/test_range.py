@@ -16,9 +16,9 @@ from scipy import ndimage
 
 import clvol
 from clvol import reference
+from clvol.base.errors import DataError
 from clvol.device import Device
-from clvol.errors import DataError
-from clvol.filter import bspline
+from clvol.filter.filter import bspline
 
 Array = NDArray[np.float64]
 SHAPE = (13, 14, 15)

@@ -8,9 +8,9 @@ from scipy import integrate, interpolate, signal
 
 import clvol
 from clvol import Volume, reference
-from clvol.errors import OptionError
-from clvol.filter import Filter, as_filter, bspline, from_pieces
-from clvol.smoothing import settled
+from clvol.base.errors import OptionError
+from clvol.filter.filter import Filter, as_filter, bspline, from_pieces
+from clvol.volume.smoothing import settled
 
 
 def noisy(n: int, seed: int = 0) -> np.ndarray:

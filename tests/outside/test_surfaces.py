@@ -10,14 +10,14 @@ import pytest
 
 import clvol
 from bench.roots import SCENES, check
-from clvol.camera import Camera
 from clvol.device import Device
-from clvol.filter import as_filter
+from clvol.filter.filter import as_filter
 from clvol.march.frame import BY_RAYS
-from clvol.mode import Isosurface
 from clvol.reference.march.march import camera_rays
 from clvol.reference.march.roots import first_crossings
-from clvol.volume import Volume
+from clvol.scene.camera import Camera
+from clvol.scene.mode import Isosurface
+from clvol.volume.volume import Volume
 from tests.march.looks import TILES
 from tests.outside import caster
 

@@ -11,8 +11,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import ndimage
 
+from clvol.base.errors import DataError, OptionError
 from clvol.device import Device
-from clvol.errors import DataError, OptionError
 
 torch = pytest.importorskip("torch")
 import clvol.torch  # noqa: E402

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from clvol.errors import DataError, GeometryError, OptionError
+from clvol.base.errors import DataError, GeometryError, OptionError
 
 xarray = pytest.importorskip("xarray")
 pytest.importorskip("clvol.xarray")  # it registers the accessor

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from clvol import reference
-from clvol.errors import ClvolError
-from clvol.filter import filters
+from clvol.base.errors import ClvolError
+from clvol.filter.filter import filters
 from tests.cases import RULES, SMOOTHED
 
 DATA = np.random.default_rng(0).normal(size=(3, 8))

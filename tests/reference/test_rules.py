@@ -9,7 +9,7 @@ import pytest
 from scipy import ndimage
 
 from clvol import reference
-from clvol.filter import Filter, as_filter, bspline
+from clvol.filter.filter import Filter, as_filter, bspline
 
 MODES = {
     "mirror": "mirror",

@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 
 import clvol
-from clvol.boundary import boundaries
-from clvol.errors import DataError, FormatError, OptionError
+from clvol.base.errors import DataError, FormatError, OptionError
+from clvol.filter.boundary import boundaries
 from clvol.spline.bricked import LEFT_OUT, BrickedField, margin_of
-from tests.test_lazy import Broken, Counted
+from tests.bricks.test_source import Broken, Counted
 
 FILTERS = ("nearest", "linear", "catmull-rom", "bspline2", "bspline3", "bspline3(0.2)", "bspline5", "hybrid", "omoms3")
 BOUND = {"bspline5": 4e-6}  # of a range of 1: what float32 leaves of its prefilter, as of the whole volume's

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 import clvol
 from clvol import AffineTransform, BSplineTransform, DisplacementField, Volume, reference
+from clvol.base.errors import DataError, GeometryError, OptionError
 from clvol.device import Device
-from clvol.errors import DataError, GeometryError, OptionError
 from tests.cases import rotation
 
 Array = NDArray[np.float64]

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 from clvol import reference
+from clvol.base.errors import ClvolError, DataError, DeviceError, OptionError
 from clvol.device import Device
-from clvol.errors import ClvolError, DataError, DeviceError, OptionError
-from clvol.filter import as_filter, bspline, register
+from clvol.filter.filter import as_filter, bspline, register
 from clvol.phantoms import marschner_lobb, marschner_lobb_function, marschner_lobb_gradient
 from clvol.spline.evaluator import Evaluator, choose_evaluator
 from clvol.spline.field import Field, as_field, magnify, prefilter, resample, sample
-from clvol.stored import Stored
-from clvol.volume import Volume
+from clvol.volume.stored import Stored
+from clvol.volume.volume import Volume
 from tests.cases import DEGREES, RMSE
 
 ROTATION = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))[0]
@@ -331,18 +331,19 @@ WITHOUT_OPENCL = """
 import sys
 sys.modules["pyopencl"] = None  # importing it raises ImportError
 import numpy as np
-import clvol, clvol.filter, clvol.boundary, clvol.volume, clvol.response, clvol.reference, clvol.phantoms
+import clvol, clvol.filter.filter, clvol.filter.boundary, clvol.filter.response
+import clvol.volume.volume, clvol.reference, clvol.phantoms
 from clvol import reference
 volume = clvol.phantoms.marschner_lobb(9)
 assert clvol.filters()["bspline3"].order == 4
-assert clvol.response.frequency_response("hybrid", 0.0) == 1
+assert clvol.filter.response.frequency_response("hybrid", 0.0) == 1
 assert reference.sample(volume, [[0.0, 0, 0]]).shape == (1,)
 assert reference.prefilter(volume.data).shape == (9, 9, 9)
-assert clvol.boundary.as_boundary("wrap").index(-1, 5) == 4
+assert clvol.filter.boundary.as_boundary("wrap").index(-1, 5) == 4
 for call in (lambda: clvol.sample(volume, [[0.0, 0, 0]]), lambda: clvol.prefilter([1.0])):
     try:
         call()
-    except clvol.errors.DeviceError as error:
+    except clvol.base.errors.DeviceError as error:
         assert "pyopencl cannot be imported" in str(error), error
     else:
         raise SystemExit("no DeviceError")

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import clvol
+from clvol.base.errors import OptionError
 from clvol.device import Device
-from clvol.errors import OptionError
 from clvol.march.renderer import Renderer
 from clvol.opencl import opencl
 from clvol.spline.coefficients import Coefficients

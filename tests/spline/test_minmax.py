@@ -9,15 +9,15 @@ import pytest
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from clvol.boundary import as_boundary
 from clvol.device import Device
-from clvol.filter import Filter, as_filter, filters, from_callable, from_pieces
+from clvol.filter.boundary import as_boundary
+from clvol.filter.filter import Filter, as_filter, filters, from_callable, from_pieces
 from clvol.phantoms import marschner_lobb
 from clvol.spline.evaluator import Evaluator
 from clvol.spline.field import coefficients_of
 from clvol.spline.minmax import BLOCK, MinMax, bernstein
 from clvol.spline.points import sample_coefficients
-from clvol.volume import Volume
+from clvol.volume.volume import Volume
 from tests.cases import SMOOTHED
 
 TAPS = Evaluator(paired=False, image=False)

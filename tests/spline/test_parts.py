@@ -9,9 +9,9 @@ import pytest
 
 import clvol
 from clvol import LazyVolume
+from clvol.base.errors import DataError, OptionError, OutOfMemoryError
 from clvol.device import Device
-from clvol.errors import DataError, OptionError, OutOfMemoryError
-from tests.test_lazy import Counted
+from tests.bricks.test_source import Counted
 
 TURN = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
 VOLUME = clvol.Volume(np.random.default_rng(1).random((37, 41, 52)).astype(np.float32), (1, 2, 3), (5, 6, 7), TURN, color=(1, 0, 0))

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from clvol import reference
-from clvol.boundary import as_boundary
 from clvol.device import Device
-from clvol.filter import as_filter, filters
+from clvol.filter.boundary import as_boundary
+from clvol.filter.filter import as_filter, filters
 from clvol.spline.evaluator import choose_evaluator
 from clvol.spline.field import coefficients_of, resample, sample
 from clvol.spline.points import sample_coefficients
 from clvol.spline.sort import scattered
-from clvol.volume import Volume
+from clvol.volume.volume import Volume
 from tests.cases import RULES
 
 ROWS = (*filters(), "sinc(3)")

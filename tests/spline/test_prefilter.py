@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from clvol import reference
+from clvol.base.errors import DataError, OptionError
 from clvol.device import Device
-from clvol.errors import DataError, OptionError
-from clvol.filter import as_filter, bspline, filters
+from clvol.filter.filter import as_filter, bspline, filters
 from clvol.spline.field import prefilter
-from clvol.volume import Volume
+from clvol.volume.volume import Volume
 from tests.cases import RULES, SMOOTHED
 
 # Greatest error allowed, in units of the greatest sample. float32 rounds at 6e-8; the prefilter gains
@@ -126,7 +126,7 @@ def test_coefficients_of_much_smoothing(device: Device, name: str, error: float)
 @pytest.mark.parametrize("rule", RULES)
 def test_halo_is_the_extension(device: Device, rule: str) -> None:
     """What lies around the coefficients on the device is what numpy.pad makes of them."""
-    from clvol.boundary import as_boundary
+    from clvol.filter.boundary import as_boundary
     from clvol.spline.field import coefficients_of
 
     for shape in ((4, 3, 5), (1, 2, 1), (3, 4), (1, 1)):

@@ -11,9 +11,9 @@ from scipy.interpolate import make_interp_spline
 
 import clvol
 from clvol import DataError, DeviceError, OptionError, Volume, reference
-from clvol.boundary import as_boundary
 from clvol.device import Device
-from clvol.filter import as_filter
+from clvol.filter.boundary import as_boundary
+from clvol.filter.filter import as_filter
 from clvol.spline.reduce import Sums, gaussian, least_squares, sum_along
 
 Array = NDArray[np.float64]

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from clvol import reference
-from clvol.boundary import as_boundary
 from clvol.device import Device
-from clvol.filter import filters
+from clvol.filter.boundary import as_boundary
+from clvol.filter.filter import filters
 from clvol.spline.field import magnify, resample
-from clvol.volume import Volume
+from clvol.volume.volume import Volume
 from tests.cases import RULES, SMOOTHED
 
 TOLERANCE = 2e-6  # of the greatest coefficient, those outside included; measured on PoCL: 5.4e-7

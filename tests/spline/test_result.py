@@ -7,7 +7,7 @@ import pytest
 
 import clvol
 from clvol import DataError, Device, OptionError, Volume
-from clvol.rounding import as_kind
+from clvol.base.rounding import as_kind
 
 RNG = np.random.default_rng(5)
 DATA = RNG.normal(100, 60, (9, 10, 11)).astype(np.int16)

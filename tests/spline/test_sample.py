@@ -16,9 +16,9 @@ from scipy import ndimage
 
 from clvol import reference
 from clvol.device import Device
-from clvol.filter import as_filter, filters
+from clvol.filter.filter import as_filter, filters
 from clvol.spline.field import sample
-from clvol.volume import Volume
+from clvol.volume.volume import Volume
 from tests.cases import RULES, SMOOTHED
 
 # Greatest error allowed, in units of the greatest coefficient (and, for derivatives, of the reciprocal

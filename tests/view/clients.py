@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from clvol.mode import modes
+from clvol.scene.mode import modes
 from clvol.view import State, View
 
 __all__ = ["Client", "at_rest", "decoded", "random_changes", "random_event"]

@@ -14,8 +14,8 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import clvol
+from clvol.base.errors import MissingDependencyError, UnsupportedError
 from clvol.device import Device
-from clvol.errors import MissingDependencyError, UnsupportedError
 from clvol.view import View, desktop
 from clvol.view.local import LocalClient, decoded, scaled
 
@@ -69,7 +69,7 @@ def test_a_picture_rests_at_what_render_draws(device: Device) -> None:
         client.resize(96, 64)
         still = Settling(client).picture()
         assert still.shape == (64, 96, 3)
-        from clvol.picture import to_bytes
+        from clvol.show.picture import to_bytes
 
         expected = to_bytes(view.picture((96, 64))).astype(int)
         assert_array_equal(still, expected[..., :3] * expected[..., 3:] // 255)

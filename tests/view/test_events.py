@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from clvol import Camera, Volume
-from clvol.errors import OptionError
+from clvol.base.errors import OptionError
 from clvol.view import State
 from clvol.view.events import Hands, Place, Reduced, faces, reduce
 from clvol.view.panes import Pane3D, PaneSize, SlicePane, camera_of

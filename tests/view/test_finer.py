@@ -13,10 +13,11 @@ import pytest
 from numpy.typing import NDArray
 
 import clvol
-from clvol import LazyVolume, OptionError, OutOfMemoryError, Volume, memory
+from clvol import LazyVolume, OptionError, OutOfMemoryError, Volume
+from clvol.base import memory
+from clvol.bricks.source import needed_by
 from clvol.device import Device
-from clvol.lazy import needed_by
-from clvol.picture import to_bytes
+from clvol.show.picture import to_bytes
 from clvol.view import State, View
 from clvol.view.finer import at_hand
 from tests.view.clients import Client, decoded

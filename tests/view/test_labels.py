@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 import clvol
 from clvol import Volume
+from clvol.base.errors import OptionError, OutOfMemoryError
 from clvol.device import Device
-from clvol.errors import OptionError, OutOfMemoryError
-from clvol.palette import label_color
-from clvol.picture import to_bytes
+from clvol.scene.palette import label_color
+from clvol.show.picture import to_bytes
 from clvol.view import State, View, from_toml, from_url, section
 from clvol.view.resident import Resident, Which
 from clvol.view.state import LabelState

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 import clvol
+from clvol.base.errors import OptionError
 from clvol.device import Device
-from clvol.errors import OptionError
 from clvol.view import View, show
 from tests.view.browser import Browser, why_none
 from tests.view.threads import sessions, wait_for_sessions

@@ -144,7 +144,7 @@ def page(shared: tuple[Browser, Serving, Watched], device: Device) -> Page:  # n
 def test_the_still_picture_is_that_of_the_library(page: Page) -> None:
     shown = page.picture()
     height, width = shown.shape[:2]
-    from clvol.picture import to_bytes
+    from clvol.show.picture import to_bytes
 
     expected = to_bytes(page.view.picture((width, height)))[..., :3]
     np.testing.assert_array_equal(shown[..., :3], expected)

@@ -11,7 +11,7 @@ import pytest
 from clvol import Volume, Volumes
 from clvol.device import Device
 from clvol.view import Session, State, View
-from clvol.volumes import Leading
+from clvol.volume.volumes import Leading
 from tests.view.browser import Browser, open_browser, why_none
 
 pytest.importorskip("aiohttp", reason="needs aiohttp")

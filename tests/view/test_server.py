@@ -25,8 +25,8 @@ import pytest
 
 import clvol
 from clvol import cli
+from clvol.base.errors import DeviceError, FormatError, OptionError
 from clvol.device import Device
-from clvol.errors import DeviceError, FormatError, OptionError
 
 aiohttp = pytest.importorskip("aiohttp", reason="needs aiohttp")
 resource = pytest.importorskip("resource", reason="needs getrusage")
@@ -852,7 +852,7 @@ def test_the_command_draws_and_ctrl_c_ends_it(device: Device) -> None:
                 await ws.send_json({"type": "ack", "frame": seen[-1]["number"]})
             picture = iio.imread(data)
             expected = clvol.render(clvol.phantoms.sphere(16), mode="mip", filter="linear", size=(64, 48), device=device)
-            np.testing.assert_array_equal(picture[..., :3], clvol.picture.to_bytes(expected)[..., :3])
+            np.testing.assert_array_equal(picture[..., :3], clvol.show.picture.to_bytes(expected)[..., :3])
             code, said, took = await asyncio.to_thread(command.end)
             assert (code, said.replace("1 error generated.\n", "")) == (0, "")  # of LLVM, which Ctrl-C hinders while it builds
             assert took < SLACK

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 import clvol
 from clvol import Light, Material, TransferFunction, Volume
+from clvol.base.errors import DataError, OptionError
 from clvol.device import Device
-from clvol.errors import DataError, OptionError
-from clvol.picture import to_bytes
+from clvol.show.picture import to_bytes
 from clvol.view import State, View, from_toml, from_url
 from clvol.view.drawing import Drawer, Shot
 from clvol.view.session import Session

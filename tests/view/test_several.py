@@ -12,15 +12,16 @@ import pytest
 from numpy.typing import NDArray
 
 import clvol
-from clvol import Volume, Volumes, memory
+from clvol import Volume, Volumes
+from clvol.base import memory
+from clvol.base.errors import OptionError
 from clvol.cli.options import Input, Look
 from clvol.cli.view import _made, _read
 from clvol.device import Device
-from clvol.errors import OptionError
-from clvol.picture import to_bytes
+from clvol.show.picture import to_bytes
 from clvol.view import State, View, from_toml, from_url
 from clvol.view.resident import Resident, Which
-from clvol.volumes import Leading
+from clvol.volume.volumes import Leading
 from tests.view.clients import Client, at_rest, decoded
 
 SIZE = 96, 72

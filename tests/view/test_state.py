@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from clvol import Light, TransferFunction
-from clvol.errors import OptionError
+from clvol.base.errors import OptionError
 from clvol.view import State, from_url
 from clvol.view.code import _input, to_url
 from clvol.view.state import History, points_of

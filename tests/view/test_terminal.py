@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 import clvol
 from clvol.device import Device
-from clvol.picture import to_bytes
+from clvol.show.picture import to_bytes
 from clvol.view import View
 from clvol.view.local import scaled
 from clvol.view.terminal import _printable, _read, ansi, keys_of, show_in_terminal

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.polynomial import legendre, polynomial
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.checks import reals, whole
-from clvol.errors import OptionError
-from clvol.filter import Filter, as_filter
+from clvol.base.checks import reals, whole
+from clvol.base.errors import OptionError
+from clvol.filter.filter import Filter, as_filter
 
 __all__ = ["Pieces", "even_filter", "impulse_response", "pieces"]
 

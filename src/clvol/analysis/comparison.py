@@ -22,17 +22,17 @@ from clvol.analysis.dirichlet import dirichlet_sample, dirichlet_weights
 from clvol.analysis.similarity import ssim
 from clvol.analysis.table import Table, column
 from clvol.analysis.timing import seconds_per_sample
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.checks import enough_memory, number, one_of, reals, require_room, whole
+from clvol.base.checks import enough_memory, number, one_of, reals, require_room, whole
+from clvol.base.errors import ClvolError, DataError, DeviceError, OptionError
 from clvol.device import Device, as_device
-from clvol.errors import ClvolError, DataError, DeviceError, OptionError
-from clvol.filter import Filter, as_filter, several_names
-from clvol.response import prefilter_response
-from clvol.smoothing import settled
+from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.filter.filter import Filter, as_filter, several_names
+from clvol.filter.response import prefilter_response
 from clvol.spline.evaluator import choose_evaluator
 from clvol.spline.field import coefficients_of, sample
 from clvol.spline.points import sample_coefficients
-from clvol.volume import Volume, as_volume
+from clvol.volume.smoothing import settled
+from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["COMPARED", "EXACT_SINC", "ErrorRow", "ErrorTable", "as_compared", "compare", "require_period", "settled_compared"]
 

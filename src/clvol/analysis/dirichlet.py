@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol import reference
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.checks import enough_memory, reals, require_room, whole
-from clvol.errors import DataError, OptionError
-from clvol.filter import DEFAULT_FILTER, Filter, as_filter
-from clvol.volume import Volume, as_volume
+from clvol.base.checks import enough_memory, reals, require_room, whole
+from clvol.base.errors import DataError, OptionError
+from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.filter.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.volume.volume import Volume, as_volume
 
 __all__ = [
     "SincVolume",

@@ -1,4 +1,4 @@
-"""Passband and stopband of a filter, from its frequency response (eqs 14 to 18, `clvol.response`)."""
+"""Passband and stopband of a filter, from its frequency response (eqs 14 to 18, `clvol.filter.response`)."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from scipy import optimize
 from clvol.analysis.cardinal import even_filter
 from clvol.analysis.extremum import maximum
 from clvol.analysis.table import column
-from clvol.checks import number
-from clvol.filter import Filter
-from clvol.response import frequency_response, prefilter_response
+from clvol.base.checks import number
+from clvol.filter.filter import Filter
+from clvol.filter.response import frequency_response, prefilter_response
 
 __all__ = ["Bands", "bands", "frequency_response", "prefilter_response"]
 

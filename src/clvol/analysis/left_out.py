@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.analysis.comparison import as_compared, lattice_of, require_period, settled_compared
 from clvol.analysis.table import Table, column
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.checks import enough_memory, number
-from clvol.filter import Filter
-from clvol.volume import Volume, as_volume
+from clvol.base.checks import enough_memory, number
+from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.filter.filter import Filter
+from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["LeftOutRow", "LeftOutTable", "leave_out"]
 

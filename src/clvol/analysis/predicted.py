@@ -32,12 +32,12 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.analysis.comparison import EXACT_SINC, as_compared, settled_compared
 from clvol.analysis.table import Table, column
 from clvol.analysis.theory import error_kernel
-from clvol.checks import enough_memory, number, whole
-from clvol.errors import OptionError
-from clvol.filter import Filter
+from clvol.base.checks import enough_memory, number, whole
+from clvol.base.errors import OptionError
+from clvol.filter.filter import Filter
+from clvol.filter.response import frequency_response
 from clvol.noise import Noise, colour_power
-from clvol.response import frequency_response
-from clvol.volume import Volume, as_volume
+from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["PredictedRow", "PredictedTable", "jump_error", "predict", "variance_gain"]
 

@@ -7,8 +7,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.checks import number, reals
-from clvol.errors import DataError
+from clvol.base.checks import number, reals
+from clvol.base.errors import DataError
 
 __all__ = ["ssim"]
 

@@ -11,10 +11,10 @@ from dataclasses import Field, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
-from clvol.checks import as_path
-from clvol.display import table
-from clvol.errors import DataError, OptionError
-from clvol.files import require_suffix, staged
+from clvol.base.checks import as_path
+from clvol.base.errors import DataError, OptionError
+from clvol.base.files import require_suffix, staged
+from clvol.show.html import table
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable

@@ -18,10 +18,10 @@ from numpy.polynomial import legendre, polynomial
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.analysis.table import column
-from clvol.checks import reals, whole
-from clvol.errors import OptionError
-from clvol.filter import Filter, Number, Polynomial, as_filter
-from clvol.response import prefilter_response
+from clvol.base.checks import reals, whole
+from clvol.base.errors import OptionError
+from clvol.filter.filter import Filter, Number, Polynomial, as_filter
+from clvol.filter.response import prefilter_response
 
 __all__ = ["Approximation", "approximation", "error_kernel", "taylor_coefficients"]
 

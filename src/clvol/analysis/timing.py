@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.boundary import Boundary
 from clvol.device import Device
-from clvol.filter import Filter
+from clvol.filter.boundary import Boundary
+from clvol.filter.filter import Filter
 from clvol.spline.evaluator import choose_evaluator
 from clvol.spline.field import coefficients_of
 from clvol.spline.points import sample_coefficients
-from clvol.volume import Volume
+from clvol.volume.volume import Volume
 
 __all__ = ["FULL", "Effort", "seconds_per_sample", "times_per_sample"]
 

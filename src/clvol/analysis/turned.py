@@ -17,11 +17,11 @@ from clvol.analysis.comparison import as_compared, require_period, settled_compa
 from clvol.analysis.dirichlet import dirichlet_sample
 from clvol.analysis.similarity import ssim
 from clvol.analysis.table import Table, column
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.checks import enough_memory, number, whole
-from clvol.errors import DataError
-from clvol.filter import Filter
-from clvol.volume import Volume, as_volume
+from clvol.base.checks import enough_memory, number, whole
+from clvol.base.errors import DataError
+from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.filter.filter import Filter
+from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["RotationRow", "RotationTable", "rotations"]
 

@@ -19,11 +19,11 @@ from typing import Any, NoReturn
 
 from cyclopts import CycloptsError, UnknownCommandError
 
+from clvol.base.errors import ClvolError, ClvolWarning
 from clvol.cli import files, lists, pictures, view
 from clvol.cli.root import app
 from clvol.cli.speech import one_line
 from clvol.cli.words import in_the_shell
-from clvol.errors import ClvolError, ClvolWarning
 
 __all__ = ["app", "files", "lists", "main", "pictures", "view"]
 

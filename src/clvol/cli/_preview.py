@@ -15,7 +15,7 @@ from rich.progress import Progress
 from rich.segment import Segment
 from rich.style import Style
 
-from clvol.picture import over_black, to_bytes
+from clvol.show.picture import over_black, to_bytes
 
 __all__ = ["Preview", "Screen", "console"]
 

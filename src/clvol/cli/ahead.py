@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import sys
 
-from clvol.interrupted import is_the_command
+from clvol.base.interrupted import is_the_command
 
 __all__ = ["begin"]
 

@@ -11,7 +11,9 @@ import numpy as np
 from cyclopts import Parameter
 
 import clvol
-from clvol import display
+from clvol.base.errors import ClvolWarning, DataError, OptionError
+from clvol.base.files import require_suffix
+from clvol.bricks.source import too_large
 from clvol.cli.options import (
     Boundary,
     DeviceName,
@@ -27,14 +29,12 @@ from clvol.cli.options import (
 )
 from clvol.cli.root import DATA, command
 from clvol.cli.speech import print_json, progress, range_text, require_writable, say, table
-from clvol.errors import ClvolWarning, DataError, OptionError
-from clvol.files import require_suffix
 from clvol.formats import WRITTEN, series_of
-from clvol.histogram import isovalue_of
-from clvol.lazy import too_large
-from clvol.smoothing import choose
-from clvol.volume import SPACES
-from clvol.volumes import Leading
+from clvol.show import html as display
+from clvol.volume.histogram import isovalue_of
+from clvol.volume.smoothing import choose
+from clvol.volume.volume import SPACES
+from clvol.volume.volumes import Leading
 
 __all__ = ["convert", "info", "pyramid", "resample"]
 

@@ -12,7 +12,7 @@ import clvol
 from clvol.cli.options import Json
 from clvol.cli.root import FILTERS, SETUP, app, command
 from clvol.cli.speech import print_json, table
-from clvol.display import Named
+from clvol.show.html import Named
 
 __all__ = ["completion", "devices", "doctor", "filters", "presets"]
 

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import CoercionError, Group, Parameter, Token
 
 import clvol
-from clvol.errors import OptionError
+from clvol.base.errors import OptionError
 from clvol.formats.opening import WholeOnlyError, opened_if
-from clvol.look import look as look_of
-from clvol.mode import as_mode, every_option, mode_options
+from clvol.scene.look import look as look_of
+from clvol.scene.mode import as_mode, every_option, mode_options
 
 __all__ = [
     "BOUNDARIES",
@@ -234,10 +234,10 @@ class Input:
         """Whether it says which image of a file or folder."""
         return self.series is not None
 
-    def leading(self, source: str | Path) -> clvol.volumes.Leading:
+    def leading(self, source: str | Path) -> clvol.volume.volumes.Leading:
         """What the axes before z, y and x of the file count."""
         if self._phantom(source) is not None:
-            return clvol.volumes.Leading()
+            return clvol.volume.volumes.Leading()
         given = self._given()
         return clvol.formats.leading_of(source, series=given.get("series"), level=given.get("level"), trusted=self.trusted)
 

@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Group, Parameter
 
 import clvol
-from clvol import batches, display, movies
-from clvol.batches import needs_whole
-from clvol.checks import number, whole
+from clvol.base.checks import number, whole
+from clvol.base.errors import OptionError
+from clvol.base.files import require_folder, require_suffix, staged
+from clvol.bricks.source import budget_for
+from clvol.bricks.source import by_bricks as are_by_bricks
 from clvol.cli import speech
 from clvol.cli.options import (
     Compared,
@@ -39,16 +41,16 @@ from clvol.cli.options import (
     own_options,
 )
 from clvol.cli.root import PICTURES, command
-from clvol.errors import OptionError
-from clvol.files import require_folder, require_suffix, staged
-from clvol.filter import PICTURE_FILTER
-from clvol.lazy import budget_for
-from clvol.lazy import by_bricks as are_by_bricks
+from clvol.filter.filter import PICTURE_FILTER
+from clvol.interfaces import batches
+from clvol.interfaces.batches import needs_whole
 from clvol.march.uncertainty import COVERAGE, in_words
-from clvol.mode import as_mode
-from clvol.picture import heat, heat_with_scale
-from clvol.smoothing import filter_for, settled
+from clvol.scene.mode import as_mode
+from clvol.show import html as display
+from clvol.show import movies
+from clvol.show.picture import heat, heat_with_scale
 from clvol.spline.bricked import BrickedField, as_lazy
+from clvol.volume.smoothing import filter_for, settled
 
 if TYPE_CHECKING:
     from clvol.cli._preview import Preview

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import clvol
-from clvol.files import require_folder, require_suffix
-from clvol.filter import Filter
-from clvol.smoothing import choose
+from clvol.base.files import require_folder, require_suffix
+from clvol.filter.filter import Filter
+from clvol.volume.smoothing import choose
 
 if TYPE_CHECKING:
     from clvol.cli._preview import Preview
@@ -27,7 +27,7 @@ __all__ = ["filter_text", "one_line", "print_json", "progress", "range_text", "r
 
 
 def require_picture(output: Path) -> None:
-    from clvol.picture import SUFFIXES
+    from clvol.show.picture import SUFFIXES
 
     require_writable(output, SUFFIXES, "pictures")
 

@@ -15,20 +15,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
-from clvol import display, memory, phantoms
+from clvol import phantoms
+from clvol.base import memory
+from clvol.base.errors import ClvolError, FormatError, OptionError, OutOfMemoryError
+from clvol.bricks.source import too_large
 from clvol.cli.options import DeviceName, FilterName, Input, Look, ModeOptions, Source, Whole, bytes_text, is_address, own_options
 from clvol.cli.root import PICTURES, command
 from clvol.cli.words import in_the_shell
-from clvol.errors import ClvolError, FormatError, OptionError, OutOfMemoryError
 from clvol.formats._limits import size_of
-from clvol.lazy import too_large
+from clvol.show import html as display
 
 if TYPE_CHECKING:
     from clvol.view import View
     from clvol.view.finer import Finer
     from clvol.view.server import Server
-    from clvol.volume import Volume
-    from clvol.volumes import Volumes
+    from clvol.volume.volume import Volume
+    from clvol.volume.volumes import Volumes
 
 __all__ = ["view"]
 
@@ -195,7 +197,7 @@ def _read(reader: Input, name: str, device: str | None = None) -> tuple[Volume |
     lazy = reader.by_parts(name, too_large)
     if lazy is None:
         return reader.read(name), reader.python(name), None
-    from clvol.lazy import needed_by
+    from clvol.bricks.source import needed_by
     from clvol.view.finer import Finer, at_hand
 
     sizes = (lazy, *lazy.levels)
@@ -251,7 +253,7 @@ def _made(
 ) -> View:
     """The view of a volume that the command line asks for; `source` is the call in Python that reads it."""
     from clvol.view import View
-    from clvol.volumes import Volumes
+    from clvol.volume.volumes import Volumes
 
     volume = scene.first if isinstance(scene, Volumes) else scene
     options = look.options(volume) | own

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 from cyclopts import CycloptsError
 
+from clvol.base.errors import DataError
 from clvol.cli.root import app
 from clvol.cli.speech import one_line
-from clvol.errors import DataError
 
 __all__ = ["in_the_shell"]
 

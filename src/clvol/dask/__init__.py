@@ -16,7 +16,7 @@ computes one block at a time.
 
 from __future__ import annotations
 
-from clvol.errors import MissingDependencyError
+from clvol.base.errors import MissingDependencyError
 
 try:
     import dask.array  # noqa: F401  # all modules here stand on it

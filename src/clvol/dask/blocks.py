@@ -18,9 +18,9 @@ from dask.base import tokenize
 from dask.highlevelgraph import HighLevelGraph
 from numpy.typing import NDArray
 
-from clvol.boundary import Boundary
+from clvol.base.errors import ClvolError, DataError, DtypeError, OptionError, OptionTypeError, UnsupportedError
 from clvol.device import Device
-from clvol.errors import ClvolError, DataError, DtypeError, OptionError, OptionTypeError, UnsupportedError
+from clvol.filter.boundary import Boundary
 
 __all__ = [
     "Array",

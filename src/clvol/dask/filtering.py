@@ -8,18 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.checks import whole
+from clvol.base.checks import whole
+from clvol.base.errors import DataError, OptionError, UnsupportedError
 from clvol.dask.blocks import Array, Block, Plan, Span, as_lazy, blockwise, checked_device, located, no_memory, refused
 from clvol.dask.margins import Margin, margin, reach, require_settled
-from clvol.errors import DataError, OptionError, UnsupportedError
-from clvol.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.filter.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.ndimage import engine, interpolation
 from clvol.ndimage.arguments import AnyDevice, Spline, as_axis, as_mode, as_order, as_output
-from clvol.smoothing import settled
 from clvol.spline import field
 from clvol.spline.field import Precision, precision_kind
-from clvol.volume import Volume
+from clvol.volume.smoothing import settled
+from clvol.volume.volume import Volume
 
 __all__ = ["as_volumes", "checked_spline", "prefilter", "settled_row", "spline_filter", "spline_filter1d", "splines_margin"]
 

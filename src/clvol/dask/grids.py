@@ -13,7 +13,7 @@ import dask.array as da
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.boundary import Boundary, as_boundary
+from clvol.base.errors import DataError
 from clvol.dask.blocks import (
     Array,
     Block,
@@ -33,8 +33,8 @@ from clvol.dask.blocks import (
 from clvol.dask.filtering import checked_spline, splines_margin
 from clvol.dask.reduced import Reduction, axis_by_axis, gaussian_radius
 from clvol.device import as_device
-from clvol.errors import DataError
-from clvol.filter import bspline
+from clvol.filter.boundary import Boundary, as_boundary
+from clvol.filter.filter import bspline
 from clvol.ndimage import engine, interpolation, passes
 from clvol.ndimage.antialiasing import low_passed, widths
 from clvol.ndimage.arguments import AnyDevice, Spline, as_shape

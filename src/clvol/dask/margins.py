@@ -9,9 +9,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.checks import one_of
-from clvol.errors import OptionError
-from clvol.filter import Filter, as_filter
+from clvol.base.checks import one_of
+from clvol.base.errors import OptionError
+from clvol.filter.filter import Filter, as_filter
 from clvol.spline.field import Precision
 
 __all__ = ["LEFT_OUT", "Margin", "margin", "reach", "require_settled"]
@@ -60,7 +60,7 @@ def require_settled(row: Filter) -> None:
     if not row.settled:
         raise OptionError(
             f"the smoothing of {row.name!r} is decided from all samples, and blocks are computed before these are known: "
-            "give a number, as in 'bspline3(0.1)'; clvol.smoothing.choose(volume) finds one for a part of the data"
+            "give a number, as in 'bspline3(0.1)'; clvol.volume.smoothing.choose(volume) finds one for a part of the data"
         )
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from dask.base import tokenize
 from dask.highlevelgraph import HighLevelGraph
 
-from clvol.boundary import Boundary
+from clvol.base.errors import DataError, OptionError, OptionTypeError, RefusedError, UnsupportedError
 from clvol.dask.blocks import (
     Array,
     Asked,
@@ -42,7 +42,7 @@ from clvol.dask.blocks import (
 from clvol.dask.filtering import checked_spline, splines_margin
 from clvol.dask.grids import Options, as_stored
 from clvol.device import as_device
-from clvol.errors import DataError, OptionError, OptionTypeError, RefusedError, UnsupportedError
+from clvol.filter.boundary import Boundary
 from clvol.interop import is_lazy
 from clvol.ndimage import engine, interpolation, passes
 from clvol.ndimage.arguments import AnyDevice, Spline, as_axes, as_coordinates, as_shape

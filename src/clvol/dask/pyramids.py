@@ -8,19 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.checks import one_of, reals, whole
+from clvol.base.checks import one_of, reals, whole
+from clvol.base.rounding import in_kind, wide
 from clvol.dask.blocks import Array, Block, Chunks, as_chunks, checked_device, located
 from clvol.dask.filtering import as_volumes, settled_row
 from clvol.dask.reduced import axis_by_axis
 from clvol.device import as_device
-from clvol.filter import DEFAULT_FILTER, Filter, as_filter
-from clvol.multiscale.levels import METHODS, ORDER, Method, filter_at, levels_of, require_reducible, sums_for
+from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.filter.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.formats.pyramid.levels import METHODS, ORDER, Method, filter_at, levels_of, require_reducible, sums_for
 from clvol.ndimage.arguments import AnyDevice
-from clvol.rounding import in_kind, wide
 from clvol.spline.field import Precision, precision_kind
 from clvol.spline.reduce import Sums
-from clvol.volume import Volume
+from clvol.volume.volume import Volume
 
 __all__ = ["pyramid"]
 

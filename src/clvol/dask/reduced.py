@@ -8,10 +8,10 @@ from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
-from clvol.boundary import Boundary
 from clvol.dask.blocks import Array, Block, Floats, Span, blockwise
 from clvol.device import as_device
-from clvol.filter import Filter
+from clvol.filter.boundary import Boundary
+from clvol.filter.filter import Filter
 from clvol.spline.reduce import TRUNCATE, Sums, least_squares, sum_along
 
 __all__ = ["Reduction", "Summed", "axis_by_axis", "gaussian_radius"]

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.checks import whole
+from clvol.base.checks import whole
+from clvol.base.errors import OptionError, UnsupportedError
+from clvol.base.rounding import as_kind, in_kind, wide
 from clvol.dask.blocks import (
     Array,
     Block,
@@ -30,16 +31,15 @@ from clvol.dask.filtering import as_volumes, settled_row
 from clvol.dask.margins import margin
 from clvol.dask.reduced import Reduction, axis_by_axis, gaussian_radius
 from clvol.device import as_device
-from clvol.errors import OptionError, UnsupportedError
-from clvol.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.filter.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.ndimage.arguments import AnyDevice
-from clvol.rounding import as_kind, in_kind, wide
 from clvol.spline.evaluator import DIRECT, choose_evaluator
 from clvol.spline.field import Precision, beyond, coefficients_of, fill_value, grid_for, precision_kind
 from clvol.spline.points import Given
 from clvol.spline.reduce import AntiAliasing, as_anti_aliasing, low_passed, wide_enough
 from clvol.spline.resample import along_axes, resample_axes, resample_coefficients
-from clvol.volume import Volume
+from clvol.volume.volume import Volume
 
 __all__ = ["magnify", "resample"]
 

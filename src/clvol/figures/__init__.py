@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
-from clvol.checks import enough_memory, one_of
-from clvol.errors import OptionError
+from clvol.base.checks import enough_memory, one_of
+from clvol.base.errors import OptionError
 from clvol.figures.panels import FIGURE_6, SIX, Panel, compare, figure6
 from clvol.figures.style import Drawing, require_matplotlib
 

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol import analysis
-from clvol.checks import several, whole
-from clvol.errors import OptionError
+from clvol.base.checks import several, whole
+from clvol.base.errors import OptionError
 from clvol.figures.style import GREY, Drawing, colour, label_ends, new_figure, styled
-from clvol.filter import Filter, as_filters
+from clvol.filter.filter import Filter, as_filters
 
 __all__ = ["draw"]
 

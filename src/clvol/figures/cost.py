@@ -9,11 +9,11 @@ import numpy as np
 
 from clvol import analysis, phantoms
 from clvol.analysis.timing import FULL, Effort, times_per_sample
-from clvol.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.device import Device, as_device
 from clvol.figures.style import FAINT, GREY, Drawing, colour, new_figure, styled
-from clvol.filter import Filter, as_filters
-from clvol.filter import filters as all_filters
+from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
+from clvol.filter.filter import Filter, as_filters
+from clvol.filter.filter import filters as all_filters
 
 __all__ = ["draw", "frontier", "plot"]
 

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from clvol.camera import Camera
-from clvol.checks import whole
+from clvol.base.checks import whole
 from clvol.device import Device
 from clvol.figures.panels import LIGHTS, MATERIAL, SURFACE
 from clvol.figures.style import Drawing, folded, show, styled, tiles, title
-from clvol.filter import Filter, as_filters
+from clvol.filter.filter import Filter, as_filters
 from clvol.march.renderer import Renderer
+from clvol.scene.camera import Camera
 from clvol.spline.field import sample
-from clvol.volume import Volume
+from clvol.volume.volume import Volume
 
 __all__ = ["CLOUD", "LOWPASSES", "draw", "scanned", "strays"]
 

@@ -13,14 +13,14 @@ from numpy.typing import ArrayLike
 from clvol import phantoms
 from clvol.analysis import ErrorTable, compare
 from clvol.analysis.comparison import as_compared
-from clvol.boundary import DEFAULT_BOUNDARY
-from clvol.checks import require_room, whole
-from clvol.errors import OptionError
+from clvol.base.checks import require_room, whole
+from clvol.base.errors import OptionError
 from clvol.figures.inputs import photograph, rings, zone_plate
 from clvol.figures.panels import FIGURE_6
 from clvol.figures.style import FAINT, GREY, INK, Drawing, colour, new_figure, styled, title
-from clvol.filter import Filter
-from clvol.volume import Volume, as_volume
+from clvol.filter.boundary import DEFAULT_BOUNDARY
+from clvol.filter.filter import Filter
+from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["Case", "draw", "mean_square", "measure"]
 

@@ -12,14 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol import phantoms
 from clvol.analysis.angle import mean_angle
-from clvol.camera import Camera
-from clvol.checks import whole
+from clvol.base.checks import whole
+from clvol.base.errors import OptionError
 from clvol.device import Device
-from clvol.errors import OptionError
 from clvol.figures.panels import BOX, CAMERA, ISOVALUE, LIGHTS, MATERIAL, SURFACE, exact, shading_gradients
 from clvol.figures.style import GAP, GREY, LINE, Drawing, colour, placed, show, styled, tiles, title
 from clvol.march.renderer import Renderer
-from clvol.volume import Volume, as_volume
+from clvol.scene.camera import Camera
+from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["draw"]
 

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from clvol.analysis import EXACT_SINC, dirichlet_magnify
 from clvol.analysis.comparison import as_compared
-from clvol.checks import require_room, whole
+from clvol.base.checks import require_room, whole
 from clvol.device import Device
 from clvol.figures.inputs import photograph, zone_plate
 from clvol.figures.panels import FIGURE_6
 from clvol.figures.style import LETTERS, LETTERS_A_PIXEL, Drawing, folded, show, styled, tiles, title
-from clvol.filter import Filter
+from clvol.filter.filter import Filter
 from clvol.spline.field import sample
-from clvol.volume import Volume
+from clvol.volume.volume import Volume
 
 __all__ = ["draw", "finer"]
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from clvol import analysis
 from clvol.figures.style import GREY, LETTERS, Drawing, colour, new_figure, styled, title
-from clvol.filter import Filter, as_filters
+from clvol.filter.filter import Filter, as_filters
 
 __all__ = ["draw"]
 

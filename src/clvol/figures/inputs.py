@@ -7,8 +7,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.checks import whole
-from clvol.volume import Volume
+from clvol.base.checks import whole
+from clvol.volume.volume import Volume
 
 __all__ = ["photograph", "rings", "zone_plate"]
 

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from clvol import phantoms
 from clvol.analysis import frequency_response, impulse_response, variance_gain
 from clvol.analysis.angle import mean_angle
-from clvol.checks import whole
+from clvol.base.checks import whole
 from clvol.device import Device
 from clvol.figures.panels import ISOVALUE
 from clvol.figures.style import GREY, INK, Drawing, colour, new_figure, styled, title
-from clvol.filter import Filter, as_filters
-from clvol.smoothing import settled
+from clvol.filter.filter import Filter, as_filters
 from clvol.spline.field import Field
-from clvol.volume import Volume
+from clvol.volume.smoothing import settled
+from clvol.volume.volume import Volume
 
 __all__ = ["BETWEEN", "FILTERS", "LEVELS", "Case", "cases", "draw", "measure"]
 

@@ -14,22 +14,22 @@ from clvol.analysis import EXACT_SINC, sinc_volume
 from clvol.analysis.angle import mean_angle
 from clvol.analysis.comparison import as_compared
 from clvol.analysis.dirichlet import periodic
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary
-from clvol.camera import Camera
-from clvol.checks import whole
+from clvol.base.checks import whole
+from clvol.base.errors import OptionError
 from clvol.device import Device
-from clvol.errors import OptionError
 from clvol.figures.style import LETTERS, Drawing, title
-from clvol.filter import Filter, as_filter
-from clvol.fit import fitted
-from clvol.light import Light, Material
+from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary
+from clvol.filter.filter import Filter, as_filter
 from clvol.march.renderer import Renderer
-from clvol.mode import DEFAULT_MODE, as_mode, every_option
-from clvol.picture import grid, heat, labelled, to_bytes
 from clvol.reference.march.exact import draw_function
+from clvol.scene.camera import Camera
+from clvol.scene.fit import fitted
+from clvol.scene.light import Light, Material
+from clvol.scene.mode import DEFAULT_MODE, as_mode, every_option
+from clvol.scene.transfer import TransferFunction
+from clvol.show.picture import grid, heat, labelled, to_bytes
 from clvol.spline.field import Progress, sample
-from clvol.transfer import TransferFunction
-from clvol.volume import Volume, as_volume
+from clvol.volume.volume import Volume, as_volume
 
 __all__ = [
     "BOX",

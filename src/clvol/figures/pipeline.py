@@ -9,20 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol import phantoms, reference
-from clvol.boundary import DEFAULT_BOUNDARY, as_boundary
-from clvol.camera import Camera
-from clvol.checks import whole
+from clvol.base.checks import whole
 from clvol.device import Device
 from clvol.figures.style import GREY, INK, LINE, Drawing, colour, label_ends, new_figure, placed, show, styled, title
-from clvol.filter import as_filter
-from clvol.light import HEADLIGHT, Material
+from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
+from clvol.filter.filter import as_filter
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER
 from clvol.march.planes import Planes
 from clvol.march.renderer import Renderer
 from clvol.reference.march.march import camera_rays, flat_below, pixel_rays, shade
-from clvol.stored import Stored
-from clvol.transfer import TransferFunction
-from clvol.volume import Volume
+from clvol.scene.camera import Camera
+from clvol.scene.light import HEADLIGHT, Material
+from clvol.scene.transfer import TransferFunction
+from clvol.volume.stored import Stored
+from clvol.volume.volume import Volume
 
 __all__ = ["Ray", "draw", "follow"]
 

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol import phantoms
-from clvol.checks import number, require_room, several, whole
+from clvol.base.checks import number, require_room, several, whole
 from clvol.device import Device
 from clvol.figures.inputs import zone_plate
 from clvol.figures.style import LETTERS, Drawing, placed, show, styled, tiles
 from clvol.spline.field import resample
 from clvol.spline.reduce import AntiAliasing
-from clvol.volume import Volume
+from clvol.volume.volume import Volume
 
 __all__ = ["FACTORS", "METHODS", "Case", "cases", "draw", "there_and_back"]
 

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol import phantoms
-from clvol.checks import require_room, whole
+from clvol.base.checks import require_room, whole
+from clvol.base.errors import OptionError
 from clvol.device import Device
-from clvol.errors import OptionError
 from clvol.figures.panels import SIX
 from clvol.figures.style import GREY, LETTERS, Drawing, colour, folded, placed, show, styled, tiles, title
-from clvol.filter import Filter, as_filters
+from clvol.filter.filter import Filter, as_filters
 from clvol.spline.field import sample
-from clvol.volume import Volume, as_volume
+from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["APART", "draw", "from_function", "from_scan"]
 

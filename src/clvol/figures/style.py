@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol import picture
 from clvol.analysis import EXACT_SINC
-from clvol.checks import as_path
-from clvol.errors import MissingDependencyError, OptionError
-from clvol.files import require_suffix, staged
-from clvol.filter import Filter, as_filter, filters
+from clvol.base.checks import as_path
+from clvol.base.errors import MissingDependencyError, OptionError
+from clvol.base.files import require_suffix, staged
+from clvol.filter.filter import Filter, as_filter, filters
+from clvol.show import picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

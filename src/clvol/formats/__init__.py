@@ -16,18 +16,18 @@ from typing import Any, NoReturn
 
 from numpy.typing import ArrayLike, DTypeLike
 
-from clvol.checks import as_path
-from clvol.errors import ClvolError, DataError, FormatError, GeometryError, OptionError
-from clvol.files import staged
+from clvol.base.checks import as_path
+from clvol.base.errors import ClvolError, DataError, FormatError, GeometryError, OptionError
+from clvol.base.files import staged
+from clvol.base.memory import available
 from clvol.formats import bioio, dicom, hdf5, imaris, metaimage, mgz, nifti, npy, nrrd, raw, slices, tiff, vti, zarr
 from clvol.formats._choice import Choice, Series
 from clvol.formats._files import Reader, Writer, foreign_errors
 from clvol.formats._limits import Budget, Limits, limited, size_of
 from clvol.formats._worker import call, prepare
 from clvol.interop import Content
-from clvol.memory import available
-from clvol.volume import Volume, as_volume
-from clvol.volumes import Leading, Volumes
+from clvol.volume.volume import Volume, as_volume
+from clvol.volume.volumes import Leading, Volumes
 
 __all__ = [
     "FORMATS",

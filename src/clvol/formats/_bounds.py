@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import FormatError
-from clvol.lazy import Index
+from clvol.base.errors import FormatError
+from clvol.bricks.source import Index
 
 __all__ = ["BLOCK", "KEY", "VERSION", "StoredBounds", "blocks_of", "bounds_of"]
 

@@ -20,8 +20,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from clvol import errors
-from clvol.errors import ClvolError, FormatError
+from clvol.base import errors
+from clvol.base.errors import ClvolError, FormatError
 from clvol.formats._files import foreign_errors
 from clvol.formats._limits import MORE, Budget, limited
 from clvol.formats._wire import receive, send, share_samples

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.checks import warn, whole
-from clvol.errors import DataError, OptionError
-from clvol.volumes import Leading
+from clvol.base.checks import warn, whole
+from clvol.base.errors import DataError, OptionError
+from clvol.volume.volumes import Leading
 
 __all__ = ["Choice", "Pick", "Series", "chosen_level", "chosen_series"]
 

@@ -6,7 +6,7 @@ import struct
 from collections.abc import Mapping
 from typing import IO
 
-from clvol.errors import FormatError
+from clvol.base.errors import FormatError
 
 __all__ = ["Directory", "directories", "segments"]
 

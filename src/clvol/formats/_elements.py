@@ -10,7 +10,7 @@ import struct
 from pathlib import Path
 from typing import IO
 
-from clvol.errors import FormatError
+from clvol.base.errors import FormatError
 
 __all__ = ["check_samples"]
 

@@ -15,10 +15,10 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from clvol.errors import ClvolError, ClvolWarning, DataError, FormatError
+from clvol.base.errors import ClvolError, ClvolWarning, DataError, FormatError
 from clvol.foreign import Content, held_as
 from clvol.formats._limits import announce
-from clvol.volume import Volume
+from clvol.volume.volume import Volume
 
 __all__ = [
     "Reader",

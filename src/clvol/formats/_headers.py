@@ -6,8 +6,8 @@ import re
 from pathlib import Path
 from typing import IO
 
-from clvol.errors import FormatError
-from clvol.files import MAX_HEADER
+from clvol.base.errors import FormatError
+from clvol.base.files import MAX_HEADER
 from clvol.formats._limits import is_trusted
 
 __all__ = ["data_path", "line", "numbers", "whole"]

@@ -15,16 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from clvol.errors import DataError, FormatError
+from clvol.base.errors import DataError, FormatError
+from clvol.bricks.sliced import FlatFile, Index, Window
 from clvol.foreign import Content, from_simpleitk, simpleitk, simpleitk_says
 from clvol.formats._choice import Choice
 from clvol.formats._files import foreign_errors, require_default, scaled
 from clvol.formats._layout import Layout, scaled_window
 from clvol.formats._limits import announce
 from clvol.formats._wire import copied
-from clvol.sliced import FlatFile, Index, Window
-from clvol.volume import Volume
-from clvol.volumes import Leading, Volumes
+from clvol.volume.volume import Volume
+from clvol.volume.volumes import Leading, Volumes
 
 __all__ = ["Flat", "Header", "open_image", "quiet", "read_image", "reason", "write_image"]
 

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.errors import DataError
+from clvol.base.errors import DataError
+from clvol.bricks.sliced import Window
 from clvol.formats._choice import Choice
 from clvol.formats._files import scaled
 from clvol.formats._units import scale, unit_name
 from clvol.interop import Content
-from clvol.sliced import Window
-from clvol.volumes import AXES, Leading
+from clvol.volume.volumes import AXES, Leading
 
 __all__ = ["Layout", "decoded", "lay_out", "place", "scaled_window", "shrunk", "uniform", "unnamed"]
 

@@ -9,9 +9,9 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 
-from clvol.checks import number
-from clvol.errors import FormatError, OutOfMemoryError
-from clvol.memory import available
+from clvol.base.checks import number
+from clvol.base.errors import FormatError, OutOfMemoryError
+from clvol.base.memory import available
 
 __all__ = ["Budget", "Limits", "announce", "announce_parts", "is_trusted", "limited", "size_of"]
 

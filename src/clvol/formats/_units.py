@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from clvol.errors import FormatError
+from clvol.base.errors import FormatError
 from clvol.foreign import METRES
 
 __all__ = ["METRES", "ome_unit", "one_unit", "scale", "unit_name"]

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from clvol.formats._choice import Series
-from clvol.volumes import Leading
+from clvol.volume.volumes import Leading
 
 __all__ = ["WireError", "copied", "empty", "pack", "receive", "send", "share_samples", "unpack"]
 

@@ -25,9 +25,9 @@ from multiprocessing.connection import wait as ready
 from pathlib import Path
 from typing import Any
 
-from clvol import errors
-from clvol.checks import warn
-from clvol.errors import ClvolWarning, FormatError
+from clvol.base import errors
+from clvol.base.checks import warn
+from clvol.base.errors import ClvolWarning, FormatError
 from clvol.formats._child import Request
 from clvol.formats._limits import MORE, Budget
 from clvol.formats._wire import WireError, receive, send

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import DataError, FormatError, MissingDependencyError
+from clvol.base.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
 from clvol.formats._files import bytes_at
 from clvol.formats._layout import lay_out
 from clvol.formats._limits import announce
 from clvol.interop import Content
-from clvol.volumes import Leading
+from clvol.volume.volumes import Leading
 
 __all__ = ["SUFFIXES", "read", "series"]
 

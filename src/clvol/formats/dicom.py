@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import DataError, FormatError, OptionError
+from clvol.base.errors import DataError, FormatError, OptionError
 from clvol.foreign import Content, simpleitk, simpleitk_says
 from clvol.formats import _itk
 from clvol.formats._choice import Choice, Pick, Series, chosen_series
@@ -20,7 +20,7 @@ from clvol.formats._elements import check_samples
 from clvol.formats._files import foreign_errors
 from clvol.formats._limits import announce
 from clvol.formats._wire import copied
-from clvol.volumes import Leading
+from clvol.volume.volumes import Leading
 
 __all__ = ["SUFFIXES", "is_file", "is_folder", "read", "series_of"]
 

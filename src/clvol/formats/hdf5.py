@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import DataError, FormatError, MissingDependencyError
+from clvol.base.errors import DataError, FormatError, MissingDependencyError
+from clvol.bricks.sliced import Index, Watched, Window
 from clvol.formats._choice import Choice, Series, chosen_series
 from clvol.formats._files import bytes_at, damaged_chunk, sample_count
 from clvol.formats._layout import Layout, decoded, lay_out, place, uniform, unnamed
 from clvol.formats._limits import announce
 from clvol.interop import Content
-from clvol.sliced import Index, Watched, Window
-from clvol.volumes import Leading
+from clvol.volume.volumes import Leading
 
 __all__ = ["lazily", "loaded", "member", "opened", "read", "series", "window"]
 

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import FormatError
+from clvol.base.errors import FormatError
+from clvol.bricks.sliced import Index, Window
 from clvol.formats._choice import Choice, chosen_level
 from clvol.formats._layout import Layout
 from clvol.formats._units import unit_name
 from clvol.formats.hdf5 import loaded, member, opened, window
 from clvol.interop import Content
-from clvol.sliced import Index, Window
-from clvol.volumes import Leading
+from clvol.volume.volumes import Leading
 
 __all__ = ["lazily", "read"]
 

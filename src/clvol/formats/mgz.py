@@ -9,12 +9,12 @@ from typing import IO, cast
 
 import numpy as np
 
-from clvol.errors import FormatError
+from clvol.base.errors import FormatError
 from clvol.foreign import Content, nibabel, nibabel_says
 from clvol.formats._choice import Choice
 from clvol.formats._files import gunzipped_size, require_bytes, sample_count
 from clvol.formats._limits import announce
-from clvol.volumes import Leading
+from clvol.volume.volumes import Leading
 
 __all__ = ["read"]
 

@@ -17,15 +17,15 @@ from typing import Any, BinaryIO, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import DataError, FormatError, GeometryError
+from clvol.base.errors import DataError, FormatError, GeometryError
+from clvol.bricks.sliced import FlatFile, Index, Window
 from clvol.foreign import NIFTI_MILLIMETRES, Content, Placement, affine_parts, from_ras, nifti_says, same_place
 from clvol.formats._choice import Choice
 from clvol.formats._files import gunzipped_size, require_bytes, require_default, scaled
 from clvol.formats._layout import Layout, scaled_window
 from clvol.formats._limits import announce
-from clvol.sliced import FlatFile, Index, Window
-from clvol.volume import Volume
-from clvol.volumes import Leading, Volumes
+from clvol.volume.volume import Volume
+from clvol.volume.volumes import Leading, Volumes
 
 __all__ = ["check", "lazily", "lazily_pair", "read", "read_pair", "write"]
 

@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike
 
-from clvol.checks import as_path
-from clvol.errors import DataError, FormatError, GeometryError, OptionError
+from clvol.base.checks import as_path
+from clvol.base.errors import DataError, FormatError, GeometryError, OptionError
+from clvol.bricks.source import LazyVolume
 from clvol.formats import FORMATS, Format, Limits, allowed, called, format_of, options_of
 from clvol.formats import zarr as zarr_format
 from clvol.formats._choice import Choice, Pick
 from clvol.formats._files import foreign_errors
 from clvol.interop import Content
-from clvol.lazy import LazyVolume
-from clvol.volume import Volume
-from clvol.volumes import Leading
+from clvol.volume.volume import Volume
+from clvol.volume.volumes import Leading
 
 __all__ = ["WholeOnlyError", "open", "opened", "opened_if"]
 

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike
 
-from clvol.checks import one_of
-from clvol.errors import OptionError
+from clvol.base.checks import one_of
+from clvol.base.errors import OptionError
+from clvol.bricks.sliced import FlatFile, Window
 from clvol.formats._choice import Choice
 from clvol.formats._files import require_bytes, sample_count
 from clvol.formats._limits import announce
 from clvol.interop import Content
-from clvol.sliced import FlatFile, Window
-from clvol.volumes import Leading
+from clvol.volume.volumes import Leading
 
 __all__ = ["lazily", "read"]
 

@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import DataError, FormatError
+from clvol.base.errors import DataError, FormatError
 from clvol.formats import tiff
 from clvol.formats._choice import Choice
 from clvol.formats._files import sample_count
 from clvol.formats._limits import announce
 from clvol.formats._wire import empty
 from clvol.interop import Content
-from clvol.volumes import Leading
+from clvol.volume.volumes import Leading
 
 __all__ = ["SUFFIXES", "are_in", "read", "read_folder"]
 

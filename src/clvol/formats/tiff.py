@@ -21,7 +21,8 @@ from xml.etree import ElementTree as ET
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import DataError, FormatError, MissingDependencyError
+from clvol.base.errors import DataError, FormatError, MissingDependencyError
+from clvol.bricks.sliced import FlatFile, Index, Watched, Window
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
 from clvol.formats._directories import Directory, directories, segments
 from clvol.formats._files import damaged_chunk, inflated_size, require_default, sample_count, scaled, storable, xz_size
@@ -30,9 +31,8 @@ from clvol.formats._limits import announce
 from clvol.formats._units import METRES, scale, unit_name
 from clvol.formats._wire import as_stored, empty
 from clvol.interop import Content
-from clvol.sliced import FlatFile, Index, Watched, Window
-from clvol.volume import Volume
-from clvol.volumes import Leading, Volumes
+from clvol.volume.volume import Volume
+from clvol.volume.volumes import Leading, Volumes
 
 __all__ = ["lazily", "read", "series", "write", "write_several"]
 

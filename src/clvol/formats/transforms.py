@@ -8,14 +8,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from clvol.checks import as_path
-from clvol.errors import FormatError
+from clvol.base.checks import as_path
+from clvol.base.errors import FormatError
 from clvol.foreign import simpleitk
 from clvol.formats import Limits, allowed, called
 from clvol.formats._files import foreign_errors
 from clvol.formats._itk import quiet, reason
 from clvol.formats._limits import announce
-from clvol.transform import AffineTransform, BSplineTransform, DisplacementField, Transform, displacements_of, from_simpleitk
+from clvol.volume.transform import AffineTransform, BSplineTransform, DisplacementField, Transform, displacements_of, from_simpleitk
 
 __all__ = ["read_transform"]
 
@@ -49,7 +49,7 @@ def read_transform(path: str | os.PathLike[str], *, trusted: bool = False, limit
     FormatError
         The file is missing, of no known format, or damaged.
     OptionError
-        It holds a transform of a kind that is not known; see `clvol.transform.from_simpleitk`.
+        It holds a transform of a kind that is not known; see `clvol.volume.transform.from_simpleitk`.
     DataError
         An image is not one of displacements, or holds a value that is not finite.
     GeometryError

@@ -22,16 +22,16 @@ from urllib.parse import parse_qsl
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import ClvolError, DataError, FormatError, MissingDependencyError
+from clvol.base.errors import ClvolError, DataError, FormatError, MissingDependencyError
+from clvol.bricks.sliced import FlatFile, Index, Signature, Window, said_of_file, said_of_folder, signature
 from clvol.formats._bounds import KEY, bounds_of
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
 from clvol.formats._files import bytes_at, require_members, sample_count
 from clvol.formats._layout import Layout, decoded, lay_out, place, shrunk, uniform, unnamed
 from clvol.formats._limits import announce, announce_parts
 from clvol.interop import Content
-from clvol.sliced import FlatFile, Index, Signature, Window, said_of_file, said_of_folder, signature
-from clvol.volume import SPACES
-from clvol.volumes import Leading
+from clvol.volume.volume import SPACES
+from clvol.volume.volumes import Leading
 
 __all__ = ["is_one", "lazily", "read", "said", "series", "shown"]
 

@@ -16,20 +16,20 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol import memory
-from clvol.camera import View
-from clvol.filter import Filter
-from clvol.lazy import Index, LazyVolume
+from clvol.base import memory
+from clvol.base.uniform import Values
+from clvol.bricks.source import Index, LazyVolume
+from clvol.filter.filter import Filter
 from clvol.march.frame import WINDOW, Frame
 from clvol.march.launch import Drawing, Picture, Progress, launched_over, lent_pictures, pictures_of
-from clvol.mode import Composite, Isosurface, Minip, Mip
 from clvol.program import Program
+from clvol.scene.camera import View
+from clvol.scene.mode import Composite, Isosurface, Minip, Mip
+from clvol.scene.transfer import TransferFunction
 from clvol.spline.bricked import Brick, BrickedField, Resident
 from clvol.spline.lease import release
 from clvol.spline.minmax import MinMax, minmax_block
-from clvol.transfer import TransferFunction
-from clvol.uniform import Values
-from clvol.volume import Volume
+from clvol.volume.volume import Volume
 
 __all__ = [
     "STEPPED_AT_MOST",

@@ -21,17 +21,17 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.boundary import Boundary
-from clvol.camera import View
-from clvol.checks import one_of
+from clvol.base.checks import one_of
+from clvol.base.errors import ClusterError, DeviceError, OptionError, OutOfMemoryError
+from clvol.bricks.source import Index, LazyVolume, budget_for
 from clvol.cluster import Cluster, LostError, PoisonError, Turn, neighbours, own_address, own_place, version, worker_device
-from clvol.errors import ClusterError, DeviceError, OptionError, OutOfMemoryError
-from clvol.filter import Filter
-from clvol.lazy import Index, LazyVolume, budget_for
+from clvol.filter.boundary import Boundary
+from clvol.filter.filter import Filter
 from clvol.march.bricks import Area, BrickedDrawing, Carried, Pass, boxes_of, front_to_back, pixels_of
 from clvol.march.frame import Frame, tile_of
 from clvol.march.launch import Progress
-from clvol.mode import Composite, Isosurface, Mode
+from clvol.scene.camera import View
+from clvol.scene.mode import Composite, Isosurface, Mode
 from clvol.spline.bricked import Brick, BrickedField
 
 __all__ = ["MERGES", "ClusterDrawing", "Group", "Merge", "Shared", "groups_of", "shared_out", "visible"]

@@ -10,24 +10,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.boundary import Boundary
-from clvol.camera import Camera, View
+from clvol.base.uniform import FLOAT, INT, Block, Values
 from clvol.device import Device, Tile
-from clvol.fit import fitted
-from clvol.light import LIGHTS, Material, lights_block
+from clvol.filter.boundary import Boundary
 from clvol.march.planes import SEGMENT, SLAB, Planes
-from clvol.mode import Isosurface, Mode
 from clvol.program import Program
-from clvol.scene import CLIP, Medium, Scene, clip_block
+from clvol.scene.camera import Camera, View
+from clvol.scene.fit import fitted
+from clvol.scene.light import LIGHTS, Material, lights_block
+from clvol.scene.mode import Isosurface, Mode
+from clvol.scene.scene import CLIP, Medium, Scene, clip_block
+from clvol.scene.transfer import TransferFunction
 from clvol.spline.bricked import Whole
 from clvol.spline.build import along_defines
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, Evaluator
 from clvol.spline.minmax import BLOCK, MINMAX, MinMax, minmax_block
 from clvol.spline.points import Progress
-from clvol.transfer import TransferFunction
-from clvol.uniform import FLOAT, INT, Block, Values
-from clvol.volume import Volume
+from clvol.volume.volume import Volume
 
 __all__ = ["BY_PLANES", "BY_RAYS", "PICTURE", "WINDOW", "Frame", "Subject", "frame_block", "tile_of"]
 

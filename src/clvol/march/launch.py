@@ -11,8 +11,8 @@ from typing import Any, Literal, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import OptionError
-from clvol.filter import Filter
+from clvol.base.errors import OptionError
+from clvol.filter.filter import Filter
 from clvol.march.frame import Frame
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER, EDGE_RAYS, as_pixel_filter, on_edges, pixel_rays
 from clvol.spline.build import row_reach, row_width

@@ -17,8 +17,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import OptionError
-from clvol.filter import Filter, as_filter
+from clvol.base.errors import OptionError
+from clvol.filter.filter import Filter, as_filter
 
 __all__ = ["DEFAULT_PIXEL_FILTER", "EDGE_RAYS", "as_pixel_filter", "on_edges", "pixel_offsets", "pixel_rays"]
 

@@ -16,11 +16,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from clvol.camera import View
-from clvol.errors import OptionError
+from clvol.base.errors import OptionError
+from clvol.base.uniform import FLOAT, INT, Block, Values
+from clvol.scene.camera import View
 from clvol.spline.minmax import BLOCK
-from clvol.uniform import FLOAT, INT, Block, Values
-from clvol.volume import Volume
+from clvol.volume.volume import Volume
 
 __all__ = ["OBLIQUE", "SEGMENT", "SLAB", "Planes"]
 

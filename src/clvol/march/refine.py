@@ -20,10 +20,10 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.filter import Filter
+from clvol.filter.filter import Filter
 from clvol.march.frame import Frame, Subject
 from clvol.march.launch import BEFORE_EDGES, Drawing, Progress
-from clvol.picture import Picture
+from clvol.show.picture import Picture
 
 __all__ = ["Rate", "Rates", "Refined", "Wanted", "refined", "refined_by_levels"]
 

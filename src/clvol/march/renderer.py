@@ -15,17 +15,14 @@ from typing import Any, Literal, Self, TypeAlias, get_args, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clvol import memory
-from clvol.boundary import Boundary
-from clvol.camera import Camera
-from clvol.checks import instance, number, one_of, whole
+from clvol.base import memory
+from clvol.base.checks import instance, number, one_of, whole
+from clvol.base.errors import DataError, OptionError, OutOfMemoryError
+from clvol.bricks.source import LazyVolume, budget_for
 from clvol.cluster import Cluster, ClusterLike, as_cluster
 from clvol.device import Device
-from clvol.errors import DataError, OptionError, OutOfMemoryError
-from clvol.filter import PICTURE_FILTER, Filter, as_filter
-from clvol.lazy import LazyVolume, budget_for
-from clvol.light import Light, Material
-from clvol.look import look
+from clvol.filter.boundary import Boundary
+from clvol.filter.filter import PICTURE_FILTER, Filter, as_filter
 from clvol.march import launch
 from clvol.march.bricks import STEPPED_AT_MOST, BrickedDrawing, level_of
 from clvol.march.cluster import MERGES, ClusterDrawing, Merge, Shared, shared_out
@@ -33,19 +30,22 @@ from clvol.march.frame import Subject
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter
 from clvol.march.refine import Rates, Refined, Wanted, refined, refined_by_levels
 from clvol.march.uncertainty import Uncertainty
-from clvol.mode import DEFAULT_MODE, Composite, Isosurface, Mode, as_mode
 from clvol.noise import Noise
-from clvol.picture import Picture, as_pictures
-from clvol.scene import Box, Medium, Scene, as_scene
-from clvol.smoothing import filter_for
+from clvol.scene.camera import Camera
+from clvol.scene.light import Light, Material
+from clvol.scene.look import look
+from clvol.scene.mode import DEFAULT_MODE, Composite, Isosurface, Mode, as_mode
+from clvol.scene.scene import Box, Medium, Scene, as_scene
+from clvol.scene.transfer import TransferFunction
+from clvol.show.picture import Picture, as_pictures
 from clvol.spline.bricked import BrickedField
 from clvol.spline.evaluator import DIRECT, Evaluator, EvaluatorName, FetchName, choose_evaluator, require_names
 from clvol.spline.field import RENUMBER, Field, as_field, names_beyond
 from clvol.spline.lease import Lease
 from clvol.spline.minmax import MinMax
 from clvol.spline.points import Progress
-from clvol.transfer import TransferFunction
-from clvol.volume import Volume, as_volume
+from clvol.volume.smoothing import filter_for
+from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["OUTPUTS", "Output", "Renderer", "render"]
 

@@ -27,12 +27,12 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.filter import Filter, bspline
+from clvol.base.uniform import FLOAT, Block, Values
+from clvol.filter.filter import Filter, bspline
 from clvol.noise import Noise, colour_power
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT
 from clvol.spline.field import Field
-from clvol.uniform import FLOAT, Block, Values
 
 __all__ = ["COVERAGE", "Uncertainty", "in_words"]
 

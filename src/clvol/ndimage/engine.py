@@ -12,10 +12,10 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol import memory
-from clvol.boundary import as_boundary
+from clvol.base import memory
 from clvol.device import Device, as_device
-from clvol.filter import Filter, as_filter
+from clvol.filter.boundary import as_boundary
+from clvol.filter.filter import Filter, as_filter
 from clvol.spline.build import DefineDict, scalar_defines
 from clvol.spline.coefficients import OPENCL_TYPES, Coefficients, Lattice, addressable, bundled
 from clvol.spline.evaluator import DIRECT

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.errors import OptionError
 from clvol.device import Device
-from clvol.errors import OptionError
-from clvol.missing import Missing, filled_smoothly
 from clvol.ndimage import engine
 from clvol.spline.field import Precision
+from clvol.volume.missing import Missing, filled_smoothly
 
 __all__ = ["evaluate"]
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol import memory
-from clvol.checks import flag
-from clvol.errors import OptionError, OptionTypeError, RefusedError, UnsupportedError
+from clvol.base import memory
+from clvol.base.checks import flag
+from clvol.base.errors import OptionError, OptionTypeError, RefusedError, UnsupportedError
 from clvol.interop import lazily
 from clvol.ndimage.antialiasing import low_passed, nearest_splines, widths
 from clvol.ndimage.arguments import (

@@ -18,9 +18,9 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.boundary import as_boundary
-from clvol.errors import UnsupportedError
-from clvol.lazy import LazyVolume
+from clvol.base.errors import UnsupportedError
+from clvol.bricks.source import LazyVolume
+from clvol.filter.boundary import as_boundary
 from clvol.ndimage.antialiasing import nearest_sums, widths
 from clvol.ndimage.arguments import (
     AnyDevice,

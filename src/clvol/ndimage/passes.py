@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol import memory
-from clvol.errors import DataError, OptionError, OptionTypeError, UnsupportedError
+from clvol.base import memory
+from clvol.base.errors import DataError, OptionError, OptionTypeError, UnsupportedError
 from clvol.ndimage import engine, gaps
 from clvol.ndimage.arguments import Array, Spline
 from clvol.ndimage.engine import Affine, Axes, Points, Target

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from clvol.errors import ClvolError, MissingDependencyError, OptionError, RefusedError
+from clvol.base.errors import ClvolError, MissingDependencyError, OptionError, RefusedError
 from clvol.ndimage import interpolation
 
 __all__ = ["Report", "patched", "run"]

@@ -1,7 +1,7 @@
 """The same mathematics in NumPy and float64, plain and slow: what the kernels are tested against.
 
 Nothing here uses the taps of a filter, the recursions of the prefilter or the index arithmetic
-of `clvol.boundary`: kernels come from closed forms, coefficients from solving eq. (11), edges from
+of `clvol.filter.boundary`: kernels come from closed forms, coefficients from solving eq. (11), edges from
 `numpy.pad`. So one mistake cannot sit on both sides of a comparison.
 """
 

@@ -15,19 +15,19 @@ from typing import Any
 from clvol import analysis
 from clvol.analysis import EXACT_SINC, ErrorTable, LeftOutTable, RotationTable
 from clvol.analysis.comparison import as_compared
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.checks import as_path, whole
+from clvol.base.checks import as_path, whole
+from clvol.base.errors import DataError, FormatError, OptionError
+from clvol.base.files import require_folder, staged
 from clvol.device import Device, as_device
-from clvol.errors import DataError, FormatError, OptionError
 from clvol.figures import cost
 from clvol.figures.style import require_matplotlib
-from clvol.files import require_folder, staged
-from clvol.filter import Filter
-from clvol.histogram import isovalue_of
+from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.filter.filter import Filter
 from clvol.reports import html, spectrum
 from clvol.reports.advice import ADVISED, Advice, advise, settled_once
 from clvol.reports.pictures import Cards, cards
-from clvol.volume import Volume, as_volume
+from clvol.volume.histogram import isovalue_of
+from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["REPORTED", "Advice", "Report", "advise", "page", "report"]
 

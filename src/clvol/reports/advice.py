@@ -15,13 +15,13 @@ from numpy.typing import ArrayLike
 
 from clvol.analysis import EXACT_SINC, PredictedRow, PredictedTable, predict
 from clvol.analysis.comparison import as_compared, keeps_range, overshoot
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.errors import OptionError
+from clvol.base.errors import OptionError
 from clvol.figures.style import title
-from clvol.filter import PICTURE_FILTER, Filter
+from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.filter.filter import PICTURE_FILTER, Filter
 from clvol.noise import Noise
-from clvol.smoothing import settled
-from clvol.volume import Volume, as_volume
+from clvol.volume.smoothing import settled
+from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["ADVISED", "Advice", "advise"]
 

@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 from clvol.analysis import ErrorTable, LeftOutTable, PredictedRow, PredictedTable, RotationTable, Table
 from clvol.analysis.table import column
 from clvol.figures.style import colour, styled, title
-from clvol.picture import to_bytes
 from clvol.reports.advice import Advice
 from clvol.reports.pictures import Cards
+from clvol.show.picture import to_bytes
 
 __all__ = ["inline", "page"]
 

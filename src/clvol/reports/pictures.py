@@ -9,14 +9,14 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.boundary import Boundary
-from clvol.camera import Camera
 from clvol.device import Device
 from clvol.figures.panels import fixed, settled
-from clvol.filter import Filter, as_filter
+from clvol.filter.boundary import Boundary
+from clvol.filter.filter import Filter, as_filter
 from clvol.march.renderer import Renderer
-from clvol.mode import as_mode
-from clvol.volume import Volume
+from clvol.scene.camera import Camera
+from clvol.scene.mode import as_mode
+from clvol.volume.volume import Volume
 
 __all__ = ["Card", "Cards", "cards"]
 

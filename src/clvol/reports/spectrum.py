@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from clvol.analysis import frequency_response
 from clvol.figures.style import FAINT, GREY, INK, colour, legend_above, new_figure, styled, title
-from clvol.filter import Filter
-from clvol.volume import Volume
+from clvol.filter.filter import Filter
+from clvol.volume.volume import Volume
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -19,17 +19,16 @@ from typing import Any, Self, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from clvol import memory
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.checks import whole
-from clvol.chunks import UNPACKING, Chunks, stored_in_one
+from clvol.base import memory
+from clvol.base.checks import whole
+from clvol.base.errors import DataError, OptionError, OutOfMemoryError
+from clvol.base.rounding import in_kind
+from clvol.bricks.chunks import UNPACKING, Chunks, stored_in_one
+from clvol.bricks.source import Index, LazyVolume, budget_for
 from clvol.device import Device, as_device
-from clvol.errors import DataError, OptionError, OutOfMemoryError
-from clvol.filter import DEFAULT_FILTER, Filter, as_filter, bspline
+from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.filter.filter import DEFAULT_FILTER, Filter, as_filter, bspline
 from clvol.interop import as_output
-from clvol.lazy import Index, LazyVolume, budget_for
-from clvol.rounding import in_kind
-from clvol.smoothing import filter_for, settled
 from clvol.spline.build import DefineDict, evaluator_defines, filter_defines
 from clvol.spline.chain import Chain
 from clvol.spline.coefficients import Coefficients, bytes_of, extent_of
@@ -67,9 +66,10 @@ from clvol.spline.reduce import (
 from clvol.spline.reduced import Reduced
 from clvol.spline.resample import no_shear, resample_coefficients
 from clvol.spline.residents import Account, Reads, Resident, Residents
-from clvol.stored import Stored
-from clvol.transform import Transforms, as_chain
-from clvol.volume import Volume
+from clvol.volume.smoothing import filter_for, settled
+from clvol.volume.stored import Stored
+from clvol.volume.transform import Transforms, as_chain
+from clvol.volume.volume import Volume
 
 __all__ = ["LEFT_OUT", "Brick", "BrickedField", "Reads", "Resident", "Whole", "as_lazy", "margin_of"]
 

@@ -9,9 +9,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from clvol.boundary import Boundary
 from clvol.device import Device
-from clvol.filter import Filter
+from clvol.filter.boundary import Boundary
+from clvol.filter.filter import Filter
 from clvol.program import literal
 from clvol.spline.evaluator import Evaluator
 

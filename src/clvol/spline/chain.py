@@ -10,14 +10,14 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.boundary import as_boundary
 from clvol.device import Device
+from clvol.filter.boundary import as_boundary
 from clvol.program import LANES
 from clvol.spline.build import DefineDict, scalar_defines
 from clvol.spline.prefilter import prefilter_in_place
-from clvol.stored import Reals
-from clvol.transform import AffineTransform, BSplineTransform, DisplacementField, Transform, split_at_grids
-from clvol.volume import Volume
+from clvol.volume.stored import Reals
+from clvol.volume.transform import AffineTransform, BSplineTransform, DisplacementField, Transform, split_at_grids
+from clvol.volume.volume import Volume
 
 __all__ = ["Chain", "Progress"]
 
@@ -38,7 +38,7 @@ class Chain:
     Parameters
     ----------
     transforms : sequence of transforms
-        As `clvol.transform.as_chain` gives them: the last one is applied first.
+        As `clvol.volume.transform.as_chain` gives them: the last one is applied first.
     grid : Volume
         Whose points are mapped.
     device : Device

@@ -11,17 +11,17 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.boundary import Boundary
+from clvol.base.errors import DeviceError, OptionError, OutOfMemoryError
 from clvol.device import Device
-from clvol.errors import DeviceError, OptionError, OutOfMemoryError
-from clvol.filter import Filter
+from clvol.filter.boundary import Boundary
+from clvol.filter.filter import Filter
 from clvol.program import LANES, Program
 from clvol.spline.build import DefineDict, evaluator_defines, filter_defines, row_reach, scalar_defines
 from clvol.spline.evaluator import Evaluator
 from clvol.spline.lease import release
 from clvol.spline.prefilter import prefilter_in_place
-from clvol.stored import AS_THEY_ARE, Stored
-from clvol.volume import Volume
+from clvol.volume.stored import AS_THEY_ARE, Stored
+from clvol.volume.volume import Volume
 
 __all__ = ["OPENCL_TYPES", "Coefficients", "Lattice", "addressable", "bundled", "bytes_of", "extent_of"]
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from clvol.checks import one_of
+from clvol.base.checks import one_of
+from clvol.base.errors import DeviceError
 from clvol.device import Device
-from clvol.errors import DeviceError
-from clvol.filter import Filter
+from clvol.filter.filter import Filter
 
 __all__ = ["DIRECT", "SAMPLE_BITS", "Evaluator", "EvaluatorName", "FetchName", "choose_evaluator", "require_names"]
 

@@ -13,16 +13,14 @@ from typing import Any, Literal, Self, TypeAlias, TypeGuard, get_args
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from clvol import memory
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.checks import one_of, warn, whole
+from clvol.base import memory
+from clvol.base.checks import one_of, warn, whole
+from clvol.base.errors import DataError, OptionError
+from clvol.base.rounding import as_kind, in_kind, wide
 from clvol.device import Device, as_device
-from clvol.errors import DataError, OptionError
-from clvol.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.filter.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.interop import as_array, as_output, is_in_parts, lazily, read_array
-from clvol.missing import Missing, as_missing, touching
-from clvol.rounding import as_kind, in_kind, wide
-from clvol.smoothing import filter_for, settled
 from clvol.spline.chain import Chain
 from clvol.spline.coefficients import Coefficients, Lattice, bytes_of
 from clvol.spline.evaluator import DIRECT, Evaluator, EvaluatorName, FetchName, choose_evaluator
@@ -30,10 +28,12 @@ from clvol.spline.lease import Lease
 from clvol.spline.points import Floats, Given, Progress, Reals, Transform, sample_coefficients, sample_grid
 from clvol.spline.reduce import AntiAliasing, as_anti_aliasing, low_passed, nearest_spline, steps_along
 from clvol.spline.resample import resample_coefficients
-from clvol.stored import AS_THEY_ARE, Stored
-from clvol.transform import Transforms, as_chain
-from clvol.volume import Volume, as_volume, in_frame
-from clvol.volumes import Volumes, as_grid
+from clvol.volume.missing import Missing, as_missing, touching
+from clvol.volume.smoothing import filter_for, settled
+from clvol.volume.stored import AS_THEY_ARE, Stored
+from clvol.volume.transform import Transforms, as_chain
+from clvol.volume.volume import Volume, as_volume, in_frame
+from clvol.volume.volumes import Volumes, as_grid
 
 __all__ = [
     "RENUMBER",
@@ -182,7 +182,7 @@ class Field:
     change them. No offset is taken off where the filter's weights do not sum to one (`lanczos3`, `sinc`), nor under the
     boundary rules "zero" and "grid-constant". Double precision stores samples as they are. A single sample near zero in data
     that are otherwise far from it prevents the offset too. Integers with a range of more than 2²⁴ are rounded to 2⁻²⁴ of it.
-    See `clvol.stored`.
+    See `clvol.volume.stored`.
 
     Examples
     --------
@@ -242,7 +242,7 @@ class Field:
 
     def _repr_html_(self) -> str:
         """For notebooks: the kernel, and what the function is made of."""
-        from clvol import display
+        from clvol.show import html as display
 
         known = {
             "samples": f"{display.numbers(self.volume.shape)} {self.volume.data.dtype}",

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from typing import Any
 
+from clvol.base.errors import DeviceError, OptionError
 from clvol.device import Device
-from clvol.errors import DeviceError, OptionError
 
 __all__ = ["Lease", "release"]
 

@@ -18,14 +18,14 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.filter import Filter
+from clvol.base.uniform import FLOAT, INT, Block, Values
+from clvol.filter.filter import Filter
 from clvol.program import LANES
 from clvol.spline.build import DefineDict, literals
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, Evaluator
 from clvol.spline.lease import release
-from clvol.uniform import FLOAT, INT, Block, Values
-from clvol.volume import Volume
+from clvol.volume.volume import Volume
 
 __all__ = ["BLOCK", "MAX_LEVELS", "MINMAX", "Cell", "MinMax", "bernstein", "bytes_beside", "minmax_block"]
 

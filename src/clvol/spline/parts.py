@@ -9,18 +9,18 @@ from typing import Any, NoReturn
 
 from numpy.typing import ArrayLike, DTypeLike
 
-from clvol.boundary import Boundary, as_boundary
-from clvol.checks import whole
+from clvol.base.checks import whole
+from clvol.base.errors import OptionError
+from clvol.bricks.source import LazyVolume, budget_for
 from clvol.device import Device, as_device
-from clvol.errors import OptionError
-from clvol.filter import DEFAULT_FILTER, Filter
-from clvol.lazy import LazyVolume, budget_for
-from clvol.smoothing import filter_for, settled
+from clvol.filter.boundary import Boundary, as_boundary
+from clvol.filter.filter import DEFAULT_FILTER, Filter
 from clvol.spline.bricked import BrickedField, as_lazy
 from clvol.spline.field import Anchor, Frame, Progress, Reals
 from clvol.spline.reduce import AntiAliasing
-from clvol.transform import Transforms
-from clvol.volume import Volume
+from clvol.volume.smoothing import filter_for, settled
+from clvol.volume.transform import Transforms
+from clvol.volume.volume import Volume
 
 __all__ = ["magnify", "prefilter", "resample", "sample"]
 

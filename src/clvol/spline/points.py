@@ -9,15 +9,15 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.boundary import Boundary
 from clvol.device import Device
+from clvol.filter.boundary import Boundary
 from clvol.program import LANES, Program
 from clvol.spline.build import DefineDict, boundary_defines, point_defines
 from clvol.spline.chain import Chain, Progress
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, Evaluator
 from clvol.spline.sort import Sorter, scattered
-from clvol.stored import Reals
+from clvol.volume.stored import Reals
 
 __all__ = [
     "NOTHING_GIVEN",

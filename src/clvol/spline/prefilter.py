@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.boundary import Boundary
 from clvol.device import Device
-from clvol.filter import Filter
+from clvol.filter.boundary import Boundary
+from clvol.filter.filter import Filter
 from clvol.program import LANES
 from clvol.spline.build import DefineDict, scalar_defines
 

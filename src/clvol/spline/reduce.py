@@ -16,16 +16,16 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from clvol import memory
-from clvol.boundary import Boundary
-from clvol.checks import one_of
+from clvol.base import memory
+from clvol.base.checks import one_of
+from clvol.base.errors import DeviceError, OptionError
 from clvol.device import Device
-from clvol.errors import DeviceError, OptionError
-from clvol.filter import Filter, bspline
-from clvol.smoothing import settled
+from clvol.filter.boundary import Boundary
+from clvol.filter.filter import Filter, bspline
 from clvol.spline.build import scalar_defines
-from clvol.stored import Stored
-from clvol.volume import Volume
+from clvol.volume.smoothing import settled
+from clvol.volume.stored import Stored
+from clvol.volume.volume import Volume
 
 __all__ = [
     "AntiAliasing",

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clvol.base.errors import OptionError
+from clvol.bricks.source import Index, LazyVolume
 from clvol.device import Device
-from clvol.errors import OptionError
-from clvol.lazy import Index, LazyVolume
 from clvol.spline.reduce import Sums, order_of, sum_along
 from clvol.spline.rows import GAP, Rows, gathered
 

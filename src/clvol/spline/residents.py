@@ -21,8 +21,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from clvol.chunks import Chunks
-from clvol.lazy import Index
+from clvol.bricks.chunks import Chunks
+from clvol.bricks.source import Index
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.minmax import MinMax, bytes_beside
 

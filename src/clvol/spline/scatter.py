@@ -10,18 +10,18 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol import memory
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary, boundaries
-from clvol.checks import several, whole
+from clvol.base import memory
+from clvol.base.checks import several, whole
+from clvol.base.errors import DeviceError, OptionError
 from clvol.device import Device, as_device
-from clvol.errors import DeviceError, OptionError
-from clvol.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary, boundaries
+from clvol.filter.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.interop import as_array
 from clvol.spline.build import boundary_defines, filter_defines, point_defines
 from clvol.spline.field import Precision, precision_kind, prefilter
 from clvol.spline.points import Transform
-from clvol.stored import Reals
-from clvol.volume import Volume
+from clvol.volume.stored import Reals
+from clvol.volume.volume import Volume
 
 __all__ = ["adjoint", "linear"]
 

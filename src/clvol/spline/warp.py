@@ -10,22 +10,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clvol import memory
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary
-from clvol.checks import instance, one_of, several, whole
+from clvol.base import memory
+from clvol.base.checks import instance, one_of, several, whole
+from clvol.base.errors import DataError, OptionError
 from clvol.device import Device, as_device
-from clvol.errors import DataError, OptionError
-from clvol.filter import DEFAULT_FILTER, Filter
-from clvol.missing import Missing
-from clvol.smoothing import filter_for
+from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary
+from clvol.filter.filter import DEFAULT_FILTER, Filter
 from clvol.spline.chain import Chain
 from clvol.spline.evaluator import choose_evaluator
 from clvol.spline.field import Field, Precision, fill_value, opened, resample
 from clvol.spline.points import NOTHING_GIVEN, Given, Progress, Reals, Transform, sample_grid
 from clvol.spline.resample import resample_coefficients
-from clvol.transform import Transforms, as_chain
-from clvol.volume import Volume, as_volume
-from clvol.volumes import Volumes, as_grid
+from clvol.volume.missing import Missing
+from clvol.volume.smoothing import filter_for
+from clvol.volume.transform import Transforms, as_chain
+from clvol.volume.volume import Volume, as_volume
+from clvol.volume.volumes import Volumes, as_grid
 
 __all__ = ["Warped", "resample_series", "warp"]
 

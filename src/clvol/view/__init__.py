@@ -14,10 +14,10 @@ import threading
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from clvol.errors import ClvolError, MissingDependencyError
-from clvol.filter import as_filter
+from clvol.base.errors import ClvolError, MissingDependencyError
+from clvol.filter.filter import as_filter
 from clvol.march.renderer import Renderer
-from clvol.picture import Picture, to_png
+from clvol.show.picture import Picture, to_png
 from clvol.view import code
 from clvol.view.code import from_toml, from_url
 from clvol.view.panes import PaneSize

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from clvol.camera import Camera
-from clvol.errors import OptionError
-from clvol.light import Light, Material
-from clvol.transfer import TransferFunction
+from clvol.base.errors import OptionError
+from clvol.scene.camera import Camera
+from clvol.scene.light import Light, Material
+from clvol.scene.transfer import TransferFunction
 from clvol.view.panes import PaneSize, SlicePane, camera_of, vertical
 from clvol.view.resident import Resident
 from clvol.view.state import State
@@ -50,7 +50,7 @@ def python(resident: Resident, state: State, name: str, shown: PaneSize, size: t
     """
     lines = ["import clvol"]
     lines += ["import numpy as np"] if state.wiper is not None else []
-    lines += ["from clvol.picture import heat, to_bytes"] if state.heat and name == "3d" else []
+    lines += ["from clvol.show.picture import heat, to_bytes"] if state.heat and name == "3d" else []
     lines += ["from clvol.view import section"] if name != "3d" else []
     lines += [""]
     if resident.finer is not None and resident.finer_than_at_hand(state, shown, name, size) is not None:

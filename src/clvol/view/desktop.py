@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clvol.errors import MissingDependencyError, UnsupportedError
+from clvol.base.errors import MissingDependencyError, UnsupportedError
 from clvol.view.local import LocalClient
 
 if TYPE_CHECKING:

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import ClvolError
+from clvol.base.errors import ClvolError
 from clvol.march.renderer import Renderer
-from clvol.picture import Picture, heat, to_bytes
+from clvol.show.picture import Picture, heat, to_bytes
 from clvol.view.events import Place
 from clvol.view.finer import Stopped, Wanted, asking
 from clvol.view.panes import SlicePane

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.camera import Camera
-from clvol.checks import number, one_of
-from clvol.errors import OptionError
-from clvol.mode import modes
+from clvol.base.checks import number, one_of
+from clvol.base.errors import OptionError
+from clvol.scene.camera import Camera
+from clvol.scene.mode import modes
 from clvol.view.panes import Pane3D, PaneSize, SlicePane, bounds, camera_of, pane_of, rotation, vertical, visible
 from clvol.view.state import PANES, CameraState, SliceState, State
-from clvol.volume import Volume
+from clvol.volume.volume import Volume
 
 __all__ = ["KEYS", "Drag", "Hands", "Place", "Reduced", "faces", "reduce", "shows_box"]
 

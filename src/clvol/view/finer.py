@@ -14,18 +14,18 @@ from typing import Any
 
 import numpy as np
 
-from clvol import memory
+from clvol.base import memory
+from clvol.base.errors import ClvolError, OutOfMemoryError
+from clvol.bricks.source import LazyVolume, needed_by
 from clvol.device import Device
-from clvol.errors import ClvolError, OutOfMemoryError
-from clvol.lazy import LazyVolume, needed_by
 from clvol.march.bricks import STEPPED_AT_MOST, level_of, nearest_to
 from clvol.march.renderer import Renderer, row_for
-from clvol.mode import as_mode
-from clvol.picture import Picture
+from clvol.scene.mode import as_mode
+from clvol.show.picture import Picture
 from clvol.view.panes import SlicePane
 from clvol.view.slices import level_for, plane_points, shaded
 from clvol.view.state import State
-from clvol.volume import Volume
+from clvol.volume.volume import Volume
 
 __all__ = ["Finer", "Stopped", "Wanted", "asking", "at_hand"]
 

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import OptionError
-from clvol.movies import FORMATS, packed, require_encoder
-from clvol.picture import to_bytes
+from clvol.base.errors import OptionError
+from clvol.show.movies import FORMATS, packed, require_encoder
+from clvol.show.picture import to_bytes
 from clvol.view.events import Place, turned
 from clvol.view.resident import Resident
 from clvol.view.state import State
@@ -41,7 +41,7 @@ def turntable(
     size : (width, height)
     frames : int
     form : {"gif", "mp4", "webm", "zip"}
-        As of `clvol.movies.write`.
+        As of `clvol.show.movies.write`.
     progress : callable
         Called with the share that is done; it says whether to go on.
     """

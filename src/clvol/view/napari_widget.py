@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.camera import Camera
-from clvol.errors import MissingDependencyError, OptionError
-from clvol.filter import filters
+from clvol.base.errors import MissingDependencyError, OptionError
+from clvol.filter.filter import filters
 from clvol.march.renderer import render
-from clvol.mode import DEFAULT_MODE, modes
-from clvol.picture import to_bytes
-from clvol.preset import presets
-from clvol.volume import Volume
-from clvol.volumes import Volumes
+from clvol.scene.camera import Camera
+from clvol.scene.mode import DEFAULT_MODE, modes
+from clvol.scene.preset import presets
+from clvol.show.picture import to_bytes
+from clvol.volume.volume import Volume
+from clvol.volume.volumes import Volumes
 
 try:
     from magicgui import widgets

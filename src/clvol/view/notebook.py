@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from importlib import resources
 from typing import Any, Protocol
 
-from clvol.errors import MissingDependencyError, OptionError
+from clvol.base.errors import MissingDependencyError, OptionError
 
 try:
     import anywidget

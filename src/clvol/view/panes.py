@@ -9,9 +9,9 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.camera import Camera, View
+from clvol.scene.camera import Camera, View
 from clvol.view.state import State
-from clvol.volume import Volume
+from clvol.volume.volume import Volume
 
 __all__ = ["Pane3D", "PaneSize", "SlicePane", "bounds", "camera_of", "pane_of", "vertical", "visible"]
 

@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.camera import Camera
-from clvol.histogram import label_numbers
 from clvol.march.renderer import Renderer
-from clvol.mode import as_mode
+from clvol.scene.camera import Camera
+from clvol.scene.mode import as_mode
 from clvol.spline.bricked import BrickedField
 from clvol.spline.field import Field
 from clvol.view.panes import Pane3D, SlicePane
-from clvol.volume import Volume
+from clvol.volume.histogram import label_numbers
+from clvol.volume.volume import Volume
 
 __all__ = ["hit", "picked"]
 

@@ -14,31 +14,32 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from clvol import labels, memory
-from clvol.boundary import boundaries
-from clvol.camera import Camera
-from clvol.checks import instance
+from clvol import labels
+from clvol.base import memory
+from clvol.base.checks import instance
+from clvol.base.errors import ClvolError, DataError, OptionError, OutOfMemoryError
+from clvol.bricks.source import LazyVolume
 from clvol.device import Device
-from clvol.errors import ClvolError, DataError, OptionError, OutOfMemoryError
-from clvol.filter import filters
-from clvol.fit import fitted
-from clvol.lazy import LazyVolume
-from clvol.look import look
+from clvol.filter.boundary import boundaries
+from clvol.filter.filter import filters
 from clvol.march.renderer import Renderer
-from clvol.mode import Mode, as_mode, mode_options, modes
-from clvol.palette import label_color
-from clvol.preset import presets
-from clvol.scene import Medium, Scene
-from clvol.smoothing import filter_for, settled
+from clvol.scene.camera import Camera
+from clvol.scene.fit import fitted
+from clvol.scene.look import look
+from clvol.scene.mode import Mode, as_mode, mode_options, modes
+from clvol.scene.palette import label_color
+from clvol.scene.preset import presets
+from clvol.scene.scene import Medium, Scene
+from clvol.scene.transfer import TransferFunction
 from clvol.spline.field import Field
-from clvol.transfer import TransferFunction
 from clvol.view.events import KEYS
 from clvol.view.finer import Finer, Wanted, at_hand
 from clvol.view.panes import PaneSize, SlicePane, camera_of, vertical
 from clvol.view.slices import window_of_slices
 from clvol.view.state import MOST_POINTS, CameraState, LabelState, State, transfer_json
-from clvol.volume import Volume, as_volume
-from clvol.volumes import Volumes
+from clvol.volume.smoothing import filter_for, settled
+from clvol.volume.volume import Volume, as_volume
+from clvol.volume.volumes import Volumes
 
 __all__ = ["Resident", "Which", "targeted"]
 
@@ -637,7 +638,7 @@ def _initial(volume: Volume, given: dict[str, Any]) -> State:
         words = {name: values.pop(name, None) for name in ("preset", "window", "cmap", "opacity")}
         values["transfer"] = look(volume, chosen, **words)
     if "background" in values and isinstance(values["background"], str):
-        from clvol.color import color_of
+        from clvol.base.color import color_of
 
         values["background"] = color_of("background", values["background"])
     lights = values.get("lights")

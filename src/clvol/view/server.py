@@ -35,8 +35,8 @@ from types import TracebackType
 from typing import Any, Protocol, Self
 from urllib.parse import urlsplit
 
-from clvol.checks import number, whole
-from clvol.errors import ClvolError, MissingDependencyError, OptionError
+from clvol.base.checks import number, whole
+from clvol.base.errors import ClvolError, MissingDependencyError, OptionError
 
 try:
     from aiohttp import WSCloseCode, WSMsgType, web

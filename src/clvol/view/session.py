@@ -35,8 +35,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.checks import number, one_of, whole
-from clvol.errors import ClvolError, DeviceError, OptionError
+from clvol.base.checks import number, one_of, whole
+from clvol.base.errors import ClvolError, DeviceError, OptionError
 from clvol.view import code, events, pick, wiper
 from clvol.view.drawing import WHOLE, Drawer, Shot, share_visited, sketched
 from clvol.view.encode import jpeg, png

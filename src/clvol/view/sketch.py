@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from clvol.filter import Filter
-from clvol.fit import fitted, spread
+from clvol.filter.filter import Filter
 from clvol.march.renderer import Renderer
-from clvol.palette import unit_of
-from clvol.picture import Picture
-from clvol.smoothing import filter_for
+from clvol.scene.fit import fitted, spread
+from clvol.scene.palette import unit_of
+from clvol.show.picture import Picture
 from clvol.view.panes import camera_of
 from clvol.view.resident import Resident, Which, targeted
 from clvol.view.state import State
-from clvol.volume import Volume
+from clvol.volume.smoothing import filter_for
+from clvol.volume.volume import Volume
 
 __all__ = ["Sketch", "thinned", "without_prefilter"]
 

@@ -9,19 +9,19 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.boundary import Boundary
-from clvol.checks import whole
+from clvol.base.checks import whole
+from clvol.base.errors import OptionError
+from clvol.bricks.source import LazyVolume
 from clvol.device import Device
-from clvol.errors import OptionError
-from clvol.filter import PICTURE_FILTER, Filter
-from clvol.lazy import LazyVolume
+from clvol.filter.boundary import Boundary
+from clvol.filter.filter import PICTURE_FILTER, Filter
 from clvol.march.bricks import level_within
 from clvol.march.renderer import Renderer, row_for
-from clvol.picture import Picture
-from clvol.smoothing import filter_for
+from clvol.scene.transfer import TransferFunction
+from clvol.show.picture import Picture
 from clvol.spline.field import Field
-from clvol.transfer import TransferFunction
-from clvol.volume import Volume, as_volume
+from clvol.volume.smoothing import filter_for
+from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["level_for", "plane_points", "section", "shaded", "window_of_slices"]
 

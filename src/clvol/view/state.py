@@ -12,15 +12,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, Self, TypeAlias
 
-from clvol.boundary import as_boundary
-from clvol.checks import number, one_of, reals, whole
-from clvol.errors import ClvolError, OptionError
-from clvol.filter import as_filter
-from clvol.light import MAX_LIGHTS, Light, Material
-from clvol.mode import as_mode
-from clvol.preset import as_preset
-from clvol.transfer import TransferFunction
-from clvol.volumes import AXES, COMPUTED
+from clvol.base.checks import number, one_of, reals, whole
+from clvol.base.errors import ClvolError, OptionError
+from clvol.filter.boundary import as_boundary
+from clvol.filter.filter import as_filter
+from clvol.scene.light import MAX_LIGHTS, Light, Material
+from clvol.scene.mode import as_mode
+from clvol.scene.preset import as_preset
+from clvol.scene.transfer import TransferFunction
+from clvol.volume.volumes import AXES, COMPUTED
 
 __all__ = [
     "MOST_LABELS",

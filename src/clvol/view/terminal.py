@@ -18,7 +18,7 @@ from typing import IO, TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.picture import to_bytes
+from clvol.show.picture import to_bytes
 from clvol.view.local import LocalClient, scaled
 
 if TYPE_CHECKING:

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.errors import ClvolError
-from clvol.filter import Filter
-from clvol.smoothing import settled
-from clvol.volume import Volume
+from clvol.base.errors import ClvolError
+from clvol.filter.filter import Filter
+from clvol.volume.smoothing import settled
+from clvol.volume.volume import Volume
 
 __all__ = ["MEANING", "joined", "measured"]
 

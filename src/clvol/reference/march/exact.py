@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.camera import View
-from clvol.filter import Filter
-from clvol.light import Light, Material
+from clvol.filter.filter import Filter
 from clvol.reference.march.march import camera_rays, pixel_rays, shade
-from clvol.volume import Volume
+from clvol.scene.camera import View
+from clvol.scene.light import Light, Material
+from clvol.volume.volume import Volume
 
 __all__ = ["draw_function"]
 

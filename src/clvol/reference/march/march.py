@@ -16,21 +16,21 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.camera import Camera, View
-from clvol.checks import one_of
-from clvol.color import color_of
-from clvol.errors import OptionError
-from clvol.filter import DEFAULT_FILTER, Filter, as_filter
-from clvol.fit import fitted
-from clvol.light import KIT, Light, Material, as_lights
-from clvol.mode import DEFAULT_MODE, Attenuated, Composite, Isosurface, Mode, as_mode
+from clvol.base.checks import one_of
+from clvol.base.color import color_of
+from clvol.base.errors import OptionError
+from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.filter.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.reference.march.rays import Rays, camera_rays
 from clvol.reference.march.roots import first_crossings
 from clvol.reference.spline.points import sample
-from clvol.stored import Stored
-from clvol.transfer import TransferFunction
-from clvol.volume import Volume, as_volume
+from clvol.scene.camera import Camera, View
+from clvol.scene.fit import fitted
+from clvol.scene.light import KIT, Light, Material, as_lights
+from clvol.scene.mode import DEFAULT_MODE, Attenuated, Composite, Isosurface, Mode, as_mode
+from clvol.scene.transfer import TransferFunction
+from clvol.volume.stored import Stored
+from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["Rays", "camera_rays", "facing", "flat_below", "pixel_rays", "planes_across", "render", "shade"]
 

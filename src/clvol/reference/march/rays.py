@@ -10,8 +10,8 @@ from typing import Any, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.camera import View
-from clvol.volume import Volume
+from clvol.scene.camera import View
+from clvol.volume.volume import Volume
 
 __all__ = ["Rays", "camera_rays"]
 

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
-from clvol.filter import Filter
+from clvol.filter.filter import Filter
 from clvol.reference.march.rays import Rays
-from clvol.volume import Volume
+from clvol.volume.volume import Volume
 
 __all__ = ["first_crossings"]
 

@@ -8,9 +8,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.errors import OptionError
-from clvol.filter import Filter
+from clvol.base.errors import OptionError
+from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.filter.filter import Filter
 
 __all__ = ["extend", "pad", "padding", "period", "placed", "solved_by"]
 

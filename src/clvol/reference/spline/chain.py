@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.reference.spline.boundary import extend
 from clvol.reference.spline.filter import kernel
 from clvol.reference.spline.prefilter import prefilter
-from clvol.transform import AffineTransform, BSplineTransform, DisplacementField, as_chain
+from clvol.volume.transform import AffineTransform, BSplineTransform, DisplacementField, as_chain
 
 __all__ = ["map_points"]
 

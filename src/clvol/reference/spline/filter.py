@@ -11,8 +11,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.errors import OptionError
-from clvol.filter import Filter, as_filter, bc, bspline, lanczos, moms3, sinc
+from clvol.base.errors import OptionError
+from clvol.filter.filter import Filter, as_filter, bc, bspline, lanczos, moms3, sinc
 
 __all__ = ["kernel"]
 

@@ -9,13 +9,13 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.errors import OptionError
-from clvol.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.base.errors import OptionError
+from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.filter.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.reference.spline.boundary import extend, padding, placed
 from clvol.reference.spline.filter import kernel
 from clvol.reference.spline.prefilter import padded_coefficients
-from clvol.volume import Volume, as_volume
+from clvol.volume.volume import Volume, as_volume
 
 __all__ = ["magnify", "resample", "sample"]
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary
-from clvol.errors import DataError, OptionError
-from clvol.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.base.errors import DataError, OptionError
+from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary
+from clvol.filter.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.reference.spline.boundary import extend, pad, padding, solved_by
 from clvol.reference.spline.filter import kernel
 
@@ -97,7 +97,9 @@ def _denominator(filter: Filter, axis: int) -> Array:
     if isinstance(smoothing, tuple):
         smoothing = smoothing[axis]
     if isinstance(smoothing, str) or filter.length is not None:
-        raise OptionError(f"the smoothing of {filter.name!r} is decided for a volume: clvol.smoothing.settled(filter, volume)")
+        raise OptionError(
+            f"the smoothing of {filter.name!r} is decided for a volume: clvol.volume.smoothing.settled(filter, volume)"
+        )
     if not smoothing:
         return b
     penalty = np.ones(1)

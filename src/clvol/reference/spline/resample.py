@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-from clvol.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.errors import OptionError
-from clvol.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.base.errors import OptionError
+from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
+from clvol.filter.filter import DEFAULT_FILTER, Filter, as_filter
 from clvol.reference.spline.boundary import extend, padding, placed
 from clvol.reference.spline.filter import kernel
 from clvol.reference.spline.prefilter import padded_coefficients

@@ -1,0 +1,160 @@
+"""Checks of arguments: each returns the value in its proper type, or raises an error that says the rule; and warnings."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from numbers import Integral, Real
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.base import memory
+from clvol.base.errors import ClvolError, ClvolWarning, OptionError, OutOfMemoryError
+from clvol.interop import as_array
+
+__all__ = ["as_path", "enough_memory", "flag", "instance", "number", "one_of", "reals", "require_room", "several", "warn", "whole"]
+
+_MAX_SAMPLES = 1 << 36  # no machine holds the float64 positions of more
+
+
+def instance(what: str, value: object, *kinds: type) -> None:
+    """Raise `OptionError` unless `value` is of one of the classes; the first gives the rule its name."""
+    if not isinstance(value, kinds):
+        raise OptionError(f"{what} must be a {kinds[0].__name__}; got {value!r}")
+
+
+def flag(what: str, value: object) -> bool:
+    """`value` as a bool, if it is True or False, or a whole number in place of these; else `OptionError`."""
+    if not isinstance(value, (bool, np.bool_, int)):
+        raise OptionError(f"{what} must be True or False; got {value!r}")
+    return bool(value)
+
+
+def one_of(what: str, value: object, allowed: Iterable[str]) -> OptionError:
+    """The error for an unknown name: the rule, what is allowed, and the offender."""
+    return OptionError(f"{what} must be one of {', '.join(allowed)}; got {value!r}")
+
+
+def number(
+    what: str,
+    value: object,
+    *,
+    above: float | None = None,
+    minimum: float | None = None,
+    below: float | None = None,
+    maximum: float | None = None,
+) -> float:
+    """`value` as a float, if it is one finite real number within the bounds; else `OptionError`.
+
+    Python's and NumPy's real scalars and arrays without axes are accepted; booleans and strings are not.
+    """
+    scalar = _scalar(value)
+    try:
+        result = float(scalar) if isinstance(scalar, Real) else math.nan
+    except OverflowError:  # a whole number or fraction beyond float64
+        result = math.inf
+    within = (
+        math.isfinite(result)
+        and (above is None or result > above)
+        and (minimum is None or result >= minimum)
+        and (below is None or result < below)
+        and (maximum is None or result <= maximum)
+    )
+    if not within:
+        bounds = {"greater than": above, "at least": minimum, "less than": below, "at most": maximum}
+        raise OptionError(f"{what} must be a finite number{_allowed(bounds)}; got {value!r}")
+    return result
+
+
+def whole(what: str, value: object, minimum: int | None = None, maximum: int | None = None) -> int:
+    """`value` as an int, if it is one whole number within the bounds; else `OptionError`.
+
+    Python's and NumPy's integers and arrays of them without axes are accepted; booleans and floats are not.
+    """
+    scalar = _scalar(value)
+    result = int(scalar) if isinstance(scalar, Integral) else None
+    if result is None or (minimum is not None and result < minimum) or (maximum is not None and result > maximum):
+        bounds = {"at least": minimum, "at most": maximum}
+        raise OptionError(f"{what} must be a whole number{_allowed(bounds)}; got {value!r}")
+    return result
+
+
+def reals(what: str, value: object, rule: str = "real numbers", error: type[ClvolError] = OptionError) -> NDArray[np.float64]:
+    """`value` as an array of float64, not copied where it is one; `error` for strings, complex and masked numbers."""
+    try:
+        array = as_array(value, what, error, rule)
+        known = array.dtype.kind in "biuf" or (array.dtype.kind == "O" and all(isinstance(v, Real) for v in array.flat))
+        if known:
+            if array.dtype != np.float64:
+                memory.require(8 * array.size, f"{what} in float64, {array.size} numbers,")
+            with np.errstate(over="ignore"):
+                return array.astype(np.float64, copy=False)
+    except OverflowError:  # beyond float64
+        pass
+    raise error(f"{what} must be {rule}; got {value!r}")
+
+
+def several(what: str, value: object, rule: str, maximum: int | None = None) -> list[Any]:
+    """`value` as a list, if it is a sequence of 1 to `maximum` items; else `OptionError`. A string is no sequence here."""
+    try:
+        result = [] if isinstance(value, (str, bytes)) else list(value)  # type: ignore[call-overload]  # or it cannot be iterated
+    except TypeError:
+        result = []
+    if not result:
+        raise OptionError(f"{what} must be {rule}; got {value!r}")
+    if maximum is not None and len(result) > maximum:
+        raise OptionError(f"{what} must be {rule}, at most {maximum}; got {len(result)}")
+    return result
+
+
+def require_room(what: str, samples: int, value: object) -> None:
+    """Raise `OutOfMemoryError` if `what`, whose value requests so many samples, requests more than any machine can hold."""
+    if samples > _MAX_SAMPLES:
+        raise OutOfMemoryError(f"out of memory: {what} must give at most {_MAX_SAMPLES} samples; got {value!r}")
+
+
+def warn(message: str) -> None:
+    """Warn of the caller's line, whatever lies between it and this one."""
+    frame, level = sys._getframe(), 1
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("clvol."):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, ClvolWarning, stacklevel=level)
+
+
+def as_path(value: object) -> Path:
+    """`value` as a path, if it is a string or a path; else `OptionError`."""
+    if isinstance(value, (str, os.PathLike)):
+        name = os.fspath(value)
+        if isinstance(name, str) and "\0" not in name:
+            return Path(name)
+    raise OptionError(f"path must be a string or a pathlib.Path; got {value!r}")
+
+
+@contextmanager
+def enough_memory(what: str) -> Iterator[None]:
+    """Turn a `MemoryError` into an `OutOfMemoryError` that says what does not fit."""
+    try:
+        yield
+    except ClvolError:
+        raise
+    except MemoryError as error:
+        raise OutOfMemoryError(f"out of memory: {what} must fit into it; got {error or 'no memory'}") from error
+
+
+def _scalar(value: object) -> object:
+    """`value`, or the element of an array without axes; None for booleans."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    return None if isinstance(value, (bool, np.timedelta64)) else value  # numpy.bool is of no class of `numbers`
+
+
+def _allowed(bounds: Mapping[str, float | None]) -> str:
+    texts = [f"{rule} {bound:.15g}" for rule, bound in bounds.items() if bound is not None]
+    return ", " + " and ".join(texts) if texts else ""

@@ -1,0 +1,127 @@
+"""Naming and writing files: checks before any work, and files that appear only when they are complete."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from clvol.base.checks import as_path
+from clvol.base.errors import ClvolError, FormatError
+
+__all__ = ["MAX_HEADER", "require_folder", "require_suffix", "staged"]
+
+MAX_HEADER = 1 << 20
+"""Bytes. No honest text header is longer, and libraries overrun their stack on headers of megabytes."""
+
+_NO_SYNC = (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP)  # what file systems say that have no such thing: some of networks
+
+
+def require_suffix(path: str | os.PathLike[str], allowed: Sequence[str], what: str) -> str:
+    """The suffix of `path`, one of `allowed`, in lower case; `what` is the plural that the error names.
+
+    Raises
+    ------
+    FormatError
+        The name ends in none of `allowed`.
+    OptionError
+        `path` is not a path.
+    """
+    name = as_path(path).name.lower()
+    suffix = max((s for s in allowed if name.endswith(s) and name != s), key=len, default=None)
+    if suffix is None:
+        raise FormatError(f"{what} are written as {', '.join(allowed)}; got {os.fspath(path)!r}")
+    return suffix
+
+
+def require_folder(target: Path) -> None:
+    """Raise `FormatError` before hours of work if the folder of `target` is missing or cannot be written to."""
+    _hidden_folder(target).rmdir()
+
+
+@contextlib.contextmanager
+def staged(path: Path, suffix: str) -> Iterator[Path]:
+    """A path to write to, in a hidden folder beside `path`; moved into place when the block succeeds and the disk has all of it.
+
+    Other files that the writer leaves there (the samples beside a header) move along, before the header. It is a
+    folder and not a temporary name because libraries choose formats by suffix, and headers name their data file.
+
+    Raises
+    ------
+    FormatError
+        `path` is a folder, its folder is missing, or writing failed with an `OSError` or a `ValueError`.
+    """
+    try:
+        target = path.resolve()  # replaces what a link points to; the link stays
+    except (OSError, RuntimeError) as error:  # links that lead in a circle
+        raise FormatError(f"cannot write {path}: {error}") from error
+    if target.is_dir():
+        raise FormatError(f"cannot write {target}: it is a folder")
+    folder = _hidden_folder(target)
+    try:
+        written = folder / (target.name[: -len(suffix)] + suffix)  # libraries do not know ".NRRD"
+        yield written
+        data_files = [file for file in folder.iterdir() if file != written]
+        for file in (*data_files, written):
+            _sync(file)
+        for file in data_files:
+            _refuse_to_overwrite_anothers(target.with_name(file.name), target)
+        if data_files:  # if this stops half-way, an old header must not describe new data
+            target.unlink(missing_ok=True)
+        for file in data_files:
+            file.replace(target.with_name(file.name))
+        written.replace(target)
+        _sync_folder(target.parent)
+    except ClvolError:
+        raise
+    except (OSError, ValueError) as error:
+        raise FormatError(f"cannot write {path}: {str(error) or type(error).__name__}") from error
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _sync(file: Path) -> None:
+    """Have the disk hold what was written: one that is full, or fails, may say so only now."""
+    with file.open("rb+") as stream:  # Windows refuses it for what was opened to be read
+        try:
+            os.fsync(stream.fileno())
+        except OSError as error:
+            if error.errno not in _NO_SYNC:
+                raise
+
+
+def _sync_folder(folder: Path) -> None:
+    """Have the disk hold the new names, where folders can be opened; the files are whole without it."""
+    with contextlib.suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def _hidden_folder(target: Path) -> Path:
+    """A new one beside `target`."""
+    if not target.parent.is_dir():
+        raise FormatError(f"cannot write {target}: the folder {target.parent} does not exist")
+    try:
+        return Path(tempfile.mkdtemp(dir=target.parent, prefix=".clvol-"))
+    except OSError as error:
+        raise FormatError(f"cannot write {target}: nothing can be made in {target.parent}: {error.strerror}") from error
+
+
+def _refuse_to_overwrite_anothers(data_file: Path, header: Path) -> None:
+    """Raise if `data_file` exists and the header that is being replaced does not name it."""
+    if not data_file.exists():
+        return
+    if header.is_file():
+        with header.open("rb") as stream:
+            names_it = rb"[\s=:/\\]" + re.escape(data_file.name.encode()) + rb"\s*$"
+            if re.search(names_it, stream.read(MAX_HEADER), re.MULTILINE):
+                return
+    raise FormatError(f"cannot write {header}: its samples would replace {data_file}, which is not its own; choose another name")

@@ -1,0 +1,584 @@
+"""Volumes that are read part by part, when their samples are needed: larger than memory, or far away."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import sys
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from typing import Any, Protocol, TypeAlias, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from clvol.base import memory
+from clvol.base.checks import number, reals, whole
+from clvol.base.errors import ClvolError, DataError, FormatError, OptionError
+from clvol.bricks.chunks import UNPACKING, Chunks, lines_of, stored_in_one
+from clvol.bricks.sliced import mapped
+from clvol.noise import Noise
+from clvol.volume.volume import Volume
+
+__all__ = ["BUDGET", "Bounds", "LazyVolume", "Sliced", "budget_for", "by_bricks", "needed_by", "too_large"]
+
+Index: TypeAlias = tuple[int, int, int]
+"""Along x, y and z."""
+
+BUDGET = 2 << 30
+"""Bytes that work by parts may take where nothing is said."""
+
+_SKETCHED = 1 << 21  # samples from which looks are decided, about
+_PART = 128  # samples along an edge of the part whose noise is estimated
+_CHUNKS_LOOKED_INTO = 6  # along an axis, where there is no smaller copy to look at
+_SMALL = 1 << 26  # samples of which all are looked at for their range
+_PIECE = 4 << 20  # bytes that are read at a time of what is looked at, unless a chunk has more
+_ALONE = ("clvol", "h5py", "tensorstore", "zarr")  # whose arrays ask no cluster
+
+
+@runtime_checkable
+class Sliced(Protocol):
+    """What samples can be read from: an array of Zarr, HDF5, dask or NumPy, or anything else with a shape and slices."""
+
+    @property
+    def shape(self) -> tuple[int, ...]: ...
+
+    @property
+    def dtype(self) -> Any: ...
+
+    def __getitem__(self, index: Any, /) -> Any: ...
+
+
+@runtime_checkable
+class Bounds(Protocol):
+    """Minima and maxima of the function that a filter makes of samples, kept beside them; see `clvol.pyramid`."""
+
+    @property
+    def filter(self) -> str:
+        """The name of the filter whose function they bound."""
+
+    @property
+    def boundary(self) -> str:
+        """The name of the boundary rule."""
+
+    @property
+    def value_range(self) -> tuple[float, float]:
+        """The smallest and the largest sample."""
+
+    def within(self, low: Index, high: Index) -> tuple[float, float]:
+        """The smallest and the largest value in the cells between samples `low` and `high`, or bounds of these."""
+
+
+class LazyVolume:
+    """A volume whose samples are read part by part, when they are needed.
+
+    It takes the place of a `Volume` for `clvol.render`, `Renderer` and `BrickedField`, which read it by bricks,
+    several at a time where several threads ask.
+
+    Parameters
+    ----------
+    data : array-like, shape (nz, ny, nx)
+        Anything with a shape, a dtype and slices: an array of Zarr, HDF5 (h5py), dask, or a memory map of NumPy. It is not copied.
+        A pickle has the name of a mapped file, which whoever loads it reads.
+    spacing, origin, direction, units, space, name, color, window, labels : optional
+        As of `Volume`.
+    levels : sequence of LazyVolume, optional
+        The same at lower resolutions, finer ones first: a pyramid without its base.
+    limits : (float, float), optional
+        The smallest and the largest sample, if these are known. Otherwise they are estimated from what is looked at.
+    missing : float, optional
+        What stands for samples that are NaN or infinite; without it these are an error once they are read.
+    bounds : Bounds, optional
+        Minima and maxima of the function, if they are kept beside the samples.
+
+    Attributes
+    ----------
+    data : array-like
+        As it was given.
+    grid : Volume
+        Where the samples lie. Its own are zeros that take no memory.
+    levels : tuple of LazyVolume
+        Lower resolutions.
+
+    Raises
+    ------
+    DataError
+        `data` has no shape, dtype and slices, not three axes, an empty axis, 2⁶³ bytes or more, or holds no real numbers; a level
+        is no LazyVolume, or one larger than that before.
+    FormatError
+        `data` does not say what it is: its file was closed.
+    GeometryError, OptionError
+        As of `Volume`.
+    """
+
+    def __init__(
+        self,
+        data: Sliced,
+        spacing: Sequence[float] = (),
+        origin: Sequence[float] = (),
+        direction: ArrayLike | None = None,
+        units: str = "",
+        space: str = "",
+        name: str = "",
+        *,
+        color: tuple[float, float, float] | None = None,
+        window: tuple[float, float] | None = None,
+        labels: bool | Mapping[int, str] | None = None,
+        levels: Sequence[LazyVolume] = (),
+        limits: tuple[float, float] | None = None,
+        missing: float | None = None,
+        bounds: Bounds | None = None,
+    ) -> None:
+        with _reading("shape and dtype of data"):
+            if isinstance(data, (Volume, LazyVolume)) or not isinstance(data, Sliced):
+                raise DataError(f"data must have a shape, a dtype and slices; got {type(data).__name__}")
+            shape, dtype = tuple(data.shape), np.dtype(data.dtype).newbyteorder("=")
+        if len(shape) != 3 or any(n != n // 1 for n in shape):  # dask does not know all sizes: nan
+            raise DataError(f"data must have 3 axes [z, y, x] of known sizes; got shape {shape}")
+        if dtype.kind not in "biuf":
+            raise DataError(f"data must be boolean, integer or floating; got dtype {dtype}")
+        if 0 in shape:
+            raise DataError(f"every axis of data must hold at least one sample; got shape {shape}")
+        if math.prod(map(int, shape)) * dtype.itemsize > sys.maxsize:  # of an array of NumPy, as `grid` has one
+            raise DataError(f"data must take less than 2⁶³ bytes; got shape {shape} of {dtype}")
+        self.data = data
+        self.missing = None if missing is None else number("missing", missing)
+        self.bounds = bounds
+        self.levels = tuple(levels)
+        self._again: Callable[[], LazyVolume] | None = None
+        self._for_tasks = False
+        self._lock = threading.RLock()
+        self._limits = None if limits is None else _ends(limits)
+        self._given = limits is not None
+        self._sketch: Volume | None = None
+        self._part: Volume | None = None
+        self.grid = Volume(
+            np.broadcast_to(np.zeros((), dtype), shape),
+            tuple(spacing),
+            tuple(origin),
+            direction,  # type: ignore[arg-type]  # __post_init__ converts
+            units,
+            space,
+            name,
+            color=color,
+            window=window,
+            labels=labels,
+        )
+        self._require_smaller()
+
+    def _require_smaller(self) -> None:
+        for finer, coarser in itertools.pairwise((self, *self.levels)):
+            if not isinstance(coarser, LazyVolume):
+                raise DataError(f"levels must be LazyVolumes; got {type(coarser).__name__}")
+            if any(a < b for a, b in zip(finer.shape, coarser.shape, strict=True)):
+                raise DataError(f"levels must become smaller; got shapes {finer.shape} and then {coarser.shape}")
+
+    def with_levels(self, levels: Sequence[LazyVolume]) -> LazyVolume:
+        """The same with other lower resolutions, finer ones first.
+
+        Raises
+        ------
+        DataError
+            As of the class.
+        """
+        made = object.__new__(LazyVolume)
+        made.__dict__.update(self.__dict__)
+        made.levels, made._lock, made._sketch = tuple(levels), threading.RLock(), None
+        made._require_smaller()
+        return made
+
+    def reopened_by(self, again: Callable[[], LazyVolume]) -> LazyVolume:
+        """The same, which pickles as what opens it again, and so do its levels."""
+        made = self.with_levels([_opened(level, partial(_level_of, again, i)) for i, level in enumerate(self.levels)])
+        made._again = again
+        return made
+
+    def as_known(self, limits: tuple[float, float], labels: bool) -> LazyVolume:
+        """The same, of which is known what was found elsewhere: its limits, and whether its samples are labels."""
+        made = self.with_levels(self.levels)
+        made._limits = limits
+        if made.grid.labels is None:
+            made.grid = replace(made.grid, labels=labels)
+        return made
+
+    def for_tasks(self) -> LazyVolume:
+        """The same for tasks of a cluster of dask.
+
+        These compute samples of an array of dask by themselves: left to the cluster, they would wait for tasks that wait for them.
+
+        Raises
+        ------
+        DataError
+            The array holds futures (`dask.persist`), which only the cluster can give.
+        """
+        if _is_of_dask(self.data):
+            from distributed import futures_of
+
+            if futures_of(self.data):  # type: ignore[no-untyped-call]  # as distributed has it
+                raise DataError(
+                    f"samples must be computed where a cluster's tasks read them; got {self.name or 'a volume'}, an array of dask "
+                    "that holds futures of a cluster: give it as it was before persist(), or store it (to_zarr) and clvol.open that"
+                )
+        made = self.with_levels([level.for_tasks() for level in self.levels])
+        made._for_tasks = True
+        return made
+
+    @property
+    def ahead(self) -> bool:
+        """Whether threads may read it ahead: in a cluster only what is known not to ask that, which must be done by the task."""
+        known = self._again is not None or isinstance(self.data, np.ndarray) or _is_of_dask(self.data)
+        return known or not self._for_tasks or type(self.data).__module__.partition(".")[0] in _ALONE
+
+    @property
+    def in_memory(self) -> bool:
+        """Whether a pickle holds all samples: they lie in memory, not in a file that is opened again."""
+        return self._again is None and isinstance(self.data, np.ndarray) and mapped(self.data) is None
+
+    def __repr__(self) -> str:
+        smaller = f", {len(self.levels)} smaller" if self.levels else ""
+        return f"<LazyVolume of shape {self.shape}, {self.dtype}, spacing {self.spacing} {self.units}{smaller}>"
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """Of a file what opens it again; of an array what pickles that."""
+        return super().__reduce_ex__(protocol) if self._again is None else (self._again, ())
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a pickle holds: no samples but what the array itself pickles, and of a file that is mapped its name."""
+        state = {name: value for name, value in vars(self).items() if name not in ("_lock", "_sketch", "_part")}
+        data = mapped(self.data, flushed=True) or self.data
+        return state | {"grid": replace(self.grid, data=np.zeros((1, 1, 1), self.dtype)), "data": data}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._lock, self._sketch, self._part = threading.RLock(), None, None
+        self.grid = replace(self.grid, data=np.broadcast_to(np.zeros((), self.grid.data.dtype), tuple(self.data.shape)))
+
+    # -- where they lie ------------------------------------------------------------------------------------------------
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Samples along z, y and x."""
+        return self.grid.shape
+
+    @property
+    def size(self) -> tuple[int, ...]:
+        """Samples along x, y and z."""
+        return self.grid.size
+
+    @property
+    def ndim(self) -> int:
+        """3."""
+        return 3
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Of the samples."""
+        return self.grid.data.dtype
+
+    @property
+    def nbytes(self) -> int:
+        """Of all samples, once they are read."""
+        return math.prod(self.shape) * self.dtype.itemsize
+
+    @property
+    def spacing(self) -> tuple[float, ...]:
+        """Between neighbouring samples along x, y and z."""
+        return self.grid.spacing
+
+    @property
+    def units(self) -> str:
+        """Of the world."""
+        return self.grid.units
+
+    @property
+    def name(self) -> str:
+        """Of the samples."""
+        return self.grid.name
+
+    @property
+    def chunks(self) -> Index | None:
+        """Samples along x, y and z that are stored together; None where any part is read as fast."""
+        with _reading(f"the chunks of {self._title}"):
+            stored = getattr(self.data, "chunksize", None) or getattr(self.data, "chunks", None)
+        if stored is None or len(stored) != 3 or not all(isinstance(n, (int, np.integer)) and n > 0 for n in stored):
+            return None
+        x, y, z = (int(n) for n in stored[::-1])
+        return x, y, z
+
+    @property
+    def stored_in_one(self) -> int:
+        """Bytes of the largest chunk of all sizes, which is unpacked as a whole; 0 where any part is read by itself."""
+        with _reading(f"the chunks of {self._title}"):
+            return max(stored_in_one(one.data) for one in (self, *self.levels))
+
+    @property
+    def lines(self) -> tuple[NDArray[np.int64], ...] | None:
+        """Where chunks begin along z, y and x, and where the last one ends; None if there are none, or all is in memory."""
+        with _reading(f"the chunks of {self._title}"):
+            return None if isinstance(self.data, np.ndarray) else lines_of(self.data)
+
+    # -- samples ---------------------------------------------------------------------------------------------------------
+
+    def read(self, low: Index, high: Index) -> NDArray[Any]:
+        """The samples with index ``low <= index < high``, (x, y, z), as an array [z, y, x].
+
+        Raises
+        ------
+        FormatError
+            They cannot be read, or what comes has another shape or type than was said; the message names the part.
+        DataError
+            Some are NaN or infinite, and nothing stands for `missing` ones.
+        """
+        index = tuple(slice(a, b) for a, b in zip(low[::-1], high[::-1], strict=True))
+        if not all(0 <= a < b <= n for a, b, n in zip(low, high, self.size, strict=True)):
+            raise OptionError(f"read needs 0 <= low < high <= {self.size} along x, y, z; got {low} to {high}")
+        memory.require(math.prod(b - a for a, b in zip(low, high, strict=True)) * self.dtype.itemsize, f"{self._words(low, high)}")
+        with _reading(self._words(low, high)):
+            found = self.data[index]
+            if self._for_tasks and _is_of_dask(found):
+                found = found.compute(scheduler="synchronous")
+            part = np.asarray(found)
+            part = part.astype(part.dtype.newbyteorder("="), copy=False)
+        expected = tuple(s.stop - s.start for s in index)
+        if part.shape != expected or part.dtype != self.dtype:
+            raise FormatError(
+                f"cannot read {self._words(low, high)}: they must be {self.dtype} of shape {expected}; "
+                f"got {part.dtype} of shape {part.shape}"
+            )
+        return self._finite(part, low, high)
+
+    def _finite(self, part: NDArray[Any], low: Index, high: Index) -> NDArray[Any]:
+        if part.dtype.kind != "f" or (np.isfinite(part.min()) and np.isfinite(part.max())):
+            return part
+        if self.missing is None:
+            bad = ~np.isfinite(part)
+            at = np.unravel_index(int(np.argmax(bad)), part.shape)
+            first = [int(i) + a for i, a in zip(at, low[::-1], strict=True)]
+            raise DataError(
+                f"samples must be finite; got {int(bad.sum())} NaN or infinite of {self._words(low, high)}, the first at index "
+                f"{first}: LazyVolume(..., missing=value) replaces them"
+            )
+        return np.where(np.isfinite(part), part, part.dtype.type(self.missing))
+
+    def _words(self, low: Index, high: Index) -> str:
+        z, y, x = (f"{a}:{b}" for a, b in zip(low[::-1], high[::-1], strict=True))
+        return f"samples [{z}, {y}, {x}] of {self._title}"
+
+    @property
+    def _title(self) -> str:
+        return self.name or "the volume"
+
+    # -- what is known of them -------------------------------------------------------------------------------------------
+
+    def sketch(self) -> Volume:
+        """Few samples of all the volume, from which is decided how it looks: of a lower resolution, or every so many.
+
+        About 2²¹ samples. Of a volume without levels few chunks are read, at equal distances.
+        """
+        with self._lock:
+            if self._sketch is None:
+                small = next((one for one in (self, *self.levels) if math.prod(one.shape) <= 2 * _SKETCHED), None)
+                coarse = small or (self, *self.levels)[-1]
+                self._sketch = coarse._thinned() if small is None else small._piecewise((0, 0, 0), small.size)
+            return self._sketch
+
+    def whole(self) -> Volume:
+        """All samples, in memory.
+
+        Raises
+        ------
+        OutOfMemoryError
+            There is no room for them.
+        """
+        return replace(self.grid, data=self.read((0, 0, 0), (self.size[0], self.size[1], self.size[2])))
+
+    def _pieces(self, low: Sequence[int], high: Sequence[int]) -> Iterator[tuple[tuple[slice, ...], NDArray[Any]]]:
+        """Samples, few at a time, and where in the part they belong: by chunks, or by planes."""
+
+        def read(at: tuple[slice, ...]) -> NDArray[Any]:
+            z, y, x = at
+            return self.read((x.start, y.start, z.start), (x.stop, y.stop, z.stop))
+
+        lines: Sequence[NDArray[np.int64]] | None = lines_of(self.data)
+        if lines is None:  # rows, or as many planes as are one piece
+            row = (high[0] - low[0]) * self.dtype.itemsize
+            rows = max(1, min(_PIECE // row, high[1] - low[1]))
+            planes = max(1, _PIECE // (row * (high[1] - low[1])))
+            steps = (high[0], rows, planes)
+            lines = [np.append(np.arange(a, b, step), b) for a, b, step in zip(low, high, steps, strict=True)][::-1]
+        part = tuple(slice(a, b) for a, b in zip(low[::-1], high[::-1], strict=True))
+        for box in Chunks(read, lines, self.dtype, 0, together=_PIECE).parts(part):
+            yield tuple(slice(one.start - a, one.stop - a) for one, a in zip(box, low[::-1], strict=True)), read(box)
+
+    def _piecewise(self, low: Sequence[int], high: Sequence[int]) -> Volume:
+        """The samples of a part, read few at a time."""
+        data = np.empty([b - a for a, b in zip(low[::-1], high[::-1], strict=True)], self.dtype)
+        for place, samples in self._pieces(low, high):
+            data[place] = samples
+        return replace(self.grid, data=data)
+
+    def _thinned(self) -> Volume:
+        """Samples at about equal distances, of a few chunks."""
+        edge = (_SKETCHED / math.prod(self.shape)) ** (1 / 3)
+        runs, steps = [], []
+        for n, chunk in zip(self.size, self.chunks or (self.size[0], 1, 1), strict=True):
+            wanted = max(1, min(n, round(n * edge)))
+            several = min(-(-n // chunk), _CHUNKS_LOOKED_INTO if self.chunks else wanted)
+            firsts = [int((k + 0.5) * -(-n // chunk) / several) * chunk for k in range(several)]
+            each = max(1, wanted // several)
+            step = -(-min(chunk, n) // each)
+            runs.append([range(first, min(first + chunk, n), step) for first in firsts])
+            steps.append(n / sum(map(len, runs[-1])))
+        rows = []
+        for z in runs[2]:
+            columns = []
+            for y in runs[1]:
+                parts = [
+                    self.read((x[0], y[0], z[0]), (x[-1] + 1, y[-1] + 1, z[-1] + 1))[:: z.step, :: y.step, :: x.step].copy()
+                    for x in runs[0]
+                ]
+                columns.append(np.concatenate(parts, axis=2))
+            rows.append(np.concatenate(columns, axis=1))
+        data = np.concatenate(rows, axis=0)
+        spacing = tuple(s * step for s, step in zip(self.spacing, steps, strict=True))
+        first = self.grid.index_to_world([(step - 1) / 2 for step in steps])  # of the same domain
+        return replace(self.grid, data=data, spacing=spacing, origin=tuple(map(float, first)))
+
+    def part(self) -> Volume:
+        """Neighbouring samples from the middle, from which is told how much noise there is, and whether they are labels."""
+        with self._lock:
+            if self._part is None:
+                low = [max(0, (n - _PART) // 2) for n in self.size]
+                high = [min(n, a + _PART) for a, n in zip(low, self.size, strict=True)]
+                self._part = self._piecewise(low, high)
+            return self._part
+
+    def known(self) -> Volume:
+        """The grid, with what is known of the samples, which are none: their limits, whether they are labels."""
+        low, high = self.limits
+        volume = replace(self.grid, labels=self.is_labels if self.grid.labels is None else self.grid.labels)
+        vars(volume).update(limits=(low, high), value_range=(low, high))  # in place of what its own samples would give
+        return volume
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The smallest and the largest sample: as given, else of the bounds, else of those that were looked at."""
+        with self._lock:
+            if self._limits is None:
+                if self.bounds is not None:
+                    self._limits = self.bounds.value_range
+                elif self._few:
+                    ends = [(float(part.min()), float(part.max())) for _, part in self._pieces((0, 0, 0), self.size)]
+                    self._limits = min(low for low, _ in ends), max(high for _, high in ends)
+                else:
+                    self._limits = self.sketch().value_range
+            return self._limits
+
+    @property
+    def estimated(self) -> bool:
+        """Whether `limits` are those of the samples that were looked at: others may lie beyond."""
+        whole = math.prod(self.shape) <= 2 * _SKETCHED or self._few
+        return not (whole or self._given or self.bounds is not None)
+
+    @property
+    def _few(self) -> bool:
+        """Whether all samples are looked at for their range."""
+        return math.prod(self.shape) <= _SMALL and self.chunks is None
+
+    @property
+    def noise(self) -> Noise:
+        """Of the samples in the middle."""
+        return self.part().noise
+
+    @property
+    def is_labels(self) -> bool:
+        """Whether samples are names of regions: as `labels` says, else as those in the middle look."""
+        return self.part().is_labels if self.grid.labels is None else bool(self.grid.is_labels)
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
+        raise DataError("a LazyVolume becomes no array by accident: take .whole().data for all samples, or read(low, high)")
+
+
+@contextmanager
+def _reading(what: str) -> Iterator[None]:
+    """Turn whatever a library, a disk or a network raises into a `FormatError` that says what cannot be read."""
+    try:
+        yield
+    except FormatError as error:
+        raise FormatError(f"cannot read {what}: {error}") from error
+    except (ClvolError, MemoryError):
+        raise
+    except Exception as error:
+        raise FormatError(f"cannot read {what}: {str(error) or type(error).__name__}") from error
+
+
+def _is_of_dask(data: Any) -> bool:
+    """Whether it is an array of dask, or holds one, as xarray's do."""
+    graph = getattr(data, "__dask_graph__", None)
+    return graph is not None and graph() is not None
+
+
+def _opened(volume: LazyVolume, again: Callable[[], LazyVolume]) -> LazyVolume:
+    made = volume.with_levels(volume.levels)
+    made._again = again
+    return made
+
+
+def _level_of(again: Callable[[], LazyVolume], number: int) -> LazyVolume:
+    return again().levels[number]
+
+
+def _ends(limits: Any) -> tuple[float, float]:
+    ends = reals("limits", limits, "the smallest and the largest sample")
+    if ends.shape != (2,) or not np.isfinite(ends).all() or ends[0] > ends[1]:
+        raise OptionError(f"limits must be the smallest and the largest sample, finite; got {limits!r}")
+    return float(ends[0]), float(ends[1])
+
+
+def budget_for(volume: LazyVolume, given: int | None, sharing: int = 1) -> int:
+    """Bytes that work on a volume may take: as given, else 2 GiB, or half of the memory that is available if that is less.
+
+    Where a chunk takes much of these to be unpacked they are more by that, up to all that is available. `sharing` is how many
+    processes share them.
+
+    Raises
+    ------
+    OptionError
+        Chunks cannot be unpacked in so many; nothing has been read.
+    """
+    one = volume.stored_in_one
+    least = (UNPACKING + 1) * one  # what looks at it takes it as a whole
+    if given is None:
+        room = memory.available() // sharing
+        budget = max(1, min(BUDGET // sharing, room // 2))
+        if 2 * least > budget:
+            budget = max(budget, min(budget + least, room))
+    else:
+        budget = whole("budget", given, 1)
+    if least > max(budget, _PIECE):  # less does not count beside a brick
+        raise OptionError(
+            f"budget must be at least {least} bytes, which a chunk of {volume.name or 'the volume'} takes that is unpacked as a "
+            f"whole, to {one} bytes; got {budget}: clvol.pyramid, given that much once, makes a store of small chunks"
+        )
+    return budget
+
+
+def needed_by(volume: LazyVolume) -> int:
+    """Bytes of all samples, and of their coefficients."""
+    return volume.nbytes + 4 * math.prod(volume.shape)
+
+
+def too_large(volume: LazyVolume, room: float | None = None) -> bool:
+    """Whether samples and coefficients need more than `room`, by default half of the memory that is available."""
+    return needed_by(volume) > (memory.available() / 2 if room is None else room)
+
+
+def by_bricks(volume: LazyVolume, *, several: bool = True, budget: int | None = None) -> bool:
+    """Whether pictures of what is stored are made by bricks, and not read as one: it has several sizes, or is too large.
+
+    `several` says whether sizes count, none having been chosen; `budget` is what bricks may take.
+    """
+    return (several and bool(volume.levels)) or too_large(volume) or (budget is not None and too_large(volume, budget))

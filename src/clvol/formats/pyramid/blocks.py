@@ -1,0 +1,235 @@
+"""Minima and maxima of the function in blocks of cells, by bricks with margins."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.base.errors import OptionError
+from clvol.device import Device
+from clvol.filter.boundary import Boundary, as_boundary
+from clvol.filter.filter import Filter
+from clvol.formats._bounds import BLOCK, blocks_of
+from clvol.formats.pyramid.levels import FIXED, filter_at
+from clvol.spline.evaluator import DIRECT
+from clvol.spline.field import coefficients_of
+from clvol.spline.minmax import BLOCK as CELLS
+from clvol.spline.minmax import Cell, MinMax
+from clvol.spline.rows import gathered, runs_of
+from clvol.volume.volume import Volume
+
+__all__ = ["Bricks", "coarser", "outwards", "require_bounded"]
+
+_LEFT_OUT = 1e-9  # of the range, what samples beyond a brick's margin would change
+_APART = 1e-6  # of the range, by which functions of bricks may differ from one of a whole
+_BYTES = 16  # of a sample of a brick: samples, coefficients, and what the host holds of them
+_MIB = 1 << 20
+
+
+def require_bounded(filter: Filter, boundary: Boundary) -> None:
+    """Raise `OptionError` for a function that bricks do not have: hybrids, and boundary rules that have values of their own."""
+    if filter.magnified_by is not None:
+        raise OptionError(f"bounds are of filters with one kernel; got the hybrid {filter.name!r}")
+    if boundary.period is None or boundary.outside not in ("rule", "clamp"):
+        raise OptionError(f"bounds need a boundary rule that continues the samples; got {boundary.name!r}")
+
+
+def margin(filter: Filter) -> int:
+    """Samples around a brick that its function depends on."""
+    rows = [filter.along(axis) for axis in range(len(filter.smoothing) if isinstance(filter.smoothing, tuple) else 1)]
+    nearest = max((float(np.abs(row.poles).max(initial=0.0)) for row in rows if row.prefilter), default=0.0)
+    reach = math.ceil(math.log(_LEFT_OUT) / math.log(nearest)) if nearest > 0 else 0
+    return max(reach, filter.support) + filter.support + 1
+
+
+class Bricks:
+    """The bricks of one size of a volume.
+
+    Parameters
+    ----------
+    read : callable
+        Samples at three slices, [z, y, x].
+    size : tuple of int
+        Samples along x, y and z.
+    filter, boundary : Filter, Boundary
+        Of the function, as `require_bounded` lets through.
+    edge : int
+        Blocks along an edge of a brick.
+    device : Device
+
+    Attributes
+    ----------
+    count : tuple of int
+        Blocks along x, y and z.
+    """
+
+    def __init__(
+        self,
+        read: Callable[[tuple[slice, slice, slice]], NDArray[Any]],
+        size: Sequence[int],
+        filter: Filter,
+        boundary: Boundary,
+        edge: int,
+        device: Device,
+    ) -> None:
+        self._read, self._size, self._filter, self._boundary, self._device = read, tuple(size), filter, boundary, device
+        self.edge = edge
+        self.count = blocks_of(size)
+        # blocks of minmax.py begin where blocks of samples do, if the filter's cells lie between samples
+        halo = filter.support // 2 + 1 + 1
+        self._margin = margin(filter)
+        if filter.support % 2 == 0:
+            self._margin += -(self._margin + halo - filter.support // 2 + 1) % CELLS
+
+    @staticmethod
+    def edge_for(filter: Filter, budget: int) -> int:
+        """Blocks along an edge of bricks that a budget holds: 32, 16 or 8.
+
+        Raises
+        ------
+        OptionError
+            It does not hold the least.
+        """
+        for edge in (32, 16, 8):
+            needed = Bricks.bytes_of(filter, edge)
+            if needed <= (budget if edge == 8 else budget // 2):  # the other half for chunks that neighbours share
+                return edge
+        plain = filter_at(filter, 1)
+        least, without = (-(-Bricks.bytes_of(row, edge) // _MIB) + FIXED // _MIB for row in (filter, plain))
+        told = f"budget must hold a brick of {8 * BLOCK}³ samples and its margin, {least} MiB; got {(budget + FIXED) // _MIB} MiB"
+        if without < least:
+            told += f": that of {filter.name} is wide, filter {plain.name} needs {without} MiB"
+        raise OptionError(told)
+
+    @staticmethod
+    def bytes_of(filter: Filter, edge: int) -> int:
+        """What a brick takes while it is worked on."""
+        return int(_BYTES * (edge * BLOCK + 2 * margin(filter) + 8) ** 3)
+
+    def places(self) -> Iterator[tuple[tuple[int, int], ...]]:
+        """The blocks of each brick, from one to before another along x, y and z."""
+        spans = [[(a, min(a + self.edge, n)) for a in range(0, n, self.edge)] for n in self.count]
+        return ((x, y, z) for z, y, x in itertools.product(*spans[::-1]))
+
+    def bounds(self, place: tuple[tuple[int, int], ...]) -> tuple[NDArray[np.float64], tuple[float, float]]:
+        """Minima and maxima in the blocks of a brick, [z, y, x, 2], and those of its samples.
+
+        Those are rounded to nothing yet, and hold the function as any device of clvol evaluates it, of this brick or of one piece.
+        """
+        m = self._margin
+        own = [(a * BLOCK, min(b * BLOCK + 1, n)) for (a, b), n in zip(place, self._size, strict=True)]
+        taken = [self._places(a * BLOCK - m, b * BLOCK + m + 1, n) for (a, b), n in zip(place, self._size, strict=True)]
+        runs = [runs_of(one) for one in taken]
+        data = gathered(self._read, runs[::-1])
+        data = _taken(
+            data,
+            [
+                np.searchsorted(np.concatenate([np.arange(*part) for part in run]), one)
+                for one, run in zip(taken[::-1], runs[::-1], strict=True)
+            ],
+        )
+        inside = data[tuple(slice(m, m + b - a) for a, b in own[::-1])]
+        value_range = float(inside.min()), float(inside.max())
+        volume = Volume(data)
+        spread = _APART * (float(data.max()) - float(data.min()))
+        with coefficients_of(volume, self._filter, as_boundary("mirror"), self._device) as coefficients:
+            halo, stored = int(coefficients.extent[3]), coefficients.stored
+            rows = [self._rows(2 - axis, *ends, halo) for axis, ends in enumerate(place[::-1])]  # along z, y and x
+            begin, part = self._part(rows, coefficients.shape)
+            minmax = MinMax(coefficients, DIRECT, part)
+            try:
+                x, y, z = minmax.blocks
+                found = np.empty((z, y, x, 2), np.float32)
+                self._device.download(minmax.buffer, found)
+            finally:
+                minmax.release()
+        for axis in (2, 1, 0):
+            found = _merged(found, axis, [(a - begin[axis], b - begin[axis]) for a, b in rows[axis]])
+        values = np.asarray(stored.values(found) if not stored.identity else found, np.float64)
+        pad = np.where((found != 0).any(-1), spread, 0.0)  # nothing but zeros is nothing but zeros
+        values[..., 0] -= pad
+        values[..., 1] += pad
+        return values, value_range
+
+    def _places(self, first: int, last: int, n: int) -> NDArray[np.int64]:
+        """The samples that stand for those from `first` to before `last`, some past the outer ones."""
+        i = np.arange(first, last)
+        return np.clip(i, 0, n - 1) if self._boundary.outside == "clamp" else self._boundary.folded(i, n)
+
+    def _rows(self, axis: int, first: int, last: int, halo: int) -> list[tuple[int, int]]:
+        """Which blocks of `CELLS` cells of coefficients, from one to before another, have what lies in each of some blocks."""
+        n, begin = self._size[axis], first * BLOCK - self._margin
+        shift = halo - self._filter.support / 2 + 1  # block b holds positions from CELLS b - shift on
+        rows = []
+        for block in range(first, last):
+            low = block * BLOCK - begin - 0.5 * (block == 0)
+            high = min((block + 1) * BLOCK, n - 1) - begin + 0.5 * ((block + 1) * BLOCK >= n - 1)
+            a, b = max(math.floor((low + shift) / CELLS), 0), math.ceil((high + shift) / CELLS)
+            rows.append((a, max(b, a + 1)))
+        return rows
+
+    def _part(self, rows: list[list[tuple[int, int]]], shape: tuple[int, ...]) -> tuple[list[int], tuple[Cell, Cell]]:
+        """The first of these blocks along z, y and x, and the cells that they all have, as `MinMax` takes them."""
+        begin = [row[0][0] for row in rows]
+        x, y, z = (CELLS * one for one in begin[::-1])
+        i, j, k = (min(CELLS * row[-1][1], n - self._filter.support + 1) for row, n in zip(rows[::-1], shape[::-1], strict=True))
+        return begin, ((x, y, z), (i, j, k))
+
+
+def _merged(found: NDArray[Any], axis: int, rows: list[tuple[int, int]]) -> NDArray[Any]:
+    """Blocks brought together along an axis, from one to before another at a time."""
+    parts = (found[(slice(None),) * axis + (slice(a, b),)] for a, b in rows)
+    return np.stack([np.stack([part[..., 0].min(axis), part[..., 1].max(axis)], -1) for part in parts], axis)
+
+
+def _taken(data: NDArray[Any], places: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """``data[np.ix_(*places)]`` in one go: most of what is taken lies in a row along each axis, and the rest is little."""
+    if all(np.array_equal(at, np.arange(n)) for at, n in zip(places, data.shape, strict=True)):
+        return data
+    result = np.empty([len(at) for at in places], data.dtype)
+    for spans in itertools.product(*map(_spans, places)):
+        part = data[tuple(at if isinstance(at, slice) else slice(None) for _, at in spans)]
+        for axis, (_, at) in enumerate(spans):
+            if not isinstance(at, slice):
+                part = np.take(part, at, axis)
+        result[tuple(place for place, _ in spans)] = part
+    return result
+
+
+def _spans(at: NDArray[Any]) -> list[tuple[slice, slice | NDArray[Any]]]:
+    """Places along an axis as the longest row of neighbours, and what comes before and after it; each with where it is put."""
+    ends = np.flatnonzero(np.diff(at) != 1) + 1
+    runs = np.split(at, ends)
+    longest = int(np.argmax([len(run) for run in runs]))
+    first = sum(len(run) for run in runs[:longest])
+    last = first + len(runs[longest])
+    spans = [(slice(first, last), slice(int(at[first]), int(at[last - 1]) + 1))]
+    rest = [slice(0, first), slice(last, len(at))]
+    return [*spans, *((place, at[place]) for place in rest if place.stop > place.start)]
+
+
+def outwards(values: NDArray[np.float64], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Minima rounded down and maxima rounded up."""
+    with np.errstate(over="ignore"):
+        made = values.astype(dtype)
+    low, high = made[..., 0], made[..., 1]
+    made[..., 0] = np.where(low > values[..., 0], np.nextafter(low, dtype.type(-np.inf)), low)
+    made[..., 1] = np.where(high < values[..., 1], np.nextafter(high, dtype.type(np.inf)), high)
+    return made
+
+
+def coarser(blocks: NDArray[Any]) -> NDArray[Any]:
+    """Two blocks along each axis brought together."""
+    for axis in range(3):
+        odd = blocks.shape[axis] % 2
+        if odd:
+            last = blocks[(slice(None),) * axis + (slice(-1, None),)]
+            blocks = np.concatenate([blocks, last], axis)
+        even, other = (blocks[(slice(None),) * axis + (slice(k, None, 2),)] for k in (0, 1))
+        blocks = np.stack([np.minimum(even[..., 0], other[..., 0]), np.maximum(even[..., 1], other[..., 1])], -1)
+    return blocks

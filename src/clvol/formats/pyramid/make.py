@@ -1,0 +1,592 @@
+"""`pyramid`: a volume of any size as an OME-Zarr store of several sizes, with bounds of the function beside them."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clvol.base.checks import as_path, flag, one_of, several, whole
+from clvol.base.errors import DataError, MissingDependencyError, OptionError
+from clvol.base.files import require_suffix
+from clvol.base.rounding import wide
+from clvol.bricks.chunks import UNPACKING, Chunks, lines_of, stored_in_one
+from clvol.bricks.source import LazyVolume, Sliced, budget_for
+from clvol.device import Device, as_device
+from clvol.filter.boundary import Boundary, as_boundary
+from clvol.filter.filter import PICTURE_FILTER, Filter
+from clvol.formats import read as read_whole
+from clvol.formats._bounds import BLOCK, KEY, VERSION
+from clvol.formats._files import foreign_errors
+from clvol.formats._units import ome_unit
+from clvol.formats.opening import WholeOnlyError
+from clvol.formats.opening import open as open_lazily
+from clvol.formats.pyramid.blocks import Bricks, coarser, outwards, require_bounded
+from clvol.formats.pyramid.journal import Journal
+from clvol.formats.pyramid.levels import FIXED, METHODS, Level, Method, filter_at, levels_of, require_reducible, sums_for
+from clvol.formats.pyramid.reduce import Reduction
+from clvol.formats.pyramid.source import require_apart, said_of
+from clvol.formats.zarr import shown
+from clvol.volume.smoothing import filter_for, settled
+from clvol.volume.volume import Volume, as_volume
+
+__all__ = ["COMPRESSORS", "VERSIONS", "pyramid"]
+
+VERSIONS = ("0.4", "0.5")
+COMPRESSORS = ("lz4", "zstd", "none")
+_SUFFIXES = (".zarr",)
+_CHUNK = 64
+_BLOCKS = 32  # of bounds, along an edge of a chunk
+_FEW = 8  # blocks along an axis from which no coarser ones are kept
+_OF_SOURCE = 3  # of the budget, the part for chunks of the source that are kept: half of it is for those that are being read
+_LARGE = 16  # of the budget, one part in so many for a chunk of the source that is unpacked: those that take more are kept
+_COST = {"reduce": 1.0, "bounds": 2.0}  # of a sample, about, for telling how much is done
+
+
+def pyramid(
+    source: LazyVolume | Volume | str | os.PathLike[str] | ArrayLike,
+    path: str | os.PathLike[str],
+    *,
+    filter: str | Filter | None = None,
+    boundary: str | Boundary = "mirror",
+    method: Method | None = None,
+    levels: int | None = None,
+    chunks: int | Sequence[int] = _CHUNK,
+    shards: int | Sequence[int] | None = None,
+    compressor: Literal["lz4", "zstd", "none"] = "lz4",
+    bounds: bool = True,
+    version: Literal["0.4", "0.5"] = "0.5",
+    budget: int | None = None,
+    overwrite: bool = False,
+    device: Device | str | int | None = None,
+    progress: Callable[[float], object] | None = None,
+) -> LazyVolume:
+    """Write a volume as an OME-Zarr store of several sizes, with bounds of its function beside them.
+
+    It goes through the volume by parts, and reads each sample about once. The store appears when it is complete. If the process is
+    killed before, or interrupted, the same call goes on where it stopped.
+
+    Parameters
+    ----------
+    source : LazyVolume, Volume, path or array-like
+        The volume; of `clvol.open`, if it is larger than memory. A path is opened so, if its format allows it.
+    path : path-like
+        A folder that does not exist yet, ``*.zarr``.
+    filter : str or Filter, optional
+        Of the function that the smaller sizes are nearest to, and that is bounded. Default: what pictures have, "bspline3(auto)",
+        its λ settled by samples in the middle of the volume; "nearest" for labels.
+    boundary : str or Boundary
+        What stands past the outer samples.
+    method : {"least-squares", "average", "nearest"}, optional
+        How smaller sizes come about. "least-squares": the spline nearest to that of the size before, in the mean square; "average":
+        the mean of two samples along each axis; "nearest": every second sample, the default for labels, which are never blended.
+    levels : int, optional
+        Sizes, the volume's own included; by default until none has more samples along an axis than a chunk. Axes are halved whose
+        samples lie nearest to each other.
+    chunks, shards : int or sequence of int
+        Samples along x, y and z that are stored together, and those in one file (Zarr 3, version "0.5" only).
+    compressor : {"lz4", "zstd", "none"}
+        By way of Blosc, whose shuffle suits samples. "zstd" makes stores about a tenth smaller, and takes twice the time.
+    bounds : bool
+        Whether to keep minima and maxima of the function in blocks of 8³ cells, and of coarser ones. Renderers do not read what
+        these exclude, and `LazyVolume.limits` are exact.
+    version : {"0.4", "0.5"}
+        Of OME-Zarr: 0.4 is Zarr 2, 0.5 is Zarr 3.
+    budget : int, optional
+        Bytes of memory beyond what Python takes; default 2 GiB, or half of what is available if that is less, or more where a chunk
+        of the source has to be unpacked that takes as much.
+    overwrite : bool
+        Whether to replace what is at `path`, and what another unfinished call left beside it.
+    device : Device, str or int, optional
+        See `as_device`.
+    progress : callable, optional
+        Called with the fraction done.
+
+    Returns
+    -------
+    LazyVolume
+        The store, opened.
+
+    Raises
+    ------
+    FormatError
+        Something is at `path`, or another call left an unfinished store beside it; `path` lies in the source, or holds it; samples
+        cannot be read, or not be written.
+    OptionError
+        An argument is none of what is allowed; the budget is too small (the message says for what); the filter is a hybrid, or its
+        translates cannot be told apart; the boundary rule does not continue the samples.
+    DataError
+        The source is no volume, or samples are NaN or infinite (see `LazyVolume`: ``missing=``).
+    MissingDependencyError
+        zarr is not installed.
+
+    Notes
+    -----
+    Smaller sizes keep the dtype: whole numbers are rounded, and clipped. Their filter is the one that is given, without smoothing:
+    the noise is gone where the first size was smoothed. Samples are the same to the last bit whatever the budget and the chunks.
+
+    Examples
+    --------
+    >>> clvol.pyramid(clvol.open("scan.tif"), "scan.zarr")
+    >>> volume = clvol.open("scan.zarr")
+    >>> volume.bounds.within((0, 0, 0), (64, 64, 64))
+    """
+    if isinstance(path, str) and "://" in path:
+        raise OptionError(
+            f"pyramids are written to a folder, from which fsspec, or a tool of the server's, copies them; got {shown(path)}"
+        )
+    target = as_path(path)
+    require_suffix(target, _SUFFIXES, "pyramids")
+    given, target = _lazy(source), target.resolve()
+    require_apart(given, target)
+    room = _room(budget, given)
+    volume, cache = _kept(given, room)
+    plan = _plan(volume, filter, boundary, method, levels, chunks, shards, compressor, bounds, version, as_device(device))
+    if plan.bounds:
+        Bricks.edge_for(plan.filter, room)
+    with foreign_errors(f"write {path}"), Journal(target, plan.command(volume), flag("overwrite", overwrite)) as journal:
+        if not journal.finished:
+            _Making(volume, plan, journal, room, progress, cache).run()
+            journal.complete()
+        elif progress is not None:
+            progress(1.0)
+    return open_lazily(target, trusted=True)
+
+
+def _lazy(source: Any) -> LazyVolume:
+    if isinstance(source, LazyVolume):
+        return source
+    if isinstance(source, (str, os.PathLike)):
+        try:
+            return open_lazily(source)
+        except WholeOnlyError:
+            return _lazy(read_whole(source))
+    if not isinstance(source, Volume) and isinstance(source, Sliced) and not isinstance(source, np.ndarray):
+        return LazyVolume(source)
+    volume = as_volume(source)
+    if volume.ndim != 3:
+        raise DataError(f"a pyramid is made of a volume with 3 axes; got shape {volume.shape}")
+    known = ("spacing", "origin", "direction", "units", "space", "name", "color", "window", "labels")
+    return LazyVolume(volume.data, **{name: getattr(volume, name) for name in known})
+
+
+def _kept(volume: LazyVolume, room: int) -> tuple[LazyVolume, Chunks | None]:
+    """A volume of dask, whose chunks are computed whenever they are read, or of large chunks, with some of them kept."""
+    one, lines, most = stored_in_one(volume.data), lines_of(volume.data), room // _OF_SOURCE // 2
+    computed = hasattr(volume.data, "__dask_graph__")
+    if lines is None or not (computed or _LARGE * UNPACKING * one > room):
+        return volume, None
+    if computed and one <= most:
+        one = 0  # in the half for those that are being read
+
+    def read(at: tuple[slice, slice, slice]) -> NDArray[Any]:
+        z, y, x = at
+        return volume.read((x.start, y.start, z.start), (x.stop, y.stop, z.stop))
+
+    cache = Chunks(read, lines, volume.dtype, most, one=one, source=volume.data)
+    made = volume.with_levels(())
+    made.data = cache
+    return made, cache
+
+
+def _room(budget: int | None, volume: LazyVolume) -> int:
+    """Bytes for what a part takes."""
+    if budget is not None and whole("budget", budget, 1) <= FIXED:
+        raise OptionError(f"budget must be more than {FIXED >> 20} MiB; got {budget >> 20} MiB")
+    given = budget_for(volume, budget)
+    return given - FIXED if budget is not None else max(FIXED, given - FIXED)
+
+
+# -- what is made ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """All that decides what is made."""
+
+    filter: Filter
+    boundary: Boundary
+    method: Method
+    levels: list[Level]
+    chunks: tuple[int, int, int]
+    shards: tuple[int, int, int] | None
+    compressor: str
+    bounds: bool
+    version: str
+    device: Device
+    labels: bool
+
+    def filter_at(self, number: int) -> Filter:
+        """Of a size: smoothed the first, interpolating those after it."""
+        return filter_at(self.filter, number)
+
+    def command(self, volume: LazyVolume) -> dict[str, Any]:
+        """What must be the same for another process to go on."""
+        grid = volume.grid
+        return {
+            "version": f"{VERSION}, {self.version}",
+            "source": said_of(volume),
+            "grid": [*grid.spacing, *grid.origin, *grid.direction.ravel().tolist(), grid.units, volume.missing],
+            "filter": self.filter.name,
+            "boundary": self.boundary.name,
+            "method": self.method,
+            "levels": [level.size for level in self.levels],
+            "chunks": self.chunks,
+            "shards": self.shards,
+            "compressor": self.compressor,
+            "bounds": self.bounds,
+        }
+
+
+def _plan(
+    volume: LazyVolume,
+    filter: str | Filter | None,
+    boundary: str | Boundary,
+    method: str | None,
+    levels: int | None,
+    chunks: int | Sequence[int],
+    shards: int | Sequence[int] | None,
+    compressor: str,
+    bounds: bool,
+    version: str,
+    device: Device,
+) -> _Plan:
+    for name, value, allowed in (("compressor", compressor, COMPRESSORS), ("version", version, VERSIONS)):
+        if value not in allowed:
+            raise one_of(name, value, allowed)
+    if method is not None and method not in METHODS:
+        raise one_of("method", method, METHODS)
+    rule = as_boundary(boundary)
+    part = volume.part()
+    labels = volume.is_labels
+    row = settled(filter_for(part, filter, PICTURE_FILTER), part)
+    how: Method = method or ("nearest" if labels else "least-squares")
+    if flag("bounds", bounds):
+        require_bounded(row, rule)
+    require_reducible(how, row, rule)
+    edges = _edges("chunks", chunks)
+    together = None if shards is None else _edges("shards", shards)
+    if together is not None and (version == "0.4" or any(s % c for s, c in zip(together, edges, strict=True))):
+        raise OptionError(
+            f"shards must be whole numbers of chunks along each axis, in version '0.5'; "
+            f"got {together} of {edges}, version {version!r}"
+        )
+    count = None if levels is None else whole("levels", levels, 1)
+    sizes = levels_of(volume.size, volume.spacing, count, max(edges))
+    return _Plan(row, rule, how, sizes, edges, together, compressor, bool(bounds), version, device, labels)
+
+
+def _edges(what: str, given: int | Sequence[int]) -> tuple[int, int, int]:
+    edges = [given] * 3 if isinstance(given, (int, np.integer)) else several(what, given, "one whole number, or three", 3)
+    if len(edges) != 3:
+        raise OptionError(f"{what} must be one whole number, or three along x, y and z; got {given!r}")
+    x, y, z = (whole(f"each number of {what}", edge, 1, 1 << 14) for edge in edges)
+    return x, y, z
+
+
+# -- making it ---------------------------------------------------------------------------------------------------------
+
+
+class _Making:
+    """Makes what a plan says, part by part."""
+
+    def __init__(
+        self,
+        volume: LazyVolume,
+        plan: _Plan,
+        journal: Journal,
+        room: int,
+        progress: Callable[[float], object] | None,
+        cache: Chunks | None,
+    ) -> None:
+        try:
+            import zarr
+        except ImportError as error:
+            raise MissingDependencyError("pyramids are Zarr stores, which need zarr: pip install clvol[microscopy]") from error
+        self._zarr = zarr
+        self._volume, self._plan, self._journal, self._room, self._progress = volume, plan, journal, room, progress
+        self._cache, self._read_out = cache, False
+        self._format: Literal[2, 3] = 3 if plan.version == "0.5" else 2
+        self._made = 0.0
+        sizes = [math.prod(level.size) for level in plan.levels]
+        self._all = _COST["reduce"] * sum(sizes[:-1] or sizes) + _COST["bounds"] * sum(sizes) * plan.bounds
+        self.dtype = volume.dtype.newbyteorder("=")
+
+    def run(self) -> None:
+        """Everything that is not done yet."""
+        root = (
+            self._zarr.create_group(self._journal.store, zarr_format=self._format)
+            if not self._is_there()
+            else self._zarr.open_group(self._journal.store, mode="r+")
+        )
+        arrays = [
+            self._array(root, str(i), level.shape, self.dtype, self._plan.chunks, self._plan.shards)
+            for i, level in enumerate(self._plan.levels)
+        ]
+        reads: list[Callable[[Any], NDArray[Any]]] = [self._of_source, *(array.__getitem__ for array in arrays[1:])]
+        if len(arrays) == 1:
+            self._copy(arrays[0])
+        for number in range(1, len(arrays)):
+            self._reduce(number, reads[number - 1], arrays)
+        if self._plan.bounds:
+            for number, array in enumerate(arrays):
+                self._bound(root, number, array)
+        for i, array in enumerate(arrays):
+            self._keep_one_chunk(str(i), array)
+        self._describe(root)
+
+    def _is_there(self) -> bool:
+        return any((self._journal.store / name).is_file() for name in ("zarr.json", ".zgroup"))
+
+    def _of_source(self, at: tuple[slice, slice, slice]) -> NDArray[Any]:
+        z, y, x = at
+        part = self._volume.read((x.start, y.start, z.start), (x.stop, y.stop, z.stop))
+        return part.astype(self.dtype, copy=False)
+
+    def _array(
+        self,
+        group: Any,
+        name: str,
+        shape: Sequence[int],
+        dtype: np.dtype[Any],
+        chunks: Sequence[int],
+        shards: Sequence[int] | None = None,
+        fill: float = 0,
+    ) -> Any:
+        """An array of the store, made if it is not there; `fill` is what a chunk means that is not stored."""
+        if name in group:
+            return group[name]
+        more = tuple(shape[3:])
+        chunk = (*(min(c, n) for c, n in zip(chunks[::-1], shape[:3], strict=True)), *more)
+        options: dict[str, Any] = {"compressors": self._codec(dtype)}
+        if self._format == 3:
+            options["dimension_names"] = ["z", "y", "x", *("bound" for _ in more)]
+            if shards is not None:  # no larger than whole chunks that hold all
+                options["shards"] = tuple(
+                    min(s, -(-n // c) * c) // c * c for s, c, n in zip(shards[::-1], chunk[:3], shape[:3], strict=True)
+                )
+        else:
+            options["chunk_key_encoding"] = {"name": "v2", "separator": "/"}
+        return group.create_array(name, shape=tuple(shape), chunks=chunk, dtype=dtype, fill_value=fill, **options)
+
+    def _codec(self, dtype: np.dtype[Any]) -> Any:
+        if self._plan.compressor == "none":
+            return None
+        shuffle = "bitshuffle" if dtype.kind in "iu" and dtype.itemsize < 8 else "shuffle"
+        level = 1 if self._plan.compressor == "zstd" else 5
+        if self._format == 3:
+            from zarr.codecs import BloscCodec
+
+            how: Any = {"cname": self._plan.compressor, "shuffle": shuffle}
+            return BloscCodec(**how, clevel=level, typesize=dtype.itemsize)
+        from numcodecs import Blosc
+
+        return Blosc(cname=self._plan.compressor, clevel=level, shuffle={"shuffle": 1, "bitshuffle": 2}[shuffle])
+
+    def _told(self, cost: float) -> None:
+        self._made += cost
+        if self._progress is not None:
+            self._progress(min(1.0, self._made / self._all))
+
+    # -- sizes -----------------------------------------------------------------------------------------------------
+
+    def _reduce(self, number: int, read: Callable[[Any], NDArray[Any]], arrays: Sequence[Any]) -> None:
+        plan = self._plan
+        finer, level = plan.levels[number - 1 : number + 1]
+        row = plan.filter_at(number - 1)
+        kind: type[np.generic] = np.float64 if wide(self.dtype) and plan.device.has_double else np.float32
+        x, y, z = (
+            sums_for(plan.method, row.along(axis), plan.boundary, step, n, kind == np.float64)
+            for axis, (step, n) in enumerate(zip(level.steps, finer.size, strict=True))
+        )
+        stored = plan.shards or plan.chunks
+        deep = min(stored[2], finer.size[2])
+        chunks = self._volume.chunks if number == 1 else None
+        if chunks is not None and chunks[2] > deep:  # chunks of the source are unpacked once
+            deep *= -(-chunks[2] // deep)
+        units = (stored[0], stored[1], stored[2])
+        what = read, finer, level, (x, y, z), self.dtype, kind, units, deep
+        reduction = self._within(lambda room: Reduction(*what, room, plan.device, plan.boundary.cval, self._unpacking))
+        copy = arrays[0].__setitem__ if number == 1 else None
+        for tile in reduction.tiles():
+            blocks = reduction.blocks()
+            cost = (
+                reduction.cost * (tile.x[1] - tile.x[0]) * (tile.y[1] - tile.y[0]) / (level.size[0] * level.size[1]) / len(blocks)
+            )
+            names = [f"{number}/{tile.x[0]}-{tile.x[1]}/{tile.y[0]}-{tile.y[1]}/{first}-{last}" for first, last in blocks]
+            left = next((k for k, name in enumerate(names) if name not in self._journal), len(names))
+            self._told(_COST["reduce"] * cost * left)
+            for name, (place, made) in zip(names[left:], reduction.run(tile, blocks[left:], copy), strict=False):
+                arrays[number][place] = made
+                self._journal.done(name)
+                self._told(_COST["reduce"] * cost)
+        if self._cache is not None:  # the source is not read any more
+            self._cache.close()
+            self._read_out = True
+
+    @property
+    def _unpacking(self) -> int:
+        """Bytes for a large chunk of the source that is being unpacked."""
+        return self._cache.unpacking_of_one if self._cache is not None and not self._read_out else 0
+
+    @property
+    def _held(self) -> int:
+        """Bytes for chunks of the source: those that are kept, and those that are being read."""
+        return 2 * self._cache.most + self._unpacking if self._cache is not None else 0
+
+    def _within(self, make: Callable[[int], Reduction]) -> Reduction:
+        """What is made of the room beside the chunks of the source that are kept; these go where it asks for all."""
+        held = self._held
+        try:
+            return make(self._room - held)
+        except OptionError:
+            if self._cache is None or not held:
+                raise
+            self._cache.close()
+            return make(self._room - self._unpacking)
+
+    def _copy(self, array: Any) -> None:
+        """The only size, in whole chunks."""
+        stored = array.shards or array.chunks
+        room = self._room - self._held
+        several = max(1, int((room / (4 * self.dtype.itemsize * math.prod(stored))) ** (1 / 3)))
+        spans = [range(0, n, several * edge) for n, edge in zip(array.shape, stored, strict=True)]
+        for z in spans[0]:
+            for y in spans[1]:
+                for x in spans[2]:
+                    name = f"0/{x}/{y}/{z}"
+                    ends = [min(a + one.step, n) for a, one, n in zip((z, y, x), spans, array.shape, strict=True)]
+                    place = slice(z, ends[0]), slice(y, ends[1]), slice(x, ends[2])
+                    if name not in self._journal:
+                        array[place] = self._of_source(place)
+                        self._journal.done(name)
+                    self._told(_COST["reduce"] * math.prod(one.stop - one.start for one in place))
+        if self._cache is not None:
+            self._cache.close()
+
+    # -- bounds ----------------------------------------------------------------------------------------------------
+
+    def _bound(self, root: Any, number: int, read: Any) -> None:
+        """Bounds of a size."""
+        plan, level = self._plan, self._plan.levels[number]
+        row = plan.filter_at(number)
+        edge = Bricks.edge_for(row, self._room)
+        lines = lines_of(read)
+        assert lines is not None  # it is an array of Zarr
+        cached = Chunks(read.__getitem__, lines, read.dtype, self._room - Bricks.bytes_of(row, edge))
+        bricks = Bricks(cached.__getitem__, level.size, row, plan.boundary, edge, plan.device)
+        dtype = np.dtype(np.float64 if wide(self.dtype) else np.float32)
+        shape = (*bricks.count[::-1], 2)
+        group = root
+        for name in (KEY, "bounds", str(number)):  # zarr makes them at once with the array, and never if it is killed just then
+            group = group.require_group(name)
+        blocks = self._array(root, f"{KEY}/bounds/{number}/0", shape, dtype, (bricks.edge,) * 3, fill=np.nan)
+        places = list(bricks.places())
+        for place in places:
+            name = f"bounds/{number}/" + "/".join(f"{a}-{b}" for a, b in place)
+            if name not in self._journal:
+                values, (low, high) = bricks.bounds(place)
+                blocks[tuple(slice(a, b) for a, b in place[::-1])] = outwards(values, dtype)
+                self._journal.done(name, low=low, high=high)
+            self._told(_COST["bounds"] * math.prod(level.size) / len(places))
+        self._coarsen(root, number, blocks)
+
+    def _coarsen(self, root: Any, number: int, blocks: Any) -> None:
+        """Coarser blocks, each 2³ of those before; few slices of blocks at a time."""
+        step = 1
+        while max(blocks.shape[:3]) > _FEW:
+            shape = (*(-(-n // 2) for n in blocks.shape[:3]), 2)
+            edge = blocks.chunks[0]
+            made = self._array(root, f"{KEY}/bounds/{number}/{step}", shape, blocks.dtype, (_BLOCKS,) * 3, fill=np.nan)
+            name = f"bounds/{number}/coarser {step}"
+            if name not in self._journal:
+                deep = max(edge, made.chunks[0])
+                for first in range(0, shape[0], deep):
+                    made[first : first + deep] = coarser(np.asarray(blocks[2 * first : 2 * (first + deep)]))
+                self._journal.done(name)
+            blocks, step = made, step + 1
+
+    def _keep_one_chunk(self, name: str, array: Any) -> None:
+        """Have an array of zeros alone store a chunk of them, so that it can be told from one that was not copied."""
+        folder = self._journal.store / name
+        if all(entry.name in ("zarr.json", ".zarray", ".zattrs") for entry in os.scandir(folder)):
+            stored = array.with_config({"write_empty_chunks": True})
+            stored[tuple(slice(0, edge) for edge in array.shards or array.chunks)] = 0
+
+    # -- what is said of it ----------------------------------------------------------------------------------------
+
+    def _describe(self, root: Any) -> None:
+        plan, grid = self._plan, self._volume.grid
+        unit = ome_unit(grid.units)
+        axes = [{"name": axis, "type": "space"} | ({"unit": unit} if unit else {}) for axis in "zyx"]
+        straight = np.array_equal(grid.direction, np.eye(3))
+        first = np.asarray(grid.origin) if straight else np.linalg.solve(grid.direction, grid.origin)
+        datasets = []
+        for number, level in enumerate(plan.levels):
+            spacing = np.multiply(grid.spacing, level.factors)
+            origin = first + np.multiply(grid.spacing, level.offset)
+            steps = [
+                {"type": "scale", "scale": spacing[::-1].tolist()},
+                {"type": "translation", "translation": origin[::-1].tolist()},
+            ]
+            datasets.append({"path": str(number), "coordinateTransformations": steps})
+        how = {
+            "least-squares": f"least-squares spline, {plan.filter.name}",
+            "average": "mean of 2",
+            "nearest": "every second sample",
+        }
+        multiscales: dict[str, Any] = {"name": grid.name, "axes": axes, "datasets": datasets, "type": how[plan.method]}
+        if plan.version == "0.4":
+            multiscales["version"] = "0.4"
+        ome: dict[str, Any] = {"multiscales": [multiscales]} | ({"version": "0.5"} if plan.version == "0.5" else {})
+        ranges = [self._range_of(number) for number in range(len(plan.levels))]
+        if plan.labels:
+            ome["image-label"] = _label(grid, plan.version)
+        elif grid.name or grid.color or grid.window:
+            ome["omero"] = _omero(grid, ranges[0], self.dtype)
+        own: dict[str, Any] = {"version": VERSION, "method": plan.method}
+        if not straight:
+            own["direction"] = grid.direction.tolist()
+        if grid.space:
+            own["space"] = grid.space
+        own["levels"] = [self._level(root, number, found) for number, found in enumerate(ranges)]
+        root.attrs.update(({"ome": ome} if plan.version == "0.5" else ome) | {KEY: own})
+
+    def _range_of(self, number: int) -> tuple[float, float] | None:
+        found = [facts for facts in self._journal.facts(f"bounds/{number}/") if facts]
+        return (min(one["low"] for one in found), max(one["high"] for one in found)) if found else None
+
+    def _level(self, root: Any, number: int, value_range: tuple[float, float] | None) -> dict[str, Any]:
+        row, plan = self._plan.filter_at(number), self._plan
+        about: dict[str, Any] = {"path": str(number), "filter": row.name, "boundary": plan.boundary.name}
+        if value_range is not None:
+            about["value_range"] = list(value_range)
+        if plan.bounds:
+            group = root[f"{KEY}/bounds/{number}"]
+            about |= {"block": BLOCK, "bounds": [f"{KEY}/bounds/{number}/{i}" for i in range(len(list(group.array_keys())))]}
+        return about
+
+
+def _label(grid: Volume, version: str) -> dict[str, Any]:
+    """What OME-Zarr says of labels."""
+    names: Mapping[int, str] = grid.labels if isinstance(grid.labels, Mapping) else {}
+    about: dict[str, Any] = {"version": version} if version == "0.4" else {}
+    if names:
+        about["properties"] = [{"label-value": int(value), "name": name} for value, name in names.items()]
+        about["colors"] = [{"label-value": int(value)} for value in names]
+    return about
+
+
+def _omero(grid: Volume, value_range: tuple[float, float] | None, dtype: np.dtype[Any]) -> dict[str, Any]:
+    """What OME-Zarr says of the only channel."""
+    kind = np.iinfo(dtype) if dtype.kind in "iu" else None
+    low, high = value_range or ((float(kind.min), float(kind.max)) if kind else (0.0, 1.0))
+    start, end = grid.window or (low, high)
+    color = "".join(f"{round(255 * part):02X}" for part in grid.color or (1.0, 1.0, 1.0))
+    window = {"min": min(low, start), "max": max(high, end), "start": start, "end": end}
+    return {"channels": [{"label": grid.name, "color": color, "window": window, "active": True}]}

@@ -1,0 +1,341 @@
+"""Orthographic and perspective cameras in world space."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.base.checks import instance, number, one_of, reals
+from clvol.base.errors import GeometryError
+from clvol.base.uniform import FLOAT, INT, REACH, Block, Values
+from clvol.volume.volume import Volume
+
+__all__ = ["Camera", "View"]
+
+_PROJECTIONS = ("perspective", "orthographic")
+_FITS = ("matter", "volume")
+_WORLD = np.eye(3)
+_FRAMES = {"image": np.diag([1.0, -1.0, -1.0])}  # of worlds that are not seen with z up: from the viewing frame
+_FARTHEST = 1e20  # mean spacings from a volume's centre: no number that kernels read overflows
+_ALONG = 16  # times as far as off their rays, points may be moved along them
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera fitted to one volume: the rays are computed from it.
+
+    Attributes
+    ----------
+    eye : ndarray, shape (3,)
+        World position of the camera.
+    right, up, forward : ndarray, shape (3,)
+        Orthonormal; `right` and `up` span the picture.
+    half_height : float
+        Orthographic: half the picture's height in world units. Perspective: the same at distance 1.
+    orthographic : bool
+    """
+
+    eye: Vector
+    right: Vector
+    up: Vector
+    forward: Vector
+    half_height: float
+    orthographic: bool
+
+    BLOCK: ClassVar[Block] = Block(
+        "camera_block",
+        origin=(FLOAT, 3),
+        origin_u=(FLOAT, 3),
+        origin_v=(FLOAT, 3),
+        direction=(FLOAT, 3),
+        direction_u=(FLOAT, 3),
+        direction_v=(FLOAT, 3),
+        eye=(FLOAT, 3),
+        ahead=FLOAT,
+        orthographic=INT,
+    )
+
+    def reach(self, volume: Volume, aspect: float) -> float:
+        """How many voxels the positions count that rays through the volume are computed from; at least those of its longest axis.
+
+        They are rounded to float32: the points drawn err by up to 2⁻²² of this, most of it along their rays where the volume is
+        much thinner along the view than across.
+
+        Raises
+        ------
+        GeometryError
+            Points would err by more than 1/16 of a voxel off their rays, or by more than a voxel along them; or the camera stands
+            too far away for float32.
+        """
+        size, inverse, to_center = np.asarray(volume.size), volume.world_to_index_matrix, volume.center - self.eye
+        corner = self.half_height * np.hypot(aspect, 1)
+        ahead = float(to_center @ self.forward)
+        aside = math.hypot(*(to_center - ahead * self.forward))  # which overflows for no camera
+        if not math.hypot(ahead, aside) <= _FARTHEST * volume.mean_spacing:
+            raise GeometryError(
+                f"the camera must stand within {_FARTHEST:g} mean spacings of the volume's centre, which float32 holds; "
+                f"got {self.eye}"
+            )
+        if self.orthographic:
+            seen = aside - volume.radius <= corner
+            spread = 1.0
+        else:
+            distance = math.hypot(aside, ahead)
+            turn = math.asin(min(1.0, volume.radius / distance)) if distance > 0 else math.pi
+            seen = math.atan2(aside, ahead) - turn <= math.atan(corner)
+            spread = max(abs(ahead), volume.radius)  # directions are rounded, too, and followed through the volume
+        own = float(size.max())
+        if not seen:
+            return own
+        across = [inverse @ (self.half_height * (a * aspect * self.right + self.up)) for a in (-1, 1)]
+        middle = inverse @ (to_center - ahead * self.forward)
+        reach = float(np.linalg.norm(middle)) + spread * max(float(np.linalg.norm(v)) for v in across)
+        # Each coordinate is rounded by itself, which moves a point off its ray as far as the ray turns from that axis.
+        off = self._turns(inverse, aspect)
+        astray = float(np.linalg.norm(off * middle)) + spread * max(float(np.linalg.norm(off * v)) for v in across)
+        span = max(astray, reach / _ALONG)
+        if not span <= REACH:
+            raise GeometryError(
+                f"a picture must span no more than {REACH} voxels from the volume's centre to its own corners, or float32 errs by "
+                f"more than 1/16 of a voxel (by a voxel along rays, where 1/{_ALONG} counts); fov and zoom, the camera's place and "
+                f"the spacings {volume.spacing} give {span:.3g}"
+            )
+        return max(own, reach)
+
+    def _turns(self, inverse: Vector, aspect: float) -> Vector:
+        """The sine of the largest angle between any ray and each axis, in index space; (3,)."""
+        corner = 0.0 if self.orthographic else self.half_height
+        rays = np.stack(
+            [inverse @ (self.forward + corner * (a * aspect * self.right + b * self.up)) for a in (-1, 1) for b in (-1, 1)]
+        )
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        # on one side of an axis, the ray that turns farthest from it is one of the corners'
+        one_side = (rays > 0).all(0) | (rays < 0).all(0)
+        return np.where(one_side, np.linalg.norm(rays[:, [[1, 2], [2, 0], [0, 1]]], axis=-1).max(0), 1.0)
+
+    def eye_in(self, volume: Volume) -> NDArray[np.float32]:
+        """The eye in samples, as kernels know it: for what they and the host have to decide in the same way."""
+        return volume.world_to_index(self.eye).astype(np.float32)
+
+    def block(self, volume: Volume, width: int, height: int, aspect: float | None = None) -> Values:
+        """What kernels read: rays in index space as linear functions of the pixel, (0, 0) top left.
+
+        Pixels are square unless a picture's ``width / height = aspect`` is given, which a smaller one of it may have by rounding.
+
+        They start on the plane through the volume's centre that faces the camera, where float32 is most precise. World units
+        are mean spacings, so that none is too large or too small for float32.
+        """
+        aspect = width / height if aspect is None else aspect
+        inverse, origin = volume.world_to_index_matrix, np.asarray(volume.origin)
+        # picture coordinates: from -1 to 1 along `right` and along `up`
+        across, down = self.right * self.half_height * aspect, -self.up * self.half_height
+        corner, per_x, per_y = -across - down, 2 * across / width, 2 * down / height
+        unit = volume.mean_spacing
+        ahead = float((volume.center - self.eye) @ self.forward)
+        start = inverse @ (self.eye + ahead * self.forward - origin)
+        spread = 1.0 if self.orthographic else ahead
+        fan = 0.0 if self.orthographic else unit
+        return self.BLOCK(
+            origin=start + spread * (inverse @ corner),
+            origin_u=spread * (inverse @ per_x),
+            origin_v=spread * (inverse @ per_y),
+            direction=unit * (inverse @ self.forward) + fan * (inverse @ corner),
+            direction_u=fan * (inverse @ per_x),
+            direction_v=fan * (inverse @ per_y),
+            eye=self.eye_in(volume),
+            ahead=ahead / unit,
+            orthographic=self.orthographic,
+        )
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera; whatever is None is fitted to the volume when a picture is made.
+
+    Parameters
+    ----------
+    position : sequence of float, optional
+        World position (x, y, z). None: far enough back along `direction` to see a sphere of `radius` around the target.
+    target : sequence of float, optional
+        World point that it looks at; None: the middle of what it is fitted to, or the volume's centre where `position`,
+        `distance` or `radius` are given.
+    up : sequence of float
+        Direction that points up in the picture.
+    direction : sequence of float
+        Direction of view where `position` is None.
+    projection : {"perspective", "orthographic"}
+    fov : float
+        Vertical field of view of a perspective camera, degrees.
+    distance : float, optional
+        World distance from the target where `position` is None.
+    zoom : float
+        Magnification of the picture about its centre.
+    radius : float, optional
+        World radius of the sphere around the target that just fits into the picture; None: as `fit` says where `position`,
+        `target` and `distance` are None too, else that of the volume.
+    fit : {"matter", "volume"}
+        What a camera whose place is left open is fitted to. "matter": all that the mode and the transfer function of the
+        picture show of the volume, within the clip box, and what it sweeps when it is turned about the vertical
+        (`clvol.scene.fit`).
+        "volume": the sphere around the whole volume. Pictures stay steady while a camera goes around.
+    upright : bool
+        Whether `direction` and `up` are relative to how the volume is looked at, not to its world: that of a stack of images
+        (`Volume.space` is "image") is turned by 180° about x, so that what is up in its pictures is -z and seen from above rows
+        run down. All others are looked at with z up, and then it does not matter.
+    """
+
+    position: tuple[float, float, float] | None = None
+    target: tuple[float, float, float] | None = None
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    direction: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    projection: Literal["perspective", "orthographic"] = "perspective"
+    fov: float = 30.0
+    distance: float | None = None
+    zoom: float = 1.0
+    radius: float | None = None
+    fit: Literal["matter", "volume"] = "matter"
+    upright: bool = False
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.projection, str) or self.projection not in _PROJECTIONS:
+            raise one_of("projection", self.projection, _PROJECTIONS)
+        for what in ("position", "target", "up", "direction"):
+            value = getattr(self, what)
+            if value is not None or what in ("up", "direction"):
+                object.__setattr__(self, what, _vector(what, value))
+        object.__setattr__(self, "fov", number("fov", self.fov, above=0, below=180))
+        object.__setattr__(self, "zoom", number("zoom", self.zoom, above=0))
+        for what in ("distance", "radius"):
+            if getattr(self, what) is not None:
+                object.__setattr__(self, what, number(what, getattr(self, what), above=0))
+        if not isinstance(self.fit, str) or self.fit not in _FITS:
+            raise one_of("fit", self.fit, _FITS)
+        instance("upright", self.upright, bool, np.bool_)
+        for what in ("up", "direction"):
+            if not any(getattr(self, what)):
+                raise GeometryError(f"{what} must not have zero length")
+
+    @classmethod
+    def orbit(
+        cls,
+        azimuth: float = 30.0,
+        elevation: float = 20.0,
+        distance: float | None = None,
+        zoom: float = 1.0,
+        *,
+        target: Sequence[float] | None = None,
+        projection: Literal["perspective", "orthographic"] = "perspective",
+        fov: float = 30.0,
+        radius: float | None = None,
+        fit: Literal["matter", "volume"] = "matter",
+    ) -> Camera:
+        """A camera on a sphere around the target, upright.
+
+        Parameters
+        ----------
+        azimuth : float
+            Degrees about the z axis; 0 looks along +y, and 90 from +x along -x. A patient (`Volume.space` is "LPS") is seen
+            from the front at 0, the right side on the viewer's left.
+        elevation : float
+            Degrees above the xy plane; 90 looks straight down. A stack of images (`Volume.space` is "image") is then seen as
+            Fiji and napari show it: slice 0 nearest to the viewer, x to the right, rows running down. Other elevations and
+            azimuths turn that picture as they turn others; z runs down in it, and azimuth 0 looks along -y.
+        distance, zoom, target, projection, fov, radius, fit
+            As for `Camera`.
+        """
+        a, e = math.radians(number("azimuth", azimuth)), math.radians(number("elevation", elevation))
+        return cls(
+            target=None if target is None else _vector("target", target),
+            up=(-math.sin(a) * math.sin(e), math.cos(a) * math.sin(e), math.cos(e)),
+            direction=(-math.sin(a) * math.cos(e), math.cos(a) * math.cos(e), -math.sin(e)),
+            projection=projection,
+            fov=fov,
+            distance=distance,
+            zoom=zoom,
+            radius=radius,
+            fit=fit,
+            upright=True,
+        )
+
+    @classmethod
+    def look_at(
+        cls,
+        position: Sequence[float],
+        target: Sequence[float] | None = None,
+        up: Sequence[float] = (0.0, 0.0, 1.0),
+        *,
+        projection: Literal["perspective", "orthographic"] = "perspective",
+        fov: float = 30.0,
+        zoom: float = 1.0,
+    ) -> Camera:
+        """A camera at `position` that looks at `target`, by default the volume's centre."""
+        camera = cls(
+            position=_vector("position", position),
+            target=None if target is None else _vector("target", target),
+            up=_vector("up", up),
+            projection=projection,
+            fov=fov,
+            zoom=zoom,
+        )
+        if camera.position == camera.target:
+            raise GeometryError(f"position and target must differ, or there is no direction of view; got {position} twice")
+        return camera
+
+    def zoomed(self, factor: float) -> Camera:
+        """The same camera, magnified by a further factor."""
+        return replace(self, zoom=self.zoom * number("factor", factor, above=0))
+
+    def view(self, volume: Volume, aspect: float = 1.0) -> View:
+        """The camera fitted to a volume and a picture of ``width / height = aspect``.
+
+        A camera that is to be fitted sees the volume's bounding sphere: only a picture knows what can be seen (`clvol.scene.fit`).
+
+        Raises
+        ------
+        GeometryError
+            The camera stands on its target.
+        """
+        target = volume.center if self.target is None else np.asarray(self.target)
+        radius = volume.radius if self.radius is None else self.radius
+        upright = _FRAMES.get(volume.space, _WORLD) if self.upright else _WORLD
+        if self.position is None:
+            forward = upright @ np.asarray(self.direction) / math.hypot(*self.direction)  # hypot does not underflow
+        else:
+            with np.errstate(over="ignore"):
+                forward = target - np.asarray(self.position)
+            if not np.isfinite(forward).all():
+                raise GeometryError(f"position must lie within 1.8e308 of its target, which float64 holds; got {self.position}")
+            forward = np.ldexp(forward, -math.frexp(float(np.abs(forward).max()))[1])  # so that no square overflows
+            length = float(np.linalg.norm(forward))
+            if not length:
+                raise GeometryError(f"position and target must differ, or there is no direction of view; got {self.position} twice")
+            forward = forward / length
+        right = np.cross(forward, upright @ np.asarray(self.up) / math.hypot(*self.up))
+        if np.linalg.norm(right) < 1e-9:  # looking straight along `up`
+            right = np.cross(forward, np.eye(3)[int(np.argmin(np.abs(forward)))])
+        right = right / np.linalg.norm(right)
+        half_angle = math.radians(self.fov) / 2
+        narrow = min(1.0, aspect)  # the picture's shorter side must hold the sphere
+        fitted = radius / math.sin(math.atan(math.tan(half_angle) * narrow))
+        distance = self.distance if self.distance is not None else fitted
+        eye = target - distance * forward if self.position is None else np.asarray(self.position)
+        orthographic = self.projection == "orthographic"
+        half_height = radius / narrow if orthographic else math.tan(half_angle)
+        return View(eye, right, np.cross(right, forward), forward, half_height / self.zoom, orthographic)
+
+
+def _vector(what: str, value: object) -> tuple[float, float, float]:
+    rule = "three numbers (x, y, z)"
+    vector = reals(what, value, rule, GeometryError)
+    if vector.shape != (3,):
+        raise GeometryError(f"{what} must be {rule}; got {value!r}")
+    if not np.isfinite(vector).all():
+        raise GeometryError(f"{what} must be finite; got {value!r}")
+    x, y, z = (float(v) for v in vector)
+    return x, y, z

@@ -1,0 +1,232 @@
+"""What a picture shows of a volume: the sphere around it, and what it sweeps as the camera orbits, to which that is fitted.
+
+The sphere follows from the volume, the mode, the transfer function and the clip box alone, and not from the view. At most 64
+samples along each axis are looked at. It is a little larger than what was found, and never larger than the volume's own; that is
+also the answer where nothing is to be seen. What is found is turned about the vertical through the sphere's centre: a camera
+that orbits keeps its distance, and what it sees stays about the middle.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeAlias
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.scene.camera import Camera
+from clvol.scene.mode import Isosurface, Mode
+from clvol.scene.scene import Box
+from clvol.scene.transfer import TransferFunction
+from clvol.volume.volume import Volume
+
+__all__ = ["Sphere", "fitted", "sphere_of_matter"]
+
+Bools: TypeAlias = NDArray[np.bool_]
+
+_SAMPLES = 64  # along each axis
+_FAINT = 0.02  # of the largest opacity: what has less shows hardly
+_DARK = 0.05  # of the brightest colour, likewise
+_BESIDE = 1e-6  # of the range of a transfer function's points
+_BLOCK = 8  # of the samples that are looked at, along each edge
+_SPECKS = 4, 16  # in a block, of matter and of surfaces: fewer are noise
+_MARGIN = 1.04
+_DIRECTIONS = 128  # in which the outermost samples are found
+_STEPS = 256  # towards the middle of the smallest sphere around these
+_KEPT = 64  # spheres of a volume
+_TURNS = 24  # about the vertical, of the outermost samples
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """In the world.
+
+    Attributes
+    ----------
+    center : tuple of three floats
+    radius : float
+    outer : ndarray, shape (number, 3), optional
+        From the centre to the outermost of what it holds, in world units; None where the sphere is the volume's own.
+    """
+
+    center: tuple[float, float, float]
+    radius: float
+    outer: NDArray[np.float64] | None = field(default=None, compare=False, repr=False)
+
+
+def spread(volume: Volume, most: int) -> tuple[NDArray[Any], list[int], list[int]]:
+    """Samples at equal distances, a view, at most so many along each axis and about the middle; the first, and the distances."""
+    steps = [-(-n // most) for n in volume.size]
+    firsts = [(n - 1) % step // 2 for n, step in zip(volume.size, steps, strict=True)]
+    some = tuple(slice(first, None, step) for first, step in zip(firsts[::-1], steps[::-1], strict=True))
+    return volume.data[some], firsts, steps
+
+
+def fitted(
+    camera: Camera, volume: Volume, mode: Mode, transfer: TransferFunction, clip: Box | None = None, aspect: float = 1.0
+) -> Camera:
+    """The camera with target and radius, if it is to be fitted to what can be seen: see `Camera`. Modes must be settled.
+
+    `aspect` is the picture's width by its height.
+    """
+    given = (camera.position, camera.target, camera.distance, camera.radius)
+    if camera.fit != "matter" or any(value is not None for value in given):
+        return camera
+    sphere = sphere_of_matter(volume, mode, transfer, clip)
+    center, radius = np.asarray(sphere.center), sphere.radius
+    if sphere.outer is not None:
+        view = camera.view(volume, aspect)
+        axis = np.array([0.0, 0.0, 1.0]) if camera.upright else np.asarray(camera.up) / math.hypot(*camera.up)
+        swept = _swept(sphere.outer, axis)
+        # how far from the centre the planes through the eye and the picture's edges lie, at each turn
+        half = 0.0 if view.orthographic else math.atan(math.tan(math.radians(camera.fov) / 2) * min(1.0, aspect))
+        depth = math.sin(half) * (swept @ view.forward)
+        right, up = (math.cos(half) * (swept @ way) for way in (view.right, view.up))
+        above, below = (up - depth).max(1), (-up - depth).max(1)
+        beside = float((np.abs(right) - depth).max())
+        reach = max(float(above.max() + below.max()) / 2, beside)
+        shift = np.clip((above - below).mean() / 2, above.max() - reach, reach - below.max())
+        center = center + shift / math.cos(half) * view.up
+        furthest = float(np.linalg.norm(sphere.outer, axis=1).max())
+        if furthest > 0:  # a single sample is seen as far as its voxel reaches
+            radius *= min(1.0, reach / furthest)
+    x, y, z = (float(v) for v in center)
+    return replace(camera, target=(x, y, z), radius=radius)
+
+
+def _swept(points: NDArray[np.float64], axis: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The points, turned all around an axis; shape (turns, number, 3)."""
+    along = np.outer(points @ axis, axis)
+    off = points - along
+    across = np.cross(axis, off)
+    turns = np.arange(_TURNS) * (2 * math.pi / _TURNS)
+    return np.asarray(along + np.cos(turns)[:, None, None] * off + np.sin(turns)[:, None, None] * across)
+
+
+def sphere_of_matter(volume: Volume, mode: Mode, transfer: TransferFunction, clip: Box | None = None) -> Sphere:
+    """The sphere around what a picture shows.
+
+    Surfaces are where neighbouring samples lie on both sides of the isovalue. Of matter those samples count whose opacity is
+    more than 2 % of the largest of the transfer function; in projections those whose colour, times the opacity, is brighter than
+    5 % of the brightest. A handful of samples alone among many that are not seen are noise, and do not count.
+
+    Parameters
+    ----------
+    volume : Volume
+        With 3 axes.
+    mode : Mode
+        Settled.
+    transfer : TransferFunction
+    clip : (low, high), optional
+        Nothing outside counts.
+    """
+    known = _known.setdefault(volume, {})
+    box = None if clip is None else tuple(tuple(map(float, corner)) for corner in clip)
+    key = (mode.isovalue, None, box) if isinstance(mode, Isosurface) else (mode.shows == "matter", transfer, box)
+    found = known.get(key)
+    if found is None:
+        found = _sphere(volume, mode, transfer, clip)
+        if len(known) >= _KEPT:  # other threads may clear it too
+            known.clear()
+        known[key] = found
+    return found
+
+
+_known: WeakKeyDictionary[Volume, dict[Any, Sphere]] = WeakKeyDictionary()
+
+
+def _sphere(volume: Volume, mode: Mode, transfer: TransferFunction, clip: Box | None) -> Sphere:
+    whole = Sphere(tuple(map(float, volume.center)), volume.radius)  # type: ignore[arg-type]  # three
+    some, firsts, steps = spread(volume, _SAMPLES)
+    some = np.ascontiguousarray(some, some.dtype.newbyteorder("="))
+    surface = isinstance(mode, Isosurface)
+    seen = _crossed(some >= np.float64(mode.isovalue)) if isinstance(mode, Isosurface) else _shown(some, mode, transfer)
+
+    unit = volume.mean_spacing  # about the volume's centre: no square overflows
+    matrix = volume.index_to_world_matrix / unit
+    start = matrix @ (np.array(firsts) - (np.asarray(volume.size) - 1) / 2)
+    matrix = matrix * np.array(steps)
+    if clip is not None:
+        seen &= _inside(seen.shape, matrix, start, [(np.asarray(corner) - volume.center) / unit for corner in clip])
+    seen = _without_specks(seen, _SPECKS[surface])
+    rows = seen.any(2)
+    if not rows.any():
+        return whole
+    z, y = np.nonzero(rows)
+    lines = seen[z, y]
+    ends = lines.argmax(1), lines.shape[1] - 1 - lines[:, ::-1].argmax(1)  # what lies between is inside any sphere around them
+    points = np.concatenate([np.stack([x, y, z], 1) for x in ends]) @ matrix.T + start
+    outer = points[np.unique((points @ _sphere_directions()).argmax(0))]
+    center = outer.mean(0)
+    for i in range(1, _STEPS):  # Badoiu and Clarkson, 2003
+        center += (outer[((outer - center) ** 2).sum(1).argmax()] - center) / (i + 1)
+    beyond = 0.0 if surface else float(np.linalg.norm(matrix, axis=0).max()) / 2  # surfaces lie within the samples on both sides
+    radius = _MARGIN * unit * (math.sqrt(float(((points - center) ** 2).sum(1).max())) + beyond)
+    if not radius < volume.radius:
+        return whole
+    middle = volume.center + unit * center
+    return Sphere(tuple(map(float, middle)), radius, unit * (outer - center))  # type: ignore[arg-type]  # three
+
+
+def _crossed(above: Bools) -> Bools:
+    """The samples next to one on the other side."""
+    crossed = np.zeros_like(above)
+    for axis in range(3):
+        one, other = np.moveaxis(above, axis, 0), np.moveaxis(crossed, axis, 0)
+        change = one[1:] != one[:-1]
+        other[1:] |= change
+        other[:-1] |= change
+    return crossed
+
+
+def _shown(values: NDArray[Any], mode: Mode, transfer: TransferFunction) -> Bools:
+    """The values that a mode shows by a transfer function, taken as linear between all its points."""
+    points = np.unique([point[0] for point in (*transfer.colors, *transfer.opacities)])
+    beside = max(_BESIDE * (points[-1] / 2 - points[0] / 2), 4 * float(np.spacing(np.abs(points).max())))  # it may jump at a point
+    at = np.unique([points - beside, points, points + beside])
+    shades = transfer(at)
+    matter = mode.shows == "matter"
+    weight = shades[:, 3] if matter else shades[:, :3].max(1) * shades[:, 3]
+    least = float(weight.max()) * (_FAINT if matter else _DARK)
+    over = weight - least
+    changes = np.flatnonzero((over[1:] > 0) != (over[:-1] > 0))
+    with np.errstate(over="ignore"):
+        share = over[changes] / (over[changes] - over[changes + 1])
+        edges = at[changes] * (1 - share) + at[changes + 1] * share
+    shown = np.full(values.shape, bool(over[0] > 0))
+    if len(edges) > _BLOCK:
+        return np.asarray(shown ^ (np.searchsorted(edges, values.astype(np.float64)) % 2 > 0))
+    for edge in edges:
+        shown ^= values > edge
+    return shown
+
+
+def _inside(
+    shape: tuple[int, ...], matrix: NDArray[np.float64], start: NDArray[np.float64], box: list[NDArray[np.float64]]
+) -> Bools:
+    """Which samples lie in a box."""
+    z, y, x = (np.arange(n, dtype=np.float64) for n in shape)
+    inside = np.ones(shape, np.bool_)
+    for row, first, low, high in zip(matrix, start, *box, strict=True):
+        place = first + row[0] * x + (row[1] * y)[:, None] + (row[2] * z)[:, None, None]
+        inside &= (place >= low) & (place <= high)
+    return inside
+
+
+def _without_specks(seen: Bools, least: int) -> Bools:
+    """Without what is seen in blocks that hold less, unless that is all."""
+    padded = np.pad(seen, [(0, -n % _BLOCK) for n in seen.shape])
+    z, y, x = (n // _BLOCK for n in padded.shape)
+    blocks = padded.reshape(z, _BLOCK, y, _BLOCK, x, _BLOCK)
+    counts = blocks.sum((1, 3, 5), dtype=np.int32, keepdims=True)
+    kept = (blocks & (counts >= least)).reshape(padded.shape)[tuple(slice(n) for n in seen.shape)]
+    return kept if kept.any() else seen
+
+
+def _sphere_directions() -> NDArray[np.float64]:
+    """Directions all around, in a spiral of the golden angle; shape (3, number)."""
+    z = 1 - (2 * np.arange(_DIRECTIONS) + 1) / _DIRECTIONS
+    turn = np.arange(_DIRECTIONS) * math.pi * (3 - math.sqrt(5))
+    return np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z])

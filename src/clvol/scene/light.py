@@ -1,0 +1,126 @@
+"""Lights, and how a surface answers them (Blinn-Phong)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from clvol.base.checks import number, one_of, reals
+from clvol.base.color import color_of
+from clvol.base.errors import GeometryError, OptionError
+from clvol.base.uniform import FLOAT, INT, Block, Values
+from clvol.scene.camera import View
+
+__all__ = ["HEADLIGHT", "KIT", "LIGHTS", "MAX_LIGHTS", "Light", "Material", "as_lights", "lights_block"]
+
+MAX_LIGHTS = 4
+_FRAMES = ("world", "camera")
+LIGHTS = Block("lights_block", each=(FLOAT, 8 * MAX_LIGHTS), count=INT)  # a direction, 1 for a headlight; a colour, nothing
+
+
+@dataclass(frozen=True)
+class Light:
+    """A light so far away that it comes from one direction.
+
+    Parameters
+    ----------
+    direction : sequence of float, optional
+        Direction *towards* the light. None: a headlight, which shines along each ray.
+    color : sequence of float
+        Red, green, blue of the light; 1 is full.
+    frame : {"world", "camera"}
+        Of the direction: (x, y, z) of the world; or to the right, up and towards the viewer in the picture, for a light that
+        moves with the camera.
+    """
+
+    direction: tuple[float, float, float] | None = None
+    color: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    frame: Literal["world", "camera"] = "world"
+
+    def __post_init__(self) -> None:
+        if self.direction is not None:
+            what, rule = "a light's direction", "three finite numbers, not all zero"
+            vector = reals(what, self.direction, rule, GeometryError)
+            length = math.hypot(*map(float, vector)) if vector.shape == (3,) else 0.0
+            if not (math.isfinite(length) and length > 0):
+                raise GeometryError(f"{what} must be {rule}; got {self.direction!r}")
+            object.__setattr__(self, "direction", tuple(float(v) / length for v in vector))
+        object.__setattr__(self, "color", color_of("a light's color", self.color))
+        if not isinstance(self.frame, str) or self.frame not in _FRAMES:
+            raise one_of("a light's frame", self.frame, _FRAMES)
+
+    def placed(self, view: View) -> Light:
+        """The same light in a picture's world."""
+        if self.direction is None or self.frame == "world":
+            return self
+        right, up, back = self.direction
+        x, y, z = (float(v) for v in right * view.right + up * view.up - back * view.forward)
+        return Light((x, y, z), self.color)
+
+
+@dataclass(frozen=True)
+class Material:
+    """How a surface answers light: shares of ambient, diffuse and specular light, and shininess.
+
+    Surfaces are two-sided: the normal is the one that faces the viewer.
+    """
+
+    ambient: float = 0.25
+    diffuse: float = 0.75
+    specular: float = 0.2
+    shininess: float = 30.0
+
+    BLOCK: ClassVar[Block] = Block(
+        "material_block", ambient=FLOAT, diffuse=FLOAT, specular=FLOAT, shininess=FLOAT, whole_shininess=INT, min_shine=FLOAT
+    )
+
+    def __post_init__(self) -> None:
+        for what in ("ambient", "diffuse", "specular", "shininess"):
+            object.__setattr__(self, what, number(what, getattr(self, what), minimum=0))
+
+    def block(self) -> Values:
+        """What kernels read: the exponent also as a whole number, if it is one, and the smallest cosine whose power counts."""
+        exponent = self.shininess
+        whole = int(exponent) if float(exponent).is_integer() and exponent < 1 << 20 else 0
+        return self.BLOCK(
+            ambient=self.ambient,
+            diffuse=self.diffuse,
+            specular=self.specular,
+            shininess=exponent,
+            whole_shininess=whole,
+            min_shine=2.0 ** (-60 / max(exponent, 1e-3)),  # powers below 2**-60 are as good as 0
+        )
+
+
+def as_lights(choice: Light | Sequence[Light]) -> tuple[Light, ...]:
+    """One light or several; `OptionError` for anything else, or more than `MAX_LIGHTS`."""
+    lights = (choice,) if isinstance(choice, Light) else choice
+    if not isinstance(lights, Sequence) or not all(isinstance(light, Light) for light in lights):
+        raise OptionError(f"lights must be a Light or a sequence of them; got {choice!r}")
+    if len(lights) > MAX_LIGHTS:
+        raise OptionError(f"there may be up to {MAX_LIGHTS} lights; got {len(lights)}")
+    return tuple(lights)
+
+
+def lights_block(lights: Sequence[Light], view: View) -> Values:
+    """What kernels read of the lights, up to `MAX_LIGHTS`, in a view."""
+    each = np.zeros((MAX_LIGHTS, 8))
+    for row, light in zip(each, lights, strict=False):
+        row[:7] = [*(light.placed(view).direction or (0, 0, 0)), float(light.direction is None), *light.color]
+    return LIGHTS(each=each.ravel(), count=len(lights))
+
+
+HEADLIGHT = Light()
+
+KIT = (
+    Light((-0.45, 0.55, 0.75), (0.67, 0.67, 0.67), "camera"),
+    Light((0.6, -0.6, 0.5), (0.25, 0.25, 0.25), "camera"),
+    Light(None, (0.35, 0.35, 0.35)),
+)
+"""The lights of pictures where none are given, after photographers' and `vtkLightKit`'s: the key from above the viewer's left
+shoulder models the form, the weaker fill from below on the right opens its shadows, and the headlight leaves nothing black.
+No normal gets more light than a headlight of full strength gives."""

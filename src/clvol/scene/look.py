@@ -1,0 +1,91 @@
+"""What a volume's values look like in a mode: its default, or what is asked for instead, put together in one place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from clvol.base.checks import number, reals
+from clvol.base.errors import OptionError
+from clvol.scene.mode import Mode, as_mode
+from clvol.scene.palette import unit_of
+from clvol.scene.preset import as_preset
+from clvol.scene.transfer import TransferFunction
+from clvol.volume.volume import Volume, as_volume
+
+__all__ = ["look"]
+
+
+def look(
+    volume: Volume | ArrayLike,
+    mode: str | Mode | type[Mode],
+    *,
+    preset: str | None = None,
+    window: tuple[float, float] | None = None,
+    cmap: str | None = None,
+    opacity: float | Sequence[tuple[float, float]] | None = None,
+) -> TransferFunction:
+    """The transfer function of a volume in a mode; where nothing is given, the mode's own.
+
+    Parameters
+    ----------
+    volume : Volume or array-like
+    mode : str, Mode or class of Mode
+    preset : str, optional
+        The name of a row of `clvol.presets`: colours and opacities for one kind of data. Projections show its
+        window; means only that of one in Hounsfield units, and else their own.
+    window : (center, width), optional
+        The value in the middle of what is told apart, and how wide that is, in units of the data, as radiologists say it: from
+        transparent to the brightest, from black to white. (`Volume.window`, instead of which it is taken, is the two ends.)
+    cmap : str, optional
+        Colours by the name of a map of the `cmap` package, instead of the others; opacities stay.
+    opacity : float, or sequence of (value, opacity), optional
+        A number, 0 or more, scales the opacities, as far as 1; points replace them. Colours stay.
+
+    Raises
+    ------
+    OptionError
+        An unknown name, or a value that is not allowed.
+
+    Warns
+    -----
+    ClvolWarning
+        The preset is in Hounsfield units, and the data cannot be.
+    """
+    volume = as_volume(volume)
+    chosen, ends = as_mode(mode), None if window is None else _ends(window)
+    if preset is None:
+        transfer = chosen.transfer(volume) if ends is None else chosen.windowed(volume, ends)
+    else:
+        row = as_preset(preset)
+        if chosen.shows == "matter" or row.unit == "labels":
+            transfer = TransferFunction(*row.points(volume, ends), unit_of(volume))
+        elif chosen.shows == "mean" and row.unit == "matter":  # means reach no such values
+            transfer = chosen.windowed(volume, ends)
+        else:
+            transfer = chosen.windowed(volume, ends or row.span(volume))
+    if cmap is not None:
+        values = [value for value, _ in transfer.colors]
+        colored = TransferFunction.from_cmap(cmap, (values[0], values[-1]))
+        transfer = replace(transfer, colors=colored.colors)
+    if opacity is None:
+        return transfer
+    if np.ndim(np.asarray(opacity, dtype=object)) == 0:  # one number, or nothing that is a sequence
+        factor = number("opacity", opacity, minimum=0)
+        return transfer.with_opacity([(value, min(1.0, factor * share)) for value, share in transfer.opacities])
+    return transfer.with_opacity(opacity)  # type: ignore[arg-type]  # __post_init__ refuses what is none
+
+
+def _ends(window: object) -> tuple[float, float]:
+    rule = "two finite numbers, (center, width), the width positive"
+    values = reals("window", window, rule)
+    if values.shape != (2,) or not np.isfinite(values).all() or values[1] <= 0:
+        raise OptionError(f"window must be {rule}; got {window!r}")
+    center, width = (float(value) for value in values)
+    low, high = center - width / 2, center + width / 2
+    if not (np.isfinite([low, high]).all() and low < high):
+        raise OptionError(f"window must be {rule}, and wide enough to tell its ends apart; got {window!r}")
+    return low, high

@@ -1,0 +1,395 @@
+"""Render modes: a class here, a file in ``cl/modes/``, a function in `clvol.reference.march`.
+
+A mode's options are its fields: `Renderer.render` takes them as keywords, the command line as flags, and an option that is
+not the mode's is refused by name.
+"""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, Literal, Self
+
+import numpy as np
+
+from clvol.base.checks import number, one_of, whole
+from clvol.base.color import color_of
+from clvol.base.errors import OptionError
+from clvol.base.scaling import share_of
+from clvol.base.uniform import FLOAT, Block, Values
+from clvol.filter.filter import DEFAULT_FILTER, PICTURE_FILTER, as_filter
+from clvol.scene.palette import diverging
+from clvol.scene.transfer import TransferFunction
+from clvol.show.html import Named
+from clvol.volume.histogram import Projection, isovalue_of, matter_of, window_of
+from clvol.volume.stored import AS_THEY_ARE, Stored
+from clvol.volume.volume import Volume
+
+__all__ = [
+    "DEFAULT_MODE",
+    "Attenuated",
+    "Composite",
+    "Isosurface",
+    "Mean",
+    "Minip",
+    "Mip",
+    "Mode",
+    "ModeTable",
+    "as_mode",
+    "every_option",
+    "mode_options",
+    "modes",
+]
+
+DEFAULT_MODE = "composite"
+_WORD = re.compile("[a-z][a-z0-9_]{0,63}")
+_FILE = re.compile(f"modes/{_WORD.pattern}[.]cl")
+_FIELD = re.compile("[A-Za-z_][A-Za-z0-9_]{0,63}")
+_MOST_FIELDS = 64  # of a ray's state
+_SHOWN = ("matter", "max", "min", "mean")
+
+
+@dataclass(frozen=True)
+class Mode:
+    """One way to make a pixel of what a ray meets.
+
+    Attributes
+    ----------
+    name : str
+        By which it is looked up; its kernel file is ``modes/<name>.cl``.
+    description : str
+        What it shows, for listings.
+    state_fields : int
+        Numbers that the kernels carry along each ray.
+    endpoints : bool
+        Whether its rays reach from where they enter the volume to where they leave it: modes that take samples then take two
+        more, a thousandth of a step inside.
+    skips : bool
+        Whether values can be irrelevant to it, so that space is skipped.
+    finished_there : bool
+        Whether its kernel computes the colour where a ray ends from coefficients at that place.
+    picture_filter : str
+        The filter of its pictures where none is given. Noise is smoothed, but not where extremes are shown: smoothing lowers
+        those of thin vessels.
+    shows : {"matter", "max", "min", "mean"}
+        What of a ray's samples makes a pixel: all, by their opacities, or a projection, which the default transfer function
+        shows from black to white.
+    ramp : float
+        The share of that window over which it does.
+    """
+
+    name: ClassVar[str]
+    description: ClassVar[str]
+    state_fields: ClassVar[int]
+    endpoints: ClassVar[bool] = False
+    skips: ClassVar[bool] = True
+    finished_there: ClassVar[bool] = False
+    picture_filter: ClassVar[str] = PICTURE_FILTER
+    shows: ClassVar[Literal["matter"] | Projection] = "max"
+    ramp: ClassVar[float] = 1.0
+    BLOCK: ClassVar[Block] = Block("mode_block")
+
+    @property
+    def file(self) -> str:
+        """The kernel file."""
+        return f"modes/{self.name}.cl"
+
+    @property
+    def stretches(self) -> bool:
+        """Whether its kernel looks at stretches of rays, not at samples: `step` then does not matter."""
+        return False
+
+    @property
+    def shaded(self) -> bool:
+        """Whether it lights what it shows by the gradient."""
+        return bool(getattr(self, "shading", False))
+
+    def settled(self, volume: Volume) -> Self:  # noqa: ARG002  # most modes leave nothing open
+        """The same with every option that was left open decided for this volume."""
+        return self
+
+    def transfer(self, volume: Volume) -> TransferFunction:
+        """The transfer function for this volume where none is given.
+
+        Labels have a colour each, but where values are blended or fade along the ray. A projection's window is the volume's own
+        (`Volume.window`), or else from the projections of its samples along the axes; means are not what that window is for.
+        """
+        if volume.is_labels and self.shows != "mean" and self.ramp == 1:
+            return TransferFunction.preset("labels", volume)
+        return self.windowed(volume, None)
+
+    def windowed(self, volume: Volume, window: tuple[float, float] | None) -> TransferFunction:
+        """The same for values, with another window, (low, high), from black to white."""
+        if self.shows == "matter":
+            return TransferFunction.automatic(volume, window)
+        low, high = window or (volume.window if self.shows != "mean" else None) or window_of(volume)[self.shows]
+        matter = matter_of(volume)
+        if matter.signed and window is None and self.shows == "mean":
+            return TransferFunction(diverging((low, high), matter.value(0)), ((low, 1.0),))
+        color = volume.color or (1.0, 1.0, 1.0)
+        if matter.signed and window is None and self.shows == "min":  # the farther below the background, the brighter
+            return TransferFunction(((low, color), (high, (0.0, 0.0, 0.0))), ((low, 1.0),))
+        return TransferFunction.ramp((low, share_of(low, high, self.ramp)), color)
+
+    def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002  # most modes depend on no volume
+        """What its kernel reads, for one volume whose values are stored in this way; of a mode that is settled."""
+        return self.BLOCK()
+
+
+@dataclass(frozen=True)
+class Composite(Mode):
+    """Emission and absorption, front to back.
+
+    Parameters
+    ----------
+    shading : bool
+        Light the matter by the gradient.
+    termination : float
+        A ray ends when no more than this share of light would come through, 0 or more and less than 1: colours err by at
+        most this, times the brightest colour behind.
+    """
+
+    shading: bool = True
+    termination: float = 1e-3
+
+    name: ClassVar[str] = "composite"
+    description: ClassVar[str] = "emission and absorption, front to back"
+    state_fields: ClassVar[int] = 6
+    shows: ClassVar[Literal["matter"] | Projection] = "matter"
+    BLOCK: ClassVar[Block] = Block("mode_block", termination=FLOAT)
+
+    def __post_init__(self) -> None:
+        _set(self, shading=_switch("shading", self.shading))
+        _set(self, termination=number("termination", self.termination, minimum=0, below=1))
+
+    def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002
+        return self.BLOCK(termination=self.termination)
+
+
+@dataclass(frozen=True)
+class Isosurface(Mode):
+    """The first surface of one value, shaded.
+
+    Parameters
+    ----------
+    isovalue : float, optional
+        The value of the surface; by default Otsu's threshold, which parts the histogram in two, but never within the step at the
+        edge of a mask.
+    color : three numbers or a name
+        Of the surface: red, green and blue in 0..1, a name or a hex code.
+    shading : bool
+        Light the surface by the gradient.
+    method : {"exact", "stepped"}
+        "exact": the first place where the function that is drawn, a polynomial along the ray in every cell, goes from below the
+        isovalue to not below it, or back; `step` does not matter. "stepped": the first two neighbouring samples on both sides of
+        the isovalue, and a root between them; a surface that a ray enters and leaves between two samples is missed. Both take
+        about as long with most filters; with "lanczos" and "sinc", whose pieces are of degree 12, "exact" takes 9 to 19 times as
+        long.
+    tolerance : float
+        Of "stepped": how near to the isovalue the function is at the surface that is drawn, as a share of the difference
+        between the two samples around it, 0 to 1.
+    """
+
+    isovalue: float | None = None
+    color: Sequence[float] | str = (0.93, 0.87, 0.76)
+    shading: bool = True
+    method: Literal["exact", "stepped"] = "exact"
+    tolerance: float = 1e-4
+
+    name: ClassVar[str] = "isosurface"
+    description: ClassVar[str] = "the first surface of one value, shaded"
+    state_fields: ClassVar[int] = 2
+    endpoints: ClassVar[bool] = True
+    finished_there: ClassVar[bool] = True
+    BLOCK: ClassVar[Block] = Block("mode_block", isovalue=FLOAT, tolerance=FLOAT, color=(FLOAT, 3))
+
+    def __post_init__(self) -> None:
+        if self.isovalue is not None:
+            _set(self, isovalue=number("isovalue", self.isovalue))
+        _set(self, color=color_of("color", self.color), shading=_switch("shading", self.shading))
+        _set(self, tolerance=number("tolerance", self.tolerance, minimum=0, maximum=1))
+        if not isinstance(self.method, str) or self.method not in ("exact", "stepped"):
+            raise one_of("method", self.method, ("exact", "stepped"))
+        if self.method == "stepped":
+            _set(self, state_fields=4)  # the last sample too
+
+    @property
+    def file(self) -> str:
+        return "modes/isosurface.cl" if self.method == "exact" else "modes/stepped.cl"
+
+    @property
+    def stretches(self) -> bool:
+        return self.method == "exact"
+
+    def settled(self, volume: Volume) -> Self:
+        return self if self.isovalue is not None else replace(self, isovalue=isovalue_of(volume)[0])
+
+    def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002
+        assert self.isovalue is not None  # it is settled
+        return self.BLOCK(isovalue=stored(self.isovalue), tolerance=self.tolerance, color=self.color)
+
+
+@dataclass(frozen=True)
+class Mip(Mode):
+    """The maximum along the ray."""
+
+    name: ClassVar[str] = "mip"
+    picture_filter: ClassVar[str] = DEFAULT_FILTER
+    description: ClassVar[str] = "the maximum along the ray"
+    state_fields: ClassVar[int] = 2
+
+
+@dataclass(frozen=True)
+class Attenuated(Mode):
+    """The maximum along the ray of values that fade with depth: what is near stands out.
+
+    Parameters
+    ----------
+    attenuation : float
+        How fast values fade, 0 to 40: a value counts from the smallest value of the transfer function up, times
+        exp(-attenuation d), with d from 0 at the front of the volume's bounding sphere to 1 at its back. 0 is "mip".
+    """
+
+    attenuation: float = 2.0
+
+    name: ClassVar[str] = "attenuated"
+    picture_filter: ClassVar[str] = DEFAULT_FILTER
+    description: ClassVar[str] = "the maximum along the ray, dimmed by depth"
+    state_fields: ClassVar[int] = 2
+    ramp: ClassVar[float] = 0.5  # even the nearest values have faded
+    BLOCK: ClassVar[Block] = Block("mode_block", fade=FLOAT, front=FLOAT)
+
+    def __post_init__(self) -> None:
+        _set(self, attenuation=number("attenuation", self.attenuation, minimum=0, maximum=40))
+
+    def block(self, volume: Volume, stored: Stored = AS_THEY_ARE) -> Values:  # noqa: ARG002
+        front = volume.radius / volume.mean_spacing  # before the volume's centre, in the kernels' unit
+        return self.BLOCK(fade=-self.attenuation * math.log2(math.e) / (2 * front), front=front)
+
+
+@dataclass(frozen=True)
+class Minip(Mode):
+    """The minimum along the ray."""
+
+    name: ClassVar[str] = "minip"
+    picture_filter: ClassVar[str] = DEFAULT_FILTER
+    description: ClassVar[str] = "the minimum along the ray"
+    state_fields: ClassVar[int] = 2
+    shows: ClassVar[Literal["matter"] | Projection] = "min"
+
+
+@dataclass(frozen=True)
+class Mean(Mode):
+    """The mean along the ray, as an x-ray shows it."""
+
+    name: ClassVar[str] = "mean"
+    description: ClassVar[str] = "the mean along the ray, as an x-ray shows it"
+    state_fields: ClassVar[int] = 2
+    skips: ClassVar[bool] = False
+    shows: ClassVar[Literal["matter"] | Projection] = "mean"
+
+
+_TABLE: dict[str, type[Mode]] = {mode.name: mode for mode in (Composite, Isosurface, Mip, Attenuated, Minip, Mean)}
+
+
+class ModeTable(Named[Mode]):
+    """Every mode by name; shown, it is a table."""
+
+    HEADER = ("mode", "what it shows", "options")
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """One tuple of texts a mode, in the order of `HEADER`."""
+        return [(name, mode.description, ", ".join(_option_names(mode))) for name, mode in self.items()]
+
+
+def modes() -> ModeTable:
+    """Every mode by name, with its default options; shown, it says what each shows."""
+    return ModeTable({name: mode() for name, mode in _TABLE.items()})
+
+
+def every_option() -> set[str]:
+    """The names of the options of all modes."""
+    return {name for mode in _TABLE.values() for name in _option_names(mode)}
+
+
+def mode_options(mode: Mode | type[Mode]) -> dict[str, str]:
+    """The options of a mode, each with what its class says of it."""
+    doc = inspect.getdoc(mode if isinstance(mode, type) else type(mode)) or ""
+    return {name: _described(doc, name) for name in _option_names(mode)}
+
+
+def as_mode(choice: str | Mode | type[Mode], options: Mapping[str, Any] | None = None, others: Iterable[str] = ()) -> Mode:
+    """The mode of a name, a class of mode, or a mode itself, with these options; `others` are what else the caller takes.
+
+    Raises
+    ------
+    OptionError
+        No mode has this name, it does not have such an option, the option's value is not allowed, or a class does not say
+        what every mode must.
+    """
+    if isinstance(choice, type) and issubclass(choice, Mode):
+        choice = choice()
+    if not isinstance(choice, Mode):
+        if not isinstance(choice, str) or choice not in _TABLE:
+            raise one_of("mode", choice, _TABLE)
+        choice = _TABLE[choice]()
+    _require_sound(choice)
+    own = _option_names(choice)
+    for name in options or {}:
+        if name not in own:
+            having = [other for other, mode in _TABLE.items() if name in _option_names(mode)]
+            near = difflib.get_close_matches(name, [*own, *others], 1)
+            hint = f", but of {' and '.join(having)}" if having else f" (did you mean {near[0]}?)" if near else ""
+            raise OptionError(f"{name} is no option of {choice.name}{hint}; {choice.name} has {', '.join(own) or 'none'}")
+    return replace(choice, **(options or {}))
+
+
+# -- inner -------------------------------------------------------------------------------------------------
+
+
+def _option_names(mode: Mode | type[Mode]) -> list[str]:
+    return [field.name for field in fields(mode)]
+
+
+def _require_sound(mode: Mode) -> None:
+    """Refuse a mode made by hand whose class says what none may: some of it becomes text that a compiler reads."""
+    for name in ("name", "state_fields"):
+        if not hasattr(mode, name):
+            raise OptionError(f"a mode must have a name and state_fields; {type(mode).__name__} has no {name}")
+    for what, text, rule in (("name", mode.name, _WORD), ("file", mode.file, _FILE)):
+        if not isinstance(text, str) or not rule.fullmatch(text):
+            raise OptionError(f"a mode's {what} must be lowercase letters, digits and _ (its file modes/<name>.cl); got {text!r}")
+    if mode.name in _TABLE and not isinstance(mode, _TABLE[mode.name]):
+        raise OptionError(f"a mode named {mode.name!r} must be a {_TABLE[mode.name].__name__}, whose kernel it has; got {mode!r}")
+    whole("a mode's state_fields", mode.state_fields, 0, _MOST_FIELDS)
+    for what in ("endpoints", "skips", "finished_there", "stretches", "shaded"):
+        _switch(f"a mode's {what}", getattr(mode, what))
+    if mode.shows not in _SHOWN:
+        raise one_of("what a mode shows", mode.shows, _SHOWN)
+    number("a mode's ramp", mode.ramp, above=0)
+    as_filter(mode.picture_filter)
+    block = mode.BLOCK
+    if not isinstance(block, Block) or block.name != Mode.BLOCK.name or not all(map(_FIELD.fullmatch, block.fields)):
+        raise OptionError(f"a mode's BLOCK must be a {Mode.BLOCK.name!r} whose fields have names of C; got {block!r}")
+
+
+def _set(mode: Mode, **values: Any) -> None:
+    """Fields of a frozen mode, in their proper types."""
+    for name, value in values.items():
+        object.__setattr__(mode, name, value)
+
+
+def _switch(what: str, value: object) -> bool:
+    if not isinstance(value, (bool, np.bool_)):
+        raise OptionError(f"{what} must be True or False; got {value!r}")
+    return bool(value)
+
+
+def _described(doc: str, name: str) -> str:
+    """What a docstring's list of parameters says of one of them, on one line."""
+    match = re.search(rf"^{name} : .*\n((?:    .*\n?)+)", doc, re.MULTILINE)
+    return " ".join(match[1].split()) if match else ""

@@ -1,0 +1,324 @@
+"""Transfer functions: from a value to a colour and an opacity."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clvol.base.checks import number, reals
+from clvol.base.color import color_of
+from clvol.base.errors import OptionError
+from clvol.base.scaling import exponent_of, scaled, unscaled
+from clvol.base.uniform import FLOAT, INT, Block, Values
+from clvol.scene.palette import automatic, unit_of
+from clvol.scene.preset import as_preset
+from clvol.volume.stored import AS_THEY_ARE, Stored
+from clvol.volume.volume import Volume, as_volume
+
+__all__ = ["TransferFunction"]
+
+_CELLS = 1024  # of a table of equal nodes at most, and buckets in which pieces are looked up
+_ON_NODE = 1e-5  # of a cell: as near to a node is on it
+_LOOSE = 1e-7  # of the range: what float32 may take from where a table of equal nodes begins
+_NEARLY_OPAQUE = 0.99  # what float32 leaves of 1 - opacity is little from here on
+_FEW = 16  # pieces that are found by comparing a value with all of them ...
+_AT_ONCE = 4  # ... so many at a time
+_FAR = 1.5e38  # of float32: no difference of two values within overflows
+_STEEPEST = 3e38
+_CMAP_NODES = 64
+
+
+@dataclass(frozen=True)
+class TransferFunction:
+    """Colour and opacity, each piecewise linear in the value and constant beyond its end points.
+
+    Parameters
+    ----------
+    colors : sequence of (value, color)
+        Colours are three numbers in 0..1 or names ("white", "#ff8800").
+    opacities : sequence of (value, opacity)
+        Opacity, 0..1, of matter one `unit_distance` thick.
+    unit_distance : float, optional
+        World length to which opacities refer; None: the mean spacing of the volume.
+
+    Notes
+    -----
+    Two points at one value are a jump; the value itself has the later one's colour or opacity. Devices draw the function
+    exactly, to the rounding of float32: from a table of equal nodes where all points lie on such, else from its pieces, each
+    found by comparing values with the points.
+    """
+
+    colors: tuple[tuple[float, tuple[float, float, float]], ...]
+    opacities: tuple[tuple[float, float], ...] = ((0.0, 1.0),)
+    unit_distance: float | None = None
+
+    BLOCK: ClassVar[Block] = Block(
+        "transfer_block", low=FLOAT, scale=FLOAT, last=FLOAT, per_unit_distance=FLOAT, pieces=INT, halvings=INT
+    )
+
+    def __post_init__(self) -> None:
+        colors = tuple((_value(v), color_of("a color", c)) for v, c in _pairs("colors", self.colors))
+        opacities = tuple((_value(v), _value(a)) for v, a in _pairs("opacities", self.opacities))
+        for what, points in (("colors", colors), ("opacities", opacities)):
+            values = [p[0] for p in points]
+            if not values or values != sorted(values):
+                raise OptionError(f"{what} must be one or more points in ascending order of value; got {values}")
+        if not all(0 <= a <= 1 for _, a in opacities):
+            raise OptionError(f"opacities must lie in 0..1; got {[a for _, a in opacities]}")
+        if self.unit_distance is not None:
+            object.__setattr__(self, "unit_distance", number("unit_distance", self.unit_distance, above=0))
+        object.__setattr__(self, "colors", colors)
+        object.__setattr__(self, "opacities", opacities)
+
+    def _repr_html_(self) -> str:
+        """For notebooks: its colours under the curve of its opacity."""
+        from clvol.show import html as display
+
+        return display.strip([v for v, _ in self.colors], [c for _, c in self.colors], self.opacities)
+
+    @classmethod
+    def from_cmap(
+        cls,
+        name: str,
+        value_range: tuple[float, float],
+        opacity: float | Sequence[tuple[float, float]] = 1.0,
+        unit_distance: float | None = None,
+    ) -> TransferFunction:
+        """Colours of a map of the `cmap` package ("viridis", "bone", ...) spread over a range of values."""
+        import cmap
+
+        low, high = _range(value_range)
+        at = np.linspace(0, 1, _CMAP_NODES) if low < high else np.ones(1)
+        try:
+            chosen = cmap.Colormap(name)
+            shades = [tuple(map(float, chosen(float(u)).rgba[:3])) for u in at]
+        except Exception:  # of many kinds, for what is no name
+            raise OptionError(
+                f"colour map {name!r} is not known to the cmap package; try 'gray', 'viridis', 'bone', 'magma'"
+            ) from None
+        exponent = exponent_of(low, high)
+        bottom, top = scaled((low, high), exponent)
+        places = [unscaled(bottom + (top * u - bottom * u), exponent) for u in at]
+        colors = tuple(zip(places, shades, strict=True))
+        points: Any = opacity
+        if np.ndim(np.asarray(opacity, dtype=object)) == 0:  # one number, or nothing that is a sequence
+            points = ((low, number("opacity", opacity, minimum=0, maximum=1)),)
+        return cls(colors, points, unit_distance)  # type: ignore[arg-type]  # three floats each
+
+    @classmethod
+    def ramp(cls, value_range: tuple[float, float], color: Sequence[float] | str = "white") -> TransferFunction:
+        """Black at the minimum, white or another colour at the maximum, opaque: for projections. No black where they are one."""
+        low, high = _range(value_range)
+        ends = ((low, (0.0, 0.0, 0.0)), (high, color_of("color", color)))
+        return cls(ends if low < high else ends[1:], ((low, 1.0),))
+
+    @classmethod
+    def automatic(cls, volume: Volume | ArrayLike, window: tuple[float, float] | None = None) -> TransferFunction:
+        """One that shows the matter of most volumes, from the histogram.
+
+        Background is not seen: neither an exact value that many samples have, such as that of what was masked out, nor what lies
+        below Otsu's threshold between background and matter, or below the step at a mask's edge. Opacity rises from there to the
+        brightest values. Colours run from dark red over bone to white; they are shades of the volume's own `color`, if it has
+        one. Where values lie to both sides of the background, as in statistical maps, it rises to both, in red and yellow above
+        and blue below. A `window` of the volume's is where opacity and colours reach their ends, as far as that shows no
+        background; `window`, (low, high), instead of it is where they begin and end.
+        """
+        volume = as_volume(volume)
+        return cls(*automatic(volume, window), unit_of(volume))
+
+    @classmethod
+    def preset(cls, name: str, volume: Volume | ArrayLike) -> TransferFunction:
+        """The look of a name, for a volume: see `clvol.presets`.
+
+        Raises
+        ------
+        OptionError
+            There is no preset of this name.
+
+        Warns
+        -----
+        ClvolWarning
+            It is in Hounsfield units, and the data cannot be: then it is spread over what stands out from their background.
+        """
+        volume = as_volume(volume)
+        return cls(*as_preset(name).points(volume), unit_of(volume))
+
+    @cached_property
+    def value_range(self) -> tuple[float, float]:
+        """The smallest and the largest value of any point."""
+        values = [p[0] for p in self.colors] + [p[0] for p in self.opacities]
+        return min(values), max(values)
+
+    def __call__(self, values: ArrayLike) -> NDArray[np.float64]:
+        """Red, green, blue and opacity at `values`; shape (..., 4), exact."""
+        exponent = exponent_of(*self.value_range)
+        v = scaled(reals("values", values), exponent)
+        rgb, at = np.array([p[1] for p in self.colors]), scaled([p[0] for p in self.colors], exponent)
+        opacity, where = [p[1] for p in self.opacities], scaled([p[0] for p in self.opacities], exponent)
+        return np.stack([*(np.interp(v, at, rgb[:, i]) for i in range(3)), np.interp(v, where, opacity)], -1)
+
+    def table(self, stored: Stored = AS_THEY_ARE) -> NDArray[np.float32]:
+        """What kernels read beside the block, for values that are stored in this way.
+
+        Either equal nodes (red, green, blue, opacity) and behind them for each the next one that has some opacity; or, where
+        the block has a number of pieces, the pieces: colours and opacity where one begins, their slopes, and (where it begins,
+        1 - opacity there, the slope of that, up to which value nothing is seen from here on), four numbers each. Behind few
+        pieces lie the starts of all but the first; behind many, the piece at the start of each of equal buckets, or, where no
+        bucket holds two starts, four numbers for each: that piece, its start, the next one's, 0.
+        """
+        return _laid_out(self, stored).table
+
+    def block(self, unit: float, stored: Stored = AS_THEY_ARE) -> Values:
+        """What kernels read, given how many world units one of their units of length has (the mean spacing); see `table`."""
+        layout = _laid_out(self, stored)
+        return self.BLOCK(
+            low=layout.low,
+            scale=layout.scale,
+            last=layout.last,
+            per_unit_distance=unit / (self.unit_distance or unit),
+            pieces=layout.pieces,
+            halvings=layout.halvings,
+        )
+
+    def with_opacity(self, opacities: Sequence[tuple[float, float]]) -> TransferFunction:
+        """The same colours under other opacities."""
+        return replace(self, opacities=opacities)  # type: ignore[arg-type]  # __post_init__ converts
+
+
+class _Layout(NamedTuple):
+    """The function as kernels read it."""
+
+    low: float
+    scale: float  # cells, or buckets, a unit of value
+    last: float  # the number of the last node, or bucket
+    pieces: int  # 0 for equal nodes
+    halvings: int  # of the pieces in question, where a bucket is known; 0 where there are no buckets
+    table: NDArray[np.float32]
+
+
+@lru_cache(maxsize=64)
+def _laid_out(transfer: TransferFunction, stored: Stored) -> _Layout:
+    """See `TransferFunction.table`."""
+    colors, opacities = (  # not as `stored(...)` has them: points may lie beyond what float32 holds
+        scaled([p[0] for p in points], stored.exponent) - math.ldexp(stored.offset, -stored.exponent)
+        for points in (transfer.colors, transfer.opacities)
+    )
+    at = np.unique(np.concatenate([colors, opacities]))
+    jumps = len(np.unique(colors)) < len(colors) or len(np.unique(opacities)) < len(opacities)
+    faint = any(_NEARLY_OPAQUE < a < 1 for _, a in transfer.opacities)
+    cells = 0 if jumps or faint else _equal_cells(at)
+    return _of_nodes(transfer, at, cells) if cells else _of_pieces(transfer, colors, opacities)
+
+
+def _equal_cells(at: NDArray[np.float64]) -> int:
+    """The largest number of equal cells whose edges all points are, each its own; 0 if none does, or float32 does not hold them."""
+    low, high = at[0], at[-1]
+    if low == high:
+        return _CELLS
+    half = high / 2 - low / 2
+    if not 1e-30 < half < _FAR / 2 or abs(np.float64(np.float32(low)) - low) / 2 > _LOOSE * half:
+        return 0
+    shares = (at / 2 - low / 2) / half
+    cells = np.arange(_CELLS, 0, -1)
+    places = shares[:, None] * cells
+    nodes = np.round(places)
+    # where end points lie far away, the cells of few are so wide that points between lie near to one node together
+    fits = (np.abs(places - nodes).max(0) <= _ON_NODE) & (np.diff(nodes, axis=0).min(0) >= 1)
+    return int(cells[fits.argmax()]) if fits.any() else 0
+
+
+def _of_nodes(transfer: TransferFunction, at: NDArray[np.float64], cells: int) -> _Layout:
+    exponent = exponent_of(*transfer.value_range)
+    low, high = scaled(transfer.value_range, exponent)
+    nodes = transfer(np.ldexp(np.linspace(low, high, cells + 1), exponent)).astype(np.float32)
+    seen = np.where(nodes[:, 3] > 0, np.arange(len(nodes), dtype=np.float32), np.float32(np.inf))
+    following = np.minimum.accumulate(seen[::-1])[::-1]
+    scale = cells / (at[-1] - at[0]) if at[-1] > at[0] else 0.0
+    return _Layout(float(at[0]), float(scale), float(cells), 0, 0, np.concatenate([nodes.ravel(), following]))
+
+
+def _of_pieces(transfer: TransferFunction, colors: NDArray[np.float64], opacities: NDArray[np.float64]) -> _Layout:
+    at = np.unique(np.clip(np.concatenate([colors, opacities]), -_FAR, _FAR))
+    shades, seen = (np.array([p[1] for p in points]) for points in (transfer.colors, transfer.opacities))
+    curves = [*((colors, shade) for shade in shades.T), (opacities, seen), (opacities, 1 - seen)]
+    up_to = np.stack([_limit(at, *curve, -1) for curve in curves], -1)  # red, green, blue, opacity, 1 - opacity
+    since = np.stack([_limit(at, *curve, 1) for curve in curves], -1)
+    # a piece begins at the first number of float32 that is no smaller than its point
+    with np.errstate(under="ignore"):
+        starts = at.astype(np.float32)
+    starts = np.where(starts < at, np.nextafter(starts, np.float32(np.inf)), starts)
+    slopes = np.zeros_like(since)
+    with np.errstate(over="ignore"):
+        slopes[:-1] = np.clip((up_to[1:] - since[:-1]) / np.diff(at)[:, None], -_STEEPEST, _STEEPEST)
+    ends = np.concatenate([up_to[1:], since[-1:]])
+    bases = np.clip(since + slopes * (starts - at)[:, None], np.minimum(since, ends), np.maximum(since, ends))
+    some = np.maximum(since, ends)[:, 3] > 0
+    clear_at = (since[:, 3] == 0) & (starts == at)  # nothing is seen at the start itself
+    # before the first point the function is constant; pieces between two successive numbers of float32 hold no value
+    kept = np.append(starts[1:] > starts[:-1], True)
+    starts, slopes, bases, some, clear_at = (
+        np.concatenate([first, rest[kept]])
+        for first, rest in (
+            (starts[:1], starts),
+            (np.zeros((1, 5)), slopes),
+            (up_to[:1], bases),
+            (up_to[:1, 3] > 0, some),
+            (np.array([False]), clear_at),
+        )
+    )
+    until = np.where(clear_at, starts, np.nextafter(starts, np.float32(-np.inf)))
+    until[0] = np.finfo(np.float32).min
+    count = len(starts)
+    following = np.minimum.accumulate(np.where(some, np.arange(count), count)[::-1])[::-1]
+    until = np.append(until, np.finfo(np.float32).max)[following]
+    rows = np.stack([bases[:, :4], slopes[:, :4], np.stack([starts, bases[:, 4], slopes[:, 4], until], -1)], axis=1).astype(
+        np.float32
+    )
+    low = np.float32(starts[0])
+    if count <= _FEW:
+        # whatever is compared with NaN is not past it, even the infinities of bounds and of rays that have ended
+        padded = np.append(starts[1:], [math.nan] * (-(count - 1) % _AT_ONCE)).astype(np.float32)
+        return _Layout(float(low), 0.0, 0.0, count, 0, np.concatenate([rows.ravel(), padded]))
+    last = np.float32(_CELLS - 1)
+    scale = np.float32(min(_CELLS / (float(starts[-1]) - float(low)), _STEEPEST / 10))
+    with np.errstate(over="ignore"):  # as kernels compute it, in float32
+        buckets = np.minimum((starts[1:] - low) * scale, last).astype(np.int64)
+    first = np.searchsorted(buckets, np.arange(_CELLS), side="left")
+    halvings = int(np.bincount(buckets).max()).bit_length()
+    tail = first.astype(np.float32)
+    if halvings == 1:
+        following = np.append(starts, math.nan).astype(np.float32)[first + 1]
+        tail = np.stack([tail, starts[first].astype(np.float32), following, np.zeros_like(following)], 1)
+    return _Layout(float(low), float(scale), float(last), count, halvings, np.concatenate([rows.ravel(), tail.ravel()]))
+
+
+def _limit(x: NDArray[np.float64], at: NDArray[np.float64], values: NDArray[np.float64], side: int) -> NDArray[np.float64]:
+    """The piecewise linear function through some points, at x from above (side 1) or from below (-1)."""
+    exponent = exponent_of(at[0], at[-1])
+    x, at = scaled(x, exponent), scaled(at, exponent)  # no difference overflows
+    return np.interp(x, at, values) if side > 0 else np.interp(-x, -at[::-1], values[::-1])
+
+
+def _range(value_range: object) -> tuple[float, float]:
+    rule = "two finite numbers, (minimum, maximum)"
+    values = reals("value_range", value_range, rule)
+    if values.shape != (2,) or not np.isfinite(values).all() or values[0] > values[1]:
+        raise OptionError(f"value_range must be {rule}; got {value_range!r}")
+    return float(values[0]), float(values[1])
+
+
+def _pairs(what: str, points: Sequence[tuple[float, Any]]) -> list[tuple[float, Any]]:
+    try:
+        return [(v, c) for v, c in points]
+    except (TypeError, ValueError):
+        raise OptionError(f"{what} must be pairs of a value and what belongs to it; got {points!r}") from None
+
+
+def _value(value: object) -> float:
+    return number("each value and opacity", value)

@@ -1,0 +1,394 @@
+"""What a volume's histogram says: which values are background, where matter begins, and what rays through it may meet.
+
+A background that was masked out, cut off or never measured is one exact value that many samples have; it stands out from its
+neighbours in the histogram as no peak of measured values does. What differs from it is matter: to one side of it, or, as in
+statistical maps, to both. Where there is no such value, the background is one of the two classes in which Otsu's
+threshold (1979) parts the values: the lower, unless nearly all that lies on the volume's faces is of the upper.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import wraps
+from typing import Literal, TypeVar
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clvol.base.scaling import exponent_of, scaled, unscaled
+from clvol.volume.volume import Volume, as_volume
+
+__all__ = ["Matter", "Projection", "isovalue_of", "label_numbers", "matter_of", "may_be_hounsfield", "window_of"]
+
+Array = NDArray[np.float64]
+Made = TypeVar("Made")
+Projection = Literal["max", "min", "mean"]
+
+_SAMPLE = 1 << 21  # voxels that a histogram is made of: enough for its bins, and fast
+_BINS = 512
+_ENDS = 0.0005  # share of the values at either end that a histogram leaves out
+_NEXT_TO_NOTHING = 1e-12  # of the range: what lies below is one value, and the histogram covers all
+_COMMON = 0.05  # share of the samples from which a value may be a background ...
+_STANDS_OUT = 4.0  # ... if so many times as many have it as have either of the next ones
+_SOME = 0.02  # share of what differs from the background that lies to either side, at least, where data are signed
+_AS_FAR = 0.25  # and the median distance there, over that to the other side
+_OFF = 0.15  # of how far values reach: where their median may be, at most, if they are signed and have no exact background
+_NEAR = 0.4  # share of them that lie within a quarter of that, at least
+_MOST, _NEARLY_ALL = 0.6, 0.95  # shares of all samples and of those on the faces that a bright background without exact value has
+_STEP = 0.05  # of the distance of the brightest: from there on, a gap beside the background is a mask's
+_LEVELS = 4.0  # and so many times the usual distance of neighbouring values
+_EVEN = 0.25  # of the distance from the background: a spread within which an object is one even value
+_TWO_CLASSES = 0.8  # share of the variance between Otsu's classes from which there are two; a bell curve has 0.64
+_FEWEST = 0.05  # share of the smaller of them
+_FOOT = 0.35  # of the way from the threshold back to the background: from there on matter shows faintly
+_AIR = (-1100.0, -900.0)  # of computed tomography, in Hounsfield units
+_NO_MATTER = (-700.0, -500.0)  # between lungs and fat, likewise
+_DIM = 0.05  # share of the columns of samples that a projection shows black ...
+_BRIGHT = 0.98  # ... and of those that are not, share that it shows no more than white
+_LIT = 0.02  # of the way from black to the brightest, but for a thousandth and a few
+_FEW = 8
+_GREY = 0.65  # of the way from black to white: what the median of those that are lit should not exceed ...
+_DIMMEST = 0.05  # ... while black is no more than this quantile of them ...
+_HALF = 0.5  # ... and takes no more than so much of the window
+_COUNTED = 1 << 24  # labels that are counted one by one: sorting all samples takes far longer
+_COLUMNS_OF = 1 << 22  # voxels that projections are made of
+
+
+@dataclass(frozen=True)
+class Matter:
+    """Where among a volume's values matter is; distances count from `origin`, over ``2**exponent``.
+
+    Parameters
+    ----------
+    exponent : int
+    origin : float
+        The background's value where it is exact, else about the smallest; over ``2**exponent``, too.
+    ground : float or None
+        The exact value of the background.
+    sign : 1 or -1
+        On which side of the origin matter is.
+    signed : bool
+        Whether it is on both.
+    foot, start, middle, top : float
+        Distances: up to which nothing should show; at which matter begins; of its median, but not far from the start; of the
+        brightest.
+    isovalue : float
+        Of the surface that shows it, in units of the data.
+    reason : str
+        Why there, for people.
+    """
+
+    exponent: int
+    origin: float
+    ground: float | None
+    sign: int
+    signed: bool
+    foot: float
+    start: float
+    middle: float
+    top: float
+    isovalue: float
+    reason: str
+
+    def value(self, distance: float, side: int = 1) -> float:
+        """The value at a distance, in units of the data; of signed data to the other side with `side` -1."""
+        return unscaled(self.origin + side * self.sign * distance, self.exponent)
+
+    def distance(self, value: float) -> float:
+        """The distance of a value, negative on the side where no matter is."""
+        return self.sign * (float(scaled(value, self.exponent)) - self.origin)
+
+
+def _remembered(make: Callable[[Volume], Made]) -> Callable[[Volume | ArrayLike], Made]:
+    """What is derived from a volume's samples, once a volume: they do not change."""
+    known: WeakKeyDictionary[Volume, Made] = WeakKeyDictionary()
+
+    @wraps(make)
+    def found(volume: Volume | ArrayLike) -> Made:
+        volume = as_volume(volume)
+        if volume not in known:
+            known[volume] = make(volume)
+        return known[volume]
+
+    return found
+
+
+@_remembered
+def matter_of(volume: Volume) -> Matter:
+    """Which of a volume's values are matter, from about two million samples at most."""
+    low, high = volume.value_range
+    exponent = exponent_of(low, high)
+    if not low < high:
+        origin = float(scaled(low, exponent))
+        return Matter(
+            exponent, origin, None, 1, signed=False, foot=0, start=0, middle=0, top=0, isovalue=low, reason="the only value"
+        )
+    values = scaled(_sorted(_some(volume)), exponent)
+    ground = _ground(volume, *_distinct(values), exponent)
+    if ground is not None and _of_air(_unscaled_all(values, exponent), unscaled(ground, exponent)):
+        values, ground = values[values > scaled(_AIR[0], exponent)], None  # what lies around a scan's own field
+    signed = _both_sides(values, ground) if ground is not None else _about_zero(values)
+    origin, sign = (0.0 if ground is None else ground), 1
+    if not signed and ground is None:
+        dark = _dark_in_bright(values, _faces(volume, exponent)) and not -32768 <= low <= -50  # as CT has it
+        origin, sign = (_quantile(values, 1 - _ENDS), -1) if dark else (_quantile(values, _ENDS), 1)
+    elif not signed:
+        sign = 1 if _quantile(values, 0.995) - origin >= origin - _quantile(values, 0.005) else -1
+    # signed distances fall and then rise: two sorted parts, which are merged
+    away = np.sort(np.abs(values - origin), kind="stable") if signed else np.maximum(sign * (values - origin), 0)[::sign]
+    return _parted(away, exponent, origin, ground, sign, signed=signed, span=float(scaled(high, exponent) - scaled(low, exponent)))
+
+
+def isovalue_of(volume: Volume | ArrayLike) -> tuple[float, str]:
+    """The value of the surface that shows a volume's matter, and why it lies there, in words for people.
+
+    Otsu's threshold, which parts the values in two; but never within the step at the edge of a mask, which is no surface of what
+    was scanned. Where that threshold lies there it is moved: into the object's own values, by Otsu's threshold of these where
+    they are of two classes, and else half way to their median; to the middle of the step where the object is one even
+    value. Of labels, half a label above the background.
+
+    Returns
+    -------
+    (float, str)
+        In units of the data; such as "parts the values in two (Otsu)" or "beyond the mask's step, 0 to 28".
+    """
+    volume = as_volume(volume)
+    if volume.is_labels:
+        background, numbers = label_numbers(volume)
+        above = bool((numbers > background).any()) or len(numbers) == 1
+        return background + (0.5 if above else -0.5), f"between labels and what has none, {background:g}"
+    found = matter_of(volume)
+    return found.isovalue, found.reason
+
+
+@_remembered
+def label_numbers(volume: Volume) -> tuple[float, Array]:
+    """The label of the background, 0 where there is one, else the commonest; and all labels, in ascending order."""
+    whole = volume.data.dtype.kind in "iu"
+    low, high = map(int, volume.limits if whole else (0, 0))  # exact, beyond what float64 holds too
+    if whole and high - low < _COUNTED:
+        counts = np.zeros(high - low + 1, np.int64)
+        for part in volume.data:  # no copy of all in wide integers; modulo 2⁶⁴
+            above = part.astype(np.uint64) - np.uint64(low % (1 << 64))
+            counts += np.bincount(above.astype(np.int64).ravel(), minlength=counts.size)
+        numbers = np.flatnonzero(counts).astype(np.float64) + low
+        counts = counts[counts > 0]
+    else:
+        numbers, counts = np.unique(np.round(volume.data[np.isfinite(volume.data)].astype(np.float64)), return_counts=True)
+    background = 0.0 if (numbers == 0).any() else float(numbers[int(counts.argmax())])
+    return background, numbers
+
+
+@_remembered
+def window_of(volume: Volume) -> dict[Projection, tuple[float, float]]:
+    """Black and white of each projection: of the dimmest of the columns of samples along the axes, and nearly of the brightest.
+
+    Where minima hardly differ, as of an object in the air, they are told apart as samples are.
+    """
+    low, high = volume.value_range
+    exponent = exponent_of(low, high)
+    bottom = float(scaled(low, exponent))
+    samples = np.nan_to_num(scaled(_thinned(volume, _COLUMNS_OF), exponent), nan=bottom, posinf=bottom, neginf=bottom)
+    usual = _window(np.sort(samples, axis=None))
+    found: dict[Projection, tuple[float, float]] = {}
+    ways: dict[Projection, Callable[..., Array]] = {"max": np.max, "min": np.min, "mean": np.mean}
+    for name, way in ways.items():
+        columns = np.concatenate([way(samples, axis=axis).ravel() for axis in range(volume.ndim)])
+        ends = _window(np.sort(columns), high=name == "max")
+        if ends[1] - ends[0] <= _STEP * (usual[1] - usual[0]):
+            ends = usual
+        if not ends[0] < ends[1]:  # nearly all is one value
+            ends = bottom, float(scaled(high, exponent))
+        found[name] = unscaled(ends[0], exponent), unscaled(ends[1], exponent)
+    return found
+
+
+def may_be_hounsfield(volume: Volume) -> bool:
+    """Whether values may be in Hounsfield units: fat and air lie below 0, and bone lies well above."""
+    low, high = volume.value_range
+    return -32768 <= low <= -50 and 50 <= high <= 65535 and not matter_of(volume).signed
+
+
+# -- inner -------------------------------------------------------------------------------------------------
+
+
+def _parted(away: Array, exponent: int, origin: float, ground: float | None, sign: int, *, signed: bool, span: float) -> Matter:
+    """Background and matter, from sorted distances."""
+    rest = away[np.searchsorted(away, 0, side="right") :] if ground is not None else away
+    threshold, reason = _otsu(rest if signed else away)[0], "parts the values in two (Otsu)"
+    step = _step_beside(rest) if ground is not None else 0.0
+    median = _quantile(rest, 0.5)
+    even = ground is not None and _quantile(rest, 0.95) - _quantile(rest, 0.05) <= _EVEN * median
+    start = surface = threshold
+
+    def value(distance: float) -> float:
+        return unscaled(origin + sign * distance, exponent)
+
+    if even and threshold < _quantile(rest, 0.05):
+        start = surface = median / 2
+        reason = f"half way between the background, {value(0):.6g}, and the object, {value(median):.6g}"
+    elif step > 0 and (signed or threshold <= 1.1 * step):
+        own, share = _otsu(rest)
+        start = step
+        if not signed and share >= _TWO_CLASSES and min((rest < own).mean(), (rest > own).mean()) >= _FEWEST:
+            surface, how = own, "parts the object's own values in two (Otsu)"
+        else:
+            surface, how = (step + median) / 2, "where the object's own values begin"
+        reason = f"{how}, beyond the mask's step, {value(0):.6g} to {value(step):.6g}"
+    if signed:
+        reason += f"; values are of both signs about {value(0):.6g}: this is the surface of the upper ones"
+    below = (
+        away[np.searchsorted(away, 0, side="right") : np.searchsorted(away, start)] if ground is not None else away[away < start]
+    )
+    usual = _quantile(below, 0.5) if below.size >= _COMMON * away.size else 0.0
+    foot = step / 2 if start == step else start - _FOOT * (start - usual)
+    inside = away[np.searchsorted(away, start) :]
+    top = max(_quantile(inside, 0.995) if inside.size else away[-1], start + 1e-3 * span)
+    middle = min(max(_quantile(inside, 0.5) if inside.size else 0.0, start + 0.15 * (top - start)), start + 0.5 * (top - start))
+    return Matter(
+        exponent, origin, None if ground is None else value(0), sign, signed, foot, start, middle, top, value(surface), reason
+    )
+
+
+def _ground(volume: Volume, distinct: Array, counts: NDArray[np.int64], exponent: int) -> float | None:
+    """The exact value of the background, over ``2**exponent``, if there is one.
+
+    Measured values that are cut off at the top are common and exact, too, but seldom lie at the faces of the volume.
+    """
+    if len(distinct) == 2:
+        return float(distinct[0])
+    padded = np.pad(counts, 1)
+    beside = np.maximum(padded[:-2], padded[2:])
+    common = (counts >= _COMMON * counts.sum()) & (counts >= _STANDS_OUT * beside)
+    faces = _faces(volume, exponent)
+    best, most = None, -1.0
+    for place in np.flatnonzero(common):
+        value, share = float(distinct[place]), float(counts[place] / counts.sum())
+        at_faces = float((faces == value).mean())
+        if (value in (0.0, distinct[0]) or at_faces >= share / 2) and (at_faces, share) > (most, 0):
+            best, most = value, at_faces
+    return best
+
+
+def _faces(volume: Volume, exponent: int) -> Array:
+    """Samples on the faces of the volume."""
+    # ndarray.take would copy all of an array that is not in C order
+    ends = [np.moveaxis(volume.data, axis, 0)[end].ravel() for axis in range(volume.ndim) for end in (0, -1)]
+    return scaled(np.concatenate(ends), exponent)
+
+
+def _dark_in_bright(values: Array, faces: Array) -> bool:
+    """Whether the upper of two classes of sorted values is the background, as of stained matter seen in transmitted light."""
+    threshold = _otsu(values)[0]
+    return bool((values > threshold).mean() >= _MOST and (faces > threshold).mean() >= _NEARLY_ALL)
+
+
+def _of_air(values: Array, ground: float) -> bool:
+    """Whether the values are those of computed tomography with air, and the ground lies below air, where nothing was measured."""
+    air, none = (((values >= a) & (values <= b)).mean() for a, b in (_AIR, _NO_MATTER))
+    return bool(ground < _AIR[0] and air >= _COMMON and air > 2 * none)
+
+
+def _unscaled_all(values: Array, exponent: int) -> Array:
+    with np.errstate(over="ignore"):
+        return np.asarray(np.ldexp(values, exponent))
+
+
+def _both_sides(values: Array, ground: float) -> bool:
+    """Whether sorted values lie to both sides of the ground, and nearly as far."""
+    below, above = values[: np.searchsorted(values, ground)], values[np.searchsorted(values, ground, side="right") :]
+    if min(below.size, above.size) < max(_SOME * (below.size + above.size), 1):
+        return False
+    down, up = ground - _quantile(below, 0.5), _quantile(above, 0.5) - ground
+    return min(down, up) >= _AS_FAR * max(down, up)
+
+
+def _about_zero(values: Array) -> bool:
+    """Whether sorted values lie about 0, the more the nearer, to both sides and nearly as far."""
+    low, high = _quantile(values, 0.005), _quantile(values, 0.995)
+    far = max(-low, high)
+    if low >= 0 or high <= 0 or min(-low, high) < far / 2 or abs(_quantile(values, 0.5)) > _OFF * far:
+        return False
+    counts, _ = np.histogram(values, 8, (-far, far))
+    down, up = counts[3::-1], counts[4:]
+    fall = all((side[1:] <= side[:-1]).all() for side in (down, up))
+    return bool(fall and down[0] + up[0] >= _NEAR * values.size)
+
+
+def _step_beside(rest: Array) -> float:
+    """The distance from the background of all that differs from it, where that is a mask's step; 0 where there is none."""
+    step = _quantile(rest, 0.005)
+    if step < _STEP * _quantile(rest, 0.995):
+        return 0.0
+    apart = np.diff(_distinct(rest)[0])
+    return step if not apart.size or step >= _LEVELS * float(np.median(apart)) else 0.0
+
+
+def _otsu(distances: Array) -> tuple[float, float]:
+    """What best parts sorted distances in two, and the share of their variance that lies between the classes."""
+    low, high = float(distances[0]), float(distances[-1])
+    if not low < high:
+        return low, 0.0
+    unit = (distances - low) / (high - low)
+    top = _quantile(unit, 1 - _ENDS)
+    counts, edges = np.histogram(unit, _BINS, (0, top if top > _NEXT_TO_NOTHING else 1))
+    middles = (edges[1:] + edges[:-1]) / 2
+    below = np.cumsum(counts)
+    above = below[-1] - below
+    moment = np.cumsum(counts * middles)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        between = below * above * (moment / below - (moment[-1] - moment) / above) ** 2
+    between[~np.isfinite(between)] = -1
+    if between.max() <= 0:
+        return (low + high) / 2, 0.0
+    best = np.flatnonzero(between >= between.max() * (1 - 1e-12))  # a gap makes a plateau: take its middle
+    total = below[-1] * float(counts @ (middles - moment[-1] / below[-1]) ** 2)
+    return low + (high - low) * float(edges[1:][best].mean()), float(between.max()) / total
+
+
+def _window(values: Array, *, high: bool = False) -> tuple[float, float]:
+    """Black and white for sorted values; for those of which most are high, as maxima are, black may be raised."""
+    black = _quantile(values, _DIM)
+    brightest = float(values[max(min(round(0.999 * values.size), values.size - 1 - _FEW), values.size // 2)])
+    lit = values[np.searchsorted(values, black + _LIT * (brightest - black), side="right") :]
+    if not lit.size:
+        return black, float(values[-1])
+    white = _quantile(lit, _BRIGHT)
+    if not high:
+        return black, white
+    grey = (_quantile(lit, 0.5) - _GREY * white) / (1 - _GREY)  # black, if the median is to be there
+    return max(black, min(grey, _quantile(lit, _DIMMEST), black + _HALF * (white - black))), white
+
+
+def _quantile(values: Array, share: float) -> float:
+    """Of sorted values, one of them; 0 of none."""
+    return float(values[round(share * (values.size - 1))]) if values.size else 0.0
+
+
+def _thinned(volume: Volume, most: int) -> NDArray[np.generic]:
+    step = max(1, round((volume.data.size / most) ** (1 / volume.ndim)))
+    return volume.data[(slice(None, None, step),) * volume.ndim]
+
+
+def _some(volume: Volume) -> NDArray[np.generic]:
+    """Finite samples, evenly spread, of the volume's own type; all of them where no voxel of a sparse choice is finite."""
+    for some in (_thinned(volume, _SAMPLE), volume.data):
+        with np.errstate(over="ignore"):  # longdouble reaches further than float64
+            values = some.astype(np.float64 if some.itemsize > 8 else some.dtype.newbyteorder("=")).ravel()
+        values = values[np.isfinite(values)]
+        if values.size:
+            break
+    return values[:: max(1, values.size // _SAMPLE)]
+
+
+def _sorted(values: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Sorted before they become float64, which are twice as slow to sort; whole numbers of up to 16 bits by their digits."""
+    return np.sort(values, kind="stable" if values.dtype.kind in "biu" and values.itemsize <= 2 else None)
+
+
+def _distinct(values: Array) -> tuple[Array, NDArray[np.int64]]:
+    """The different ones among sorted values, and how many there are of each; `numpy.unique` would sort them again."""
+    first = np.flatnonzero(np.concatenate([values[:1] == values[:1], values[1:] != values[:-1]]))
+    return values[first], np.diff(first, append=values.size)

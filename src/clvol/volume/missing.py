@@ -1,0 +1,244 @@
+"""Missing samples: which they are, what stands in for them, and which results they reach."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clvol.base import memory
+from clvol.base.checks import number, one_of
+from clvol.base.errors import DataError
+
+if TYPE_CHECKING:
+    from clvol.filter.filter import Filter
+
+__all__ = ["Missing", "NanRule", "as_missing", "filled_smoothly", "touching"]
+
+NanRule: TypeAlias = Literal["error", "propagate", "local"]
+
+_BAND: Final = 4  # samples from a valid one: what lies deeper is 1/200 of what it is at the edge once a cubic's prefilter is past
+_EXACT: Final = 1e-200  # squares of what is left, in units of the largest sample, whose products would be lost
+_EACH: Final = 4  # copies of the samples that are there at a time ...
+_EACH_MISSING: Final = 100  # ... bytes for each missing one ...
+_EACH_UNKNOWN: Final = 900  # ... and for each of those that are solved for
+_STEPS: Final = 20  # of conjugate gradients; the start is near, so that holes of 9 samples are within 2 % of the minimum
+
+
+@dataclass(frozen=True, eq=False)
+class Missing:
+    """What becomes of samples that are NaN or infinite, or that a mask excludes.
+
+    Parameters
+    ----------
+    rule : {"error", "propagate", "local"}
+        - "error": such samples are refused.
+        - "propagate": every result that is computed from one is NaN, as in arithmetic, whatever its weight. A prefilter
+          computes each coefficient from all samples: with one, a single missing sample leaves nothing.
+        - "local": missing samples are first replaced by a smooth fill, and only results whose kernel touches one, with a
+          weight other than zero, are NaN. All others are what the filled volume gives, bit for bit.
+    mask : array-like of bool, optional
+        Of the shape of the samples, True where one is missing, as in `numpy.ma`: the way to say so for integers. Samples that
+        are not finite are missing too.
+    most : float
+        For "local": results stay, filled, whose kernel has at most this share on missing samples, from 0 (no result that is
+        touched) to 1 (every result). The share is the mean of the linearly interpolated mask over a box around the point, one
+        sample less wide than the kernel: 1/2 along the edge of a large hole, 1/27 in the middle of a single sample for a cubic.
+
+    Raises
+    ------
+    OptionError
+        Another rule, or a share outside 0 to 1.
+    DataError
+        A mask that is not boolean.
+
+    Notes
+    -----
+    The fill makes the sum of squared second differences along the axes least, as a smoothing spline does, by 20 steps of
+    conjugate gradients from linearly interpolated means of the valid samples in blocks of 2, 4, 8, ... . Missing samples more than
+    4 from a valid one keep these. Next to holes of 1, 3 and 9 samples a cubic spline then errs, where nothing is missing, by an
+    rms of 3e-7, 3e-6 and 2e-5 of the range of a smooth phantom (the spline itself: 2e-6), and by 1e-4, 3e-4 and 6e-4 for the
+    Marschner-Lobb signal (itself: 2e-3).
+    """
+
+    rule: NanRule = "local"
+    mask: ArrayLike | None = None
+    most: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.rule, str) or self.rule not in ("error", "propagate", "local"):
+            raise one_of("nan", self.rule, ("error", "propagate", "local"))
+        object.__setattr__(self, "most", number("most", self.most, minimum=0, maximum=1))
+        if self.mask is not None:
+            mask = np.asarray(self.mask)
+            if mask.dtype != bool:
+                raise DataError(f"mask must be boolean, True where a sample is missing; got {mask.dtype}")
+            object.__setattr__(self, "mask", mask)
+
+    def of(self, data: NDArray[Any]) -> NDArray[np.bool_] | None:
+        """Where samples are missing; None if none is, or if the rule is to refuse them.
+
+        Raises
+        ------
+        DataError
+            The mask has another shape than the samples; or it excludes some, and the rule is "error".
+        """
+        missing = None
+        if self.mask is not None:
+            missing = np.asarray(self.mask)
+            if missing.shape != data.shape:
+                raise DataError(f"mask must have the shape of the samples, {data.shape}; got {missing.shape}")
+        if self.rule == "error":
+            if missing is not None and missing.any():
+                raise DataError('the mask excludes samples, which nan="error" refuses; nan may be "propagate" or "local"')
+            return None
+        if data.dtype.kind == "f":
+            memory.require(2 * data.size, f"which of {data.size} samples are missing")
+            kind = np.float64 if data.dtype.itemsize > 8 else data.dtype
+            with np.errstate(over="ignore"):  # longdouble reaches further than float64
+                lost = ~np.isfinite(data.astype(kind, copy=False))
+            missing = lost if missing is None else missing | lost
+        return missing if missing is not None and missing.any() else None
+
+    def filled(self, data: NDArray[Any], missing: NDArray[np.bool_]) -> NDArray[Any]:
+        """Samples to compute with: where they are missing the fill, or any valid one where nothing is seen of it."""
+        if self.rule == "local":
+            return filled_smoothly(data, missing)
+        valid = data[np.unravel_index(missing.argmin(), data.shape)]
+        return np.where(missing, np.zeros_like(valid) if missing.all() else valid, data)
+
+
+def as_missing(nan: str | Missing) -> Missing:
+    """The treatment for the name of a rule."""
+    return nan if isinstance(nan, Missing) else Missing(nan)  # type: ignore[arg-type]  # it is checked
+
+
+@lru_cache(maxsize=64)
+def touching(filter: Filter, rule: NanRule) -> Filter:
+    """The filter that gives the share of missing samples when it is applied to 1 where one is missing and 0 elsewhere.
+
+    It has the support of `filter`. For "local" its weights are those of the mean over a box, one sample less wide, of the linear
+    interpolation, which are positive where a kernel of this support may differ from zero; for "propagate" they are equal.
+    """
+    from clvol.filter.filter import MAX_TAPS, Filter  # its table takes 0.1 s, which processes that read files can do without
+
+    by = filter.magnified_by
+    taps = filter.support if by is None else min(MAX_TAPS, by.support + -(-filter.support // filter.scale))
+    if rule == "propagate" or taps == 1:
+        return Filter("taps", ((Fraction(1, taps),),) * taps)
+    one = Fraction(1, taps - 1)
+    return Filter("touching", ((one, -one), *((one, Fraction(0)),) * (taps - 2), (Fraction(0), one)))
+
+
+# -- the fill ------------------------------------------------------------------------------------------------------
+
+
+def filled_smoothly(data: NDArray[Any], missing: NDArray[np.bool_]) -> NDArray[np.floating[Any]]:
+    """A copy with the fill of `Missing` where samples are missing; 0 where all are.
+
+    Parameters
+    ----------
+    data : ndarray
+        Of any number of axes.
+    missing : ndarray of bool, the shape of `data`
+        True where there is no sample, whatever `data` hold there.
+
+    Returns
+    -------
+    ndarray of the dtype of `data`; float32 for integers of 8 and 16 bits, and float64 for wider ones
+    """
+    kind = data.dtype if data.dtype.kind == "f" else np.dtype(np.float32 if data.dtype.itemsize < 4 else np.float64)
+    memory.require(
+        _EACH * kind.itemsize * data.size + _EACH_MISSING * int(np.count_nonzero(missing)), f"the fill of {data.size} samples"
+    )
+    result = np.where(missing, 0, data).astype(kind)
+    if missing.all():
+        return result
+    # powers of two, so that squares stay within float64
+    exponent = int(np.frexp(max(float(result.max()), -float(result.min())))[1])
+    at = np.nonzero(missing)
+    start = _block_means(np.ldexp(result, -exponent), missing, at)
+    result[at] = np.ldexp(start, exponent)
+    band = _near_valid(missing)
+    unknown = np.flatnonzero(band)
+    memory.require(_EACH_UNKNOWN * unknown.size, f"the fill of {unknown.size} samples beside others")
+    smooth = _least_bent(result, unknown, exponent, start[band[at]])
+    result.reshape(-1)[unknown] = np.ldexp(smooth, exponent)
+    return result
+
+
+def _near_valid(missing: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    from scipy import ndimage
+
+    if not _in_pairs(np.logical_and, missing).any():  # nothing lies deep
+        return missing
+    deep = ndimage.minimum_filter(missing.view(np.uint8), 2 * _BAND + 1, mode="nearest")
+    return np.asarray(missing & (deep == 0))
+
+
+def _in_pairs(combine: np.ufunc, data: NDArray[Any]) -> NDArray[Any]:
+    """Blocks of two along each axis, combined; the last one of an odd axis is a sample by itself."""
+    for axis in range(data.ndim):
+        lines = np.moveaxis(data, axis, 0)
+        first = lines[::2].copy()
+        pairs = first[: len(lines) // 2]
+        combine(pairs, lines[1::2], out=pairs)
+        data = np.moveaxis(first, 0, axis)
+    return data
+
+
+def _block_means(
+    data: NDArray[np.floating[Any]], missing: NDArray[np.bool_], at: tuple[NDArray[np.intp], ...]
+) -> NDArray[np.float64]:
+    """At missing samples, which are 0, linearly interpolated means of valid ones in blocks of two, or larger ones without any."""
+    from scipy import ndimage
+
+    counts = _in_pairs(np.add, (~missing).astype(np.uint8))
+    means = _in_pairs(np.add, data) / np.maximum(counts, 1).astype(data.dtype)
+    empty = counts == 0
+    if empty.any():
+        means[empty] = _block_means(means, empty, np.nonzero(empty))
+    middles = (np.stack(at) - 0.5) / 2
+    return np.asarray(ndimage.map_coordinates(means, middles, np.float64, order=1, mode="nearest"))
+
+
+def _least_bent(data: NDArray[Any], unknown: NDArray[np.intp], exponent: int, start: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values at flat indices, in units of a power of two, that make the sum of squared second differences least."""
+    from scipy import sparse
+
+    flat, count = data.reshape(-1), unknown.size
+    rows, columns, weights, given, total = [], [], [], [], 0
+    stride = 1
+    for n in data.shape[::-1]:
+        first = np.unique(np.concatenate([unknown - j * stride for j in range(3)]))  # of the three samples of a difference
+        place = first // stride % n
+        first = first[(first >= 0) & (place + 2 < n)]
+        index = first[:, None] + stride * np.arange(3)
+        column = np.searchsorted(unknown, index)
+        free = unknown[np.minimum(column, count - 1)] == index
+        weight = np.broadcast_to([1.0, -2.0, 1.0], index.shape)
+        rows.append(np.broadcast_to(total + np.arange(first.size)[:, None], index.shape)[free])
+        columns.append(column[free])
+        weights.append(weight[free])
+        given.append(-(np.where(free, 0, np.ldexp(flat[index].astype(np.float64), -exponent)) * weight).sum(1))
+        total += first.size
+        stride *= n
+    differences = sparse.csr_array((np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns))), shape=(total, count))
+    across = differences.T.tocsr()
+    result = start.copy()
+    residual = across @ (np.concatenate(given) - differences @ result)
+    direction, size = residual, float((residual * residual).sum())
+    for _ in range(_STEPS):
+        if size < _EXACT:
+            break
+        bent = across @ (differences @ direction)
+        step = size / float((direction * bent).sum())
+        result += step * direction
+        residual = residual - step * bent
+        before, size = size, float((residual * residual).sum())
+        direction = residual + size / before * direction
+    return result

@@ -1,0 +1,178 @@
+"""Many pictures: which file each goes to, what fails alone, and that a cluster draws the same."""
+
+from __future__ import annotations
+
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+
+import clvol
+from clvol.base.errors import FormatError, OptionError
+from clvol.interfaces import batches
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("batch")
+    paths = [folder / name for name in ("a.nrrd", "b.nii.gz", "damaged.nrrd")]
+    for i, path in enumerate(paths[:2]):
+        clvol.write(clvol.phantoms.marschner_lobb(20 + 4 * i), path)
+    paths[2].write_bytes(paths[0].read_bytes()[:300])
+    return paths
+
+
+def test_each_picture_is_that_of_render_and_what_fails_fails_alone(files: list[Path], tmp_path: Path) -> None:
+    told: list[float] = []
+    cameras = clvol.turned(3, 30, azimuth=10)
+    drawn = clvol.batch(
+        files, cameras, tmp_path / "{name}" / "{frame:03}.png", mode="mip", size=(40, 30), filter="linear", progress=told.append
+    )
+    assert len(drawn) == 9
+    assert told[-1] == 1
+    assert len(told) == 9
+    assert [one.path.relative_to(tmp_path).as_posix() for one in drawn[:4]] == ["a/000.png", "a/001.png", "a/002.png", "b/000.png"]
+    assert all(isinstance(one.error, FormatError) and not one.path.exists() for one in drawn[6:])
+    assert not any(one.error for one in drawn[:6])
+    for one in drawn[:6]:
+        wanted = clvol.render(clvol.read(one.source), cameras[one.frame], "mip", "linear", size=(40, 30))
+        clvol.save(wanted, tmp_path / "wanted.png")
+        np.testing.assert_array_equal(iio.imread(one.path), iio.imread(tmp_path / "wanted.png"))
+
+
+def test_names_that_do_not_tell_pictures_apart_are_refused(files: list[Path], tmp_path: Path) -> None:
+    for output in ("{name}.png", "all.png"):
+        with pytest.raises(OptionError, match="output must tell pictures apart"):
+            clvol.batch(files[:2], clvol.turned(2), tmp_path / output, size=(8, 8))
+    for output in ("{nam}.png", "{0}.png", "{name", "{name.x}.png"):
+        with pytest.raises(OptionError, match="output must be a name with"):
+            clvol.batch(files[0], None, tmp_path / output, size=(8, 8))
+    assert not list(tmp_path.iterdir())
+
+
+def test_further_options_by_the_volume(files: list[Path], tmp_path: Path) -> None:
+    def look(volume: clvol.Volume) -> dict[str, float]:
+        return {"isovalue": float(np.median(volume.data))}
+
+    (one,) = clvol.batch(files[0], None, tmp_path / "{name}.png", look=look, mode="isosurface", size=(32, 32))
+    volume = clvol.read(files[0])
+    clvol.save(clvol.render(volume, mode="isosurface", size=(32, 32), **look(volume)), tmp_path / "wanted.png")
+    np.testing.assert_array_equal(iio.imread(one.path), iio.imread(tmp_path / "wanted.png"))
+
+
+def test_a_cluster_draws_the_same(files: list[Path], tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    options = {"mode": "mip", "size": (40, 30), "filter": "linear"}
+    alone = clvol.batch(files, clvol.turned(2), tmp_path / "one-{name}-{frame}.png", **options)
+    many = clvol.batch(files, clvol.turned(2), tmp_path / "many-{name}-{frame}.png", cluster=2, **options)
+    assert [type(one.error) for one in many] == [type(one.error) for one in alone]
+    for one, other in zip(alone[:4], many[:4], strict=True):
+        np.testing.assert_array_equal(iio.imread(one.path), iio.imread(other.path))
+
+
+def test_the_samples_of_a_volume_are_sent_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not with each picture: a small one by the scheduler, a large one to all workers; a mapped file by its name."""
+    distributed = pytest.importorskip("distributed")
+    from clvol.cluster import as_cluster
+
+    np.save(tmp_path / "a.npy", clvol.phantoms.marschner_lobb(24).data)
+    sources = [clvol.phantoms.marschner_lobb(20), clvol.LazyVolume(clvol.phantoms.marschner_lobb(22).data)]
+    sources.append(clvol.LazyVolume(np.load(tmp_path / "a.npy", mmap_mode="r")))
+    with as_cluster(1) as cluster:
+        submit, sent = cluster.submit, list[int]()
+
+        def counted(function: Any, *arguments: Any, **options: Any) -> Any:
+            sent.append(sum(len(pickle.dumps(one)) for one in arguments if not isinstance(one, distributed.Future)))
+            return submit(function, *arguments, **options)
+
+        monkeypatch.setattr(cluster, "submit", counted)
+        for large in (8 << 20, 1 << 10):
+            monkeypatch.setattr("clvol.cluster._LARGE", large)
+            drawn = clvol.batch(
+                sources, clvol.turned(3), tmp_path / "{number}-{frame}.png", cluster=cluster, mode="mip", size=(8, 8)
+            )
+            assert not [one.error for one in drawn if one.error]
+    assert len(sent) == 18
+    assert max(sent) < 2000
+
+
+def test_a_file_that_changed_is_drawn_as_it_is(files: list[Path], tmp_path: Path) -> None:
+    """Workers that live on keep nothing of a batch."""
+    pytest.importorskip("distributed")
+    from clvol.cluster import as_cluster
+
+    path = tmp_path / "one.nrrd"
+    with as_cluster(1) as cluster:
+        for source in files[:2]:
+            clvol.write(clvol.read(source), path)
+            (one,) = clvol.batch(path, None, tmp_path / "{name}.png", cluster=cluster, mode="mip", size=(32, 32))
+            clvol.save(clvol.render(clvol.read(source), mode="mip", size=(32, 32)), tmp_path / "wanted.png")
+            np.testing.assert_array_equal(iio.imread(one.path), iio.imread(tmp_path / "wanted.png"))
+
+
+def test_what_render_reads_by_bricks_is_so_here(files: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is stored in several sizes, or does not fit, unless something is asked for that bricks have not."""
+    pytest.importorskip("zarr")
+    store = tmp_path / "a.zarr"
+    clvol.pyramid(clvol.phantoms.marschner_lobb(48), store, levels=2)
+    for how, options, kind in (
+        ({}, {}, clvol.LazyVolume),
+        ({"level": 0}, {}, clvol.Volume),
+        ({}, {"evaluator": "paired"}, clvol.Volume),
+        ({}, {"fetch": "image"}, clvol.Volume),
+        (clvol.read, {}, clvol.Volume),
+    ):
+        assert type(batches._read(str(store), how, options)) is kind
+    assert type(batches._read(str(files[0]), {}, {})) is clvol.Volume
+    monkeypatch.setattr("clvol.base.memory.available", lambda: 1 << 15)
+    assert type(batches._read(str(files[0]), {}, {})) is clvol.LazyVolume
+    monkeypatch.undo()
+    (one,) = clvol.batch(store, None, tmp_path / "{name}.png", mode="mip", size=(20, 20))
+    clvol.save(clvol.render(clvol.open(store), mode="mip", size=(20, 20)), tmp_path / "wanted.png")
+    np.testing.assert_array_equal(iio.imread(one.path), iio.imread(tmp_path / "wanted.png"))
+
+
+def asked(path: str) -> clvol.Volume:
+    """A file that its cluster is asked for."""
+    import dask.array
+
+    data = clvol.read(path).data
+    return clvol.Volume(dask.array.from_array(data, chunks=8).map_blocks(np.flip).map_blocks(np.flip).compute())
+
+
+def test_what_reads_files_may_ask_the_cluster(files: list[Path], tmp_path: Path) -> None:
+    """Its task then leaves its place to others, and those that wait for their turn do so too."""
+    pytest.importorskip("distributed")
+    drawn = clvol.batch(
+        files[:2], clvol.turned(3), tmp_path / "{name}-{frame}.png", cluster=1, reading=asked, mode="mip", size=(20, 20)
+    )
+    assert not [one.error for one in drawn if one.error]
+
+
+def test_what_is_no_source_is_refused(tmp_path: Path) -> None:
+    for wrong in (5, [None], np.zeros(3)):
+        with pytest.raises(clvol.ClvolError):
+            clvol.batch(wrong, None, tmp_path / "{number}.png")
+
+
+def test_the_command(files: list[Path], tmp_path: Path) -> None:
+    """It tells by its exit status, and by name, that a file failed."""
+    command = [sys.executable, "-m", "clvol", "batch", *map(str, files), "-o", str(tmp_path / "{name}-{frame}.png"), "--turn", "2"]
+    options = ["--mode", "mip", "--size", "40", "40", "--workers", "2"]
+    done = subprocess.run([*command, *options], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "damaged.nrrd: " in done.stdout
+    assert len(list(tmp_path.glob("*.png"))) == 4
+
+
+@pytest.mark.parametrize("wrong", [0, -3, 2.5, True, "4", None])
+def test_a_turn_has_pictures(wrong: Any) -> None:
+    with pytest.raises(OptionError, match=r"frames must be a whole number, at least 1; got"):
+        clvol.turned(wrong)
+    with pytest.raises(OptionError, match="cameras must be one or more; got none"):
+        clvol.batch(np.zeros((3, 3, 3)), [])
