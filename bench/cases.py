@@ -22,7 +22,8 @@ from bench.peers import Peer, Points, Shot
 from clvol.base.errors import OutOfMemoryError
 from clvol.device import Device, as_device
 from clvol.filter.boundary import as_boundary
-from clvol.filter.filter import Filter, as_filter
+from clvol.filter.filter import Filter
+from clvol.filter.table import as_filter
 from clvol.march.frame import BY_RAYS
 from clvol.march.planes import OBLIQUE, Planes
 from clvol.spline.coefficients import Coefficients

@@ -26,7 +26,7 @@ import numpy as np
 import clvol
 from clvol import analysis, figures, images, ndimage, phantoms, reference
 from clvol.device import as_device
-from clvol.filter.filter import unregister
+from clvol.filter.table import unregister_filter
 from clvol.formats import WRITTEN
 from clvol.show.picture import grid, labelled, to_png
 from clvol.torch import sample as torch_sample
@@ -559,12 +559,12 @@ def filters_of_ones_own(world: World, random: Random) -> Any:
 @_deed(6)
 def filters_registered(world: World, random: Random) -> Any:
     name = f"soaked-{threading.get_ident()}"
-    clvol.register(replace(clvol.filters()["bspline3"], name=name))
+    clvol.register_filter(replace(clvol.filters()["bspline3"], name=name))
     try:
         points = _points(world.volumes["signal"], random, 50)
         return clvol.sample(world.volumes["signal"], points, name, clvol.boundaries()["mirror"])
     finally:
-        unregister(name)
+        unregister_filter(name)
 
 
 @_deed(8)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 import clvol
-from clvol.filter.filter import as_filter
+from clvol.filter.table import as_filter
 from clvol.reference.march.rays import Rays, camera_rays
 from clvol.reference.march.roots import first_crossings
 from clvol.scene.camera import Camera

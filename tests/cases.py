@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from clvol.filter.boundary import boundaries
-from clvol.filter.filter import as_filter
+from clvol.filter.table import as_filter
 
 __all__ = [
     "BAD_COUNTS",

@@ -13,7 +13,7 @@ from hypothesis import settings
 
 from clvol.base.errors import DeviceError
 from clvol.device import Device, devices
-from clvol.filter.filter import filters, register, unregister
+from clvol.filter.table import filters, register_filter, unregister_filter
 
 # Files of few tests that take long
 _LONG = {
@@ -103,6 +103,6 @@ def own_table() -> Iterator[None]:
     before = filters()
     yield
     for name in filters():
-        unregister(name)
+        unregister_filter(name)
     for one in before.values():
-        register(one)
+        register_filter(one)

@@ -17,7 +17,7 @@ import clvol
 from clvol import ndimage
 from clvol.device import as_device
 from clvol.filter.boundary import boundaries
-from clvol.filter.filter import filters
+from clvol.filter.table import filters
 from clvol.march.frame import BY_RAYS
 from clvol.scene.mode import modes
 from clvol.spline.field import Precision

@@ -16,7 +16,7 @@ from clvol.analysis.angle import mean_angle
 from clvol.device import Device
 from clvol.figures import FIGURE_6, edges, figure6, noise, panels, pipeline, slices
 from clvol.figures.errors import mean_square, measure
-from clvol.filter.filter import as_filter
+from clvol.filter.table import as_filter
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "paper.md"

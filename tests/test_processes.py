@@ -20,7 +20,7 @@ import clvol
 from clvol.base.errors import OptionError
 from clvol.device import Device
 from clvol.filter.boundary import as_boundary
-from clvol.filter.filter import as_filter
+from clvol.filter.table import as_filter
 from clvol.march.renderer import Renderer
 from clvol.scene.light import Light, Material
 from clvol.scene.mode import as_mode
@@ -74,7 +74,7 @@ def test_hashes_of_filters_are_those_of_the_process() -> None:
     row = as_filter("bspline3")
     hash(row)
     script = (
-        "import pickle, sys; from clvol.filter.filter import as_filter\n"
+        "import pickle, sys; from clvol.filter.table import as_filter\n"
         "row = pickle.loads(sys.stdin.buffer.read()); assert {as_filter('bspline3'): 1}[row] == 1"
     )
     environment = {**os.environ, "PYTHONHASHSEED": "7"}

@@ -24,7 +24,7 @@ from clvol import device as choosing
 from clvol import program
 from clvol.base.errors import DeviceError
 from clvol.device import Device
-from clvol.filter.filter import as_filter, filters
+from clvol.filter.table import as_filter, filters
 from clvol.march.frame import frame_block
 from clvol.opencl import built_kernels
 from clvol.scene.mode import modes

@@ -15,7 +15,9 @@ from hypothesis.extra.numpy import array_shapes, arrays
 
 from clvol import reference
 from clvol.filter.boundary import as_boundary
-from clvol.filter.filter import Filter, as_filter, bspline, filters
+from clvol.filter.filter import Filter
+from clvol.filter.make import bspline
+from clvol.filter.table import as_filter, filters
 from tests.cases import RULES, SMOOTHED, examples
 
 MAX_EXAMPLES = examples(60)

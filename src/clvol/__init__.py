@@ -35,8 +35,10 @@ if TYPE_CHECKING:
     from clvol.bricks.source import LazyVolume
     from clvol.device import Device, devices
     from clvol.filter.boundary import Boundary, boundaries
-    from clvol.filter.filter import Filter, bc, bspline, filters, from_callable, from_pieces, lanczos, moms3, quasi, register, sinc
+    from clvol.filter.filter import Filter
+    from clvol.filter.make import bc, bspline, from_callable, from_pieces, lanczos, moms3, quasi, sinc
     from clvol.filter.response import frequency_response, prefilter_response
+    from clvol.filter.table import filters, register_filter
     from clvol.formats import read, read_all, write
     from clvol.formats.opening import open  # noqa: A004  # as files are opened: clvol.open
     from clvol.formats.pyramid import pyramid
@@ -132,7 +134,7 @@ __all__ = [
     "read",
     "read_all",
     "read_transform",
-    "register",
+    "register_filter",
     "render",
     "resample",
     "resample_series",
@@ -152,8 +154,10 @@ _PLACES = {  # where each name is from; a test holds it to what is imported abov
     "bricks.source": "LazyVolume",
     "device": "Device devices",
     "filter.boundary": "Boundary boundaries",
-    "filter.filter": "Filter bc bspline filters from_callable from_pieces lanczos moms3 quasi register sinc",
+    "filter.filter": "Filter",
+    "filter.make": "bc bspline from_callable from_pieces lanczos moms3 quasi sinc",
     "filter.response": "frequency_response prefilter_response",
+    "filter.table": "filters register_filter",
     "formats": "read read_all write",
     "formats.opening": "open",
     "formats.pyramid": "pyramid",

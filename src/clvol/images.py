@@ -16,7 +16,8 @@ from clvol.base.errors import DataError, OptionError
 from clvol.base.rounding import below, limits, rounded
 from clvol.device import Device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.filter.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.filter.filter import Filter
+from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.interop import read_array
 from clvol.spline import field
 from clvol.volume.stored import Stored, differences

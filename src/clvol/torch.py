@@ -14,7 +14,8 @@ from clvol.base.checks import number
 from clvol.base.errors import MissingDependencyError, OptionError
 from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary
-from clvol.filter.filter import DEFAULT_FILTER, Filter
+from clvol.filter.filter import Filter
+from clvol.filter.table import DEFAULT_FILTER
 from clvol.spline.field import Field, Precision, fill_value
 from clvol.spline.scatter import adjoint, linear
 from clvol.volume.volume import Volume

@@ -24,7 +24,7 @@ from clvol.base.checks import number, one_of, whole
 from clvol.base.errors import DataError, GeometryError, MissingDependencyError, OptionError
 from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
-from clvol.filter.filter import DEFAULT_FILTER, as_filter
+from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.interop import as_array
 from clvol.ndimage.engine import Axes, Points, evaluate
 from clvol.spline.field import Precision, fill_value

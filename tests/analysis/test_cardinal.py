@@ -9,7 +9,8 @@ from clvol import reference
 from clvol.analysis import impulse_response
 from clvol.analysis.cardinal import pieces
 from clvol.base.errors import OptionError
-from clvol.filter.filter import as_filter, bspline, filters
+from clvol.filter.make import bspline
+from clvol.filter.table import as_filter, filters
 from clvol.volume.volume import Volume
 from tests.cases import BAD_FILTERS, BAD_REALS, BAD_WHOLE, SMOOTHED
 

@@ -17,7 +17,8 @@ from clvol.analysis import COMPARED, EXACT_SINC, ErrorTable, compare, error_kern
 from clvol.analysis.comparison import keeps_range
 from clvol.base.errors import ClvolError, DataError, OptionError, OutOfMemoryError
 from clvol.device import Device
-from clvol.filter.filter import as_filter, filters, from_callable
+from clvol.filter.make import from_callable
+from clvol.filter.table import as_filter, filters
 from clvol.phantoms import marschner_lobb, marschner_lobb_function, marschner_lobb_gradient
 from clvol.volume.volume import Volume
 from tests.cases import BAD_COUNTS, BAD_DATA, BAD_FILTER_LISTS, BAD_FILTERS, BAD_NUMBERS, BAD_WHOLE, DEGREES, RMSE

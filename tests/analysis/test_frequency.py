@@ -11,7 +11,9 @@ from scipy import optimize
 import clvol
 from clvol.analysis import Bands, bands, frequency_response
 from clvol.base.errors import OptionError
-from clvol.filter.filter import Filter, filters, from_pieces
+from clvol.filter.filter import Filter
+from clvol.filter.make import from_pieces
+from clvol.filter.table import filters
 from tests.cases import BAD_NUMBERS
 
 NO_EVEN_KERNEL = Filter("skew", ((0.0, 1.0), (1.0, -0.5)))

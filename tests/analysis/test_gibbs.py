@@ -10,7 +10,7 @@ import pytest
 from clvol import reference
 from clvol.analysis import WILBRAHAM_GIBBS, lowpass_step, step_response
 from clvol.base.errors import OptionError
-from clvol.filter.filter import filters
+from clvol.filter.table import filters
 
 
 def test_a_sharp_low_pass_overshoots_by_8_949_percent_whatever_its_cutoff() -> None:

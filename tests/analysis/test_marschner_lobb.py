@@ -10,7 +10,9 @@ from scipy import integrate
 
 from clvol.analysis import WILBRAHAM_GIBBS, Metrics, frequency_response, metrics
 from clvol.base.errors import OptionError
-from clvol.filter.filter import Filter, filters, from_callable
+from clvol.filter.filter import Filter
+from clvol.filter.make import from_callable
+from clvol.filter.table import filters
 from tests.cases import BAD_FILTERS
 
 

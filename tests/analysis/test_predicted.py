@@ -12,7 +12,7 @@ from scipy import ndimage
 from clvol import Volume, reference
 from clvol.analysis import EXACT_SINC, error_kernel, jump_error, predict, variance_gain
 from clvol.base.errors import ClvolError, DataError, OptionError
-from clvol.filter.filter import as_filter
+from clvol.filter.table import as_filter
 from clvol.noise import Noise
 from tests.cases import BAD_COUNTS, BAD_FILTER_LISTS, BAD_FILTERS
 

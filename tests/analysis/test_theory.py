@@ -12,7 +12,9 @@ from scipy import optimize, special
 from clvol import reference
 from clvol.analysis import approximation, error_kernel, frequency_response, impulse_response, taylor_coefficients
 from clvol.base.errors import OptionError
-from clvol.filter.filter import Filter, as_filter, bspline, filters, from_callable, from_pieces, moms3, quasi
+from clvol.filter.filter import Filter
+from clvol.filter.make import bspline, from_callable, from_pieces, moms3, quasi
+from clvol.filter.table import as_filter, filters
 from tests.cases import BAD_COUNTS, BAD_FILTERS, BAD_REALS, BAD_WHOLE, SMOOTHED, every
 
 NAMES = (*filters(), *SMOOTHED)

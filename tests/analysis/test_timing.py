@@ -12,7 +12,8 @@ from clvol.analysis import timing
 from clvol.analysis.timing import Effort, seconds_per_sample
 from clvol.device import Device
 from clvol.filter.boundary import as_boundary
-from clvol.filter.filter import Filter, as_filters
+from clvol.filter.filter import Filter
+from clvol.filter.table import as_filters
 
 FILTERS = as_filters(["linear", "bspline3", "hybrid"])
 

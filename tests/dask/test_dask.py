@@ -22,7 +22,7 @@ from clvol import ClvolError, DataError, OptionError, ndimage
 from clvol.base.errors import DtypeError, OptionTypeError, RefusedError, UnsupportedError
 from clvol.device import Device
 from clvol.filter.boundary import as_boundary
-from clvol.filter.filter import as_filter, filters
+from clvol.filter.table import as_filter, filters
 from clvol.ndimage.arguments import MODES
 
 dask = pytest.importorskip("dask")

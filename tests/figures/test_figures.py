@@ -508,7 +508,7 @@ def test_slices_left_out_of_a_scan_are_compared_with_it(device: Device) -> None:
     """Linear interpolation of a square: half-way between two slices a distance h apart it is too large by h² / 4."""
     z = np.arange(40.0)
     scan = Volume(np.broadcast_to((z**2)[:, None, None], (40, 6, 5)), (1, 1, 3.0))
-    rows = [clvol.filter.filter.as_filter("linear")]
+    rows = [clvol.filter.table.as_filter("linear")]
     made = slices.from_scan(scan, rows, (2, 3), device)
     assert made[2]["linear"] == pytest.approx(1, rel=1e-4)
     assert made[3]["linear"] == pytest.approx(2, rel=1e-4)

@@ -10,7 +10,7 @@ from clvol.analysis import EXACT_SINC
 from clvol.device import Device
 from clvol.figures import FIGURE_6, SIX, Panel, compare, figure6
 from clvol.figures.panels import BACKGROUND, BOX, CAMERA, ISOVALUE, LIGHTS, MATERIAL, PANELS, SURFACE, fixed, shading_gradients
-from clvol.filter.filter import as_filter
+from clvol.filter.table import as_filter
 from clvol.reference.march.exact import draw_function
 from tests.cases import BAD_COUNTS, BAD_FILTER_LISTS
 

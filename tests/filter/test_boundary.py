@@ -12,7 +12,8 @@ from clvol import reference
 from clvol.base.errors import DataError, OptionError
 from clvol.device import Device
 from clvol.filter.boundary import Boundary, as_boundary, boundaries
-from clvol.filter.filter import as_filter, bspline, filters
+from clvol.filter.make import bspline
+from clvol.filter.table import as_filter, filters
 from clvol.reference.spline.boundary import period as period_of
 from clvol.reference.spline.prefilter import kernel_samples
 from tests.cases import SMOOTHED

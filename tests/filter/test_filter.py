@@ -12,28 +12,15 @@ from numpy.polynomial import legendre
 
 from clvol import reference
 from clvol.base.errors import OptionError
-from clvol.filter.filter import (
-    Filter,
-    as_filter,
-    bc,
-    bspline,
-    filters,
-    from_callable,
-    from_pieces,
-    lanczos,
-    moms3,
-    omoms3,
-    quasi,
-    register,
-    sinc,
-    unregister,
-)
+from clvol.filter.filter import Filter
+from clvol.filter.make import bc, bspline, from_callable, from_pieces, lanczos, moms3, omoms3, quasi, sinc
+from clvol.filter.table import as_filter, filters, register_filter, unregister_filter
 from clvol.reference.spline import filter as reference_filter
 from clvol.reference.spline.prefilter import kernel_samples
 from clvol.volume.volume import Volume
 from tests.cases import SMOOTHED
 
-table = importlib.import_module("clvol.filter.filter")  # clvol.filters is the function of that name
+table = importlib.import_module("clvol.filter.table")
 ROWS = {
     row.name: row
     for row in (
@@ -209,7 +196,7 @@ def test_description_is_consistent(row: Filter) -> None:
     assert row.matrix.shape == (row.support, row.degree + 1)
     assert row.exact == (row.fit_error == 0)
     assert row.has_gradient == (row.degree > 0)
-    assert row.scale == (2 if row.magnify else 1)
+    assert row.scale == (2 if row.magnified_by else 1)
 
 
 # -- the paper's equations ---------------------------------------------------------------------------------
@@ -383,20 +370,20 @@ def test_from_callable_wants_a_kernel_that_is_smooth_between_the_integers(half: 
 
 @pytest.mark.usefixtures("own_table")
 def test_registered_row_is_known_everywhere() -> None:
-    mine = register(from_pieces("my-Filter.2", [(1, -1)]))
+    mine = register_filter(from_pieces("my-Filter.2", [(1, -1)]))
     assert as_filter("my-Filter.2") is mine
     assert "my-Filter.2" in filters()
     x = np.linspace(-2, 2, 41)
     np.testing.assert_array_equal(reference.kernel("my-Filter.2", x), mine(x))  # unknown to the closed forms
     with pytest.raises(OptionError, match="exists; pass replace_existing"):
-        register(mine)
-    again = register(from_pieces("my-Filter.2", [(1, -1), (0, 0)]), replace_existing=True)
+        register_filter(mine)
+    again = register_filter(from_pieces("my-Filter.2", [(1, -1), (0, 0)]), replace_existing=True)
     assert as_filter("my-Filter.2") is again
 
 
 @pytest.mark.usefixtures("own_table")
 def test_replaced_row_is_not_taken_for_its_name() -> None:
-    other = register(from_pieces("mitchell", [(1, -1)]), replace_existing=True)
+    other = register_filter(from_pieces("mitchell", [(1, -1)]), replace_existing=True)
     x = np.linspace(-2, 2, 41)
     np.testing.assert_array_equal(reference.kernel("mitchell", x), other(x))
 
@@ -404,14 +391,14 @@ def test_replaced_row_is_not_taken_for_its_name() -> None:
 @pytest.mark.usefixtures("own_table")
 def test_unregistered_filter_is_unknown() -> None:
     linear = as_filter("linear")
-    assert unregister("linear") is linear
+    assert unregister_filter("linear") is linear
     for gone in ("linear", "trilinear"):
         with pytest.raises(OptionError, match="filter must be one of"):
             as_filter(gone)
     for unknown in ("linear", "bogus", "trilinear", 3, None):
         with pytest.raises(OptionError, match="filter must be one of"):
-            unregister(unknown)  # type: ignore[arg-type]
-    assert register(linear) is as_filter("linear")
+            unregister_filter(unknown)  # type: ignore[arg-type]
+    assert register_filter(linear) is as_filter("linear")
 
 
 def test_filters_gives_a_copy() -> None:
@@ -514,9 +501,9 @@ def test_unknown_filter_lists_what_is_known() -> None:
         lambda: bspline(-1),
         lambda: bc(math.inf, 0),
         lambda: bc("1", 0),
-        lambda: register("bspline3"),
-        lambda: register(Filter("a b", bspline(1).taps)),
-        lambda: register(Filter("trilinear", bspline(1).taps)),
+        lambda: register_filter("bspline3"),
+        lambda: register_filter(Filter("a b", bspline(1).taps)),
+        lambda: register_filter(Filter("trilinear", bspline(1).taps)),
         lambda: bspline(3).weights(0.5, -1),
         lambda: reference.kernel("linear", 0.0, 3),
         *(lambda bad=bad: sinc(bad) for bad in (1.5, True, "a", [], None, 0, 9)),
@@ -539,8 +526,8 @@ def test_unknown_filter_lists_what_is_known() -> None:
         lambda: Filter("a", ((True,),)),
         lambda: Filter(3, bspline(1).taps),
         lambda: Filter("", bspline(1).taps),
-        lambda: Filter("a", bspline(1).taps, magnify="x"),
-        lambda: Filter("a", bspline(1).taps, magnify=3),
+        lambda: Filter("a", bspline(1).taps, magnified_by="x"),
+        lambda: Filter("a", bspline(1).taps, magnified_by=3),
         lambda: Filter("a", bspline(1).taps, fit_error="a"),
         lambda: bspline(3).weights("a"),
         lambda: bspline(3).weights(0.5, "a"),
@@ -580,4 +567,4 @@ def test_numbers_of_any_kind() -> None:
     ids=lambda row: row.name,
 )
 def test_names_that_families_make_can_be_registered(row: Filter) -> None:
-    assert as_filter(register(row).name) is row
+    assert as_filter(register_filter(row).name) is row

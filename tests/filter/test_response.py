@@ -9,8 +9,9 @@ import pytest
 
 from clvol import reference
 from clvol.base.errors import OptionError
-from clvol.filter.filter import as_filter, bspline, filters
+from clvol.filter.make import bspline
 from clvol.filter.response import frequency_response, prefilter_response
+from clvol.filter.table import as_filter, filters
 from clvol.volume.volume import Volume
 from tests.cases import BAD_FILTERS, BAD_REALS, SMOOTHED
 
@@ -84,7 +85,7 @@ def test_response_is_the_transform_of_what_the_reference_draws(name: str) -> Non
     np.testing.assert_allclose(frequency_response(name, omega), sums, atol=2e-3)
 
 
-@pytest.mark.parametrize("name", [n for n, row in filters().items() if not (row.prefilter or row.magnify)])
+@pytest.mark.parametrize("name", [n for n, row in filters().items() if not (row.prefilter or row.magnified_by)])
 def test_no_prefilter_has_response_1(name: str) -> None:
     assert (prefilter_response(name, OMEGA) == 1).all()
 

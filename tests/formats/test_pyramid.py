@@ -28,7 +28,7 @@ from clvol.base.errors import ClvolError, DataError, FormatError, OptionError
 from clvol.bricks.source import Bounds
 from clvol.device import Device
 from clvol.filter.boundary import as_boundary
-from clvol.filter.filter import as_filter
+from clvol.filter.table import as_filter
 from clvol.formats._bounds import StoredBounds, blocks_of
 from clvol.formats.pyramid import journal, make
 from clvol.formats.pyramid.levels import levels_of

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from clvol.base.errors import DeviceError
 from clvol.device import Device, Tile
-from clvol.filter.filter import as_filter, filters
+from clvol.filter.table import as_filter, filters
 from clvol.march.planes import Planes
 from clvol.march.renderer import OUTPUTS, Renderer
 from clvol.reference.march import march as reference

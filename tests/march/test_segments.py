@@ -13,7 +13,9 @@ from numpy.testing import assert_array_equal
 
 from clvol.base.errors import DeviceError
 from clvol.device import Device, Tile
-from clvol.filter.filter import Filter, filters, from_callable
+from clvol.filter.filter import Filter
+from clvol.filter.make import from_callable
+from clvol.filter.table import filters
 from clvol.march.renderer import OUTPUTS, Renderer
 from clvol.phantoms import marschner_lobb
 from clvol.scene.camera import Camera

@@ -13,7 +13,7 @@ from clvol.analysis.cardinal import impulse_response
 from clvol.analysis.theory import error_kernel
 from clvol.base.errors import OptionError
 from clvol.device import Device
-from clvol.filter.filter import as_filter
+from clvol.filter.table import as_filter
 from clvol.march import uncertainty
 from clvol.march.uncertainty import in_words
 from clvol.noise import Noise

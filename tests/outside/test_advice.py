@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from clvol import Volume, phantoms, reference
-from clvol.filter.filter import as_filter
+from clvol.filter.table import as_filter
 from clvol.reports.advice import ADVISED, Advice, advise, settled_once
 
 pytest.importorskip("matplotlib")

@@ -15,7 +15,7 @@ from scipy import ndimage
 import clvol
 from clvol import Camera, Light, TransferFunction, Volume
 from clvol.device import Device
-from clvol.filter.filter import filters
+from clvol.filter.table import filters
 
 SIDE, RADIUS = 64, 10.0
 CENTER = (SIDE - 1) / 2

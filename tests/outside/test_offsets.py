@@ -13,7 +13,8 @@ from scipy import ndimage
 import clvol
 from clvol import reference
 from clvol.device import Device
-from clvol.filter.filter import Filter, bspline
+from clvol.filter.filter import Filter
+from clvol.filter.make import bspline
 from clvol.reference.march.march import render
 
 Array = NDArray[np.float64]

@@ -11,12 +11,12 @@ import clvol
 from clvol import Camera, Renderer, TransferFunction, Volume
 from clvol.base.errors import OptionError
 from clvol.device import Device
-from clvol.filter.filter import as_filter, filters
+from clvol.filter.table import as_filter, filters
 from clvol.march.pixels import EDGE_RAYS, on_edges, pixel_offsets, pixel_rays
 
 SIZE = (32, 24)
 FRONT = Camera(direction=(0.0, 1.0, 0.0), projection="orthographic", fit="volume")
-PIXEL_FILTERS = [row.name for row in filters().values() if not row.prefilter and not row.magnify]
+PIXEL_FILTERS = [row.name for row in filters().values() if not row.prefilter and not row.magnified_by]
 
 
 def waves(per_pixel: float, size: tuple[int, int] = SIZE, voxels: int = 4) -> tuple[Volume, Camera]:

@@ -18,7 +18,7 @@ import clvol
 from clvol import reference
 from clvol.base.errors import DataError
 from clvol.device import Device
-from clvol.filter.filter import bspline
+from clvol.filter.make import bspline
 
 Array = NDArray[np.float64]
 SHAPE = (13, 14, 15)

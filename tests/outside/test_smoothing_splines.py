@@ -9,7 +9,9 @@ from scipy import integrate, interpolate, signal
 import clvol
 from clvol import Volume, reference
 from clvol.base.errors import OptionError
-from clvol.filter.filter import Filter, as_filter, bspline, from_pieces
+from clvol.filter.filter import Filter
+from clvol.filter.make import bspline, from_pieces
+from clvol.filter.table import as_filter
 from clvol.volume.smoothing import settled
 
 

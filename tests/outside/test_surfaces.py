@@ -11,7 +11,7 @@ import pytest
 import clvol
 from bench.roots import SCENES, check
 from clvol.device import Device
-from clvol.filter.filter import as_filter
+from clvol.filter.table import as_filter
 from clvol.march.frame import BY_RAYS
 from clvol.reference.march.march import camera_rays
 from clvol.reference.march.roots import first_crossings

@@ -7,7 +7,7 @@ import pytest
 
 from clvol import reference
 from clvol.base.errors import ClvolError
-from clvol.filter.filter import filters
+from clvol.filter.table import filters
 from tests.cases import RULES, SMOOTHED
 
 DATA = np.random.default_rng(0).normal(size=(3, 8))

@@ -9,7 +9,9 @@ import pytest
 from scipy import ndimage
 
 from clvol import reference
-from clvol.filter.filter import Filter, as_filter, bspline
+from clvol.filter.filter import Filter
+from clvol.filter.make import bspline
+from clvol.filter.table import as_filter
 
 MODES = {
     "mirror": "mirror",

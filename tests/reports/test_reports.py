@@ -16,7 +16,7 @@ from clvol import DataError, FormatError, OptionError, Volume, phantoms, reports
 from clvol.analysis import EXACT_SINC, LeftOutRow, LeftOutTable
 from clvol.device import Device
 from clvol.filter.boundary import as_boundary
-from clvol.filter.filter import as_filters
+from clvol.filter.table import as_filters
 from clvol.reports import html, pictures, spectrum
 
 pytest.importorskip("matplotlib")

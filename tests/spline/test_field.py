@@ -14,7 +14,8 @@ import pytest
 from clvol import reference
 from clvol.base.errors import ClvolError, DataError, DeviceError, OptionError
 from clvol.device import Device
-from clvol.filter.filter import as_filter, bspline, register
+from clvol.filter.make import bspline
+from clvol.filter.table import as_filter, register_filter
 from clvol.phantoms import marschner_lobb, marschner_lobb_function, marschner_lobb_gradient
 from clvol.spline.evaluator import Evaluator, choose_evaluator
 from clvol.spline.field import Field, as_field, magnify, prefilter, resample, sample
@@ -133,7 +134,7 @@ def test_a_rotated_polynomial_is_drawn_the_same(device: Device) -> None:
 
 @pytest.mark.usefixtures("own_table")
 def test_registered_filter_runs(device: Device) -> None:
-    register(bspline(7))
+    register_filter(bspline(7))
     volume = random_volume()
     points = volume.index_to_world(np.random.default_rng(1).uniform(0, 4, (50, 3)))
     wanted = reference.sample(volume, points, "bspline7")

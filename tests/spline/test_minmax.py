@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from clvol.device import Device
 from clvol.filter.boundary import as_boundary
-from clvol.filter.filter import Filter, as_filter, filters, from_callable, from_pieces
+from clvol.filter.filter import Filter
+from clvol.filter.make import from_callable, from_pieces
+from clvol.filter.table import as_filter, filters
 from clvol.phantoms import marschner_lobb
 from clvol.spline.evaluator import Evaluator
 from clvol.spline.field import coefficients_of

@@ -10,7 +10,7 @@ import pytest
 from clvol import reference
 from clvol.device import Device
 from clvol.filter.boundary import as_boundary
-from clvol.filter.filter import as_filter, filters
+from clvol.filter.table import as_filter, filters
 from clvol.spline.evaluator import choose_evaluator
 from clvol.spline.field import coefficients_of, resample, sample
 from clvol.spline.points import sample_coefficients

@@ -12,7 +12,8 @@ import pytest
 from clvol import reference
 from clvol.base.errors import DataError, OptionError
 from clvol.device import Device
-from clvol.filter.filter import as_filter, bspline, filters
+from clvol.filter.make import bspline
+from clvol.filter.table import as_filter, filters
 from clvol.spline.field import prefilter
 from clvol.volume.volume import Volume
 from tests.cases import RULES, SMOOTHED

@@ -13,7 +13,7 @@ import clvol
 from clvol import DataError, DeviceError, OptionError, Volume, reference
 from clvol.device import Device
 from clvol.filter.boundary import as_boundary
-from clvol.filter.filter import as_filter
+from clvol.filter.table import as_filter
 from clvol.spline.reduce import Sums, gaussian, least_squares, sum_along
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ import pytest
 from clvol import reference
 from clvol.device import Device
 from clvol.filter.boundary import as_boundary
-from clvol.filter.filter import filters
+from clvol.filter.table import filters
 from clvol.spline.field import magnify, resample
 from clvol.volume.volume import Volume
 from tests.cases import RULES, SMOOTHED

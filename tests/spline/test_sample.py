@@ -16,7 +16,7 @@ from scipy import ndimage
 
 from clvol import reference
 from clvol.device import Device
-from clvol.filter.filter import as_filter, filters
+from clvol.filter.table import as_filter, filters
 from clvol.spline.field import sample
 from clvol.volume.volume import Volume
 from tests.cases import RULES, SMOOTHED

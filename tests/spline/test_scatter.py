@@ -13,7 +13,7 @@ from scipy import ndimage
 import clvol
 from clvol.base.errors import OptionError
 from clvol.device import Device
-from clvol.filter.filter import as_filter
+from clvol.filter.table import as_filter
 
 Array = NDArray[np.float64]
 ORDERS = {"nearest": 0, "linear": 1, "bspline2": 2, "bspline3": 3, "bspline4": 4, "bspline5": 5}

@@ -13,7 +13,7 @@ from clvol import reference
 from clvol.base.errors import DataError, OptionError
 from clvol.device import Device
 from clvol.filter.boundary import boundaries
-from clvol.filter.filter import as_filter
+from clvol.filter.table import as_filter
 from clvol.volume.missing import Missing, filled_smoothly, touching
 from clvol.volume.volume import Volume
 

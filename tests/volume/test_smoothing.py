@@ -23,7 +23,7 @@ def test_the_name_of_the_filter_gives_it_again() -> None:
     chosen = choose(noisy(33, 34, 35))
     assert all(value == float(f"{value:.3g}") > 0 for value in chosen.values)
     row = clvol.bspline(3, smoothing=chosen.values)
-    assert clvol.filter.filter.as_filter(row.name).smoothing == row.smoothing
+    assert clvol.filter.table.as_filter(row.name).smoothing == row.smoothing
     assert len(set(chosen.values)) == 1  # the axes do not differ
 
 

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.base.checks import reals, whole
 from clvol.base.errors import OptionError
-from clvol.filter.filter import Filter, as_filter
+from clvol.filter.filter import Filter
+from clvol.filter.table import as_filter
 
 __all__ = ["Pieces", "even_filter", "impulse_response", "pieces"]
 

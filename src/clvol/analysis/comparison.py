@@ -26,8 +26,9 @@ from clvol.base.checks import enough_memory, number, one_of, reals, require_room
 from clvol.base.errors import ClvolError, DataError, DeviceError, OptionError
 from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.filter.filter import Filter, as_filter, several_names
+from clvol.filter.filter import Filter
 from clvol.filter.response import prefilter_response
+from clvol.filter.table import as_filter, several_names
 from clvol.spline.evaluator import choose_evaluator
 from clvol.spline.field import coefficients_of, sample
 from clvol.spline.points import sample_coefficients

@@ -16,7 +16,8 @@ from clvol import reference
 from clvol.base.checks import enough_memory, reals, require_room, whole
 from clvol.base.errors import DataError, OptionError
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.filter.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.filter.filter import Filter
+from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.volume.volume import Volume, as_volume
 
 __all__ = [

@@ -12,7 +12,8 @@ from scipy import special
 from clvol.analysis.cardinal import pieces
 from clvol.analysis.table import UNLISTED, column
 from clvol.base.checks import number, one_of
-from clvol.filter.filter import Filter, as_filter
+from clvol.filter.filter import Filter
+from clvol.filter.table import as_filter
 
 __all__ = ["WILBRAHAM_GIBBS", "StepResponse", "lowpass_step", "step_response"]
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 from clvol.base.checks import as_path
 from clvol.base.errors import DataError, OptionError
 from clvol.base.files import require_suffix, staged
-from clvol.show.html import table
+from clvol.base.html import table
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable

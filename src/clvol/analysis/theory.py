@@ -20,8 +20,9 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.analysis.table import column
 from clvol.base.checks import reals, whole
 from clvol.base.errors import OptionError
-from clvol.filter.filter import Filter, Number, Polynomial, as_filter
+from clvol.filter.filter import Filter, Number, Polynomial
 from clvol.filter.response import prefilter_response
+from clvol.filter.table import as_filter
 
 __all__ = ["Approximation", "approximation", "error_kernel", "taylor_coefficients"]
 

@@ -11,6 +11,7 @@ import numpy as np
 from cyclopts import Parameter
 
 import clvol
+from clvol.base import html
 from clvol.base.errors import ClvolWarning, DataError, OptionError
 from clvol.base.files import require_suffix
 from clvol.bricks.source import too_large
@@ -30,7 +31,6 @@ from clvol.cli.options import (
 from clvol.cli.root import DATA, command
 from clvol.cli.speech import print_json, progress, range_text, require_writable, say, table
 from clvol.formats import WRITTEN, series_of
-from clvol.show import html as display
 from clvol.volume.histogram import isovalue_of
 from clvol.volume.smoothing import choose
 from clvol.volume.volume import SPACES
@@ -57,7 +57,7 @@ def info(source: Source, /, *, input: Input | None = None, json: Json = False) -
         return several or too_large(lazy)
 
     if len(images) > 1:
-        rows = [[str(n), image.id, display.numbers(image.shape), image.text] for n, image in enumerate(images)]
+        rows = [[str(n), image.id, html.numbers(image.shape), image.text] for n, image in enumerate(images)]
         if json:
             print_json({"series": [{"id": i.id, "shape": list(i.shape), "text": i.text} for i in images]})
         else:
@@ -386,6 +386,6 @@ def levels_of(volume: clvol.LazyVolume, as_json: bool) -> dict[str, Any]:
     bounds = volume.bounds
     within = "" if as_json or bounds is None else f", samples of {range_text(*bounds.value_range)}"
     return {
-        "levels": sizes if as_json else ", ".join(display.numbers(size) for size in sizes),
+        "levels": sizes if as_json else ", ".join(html.numbers(size) for size in sizes),
         "bounds": (None if as_json else "none") if bounds is None else f"{bounds.filter}, {bounds.boundary}{within}",
     }

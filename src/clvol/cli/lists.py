@@ -9,10 +9,10 @@ from typing import Annotated, Any, Literal
 from cyclopts import Parameter
 
 import clvol
+from clvol.base.shown import Named
 from clvol.cli.options import Json
 from clvol.cli.root import FILTERS, SETUP, app, command
 from clvol.cli.speech import print_json, table
-from clvol.show.html import Named
 
 __all__ = ["completion", "devices", "doctor", "filters", "presets"]
 

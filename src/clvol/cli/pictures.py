@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Group, Parameter
 
 import clvol
+from clvol.base import html
 from clvol.base.checks import number, whole
 from clvol.base.errors import OptionError
 from clvol.base.files import require_folder, require_suffix, staged
@@ -41,12 +42,11 @@ from clvol.cli.options import (
     own_options,
 )
 from clvol.cli.root import PICTURES, command
-from clvol.filter.filter import PICTURE_FILTER
+from clvol.filter.table import PICTURE_FILTER
 from clvol.interfaces import batches
 from clvol.interfaces.batches import needs_whole
 from clvol.march.uncertainty import COVERAGE, in_words
 from clvol.scene.mode import as_mode
-from clvol.show import html as display
 from clvol.show import movies
 from clvol.show.picture import heat, heat_with_scale
 from clvol.spline.bricked import BrickedField, as_lazy
@@ -351,7 +351,7 @@ def _bricks_read(shown: BrickedField, volume: clvol.Volume | clvol.LazyVolume, a
     read, there, shape = shown.reads.bricks, math.prod(shown.counts), list(shown.volume.shape)
     if as_json:
         return {"level": level, "level_shape": shape, "bricks": there, "bricks_read": read}
-    several = f"{level}, {display.numbers(shape)}" if len(sizes) > 1 else ""
+    several = f"{level}, {html.numbers(shape)}" if len(sizes) > 1 else ""
     return {"level": several, "bricks": f"{read} read, of {there}"}
 
 

@@ -16,14 +16,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Group, Parameter
 
 from clvol import phantoms
-from clvol.base import memory
+from clvol.base import html, memory
 from clvol.base.errors import ClvolError, FormatError, OptionError, OutOfMemoryError
 from clvol.bricks.source import too_large
 from clvol.cli.options import DeviceName, FilterName, Input, Look, ModeOptions, Source, Whole, bytes_text, is_address, own_options
 from clvol.cli.root import PICTURES, command
 from clvol.cli.words import in_the_shell
 from clvol.formats._limits import size_of
-from clvol.show import html as display
 
 if TYPE_CHECKING:
     from clvol.view import View
@@ -214,7 +213,7 @@ def _read(reader: Input, name: str, device: str | None = None) -> tuple[Volume |
     if level:
         _note(
             f"{name} takes {bytes_text(needed_by(lazy))} with its coefficients; in memory is level "
-            f"{(reader.level or 0) + level}, of {display.numbers(sizes[level].shape)} samples: bricks of finer ones are read where "
+            f"{(reader.level or 0) + level}, of {html.numbers(sizes[level].shape)} samples: bricks of finer ones are read where "
             "a picture at rest shows more"
         )
         finer = Finer(lazy, level, reader.python_opened(name), device)

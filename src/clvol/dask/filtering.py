@@ -13,7 +13,8 @@ from clvol.base.errors import DataError, OptionError, UnsupportedError
 from clvol.dask.blocks import Array, Block, Plan, Span, as_lazy, blockwise, checked_device, located, no_memory, refused
 from clvol.dask.margins import Margin, margin, reach, require_settled
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.filter.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.filter.filter import Filter
+from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.ndimage import engine, interpolation
 from clvol.ndimage.arguments import AnyDevice, Spline, as_axis, as_mode, as_order, as_output
 from clvol.spline import field

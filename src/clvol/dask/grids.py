@@ -34,7 +34,7 @@ from clvol.dask.filtering import checked_spline, splines_margin
 from clvol.dask.reduced import Reduction, axis_by_axis, gaussian_radius
 from clvol.device import as_device
 from clvol.filter.boundary import Boundary, as_boundary
-from clvol.filter.filter import bspline
+from clvol.filter.make import bspline
 from clvol.ndimage import engine, interpolation, passes
 from clvol.ndimage.antialiasing import low_passed, widths
 from clvol.ndimage.arguments import AnyDevice, Spline, as_shape

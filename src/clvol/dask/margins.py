@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from clvol.base.checks import one_of
 from clvol.base.errors import OptionError
-from clvol.filter.filter import Filter, as_filter
+from clvol.filter.filter import Filter
+from clvol.filter.table import as_filter
 from clvol.spline.field import Precision
 
 __all__ = ["LEFT_OUT", "Margin", "margin", "reach", "require_settled"]

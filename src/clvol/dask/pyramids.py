@@ -15,7 +15,8 @@ from clvol.dask.filtering import as_volumes, settled_row
 from clvol.dask.reduced import axis_by_axis
 from clvol.device import as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.filter.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.filter.filter import Filter
+from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.formats.pyramid.levels import METHODS, ORDER, Method, filter_at, levels_of, require_reducible, sums_for
 from clvol.ndimage.arguments import AnyDevice
 from clvol.spline.field import Precision, precision_kind

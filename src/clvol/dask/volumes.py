@@ -32,7 +32,8 @@ from clvol.dask.margins import margin
 from clvol.dask.reduced import Reduction, axis_by_axis, gaussian_radius
 from clvol.device import as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.filter.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.filter.filter import Filter
+from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.ndimage.arguments import AnyDevice
 from clvol.spline.evaluator import DIRECT, choose_evaluator
 from clvol.spline.field import Precision, beyond, coefficients_of, fill_value, grid_for, precision_kind

@@ -12,7 +12,8 @@ from clvol import analysis
 from clvol.base.checks import several, whole
 from clvol.base.errors import OptionError
 from clvol.figures.style import GREY, Drawing, colour, label_ends, new_figure, styled
-from clvol.filter.filter import Filter, as_filters
+from clvol.filter.filter import Filter
+from clvol.filter.table import as_filters
 
 __all__ = ["draw"]
 

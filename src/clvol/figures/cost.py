@@ -12,8 +12,9 @@ from clvol.analysis.timing import FULL, Effort, times_per_sample
 from clvol.device import Device, as_device
 from clvol.figures.style import FAINT, GREY, Drawing, colour, new_figure, styled
 from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
-from clvol.filter.filter import Filter, as_filters
-from clvol.filter.filter import filters as all_filters
+from clvol.filter.filter import Filter
+from clvol.filter.table import as_filters
+from clvol.filter.table import filters as all_filters
 
 __all__ = ["draw", "frontier", "plot"]
 

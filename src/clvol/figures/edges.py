@@ -11,7 +11,8 @@ from clvol.base.checks import whole
 from clvol.device import Device
 from clvol.figures.panels import LIGHTS, MATERIAL, SURFACE
 from clvol.figures.style import Drawing, folded, show, styled, tiles, title
-from clvol.filter.filter import Filter, as_filters
+from clvol.filter.filter import Filter
+from clvol.filter.table import as_filters
 from clvol.march.renderer import Renderer
 from clvol.scene.camera import Camera
 from clvol.spline.field import sample

@@ -13,7 +13,8 @@ from clvol.base.checks import whole
 from clvol.device import Device
 from clvol.figures.panels import BOX, CAMERA, ISOVALUE, LIGHTS, MATERIAL, SURFACE
 from clvol.figures.style import GAP, LETTERS, LETTERS_A_PIXEL, LINE, Drawing, folded, placed, show, styled, tiles, title
-from clvol.filter.filter import Filter, as_filters
+from clvol.filter.filter import Filter
+from clvol.filter.table import as_filters
 from clvol.march.renderer import Renderer
 
 __all__ = ["draw"]

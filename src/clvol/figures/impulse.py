@@ -9,7 +9,8 @@ import numpy as np
 
 from clvol import analysis
 from clvol.figures.style import GREY, LETTERS, Drawing, colour, new_figure, styled, title
-from clvol.filter.filter import Filter, as_filters
+from clvol.filter.filter import Filter
+from clvol.filter.table import as_filters
 
 __all__ = ["draw"]
 
@@ -44,7 +45,7 @@ def draw(filters: Sequence[str | Filter] = _SHOWN) -> Drawing:
             smooth = "jumps" if row.continuity < 0 else f"C{_SUPERSCRIPTS[min(row.continuity, 9)]}"
             axes.set_title(title(row.name), fontsize=9.5)
             taps = f"{row.support} tap{'s' if row.support > 1 else ''}"
-            text = f"{taps}\n{smooth}\norder {row.order}" + ("\nprefilter" if row.prefilter or row.magnify else "")
+            text = f"{taps}\n{smooth}\norder {row.order}" + ("\nprefilter" if row.prefilter or row.magnified_by else "")
             axes.annotate(text, (0.03, 0.95), xycoords="axes fraction", va="top", fontsize=8, color=GREY)
             axes.set(xlim=(-_REACH, _REACH), ylim=(-0.28, 1.12), xticks=range(-4, 5, 2), yticks=(0, 0.5, 1))
             numbers.append(

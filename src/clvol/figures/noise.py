@@ -16,7 +16,8 @@ from clvol.base.checks import whole
 from clvol.device import Device
 from clvol.figures.panels import ISOVALUE
 from clvol.figures.style import GREY, INK, Drawing, colour, new_figure, styled, title
-from clvol.filter.filter import Filter, as_filters
+from clvol.filter.filter import Filter
+from clvol.filter.table import as_filters
 from clvol.spline.field import Field
 from clvol.volume.smoothing import settled
 from clvol.volume.volume import Volume

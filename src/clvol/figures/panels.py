@@ -19,7 +19,8 @@ from clvol.base.errors import OptionError
 from clvol.device import Device
 from clvol.figures.style import LETTERS, Drawing, title
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary
-from clvol.filter.filter import Filter, as_filter
+from clvol.filter.filter import Filter
+from clvol.filter.table import as_filter
 from clvol.march.renderer import Renderer
 from clvol.reference.march.exact import draw_function
 from clvol.scene.camera import Camera

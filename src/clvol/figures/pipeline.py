@@ -13,7 +13,7 @@ from clvol.base.checks import whole
 from clvol.device import Device
 from clvol.figures.style import GREY, INK, LINE, Drawing, colour, label_ends, new_figure, placed, show, styled, title
 from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
-from clvol.filter.filter import as_filter
+from clvol.filter.table import as_filter
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER
 from clvol.march.planes import Planes
 from clvol.march.renderer import Renderer

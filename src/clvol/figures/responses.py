@@ -11,7 +11,8 @@ from scipy import optimize
 
 from clvol import analysis
 from clvol.figures.style import FAINT, GREY, INK, Drawing, colour, legend_above, new_figure, styled, title
-from clvol.filter.filter import Filter, as_filters
+from clvol.filter.filter import Filter
+from clvol.filter.table import as_filters
 
 __all__ = ["draw"]
 

@@ -14,7 +14,8 @@ from clvol.base.errors import OptionError
 from clvol.device import Device
 from clvol.figures.panels import SIX
 from clvol.figures.style import GREY, LETTERS, Drawing, colour, folded, placed, show, styled, tiles, title
-from clvol.filter.filter import Filter, as_filters
+from clvol.filter.filter import Filter
+from clvol.filter.table import as_filters
 from clvol.spline.field import sample
 from clvol.volume.volume import Volume, as_volume
 

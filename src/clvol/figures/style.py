@@ -21,7 +21,8 @@ from clvol.analysis import EXACT_SINC
 from clvol.base.checks import as_path
 from clvol.base.errors import MissingDependencyError, OptionError
 from clvol.base.files import require_suffix, staged
-from clvol.filter.filter import Filter, as_filter, filters
+from clvol.filter.filter import Filter
+from clvol.filter.table import as_filter, filters
 from clvol.show import picture
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.base.checks import one_of, several, whole
 from clvol.base.errors import OptionError
-from clvol.show import html as display
+from clvol.base.shown import Named
 
 __all__ = ["DEFAULT_BOUNDARY", "Boundary", "BoundaryTable", "Outside", "as_boundary", "boundaries"]
 
@@ -203,7 +203,7 @@ _TABLE = {
 _WITH_VALUE = re.compile(r"(constant|grid-constant)\(([^()]+)\)")
 
 
-class BoundaryTable(display.Named[Boundary]):
+class BoundaryTable(Named[Boundary]):
     """Every rule by name; shown, it is a table."""
 
     HEADER = ("boundary", "what lies past the outer samples")

@@ -1,4 +1,4 @@
-"""The table of reconstruction filters; everything about a filter is derived from its row.
+"""A reconstruction filter: a row of numbers, from which everything about it is derived.
 
 A filter is a matrix of TAPS rows and DEGREE + 1 columns: row ``i`` holds the polynomial, in the
 fractional position ``t``, of the weight of tap ``i``. For a position ``x`` (in samples)::
@@ -12,45 +12,32 @@ tap counts. Entries are exact fractions wherever the filter has them.
 
 from __future__ import annotations
 
-import difflib
 import math
-import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
-from numbers import Rational
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 
-from clvol.base.checks import flag, number, one_of, reals, several, whole
-from clvol.base.errors import ClvolError, OptionError
-from clvol.show import html as display
+from clvol.base.checks import flag, instance, number, reals, whole
+from clvol.base.errors import OptionError
+from clvol.base.shown import Facts, Shown
 
 __all__ = [
-    "DEFAULT_FILTER",
+    "ALIASES",
+    "MAX_DEGREE",
+    "MAX_TAPS",
     "MOST_SMOOTHING",
-    "PICTURE_FILTER",
     "Filter",
-    "FilterTable",
-    "as_filter",
-    "as_filters",
-    "bc",
-    "bspline",
-    "filters",
-    "from_callable",
-    "from_pieces",
-    "lanczos",
-    "moms3",
-    "omoms3",
-    "quasi",
-    "register",
-    "several_names",
-    "sinc",
-    "unregister",
+    "Polynomial",
+    "Smoothing",
+    "also_called",
+    "as_polynomials",
+    "as_smoothing",
+    "smoothed",
 ]
 
 Number: TypeAlias = Fraction | float
@@ -58,20 +45,30 @@ Polynomial: TypeAlias = tuple[Number, ...]
 Smoothing: TypeAlias = float | tuple[float, ...] | Literal["auto"]
 Array: TypeAlias = NDArray[np.float64]
 
-DEFAULT_FILTER = "bspline3"
-PICTURE_FILTER = "bspline3(auto)"  # of pictures: data that are drawn should not show their noise
 MAX_TAPS = 16  # the widest row that one vector load of the device code covers
-_MAX_DEGREE = 20
-_FIT_TOLERANCE = 1e-10  # of the kernel's peak: its second derivative then errs by about 1e-6
-_MISFIT = 0.1  # of the kernel's peak: a fit that errs by more is another kernel
-_SINC_DEGREE = 12  # of the fits to sinc and its windowed forms: more would cost derivatives in float32 what the fit gains
+MAX_DEGREE = 20
 _ROUNDING = 1e-9  # floating rows are taken as zero, one or equal within this
 _LEAST_SMOOTHING = -0.25  # of quasi-interpolators, which sharpen: linear's prefilter ends to exist there
 MOST_SMOOTHING = 1e5  # beyond it poles lie so near to the unit circle that float32 cannot follow
 
+ALIASES = {
+    "box": "nearest",
+    "bspline0": "nearest",
+    "bspline1": "linear",
+    "bilinear": "linear",
+    "trilinear": "linear",
+    "quadratic": "bspline2",
+    "bspline": "bspline3",
+    "cubic": "bspline3",
+    "tricubic": "bspline3",
+    "quintic": "bspline5",
+    "keys": "catmull-rom",
+    "lanczos": "lanczos3",
+}
+
 
 @dataclass(frozen=True)
-class Filter:
+class Filter(Shown):
     """One row of the table.
 
     Parameters
@@ -82,7 +79,7 @@ class Filter:
         ``taps[i][k]`` is the coefficient of ``t**k`` for tap ``i``.
     prefilter : bool
         Solve for the coefficients first (eq. 11), so that the result passes through the samples.
-    magnify : str, optional
+    magnified_by : Filter, optional
         Magnify the samples by two with this filter first, then reconstruct on the finer grid: the
         paper's hybrid (section 4.3).
     fit_error : float
@@ -106,7 +103,7 @@ class Filter:
     name: str
     taps: tuple[Polynomial, ...]
     prefilter: bool = False
-    magnify: str | None = None
+    magnified_by: Filter | None = None
     fit_error: float = 0.0
     smoothing: Smoothing = 0.0
     length: float | None = None
@@ -114,17 +111,15 @@ class Filter:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:
             raise OptionError(f"a filter's name must be a string that is not empty; got {self.name!r}")
-        object.__setattr__(self, "taps", _rows(f"taps of {self.name!r}", self.taps))
+        object.__setattr__(self, "taps", as_polynomials(f"taps of {self.name!r}", self.taps))
         if not 1 <= len(self.taps) <= MAX_TAPS:
             raise OptionError(f"a filter must have 1 to {MAX_TAPS} taps; {self.name!r} has {len(self.taps)}")
-        if len({len(row) for row in self.taps}) != 1 or not 1 <= len(self.taps[0]) <= _MAX_DEGREE + 1:
-            raise OptionError(f"taps of {self.name!r} must be polynomials of one degree, 0 to {_MAX_DEGREE}")
+        if len({len(row) for row in self.taps}) != 1 or not 1 <= len(self.taps[0]) <= MAX_DEGREE + 1:
+            raise OptionError(f"taps of {self.name!r} must be polynomials of one degree, 0 to {MAX_DEGREE}")
         number("fit_error", self.fit_error, minimum=0)
-        if self.magnify is not None and not isinstance(self.magnify, str):
-            raise one_of("magnify", self.magnify, _TABLE)
-        if self.magnify is not None:
-            as_filter(self.magnify)
-        object.__setattr__(self, "smoothing", _smoothing(self.smoothing, _LEAST_SMOOTHING))
+        if self.magnified_by is not None:
+            instance("magnified_by", self.magnified_by, Filter)
+        object.__setattr__(self, "smoothing", as_smoothing(self.smoothing, _LEAST_SMOOTHING))
         if self.length is not None:
             object.__setattr__(self, "length", number("length", self.length, minimum=0))
             if self.smoothing != 0:
@@ -137,16 +132,36 @@ class Filter:
             for axis in range(axes if self.settled else 0):
                 self.along(axis)._require_invertible()
 
-    def _repr_html_(self) -> str:
-        """For notebooks: its kernel, and its row of the table."""
-        header, (row,) = FilterTable.HEADER, FilterTable({self.name: self}).rows()
-        return display.beside(display.curve(*self.plot(33)), display.facts(self.name, dict(zip(header[1:], row[1:], strict=True))))
+    def _facts(self) -> Facts:
+        """What notebooks show: the properties of the row beside its kernel."""
+        return Facts(self.name, self.properties(), self.plot(33))
+
+    def properties(self) -> dict[str, str]:
+        """What follows from the row, in words."""
+        direct = self.interpolates_directly and not self.magnified_by
+        return {
+            "support": str(self.support),
+            "degree": str(self.degree),
+            "continuity": "jumps" if self.continuity < 0 else f"C{self.continuity}",
+            "order": str(self.order),
+            "interpolates": "no" if not self.interpolates else "yes" if direct else "prefiltered",
+            "sums to one": "yes" if self.sums_to_one else "nearly",
+            "poles": (self.magnified_by or self)._poles_in_words(),
+            "also called": " ".join(also_called(self.name)),
+        }
+
+    def _poles_in_words(self) -> str:
+        if not self.settled:
+            return "the volume's"
+        if isinstance(self.smoothing, tuple):
+            return "; ".join(self.along(axis)._poles_in_words() for axis in range(len(self.smoothing)))
+        return " ".join(f"{p:.4f}" for p in self.poles) or "-"
 
     # -- what follows from the matrix ------------------------------------------------------
 
     @cached_property
     def _hash(self) -> int:
-        return hash((self.name, self.taps, self.prefilter, self.magnify, self.smoothing, self.length))
+        return hash((self.name, self.taps, self.prefilter, self.magnified_by, self.smoothing, self.length))
 
     def __hash__(self) -> int:
         """Computed once: that of many fractions takes longer than a small array."""
@@ -174,7 +189,7 @@ class Filter:
     @property
     def scale(self) -> int:
         """Coefficients per sample along one axis: 2 for a hybrid, else 1."""
-        return 2 if self.magnify else 1
+        return 2 if self.magnified_by else 1
 
     @property
     def exact(self) -> bool:
@@ -249,7 +264,7 @@ class Filter:
 
     def smoothed(self, smoothing: Smoothing | Sequence[float]) -> Filter:
         """The same row with other smoothing, named after it: one number, one for each axis, or "auto"."""
-        return _smoothed(self, _smoothing(smoothing))
+        return smoothed(self, as_smoothing(smoothing))
 
     def along(self, axis: int) -> Filter:
         """What the row does along an axis, 0 being x: itself, but for λ that differs from axis to axis.
@@ -267,7 +282,7 @@ class Filter:
             return self
         if axis >= len(self.smoothing):
             raise OptionError(f"{self.name!r} has smoothing for {len(self.smoothing)} axes; got axis {axis} (x is 0)")
-        return _smoothed(self, self.smoothing[axis])
+        return smoothed(self, self.smoothing[axis])
 
     @cached_property
     def undone(self) -> Array:
@@ -299,11 +314,6 @@ class Filter:
         inside = self._roots[np.abs(self._roots) < 1]
         real = np.abs(inside.imag) < _ROUNDING
         return np.sort(inside.real if real.all() else np.where(real, inside.real, inside))
-
-    @cached_property
-    def magnified_by(self) -> Filter | None:
-        """The filter that first magnifies the samples, or None."""
-        return as_filter(self.magnify) if self.magnify else None
 
     @cached_property
     def has_gradient(self) -> bool:
@@ -391,7 +401,7 @@ class Filter:
         return max(_ROUNDING, 10 * self.fit_error) * max(1.0, float(self.degree) ** (2 * derivative))
 
 
-def _rows(what: str, rows: object) -> tuple[Polynomial, ...]:
+def as_polynomials(what: str, rows: object) -> tuple[Polynomial, ...]:
     """`rows` as polynomials; `OptionError` unless they are sequences of finite numbers."""
     try:
         polynomials = tuple(tuple(row) for row in rows)  # type: ignore[attr-defined]  # what cannot be iterated is refused
@@ -422,52 +432,8 @@ def _moment(taps: Sequence[Polynomial], m: int) -> list[Number]:
     return total
 
 
-# -- making rows -----------------------------------------------------------------------------------
-
-
-def bspline(
-    degree: int, *, prefilter: bool = True, smoothing: Smoothing | Sequence[float] = 0, length: float | None = None
-) -> Filter:
-    """The B-spline of a degree 0 to 9, by the recursion of eqs (3) and (4) on a uniform knot sequence.
-
-    With `prefilter` it interpolates (section 4.2); without, it is the paper's approximation (4.1). Smoothing splines lie between
-    the two, and beyond.
-
-    Parameters
-    ----------
-    degree : int
-    prefilter : bool
-    smoothing : float, sequence of float, or "auto"
-        λ ≥ 0, the same for all axes or one for each, x first; 0 interpolates. "auto" takes it from the noise of the volume.
-        See `Filter`. Its name is "bspline3(0.1)", "bspline3(0.1,0.1,0.4)" or "bspline3(auto)".
-    length : float, optional
-        Instead, a length in world units. Its name is "bspline3(length=0.3)".
-
-    Raises
-    ------
-    OptionError
-        A degree outside 0 to 9; smoothing that is negative or more than 10⁵, which float32 could not follow, or given to a
-        filter without a prefilter (degrees 0 and 1 have none).
-    """
-    degree = whole("degree", degree, 0, 9)
-    made = _bspline(degree, flag("prefilter", prefilter) and degree >= 2)  # the first two interpolate as they are
-    given = _smoothing(smoothing)
-    length = None if length is None else float(number("length", length, minimum=0))
-    return made if length is None and given == 0 else _smoothed(made, given, length)
-
-
-@lru_cache
-def _bspline(degree: int, prefilter: bool) -> Filter:
-    # On the interval [0, 1), rows[m] is the spline that starts at knot -m.
-    rows: list[list[Fraction]] = [[Fraction(1)]]
-    for k in range(1, degree + 1):
-        rows = [_next_degree(rows, k, m) for m in range(k + 1)]
-    name = {0: "nearest", 1: "linear"}.get(degree, f"bspline{degree}" + ("" if prefilter else "-approx"))
-    return Filter(name, tuple(tuple(row) for row in reversed(rows)), prefilter=prefilter)
-
-
 @lru_cache(maxsize=1024)
-def _smoothed(filter: Filter, smoothing: Smoothing, length: float | None = None) -> Filter:
+def smoothed(filter: Filter, smoothing: Smoothing, length: float | None = None) -> Filter:
     """A row with other smoothing, named after it."""
     name = filter.name.rpartition("(")[0] if filter.smoothing != 0 or filter.length is not None else filter.name
     if length is not None:
@@ -484,7 +450,7 @@ def _shortest(value: float) -> str:
     return short if float(short) == value else repr(value)
 
 
-def _smoothing(value: object, least: float = 0.0) -> Smoothing:
+def as_smoothing(value: object, least: float = 0.0) -> Smoothing:
     """λ, one for each axis, or "auto", as a filter holds it: the same for all axes is one number."""
     if isinstance(value, str):
         if value == "auto":
@@ -498,454 +464,6 @@ def _smoothing(value: object, least: float = 0.0) -> Smoothing:
     return values[0] if len(set(values)) == 1 else values
 
 
-def _next_degree(rows: list[list[Fraction]], k: int, m: int) -> list[Fraction]:
-    """Eq. (4) for the spline of degree `k` that starts at knot ``-m``, given those of degree ``k - 1``."""
-    result = [Fraction(0)] * (k + 1)
-    if m < k:  # (u - u_i) / k times the spline that starts at the same knot
-        for j, c in enumerate(rows[m]):
-            result[j] += c * Fraction(m, k)
-            result[j + 1] += c / k
-    if m > 0:  # (u_{i+k+1} - u) / k times the one that starts a knot later
-        for j, c in enumerate(rows[m - 1]):
-            result[j] += c * Fraction(k + 1 - m, k)
-            result[j + 1] -= c / k
-    return result
-
-
-def quasi(degree: int) -> Filter:
-    """The quasi-interpolating B-spline of degree 1, 3 or 5: near the samples instead of through them, and nearer to the function.
-
-    Interpolation errs by ``|B_L| / L! T**L f^(L)`` in the mean, L = degree + 1, with Bernoulli's number B_L: 1/12 for linear,
-    1/720 for the cubic. A prefilter that takes it off leaves the asymptotic error of least squares, 0.41 of that of linear
-    interpolation, 0.55 of that of the cubic, with the same taps (L. Condat, T. Blu and M. Unser, *Beyond interpolation: optimal
-    reconstruction by quasi-interpolation*, ICIP 2005). It is a smoothing spline whose λ is negative, ``-|B_L| / L!``: linear's
-    prefilter is ``12 / (z + 10 + 1/z)``. Noise grows by up to 1.5 along each axis, the cubic's 3 to 3.2.
-
-    Raises
-    ------
-    OptionError
-        Another degree: in even ones the mean error is 0.
-    """
-    bernoulli = {1: Fraction(1, 6), 3: Fraction(1, 30), 5: Fraction(1, 42)}
-    if whole("degree", degree, 1, 5) not in bernoulli:
-        raise OptionError(f"degree must be 1, 3 or 5; got {degree!r}")
-    smoothing = -float(bernoulli[degree] / math.factorial(degree + 1))
-    made = bspline(degree)
-    return replace(made, name=f"{made.name}-quasi", prefilter=True, smoothing=smoothing)
-
-
-def from_pieces(name: str, pieces: Sequence[Sequence[Number]], *, prefilter: bool = False) -> Filter:
-    """A filter from an even kernel: ``pieces[j]`` are its coefficients in powers of ``|x|`` on [j, j + 1).
-
-    Parameters
-    ----------
-    name : str
-        Name of the new row.
-    pieces : sequence of sequences of number
-        Fractions and integers keep the row exact.
-    prefilter : bool
-        Make it interpolate by solving eq. (11) for its kernel.
-
-    Raises
-    ------
-    OptionError
-        More than eight pieces, or a prefilter that does not exist.
-    """
-    pieces = _rows(f"pieces of {name!r}", pieces)
-    if not pieces:
-        raise OptionError("pieces must hold at least one polynomial; got none")
-    size = max(len(piece) for piece in pieces)
-    taps = []
-    for i in range(2 * len(pieces)):
-        d = len(pieces) - 1 - i  # the tap lies at distance t + d
-        piece, offset, sign = (pieces[d], d, 1) if d >= 0 else (pieces[-d - 1], -d, -1)  # |x| = offset + sign t
-        row: list[Number] = [Fraction(0)] * size
-        for k, c in enumerate(piece):
-            exact = Fraction(c) if isinstance(c, (int, Fraction)) else float(c)
-            for j in range(k + 1):
-                row[j] += exact * math.comb(k, j) * offset ** (k - j) * sign**j
-        taps.append(tuple(row))
-    return Filter(name, tuple(taps), prefilter=prefilter)
-
-
-def from_callable(
-    name: str, kernel: Callable[[Array], ArrayLike], radius: int, *, prefilter: bool = False, degree: int | None = None
-) -> Filter:
-    """A filter fitted to an even kernel that is smooth between the integers.
-
-    Parameters
-    ----------
-    name : str
-        Name of the new row.
-    kernel : callable
-        Kernel values at an array of distances; called within ``[-radius, radius]``.
-    radius : int
-        Half the support, 1 to 8.
-    prefilter : bool
-        Make it interpolate by solving eq. (11) for its kernel.
-    degree : int, optional
-        Degree of the Chebyshev fit on each unit piece; by default the smallest that errs by no more
-        than 1e-10 of the peak, at most 20.
-
-    Returns
-    -------
-    Filter
-        Its `fit_error` is the largest error found between the nodes of the fit.
-
-    Raises
-    ------
-    OptionError
-        A kernel that fails or gives other than finite numbers, or that jumps between the integers, unless `degree` is
-        given.
-    """
-    radius = _radius(radius)
-    degree = None if degree is None else whole("degree", degree, 0, _MAX_DEGREE)
-    if not callable(kernel):
-        raise OptionError(f"kernel must be a function of distances; got {kernel!r}")
-    t = np.linspace(0, 1, 1001)
-    distance = t[None, :] - np.arange(2 * radius)[:, None] + radius - 1
-    # the ends of a piece belong to two pieces; a kernel that jumps there is evaluated just inside
-    wanted = _kernel_at(name, kernel, np.clip(distance, distance[:, :1] + 1e-12, distance[:, -1:] - 1e-12))
-    peak = float(np.abs(wanted).max())
-    for n in [degree] if degree is not None else range(_MAX_DEGREE + 1):
-        nodes = chebyshev.chebpts1(n + 1)
-        at = (nodes + 1) / 2 - np.arange(2 * radius)[:, None] + radius - 1
-        fits = chebyshev.chebfit(nodes, _kernel_at(name, kernel, at).T, n).T @ _chebyshev_powers(n)
-        error = float(np.abs(np.polynomial.polynomial.polyval(t, fits.T) - wanted).max())
-        if error <= _FIT_TOLERANCE * peak:
-            break
-    if degree is None and error > _MISFIT * peak:
-        raise OptionError(
-            f"the kernel of {name!r} must be smooth between the integers; "
-            f"got one that polynomials of degree {n} miss by {error:.2g}"
-        )
-    return Filter(name, tuple(tuple(map(float, row)) for row in fits), prefilter=prefilter, fit_error=error)
-
-
-def _kernel_at(name: str, kernel: Callable[[Array], ArrayLike], distance: Array) -> Array:
-    rule = "one finite value for each distance"
-    try:
-        values = kernel(distance)
-    except ClvolError:
-        raise
-    except Exception as error:
-        raise OptionError(f"the kernel of {name!r} must give {rule}; it failed: {error!r}") from error
-    array = reals(f"the values of the kernel of {name!r}", values, rule)
-    if array.shape != distance.shape or not np.isfinite(array).all():
-        raise OptionError(f"the kernel of {name!r} must give {rule}")
-    return array
-
-
-def _radius(radius: object) -> int:
-    return whole("radius", radius, 1, MAX_TAPS // 2)
-
-
-@lru_cache
-def _chebyshev_powers(degree: int) -> Array:
-    """Coefficients in powers of t, one row each, of the Chebyshev polynomials of 2t - 1 up to a degree: whole numbers, exact."""
-    rows = np.zeros((degree + 2, degree + 2))
-    rows[0, 0], rows[1, :2] = 1, (-1, 2)
-    for k in range(2, degree + 1):
-        rows[k] = -2 * rows[k - 1] - rows[k - 2]
-        rows[k, 1:] += 4 * rows[k - 1, :-1]
-    return rows[: degree + 1, : degree + 1]
-
-
-def bc(B: Number, C: Number) -> Filter:
-    """The cubic of Mitchell and Netravali with parameters B and C (reference [10] of the paper).
-
-    (1, 0) is the cubic B-spline without prefilter, (1/3, 1/3) theirs, (0, 1/2) Catmull-Rom.
-    """
-    b, c = _exact("B and C", B), _exact("B and C", C)
-    return _bc(f"bc({b},{c})", Fraction(b), Fraction(c))
-
-
-def _exact(what: str, value: object) -> Number:
-    """`value` as a fraction where it is one or a whole number, else as a float."""
-    real = number(what, value)
-    if isinstance(value, Rational):
-        return Fraction(int(value.numerator), int(value.denominator))
-    return Fraction(real) if real.is_integer() else real
-
-
-@lru_cache
-def _bc(name: str, b: Fraction, c: Fraction) -> Filter:
-    return from_pieces(
-        name,
-        [
-            ((6 - 2 * b) / 6, 0, (-18 + 12 * b + 6 * c) / 6, (12 - 9 * b - 6 * c) / 6),
-            ((8 * b + 24 * c) / 6, (-12 * b - 48 * c) / 6, (6 * b + 30 * c) / 6, (-b - 6 * c) / 6),
-        ],
-    )
-
-
-def sinc(radius: int = 4, *, normalized: bool = False) -> Filter:
-    """The ideal filter cut off at `radius` samples, 1 to 8.
-
-    As the paper has it, the weights miss one by up to 0.08 at radius 4: what truncation does is to be seen. With
-    `normalized` they are divided by their sum, which is how programs use it; that is Berrut's rational interpolant of the
-    nearest ``2 radius`` samples (Computers & Mathematics with Applications 15, 1988).
-    """
-    return _sinc(_radius(radius), flag("normalized", normalized))
-
-
-@lru_cache
-def _sinc(radius: int, normalized: bool) -> Filter:
-    if normalized:
-        return _normalized("sinc4n" if radius == 4 else f"sincn({radius})", np.sinc, radius, 2)
-    return from_callable("sinc" if radius == 4 else f"sinc({radius})", np.sinc, radius, degree=_SINC_DEGREE)
-
-
-def lanczos(radius: int, *, normalized: bool = False) -> Filter:
-    """Sinc under the window sinc(x / radius), radius 1 to 8.
-
-    Its weights sum to one only nearly; with `normalized` they are divided by their sum.
-    """
-    return _lanczos(_radius(radius), flag("normalized", normalized))
-
-
-@lru_cache
-def _lanczos(radius: int, normalized: bool) -> Filter:
-    def kernel(x: Array) -> Array:
-        return np.asarray(np.sinc(x) * np.sinc(x / radius))
-
-    if normalized:
-        return _normalized("lanczos3n" if radius == 3 else f"lanczosn({radius})", kernel, radius, 1)
-    return from_callable(f"lanczos{radius}", kernel, radius, degree=_SINC_DEGREE)
-
-
-def _normalized(name: str, kernel: Callable[[Array], Array], radius: int, order: int) -> Filter:
-    """The row of a kernel, 1 at 0 and 0 at the other integers, whose weights are divided by their sum.
-
-    What holds of the quotients and only nearly of the fits is restored: a line added to each makes it exact at the
-    samples, and the smallest change of the weights brings back the polynomials below `order`.
-    """
-    shifts = radius - 1.0 - np.arange(2 * radius)  # tap i lies at t + shifts[i]
-
-    def divided(x: Array) -> Array:
-        return np.asarray(kernel(x) / kernel((x - np.floor(x))[..., None] + shifts).sum(-1))
-
-    row = from_callable(name, divided, radius, degree=_SINC_DEGREE)
-    rows = row.matrix.copy()
-    rows[:, 0] = shifts == 0
-    rows[:, 1] += (shifts == -1) - rows.sum(1)
-    powers = np.vander(shifts, order, increasing=True).T
-    wanted = np.zeros((order, rows.shape[1]))  # the sum of w_i(t) (t + shifts[i])**m is that of m = 0 alone
-    wanted[range(order), range(order)] = (-1.0) ** np.arange(order)
-    rows += np.linalg.pinv(powers) @ (wanted - powers @ rows)
-    row = replace(row, taps=tuple(map(tuple, rows.tolist())))
-    t = np.linspace(0, 1, 1001)[1:-1]
-    return replace(row, fit_error=float(np.abs(row.weights(t) - divided(t + shifts[:, None])).max()))
-
-
-def moms3(weight: Number = Fraction(1, 56)) -> Filter:
-    """The cubic B-spline plus `weight` of its second derivative: order 4 on support 4, prefiltered.
-
-    Blu, Thévenaz and Unser (*MOMS: maximal-order interpolation of minimal support*, IEEE Trans. Image Processing 10, 2001).
-    All even kernels of that order and support are among these: 0 is the cubic B-spline, -1/6 the cubic Lagrange
-    interpolant. With samples ever finer, the RMS error of interpolation is `constant` times that of ``T**4 f^(4)``, where::
-
-        constant**2 = (1/720 - weight/12)**2 + 1/1209600 - weight/15120 + weight**2/720
-
-    1/56, the default, makes it the smallest: 0.19 of the B-spline's.
-
-    Parameters
-    ----------
-    weight : number
-        Below 1/12, where the prefilter ceases to exist.
-    """
-    w = _exact("weight", weight)
-    return _moms3("moms3" if w == Fraction(1, 56) else f"moms3({w})", Fraction(w))
-
-
-@lru_cache
-def _moms3(name: str, weight: Fraction) -> Filter:
-    taps = tuple((a + 2 * c * weight, b + 6 * d * weight, c, d) for a, b, c, d in bspline(3).taps)
-    return Filter(name, taps, prefilter=True)
-
-
-def omoms3() -> Filter:
-    """`moms3` of 1/42, the best of them for least squares: where coefficients are fitted to the function itself.
-
-    Its asymptotic error is then 0.22 of that of the cubic B-spline (Blu, Thévenaz and Unser, 2001). As it is used here,
-    through samples, it is 0.38 of it, and twice that of `moms3`.
-    """
-    return replace(moms3(Fraction(1, 42)), name="omoms3")
-
-
-# -- the table -------------------------------------------------------------------------------------
-
-_TABLE: dict[str, Filter] = {}
-_ALIASES = {
-    "box": "nearest",
-    "bspline0": "nearest",
-    "bspline1": "linear",
-    "bilinear": "linear",
-    "trilinear": "linear",
-    "quadratic": "bspline2",
-    "bspline": "bspline3",
-    "cubic": "bspline3",
-    "tricubic": "bspline3",
-    "quintic": "bspline5",
-    "keys": "catmull-rom",
-    "lanczos": "lanczos3",
-}
-_FAMILIES: dict[str, tuple[str, Callable[..., Filter]]] = {
-    "bc": ("B, C", bc),
-    "moms3": ("weight", moms3),
-    "sinc": ("radius", lambda radius: sinc(_whole(radius))),
-    "sincn": ("radius", lambda radius: sinc(_whole(radius), normalized=True)),
-    "lanczos": ("radius", lambda radius: lanczos(_whole(radius))),
-    "lanczosn": ("radius", lambda radius: lanczos(_whole(radius), normalized=True)),
-}
-_SMOOTHED = "bspline3(0.1), bspline3(auto), bspline3(length=0.5)"
-
-
-def register(new: Filter, *, replace_existing: bool = False) -> Filter:
-    """Add a filter to the table, so that its name can be given wherever a filter is expected; returns it."""
-    if not isinstance(new, Filter):
-        raise OptionError(f"register takes a Filter; got {new!r}")
-    if not re.fullmatch(r"[a-zA-Z][\w.+-]*(\([\w.+/,-]*\))?", new.name):
-        raise OptionError(
-            "a filter's name must be a letter, then letters, digits, '-', '+', '.' or '_', and perhaps "
-            f"parameters in parentheses; got {new.name!r}"
-        )
-    if (new.name in _TABLE or new.name in _ALIASES) and not replace_existing:
-        raise OptionError(f"a filter named {new.name!r} exists; pass replace_existing=True to replace it")
-    _TABLE[new.name] = new
-    return new
-
-
-def unregister(name: str) -> Filter:
-    """Remove a filter from the table and return it; `OptionError` if there is none of that name.
-
-    The filters that clvol comes with may be removed, too; ``register(unregister("linear"))`` puts one back.
-    """
-    if not isinstance(name, str) or name not in _TABLE:
-        raise one_of("filter", name, _TABLE)
-    return _TABLE.pop(name)
-
-
-class FilterTable(display.Named[Filter]):
-    """Every filter by name; shown, it is a table."""
-
-    HEADER = ("filter", "support", "degree", "continuity", "order", "interpolates", "sums to one", "poles", "also called")
-
-    def rows(self) -> list[tuple[str, ...]]:
-        """One tuple of texts a filter, in the order of `HEADER`."""
-        return [
-            (
-                name,
-                str(f.support),
-                str(f.degree),
-                "jumps" if f.continuity < 0 else f"C{f.continuity}",
-                str(f.order),
-                "no" if not f.interpolates else "yes" if f.interpolates_directly and not f.magnify else "prefiltered",
-                "yes" if f.sums_to_one else "nearly",
-                _poles_in_words(f.magnified_by or f),
-                " ".join(_also(name)) if f is _TABLE.get(name) else "",
-            )
-            for name, f in self.items()
-        ]
-
-
-def _also(name: str) -> list[str]:
+def also_called(name: str) -> list[str]:
     """What else a row of the table is called."""
-    return [other for other, row in _ALIASES.items() if row == name]
-
-
-def _poles_in_words(filter: Filter) -> str:
-    if not filter.settled:
-        return "the volume's"
-    if isinstance(filter.smoothing, tuple):
-        return "; ".join(_poles_in_words(filter.along(axis)) for axis in range(len(filter.smoothing)))
-    return " ".join(f"{p:.4f}" for p in filter.poles) or "-"
-
-
-def filters() -> FilterTable:
-    """The table: every filter by name, in order; shown, it says what each has, and what else it is called."""
-    return FilterTable(_TABLE)
-
-
-def as_filter(choice: str | Filter) -> Filter:
-    """The row for a name, an alias, or a family with its parameters, such as ``"bc(0, 1/2)"``, ``"sinc(6)"``, ``"bspline3(0.1)"``,
-    ``"bspline3(0.1, 0.1, 0.4)"``, ``"bspline3(auto)"`` or ``"bspline3(length=0.5)"``.
-    """
-    if isinstance(choice, Filter):
-        return choice
-    if not isinstance(choice, str):
-        raise one_of("filter", choice, _TABLE)
-    name = choice.strip().lower()
-    name = _ALIASES.get(name, name)
-    if name in _TABLE:
-        return _TABLE[name]
-    if choice in _TABLE:
-        return _TABLE[choice]
-    written = [f"{family}({parameters})" for family, (parameters, _) in _FAMILIES.items()]
-    if (match := re.fullmatch(r"(\w+)\(([^()]*)\)", name)) and match[1] in _FAMILIES:
-        try:
-            return _FAMILIES[match[1]][1](*(Fraction(v.strip()) for v in match[2].split(",")))
-        except (ValueError, TypeError, ZeroDivisionError):
-            raise OptionError(f"filter {choice!r} has wrong parameters; write {', '.join(written[:-1])} or {written[-1]}") from None
-    if match := re.fullmatch(r"bspline([6-9])", name):  # what one that smooths is called where there is nothing to smooth
-        return bspline(int(match[1]))
-    if match := re.fullmatch(r"(?:bspline|cubic)\(([^()]*)\)|bspline(\d)\(([^()]*)\)", name):
-        return _smoothed_by_name(choice, int(match[2] or 3), match[1] or match[3] or "")
-    near = difflib.get_close_matches(name, [*_TABLE, *_ALIASES], 1)
-    hint = f" (did you mean {near[0]}?)" if near else ""
-    known = [f"{row} ({', '.join(_also(row))})" if _also(row) else row for row in _TABLE]
-    raise OptionError(
-        f"filter must be one of {', '.join([*known, *written, 'bspline3(λ)', 'bspline3(auto)'])}; got {choice!r}{hint}"
-    )
-
-
-def _smoothed_by_name(choice: str, degree: int, text: str) -> Filter:
-    try:
-        if text.strip() == "auto":
-            return bspline(degree, smoothing="auto")
-        key, given, value = text.partition("=")
-        if given and key.strip() == "length":
-            return bspline(degree, length=float(Fraction(value.strip())))
-        values = [float(Fraction(v.strip())) for v in text.split(",")]
-        return bspline(degree, smoothing=values[0] if len(values) == 1 else tuple(values))
-    except (ValueError, ZeroDivisionError, OverflowError) as error:
-        reason = f": {error}" if isinstance(error, OptionError) else ""
-        raise OptionError(f"filter {choice!r} has wrong parameters; write it as one of {_SMOOTHED}{reason}") from None
-
-
-def as_filters(choices: Sequence[str | Filter], maximum: int | None = None) -> list[Filter]:
-    """The filters of one or more names, at most `maximum`."""
-    return [as_filter(choice) for choice in several_names(choices, maximum)]
-
-
-def several_names(choices: object, maximum: int | None = None) -> list[Any]:
-    """The one or more names or rows that `filters` says, not yet looked up."""
-    if isinstance(choices, Filter):
-        raise OptionError(f"filters must be one or more names; got {choices!r}")
-    return several("filters", choices, "one or more names", maximum)
-
-
-def _whole(value: Fraction) -> int:
-    if value.denominator != 1:
-        raise ValueError
-    return int(value)
-
-
-for _row in (
-    bspline(0),
-    bspline(1),
-    *(bspline(degree) for degree in (2, 3, 4, 5)),
-    *(bspline(degree, prefilter=False) for degree in (2, 3, 4, 5)),
-    replace(bc(Fraction(1, 3), Fraction(1, 3)), name="mitchell"),
-    replace(bc(0, Fraction(1, 2)), name="catmull-rom"),
-    omoms3(),
-    moms3(),
-    quasi(1),
-    quasi(3),
-    *(lanczos(radius) for radius in (2, 3, 4, 5)),
-    lanczos(3, normalized=True),
-    sinc(),
-    sinc(normalized=True),
-):
-    register(_row)
-register(replace(bspline(1), name="hybrid", magnify="bspline3"))
+    return [other for other, row in ALIASES.items() if row == name]

@@ -15,7 +15,8 @@ from clvol.base.checks import reals, several, whole
 from clvol.base.errors import DataError, GeometryError, OptionError
 from clvol.device import Device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.filter.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.filter.filter import Filter
+from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.interop import as_array
 from clvol.ndimage.arguments import as_precision
 from clvol.spline.field import Field, Precision

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.errors import OptionError
-from clvol.filter.filter import Filter, as_filter
+from clvol.filter.filter import Filter
+from clvol.filter.table import as_filter
 
 __all__ = ["DEFAULT_PIXEL_FILTER", "EDGE_RAYS", "as_pixel_filter", "on_edges", "pixel_offsets", "pixel_rays"]
 
@@ -42,7 +43,7 @@ def as_pixel_filter(choice: str | Filter) -> Filter:
         No filter has this name, or it is no kernel that is even and has a positive sum: one with a prefilter is none.
     """
     row = as_filter(choice)
-    if row.prefilter or row.magnify:
+    if row.prefilter or row.magnified_by:
         raise OptionError(f"pixel_filter must be a filter without a prefilter, such as 'bspline3-approx'; got {row.name!r}")
     _, values = _kernel(row)
     if not np.allclose(values, values[::-1], atol=1e-6 * np.abs(values).max()) or values.sum() <= 0:

@@ -22,7 +22,8 @@ from clvol.bricks.source import LazyVolume, budget_for
 from clvol.cluster import Cluster, ClusterLike, as_cluster
 from clvol.device import Device
 from clvol.filter.boundary import Boundary
-from clvol.filter.filter import PICTURE_FILTER, Filter, as_filter
+from clvol.filter.filter import Filter
+from clvol.filter.table import PICTURE_FILTER, as_filter
 from clvol.march import launch
 from clvol.march.bricks import STEPPED_AT_MOST, BrickedDrawing, level_of
 from clvol.march.cluster import MERGES, ClusterDrawing, Merge, Shared, shared_out

@@ -28,7 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.uniform import FLOAT, Block, Values
-from clvol.filter.filter import Filter, bspline
+from clvol.filter.filter import Filter
+from clvol.filter.make import bspline
 from clvol.noise import Noise, colour_power
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT

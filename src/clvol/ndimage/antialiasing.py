@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from clvol.base.errors import OptionError
 from clvol.device import as_device
 from clvol.filter.boundary import as_boundary
-from clvol.filter.filter import bspline
+from clvol.filter.make import bspline
 from clvol.ndimage import engine
 from clvol.ndimage.arguments import Array, Spline
 from clvol.spline.reduce import Sums, gaussian, least_squares, sum_along

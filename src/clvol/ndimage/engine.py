@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from clvol.base import memory
 from clvol.device import Device, as_device
 from clvol.filter.boundary import as_boundary
-from clvol.filter.filter import Filter, as_filter
+from clvol.filter.filter import Filter
+from clvol.filter.table import as_filter
 from clvol.spline.build import DefineDict, scalar_defines
 from clvol.spline.coefficients import OPENCL_TYPES, Coefficients, Lattice, addressable, bundled
 from clvol.spline.evaluator import DIRECT

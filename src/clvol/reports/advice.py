@@ -18,7 +18,8 @@ from clvol.analysis.comparison import as_compared, keeps_range, overshoot
 from clvol.base.errors import OptionError
 from clvol.figures.style import title
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.filter.filter import PICTURE_FILTER, Filter
+from clvol.filter.filter import Filter
+from clvol.filter.table import PICTURE_FILTER
 from clvol.noise import Noise
 from clvol.volume.smoothing import settled
 from clvol.volume.volume import Volume, as_volume

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from clvol.device import Device
 from clvol.figures.panels import fixed, settled
 from clvol.filter.boundary import Boundary
-from clvol.filter.filter import Filter, as_filter
+from clvol.filter.filter import Filter
+from clvol.filter.table import as_filter
 from clvol.march.renderer import Renderer
 from clvol.scene.camera import Camera
 from clvol.scene.mode import as_mode

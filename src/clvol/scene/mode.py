@@ -20,11 +20,11 @@ from clvol.base.checks import number, one_of, whole
 from clvol.base.color import color_of
 from clvol.base.errors import OptionError
 from clvol.base.scaling import share_of
+from clvol.base.shown import Named
 from clvol.base.uniform import FLOAT, Block, Values
-from clvol.filter.filter import DEFAULT_FILTER, PICTURE_FILTER, as_filter
+from clvol.filter.table import DEFAULT_FILTER, PICTURE_FILTER, as_filter
 from clvol.scene.palette import diverging
 from clvol.scene.transfer import TransferFunction
-from clvol.show.html import Named
 from clvol.volume.histogram import Projection, isovalue_of, matter_of, window_of
 from clvol.volume.stored import AS_THEY_ARE, Stored
 from clvol.volume.volume import Volume

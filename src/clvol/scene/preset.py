@@ -11,8 +11,8 @@ from typing import Literal
 
 from clvol.base.checks import one_of, warn
 from clvol.base.errors import OptionError
+from clvol.base.shown import Named
 from clvol.scene.palette import Colors, Opacities, of_labels, shades
-from clvol.show.html import Named
 from clvol.volume.histogram import matter_of, may_be_hounsfield
 from clvol.volume.volume import Volume
 

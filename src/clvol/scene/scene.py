@@ -15,7 +15,8 @@ from clvol.base.color import color_of
 from clvol.base.errors import GeometryError, OptionError
 from clvol.base.uniform import FLOAT, INT, REACH, Block, Values
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.filter.filter import Filter, as_filter
+from clvol.filter.filter import Filter
+from clvol.filter.table import as_filter
 from clvol.scene.light import KIT, Light, Material, as_lights
 from clvol.scene.transfer import TransferFunction
 from clvol.volume.stored import AS_THEY_ARE, Stored

@@ -78,9 +78,9 @@ class TransferFunction:
 
     def _repr_html_(self) -> str:
         """For notebooks: its colours under the curve of its opacity."""
-        from clvol.show import html as display
+        from clvol.base import html
 
-        return display.strip([v for v, _ in self.colors], [c for _, c in self.colors], self.opacities)
+        return html.strip([v for v, _ in self.colors], [c for _, c in self.colors], self.opacities)
 
     @classmethod
     def from_cmap(

@@ -27,7 +27,9 @@ from clvol.bricks.chunks import UNPACKING, Chunks, stored_in_one
 from clvol.bricks.source import Index, LazyVolume, budget_for
 from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.filter.filter import DEFAULT_FILTER, Filter, as_filter, bspline
+from clvol.filter.filter import Filter
+from clvol.filter.make import bspline
+from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.interop import as_output
 from clvol.spline.build import DefineDict, evaluator_defines, filter_defines
 from clvol.spline.chain import Chain

@@ -19,7 +19,8 @@ from clvol.base.errors import DataError, OptionError
 from clvol.base.rounding import as_kind, in_kind, wide
 from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.filter.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.filter.filter import Filter
+from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.interop import as_array, as_output, is_in_parts, lazily, read_array
 from clvol.spline.chain import Chain
 from clvol.spline.coefficients import Coefficients, Lattice, bytes_of
@@ -242,10 +243,10 @@ class Field:
 
     def _repr_html_(self) -> str:
         """For notebooks: the kernel, and what the function is made of."""
-        from clvol.show import html as display
+        from clvol.base import html
 
         known = {
-            "samples": f"{display.numbers(self.volume.shape)} {self.volume.data.dtype}",
+            "samples": f"{html.numbers(self.volume.shape)} {self.volume.data.dtype}",
             "filter": self.filter.name,
             "boundary": self.boundary.name,
             "device": self.device.name,
@@ -254,7 +255,7 @@ class Field:
             else f"{self.precision} precision, {self.nbytes / 1e6:.4g} MB",
             "missing samples": self.missing.rule if self.missing.rule != "error" else "",
         }
-        return display.beside(display.curve(*self.filter.plot(33)), display.facts("Field", known))
+        return html.beside(html.curve(*self.filter.plot(33)), html.facts("Field", known))
 
     @property
     def precision(self) -> Precision:

@@ -14,7 +14,8 @@ from clvol.base.errors import OptionError
 from clvol.bricks.source import LazyVolume, budget_for
 from clvol.device import Device, as_device
 from clvol.filter.boundary import Boundary, as_boundary
-from clvol.filter.filter import DEFAULT_FILTER, Filter
+from clvol.filter.filter import Filter
+from clvol.filter.table import DEFAULT_FILTER
 from clvol.spline.bricked import BrickedField, as_lazy
 from clvol.spline.field import Anchor, Frame, Progress, Reals
 from clvol.spline.reduce import AntiAliasing

@@ -21,7 +21,8 @@ from clvol.base.checks import one_of
 from clvol.base.errors import DeviceError, OptionError
 from clvol.device import Device
 from clvol.filter.boundary import Boundary
-from clvol.filter.filter import Filter, bspline
+from clvol.filter.filter import Filter
+from clvol.filter.make import bspline
 from clvol.spline.build import scalar_defines
 from clvol.volume.smoothing import settled
 from clvol.volume.stored import Stored

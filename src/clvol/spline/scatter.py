@@ -15,7 +15,8 @@ from clvol.base.checks import several, whole
 from clvol.base.errors import DeviceError, OptionError
 from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary, boundaries
-from clvol.filter.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.filter.filter import Filter
+from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.interop import as_array
 from clvol.spline.build import boundary_defines, filter_defines, point_defines
 from clvol.spline.field import Precision, precision_kind, prefilter
@@ -127,7 +128,7 @@ def _grid(shape: Sequence[int]) -> Volume:
 def linear(filter: str | Filter, boundary: str | Boundary) -> tuple[Filter, Boundary]:
     """The filter and the rule, if sampling through them is one linear map on one grid."""
     row, rule = as_filter(filter), as_boundary(boundary)
-    if row.magnify is not None:
+    if row.magnified_by is not None:
         raise OptionError(f"the adjoint needs a filter on the samples' own grid; got the hybrid {row.name!r}")
     if not row.settled:
         raise OptionError(f"the adjoint needs a filter that no volume decides on: smoothing must be numbers; got {row.name!r}")

@@ -15,7 +15,8 @@ from clvol.base.checks import instance, one_of, several, whole
 from clvol.base.errors import DataError, OptionError
 from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary
-from clvol.filter.filter import DEFAULT_FILTER, Filter
+from clvol.filter.filter import Filter
+from clvol.filter.table import DEFAULT_FILTER
 from clvol.spline.chain import Chain
 from clvol.spline.evaluator import choose_evaluator
 from clvol.spline.field import Field, Precision, fill_value, opened, resample

@@ -15,7 +15,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from clvol.base.errors import ClvolError, MissingDependencyError
-from clvol.filter.filter import as_filter
+from clvol.filter.table import as_filter
 from clvol.march.renderer import Renderer
 from clvol.show.picture import Picture, to_png
 from clvol.view import code

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.errors import MissingDependencyError, OptionError
-from clvol.filter.filter import filters
+from clvol.filter.table import filters
 from clvol.march.renderer import render
 from clvol.scene.camera import Camera
 from clvol.scene.mode import DEFAULT_MODE, modes

@@ -21,7 +21,7 @@ from clvol.base.errors import ClvolError, DataError, OptionError, OutOfMemoryErr
 from clvol.bricks.source import LazyVolume
 from clvol.device import Device
 from clvol.filter.boundary import boundaries
-from clvol.filter.filter import filters
+from clvol.filter.table import filters
 from clvol.march.renderer import Renderer
 from clvol.scene.camera import Camera
 from clvol.scene.fit import fitted

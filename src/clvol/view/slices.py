@@ -14,7 +14,8 @@ from clvol.base.errors import OptionError
 from clvol.bricks.source import LazyVolume
 from clvol.device import Device
 from clvol.filter.boundary import Boundary
-from clvol.filter.filter import PICTURE_FILTER, Filter
+from clvol.filter.filter import Filter
+from clvol.filter.table import PICTURE_FILTER
 from clvol.march.bricks import level_within
 from clvol.march.renderer import Renderer, row_for
 from clvol.scene.transfer import TransferFunction

@@ -15,7 +15,7 @@ from typing import Any, Literal, Self, TypeAlias
 from clvol.base.checks import number, one_of, reals, whole
 from clvol.base.errors import ClvolError, OptionError
 from clvol.filter.boundary import as_boundary
-from clvol.filter.filter import as_filter
+from clvol.filter.table import as_filter
 from clvol.scene.light import MAX_LIGHTS, Light, Material
 from clvol.scene.mode import as_mode
 from clvol.scene.preset import as_preset

@@ -24,7 +24,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.base.checks import whole
 from clvol.base.errors import OptionError
-from clvol.filter.filter import MOST_SMOOTHING, Filter, as_filter, bspline
+from clvol.filter.filter import MOST_SMOOTHING, Filter
+from clvol.filter.make import bspline
+from clvol.filter.table import as_filter
 from clvol.noise import Spectrum
 from clvol.volume.volume import Volume, as_volume
 
@@ -134,7 +136,7 @@ def settled(filter: str | Filter, volume: Volume) -> Filter:
     """
     row = as_filter(filter)
     if row.magnified_by is not None and not row.magnified_by.settled:
-        row = replace(row, magnify=settled(row.magnified_by, volume).name)
+        row = replace(row, magnified_by=settled(row.magnified_by, volume))
     if isinstance(row.smoothing, tuple) and len(row.smoothing) != volume.ndim:
         raise OptionError(f"smoothing must be one number, or {volume.ndim} for a volume of {volume.ndim} axes; got {row.name!r}")
     if row.settled:

@@ -14,7 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from clvol.base.checks import reals
 from clvol.base.errors import DataError, GeometryError, OptionError
-from clvol.filter.filter import Filter, as_filter, bspline
+from clvol.filter.filter import Filter
+from clvol.filter.make import bspline
+from clvol.filter.table import as_filter
 from clvol.foreign import simpleitk
 from clvol.interop import as_array
 from clvol.volume.volume import Volume

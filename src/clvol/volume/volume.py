@@ -169,28 +169,28 @@ class Volume:
 
     def _repr_html_(self) -> str:
         """For notebooks: three slices through the middle, what is known of it, and its histogram. No device is asked."""
-        from clvol.show import html as display
+        from clvol.base import html
+        from clvol.show import thumbnail
 
         known = {
             "name": self.name,
-            "samples": f"{display.numbers(self.shape)} {self.data.dtype}"
-            + (", labels" if self.labels not in (None, False) else ""),
-            "spacing": f"{display.numbers(self.spacing)} {self.units}",
-            "origin": f"{display.numbers(self.origin, ', ')}" if any(self.origin) else "",
+            "samples": f"{html.numbers(self.shape)} {self.data.dtype}" + (", labels" if self.labels not in (None, False) else ""),
+            "spacing": f"{html.numbers(self.spacing)} {self.units}",
+            "origin": f"{html.numbers(self.origin, ', ')}" if any(self.origin) else "",
             "space": f"{self.space}: {SPACES[self.space]}" if self.space else "",
             "values": self._range_in_words(),
-            "window": display.numbers(self.window, " to ") if self.window else "",
+            "window": html.numbers(self.window, " to ") if self.window else "",
         }
         blended = self.labels in (None, False)
-        middle = display.slices(
+        middle = thumbnail.slices(
             self.data, self.spacing, self.direction, space=self.space, window=self.window, color=self.color, blended=blended
         )
-        pictures = (display.image(picture, plane) for plane, picture in middle)
+        pictures = (thumbnail.image(picture, plane) for plane, picture in middle)
         try:
-            counts = display.histogram(self.data, *self.value_range)
+            counts = html.histogram(self.data, *self.value_range)
         except DataError:  # nothing is finite
             counts = ""
-        return display.beside(*pictures, display.facts("Volume" if self.ndim == 3 else "Image", known), counts)
+        return html.beside(*pictures, html.facts("Volume" if self.ndim == 3 else "Image", known), counts)
 
     def _range_in_words(self) -> str:
         try:

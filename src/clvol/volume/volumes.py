@@ -384,18 +384,19 @@ class Volumes(Sequence[Volume]):
 
     def _repr_html_(self) -> str:
         """For notebooks: the middle slices of the first few, and what is known of all."""
-        from clvol.show import html as display
+        from clvol.base import html
+        from clvol.show import thumbnail
 
         first = self.grid
         known = {
             "volumes": str(self.leading),
-            "samples of each": f"{display.numbers(first.shape)} {first.data.dtype}",
-            "spacing": f"{display.numbers(first.spacing)} {first.units}",
+            "samples of each": f"{html.numbers(first.shape)} {first.data.dtype}",
+            "spacing": f"{html.numbers(first.spacing)} {first.units}",
             "space": f"{first.space}: {SPACES[first.space]}" if first.space else "",
         }
         pictures = []
         for number, volume in enumerate(self[:_SHOWN]):
-            ((_, picture),) = display.slices(
+            ((_, picture),) = thumbnail.slices(
                 volume.data,
                 volume.spacing,
                 volume.direction,
@@ -405,8 +406,8 @@ class Volumes(Sequence[Volume]):
                 blended=volume.labels in (None, False),
                 all_planes=False,
             )
-            pictures.append(display.image(picture, f"{number} {volume.name}".strip()))
-        return display.beside(*pictures, display.facts("Volumes", known))
+            pictures.append(thumbnail.image(picture, f"{number} {volume.name}".strip()))
+        return html.beside(*pictures, html.facts("Volumes", known))
 
     def _about(self, number: int) -> dict[str, Any]:
         return self.leading.about([int(i) for i in np.unravel_index(number, self.leading.counts)])

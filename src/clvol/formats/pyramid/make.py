@@ -19,7 +19,8 @@ from clvol.bricks.chunks import UNPACKING, Chunks, lines_of, stored_in_one
 from clvol.bricks.source import LazyVolume, Sliced, budget_for
 from clvol.device import Device, as_device
 from clvol.filter.boundary import Boundary, as_boundary
-from clvol.filter.filter import PICTURE_FILTER, Filter
+from clvol.filter.filter import Filter
+from clvol.filter.table import PICTURE_FILTER
 from clvol.formats import read as read_whole
 from clvol.formats._bounds import BLOCK, KEY, VERSION
 from clvol.formats._files import foreign_errors

@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clvol.base.errors import OptionError
-from clvol.filter.filter import Filter, as_filter, bc, bspline, lanczos, moms3, sinc
+from clvol.filter.filter import Filter
+from clvol.filter.make import bc, bspline, lanczos, moms3, sinc
+from clvol.filter.table import as_filter
 
 __all__ = ["kernel"]
 

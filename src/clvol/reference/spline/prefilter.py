@@ -10,7 +10,8 @@ from scipy import linalg
 
 from clvol.base.errors import DataError, OptionError
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary
-from clvol.filter.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.filter.filter import Filter
+from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.reference.spline.boundary import extend, pad, padding, solved_by
 from clvol.reference.spline.filter import kernel
 

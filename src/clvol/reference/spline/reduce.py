@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary
-from clvol.filter.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.filter.filter import Filter
+from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.reference.spline.boundary import extend
 from clvol.reference.spline.filter import kernel
 from clvol.reference.spline.prefilter import prefilter

@@ -12,7 +12,8 @@ from scipy import sparse
 
 from clvol.base.errors import OptionError
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
-from clvol.filter.filter import DEFAULT_FILTER, Filter, as_filter
+from clvol.filter.filter import Filter
+from clvol.filter.table import DEFAULT_FILTER, as_filter
 from clvol.reference.spline.boundary import extend, padding, placed
 from clvol.reference.spline.filter import kernel
 from clvol.reference.spline.prefilter import padded_coefficients

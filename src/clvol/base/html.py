@@ -1,53 +1,25 @@
-"""What objects show of themselves in notebooks: tables, slices and curves, as HTML and SVG with every text escaped.
-
-The objects' own ``_repr_html_`` say what is shown; here is how. Nothing here needs a device.
-"""
+"""Tables, facts and curves as HTML and SVG, every text escaped."""
 
 from __future__ import annotations
 
-import base64
 import html
-import itertools
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, ClassVar, TypeVar
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from clvol.show.picture import to_png
+__all__ = ["beside", "curve", "facts", "histogram", "numbers", "strip", "table", "text_table"]
 
-__all__ = [
-    "Named",
-    "beside",
-    "curve",
-    "facts",
-    "histogram",
-    "image",
-    "in_window",
-    "numbers",
-    "slices",
-    "strip",
-    "table",
-    "text_table",
-]
-
-Row = TypeVar("Row")
-_SIDE = 160  # pixels of a slice's longer side
-_TAILS = (0.5, 99.5)  # percentiles of what slices show, where no window is known
-_WIDTH, _HEIGHT = 360, 120  # of curves
-_MARGIN = 14  # around curves, for numbers
-_BINS = 90  # of histograms
-_COUNTED = 1 << 18  # samples that a histogram is made of, about
-_INK = "currentColor"  # of the notebook's theme
+_WIDTH, _HEIGHT = 360, 120  # Pixels of a curve.
+_MARGIN = 14  # Pixels around a curve, for its numbers.
+_BINS = 90  # Of histograms.
+_COUNTED = 1 << 18  # Samples that a histogram counts, about.
+_INK = "currentColor"  # The notebook's theme decides.
 _LINE = "#1769c2"
-_NUMBER = re.compile(r"[-–]|[-+]?[\d.,]+(e[-+]?\d+)?( ?%)?")  # a dash: there is none
-_PLANES = {"LPS": ("axial", "coronal", "sagittal"), "": ("xy", "xz", "yz")}
-_DOWN = {"LPS": (1, -1), "image": (1, 1), "": (-1, -1)}  # whether rows of a picture run along y, and along z, or against it
-
-
-# -- tables --------------------------------------------------------------------------------------------------
+_NUMBER = re.compile(r"[-–]|[-+]?[\d.,]+(e[-+]?\d+)?( ?%)?")  # A dash stands for none.
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -66,22 +38,6 @@ def text_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     lines = [tuple(header), *map(tuple, rows)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines)
-
-
-class Named(dict[str, Row]):
-    """Rows by name; shown, it is a table."""
-
-    HEADER: ClassVar[tuple[str, ...]]
-
-    def rows(self) -> list[tuple[str, ...]]:
-        """One tuple of texts a row, in the order of `HEADER`."""
-        raise NotImplementedError
-
-    def __repr__(self) -> str:
-        return text_table(self.HEADER, self.rows())
-
-    def _repr_html_(self) -> str:
-        return table(self.HEADER, self.rows())
 
 
 def facts(title: str, values: Mapping[str, str]) -> str:
@@ -106,113 +62,6 @@ def numbers(values: Iterable[float], between: str = " × ") -> str:
 
 def _side(right: bool) -> str:
     return f' style="text-align:{"right" if right else "left"}"'
-
-
-# -- pictures ------------------------------------------------------------------------------------------------
-
-
-def image(picture: ArrayLike, caption: str = "") -> str:
-    """A picture and a line beneath it, both in the text of the page."""
-    data = base64.b64encode(to_png(picture)).decode("ascii")
-    words = html.escape(caption)
-    return (
-        f'<figure style="margin:0"><img src="data:image/png;base64,{data}" alt="{words}">'
-        f'<figcaption style="text-align:center;font-size:smaller">{words}</figcaption></figure>'
-    )
-
-
-def slices(
-    data: NDArray[Any],
-    spacing: Sequence[float],
-    direction: NDArray[np.float64],
-    *,
-    space: str = "",
-    window: tuple[float, float] | None = None,
-    color: tuple[float, float, float] | None = None,
-    blended: bool = True,
-    all_planes: bool = True,
-) -> list[tuple[str, NDArray[np.uint8]]]:
-    """The middle slices of a volume across its axes, each with the name of its plane; an image itself.
-
-    They are turned as `space` says: a patient's as radiologists see them, stacks of images as microscopes show them, else with y
-    and z up. Voxels are as long and wide as `spacing` says.
-
-    Parameters
-    ----------
-    data : ndarray, shape (nz, ny, nx) or (ny, nx)
-        Samples.
-    spacing, direction
-        As of `Volume`.
-    space : str
-        As of `Volume`.
-    window : (float, float), optional
-        What is black and what is white; by default what all but a hundredth of the slices' samples lie between.
-    color : (float, float, float), optional
-        In place of white.
-    blended : bool
-        Whether there is something between samples; not so for labels.
-    all_planes : bool
-        False: only the first, across z.
-    """
-    if data.ndim == 2:
-        return [("", _sized(_shades([data], window, color)[0], spacing, blended))]
-    axes, signs = _towards_world(direction)
-    turned = data.transpose([2 - axes[2], 2 - axes[1], 2 - axes[0]])  # arrays are indexed [z, y, x]
-    turned = turned[tuple(slice(None, None, signs[k]) for k in (2, 1, 0))]
-    x, y, z = (spacing[k] for k in axes)
-    along_y, along_z = (slice(None, None, step) for step in _DOWN[space])
-    middle = [n // 2 for n in turned.shape]
-    cut = [
-        (turned[middle[0]][along_y], (x, y)),
-        (turned[:, middle[1]][along_z], (x, z)),
-        (turned[:, :, middle[2]][along_z], (y, z)),
-    ]
-    names = _PLANES.get(space, _PLANES[""])
-    shades = _shades([part for part, _ in (cut if all_planes else cut[:1])], window, color)
-    return [(name, _sized(shade, sides, blended)) for name, shade, (_, sides) in zip(names, shades, cut, strict=False)]
-
-
-def in_window(values: ArrayLike, low: float, high: float) -> NDArray[np.float64]:
-    """Values from 0 where they are `low` to 1 where they are `high`; NaN is 0."""
-    array = np.nan_to_num(np.asarray(values, np.float64), nan=low, posinf=high, neginf=low)
-    with np.errstate(over="ignore", invalid="ignore"):
-        return np.asarray(np.clip(np.nan_to_num((array / 2 - low / 2) / (high / 2 - low / 2)), 0, 1))
-
-
-def _towards_world(direction: NDArray[np.float64]) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """For the world's x, y and z: the axis of the samples that runs most along it, and whether with it (1) or against it (-1)."""
-    axes = max(itertools.permutations(range(3)), key=lambda p: sum(abs(direction[i, p[i]]) for i in range(3)))
-    return axes, tuple(1 if direction[i, axes[i]] >= 0 else -1 for i in range(3))
-
-
-def _shades(
-    parts: Sequence[NDArray[Any]], window: tuple[float, float] | None, color: tuple[float, float, float] | None
-) -> list[NDArray[np.uint8]]:
-    """Slices in eight bits, grey or in a colour."""
-    if window is None:
-        values = np.concatenate([part.ravel() for part in parts]).astype(np.float64)
-        values = values[np.isfinite(values)]
-        low, high = (float(v) for v in np.percentile(values, _TAILS)) if values.size else (0.0, 1.0)
-        if not low < high and values.size:  # few samples are not background
-            low, high = float(values.min()), float(values.max())
-        window = (low, high) if low < high else (low - 1, low)
-    grey = [in_window(part, *window) for part in parts]
-    shades = grey if color is None else [part[..., None] * np.asarray(color) for part in grey]
-    return [np.asarray(np.rint(shade * 255), np.uint8) for shade in shades]
-
-
-def _sized(picture: NDArray[np.uint8], sides: Sequence[float], blended: bool) -> NDArray[np.uint8]:
-    """A slice whose pixels are square, its longer side of one length; `sides` are those of its voxels, (width, height)."""
-    from PIL import Image
-
-    height, width = picture.shape[0] * sides[1], picture.shape[1] * sides[0]
-    scale = _SIDE / max(height, width)
-    size = max(1, round(width * scale)), max(1, round(height * scale))
-    method = Image.Resampling.BICUBIC if blended else Image.Resampling.NEAREST
-    return np.asarray(Image.fromarray(np.ascontiguousarray(picture)).resize(size, method))
-
-
-# -- curves --------------------------------------------------------------------------------------------------
 
 
 def curve(x: NDArray[np.float64], y: NDArray[np.float64]) -> str:

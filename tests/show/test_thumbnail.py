@@ -18,7 +18,8 @@ import numpy as np
 import pytest
 
 import clvol
-from clvol.show import html as display
+from clvol.base import html
+from clvol.show import thumbnail
 from clvol.show.picture import Picture, show, to_bytes, to_png
 from clvol.volume.volumes import Leading
 
@@ -81,7 +82,7 @@ def test_slices_are_turned_as_the_world_is_seen(
         direction = np.array([[0, 0, 1.0], [0, -1, 0], [-1, 0, 0]])
         volume = clvol.Volume(data, origin=(0, 2, 2), direction=direction, space=space, window=(0, 255))
     about = {"space": space, "window": (0, 255), "blended": False}
-    found = dict(display.slices(volume.data, volume.spacing, volume.direction, **about))  # type: ignore[arg-type]  # by name
+    found = dict(thumbnail.slices(volume.data, volume.spacing, volume.direction, **about))  # type: ignore[arg-type]  # by name
     assert tuple(found) == names
     first, last = 10, 150  # rows and columns in the first and the last third of 160
     for picture, (across, down), (left, end), runs_down in (
@@ -203,7 +204,7 @@ def test_tables_show_themselves() -> None:
     metrics = clvol.analysis.Table([clvol.analysis.metrics("linear")])
     assert "linear" in Page(metrics._repr_html_() or "").texts
     assert clvol.analysis.Table([])._repr_html_() is None
-    assert Page(display.table(["<a>"], [["</table>"]])).texts == ["<a>", "</table>"]
+    assert Page(html.table(["<a>"], [["</table>"]])).texts == ["<a>", "</table>"]
 
 
 # -- pictures ------------------------------------------------------------------------------------------------

@@ -1,0 +1,340 @@
+"""Constructors of filters: B-splines by their recursion, cubics, MOMS, windowed sinc, and rows of your own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from fractions import Fraction
+from functools import lru_cache
+from numbers import Rational
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import ArrayLike
+
+from clvol.base.checks import flag, number, reals, whole
+from clvol.base.errors import ClvolError, OptionError
+from clvol.filter.filter import MAX_DEGREE, MAX_TAPS, Array, Filter, Number, Smoothing, as_polynomials, as_smoothing, smoothed
+
+__all__ = ["bc", "bspline", "from_callable", "from_pieces", "lanczos", "moms3", "omoms3", "quasi", "sinc"]
+
+_FIT_TOLERANCE = 1e-10  # of the kernel's peak: its second derivative then errs by about 1e-6
+_MISFIT = 0.1  # of the kernel's peak: a fit that errs by more is another kernel
+_SINC_DEGREE = 12  # of the fits to sinc and its windowed forms: more would cost derivatives in float32 what the fit gains
+
+
+def bspline(
+    degree: int, *, prefilter: bool = True, smoothing: Smoothing | Sequence[float] = 0, length: float | None = None
+) -> Filter:
+    """The B-spline of a degree 0 to 9, by the recursion of eqs (3) and (4) on a uniform knot sequence.
+
+    With `prefilter` it interpolates (section 4.2); without, it is the paper's approximation (4.1). Smoothing splines lie between
+    the two, and beyond.
+
+    Parameters
+    ----------
+    degree : int
+    prefilter : bool
+    smoothing : float, sequence of float, or "auto"
+        λ ≥ 0, the same for all axes or one for each, x first; 0 interpolates. "auto" takes it from the noise of the volume.
+        See `Filter`. Its name is "bspline3(0.1)", "bspline3(0.1,0.1,0.4)" or "bspline3(auto)".
+    length : float, optional
+        Instead, a length in world units. Its name is "bspline3(length=0.3)".
+
+    Raises
+    ------
+    OptionError
+        A degree outside 0 to 9; smoothing that is negative or more than 10⁵, which float32 could not follow, or given to a
+        filter without a prefilter (degrees 0 and 1 have none).
+    """
+    degree = whole("degree", degree, 0, 9)
+    made = _bspline(degree, flag("prefilter", prefilter) and degree >= 2)  # the first two interpolate as they are
+    given = as_smoothing(smoothing)
+    length = None if length is None else float(number("length", length, minimum=0))
+    return made if length is None and given == 0 else smoothed(made, given, length)
+
+
+@lru_cache
+def _bspline(degree: int, prefilter: bool) -> Filter:
+    # On the interval [0, 1), rows[m] is the spline that starts at knot -m.
+    rows: list[list[Fraction]] = [[Fraction(1)]]
+    for k in range(1, degree + 1):
+        rows = [_next_degree(rows, k, m) for m in range(k + 1)]
+    name = {0: "nearest", 1: "linear"}.get(degree, f"bspline{degree}" + ("" if prefilter else "-approx"))
+    return Filter(name, tuple(tuple(row) for row in reversed(rows)), prefilter=prefilter)
+
+
+def _next_degree(rows: list[list[Fraction]], k: int, m: int) -> list[Fraction]:
+    """Eq. (4) for the spline of degree `k` that starts at knot ``-m``, given those of degree ``k - 1``."""
+    result = [Fraction(0)] * (k + 1)
+    if m < k:  # (u - u_i) / k times the spline that starts at the same knot
+        for j, c in enumerate(rows[m]):
+            result[j] += c * Fraction(m, k)
+            result[j + 1] += c / k
+    if m > 0:  # (u_{i+k+1} - u) / k times the one that starts a knot later
+        for j, c in enumerate(rows[m - 1]):
+            result[j] += c * Fraction(k + 1 - m, k)
+            result[j + 1] -= c / k
+    return result
+
+
+def quasi(degree: int) -> Filter:
+    """The quasi-interpolating B-spline of degree 1, 3 or 5: near the samples instead of through them, and nearer to the function.
+
+    Interpolation errs by ``|B_L| / L! T**L f^(L)`` in the mean, L = degree + 1, with Bernoulli's number B_L: 1/12 for linear,
+    1/720 for the cubic. A prefilter that takes it off leaves the asymptotic error of least squares, 0.41 of that of linear
+    interpolation, 0.55 of that of the cubic, with the same taps (L. Condat, T. Blu and M. Unser, *Beyond interpolation: optimal
+    reconstruction by quasi-interpolation*, ICIP 2005). It is a smoothing spline whose λ is negative, ``-|B_L| / L!``: linear's
+    prefilter is ``12 / (z + 10 + 1/z)``. Noise grows by up to 1.5 along each axis, the cubic's 3 to 3.2.
+
+    Raises
+    ------
+    OptionError
+        Another degree: in even ones the mean error is 0.
+    """
+    bernoulli = {1: Fraction(1, 6), 3: Fraction(1, 30), 5: Fraction(1, 42)}
+    if whole("degree", degree, 1, 5) not in bernoulli:
+        raise OptionError(f"degree must be 1, 3 or 5; got {degree!r}")
+    smoothing = -float(bernoulli[degree] / math.factorial(degree + 1))
+    made = bspline(degree)
+    return replace(made, name=f"{made.name}-quasi", prefilter=True, smoothing=smoothing)
+
+
+def from_pieces(name: str, pieces: Sequence[Sequence[Number]], *, prefilter: bool = False) -> Filter:
+    """A filter from an even kernel: ``pieces[j]`` are its coefficients in powers of ``|x|`` on [j, j + 1).
+
+    Parameters
+    ----------
+    name : str
+        Name of the new row.
+    pieces : sequence of sequences of number
+        Fractions and integers keep the row exact.
+    prefilter : bool
+        Make it interpolate by solving eq. (11) for its kernel.
+
+    Raises
+    ------
+    OptionError
+        More than eight pieces, or a prefilter that does not exist.
+    """
+    pieces = as_polynomials(f"pieces of {name!r}", pieces)
+    if not pieces:
+        raise OptionError("pieces must hold at least one polynomial; got none")
+    size = max(len(piece) for piece in pieces)
+    taps = []
+    for i in range(2 * len(pieces)):
+        d = len(pieces) - 1 - i  # the tap lies at distance t + d
+        piece, offset, sign = (pieces[d], d, 1) if d >= 0 else (pieces[-d - 1], -d, -1)  # |x| = offset + sign t
+        row: list[Number] = [Fraction(0)] * size
+        for k, c in enumerate(piece):
+            exact = Fraction(c) if isinstance(c, (int, Fraction)) else float(c)
+            for j in range(k + 1):
+                row[j] += exact * math.comb(k, j) * offset ** (k - j) * sign**j
+        taps.append(tuple(row))
+    return Filter(name, tuple(taps), prefilter=prefilter)
+
+
+def from_callable(
+    name: str, kernel: Callable[[Array], ArrayLike], radius: int, *, prefilter: bool = False, degree: int | None = None
+) -> Filter:
+    """A filter fitted to an even kernel that is smooth between the integers.
+
+    Parameters
+    ----------
+    name : str
+        Name of the new row.
+    kernel : callable
+        Kernel values at an array of distances; called within ``[-radius, radius]``.
+    radius : int
+        Half the support, 1 to 8.
+    prefilter : bool
+        Make it interpolate by solving eq. (11) for its kernel.
+    degree : int, optional
+        Degree of the Chebyshev fit on each unit piece; by default the smallest that errs by no more
+        than 1e-10 of the peak, at most 20.
+
+    Returns
+    -------
+    Filter
+        Its `fit_error` is the largest error found between the nodes of the fit.
+
+    Raises
+    ------
+    OptionError
+        A kernel that fails or gives other than finite numbers, or that jumps between the integers, unless `degree` is
+        given.
+    """
+    radius = _radius(radius)
+    degree = None if degree is None else whole("degree", degree, 0, MAX_DEGREE)
+    if not callable(kernel):
+        raise OptionError(f"kernel must be a function of distances; got {kernel!r}")
+    t = np.linspace(0, 1, 1001)
+    distance = t[None, :] - np.arange(2 * radius)[:, None] + radius - 1
+    # the ends of a piece belong to two pieces; a kernel that jumps there is evaluated just inside
+    wanted = _kernel_at(name, kernel, np.clip(distance, distance[:, :1] + 1e-12, distance[:, -1:] - 1e-12))
+    peak = float(np.abs(wanted).max())
+    for n in [degree] if degree is not None else range(MAX_DEGREE + 1):
+        nodes = chebyshev.chebpts1(n + 1)
+        at = (nodes + 1) / 2 - np.arange(2 * radius)[:, None] + radius - 1
+        fits = chebyshev.chebfit(nodes, _kernel_at(name, kernel, at).T, n).T @ _chebyshev_powers(n)
+        error = float(np.abs(np.polynomial.polynomial.polyval(t, fits.T) - wanted).max())
+        if error <= _FIT_TOLERANCE * peak:
+            break
+    if degree is None and error > _MISFIT * peak:
+        raise OptionError(
+            f"the kernel of {name!r} must be smooth between the integers; "
+            f"got one that polynomials of degree {n} miss by {error:.2g}"
+        )
+    return Filter(name, tuple(tuple(map(float, row)) for row in fits), prefilter=prefilter, fit_error=error)
+
+
+def _kernel_at(name: str, kernel: Callable[[Array], ArrayLike], distance: Array) -> Array:
+    rule = "one finite value for each distance"
+    try:
+        values = kernel(distance)
+    except ClvolError:
+        raise
+    except Exception as error:
+        raise OptionError(f"the kernel of {name!r} must give {rule}; it failed: {error!r}") from error
+    array = reals(f"the values of the kernel of {name!r}", values, rule)
+    if array.shape != distance.shape or not np.isfinite(array).all():
+        raise OptionError(f"the kernel of {name!r} must give {rule}")
+    return array
+
+
+def _radius(radius: object) -> int:
+    return whole("radius", radius, 1, MAX_TAPS // 2)
+
+
+@lru_cache
+def _chebyshev_powers(degree: int) -> Array:
+    """Coefficients in powers of t, one row each, of the Chebyshev polynomials of 2t - 1 up to a degree: whole numbers, exact."""
+    rows = np.zeros((degree + 2, degree + 2))
+    rows[0, 0], rows[1, :2] = 1, (-1, 2)
+    for k in range(2, degree + 1):
+        rows[k] = -2 * rows[k - 1] - rows[k - 2]
+        rows[k, 1:] += 4 * rows[k - 1, :-1]
+    return rows[: degree + 1, : degree + 1]
+
+
+def bc(B: Number, C: Number) -> Filter:
+    """The cubic of Mitchell and Netravali with parameters B and C (reference [10] of the paper).
+
+    (1, 0) is the cubic B-spline without prefilter, (1/3, 1/3) theirs, (0, 1/2) Catmull-Rom.
+    """
+    b, c = _exact("B and C", B), _exact("B and C", C)
+    return _bc(f"bc({b},{c})", Fraction(b), Fraction(c))
+
+
+def _exact(what: str, value: object) -> Number:
+    """`value` as a fraction where it is one or a whole number, else as a float."""
+    real = number(what, value)
+    if isinstance(value, Rational):
+        return Fraction(int(value.numerator), int(value.denominator))
+    return Fraction(real) if real.is_integer() else real
+
+
+@lru_cache
+def _bc(name: str, b: Fraction, c: Fraction) -> Filter:
+    return from_pieces(
+        name,
+        [
+            ((6 - 2 * b) / 6, 0, (-18 + 12 * b + 6 * c) / 6, (12 - 9 * b - 6 * c) / 6),
+            ((8 * b + 24 * c) / 6, (-12 * b - 48 * c) / 6, (6 * b + 30 * c) / 6, (-b - 6 * c) / 6),
+        ],
+    )
+
+
+def sinc(radius: int = 4, *, normalized: bool = False) -> Filter:
+    """The ideal filter cut off at `radius` samples, 1 to 8.
+
+    As the paper has it, the weights miss one by up to 0.08 at radius 4: what truncation does is to be seen. With
+    `normalized` they are divided by their sum, which is how programs use it; that is Berrut's rational interpolant of the
+    nearest ``2 radius`` samples (Computers & Mathematics with Applications 15, 1988).
+    """
+    return _sinc(_radius(radius), flag("normalized", normalized))
+
+
+@lru_cache
+def _sinc(radius: int, normalized: bool) -> Filter:
+    if normalized:
+        return _normalized("sinc4n" if radius == 4 else f"sincn({radius})", np.sinc, radius, 2)
+    return from_callable("sinc" if radius == 4 else f"sinc({radius})", np.sinc, radius, degree=_SINC_DEGREE)
+
+
+def lanczos(radius: int, *, normalized: bool = False) -> Filter:
+    """Sinc under the window sinc(x / radius), radius 1 to 8.
+
+    Its weights sum to one only nearly; with `normalized` they are divided by their sum.
+    """
+    return _lanczos(_radius(radius), flag("normalized", normalized))
+
+
+@lru_cache
+def _lanczos(radius: int, normalized: bool) -> Filter:
+    def kernel(x: Array) -> Array:
+        return np.asarray(np.sinc(x) * np.sinc(x / radius))
+
+    if normalized:
+        return _normalized("lanczos3n" if radius == 3 else f"lanczosn({radius})", kernel, radius, 1)
+    return from_callable(f"lanczos{radius}", kernel, radius, degree=_SINC_DEGREE)
+
+
+def _normalized(name: str, kernel: Callable[[Array], Array], radius: int, order: int) -> Filter:
+    """The row of a kernel, 1 at 0 and 0 at the other integers, whose weights are divided by their sum.
+
+    What holds of the quotients and only nearly of the fits is restored: a line added to each makes it exact at the
+    samples, and the smallest change of the weights brings back the polynomials below `order`.
+    """
+    shifts = radius - 1.0 - np.arange(2 * radius)  # tap i lies at t + shifts[i]
+
+    def divided(x: Array) -> Array:
+        return np.asarray(kernel(x) / kernel((x - np.floor(x))[..., None] + shifts).sum(-1))
+
+    row = from_callable(name, divided, radius, degree=_SINC_DEGREE)
+    rows = row.matrix.copy()
+    rows[:, 0] = shifts == 0
+    rows[:, 1] += (shifts == -1) - rows.sum(1)
+    powers = np.vander(shifts, order, increasing=True).T
+    wanted = np.zeros((order, rows.shape[1]))  # the sum of w_i(t) (t + shifts[i])**m is that of m = 0 alone
+    wanted[range(order), range(order)] = (-1.0) ** np.arange(order)
+    rows += np.linalg.pinv(powers) @ (wanted - powers @ rows)
+    row = replace(row, taps=tuple(map(tuple, rows.tolist())))
+    t = np.linspace(0, 1, 1001)[1:-1]
+    return replace(row, fit_error=float(np.abs(row.weights(t) - divided(t + shifts[:, None])).max()))
+
+
+def moms3(weight: Number = Fraction(1, 56)) -> Filter:
+    """The cubic B-spline plus `weight` of its second derivative: order 4 on support 4, prefiltered.
+
+    Blu, Thévenaz and Unser (*MOMS: maximal-order interpolation of minimal support*, IEEE Trans. Image Processing 10, 2001).
+    All even kernels of that order and support are among these: 0 is the cubic B-spline, -1/6 the cubic Lagrange
+    interpolant. With samples ever finer, the RMS error of interpolation is `constant` times that of ``T**4 f^(4)``, where::
+
+        constant**2 = (1/720 - weight/12)**2 + 1/1209600 - weight/15120 + weight**2/720
+
+    1/56, the default, makes it the smallest: 0.19 of the B-spline's.
+
+    Parameters
+    ----------
+    weight : number
+        Below 1/12, where the prefilter ceases to exist.
+    """
+    w = _exact("weight", weight)
+    return _moms3("moms3" if w == Fraction(1, 56) else f"moms3({w})", Fraction(w))
+
+
+@lru_cache
+def _moms3(name: str, weight: Fraction) -> Filter:
+    taps = tuple((a + 2 * c * weight, b + 6 * d * weight, c, d) for a, b, c, d in bspline(3).taps)
+    return Filter(name, taps, prefilter=True)
+
+
+def omoms3() -> Filter:
+    """`moms3` of 1/42, the best of them for least squares: where coefficients are fitted to the function itself.
+
+    Its asymptotic error is then 0.22 of that of the cubic B-spline (Blu, Thévenaz and Unser, 2001). As it is used here,
+    through samples, it is 0.38 of it, and twice that of `moms3`.
+    """
+    return replace(moms3(Fraction(1, 42)), name="omoms3")
