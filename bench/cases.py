@@ -273,7 +273,7 @@ class Bench:
         """Raise `Skip` if a volume of this size cannot be drawn here."""
         coefficients = 4 * (n + 8) ** 3
         try:
-            self.device.require_room(coefficients)
+            self.device.buffers.require_room(coefficients)
         except OutOfMemoryError as error:
             raise Skip(str(error)) from None
         wanted = 1.3 * coefficients + np.dtype(kind).itemsize * n**3

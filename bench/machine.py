@@ -86,14 +86,14 @@ def measure_limits(device: Device) -> Limits:
     length = 1024 if cpu else 1
     blocks = (1 << 28) // (4 * _LANES * length)  # 256 MiB, far more than any cache
     size = 4 * _LANES * length * blocks
-    source, target = device.allocate(size), device.allocate(size)
+    source, target = device.buffers.allocate(size), device.buffers.allocate(size)
     move = cl.Kernel(built, "move")
     copied = best(lambda: move(device.queue, (blocks,), local, source, target, np.int32(length)))
     updated = best(lambda: move(device.queue, (blocks,), local, source, source, np.int32(length)))
     source.release()
     target.release()
 
-    result, rows = device.allocate(4 * _LANES * workers), device.upload(np.zeros(4096, np.int32))
+    result, rows = device.buffers.allocate(4 * _LANES * workers), device.buffers.upload(np.zeros(4096, np.int32))
     added, loaded = cl.Kernel(built, "multiply_add"), cl.Kernel(built, "load_rows")
     turns = 200_000 if cpu else 2_000
     fma = best(lambda: added(device.queue, (workers,), local, result, np.int32(turns)))

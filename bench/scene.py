@@ -35,11 +35,11 @@ def head(n: int, device: Device, kind: str = "float32") -> NDArray[Any]:
     data = np.empty((n, n, n), kind)
     least, most = (-1e6, 1e6) if kind == "float32" else (0, np.iinfo(kind).max)
     slices = min(n, _SLICES)
-    buffer = device.allocate(data[:slices].nbytes)
+    buffer = device.buffers.allocate(data[:slices].nbytes)
     for first in range(0, n, slices):
         part = data[first : first + slices]
         scale, low, high = (np.float32(v) for v in (SCALE[kind], least, most))
         kernel(device.queue, (n, n, part.shape[0]), None, buffer, np.int32(n), np.int32(first), scale, low, high)
-        device.download(buffer, part)
+        device.buffers.download(buffer, part)
     buffer.release()
     return data

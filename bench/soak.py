@@ -297,22 +297,22 @@ def _catalogue(
 
 def _programs_counted() -> Counter[str]:
     """How many programs were made, and of these how many the compiler had to build or finish, counted from now on."""
-    from clvol import program
-    from clvol.cache import Shelf
+    from clvol.device import program
+    from clvol.device.runtimes.pocl import KernelCache
 
     counts: Counter[str] = Counter()
-    make, room = program.build, Shelf.require_room
+    make, room = program.build, KernelCache.require_room
 
     def made(*given: Any) -> Any:
         counts["made"] += 1
         return make(*given)
 
-    def compiled(shelf: Shelf) -> None:  # asked for before each call of the compiler
+    def compiled(kernels: KernelCache) -> None:  # asked for before each call of the compiler
         counts["compiled"] += 1
-        room(shelf)
+        room(kernels)
 
     setattr(program, "build", made)  # noqa: B010  # mypy lets nobody assign to them
-    setattr(Shelf, "require_room", compiled)  # noqa: B010
+    setattr(KernelCache, "require_room", compiled)  # noqa: B010
     return counts
 
 
@@ -355,16 +355,16 @@ def _soak(options: argparse.Namespace, folder: Path) -> int:
     import clvol
     from bench.deeds import World
     from bench.machine import describe
-    from clvol.device import as_device
+    from clvol.device import as_device, programs
     from clvol.formats import _worker
 
     console = Console(width=120)
     device = as_device()
     if not options.new:
-        setattr(clvol.device, "_PROGRAMS", _ALL)  # noqa: B010  # mypy lets nobody assign to it
+        setattr(programs, "_KEPT", _ALL)  # noqa: B010  # mypy lets nobody assign to it
     buffers = Buffers()
     buffers.watch()
-    programs = _programs_counted()
+    counted = _programs_counted()
     reference = Reference(options.quick)
     catalogue, refusals = _catalogue(reference, options.without, options.quick, console)
     world = World(folder, options.quick)
@@ -390,7 +390,7 @@ def _soak(options: argparse.Namespace, folder: Path) -> int:
         "threads": options.threads,
         "seed": options.seed,
         "new": options.new,
-        "programs": dict(programs),
+        "programs": dict(counted),
         "catalogue": len(catalogue),
         "catalogue_refusals": refusals,
         "draws": sum(soak.done.values()),

@@ -19,7 +19,9 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from clvol.device import Device, as_device
+from clvol.device import as_device
+from clvol.device.buffers import Buffers
+from clvol.device.driver import Driver
 
 sys.path.append(str(Path(__file__).parents[1]))
 from tests import edges
@@ -62,28 +64,28 @@ def guard(side: str) -> None:
     gone: list[NDArray[np.uint8]] = []  # of buffers that are gone
 
     class Guarded(cl.Buffer):
-        def __init__(self, device: Device, memory: NDArray[np.uint8]) -> None:
+        def __init__(self, device: Driver, memory: NDArray[np.uint8]) -> None:
             super().__init__(device.context, cl.mem_flags.USE_HOST_PTR, hostbuf=memory)
             self.memory = memory
 
         def __del__(self) -> None:
             gone.append(self.memory)
 
-    def allocate(self: Device, size: int) -> Any:
-        return Guarded(self, guarded(max(int(size), 4), side))
+    def allocate(self: Buffers, size: int) -> Any:
+        return Guarded(self._driver, guarded(max(int(size), 4), side))
 
-    def upload(self: Device, array: NDArray[Any]) -> Any:
+    def upload(self: Buffers, array: NDArray[Any]) -> Any:
         memory = guarded(-(-max(array.nbytes, 4) // 16) * 16, side)  # tables are read as float4, which are aligned
         memory[: array.nbytes] = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
-        return Guarded(self, memory)
+        return Guarded(self._driver, memory)
 
     @contextmanager
-    def lent(self: Device, array: NDArray[Any], *, write: bool, begun: bool = False) -> Iterator[Any]:  # noqa: ARG001  # as the device has it
+    def lent(self: Buffers, array: NDArray[Any], *, write: bool, begun: bool = False) -> Iterator[Any]:  # noqa: ARG001  # as in Buffers
         memory = guarded(array.nbytes, side)
         memory[:] = array.reshape(-1).view(np.uint8)
-        buffer = cl.Buffer(self.context, cl.mem_flags.USE_HOST_PTR, hostbuf=memory)
+        buffer = cl.Buffer(self._driver.context, cl.mem_flags.USE_HOST_PTR, hostbuf=memory)
         yield buffer
-        self.queue.finish()
+        self._driver.queue.finish()
         if write:
             array.reshape(-1).view(np.uint8)[:] = memory
         buffer.release()
@@ -92,16 +94,16 @@ def guard(side: str) -> None:
             let_go(gone.pop())
 
     for name, method in {"allocate": allocate, "upload": upload, "lent": lent}.items():
-        setattr(Device, name, method)
+        setattr(Buffers, name, method)
 
 
 def read_past(bytes: int) -> None:
     """Of buffers of several lengths, the four bytes that end so far past the end; 0 is the last number itself."""
     device = as_device()
     kernel = cl.Kernel(cl.Program(device.context, _READ_PAST).build(), "read_past")
-    got = device.allocate(4)
+    got = device.buffers.allocate(4)
     for count in (1, 1000):
-        kernel(device.queue, (1,), None, device.upload(np.ones(count, np.float32)), np.int32(count - 1 + bytes // 4), got)
+        kernel(device.queue, (1,), None, device.buffers.upload(np.ones(count, np.float32)), np.int32(count - 1 + bytes // 4), got)
         device.finish()
 
 

@@ -195,7 +195,7 @@ def test_failing_calls_leave_nothing_behind(count: int, tmp_path: Path, device: 
         before, begun = held(), alive()
         fail(count)
         after_, ended = held(), alive()
-        kept = device.allocate(64)
+        kept = device.buffers.allocate(64)
         assert alive() == ended + 1  # they are counted
         kept.release()
     finally:

@@ -14,7 +14,7 @@ LAYERS = [
     "boundary missing noise volume sliced chunks lazy volumes smoothing stored camera color light scaling histogram palette preset "
     "transfer labels mode look scene fit transform",
     "reference response phantoms formats",
-    "cache intel processor probe opencl program device",
+    "device",
     "spline",
     "ndimage",
     "cluster dask interpolator resizing torch xarray multiscale",
@@ -23,7 +23,7 @@ LAYERS = [
     "figures",
     "reports",
     "view",
-    "doctor cli __main__",
+    "cli __main__",
 ]
 
 

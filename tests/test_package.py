@@ -220,7 +220,10 @@ def test_nothing_but_the_package_is_in_the_wheel(archives: tuple[Path, Path]) ->
 def test_the_wheel_runs_from_where_it_is_unpacked(archives: tuple[Path, Path], tmp_path: Path) -> None:
     with zipfile.ZipFile(archives[1]) as wheel:
         wheel.extractall(tmp_path)
-    code = "import clvol, clvol.program as p; print(clvol.__file__); print(p.folder()); print(len(p.source('spline/points.cl')))"
+    code = (
+        "import clvol, clvol.device.program as p\n"
+        "print(clvol.__file__); print(p.folder()); print(len(p.source('spline/points.cl')))"
+    )
     done = subprocess.run(
         [sys.executable, "-c", code],
         capture_output=True,

@@ -30,8 +30,8 @@ def test_a_block_is_the_struct_that_it_declares(device: Device) -> None:
     values = OUTER(first=(1.5, 2.5), inner=INNER(a=3.5, b=(4, 5, 6)), last=7)
     kernel = device.build("read.cl", {}, None, {"read.cl": READER, "outer.cl": OUTER.declaration()}).kernel("read_block")
     numbers = np.empty(6, np.float32)
-    with device.lent(numbers, write=True) as buffer:
-        kernel(device.queue, (1,), None, device.upload(values[None]), buffer)
+    with device.buffers.lent(numbers, write=True) as buffer:
+        kernel(device.queue, (1,), None, device.buffers.upload(values[None]), buffer)
     np.testing.assert_array_equal(numbers, [1.5, 2.5, 3.5, 6, 7, OUTER.dtype.itemsize])
 
 

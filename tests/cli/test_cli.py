@@ -1036,7 +1036,7 @@ def test_the_doctor_tells_of_extras(clvol_command: Command, monkeypatch: pytest.
     def version(name: str) -> str:
         raise PackageNotFoundError(name)
 
-    monkeypatch.setattr("clvol.doctor.version", version)
+    monkeypatch.setattr("clvol.cli._doctor.version", version)
     done = clvol_command("doctor")
     assert done.code == 0  # they are optional
     assert "pip install clvol[medical]" in done.out

@@ -771,7 +771,7 @@ def test_a_graph_is_made_without_opencl() -> None:
         "d = da.zeros((64, 64, 64), chunks=16)\n"
         "clvol.prefilter(d), clvol.resample(d, spacing=2.0), clvol.magnify(d), ndimage.rotate(d, 20, nan='error')\n"
         "ndimage.map_coordinates(d, [[1.5]] * 3), ndimage.zoom(d, 0.5, anti_aliasing='least-squares')\n"
-        "print([m for m in sys.modules if m == 'distributed'], clvol.device._devices)"
+        "print([m for m in sys.modules if m == 'distributed'], clvol.device.choose._devices)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", timeout=120, check=False)
     assert done.stdout.split() == ["[]", "{}"], done.stderr

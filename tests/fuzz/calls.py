@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 import clvol
-from clvol import program
 from clvol.base.errors import ClvolError, ClvolWarning
+from clvol.device import program
 from tests.fuzz.harness import MEGABYTES, SECONDS, Tally
 
 __all__ = ["fuzz_calls"]

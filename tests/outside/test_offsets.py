@@ -234,7 +234,7 @@ def test_ordinary_data_are_stored_as_they_are(device: Device) -> None:
             inner = field.volume.data
         with (
             clvol.Field(data, "linear", device=device) as field,
-            device.mapped(field.coefficients.buffer, field.coefficients.shape, write=False) as room,
+            device.buffers.mapped(field.coefficients.buffer, field.coefficients.shape, write=False) as room,
         ):
             assert_array_equal(room[field.coefficients.inner], inner.astype(np.float32))
 

@@ -13,6 +13,7 @@ from scipy import ndimage
 import clvol
 from clvol.base.errors import OptionError
 from clvol.device import Device
+from clvol.device.buffers import Buffers
 
 Array = NDArray[Any]
 DATA = np.random.default_rng(0).uniform(-1, 1, (9, 10, 11))
@@ -85,9 +86,9 @@ def test_functions_that_use_a_field_once(device: Device) -> None:
 
 def test_kernels_write_contiguous_arrays_themselves(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     written = []
-    lent = Device.lent
+    lent = Buffers.lent
 
-    def noted(self: Device, array: Array, *, write: bool) -> Any:
+    def noted(self: Buffers, array: Array, *, write: bool) -> Any:
         if write:
             written.append(array)
         return lent(self, array, write=write)
@@ -95,7 +96,7 @@ def test_kernels_write_contiguous_arrays_themselves(device: Device, monkeypatch:
     with clvol.Field(DATA.astype(np.float32), device=device) as field:
         points, out, grid = np.float32(POINTS.reshape(-1, 3)), np.empty(30, np.float32), np.empty((9, 20, 11), np.float32)
         field(points)
-        monkeypatch.setattr(Device, "lent", noted)
+        monkeypatch.setattr(Buffers, "lent", noted)
         field(points, out=out)
         assert [np.shares_memory(array, out) for array in written] == [True]
         written.clear()
@@ -141,7 +142,7 @@ def test_what_is_refused_before_anything_is_computed(device: Device, monkeypatch
     fixed.flags.writeable = False
     with clvol.Field(DATA, device=device) as field:
         monkeypatch.setattr(Device, "build", lambda *_: pytest.fail("a kernel was built"))
-        monkeypatch.setattr(Device, "allocate", lambda *_: pytest.fail("memory was allocated"))
+        monkeypatch.setattr(Buffers, "allocate", lambda *_: pytest.fail("memory was allocated"))
         for out, rule in (
             (np.zeros((5, 6)), r"out must have shape \(6, 5\); got \(5, 6\)"),
             (np.zeros((6, 5), np.int64), "out must be float32 or float64; got int64"),

@@ -26,7 +26,7 @@ import numpy as np
 import pyopencl as real
 from numpy.typing import NDArray
 
-from clvol import cache, opencl, probe
+from clvol.device import cache, opencl, probe
 
 HERE = Path(__file__).parent
 VERSIONS = ("", *(f"-{n}" for n in range(14, 23)))  # of clang
@@ -341,6 +341,6 @@ def install() -> None:
     _LIBRARY.free.argtypes = [ctypes.c_void_p]
     runtime = module()
     opencl._loaded = lambda: runtime  # type: ignore[assignment]
-    opencl.shelf = lambda: None
+    opencl.open_cache = lambda: None
     cache.folder = lambda: None  # its device is not to be noted as this user's default
     probe.tried = lambda: probe.Verdict(devices={probe.identity(DEVICE): ""})

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import clvol
-from clvol import phantoms, program
+from clvol import phantoms
 from clvol.base.errors import OptionError
 from clvol.base.uniform import FLOAT, Block
-from clvol.device import Device
+from clvol.device import Device, program
 from clvol.reference.march import march
 from clvol.scene.mode import DEFAULT_MODE, Composite, Isosurface, Mip, Mode, as_mode, every_option, mode_options, modes
 from clvol.volume.histogram import isovalue_of

@@ -538,7 +538,7 @@ def test_rows_end_in_numbers(device: Device) -> None:
     """What vectors read past the last row is zero, whatever the memory held before."""
     with Field(random_volume(), device=device) as field:
         stored = np.full(field.nbytes // 4, np.nan, np.float32)
-        device.download(field.coefficients.buffer, stored)
+        device.buffers.download(field.coefficients.buffer, stored)
         assert not stored[-8:].any()
 
 

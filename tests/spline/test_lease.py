@@ -14,8 +14,8 @@ import pytest
 import clvol
 from clvol.base.errors import OptionError
 from clvol.device import Device
+from clvol.device.opencl import opencl
 from clvol.march.renderer import Renderer
-from clvol.opencl import opencl
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.field import Field
 from clvol.spline.lease import Lease

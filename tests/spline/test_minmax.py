@@ -28,7 +28,7 @@ TAPS = Evaluator(paired=False, image=False)
 def levels(bounds: MinMax) -> list[NDArray[np.float32]]:
     """(min, max) of the blocks of each level, [z, y, x, 2]."""
     flat = np.empty(bounds.buffer.size // 4, np.float32)
-    bounds.coefficients.device.download(bounds.buffer, flat)
+    bounds.coefficients.device.buffers.download(bounds.buffer, flat)
     found, size = [], np.array(bounds.blocks)
     for offset in bounds.offsets:
         count = int(np.prod(size))

@@ -134,7 +134,7 @@ def test_halo_is_the_extension(device: Device, rule: str) -> None:
         volume = Volume(np.random.default_rng(1).normal(size=shape).astype(np.float32))
         with coefficients_of(volume, as_filter("lanczos3"), as_boundary(rule), device) as held:
             halo = int(held.extent[3])
-            with device.mapped(held.buffer, held.shape, write=False) as stored:
+            with device.buffers.mapped(held.buffer, held.shape, write=False) as stored:
                 got = np.array(stored)
         wanted = reference.extend(volume.data, halo, rule).astype(np.float32)
         np.testing.assert_array_equal(got[..., : wanted.shape[-1]].reshape(wanted.shape), wanted)

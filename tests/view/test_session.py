@@ -46,11 +46,11 @@ def test_a_rehearsal_builds_what_another_volume_needs(volume: Volume, device: De
     built: list[str] = []
     build = device.build
     View(clvol.phantoms.marschner_lobb(32), device=device, mode="attenuated").rehearse()
-    known = set(device._programs)
+    known = set(device.programs._built)
     monkeypatch.setattr(device, "build", lambda *given, **more: built.append(given[0]) or build(*given, **more))
     made = View(volume, device=device, mode="attenuated")
     made.prepare()
-    new = {key[0] for key in device._programs if key not in known}
+    new = {key[0] for key in device.programs._built if key not in known}
     assert "march/draw.cl" in built
     assert not {"march/draw.cl", "spline/minmax.cl"} & new
     assert made._infos

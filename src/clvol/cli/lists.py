@@ -57,9 +57,9 @@ def devices(*, json: Json = False) -> None:
 @command(SETUP)
 def doctor(*, json: Json = False) -> None:
     """Find out whether OpenCL is usable here, which runtime is used, and what to install if none is."""
-    from clvol import doctor
+    from clvol.cli import _doctor
 
-    needed, optional = list(doctor.opencl()), list(doctor.extras())
+    needed, optional = list(_doctor.opencl()), list(_doctor.extras())
     usable = needed[-1].ok
     if json:
         print_json({"usable": usable, "checks": [check._asdict() for check in (*needed, *optional)]})

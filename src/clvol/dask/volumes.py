@@ -308,7 +308,7 @@ class _Grid:
         given, shape = Given(), tuple(map(len, positions))
         evaluator = choose_evaluator(device, row, "auto", "auto" if kind == np.float32 else "buffer")
         result = np.empty(shape, kind)
-        with coefficients_of(volume, row, boundary, device, kind) as made, device.lent(result, write=True) as buffer:
+        with coefficients_of(volume, row, boundary, device, kind) as made, device.buffers.lent(result, write=True) as buffer:
             if along_axes(made, DIRECT):
                 resample_axes(made, positions[::-1], buffer, given)
             else:

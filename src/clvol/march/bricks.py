@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from clvol.base import memory
 from clvol.base.uniform import Values
 from clvol.bricks.source import Index, LazyVolume
+from clvol.device.program import Program
 from clvol.filter.filter import Filter
 from clvol.march.frame import WINDOW, Frame
 from clvol.march.launch import Drawing, Picture, Progress, launched_over, lent_pictures, pictures_of
-from clvol.program import Program
 from clvol.scene.camera import View
 from clvol.scene.mode import Composite, Isosurface, Minip, Mip
 from clvol.scene.transfer import TransferFunction
@@ -84,7 +84,7 @@ class BrickedDrawing(Drawing):
 
     def _make_ready(self) -> None:
         self._program = self.frame.program("march/bricks.cl", windowed=True)
-        self._table = self.frame.device.upload(self.frame.table)
+        self._table = self.frame.device.buffers.upload(self.frame.table)
 
     def cast(self, rays: int, told: Progress | None = None, until: float = math.inf) -> bool:  # noqa: ARG002  # all or nothing
         """So many further rays of each pixel, in one sweep over the bricks, or several if their states take much memory."""
@@ -259,14 +259,14 @@ class Pass:
         self._places = table  # any buffer: it is not read
         if places is not None:
             listed = np.ascontiguousarray(places.reshape(*frame.size[::-1], 2)[y : y + height, x : x + width])
-            self._boxes, self._places = boxes_of(listed, tile.height, tile.width), device.upload(listed)
-        self._memory = device.allocate(4 * width * height * (frame.mode.state_fields + 1))
+            self._boxes, self._places = boxes_of(listed, tile.height, tile.width), device.buffers.upload(listed)
+        self._memory = device.buffers.allocate(4 * width * height * (frame.mode.state_fields + 1))
         self._fields = frame.mode.state_fields + 1, fields_of(frame) - frame.mode.state_fields - 1
-        self._shown = device.allocate(4 * max(1, width * height * self._fields[1]))
+        self._shown = device.buffers.allocate(4 * max(1, width * height * self._fields[1]))
         self._going = np.zeros((-(-height // tile.height), -(-width // tile.width)), np.uint8)
-        self._flags = device.upload(self._going)
-        self._over("begin_states", self.area, device.upload(frame.values[None]), self._places, self._memory, self._flags)
-        device.download(self._flags, self._going)
+        self._flags = device.buffers.upload(self._going)
+        self._over("begin_states", self.area, device.buffers.upload(frame.values[None]), self._places, self._memory, self._flags)
+        device.buffers.download(self._flags, self._going)
 
     def wanted(self, brick: Brick, view: View, grid: Volume) -> Area | None:
         """The pixels whose rays may have samples in a brick, whole tiles; None if no ray of theirs wants any."""
@@ -296,11 +296,11 @@ class Pass:
         device, values, found = self.frame.device, self.frame.values.copy(), np.zeros(1, np.int32)
         values["window"]["low"], values["window"]["high"] = brick.low, brick.high
         low, high = (-_ANY, _ANY) if ends is None else ends
-        wanted = device.upload(found)
-        block = device.upload(values[None])
+        wanted = device.buffers.upload(found)
+        block = device.buffers.upload(values[None])
         arguments = block, self._table, self._places, self._memory, self._flags, np.float32(low), np.float32(high), wanted
         self._over("ask_brick", area, *arguments)
-        device.download(wanted, found)
+        device.buffers.download(wanted, found)
         return bool(found[0])
 
     def march(self, own: Resident, minmax: MinMax | None, brick: Brick, field: BrickedField, area: Area) -> None:
@@ -319,7 +319,7 @@ class Pass:
             made.extent,
             nothing if minmax is None else minmax.buffer,
             sides,
-            device.upload(values[None]),
+            device.buffers.upload(values[None]),
             self._table,
             self._places,
             self._memory,
@@ -327,7 +327,7 @@ class Pass:
             self._flags,
             share=max(min(1.0, field.edge / n) for n in field.volume.size),
         )
-        device.download(self._flags, self._going)
+        device.buffers.download(self._flags, self._going)
 
     @property
     def going(self) -> bool:
@@ -351,13 +351,13 @@ class Pass:
     def resume(self, carried: Carried) -> None:
         """The same, to go on with them."""
         self.take(carried)
-        block = self.frame.device.upload(self.frame.values[None])
+        block = self.frame.device.buffers.upload(self.frame.values[None])
         self._over("resume_states", carried.area, block, self._places, self._memory, self._flags)
-        self.frame.device.download(self._flags, self._going)
+        self.frame.device.buffers.download(self._flags, self._going)
 
     def merge(self, back: Pass) -> None:
         """Rays that have been through bricks behind, apart from these, into these: see `merge_states`."""
-        block = self.frame.device.upload(self.frame.values[None])
+        block = self.frame.device.buffers.upload(self.frame.values[None])
         buffers = self._memory, self._shown, back._memory, back._shown
         self._over("merge_bricks", self.area, block, self._places, *buffers)
 
@@ -368,13 +368,13 @@ class Pass:
         if not count:
             yield np.empty((0, h, w), np.float32)
             return
-        with self.frame.device.mapped(buffer, (count, height, width), write=write) as all_of_it:
+        with self.frame.device.buffers.mapped(buffer, (count, height, width), write=write) as all_of_it:
             yield all_of_it[:, y - top : y - top + h, x - left : x - left + w]
 
     def finish(self, buffers: list[Any]) -> None:
         """What the rays show, into pictures."""
         frame = self.frame
-        block, nowhere = frame.device.upload(frame.values[None]), np.zeros(4, np.int32)
+        block, nowhere = frame.device.buffers.upload(frame.values[None]), np.zeros(4, np.int32)
         self._over(
             "finish_bricks",
             self.area,

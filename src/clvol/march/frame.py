@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from clvol.base.uniform import FLOAT, INT, Block, Values
 from clvol.device import Device, Tile
+from clvol.device.program import Program
 from clvol.filter.boundary import Boundary
 from clvol.march.planes import SEGMENT, SLAB, Planes
-from clvol.program import Program
 from clvol.scene.camera import Camera, View
 from clvol.scene.fit import fitted
 from clvol.scene.light import LIGHTS, Material, lights_block

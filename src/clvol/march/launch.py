@@ -128,7 +128,7 @@ class Drawing:
         with lent_pictures(frame, self.arrays, begun=self.cast_rays > 0 or self._areas is not None) as buffers:
             while self.cast_rays < last:
                 i = self.cast_rays
-                block = frame.device.upload(frame.sampled(*self._pattern[i], i, self.rays)[None])
+                block = frame.device.buffers.upload(frame.sampled(*self._pattern[i], i, self.rays)[None])
                 if self._areas is None:
                     self._areas = self._budget.tiles(width, height)
                 arguments = *self._inputs.of_rays(block), self._inputs.table, *buffers
@@ -193,7 +193,7 @@ class Drawing:
     def _cast_listed(self, rays: Frame, places: NDArray[np.float32], told: Progress | None) -> dict[str, Picture]:
         """What a list of rays shows, which cross the picture at these places."""
         budget, device, (width, height) = self._budget, rays.device, rays.size
-        block, listed = device.upload(rays.values[None]), device.upload(places)
+        block, listed = device.buffers.upload(rays.values[None]), device.buffers.upload(places)
         arrays = pictures_of(rays)
         budget.slow_down(_SCATTERED)
         with lent_pictures(rays, arrays) as buffers:
@@ -220,7 +220,7 @@ class States:
     def __init__(self, frame: Frame) -> None:
         width, height = frame.size
         self.frame = frame
-        self.buffer = frame.device.allocate(4 * (frame.mode.state_fields + 1) * width * height)
+        self.buffer = frame.device.buffers.allocate(4 * (frame.mode.state_fields + 1) * width * height)
 
     def argument(self, other: Frame) -> Any:
         """The buffer, for kernels of a frame of the same size, mode and volume; `OptionError` if it is another or released."""
@@ -259,7 +259,7 @@ def march_rays(frame: Frame, first: float = -math.inf, last: float = math.inf, s
     kernel, inputs = frame.program("march/split.cl").kernel("march_rays"), _Inputs(frame)
     carried, states = states is not None, States(frame) if states is None else states
     buffer = states.argument(frame)
-    block = frame.device.upload(frame.values[None])
+    block = frame.device.buffers.upload(frame.values[None])
     budget = _Budget(frame)
     arguments = *inputs.of_rays(block), np.float32(first), np.float32(last), np.int32(carried), buffer
     for _ in _launched(frame, kernel, budget.tiles(*frame.size), budget, *arguments):
@@ -278,7 +278,7 @@ def merge_states(front: States, back: States) -> States:
     frame = front.frame
     buffers = front.argument(frame), back.argument(frame)
     kernel = frame.program("march/split.cl").kernel("merge_states")
-    block = frame.device.upload(frame.values[None])
+    block = frame.device.buffers.upload(frame.values[None])
     _launch(frame, kernel, (0, 0, *frame.size), block, *buffers)
     return front
 
@@ -287,7 +287,7 @@ def finish_states(states: States) -> dict[str, Picture]:
     """The picture that rays in these states make, and its guides, as `draw` gives them."""
     frame, buffer = states.frame, states.argument(states.frame)
     kernel, inputs = frame.program("march/split.cl").kernel("finish_states"), _Inputs(frame)
-    block = frame.device.upload(frame.values[None])
+    block = frame.device.buffers.upload(frame.values[None])
     arrays = pictures_of(frame)
     with lent_pictures(frame, arrays) as buffers:
         _launch(frame, kernel, (0, 0, *frame.size), inputs.source, inputs.extent, block, inputs.table, buffer, *buffers)
@@ -303,7 +303,7 @@ class _Inputs:
     def __init__(self, frame: Frame) -> None:
         assert isinstance(frame.coefficients, Coefficients)  # all of them are there
         self.source, self.extent = frame.coefficients.argument(frame.evaluator), frame.coefficients.extent
-        self.table = frame.device.upload(frame.table)
+        self.table = frame.device.buffers.upload(frame.table)
         self.minmax = self.table if frame.minmax is None else frame.minmax.buffer  # any buffer: it is not read
         self.sides = self.table if frame.sides is None else frame.sides
 
@@ -321,9 +321,9 @@ def pictures_of(frame: Frame) -> dict[str, Picture]:
 @contextlib.contextmanager
 def lent_pictures(frame: Frame, arrays: dict[str, Picture], *, begun: bool = False) -> Iterator[list[Any]]:
     """The buffers that kernels write the arrays of a frame's pictures through; `begun` if these hold something already."""
-    unused = [frame.device.allocate(4) for _ in range(len(CHANNELS) - len(arrays))]  # nobody wants them: never written
+    unused = [frame.device.buffers.allocate(4) for _ in range(len(CHANNELS) - len(arrays))]  # nobody wants them: never written
     with contextlib.ExitStack() as lent:
-        yield [lent.enter_context(frame.device.lent(array, write=True, begun=begun)) for array in arrays.values()] + unused
+        yield [lent.enter_context(frame.device.buffers.lent(array, write=True, begun=begun)) for array in arrays.values()] + unused
 
 
 def _in_world(frame: Frame, arrays: dict[str, Picture]) -> dict[str, Picture]:

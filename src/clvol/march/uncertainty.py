@@ -154,13 +154,13 @@ class Uncertainty:
         defines |= errors.defines
         generated = {"uncertainty.h": "// generated\n" + UNCERTAINTY.declaration()}
         kernel = device.build("march/uncertainty.cl", defines, generated=generated).kernel("uncertainty")
-        block = device.upload(self._block(errors, noise.sigma)[None])
+        block = device.buffers.upload(self._block(errors, noise.sigma)[None])
         points = np.empty((positions.size // 3, 3), np.float32)
         np.subtract(positions.reshape(-1, 3), self._field.volume.center, out=points, casting="same_kind")
         points /= self._field.volume.mean_spacing
         results = np.empty((len(points), 2), np.float32)
         step = max(64, device.limits.launch_taps // (24 * (2 * _REACH + 1) + made.filter.support**3) // 64 * 64)
-        with device.lent(points, write=False) as given, device.lent(results, write=True) as wanted, device.errors:
+        with device.buffers.lent(points, write=False) as given, device.buffers.lent(results, write=True) as wanted, device.errors:
             for first in range(0, len(points), step):
                 count = min(len(points), first + step)
                 kernel(

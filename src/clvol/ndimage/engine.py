@@ -220,7 +220,7 @@ def _evaluated(made: Coefficients, target: Target, output: Array, store: _Store,
         return
     batch = output.ndim > made.ndim
     for part in [slice(0, len(output))] if batch else store.parts(output):
-        with store.into(output[part]) as results, made.device.lent(results, write=True) as buffer:
+        with store.into(output[part]) as results, made.device.buffers.lent(results, write=True) as buffer:
             if isinstance(target, Axes):
                 first = target.positions[0] if batch else target.positions[0][part]
                 resample_axes(made, (first, *target.positions[1:])[::-1], buffer, given)
@@ -341,7 +341,7 @@ class _Store:
         if output.ndim > 3 or not self._by_kernel(output):
             output[...] = converted(results, output.dtype)
             return
-        with self._device.lent(results, write=False) as buffer:
+        with self._device.buffers.lent(results, write=False) as buffer:
             sizes = (1, 1, *output.shape)[-3:]
             self._convert(buffer, 0, sizes[2], sizes[1] * sizes[2], output)
 
@@ -350,7 +350,7 @@ class _Store:
         if self._by_kernel(output):
             self._convert(made.buffer, *made.layout, output)
             return
-        with self._device.mapped(made.buffer, made.shape, write=False, kind=self._kind) as held:
+        with self._device.buffers.mapped(made.buffer, made.shape, write=False, kind=self._kind) as held:
             output[...] = converted(held[made.inner].reshape(output.shape), output.dtype)
 
     def _direct(self, output: Array) -> bool:
@@ -367,7 +367,7 @@ class _Store:
         defines: DefineDict = {"RESULT": name, "WHOLE": {"f": 0, "b": 2}.get(kind.kind, 1), "COORD_DOUBLE": int(name == "double")}
         kernel = device.build("spline/store.cl", {**defines, **scalar_defines(self._kind)}).kernel("store_results")
         nz, ny, nx = output.shape
-        with device.lent_span(output, write=True) as (array, first, strides), device.errors:
+        with device.buffers.lent_span(output, write=True) as (array, first, strides), device.errors:
             kernel(
                 device.queue,
                 (ny, -(-nz // bundle)),

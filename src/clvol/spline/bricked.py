@@ -272,7 +272,7 @@ class BrickedField:
             if fits and self._stored_at_most(count) <= self.device.largest:
                 return self._whole_chunks(count)
         least = _EDGES[-1]
-        self.device.require_room(self._stored_at_most(least))
+        self.device.buffers.require_room(self._stored_at_most(least))
         raise self._too_small(least)
 
     def _too_small(self, edge: int) -> OptionError:
@@ -972,7 +972,7 @@ class BrickedField:
             part = tuple(len(places) for places in own[::-1])
             start = np.array([line[places[0]] for line, places in zip(lines, own, strict=True)]) - np.asarray(brick.first)
             values = np.empty(part, np.float32)
-            with self.resident(brick) as resident, self.device.lent(values, write=True) as buffer:
+            with self.resident(brick) as resident, self.device.buffers.lent(values, write=True) as buffer:
                 resample_coefficients(resident.coefficients, DIRECT, np.diag(np.diag(matrix)), start, part, buffer, NOTHING_GIVEN)
             place = tuple(slice(int(places[0]), int(places[-1]) + 1) for places in own[::-1])
             yield place, NOTHING_GIVEN.in_units_of_data(self._any, values, 0), done / len(bricks)

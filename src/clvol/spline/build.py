@@ -10,9 +10,9 @@ from typing import TypeAlias
 import numpy as np
 
 from clvol.device import Device
+from clvol.device.program import literal
 from clvol.filter.boundary import Boundary
 from clvol.filter.filter import Filter
-from clvol.program import literal
 from clvol.spline.evaluator import Evaluator
 
 __all__ = [

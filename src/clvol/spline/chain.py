@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.device import Device
+from clvol.device.program import LANES
 from clvol.filter.boundary import as_boundary
-from clvol.program import LANES
 from clvol.spline.build import DefineDict, scalar_defines
 from clvol.spline.prefilter import prefilter_in_place
 from clvol.volume.stored import Reals
@@ -82,12 +82,12 @@ class Chain:
             places.append((one, first, shape))
             first += math.prod(shape)
         count = first + 1  # vectors of three are read as four
-        values = device.allocate(count * np.dtype(kind).itemsize)
-        with device.mapped(values, (count,), write=True, kind=kind) as room:
+        values = device.buffers.allocate(count * np.dtype(kind).itemsize)
+        with device.buffers.mapped(values, (count,), write=True, kind=kind) as room:
             for one, first, shape in places:
                 _fill(room[first : first + math.prod(shape)].reshape(shape), one, device)
             room[-1] = 0
-        uploaded = [device.upload(table) for table in (np.array(maps or [np.zeros(1)], kind), tables, weights)]
+        uploaded = [device.buffers.upload(table) for table in (np.array(maps or [np.zeros(1)], kind), tables, weights)]
         return (*uploaded, values, np.int32(self.stages))
 
     def to_indices(self, moving: Volume) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -102,7 +102,7 @@ class Chain:
         defines = {**self.defines(), "DIMENSIONS": 3, "COORD_DOUBLE": int(device.has_double), **scalar_defines(np.float32)}
         kernel = device.build("spline/places.cl", defines).kernel("chain_places")
         corner = np.array([*(one.start for one in part[::-1]), 0], np.int32)
-        with device.lent(results, write=True) as target, device.errors:
+        with device.buffers.lent(results, write=True) as target, device.errors:
             kernel(device.queue, size, device.alone(3), np.array([*size, 0], np.int32), corner, target, *self.arguments)
             device.finish()
         return np.asarray(results.reshape(-1, 3), np.float64)
@@ -136,9 +136,9 @@ class Chain:
                 "RUN": run,
             },
         )
-        kernel, uploaded = built.kernel("jacobian_grid"), device.upload(np.array(ends, self._coord))
+        kernel, uploaded = built.kernel("jacobian_grid"), device.buffers.upload(np.array(ends, self._coord))
         rows, slices = max(1, min(ny, _POINTS // nx)), max(1, _POINTS // (nx * ny))
-        with device.lent(results, write=True) as target:
+        with device.buffers.lent(results, write=True) as target:
             for z in range(0, nz, slices):
                 for y in range(0, ny, rows):
                     size = (-(-nx // run), min(rows, ny - y), min(slices, nz - z))
@@ -197,11 +197,11 @@ def _prefilter(samples: NDArray[Any], coefficients: NDArray[Any], one: Displacem
     nx, ny, nz = (*samples.shape[::-1], 1)[:3]
     pitch, kind = -(-nx // LANES) * LANES, coefficients.dtype.type
     shape = (nz, ny, pitch)
-    buffer = device.allocate(math.prod(shape) * coefficients.itemsize)
-    with device.mapped(buffer, shape, write=True, kind=kind) as room:
+    buffer = device.buffers.allocate(math.prod(shape) * coefficients.itemsize)
+    with device.buffers.mapped(buffer, shape, write=True, kind=kind) as room:
         room[..., :nx] = samples.reshape(nz, ny, nx)
         room[..., nx:] = 0
     prefilter_in_place(device, buffer, one.filter, as_boundary("mirror"), (pitch, ny, nz, 0), (nx, ny, nz), one.ndim, kind)
-    with device.mapped(buffer, shape, write=False, kind=kind) as room:
+    with device.buffers.mapped(buffer, shape, write=False, kind=kind) as room:
         coefficients[...] = room[..., :nx].reshape(samples.shape)
     buffer.release()

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from clvol.base.errors import DeviceError, OptionError, OutOfMemoryError
 from clvol.device import Device
+from clvol.device.program import LANES, Program
 from clvol.filter.boundary import Boundary
 from clvol.filter.filter import Filter
-from clvol.program import LANES, Program
 from clvol.spline.build import DefineDict, evaluator_defines, filter_defines, row_reach, scalar_defines
 from clvol.spline.evaluator import Evaluator
 from clvol.spline.lease import release
@@ -165,8 +165,8 @@ class Coefficients:
         self.extent = extent_of(filter, self.ndim, tuple(filter.scale * n for n in sizes), past)
         if self.ndim < 3:
             self.extent[2] = batch
-        self.buffer: Any = device.allocate(self.nbytes)
-        device.clear(self.buffer, math.prod(self.shape), LANES, kind)  # vectors past the last row enter bounds
+        self.buffer: Any = device.buffers.allocate(self.nbytes)
+        device.buffers.clear(self.buffer, math.prod(self.shape), LANES, kind)  # vectors past the last row enter bounds
         self._image: Any = None
         self._uploaded: dict[int, Any] = {}
         self._lock = threading.RLock()  # a handler of signals may come back here
@@ -246,7 +246,7 @@ class Coefficients:
         device = self.device
         data = data[(slice(None),) * (data.ndim - self.ndim) + (None,) * (3 - data.ndim)]  # slices of a batch come first
         if not self._kernels_read(data):
-            with device.mapped(self.buffer, self.shape, write=True, kind=self.kind) as room:
+            with device.buffers.mapped(self.buffer, self.shape, write=True, kind=self.kind) as room:
                 inner = room[self.inner]
                 if not self.stored.identity:  # slice by slice, for each is made anew and wider
                     for target, slice_ in zip(inner, data, strict=True):
@@ -265,7 +265,7 @@ class Coefficients:
         some = max(bundle, device.limits.launch_voxels // (nx * ny) // bundle * bundle)
         for first in range(0, nz, some):  # in parts, for samples of a wide type may exceed the largest allocation
             part = data[first : first + some]
-            with device.lent_span(part, write=False) as (samples, start, strides), device.errors:
+            with device.buffers.lent_span(part, write=False) as (samples, start, strides), device.errors:
                 kernel(
                     device.queue,
                     (ny, -(-len(part) // bundle)),
@@ -314,7 +314,7 @@ class Coefficients:
                         own = np.where(place < -kept, -1, place + halo)
                     places[begin + first : begin + first + len(own)] = own
                 begin += stored
-            self._uploaded[kept] = self.device.upload(places)
+            self._uploaded[kept] = self.device.buffers.upload(places)
         return self._uploaded[kept]
 
     def _kernels_read(self, data: NDArray[Any]) -> bool:
@@ -343,7 +343,7 @@ class Coefficients:
         """The coefficients as an OpenCL image, made at the first use."""
         with self._lock:
             if self._image is None:
-                self._image = self.device.image_of(self.buffer, self.shape)
+                self._image = self.device.buffers.image_of(self.buffer, self.shape)
             return self._image
 
     def argument(self, evaluator: Evaluator) -> Any:

@@ -91,7 +91,7 @@ def coefficients_of(
     OutOfMemoryError
         The device has no room for them.
     """
-    device.require_room(bytes_of(volume.size, filter, boundary, kind))  # before samples are looked at
+    device.buffers.require_room(bytes_of(volume.size, filter, boundary, kind))  # before samples are looked at
     volume.require_finite()
     row = settled(filter, volume)
     stored = Stored.of(volume, row, boundary) if kind == np.float32 else AS_THEY_ARE
@@ -586,11 +586,11 @@ class Field:
             device, made, given = self.device, self.coefficients, Given(fill_value(fill))
             target = None if out is None else as_output(out, shape)
             chosen = self._evaluator(evaluator, fetch)
-            device.require_room(np.dtype(made.kind).itemsize * math.prod(shape), held=True)
+            device.buffers.require_room(np.dtype(made.kind).itemsize * math.prod(shape), held=True)
             memory.require(self._result_bytes(math.prod(shape), 0, out) + converted * math.prod(shape), _results(shape))
             result = target if self._writes(target) else np.empty(shape, made.kind)
             first, second = _halves(progress) if self.gaps else (progress, None)
-            with device.lent(result, write=True) as buffer:
+            with device.buffers.lent(result, write=True) as buffer:
                 if chain is not None and chain.stages:
                     last = Transform(matrix, offset, np.eye(len(offset)))
                     sample_grid(made, chosen, last, (1, *shape)[-3:], buffer, given, first, chain=chain)
@@ -1056,7 +1056,7 @@ def prefilter(
         made.fill(array)
     else:
         made = coefficients_of(volume, chosen, boundary, device, kind)
-    with made, device.mapped(made.buffer, made.shape, write=False, kind=kind) as held:
+    with made, device.buffers.mapped(made.buffer, made.shape, write=False, kind=kind) as held:
         own = np.array(held[made.inner]).reshape(array.shape)
         return made.stored.values(own, _gain(chosen) ** array.ndim)
 

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.uniform import FLOAT, INT, Block, Values
+from clvol.device.program import LANES
 from clvol.filter.filter import Filter
-from clvol.program import LANES
 from clvol.spline.build import DefineDict, literals
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, Evaluator
@@ -138,7 +138,7 @@ class MinMax:
         self.blocks, self._coarsest = sizes[0], sizes[-1]
         counts = [math.prod(size) for size in sizes]
         self.offsets = tuple(int(n) for n in np.cumsum([0, *counts[:-1]]))
-        self.buffer = device.allocate(8 * sum(counts))
+        self.buffer = device.buffers.allocate(8 * sum(counts))
         defines = _defines(coefficients.filter, blur)
         self._built, self._hull = device.build("spline/minmax.cl", defines), bool(defines["HULL"])
         self._lock = threading.RLock()  # a handler of signals may come back here
@@ -158,7 +158,7 @@ class MinMax:
     def extremes(self) -> tuple[float, float]:
         """Bounds of all values, in stored units."""
         count = self.offsets[-1] + math.prod(self._coarsest)
-        with self.coefficients.device.mapped(self.buffer, (count, 2), write=False) as ends:
+        with self.coefficients.device.buffers.mapped(self.buffer, (count, 2), write=False) as ends:
             coarsest = ends[self.offsets[-1] :]
             return float(coarsest[:, 0].min()), float(coarsest[:, 1].max())
 
@@ -175,7 +175,7 @@ class MinMax:
 
     def _sides_of(self, value: float, told: Callable[[float], object] | None) -> Any:
         coefficients, device = self.coefficients, self.coefficients.device
-        buffer = device.allocate(2 * math.prod(self.blocks) * (BLOCK * coefficients.filter.scale) ** 3 // 8)
+        buffer = device.buffers.allocate(2 * math.prod(self.blocks) * (BLOCK * coefficients.filter.scale) ** 3 // 8)
         self._over_blocks("side_cells", self.buffer, np.float32(value), buffer, told=told)
         return buffer
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.device import Device
+from clvol.device.program import LANES, Program
 from clvol.filter.boundary import Boundary
-from clvol.program import LANES, Program
 from clvol.spline.build import DefineDict, boundary_defines, point_defines
 from clvol.spline.chain import Chain, Progress
 from clvol.spline.coefficients import Coefficients
@@ -111,7 +111,7 @@ class Transform:
         for numbers, square in ((self.matrix, whole[:9]), (self.slopes, whole[12:21])):
             square.reshape(3, 3)[:d, :d] = numbers
         whole[9 : 9 + d] = self.offset
-        return device.upload(whole.astype(np.float64 if device.has_double else np.float32))
+        return device.buffers.upload(whole.astype(np.float64 if device.has_double else np.float32))
 
 
 def sample_coefficients(
@@ -203,7 +203,7 @@ def sample_into(
         part = np.ascontiguousarray(points[:, first : first + step] if planar else points[first : first + step], dtype=kind)
         target = flat[first : first + step]
         some, planes = len(target), part.shape[1] if planar else 0
-        with device.lent(part, write=False) as lent, device.lent(target, write=True) as wanted, device.errors:
+        with device.buffers.lent(part, write=False) as lent, device.buffers.lent(target, write=True) as wanted, device.errors:
             ready = lent if sorter is None else sorter.sort(lent, planes, some, matrix)
             for begin in range(0, some, launch):
                 now = min(launch, some - begin)

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.device import Device
+from clvol.device.program import LANES
 from clvol.filter.boundary import Boundary
 from clvol.filter.filter import Filter
-from clvol.program import LANES
 from clvol.spline.build import DefineDict, scalar_defines
 
 __all__ = ["gain_along", "prefilter_in_place"]
@@ -59,7 +59,7 @@ class _Plan:
     def arguments(self, device: Device, gain: float, sums: float, kind: type[np.generic]) -> tuple[Any, ...]:
         """What prefilter.cl reads: the samples are multiplied by `gain`, and the sums by `sums`."""
         numbers = np.concatenate([np.ravel(self.stages), [gain], sums * self.sums.ravel()])
-        return (device.upload(numbers.astype(kind)), *map(np.int32, (self.sums.shape[-1], self.head, self.tail)))
+        return (device.buffers.upload(numbers.astype(kind)), *map(np.int32, (self.sums.shape[-1], self.head, self.tail)))
 
 
 @lru_cache(maxsize=256)

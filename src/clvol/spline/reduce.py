@@ -471,15 +471,15 @@ def _launch(
     n, outer, inner = sums.n, math.prod(data.shape[:axis]), math.prod(data.shape[axis + 1 :])
     units = -(-outer // _WIDTH) if inner == 1 else outer * -(-inner // _WIDTH)
     items = min(units, _ITEMS_A_CORE * device.units)
-    scratch = device.allocate(data.dtype.itemsize * items * (n + 1) * _WIDTH)
-    tables = device.upload(sums.places), device.upload(sums.weights.astype(kind))
+    scratch = device.buffers.allocate(data.dtype.itemsize * items * (n + 1) * _WIDTH)
+    tables = device.buffers.upload(sums.places), device.buffers.upload(sums.weights.astype(kind))
     defines = {"ALONG": int(inner == 1), "WIDTH": _WIDTH, "COORD_DOUBLE": 0, **scalar_defines(kind)}
     kernel = device.build("spline/reduce.cl", defines).kernel("sum_along_axis")
     some = max(1, device.limits.launch_taps * 32 // (m * taps * _WIDTH))
     try:
         with ExitStack() as lent:
-            made = lent.enter_context(device.lent(result, write=True))
-            given = made if result is data else lent.enter_context(device.lent(data, write=False))
+            made = lent.enter_context(device.buffers.lent(result, write=True))
+            given = made if result is data else lent.enter_context(device.buffers.lent(data, write=False))
             for first in range(0, units, some):
                 count = min(some, units - first)
                 with device.errors:

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.program import LANES
+from clvol.device.program import LANES
 from clvol.spline.build import scalar_defines
 from clvol.spline.coefficients import Coefficients
 from clvol.spline.evaluator import DIRECT, Evaluator
@@ -142,12 +142,12 @@ def resample_axes(
         return
     slices = coefficients.shape[0] if len(counts) < 3 else counts[2]
     shape = (slices, *(*counts, 1)[1::-1])
-    with device.mapped(buffer, shape, write=True, kind=kind) as values:
+    with device.buffers.mapped(buffer, shape, write=True, kind=kind) as values:
         for number, part in enumerate(parts):
             place = (..., part[1], part[0]) if len(part) == 2 else (..., part[0]) if len(part) == 1 else part[::-1]
             made = np.empty(values[place].shape, kind)
             told = None if progress is None else partial(_tell_part, progress, number, len(parts))
-            with device.lent(made, write=True) as room:
+            with device.buffers.lent(made, write=True) as room:
                 _resample_part(coefficients, [along[p] for along, p in zip(positions, part, strict=True)], room, given, told)
             values[place] = made
 
@@ -217,7 +217,7 @@ def _resample_part(
             used.append(distinct)
             first_used += len(distinct)
     tables = [
-        device.upload(np.concatenate([part.ravel() for part in parts]).astype(kind))
+        device.buffers.upload(np.concatenate([part.ravel() for part in parts]).astype(kind))
         for parts, kind in ((places, np.int32), (weights, coefficients.kind), ([blocks], np.int32), (used, np.int32))
     ]
     units, pitch, area = nz * len(blocks), int(coefficients.extent[0]), int(coefficients.extent[0]) * int(coefficients.extent[1])
@@ -225,7 +225,7 @@ def _resample_part(
     items = min(
         units, max(device.units, min(_ITEMS_A_CORE * device.units, _SCRATCH // (np.dtype(coefficients.kind).itemsize * room)))
     )
-    scratch = device.allocate(np.dtype(coefficients.kind).itemsize * items * room)
+    scratch = device.buffers.allocate(np.dtype(coefficients.kind).itemsize * items * room)
     grid = np.array([nx, ny, nz, places[0].size], np.int32)
     defines = {"TAPS": taps, "DIMENSIONS": max(2, d), "BLOCK": _BLOCK, "LANES": LANES, "COORD_DOUBLE": 0}
     built = device.build("spline/resample.cl", {**defines, **scalar_defines(coefficients.kind)})
@@ -278,6 +278,6 @@ def _put_values(
             lost.append((axis, ~finite, fill if given.missing else math.nan))
     if not writes and not lost:
         return
-    with coefficients.device.mapped(buffer, shape, write=True, kind=coefficients.kind) as values:
+    with coefficients.device.buffers.mapped(buffer, shape, write=True, kind=coefficients.kind) as values:
         for axis, where, value in writes + lost:
             np.moveaxis(values, 2 - axis, 0)[where] = value

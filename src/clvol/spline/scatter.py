@@ -183,12 +183,12 @@ def _scattered(
     inverse = grid.world_to_index_matrix
     transform = Transform(inverse, -inverse @ np.asarray(grid.origin), inverse).upload(device)
     item, components = np.dtype(scalar).itemsize, d**derivative
-    places, fractions, weights = (device.allocate(n * count) for n in (8, item * d, item * components))
+    places, fractions, weights = (device.buffers.allocate(n * count) for n in (8, item * d, item * components))
     brick_of = np.empty(count, np.uint32)
     with (
-        device.lent(np.ascontiguousarray(points, kind), write=False) as given,
-        device.lent(np.ascontiguousarray(added, scalar), write=False) as wanted,
-        device.lent(brick_of, write=True) as numbers,
+        device.buffers.lent(np.ascontiguousarray(points, kind), write=False) as given,
+        device.buffers.lent(np.ascontiguousarray(added, scalar), write=False) as wanted,
+        device.buffers.lent(brick_of, write=True) as numbers,
         device.errors,
     ):
         built.kernel("locate_points")(
@@ -214,9 +214,9 @@ def _scattered(
     (somewhere,) = np.nonzero(brick_of < total)
     lists = sparse.coo_array((np.ones(somewhere.size, np.int8), (brick_of[somewhere].astype(np.int32), somewhere)), (total, count))
     rows = lists.tocsr()
-    order, starts = device.upload(rows.indices.astype(np.int32)), device.upload(rows.indptr.astype(np.int32))
+    order, starts = device.buffers.upload(rows.indices.astype(np.int32)), device.buffers.upload(rows.indptr.astype(np.int32))
     half = [-(-int(n) // 2) for n in bricks[:3]]
-    with device.lent(result, write=True) as buffer:
+    with device.buffers.lent(result, write=True) as buffer:
         for z, y, x in itertools.product(*(range(2 if n > 1 else 1) for n in bricks[2::-1].tolist())):
             with device.errors:
                 built.kernel("scatter_points")(

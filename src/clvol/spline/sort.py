@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clvol.program import LANES
+from clvol.device.program import LANES
 from clvol.spline.build import point_defines
 from clvol.spline.coefficients import Coefficients
 
@@ -81,9 +81,9 @@ class Sorter:
         )
         record = 4 * np.dtype(kind).itemsize
         self.room = max(1, min(count, device.limits.sorted_bytes // record))
-        self._sorted = device.allocate(record * self.room)
-        self._bricks = device.allocate(2 * self.room)
-        self._counts = device.allocate(4 * self._items * _BRICKS)
+        self._sorted = device.buffers.allocate(record * self.room)
+        self._bricks = device.buffers.allocate(2 * self.room)
+        self._counts = device.buffers.allocate(4 * self._items * _BRICKS)
 
     def sort(self, points: Any, planes: int, count: int, transform: Any) -> Any:
         """A buffer of `count` points, at most `room`, as another buffer, which the next call overwrites."""
@@ -94,9 +94,9 @@ class Sorter:
                 *launch, transform, self._size, self._grid, points, apart, number, self._bricks, self._counts
             )
         counts = np.empty((self._items, _BRICKS), np.uint32)
-        device.download(self._counts, counts)
+        device.buffers.download(self._counts, counts)
         starts = np.cumsum(counts.T).reshape(counts.T.shape) - counts.T
-        begins = device.upload(np.ascontiguousarray(starts.T, dtype=np.uint32))
+        begins = device.buffers.upload(np.ascontiguousarray(starts.T, dtype=np.uint32))
         with device.errors:
             self._program.kernel("sort_points")(*launch, points, apart, number, self._bricks, begins, self._sorted)
         return self._sorted

@@ -146,11 +146,11 @@ def _on_chain(field: Field, chain: Chain, derivative: int, given: Given, progres
     evaluator = choose_evaluator(device, field.filter, "taps", "buffer")
     matrix, offset = chain.to_indices(field.volume)
     shape = (*grid.shape, 1 + derivative * grid.ndim)
-    device.require_room(np.dtype(made.kind).itemsize * math.prod(shape), held=True)
+    device.buffers.require_room(np.dtype(made.kind).itemsize * math.prod(shape), held=True)
     memory.require(np.dtype(made.kind).itemsize * (math.prod(shape) + math.prod(grid.shape)), f"a result of {shape} numbers")
     result = np.empty(shape, made.kind)
     last, slices = Transform(matrix, offset, field.volume.world_to_index_matrix), (1, *grid.shape)[-3:]
-    with device.lent(result, write=True) as buffer:
+    with device.buffers.lent(result, write=True) as buffer:
         if derivative or chain.stages:
             sample_grid(made, evaluator, last, slices, buffer, given, progress, None, derivative, chain)
         else:

@@ -145,7 +145,7 @@ class Bricks:
             try:
                 x, y, z = minmax.blocks
                 found = np.empty((z, y, x, 2), np.float32)
-                self._device.download(minmax.buffer, found)
+                self._device.buffers.download(minmax.buffer, found)
             finally:
                 minmax.release()
         for axis in (2, 1, 0):

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from clvol import processor
+from clvol.device.runtimes import processor
 
 pytestmark = pytest.mark.skipif(
     not sys.platform.startswith("linux") or platform.machine() != "x86_64", reason="PoCL names processors elsewhere"

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from clvol import device as choosing
 from clvol.base.errors import ClvolWarning, DeviceError, OptionError, OutOfMemoryError
-from clvol.device import Device, Limits, as_device, devices
+from clvol.device import Device, Limits, as_device, choose, devices
+from clvol.device.launches import Launches
 from clvol.spline.field import sample
 
 USE = """
@@ -93,7 +93,7 @@ from clvol import sample
 points = ([[1.0, 2.0], [3.0, 4.0]], [[0.5, 0.5]], "linear")
 device = as_device()
 sample(*points)
-values, buffer, volume = np.zeros(4, np.float32), device.allocate(64), device.allocate(64 << 20)
+values, buffer, volume = np.zeros(4, np.float32), device.buffers.allocate(64), device.buffers.allocate(64 << 20)
 child = os.fork()
 if child == 0:
     refused = 0
@@ -101,12 +101,12 @@ if child == 0:
         lambda: sample(*points, device=device),
         lambda: sample(*points),
         lambda: device.build("base/sampler.cl", {"COORD_DOUBLE": 0}),
-        lambda: device.allocate(64),
-        lambda: device.upload(values),
-        lambda: device.download(buffer, values),
-        lambda: device.clear(buffer, 0, 1),
-        lambda: device.lent(values, write=True).__enter__(),
-        lambda: device.mapped(buffer, (4,), write=True).__enter__(),
+        lambda: device.buffers.allocate(64),
+        lambda: device.buffers.upload(values),
+        lambda: device.buffers.download(buffer, values),
+        lambda: device.buffers.clear(buffer, 0, 1),
+        lambda: device.buffers.lent(values, write=True).__enter__(),
+        lambda: device.buffers.mapped(buffer, (4,), write=True).__enter__(),
         device.finish,
         device.require_usable,
         as_device,
@@ -180,7 +180,7 @@ def test_quirks_are_answered(device: Device) -> None:
 def test_memory_is_refused_before_it_is_touched(device: Device) -> None:
     for size in (2**60, int(device.handle.global_mem_size)):
         with pytest.raises(OutOfMemoryError, match="MiB"):
-            device.allocate(size)
+            device.buffers.allocate(size)
     with pytest.raises(MemoryError):
         sample(np.broadcast_to(np.uint8(1), (40_000,) * 3), [[0.0, 0, 0]], device=device, precision="double")  # no bricks
 
@@ -188,22 +188,22 @@ def test_memory_is_refused_before_it_is_touched(device: Device) -> None:
 def test_buffers_hold_what_was_put_in(device: Device) -> None:
     data = np.asfortranarray(np.random.default_rng(0).normal(size=(3, 5)).astype(np.float32))
     back = np.empty((3, 5), np.float32)
-    device.download(device.upload(data), back)
+    device.buffers.download(device.buffers.upload(data), back)
     np.testing.assert_array_equal(back, data)
-    buffer = device.allocate(60)
-    with device.mapped(buffer, (3, 5), write=True) as mapped:
+    buffer = device.buffers.allocate(60)
+    with device.buffers.mapped(buffer, (3, 5), write=True) as mapped:
         mapped[...] = data
-    with device.mapped(buffer, (3, 5), write=False) as mapped:
+    with device.buffers.mapped(buffer, (3, 5), write=False) as mapped:
         np.testing.assert_array_equal(mapped, data)
 
 
 def test_large_buffers_begin_a_huge_page_and_hold_what_was_put_in(device: Device) -> None:
-    buffer = device.allocate(4 * (1 << 21) + 4)
-    with device.mapped(buffer, ((1 << 21) + 1,), write=True) as values:
+    buffer = device.buffers.allocate(4 * (1 << 21) + 4)
+    with device.buffers.mapped(buffer, ((1 << 21) + 1,), write=True) as values:
         if device.kind == "cpu" and sys.platform == "linux":
             assert values.ctypes.data % (1 << 21) == 0
         values[:] = np.arange(values.size)
-    with device.mapped(buffer, ((1 << 21) + 1,), write=False) as values:
+    with device.buffers.mapped(buffer, ((1 << 21) + 1,), write=False) as values:
         np.testing.assert_array_equal(values, np.arange(values.size))
     buffer.release()
 
@@ -212,9 +212,9 @@ def test_large_buffers_begin_a_huge_page_and_hold_what_was_put_in(device: Device
 def test_memory_is_lent_from_where_a_runtime_need_not_copy_it(device: Device, skipped: int) -> None:
     data = np.arange(skipped + 24, dtype=np.float32)[skipped:].reshape(2, 3, 4)
     for array in (data, data[::-1, :, 1:]):
-        with device.lent_span(array, write=False) as (buffer, start, strides):
+        with device.buffers.lent_span(array, write=False) as (buffer, start, strides):
             held = np.empty(buffer.size // 4, np.float32)
-            device.download(buffer, held)
+            device.buffers.download(buffer, held)
             places = start + np.einsum("i,izyx->zyx", strides[2::-1], np.indices(array.shape))
             np.testing.assert_array_equal(held[places], array)
             if device.shares_memory:
@@ -276,12 +276,12 @@ def test_unknown_limits_are_refused(device: Device) -> None:
 
 
 def test_clear_sets_numbers_to_zero(device: Device) -> None:
-    buffer = device.allocate(40)
-    with device.mapped(buffer, (10,), write=True) as values:
+    buffer = device.buffers.allocate(40)
+    with device.buffers.mapped(buffer, (10,), write=True) as values:
         values[:] = 1
-    device.clear(buffer, 3, 4)
+    device.buffers.clear(buffer, 3, 4)
     got = np.empty(10, np.float32)
-    device.download(buffer, got)
+    device.buffers.download(buffer, got)
     assert got.tolist() == [1] * 3 + [0] * 4 + [1] * 3
 
 
@@ -366,10 +366,10 @@ def test_a_device_that_vanishes_is_an_error_then_and_later(device: Device) -> No
     for use in (
         lost.finish,
         lost.require_usable,
-        lambda: lost.allocate(64),
-        lambda: lost.upload(values),
+        lambda: lost.buffers.allocate(64),
+        lambda: lost.buffers.upload(values),
         lambda: lost.build("base/sampler.cl", {"COORD_DOUBLE": 0}),
-        lambda: lost.lent(values, write=True).__enter__(),
+        lambda: lost.buffers.lent(values, write=True).__enter__(),
         lambda: sample([[1.0, 2.0], [3.0, 4.0]], [[0.5, 0.5]], "linear", device=lost),
     ):
         with pytest.raises(DeviceError, match="is gone"):
@@ -397,7 +397,7 @@ def test_too_few_resources_in_the_middle_are_an_error_and_no_more(device: Device
 def test_a_new_default_is_said_once(device: Device, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.delenv("CLVOL_DEVICE", raising=False)
-    choosing._last_default.cache_clear()
+    choose._last_default.cache_clear()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
@@ -405,7 +405,7 @@ def test_a_new_default_is_said_once(device: Device, monkeypatch: pytest.MonkeyPa
             as_device()
             as_device(device)
         (tmp_path / "clvol/default-device").write_text("Old (Old Platform)")
-        choosing._last_default.cache_clear()
+        choose._last_default.cache_clear()
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             as_device(first.name)  # it was chosen
@@ -416,11 +416,11 @@ def test_a_new_default_is_said_once(device: Device, monkeypatch: pytest.MonkeyPa
             as_device()
         other = Device(first.handle)
         other.__dict__.update(name="New", platform="New Platform")
-        monkeypatch.setattr(choosing, "devices", lambda: [other, first])
+        monkeypatch.setattr(choose, "devices", lambda: [other, first])
         with pytest.warns(ClvolWarning, match=r"is number 1 now; CLVOL_DEVICE=.* chooses it"):
             assert as_device() is other
     finally:
-        choosing._last_default.cache_clear()
+        choose._last_default.cache_clear()
 
 
 @pytest.mark.parametrize("failing", ["before", "within"])
@@ -441,12 +441,12 @@ def test_memory_that_was_lent_stays_until_kernels_are_done(device: Device, faili
     monkeypatch.setitem(device.__dict__, "queue", Told())
     if failing == "before":
 
-        def interrupt(_: Device) -> None:
+        def interrupt(_: Launches) -> None:
             raise KeyboardInterrupt
 
-        monkeypatch.setattr(Device, "_settle", interrupt)
+        monkeypatch.setattr(Launches, "settle", interrupt)
     try:
-        with device.lent(values, write=True) as buffer:
+        with device.buffers.lent(values, write=True) as buffer:
             if failing == "within":
                 raise KeyboardInterrupt
     except KeyboardInterrupt:
@@ -455,4 +455,4 @@ def test_memory_that_was_lent_stays_until_kernels_are_done(device: Device, faili
     assert finished
     assert all(finished)
     assert kept() is None
-    assert not any(owner() is None for owner, _ in device._held.values())
+    assert not any(owner() is None for owner, _ in device.launches._held.values())

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import clvol
-from clvol import device as choosing
-from clvol import doctor, intel
-from clvol.device import Device, as_device, devices
+from clvol.cli import _doctor as doctor
+from clvol.device import Device, as_device, choose, devices
+from clvol.device.runtimes import intel
 
 VENDORS = ("OCL_ICD_VENDORS", "OPENCL_VENDOR_PATH", "OCL_ICD_FILENAMES", "CL_CONFIG_USE_VECTORIZER", "CL_CONFIG_TBB_DLL_PATH")
 
@@ -130,9 +130,9 @@ def test_pocl_comes_first_where_it_links_and_last_where_it_does_not(monkeypatch:
         Fake(kinds.CPU, "Another"),
     ]
     monkeypatch.setattr(cl, "get_platforms", lambda: fakes)
-    monkeypatch.setattr(choosing, "_devices", {})
+    monkeypatch.setattr(choose, "_devices", {})
     monkeypatch.delenv("CLVOL_DEVICE", raising=False)
-    monkeypatch.setattr(choosing, "_tell_change", lambda _: None)
+    monkeypatch.setattr(choose, "_warn_of_change", lambda _: None)
     monkeypatch.setattr(Device, "fault", "")
     assert [d.name[:3] for d in devices()] == ["NVI", "Por", "Int", "Ano"]
     assert doctor._used() == "NVIDIA CUDA (NVIDIA CUDA): GPUs come first"
@@ -201,7 +201,7 @@ def installed(name: str) -> bool:
 def test_intels_wheels_are_asked_for_where_there_are_some(system: str, machine: str, has: bool) -> None:
     from packaging.requirements import Requirement  # pytest needs it too
 
-    project = tomllib.loads((Path(__file__).resolve().parents[1] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    project = tomllib.loads((Path(__file__).resolve().parents[2] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     wanted = [Requirement(line) for line in project["optional-dependencies"]["intel"]]
     assert {one.name for one in wanted} == {"intel-opencl-rt", "intel-cmplr-lib-rt"}
     for one in wanted:

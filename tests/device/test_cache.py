@@ -17,12 +17,13 @@ from pathlib import Path
 
 import pytest
 
-from clvol import cache
 from clvol.base.errors import ClvolWarning, DeviceError
-from clvol.cache import Shelf, Store
-from clvol.device import Device, as_device
+from clvol.device import Device, as_device, cache
+from clvol.device.cache import Store
+from clvol.device.runtimes import pocl
+from clvol.device.runtimes.pocl import KernelCache
 
-pocl = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="PoCL by pip is for Linux")
+linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="PoCL by pip is for Linux")
 
 # A kernel that is built in an instant.
 TINY = """
@@ -30,7 +31,7 @@ import numpy as np
 from clvol.device import as_device
 device = as_device()
 values = np.zeros(64, np.float32)
-with device.lent(values, write=True) as buffer:
+with device.buffers.lent(values, write=True) as buffer:
     made = {"tiny.cl": "kernel void tiny(global float *a) { size_t i = get_global_id(0); a[i] = i * i + 0.5f; }"}
     device.build("tiny.cl", {}, generated=made).kernel("tiny")(device.queue, (64,), None, buffer)
 print("right" if (values == np.arange(64) ** 2 + 0.5).all() else values)
@@ -76,14 +77,14 @@ def test_what_was_not_read_for_long_goes_where_there_is_too_much(tmp_path: Path,
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="no owners here")
 def test_a_folder_of_others_holds_nothing_that_is_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert cache._fault(tmp_path / "own") is None
+    assert cache.fault(tmp_path / "own") is None
     assert (tmp_path / "own").stat().st_mode & 0o777 == 0o700
     (tmp_path / "open").mkdir()
     (tmp_path / "open").chmod(0o777)
-    assert "everybody may write" in str(cache._fault(tmp_path / "open"))
+    assert "everybody may write" in str(cache.fault(tmp_path / "open"))
     os.chown(tmp_path / "own", 12345, -1) if os.getuid() == 0 else None
     monkeypatch.setattr(os, "getuid", lambda: 54321)
-    assert "another user" in str(cache._fault(tmp_path / "own"))
+    assert "another user" in str(cache.fault(tmp_path / "own"))
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
@@ -122,15 +123,15 @@ def test_a_store_that_cannot_be_written_holds_nothing(tmp_path: Path) -> None:
     assert store.read("key") == {}
 
 
-@pocl
+@linux
 def test_folders_go_with_their_processes(tmp_path: Path) -> None:
-    mine = Shelf(tmp_path)
+    mine = KernelCache(tmp_path)
     dead, elsewhere, forgotten = (mine.folder.with_name(f"{name}-dead") for name in (platform.node(), "another", "third"))
     for folder in (dead, elsewhere, forgotten):
         (folder / "AB").mkdir(parents=True)
         (folder / "lock").touch()
     os.utime(forgotten / "lock", (0, 0))
-    other = Shelf(tmp_path)
+    other = KernelCache(tmp_path)
     assert not dead.exists()
     assert elsewhere.exists()  # its process may be running on a machine whose locks are not seen here
     assert not forgotten.exists()
@@ -140,9 +141,9 @@ def test_folders_go_with_their_processes(tmp_path: Path) -> None:
         assert not one.folder.exists()
 
 
-@pocl
+@linux
 def test_what_was_built_is_found_while_another_thread_tries_the_linker(tmp_path: Path) -> None:
-    kernels = Shelf(tmp_path)
+    kernels = KernelCache(tmp_path)
     (kernels.folder / "AB" / "CDEF").mkdir(parents=True)
     done = threading.Event()
 
@@ -167,7 +168,7 @@ def test_room_and_the_linker_are_tried_before_a_kernel_is_built(tmp_path: Path, 
 
     if shutil.which("ld") is None:
         pytest.skip("there is no linker")
-    kernels = Shelf(tmp_path)
+    kernels = KernelCache(tmp_path)
     kernels.require_room()
     assert {file.name for file in kernels.folder.iterdir()} == {"lock"}
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -193,26 +194,26 @@ def test_room_and_the_linker_are_tried_before_a_kernel_is_built(tmp_path: Path, 
         kernels.require_room()
 
 
-@pocl
+@linux
 def test_a_folder_that_cannot_be_written_is_said_and_another_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("POCL_CACHE_DIR", os.devnull)
     monkeypatch.delenv("POCL_KERNEL_CACHE", raising=False)
     with pytest.warns(ClvolWarning, match=f"POCL_CACHE_DIR names {os.devnull}, which cannot be written"):
-        kernels = cache.shelf()
+        kernels = pocl.open_cache()
     assert kernels is not None
     assert tmp_path in kernels.folder.parents
     monkeypatch.delenv("POCL_CACHE_DIR")
     monkeypatch.setenv("XDG_CACHE_HOME", os.devnull)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        temporary = cache.shelf()
+        temporary = pocl.open_cache()
     assert temporary is not None
     temporary._close()
     assert not temporary.folder.parents[1].exists()
-    monkeypatch.setattr(cache.tempfile, "tempdir", os.devnull)
+    monkeypatch.setattr(pocl.tempfile, "tempdir", os.devnull)
     with pytest.raises(DeviceError, match="no folder can be written to build kernels in"):
-        cache.shelf()
+        pocl.open_cache()
 
 
 def test_no_home_at_all_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -226,7 +227,7 @@ def test_no_home_at_all_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
     assert cache.folder() is None
 
 
-@pocl
+@linux
 @pytest.mark.parametrize("damage", ["bit", *(pytest.param(d, marks=pytest.mark.thorough) for d in ("garbage", "short", "empty"))])
 def test_damaged_kernels_are_built_again(device: Device, damage: str, tmp_path: Path) -> None:
     """PoCL would run them: a bus error, an illegal instruction, an abort."""
@@ -247,7 +248,7 @@ def test_damaged_kernels_are_built_again(device: Device, damage: str, tmp_path: 
     assert times == {file: file.stat().st_mtime_ns for file in files}
 
 
-@pocl
+@linux
 @pytest.mark.thorough
 def test_six_processes_at_once_on_a_cold_cache_compute_the_same(device: Device, tmp_path: Path) -> None:
     code = (
@@ -264,7 +265,7 @@ def test_six_processes_at_once_on_a_cold_cache_compute_the_same(device: Device, 
     assert device is not None
 
 
-@pocl
+@linux
 @pytest.mark.thorough
 def test_a_process_that_is_killed_while_it_builds_spoils_nothing(device: Device, tmp_path: Path) -> None:
     environment = {**os.environ, "POCL_CACHE_DIR": str(tmp_path)}

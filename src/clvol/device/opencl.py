@@ -1,4 +1,4 @@
-"""The OpenCL runtime, found when it is first needed and tried in another process; it keeps built kernels where clvol says."""
+"""The OpenCL runtime: loaded when first needed, after a trial in another process; it keeps built kernels where clvol says."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from contextlib import contextmanager, suppress
 from functools import lru_cache
 from typing import Any
 
-from clvol import intel, probe
 from clvol.base.errors import ClvolWarning, DeviceError
-from clvol.cache import Shelf, shelf
+from clvol.device import probe
+from clvol.device.runtimes import intel
+from clvol.device.runtimes.pocl import KernelCache, open_cache
 
-__all__ = ["INSTALL", "built_kernels", "kept_out", "opencl", "why_not"]
+__all__ = ["INSTALL", "kept_out", "kernel_cache", "opencl", "why_not"]
 
 _WITHOUT_GPU = {
     "linux": (
@@ -34,26 +35,26 @@ _AGAIN = "'clvol doctor' tries again"
 
 
 def opencl() -> Any:
-    """pyopencl, when a device is needed; which runtimes may be loaded was tried in another process.
+    """The module pyopencl. Which runtimes may be loaded was tried in another process.
 
-    Its loader looks for runtimes once in a process, here, unless the program used pyopencl before clvol.
+    OpenCL's loader looks for runtimes once in a process: here, unless the program used pyopencl before clvol.
 
     Raises
     ------
     DeviceError
-        pyopencl is not installed, or the runtimes that it would load end the process.
+        pyopencl is not installed, or the runtimes that it would load abort the process.
     """
     return _module or _loaded()
 
 
 @lru_cache(maxsize=1)
-def built_kernels() -> Shelf | None:
-    """Where PoCL keeps its kernels; None where it does as it likes."""
-    return shelf()
+def kernel_cache() -> KernelCache | None:
+    """Where PoCL keeps its kernels; None if clvol does not manage that."""
+    return open_cache()
 
 
 def kept_out() -> dict[str, str]:
-    """Libraries of vendors that were not loaded because they would end the process or stop it, and what they did in the trial."""
+    """Vendors' libraries that were not loaded because they abort the process or hang, and what they did in the trial."""
     return _verdict().libraries
 
 
@@ -63,11 +64,11 @@ def _verdict() -> probe.Verdict:
 
 
 def why_not(handle: Any) -> str:
-    """Why a device cannot be used, as the trial has shown; "" if it can."""
+    """Why a trial found a device unusable; "" if it is usable."""
     with _lock:
         name = probe.identity(handle)
         if name not in _verdict().devices:
-            probe.forget()  # the driver is another than when it was noted
+            probe.forget()  # the driver has changed since
             _verdict.cache_clear()
         return _verdict().devices.get(name, "")
 
@@ -75,12 +76,12 @@ def why_not(handle: Any) -> str:
 def _loaded() -> Any:
     global _module
     with _lock:
-        _module = _module or _load()  # whoever came first
+        _module = _module or _load()  # another thread may have been faster
     return _module
 
 
 def _load() -> Any:
-    kernels = built_kernels()
+    kernels = kernel_cache()
     verdict = _verdict()
     if verdict.unloadable:
         raise DeviceError(f"OpenCL's runtimes cannot be loaded: a trial in another process {verdict.unloadable}. {_AGAIN}")
@@ -92,19 +93,19 @@ def _load() -> Any:
             import pyopencl
         except ImportError as error:
             raise DeviceError(f"pyopencl cannot be imported: {error}. {INSTALL}. 'clvol doctor' says more") from error
-        with suppress(pyopencl.Error):  # it finds none: whoever asks for devices is told
+        with suppress(pyopencl.Error):  # none found: `devices` reports it
             for found in pyopencl.get_platforms():
                 with suppress(pyopencl.Error):
-                    found.get_devices()  # PoCL reads its variables when it is first asked for them
+                    found.get_devices()  # PoCL reads its variables at the first query
     return pyopencl
 
 
 @contextmanager
-def _variables(kernels: Shelf | None) -> Iterator[None]:
-    """What pyopencl and PoCL read when they are loaded; a program that clvol's starts has what it had before.
+def _variables(kernels: KernelCache | None) -> Iterator[None]:
+    """Environment variables that pyopencl and PoCL read when they are loaded; child processes do not inherit them.
 
-    pyopencl would keep in a database how arguments are set, which gains a millisecond and fails where it cannot be written; and
-    what other runtimes than PoCL have built, unchecked: `clvol.program` does that.
+    pyopencl would cache how arguments are set, which gains a millisecond and fails if the folder cannot be written; and programs
+    of runtimes other than PoCL, unchecked: `clvol.device.program` stores those.
     """
     changes = {"PYOPENCL_NO_CACHE": "1", **({"POCL_CACHE_DIR": str(kernels.folder)} if kernels else {})}
     before = {name: os.environ.get(name) for name in changes}

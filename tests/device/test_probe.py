@@ -12,15 +12,15 @@ from pathlib import Path
 
 import pytest
 
-from clvol import intel, opencl, probe
 from clvol.base.errors import DeviceError
-from clvol.device import Device
-from clvol.probe import Verdict
+from clvol.device import Device, opencl, probe
+from clvol.device.probe import Verdict
+from clvol.device.runtimes import intel
 
 USE = """
 import sys, warnings
-import clvol.probe
-clvol.probe.SECONDS = 20
+import clvol.device.probe
+clvol.device.probe.SECONDS = 20
 from clvol.base.errors import ClvolError
 with warnings.catch_warnings(record=True) as told:
     warnings.simplefilter("always")
@@ -165,7 +165,7 @@ def test_a_loader_that_ends_the_trial_is_an_error_that_says_so(monkeypatch: pyte
 
 def test_a_device_that_failed_its_trial_is_refused_and_comes_last(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     fresh = Device(device.handle)
-    monkeypatch.setattr("clvol.device.why_not", lambda _: "ended by SIGSEGV")
+    monkeypatch.setattr("clvol.device.driver.why_not", lambda _: "ended by SIGSEGV")
     with pytest.raises(DeviceError, match="a trial of it in another process ended by SIGSEGV"):
         fresh.context  # noqa: B018
     with pytest.raises(DeviceError, match="SIGSEGV"):

@@ -20,13 +20,11 @@ import numpy as np
 import pytest
 
 import clvol
-from clvol import device as choosing
-from clvol import program
 from clvol.base.errors import DeviceError
-from clvol.device import Device
+from clvol.device import Device, launches, program, programs
+from clvol.device.opencl import kernel_cache
 from clvol.filter.table import as_filter, filters
 from clvol.march.frame import frame_block
-from clvol.opencl import built_kernels
 from clvol.scene.mode import modes
 from clvol.spline import build
 
@@ -196,13 +194,13 @@ def test_a_kernel_has_one_size_of_groups_whatever_the_shape(device: Device, monk
     if device.kind != "cpu":
         pytest.skip("other devices choose their groups themselves")
     seen: dict[str, set[Any]] = {}
-    prepare = program.Launches.prepare
+    prepare = program.Variants.prepare
 
-    def noted(self: program.Launches, name: str, size: Any, local: Any, offset: Any) -> None:
+    def noted(self: program.Variants, name: str, size: Any, local: Any, offset: Any) -> None:
         seen.setdefault(name, set()).add((local, offset is not None and any(offset)))
         prepare(self, name, size, local, offset)
 
-    monkeypatch.setattr(program.Launches, "prepare", noted)
+    monkeypatch.setattr(program.Variants, "prepare", noted)
     for shape in ((5, 6, 7), (9, 20, 33), (40, 17, 24)):
         data = np.random.default_rng(0).random(shape, np.float32)
         with clvol.Renderer(data, "bspline3", device=device) as renderer:
@@ -213,8 +211,8 @@ def test_a_kernel_has_one_size_of_groups_whatever_the_shape(device: Device, monk
 
 
 def test_programs_not_used_for_long_are_freed_unless_in_use(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(choosing, "_PROGRAMS", 2)
-    monkeypatch.setattr(device, "_programs", OrderedDict())
+    monkeypatch.setattr(programs, "_KEPT", 2)
+    monkeypatch.setattr(device.programs, "_built", OrderedDict())
     first, second = tiny(device, 1), tiny(device, 2)
     kernel, freed = first.kernel("tiny"), [weakref.ref(first), weakref.ref(second.kernel("tiny"))]
     del second
@@ -224,11 +222,11 @@ def test_programs_not_used_for_long_are_freed_unless_in_use(device: Device, monk
     assert freed[1]() is None
     tiny(device, 4)
     tiny(device, 5)
-    assert len(device._programs) == 2
+    assert len(device.programs._built) == 2
     del first
     assert freed[0]() is None  # the kernel does not keep it, nor it the kernel
     values = np.zeros(8, np.float32)
-    with device.lent(values, write=True) as buffer:
+    with device.buffers.lent(values, write=True) as buffer:
         kernel(device.queue, (8,), None, buffer)
     assert values.tolist() == [1] * 8
 
@@ -279,7 +277,7 @@ def test_ctrl_c_is_heard_while_a_program_is_built_and_the_program_kept(
     go_on.set()
     assert tiny(device, 7).kernel("tiny")
     assert len(builds) == 1
-    assert not device._building
+    assert not device.programs._building
 
 
 def test_where_no_thread_can_be_started_programs_are_built_all_the_same(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -288,15 +286,15 @@ def test_where_no_thread_can_be_started_programs_are_built_all_the_same(device: 
     def no(*_: Any) -> None:
         raise RuntimeError("can't start new thread")
 
-    monkeypatch.setattr(choosing._thread, "start_new_thread", no)
+    monkeypatch.setattr(launches._thread, "start_new_thread", no)
     values = np.zeros(8, np.float32)
-    with device.lent(values, write=True) as buffer:
+    with device.buffers.lent(values, write=True) as buffer:
         tiny(device, 10).kernel("tiny")(device.queue, (8,), None, buffer)
     assert values.tolist() == [10] * 8
-    assert not device._building
+    assert not device.programs._building
     with pytest.raises(DeviceError):
         device.build("spoilt.cl", {}, generated={"spoilt.cl": "nonsense"})
-    assert not device._building
+    assert not device.programs._building
 
 
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers here")
@@ -316,13 +314,13 @@ def test_ctrl_c_is_heard_while_the_runtime_finishes_a_kernel(
 
     kernel = tiny(device, 8).kernel("tiny")
     monkeypatch.setitem(device.__dict__, "queue", Slow())
-    monkeypatch.setattr(Device, "_soon_done", lambda *_: False)
+    monkeypatch.setattr(launches.Launches, "_soon_done", lambda *_: False)
     values = np.zeros(8, np.float32)
     held = weakref.ref(values)
     interrupt_in(0.3)
     begin = time.perf_counter()
     try:
-        with device.lent(values, write=True) as buffer:
+        with device.buffers.lent(values, write=True) as buffer:
             kernel(queue, (8,), None, buffer)
     except KeyboardInterrupt:
         assert time.perf_counter() - begin < 1.3
@@ -344,7 +342,7 @@ def test_ctrl_c_is_heard_while_the_runtime_finishes_a_kernel(
 def test_a_linker_that_fails_later_is_an_error_not_an_abort(
     device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if not (device.is_pocl and device.kind == "cpu") or built_kernels() is None:
+    if not (device.is_pocl and device.kind == "cpu") or kernel_cache() is None:
         pytest.skip("not PoCL")
     linker = tmp_path / "ld"
     linker.write_text("#!/bin/sh\nexit 1\n")
@@ -356,9 +354,9 @@ def test_a_linker_that_fails_later_is_an_error_not_an_abort(
             patched.setenv("PATH", path)
             with pytest.raises(DeviceError, match="linker"):
                 tiny(device, unique + 1)
-            with pytest.raises(DeviceError, match="linker"), device.lent(values, write=True) as buffer:
+            with pytest.raises(DeviceError, match="linker"), device.buffers.lent(values, write=True) as buffer:
                 built.kernel("tiny")(device.queue, (8,), None, buffer)
-    with device.lent(values, write=True) as buffer:
+    with device.buffers.lent(values, write=True) as buffer:
         built.kernel("tiny")(device.queue, (8,), None, buffer)
     assert values.tolist() == [np.float32(unique)] * 8
 
@@ -407,10 +405,10 @@ def test_the_end_of_the_process_while_kernels_are_built_is_no_crash(device: Devi
 @pytest.mark.thorough
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
 def test_memory_is_flat_over_ever_new_programs(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(choosing, "_PROGRAMS", 20)
+    monkeypatch.setattr(programs, "_KEPT", 20)
     values, resident = np.zeros(64, np.float32), []
     for number in range(100, 300):
-        with device.lent(values, write=True) as buffer:
+        with device.buffers.lent(values, write=True) as buffer:
             tiny(device, number).kernel("tiny")(device.queue, (64,), None, buffer)
         assert values[0] == number
         if number % 100 == 49:

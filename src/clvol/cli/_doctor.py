@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 import clvol
-from clvol import intel, probe
 from clvol.base.errors import DeviceError
-from clvol.device import Device, as_device, devices
-from clvol.opencl import INSTALL, kept_out
+from clvol.device import Device, as_device, devices, probe
+from clvol.device.opencl import INSTALL, kept_out
+from clvol.device.runtimes import intel
 
 __all__ = ["Check", "extras", "opencl"]
 

@@ -23,7 +23,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from clvol import cache, intel, processor
+from clvol.device import cache
+from clvol.device.runtimes import intel, processor
 
 __all__ = ["Verdict", "forget", "identity", "tried"]
 

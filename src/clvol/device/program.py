@@ -1,4 +1,4 @@
-"""Kernels: read from ``cl/``, spliced into one text, specialised by ``#define``, kept for each thread."""
+"""Kernels: read from ``cl/``, includes spliced in, specialised by ``#define``; each thread has kernels of its own."""
 
 from __future__ import annotations
 
@@ -16,30 +16,31 @@ from typing import Any, cast
 import numpy as np
 
 from clvol.base.errors import DeviceError, OptionError
-from clvol.cache import Shelf, Store
-from clvol.opencl import opencl
-from clvol.probe import identity
+from clvol.device.cache import Store
+from clvol.device.opencl import opencl
+from clvol.device.probe import identity
+from clvol.device.runtimes.pocl import KernelCache
 
-__all__ = ["LANES", "Defines", "Kernel", "Launches", "Program", "build", "literal", "source"]
+__all__ = ["LANES", "Defines", "Kernel", "Program", "Variants", "build", "literal", "source"]
 
 LANES = 8
-"""Numbers that one vector of the kernels holds, and what rows of coefficients are padded to."""
+"""Numbers in one vector of the kernels; rows of coefficients are padded to a multiple of it."""
 
 Defines = Mapping[str, str | int | float]
 _OPTIONS = ("-cl-std=CL1.2",)
 _POCL = "Portable Computing Language"
-# LLVM's own handler of SIGINT removes what it is writing, whoever hears the signal: the program is then built once more
+# LLVM's own SIGINT handler removes the file it is writing, whoever handles the signal: then the program is built again
 _INTERRUPTED = "unable to rename temporary"
 _GENERATED = "<generated: 'pyopencl invoker"
-_LAUNCHES = 1024  # sizes that are remembered for each program
-_building = threading.Lock()  # what appears in PoCL's folder then is of the one that is built
+_SEEN = 1024  # launch sizes remembered for each program
+_building = threading.Lock()  # so that what appears in PoCL's folder belongs to the program being built
 _INCLUDE = re.compile(r'^#include "([\w/.]+)"[ \t]*$', re.MULTILINE)
 
 
 @lru_cache
 def folder() -> Path:
-    """Where the kernel files are: inside the package if it was installed from a wheel, in the repository if it is editable."""
-    package = Path(__file__).resolve().parent
+    """Folder of the kernel files: inside the package if it was installed from a wheel, in the repository if it is editable."""
+    package = Path(__file__).resolve().parents[1]
     for folder in (package / "cl", package.parents[1] / "cl"):
         if (folder / "base/platform.cl").is_file():
             return folder
@@ -52,11 +53,11 @@ def source(
     generated: Mapping[str, str] | None = None,
     defines: Defines | None = None,
 ) -> str:
-    """The text of one kernel file, with its includes spliced in, each once, behind the `defines`.
+    """The text of one kernel file with its includes spliced in, each once, after the `defines`.
 
-    Splicing is done here because PoCL takes no ``-I`` with a space in it; ``#line`` keeps the
-    compiler's messages on the right file and line. `replacements` maps an included name to another,
-    which is how a render mode's file takes its place in the ray loop; `generated` maps one to text.
+    Splicing is done here because PoCL accepts no ``-I`` with a space in it; ``#line`` keeps compiler messages on the right file
+    and line. `replacements` maps an included name to another, which is how a render mode plugs into the ray loop; `generated` maps
+    one to text.
     """
     seen: set[str] = set()
 
@@ -81,11 +82,11 @@ def source(
 
 
 class Program:
-    """A built program; `kernel` gives each thread kernels of its own, for they hold their arguments."""
+    """A built program. Each thread has kernels of its own, because a kernel holds its arguments."""
 
-    def __init__(self, handle: Any, launches: Launches) -> None:
+    def __init__(self, handle: Any, variants: Variants) -> None:
         self._handle = handle
-        self._launches = launches
+        self._variants = variants
         self._kernels = threading.local()
 
     def kernel(self, name: str) -> Kernel:
@@ -94,84 +95,84 @@ class Program:
         if name not in mine:
             cl = opencl()
             try:
-                mine[name] = Kernel(cl.Kernel(self._handle, name), name, self._launches)
+                mine[name] = Kernel(cl.Kernel(self._handle, name), name, self._variants)
                 _forget_sources()
             except cl.Error as error:
                 raise DeviceError(f"there is no kernel {name!r}: {error}") from error
             except Exception as error:
                 if type(error).__module__ != "sqlite3":
                     raise
-                # pyopencl was imported before clvol, which would have kept it from writing there
+                # pyopencl was imported before clvol, which would have disabled its cache
                 raise DeviceError(f"pyopencl cannot use its cache ({error}); set PYOPENCL_NO_CACHE=1") from error
         return cast(Kernel, mine[name])
 
 
 def _forget_sources() -> None:
-    """Drop the text of what pyopencl generates to call a kernel: `linecache` would keep it for good, anew for each kernel."""
+    """Drop the source that pyopencl generates to call a kernel: `linecache` would keep it forever, once for each kernel."""
     for name in [name for name in list(linecache.cache) if name.startswith(_GENERATED)]:
         linecache.cache.pop(name, None)  # another thread may have been here
 
 
 class Kernel:
-    """A kernel of one thread; called as pyopencl's are."""
+    """A kernel of one thread, called as pyopencl's."""
 
-    def __init__(self, handle: Any, name: str, launches: Launches) -> None:
-        self._handle, self._name, self._launches = handle, name, launches
+    def __init__(self, handle: Any, name: str, variants: Variants) -> None:
+        self._handle, self._name, self._variants = handle, name, variants
 
     def __call__(self, queue: Any, size: Any, local: Any, *arguments: Any, global_offset: Any = None) -> Any:
         if global_offset is not None and len(size) < 3:
-            # PoCL builds one kernel for launches that begin at 0 and one for all others: an extra axis of size 1 that begins at 1
-            # makes them all such others
+            # PoCL compiles one kernel for launches without an offset and one for all others: an extra axis of size 1 at offset 1
+            # makes all of them others
             size, local, global_offset = (*size, 1), local and (*local, 1), (*global_offset, 1)
-        self._launches.prepare(self._name, size, local, global_offset)
+        self._variants.prepare(self._name, size, local, global_offset)
         return self._handle(queue, size, local, *arguments, global_offset=global_offset)
 
 
-class Launches:
-    """Which launches of a program have been seen: PoCL finishes a kernel for some sizes when it is first launched, in seconds.
+class Variants:
+    """Kernels of a program that PoCL compiles at their first launch, in seconds: one for each work-group size.
 
-    `new` is told before the first launch of each size. The program's kernels hold this rather than the program, so that it is
+    `note` is called before the first launch of each size. The program's kernels hold this rather than the program, so that it is
     freed with the last of them.
     """
 
     def __init__(
         self,
-        new: Callable[[Launches], None],
-        kernels: Shelf | None = None,
+        note: Callable[[Variants], None],
+        kernels: KernelCache | None = None,
         key: str = "",
         place: str | None = None,
         stored: set[str] | None = None,
     ) -> None:
-        self._new = new
+        self._note = note
         self._kernels = kernels if place else None  # where PoCL built it
         self._key, self._place = key, place or ""
         self._seen: set[Any] = set()
         self._stored = stored or set()
 
     def prepare(self, name: str, size: Any, local: Any, offset: Any) -> None:
-        """Before a launch; raises `DeviceError` where PoCL would have to finish a kernel and cannot."""
+        """Before a launch; raises `DeviceError` if PoCL would have to compile a kernel and cannot."""
         launch = (name, size, local, offset is not None and any(offset))
         if launch in self._seen:
             return
-        if self._kernels and not self._finished(*launch):
-            self._stored |= self._kernels.restore(self._key)  # another process may have finished it by now
-            if not self._finished(*launch):
+        if self._kernels and not self._compiled(*launch):
+            self._stored |= self._kernels.restore(self._key)  # another process may have compiled it meanwhile
+            if not self._compiled(*launch):
                 self._kernels.require_room()
-        if len(self._seen) >= _LAUNCHES:
+        if len(self._seen) >= _SEEN:
             self._seen.clear()
         self._seen.add(launch)
-        self._new(self)
+        self._note(self)
 
     def keep(self) -> None:
-        """After launches: put what PoCL has finished for them into the store."""
+        """After launches: store what PoCL has compiled for them."""
         if self._kernels:
             for name in set(self._kernels.files(self._place)) - self._stored:
                 with suppress(OSError):
                     self._kernels.store.write(self._key, name, (self._kernels.folder / name).read_bytes())
                 self._stored.add(name)
 
-    def _finished(self, name: str, _: Any, local: Any, offset: bool) -> bool:
-        """Whether a library of a kernel is there: for these local sizes, or for any where PoCL is to choose them."""
+    def _compiled(self, name: str, _: Any, local: Any, offset: bool) -> bool:
+        """Whether there is a library of a kernel: for this work-group size, or for any if PoCL chooses it."""
         if self._kernels is None:
             return True
         begin = "".join(f"{n}-" for n in local) if local else ""
@@ -181,8 +182,8 @@ class Launches:
         return False
 
 
-def build(device: Any, context: Any, text: str, kernels: Shelf | None, new: Callable[[Launches], None]) -> Program:
-    """The program of a text in a context, from the store of built ones if it is there; errors are the runtime's.
+def build(device: Any, context: Any, text: str, kernels: KernelCache | None, note: Callable[[Variants], None]) -> Program:
+    """The program of a text in a context, from the store if it was built before; errors are the runtime's.
 
     Parameters
     ----------
@@ -191,11 +192,11 @@ def build(device: Any, context: Any, text: str, kernels: Shelf | None, new: Call
     context : pyopencl.Context
         Where it is built.
     text : str
-        As `source` makes it.
-    kernels : Shelf or None
-        The store, and PoCL's folder; None: nothing is kept.
-    new : callable
-        Told of launches for which the runtime may have to finish a kernel.
+        Of `source`.
+    kernels : KernelCache or None
+        Built programs, and PoCL's folder; None: nothing is kept.
+    note : callable
+        Called before launches for which the runtime may have to compile a kernel.
 
     Raises
     ------
@@ -204,11 +205,11 @@ def build(device: Any, context: Any, text: str, kernels: Shelf | None, new: Call
     """
     key = hashlib.sha256("\0".join((identity(device), *_OPTIONS, text)).encode()).hexdigest()
     with _building, warnings.catch_warnings():
-        # Intel's runtime always has something to say; what is wrong comes as an error
+        # Intel's runtime always warns; faults are errors
         warnings.simplefilter("ignore", opencl().CompilerWarning)
         if kernels is None or device.platform.name != _POCL:
-            return Program(_built_elsewhere(device, context, text, kernels.store if kernels else None, key), Launches(new))
-        kernels.built()  # forget what the program itself has built
+            return Program(_built_elsewhere(device, context, text, kernels.store if kernels else None, key), Variants(note))
+        kernels.built()  # forget what others in this process have built
         stored = kernels.restore(key)
         if not any(name.endswith(".bc") for name in stored):
             kernels.require_room()
@@ -218,9 +219,9 @@ def build(device: Any, context: Any, text: str, kernels: Shelf | None, new: Call
             if _INTERRUPTED not in str(error):
                 raise
             handle = _compiled(context, text)
-        launches = Launches(new, kernels, key, kernels.built(), stored)
-        launches.keep()
-        return Program(handle, launches)
+        variants = Variants(note, kernels, key, kernels.built(), stored)
+        variants.keep()
+        return Program(handle, variants)
 
 
 def _compiled(context: Any, text: str) -> Any:
@@ -228,7 +229,7 @@ def _compiled(context: Any, text: str) -> Any:
 
 
 def _built_elsewhere(device: Any, context: Any, text: str, store: Store | None, key: str) -> Any:
-    """A program by a runtime that is not PoCL: its binary is kept, unless the driver keeps its own."""
+    """A program by a runtime other than PoCL: its binary is stored, unless the driver has a cache of its own."""
     cl = opencl()
     from pyopencl.characterize import has_src_build_cache
 
@@ -236,7 +237,7 @@ def _built_elsewhere(device: Any, context: Any, text: str, store: Store | None, 
         store = None
     binary = store.read(key).get("binary") if store else None
     if binary is not None:
-        with suppress(cl.Error):  # it was another driver's
+        with suppress(cl.Error):  # of another driver
             return cl.Program(context, [device], [binary]).build(options=list(_OPTIONS))
     handle = _compiled(context, text)
     if store is not None:
@@ -246,7 +247,7 @@ def _built_elsewhere(device: Any, context: Any, text: str, store: Store | None, 
 
 
 def literal(value: str | float) -> str:
-    """A number as OpenCL C writes it, floats in single precision; a text as it is."""
+    """A number as a literal of OpenCL C, floats in single precision; text stays as it is."""
     if not isinstance(value, float):
         return str(value)
     text = f"{np.float32(value):.9g}"

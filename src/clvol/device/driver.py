@@ -1,0 +1,132 @@
+"""The context and queue of a device, its errors, and the guard against runtimes that hang or abort the process."""
+
+from __future__ import annotations
+
+import atexit
+import os
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from functools import cached_property, lru_cache
+from typing import Any, TypeVar
+
+from clvol.base.errors import DeviceError, OutOfMemoryError
+from clvol.device.identity import Identity
+from clvol.device.opencl import kernel_cache, opencl, why_not
+from clvol.device.runtimes import processor
+
+__all__ = ["Driver", "Once", "require_unforked"]
+
+T = TypeVar("T")
+
+_GONE = ("DEVICE_NOT_AVAILABLE", "INVALID_COMMAND_QUEUE")
+_LINKER = (
+    "; install 'binutils' and 'gcc' (Debian, Ubuntu: apt install binutils gcc), or another OpenCL runtime: "
+    "'pip install clvol[intel]' brings one that needs neither"
+)
+_name_processor = lru_cache(processor.name_processor)
+
+
+class Once(cached_property[T]):
+    """A `cached_property` that one thread computes: since Python 3.12 that has no lock, and two contexts are incompatible."""
+
+    def __get__(self, instance: Any, owner: type[Any] | None = None) -> Any:
+        if instance is None:
+            return self
+        with instance._lock:
+            if self.attrname in instance.__dict__:
+                return instance.__dict__[self.attrname]
+            return super().__get__(instance, owner)
+
+
+def require_unforked(process: int | None) -> None:
+    """Raise `DeviceError` in a fork of `process`: a runtime's threads do not survive it, and even a new context hangs."""
+    if process not in (None, os.getpid()):
+        raise DeviceError("OpenCL devices cannot be used after a fork; start processes with 'spawn' or 'forkserver'")
+
+
+class Driver(Identity, ABC):
+    """An OpenCL device with its context and queue, both created at first use."""
+
+    def __init__(self, handle: Any) -> None:
+        super().__init__(handle)
+        self._process = os.getpid()
+        self._lock = threading.RLock()
+        self._gone = ""
+
+    @Once
+    def context(self) -> Any:
+        self.require_usable()
+        with self.errors:
+            context = opencl().Context([self.handle])
+        atexit.register(self._end)
+        return context
+
+    @Once
+    def queue(self) -> Any:
+        context = self.context
+        with self.errors:
+            return opencl().CommandQueue(context)
+
+    @abstractmethod
+    def _end(self) -> None:
+        """Called when the process exits, if a context was created."""
+
+    @property
+    def forked(self) -> bool:
+        """Whether this process is a fork of the one that owns the device."""
+        return self._process != os.getpid()
+
+    @Once
+    def fault(self) -> str:
+        """Why a trial in another process found the device unusable; "" if it is usable."""
+        why = why_not(self.handle)
+        if not why:
+            return ""
+        if self.is_pocl and self.kind == "cpu":
+            # PoCL runs the linker for every kernel, and aborts the process if that fails or a file cannot be written
+            try:
+                kernels = kernel_cache()
+                if kernels is not None:
+                    kernels.require_room()
+            except DeviceError as error:
+                return str(error)
+            return f"PoCL cannot build kernels here: a trial of it in another process {why}"
+        return f"{self.name} ({self.platform}) cannot be used: a trial of it in another process {why}. 'clvol doctor' tries again"
+
+    def require_usable(self) -> None:
+        """Raise `DeviceError` if using the device would hang or abort the process.
+
+        That happens with drivers that failed their trial, and in forked processes. PoCL is given a name for a processor that it
+        does not know.
+        """
+        require_unforked(self._process)
+        if self._gone:
+            raise DeviceError(self._gone)
+        if self.fault:
+            linker = "linker" in self.fault or "build kernels here" in self.fault
+            raise DeviceError(self.fault + (_LINKER if linker else ""))
+        if self.is_pocl and self.kind == "cpu":
+            _name_processor(self.handle.int_ptr)
+
+    @property
+    def errors(self) -> AbstractContextManager[None]:
+        """Context manager that translates OpenCL's errors into clvol's."""
+        return self._translated()
+
+    @contextmanager
+    def _translated(self) -> Iterator[None]:
+        require_unforked(self._process)
+        if self._gone:
+            raise DeviceError(self._gone)
+        cl = opencl()
+        try:
+            yield
+        except cl.MemoryError as error:
+            raise OutOfMemoryError(f"{self.name} is out of memory: {error}") from error
+        except cl.Error as error:
+            if any(name in str(error) for name in _GONE):
+                self._gone = f"{self.name} is gone, or its driver was restarted ({error}); start the program again to use it"
+                raise DeviceError(self._gone) from error
+            raise DeviceError(f"{self.name} failed: {error}") from error
