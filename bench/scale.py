@@ -29,7 +29,7 @@ import numpy as np
 
 import clvol
 from bench.bricks import Shells
-from clvol.cluster import Cluster, as_cluster
+from clvol.dask.cluster import Cluster, as_cluster
 from clvol.march import cluster as parts
 from clvol.march.bricks import pixels_of
 from clvol.spline.bricked import BrickedField
@@ -171,7 +171,7 @@ def plan(
     edge = max(parts._SMALLEST, -(-math.isqrt(width * height // areas) // parts._SMALLEST) * parts._SMALLEST)
     spans = [pixels_of(group.box(field), view, grid, width, height, 0) for group in groups]
     bricks = {
-        g.number: tuple(b for b in itertools.product(*map(range, g.first, g.past)) if seen is None or seen(b)) for g in groups
+        g.number: tuple(b for b in itertools.product(*map(range, g.first, g.stop)) if seen is None or seen(b)) for g in groups
     }
     depth = field.edge * 1.5 / step  # samples of a ray through a brick, about
     tasks: list[Task] = []
@@ -181,7 +181,7 @@ def plan(
             w, h = min(right, x + edge, width) - max(left, x), min(bottom, y + edge, height) - max(top, y)
             if w < 0 or h < 0 or not bricks[group.number]:
                 continue
-            across = max(b - a for a, b in zip(group.first, group.past, strict=True))
+            across = max(b - a for a, b in zip(group.first, group.stop, strict=True))
             own = [b for b in bricks[group.number] if _meets(field.brick(b), view, grid, size, (x, y, edge, edge))]
             share = len(own) / max(1, len(bricks[group.number]))
             tasks.append(Task(before, group.number % workers, tuple(own), w * h * depth * across * share, 20.0 * edge * edge))
@@ -222,7 +222,7 @@ def dispatched(cluster: Cluster) -> float:
         start, before = time.process_time(), None
         for _ in range(_NOTHINGS):
             before = cluster.submit(_nothing, before)
-        for _ in cluster.done([before]):
+        for _ in cluster.as_completed([before]):
             pass
         rounds.append((time.process_time() - start) / _NOTHINGS)
     return float(np.median(rounds))
@@ -387,12 +387,12 @@ def _by_boxes(field: Any, view: Any, pixels: int, workers: int, share: float) ->
             for y in range(top // edge * edge, min(bottom + 1, pixels), edge)
             for x in range(left // edge * edge, min(right + 1, pixels), edge)
         ]
-    count = {g.number: math.prod(b - a for a, b in zip(g.first, g.past, strict=True)) * share for g in groups}
+    count = {g.number: math.prod(b - a for a, b in zip(g.first, g.stop, strict=True)) * share for g in groups}
     last: dict[tuple[int, int], int] = {}
     rest = 0.0
     tasks: list[Task] = []
     for number, group in enumerate(groups):
-        across = max(b - a for a, b in zip(group.first, group.past, strict=True))
+        across = max(b - a for a, b in zip(group.first, group.stop, strict=True))
         for place in met[number]:
             some = count[group.number] / len(met[number])
             first, rest = math.floor(rest), rest + some  # whole bricks, none lost

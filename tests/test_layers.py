@@ -17,7 +17,7 @@ LAYERS = [
     "device",
     "spline",
     "ndimage",
-    "cluster dask interpolator resizing torch xarray multiscale",
+    "dask interpolator resizing torch xarray multiscale",
     "march",
     "images batches movies analysis",
     "figures",

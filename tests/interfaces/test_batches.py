@@ -78,7 +78,7 @@ def test_a_cluster_draws_the_same(files: list[Path], tmp_path: Path) -> None:
 def test_the_samples_of_a_volume_are_sent_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Not with each picture: a small one by the scheduler, a large one to all workers; a mapped file by its name."""
     distributed = pytest.importorskip("distributed")
-    from clvol.cluster import as_cluster
+    from clvol.dask.cluster import as_cluster
 
     np.save(tmp_path / "a.npy", clvol.phantoms.marschner_lobb(24).data)
     sources = [clvol.phantoms.marschner_lobb(20), clvol.LazyVolume(clvol.phantoms.marschner_lobb(22).data)]
@@ -92,7 +92,7 @@ def test_the_samples_of_a_volume_are_sent_once(tmp_path: Path, monkeypatch: pyte
 
         monkeypatch.setattr(cluster, "submit", counted)
         for large in (8 << 20, 1 << 10):
-            monkeypatch.setattr("clvol.cluster._LARGE", large)
+            monkeypatch.setattr("clvol.dask.cluster._LARGE", large)
             drawn = clvol.batch(
                 sources, clvol.turned(3), tmp_path / "{number}-{frame}.png", cluster=cluster, mode="mip", size=(8, 8)
             )
@@ -104,7 +104,7 @@ def test_the_samples_of_a_volume_are_sent_once(tmp_path: Path, monkeypatch: pyte
 def test_a_file_that_changed_is_drawn_as_it_is(files: list[Path], tmp_path: Path) -> None:
     """Workers that live on keep nothing of a batch."""
     pytest.importorskip("distributed")
-    from clvol.cluster import as_cluster
+    from clvol.dask.cluster import as_cluster
 
     path = tmp_path / "one.nrrd"
     with as_cluster(1) as cluster:

@@ -21,7 +21,7 @@ from PIL import Image, ImageSequence
 import clvol
 from clvol import cli
 from clvol.base.errors import MissingDependencyError, OptionError
-from clvol.cluster import as_cluster
+from clvol.dask.cluster import as_cluster
 from clvol.interfaces.batches import frames
 from clvol.show import movies
 from clvol.show.picture import to_bytes

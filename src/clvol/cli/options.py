@@ -453,7 +453,7 @@ class Together:
 
     @property
     def cluster(self) -> str | int | None:
-        """As `clvol.cluster.as_cluster` takes it; None: this process."""
+        """As `clvol.dask.cluster.as_cluster` takes it; None: this process."""
         if self.scheduler is not None and self.workers is not None:
             raise OptionError(f"give --scheduler or --workers; got both: {self.scheduler} and {self.workers}")
         return self.scheduler if self.workers is None else self.workers

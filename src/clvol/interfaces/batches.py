@@ -1,4 +1,4 @@
-"""Many pictures: of many files, from many sides, by this process or a cluster, a task a picture."""
+"""Many pictures: of many files and from many sides, by this process or by a cluster, where each picture is a task."""
 
 from __future__ import annotations
 
@@ -7,17 +7,16 @@ import os
 import uuid
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import partial
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
 from string import Formatter
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any
 
 from clvol.base.checks import instance, whole
 from clvol.base.errors import ClvolError, OptionError
 from clvol.bricks.source import LazyVolume, by_bricks
-from clvol.cluster import Cluster, ClusterLike, Turn, as_cluster
 from clvol.formats import read
 from clvol.formats.opening import opened_if
 from clvol.march.launch import Progress
@@ -27,27 +26,30 @@ from clvol.scene.mode import DEFAULT_MODE, as_mode
 from clvol.show.picture import Picture, save
 from clvol.volume.volume import Volume, as_volume
 
+if TYPE_CHECKING:  # clusters need dask
+    from clvol.dask.cluster import Cluster, ClusterLike
+
 __all__ = ["Drawn", "batch", "frames", "needs_whole", "turned"]
 
-_OF_RENDERER = ("filter", "boundary", "device", "budget")  # the other options are those of its pictures
+_OF_RENDERER = ("filter", "boundary", "device", "budget")  # the other options are those of a picture
 _FIELDS = ("name", "number", "frame")
-_EACH = 2  # frames of a movie for each worker that are being drawn, or wait for those before them
+_QUEUED = 2  # frames of a movie for each worker that are submitted ahead
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """What became of a picture.
+    """The outcome of one picture.
 
     Attributes
     ----------
     source : str
         The file, or the name of the volume.
     frame : int
-        Which of the cameras, from 0.
+        The camera's index.
     path : Path
-        Where it is to be.
+        The picture's file.
     error : ClvolError or None
-        Why it is not there.
+        Why it was not drawn.
     """
 
     source: str
@@ -57,21 +59,21 @@ class Drawn:
 
 
 def turned(frames: int, elevation: float = 20.0, **camera: Any) -> list[Camera]:
-    """So many cameras on a whole turn around what is seen, at equal angles.
+    """Cameras on a full turn around the scene, at equal angles.
 
     Parameters
     ----------
     frames : int
-        1 or more.
+        Their number, 1 or more.
     elevation : float
         Degrees.
     **camera
-        As of `Camera.orbit`; `azimuth` is the first one's.
+        As of `Camera.orbit`; `azimuth` is the first camera's.
 
     Raises
     ------
     OptionError
-        `frames` is no whole number of at least 1, or a camera cannot be.
+        `frames` is no whole number of at least 1, or an argument of `Camera.orbit` is refused.
     """
     frames = whole("frames", frames, minimum=1)
     first = camera.pop("azimuth", 0.0)
@@ -89,26 +91,26 @@ def batch(
     progress: Progress | None = None,
     **options: Any,
 ) -> list[Drawn]:
-    """Pictures of many volumes from many sides, each a file that is written as soon as it is drawn.
+    """Draw many volumes from many sides; each picture's file is written as soon as it is drawn.
 
-    A file that cannot be read, or a picture that cannot be drawn, leaves the others as they are.
+    Where a file cannot be read or a picture cannot be drawn, the others are drawn all the same.
 
     Parameters
     ----------
     sources : path, Volume or LazyVolume, or a sequence of these
-        Files are read by whoever draws them; what is stored in several sizes or does not fit into half of the memory that is
-        available by bricks, as by 'clvol render'.
+        Files are read by the process that draws them; by bricks, as by 'clvol render', if they are stored in several sizes or do
+        not fit into half of the available memory.
     cameras : Camera or sequence of Camera, optional
-        One picture of each source by each; by default one by `Camera.orbit()`. See `turned`.
+        Each takes one picture of each source; by default `Camera.orbit()`. See `turned`.
     output : str
-        Where pictures go: a name with ``{name}``, that of the source without its suffix, ``{number}``, which source it is, and
-        ``{frame}``, which camera, both from 0 and with a format, such as ``{frame:04}``.
+        The file of a picture: a name with ``{name}``, that of the source without its suffix, and the indices ``{number}`` of the
+        source and ``{frame}`` of the camera, with a format if needed, such as ``{frame:04}``.
     cluster : distributed.Client, str or int, optional
-        Who draws: as of `Renderer`. Each picture is a task, so a worker must have room for a whole volume. By default this process.
+        As of `Renderer`. Each picture is a task, so a worker must have room for a whole volume. By default this process draws.
     reading : mapping or callable, optional
-        Options of `clvol.read`, or what reads a file in its place, as a Volume or LazyVolume.
+        Options of `clvol.read`, or a function that reads a file in its place and returns a Volume or LazyVolume.
     look : callable, optional
-        Gives further options for each volume.
+        Returns further options for a volume.
     progress : callable, optional
         Called with the fraction done.
     **options
@@ -117,12 +119,12 @@ def batch(
     Returns
     -------
     list of Drawn
-        Of each picture, sources first: where it is, or why it is not.
+        One for each picture, those of the first source first.
 
     Raises
     ------
     OptionError
-        Several pictures would go to one file, `output` asks for what there is not, or `cameras` has none.
+        Several pictures would have the same file, `output` has an unknown field, or `cameras` is empty.
     FormatError
         A picture cannot be written.
     ClusterError
@@ -138,50 +140,56 @@ def batch(
     >>> [one.path.name for one in drawn if one.error is None]
     ['0.png', '1.png', '2.png']
     """
-    many = _several(sources)
+    sources = _as_sources(sources)
     views = [cameras] if cameras is None or isinstance(cameras, Camera) else list(cameras)
     if not views:
         raise OptionError("cameras must be one or more; got none")
     for view in views:
         if view is not None:
             instance("cameras", view, Camera)
-    wanted = [
+    results = [
         Drawn(_name(source), frame, Path(_filled(str(output), _stem(source), number, frame)))
-        for (number, source), frame in itertools.product(enumerate(many), range(len(views)))
+        for (number, source), frame in itertools.product(enumerate(sources), range(len(views)))
     ]
-    _require_apart(wanted)
-    done = itertools.count(1)
-    results: list[Drawn] = list(wanted)
+    _require_distinct(results)
     how = reading if callable(reading) else dict(reading or {})
-
-    def keep(number: int, result: Picture | ClvolError) -> None:
-        one = wanted[number]
-        if isinstance(result, ClvolError):
-            results[number] = Drawn(one.source, one.frame, one.path, result)
-        else:
-            one.path.parent.mkdir(parents=True, exist_ok=True)
-            save(result, one.path)
-        if progress:
-            progress(next(done) / len(wanted))
-
-    if cluster is None:
-        with _Held() as held:
-            for number, (source, view) in enumerate(itertools.product(many, views)):
-                try:
-                    picture = _drawn(held, source, how, view, look, options)
-                except ClvolError as error:
-                    picture = error
-                keep(number, picture)
-        return results
-    with _together(cluster) as (own, token):
-        at_hand = [_at_hand(own, source) for source in many]
-        tasks = [own.submit(_task, token, source, how, view, look, options) for source, view in itertools.product(at_hand, views)]
-        try:
-            for number, result in own.done(tasks, keeping=True):
-                keep(number, result)
-        finally:
-            own.cancel(tasks)
+    with closing(_outcomes(sources, how, views, look, cluster, options)) as outcomes:
+        for done, (number, outcome) in enumerate(outcomes, 1):
+            if isinstance(outcome, ClvolError):
+                results[number] = replace(results[number], error=outcome)
+            else:
+                path = results[number].path
+                path.parent.mkdir(parents=True, exist_ok=True)
+                save(outcome, path)
+            if progress:
+                progress(done / len(results))
     return results
+
+
+def _outcomes(
+    sources: Sequence[Any],
+    how: Any,
+    views: Sequence[Camera | None],
+    look: Any,
+    cluster: ClusterLike | None,
+    options: dict[str, Any],
+) -> Generator[tuple[int, Picture | ClvolError], None, None]:
+    """The number of each picture, and the picture or why there is none, as they are drawn."""
+    if cluster is None:
+        with closing(_LastRenderer()) as last:
+            for number, (source, view) in enumerate(itertools.product(sources, views)):
+                try:
+                    yield number, last.drawn(source, how, view, look, options)
+                except ClvolError as error:
+                    yield number, error
+        return
+    with _workers_of(cluster) as (workers, token):
+        sent = [_sent(workers, source) for source in sources]
+        tasks = [workers.submit(_task, token, source, how, view, look, options) for source, view in itertools.product(sent, views)]
+        try:
+            yield from workers.as_completed(tasks, keep_errors=True)
+        finally:
+            workers.cancel(tasks)
 
 
 def frames(
@@ -192,9 +200,9 @@ def frames(
     progress: Progress | None = None,
     **options: Any,
 ) -> Generator[Picture, None, None]:
-    """Pictures of a volume one after the other, such as for `movies.write`.
+    """The pictures of a volume, in order, such as for `movies.write`.
 
-    Of those that a cluster draws few are waiting at any time, in the memory of its workers.
+    Of a cluster's pictures only a few at a time wait in the memory of its workers.
 
     Parameters
     ----------
@@ -203,7 +211,7 @@ def frames(
     cameras : sequence of Camera or None
         One for each picture; None is the default one.
     cluster : distributed.Client, str or int, optional
-        Who draws, a task a picture. By default this process.
+        As of `batch`.
     progress : callable, optional
         Called with the fraction done.
     **options
@@ -218,112 +226,101 @@ def frames(
     ClusterError
         The scheduler or all of its workers are gone.
     """
-    sources, count = _several(source), len(cameras)
+    sources = _as_sources(source)
     if len(sources) != 1:
         raise OptionError(f"source must be one volume; got {len(sources)}: clvol.batch takes several")
     for camera in cameras:
         if camera is not None and not isinstance(camera, Camera):
             raise OptionError(f"cameras must be of Camera, or None for the default one; got {type(camera).__qualname__}")
-    return _frames(sources[0], cameras, count, cluster, progress, options)
+    return _frames(sources[0], cameras, cluster, progress, options)
 
 
 def _frames(
-    one: Any,
-    cameras: Sequence[Camera | None],
-    count: int,
-    cluster: ClusterLike | None,
-    progress: Progress | None,
-    options: dict[str, Any],
+    source: Any, cameras: Sequence[Camera | None], cluster: ClusterLike | None, progress: Progress | None, options: dict[str, Any]
 ) -> Generator[Picture, None, None]:
-    """Those of a volume, one after the other."""
+    """As `frames`, which checks its arguments before the first picture is asked for."""
+    count = len(cameras)
     if cluster is None:
-        with _Held() as held:
+        with closing(_LastRenderer()) as last:
             for number, camera in enumerate(cameras):
-                told = progress and partial(_within, progress, number, count)
-                yield _drawn(held, one, {}, camera, None, options | {"progress": told})
+                within = progress and partial(_report, progress, number, count)
+                yield last.drawn(source, {}, camera, None, options | {"progress": within})
         return
-    with _together(cluster) as (own, token):
-        at_hand, left = _at_hand(own, one), iter(cameras)
+    with _workers_of(cluster) as (workers, token):
+        sent, left = _sent(workers, source), iter(cameras)
         tasks: deque[Any] = deque()
         try:
             for number in range(count):
-                for camera in itertools.islice(left, max(1, _EACH * len(own.workers) - len(tasks))):
-                    tasks.append(own.submit(_task, token, at_hand, {}, camera, None, options))
-                ((_, picture),) = own.done([tasks[0]])
+                for camera in itertools.islice(left, max(1, _QUEUED * len(workers.workers) - len(tasks))):
+                    tasks.append(workers.submit(_task, token, sent, {}, camera, None, options))
+                ((_, picture),) = workers.as_completed([tasks[0]])
                 tasks.popleft()
                 if progress:
                     progress((number + 1) / count)
                 yield picture
         finally:
-            own.cancel(tasks)
+            workers.cancel(tasks)
 
 
-def _within(progress: Progress, number: int, count: int, done: float) -> None:
-    """So much of a picture of several is done."""
+def _report(progress: Progress, number: int, count: int, done: float) -> None:
+    """Progress within picture `number` of `count`."""
     progress((number + done) / count)
 
 
 @contextmanager
-def _together(choice: ClusterLike) -> Iterator[tuple[Cluster, str]]:
-    """A cluster and a token for what its workers hold meanwhile."""
+def _workers_of(choice: ClusterLike) -> Iterator[tuple[Cluster, str]]:
+    """A cluster, and a token for the renderers that its workers keep until the end of this batch."""
+    from clvol.dask.cluster import as_cluster
+
     cluster = as_cluster(choice)
     try:
         yield cluster, uuid.uuid4().hex
     finally:
-        cluster.tell(_let_go)
+        cluster.run_on_all(_release)
         if cluster is not choice:
             cluster.close()
 
 
-def _at_hand(cluster: Cluster, source: Any) -> Any:
-    """What a task takes for a source: a file by its name, a volume once for all tasks."""
+def _sent(cluster: Cluster, source: Any) -> Any:
+    """A source as an argument of tasks: a file by its absolute path, a volume sent once for all of them."""
     if isinstance(source, Volume):
-        return cluster.shared(source, source.data.nbytes)
+        return cluster.scatter(source, source.data.nbytes)
     if isinstance(source, LazyVolume):
-        return cluster.shared(source.for_tasks(), source.nbytes if source.in_memory else 0)
-    return _absolute(source)
+        return cluster.scatter(source.for_tasks(), source.nbytes if source.in_memory else 0)
+    return str(Path(source).absolute()) if Path(source).exists() else source
 
 
 def needs_whole(evaluator: str = "auto", fetch: str = "auto", outputs: Any = "rgba", **_: Any) -> bool:
-    """Whether these options of `clvol.render` are of volumes that are read whole, as long as they fit."""
+    """Whether these options of `clvol.render` need the whole volume on the device."""
     return evaluator not in ("auto", "taps") or fetch == "image" or "uncertainty" in outputs
 
 
 def _read(path: str, how: Any, options: Mapping[str, Any]) -> Volume | LazyVolume:
-    """A file as it is drawn."""
     if callable(how):
         return how(path)  # type: ignore[no-any-return]  # it is the caller's
     several = how.get("level") is None and not needs_whole(**options)
     return opened_if(path, partial(by_bricks, several=several), **how) or read(path, **how)
 
 
-class _Held:
-    """The renderer of the source that was drawn last."""
+class _LastRenderer:
+    """The renderer of the source that was drawn last, which is kept for the next picture."""
 
     def __init__(self) -> None:
-        self.turn = Turn()
         self._key: Any = None
         self._volume: Any = None
         self._renderer: Renderer | None = None
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.let_go()
-
-    def let_go(self) -> None:
-        """Free what is held."""
+    def close(self) -> None:
+        """Close the renderer, if there is one."""
         if self._renderer is not None:
             self._renderer.close()
         self._key = self._volume = self._renderer = None
 
-    def of(self, token: str, source: Any, how: Any, options: Mapping[str, Any]) -> tuple[Renderer, Any]:
-        """The renderer of a source, and what it draws."""
+    def _of(self, token: str, source: Any, how: Any, options: Mapping[str, Any]) -> Renderer:
         named = isinstance(source, (str, os.PathLike))
         key = (token, str(source) if named else id(source))
-        if key != self._key:  # what is held keeps its id
-            self.let_go()
+        if self._renderer is None or key != self._key:  # a volume that is kept keeps its id
+            self.close()
             volume = _read(str(source), how, options) if named else source
             if token and isinstance(volume, LazyVolume):
                 volume = volume.for_tasks()
@@ -332,36 +329,42 @@ class _Held:
                 usual = as_mode(options.get("mode", DEFAULT_MODE)).picture_filter
                 given["filter"] = row_for(volume, given.get("filter"), usual)
             self._renderer, self._volume, self._key = Renderer(volume, **given), volume, key
-        assert self._renderer is not None
-        return self._renderer, self._volume
+        return self._renderer
 
-
-def _drawn(held: _Held, source: Any, how: Any, view: Camera | None, look: Any, options: dict[str, Any], token: str = "") -> Any:
-    """A picture of the batch with this token."""
-    rest = {name: value for name, value in options.items() if name not in _OF_RENDERER}
-    with held.turn:
-        renderer, volume = held.of(token, source, how, options)
-        seen = volume.sketch() if isinstance(volume, LazyVolume) else volume
-        further = {} if look is None else dict(look(seen))
+    def drawn(self, source: Any, how: Any, view: Camera | None, look: Any, options: Mapping[str, Any], token: str = "") -> Picture:
+        """A picture; `token` tells batches apart, between which a file may change."""
+        renderer = self._of(token, source, how, options)
+        rest = {name: value for name, value in options.items() if name not in _OF_RENDERER}
+        if look is not None:
+            rest |= look(self._volume.sketch() if isinstance(self._volume, LazyVolume) else self._volume)
         if view is not None:
-            further["camera"] = view
-        return renderer.render(**(rest | further))
+            rest["camera"] = view
+        return renderer.render(**rest)  # type: ignore[no-any-return]  # its options are the caller's
 
 
-_worker = _Held()
+_worker = _LastRenderer()
 
 
 def _task(token: str, source: Any, how: Any, view: Camera | None, look: Any, options: dict[str, Any]) -> Any:
-    return _drawn(_worker, source, how, view, look, options, token)
+    with _worker_lock():
+        return _worker.drawn(source, how, view, look, options, token)
 
 
-def _let_go() -> None:
-    """A batch is done: a file that it drew may be another one by the next."""
-    with _worker.turn:
-        _worker.let_go()
+def _release() -> None:
+    """Close the renderer that this worker keeps."""
+    with _worker_lock():
+        _worker.close()
 
 
-def _several(sources: Any) -> list[Any]:
+@cache
+def _worker_lock() -> Any:
+    """The lock of `_worker`."""
+    from clvol.dask.cluster import WorkerLock
+
+    return WorkerLock()
+
+
+def _as_sources(sources: Any) -> list[Any]:
     """Paths and volumes, whether one was given or several."""
     if isinstance(sources, (str, os.PathLike, Volume, LazyVolume)) or hasattr(sources, "shape"):
         sources = [sources]
@@ -372,18 +375,12 @@ def _several(sources: Any) -> list[Any]:
     return [one if isinstance(one, (str, os.PathLike, LazyVolume)) else as_volume(one) for one in many]
 
 
-def _absolute(source: Any) -> Any:
-    """A file as it is called whatever folder a worker is in."""
-    named = isinstance(source, (str, os.PathLike)) and Path(source).exists()
-    return str(Path(source).absolute()) if named else source
-
-
 def _name(source: Any) -> str:
     return str(source) if isinstance(source, (str, os.PathLike)) else source.name or "volume"
 
 
 def _stem(source: Any) -> str:
-    """The name of a file without its suffixes."""
+    """The name of a source; of a file without its folder and suffixes."""
     name = Path(_name(source).rstrip("/")).name
     for suffix in (".gz", ".zip"):
         name = name.removesuffix(suffix)
@@ -400,9 +397,9 @@ def _filled(pattern: str, name: str, number: int, frame: int) -> str:
         raise OptionError(f"output must be a name with {{name}}, {{number}} and {{frame}}; got {pattern!r}") from None
 
 
-def _require_apart(wanted: Sequence[Drawn]) -> None:
+def _require_distinct(pictures: Sequence[Drawn]) -> None:
     found: dict[Path, Drawn] = {}
-    for one in wanted:
+    for one in pictures:
         if other := found.get(one.path):
             raise OptionError(
                 f"output must tell pictures apart by {{name}}, {{number}} and {{frame}}; {one.path} would be frame {other.frame} "

@@ -1,20 +1,19 @@
-"""Pictures by the processes of a cluster: each has some of the bricks, and rays go from one to the other, or are merged.
+"""Pictures by the workers of a cluster: each reads some of the bricks, and rays are passed from worker to worker, or merged.
 
-The bricks are shared out in boxes, which halve the volume again and again, so that from wherever it is seen they lie one behind
-the other (a kd-tree). A picture is cut into areas. "order": in each, rays carry their states from box to box, front to back, while
-other boxes work on other areas; the picture is the one that a single process makes, to the last bit, and boxes that are hidden are
-not read. "tree": rays go through all boxes at once, and their states are merged two by two; that waits for nobody, but does not
-know what is hidden.
+The bricks are divided into boxes by halving the volume again and again (a kd-tree), so that they have an order of visibility from
+every view, and the picture into areas. "order": the states of an area's rays go from box to box, front to back, while other boxes
+work on other areas; the picture is that of a single process, to the last bit, and hidden boxes are not read. "tree": rays go
+through all boxes at once, and their states are merged two by two; no box waits for another, but hidden boxes are read.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-import threading
 import uuid
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
@@ -24,7 +23,17 @@ from numpy.typing import NDArray
 from clvol.base.checks import one_of
 from clvol.base.errors import ClusterError, DeviceError, OptionError, OutOfMemoryError
 from clvol.bricks.source import Index, LazyVolume, budget_for
-from clvol.cluster import Cluster, LostError, PoisonError, Turn, neighbours, own_address, own_place, version, worker_device
+from clvol.dask.cluster import (
+    Cluster,
+    LostError,
+    PoisonError,
+    WorkerLock,
+    local_rank,
+    local_size,
+    version,
+    worker_address,
+    worker_device,
+)
 from clvol.filter.boundary import Boundary
 from clvol.filter.filter import Filter
 from clvol.march.bricks import Area, BrickedDrawing, Carried, Pass, boxes_of, front_to_back, pixels_of
@@ -39,11 +48,10 @@ __all__ = ["MERGES", "ClusterDrawing", "Group", "Merge", "Shared", "groups_of", 
 Merge: TypeAlias = Literal["order", "tree"]
 MERGES = ("order", "tree")
 _GROUPS = 4  # boxes for each worker
-_AREAS = 4  # of a picture for each worker
-_SMALLEST = 32  # pixels along an edge of an area, of which it is a multiple
-_LEAST = 32  # samples along an edge of a brick: margins are as wide as that
-_FIELDS = 4  # that a worker keeps
-_SEARCHES = 2  # for a brick that ends workers: each costs the lives of some
+_AREAS = 4  # areas of a picture for each worker
+_SMALLEST = 32  # pixels; the edges of areas are multiples of it
+_LEAST = 32  # samples along the smallest edge of a brick: margins are as wide as that
+_FIELDS = 4  # fields that a worker keeps
 
 
 # -- which bricks go together --------------------------------------------------------------------------------------------------
@@ -56,28 +64,28 @@ class Group:
     Attributes
     ----------
     number : int
-    first, past : (int, int, int)
-        Its bricks: ``first <= at < past`` along x, y and z.
+    first, stop : (int, int, int)
+        Its bricks: ``first <= at < stop`` along x, y and z.
     """
 
     number: int
     first: Index
-    past: Index
+    stop: Index
 
     def box(self, field: BrickedField) -> Brick:
-        """Where all of it lies, as if it were one brick."""
-        x, y, z = (n - 1 for n in self.past)
+        """The group's domain, as that of a single brick."""
+        x, y, z = (n - 1 for n in self.stop)
         one, other = field.brick(self.first), field.brick((x, y, z))
         return Brick(self.first, one.low, other.high, one.first, other.last)
 
     def bricks(self, field: BrickedField, view: View) -> list[Brick]:
-        """Those of the box, front to back."""
-        return front_to_back(field, view, (self.first, self.past))
+        """The group's bricks, front to back."""
+        return front_to_back(field, view, (self.first, self.stop))
 
 
 @dataclass(frozen=True)
 class _Halves:
-    """Bricks before number `at` along an axis, and those from there on."""
+    """A box that is divided along an axis, before brick number `at`."""
 
     axis: int
     at: int
@@ -89,29 +97,29 @@ _Tree: TypeAlias = "Group | _Halves"
 
 
 def groups_of(counts: Index, most: int) -> _Tree:
-    """So many bricks along x, y and z in at most so many boxes: halves of halves, across where there are most bricks."""
+    """`counts` bricks along x, y and z, halved along the longest axis until there are `most` boxes."""
     numbers = itertools.count()
 
-    def cut(first: Index, past: Index, share: int) -> _Tree:
-        size = [b - a for a, b in zip(first, past, strict=True)]
+    def cut(first: Index, stop: Index, share: int) -> _Tree:
+        size = [b - a for a, b in zip(first, stop, strict=True)]
         axis = max(range(3), key=lambda i: size[i])
         if share < 2 or size[axis] < 2:
-            return Group(next(numbers), first, past)
+            return Group(next(numbers), first, stop)
         at = first[axis] + size[axis] // 2
-        end, begin = list(past), list(first)
+        end, begin = list(stop), list(first)
         end[axis] = begin[axis] = at
         return _Halves(
             axis,
             at,
             cut(first, (end[0], end[1], end[2]), share // 2),
-            cut((begin[0], begin[1], begin[2]), past, share - share // 2),
+            cut((begin[0], begin[1], begin[2]), stop, share - share // 2),
         )
 
     return cut((0, 0, 0), counts, most)
 
 
 def visible(tree: _Tree, field: BrickedField, view: View) -> Iterator[Group]:
-    """The boxes, in an order in which none is behind one that comes later."""
+    """The groups in order of visibility: none hides an earlier one."""
     if isinstance(tree, Group):
         yield tree
         return
@@ -125,7 +133,7 @@ def visible(tree: _Tree, field: BrickedField, view: View) -> Iterator[Group]:
 
 
 def shared_out(field: BrickedField, workers: int) -> BrickedField:
-    """The field, or one of smaller bricks where there are too few for so many workers."""
+    """The field, or one of smaller bricks where there are fewer bricks than groups."""
     edge = field.edge
     while math.prod(-(-n // edge) for n in field.volume.size) < _GROUPS * workers and edge >= 2 * _LEAST:
         edge //= 2
@@ -134,12 +142,12 @@ def shared_out(field: BrickedField, workers: int) -> BrickedField:
     return BrickedField(field.volume, field.filter, field.boundary, field.device, budget=field.budget, edge=edge)
 
 
-# -- what workers are told -----------------------------------------------------------------------------------------------------
+# -- what workers receive ------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class _Recipe:
-    """A field that each worker makes for itself, once."""
+    """The arguments of the field that each worker makes, once."""
 
     token: str
     volume: LazyVolume
@@ -150,13 +158,13 @@ class _Recipe:
     device: str | int | None
     budget: int | None
     edge: int
-    places: dict[str, int]
+    ranks: dict[str, int]
     version: str = field(default_factory=version)
 
 
 @dataclass(frozen=True)
 class _Job:
-    """A picture, or some of its rays: frames, without coefficients, and where rays cross the picture if that is listed."""
+    """A picture: its frames without coefficients, each with where its rays cross the picture if these are listed."""
 
     whole: Frame
     frames: tuple[tuple[Frame, NDArray[np.float32] | None], ...]
@@ -168,7 +176,7 @@ class _Job:
 
 @dataclass(frozen=True)
 class _Marched:
-    """What rays carry behind some boxes, and how many bricks and samples were read for it."""
+    """The states of rays behind some boxes, and the number of bricks and samples that were read for them."""
 
     carried: Carried
     bricks: int = 0
@@ -176,15 +184,15 @@ class _Marched:
 
 
 class Shared:
-    """A field whose bricks the workers of a cluster share.
+    """A field whose bricks are shared out among the workers of a cluster.
 
     Parameters
     ----------
     cluster : Cluster
     field : BrickedField
-        Of which this process reads nothing.
+        This process reads none of its bricks.
     device : str, int or None
-        Of the workers: see `as_device`. None: of several GPUs of a host each worker has another.
+        Of the workers: see `as_device`. None: workers of a host that has several GPUs take turns at them.
     budget : int or None
         Bytes for the bricks of each worker. None: the workers of a host share what one process would have.
     """
@@ -196,7 +204,7 @@ class Shared:
         self.share()
 
     def share(self) -> None:
-        """Share them out among the workers that are there now, and tell these what they make the field of."""
+        """Share the bricks out among the present workers, and send these the recipe of the field."""
         field, volume = self.field, self.field.volume.for_tasks()
         recipe = _Recipe(
             self.token,
@@ -208,19 +216,19 @@ class Shared:
             self._device,
             self._budget,
             field.edge,
-            self.cluster.places(),
+            self.cluster.local_ranks(),
         )
         self.workers = self.cluster.workers
         self.tree = groups_of(field.counts, _GROUPS * max(1, len(self.workers)))
-        self.recipe = self.cluster.shared(recipe, volume.nbytes if volume.in_memory else 0)
+        self.recipe = self.cluster.scatter(recipe, volume.nbytes if volume.in_memory else 0)
 
     def owner(self, group: Group) -> str | None:
-        """The worker that reads a box, if it is still there."""
+        """The worker that reads a group's bricks."""
         return self.workers[group.number % len(self.workers)] if self.workers else None
 
     def forget(self) -> None:
-        """Tell workers that the field is not wanted."""
-        self.cluster.tell(_forget, self.token)
+        """Free the field on the workers."""
+        self.cluster.run_on_all(_forget, self.token)
 
 
 # -- in this process -------------------------------------------------------------------------------------------------------------
@@ -234,9 +242,8 @@ class ClusterDrawing(BrickedDrawing):
     frame, samples, filter, view, skipping
         As of `BrickedDrawing`.
     shared : Shared
-        Who has which bricks.
     merge : {"order", "tree"}
-        How rays go through them.
+        How rays go through the groups.
     """
 
     def __init__(
@@ -254,21 +261,21 @@ class ClusterDrawing(BrickedDrawing):
         self._samples, self._shared, self._merge = samples, shared, require_merge(merge, frame)
 
     def _go_through(
-        self, passes: list[Pass], frames: list[tuple[Frame, NDArray[np.float32] | None]], told: Progress | None
+        self, passes: list[Pass], frames: list[tuple[Frame, NDArray[np.float32] | None]], progress: Progress | None
     ) -> None:
         try:
-            self._by_workers(passes, frames, told)
-        except LostError:  # with workers, of which some may have died for another's sake
+            self._by_workers(passes, frames, progress)
+        except LostError:  # workers may have been killed by somebody else's work
             self._shared.share()
-            self._by_workers(passes, frames, told)
+            self._by_workers(passes, frames, progress)
 
     def _by_workers(
-        self, passes: list[Pass], frames: list[tuple[Frame, NDArray[np.float32] | None]], told: Progress | None
+        self, passes: list[Pass], frames: list[tuple[Frame, NDArray[np.float32] | None]], progress: Progress | None
     ) -> None:
         bare = tuple((_bare(frame), places) for frame, places in frames)
         job = _Job(_bare(self.frame), bare, self._samples, self._filter, self._view, self._skipping)
         groups = [g for g in visible(self._shared.tree, self._field, self._view) if self._any_may_matter(g)]
-        work = _Work(self._shared, self._shared.cluster.submit(_same_job, job), groups)
+        work = _Work(self._shared, self._shared.cluster.submit(_identity, job), groups)
         put = work.in_order if self._merge == "order" else work.by_tree
         try:
             for number, (frame, places) in enumerate(frames):
@@ -278,8 +285,8 @@ class ClusterDrawing(BrickedDrawing):
                 passes[number].take(marched.carried)
                 self._field.reads.bricks += marched.bricks
                 self._field.reads.samples += marched.samples
-                if told:
-                    told(done / work.count)
+                if progress:
+                    progress(done / work.count)
         except BaseException:
             work.cancel()
             raise
@@ -288,10 +295,10 @@ class ClusterDrawing(BrickedDrawing):
         return any(self._may_matter(brick) for brick in group.bricks(self._field, self._view))
 
     def _cut(self, frame: Frame, places: NDArray[np.float32] | None, groups: Sequence[Group]) -> Iterator[tuple[Area, list[Group]]]:
-        """Areas of a frame, each with the boxes that its rays may meet, front to back."""
+        """The areas of a frame, each with the groups that its rays may meet, front to back."""
         (width, height), grid = frame.size, self._field.volume.grid
         wanted = _AREAS * max(1, len(self._shared.workers))
-        seen = self.frame.size  # by which listed places are counted
+        seen = self.frame.size  # listed places are in its pixels
         spans = [pixels_of(group.box(self._field), self._view, grid, *seen, self._beside) for group in groups]
         edge = max(_SMALLEST, -(-math.isqrt(width * height // wanted) // _SMALLEST) * _SMALLEST)
         across, down = (edge, edge) if places is None else (width, max(_SMALLEST, -(-height // wanted // _SMALLEST) * _SMALLEST))
@@ -299,8 +306,8 @@ class ClusterDrawing(BrickedDrawing):
             area = x, y, min(across, width - x), min(down, height - y)
             box: Sequence[float] = (x, y, x + area[2], y + area[3])
             if places is not None:
-                own = places.reshape(height, width, 2)[y : y + area[3]]
-                box = boxes_of(own, area[3], width)[0, 0].tolist()
+                rows = places.reshape(height, width, 2)[y : y + area[3]]
+                box = boxes_of(rows, area[3], width)[0, 0].tolist()
             met = [
                 group
                 for group, (left, top, right, bottom) in zip(groups, spans, strict=True)
@@ -311,18 +318,18 @@ class ClusterDrawing(BrickedDrawing):
 
 
 class _Work:
-    """What workers do for a picture."""
+    """The tasks of a picture."""
 
     def __init__(self, shared: Shared, job: Any, groups: Sequence[Group]) -> None:
         self._shared, self._job = shared, job
         self._groups = {group.number: group for group in groups}
         self._name = f"clvol-rays-{uuid.uuid4().hex}"
-        self._last: list[tuple[int, Any]] = []
+        self._last: list[tuple[int, Any]] = []  # a frame's number, and the future of an area of it
         self._numbers = itertools.count()
 
     @property
     def count(self) -> int:
-        """Results that will come."""
+        """The number of results."""
         return len(self._last)
 
     def _march(self, number: int, area: Area, group: Group, before: Any) -> Any:
@@ -333,84 +340,80 @@ class _Work:
         )
 
     def in_order(self, number: int, area: Area, groups: Sequence[Group]) -> None:
-        """Rays of an area of a frame through boxes one after the other."""
+        """Submit the rays of an area, through one group after the other."""
         before = None
         for group in groups:
             before = self._march(number, area, group, before)
         self._last.append((number, before))
 
     def by_tree(self, number: int, area: Area, groups: Sequence[Group]) -> None:
-        """Rays of an area through all boxes at once, merged two by two."""
+        """Submit the rays of an area through all groups at once, and their merging two by two."""
         shared = self._shared
         parts = [self._march(number, area, group, None) for group in groups]
         while len(parts) > 1:
-            pairs = itertools.zip_longest(parts[::2], parts[1::2])
             parts = [
-                front
-                if back is None
-                else shared.cluster.submit(
-                    merge_groups, shared.recipe, self._job, number, front, back, key=f"{self._name}-merge-{next(self._numbers)}"
+                shared.cluster.submit(
+                    merge_groups, shared.recipe, self._job, number, *pair, key=f"{self._name}-merge-{next(self._numbers)}"
                 )
-                for front, back in pairs
+                if len(pair := parts[i : i + 2]) > 1
+                else pair[0]
+                for i in range(0, len(parts), 2)
             ]
         self._last.append((number, parts[0]))
 
     def results(self) -> Iterator[tuple[int, _Marched]]:
-        """The frame's number and what its rays carry, area by area, as they come."""
+        """A frame's number and the states of an area's rays, as they finish."""
         try:
-            for i, result in self._shared.cluster.done([future for _, future in self._last]):
+            for i, result in self._shared.cluster.as_completed([future for _, future in self._last]):
                 number, _ = self._last[i]
-                self._last[i] = number, None  # the worker may let go of it
+                self._last[i] = number, None  # so that the worker frees it
                 yield number, result
         except PoisonError as error:
             raise self._named(error) from error
 
     def _named(self, error: PoisonError) -> ClusterError:
-        """The error that says which brick it is: halves of a box are read apart until one is left that ends a worker by itself."""
+        """The error that names the brick which kills workers: the last one that a worker announced, if it kills alone as well."""
         word = error.key.removeprefix(self._name).split("-")[1:2]
         group = self._groups.get(int(word[0])) if word and word[0].isdigit() else None
         if group is None:
             return ClusterError(f"each worker dies that draws this picture: {error}")
-        shared = self._shared
-        bricks = [(x, y, z) for x, y, z in itertools.product(*map(range, group.first, group.past))]
         self.cancel()
-        sure = self._dies(bricks)
-        if not sure:
+        bricks = [(x, y, z) for x, y, z in itertools.product(*map(range, group.first, group.stop))]
+        last = self._killer(bricks)
+        if last is None:
             return LostError(
                 f"rays through bricks {bricks[0]} to {bricks[-1]} (x, y, z) end each worker that casts them, though they can be "
                 f"read: {error}"
             )
-        name = shared.field.volume.name or "the volume"
-        for _ in range(_SEARCHES):
-            left = bricks
-            while len(left) > 1:
-                half = left[: len(left) // 2]
-                sure = self._dies(half)
-                left = half if sure else left[len(half) :]
-            if sure or self._dies(left):
-                brick = shared.field.brick(left[0])
-                x, y, z = (f"{a}:{b}" for a, b in zip(brick.first, brick.last, strict=True))
-                return ClusterError(
-                    f"brick {left[0]} (x, y, z), samples [{z}, {y}, {x}] of {name}, ends each worker that reads it: out of memory, "
-                    "or a fault of what reads"
-                )
+        name = self._shared.field.volume.name or "the volume"
+        if self._killer([last]) is None:
+            return ClusterError(
+                f"bricks {bricks[0]} to {bricks[-1]} (x, y, z) of {name} end each worker that reads all of them, but no single one "
+                "does for certain: out of memory, or a fault of what reads"
+            )
+        brick = self._shared.field.brick(last)
+        x, y, z = (f"{a}:{b}" for a, b in zip(brick.first, brick.last, strict=True))
         return ClusterError(
-            f"bricks {bricks[0]} to {bricks[-1]} (x, y, z) of {name} end each worker that reads all of them, but no single one "
-            "does for certain: out of memory, or a fault of what reads"
+            f"brick {last} (x, y, z), samples [{z}, {y}, {x}] of {name}, ends each worker that reads it: out of memory, or a fault "
+            "of what reads"
         )
 
-    def _dies(self, bricks: Sequence[Index]) -> bool:
-        shared = self._shared
-        future = shared.cluster.submit(read_bricks, shared.recipe, list(bricks), key=f"{self._name}-read-{uuid.uuid4().hex}")
+    def _killer(self, bricks: Sequence[Index]) -> Index | None:
+        """The brick at which workers die that read these, one after the other; None if one can read them all."""
+        cluster, key = self._shared.cluster, f"{self._name}-read-{uuid.uuid4().hex}"
         try:
-            for _ in shared.cluster.done([future]):
+            for _ in cluster.as_completed([cluster.submit(read_bricks, self._shared.recipe, bricks, key, key=key)]):
                 pass
-        except PoisonError:
-            return True
-        return False
+        except PoisonError as error:
+            client: Any = cluster.client
+            number = client.get_metadata([key], None)
+            if number is None:
+                raise ClusterError(f"each worker dies that opens this volume: {error}") from error
+            return bricks[int(number)]
+        return None
 
     def cancel(self) -> None:
-        """It is not wanted any more."""
+        """Cancel what has not finished."""
         self._shared.cluster.cancel([future for _, future in self._last if future is not None])
 
 
@@ -431,44 +434,51 @@ def require_merge(merge: str, frame: Frame) -> Merge:
 
 def _bare(frame: Frame) -> Frame:
     """A frame without what belongs to a device."""
-    return replace(frame, coefficients=None, minmax=None, sides=None)  # type: ignore[arg-type]  # others are put in its place
+    return replace(frame, coefficients=None, minmax=None, sides=None)  # type: ignore[arg-type]  # workers put in their own
 
 
-def _same_job(job: _Job) -> _Job:
-    """As a task: whoever needs it later gets it from there, or has it made again."""
+def _identity(job: _Job) -> _Job:
+    """A task that gives its argument, which the scheduler keeps and can send again."""
     return job
 
 
 # -- in a worker -----------------------------------------------------------------------------------------------------------------
 
 _fields: OrderedDict[str, BrickedField] = OrderedDict()
-_lock = threading.RLock()
-_turn = Turn()  # kernels use all cores, and one budget is enough
+_lock = WorkerLock()  # kernels use all cores, and there is memory for one field's bricks
 
 
 def _field_of(recipe: _Recipe) -> BrickedField:
-    """The field of a recipe; others keep no bricks meanwhile."""
+    """The field of a recipe, for which other fields free their bricks."""
     if recipe.version != version():
-        raise ClusterError(f"workers must have clvol {recipe.version}; {own_address()} has {version()}")
+        raise ClusterError(f"workers must have clvol {recipe.version}; {worker_address()} has {version()}")
+    if recipe.token not in _fields:
+        try:
+            device = worker_device(recipe.device, local_rank(recipe.ranks))
+        except OutOfMemoryError:
+            raise
+        except DeviceError as error:
+            raise ClusterError(f"workers must have an OpenCL device; {worker_address()} has none: {error}") from error
+        volume = recipe.volume.as_known(recipe.limits, recipe.labels)
+        budget = recipe.budget or budget_for(volume, None, local_size(recipe.ranks))
+        _fields[recipe.token] = BrickedField(volume, recipe.filter, recipe.boundary, device, budget=budget, edge=recipe.edge)
+    field = _fields[recipe.token]
+    _fields.move_to_end(recipe.token)
+    for other in _fields.values():
+        if other is not field:
+            other.drop()
+    while len(_fields) > _FIELDS:
+        _fields.popitem(last=False)[1].close()
+    return field
+
+
+@contextmanager
+def _locked(recipe: _Recipe) -> Iterator[BrickedField]:
+    """The field of a recipe, for this task alone."""
     with _lock:
-        if recipe.token not in _fields:
-            try:
-                device = worker_device(recipe.device, own_place(recipe.places))
-            except OutOfMemoryError:
-                raise
-            except DeviceError as error:
-                raise ClusterError(f"workers must have an OpenCL device; {own_address()} has none: {error}") from error
-            volume = recipe.volume.as_known(recipe.limits, recipe.labels)
-            budget = recipe.budget or budget_for(volume, None, neighbours(recipe.places))
-            _fields[recipe.token] = BrickedField(volume, recipe.filter, recipe.boundary, device, budget=budget, edge=recipe.edge)
-        field = _fields[recipe.token]
-        _fields.move_to_end(recipe.token)
-        for other in _fields.values():
-            if other is not field:
-                other.drop()
-        while len(_fields) > _FIELDS:
-            _fields.popitem(last=False)[1].close()
-        return field
+        field = _field_of(recipe)
+        with field.in_use():
+            yield field
 
 
 def _forget(token: str) -> None:
@@ -479,7 +489,7 @@ def _forget(token: str) -> None:
 
 
 def _begun(field: BrickedField, job: _Job, number: int, area: Area) -> tuple[BrickedDrawing, Pass]:
-    """The rays of an area of one of the frames."""
+    """The rays of an area of frame `number`."""
     tile = tile_of(field.device, job.whole.evaluator)
     whole = replace(job.whole, coefficients=field.coefficients, tile=tile)
     frame, places = job.frames[number]
@@ -488,48 +498,46 @@ def _begun(field: BrickedField, job: _Job, number: int, area: Area) -> tuple[Bri
 
 
 def march_group(recipe: _Recipe, job: _Job, number: int, group: Group, area: Area, before: _Marched | None) -> _Marched:
-    """The rays of an area of frame `number` through a box of bricks, from the beginning or from behind other boxes."""
-    with _turn:
-        field = _field_of(recipe)
-        with field.in_use():
-            drawing, one = _begun(field, job, number, area)
-            try:
-                if before is not None:
-                    one.resume(before.carried)
-                    if not one.going:
-                        return before
-                read = replace(field.reads)
-                drawing.march([one], group.bricks(field, job.view))
-                bricks, samples = field.reads.bricks - read.bricks, field.reads.samples - read.samples
-                if before is not None:
-                    bricks, samples = bricks + before.bricks, samples + before.samples
-                return _Marched(one.carried(), bricks, samples)
-            finally:
-                one.release()
+    """The rays of an area of frame `number` through a group, from their beginning or with the states that other groups left."""
+    with _locked(recipe) as field:
+        drawing, rays = _begun(field, job, number, area)
+        try:
+            if before is not None:
+                rays.resume(before.carried)
+                if not rays.going:
+                    return before
+            read = replace(field.reads)
+            drawing.march([rays], group.bricks(field, job.view))
+            bricks, samples = field.reads.bricks - read.bricks, field.reads.samples - read.samples
+            if before is not None:
+                bricks, samples = bricks + before.bricks, samples + before.samples
+            return _Marched(rays.carried(), bricks, samples)
+        finally:
+            rays.release()
 
 
 def merge_groups(recipe: _Recipe, job: _Job, number: int, front: _Marched, back: _Marched) -> _Marched:
-    """Rays that went through boxes apart, `back` behind `front`, as one."""
-    with _turn:
-        field = _field_of(recipe)
-        with field.in_use():
-            _, one = _begun(field, job, number, front.carried.area)
-            _, other = _begun(field, job, number, front.carried.area)
-            try:
-                one.take(front.carried)
-                other.take(back.carried)
-                one.merge(other)
-                return _Marched(one.carried(), front.bricks + back.bricks, front.samples + back.samples)
-            finally:
-                one.release()
-                other.release()
+    """The states of rays that went through groups separately, `back` behind `front`, as one."""
+    with _locked(recipe) as field:
+        _, rays = _begun(field, job, number, front.carried.area)
+        _, behind = _begun(field, job, number, front.carried.area)
+        try:
+            rays.take(front.carried)
+            behind.take(back.carried)
+            rays.merge(behind)
+            return _Marched(rays.carried(), front.bricks + back.bricks, front.samples + back.samples)
+        finally:
+            rays.release()
+            behind.release()
 
 
-def read_bricks(recipe: _Recipe, bricks: Sequence[Index]) -> None:
-    """Nothing but reading them."""
-    with _turn:
-        field = _field_of(recipe)
-        with field.in_use():
-            for at in bricks:
-                with field.resident(field.brick(at)):
-                    pass
+def read_bricks(recipe: _Recipe, bricks: Sequence[Index], key: str) -> None:
+    """Read bricks one after the other, and announce to the scheduler which one is next, so that it outlives this process."""
+    import distributed
+
+    client: Any = distributed.get_client()
+    with _locked(recipe) as field:
+        for number, at in enumerate(bricks):
+            client.set_metadata([key], number)
+            with field.resident(field.brick(at)):
+                pass

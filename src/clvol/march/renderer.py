@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from types import EllipsisType, TracebackType
-from typing import Any, Literal, Self, TypeAlias, get_args, overload
+from typing import TYPE_CHECKING, Any, Literal, Self, TypeAlias, get_args, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,14 +19,12 @@ from clvol.base import memory
 from clvol.base.checks import instance, number, one_of, whole
 from clvol.base.errors import DataError, OptionError, OutOfMemoryError
 from clvol.bricks.source import LazyVolume, budget_for
-from clvol.cluster import Cluster, ClusterLike, as_cluster
 from clvol.device import Device
 from clvol.filter.boundary import Boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import PICTURE_FILTER, as_filter
 from clvol.march import launch
 from clvol.march.bricks import STEPPED_AT_MOST, BrickedDrawing, level_of
-from clvol.march.cluster import MERGES, ClusterDrawing, Merge, Shared, shared_out
 from clvol.march.frame import Subject
 from clvol.march.pixels import DEFAULT_PIXEL_FILTER, as_pixel_filter
 from clvol.march.refine import Rates, Refined, Wanted, refined, refined_by_levels
@@ -47,6 +45,10 @@ from clvol.spline.minmax import MinMax
 from clvol.spline.points import Progress
 from clvol.volume.smoothing import filter_for
 from clvol.volume.volume import Volume, as_volume
+
+if TYPE_CHECKING:  # clusters need dask
+    from clvol.dask.cluster import Cluster, ClusterLike
+    from clvol.march.cluster import Merge, Shared
 
 __all__ = ["OUTPUTS", "Output", "Renderer", "render"]
 
@@ -120,8 +122,8 @@ class Renderer:
         cluster: ClusterLike | None = None,
         merge: Merge = "order",
     ) -> None:
-        if merge not in MERGES:
-            raise one_of("merge", merge, MERGES)
+        if merge not in ("order", "tree"):
+            raise one_of("merge", merge, ("order", "tree"))
         if merge != "order" and cluster is None:
             raise OptionError(f"merge says how a cluster puts rays together; got {merge!r} and no cluster")
         if cluster is not None and isinstance(scene, (Field, BrickedField)):
@@ -187,6 +189,9 @@ class Renderer:
         self._cluster: Cluster | None = None
         self._processes = cluster if isinstance(cluster, int) else None
         if cluster is not None:
+            from clvol.dask.cluster import as_cluster
+            from clvol.march.cluster import shared_out
+
             self._cluster = as_cluster(cluster)
             assert isinstance(field, BrickedField)
             self.field = self._shown = shared_out(field, len(self._cluster.workers))
@@ -626,6 +631,8 @@ class Renderer:
             if self._cluster is None:
                 drawing = BrickedDrawing(frame, rays, pixel_filter, field, own.view(size), skipping=skipping)
             else:
+                from clvol.march.cluster import ClusterDrawing
+
                 shared = self._share(self._cluster, field)
                 drawing = ClusterDrawing(frame, rays, pixel_filter, shared, own.view(size), skipping=skipping, merge=self._merge)
             made = launch.drawn(drawing, rays, progress)
@@ -634,6 +641,8 @@ class Renderer:
 
     def _share(self, cluster: Cluster, field: BrickedField) -> Shared:
         """Who of the cluster has which bricks of a field; anew when other workers are there."""
+        from clvol.march.cluster import Shared
+
         with self._lock:
             found = self._shared.get(id(field))
             if found is None:
@@ -657,7 +666,11 @@ class Renderer:
                 key = level, "" if row is None else as_filter(row).name
                 if key not in self._levels:
                     made = BrickedField(coarser, row, base.boundary, base.device, beside=base)
-                    self._levels[key] = made if self._cluster is None else shared_out(made, len(self._cluster.workers))
+                    if self._cluster is not None:
+                        from clvol.march.cluster import shared_out
+
+                        made = shared_out(made, len(self._cluster.workers))
+                    self._levels[key] = made
                     self._lease.frees(self._levels[key].close)
                 field = self._levels[key]
             return field
