@@ -10,7 +10,7 @@ import pytest
 SOURCE = Path(__file__).resolve().parents[1] / "src"
 # top to bottom; a name stands for the module or for all of its package
 LAYERS = [
-    "interrupted errors moved memory checks rounding uniform files picture display foreign foreign_images interop filter "
+    "interrupted errors moved memory checks rounding uniform files picture display axes units frames interop filter "
     "boundary missing noise volume sliced chunks lazy volumes smoothing stored camera color light scaling histogram palette preset "
     "transfer labels mode look scene fit transform",
     "reference response phantoms formats",

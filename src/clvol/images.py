@@ -18,7 +18,7 @@ from clvol.device import Device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import DEFAULT_FILTER, as_filter
-from clvol.interop import read_array
+from clvol.interop.images import read_array
 from clvol.spline import field
 from clvol.volume.stored import Stored, differences
 from clvol.volume.volume import Volume

@@ -25,7 +25,7 @@ from clvol.base.errors import DataError, GeometryError, MissingDependencyError, 
 from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, as_boundary
 from clvol.filter.table import DEFAULT_FILTER, as_filter
-from clvol.interop import as_array
+from clvol.interop.arrays import as_array
 from clvol.ndimage.engine import Axes, Points, evaluate
 from clvol.spline.field import Precision, fill_value
 

@@ -16,8 +16,9 @@ import pytest
 
 import clvol
 from clvol.base.errors import ClvolWarning, DataError, FormatError, OptionError
-from clvol.foreign import nibabel_says, simpleitk_says
 from clvol.formats import read, read_all, write
+from clvol.interop.itk import describe_simpleitk
+from clvol.interop.nibabel import describe_nibabel
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Leading, Volumes, as_grid
 from tests.dicom import element, sequence
@@ -549,9 +550,9 @@ def test_axes_of_arrays_are_guessed(tmp_path: Path) -> None:
 
 def test_what_images_say_needs_no_samples() -> None:
     """Big files are refused, or chosen from, before they are loaded."""
-    assert simpleitk_says(sitk.Image([2, 3, 4, 5], sitk.sitkUInt8))["leading"]["counts"] == (5,)
+    assert describe_simpleitk(sitk.Image([2, 3, 4, 5], sitk.sitkUInt8))["leading"]["counts"] == (5,)
     proxy = nibabel.Nifti1Image(np.broadcast_to(np.int16(0), (1000, 1000, 1000, 50)), AFFINE)
-    assert nibabel_says(proxy)["leading"]["counts"] == (50,)
+    assert describe_nibabel(proxy)["leading"]["counts"] == (50,)
     with pytest.raises(DataError, match=r"50 volumes: take one as clvol\.Volumes"):
         Volume(proxy)
 

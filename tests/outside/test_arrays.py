@@ -14,7 +14,7 @@ from scipy import ndimage
 import clvol
 from clvol.base.errors import DataError, OptionError
 from clvol.device import Device
-from clvol.interop import as_array, as_output
+from clvol.interop.arrays import as_array, as_output
 
 Array = NDArray[Any]
 

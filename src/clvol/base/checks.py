@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from clvol.base import memory
 from clvol.base.errors import ClvolError, ClvolWarning, OptionError, OutOfMemoryError
-from clvol.interop import as_array
+from clvol.interop.arrays import as_array
 
 __all__ = ["as_path", "enough_memory", "flag", "instance", "number", "one_of", "reals", "require_room", "several", "warn", "whole"]
 

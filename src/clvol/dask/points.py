@@ -43,7 +43,7 @@ from clvol.dask.filtering import checked_spline, splines_margin
 from clvol.dask.grids import Options, as_stored
 from clvol.device import as_device
 from clvol.filter.boundary import Boundary
-from clvol.interop import is_lazy
+from clvol.interop.dispatch import is_lazy
 from clvol.ndimage import engine, interpolation, passes
 from clvol.ndimage.arguments import AnyDevice, Spline, as_axes, as_coordinates, as_shape
 from clvol.ndimage.arguments import as_array as as_samples

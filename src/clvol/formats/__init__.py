@@ -25,7 +25,7 @@ from clvol.formats._choice import Choice, Series
 from clvol.formats._files import Reader, Writer, foreign_errors
 from clvol.formats._limits import Budget, Limits, limited, size_of
 from clvol.formats._worker import call, prepare
-from clvol.interop import Content
+from clvol.interop.kinds import Content
 from clvol.volume.volume import Volume, as_volume
 from clvol.volume.volumes import Leading, Volumes
 

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from clvol.base.errors import ClvolError, ClvolWarning, DataError, FormatError
-from clvol.foreign import Content, held_as
 from clvol.formats._limits import announce
+from clvol.interop.kinds import Content, held_as
 from clvol.volume.volume import Volume
 
 __all__ = [

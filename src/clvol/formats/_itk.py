@@ -17,12 +17,13 @@ import numpy as np
 
 from clvol.base.errors import DataError, FormatError
 from clvol.bricks.sliced import FlatFile, Index, Window
-from clvol.foreign import Content, from_simpleitk, simpleitk, simpleitk_says
 from clvol.formats._choice import Choice
 from clvol.formats._files import foreign_errors, require_default, scaled
 from clvol.formats._layout import Layout, scaled_window
 from clvol.formats._limits import announce
 from clvol.formats._wire import copied
+from clvol.interop.itk import describe_simpleitk, from_simpleitk, simpleitk
+from clvol.interop.kinds import Content
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Leading, Volumes
 
@@ -139,7 +140,7 @@ def open_image(path: Path, image_io: str, header: Header, choose: Choice) -> lis
         reader.SetImageIO(image_io)
         reader.ReadImageInformation()
         about = _Information(reader, sitk.GetPixelIDValueAsString(reader.GetPixelIDValue()))
-    geometry = simpleitk_says(about, header.units)
+    geometry = describe_simpleitk(about, header.units)
     _require_alike(path, header, (*about.GetSize()[::-1], about.GetNumberOfComponentsPerPixel()))
     kind = {"u": "unsigned integer", "i": "signed integer", "f": "float"}[flat.dtype.kind]
     if f"{8 * flat.dtype.itemsize}-bit {kind}" not in about.kind:

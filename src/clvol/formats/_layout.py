@@ -10,33 +10,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clvol.axes import AXES, meaning
 from clvol.base.errors import DataError
 from clvol.bricks.sliced import Window
 from clvol.formats._choice import Choice
 from clvol.formats._files import scaled
-from clvol.formats._units import scale, unit_name
-from clvol.interop import Content
-from clvol.volume.volumes import AXES, Leading
+from clvol.interop.kinds import Content
+from clvol.units import scale, unit_name
+from clvol.volume.volumes import Leading
 
 __all__ = ["Layout", "decoded", "lay_out", "place", "scaled_window", "shrunk", "uniform", "unnamed"]
 
-_WORDS = {
-    "x": ("x", "lon", "longitude", "column", "columns", "easting", "width"),
-    "y": ("y", "lat", "latitude", "row", "rows", "northing", "length", "height"),
-    "z": ("z", "depth", "lev", "level", "plev", "altitude", "slice", "slices", "plane"),
-    "time": ("t", "time", "frame", "frames"),
-    "channel": ("c", "ch", "channel", "channels", "band", "s", "sample", "component"),
-    "position": ("p", "position", "scene"),
-    "volume": ("volume",),
-}
-_MEANINGS = {word: meaning for meaning, words in _WORDS.items() for word in words}
 _UNNAMED = {1: ("volume",), 2: ("time", "channel"), 3: ("time", "position", "channel")}
 _OFF = 1e-3  # of a step, by which coordinates may be off and count as evenly spaced; float32 has that of long axes
-
-
-def meaning(word: str) -> str:
-    """What an axis of this name counts: one of `AXES`, "z", "y" or "x"; "" where that is not known."""
-    return _MEANINGS.get(word.strip().lower(), "")
 
 
 @dataclass(frozen=True)

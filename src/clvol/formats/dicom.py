@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clvol.base.errors import DataError, FormatError, OptionError
-from clvol.foreign import Content, simpleitk, simpleitk_says
 from clvol.formats import _itk
 from clvol.formats._choice import Choice, Pick, Series, chosen_series
 from clvol.formats._elements import check_samples
 from clvol.formats._files import foreign_errors
 from clvol.formats._limits import announce
 from clvol.formats._wire import copied
+from clvol.interop.itk import describe_simpleitk, simpleitk
+from clvol.interop.kinds import Content
 from clvol.volume.volumes import Leading
 
 __all__ = ["SUFFIXES", "is_file", "is_folder", "read", "series_of"]
@@ -155,7 +156,7 @@ def _read_files(path: Path, slices: Sequence[_Slice], choose: Choice) -> Content
     samples = simpleitk().GetArrayViewFromImage(image)
     if len(samples) != wanted.size:
         raise DataError(f"{path} must hold one slice a file; found {len(samples)} slices in {wanted.size} files")
-    geometry = simpleitk_says(image) | _about(middle)
+    geometry = describe_simpleitk(image) | _about(middle)
     _place(path, geometry, origins[order[0]])
     return _taken(samples.reshape(*wanted.shape, *samples.shape[1:]), middle.channels, pick), _merged(geometry, pick)
 
@@ -194,7 +195,7 @@ def _read_file(path: Path, choose: Choice, alone: bool = False) -> Content:
     samples = simpleitk().GetArrayViewFromImage(image)
     frames = samples.shape[0]
     content = path.read_bytes() if frames > 1 else b""
-    geometry = simpleitk_says(image) | _about(head, content)
+    geometry = describe_simpleitk(image) | _about(head, content)
     origins, order, guessed = _positions(content, frames), np.arange(frames)[None], ""
     if frames == 1 and not alone and head.texts.get(_MODALITY) in _STACKED and (more := _beside(path)):
         guessed = f"it is one slice, and {more} more DICOM files lie beside it: give the folder to read a volume of all"

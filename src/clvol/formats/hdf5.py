@@ -17,7 +17,7 @@ from clvol.formats._choice import Choice, Series, chosen_series
 from clvol.formats._files import bytes_at, damaged_chunk, sample_count
 from clvol.formats._layout import Layout, decoded, lay_out, place, uniform, unnamed
 from clvol.formats._limits import announce
-from clvol.interop import Content
+from clvol.interop.kinds import Content
 from clvol.volume.volumes import Leading
 
 __all__ = ["lazily", "loaded", "member", "opened", "read", "series", "window"]

@@ -14,9 +14,9 @@ from clvol.base.errors import FormatError
 from clvol.bricks.sliced import Index, Window
 from clvol.formats._choice import Choice, chosen_level
 from clvol.formats._layout import Layout
-from clvol.formats._units import unit_name
 from clvol.formats.hdf5 import loaded, member, opened, window
-from clvol.interop import Content
+from clvol.interop.kinds import Content
+from clvol.units import unit_name
 from clvol.volume.volumes import Leading
 
 __all__ = ["lazily", "read"]

@@ -10,11 +10,11 @@ from typing import IO
 import numpy as np
 
 from clvol.base.errors import FormatError
-from clvol.foreign import Content
 from clvol.formats import _itk
 from clvol.formats._choice import Choice
 from clvol.formats._files import inflated_size, require_bytes
 from clvol.formats._headers import data_path, line, numbers, whole
+from clvol.interop.kinds import Content
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Volumes
 

@@ -10,10 +10,11 @@ from typing import IO, cast
 import numpy as np
 
 from clvol.base.errors import FormatError
-from clvol.foreign import Content, nibabel, nibabel_says
 from clvol.formats._choice import Choice
 from clvol.formats._files import gunzipped_size, require_bytes, sample_count
 from clvol.formats._limits import announce
+from clvol.interop.kinds import Content
+from clvol.interop.nibabel import describe_nibabel, nibabel
 from clvol.volume.volumes import Leading
 
 __all__ = ["read"]
@@ -30,7 +31,7 @@ def read(path: Path, choose: Choice) -> Content:
     with _opened(path) as stream:
         with np.errstate(all="ignore"):  # a geometry that is not finite is refused by its volume
             image = library.freesurfer.MGHImage.from_stream(stream)
-            about = nibabel_says(image)
+            about = describe_nibabel(image)
         pick = choose(path.name, Leading(**about.pop("leading", {})))
         shape = tuple(int(n) for n in image.shape[:3])
         data = np.asanyarray(image.dataobj[(..., *pick.index)] if pick.index else image.dataobj).reshape(*shape, -1, order="F").T

@@ -19,11 +19,13 @@ from numpy.typing import NDArray
 
 from clvol.base.errors import DataError, FormatError, GeometryError
 from clvol.bricks.sliced import FlatFile, Index, Window
-from clvol.foreign import NIFTI_MILLIMETRES, Content, Placement, affine_parts, from_ras, nifti_says, same_place
 from clvol.formats._choice import Choice
 from clvol.formats._files import gunzipped_size, require_bytes, require_default, scaled
 from clvol.formats._layout import Layout, scaled_window
 from clvol.formats._limits import announce
+from clvol.frames import Placement, affine_parts, from_ras
+from clvol.interop.kinds import Content
+from clvol.interop.nibabel import NIFTI_MILLIMETRES, describe_nifti, same_place
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Leading, Volumes
 
@@ -320,7 +322,7 @@ def _parse(stream: BinaryIO, name: str, pair: bool = False) -> _Header:
     unit = int(fields["xyzt_units"]) & 7
     if unit not in NIFTI_MILLIMETRES:
         raise FormatError(f"{name} must measure in m, mm or µm (xyzt_units 1, 2 or 3, or 0 for none); its header says {unit}")
-    about = from_ras(placed, len(size), NIFTI_MILLIMETRES[unit]) | nifti_says(fields, counts[:rank], parts if parts > 1 else 0)
+    about = from_ras(placed, len(size), NIFTI_MILLIMETRES[unit]) | describe_nifti(fields, counts[:rank], parts if parts > 1 else 0)
     if sform in _PLACED and qform in _PLACED and not _agree(name, fields, placed):
         about["header"]["qform_code"] = sform
     dtype = np.dtype(_DTYPES.get(code, "uint8")).newbyteorder(lengths[length])  # type: ignore[arg-type]

@@ -20,7 +20,7 @@ from clvol.formats import FORMATS, Format, Limits, allowed, called, format_of, o
 from clvol.formats import zarr as zarr_format
 from clvol.formats._choice import Choice, Pick
 from clvol.formats._files import foreign_errors
-from clvol.interop import Content
+from clvol.interop.kinds import Content
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Leading
 

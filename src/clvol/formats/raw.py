@@ -15,7 +15,7 @@ from clvol.bricks.sliced import FlatFile, Window
 from clvol.formats._choice import Choice
 from clvol.formats._files import require_bytes, sample_count
 from clvol.formats._limits import announce
-from clvol.interop import Content
+from clvol.interop.kinds import Content
 from clvol.volume.volumes import Leading
 
 __all__ = ["lazily", "read"]

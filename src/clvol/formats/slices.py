@@ -20,7 +20,7 @@ from clvol.formats._choice import Choice
 from clvol.formats._files import sample_count
 from clvol.formats._limits import announce
 from clvol.formats._wire import empty
-from clvol.interop import Content
+from clvol.interop.kinds import Content
 from clvol.volume.volumes import Leading
 
 __all__ = ["SUFFIXES", "are_in", "read", "read_folder"]

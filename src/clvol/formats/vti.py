@@ -27,7 +27,7 @@ from clvol.formats._choice import Choice, Series, chosen_series
 from clvol.formats._files import sample_count
 from clvol.formats._layout import lay_out
 from clvol.formats._limits import announce
-from clvol.interop import Content
+from clvol.interop.kinds import Content
 from clvol.volume.volumes import Leading
 
 __all__ = ["read", "series"]

@@ -17,7 +17,7 @@ from clvol.device import Device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import DEFAULT_FILTER, as_filter
-from clvol.interop import as_array
+from clvol.interop.arrays import as_array
 from clvol.ndimage.arguments import as_precision
 from clvol.spline.field import Field, Precision
 from clvol.spline.lease import Lease

@@ -14,7 +14,7 @@ from clvol.base import memory
 from clvol.base.checks import one_of, reals, whole
 from clvol.base.errors import DataError, OptionError
 from clvol.device import Device, as_device
-from clvol.interop import read_array
+from clvol.interop.images import read_array
 from clvol.ndimage.antialiasing import low_passed, nearest_splines, widths
 from clvol.ndimage.arguments import Spline, as_cval, as_precision
 from clvol.ndimage.passes import along_axes

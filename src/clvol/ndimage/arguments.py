@@ -13,11 +13,11 @@ from typing import Any, TypeAlias, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clvol import interop
 from clvol.base import memory
 from clvol.base.checks import enough_memory, one_of
 from clvol.base.errors import AxisError, DataError, DtypeError, NotFiniteError, OptionError, OptionTypeError, RefusedError
 from clvol.device import Device, as_device
+from clvol.interop import arrays
 from clvol.spline.field import Precision
 
 __all__ = [
@@ -131,7 +131,7 @@ def as_array(value: ArrayLike) -> Array:
         raise DataError(
             "input must have no masked samples; got a masked array: fill it, or put NaN there and choose what nan= does"
         )
-    array = interop.as_array(value, "input", DataError, "an array of numbers")
+    array = arrays.as_array(value, "input", DataError, "an array of numbers")
     if array.dtype.char not in _REAL and array.dtype.char not in _COMPLEX:
         raise DtypeError(f"input must be an array of {_KNOWN}; got {array.dtype}")
     return array
@@ -254,7 +254,7 @@ def as_matrix(matrix: ArrayLike) -> NDArray[np.float64]:
 
 def as_coordinates(coordinates: ArrayLike, count: int) -> Array:
     """Positions along so many axes, of any type of real numbers; not copied where they are an array."""
-    array = interop.as_array(coordinates, "coordinates", OptionError, "an array of real numbers")
+    array = arrays.as_array(coordinates, "coordinates", OptionError, "an array of real numbers")
     if array.dtype.kind == "c":
         raise OptionTypeError(f"coordinates must be real numbers; got {array.dtype}")
     if array.dtype.char not in _REAL:
@@ -285,7 +285,7 @@ def as_output(output: Any, data: Array, shape: Sequence[int], *, copied: bool = 
     if isinstance(output, (type, np.dtype, str)):
         return _empty(shape, _as_dtype(output, data, copied))
     try:
-        array = interop.memory_of(output, "output")
+        array = arrays.memory_of(output, "output")
     except ValueError as error:
         raise OptionTypeError(f"output must be an array or a dtype; got {error}") from error
     if array.shape != shape:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from clvol.base import memory
 from clvol.base.checks import flag
 from clvol.base.errors import OptionError, OptionTypeError, RefusedError, UnsupportedError
-from clvol.interop import lazily
+from clvol.interop.dispatch import lazily
 from clvol.ndimage.antialiasing import low_passed, nearest_splines, widths
 from clvol.ndimage.arguments import (
     AnyDevice,

@@ -18,7 +18,7 @@ from clvol.base import memory
 from clvol.base.checks import as_path, number, whole
 from clvol.base.errors import OptionError
 from clvol.base.files import require_suffix, staged
-from clvol.interop import as_array
+from clvol.interop.arrays import as_array
 
 __all__ = [
     "SUFFIXES",

@@ -30,7 +30,7 @@ from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.make import bspline
 from clvol.filter.table import DEFAULT_FILTER, as_filter
-from clvol.interop import as_output
+from clvol.interop.arrays import as_output
 from clvol.spline.build import DefineDict, evaluator_defines, filter_defines
 from clvol.spline.chain import Chain
 from clvol.spline.coefficients import Coefficients, bytes_of, extent_of

@@ -21,7 +21,10 @@ from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary
 from clvol.filter.filter import Filter
 from clvol.filter.table import DEFAULT_FILTER, as_filter
-from clvol.interop import as_array, as_output, is_in_parts, lazily, read_array
+from clvol.frames import in_frame
+from clvol.interop.arrays import as_array, as_output
+from clvol.interop.dispatch import is_in_parts, lazily
+from clvol.interop.images import read_array
 from clvol.spline.chain import Chain
 from clvol.spline.coefficients import Coefficients, Lattice, bytes_of
 from clvol.spline.evaluator import DIRECT, Evaluator, EvaluatorName, FetchName, choose_evaluator
@@ -33,7 +36,7 @@ from clvol.volume.missing import Missing, as_missing, touching
 from clvol.volume.smoothing import filter_for, settled
 from clvol.volume.stored import AS_THEY_ARE, Stored
 from clvol.volume.transform import Transforms, as_chain
-from clvol.volume.volume import Volume, as_volume, in_frame
+from clvol.volume.volume import Volume, as_volume
 from clvol.volume.volumes import Volumes, as_grid
 
 __all__ = [
@@ -341,7 +344,7 @@ class Field:
             Called with the fraction done, from time to time and after the last point with 1.
         out : array, optional
             Where results are put, instead of into a new array: one of float32 or float64 and of their shape that can be written
-            into, with any strides, of NumPy or of another library (see `clvol.interop.as_output`). Kernels write directly into
+            into, with any strides, of NumPy or of another library (see `as_output`). Kernels write directly into
             contiguous ones of the type of the results. It is what is returned.
 
         Returns

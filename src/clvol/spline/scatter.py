@@ -17,7 +17,7 @@ from clvol.device import Device, as_device
 from clvol.filter.boundary import DEFAULT_BOUNDARY, Boundary, as_boundary, boundaries
 from clvol.filter.filter import Filter
 from clvol.filter.table import DEFAULT_FILTER, as_filter
-from clvol.interop import as_array
+from clvol.interop.arrays import as_array
 from clvol.spline.build import boundary_defines, filter_defines, point_defines
 from clvol.spline.field import Precision, precision_kind, prefilter
 from clvol.spline.points import Transform

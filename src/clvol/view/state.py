@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, Self, TypeAlias
 
+from clvol.axes import AXES
 from clvol.base.checks import number, one_of, reals, whole
 from clvol.base.errors import ClvolError, OptionError
 from clvol.filter.boundary import as_boundary
@@ -20,7 +21,7 @@ from clvol.scene.light import MAX_LIGHTS, Light, Material
 from clvol.scene.mode import as_mode
 from clvol.scene.preset import as_preset
 from clvol.scene.transfer import TransferFunction
-from clvol.volume.volumes import AXES, COMPUTED
+from clvol.volume.volumes import COMPUTED
 
 __all__ = [
     "MOST_LABELS",

@@ -17,8 +17,8 @@ from clvol.base.errors import DataError, GeometryError, OptionError
 from clvol.filter.filter import Filter
 from clvol.filter.make import bspline
 from clvol.filter.table import as_filter
-from clvol.foreign import simpleitk
-from clvol.interop import as_array
+from clvol.interop.arrays import as_array
+from clvol.interop.itk import simpleitk
 from clvol.volume.volume import Volume
 
 __all__ = [

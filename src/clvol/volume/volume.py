@@ -15,12 +15,15 @@ from clvol.base import memory
 from clvol.base.checks import number, one_of, reals, whole
 from clvol.base.color import color_of
 from clvol.base.errors import DataError, GeometryError, OptionError
-from clvol.foreign import to_nibabel, to_simpleitk, to_xarray
-from clvol.interop import read_array
+from clvol.frames import in_frame
+from clvol.interop.images import read_array
+from clvol.interop.itk import to_simpleitk
+from clvol.interop.nibabel import to_nibabel
+from clvol.interop.xarray_images import to_xarray
 from clvol.noise import MOST_LABELS, Noise, estimate
 from clvol.volume.missing import Missing, filled_smoothly
 
-__all__ = ["FRAMES", "SPACES", "Volume", "array_of", "as_volume", "in_frame", "window_of"]
+__all__ = ["SPACES", "Volume", "array_of", "as_volume", "window_of"]
 
 SPACES = {
     "LPS": "a patient: x runs to the left, y to the back, z to the head",
@@ -28,10 +31,6 @@ SPACES = {
     "": "none in particular: z is up",
 }
 """What the world of a volume is. It decides how pictures are turned, no number."""
-
-FRAMES = ("LPS", "RAS")
-"""In which a patient's points are given: ITK's and clvol's, and that of nibabel and NIfTI, where x runs to the right and y to the
-front. A world that is no patient's has one frame, its own, which is called "LPS" too, for it is the default."""
 
 _CACHED = 1 << 18  # samples
 _LOOKED_AT = 1 << 16  # samples, by which most data are known to be no labels
@@ -509,38 +508,6 @@ class Volume:
         if array.ndim == 0 or array.shape[-1] != self.ndim:
             raise OptionError(f"{what} must have shape (..., {self.ndim}); got {array.shape}")
         return array
-
-
-def in_frame(points: NDArray[np.float64], frame: str, space: str) -> NDArray[np.float64]:
-    """Points between a volume's world and a frame of its patient; the same for both ways.
-
-    Parameters
-    ----------
-    points : array of float64, shape (..., d)
-        In (x, y, z).
-    frame : {"LPS", "RAS"}
-        "LPS": the world of the volume, whatever it is; the points are returned as they are. "RAS": x and y change their sign.
-    space : str
-        `Volume.space`; only "LPS" has a RAS.
-
-    Raises
-    ------
-    OptionError
-        `frame` is neither, or the world is no patient's.
-    """
-    if not isinstance(frame, str) or frame not in FRAMES:
-        raise one_of("frame", frame, FRAMES)
-    if frame == "LPS":
-        return points
-    if space != "LPS":
-        raise OptionError(
-            f'frame="RAS" is for volumes of a patient, whose space is "LPS"; got one whose space is {space!r}: '
-            'leave frame out, or say Volume(..., space="LPS")'
-        )
-    turned = points.copy()
-    turned[..., :2] *= -1
-    turned += 0.0  # -0 becomes 0
-    return turned
 
 
 def array_of(data: NDArray[Any], dtype: Any, copy: bool | None) -> NDArray[Any]:

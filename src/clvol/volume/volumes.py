@@ -10,19 +10,19 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clvol.axes import AXES
 from clvol.base import memory
 from clvol.base.checks import instance, one_of, whole
 from clvol.base.color import color_of
 from clvol.base.errors import DataError, GeometryError, OptionError
 from clvol.base.rounding import wide
-from clvol.foreign import to_nibabel, to_simpleitk, to_xarray
-from clvol.interop import is_image, read_grid, read_several
+from clvol.interop.images import is_image, read_grid, read_several
+from clvol.interop.itk import to_simpleitk
+from clvol.interop.nibabel import to_nibabel
+from clvol.interop.xarray_images import to_xarray
 from clvol.volume.volume import SPACES, Volume, array_of, as_volume, window_of
 
-__all__ = ["AXES", "COMPUTED", "Leading", "Volumes", "as_grid"]
-
-AXES = ("volume", "time", "position", "channel")
-"""What an axis before z, y and x may count: the volumes of a series (of any meaning), times, places of the stage, channels."""
+__all__ = ["COMPUTED", "Leading", "Volumes", "as_grid"]
 
 COMPUTED = ("magnitude", "luminance")
 """Channels that are computed from all: of vectors, and of red, green and blue."""

@@ -24,7 +24,6 @@ from clvol.filter.table import PICTURE_FILTER
 from clvol.formats import read as read_whole
 from clvol.formats._bounds import BLOCK, KEY, VERSION
 from clvol.formats._files import foreign_errors
-from clvol.formats._units import ome_unit
 from clvol.formats.opening import WholeOnlyError
 from clvol.formats.opening import open as open_lazily
 from clvol.formats.pyramid.blocks import Bricks, coarser, outwards, require_bounded
@@ -33,6 +32,7 @@ from clvol.formats.pyramid.levels import FIXED, METHODS, Level, Method, filter_a
 from clvol.formats.pyramid.reduce import Reduction
 from clvol.formats.pyramid.source import require_apart, said_of
 from clvol.formats.zarr import shown
+from clvol.units import ome_unit
 from clvol.volume.smoothing import filter_for, settled
 from clvol.volume.volume import Volume, as_volume
 

@@ -1,0 +1,154 @@
+"""Arrays and tensors of other libraries as arrays of NumPy, without a copy where possible, to read them or write into them."""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clvol.base import memory
+from clvol.base.errors import ClvolError, DataError, OptionError
+
+__all__ = ["as_array", "as_output", "memory_of"]
+
+_ON_HOST = {1, 3, 11, 13}  # DLPack's types of device whose memory the host can read: its own, pinned, and managed
+_TO_HOST = {"torch": "tensor.cpu()", "cupy": "array.get()", "jax": "jax.device_get(array)", "jaxlib": "jax.device_get(array)"}
+
+
+def as_array(
+    source: Any, what: str = "data", error: type[ClvolError] = DataError, rule: str = "a regular array of numbers"
+) -> NDArray[Any]:
+    """An array of whatever has `__array__`, `__array_interface__`, `__dlpack__` or a buffer, and of nested sequences.
+
+    Its memory is shared, not copied, where the object's protocol allows it. Tensors of PyTorch are detached from their graph;
+    bfloat16, which NumPy does not have, becomes float32, which holds it exactly.
+
+    Parameters
+    ----------
+    source : object
+        In the host's memory.
+    what : str
+        Its name in messages.
+    error : type
+        The class of the error.
+    rule : str
+        The rule in messages.
+
+    Raises
+    ------
+    ClvolError
+        It lies in the memory of a device, is ragged, sparse, or has masked elements.
+    """
+    if type(source) is np.ndarray:
+        return source
+    if np.ma.is_masked(source):
+        raise error(f"{what} must be {rule} with no masked element; replace them with .filled(value) of the masked array")
+    if not _on_host(source):
+        advice = _TO_HOST.get(type(source).__module__.partition(".")[0], "with what its library has for that")
+        kind = f"{type(source).__module__}.{type(source).__qualname__}"
+        raise error(f"{what} must lie in the host's memory; got a {kind} on a device: copy it to the host first, {advice}")
+    _require_room(source, what, error, rule)
+    try:
+        if _is_tensor(source):
+            return _of_tensor(source)
+        reads = hasattr(source, "__array__") or hasattr(source, "__array_interface__") or not hasattr(source, "__dlpack__")
+        array = np.asarray(source) if reads else np.from_dlpack(source)
+    except (TypeError, ValueError, RuntimeError, BufferError) as reason:
+        raise error(f"{what} must be {rule}; got one that NumPy cannot read: {reason}") from None
+    return array.astype(np.float32) if array.dtype.name == "bfloat16" else array
+
+
+def _require_room(source: Any, what: str, error: type[ClvolError], rule: str) -> None:
+    """Raise before an array that is not in memory (Zarr, dask, HDF5, or xarray of these) is read and does not fit."""
+    module = type(source).__module__.partition(".")[0]
+    if not hasattr(source, "shape") or not hasattr(source, "dtype"):
+        if module == "zarr":
+            raise error(
+                f"{what} must be {rule}; got a {type(source).__qualname__} of zarr: give one of its arrays, "
+                "or read it with clvol.read(path), which knows what OME-Zarr says"
+            )
+        return
+    if module not in ("zarr", "dask", "h5py") and getattr(source, "chunks", None) is None:
+        return
+    shape = tuple(source.shape)
+    if any(isinstance(n, float) and math.isnan(n) for n in shape):
+        raise error(f"{what} must have a known shape; got {shape}: compute_chunk_sizes() of the dask array finds it")
+    copies = 2 if hasattr(source, "__dask_graph__") else 1  # its blocks, and the array that they form
+    memory.require(
+        copies * math.prod(int(n) for n in shape) * np.dtype(source.dtype).itemsize,
+        f"reading an array of {module} of shape {shape} whole",
+    )
+
+
+def as_output(out: Any, shape: tuple[int, ...], what: str = "out") -> NDArray[Any]:
+    """The memory of an object, as an array into which results are written.
+
+    Parameters
+    ----------
+    out : object
+        What `as_array` reads without a copy: an array of NumPy with any strides, a tensor of PyTorch on the host, ...
+    shape : tuple of int
+        Of the results.
+    what : str
+        Its name in messages.
+
+    Raises
+    ------
+    OptionError
+        It has another shape, is neither float32 nor float64, may only be read, has to be copied to become an array, or is a
+        tensor that requires a gradient.
+    """
+    array = memory_of(out, what)
+    if array.dtype.kind != "f" or array.dtype.itemsize not in (4, 8):
+        raise OptionError(f"{what} must be float32 or float64; got {array.dtype}")
+    if array.shape != shape:
+        raise OptionError(f"{what} must have shape {shape}; got {array.shape}")
+    if not array.flags.writeable:
+        raise OptionError(f"{what} must be an array that can be written into; got {type(out).__qualname__} that may only be read")
+    return array
+
+
+def memory_of(out: Any, what: str) -> NDArray[Any]:
+    """As `as_output`, for any dtype and shape, and for memory that may only be read.
+
+    Raises
+    ------
+    OptionError
+        It has to be copied to become an array, or is a tensor that requires a gradient.
+    """
+    if type(out) is np.ndarray:
+        return out
+    if getattr(out, "requires_grad", False):
+        raise OptionError(f"{what} must not require a gradient, which writing into it would not follow; give {what}.detach()")
+    array = as_array(out, what, OptionError)
+    if array.size and not np.may_share_memory(array, as_array(out, what, OptionError)):
+        raise OptionError(
+            f"{what} must be an array that can be written into; got {type(out).__qualname__}, of which NumPy makes a copy"
+        )
+    return array
+
+
+def _is_tensor(source: object) -> bool:
+    """Whether it is a tensor of PyTorch. If that is not imported, there is none."""
+    tensor = getattr(sys.modules.get("torch"), "Tensor", None)  # missing while another thread imports it
+    return tensor is not None and isinstance(source, tensor)
+
+
+def _on_host(source: Any) -> bool:
+    if _is_tensor(source):
+        return bool(source.device.type == "cpu")
+    if hasattr(source, "__dlpack_device__"):
+        try:
+            return int(source.__dlpack_device__()[0]) in _ON_HOST
+        except (BufferError, RuntimeError, TypeError, ValueError):  # it does not say, such as an array in shards
+            pass
+    return hasattr(source, "__array_interface__") or not hasattr(source, "__cuda_array_interface__")
+
+
+def _of_tensor(tensor: Any) -> NDArray[Any]:
+    """The memory of a tensor of PyTorch on the host."""
+    plain = tensor.detach().resolve_conj().resolve_neg()
+    return np.asarray((plain.float() if str(plain.dtype) == "torch.bfloat16" else plain).numpy())
