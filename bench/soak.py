@@ -355,8 +355,9 @@ def _soak(options: argparse.Namespace, folder: Path) -> int:
     import clvol
     from bench.deeds import World
     from bench.machine import describe
-    from clvol.device import as_device, programs
-    from clvol.formats import _worker
+    from clvol.device import programs
+    from clvol.device.choose import as_device
+    from clvol.formats.guarded import worker
 
     console = Console(width=120)
     device = as_device()
@@ -370,7 +371,7 @@ def _soak(options: argparse.Namespace, folder: Path) -> int:
     world = World(folder, options.quick)
     soak = Soak(world, reference, catalogue, options.seed, options.new)
     for _ in range(options.threads):  # or the second one would come whenever two threads first read files at once
-        _worker.prepare(())
+        worker.prepare(())
     samples = soak.run(60 * options.minutes, options.threads, buffers)
     rows = grown(samples)
     if not soak.stuck:  # it would wait, too

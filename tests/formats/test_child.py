@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import logging
 import os
@@ -14,6 +15,8 @@ import time
 import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +26,13 @@ import pytest
 import clvol
 from clvol import ClvolWarning, Volume, formats
 from clvol.base.errors import DataError, FormatError, OptionError, OutOfMemoryError
-from clvol.formats import Limits, _wire, _worker
-from clvol.formats._limits import Budget, announce, limited
+from clvol.formats import Limits
+from clvol.formats.guarded import messages, worker
+from clvol.formats.guarded.limits import Budget, announce, limited
 from clvol.volume.volumes import Leading
+
+with contextlib.suppress(ImportError):
+    import fcntl
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="signals and limits of POSIX")
 linux = pytest.mark.skipif(sys.platform != "linux", reason="what Linux alone has")
@@ -33,11 +40,11 @@ linux = pytest.mark.skipif(sys.platform != "linux", reason="what Linux alone has
 
 def run(function: Callable[..., Any], *arguments: Any, limits: Limits | None = None, room: int = 8 << 30) -> Any:
     budget = Budget(limits or Limits(), 1000, room)
-    return _worker.call(function, *arguments, what="read v.x", reader="X", modules=(), budget=budget)
+    return worker.call(function, *arguments, what="read v.x", reader="X", modules=(), budget=budget)
 
 
 def workers() -> set[int]:
-    return {worker._process.pid for worker in _worker._idle}
+    return {one._process.pid for one in worker._idle}
 
 
 # -- what happens there ---------------------------------------------------------------------------------------
@@ -71,7 +78,7 @@ def test_memory_that_nobody_announced_is_refused() -> None:
         run(exec, "bytearray(1 << 30)")
     with pytest.raises(FormatError, match=r"must take at most 1 MiB"):
         run(exec, "bytearray(8 << 20)", limits=Limits(bytes=1 << 20))
-    run(exec, "from clvol.formats._limits import announce; announce('v.x', 1 << 27); bytearray(1 << 30)")
+    run(exec, "from clvol.formats.guarded.limits import announce; announce('v.x', 1 << 27); bytearray(1 << 30)")
     with pytest.raises(FormatError, match="must take at most 128 MiB"):  # it was given back
         run(exec, "bytearray(1 << 30)")
 
@@ -97,14 +104,14 @@ def test_it_ends_with_this_process() -> None:
     """Whatever it is doing."""
     code = """
 import os, threading, time
-from clvol.formats import _worker
-from clvol.formats._limits import Budget, Limits
+from clvol.formats.guarded import worker
+from clvol.formats.guarded.limits import Budget, Limits
 def busy():
-    _worker.call(exec, "while True: pass", what="read", reader="X", modules=(), budget=Budget(Limits(seconds=99), 1, 1 << 30))
+    worker.call(exec, "while True: pass", what="read", reader="X", modules=(), budget=Budget(Limits(seconds=99), 1, 1 << 30))
 threading.Thread(target=busy, daemon=True).start()
-while not list(_worker._all): time.sleep(0.01)
+while not list(worker._all): time.sleep(0.01)
 time.sleep(1.5)
-print(list(_worker._all)[0]._process.pid, flush=True)
+print(list(worker._all)[0]._process.pid, flush=True)
 os.kill(os.getpid(), 9)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
@@ -129,7 +136,7 @@ def test_a_process_that_somebody_ended_is_replaced() -> None:
 def test_one_that_was_started_beforehand_reads(tmp_path: Path) -> None:
     pytest.importorskip("SimpleITK")
     clvol.write(Volume(np.arange(8.0).reshape(2, 2, 2)), tmp_path / "v.nrrd")
-    _worker._end_all()
+    worker._end_all()
     for name in ("none.nrrd", "v.txt"):  # what is wrong with them, `read` says
         formats.begin_to_read(tmp_path / name)
     assert not workers()
@@ -166,7 +173,7 @@ def test_a_forked_process_has_its_own() -> None:
         code = 1
         try:
             code = 0 if run(os.getpid) not in (mine, os.getpid()) else 2
-            _worker._end_all()
+            worker._end_all()
         finally:
             os._exit(code)
     assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
@@ -178,9 +185,9 @@ def test_scripts_without_a_guard_and_paths_of_their_own(tmp_path: Path) -> None:
     Path(tmp_path / "v.npy").touch()
     script = tmp_path / "script.py"
     script.write_text(
-        "from clvol.formats import _worker\nfrom clvol.formats._limits import Budget, Limits\n"
-        "print(_worker.call(len, 'abc', what='read', reader='X', modules=(), budget=Budget(Limits(), 1, 1)))\n"
-        "print(list(_worker._all)[0]._process.pid)\n"
+        "from clvol.formats.guarded import worker\nfrom clvol.formats.guarded.limits import Budget, Limits\n"
+        "print(worker.call(len, 'abc', what='read', reader='X', modules=(), budget=Budget(Limits(), 1, 1)))\n"
+        "print(list(worker._all)[0]._process.pid)\n"
     )
     (tmp_path / "numpy.py").write_text("raise SystemExit('the wrong module')")  # the folder of the file is no place for modules
     script_folder = tmp_path / "elsewhere"
@@ -198,7 +205,7 @@ def test_where_no_process_can_be_started(monkeypatch: pytest.MonkeyPatch) -> Non
     """Protection that silently lapses is none: the error says how to do without."""
     for executable in (None, "/nowhere/python"):
         monkeypatch.setattr(sys, "executable", executable)
-        monkeypatch.setattr(_worker, "_idle", [])
+        monkeypatch.setattr(worker, "_idle", [])
         with pytest.raises(FormatError, match=r"cannot be started.*trusted=True reads in this one"):
             run(len, "")
 
@@ -240,7 +247,8 @@ def test_transforms_are_read_there_too(tmp_path: Path, monkeypatch: pytest.Monke
     assert isinstance(here, clvol.AffineTransform)
     np.testing.assert_array_equal(there.matrix, here.matrix)
     np.testing.assert_array_equal(there.offset, here.offset)
-    monkeypatch.setattr(_worker, "_taken", lambda what: (_ for _ in ()).throw(DataError(what)))
+    monkeypatch.setattr(worker, "_idle", [])
+    monkeypatch.setattr(worker, "_Worker", lambda what: (_ for _ in ()).throw(DataError(what)))
     with pytest.raises(DataError, match="read"):
         clvol.read_transform(tmp_path / "t.tfm")
 
@@ -272,13 +280,13 @@ def test_memory_that_must_not_be_handed_over_is_sent(monkeypatch: pytest.MonkeyP
         raise PermissionError(13, "vm.memfd_noexec")
 
     monkeypatch.setattr(os, "memfd_create", forbidden)
-    monkeypatch.setattr(_wire, "_sharing", True)
-    ours, theirs = socket.socketpair()
+    monkeypatch.setattr(messages, "_sharing", True)
+    ours, theirs = Pipe()
     with ours, theirs, ThreadPoolExecutor(1) as pool:
-        data = _wire.empty((1 << 19,), np.uint32)
+        data = messages.empty((1 << 19,), np.uint32)
         data[:] = np.arange(1 << 19)
-        pool.submit(_wire.send, theirs, "x", [data])
-        np.testing.assert_array_equal(_wire.receive(ours, lambda: None)[1], data)
+        pool.submit(messages.send, theirs, "x", data)
+        np.testing.assert_array_equal(messages.receive(ours, lambda: None)[1], data)
 
 
 def test_samples_that_lie_in_the_file_as_they_are_are_read_here(tmp_path: Path) -> None:
@@ -298,8 +306,8 @@ def test_samples_that_lie_in_the_file_as_they_are_are_read_here(tmp_path: Path) 
 @pytest.mark.parametrize(("name", "start"), [("/dev/zero", 0), ("v", 1), ("v", -8), ("gone", 0)])
 def test_files_that_are_no_files_are_not_read(tmp_path: Path, name: str, start: int) -> None:
     (tmp_path / "v").write_bytes(bytes(32))
-    with pytest.raises(_wire.WireError, match="32 bytes at"):
-        _wire._read(tmp_path / name, start, np.dtype(np.int64), (4,))
+    with pytest.raises(messages.MessageError, match="32 bytes at"):
+        messages._read(tmp_path / name, start, np.dtype(np.int64), (4,))
 
 
 def test_warnings_come_with_the_line_of_the_caller(tmp_path: Path) -> None:
@@ -367,12 +375,12 @@ VALUES: list[Any] = [
 ]
 
 
-def sent(*messages: Any) -> list[Any]:
-    ours, theirs = socket.socketpair()
+def sent(*values: Any) -> list[Any]:
+    ours, theirs = Pipe()
     with ours, theirs:
-        for message in messages:
-            _wire.send(theirs, "x", [message])
-        return [_wire.receive(ours, lambda: None)[1] for _ in messages]
+        for value in values:
+            messages.send(theirs, "x", value)
+        return [messages.receive(ours, lambda: None)[1] for _ in values]
 
 
 def test_values_come_back() -> None:
@@ -402,32 +410,33 @@ NONSENSE = [
 
 @pytest.mark.parametrize("text", NONSENSE, ids=range(len(NONSENSE)))
 def test_nonsense_is_refused(text: bytes) -> None:
-    ours, theirs = socket.socketpair()
+    ours, theirs = Pipe()
     with ours:
         with theirs:
-            theirs.sendall(_wire._HEAD.pack(len(text), 0) + text[: 1 << 16])
-        with pytest.raises((_wire.WireError, EOFError)):
-            _wire.receive(ours, lambda: None)
+            theirs.send_bytes(text[: 1 << 16])
+        with pytest.raises((messages.MessageError, EOFError)):
+            messages.receive(ours, lambda: None)
 
 
 def test_absurd_lengths_are_refused() -> None:
     ours, theirs = socket.socketpair()
-    with ours, theirs:
-        theirs.sendall(_wire._HEAD.pack(1 << 60, 1 << 60))
-        with pytest.raises(_wire.WireError, match="a message of"):
-            _wire.receive(ours, lambda: None)
+    with Connection(ours.detach()) as peer, theirs:
+        theirs.sendall(b"\xff\xff\xff\xff" + (1 << 60).to_bytes(8, "big"))
+        with pytest.raises(messages.MessageError, match="bad message length"):
+            messages.receive(peer, lambda: None)
 
 
 @linux
-def test_memory_that_can_still_change_is_copied() -> None:
+def test_memory_that_may_shrink_is_refused() -> None:
     """Whoever may cut a mapped file can end the process that maps it."""
     fd = os.memfd_create("x", os.MFD_ALLOW_SEALING)
     os.write(fd, np.arange(4, dtype=np.int64).tobytes())
-    found = _wire._mapped(os.dup(fd), 32, np.dtype(np.int64), (4,))
-    os.ftruncate(fd, 0)
-    assert found.tolist() == [0, 1, 2, 3]
-    with pytest.raises(_wire.WireError, match="0 bytes for an array of 32"):
-        _wire._mapped(fd, 32, np.dtype(np.int64), (4,))
+    with pytest.raises(messages.MessageError, match="32 bytes of memory for an array of 32, which may shrink"):
+        messages._mapped(os.dup(fd), np.dtype(np.int64), (4,))
+    fcntl.fcntl(fd, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK)
+    with pytest.raises(messages.MessageError, match="32 bytes of memory for an array of 40"):
+        messages._mapped(os.dup(fd), np.dtype(np.int64), (5,))
+    assert messages._mapped(fd, np.dtype(np.int64), (4,)).tolist() == [0, 1, 2, 3]
 
 
 # -- limits ---------------------------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ from clvol.bricks.source import too_large
 from clvol.cli.options import DeviceName, FilterName, Input, Look, ModeOptions, Source, Whole, bytes_text, is_address, own_options
 from clvol.cli.root import PICTURES, command
 from clvol.cli.words import in_the_shell
-from clvol.formats._limits import size_of
+from clvol.formats.guarded.limits import size_of
 
 if TYPE_CHECKING:
     from clvol.view import View

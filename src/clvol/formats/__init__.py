@@ -23,8 +23,8 @@ from clvol.base.memory import available
 from clvol.formats import bioio, dicom, hdf5, imaris, metaimage, mgz, nifti, npy, nrrd, raw, slices, tiff, vti, zarr
 from clvol.formats._choice import Choice, Series
 from clvol.formats._files import Reader, Writer, foreign_errors
-from clvol.formats._limits import Budget, Limits, limited, size_of
-from clvol.formats._worker import call, prepare
+from clvol.formats.guarded.limits import Budget, Limits, limited, size_of
+from clvol.formats.guarded.worker import call, prepare
 from clvol.interop.kinds import Content
 from clvol.volume.volume import Volume, as_volume
 from clvol.volume.volumes import Leading, Volumes

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from clvol.base.errors import ClvolError, ClvolWarning, DataError, FormatError
-from clvol.formats._limits import announce
+from clvol.formats.guarded.limits import announce
 from clvol.interop.kinds import Content, held_as
 from clvol.volume.volume import Volume
 

@@ -8,7 +8,7 @@ from typing import IO
 
 from clvol.base.errors import FormatError
 from clvol.base.files import MAX_HEADER
-from clvol.formats._limits import is_trusted
+from clvol.formats.guarded.limits import is_trusted
 
 __all__ = ["data_path", "line", "numbers", "whole"]
 

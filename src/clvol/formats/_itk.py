@@ -20,8 +20,8 @@ from clvol.bricks.sliced import FlatFile, Index, Window
 from clvol.formats._choice import Choice
 from clvol.formats._files import foreign_errors, require_default, scaled
 from clvol.formats._layout import Layout, scaled_window
-from clvol.formats._limits import announce
-from clvol.formats._wire import copied
+from clvol.formats.guarded.limits import announce
+from clvol.formats.guarded.messages import copied
 from clvol.interop.itk import describe_simpleitk, from_simpleitk, simpleitk
 from clvol.interop.kinds import Content
 from clvol.volume.volume import Volume

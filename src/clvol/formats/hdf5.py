@@ -16,7 +16,7 @@ from clvol.bricks.sliced import Index, Watched, Window
 from clvol.formats._choice import Choice, Series, chosen_series
 from clvol.formats._files import bytes_at, damaged_chunk, sample_count
 from clvol.formats._layout import Layout, decoded, lay_out, place, uniform, unnamed
-from clvol.formats._limits import announce
+from clvol.formats.guarded.limits import announce
 from clvol.interop.kinds import Content
 from clvol.volume.volumes import Leading
 

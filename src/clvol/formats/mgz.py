@@ -12,7 +12,7 @@ import numpy as np
 from clvol.base.errors import FormatError
 from clvol.formats._choice import Choice
 from clvol.formats._files import gunzipped_size, require_bytes, sample_count
-from clvol.formats._limits import announce
+from clvol.formats.guarded.limits import announce
 from clvol.interop.kinds import Content
 from clvol.interop.nibabel import describe_nibabel, nibabel
 from clvol.volume.volumes import Leading

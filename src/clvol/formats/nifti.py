@@ -22,7 +22,7 @@ from clvol.bricks.sliced import FlatFile, Index, Window
 from clvol.formats._choice import Choice
 from clvol.formats._files import gunzipped_size, require_bytes, require_default, scaled
 from clvol.formats._layout import Layout, scaled_window
-from clvol.formats._limits import announce
+from clvol.formats.guarded.limits import announce
 from clvol.frames import Placement, affine_parts, from_ras
 from clvol.interop.kinds import Content
 from clvol.interop.nibabel import NIFTI_MILLIMETRES, describe_nifti, same_place

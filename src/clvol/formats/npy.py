@@ -19,7 +19,7 @@ from clvol.bricks.sliced import FlatFile, Window
 from clvol.formats._choice import Choice
 from clvol.formats._files import require_bytes, require_default, require_members
 from clvol.formats._layout import lay_out, unnamed
-from clvol.formats._limits import announce
+from clvol.formats.guarded.limits import announce
 from clvol.interop.kinds import Content
 from clvol.volume.volume import Volume
 from clvol.volume.volumes import Leading, Volumes

@@ -14,7 +14,7 @@ from clvol.base.errors import OptionError
 from clvol.bricks.sliced import FlatFile, Window
 from clvol.formats._choice import Choice
 from clvol.formats._files import require_bytes, sample_count
-from clvol.formats._limits import announce
+from clvol.formats.guarded.limits import announce
 from clvol.interop.kinds import Content
 from clvol.volume.volumes import Leading
 

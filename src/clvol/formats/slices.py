@@ -18,8 +18,8 @@ from clvol.base.errors import DataError, FormatError
 from clvol.formats import tiff
 from clvol.formats._choice import Choice
 from clvol.formats._files import sample_count
-from clvol.formats._limits import announce
-from clvol.formats._wire import empty
+from clvol.formats.guarded.limits import announce
+from clvol.formats.guarded.messages import empty
 from clvol.interop.kinds import Content
 from clvol.volume.volumes import Leading
 

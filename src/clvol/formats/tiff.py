@@ -27,8 +27,8 @@ from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
 from clvol.formats._directories import Directory, directories, segments
 from clvol.formats._files import damaged_chunk, inflated_size, require_default, sample_count, scaled, storable, xz_size
 from clvol.formats._layout import Layout, lay_out
-from clvol.formats._limits import announce
-from clvol.formats._wire import as_stored, empty
+from clvol.formats.guarded.limits import announce
+from clvol.formats.guarded.messages import as_stored, empty
 from clvol.interop.kinds import Content
 from clvol.units import METRES, scale, unit_name
 from clvol.volume.volume import Volume

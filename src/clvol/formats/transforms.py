@@ -13,7 +13,7 @@ from clvol.base.errors import FormatError
 from clvol.formats import Limits, allowed, called
 from clvol.formats._files import foreign_errors
 from clvol.formats._itk import quiet, reason
-from clvol.formats._limits import announce
+from clvol.formats.guarded.limits import announce
 from clvol.interop.itk import simpleitk
 from clvol.volume.transform import AffineTransform, BSplineTransform, DisplacementField, Transform, displacements_of, from_simpleitk
 

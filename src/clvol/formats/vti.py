@@ -26,7 +26,7 @@ from clvol.base.errors import DataError, FormatError, MissingDependencyError
 from clvol.formats._choice import Choice, Series, chosen_series
 from clvol.formats._files import sample_count
 from clvol.formats._layout import lay_out
-from clvol.formats._limits import announce
+from clvol.formats.guarded.limits import announce
 from clvol.interop.kinds import Content
 from clvol.volume.volumes import Leading
 

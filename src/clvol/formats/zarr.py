@@ -28,7 +28,7 @@ from clvol.formats._bounds import KEY, bounds_of
 from clvol.formats._choice import Choice, Series, chosen_level, chosen_series
 from clvol.formats._files import bytes_at, require_members, sample_count
 from clvol.formats._layout import Layout, decoded, lay_out, place, shrunk, uniform, unnamed
-from clvol.formats._limits import announce, announce_parts
+from clvol.formats.guarded.limits import announce, announce_parts
 from clvol.interop.kinds import Content
 from clvol.volume.volume import SPACES
 from clvol.volume.volumes import Leading

@@ -1,6 +1,6 @@
-"""What runs in a process that reads files for another: `serve`, until the other one is gone.
+"""The child process: `serve` reads files for its parent (`worker`) until that is gone.
 
-Its parent is `clvol.formats._worker`. A library may end this process, or never return: neither harms the parent.
+A library may end this process, or never return: neither harms the parent.
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
-import pickle
 import signal
 import socket
 import sys
@@ -17,41 +16,42 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 from clvol.base import errors
 from clvol.base.errors import ClvolError, FormatError
 from clvol.formats._files import foreign_errors
-from clvol.formats._limits import MORE, Budget, limited
-from clvol.formats._wire import receive, send, share_samples
+from clvol.formats.guarded.limits import MORE, Budget, limited
+from clvol.formats.guarded.messages import send, share_samples
 
 __all__ = ["Request", "serve"]
 
-_ALLOCATION = ("alloc", "memory")  # in what libraries say where they get none
-_GIVEN_UP = (RuntimeError, MemoryError)  # with which native code says so
+_ALLOCATION = ("alloc", "memory")  # words of a library that is refused memory
+_GIVEN_UP = (RuntimeError, MemoryError)  # what native code raises when it gives up
 _MIB = 1 << 20
 _STACK = 2 * _MIB
 
 
 @dataclass
 class Request:
-    """What is to be read, and how.
+    """What to read, and how.
 
     Parameters
     ----------
     function : callable
-        A function of a module, which this process imports.
+        A function of a module.
     arguments : tuple
-    options : dict
-        Of `function`.
     what : str
         What is being done, for errors: "read v.nrrd".
-    modules : tuple of str
-        That it will import: before the clock runs.
-    folder : str
-        The working folder of the caller, for names that are relative to it.
     budget : Budget
+    options : dict
+        Of `function`.
+    modules : tuple of str
+        Modules to import before the clock starts.
+    folder : str
+        The caller's working folder, for relative names.
     """
 
     function: Callable[..., Any]
@@ -64,63 +64,60 @@ class Request:
 
 
 def serve(modules: Sequence[str] = ()) -> None:
-    """Answer requests that come by standard input, a socket, until it closes; these modules are imported before."""
+    """Import modules, then answer requests that arrive by standard input, a socket, until it closes."""
     peer = _peer()
-    _harmless()
+    _isolate()
     share_samples()
     _import(modules)
     while True:
         try:
-            _, request = receive(peer, lambda: None)
+            request = peer.recv()  # unpickled: the parent may say anything
         except (EOFError, OSError):
             os._exit(0)
-        _answer(peer, pickle.loads(request))  # of our parent, which may say anything
+        _answer(peer, request)
 
 
-def _answer(peer: socket.socket, request: Request) -> None:
-    """Do what is asked, and tell how it ended: what it warned of and logged, and whether to go on; the result or the error."""
-    with contextlib.suppress(OSError):  # it is gone: names that are relative to it are too
+def _answer(peer: Connection, request: Request) -> None:
+    """Send "begun", "announced" whenever samples are announced, and "done" with warnings, log records, and result or error."""
+    with contextlib.suppress(OSError):  # if the folder is gone, so are the files
         os.chdir(request.folder)
     _import(request.modules)
     before, budget, records = _data(), request.budget, _Records()
 
     def announced(needed: int) -> None:
-        _hold(before + budget.memory)
-        send(peer, "announced", [needed])
+        _limit_memory(before + budget.memory)
+        send(peer, "announced", needed)
 
-    budget.told = announced
-    send(peer, "begun", [None])
-    _hold(before + budget.memory)
+    budget.callback = announced
+    send(peer, "begun", None)
+    _limit_memory(before + budget.memory)
     logging.getLogger().addHandler(records)
-    with warnings.catch_warnings(record=True) as told, _dying_with(peer):
+    answer: dict[str, Any] = {"retire": False}
+    with warnings.catch_warnings(record=True) as warned, _dying_with(peer):
         warnings.simplefilter("always")
         try:
             with limited(budget), foreign_errors(request.what):
-                name, box = "result", [request.function(*request.arguments, **request.options)]
-            retire = False
+                answer["result"] = request.function(*request.arguments, **request.options)
         except BaseException as error:
-            name, box = "error", [_told(error, request)]
-            retire = isinstance(error, _GIVEN_UP) or isinstance(error.__cause__, _GIVEN_UP)
+            answer["error"] = _described(error, request)
+            # the next file must not meet what a library that gave up has left behind
+            answer["retire"] = isinstance(error, _GIVEN_UP) or isinstance(error.__cause__, _GIVEN_UP)
     logging.getLogger().removeHandler(records)
-    _hold(None)
-    os.chdir(os.sep)  # nobody need wait for this process to unmount a disk, or to remove a folder
-    # whatever a library that gave up on a file has left behind must not touch the next
-    send(peer, "told", [(_listed(told), records.kept, retire)])
-    send(peer, name, box)
+    _limit_memory(None)
+    os.chdir(os.sep)  # hold no folder that somebody may want to unmount or remove
+    answer["warned"] = [(one.category.__name__, str(one.message), one.filename, one.lineno) for one in warned]
+    answer["logged"] = records.kept
+    send(peer, "done", answer)
 
 
 def _import(modules: Sequence[str]) -> None:
     for module in modules:
-        with contextlib.suppress(Exception):  # whoever needs it says what is missing
+        with contextlib.suppress(Exception):  # the reader that needs it says what is missing
             import_module(module)
 
 
-def _listed(told: Sequence[warnings.WarningMessage]) -> list[tuple[str, str, str, int]]:
-    return [(one.category.__name__, str(one.message), one.filename, one.lineno) for one in told]
-
-
 class _Records(logging.Handler):
-    """What libraries log, as the parent will log it."""
+    """Log records of libraries, for the parent to log."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
@@ -130,8 +127,8 @@ class _Records(logging.Handler):
         self.kept.append((record.name, record.levelno, record.getMessage()))
 
 
-def _told(error: BaseException, request: Request) -> tuple[str, str]:
-    """The name and the text of an error, as the parent will raise it."""
+def _described(error: BaseException, request: Request) -> tuple[str, str]:
+    """Class and text of the error that the parent will raise."""
     text = str(error)
     cause = f"{error.__cause__}".lower()
     foreign = not isinstance(error, ClvolError)
@@ -151,18 +148,18 @@ def _told(error: BaseException, request: Request) -> tuple[str, str]:
 # -- the process ---------------------------------------------------------------------------------------------------
 
 
-def _peer() -> socket.socket:
-    """The socket to the parent: standard input, or, where that cannot be one, what the parent writes there tells it."""
+def _peer() -> Connection:
+    """The connection to the parent: standard input; on Windows, the socket that is described there."""
     if sys.platform == "win32":
         length = int.from_bytes(sys.stdin.buffer.read(2), "big")
-        return socket.fromshare(sys.stdin.buffer.read(length))
-    return socket.socket(fileno=os.dup(0))
+        return Connection(socket.fromshare(sys.stdin.buffer.read(length)).detach())
+    return Connection(os.dup(0))
 
 
-def _harmless() -> None:
-    """Leave the terminal alone, in both directions, and be what the system ends first where memory runs out.
+def _isolate() -> None:
+    """Leave the terminal alone, in both directions, and volunteer to be killed first if the system runs out of memory.
 
-    Threads get a stack that many of them can have at a time within the limit on memory, whatever ``ulimit -s`` says.
+    Small stacks let libraries have many threads within the limit on memory, whatever ``ulimit -s`` says.
     """
     threading.stack_size(_STACK)
     null = os.open(os.devnull, os.O_RDWR)
@@ -178,7 +175,7 @@ def _harmless() -> None:
 
 
 def _data() -> int:
-    """Bytes of memory that this process has to itself, 0 where the system does not say."""
+    """Bytes of private memory of this process; 0 if the system does not say."""
     try:
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[5])
         return pages * os.sysconf("SC_PAGE_SIZE")
@@ -186,30 +183,31 @@ def _data() -> int:
         return 0
 
 
-def _hold(most: int | None) -> None:
-    """Let this process have so many bytes of memory to itself, if the system can; None: as many as it was born with."""
+def _limit_memory(nbytes: int | None) -> None:
+    """Limit the private memory of this process, on Linux; None lifts the limit."""
     if sys.platform != "linux":
         return
     import resource
 
     hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
     unlimited = resource.RLIM_INFINITY
-    soft = hard if most is None else most if hard == unlimited else min(most, hard)
+    soft = hard if nbytes is None else nbytes if hard == unlimited else min(nbytes, hard)
     resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
 
 
 @contextlib.contextmanager
-def _dying_with(peer: socket.socket) -> Iterator[None]:
-    """Let the system end this process when the parent's end of the socket closes, whatever a library is doing meanwhile."""
+def _dying_with(peer: Connection) -> Iterator[None]:
+    """Have the system end this process when the parent's end of the socket closes, whatever a library is doing."""
     if sys.platform != "linux":
         yield
         return
     import fcntl
 
-    flags = fcntl.fcntl(peer, fcntl.F_GETFL)
-    fcntl.fcntl(peer, fcntl.F_SETOWN, os.getpid())
-    fcntl.fcntl(peer, fcntl.F_SETFL, flags | os.O_ASYNC)  # SIGIO ends a process
+    fd = peer.fileno()
+    flags = fcntl.fcntl(fd, fcntl.F_GETFL)
+    fcntl.fcntl(fd, fcntl.F_SETOWN, os.getpid())
+    fcntl.fcntl(fd, fcntl.F_SETFL, flags | os.O_ASYNC)  # SIGIO ends a process
     try:
         yield
     finally:
-        fcntl.fcntl(peer, fcntl.F_SETFL, flags)
+        fcntl.fcntl(fd, fcntl.F_SETFL, flags)

@@ -1,4 +1,4 @@
-"""What reading a file may cost: time, memory, and how much larger than the file its samples may be."""
+"""Limits on reading a file: time, memory, and how much larger than the file its samples may be."""
 
 from __future__ import annotations
 
@@ -13,17 +13,20 @@ from clvol.base.checks import number
 from clvol.base.errors import FormatError, OutOfMemoryError
 from clvol.base.memory import available
 
-__all__ = ["Budget", "Limits", "announce", "announce_parts", "is_trusted", "limited", "size_of"]
+__all__ = ["MORE", "Budget", "Limits", "announce", "announce_parts", "is_trusted", "limited", "size_of"]
 
 _MIB = 1 << 20
 _GIB = 1 << 30
 _BASE_SECONDS = 4.0
-_BYTES_A_SECOND = 5e6  # slower than any codec
-_FILE = 100_000  # bytes that count for opening a file
+_BYTES_PER_SECOND = 5e6  # slower than any codec
+_OPENING = 100_000  # bytes that could be read while a file is opened
 _BASE_BYTES = 128 * _MIB
-_COPIES = 10  # of the samples as they are stored: a byte may become a float64 beside what a library holds of it
-_PARTS, _MEMBER = 4096, 1024  # chunks that any array may have; bytes of an archive for which it may have another one
+_COPIES = 10  # times the size of the stored samples: a byte may become a float64 beside the library's own copies
+_PARTS, _MEMBER = 4096, 1024  # chunks that any array may have; bytes of an archive that allow one more
 _LISTED = 10_000  # files of a folder that are counted
+
+MORE = "limits=clvol.formats.Limits(...) or trusted=True allows more"
+"""The end of messages."""
 
 
 @dataclass(frozen=True)
@@ -33,14 +36,14 @@ class Limits:
     Parameters
     ----------
     seconds : float, optional
-        Of computing, for the libraries that run in a process of their own; the time that they wait (for a disk) counts a tenth.
-        None: 4, and one more for each 5 MB of the file and of its samples.
+        Computing time of native libraries; time that they wait (for a disk) counts a tenth. None: 4, and one more for each 5 MB
+        of the file and of its samples.
     bytes : int, optional
-        Of memory, for the samples, and for all that those libraries hold at a time. None: what is available, and of it 128 MiB
-        and ten times the size of the samples that the header says.
+        Memory for the samples, and for all that native libraries hold at a time. None: for the samples, the memory available; for
+        the libraries, 128 MiB and ten times the size of the samples, as far as that is available.
     expansion : float
-        How many times as large as the file its samples may be, if they are larger than 1 GiB; and how many times as many chunks as
-        files an array may have, if these are more than 4096.
+        Samples larger than 1 GiB may be at most this many times as large as the file; an array of more than 4096 chunks may have at
+        most this many times as many chunks as files.
 
     Raises
     ------
@@ -65,41 +68,41 @@ class Limits:
 
 @dataclass
 class Budget:
-    """What is left to the reading that is going on.
+    """What one reading may cost.
 
     Parameters
     ----------
     limits : Limits
     stored : int or None
-        Bytes of the file, or of the files of a folder; None: too many to count.
+        Bytes of the file, or of the files of a folder; None: too many files to count.
     room : int
-        Bytes of memory that may be taken.
+        Bytes of memory available.
     files : int
-        How many there are.
-    told : callable, optional
-        Is told how many bytes the samples will take, before they are allocated.
+        Number of files.
+    callback : callable, optional
+        Called with the size of the samples in bytes, before they are allocated.
     samples : int
-        The most that was announced.
+        The largest size that was announced.
     """
 
     limits: Limits
     stored: int | None
     room: int
     files: int = 1
-    told: Callable[[int], None] | None = None
+    callback: Callable[[int], None] | None = None
     samples: int = 0
 
     @property
     def seconds(self) -> float:
-        """For which it may compute."""
+        """Computing time."""
         if self.limits.seconds is not None:
             return self.limits.seconds
         stored = self.stored if self.stored is not None else _GIB
-        return _BASE_SECONDS + (stored + self.files * _FILE + self.samples) / _BYTES_A_SECOND
+        return _BASE_SECONDS + (stored + self.files * _OPENING + self.samples) / _BYTES_PER_SECOND
 
     @property
     def memory(self) -> int:
-        """Bytes that a process which only reads may take, beyond what it had before."""
+        """Bytes that a child process may allocate beyond what it had before."""
         if self.limits.bytes is not None:
             return self.limits.bytes
         return min(_BASE_BYTES + _COPIES * self.samples, max(self.room, _BASE_BYTES))
@@ -110,7 +113,7 @@ _budget: ContextVar[Budget | None] = ContextVar("budget", default=None)
 
 @contextlib.contextmanager
 def limited(budget: Budget | None) -> Iterator[None]:
-    """Hold what is read in the block to a budget; None: to no limit but the memory that there is."""
+    """Apply a budget to what is read in the block; None applies no limit but the memory available."""
     token = _budget.set(budget)
     try:
         yield
@@ -119,30 +122,30 @@ def limited(budget: Budget | None) -> Iterator[None]:
 
 
 def is_trusted() -> bool:
-    """Whether what is being read is held to no limits."""
+    """Whether no limits apply to what is being read."""
     return _budget.get() is None
 
 
 def announce(source: str, needed: int, stored: int | None = None) -> None:
-    """Say how many bytes the samples of a file will take, before they are allocated.
+    """Check the size of the samples of a file against the limits, before they are allocated.
 
-    Every reader calls it once it knows; libraries that run in a process of their own get memory and time by it.
+    Every reader calls it as soon as it knows the size; a child process gets memory and time for it.
 
     Parameters
     ----------
     source : str
-        The name of the file, for messages.
+        Name of the file, for errors.
     needed : int
-        Bytes of the samples that will be read.
+        Bytes of the samples.
     stored : int, optional
-        Bytes of the file that holds them, if that is not the one that is being read.
+        Bytes of the file that holds them, if it is not the one being read.
 
     Raises
     ------
     FormatError
-        They are more than the limits allow.
+        The samples exceed the limits.
     OutOfMemoryError
-        They do not fit into the memory that is available.
+        They exceed the memory available.
     """
     budget = _budget.get()
     if budget is None:
@@ -166,17 +169,17 @@ def announce(source: str, needed: int, stored: int | None = None) -> None:
         )
     if budget is not None and needed > budget.samples:
         budget.samples = needed
-        if budget.told is not None:
-            budget.told(needed)
+        if budget.callback is not None:
+            budget.callback(needed)
 
 
 def announce_parts(source: str, parts: int) -> None:
-    """Say how many chunks will be asked for, each of which takes its time, stored or not.
+    """Check the number of chunks that will be read against the limits: each takes time, stored or not.
 
     Raises
     ------
     FormatError
-        They are many more than what is stored can hold.
+        There are far more than the stored bytes can hold.
     """
     budget = _budget.get()
     if budget is None or budget.stored is None:
@@ -189,19 +192,15 @@ def announce_parts(source: str, parts: int) -> None:
         )
 
 
-MORE = "limits=clvol.formats.Limits(...) or trusted=True allows more"
-"""What messages end with."""
-
-
 def size_of(path: Path) -> tuple[int | None, int]:
-    """Bytes of a file, or of those in a folder and below it; and how many these are. None bytes: too many to count."""
+    """Bytes and number of files of a file, or of a folder and all below it; None bytes if there are too many files to count."""
     if not path.is_dir():
         return path.stat().st_size, 1
     total, count = 0, 0
     for folder, _, names in os.walk(path):
         for name in names:
             with contextlib.suppress(OSError):
-                total += os.stat(os.path.join(folder, name)).st_size  # noqa: PTH116, PTH118  # thousands of them
+                total += os.stat(os.path.join(folder, name)).st_size  # noqa: PTH116, PTH118  # fast for thousands of files
             count += 1
         if count > _LISTED:
             return None, count
