@@ -1,4 +1,8 @@
-"""The unfinished store beside its target, and what of it is done: the same command goes on where one was killed."""
+"""The unfinished store beside its target, and the list of its parts that are on the disk: after a kill, the same call resumes.
+
+That a chunk exists does not say that its part is done: Zarr stores no chunk of zeros, parts depend on the budget, a file may be empty
+after a power failure, and the range of the values of a part is stored nowhere else.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,7 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -16,68 +20,60 @@ from clvol.base.errors import FormatError
 
 __all__ = ["Journal"]
 
-_NAME = "journal"
-_STORE = "store.zarr"
-_OLD = "replaced"
-_BOOT = Path("/proc/sys/kernel/random/boot_id")
-_SECONDS = 10.0  # at least, from one time that the disk is waited for to the next
-_SHARE = 20  # times as long as that takes, at least
+_SECONDS = 10.0  # from one sync of the disk to the next, at least
+_SHARE = 20  # times the duration of a sync, at least
 
 
 class Journal:
-    """A folder beside the target, with the store that is being made and a list of the parts that are done.
+    """A folder beside the target, with the store being written and a list of its parts, which grows whenever the disk is synced.
 
-    A process may be killed at any time, and the power may fail: what is at the target is what was there, or the whole new store,
-    or, between two renamings, nothing, and the next call of any command puts the new one there. A part is on the list once its
-    chunks have been written. After another start of the machine those count that the disk is known to have had (on Windows all:
-    delete the folder there after a power failure).
+    The target is what it was, or the whole new store; a kill between two renames leaves nothing there until the next call of any
+    command, which first restores what was there.
 
     Parameters
     ----------
     target : Path
-        Of the store once it is complete.
+        Of the store, once it is complete.
     command : mapping
-        All that decides what is made: another command does not go on with what this one began.
+        All that decides what is written; another command does not resume what this one began.
     replace : bool
-        Whether what is at the target may be replaced, and what another command began be thrown away.
+        Whether to replace what is at the target, and to discard what another command began.
 
     Attributes
     ----------
     store : Path
-        What is being made.
+        The store being written.
     finished : bool
-        Whether the store was complete already, and is at the target: one of this command was killed when little was left to do.
+        Whether the same command was killed after it had moved its store to the target.
 
     Raises
     ------
     FormatError
-        Something is at the target, another command has begun, another process is at work, or nothing can be written.
+        The target exists, another command has begun, another process is at work, or the folder is not writable.
     """
 
     def __init__(self, target: Path, command: Mapping[str, Any], replace: bool = False) -> None:
         self.target, self._replace = target, replace
         self.folder = target.with_name(f".{target.name}.unfinished")
-        self.store = self.folder / _STORE
+        self.store, self._old, self._list = (self.folder / name for name in ("store.zarr", "replaced", "journal"))
         self.finished = False
-        self._done: dict[str, Any] = {}
-        self._next = time.monotonic() + _SECONDS
+        self._done: dict[str, dict[str, Any]] = {}
+        self._unsynced: dict[str, dict[str, Any]] = {}
+        self._next_sync = time.monotonic() + _SECONDS
         if not self.folder.exists():
             self._require_free()
-        head = json.dumps({"command": command}, sort_keys=True, default=str)
         try:
             self.folder.mkdir(exist_ok=True)
-            self._stream = (self.folder / _NAME).open("a+", encoding="utf-8", errors="replace")
+            self._stream = self._list.open("a+", encoding="utf-8", errors="replace")
         except OSError as error:
             raise FormatError(f"cannot write {target}: nothing can be made in {target.parent}: {error.strerror}") from error
         self._lock()
         try:
-            self._begin(head)
+            self._resume(json.loads(json.dumps(command, default=str)))
         except BaseException:
-            try:
-                if not self._lines():
-                    self._close()
-            finally:
-                self._stream.close()
+            with contextlib.closing(self._stream):
+                if not self.store.exists() and not self._old.exists():
+                    self._remove_folder()
             raise
 
     def _lock(self) -> None:
@@ -88,64 +84,58 @@ class Journal:
         try:
             fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if not os.fstat(self._stream.fileno()).st_nlink:
-                raise FileNotFoundError("another process has just finished with it")
+                raise FileNotFoundError("another process has just removed it")
         except OSError as error:
             self._stream.close()
             raise FormatError(f"cannot write {self.target}: another process is at work in {self.folder}") from error
 
-    def _begin(self, head: str) -> None:
-        """Go on with what is there, finish it, or begin anew."""
-        lines, boot = self._lines(), _boot()
-        told = _Told(lines, boot)
-        same, before = lines[:1] == [head], _command(lines)
-        if told.complete is not None:
-            if self.store.exists() and (not self._taken() or (same and self._replace)):
-                self._move()
-            if not self.store.exists() and self._taken() and self.target.lstat().st_ino == told.complete:
-                self._tidy(keep=not same)
-                self.finished, lines = same, []
-                if same:
-                    return
+    def _resume(self, command: dict[str, Any]) -> None:
+        """Finish or resume what the same command began, or begin anew."""
+        begun, *synced = self._read() or [{}]
+        same, there = begun.get("command") == command, self.store.exists()
+        if self._taken() and not there and self.target.lstat().st_ino == begun.get("store"):  # killed after it was moved
+            self.finished = same
+            self._remove_old()
+            if same:
+                self._remove_folder()
+                return
+        elif self._old.exists() and not self._taken():  # killed between two renames
+            self._old.rename(self.target)
         self._require_free()
-        if not self.store.exists():  # without it, parts that were done are not
-            lines = []
-        if lines and before is not None and not same and not self._replace:
-            now = json.loads(head)["command"]
-            keys = [key for key in sorted(before | now) if before.get(key) != now.get(key)]
-            differences = ", ".join(f"{key}: {before.get(key)} and not {now.get(key)}" for key in keys)
+        if begun and there and not same and not self._replace:
+            before = begun["command"]
+            keys = [key for key in sorted(before | command) if before.get(key) != command.get(key)]
+            differences = ", ".join(f"{key}: {before.get(key)} and not {command.get(key)}" for key in keys)
             raise FormatError(
                 f"cannot write {self.target}: {self.folder} holds what another command began ({differences}); "
                 "finish it by that command, or begin anew by overwrite=True"
             )
-        if not lines or not same or (told.lost and told.synced is None):
-            self._begin_anew(head, boot, bool(lines))
+        if same and there and synced:
+            for file in self.store.rglob("*"):  # what was written after the last sync may be torn
+                if file.name.endswith(".partial") or (file.is_file() and file.stat().st_mtime_ns > synced[-1]["time"]):
+                    file.unlink(missing_ok=True)
+            for entry in synced:
+                self._done |= entry["parts"]
             return
-        if not _ends_well(self.folder / _NAME):
-            self._write("")
-        for file in self.store.rglob("*"):  # what zarr was writing when it was killed, and what the disk may not have whole
-            partial = file.name.endswith(".partial")
-            if partial or (told.lost and told.synced is not None and file.is_file() and file.stat().st_mtime_ns > told.synced):
-                file.unlink(missing_ok=True)
-        self._write(json.dumps({"boot": boot}))
-        self._done = told.done
-
-    def _begin_anew(self, head: str, boot: str, listed: bool) -> None:
         self._stream.truncate(0)
-        if listed:
-            os.fsync(self._stream.fileno())  # no list outlives its store
-        if self.store.exists():
-            shutil.rmtree(self.store)
-        self._remove_old()
-        self._write(head)
-        self._write(json.dumps({"boot": boot}))
+        os.fsync(self._stream.fileno())  # no list must outlive its store
+        shutil.rmtree(self.store, ignore_errors=True)
+        self.store.mkdir()
+        self._write({"command": command, "store": self.store.stat().st_ino})
 
-    def _lines(self) -> list[str]:
+    def _read(self) -> list[dict[str, Any]]:
+        """What was begun, then what was on the disk at each sync."""
         self._stream.seek(0)
-        return self._stream.read().splitlines()
+        entries = []
+        for line in self._stream:
+            with contextlib.suppress(ValueError):  # cut by a kill
+                entries.append(json.loads(line))
+        return entries if entries and "command" in entries[0] else []
 
-    def _write(self, line: str) -> None:
-        self._stream.write(line + "\n")
+    def _write(self, entry: dict[str, Any]) -> None:
+        self._stream.write("\n" + json.dumps(entry) + "\n")  # a kill may have cut the line before
         self._stream.flush()
+        os.fsync(self._stream.fileno())
 
     def _taken(self) -> bool:
         return self.target.exists() or self.target.is_symlink()
@@ -160,39 +150,35 @@ class Journal:
         return part in self._done
 
     def facts(self, prefix: str) -> Iterator[dict[str, Any]]:
-        """What is known of the parts whose names begin so."""
+        """The facts of the parts whose names begin with `prefix`."""
         return (facts for part, facts in self._done.items() if part.startswith(prefix))
 
     def done(self, part: str, **facts: Any) -> None:
-        """A part is written, and this is known of it."""
-        self._done[part] = facts
-        self._write(json.dumps({part: facts}))
-        if time.monotonic() >= self._next:
+        """Add a part that is written, and facts about it."""
+        self._done[part] = self._unsynced[part] = facts
+        if time.monotonic() >= self._next_sync:
             self._sync()
 
     def _sync(self) -> None:
-        """Wait until the disk has all that was written, and note when that was, by the clock of the disk's files."""
-        if not hasattr(os, "sync"):  # Windows
-            return
         begun = time.monotonic()
-        os.sync()
-        os.utime(self.folder / _NAME)
-        self._write(json.dumps({"synced": os.fstat(self._stream.fileno()).st_mtime_ns}))
-        os.fsync(self._stream.fileno())
+        if hasattr(os, "sync"):  # not on Windows
+            os.sync()
+        os.utime(self._list)  # the time, by the clock that stamps the files
+        self._write({"time": os.fstat(self._stream.fileno()).st_mtime_ns, "parts": self._unsynced})
+        self._unsynced = {}
         now = time.monotonic()
-        self._next = now + max(_SECONDS, _SHARE * (now - begun))
+        self._next_sync = now + max(_SECONDS, _SHARE * (now - begun))
 
     # -- the end ---------------------------------------------------------------------------------------------------------
 
     def complete(self) -> None:
-        """Move the store to its target, once the disk has it.
+        """Sync the store, and move it to its target.
 
         Raises
         ------
         FormatError
-            Something is there by now, and must not be replaced; or it cannot be moved.
+            The target exists by now, and must not be replaced; or the store cannot be moved.
         """
-        self._write(json.dumps({"complete": self.store.stat().st_ino}))  # from here on it is moved, and never begun anew
         self._sync()
         if self._taken() and not self._replace:
             raise FormatError(f"cannot write {self.target}: it is there by now; the store is complete in {self.store}")
@@ -200,133 +186,45 @@ class Journal:
             self._move()
         except OSError as error:
             raise FormatError(f"cannot write {self.target}: {error}; the store is complete in {self.store}") from error
-        self._tidy()
+        self._remove_old()
+        self._remove_folder()
 
     def _move(self) -> None:
-        """The store to its target, and what is there out of its way."""
-        old = self.folder / _OLD
         replaced = self._taken()
         if replaced:
             self._remove_old()
-            self.target.rename(old)
+            self.target.rename(self._old)
         try:
             self.store.rename(self.target)
         except OSError:
             if replaced:
-                old.rename(self.target)
+                self._old.rename(self.target)
             raise
 
-    def _tidy(self, keep: bool = False) -> None:
-        """Remove what was replaced, and then the journal, which says until then that the new store is there.
-
-        Of one that is to be kept, only the lines go.
-        """
-        if (self.folder / _OLD).exists():
-            _require_on_disk(self.target.parent, self.folder)
-            self._remove_old()
-        if keep:
-            self._stream.truncate(0)
-        else:
-            self._close()
-
     def _remove_old(self) -> None:
-        old = self.folder / _OLD
-        if old.is_dir() and not old.is_symlink():
-            shutil.rmtree(old, ignore_errors=True)
+        """Remove what was replaced, once the disk knows the new store by its name."""
+        if self._old.is_dir() and not self._old.is_symlink():
+            if hasattr(os, "sync"):
+                os.sync()
+            shutil.rmtree(self._old, ignore_errors=True)
         else:
-            old.unlink(missing_ok=True)
+            self._old.unlink(missing_ok=True)
 
-    def _close(self) -> None:
-        """Let the next one have the folder, which is empty."""
-        if os.name == "nt":  # removes no open files
+    def _remove_folder(self) -> None:
+        if os.name == "nt":  # cannot remove open files
             self._stream.close()
-        (self.folder / _NAME).unlink(missing_ok=True)
+        self._list.unlink(missing_ok=True)
         with contextlib.suppress(OSError):  # another process has begun there
             self.folder.rmdir()
-        self._stream.close()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        try:
-            if kind is not None and not self.finished and not self._done:  # nothing is lost
+        with contextlib.closing(self._stream):
+            if kind is not None and not self.finished and not self._done:  # nothing to resume
                 shutil.rmtree(self.store, ignore_errors=True)
-                self._close()
-        finally:
-            self._stream.close()
-
-
-class _Told:
-    """What the lines of a journal say at a start of the machine.
-
-    Attributes
-    ----------
-    done : dict
-        The parts that count, and what is known of them.
-    complete : int or None
-        The number by which the complete store is known, wherever it is moved.
-    synced : int or None
-        When the disk last had everything.
-    lost : bool
-        Whether what was written after that may be lost.
-    """
-
-    def __init__(self, lines: Sequence[str], boot: str) -> None:
-        self.done: dict[str, Any] = {}
-        self.synced: int | None = None
-        self.lost = False
-        since: dict[str, Any] = {}
-        before = None
-        for line in [*lines[1:], json.dumps({"boot": boot})]:
-            try:
-                ((key, value),) = json.loads(line).items()
-            except (ValueError, AttributeError):  # the last one may have been cut
-                continue
-            if key == "boot":
-                self.lost = before is not None and (not value or value != before)
-                since, before = ({} if self.lost else since), value
-            elif key == "synced":
-                self.done |= since
-                since, self.synced = {}, value
-            else:
-                since[key] = value
-        self.done |= since
-        self.complete: int | None = self.done.pop("complete", None)
-
-
-def _command(lines: Sequence[str]) -> dict[str, Any] | None:
-    """Which one has begun; None where the first line did not reach the disk."""
-    try:
-        return dict(json.loads(lines[0])["command"])
-    except (IndexError, ValueError, KeyError, TypeError):
-        return None
-
-
-def _boot() -> str:
-    """Which start of the machine this is; nothing where that is not known."""
-    if not hasattr(os, "sync"):  # Windows
-        return "any"
-    try:
-        return _BOOT.read_text(encoding="ascii").strip()
-    except OSError:
-        return ""
-
-
-def _require_on_disk(*folders: Path) -> None:
-    """Wait until the disk has what folders list."""
-    if os.name == "nt":  # opens none
-        return
-    for folder in folders:
-        number = os.open(folder, os.O_RDONLY)
-        try:
-            with contextlib.suppress(OSError):  # not all file systems do so for folders
-                os.fsync(number)
-        finally:
-            os.close(number)
-
-
-def _ends_well(file: Path) -> bool:
-    with file.open("rb") as stream:
-        stream.seek(-1, os.SEEK_END)
-        return stream.read(1) == b"\n"
+                self._remove_folder()
+            elif self._unsynced:
+                with contextlib.suppress(OSError):  # the disk may be full
+                    self._sync()
