@@ -1,7 +1,7 @@
 """The unfinished store beside its target, and the list of its parts that are on the disk: after a kill, the same call resumes.
 
-That a chunk exists does not say that its part is done: Zarr stores no chunk of zeros, parts depend on the budget, a file may be empty
-after a power failure, and the range of the values of a part is stored nowhere else.
+That a chunk exists does not say that its part is done: Zarr stores no chunk of zeros, parts depend on the budget, after a power
+failure a file may be empty, and the range of the values of a part is stored nowhere else.
 """
 
 from __future__ import annotations
