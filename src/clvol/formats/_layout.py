@@ -17,7 +17,7 @@ from clvol.formats._choice import Choice
 from clvol.formats._files import scaled
 from clvol.interop.kinds import Content
 from clvol.units import scale, unit_name
-from clvol.volume.volumes import Leading
+from clvol.volume.volumes import AXES, Leading
 
 __all__ = ["Layout", "decoded", "lay_out", "place", "scaled_window", "shrunk", "uniform", "unnamed"]
 
